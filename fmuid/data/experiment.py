@@ -78,7 +78,7 @@ class Experiment(HtmlTableMixin):
     Examples
     --------
     >>> table = pd.DataFrame({"time": [0.0, 0.1, 0.2], "u": [0.0, 12.0, 12.0], "i": [0.0, 0.6, np.nan]})
-    >>> fmuid.Experiment(table, inputs=["u"], outputs=["i"], interpolation="hold")
+    >>> fmuid.Experiment(table, inputs=["u"], outputs=["i"], interpolation="zoh")
     Experiment('experiment', 3 samples, 0 to 0.2 s, u → i)
     """
 
@@ -124,12 +124,12 @@ class Experiment(HtmlTableMixin):
 
     @cached_property
     def curved(self) -> Flags:
-        """True where the interpolation is ``"cubic"``, of each input."""
-        return _frozen(np.array([word == "cubic" for word in self._words], dtype=np.bool_))
+        """True where the interpolation is ``"pchip"``, of each input."""
+        return _frozen(np.array([word == "pchip" for word in self._words], dtype=np.bool_))
 
     @cached_property
     def input_slopes(self) -> Floats:
-        """Time derivatives (K, n_inputs), in the table's units over s, where it is ``"cubic"``, else NaN."""
+        """Time derivatives (K, n_inputs), in the table's units over s, where it is ``"pchip"``, else NaN."""
         return _frozen(slopes(self.source, self.times, self.input_values, self.curved))
 
     def __repr__(self) -> str:
@@ -279,11 +279,11 @@ def _check_rows(source: str, times: Floats, inputs: Mapping[str, str], words: Se
     for row in missing_rows(times)[:1].tolist():
         begin, end = times[row : row + 2]
         how = zip(map(json.dumps, inputs.values()), words, strict=True)
-        fill = ", ".join(f'{name} = "{"hold" if word in HELD else "linear"}"' for name, word in how)
+        fill = ", ".join(f'{name} = "{"zoh" if word in HELD else "linear"}"' for name, word in how)
         raise InputError(
             f"{source}: rows are missing between t = {begin:.9g} s (row {row + 1}) and {end:.9g} s, where most steps "
             f"are {usual_step(times):.3g} s, and with them what drives the model: cut the table there, or fill the "
-            f"gap, prepare = {{ fill = {{ {fill} }}, longest_gap = {end - begin:.9g} }}"
+            f"gap, preprocess = {{ fill_missing = {{ {fill} }}, max_gap = {end - begin:.9g} }}"
         )
 
 
@@ -305,7 +305,8 @@ def _values(
         if bad.size:
             row = bad[0]
             found = "has no value" if np.isnan(values[row, k]) else f"is {values[row, k]}"
-            fill = f'fill the gap, prepare = {{ fill = {{ {json.dumps(column)} = "linear" }} }}, or cut the table there'
+            fill = f'fill_missing = {{ {json.dumps(column)} = "linear" }}'
+            fill = f"fill the gap, preprocess = {{ {fill} }}, or cut the table there"
             remedy = fill if role == "input" else "leave cells without a sample empty"
             raise InputError(
                 f"{source}: the {role} column {column!r} {found} in row {row + 1} (t = {times[row]:.9g} s): {remedy}"
