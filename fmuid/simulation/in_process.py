@@ -8,10 +8,11 @@ from concurrent.futures import Future, wait
 
 from fmuid.array_types import Floats, Indices
 from fmuid.errors import SimulationError
-from fmuid.models import STIFF_INTEGRATOR, Component, Custody, Renewal
-from fmuid.simulation import core_constants as codes
+from fmuid.models import STIFF_INTEGRATOR, Component
+from fmuid.simulation import codes
+from fmuid.simulation.instance_registry import Custody, Renewal
 from fmuid.simulation.simulation_plan import Simulation, shares
-from fmuid.simulation.simulation_thread import SimulationThread
+from fmuid.simulation.worker import SimulationThread
 
 
 class InProcessExecutor:

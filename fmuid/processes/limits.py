@@ -1,6 +1,6 @@
-"""A process with all those below it, and the memory that they take together.
+"""How an isolated process comes to its end; the memory that it takes with all processes below it; its time limits.
 
-On Linux that is their proportional set size (proc_pid_smaps(5)), in which a page that several processes share is
+On Linux that memory is their proportional set size (proc_pid_smaps(5)), in which a page that several processes share is
 counted once in all, be it a library, memory that was there before a fork, or memory that is shared on purpose; and what
 of them was swapped out. Reading it costs a walk over all pages, so that it is only done where the resident size, which
 is never smaller, does not settle the question. Elsewhere it is the resident size of the process itself. Where the
@@ -10,15 +10,48 @@ process has a control group that counts memory, and that count is larger, it is 
 from __future__ import annotations
 
 import ctypes
+import math
 import os
+import signal
 import sys
 import time
+from collections.abc import Hashable
 from dataclasses import dataclass
 from pathlib import Path
 
 import psutil
 
 from fmuid.processes import cgroup
+
+CRASHED, EXITED, HUNG, GREW, KILLED, REFUSED, GARBLED, STOPPED, FAILED = range(9)
+"""Ends of a process: crashed by a signal, exited, over its time limit, over its memory limit, killed from outside,
+refused by the system what it needs, ended since its answer was garbled, ended since it was stopped (SIGSTOP), ended
+since code of fmuid failed in it."""
+
+
+@dataclass(unsafe_hash=True)  # not frozen: who passes on an exception notes where
+class End(Exception):  # noqa: N818  # no error: a report of what became of the process
+    """An isolated process has come to an end while it was to work.
+
+    Attributes
+    ----------
+    kind : int
+        `CRASHED` and so on.
+    number : int
+        The signal, the exit code, the system's error number, the time limit in ms or the memory limit in MB.
+    """
+
+    kind: int
+    number: int
+
+    @property
+    def signal_name(self) -> str:
+        """Name of the signal, as ``SIGSEGV``."""
+        try:
+            return signal.Signals(self.number).name
+        except ValueError:
+            return f"signal {self.number}"
+
 
 SUBREAPER = 36  # PR_SET_CHILD_SUBREAPER of Linux
 MEASURING_SHARE = 0.1  # of all time, that reading the proportional set size may take, at most
@@ -87,7 +120,7 @@ class Footprint:
     ----------
     pid : int
     group : Path, optional
-        Its control group (`fmuid.processes.cgroup`).
+        Its control group (`fmuid.processes.limits`).
     """
 
     def __init__(self, pid: int, group: Path | None = None) -> None:
@@ -157,3 +190,55 @@ def _listed(path: str) -> list[str]:
         return os.listdir(path)  # noqa: PTH208
     except OSError:
         return []
+
+
+STANDSTILL_SECONDS = 0.5
+"""Time between two looks above which this process has stood still, and the machine with it, s."""
+COMPUTED_SHARE = 0.5
+"""Fraction of a time limit that a process must have computed while it wants a processor; before, it only waits."""
+STOPPED_SECONDS = 2.0
+"""Time after which a stopped process (SIGSTOP) is ended, s: suspended jobs continue in any order."""
+
+
+class Watchdog:
+    """Watches over one call of an isolated process.
+
+    Time limits are by the clock, but a busy machine is not charged to the process: neither the time in which this
+    process stood still, nor that in which the other waited for a processor.
+
+    Parameters
+    ----------
+    limit : float
+        How long it may do the same, s.
+    """
+
+    def __init__(self, limit: float) -> None:
+        self.limit = limit
+        self._since, self._looked = time.monotonic(), math.inf
+        self._computed = 0.0
+        self._state: tuple[Hashable, bool] | None = None
+
+    def state(self, condition: Condition) -> Hashable:
+        """Return what it is doing: the limit begins anew where that has changed."""
+        del condition
+        return None
+
+    def allowed(self) -> float:
+        """Return how long it may do what it is doing, s."""
+        return self.limit
+
+    def end(self, condition: Condition) -> End | None:
+        """Return the end of a process that has done the same for too long."""
+        stopped, now = condition.status == psutil.STATUS_STOPPED, time.monotonic()
+        state = self.state(condition), stopped
+        self._since += max(0.0, now - self._looked - STANDSTILL_SECONDS)
+        self._looked = now
+        if state != self._state:
+            self._state, self._since, self._computed = state, now, condition.computed
+        allowed = STOPPED_SECONDS if stopped else self.allowed()
+        if now - self._since <= allowed:
+            return None
+        if stopped:
+            return End(STOPPED, 0)
+        waits = condition.computed - self._computed < COMPUTED_SHARE * allowed and wants_processor(condition.pid)
+        return None if waits else End(HUNG, round(1e3 * allowed))
