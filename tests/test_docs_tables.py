@@ -84,7 +84,7 @@ def _needs(folder: Path, monkeypatch: pytest.MonkeyPatch, name: str, module: str
     assert {"u", "i", "w"} <= set(fmuid.read_table(folder / name).columns)
     with monkeypatch.context() as without:
         without.setitem(sys.modules, module, None)
-        without.setattr("fmuid.processes.keeper.AVAILABLE", False)  # read in this process
+        without.setattr("fmuid.processes.caller.AVAILABLE", False)  # read in this process
         with pytest.raises(InputError, match=rf'which is not installed: pip install "fmuid\[{extra}\]"'):
             fmuid.read_table(folder / name)
 

@@ -14,6 +14,7 @@ order.
 from __future__ import annotations
 
 import builtins
+import contextlib
 import json
 import math
 import pickle
@@ -287,6 +288,16 @@ class Channel:
         while not poller.poll(self._every if look is not None else None):
             if look is not None:
                 look()
+
+    @property
+    def at_end(self) -> bool:
+        """Whether the other side is gone, as far as it shows without waiting."""
+        with contextlib.suppress(BlockingIOError):
+            try:
+                return not self._end.recv(1, socket.MSG_PEEK | socket.MSG_DONTWAIT)
+            except ConnectionError:
+                return True
+        return False
 
     @property
     def open(self) -> bool:

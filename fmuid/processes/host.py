@@ -27,19 +27,8 @@ from fmuid.errors import FmuidError
 from fmuid.processes import cgroup
 from fmuid.processes.channel import TOKEN_BYTES, Channel, GarbledError, answer_of, order_parts
 from fmuid.processes.children import MEMORY_KEPT, Child
-from fmuid.processes.limits import (
-    CRASHED,
-    EXITED,
-    GARBLED,
-    GREW,
-    KILLED,
-    End,
-    Footprint,
-    Watchdog,
-    condition_of,
-    family,
-    numbered,
-)
+from fmuid.processes.ends import CRASHED, EXITED, GARBLED, GREW, KILLED, End
+from fmuid.processes.limits import Footprint, Watchdog, condition_of, family, numbered
 
 CLOSING_LIMIT = 2.0  # s for freeing instances, after which the process is killed: nothing of it is needed any more
 MOST_STARTS = 6  # of the server, which may be killed from outside while it loads
@@ -296,6 +285,11 @@ class HostProcess:
     def alive(self) -> bool:
         """Whether it can be given orders: it was made by this process (not by the one it is a fork of) and lives."""
         return self._owner == os.getpid() and self._channel.open
+
+    @property
+    def gone(self) -> bool:
+        """Whether it has ended by itself, or was ended from outside, since its last call."""
+        return self._channel.at_end
 
     def close(self) -> None:
         """End it when it is at rest."""

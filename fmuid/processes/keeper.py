@@ -1,18 +1,16 @@
-"""Who keeps an isolated process: makes it when needed, replaces one that has grown, and calls functions in it."""
+"""Who keeps an isolated process: makes it when it is needed, replaces one that has grown, ends it with its owner."""
 
 from __future__ import annotations
 
 import os
-import threading
 import weakref
 from collections.abc import Callable
 from typing import Any, Generic, TypeVar
 
 import psutil
 
-from fmuid.processes.children import AVAILABLE
+from fmuid.processes.ends import End
 from fmuid.processes.host import HostProcess
-from fmuid.processes.limits import KILLED, End, Watchdog
 
 LEAST_MEMORY = 1e9  # bytes that a process may take by default even on a small machine
 MOST_KILLS = 3  # in a row from outside; then it is not by chance
@@ -56,7 +54,10 @@ class HostKeeper(Generic[Host]):
             If it comes to an end over them again and again.
         """
         if self._hosts and self._hosts[0].alive:
-            return self._hosts[0]
+            if not self._hosts[0].gone:
+                return self._hosts[0]
+            self._hosts[0].kill()
+            self.bury()
         for attempt in range(MOST_KILLS):
             host = self._make(self._memory)
             try:
@@ -114,78 +115,3 @@ def _shut(hosts: list[Any], left: list[str] | None) -> None:
 def _memory_share() -> float:
     """Return how much memory a process may take by default, bytes."""
     return max(LEAST_MEMORY, psutil.virtual_memory().total / (2 * (os.cpu_count() or 1)))
-
-
-Value = TypeVar("Value")
-
-
-class IsolatedCaller:
-    """Calls functions in one isolated process, which begins with the first call and ends with this one.
-
-    Where the platform has no such processes (`AVAILABLE`), functions are called in this one.
-
-    Parameters
-    ----------
-    time_limit : float
-        How long a call may take, s.
-    memory : float, optional
-        What the process may take, MB; default: half of the machine's, since one call works at a time.
-    """
-
-    def __init__(self, time_limit: float, memory: float | None = None) -> None:
-        self._time_limit, self._memory = time_limit, memory
-        self._lock = threading.Lock()
-        self._told: set[str] = set()
-        self._keeper: Any = None
-
-    def call(self, function: Callable[..., Value], *arguments: Any, time_limit: float | None = None) -> Value:
-        """Call a function of a module, which the process imports by its name; return the value.
-
-        Parameters
-        ----------
-        function : callable
-        arguments
-            What can be pickled.
-        time_limit : float, optional
-            How long this call may take, s; default: as every call.
-
-        Returns
-        -------
-        object
-            Of types that answers have: numbers, texts, datetimes, arrays of them, lists, tuples and dicts.
-
-        Raises
-        ------
-        End
-            If the process was lost over it; the next call has a new one.
-        Exception
-            What the function raises: an error of Python or fmuid, of other packages the nearest base among these.
-        """
-        if not AVAILABLE:
-            return function(*arguments)
-        limit = time_limit or self._time_limit
-        with self._lock:
-            keeper = self._keeper = self._keeper or self._kept()
-
-            def called() -> Value:
-                found: Value = keeper.host().call(function, *arguments, watchdog=Watchdog(limit))
-                return found
-
-            try:
-                value = called()
-            except End as end:
-                if end.kind != KILLED:
-                    raise
-                value = called()  # the process may have been ended before this call
-            keeper.replace_outgrown()
-            keeper.printed()  # what libraries print about damaged files is nobody's news
-            return value
-
-    def _kept(self) -> Any:
-        import psutil
-
-        from fmuid.processes.host import HostProcess  # for Linux and macOS only
-        from fmuid.processes.keeper import HostKeeper
-
-        memory = self._memory or psutil.virtual_memory().total / 2e6
-        return HostKeeper(lambda limit: HostProcess((), limit, self._told), memory)

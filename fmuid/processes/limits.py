@@ -1,6 +1,6 @@
-"""How an isolated process comes to its end; the memory that it takes with all processes below it; its time limits.
+"""Limits of an isolated process: the memory that it takes with all processes below it, and its time.
 
-On Linux that memory is their proportional set size (proc_pid_smaps(5)), in which a page that several processes share is
+On Linux the memory is their proportional set size (proc_pid_smaps(5)), in which a page that several processes share is
 counted once in all, be it a library, memory that was there before a fork, or memory that is shared on purpose; and what
 of them was swapped out. Reading it costs a walk over all pages, so that it is only done where the resident size, which
 is never smaller, does not settle the question. Elsewhere it is the resident size of the process itself. Where the
@@ -12,7 +12,6 @@ from __future__ import annotations
 import ctypes
 import math
 import os
-import signal
 import sys
 import time
 from collections.abc import Hashable
@@ -22,36 +21,7 @@ from pathlib import Path
 import psutil
 
 from fmuid.processes import cgroup
-
-CRASHED, EXITED, HUNG, GREW, KILLED, REFUSED, GARBLED, STOPPED, FAILED = range(9)
-"""Ends of a process: crashed by a signal, exited, over its time limit, over its memory limit, killed from outside,
-refused by the system what it needs, ended since its answer was garbled, ended since it was stopped (SIGSTOP), ended
-since code of fmuid failed in it."""
-
-
-@dataclass(unsafe_hash=True)  # not frozen: who passes on an exception notes where
-class End(Exception):  # noqa: N818  # no error: a report of what became of the process
-    """An isolated process has come to an end while it was to work.
-
-    Attributes
-    ----------
-    kind : int
-        `CRASHED` and so on.
-    number : int
-        The signal, the exit code, the system's error number, the time limit in ms or the memory limit in MB.
-    """
-
-    kind: int
-    number: int
-
-    @property
-    def signal_name(self) -> str:
-        """Name of the signal, as ``SIGSEGV``."""
-        try:
-            return signal.Signals(self.number).name
-        except ValueError:
-            return f"signal {self.number}"
-
+from fmuid.processes.ends import HUNG, STOPPED, End
 
 SUBREAPER = 36  # PR_SET_CHILD_SUBREAPER of Linux
 MEASURING_SHARE = 0.1  # of all time, that reading the proportional set size may take, at most

@@ -19,7 +19,8 @@ import pytest
 from fmuid.data.experiment import Experiment
 from fmuid.errors import FmuidError, InputError
 from fmuid.models.component import Isolation
-from fmuid.processes.limits import REFUSED, End, Footprint, family
+from fmuid.processes.ends import REFUSED, End
+from fmuid.processes.limits import Footprint, family
 from fmuid.simulation.executor import executor_of
 from fmuid.simulation.isolation.host import end_words
 from fmuid.simulation.simulator import Simulator

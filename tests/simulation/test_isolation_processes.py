@@ -28,8 +28,8 @@ from fmuid.models.system import System
 from fmuid.processes import MEMORY_KEPT, Child
 from fmuid.processes import host as hosts
 from fmuid.processes.channel import Channel, Look
+from fmuid.processes.ends import KILLED, End
 from fmuid.processes.host import SERVER, ForkServer
-from fmuid.processes.limits import KILLED, End
 from fmuid.simulation.executor import executor_of
 from fmuid.simulation.isolation.host import Host
 from fmuid.simulation.simulator import Simulator

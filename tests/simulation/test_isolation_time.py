@@ -10,15 +10,8 @@ import numpy as np
 import psutil
 import pytest
 
-from fmuid.processes.limits import (
-    COMPUTED_SHARE,
-    HUNG,
-    STANDSTILL_SECONDS,
-    Condition,
-    End,
-    condition_of,
-    wants_processor,
-)
+from fmuid.processes.ends import HUNG, End
+from fmuid.processes.limits import COMPUTED_SHARE, STANDSTILL_SECONDS, Condition, condition_of, wants_processor
 from fmuid.simulation import codes
 from fmuid.simulation.isolation.host import HostWatchdog
 from tests.support.isolated import wait_until

@@ -38,16 +38,7 @@ _living: weakref.WeakSet[IsolatedExecutor] = weakref.WeakSet()
 
 
 class IsolatedExecutor:
-    """Runs one system in a process of its own (as `fmuid.simulation.in_process.InProcessExecutor` does in this one).
-
-    Parameters
-    ----------
-    components : mapping of str to Component
-    limit : int
-        The largest number of simulations at a time.
-    settings : Isolation
-    told : set of str, optional
-        The warnings that were passed on.
+    """Runs one system in a process of its own, at most `limit` simulations at a time.
 
     Attributes
     ----------
@@ -77,10 +68,8 @@ class IsolatedExecutor:
     def run(self, simulation: Simulation, thetas: Floats, outputs: Floats, reports: Indices) -> None:
         """Simulate all thetas (m, N); those at which the process comes to an end have a report of `codes.PROCESS`.
 
-        Outputs (m, K, n_outputs) and reports (m, codes.REPORT) are filled in
-        (`fmuid.simulation.simulation_loop.Loop.run`). Where one of them finds a model stiff, all are run as such, also
-        those that were through before, as in-process: how many go at a time depends on how fast the machine is, and
-        the outputs must not.
+        Where one of them finds a model stiff, all are run as such, also those that were through before, as in-process:
+        how many go at a time depends on how fast the machine is, and the outputs must not.
         """
         found = -1
         while found != self._found_stiff:
@@ -344,13 +333,8 @@ class SpreadExecutor:
 
     Parameters
     ----------
-    components : mapping of str to Component
     limit : int
-        The largest number of processes.
-    settings : Isolation
-        Of each process.
-    told : set of str, optional
-        The warnings that were passed on.
+        The largest number of processes, each under the `settings`.
 
     Attributes
     ----------
