@@ -148,7 +148,7 @@ def multisine(
     return pd.DataFrame({"time": times, column: offset + amplitude / np.abs(values).max() * values})
 
 
-def steps(
+def step_sequence(
     duration: float,
     step: float,
     levels: Sequence[float],
@@ -181,7 +181,7 @@ def steps(
 
     Examples
     --------
-    >>> fmuid.steps(0.4, 0.1, [0.0, 12.0])["u"].tolist()
+    >>> fmuid.step_sequence(0.4, 0.1, [0.0, 12.0])["u"].tolist()
     [0.0, 0.0, 12.0, 12.0]
     """
     clock = _times(duration, step, column, offset=offset)

@@ -18,9 +18,9 @@ from fmuid.files import as_json
 from fmuid.progress import Event, MapStep, Progress
 
 if TYPE_CHECKING:
-    from fmuid.identification.cost_map import CriterionMap
+    from fmuid.identification.cost_map import CostMap
     from fmuid.identification.profile import Profile
-    from fmuid.identification.sampling.posterior import Posterior, Sampling
+    from fmuid.identification.sampling.posterior import Posterior, SamplerSettings
 
 CONFIDENCE_LEVEL = 0.95
 # A criterion on a map lower than at the estimate by more than this shows another optimum; less may be rounding, or
@@ -38,7 +38,7 @@ class UncertaintySettings:
         Of all intervals, between 0 and 1.
     profile : tuple of str
         Parameters whose profile is computed.
-    posterior : Sampling, optional
+    posterior : SamplerSettings, optional
         How the posterior is sampled, where it is.
     maps : tuple of (str, str)
         Pairs of parameters over which the criterion is mapped.
@@ -51,7 +51,7 @@ class UncertaintySettings:
 
     level: float = CONFIDENCE_LEVEL
     profile: tuple[str, ...] = ()
-    posterior: Sampling | None = None
+    posterior: SamplerSettings | None = None
     maps: tuple[tuple[str, str], ...] = ()
 
     def __post_init__(self) -> None:
@@ -71,9 +71,9 @@ class Uncertainty:
     ----------
     level : float
         Of all intervals.
-    maps : tuple of CriterionMap
+    maps : tuple of CostMap
         Around the estimate.
-    box_maps : tuple of CriterionMap
+    box_maps : tuple of CostMap
         Over all of the bounds.
     profiles : tuple of Profile
     posterior : Posterior or None
@@ -82,8 +82,8 @@ class Uncertainty:
     """
 
     level: float
-    maps: tuple[CriterionMap, ...] = ()
-    box_maps: tuple[CriterionMap, ...] = ()
+    maps: tuple[CostMap, ...] = ()
+    box_maps: tuple[CostMap, ...] = ()
     profiles: tuple[Profile, ...] = ()
     posterior: Posterior | None = None
     interrupted: bool = False
@@ -169,7 +169,7 @@ def _posterior(found: Posterior, level: float) -> dict[str, Any]:
     }
 
 
-def better_point(chart: CriterionMap) -> tuple[float, float, float] | None:
+def better_point(chart: CostMap) -> tuple[float, float, float] | None:
     """Return where a map shows a lower criterion than the estimate has, and by how much; None where it does not."""
     points = chart.table[[*chart.names, "criterion"]].to_numpy()
     values = np.where(np.isnan(points[:, 2]), np.inf, points[:, 2])
@@ -230,8 +230,8 @@ class _Explorer:
     ) -> None:
         self.problem, self.result, self.settings, self.progress = problem, result, settings, progress
         self.box = box
-        self.maps: list[CriterionMap] = []
-        self.box_maps: list[CriterionMap] = []
+        self.maps: list[CostMap] = []
+        self.box_maps: list[CostMap] = []
         self.profiles: tuple[Profile, ...] = ()
         self.posterior: Posterior | None = None
 
@@ -251,12 +251,12 @@ class _Explorer:
 
     def _map(self) -> bool:
         for k, (first, second) in enumerate(self.settings.maps):
-            from fmuid.identification.cost_map import map_criterion
+            from fmuid.identification.cost_map import map_cost
 
             self._tell(MapStep(share=k / len(self.settings.maps), first=first, second=second))
-            self.maps.append(map_criterion(self.problem, self.result, first, second))
+            self.maps.append(map_cost(self.problem, self.result, first, second))
             if self.box and self._bounded(first) and self._bounded(second):
-                self.box_maps.append(map_criterion(self.problem, self.result, first, second, ranges="bounds"))
+                self.box_maps.append(map_cost(self.problem, self.result, first, second, ranges="bounds"))
         return True
 
     def _bounded(self, name: str) -> bool:
@@ -268,17 +268,17 @@ class _Explorer:
         names = self.settings.profile
         if not names:
             return True
-        from fmuid.identification.profile import profiles
+        from fmuid.identification.profile import profile_likelihood
 
         level = self.settings.level
-        self.profiles = profiles(self.problem, self.result, names, level=level, progress=self.progress)
+        self.profiles = profile_likelihood(self.problem, self.result, names, level=level, progress=self.progress)
         complete = len(self.profiles) == len(names)
         return complete and not self.profiles[-1].interrupted
 
     def _sample(self) -> bool:
         if self.settings.posterior is None:
             return True
-        from fmuid.identification.sampling.sampler import sample
+        from fmuid.identification.sampling.sampler import sample_posterior
 
-        self.posterior = sample(self.problem, self.result, self.settings.posterior, self.progress)
+        self.posterior = sample_posterior(self.problem, self.result, self.settings.posterior, self.progress)
         return not self.posterior.interrupted

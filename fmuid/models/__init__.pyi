@@ -1,4 +1,4 @@
-from .archive import Zipped as Zipped
+from .archive import CheckedArchive as CheckedArchive
 from .archive import archive_of as archive_of
 from .archive import file_digest as file_digest
 from .archive import unpacked as unpacked
@@ -7,9 +7,9 @@ from .component import DEFAULT_TOLERANCE as DEFAULT_TOLERANCE
 from .component import INTEGRATORS as INTEGRATORS
 from .component import STIFF_INTEGRATOR as STIFF_INTEGRATOR
 from .component import Component as Component
-from .component import HowRun as HowRun
 from .component import Isolation as Isolation
 from .component import Numerics as Numerics
+from .component import SolverConfiguration as SolverConfiguration
 from .connections import Connection as Connection
 from .description import DESCRIPTION_FILE as DESCRIPTION_FILE
 from .description import KINDS as KINDS
@@ -20,8 +20,8 @@ from .description import Variable as Variable
 from .description import unit_conversion as unit_conversion
 from .fmu import FMU as FMU
 from .fmu import PLATFORMS as PLATFORMS
-from .fmu_summary import Facts as Facts
-from .fmu_summary import Line as Line
+from .fmu_summary import FmuSummary as FmuSummary
+from .fmu_summary import VariableRow as VariableRow
 from .fmu_summary import facts as facts
 from .fmu_summary import lines as lines
 from .reading import read_description as read_description

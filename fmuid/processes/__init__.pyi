@@ -14,7 +14,7 @@ from .ends import HUNG as HUNG
 from .ends import KILLED as KILLED
 from .ends import REFUSED as REFUSED
 from .ends import STOPPED as STOPPED
-from .ends import End as End
+from .ends import HostExitError as HostExitError
 from .host import CLOSING_LIMIT as CLOSING_LIMIT
 from .host import PRINTED_KEPT_BYTES as PRINTED_KEPT_BYTES
 from .host import SERVER as SERVER
@@ -22,6 +22,6 @@ from .host import HostProcess as HostProcess
 from .host import refusals as refusals
 from .keeper import MOST_KILLS as MOST_KILLS
 from .keeper import HostKeeper as HostKeeper
-from .limits import Condition as Condition
+from .limits import ProcessStatus as ProcessStatus
 from .limits import Watchdog as Watchdog
 from .service import shared_memory as shared_memory

@@ -21,7 +21,7 @@ from pathlib import Path
 import psutil
 
 from fmuid.processes import cgroup
-from fmuid.processes.ends import HUNG, STOPPED, End
+from fmuid.processes.ends import HUNG, STOPPED, HostExitError
 
 SUBREAPER = 36  # PR_SET_CHILD_SUBREAPER of Linux
 MEASURING_SHARE = 0.1  # of all time, that reading the proportional set size may take, at most
@@ -50,7 +50,7 @@ def family(pid: int) -> list[int]:
 
 
 @dataclass(frozen=True)
-class Condition:
+class ProcessStatus:
     """What the system says of a process: `pid`, its status as psutil names it, and the CPU time that it has had, s."""
 
     pid: int
@@ -66,15 +66,15 @@ def numbered(pid: int) -> psutil.Process | None:
         return None
 
 
-def condition_of(pid: int) -> Condition:
+def condition_of(pid: int) -> ProcessStatus:
     """Return the condition of a process, that of a zombie where there is none."""
     try:
         process = psutil.Process(pid)
         with process.oneshot():
             times = process.cpu_times()
-            return Condition(pid, str(process.status()), times.user + times.system)
+            return ProcessStatus(pid, str(process.status()), times.user + times.system)
     except psutil.Error:
-        return Condition(pid, psutil.STATUS_ZOMBIE, 0.0)
+        return ProcessStatus(pid, psutil.STATUS_ZOMBIE, 0.0)
 
 
 def wants_processor(pid: int) -> bool:
@@ -188,7 +188,7 @@ class Watchdog:
         self._computed = 0.0
         self._state: tuple[Hashable, bool] | None = None
 
-    def state(self, condition: Condition) -> Hashable:
+    def state(self, condition: ProcessStatus) -> Hashable:
         """Return what it is doing: the limit begins anew where that has changed."""
         del condition
         return None
@@ -197,7 +197,7 @@ class Watchdog:
         """Return how long it may do what it is doing, s."""
         return self.limit
 
-    def end(self, condition: Condition) -> End | None:
+    def end(self, condition: ProcessStatus) -> HostExitError | None:
         """Return the end of a process that has done the same for too long."""
         stopped, now = condition.status == psutil.STATUS_STOPPED, time.monotonic()
         state = self.state(condition), stopped
@@ -209,6 +209,6 @@ class Watchdog:
         if now - self._since <= allowed:
             return None
         if stopped:
-            return End(STOPPED, 0)
+            return HostExitError(STOPPED, 0)
         waits = condition.computed - self._computed < COMPUTED_SHARE * allowed and wants_processor(condition.pid)
-        return None if waits else End(HUNG, round(1e3 * allowed))
+        return None if waits else HostExitError(HUNG, round(1e3 * allowed))

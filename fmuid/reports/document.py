@@ -27,7 +27,7 @@ class Message(Enum):
 
 
 @dataclass(frozen=True, eq=False)
-class Remark:
+class ProfileEndNote:
     """A sentence.
 
     Attributes

@@ -12,7 +12,7 @@ from fmuid.array_types import Floats, Indices
 from fmuid.errors import SimulationError
 from fmuid.models import System
 from fmuid.simulation.instance_registry import in_threads
-from fmuid.simulation.simulation_plan import Simulation
+from fmuid.simulation.simulation_plan import GridSimulation
 
 _log = logging.getLogger("fmuid.fmu")
 
@@ -22,12 +22,12 @@ class Executor(Protocol):
 
     lock: threading.RLock
 
-    def run(self, simulation: Simulation, thetas: Floats, outputs: Floats, reports: Indices) -> None:
+    def run(self, simulation: GridSimulation, thetas: Floats, outputs: Floats, reports: Indices) -> None:
         """Simulate all thetas (m, N) into outputs (m, K, n_outputs) and reports (m, codes.REPORT)."""
 
     def failure(
         self,
-        simulation: Simulation,
+        simulation: GridSimulation,
         theta: Floats,
         outputs: Floats,
         report: Indices,
@@ -66,12 +66,12 @@ def _made_for(system: System) -> Executor:
         if AVAILABLE:
             from fmuid.simulation.isolation.isolated_executor import (
                 IsolatedExecutor,  # for Linux and macOS only
-                SpreadExecutor,
+                MultiProcessExecutor,
             )
 
             processes = min(threads(), system.isolation.threads or threads())
             if not concurrent and system.can_be_repeated and processes > 1:
-                return SpreadExecutor(system.components, processes, system.isolation, system.told)
+                return MultiProcessExecutor(system.components, processes, system.isolation, system.told)
             return IsolatedExecutor(system.components, limit, system.isolation, system.told)
         _log.warning("FMUs run inside fmuid's own process: processes of their own need Linux or macOS")
     from fmuid.simulation.in_process import InProcessExecutor  # and with it the core

@@ -17,7 +17,7 @@ from typing import Any
 
 from fmuid.errors import InputError
 from fmuid.models import FMU
-from fmuid.simulation.instance_registry import Residents, residents
+from fmuid.simulation.instance_registry import InstanceRegistry, residents
 from fmuid.simulation.native.library import core
 
 _log = logging.getLogger("fmuid.fmu")
@@ -184,7 +184,7 @@ class Instance:
                 self._residents.leave()
 
 
-def _free(free: Any, handle: int, log: Any, those_there: Residents | None, thread: int) -> None:
+def _free(free: Any, handle: int, log: Any, those_there: InstanceRegistry | None, thread: int) -> None:
     def free_now() -> None:
         with kept():
             free(handle)

@@ -15,8 +15,16 @@ from fmuid.errors import InputError
 from fmuid.models import DEFAULT_TOLERANCE, Connection, System
 from fmuid.simulation import codes
 from fmuid.simulation.codes import BOOLEAN, FLOAT64, INT32, UINT8, WIRES
-from fmuid.simulation.simulation_plan import MOST_STEPS, FeedThrough, Integration, Operation, Plan, Simulation, TimeGrid
-from fmuid.simulation.simulation_task import Task
+from fmuid.simulation.simulation_plan import (
+    MOST_STEPS,
+    AlgebraicLoop,
+    GridSimulation,
+    Integration,
+    Operation,
+    SimulationPlan,
+    TimeGrid,
+)
+from fmuid.simulation.simulation_task import SimulationTask
 from fmuid.simulation.variable_checks import column_conversion
 
 Outputs = tuple[list[int], list[int]]
@@ -24,16 +32,16 @@ Outputs = tuple[list[int], list[int]]
 
 
 @dataclass
-class Operations:
-    """What is gathered for a `Plan`; its methods append to it and return signals."""
+class PlanBuilder:
+    """What is gathered for a `SimulationPlan`; its methods append to it and return signals."""
 
-    task: Task
+    task: SimulationTask
     signals: list[float] = field(default_factory=list)
     references: list[int] = field(default_factory=list)
     calls: list[Operation] = field(default_factory=list)
     texts: list[bytes] = field(default_factory=list)
     conversions: list[tuple[float, float]] = field(default_factory=list)
-    loops: list[FeedThrough] = field(default_factory=list)
+    loops: list[AlgebraicLoop] = field(default_factory=list)
 
     def number(self, component: str) -> int:
         """Return the number of a component."""
@@ -105,7 +113,7 @@ class Operations:
         return at + len(copies), slots
 
 
-def start_values(to: Operations) -> list[int]:
+def start_values(to: PlanBuilder) -> list[int]:
     """Append what sets the values before the initialisation; return the signals of the parameters."""
     task, variables = to.task, to.task.system.variables
     numbers = [name for name in task.values if variables[name].type != "String"]
@@ -120,8 +128,8 @@ def start_values(to: Operations) -> list[int]:
     return slots[len(numbers) :]
 
 
-def exchange(to: Operations) -> list[tuple[int, int]]:
-    """Append what passes outputs on; return the groups of `Plan`."""
+def exchange(to: PlanBuilder) -> list[tuple[int, int]]:
+    """Append what passes outputs on; return the groups of `SimulationPlan`."""
     groups = []
     for group, is_loop in to.task.system.exchange_order:
         first = len(to.calls)
@@ -130,7 +138,7 @@ def exchange(to: Operations) -> list[tuple[int, int]]:
             groups.append((-1, len(to.loops)))
             words = " -> ".join(to.task.system.full_name(*connection.target) for connection in group)
             nominals = tuple(_nominal(to.task.system, connection) for connection in group)
-            to.loops.append(FeedThrough(first, setting, len(to.calls), tuple(slots), nominals, words))
+            to.loops.append(AlgebraicLoop(first, setting, len(to.calls), tuple(slots), nominals, words))
         else:
             groups.append((first, len(to.calls)))
     return groups
@@ -145,20 +153,20 @@ def _nominal(system: System, connection: Connection) -> float:
     return stated if math.isfinite(stated) else 0.0
 
 
-def exchange_after(to: Operations, component: str) -> None:
+def exchange_after(to: PlanBuilder, component: str) -> None:
     """Append what passes the outputs of a component on to those that step after it (Gauss–Seidel)."""
     later = list(to.task.system.components)[to.number(component) + 1 :]
     to.pass_on([c for c in to.task.system.connections if c.source[0] == component and c.target[0] in later])
 
 
-def outputs(to: Operations) -> Outputs:
+def outputs(to: PlanBuilder) -> Outputs:
     """Append what gets the outputs of the experiment."""
     terms, found = _terms(to.task)
     slots = dict(zip(found, to.transfer(found, setting=False), strict=True))
     return [slots[term] for some in terms for term in some], [0, *itertools.accumulate(map(len, terms))]
 
 
-def outputs_with_sensitivities(to: Operations, count: int) -> Outputs:
+def outputs_with_sensitivities(to: PlanBuilder, count: int) -> Outputs:
     """Append what gets the outputs, and after them their sensitivities to a number of parameters, by parameters."""
     slots, bounds = outputs(to)
     terms, found = _terms(to.task)
@@ -173,13 +181,13 @@ def outputs_with_sensitivities(to: Operations, count: int) -> Outputs:
     return slots, bounds
 
 
-def _terms(task: Task) -> tuple[list[list[str]], list[str]]:
+def _terms(task: SimulationTask) -> tuple[list[list[str]], list[str]]:
     """Return the variables whose sum each output is, and all of them once."""
     terms = [task.system.terms(name) for name in task.experiment.output_names]
     return terms, list(dict.fromkeys(term for some in terms for term in some))
 
 
-def input_slopes(to: Operations) -> list[int]:
+def input_slopes(to: PlanBuilder) -> list[int]:
     """Append what sets derivatives of inputs; return the signals of the slopes of all inputs."""
     unused = len(to.signals)  # where the slopes of the inputs go that are given none
     to.signals.append(0.0)
@@ -203,7 +211,7 @@ LINEAR_SUBSTEPS = 10
 STEP_TOLERANCE = 1e-3
 
 
-def grid_of(task: Task) -> TimeGrid:
+def grid_of(task: SimulationTask) -> TimeGrid:
     """Return the grid of a task: steps no longer than they may be, else from sample to sample.
 
     Where inputs are linear in between and their FMU cannot interpolate, `LINEAR_SUBSTEPS` to a sampling interval.
@@ -234,7 +242,7 @@ def grid_of(task: Task) -> TimeGrid:
     return TimeGrid(np.array(task.experiment.times), substeps, strides, inputs, slopes if curved else None)
 
 
-def _check_steps(task: Task, steps: Floats) -> None:
+def _check_steps(task: SimulationTask, steps: Floats) -> None:
     """Refuse unequal steps where an FMU declares that it cannot take them."""
     taken = steps[steps > 0]
     if taken.size == 0 or np.ptp(taken) <= STEP_TOLERANCE * taken.max():
@@ -248,7 +256,7 @@ def _check_steps(task: Task, steps: Floats) -> None:
             )
 
 
-def _converted_inputs(task: Task) -> tuple[Floats, Floats]:
+def _converted_inputs(task: SimulationTask) -> tuple[Floats, Floats]:
     """Return the inputs, and their slopes at the samples, in the units of the FMU."""
     experiment = task.experiment
     columns = [each.column for each in task.targets.values()]
@@ -264,7 +272,7 @@ def _converted_inputs(task: Task) -> tuple[Floats, Floats]:
     return inputs, slopes
 
 
-def simulation_of(task: Task) -> Simulation:
+def simulation_of(task: SimulationTask) -> GridSimulation:
     """Return the run of a task.
 
     Raises
@@ -272,15 +280,15 @@ def simulation_of(task: Task) -> Simulation:
     InputError
         If an FMU cannot step that way, or elements of one array vary in different ways.
     """
-    return Simulation(plan_of(task), grid_of(task), task.experiment.output_names)
+    return GridSimulation(plan_of(task), grid_of(task), task.experiment.output_names)
 
 
-def plan_of(task: Task, add_outputs: Callable[[Operations], Outputs] = outputs) -> Plan:
+def plan_of(task: SimulationTask, add_outputs: Callable[[PlanBuilder], Outputs] = outputs) -> SimulationPlan:
     """Return the plan of a task.
 
     Parameters
     ----------
-    task : Task
+    task : SimulationTask
     add_outputs : callable, optional
         Appends what gets the outputs; default: those of the experiment, and nothing else.
 
@@ -289,7 +297,7 @@ def plan_of(task: Task, add_outputs: Callable[[Operations], Outputs] = outputs) 
     InputError
         If elements of one array vary in different ways.
     """
-    system, to = task.system, Operations(task)
+    system, to = task.system, PlanBuilder(task)
     stages = [0]
 
     def end_stage() -> None:
@@ -309,7 +317,7 @@ def plan_of(task: Task, add_outputs: Callable[[Operations], Outputs] = outputs) 
         if system.master == "gauss-seidel":
             exchange_after(to, component)
         end_stage()
-    return Plan(
+    return SimulationPlan(
         operations=tuple(to.calls),
         stages=np.array(stages, np.intp),
         groups=np.array(groups, np.intp).reshape(-1, 2),
@@ -331,7 +339,7 @@ def plan_of(task: Task, add_outputs: Callable[[Operations], Outputs] = outputs) 
     )
 
 
-def _integration(task: Task, component: str) -> Integration | None:
+def _integration(task: SimulationTask, component: str) -> Integration | None:
     model, system = task.system.components[component], task.system
     if model.kind != "model-exchange":
         return None
@@ -350,7 +358,7 @@ def _integration(task: Task, component: str) -> Integration | None:
     )
 
 
-def _curves(task: Task) -> tuple[tuple[int, int], ...]:
+def _curves(task: SimulationTask) -> tuple[tuple[int, int], ...]:
     """Return for each input which row of which component's polynomials it is."""
     numbers = {name: i for i, name in enumerate(task.system.components)}
     found = []

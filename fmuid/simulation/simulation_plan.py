@@ -37,7 +37,7 @@ class Operation(NamedTuple):
     when: int = codes.ALWAYS
 
 
-class FeedThrough(NamedTuple):
+class AlgebraicLoop(NamedTuple):
     """A loop of direct feed-through: which operations get and copy, which set, its inputs and its name.
 
     `signals` are those of the inputs, `nominals` their nominal values, 0 where none is stated.
@@ -89,7 +89,7 @@ class Integration(NamedTuple):
     most_steps: int = MOST_STEPS
 
 
-class Plan(NamedTuple):
+class SimulationPlan(NamedTuple):
     """What the loop does, as arrays.
 
     `stages` says where each list of operations starts: start values | external inputs | exchange between components |
@@ -102,7 +102,7 @@ class Plan(NamedTuple):
     operations: tuple[Operation, ...]
     stages: Indices
     groups: Indices
-    loops: tuple[FeedThrough, ...]
+    loops: tuple[AlgebraicLoop, ...]
     references: NDArray[np.uint32]
     signals: Floats
     conversions: Floats
@@ -120,7 +120,7 @@ class Plan(NamedTuple):
 
 
 class TimeGrid(NamedTuple):
-    """The experiment as the loop walks it, `Grid` of the core.
+    """The experiment as the loop walks it, `SampleGrid` of the core.
 
     Times (K,), substeps of each interval (K-1,), how many substeps each component's own step has (n_components,), input
     values (K, n_u) and, where any input goes along a cubic curve, the slopes at the samples, else None.
@@ -145,21 +145,21 @@ def new_reports(count: int) -> Indices:
     return np.full((count, codes.REPORT), codes.UNDONE, np.intp)
 
 
-class Simulation:
+class GridSimulation:
     """What threads simulate: a plan over a grid. It can travel to another process.
 
     Parameters
     ----------
-    plan : Plan
+    plan : SimulationPlan
     grid : TimeGrid
     output_names : tuple of str
     """
 
-    def __init__(self, plan: Plan, grid: TimeGrid, output_names: tuple[str, ...]) -> None:
+    def __init__(self, plan: SimulationPlan, grid: TimeGrid, output_names: tuple[str, ...]) -> None:
         self.plan, self.grid, self.output_names = plan, grid, output_names
 
-    def __reduce__(self) -> tuple[type[Simulation], tuple[Plan, TimeGrid, tuple[str, ...]]]:
-        return Simulation, (self.plan, self.grid, self.output_names)
+    def __reduce__(self) -> tuple[type[GridSimulation], tuple[SimulationPlan, TimeGrid, tuple[str, ...]]]:
+        return GridSimulation, (self.plan, self.grid, self.output_names)
 
     def integrate(self, component: int, integrator: str) -> None:
         """Integrate a component for model exchange by another integrator from now on."""
@@ -196,7 +196,7 @@ _WIRE_OF = {  # how the values of a type are passed, where that is not as it is 
 }
 
 
-def check_plan(plan: Plan, grid: TimeGrid, versions: Sequence[int]) -> None:
+def check_plan(plan: SimulationPlan, grid: TimeGrid, versions: Sequence[int]) -> None:
     """Check a plan and its grid for components of the given versions of FMI.
 
     Raises
@@ -226,7 +226,7 @@ def check_plan(plan: Plan, grid: TimeGrid, versions: Sequence[int]) -> None:
     _check_grid(plan, grid, n)
 
 
-def check_arrays(plan: Plan, grid: TimeGrid, thetas: Floats, outputs: Floats, reports: Indices) -> None:
+def check_arrays(plan: SimulationPlan, grid: TimeGrid, thetas: Floats, outputs: Floats, reports: Indices) -> None:
     """Check what a call of the core reads and writes.
 
     Raises
@@ -248,7 +248,7 @@ def _demand(right: object, what: str, wrong: str) -> None:
         raise ValueError(f"the {what} of a plan {wrong}")
 
 
-def _arrays(plan: Plan, grid: TimeGrid) -> list[tuple[str, NDArray[Any], type[np.generic]]]:
+def _arrays(plan: SimulationPlan, grid: TimeGrid) -> list[tuple[str, NDArray[Any], type[np.generic]]]:
     found: list[tuple[str, NDArray[Any], type[np.generic]]] = [
         (name, getattr(plan, name), np.intp)
         for name in (
@@ -264,7 +264,7 @@ def _arrays(plan: Plan, grid: TimeGrid) -> list[tuple[str, NDArray[Any], type[np
     return [*found, *((name, array, np.float64) for name, array in open_ if array is not None)]
 
 
-def _check_operation(plan: Plan, given: Operation, versions: Sequence[int]) -> None:
+def _check_operation(plan: SimulationPlan, given: Operation, versions: Sequence[int]) -> None:
     n_signals = len(plan.signals)
     if given.function == codes.COPY:
         inside = 0 <= given.reference < n_signals and 0 <= given.signal < n_signals
@@ -295,7 +295,7 @@ def _check_operation(plan: Plan, given: Operation, versions: Sequence[int]) -> N
     _demand(right, "operations", "do what their component cannot")
 
 
-def _check_groups(plan: Plan) -> None:
+def _check_groups(plan: SimulationPlan) -> None:
     first, last = int(plan.stages[2]), int(plan.stages[3])
     _demand(plan.groups.ndim == 2 and plan.groups.shape[1] == 2, "groups", "are no pairs")
     loops = [end for begin, end in plan.groups.tolist() if begin < 0]
@@ -309,7 +309,7 @@ def _check_groups(plan: Plan) -> None:
         _demand(stated, "loops", "have nominal values that are none")
 
 
-def _check_signals(plan: Plan) -> None:
+def _check_signals(plan: SimulationPlan) -> None:
     for name in ("parameter_signals", "input_signals", "derivative_signals", "output_signals"):
         signals = getattr(plan, name)
         _demand(signals.ndim == 1 and ((signals >= 0) & (signals < len(plan.signals))).all(), name, "point nowhere")
@@ -323,7 +323,7 @@ def _check_signals(plan: Plan) -> None:
     _demand(plan.conversions.ndim == 2 and plan.conversions.shape[1] == 2, "conversions", "are no pairs")
 
 
-def _check_grid(plan: Plan, grid: TimeGrid, n: int) -> None:
+def _check_grid(plan: SimulationPlan, grid: TimeGrid, n: int) -> None:
     n_times = len(grid.times)
     shape = (n_times, len(plan.input_signals))
     _demand(n_times > 0 and np.isfinite(grid.times).all(), "times", "are no numbers")

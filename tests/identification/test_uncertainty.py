@@ -14,12 +14,12 @@ from fmuid.data.parameters import Parameter
 from fmuid.errors import InputError
 from fmuid.estimation.identification import identify
 from fmuid.estimation.problem import LeastSquares
-from fmuid.identification.sampling.posterior import Sampling
+from fmuid.identification.sampling.posterior import SamplerSettings
 from fmuid.identification.uncertainty import UncertaintySettings, explore
 from fmuid.progress import Event, ProfileStep, SamplingStep
 from fmuid.reports.messages.uncertainty import uncertainty_words
 
-ALL = UncertaintySettings(0.9, ("a", "b"), Sampling(steps=600, effective_size=600), (("a", "b"),))
+ALL = UncertaintySettings(0.9, ("a", "b"), SamplerSettings(steps=600, effective_size=600), (("a", "b"),))
 
 
 def line() -> LeastSquares:
@@ -127,7 +127,7 @@ def test_interrupted_keeps_what_there_is(
 
 def test_samples_that_cannot_be_trusted_are_no_success() -> None:
     problem = line()
-    settings = UncertaintySettings(posterior=Sampling(steps=20))
+    settings = UncertaintySettings(posterior=SamplerSettings(steps=20))
     found = explore(problem, identify(problem), settings)
     assert not found.interrupted
     assert not found.succeeded

@@ -96,7 +96,7 @@ class FileColumns:
 
 
 @dataclass(frozen=True)
-class Head:
+class TableHeader:
     """Where the table is among the rows.
 
     Attributes
@@ -209,7 +209,7 @@ def array_of_cells(cells: Sequence[Cell]) -> Array:
     return np.fromiter(plain, dtype=object, count=len(plain))
 
 
-def find_head(rows: Sequence[Sequence[Cell]], decimal: str = ".") -> Head | None:
+def find_head(rows: Sequence[Sequence[Cell]], decimal: str = ".") -> TableHeader | None:
     """Return where the table begins: below the header from which the most rows of its length with numbers follow.
 
     Between header and samples there may be one row of units, and rows of text; what is above is left out. None where
@@ -232,11 +232,11 @@ def find_head(rows: Sequence[Sequence[Cell]], decimal: str = ".") -> Head | None
     header, top = first - 1, _texts(rows[above + 1])
     index, *others = _texts(rows[header])
     if index.lower() in TIME_NAMES and not any(others) and all(top):  # pandas names an index below several header rows
-        return Head((index, *top[1:]), (), first)
+        return TableHeader((index, *top[1:]), (), first)
     for k in range(above + 2, first):
         if _are_units(rows[k]):
-            return Head(_texts(rows[k - 1]), _texts(rows[k]), first)
-    return Head(_texts(rows[header]), (), first)
+            return TableHeader(_texts(rows[k - 1]), _texts(rows[k]), first)
+    return TableHeader(_texts(rows[header]), (), first)
 
 
 def is_number(cell: Cell, decimal: str = ".") -> bool:

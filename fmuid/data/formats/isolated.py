@@ -17,7 +17,7 @@ from fmuid.data.formats.columns import Array, FileColumns
 from fmuid.data.npz import read_arrays
 from fmuid.errors import InputError
 from fmuid.files import ContentError
-from fmuid.processes import CRASHED, GREW, HUNG, End, IsolatedCaller
+from fmuid.processes import CRASHED, GREW, HUNG, HostExitError, IsolatedCaller
 
 READING_SECONDS = 60.0
 """Time in which any file is read, s; larger files have more."""
@@ -63,11 +63,11 @@ def _called(function: Callable[..., dict[str, Any]], path: Path, *arguments: Any
         raise ContentError(f"the file cannot be read: {error.strerror or error}") from None
     except MemoryError:
         raise ContentError(f"the file needs more memory than there is: {_REMEDY}") from None
-    except End as end:
+    except HostExitError as end:
         raise ContentError(_lost(end, limit)) from None
 
 
-def _lost(end: End, limit: float) -> str:
+def _lost(end: HostExitError, limit: float) -> str:
     """Return what became of the reader process over a file, and what to do."""
     if end.kind == CRASHED:
         return f"the library that reads the file crashed ({end.signal_name}): the file is damaged, write it again"

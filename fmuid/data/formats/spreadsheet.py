@@ -7,7 +7,7 @@ import zipfile
 from collections.abc import Sequence
 from pathlib import Path
 
-from fmuid.data.formats.columns import Cell, FileColumns, Head, array_of_cells, find_head, is_missing
+from fmuid.data.formats.columns import Cell, FileColumns, TableHeader, array_of_cells, find_head, is_missing
 from fmuid.data.formats.libraries import library
 from fmuid.errors import InputError
 from fmuid.formatting import nearest
@@ -56,7 +56,7 @@ def _without_margins(rows: list[list[Cell]]) -> list[list[Cell]]:
     return [[row[k] for k in columns] for row in filled]
 
 
-def _columns(rows: list[list[Cell]], head: Head, path: Path) -> FileColumns:
+def _columns(rows: list[list[Cell]], head: TableHeader, path: Path) -> FileColumns:
     samples = [[None if is_missing(cell) else cell for cell in row] for row in rows[head.first :]]
     cells = [[row[k] for row in samples] for k in range(len(head.names))]
     whole = _shown_as_whole(path)

@@ -24,20 +24,20 @@ from fmuid.processes import (
     KILLED,
     REFUSED,
     STOPPED,
-    Condition,
-    End,
+    HostExitError,
     HostKeeper,
     HostProcess,
+    ProcessStatus,
     Watchdog,
 )
 from fmuid.simulation import codes
 from fmuid.simulation.isolation import server
 
 
-def end_words(end: End) -> str:
+def end_words(end: HostExitError) -> str:
     """Return an end as a sentence goes on after the simulation.
 
-    Of the limits, only those are named that were given (`End.number` is 0 otherwise): the others depend on the machine
+    Of the limits, only those are named that were given (`HostExitError.number` is 0 otherwise): the others depend on the machine
     and on what ran before, and the same failure is to read the same.
     """
     if end.kind == EXITED:
@@ -90,7 +90,7 @@ class HostWatchdog(Watchdog):
     def _at_rest(self) -> bool:
         return self._computes and not self._doing[::2].any()
 
-    def state(self, condition: Condition) -> Hashable:
+    def state(self, condition: ProcessStatus) -> Hashable:
         """Return what all threads are doing, how many reports are left, and CPU time where that counts, s."""
         undone = 0 if self._reports is None else int((self._reports[:, 2] == codes.UNDONE).sum())
         return self._doing.tobytes(), undone, int(condition.computed) if self._at_rest else 0
@@ -103,7 +103,7 @@ class HostWatchdog(Watchdog):
         return max(self.limit, PREPARATION_LIMIT) if preparing else self.limit
 
 
-class Host(HostProcess):
+class FmuHost(HostProcess):
     """One process that runs the FMUs of one system.
 
     Parameters
@@ -169,10 +169,10 @@ class Host(HostProcess):
         if isinstance(error, FmuidError):
             return error
         if isinstance(error, OSError | MemoryError):
-            return self.stopped(End(REFUSED, getattr(error, "errno", errno.ENOMEM) or 0))
+            return self.stopped(HostExitError(REFUSED, getattr(error, "errno", errno.ENOMEM) or 0))
         words = f"code of fmuid failed in the process of an FMU: {type(error).__name__}: {error}"
         self.pass_on([("fmuid.fmu", logging.WARNING, words)])
-        return self.stopped(End(FAILED, 0))
+        return self.stopped(HostExitError(FAILED, 0))
 
     @property
     def given(self) -> float:
@@ -182,7 +182,7 @@ class Host(HostProcess):
     def close(self) -> None:
         """Let it free its instances and end it."""
         if self.alive:
-            with contextlib.suppress(End):  # it is killed below either way
+            with contextlib.suppress(HostExitError):  # it is killed below either way
                 self.order(server.close, limit=CLOSING_LIMIT)
             self.kill()
 
@@ -197,7 +197,7 @@ FIRST_TIME_LIMIT = 60.0
 _left: list[str] = []  # what FMUs printed whose keepers are gone
 
 
-class Keeper(HostKeeper[Host]):
+class HostManager(HostKeeper[FmuHost]):
     """Keeps one process for FMUs, which ends with it.
 
     Parameters
@@ -215,7 +215,7 @@ class Keeper(HostKeeper[Host]):
     """
 
     def __init__(self, settings: Isolation, modules: Sequence[str], told: set[str] | None = None) -> None:
-        super().__init__(lambda memory: Host(modules, memory, told), settings.memory, _left)
+        super().__init__(lambda memory: FmuHost(modules, memory, told), settings.memory, _left)
         self._settings, self.longest = settings, 0.0
 
     @property

@@ -22,12 +22,12 @@ import numpy as np
 from fmuid.array_types import Floats, Indices
 from fmuid.errors import FmuidError, InputError, SimulationError
 from fmuid.models import STIFF_INTEGRATOR, Component, Isolation
-from fmuid.processes import FAILED, GREW, HUNG, KILLED, MOST_KILLS, End
+from fmuid.processes import FAILED, GREW, HUNG, KILLED, MOST_KILLS, HostExitError
 from fmuid.simulation import codes
 from fmuid.simulation.instance_registry import Renewal, is_repeated, needs_process, note_process
 from fmuid.simulation.isolation import CODE, server
-from fmuid.simulation.isolation.host import FIRST_TIME_LIMIT, Host, Keeper, end_words, left
-from fmuid.simulation.simulation_plan import Simulation, new_reports, shares
+from fmuid.simulation.isolation.host import FIRST_TIME_LIMIT, FmuHost, HostManager, end_words, left
+from fmuid.simulation.simulation_plan import GridSimulation, new_reports, shares
 
 STEP_LIMIT = 1e-4
 """What is added to `FIRST_TIME_LIMIT` for each communication step, s: far more than one takes, but of a slow model."""
@@ -54,9 +54,9 @@ class IsolatedExecutor:
         self.lock = threading.RLock()
         self._components, self._settings = dict(components), settings
         self._limit = min(limit, settings.threads or limit)
-        self._keeper = Keeper(settings, [CODE], set() if told is None else told)
+        self._keeper = HostManager(settings, [CODE], set() if told is None else told)
         self._renewal: Renewal | None = None
-        self._numbers: weakref.WeakKeyDictionary[Simulation, int] = weakref.WeakKeyDictionary()
+        self._numbers: weakref.WeakKeyDictionary[GridSimulation, int] = weakref.WeakKeyDictionary()
         self._next, self._known, self._forgotten = 0, set[int](), list[int]()
         self._steps = 0  # of the simulation with most of them
         self._found_stiff = 0  # models, in any run
@@ -65,7 +65,7 @@ class IsolatedExecutor:
 
     # --- simulations
 
-    def run(self, simulation: Simulation, thetas: Floats, outputs: Floats, reports: Indices) -> None:
+    def run(self, simulation: GridSimulation, thetas: Floats, outputs: Floats, reports: Indices) -> None:
         """Simulate all thetas (m, N); those at which the process comes to an end have a report of `codes.PROCESS`.
 
         Where one of them finds a model stiff, all are run as such, also those that were through before, as in-process:
@@ -76,7 +76,7 @@ class IsolatedExecutor:
             found = self._found_stiff
             self._run_chunks(simulation, thetas, outputs, reports)
 
-    def _run_chunks(self, simulation: Simulation, thetas: Floats, outputs: Floats, reports: Indices) -> None:
+    def _run_chunks(self, simulation: GridSimulation, thetas: Floats, outputs: Floats, reports: Indices) -> None:
         first, largest = 0, max(1, CHUNK_BYTES // max(1, outputs[:1].nbytes))
         while first < len(thetas):
             known = self._alone
@@ -105,7 +105,7 @@ class IsolatedExecutor:
         often = 1 if not before else max(1, int(MEASURE_SECONDS / max(self._keeper.longest, 1e-6)))
         return min(largest, self._limit * often, max(1, recycle - before) if recycle else largest)
 
-    def _try_processes(self, simulation: Simulation, theta: Floats) -> None:
+    def _try_processes(self, simulation: GridSimulation, theta: Floats) -> None:
         """See whether new processes give the same outputs each, where new instances do not."""
         found = []
         for _ in range(2):
@@ -125,7 +125,7 @@ class IsolatedExecutor:
                 self._labels,
             )
 
-    def _run_part(self, simulation: Simulation, thetas: Floats, outputs: Floats, reports: Indices) -> None:
+    def _run_part(self, simulation: GridSimulation, thetas: Floats, outputs: Floats, reports: Indices) -> None:
         left, suspects = np.arange(len(thetas)), list[int]()
         kills, unblamed = np.zeros(len(thetas), np.intp), 0
         while left.size:
@@ -161,12 +161,12 @@ class IsolatedExecutor:
 
     def _attempt(
         self,
-        simulation: Simulation,
+        simulation: GridSimulation,
         thetas: Floats,
         outputs: Floats,
         reports: Indices,
         group: Indices,
-    ) -> tuple[End | None, Indices]:
+    ) -> tuple[HostExitError | None, Indices]:
         """Simulate some thetas; return how the process came to an end, if it did, and what is still to be done."""
         host, end = self._host(), None
         shape = (len(group), thetas.shape[1], *outputs.shape[1:])
@@ -186,7 +186,7 @@ class IsolatedExecutor:
             for component in stiff:
                 simulation.integrate(component, STIFF_INTEGRATOR)
                 self._found_stiff += 1
-        except End as ended:
+        except HostExitError as ended:
             end = ended
         done = their_reports[:, 2] != codes.UNDONE
         if len(group) == len(outputs) and done.all():
@@ -204,7 +204,7 @@ class IsolatedExecutor:
                 found.append(waiting[0])
         return found
 
-    def _time_limit(self, simulation: Simulation) -> float:
+    def _time_limit(self, simulation: GridSimulation) -> float:
         """Return how long a simulation may take, s; one of more steps than all before is like the first of all."""
         if self._settings.time_limit:
             return self._settings.time_limit
@@ -213,7 +213,7 @@ class IsolatedExecutor:
 
     def failure(
         self,
-        simulation: Simulation,
+        simulation: GridSimulation,
         theta: Floats,
         outputs: Floats,
         report: Indices,
@@ -233,10 +233,10 @@ class IsolatedExecutor:
                 words = theta, outputs, report, dict(parameters), explain
                 number = self._tell(host, simulation)
                 return host.order(server.failure, number, *words, limit=self._time_limit(simulation))
-            except End as end:
+            except HostExitError as end:
                 self._keeper.bury()
                 kind, number = end.kind, end.number
-        return SimulationError(self._labels, math.nan, parameters, end_words(End(kind, number)))
+        return SimulationError(self._labels, math.nan, parameters, end_words(HostExitError(kind, number)))
 
     # --- the process
 
@@ -248,12 +248,12 @@ class IsolatedExecutor:
     def _models(self) -> list[tuple[str, Component]]:
         return list(self._components.items())
 
-    def _host(self) -> Host:
+    def _host(self) -> FmuHost:
         """Return the process, a new one where there is none."""
         self._check_cancelled()
         try:
             host = self._keeper.host(self._begin)
-        except End:
+        except HostExitError:
             raise FmuidError(
                 f"the process that is to run {self._labels} ends again and again before it has begun"
             ) from None
@@ -264,13 +264,13 @@ class IsolatedExecutor:
         if self.cancelled:
             raise FmuidError(f"the simulations of {self._labels} were cancelled")
 
-    def _begin(self, host: Host) -> None:
+    def _begin(self, host: FmuHost) -> None:
         for _, model in self._models:
             _ = model.fmu.directory  # unpacked here, where what is wrong with it can be said
         self._known.clear()
         host.order(server.start, self._components, self._limit, self._renewal, limit=FIRST_TIME_LIMIT)
 
-    def _tell(self, host: Host, simulation: Simulation) -> int:
+    def _tell(self, host: FmuHost, simulation: GridSimulation) -> int:
         """Return the number of a run, which the process knows now."""
         number = self._numbers.get(simulation)
         if number is None:
@@ -287,7 +287,7 @@ class IsolatedExecutor:
             self._known.add(number)
         return number
 
-    def forget(self, simulation: Simulation) -> None:
+    def forget(self, simulation: GridSimulation) -> None:
         """Tell a run anew before its next simulation: it has changed."""
         self._numbers.pop(simulation, None)
 
@@ -296,7 +296,7 @@ class IsolatedExecutor:
         self.cancelled = True
         self._keeper.strike()
 
-    def _write(self, end: End, indices: Indices, reports: Indices) -> None:
+    def _write(self, end: HostExitError, indices: Indices, reports: Indices) -> None:
         limits = {HUNG: self._settings.time_limit, GREW: self._settings.memory}
         reports[indices, :4] = codes.PROCESS, end.kind, end.number if limits.get(end.kind, 1) else 0, -1
 
@@ -324,11 +324,11 @@ def printed() -> str:
     return "".join([*left(), *(executor.printed() for executor in list(_living))])
 
 
-def _steps(simulation: Simulation) -> int:
+def _steps(simulation: GridSimulation) -> int:
     return int(simulation.grid.substeps.sum())
 
 
-class SpreadExecutor:
+class MultiProcessExecutor:
     """Several `IsolatedExecutor` of one simulation at a time, which share what is to be simulated.
 
     Parameters
@@ -350,7 +350,7 @@ class SpreadExecutor:
         self._parts = [IsolatedExecutor(components, 1, settings, told) for _ in range(limit)]
         self._threads = ThreadPoolExecutor(limit, "fmuid-process")
 
-    def run(self, simulation: Simulation, thetas: Floats, outputs: Floats, reports: Indices) -> None:
+    def run(self, simulation: GridSimulation, thetas: Floats, outputs: Floats, reports: Indices) -> None:
         """Simulate all thetas (m, N) in equal shares; where one finds a model stiff, all are run again as such."""
         plan = simulation.plan
         self._run_shares(simulation, thetas, outputs, reports)
@@ -359,7 +359,7 @@ class SpreadExecutor:
                 part.forget(simulation)
             self._run_shares(simulation, thetas, outputs, reports)
 
-    def _run_shares(self, simulation: Simulation, thetas: Floats, outputs: Floats, reports: Indices) -> None:
+    def _run_shares(self, simulation: GridSimulation, thetas: Floats, outputs: Floats, reports: Indices) -> None:
         count = min(len(self._parts), len(thetas))
         futures: list[Future[None]] = []
         try:
@@ -381,7 +381,7 @@ class SpreadExecutor:
 
     def failure(
         self,
-        simulation: Simulation,
+        simulation: GridSimulation,
         theta: Floats,
         outputs: Floats,
         report: Indices,

@@ -13,7 +13,7 @@ import pytest
 from scipy.io import savemat
 
 from fmuid.apps.cli.app import run
-from fmuid.data.tables import read_table
+from fmuid.data.tables import read_data
 from fmuid.errors import InputError
 from tests.support.bad_input import SOUND, refused, rezip, table
 
@@ -151,11 +151,11 @@ def test_mat_files_nested_deeply(tmp_path: Path) -> None:
     for depth in range(60):
         if depth == 40:
             savemat(tmp_path / "some.mat", {"time": [0.0, 1.0], "c": cell})
-            assert list(read_table(tmp_path / "some.mat").columns) == ["time"]
+            assert list(read_data(tmp_path / "some.mat").columns) == ["time"]
         cell = np.array([cell, None], dtype=object)[:1]
     savemat(tmp_path / "deep.mat", {"time": [0.0, 1.0], "c": cell})
     with pytest.raises(InputError, match=r"deep\.mat: the file is no readable MAT file"):
-        read_table(tmp_path / "deep.mat")
+        read_data(tmp_path / "deep.mat")
 
 
 @pytest.mark.parametrize(
