@@ -27,7 +27,7 @@ class Message(Enum):
 
 
 @dataclass(frozen=True, eq=False)
-class ProfileEndNote:
+class Remark:
     """A sentence.
 
     Attributes

@@ -9,7 +9,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from fmuid.data.excitation import multisine, prbs, step_sequence
+from fmuid.data.signals import multisine, prbs, step_sequence
 from fmuid.errors import InputError
 
 

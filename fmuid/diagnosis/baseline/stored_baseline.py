@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from fmuid.array_types import Floats
-from fmuid.data import Experiment, read_arrays_isolated, write_arrays
+from fmuid.data import Experiment, read_arrays, write_arrays
 from fmuid.diagnosis.baseline.whitening import Whitening
 from fmuid.diagnosis.change_detection.information_matrix import InformationMatrix
 from fmuid.diagnosis.change_detection.unexplained_residual import SPANS
@@ -170,7 +170,7 @@ class StoredBaseline:
     @classmethod
     def _read(cls, path: Path) -> StoredBaseline:
         try:
-            sums = read_arrays_isolated(path)
+            sums = read_arrays(path)
             text = sums.pop("text").tobytes()
             said = tuple(map(InformationMatrix, sums["matrices"], sums["scores"]))
             owed = InformationMatrix(sums["owed"], sums["owed_score"])

@@ -32,8 +32,8 @@ def describe(found: Found) -> str:
     Parameters
     ----------
     found : Result, LinearEstimate, Diagnostics, Reading, Uncertainty, Posterior, Diagnosis or Monitor
-        Of `fmuid.identify`, `fmuid.equation_error` and its like, `fmuid.analyze_residuals`, `fmuid.compare_prior_and_data`,
-        `fmuid.sample_posterior`, `fmuid.diagnose`, or a `fmuid.Monitor`.
+        Of `fmuid.identify`, `fmuid.equation_error` and its like, `fmuid.analyze_residuals`,
+        `fmuid.compare_prior_and_data`, `fmuid.sample_posterior`, `fmuid.diagnose`, or a `fmuid.Monitor`.
 
     Examples
     --------

@@ -20,7 +20,7 @@ from typing import IO, Any
 import numpy as np
 import pandas as pd
 
-from fmuid.data.formats.columns import (
+from fmuid.data.headers import (
     MISSING,
     RawTable,
     TableHeader,
