@@ -12,6 +12,8 @@ from fmuid.reports.chart import WITH_ARRAYS, Figure
 Tone = Literal["plain", "good", "doubt", "bad"]
 Place = Literal["console", "page"]
 EVERYWHERE: frozenset[Place] = frozenset(("console", "page"))
+CONSOLE: frozenset[Place] = frozenset(("console",))
+PAGE: frozenset[Place] = frozenset(("page",))
 
 
 class Message(Enum):
