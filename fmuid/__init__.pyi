@@ -39,6 +39,7 @@ from .identification import Compared as Compared
 from .identification import Prediction as Prediction
 from .identification import Problem as Problem
 from .identification import Sampling as Sampling
+from .identification import assess as assess
 from .identification import compare as compare
 from .identification import examine_residuals as examine_residuals
 from .identification import identify as identify

@@ -14,7 +14,7 @@ from fmuid.diagnosis import Rule
 from fmuid.errors import InputError
 from fmuid.estimation import SENSITIVITIES, Marquardt
 from fmuid.formatting import nearest
-from fmuid.identification import ACCURACIES, CONFIDENCE_LEVEL, Problem, UncertaintySettings, observed
+from fmuid.identification import ACCURACIES, CONFIDENCE_LEVEL, AssessmentSettings, Problem, observed
 from fmuid.models import Isolation
 from fmuid.studies.section import (
     BY_SHAPE,
@@ -202,7 +202,7 @@ class EstimatorWords(Words):
         except InputError as error:
             raise self.error(f"is refused: {error}") from None
 
-    def check_loss(self, method: Method, asked: UncertaintySettings, top: Place) -> None:
+    def check_loss(self, method: Method, asked: AssessmentSettings, top: Place) -> None:
         """Check that all the rest knows what to do with the loss.
 
         Raises
@@ -302,7 +302,7 @@ class UncertaintyWords(Words):
         AfterValidator(_different),
     ] = word([], "the criterion over two parameters", [["a", "b"]])
 
-    def settings(self, names: Sequence[str]) -> UncertaintySettings:
+    def settings(self, names: Sequence[str]) -> AssessmentSettings:
         """Return what is asked of a study with these parameters.
 
         Raises
@@ -316,7 +316,7 @@ class UncertaintyWords(Words):
                 if name not in names:
                     raise self.error(f"{key} names {name!r}, which is no parameter of this study{nearest(name, names)}")
         pairs = tuple((first, second) for first, second in self.map)
-        return UncertaintySettings(self.level, tuple(dict.fromkeys(listed)), self._sampling(), pairs)
+        return AssessmentSettings(self.level, tuple(dict.fromkeys(listed)), self._sampling(), pairs)
 
     def _sampling(self) -> Sampling | None:
         if self.posterior is None:
