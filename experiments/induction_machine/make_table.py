@@ -29,7 +29,7 @@ import pandas as pd
 from scipy.signal import max_len_seq
 
 import fmuid
-from fmuid.data.transforms import inverse_park
+from fmuid.data.signals import inverse_park
 
 Array = npt.NDArray[np.floating]
 

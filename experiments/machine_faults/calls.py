@@ -24,7 +24,7 @@ from experiments.machine_faults import models
 from experiments.machine_faults.machine import BARS, TRUTH, TURNS, Condition
 from experiments.machine_faults.make_tables import SAMPLE_TIME, WARM, simulate
 from fmuid.array_types import Floats
-from fmuid.data.transforms import T23
+from fmuid.data.signals import T23
 from fmuid.diagnosis import Causes
 from fmuid.diagnosis.change_parameters import CauseKind, Coordinates, coordinates_of
 from fmuid.diagnosis.linearisation import Machine

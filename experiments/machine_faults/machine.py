@@ -32,7 +32,7 @@ import numpy as np
 from scipy import linalg
 
 from fmuid.array_types import Floats
-from fmuid.data.transforms import T23
+from fmuid.data.signals import T23
 from fmuid.simulation.native.build import FLAGS, WARNINGS, compiler_here
 
 SOURCE = Path(__file__).with_suffix(".c")

@@ -14,10 +14,10 @@ import numpy.typing as npt
 import pandas as pd
 
 from fmuid.array_types import Flags, Floats
+from fmuid.data.clock import column_of, missing_column
+from fmuid.data.data_file import UNITS, numeric_column, read_table
+from fmuid.data.filters import missing_rows, usual_step
 from fmuid.data.interpolation import HELD, as_held, interpolation_words, slopes
-from fmuid.data.preprocessing.filters import missing_rows, usual_step
-from fmuid.data.tables import UNITS, numeric_column, read_table
-from fmuid.data.times import column_of, missing_column
 from fmuid.display_mixins import Displayed
 from fmuid.errors import InputError
 from fmuid.formatting import nearest

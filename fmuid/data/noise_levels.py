@@ -10,11 +10,11 @@ from typing import Any
 import numpy as np
 
 from fmuid.array_types import Floats, Indices
+from fmuid.data.clock import column_of, missing_column
+from fmuid.data.data_file import UNITS, numeric_column
 from fmuid.data.experiment import Experiment
 from fmuid.data.noise import Noise
 from fmuid.data.predictors import Measurements
-from fmuid.data.tables import UNITS, numeric_column
-from fmuid.data.times import column_of, missing_column
 from fmuid.errors import InputError
 from fmuid.formatting import nearest
 from fmuid.units import parse_unit

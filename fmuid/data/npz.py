@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from fmuid.data.readers.base import call_reader
 from fmuid.files import ContentError, first_line, replacing
 
 
@@ -24,13 +25,17 @@ def write_arrays(path: Path, arrays: Mapping[str, Any]) -> Path:
 
 
 def read_arrays(path: Path) -> dict[str, Any]:
-    """Return the arrays of a ``.npz`` file that `write_arrays` has written.
+    """Read the arrays of a ``.npz`` file that `write_arrays` has written, in the reader process.
 
     Raises
     ------
-    ContentError
-        If it cannot be read, or is not what was written.
+    ValueError
+        If it cannot be read, is not what was written, or the process is lost over it.
     """
+    return call_reader(_arrays, path)
+
+
+def _arrays(path: Path) -> dict[str, Any]:
     try:
         content = path.read_bytes()
         if not content.startswith(b"PK"):

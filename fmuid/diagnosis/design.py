@@ -270,7 +270,7 @@ def trial(
     discard: float = 0.0,
     name: str = "trial",
 ) -> Experiment:
-    """Return an experiment that has not been made yet, from its excitation (`fmuid.data.excitation`).
+    """Return an experiment that has not been made yet, from its excitation (`fmuid.data.signals`).
 
     Parameters
     ----------

@@ -16,7 +16,6 @@ from fmuid.errors import InputError
 from fmuid.estimation import Result
 from fmuid.files import as_json, content_of
 from fmuid.identification import CONFIDENCE_LEVEL, Compared, Comparison, IncomparableError, Prediction, compare
-from fmuid.reports.messages.prediction import comparison_words
 from fmuid.reports.predictions import run_prediction
 from fmuid.reports.provenance import digests, made_now
 from fmuid.runs import RESULT_FILE, result_path, study_of
@@ -63,16 +62,9 @@ class ComparisonFindings:
         found = [score for each in self.predictions.values() for record in each for score in record.scores]
         return {score.output: score.unit for score in found}
 
-    @property
-    def words(self) -> tuple[str, ...]:
-        """What follows, in sentences."""
-        said = [self.apart] if self.apart else []
-        fits = {name: mean_fit(found) for name, found in self.predictions.items()}
-        return *said, *comparison_words(self.comparison, fits)
-
     def write(self, folder: Path) -> list[Path]:
         """Write ``comparison.json`` and ``comparison.csv``, and return their paths."""
-        content: dict[str, Any] = {"words": list(self.words), "results": self.table.to_dict("records")}
+        content: dict[str, Any] = {"results": self.table.to_dict("records")}
         content |= {"units": self.units, "estimates": list(self.estimates), **self.origin}
         if self.comparison is not None:
             content |= {"tests": self.comparison.tests, "dependence": self.comparison.dependence}

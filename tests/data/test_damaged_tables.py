@@ -38,7 +38,7 @@ def test_damaged_tables(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: s
     """Five hundred mutations, of which none ends this process."""
     for each in ("FRAME", "MS", "IN_RPM", "IN_MA", "DATES"):
         monkeypatch.setattr(variants, each, getattr(variants, each)[:SHORT])
-    monkeypatch.setattr("fmuid.data.formats.isolated.READING_SECONDS", 3.0)  # some damage lets HDF5 run in circles
+    monkeypatch.setattr("fmuid.data.readers.base.READING_SECONDS", 3.0)  # some damage lets HDF5 run in circles
     path = tmp_path / name
     WRITERS[name](path)
     sound, rng = path.read_bytes(), Random(name)

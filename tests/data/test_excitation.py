@@ -9,7 +9,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from fmuid.data.excitation import multisine, prbs, steps
+from fmuid.data.signals import multisine, prbs, steps
 from fmuid.errors import InputError
 
 

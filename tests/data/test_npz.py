@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 
 from fmuid.data.npz import read_arrays, write_arrays
-from fmuid.files import ContentError
 
 
 def test_damaged_arrays_are_one_error(tmp_path: Path) -> None:
@@ -24,7 +23,7 @@ def test_damaged_arrays_are_one_error(tmp_path: Path) -> None:
         path.write_bytes(content if random.integers(3) else content[:at])
         try:
             found = read_arrays(path)
-        except ContentError:
+        except ValueError:
             refused += 1
         else:
             assert found.keys() == given.keys()
@@ -34,7 +33,7 @@ def test_damaged_arrays_are_one_error(tmp_path: Path) -> None:
 
 def test_arrays_that_would_be_executed_are_refused(tmp_path: Path) -> None:
     np.savez(tmp_path / "a.npz", a=np.array([{}], dtype=object))
-    with pytest.raises(ContentError, match="allow_pickle=False"):
+    with pytest.raises(ValueError, match="allow_pickle=False"):
         read_arrays(tmp_path / "a.npz")
 
 
@@ -45,9 +44,9 @@ def test_arrays_that_were_changed_are_refused(tmp_path: Path) -> None:
         given = dict(file)
     for change in ({"a": np.arange(4.0)}, {"a": np.arange(3)}, {"b": np.full(2, -0.0)}, {"c": np.zeros(0)}):
         np.savez(path, **given | change)
-        with pytest.raises(ContentError, match="its content is not what was written"):
+        with pytest.raises(ValueError, match="its content is not what was written"):
             read_arrays(path)
     del given["digest"]
     np.savez(path, **given)
-    with pytest.raises(ContentError, match="digest"):
+    with pytest.raises(ValueError, match="digest"):
         read_arrays(path)

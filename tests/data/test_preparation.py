@@ -13,7 +13,7 @@ from scipy.signal import butter, sosfiltfilt
 import fmuid
 from fmuid.array_types import Floats
 from fmuid.data import Axes, Experiment, reduce
-from fmuid.data.preprocessing.expressions import evaluate
+from fmuid.data.expressions import evaluate
 from fmuid.errors import InputError
 
 T: Floats = np.arange(2000.0) * 1e-3

@@ -11,8 +11,8 @@ import h5py
 import numpy as np
 import pytest
 
-from fmuid.data import read_table
-from fmuid.data.formats import isolated
+from fmuid.data import read_table, readers
+from fmuid.data.readers import base
 from fmuid.errors import InputError
 from fmuid.processes import IsolatedCaller
 from tests.support import reading
@@ -34,11 +34,11 @@ def test_read_isolated_refuses_files_over_which_the_process_is_lost(
 ) -> None:
     FILES["a.parquet"](tmp_path / "a.parquet")
     with monkeypatch.context() as patched:
-        patched.setattr(isolated, "_plain_columns", getattr(reading, what))
-        patched.setattr(isolated, "READING_SECONDS", 0.2 if what == "hang" else 600.0)
+        patched.setattr(readers, "_plain_columns", getattr(reading, what))
+        patched.setattr(base, "READING_SECONDS", 0.2 if what == "hang" else 600.0)
         if what == "grow":
             caller = IsolatedCaller(600.0, 200.0)
-            patched.setattr(isolated, "_reader", lambda: caller)
+            patched.setattr(base, "_reader", lambda: caller)
         with pytest.raises(InputError, match=SENTENCES[what]) as caught:
             read_table(tmp_path / "a.parquet")
         assert str(caught.value).startswith(f"{tmp_path / 'a.parquet'}: ")
@@ -60,7 +60,7 @@ def test_one_process_reads_all_files_of_all_threads(tmp_path: Path, monkeypatch:
 
     def read(name: str) -> None:
         np.testing.assert_array_equal(read_table(name)["w"], FRAME["w"])
-        seen.add(isolated._reader().call(os.getpid))
+        seen.add(base._reader().call(os.getpid))
 
     threads = [threading.Thread(target=read, args=(name,)) for name in ("a.parquet", "compound.h5", "vectors.mat") * 3]
     for thread in threads:
@@ -72,7 +72,7 @@ def test_one_process_reads_all_files_of_all_threads(tmp_path: Path, monkeypatch:
 
 
 def test_text_is_read_in_the_same_process(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(isolated, "_called", pytest.fail)
+    monkeypatch.setattr(readers, "call_reader", pytest.fail)
     FRAME.to_csv(tmp_path / "a.csv")
     FILES["a.json"](tmp_path / "a.json")
     assert len(read_table(tmp_path / "a.csv")) == len(read_table(tmp_path / "a.json"))

@@ -264,6 +264,6 @@ def test_two_header_rows_of_pandas(tmp_path: Path, name: str) -> None:
 
 def test_rows_with_exponents_are_not_looked_up_as_units(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     # with decimal commas, 5e-06 would be the first number of this table, and the rows before it a header with units
-    monkeypatch.setattr("fmuid.data.formats.columns.parse_unit", pytest.fail)
+    monkeypatch.setattr("fmuid.data.headers.parse_unit", pytest.fail)
     (tmp_path / "a.csv").write_text("time,u\n0.1,0.5\n0.2,0.7\n0.3,5e-06\n", encoding="utf-8")
     assert read_table(tmp_path / "a.csv")["u"].tolist() == [0.5, 0.7, 5e-06]

@@ -1,7 +1,5 @@
 """Reading tables: every format against what was written, every broken file with its one sentence."""
 
-import struct
-from contextlib import nullcontext
 from pathlib import Path
 from typing import Any
 
@@ -10,8 +8,7 @@ import pandas as pd
 import pytest
 from scipy.io import savemat
 
-from fmuid.data.formats.mat_file import check_mat
-from fmuid.data.tables import numeric_column, read_table
+from fmuid.data.data_file import numeric_column, read_table
 from fmuid.errors import InputError
 from tests.support.mat4 import characters, write_mat4
 
@@ -167,50 +164,6 @@ def test_mat_that_is_none(tmp_path: Path) -> None:
     for broken in (b"", b"hello", b"time,u\n0,1\n" * 40, whole[:-20], whole[:100]):
         with pytest.raises(InputError, match=r"run\.mat: the file is no readable MAT file"):
             read_table(written(tmp_path, broken, "run.mat"))
-
-
-def array(kind: int, *elements: tuple[int, bytes]) -> bytes:
-    """Return a variable of this class and with these elements, as "MAT-File Format" has it (The MathWorks)."""
-    body = b""
-    for each, content in ((6, struct.pack("<II", kind, 0)), *elements):
-        body += struct.pack("<II", each, len(content)) + content + bytes(-len(content) % 8)
-    return struct.pack("<II", 14, len(body)) + body
-
-
-ONE, NAME = (5, struct.pack("<ii", 1, 1)), (1, b"u")
-DOUBLE = array(6, ONE, NAME, (9, struct.pack("<d", 2.0)))
-
-
-@pytest.mark.parametrize(
-    ("variable", "wrong"),
-    [
-        (DOUBLE, ""),
-        (array(16, ONE, NAME, (14, DOUBLE[8:])), ""),  # a function
-        (array(17, NAME, NAME, NAME, (14, DOUBLE[8:])), ""),  # MATLAB's own
-        (
-            array(3, ONE, NAME, (5, struct.pack("<i", 4)), (1, b"abc\0"), (14, DOUBLE[8:]), (14, b"")),
-            "not the elements",
-        ),
-        (array(6, ONE, NAME), "not the elements"),
-        (array(1, (5, struct.pack("<ii", -1, 1)), NAME), "negative dimension"),
-        (array(99, ONE, NAME), "unknown class 99"),
-        (DOUBLE[:-8], "ends too early"),
-        (struct.pack("<II", 9, 8) + bytes(8), "is no array"),
-        (struct.pack("<II", 15, 8) + bytes(8), "cannot be decompressed"),
-    ],
-)
-def test_the_structure_of_mat_files(tmp_path: Path, variable: bytes, wrong: str) -> None:
-    path = written(tmp_path, b"MATLAB 5.0".ljust(124) + b"\x00\x01IM" + variable, "run.mat")
-    with pytest.raises(ValueError, match=wrong) if wrong else nullcontext():
-        check_mat(path)
-
-
-def test_a_variable_of_mat_files_has_a_largest_size(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    savemat(tmp_path / "run.mat", {"u": np.zeros(1000)}, do_compression=True)
-    check_mat(tmp_path / "run.mat")
-    monkeypatch.setattr("fmuid.data.formats.mat_file.LARGEST_VARIABLE", 1000)
-    with pytest.raises(ValueError, match="larger than a MAT file can have"):
-        check_mat(tmp_path / "run.mat")
 
 
 @pytest.mark.parametrize("name", ["run.csv", "run.mat", "run.h5", "run.xlsx", "run.tdms", "run.parquet"])

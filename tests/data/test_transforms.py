@@ -4,7 +4,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from fmuid.data.transforms import concordia, inverse_concordia, inverse_park, park
+from fmuid.data.signals import concordia, inverse_concordia, inverse_park, park
 from fmuid.errors import InputError
 
 PHASES = ("a", "b", "c")

@@ -16,7 +16,7 @@ import pyarrow.parquet as pq
 import pytest
 
 from fmuid.data import read_table
-from fmuid.data.formats.pickled import PickledObject, PickleError, plain_value
+from fmuid.data.readers.pandas_hdf import PickledObject, plain_value
 from fmuid.errors import InputError
 
 ROWS = 6
@@ -64,7 +64,7 @@ def test_plain_value_builds_no_object(tmp_path: Path) -> None:
     "data", [b"", b".", b"R.", b"(.", b"(lp0\ng7\na.", b"\x80\x05K\x01", b"]K\x01u.", b"\x82\x01."]
 )
 def test_plain_value_refuses_other_bytes(data: bytes) -> None:
-    with pytest.raises(PickleError):
+    with pytest.raises(ValueError):
         plain_value(data)
 
 
@@ -111,6 +111,18 @@ def test_hdf_tables_of_pandas_with_other_headers(tmp_path: Path) -> None:
     FRAME[:0].to_hdf(tmp_path / "b.h5", key="run")
     with pytest.raises(InputError, match=r"b\.h5: the table has a header but no rows"):
         read_table(tmp_path / "b.h5")
+
+
+def test_hdf_with_several_tables_of_pandas(tmp_path: Path) -> None:
+    path = tmp_path / "a.h5"
+    FRAME.to_hdf(path, key="bench/cold")
+    (FRAME + 1.0).to_hdf(path, key="warm")
+    with pytest.raises(InputError, match=r"a\.h5: the file holds the frames bench/cold, warm: choose one by sheet"):
+        read_table(path)
+    for sheet, first in (("bench/cold", 0.0), ("warm", 1.0), (2, 1.0)):
+        assert read_table(path, sheet=sheet)["u"][0] == first
+    with pytest.raises(InputError, match=r"no sheet 'warn' \(did you mean 'warm'\?\): the file has bench/cold"):
+        read_table(path, sheet="warn")
 
 
 LEVELS = pd.MultiIndex.from_product([["a", "b"], [1, 2, 3]], names=["p", "q"])

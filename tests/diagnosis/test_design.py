@@ -13,7 +13,7 @@ from scipy.signal import lfilter
 
 import fmuid
 from experiments.coil import study as coil
-from fmuid.data.excitation import multisine, prbs, steps
+from fmuid.data.signals import multisine, prbs, steps
 from fmuid.diagnosis.baseline.baseline import Baseline
 from fmuid.diagnosis.design import Design, trial
 from fmuid.diagnosis.monitoring.alarms import Rule

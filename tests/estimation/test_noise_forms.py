@@ -13,7 +13,7 @@ from scipy import stats
 
 from fmuid.array_types import Floats
 from fmuid.data import Experiment, FunctionPredictor, Noise, Parameter, Table, robust_variance
-from fmuid.data.tables import UNITS
+from fmuid.data.data_file import UNITS
 from fmuid.errors import InputError
 from fmuid.estimation.cost_components import fitted, misfits
 from fmuid.estimation.identification import identify

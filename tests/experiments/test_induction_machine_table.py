@@ -11,7 +11,7 @@ from scipy.interpolate import CubicSpline
 
 import fmuid
 from experiments.induction_machine import chapter, make_table
-from fmuid.data.transforms import T23, park
+from fmuid.data.signals import T23, park
 from tests.support.closed_forms import park_rates
 
 Array = npt.NDArray[np.floating]

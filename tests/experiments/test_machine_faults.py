@@ -16,7 +16,7 @@ import fmuid
 from experiments import pages
 from experiments.machine_faults import machine, make_tables, models, onsets, study
 from experiments.machine_faults.machine import BARS, COILS, TRUTH, TURNS, Condition
-from fmuid.data.transforms import T23
+from fmuid.data.signals import T23
 
 Array = npt.NDArray[np.floating]
 

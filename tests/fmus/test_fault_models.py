@@ -88,7 +88,7 @@ def test_the_sum_is_that_of_both(frame: pd.DataFrame) -> None:
 @pytest.mark.parametrize("phase", range(3))
 def test_shorted_turns_of_one_phase(frame: pd.DataFrame, phase: int) -> None:
     """A current η u/R_s in one phase alone, u being the voltage of that phase, transformed by the table's own way."""
-    phases = fmuid.data.transforms.inverse_park(frame, ["uds", "uqs"], ["ua", "ub", "uc"])
+    phases = fmuid.data.signals.inverse_park(frame, ["uds", "uqs"], ["ua", "ub", "uc"])
     ratio, names = 0.03, ["ia", "ib", "ic"]
     voltage = phases[["ua", "ub", "uc"]].to_numpy()[:, phase]
     currents = np.zeros((len(frame), 3))

@@ -12,7 +12,7 @@ import pandas as pd
 import pytest
 from scipy.linalg import expm
 
-from fmuid.data.transforms import park
+from fmuid.data.signals import park
 from tests.support.shipped_instances import Opener, points, relative_error
 from tests.support.shipped_models import FLUXES, MACHINE, PHASES, REFERENCES, TOLERANCE, models, park_machine
 

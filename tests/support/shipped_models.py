@@ -11,7 +11,7 @@ import numpy.typing as npt
 import pytest
 from scipy.integrate import solve_ivp
 
-from fmuid.data.transforms import T23
+from fmuid.data.signals import T23
 from tests.support.closed_forms import park_rates
 from tests.support.fault_equations import (
     broken_bars,

@@ -107,17 +107,18 @@ def compare(
     with logged(folder, no_isolation) as isolated:
         from fmuid import files
         from fmuid.reports import run_comparison
-        from fmuid.reports.console import layout as console
-        from fmuid.reports.console.comparison import show_comparison
-        from fmuid.reports.page.write import show_results
+        from fmuid.reports.documents import document
+        from fmuid.reports.publish import publish
+        from fmuid.reports.render import console
 
         found = run_comparison(results, data or (), free=refit or (), isolated=isolated)
         files.make_folder(folder)
+        shown = document(found)
         try:
             written = found.write(folder)
         finally:
-            show_comparison(found)
-        console.show_files([*written, *show_results(folder, report=not no_report)])
+            console.show(shown)
+        console.show_files([*written, *publish(folder, shown, report=not no_report)])
         return DONE
 
 

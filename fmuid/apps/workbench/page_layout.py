@@ -41,7 +41,7 @@ SHEET = own_file("widgets.css")
 @cache
 def style() -> str:
     """Return the style of all pages, which begins with that of a report."""
-    report = resources.files("fmuid.reports.page").joinpath("page.css").read_text(encoding="utf-8")
+    report = resources.files("fmuid.reports.render").joinpath("page.css").read_text(encoding="utf-8")
     return report + own_file("workbench.css")
 
 

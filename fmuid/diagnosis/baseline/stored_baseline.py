@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from fmuid.array_types import Floats
-from fmuid.data import Experiment, read_arrays_isolated, write_arrays
+from fmuid.data import Experiment, read_arrays, write_arrays
 from fmuid.diagnosis.baseline.whitening import Whitening
 from fmuid.diagnosis.change_detection.information_matrix import Information
 from fmuid.diagnosis.change_detection.unexplained_residual import SPANS
@@ -170,7 +170,7 @@ class HealthyEvidence:
     @classmethod
     def _read(cls, path: Path) -> HealthyEvidence:
         try:
-            sums = read_arrays_isolated(path)
+            sums = read_arrays(path)
             text = sums.pop("text").tobytes()
             said = tuple(map(Information, sums["matrices"], sums["scores"]))
             owed = Information(sums["owed"], sums["owed_score"])

@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from fmuid.data import read_arrays_isolated, write_arrays
+from fmuid.data import read_arrays, write_arrays
 from fmuid.diagnosis.cause_results import Explanation
 from fmuid.diagnosis.change_detection.onset_tracker import Watch
 from fmuid.diagnosis.monitoring.alarms import Alarm, onset_of_json
@@ -160,7 +160,7 @@ class Journal:
         if not is_file(path):
             raise InputError(f"{self.folder} has no earlier run to append to: {REMEDY} first")
         with damage_of(path):
-            sums = read_arrays_isolated(path)
+            sums = read_arrays(path)
             earlier = _Earlier.of(json.loads(sums.pop("text").tobytes()), as_json(same))
         if not earlier.windows:  # nothing was found, whatever the run was of
             return now, Resumed()

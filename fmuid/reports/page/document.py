@@ -205,7 +205,7 @@ def _library() -> str:
 
 
 def _file(name: str) -> str:
-    return resources.files("fmuid.reports.page").joinpath(name).read_text(encoding="utf-8")
+    return resources.files("fmuid.reports.render").joinpath(name).read_text(encoding="utf-8")
 
 
 def _digest(script: str) -> str:

@@ -12,10 +12,10 @@ import pandas as pd
 from fmuid.array_types import Floats
 from fmuid.errors import InputError
 from fmuid.files import is_file
-from fmuid.formatting import fit_text, label, listed, with_unit
+from fmuid.formatting import fit_text, listed, with_unit
 from fmuid.reports.interactive import comparison
 from fmuid.reports.interactive.style import MAX_EXPERIMENTS
-from fmuid.reports.messages.prediction import ALIKE_AIC, LEAST_RATIO
+from fmuid.reports.messages.prediction import LEAST_RATIO
 from fmuid.reports.page.contents import read_table
 from fmuid.reports.page.document import Part, Section, table
 from fmuid.reports.page.fits import fit_sections, residual_section
@@ -29,9 +29,6 @@ PREDICTED = (
     "In the band a new measurement is expected, by the noise and by how well the parameters are known: about as many "
     "dots lie in it as its level says, where the model carries over."
 )
-BESIDE = "How far each result is behind the best, of which a bar is missing: 2 say little, 10 are clear."
-ERRORS = "What the fit of each result over the common tables is below 100 %: the shorter, the better."
-ESTIMATES = "What the results say of the parameters that several have, with intervals of 95 %: they should overlap."
 WORST = "The shorter, the better: the largest of the parameters' relative standard deviations, the best excitation red."
 FOUND = "The shorter, the better: the smallest size of the fault that is found, over its magnitude; the best is red."
 SENSITIVITIES = (
@@ -109,49 +106,6 @@ def _scores(scores: list[dict[str, Any]]) -> str:
         "in the band": ["" if each["inside"] is None else f"{100 * each['inside']:.3g} %" for each in scores],
     }
     return table(columns, numbers=[name for name in columns if name not in ("output", "record")])
-
-
-def part_of_comparison(folder: Path) -> Part:
-    """Return the part on the comparison in a folder.
-
-    Raises
-    ------
-    InputError
-        If a file in it cannot be read.
-    """
-    content = read_json(folder / "comparison.json")
-    try:
-        rows = pd.DataFrame(content["results"])
-        last = len(content["words"]) - 1 if "fit" in rows else -1
-        said = [Said(str(text), "errors" if k == last else "criteria") for k, text in enumerate(content["words"])]
-        if "fit" in rows:
-            rows["error"] = 100.0 - rows["fit"].astype(float)
-        sections = [
-            Section(name, heading, caption, [_ranked(rows, column, text)], 1)
-            for name, heading, caption, column, text in (
-                ("criteria", "By likelihood", BESIDE, "behind", "behind the best, Akaike's criterion"),
-                ("errors", "On the common tables", ERRORS, "error", "100 % − fit (%)"),
-            )
-            if column in rows and rows[column].notna().any()
-        ]
-        told = pd.DataFrame(content.get("estimates", []))
-        drawn = comparison.estimates(told) if len(told) else []
-        sections += [Section("estimates", "Estimates beside each other", ESTIMATES, drawn)] if drawn else []
-        ordered = rows.sort_values("behind" if "behind" in rows else "error")
-        alike = float(ordered["behind"].iloc[1]) < ALIKE_AIC if "behind" in rows else rows["error"].isna().all()
-        errors = {f"rmse.{name}": label(f"RMSE {name}", unit) for name, unit in content["units"].items()}
-        heads = {**HEADS, "fit": "fit (%)", **errors}
-        columns = {heads.get(str(key), str(key)): [_cell(each) for each in rows[key]] for key in rows if key != "error"}
-        shown = table(columns, numbers=list(columns)[1:])
-    except (KeyError, TypeError, ValueError, IndexError, AttributeError) as error:
-        raise InputError(f"{folder} has no whole results of fmuid compare ({error}): compare again") from None
-    state = "not told apart" if alike else f"best: {ordered['name'].iloc[0]}"
-    return Part("Comparison", state, not alike, said, shown, sections, origin(content))
-
-
-def _ranked(rows: pd.DataFrame, column: str, text: str) -> Any:
-    ordered = rows.sort_values(column)
-    return comparison.bars([str(name) for name in ordered["name"]], ordered[column].to_numpy(np.float64), text)
 
 
 def part_of_design(folder: Path) -> Part:

@@ -10,13 +10,14 @@ from fmuid.errors import InputError
 from fmuid.files import is_file, is_folder, replacing
 from fmuid.formatting import listed
 from fmuid.reports.figure_files import REPORT_FILE, clear_figures
+from fmuid.reports.render.document_json import DOCUMENT_FILE
 
 if TYPE_CHECKING:
     from fmuid.reports.page.document import Part, Section
     from fmuid.simulation import Fit
 
 FILES = (
-    *("result.json", "diagnosis.json", "monitoring.json", "summary.json", "prediction.json", "comparison.json"),
+    *("result.json", "diagnosis.json", "monitoring.json", "summary.json", "prediction.json"),
     *("design.csv", "sensitivities.csv"),
 )
 """What a folder of results has at least one of."""
@@ -38,9 +39,12 @@ def write_report(folder: str | Path) -> Path:
     InputError
         If the folder has no results, a file in it cannot be read, or nothing can be written there.
     """
+    from fmuid.reports import publish
     from fmuid.reports.page.document import page
 
     folder = Path(folder)
+    if is_file(folder / DOCUMENT_FILE):
+        return publish.write_report(folder)
     text = page(*contents(folder))
     path = folder / REPORT_FILE
     with replacing(path) as draft:
@@ -122,7 +126,6 @@ def _part(folder: Path, name: str) -> Part:
         "monitoring.json": faults.part_of_monitoring,
         "summary.json": batches.part,
         "prediction.json": validation.part_of_prediction,
-        "comparison.json": validation.part_of_comparison,
         "design.csv": validation.part_of_design,
         "sensitivities.csv": validation.part_of_sensitivities,
     }

@@ -10,9 +10,9 @@ from typing import Any
 
 import numpy as np
 
-from fmuid.data.formats.columns import Array, FileColumns, array_of_cells
-from fmuid.data.formats.libraries import library
-from fmuid.data.preprocessing.expressions import evaluate
+from fmuid.data.expressions import evaluate
+from fmuid.data.headers import Array
+from fmuid.data.readers.base import FileColumns, array_of_cells, library
 from fmuid.errors import InputError
 from fmuid.formatting import bounded
 
@@ -20,7 +20,7 @@ _UNIT_PROPERTIES = ("unit_string", "NI_UnitDescription", "unit")
 _FORMULA_SHOWN = 60  # characters
 
 
-def read_tdms(path: Path, source: str) -> FileColumns:
+def read_tdms(path: Path, source: str, _sheet: object) -> FileColumns:
     """Read the channels of the longest group of a TDMS file, with their units.
 
     Channels of a waveform have no column of time: it comes from their increment, as `time`.
@@ -51,7 +51,7 @@ def read_tdms(path: Path, source: str) -> FileColumns:
     return FileColumns(tuple(headers), tuple(values), units, time=time, units_in_headers=False)
 
 
-def read_mdf(path: Path, source: str) -> FileColumns:
+def read_mdf(path: Path, source: str, _sheet: object) -> FileColumns:
     """Read all channels of an MDF file (3 or 4), with their units, at the union of their times.
 
     A channel is missing where it has no sample.

@@ -7,10 +7,9 @@ import zipfile
 from collections.abc import Sequence
 from pathlib import Path
 
-from fmuid.data.formats.columns import Cell, FileColumns, Head, array_of_cells, find_head, is_missing
-from fmuid.data.formats.libraries import library
+from fmuid.data.headers import Cell, TableHeader, find_head, is_missing
+from fmuid.data.readers.base import FileColumns, array_of_cells, chosen, library
 from fmuid.errors import InputError
-from fmuid.formatting import nearest
 from fmuid.units import SECONDS
 
 _CELL = re.compile(r"<c ([^>]*)><v>([-+.\deE]+)</v>")
@@ -21,7 +20,7 @@ _DIGITS = 12
 """Significant digits, which times as people and recorders write them do not exceed."""
 
 
-def read_spreadsheet(path: Path, source: str, sheet: str | int | None = None) -> FileColumns:
+def read_spreadsheet(path: Path, source: str, sheet: str | int | None) -> FileColumns:
     """Read a sheet by its name or its place from 1; default: the first with a table.
 
     Raises
@@ -30,23 +29,13 @@ def read_spreadsheet(path: Path, source: str, sheet: str | int | None = None) ->
         Where the file cannot be read, has no table or no such sheet.
     """
     book = library("python_calamine", "excel", source).CalamineWorkbook.from_path(path)
-    for name in book.sheet_names if sheet is None else [_sheet(book.sheet_names, sheet, source)]:
+    for name in book.sheet_names if sheet is None else [chosen(book.sheet_names, sheet, source)]:
         rows = _without_margins(book.get_sheet_by_name(name).to_python())
         head = find_head(rows)
         if head is not None:
             return _columns(rows, head, path)
     which = "no sheet holds" if sheet is None else f"the sheet {sheet!r} does not hold"
     raise InputError(f"{source}: {which} a table: give a header with the names and rows of samples")
-
-
-def _sheet(names: list[str], wanted: str | int, source: str) -> str:
-    """Return the name of a sheet."""
-    if isinstance(wanted, int) and 1 <= wanted <= len(names):
-        return names[wanted - 1]
-    if isinstance(wanted, str) and wanted in names:
-        return wanted
-    near = nearest(wanted, names) if isinstance(wanted, str) else ""
-    raise InputError(f"{source}: there is no sheet {wanted!r}{near}: the file has {', '.join(names)}")
 
 
 def _without_margins(rows: list[list[Cell]]) -> list[list[Cell]]:
@@ -56,7 +45,7 @@ def _without_margins(rows: list[list[Cell]]) -> list[list[Cell]]:
     return [[row[k] for k in columns] for row in filled]
 
 
-def _columns(rows: list[list[Cell]], head: Head, path: Path) -> FileColumns:
+def _columns(rows: list[list[Cell]], head: TableHeader, path: Path) -> FileColumns:
     samples = [[None if is_missing(cell) else cell for cell in row] for row in rows[head.first :]]
     cells = [[row[k] for row in samples] for k in range(len(head.names))]
     whole = _shown_as_whole(path)

@@ -20,10 +20,10 @@ from typing import IO, Any
 import numpy as np
 import pandas as pd
 
-from fmuid.data.formats.columns import (
+from fmuid.data.headers import (
     MISSING,
-    Head,
     RawTable,
+    TableHeader,
     check_once,
     find_head,
     is_missing,
@@ -53,7 +53,7 @@ class _Layout:
 
     separator: str
     decimal: str
-    head: Head
+    head: TableHeader
     line: int
     width: int
 
@@ -283,7 +283,7 @@ def _as_it_is(source: str, text: str) -> _Layout:
             f"{source}: the header has {len(header)} names but row 1 has {_cells(len(rows[1]))}: give every row as "
             'many cells as the header, names with commas in quotes, such as "x[1,2]"'
         )
-    return _Layout(",", ".", Head(header, (), 1), read[0][0], len(header))
+    return _Layout(",", ".", TableHeader(header, (), 1), read[0][0], len(header))
 
 
 def _samples(

@@ -11,13 +11,13 @@ import numpy as np
 import pandas as pd
 
 from fmuid.array_types import Floats
+from fmuid.data.clock import column_of, missing_column
+from fmuid.data.data_file import UNITS, numeric_column
 from fmuid.data.experiment import Experiment
+from fmuid.data.expressions import evaluate
+from fmuid.data.filters import detrended, filled, low_passed, resampled, with_missing_rows
 from fmuid.data.interpolation import HELD, interpolation_words
-from fmuid.data.preprocessing.expressions import evaluate
-from fmuid.data.preprocessing.filters import detrended, filled, low_passed, resampled, with_missing_rows
-from fmuid.data.tables import UNITS, numeric_column
-from fmuid.data.times import column_of, missing_column
-from fmuid.data.transforms import inverse_park, park
+from fmuid.data.signals import inverse_park, park
 from fmuid.errors import InputError
 from fmuid.units import parse_unit, unit_in_name
 
@@ -71,11 +71,11 @@ class Preparation:
     Attributes
     ----------
     columns : mapping of str to str
-        New columns, or others in place of what is there, by expressions (`fmuid.data.preprocessing.expressions`), one
+        New columns, or others in place of what is there, by expressions (`fmuid.data.expressions`), one
         after the other.
     axes : sequence of Axes
     low_pass : float or None
-        Hz: signals without what is faster (`fmuid.data.preprocessing.filters.low_passed`).
+        Hz: signals without what is faster (`fmuid.data.filters.low_passed`).
     start, end : float or None
         Times, s, between which the table is kept.
     resample : float or None
@@ -84,9 +84,9 @@ class Preparation:
         What is taken from signals, or from some.
     fill : mapping of str to "linear" or "hold"
         Columns whose missing samples are filled, after `columns` and before `axes`; rows that are missing, too
-        (`fmuid.data.preprocessing.filters.missing_rows`).
+        (`fmuid.data.filters.missing_rows`).
     longest_gap : float or None
-        s: a longer one is not filled; None: 20 usual steps (`fmuid.data.preprocessing.filters.filled`).
+        s: a longer one is not filled; None: 20 usual steps (`fmuid.data.filters.filled`).
     """
 
     columns: Mapping[str, str] = field(default_factory=dict)

@@ -8,29 +8,41 @@ from typing import Any
 
 import numpy as np
 
-from fmuid.data.formats.columns import Array, FileColumns, columns_of_vectors
-from fmuid.data.formats.libraries import library
-from fmuid.data.formats.pandas_hdf import PANDAS_TYPE, read_frame
+from fmuid.data.headers import Array
+from fmuid.data.readers.base import FileColumns, chosen, columns_of_vectors, library
+from fmuid.data.readers.pandas_hdf import PANDAS_TYPE, read_frame
 from fmuid.errors import InputError
 
 _NAME_ATTRIBUTES = ("columns", "column_names", "names")
 _UNIT_ATTRIBUTES = ("unit", "units", "Unit", "Units")
 
 
-def read_hdf(path: Path, source: str) -> FileColumns:
-    """Read the vectors of the most common length in an HDF5 file, with their attribute ``unit`` or ``units``.
+def read_hdf(path: Path, source: str, frame: str | int | None) -> FileColumns:
+    """Read a frame of pandas, or else the vectors of the most common length, with their attribute ``unit``.
+
+    Parameters
+    ----------
+    path : Path
+    source : str
+        Name of the file in messages.
+    frame : str or int, optional
+        Which of several frames, by its key or its place from 1.
 
     Raises
     ------
     InputError
-        Where the file cannot be read, or there are no vectors of one length.
+        If the file cannot be read, has several frames and none is chosen, or has no vectors of one length.
     """
     with _opened(path, source) as file:
         objects = _objects(file)
-        frame = next((each for _, each in objects if PANDAS_TYPE in each.attrs), None)
+        found = [name for name, each in objects if PANDAS_TYPE in each.attrs]
+        outer = [name for name in found if not name.startswith(tuple(f"{each}/" for each in found))]
+        frames = {name: each for name, each in objects if name in outer}
+        if len(frames) > 1 and frame is None:
+            raise InputError(f"{source}: the file holds the frames {', '.join(frames)}: choose one by sheet")
         try:
-            if frame is not None:
-                return read_frame(frame, source)
+            if frames:
+                return read_frame(frames[chosen([*frames], 1 if frame is None else frame, source)], source)
             return columns_of_vectors(source, *_vectors(objects), "/")
         except OSError:
             _check_compression(objects, source)

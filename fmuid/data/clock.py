@@ -12,7 +12,7 @@ import numpy as np
 import pandas as pd
 
 from fmuid.array_types import Floats
-from fmuid.data.formats import TIME_NAMES, RawTable, split_header
+from fmuid.data.headers import TIME_NAMES, RawTable, split_header
 from fmuid.errors import InputError
 from fmuid.formatting import nearest
 from fmuid.units import SECONDS, TIME_UNITS

@@ -8,10 +8,14 @@ from typing import Any
 
 import numpy as np
 
-from fmuid.data.formats.columns import Array, FileColumns, array_of_cells
+from fmuid.data.headers import Array
+from fmuid.data.readers.base import FileColumns, array_of_cells
+
+_NO_DATE = np.iinfo(np.int64).min
+"""NumPy's NaT."""
 
 
-def read_parquet(path: Path, source: str) -> FileColumns:  # noqa: ARG001  # readers have one signature
+def read_parquet(path: Path, _source: str, _sheet: object) -> FileColumns:
     """Read a Parquet table; a named or dated index of pandas becomes a column."""
     import pyarrow.parquet
 
@@ -19,7 +23,7 @@ def read_parquet(path: Path, source: str) -> FileColumns:  # noqa: ARG001  # rea
         return _columns(pyarrow.parquet.ParquetFile(file).read())
 
 
-def read_feather(path: Path, source: str) -> FileColumns:  # noqa: ARG001
+def read_feather(path: Path, _source: str, _sheet: object) -> FileColumns:
     """Read a Feather table; a named or dated index of pandas becomes a column."""
     import pyarrow.feather
 
@@ -57,50 +61,26 @@ def _array(column: Any) -> Array:
         return _array(pa.chunked_array([each.storage for each in column.chunks], kind.storage_type))
     if types.is_dictionary(kind):
         return _array(column.cast(kind.value_type))
-    if types.is_decimal(kind):
-        return _array(column.cast(pa.float64()))
-    letter = next((each for each, holds in _LETTERS.items() if getattr(types, holds)(kind)), None)
-    if letter is not None:
-        chunks = [_numbers(each, letter) for each in column.chunks]
-        return np.concatenate(chunks) if chunks else np.zeros(0)
+    if types.is_date(kind):
+        return _array(column.cast(pa.timestamp("ms")))
+    if types.is_timestamp(kind) or types.is_duration(kind):
+        letter = "M" if types.is_timestamp(kind) else "m"
+        return _values(column.cast(pa.int64()).fill_null(_NO_DATE)).view(f"{letter}8[{kind.unit}]")
+    if types.is_boolean(kind) and not column.null_count:
+        return _values(column.cast(pa.uint8())).astype(np.bool_)
+    if types.is_decimal(kind) or (column.null_count and (types.is_boolean(kind) or types.is_integer(kind))):
+        column = column.cast(pa.uint8()) if types.is_boolean(kind) else column
+        return _array(column.cast(pa.float64(), safe=False))
+    if types.is_integer(kind) or types.is_floating(kind):
+        return _values(column.fill_null(np.nan) if column.null_count else column)
     if types.is_string(kind) or types.is_large_string(kind) or types.is_time(kind) or types.is_null(kind):
         return array_of_cells(column.to_pylist())
     return np.full(len(column), str(kind), dtype=object)
 
 
-_LETTERS = {
-    "?": "is_boolean",
-    "i": "is_signed_integer",
-    "u": "is_unsigned_integer",
-    "f": "is_floating",
-    "M": "is_timestamp",
-    "m": "is_duration",
-    "D": "is_date",
-}
-"""Kinds of numbers, and what Arrow calls the question."""
-
-
-def _numbers(array: Any, letter: str) -> Array:
-    """Return an array of numbers; Arrow's own conversion would import pandas."""
-    there, data = array.buffers()
-    if not len(array):
-        return np.zeros(0)
-    if letter == "?":
-        found = _bits(data, array)
-    else:
-        width = array.type.bit_width // 8
-        kind = f"{letter if letter in 'uf' else 'i'}{width}"
-        found = np.frombuffer(data, kind, len(array), array.offset * width)
-    if letter in "mM":
-        found = found.view(f"{letter}8[{array.type.unit}]")
-    elif letter == "D":
-        found = found.astype(np.int64).view("M8[D]" if array.type.bit_width == 32 else "M8[ms]")
-    if not array.null_count:
-        return found
-    missing = np.datetime64("NaT") if found.dtype.kind == "M" else np.timedelta64("NaT") if letter == "m" else np.nan
-    return np.where(_bits(there, array), found if letter in "mMD" else found.astype(np.float64), missing)
-
-
-def _bits(data: Any, array: Any) -> Array:
-    bits = np.unpackbits(np.frombuffer(data, np.uint8), bitorder="little")
-    return bits[array.offset : array.offset + len(array)].astype(np.bool_)
+def _values(column: Any) -> Array:
+    """Return numbers without missing ones; Arrow's own conversion would import pandas."""
+    kind = np.dtype(column.type.to_pandas_dtype())
+    filled = [each for each in column.chunks if len(each)]
+    chunks = [np.frombuffer(each.buffers()[1], kind, len(each), each.offset * kind.itemsize) for each in filled]
+    return np.concatenate([np.zeros(0, kind), *chunks])

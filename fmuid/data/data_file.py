@@ -11,11 +11,18 @@ import numpy as np
 import pandas as pd
 
 from fmuid.array_types import Floats
-from fmuid.data.formats import SPREADSHEETS, TABLE_SUFFIXES, is_number, reader_of
-from fmuid.data.times import time_name, with_time
+from fmuid.data.clock import time_name, with_time
+from fmuid.data.headers import RawTable, check_once, is_number, named
+from fmuid.data.readers import BINARY, WITH_SHEETS, read_binary
+from fmuid.data.readers.base import FileColumns
+from fmuid.data.readers.text import read_text
 from fmuid.errors import InputError
 from fmuid.files import is_file, is_folder
 
+TEXT = (".csv", ".txt", ".tsv", ".asc", ".dat")
+"""Suffixes of delimited text; packed it has .gz or .zip after them."""
+TABLE_SUFFIXES = (*TEXT, ".json", *BINARY)
+"""Suffixes of the formats that are read."""
 UNITS, BEGIN = "units", "begin"
 """What `read_table` leaves in the attributes of a frame: units as the file writes them, and the date of second 0."""
 
@@ -58,7 +65,8 @@ def read_table(
     sample_rate : float, optional
         Samples per second, of a table without times.
     sheet : str or int, optional
-        Of a spreadsheet, by its name or its place from 1; default: the first with a table.
+        Of a spreadsheet, or a frame of pandas in an HDF5 file, by its name or its place from 1; default: the first
+        sheet with a table, or the only frame.
     source : str, optional
         What the table is called in messages; default: its path.
 
@@ -80,13 +88,15 @@ def read_table(
     """
     path = Path(path)
     source = source or str(path)
-    reader = reader_of(path, sheet)
-    if reader is None:
+    suffix = path.suffix.lower()
+    inner = Path(path.stem).suffix.lower()
+    text = suffix in TEXT or (suffix in (".gz", ".zip") and (inner in TEXT or not inner))
+    if not (text or suffix in TABLE_SUFFIXES):
         raise InputError(
             f"{source}: tables of the kind {path.suffix or 'without suffix'!r} are not read: "
             f"save it as one of {', '.join(TABLE_SUFFIXES)}"
         )
-    if sheet is not None and path.suffix.lower() not in SPREADSHEETS:
+    if sheet is not None and suffix not in WITH_SHEETS:
         raise InputError(f"{source}: the sheet {sheet!r} is asked for, and only spreadsheets have sheets: leave it out")
     if not is_file(path):
         raise InputError(
@@ -96,7 +106,12 @@ def read_table(
         path.open("rb").close()  # before libraries that say something else of it
     except PermissionError:
         raise InputError(f"{source}: the file may not be read: change its permissions") from None
-    raw = reader(path, source)
+    if text:
+        raw = read_text(path, source)
+    elif suffix == ".json":
+        raw = _read_json(path, source)
+    else:
+        raw = _raw_table(read_binary(path, source, sheet), source)
     if len(raw.frame) == 0:
         raise InputError(f"{source}: the table has a header but no rows: give measured samples")
     frame, begin = with_time(raw, time, time_unit, sample_rate, source)
@@ -106,6 +121,38 @@ def read_table(
     if begin is not None:
         frame.attrs[BEGIN] = begin
     return frame
+
+
+def _read_json(path: Path, source: str) -> RawTable:
+    try:
+        frame = pd.read_json(path)
+    except Exception:  # pandas has no error of its own for it
+        raise InputError(f"{source}: the file is no readable JSON table: write it again") from None
+    dated = isinstance(frame.index, pd.DatetimeIndex)
+    if dated and "time" not in frame.columns:
+        frame = frame.rename_axis("time").reset_index()
+    names, units = named([str(column) for column in frame.columns])
+    return RawTable(frame.set_axis(names, axis="columns"), units, "time" if dated else None)
+
+
+def _raw_table(found: FileColumns, source: str) -> RawTable:
+    """Return columns of a binary file as a table, with the names and units that their headers say."""
+    names, units = named(found.headers, found.below) if found.units_in_headers else ([*found.headers], {})
+    check_once(source, names)
+    columns: dict[str, Any] = {}
+    for k, (name, values) in enumerate(zip(names, found.values, strict=True)):
+        native = values.astype(values.dtype.newbyteorder("="), copy=False)
+        columns[name] = _in_zone(native, found.zones[k], source) if k in found.zones else native
+    units |= {names[k]: unit for k, unit in found.units.items()}
+    time = None if found.time is None else names[found.time]
+    return RawTable(pd.DataFrame(columns), units, time, frozenset(names[k] for k in found.days))
+
+
+def _in_zone(dates: np.ndarray[Any, Any], zone: str, source: str) -> Any:
+    try:
+        return pd.Series(dates).dt.tz_localize("UTC").dt.tz_convert(zone)
+    except Exception:  # pandas, pytz and zoneinfo have errors of their own
+        raise InputError(f"{source}: dates have the unknown time zone {zone!r}: write them in UTC") from None
 
 
 def numeric_column(frame: pd.DataFrame, column: str, source: str) -> Floats:

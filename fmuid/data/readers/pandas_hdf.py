@@ -5,14 +5,17 @@ pandas stores names and time zones as pickles, and `pandas.read_hdf` executes th
 
 from __future__ import annotations
 
+import io
+import pickle
 import re
 from contextlib import suppress
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
-from fmuid.data.formats.columns import Array, FileColumns, array_of_cells
-from fmuid.data.formats.pickled import PickledObject, PickleError, plain_value
+from fmuid.data.headers import Array
+from fmuid.data.readers.base import FileColumns, array_of_cells
 from fmuid.errors import InputError
 
 PANDAS_TYPE = "pandas_type"
@@ -42,6 +45,57 @@ def read_frame(group: Any, source: str) -> FileColumns:
         raise InputError(f"{source}: {group.name!r} is no table: save a DataFrame")
     frame = _Frame(group, source)
     return frame.of_table() if kind == "frame_table" else frame.of_blocks()
+
+
+@dataclass(eq=False)
+class PickledObject:
+    """An object that a pickle would build, by name only: it is neither imported nor built.
+
+    Attributes
+    ----------
+    name : str
+        Module and name of the class or function, such as ``datetime.timezone``.
+    arguments : tuple
+        Its arguments, empty before any are given.
+    state : object
+        What the pickle would set it to, None without.
+    """
+
+    name: str
+    arguments: tuple[Any, ...] = ()
+    state: Any = None
+
+    def __call__(self, *arguments: Any) -> PickledObject:
+        """Return what a call would build; a method that old pickles look up by `getattr` is one by name."""
+        if self.name in ("__builtin__.getattr", "builtins.getattr"):
+            owner, attribute = arguments
+            return PickledObject(f"{owner.name}.{attribute}")
+        return PickledObject(self.name, arguments)
+
+    def __setstate__(self, state: Any) -> None:
+        self.state = state
+
+
+class _NamesAlone(pickle.Unpickler):
+    """Reads pickles without importing what they name (Python's documentation, "Restricting Globals")."""
+
+    def find_class(self, module: str, name: str) -> PickledObject:
+        """Return a class or function by its name."""
+        return PickledObject(f"{module}.{name}")
+
+
+def plain_value(data: bytes) -> Any:
+    """Return the value of a pickle: None, numbers, texts and collections of them; objects are a `PickledObject`.
+
+    Raises
+    ------
+    ValueError
+        If the bytes are no pickle, or need more than that.
+    """
+    try:
+        return _NamesAlone(io.BytesIO(data), encoding="latin-1").load()
+    except Exception as error:  # of many kinds
+        raise ValueError(str(error)) from None
 
 
 class _Frame:
@@ -136,7 +190,7 @@ class _Frame:
         try:
             found = plain_value(data)
             (_, shape, _, by_columns, cells) = found.state
-        except (PickleError, AttributeError, TypeError, ValueError):
+        except (AttributeError, TypeError, ValueError):
             raise refusal from None
         plain = isinstance(cells, list) and all(
             each is None or isinstance(each, str | bool | int | float) for each in cells
@@ -187,7 +241,7 @@ def _attribute(node: Any, name: str) -> Any:
     value = node.attrs.get(name)
     if isinstance(value, bytes):
         if value.endswith(b"."):
-            with suppress(PickleError):  # a text that ends with a full stop
+            with suppress(ValueError):  # a text that ends with a full stop
                 return plain_value(value)
         return value.decode("utf-8", "replace")
     if isinstance(value, np.generic):

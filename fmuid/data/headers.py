@@ -4,13 +4,11 @@ from __future__ import annotations
 
 import math
 import re
-from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from datetime import date, datetime, time, timedelta
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
 import numpy.typing as npt
 
 from fmuid.errors import InputError
@@ -62,41 +60,7 @@ class RawTable:
 
 
 @dataclass(frozen=True)
-class FileColumns:
-    """The columns of a binary file as plain arrays under their headers.
-
-    Attributes
-    ----------
-    headers : tuple of str
-        One for each column.
-    values : tuple of ndarray (K,)
-        Numbers, truth values, dates (in UTC where they have a zone), durations, or objects: None, numbers and texts.
-    units : dict of int to str
-        Units that the file says elsewhere than in the header, by the column's place.
-    below : tuple of str
-        A row of units below the headers, empty without one.
-    zones : dict of int to str
-        Time zones of dates.
-    time : int, optional
-        Place of the column that the format itself knows for the time.
-    days : tuple of int
-        Columns of numbers that pandas may have written of durations, in days.
-    units_in_headers : bool
-        Whether headers may end in a unit; else they are names as they are.
-    """
-
-    headers: tuple[str, ...]
-    values: tuple[Array, ...]
-    units: dict[int, str] = field(default_factory=dict)
-    below: tuple[str, ...] = ()
-    zones: dict[int, str] = field(default_factory=dict)
-    time: int | None = None
-    days: tuple[int, ...] = ()
-    units_in_headers: bool = True
-
-
-@dataclass(frozen=True)
-class Head:
+class TableHeader:
     """Where the table is among the rows.
 
     Attributes
@@ -162,54 +126,7 @@ def check_once(source: str, names: Sequence[str]) -> None:
             raise InputError(f"{source}: {called}: rename or remove one of the two")
 
 
-def columns_of_vectors(
-    source: str, vectors: Mapping[str, Array], units: Mapping[str, str], separator: str
-) -> FileColumns:
-    """Return as columns the vectors of the most common length, or of the time's where one is called so.
-
-    Parameters
-    ----------
-    source : str
-        Name of the file in messages.
-    vectors : mapping of str to ndarray
-        By their names, in groups as ``group<separator>name``; a group that all columns share is left out.
-    units : mapping of str to str
-        Of vectors whose unit the file says elsewhere than in the name.
-    separator : str
-
-    Raises
-    ------
-    InputError
-        If there are no vectors with more than one sample.
-    """
-    lengths = Counter(value.size for value in vectors.values() if value.size > 1)
-    if not lengths:
-        raise InputError(f"{source}: the file holds no numeric vectors: save the columns as vectors of one length")
-    timed = {value.size for name, value in vectors.items() if name.rpartition(separator)[2].lower() in TIME_NAMES}
-    length = max(lengths, key=lambda size: (size in timed, lengths[size], size))
-    columns = {name: value for name, value in vectors.items() if value.size == length}
-    shared = len({name.rpartition(separator)[0] for name in columns}) == 1
-    headers = tuple(name.rpartition(separator)[2] if shared else name for name in columns)
-    return FileColumns(
-        headers,
-        tuple(columns.values()),
-        {k: units[name] for k, name in enumerate(columns) if name in units},
-    )
-
-
-def array_of_cells(cells: Sequence[Cell]) -> Array:
-    """Return a column of typed cells as numbers, dates or durations where all are; else as texts, numbers and None."""
-    kinds = {type(cell) for cell in cells} - {type(None)}
-    if kinds and kinds <= {bool, int, float}:
-        return np.array([math.nan if cell is None else cell for cell in cells], dtype=np.float64)
-    for kind, dtype in ((datetime, "datetime64[us]"), (timedelta, "timedelta64[us]")):
-        if kinds == {kind}:
-            return np.array(cells, dtype=dtype)
-    plain = [cell if cell is None or isinstance(cell, str | bool | int | float) else str(cell) for cell in cells]
-    return np.fromiter(plain, dtype=object, count=len(plain))
-
-
-def find_head(rows: Sequence[Sequence[Cell]], decimal: str = ".") -> Head | None:
+def find_head(rows: Sequence[Sequence[Cell]], decimal: str = ".") -> TableHeader | None:
     """Return where the table begins: below the header from which the most rows of its length with numbers follow.
 
     Between header and samples there may be one row of units, and rows of text; what is above is left out. None where
@@ -232,11 +149,11 @@ def find_head(rows: Sequence[Sequence[Cell]], decimal: str = ".") -> Head | None
     header, top = first - 1, _texts(rows[above + 1])
     index, *others = _texts(rows[header])
     if index.lower() in TIME_NAMES and not any(others) and all(top):  # pandas names an index below several header rows
-        return Head((index, *top[1:]), (), first)
+        return TableHeader((index, *top[1:]), (), first)
     for k in range(above + 2, first):
         if _are_units(rows[k]):
-            return Head(_texts(rows[k - 1]), _texts(rows[k]), first)
-    return Head(_texts(rows[header]), (), first)
+            return TableHeader(_texts(rows[k - 1]), _texts(rows[k]), first)
+    return TableHeader(_texts(rows[header]), (), first)
 
 
 def is_number(cell: Cell, decimal: str = ".") -> bool:

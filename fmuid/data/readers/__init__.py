@@ -1,0 +1,67 @@
+"""Binary data files: the reader of each suffix, called in the reader process."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from fmuid.data.readers.arrow import read_feather, read_parquet
+from fmuid.data.readers.base import FileColumns, call_reader
+from fmuid.data.readers.hdf import read_hdf
+from fmuid.data.readers.matlab import read_mat
+from fmuid.data.readers.recorders import read_mdf, read_tdms
+from fmuid.data.readers.spreadsheet import read_spreadsheet
+from fmuid.errors import InputError
+from fmuid.files import ContentError
+
+BINARY: dict[str, tuple[str, Callable[[Path, str, str | int | None], FileColumns]]] = {
+    ".parquet": ("Parquet table", read_parquet),
+    ".feather": ("Feather table", read_feather),
+    **dict.fromkeys((".xlsx", ".xlsm", ".xls", ".ods"), ("spreadsheet", read_spreadsheet)),
+    ".mat": ("MAT file", read_mat),
+    **dict.fromkeys((".h5", ".hdf5", ".hdf"), ("HDF5 file", read_hdf)),
+    ".tdms": ("TDMS file", read_tdms),
+    **dict.fromkeys((".mf4", ".mdf"), ("MDF file", read_mdf)),
+}
+"""Formats by suffix: name in messages, and reader."""
+WITH_SHEETS = tuple(suffix for suffix, (_, read) in BINARY.items() if read in (read_spreadsheet, read_hdf))
+"""Suffixes of files that may hold several tables."""
+
+
+def read_binary(path: Path, source: str, sheet: str | int | None = None) -> FileColumns:
+    """Read the columns of a binary file in the reader process.
+
+    Parameters
+    ----------
+    path : Path
+    source : str
+        Name of the file in messages.
+    sheet : str or int, optional
+        One of several tables, by its name or its place from 1.
+
+    Raises
+    ------
+    InputError
+        If the file cannot be read, holds no table, or the process is lost over it.
+    """
+    try:
+        found = call_reader(_plain_columns, path, source, sheet)
+    except ContentError as error:
+        raise InputError(f"{source}: {error}") from None
+    values = (np.fromiter(each, object, len(each)) if isinstance(each, list) else each for each in found["values"])
+    return FileColumns(**found | {"values": tuple(values)})
+
+
+def _plain_columns(path: Path, source: str, sheet: str | int | None) -> dict[str, Any]:
+    """Read the columns of a binary file, in types that a process answers with."""
+    name, read = BINARY[path.suffix.lower()]
+    try:
+        found = read(path, source, sheet)
+    except (InputError, MemoryError, KeyboardInterrupt, SystemExit):
+        raise
+    except BaseException:  # libraries raise errors of all kinds on damaged files; those in Rust panic
+        raise InputError(f"{source}: the file is no readable {name}: write it again") from None
+    return vars(found) | {"values": [each.tolist() if each.dtype.kind == "O" else each for each in found.values]}

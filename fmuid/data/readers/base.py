@@ -1,0 +1,187 @@
+"""What readers of binary files return, and the process they run in.
+
+One process reads all files: a crash, a hang or a lack of memory costs one sentence. It begins with the first file.
+"""
+
+from __future__ import annotations
+
+import importlib
+import math
+from collections import Counter
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from datetime import datetime, timedelta
+from functools import cache
+from pathlib import Path
+from types import ModuleType
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from fmuid.data.headers import TIME_NAMES, Array, Cell
+from fmuid.errors import InputError
+from fmuid.files import ContentError
+from fmuid.formatting import nearest
+
+if TYPE_CHECKING:
+    from fmuid.processes import End, IsolatedCaller
+
+READING_SECONDS = 60.0
+"""Time in which any file is read, s; larger files have more."""
+_SLOWEST_READING = 1e5
+"""Bytes read in a second at least: a tenth of what spreadsheets take on a slow machine."""
+_SHARE_OF_MEMORY = 0.5
+_REMEDY = "it is damaged or too large, write it again or in parts"
+
+
+@dataclass(frozen=True)
+class FileColumns:
+    """The columns of a binary file as plain arrays under their headers.
+
+    Attributes
+    ----------
+    headers : tuple of str
+        One for each column.
+    values : tuple of ndarray (K,)
+        Numbers, truth values, dates (in UTC where they have a zone), durations, or objects: None, numbers and texts.
+    units : dict of int to str
+        Units that the file says elsewhere than in the header, by the column's place.
+    below : tuple of str
+        A row of units below the headers, empty without one.
+    zones : dict of int to str
+        Time zones of dates.
+    time : int, optional
+        Place of the column that the format itself knows for the time.
+    days : tuple of int
+        Columns of numbers that pandas may have written of durations, in days.
+    units_in_headers : bool
+        Whether headers may end in a unit; else they are names as they are.
+    """
+
+    headers: tuple[str, ...]
+    values: tuple[Array, ...]
+    units: dict[int, str] = field(default_factory=dict)
+    below: tuple[str, ...] = ()
+    zones: dict[int, str] = field(default_factory=dict)
+    time: int | None = None
+    days: tuple[int, ...] = ()
+    units_in_headers: bool = True
+
+
+def library(name: str, extra: str, source: str) -> ModuleType:
+    """Import a library that only some formats need.
+
+    Raises
+    ------
+    InputError
+        If it is not installed; the sentence names the extra that brings it.
+    """
+    try:
+        return importlib.import_module(name)
+    except ImportError:
+        raise InputError(
+            f'{source}: files of this kind are read by {name}, which is not installed: pip install "fmuid[{extra}]"'
+        ) from None
+
+
+def chosen(names: Sequence[str], wanted: str | int, source: str) -> str:
+    """Return the name of one of several tables in a file, given by its name or its place from 1.
+
+    Raises
+    ------
+    InputError
+        If there is none.
+    """
+    if isinstance(wanted, int) and 1 <= wanted <= len(names):
+        return names[wanted - 1]
+    if isinstance(wanted, str) and wanted in names:
+        return wanted
+    near = nearest(wanted, names) if isinstance(wanted, str) else ""
+    raise InputError(f"{source}: there is no sheet {wanted!r}{near}: the file has {', '.join(names)}")
+
+
+def columns_of_vectors(
+    source: str, vectors: Mapping[str, Array], units: Mapping[str, str], separator: str
+) -> FileColumns:
+    """Return as columns the vectors of the most common length, or of the time's where one is called so.
+
+    Parameters
+    ----------
+    source : str
+        Name of the file in messages.
+    vectors : mapping of str to ndarray
+        By their names, in groups as ``group<separator>name``; a group that all columns share is left out.
+    units : mapping of str to str
+        Of vectors whose unit the file says elsewhere than in the name.
+    separator : str
+
+    Raises
+    ------
+    InputError
+        If there are no vectors with more than one sample.
+    """
+    lengths = Counter(value.size for value in vectors.values() if value.size > 1)
+    if not lengths:
+        raise InputError(f"{source}: the file holds no numeric vectors: save the columns as vectors of one length")
+    timed = {value.size for name, value in vectors.items() if name.rpartition(separator)[2].lower() in TIME_NAMES}
+    length = max(lengths, key=lambda size: (size in timed, lengths[size], size))
+    columns = {name: value for name, value in vectors.items() if value.size == length}
+    shared = len({name.rpartition(separator)[0] for name in columns}) == 1
+    headers = tuple(name.rpartition(separator)[2] if shared else name for name in columns)
+    said = {k: units[name] for k, name in enumerate(columns) if name in units}
+    return FileColumns(headers, tuple(columns.values()), said)
+
+
+def array_of_cells(cells: Sequence[Cell]) -> Array:
+    """Return a column of typed cells as numbers, dates or durations where all are; else as texts, numbers and None."""
+    kinds = {type(cell) for cell in cells} - {type(None)}
+    if kinds and kinds <= {bool, int, float}:
+        return np.array([math.nan if cell is None else cell for cell in cells], dtype=np.float64)
+    for kind, dtype in ((datetime, "datetime64[us]"), (timedelta, "timedelta64[us]")):
+        if kinds == {kind}:
+            return np.array(cells, dtype=dtype)
+    plain = [cell if cell is None or isinstance(cell, str | bool | int | float) else str(cell) for cell in cells]
+    return np.fromiter(plain, dtype=object, count=len(plain))
+
+
+def call_reader(function: Callable[..., dict[str, Any]], path: Path, *arguments: Any) -> dict[str, Any]:
+    """Call a reader of a file in the reader process.
+
+    Raises
+    ------
+    ContentError
+        If the file cannot be read, or the process is lost over it.
+    """
+    from fmuid.processes import End
+
+    try:
+        limit = READING_SECONDS + path.stat().st_size / _SLOWEST_READING
+        return _reader().call(function, path.absolute(), *arguments, time_limit=limit)
+    except OSError as error:
+        raise ContentError(f"the file cannot be read: {error.strerror or error}") from None
+    except MemoryError:
+        raise ContentError(f"the file needs more memory than there is: {_REMEDY}") from None
+    except End as end:
+        raise ContentError(_lost(end, limit)) from None
+
+
+def _lost(end: End, limit: float) -> str:
+    """Return what became of the reader process over a file, and what to do."""
+    from fmuid.processes import CRASHED, GREW, HUNG
+
+    if end.kind == CRASHED:
+        return f"the library that reads the file crashed ({end.signal_name}): the file is damaged, write it again"
+    if end.kind == HUNG:
+        return f"the file was not read within {limit:.3g} s: {_REMEDY}"
+    if end.kind == GREW:
+        return f"reading the file took more than {end.number} MB: {_REMEDY}"
+    return "the process that read the file was ended from outside: read it again, or free memory"
+
+
+@cache
+def _reader() -> IsolatedCaller:
+    import psutil
+
+    from fmuid.processes import IsolatedCaller
+
+    return IsolatedCaller(READING_SECONDS, _SHARE_OF_MEMORY * psutil.virtual_memory().total / 1e6)

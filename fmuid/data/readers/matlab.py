@@ -1,0 +1,138 @@
+"""MAT files: of MATLAB in all versions, and the results of OpenModelica and Dymola.
+
+Results are "trajectory" files in MAT version 4, stored either way round; the format is described in the OpenModelica
+User's Guide, "The MATv4 Result File Format".
+"""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from fmuid.data.readers.base import FileColumns, columns_of_vectors
+from fmuid.data.readers.hdf import vectors_of_hdf
+from fmuid.errors import InputError
+
+Arrays = dict[str, npt.NDArray[Any]]
+
+
+def read_mat(path: Path, source: str, _sheet: object) -> FileColumns:
+    """Read a MAT file: its numeric vectors of the most common length, also those in structures.
+
+    A matrix whose columns are named by a cell array of as many texts gives that many columns. MATLAB writes its own
+    tables and timetables in a form that nobody else reads.
+
+    Raises
+    ------
+    InputError
+        Where the file cannot be read, or holds no vectors.
+    """
+    try:
+        content = _content(path)
+    except NotImplementedError:  # version 7.3 is HDF5
+        return columns_of_vectors(source, vectors_of_hdf(path, source), {}, ".")
+    if "Aclass" in content and content["Aclass"].dtype.kind == "U":
+        return _result_columns(source, content)
+    vectors = dict(_vectors(content))
+    if not vectors and "MatlabOpaque" in str({value.dtype for value in content.values()}):
+        raise InputError(
+            f"{source}: MATLAB's tables and timetables cannot be read from MAT files: write it with writetimetable or "
+            "parquetwrite, or save its columns as vectors"
+        )
+    return columns_of_vectors(source, vectors, {}, ".")
+
+
+def _content(path: Path) -> Arrays:
+    from scipy.io import loadmat  # slow to import, and needed for this format only
+
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # of what else is in the file, such as functions and objects
+        warnings.filterwarnings("error", r'Duplicate variable name "(?!None")|.*may be corrupt')
+        # Characters stay single: names of a transposed result file stand in columns.
+        content = loadmat(path, chars_as_strings=False)
+    return {name: value for name, value in content.items() if isinstance(value, np.ndarray)}
+
+
+def _vectors(arrays: Arrays, prefix: str = "") -> Iterator[tuple[str, npt.NDArray[Any]]]:
+    """Yield the numeric vectors by their names, and those in structures as ``structure.field``."""
+    for name, value in arrays.items():
+        if value.dtype.names and value.size == 1:
+            fields = value.ravel()[0]
+            yield from _vectors({each: np.asarray(fields[each]) for each in value.dtype.names}, f"{prefix}{name}.")
+        elif value.dtype.kind in "biuf" and value.size == max(value.shape, default=0):
+            yield prefix + name, value.ravel()
+        elif value.dtype.kind in "biuf" and value.ndim == 2:
+            names = next((texts for texts in map(_names, arrays.values()) if len(texts) == value.shape[1]), [])
+            yield from ((each, value[:, k]) for k, each in enumerate(names))
+
+
+def _names(value: npt.NDArray[Any]) -> list[str]:
+    """Return the texts of a cell array of texts, none where it is something else."""
+    cells: Any = value.ravel() if value.dtype.kind == "O" else []
+    return ["".join(cell.ravel()).strip() for cell in cells if isinstance(cell, np.ndarray) and cell.dtype.kind == "U"]
+
+
+def _result_columns(source: str, arrays: Arrays) -> FileColumns:
+    """Return the table in a result file (Aclass version 1.1, and 1.0 of Dymola's export); its time is called ``time``.
+
+    Parameters and constants become constant columns, because the tools store inputs that do not move as such. Of three
+    or more rows at the time of an event the first and the last are kept: the values before and after.
+
+    Raises
+    ------
+    InputError
+        Where the file holds something else, or not all of it.
+    """
+    kind = ["".join(row).strip(" \0") for row in arrays["Aclass"]]
+    if kind[0] != "Atrajectory" or len(kind) < 4 or kind[3] not in ("binTrans", "binNormal"):
+        raise InputError(f"{source}: the file holds {kind[0]!r} data and no trajectories: give a simulation result")
+    if kind[3] == "binTrans":
+        arrays = {name: value if name == "Aclass" else value.T for name, value in arrays.items()}
+    try:
+        columns = _version_1_0(arrays) if "data" in arrays else _version_1_1(arrays)
+    except (KeyError, IndexError, ValueError):
+        raise InputError(f"{source}: the result file is incomplete: simulate again") from None
+    names = ["time" if name.lower() == "time" else name for name in columns]
+    if "time" not in names:
+        raise InputError(f"{source}: the result file has no time: simulate again")
+    values = list(columns.values())
+    times = values[names.index("time")]
+    inside = np.zeros(len(times), dtype=bool)
+    inside[1:-1] = (times[1:-1] == times[:-2]) & (times[1:-1] == times[2:])
+    return FileColumns(tuple(names), tuple(each[~inside] for each in values), units_in_headers=False)
+
+
+def _version_1_0(arrays: Arrays) -> Arrays:
+    return {_text(name): arrays["data"][:, k] for k, name in enumerate(arrays["names"])}
+
+
+def _version_1_1(arrays: Arrays) -> Arrays:
+    """Take each variable from where dataInfo says.
+
+    Column 1 of dataInfo is the matrix: 0 for time, 1 for data_1 (constants: their start and stop values), 2 for
+    data_2 (one row a sample, time first). Column 2 is the column there, from 1, negative for a negated alias.
+    """
+    samples = len(arrays["data_2"])
+    columns: Arrays = {}
+    for name, info in zip(arrays["name"], arrays["dataInfo"].astype(int), strict=True):
+        matrix, place = int(info[0]), int(info[1])
+        if matrix == 1:
+            values = np.full(samples, arrays["data_1"][0, abs(place) - 1])
+        else:
+            values = arrays["data_2"][:, abs(place) - 1]
+        columns[_text(name)] = -values if place < 0 else values
+    return columns
+
+
+def _text(characters: npt.NDArray[np.str_]) -> str:
+    """Join single characters to a name; the tools write UTF-8 bytes, which the MAT format takes for characters."""
+    joined = "".join(characters).strip(" \0")
+    try:
+        return joined.encode("latin-1").decode("utf-8")
+    except UnicodeError:  # from a tool that writes characters indeed
+        return joined

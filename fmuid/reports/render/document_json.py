@@ -1,0 +1,124 @@
+"""Documents as JSON, ``document.json`` of a results folder: what `fmuid report` and other front ends show.
+
+``documents`` has them by their kind. Attributes at their default are left out. ``arrays`` has each array once, as
+base64 of little-endian numbers; ``{"array": k}`` stands for array k.
+"""
+
+from __future__ import annotations
+
+import base64
+import dataclasses
+import json
+import math
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from fmuid.errors import InputError
+from fmuid.files import is_file, replacing
+from fmuid.reports.document import Document
+
+DOCUMENT_FILE = "document.json"
+SCHEMA = "fmuid/document/1"
+_DTYPES = {"float32": "<f4", "float64": "<f8"}
+
+
+def write_document(folder: Path, document: Document) -> Path:
+    """Write a document into a folder, beside those of other commands, and return the path of the file.
+
+    Raises
+    ------
+    InputError
+        If it cannot be written.
+    """
+    path = folder / DOCUMENT_FILE
+    try:
+        others = read_documents(folder) if is_file(path) else {}
+    except InputError:  # damaged: what other commands have found can be shown again by running them
+        others = {}
+    with replacing(path) as draft:
+        draft.write_text(to_json({**others, document.kind: document}), encoding="utf-8")
+    return path
+
+
+def to_json(documents: Mapping[str, Document]) -> str:
+    """Return documents as JSON."""
+    arrays: list[np.ndarray[Any, Any]] = []
+    content = {kind: _encoded(each, arrays, {}) for kind, each in documents.items()}
+    packed = [
+        {"dtype": each.dtype.name, "data": base64.b64encode(each.astype(_DTYPES[each.dtype.name]).tobytes()).decode()}
+        for each in arrays
+    ]
+    return json.dumps({"schema": SCHEMA, "documents": content, "arrays": packed}, allow_nan=False) + "\n"
+
+
+def read_documents(folder: Path) -> dict[str, Document]:
+    """Return the documents of a folder by their kind.
+
+    Raises
+    ------
+    InputError
+        If there is no such file, it cannot be read, or is not what fmuid writes.
+    """
+    from pydantic import TypeAdapter, ValidationError
+
+    path = folder / DOCUMENT_FILE
+    if not is_file(path):
+        raise InputError(f"{folder} has no {DOCUMENT_FILE}: give the folder that a command has written into")
+    try:
+        content = json.loads(path.read_text(encoding="utf-8"))
+        arrays = [np.frombuffer(base64.b64decode(each["data"]), _DTYPES[each["dtype"]]) for each in content["arrays"]]
+        return TypeAdapter(dict[str, Document]).validate_python(_decoded(content["documents"], arrays))
+    except ValidationError as error:
+        first = error.errors()[0]
+        wrong = f"{'.'.join(map(str, first['loc']))}: {first['msg']}"
+    except (OSError, ValueError, RecursionError, KeyError, TypeError, IndexError, AttributeError) as error:
+        wrong = f"{type(error).__name__}: {error}"
+    raise InputError(f"{path} is not what fmuid writes ({wrong}): run the command again that has written it")
+
+
+def _encoded(value: Any, arrays: list[np.ndarray[Any, Any]], known: dict[int, int]) -> Any:
+    match value:
+        case np.ndarray():
+            if id(value) not in known:
+                known[id(value)] = len(arrays)
+                arrays.append(value if value.dtype.name in _DTYPES else value.astype(np.float64))
+            return {"array": known[id(value)]}
+        case np.generic():
+            return _encoded(value.item(), arrays, known)
+        case float() if not math.isfinite(value):
+            return {"number": repr(value)}
+        case Mapping():
+            return {str(key): _encoded(each, arrays, known) for key, each in value.items()}
+        case tuple() | list():
+            return [_encoded(each, arrays, known) for each in value]
+        case frozenset():
+            return sorted(value)
+        case None | bool() | int() | float() | str():
+            return value
+        case _ if dataclasses.is_dataclass(value) and not isinstance(value, type):
+            return {
+                each.name: _encoded(found, arrays, known)
+                for each in dataclasses.fields(value)
+                if not callable(found := getattr(value, each.name)) and not _is_default(each, found)
+            }
+    return str(value)
+
+
+def _is_default(field: dataclasses.Field[Any], value: Any) -> bool:
+    if field.default_factory is not dataclasses.MISSING:
+        return not value
+    same: bool = type(value) is type(field.default) and value == field.default
+    return same
+
+
+def _decoded(value: Any, arrays: list[np.ndarray[Any, Any]]) -> Any:
+    if isinstance(value, dict):
+        if value.keys() == {"array"}:
+            return arrays[value["array"]]
+        if value.keys() == {"number"}:
+            return float(value["number"])
+        return {key: _decoded(each, arrays) for key, each in value.items()}
+    return [_decoded(each, arrays) for each in value] if isinstance(value, list) else value

@@ -1,0 +1,216 @@
+"""Documents as a page of HTML that asks no host: sentences, tables, figures, and the library that draws them.
+
+All text is escaped. Besides, the page's own policy lets a browser run the two scripts that were written into it, known
+by their digests, and load nothing from anywhere. One is the library, compressed to a third as the figures are: the
+other unpacks it, and draws one section after the other.
+"""
+
+from __future__ import annotations
+
+import base64
+import gzip
+import hashlib
+import html
+import json
+import uuid
+from collections.abc import Iterator, Sequence
+from importlib import resources
+from importlib.metadata import version
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any
+
+from fmuid.errors import InputError
+from fmuid.formatting import visible
+from fmuid.reports.chart import Figure
+from fmuid.reports.document import Document, Remark, Section, Table
+
+# Compression level: more takes longer than it makes smaller.
+PACKED = 6
+
+
+def page(title: str, documents: Sequence[Document]) -> str:
+    """Return documents as one page."""
+    body, drawings = written(documents)
+    scripts, tail = _drawing(drawings) if drawings else ("'none'", "")
+    policy = (
+        f"default-src 'none'; script-src {scripts}; style-src 'unsafe-inline'; img-src data: blob:; font-src data:; "
+        "base-uri 'none'; form-action 'none'"
+    )
+    head = (
+        '<!doctype html>\n<html lang="en"><head><meta charset="utf-8">'
+        '<meta name="viewport" content="width=device-width,initial-scale=1">'
+        f'<meta http-equiv="Content-Security-Policy" content="{policy}"><meta name="referrer" content="no-referrer">'
+        f"<title>{text(title)}</title><style>{_file('page.css')}</style></head>\n"
+    )
+    ends = "".join(_origin(each, several=len(documents) > 1) for each in documents)
+    end = f"<section class=end>{ends}</section>" if ends else ""
+    return f"{head}<body><header><h1>{text(title)}</h1></header>\n<main>{body}\n{end}</main>\n{tail}</body></html>\n"
+
+
+def written(documents: Sequence[Document], live: frozenset[str] = frozenset()) -> tuple[str, list[tuple[Any, Any]]]:
+    """Return documents as HTML, and for each section with charts what Bokeh's library is told to draw them.
+
+    Parameters
+    ----------
+    documents : sequence of Document
+    live : frozenset of str
+        Keys of sections whose charts a server draws: `PLACE` stands for them.
+    """
+    drawings: list[tuple[Any, Any]] = []
+    body = "".join(_document(each, drawings, live, several=len(documents) > 1) for each in documents)
+    return body, drawings
+
+
+PLACE = "<!-- figure -->"
+"""Where a figure stands that a server draws."""
+
+
+def text(words: object) -> str:
+    """Return a text as HTML."""
+    return html.escape(visible(str(words)))
+
+
+def table(columns: Table) -> str:
+    """Return a table as HTML, its first column as the names of the rows; columns without any cell are left out."""
+    shown = [each for each in columns if any(each.cells)]
+    if not shown:
+        return ""
+    kinds = ["number" if each.number else "word" for each in shown]
+    heads = "".join(f"<th scope=col class={kind}>{text(c.head)}</th>" for c, kind in zip(shown, kinds, strict=True))
+    rows = []
+    for first, *others in zip(*(each.cells for each in shown), strict=True):
+        tail = "".join(f"<td class={kind}>{text(cell)}</td>" for kind, cell in zip(kinds[1:], others, strict=True))
+        rows.append(f"<tr><th scope=row>{text(first)}</th>{tail}</tr>")
+    return f"<div class=scroll><table><thead><tr>{heads}</tr></thead><tbody>{''.join(rows)}</tbody></table></div>"
+
+
+def details(heading: str, words: str) -> str:
+    """Return a text that opens at a click."""
+    return f"<details><summary>{text(heading)}</summary><pre>{text(words)}</pre></details>"
+
+
+def verdict(document: Document) -> str:
+    """Return heading, sentences and first tables of a document as HTML."""
+    here = {section.key for section in document.sections}
+    sure, doubts = (
+        "".join(_sentence(each, here) for each in document.remarks if (each.tone in ("doubt", "bad")) is doubtful)
+        for doubtful in (False, True)
+    )
+    badge = f'<span class="badge {"good" if document.tone == "good" else "bad"}">{text(document.state)}</span>'
+    heading = f"<h2>{text(document.heading)} {badge}</h2>"
+    unsure = f"<h3>What is doubtful, and what would help</h3><ul class=doubts>{doubts}</ul>" if doubts else ""
+    tables = "".join(_bare(each) for each in document.sections if _is_bare(each))
+    return f"<section>{heading}<ul class=verdict>{sure}</ul>{unsure}{tables}</section>"
+
+
+def section_head(section: Section) -> str:
+    """Return heading, caption, table and sentences of a section as HTML."""
+    caption = f"<p class=caption>{text(section.caption)}</p>" if section.caption else ""
+    said = "".join(_sentence(each, set()) for each in section.remarks)
+    rows = table(section.table) if "page" in section.shown else ""
+    return f"<h3>{text(section.heading)}</h3>{caption}{rows}" + (f"<ul>{said}</ul>" if said else "")
+
+
+def drawn_sections(document: Document) -> Iterator[Section]:
+    """Yield the sections that a page shows below the verdict."""
+    return (each for each in document.sections if each.charts)
+
+
+def _is_bare(section: Section) -> bool:
+    return not section.charts and "page" in section.shown
+
+
+def _bare(section: Section) -> str:
+    rows = table(section.table)
+    return f"<h3>{text(section.heading)}</h3>{rows}" if section.heading and rows else rows
+
+
+def _document(document: Document, drawings: list[Any], live: frozenset[str], *, several: bool) -> str:
+    sections = list(drawn_sections(document))
+    links = "".join(f'<a href="#{each.key}">{text(each.heading)}</a>' for each in sections)
+    contents = f"<nav>{links}</nav>" if not several or links else ""
+    return verdict(document) + contents + "".join(_section(each, drawings, live) for each in sections)
+
+
+def _sentence(said: Remark, here: set[str]) -> str:
+    words = text(said.text.rstrip("."))
+    link = f' <a href="#{said.section}">see the figure</a>' if said.section in here else ""
+    return f"<li>{words}.{link}</li>"
+
+
+def _section(section: Section, drawings: list[Any], live: frozenset[str]) -> str:
+    if section.key in live:
+        cells = PLACE
+    else:
+        content, places, divisions = embedded(section.charts)
+        drawings.append((content, places))
+        count = min(section.beside, max(1, len(section.charts)))
+        cells = "".join(f"<div class=cell>{each}</div>" for each in divisions)
+        cells = f'<div class="cells n{count}">{cells}</div>'
+    return f'<section id="{section.key}">{section_head(section)}{cells}</section>'
+
+
+def _origin(document: Document, *, several: bool) -> str:
+    if not document.origin:
+        return ""
+    head = f"<h3>{text(document.heading)}</h3>" if several else ""
+    return head + table(document.origin) + (details("Study file", document.study) if document.study else "")
+
+
+# --- figures
+
+
+def embedded(figures: Sequence[Figure]) -> tuple[dict[str, Any], list[Any], list[str]]:
+    """Return what Bokeh's library is told of figures and of their places, and the elements for these places."""
+    from fmuid.reports.render.bokeh_models import written as as_json
+    from fmuid.reports.render.bokeh_renderer import drawing
+
+    roots, ids = as_json(drawing(figures).figures)
+    document = f"d{uuid.uuid4().hex}"
+    elements = [f"{document}-{k}" for k in range(len(ids))]
+    content = {document: {"version": version("bokeh"), "title": "", "roots": roots}}
+    places = [{"docid": document, "roots": dict(zip(ids, elements, strict=True)), "root_ids": ids}]
+    divisions = [
+        f'<div id="{element}" data-root-id="{name}" style="display:contents"></div>'
+        for element, name in zip(elements, ids, strict=True)
+    ]
+    return content, places, divisions
+
+
+def _drawing(drawings: Sequence[Any]) -> tuple[str, str]:
+    """Return the digests of the scripts that draw, and the elements that hold them and what they draw."""
+    from fmuid.reports.render.style import DARK
+
+    library, own = bokeh_library(), f"const DARK = {json.dumps(DARK)};\n{_file('page.js')}"
+    figures = json.dumps(drawings, separators=(",", ":"))
+    digests = " ".join(f"'sha256-{_digest(each)}'" for each in (library, own))
+    return digests, f"{_packed('library', library)}{_packed('figures', figures)}<script>{own}</script>\n"
+
+
+def _packed(name: str, content: str) -> str:
+    packed = base64.b64encode(gzip.compress(content.encode(), compresslevel=PACKED, mtime=1)).decode()
+    return f'<script type="text/plain" id="{name}">{packed}</script>\n'
+
+
+def bokeh_library() -> str:
+    """Return Bokeh's library for browsers; finding it imports nothing of Bokeh.
+
+    Raises
+    ------
+    InputError
+        If it is not there.
+    """
+    found = find_spec("bokeh")
+    if found is None or not found.submodule_search_locations:  # it is a dependency: only a broken installation
+        raise InputError("figures are drawn by Bokeh, which is not installed: pip install bokeh")
+    path = Path(found.submodule_search_locations[0], "server", "static", "js", "bokeh.min.js")
+    return path.read_text(encoding="utf-8")
+
+
+def _file(name: str) -> str:
+    return resources.files("fmuid.reports.render").joinpath(name).read_text(encoding="utf-8")
+
+
+def _digest(script: str) -> str:
+    return base64.b64encode(hashlib.sha256(script.encode()).digest()).decode()

@@ -1,0 +1,1 @@
+"""What is said and drawn of each kind of findings: one module per topic."""

@@ -1,0 +1,224 @@
+"""Measured against simulated outputs: how well they agree, and the residual below."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from fmuid.array_types import Floats
+from fmuid.formatting import fit_text, label, with_unit
+from fmuid.reports.chart import (
+    MAX_DOTS,
+    MAX_EXPERIMENTS,
+    MAX_OUTPUTS,
+    MAX_ROWS,
+    Axis,
+    Chart,
+    ChartGrid,
+    Layer,
+    short,
+    stacked,
+)
+from fmuid.reports.document import Message, Remark, Section, table_of
+from fmuid.reports.downsampling import evenly, extremes
+
+if TYPE_CHECKING:
+    from fmuid.simulation import Fit
+
+ZOOM_SHARE, ZOOM_SAMPLES = 0.06, 120
+"""A zoom for print is this share of the record, and at least this many samples."""
+MAX_SAID = 4
+"""Of more outputs the report names the one that fits worst."""
+MANY_DOTS = 600
+"""More dots than these are drawn smaller."""
+CAPTION = (
+    "Dots were measured, the line is simulated with the estimates, the residual is below. A good residual is "
+    "noise without a pattern. What does not count is grey. Drag to enlarge a stretch; all outputs follow."
+)
+Band = tuple[Floats | None, float]
+"""Half widths (K, n_outputs) of the band around the lines, NaN where there is none, and its level."""
+
+
+class FitMessage(Message):
+    """How well measured and simulated outputs agree."""
+
+    FIT = (
+        "Fit (NRMSE): {scores}",
+        "100 (1 − ‖y − ŷ‖/‖y − ȳ‖) over the samples that count, as `compare` of MATLAB has it: 100 % is perfect, 0 % "
+        "no better than the mean",
+    )
+    LEAST = (
+        "Least fit (NRMSE): {output} {fit} (RMSE {error})",
+        "the same of the output that agrees least, where there are many",
+    )
+
+
+CONSTANT = "constant as measured: no fit"
+"""In place of a fit that has no meaning."""
+
+
+def fit_remarks(fits: Sequence[Fit], *, whole: bool = False) -> list[Remark]:
+    """Say how well outputs agree; of many which agrees least, unless the `whole` list is asked for."""
+    counts = [(fit, j) for fit in fits for j in np.flatnonzero(fit.counted.any(axis=0)).tolist()]
+    known = [(fit, j) for fit, j in counts if math.isfinite(fit.fit[j])]
+    if len(counts) > MAX_SAID and known and not whole:
+        least, j = min(known, key=lambda each: each[0].fit[each[1]])
+        named = f"{least.outputs[j]} in {least.experiment}" if len(fits) > 1 else least.outputs[j]
+        error = with_unit(least.rmse[j], least.units[j])
+        return [FitMessage.LEAST.said("plain", "fit", output=named, fit=fit_text(least.fit[j]), error=error)]
+    scores = fit_scores(fits)
+    return [FitMessage.FIT.said("plain", "fit", scores=scores)] if scores else []
+
+
+def fit_scores(fits: Sequence[Fit]) -> str:
+    """Return fit and RMSE of each output of each experiment, as far as it was measured."""
+    said = []
+    for each in fits:
+        scores = zip(each.outputs, each.fit, each.rmse, each.units, each.counted.T, strict=True)
+        told = [f"{name} {_score(fit, rmse, unit)}" for name, fit, rmse, unit, counted in scores if counted.any()]
+        if told:
+            said.append((f"{each.experiment}: " if len(fits) > 1 else "") + ", ".join(told))
+    return "; ".join(said)
+
+
+def _score(fit: float, rmse: float, unit: str | None) -> str:
+    error = f"RMSE {with_unit(rmse, unit)}"
+    return f"{error} ({CONSTANT})" if math.isnan(fit) and math.isfinite(rmse) else f"{fit_text(fit)} ({error})"
+
+
+def scores_section(fits: Sequence[Fit]) -> Section:
+    """Return the table of fit and RMSE of each output of each experiment."""
+    rows = []
+    for fit in fits:
+        for k, (output, percent, rmse) in enumerate(zip(fit.outputs, fit.fit, fit.rmse, strict=True)):
+            counted = int(fit.counted[:, k].sum())
+            said = (fit_text(percent), with_unit(rmse, fit.units[k])) if counted else ("not measured", "")
+            name = fit.experiment if len(fits) > 1 else ""
+            rows.append((name, label(output, fit.units[k]), *said, str(counted)))
+    heads = ("experiment", "output", "fit", "RMSE", "samples")
+    columns = {head: [row[k] for row in rows] for k, head in enumerate(heads)}
+    return Section("scores", "Measured against simulated", table=table_of(columns, ("output",)))
+
+
+def fit_sections(
+    fits: Sequence[Fit],
+    heading: str = "Measured and simulated",
+    caption: str = CAPTION,
+    bands: Mapping[str, Band] | None = None,
+    key: str = "fit",
+) -> list[Section]:
+    """Return a section per experiment, of many those that fit worst.
+
+    Parameters
+    ----------
+    fits : sequence of Fit
+    heading, caption : str
+    bands : mapping of str to Band, optional
+        By the names of the experiments.
+    key : str
+        Of the first section.
+    """
+    shown, sections = worst(fits), []
+    if len(shown) < len(fits):
+        caption += f" Of {len(fits)} experiments the {MAX_EXPERIMENTS} that fit worst are drawn."
+    if any(len(fit.outputs) > MAX_OUTPUTS for fit in shown):
+        caption += f" Of more than {MAX_OUTPUTS} outputs those that fit worst are drawn."
+    for k, fit in enumerate(shown):
+        band = (bands or {}).get(fit.experiment)
+        words = heading + (f": {fit.experiment}" if len(fits) > 1 else "")
+        anchor, text = (key, caption) if k == 0 else (f"{key}-{k + 1}", "")
+        charts, zoom = (fit_charts(fit, band),), fit_charts(fit, band, zoomed(fit))
+        sections.append(Section(anchor, words, text, charts=charts, beside=1, zoom=zoom))
+    return sections
+
+
+def worst(fits: Sequence[Fit]) -> tuple[Fit, ...]:
+    """Return the experiments to draw, in their order: of more than `MAX_EXPERIMENTS` those of least fit."""
+    kept = sorted(fits, key=lambda fit: np.nanmin([100.0, *fit.fit]))[:MAX_EXPERIMENTS]
+    return tuple(fit for fit in fits if fit in kept)
+
+
+def drawn_outputs(fit: Fit) -> list[int]:
+    """Return the outputs to draw, in their order: of more than `MAX_OUTPUTS` those of least fit."""
+    order = np.argsort(np.nan_to_num(np.asarray(fit.fit), nan=100.0), kind="stable")
+    return sorted(int(output) for output in order[:MAX_OUTPUTS])
+
+
+def zoomed(fit: Fit) -> slice:
+    """Return the rows of the stretch where the simulated outputs vary most, for print, where nobody can drag.
+
+    The total variation of each output, relative to its own over the record, is summed over the outputs: being
+    simulated they carry no noise. Samples that do not count do not attract the zoom.
+    """
+    samples = len(fit.times)
+    width = min(samples, max(ZOOM_SAMPLES, round(ZOOM_SHARE * samples)))
+    moves = np.abs(np.diff(fit.simulated[:, drawn_outputs(fit)], axis=0, prepend=0.0))
+    moves[0] = 0.0
+    moves[~fit.counted.any(axis=1)] = 0.0
+    total = moves.sum(axis=0)
+    activity = (moves / np.where(total > 0, total, 1.0)).sum(axis=1)
+    summed = np.concatenate([[0.0], np.cumsum(activity)])
+    start = int(np.argmax(summed[width:] - summed[:-width])) if samples > width else 0
+    return slice(start, start + width)
+
+
+def fit_charts(fit: Fit, band: Band | None = None, rows: slice = slice(None)) -> ChartGrid:
+    """Return the outputs of an experiment: measured dots, the simulated line with its band, the residual below.
+
+    Of more than `MAX_OUTPUTS` those of least fit are drawn. What does not count lies in the grey part.
+    """
+    outputs, scores = drawn_outputs(fit), fit.fit
+    half = None if band is None else band[0]
+    times, measured, simulated = fit.times[rows], fit.measured[rows][:, outputs], fit.simulated[rows][:, outputs]
+    with np.errstate(invalid="ignore", over="ignore"):
+        residual = measured - simulated
+    kept = extremes(np.hstack([simulated, residual]), MAX_ROWS)
+    some = evenly(len(times), MAX_DOTS)
+    if len(kept) == len(times) <= MAX_DOTS:
+        some = kept
+    thin, dots = times[kept], times[some] if some is not kept else times[kept]
+    dots = thin if some is kept else dots
+    across = Axis("time (s)", reach=(float(times[0]), float(times[-1])), linked="time", ticks=8)
+    grey = _uncounted(fit, rows)
+    charts = []
+    for k, j in enumerate(outputs):
+        line, rest = (short(each[kept, k]) for each in (simulated, residual))
+        seen = short(measured[some, k])
+        own = short(measured[kept, k]) if some is not kept else seen
+        name = "simulated" if math.isnan(scores[j]) else f"simulated, fit {fit_text(scores[j])}"
+        upper: list[Layer] = [*grey]
+        lower: list[Layer] = [*grey]
+        if half is not None and band is not None:
+            width = half[rows][kept, j]
+            sides = {"y0": short(simulated[kept, k] - width), "y1": short(simulated[kept, k] + width)}
+            upper.append(Layer("band", {"x": thin, **sides}, alpha=0.18, label=f"{100 * band[1]:.4g} % band"))
+            lower.append(Layer("band", {"x": thin, "y0": short(-width), "y1": short(width)}, alpha=0.18))
+        size = 3 if len(dots) > MANY_DOTS else 5
+        upper.append(Layer("points", {"x": dots, "y": seen}, "grey", alpha=0.6, size=size, label="measured"))
+        numbers = (("measured", "@m{0.00000}"), ("simulated", "@y{0.00000}"), ("residual", "@r{0.00000}"))
+        hover = (("time", "@x{0.0000} s"), *numbers)
+        upper.append(Layer("line", {"x": thin, "y": line, "m": own, "r": rest}, label=name, hover=hover))
+        lower.append(Layer("line", {"x": thin, "y": rest}, "red", width=0.9))
+        lower.append(Layer("rule", {"y": 0.0}, "ink"))
+        last = j == outputs[-1]
+        text, error = label(fit.outputs[j], fit.units[j]), label("residual", fit.units[j])
+        charts.append(Chart(across, Axis(text), tuple(upper), 220, crosshair=True))
+        charts.append(Chart(across, Axis(error, ticks=3), tuple(lower), 140 if last else 110, crosshair=True))
+
+    def of(start: float, end: float) -> ChartGrid:
+        first, last = np.searchsorted(fit.times, [start, end])
+        return fit_charts(fit, band, slice(max(0, int(first) - 1), min(len(fit.times), int(last) + 1)))
+
+    return replace(stacked(charts), live=of)
+
+
+def _uncounted(fit: Any, rows: slice) -> list[Layer]:
+    """Return the grey part of what does not count at the beginning of a record."""
+    counted = np.asarray(fit.counted[rows].any(axis=1))
+    if not counted.any() or counted[0]:
+        return []
+    return [Layer("zone", {"right": float(fit.times[rows][int(counted.argmax())])}, "grey", alpha=0.18)]

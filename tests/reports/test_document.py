@@ -1,0 +1,146 @@
+"""Documents: written and read back alike, shown by every renderer, damaged ones refused in one sentence."""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import replace
+from pathlib import Path
+from random import Random
+from typing import Any
+
+import numpy as np
+import pytest
+
+from fmuid.errors import InputError
+from fmuid.reports.chart import Axis, Chart, ChartGrid, Layer, Shades, rows_of, stacked
+from fmuid.reports.document import Column, Document, Message, Remark, Section, table_of
+from fmuid.reports.publish import publish, write_report
+from fmuid.reports.render import console
+from fmuid.reports.render.bokeh_models import live, written
+from fmuid.reports.render.bokeh_renderer import drawing
+from fmuid.reports.render.document_json import DOCUMENT_FILE, read_documents, write_document
+from tests.support.fuzz_spoil import spoil_tree
+
+EVIL = '</script><script>alert(1)</script><img src=x onerror=alert(2)> & "quoted" $$x$$'
+T = np.linspace(0.0, 1.0, 5)
+
+
+class Said(Message):
+    KNOWN = ("{name} is known to {share:.2g} %", "its standard deviation is small", "nothing")
+
+
+def every_mark() -> ChartGrid:
+    across = Axis("t (s)", reach=(0.0, 1.0), linked="t")
+    layers = [
+        Layer("line", {"x": T, "y": T**2, "z": T}, label="line", hover=(("at", "@x{0.0} s"), ("z", "@z"))),
+        Layer("points", {"x": T, "y": np.array([1.0, math.nan, 2.0, math.inf, 3.0]), "size": 4 + T}, "red"),
+        Layer("points", {"x": T, "y": T}, "amber", marker="bar", label="bars"),
+        Layer("band", {"x": T, "y0": T - 1, "y1": T + 1}, alpha=0.2),
+        Layer("segments", {"x0": T, "y0": 0.0, "x1": T, "y1": T}, dash="dashed"),
+        Layer("step", {"x": T, "y": T}),
+        Layer("patch", {"x": T, "y": T}, alpha=0.1),
+        Layer("cells", {"left": T, "right": T + 0.1, "bottom": T, "top": T + 0.1, "alpha": T}),
+        Layer("rule", {"y": 0.0}, "ink"),
+        Layer("zone", {"left": 0.1, "right": 0.2}, "grey", alpha=0.2),
+    ]
+    names = ("R", EVIL)
+    value, shades = np.array([0.5, math.nan]), Shades("diverging", -1.0, 1.0)
+    texts: dict[str, Any] = {"x": ("R", "L"), "y": ("L", "L"), "text": ("0.5", "?"), "value": value}
+    matrix = [Layer("cells", texts, shades=shades), Layer("text", texts)]
+    axes = (Axis(kind="names", names=("R", "L")), Axis(kind="names", names=("L", "R")))
+    bars = rows_of(names, Axis("D", kind="log"), [Layer("bars", {"y": names, "x": T[1:3], "x0": 0.1}, label="D")])
+    return stacked([Chart(across, Axis("y"), tuple(layers), crosshair=True), bars, Chart(*axes, tuple(matrix))])
+
+
+def document(**more: Any) -> Document:
+    rows = table_of({"parameter": ["R", EVIL], "value": ["4.00 ± 0.20", "1"], "note": ["", ""]}, ["note"], ["value"])
+    said = (Said.KNOWN.said("plain", "fit", name="R", share=5.0), Remark(EVIL, "doubt"))
+    sections = (Section("estimates", "Estimates", table=rows), Section("fit", EVIL, EVIL, charts=(every_mark(),)))
+    made = Document("identification", "Identification", "converged", "good", said, sections, rows, EVIL, EVIL)
+    return replace(made, **more)
+
+
+def test_what_is_written_is_read_back(tmp_path: Path) -> None:
+    given = document()
+    write_document(tmp_path, given)
+    write_document(tmp_path, document(kind="prediction"))
+    assert list(read_documents(tmp_path)) == ["identification", "prediction"]
+    found = read_documents(tmp_path)["identification"]
+    assert found.remarks[0].text == "R is known to 5 %"
+    assert found.remarks[0].values == {"name": "R", "share": 5.0}
+    assert found.section("estimates").table == given.section("estimates").table
+    (grid,), (drawn,) = given.section("fit").charts, found.section("fit").charts
+    assert isinstance(grid, ChartGrid)
+    assert isinstance(drawn, ChartGrid)
+    for chart, other in zip(grid.charts, drawn.charts, strict=True):
+        assert chart.x == other.x
+        for layer, read in zip(chart.layers, other.layers, strict=True):
+            assert layer.data.keys() == read.data.keys()
+            for key, values in layer.data.items():
+                np.testing.assert_array_equal(np.asarray(read.data[key]), np.asarray(values))
+    first, second = drawn.charts[0].layers[:2]
+    assert first.data["x"] is second.data["x"]  # one array, one source of columns
+
+
+def test_columns_that_layers_share_are_written_once() -> None:
+    (grid,) = drawing([every_mark()]).figures
+    sources = {id(each.data_source) for plot, *_ in grid.children for each in plot.renderers}
+    assert len(sources) < sum(len(plot.renderers) for plot, *_ in grid.children)
+    assert all(live([grid])[0].references())
+    roots, ids = written([grid])
+    assert [root["id"] for root in roots] == ids
+    json.dumps(roots, allow_nan=False)
+
+
+def test_data_are_exchanged_where_they_changed() -> None:
+    chart = Chart(Axis(), Axis(), (Layer("line", {"x": T, "y": T}), Layer("points", {"x": 1 * T, "y": T})))
+    made = drawing([chart])
+    before = [source.data for source, _ in made.sources]
+    moved = replace(chart, layers=(Layer("line", {"x": T[:3], "y": 2 * T[:3]}), chart.layers[1]))
+    made.refill([moved], [chart])
+    after = [source.data for source, _ in made.sources]
+    assert after[1] is before[1]
+    assert {len(each) for each in after[0].values()} == {3}
+
+
+def test_a_terminal_shows_tables_sentences_and_the_end(capsys: pytest.CaptureFixture[str]) -> None:
+    console.show(document())
+    out = capsys.readouterr().out
+    assert out.index("parameter") < out.index("R is known to 5 %") < out.index("note: ") < out.index("converged")
+
+
+def test_a_narrow_terminal_leaves_columns_out(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(console, "PLAIN_WIDTH", 24)
+    columns = (Column("name", ("R",)), Column("a", ("1" * 12,), True, 1), Column("b", ("2" * 12,), True, 2))
+    assert [each.header for each in console.rich_table(columns, "", console.console()).columns] == ["name", "a"]
+
+
+def test_names_and_texts_never_become_html(tmp_path: Path) -> None:
+    paths = publish(tmp_path, document(), report=True, figures="png")
+    assert [path.name for path in paths] == [DOCUMENT_FILE, "fit.png", "report.html"]
+    page = (tmp_path / "report.html").read_text(encoding="utf-8")
+    body = page.partition("</style>")[2]
+    assert body.count("<script") == 3
+    assert "<img" not in body
+    assert body.count("&lt;img") > 4
+    assert paths[-1].stat().st_size < 700_000
+
+
+@pytest.mark.parametrize("seed", range(60))
+def test_damaged_documents_are_refused_in_one_sentence(tmp_path: Path, seed: int) -> None:
+    write_document(tmp_path, document())
+    content = json.loads((tmp_path / DOCUMENT_FILE).read_text())
+    (tmp_path / DOCUMENT_FILE).write_text(json.dumps(spoil_tree(Random(seed), content), default=str))
+    try:
+        write_report(tmp_path)
+    except InputError as error:
+        assert "\n" not in str(error)
+        assert DOCUMENT_FILE in str(error)
+
+
+def test_a_folder_without_documents_has_no_report(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"has no document\.json: give the folder that a command has written into"):
+        write_report(tmp_path)
+    with pytest.raises(InputError, match="is no folder of results"):
+        write_report(tmp_path / "nowhere")
