@@ -23,9 +23,9 @@ from fmuid.array_types import Floats
 from fmuid.diagnosis.baseline_comparator import whitening_of
 from fmuid.diagnosis.cause_analysis import Examination, examine, healthy_of, shown_by
 from fmuid.diagnosis.change_detection.cause_ranking import CauseSet
-from fmuid.diagnosis.change_parameters import DIFFERENCE_STEP, CauseKind, Coordinates
+from fmuid.diagnosis.change_parameters import DIFFERENCE_STEP, CauseKind, ChangeParameterSet
 from fmuid.diagnosis.hypothesis_tests import UNEXPLAINED_SHARE
-from fmuid.diagnosis.linearisation import Machine
+from fmuid.diagnosis.linearisation import LinearizedMachine
 
 LEVEL, SEED = 0.01, 17
 FALSE, FAULTY = 400, 200  # records of a case without and with a fault
@@ -50,12 +50,12 @@ class Shared:
     Parameters
     ----------
     machine : Linearised
-    coordinates : Coordinates
+    coordinates : ChangeParameterSet
     noise : float
         Standard deviation of the outputs' noise.
     """
 
-    def __init__(self, machine: Linearised, coordinates: Coordinates, noise: float) -> None:
+    def __init__(self, machine: Linearised, coordinates: ChangeParameterSet, noise: float) -> None:
         self.experiment, self._machine, self._noise = machine.experiment, machine, noise
         self._anchors: list[tuple[Floats, Floats, Floats, Floats]] = []
         exact = (CauseKind.OFFSET, CauseKind.DELAY)
@@ -67,11 +67,11 @@ class Shared:
             ]
         )
 
-    def over(self, experiment: fmuid.Experiment) -> Machine:
+    def over(self, experiment: fmuid.Experiment) -> LinearizedMachine:
         """Return the same over another record with the same inputs."""
         other = copy(self)
         other.experiment = experiment
-        return cast(Machine, other)  # all of it that an examination asks for
+        return cast(LinearizedMachine, other)  # all of it that an examination asks for
 
     def linearise(self, point: Floats) -> tuple[Floats, Floats]:
         """Return outputs and derivatives, to first order from the nearest point where they are known."""
@@ -96,7 +96,7 @@ class Shared:
 class Setting(NamedTuple):
     """What the records of a campaign have in common."""
 
-    coordinates: Coordinates
+    coordinates: ChangeParameterSet
     drift: Floats
     """Standard deviation of what may change without being a fault (N,)."""
     noise: float

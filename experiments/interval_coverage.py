@@ -25,9 +25,9 @@ from scipy.stats import binom
 
 import fmuid
 from experiments.induction_machine import make_table
-from fmuid.identification.profile import profiles
-from fmuid.identification.sampling.posterior import Sampling
-from fmuid.identification.sampling.sampler import sample
+from fmuid.identification.profile import profile_likelihood
+from fmuid.identification.sampling.posterior import SamplerSettings
+from fmuid.identification.sampling.sampler import sample_posterior
 
 FMUS = Path(__file__).parents[1] / "fmus"
 METHODS = ("local", "profile", "posterior")
@@ -37,7 +37,7 @@ DRAWS = 400
 # Identifications that are timed, in one process.
 MONTE_CARLO = 200
 # Enough to place the ends of an interval within a tenth of a standard deviation, with the fewest walkers that will do.
-SAMPLING = Sampling(effective_size=700, walkers=8)
+SAMPLING = SamplerSettings(effective_size=700, walkers=8)
 
 # The coil's experiment, docs/method.md section 10: ±1 V PRBS, bits of 15 samples, signal-to-noise ratio (of powers) 10.
 COIL_SAMPLES, COIL_STEP, COIL_BIT, COIL_RATIO = 1200, 1e-3, 15, 10.0
@@ -112,7 +112,7 @@ def coil() -> Case:
 CASES: dict[str, Callable[[], Case]] = {"coil": coil, "induction_machine": induction_machine}
 
 
-def covered(case: str, level: float, sampling: Sampling, seed: int) -> NDArray[np.bool_]:
+def covered(case: str, level: float, sampling: SamplerSettings, seed: int) -> NDArray[np.bool_]:
     """Draw once and return which intervals hold the truth, (methods, parameters).
 
     Raises
@@ -123,12 +123,12 @@ def covered(case: str, level: float, sampling: Sampling, seed: int) -> NDArray[n
     drawn = CASES[case]()
     problem = drawn.problem(seed)
     result = fmuid.identify(problem)
-    posterior = sample(problem, result, sampling)
+    posterior = sample_posterior(problem, result, sampling)
     if not (result.converged and posterior.converged):
         raise RuntimeError(f"{case}, draw {seed}: {fmuid.describe(result)}; {fmuid.describe(posterior)}")
     ends = [
         result.intervals(level).to_numpy(),
-        np.array([(p.lower, p.upper) for p in profiles(problem, result, level=level)]),
+        np.array([(p.lower, p.upper) for p in profile_likelihood(problem, result, level=level)]),
         posterior.intervals(level).to_numpy(),
     ]
     truth = np.array(list(drawn.truth.values()))
@@ -136,7 +136,7 @@ def covered(case: str, level: float, sampling: Sampling, seed: int) -> NDArray[n
 
 
 def coverage(
-    case: str, draws: int, *, level: float = LEVEL, sampling: Sampling = SAMPLING, processes: int = 1
+    case: str, draws: int, *, level: float = LEVEL, sampling: SamplerSettings = SAMPLING, processes: int = 1
 ) -> pd.DataFrame:
     """Return the share of draws whose intervals hold the truth, a row a parameter, a column a method.
 
@@ -147,7 +147,7 @@ def coverage(
     draws : int
     level : float
         Of the intervals.
-    sampling : Sampling
+    sampling : SamplerSettings
         Settings of the posterior's sampler; it is seeded anew for every draw.
     processes : int
     """

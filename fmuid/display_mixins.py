@@ -13,7 +13,7 @@ def shown_by(module: str) -> None:
     _by[:] = [module]
 
 
-class Text(str):
+class MultilineText(str):
     """A text of several lines that a shell shows as it is."""
 
     __slots__ = ()
@@ -21,12 +21,12 @@ class Text(str):
     __repr__ = str.__str__
 
 
-def text_of(found: object) -> Text:
+def text_of(found: object) -> MultilineText:
     """Return what is printed of a finding; its ``repr`` where nobody shows it."""
-    return Text(import_module(_by[0]).text(found) if _by else repr(found))
+    return MultilineText(import_module(_by[0]).text(found) if _by else repr(found))
 
 
-class Displayed:
+class HtmlTableMixin:
     """What a notebook shows as a table."""
 
     def _repr_html_(self) -> str | None:
@@ -35,7 +35,7 @@ class Displayed:
         return shown
 
 
-class Plotted(Displayed):
+class PlotMixin(HtmlTableMixin):
     """What can be drawn too: ``found.plot.fit()``."""
 
     @property
@@ -44,7 +44,7 @@ class Plotted(Displayed):
         return import_module(_by[0]).plots(self)
 
 
-class CanPredict(Plotted):
+class PredictMixin(PlotMixin):
     """What can be simulated over other records too."""
 
     def predict(

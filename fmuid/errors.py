@@ -119,5 +119,5 @@ class SimulationError(FmuidError):
         return SimulationError, (self.fmu, self.time, self.parameters, self.call, self.messages)
 
 
-class RefusedError(FmuidError):
+class SensitivityUnavailableError(FmuidError):
     """The model cannot give its derivatives here; the text says why."""

@@ -288,7 +288,7 @@ def first_line(error: Exception) -> str:
     return ((said or "").splitlines() or [type(error).__name__])[0]
 
 
-class Content(dict[str, Any]):
+class JsonContent(dict[str, Any]):
     """The object of a JSON file; it remembers which of its keys was asked for last."""
 
     asked = ""
@@ -308,7 +308,7 @@ class ContentError(ValueError):
 
 
 @contextmanager
-def content_of(path: Path, kind: str, remedy: str) -> Iterator[Content]:
+def content_of(path: Path, kind: str, remedy: str) -> Iterator[JsonContent]:
     """Provide what fmuid has written to a JSON file; what does not fit while it is read becomes one sentence.
 
     Parameters
@@ -333,13 +333,13 @@ def content_of(path: Path, kind: str, remedy: str) -> Iterator[Content]:
 
 
 @contextmanager
-def read_content(text: bytes, path: Path, kind: str, remedy: str) -> Iterator[Content]:
+def read_content(text: bytes, path: Path, kind: str, remedy: str) -> Iterator[JsonContent]:
     """Provide the same of a text that comes from a file; arguments and errors as those of `content_of`."""
     try:
         found = json.loads(text.decode())
     except (ValueError, RecursionError) as error:
         raise InputError(f"{path} is not JSON: {error}; give {kind}, or {remedy}") from None
-    content = Content(found if isinstance(found, dict) else {})
+    content = JsonContent(found if isinstance(found, dict) else {})
     if not isinstance(content.get("version"), str):
         raise InputError(f"{path} does not say which fmuid has written it: give {kind}, or {remedy}")
     written = f"{path}, which fmuid {content['version']} has written,"

@@ -92,7 +92,7 @@ class GlobalStep(Event):
 
 
 @dataclass(frozen=True, kw_only=True)
-class DataAloneStep(Event):
+class DataOnlyStep(Event):
     """The optimum of the data without the prior is going to be searched, for comparison."""
 
     task: str = "data alone"

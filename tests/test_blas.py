@@ -59,9 +59,9 @@ def diagnosis(_: Problem, result: fmuid.Result) -> object:
 WORK: dict[str, Callable[[Problem, fmuid.Result], object]] = {
     "identify": lambda problem, _: fmuid.identify(problem),
     "Marquardt": lambda problem, _: fmuid.Marquardt().search(problem),
-    "profiles": lambda problem, result: fmuid.profiles(problem, result, ["R"]),
-    "sample": lambda problem, result: fmuid.sample(problem, result, fmuid.Sampling(steps=50, seed=1)),
-    "map_criterion": lambda problem, result: fmuid.map_criterion(problem, result, "R", "L", points=5),
+    "profiles": lambda problem, result: fmuid.profile_likelihood(problem, result, ["R"]),
+    "sample": lambda problem, result: fmuid.sample_posterior(problem, result, fmuid.SamplerSettings(steps=50, seed=1)),
+    "map_criterion": lambda problem, result: fmuid.map_cost(problem, result, "R", "L", points=5),
     "diagnose": diagnosis,
 }
 

@@ -19,9 +19,9 @@ import fmuid
 from fmuid.data import Experiment
 from fmuid.errors import FmuidError
 from fmuid.estimation.saved.schema import RunContent
-from fmuid.models import HowRun
+from fmuid.models import SolverConfiguration
 from fmuid.runs.batch.dataset import Dataset, read_rows
-from fmuid.runs.monitoring import monitor_of, rule_of
+from fmuid.runs.monitoring import build_monitor, rule_of
 from tests.support.fuzz_spoil import spoil_tree
 from tests.support.mutations import mutated
 from tests.support.paths import FMUS, ROOT
@@ -95,12 +95,12 @@ def read_result(folder: Path, _: Experiment) -> None:
 
 def read_baseline(folder: Path, _: Experiment) -> None:
     study = asked(folder)
-    monitor_of(study, rule_of(study))
+    build_monitor(study, rule_of(study))
 
 
 def read_monitoring(folder: Path, record: Experiment) -> None:
     study = asked(folder)
-    monitor = monitor_of(study, rule_of(study))
+    monitor = build_monitor(study, rule_of(study))
     monitor.resume(folder / "monitoring")
     monitor.add(record)
 
@@ -119,7 +119,7 @@ def read_batch(folder: Path, _: Experiment) -> None:
 
 
 def test_the_fields_of_runs_are_those_of_how_run() -> None:
-    assert RunContent.__annotations__.keys() == {each.name for each in fields(HowRun)}
+    assert RunContent.__annotations__.keys() == {each.name for each in fields(SolverConfiguration)}
 
 
 Change = Callable[[Random, bytes], bytes]

@@ -22,7 +22,7 @@ from fmuid.estimation.noise.whiteness_tests import WhitenessSettings
 from fmuid.estimation.simulation_noise import NOISE_POINTS
 from fmuid.identification.prior_data_tests import SAME_VARIANCE_RATIO
 from fmuid.models.component import DEFAULT_TOLERANCE
-from fmuid.runs.batch.cases import Cases
+from fmuid.runs.batch.cases import CaseList
 from fmuid.simulation.grid import LINEAR_SUBSTEPS
 from fmuid.simulation.isolation.host_manager import FIRST_TIME_LIMIT, LEAST_TIME_LIMIT, SLOWER_FACTOR
 from fmuid.studies.study import Study
@@ -53,7 +53,7 @@ def study_of(more: str, folder: Path) -> Study:
 
 def test_the_batch_that_is_shown(tmp_path: Path) -> None:
     whole, _ = blocks("batches.md", "toml")
-    cases = Cases.of(study_of(whole, tmp_path))
+    cases = CaseList.of(study_of(whole, tmp_path))
     # tables, Lm, Lf, subsets, starts, draws
     assert len(cases) == 2 * 3 * 5 * 2 * 20 * 100
     assert cases[0].settings["table"] == "a"
@@ -61,7 +61,7 @@ def test_the_batch_that_is_shown(tmp_path: Path) -> None:
 
 def test_the_sample_that_is_shown(tmp_path: Path) -> None:
     _, sample = blocks("batches.md", "toml")
-    assert len(Cases.of(study_of(sample, tmp_path))) == 64
+    assert len(CaseList.of(study_of(sample, tmp_path))) == 64
 
 
 def test_the_isolation_that_is_shown(tmp_path: Path) -> None:

@@ -15,7 +15,7 @@ import fmuid
 from fmuid.data import Experiment
 from fmuid.errors import InputError
 from fmuid.models import read_description
-from fmuid.studies import Asked, Study, begin
+from fmuid.studies import InitOptions, Study, match_data_files
 from tests.support.coil_study import COIL
 from tests.support.docs_rows import rows
 from tests.support.paths import FMUS
@@ -40,7 +40,7 @@ def written(folder: Path, table: pd.DataFrame = PLAIN, name: str = "run.csv") ->
 
 def begun(path: Path, **asked: object) -> Experiment:
     """Return the record that `fmuid init` makes of a table and the coil."""
-    (record,) = begin(COIL, [path], Asked(**asked))  # type: ignore[arg-type]
+    (record,) = match_data_files(COIL, [path], InitOptions(**asked))  # type: ignore[arg-type]
     assert record.experiment is not None, record.refusal
     return record.experiment
 
@@ -81,12 +81,12 @@ def _dialects(folder: Path, _: pytest.MonkeyPatch) -> None:
 def _needs(folder: Path, monkeypatch: pytest.MonkeyPatch, name: str, module: str, extra: str) -> None:
     """Check that a file is read, and without its library the extra that brings it is named."""
     FILES[name](folder / name)
-    assert {"u", "i", "w"} <= set(fmuid.read_table(folder / name).columns)
+    assert {"u", "i", "w"} <= set(fmuid.read_data(folder / name).columns)
     with monkeypatch.context() as without:
         without.setitem(sys.modules, module, None)
         without.setattr("fmuid.processes.caller.AVAILABLE", False)  # read in this process
         with pytest.raises(InputError, match=rf'which is not installed: pip install "fmuid\[{extra}\]"'):
-            fmuid.read_table(folder / name)
+            fmuid.read_data(folder / name)
 
 
 @row("a spreadsheet")
@@ -110,14 +110,14 @@ def _loggers(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         _needs(folder, monkeypatch, name, module, extra)
     FILES["vectors.mat"](folder / "vectors.mat")
     monkeypatch.setitem(sys.modules, "h5py", None)
-    assert "u" in fmuid.read_table(folder / "vectors.mat")
+    assert "u" in fmuid.read_data(folder / "vectors.mat")
 
 
 @row("a result of OpenModelica or Dymola, `.mat` or `.csv`")
 def _simulators(folder: Path, _: pytest.MonkeyPatch) -> None:
     for name in ("Motor_res.mat", "dsres.mat"):
         FILES[name](folder / name)
-        assert {"time", "u", "i", "w"} <= set(fmuid.read_table(folder / name).columns)
+        assert {"time", "u", "i", "w"} <= set(fmuid.read_data(folder / name).columns)
     (folder / "Coil_res.csv").write_text(
         '"time","u","i","der(i)"\n' + PLAIN.assign(d=0.0).to_csv(index=False, header=False)
     )
@@ -165,7 +165,7 @@ def _clocks(folder: Path, _: pytest.MonkeyPatch) -> None:
     with pytest.raises(
         InputError, match=r"goes back by an hour in row 51, .*: write its times in UTC or with their off"
     ):
-        begin(COIL, [written(folder, PLAIN.assign(time=local))])
+        match_data_files(COIL, [written(folder, PLAIN.assign(time=local))])
 
 
 @row("no times, 10 kHz")
@@ -177,7 +177,7 @@ def _no_times(folder: Path, _: pytest.MonkeyPatch) -> None:
 @row("times that jump back, or are shuffled")
 def _shuffled(folder: Path, _: pytest.MonkeyPatch) -> None:
     for table in (PLAIN.sample(frac=1.0, random_state=2), pd.concat([PLAIN, PLAIN])):
-        (record,) = begin(COIL, [written(folder, table)])
+        (record,) = match_data_files(COIL, [written(folder, table)])
         back = int(np.flatnonzero(np.diff(table["time"]) < 0)[0])
         assert f"decreases in row {back + 2}, where" in record.refusal
         assert "sort the rows, or make two experiments of them" in record.refusal
@@ -188,13 +188,13 @@ def _units(folder: Path, _: pytest.MonkeyPatch) -> None:
     machine = read_description(FMUS / "InductionMachine/InductionMachine.fmu")
     table = pd.DataFrame({"t": T, "uds": 1.0, "uqs": 1.0, "w (rpm)": 1500.0, "ids [mA]": 2.0, "iqs [A]": 2.0})
     path = written(folder, table)
-    (record,) = begin(FMUS / "InductionMachine/InductionMachine.fmu", [path])
+    (record,) = match_data_files(FMUS / "InductionMachine/InductionMachine.fmu", [path])
     assert record.experiment is not None
     for name, unit, value, own in (("w", "rpm", 1500.0, 50 * np.pi), ("ids", "mA", 2.0, 2e-3)):
         assert record.experiment.units[name] == unit
         assert machine.conversion(machine.variables[name], unit)[0] * value == pytest.approx(own)
     path.write_text(path.read_text().replace("w (rpm),ids [mA],iqs [A]\n", "w,ids,iqs\ns,V,V,rpm,mA,A\n"))
-    (below,) = begin(FMUS / "InductionMachine/InductionMachine.fmu", [path])
+    (below,) = match_data_files(FMUS / "InductionMachine/InductionMachine.fmu", [path])
     assert below.experiment is not None
     assert below.experiment.units == {**record.experiment.units, "uds": "V", "uqs": "V"}
 
@@ -210,9 +210,9 @@ def _unsaid_units(folder: Path, _: pytest.MonkeyPatch) -> None:
 
 @row("an input of the FMU that stays at its start")
 def _at_its_start(folder: Path, _: pytest.MonkeyPatch) -> None:
-    (record,) = begin(COIL, [written(folder, PLAIN[["time", "i"]])])
+    (record,) = match_data_files(COIL, [written(folder, PLAIN[["time", "i"]])])
     assert record.lacking("input") == ("u",)
-    (record,) = begin(COIL, [folder / "run.csv"], Asked(columns={"u": ""}))
+    (record,) = match_data_files(COIL, [folder / "run.csv"], InitOptions(columns={"u": ""}))
     assert record.lacking("input") == ()
     assert record.experiment is not None
     assert record.experiment.input_names == ()
@@ -251,7 +251,7 @@ def _gaps_in_an_input(folder: Path, _: pytest.MonkeyPatch) -> None:
 @row("rows that are missing, a logger's pause")
 def _missing_rows(folder: Path, _: pytest.MonkeyPatch) -> None:
     path = written(folder, PLAIN.drop(index=range(10, 20)))
-    (record,) = begin(COIL, [path])
+    (record,) = match_data_files(COIL, [path])
     assert record.dropouts == pytest.approx((0.009,))
     assert begun(path).times.size == 90
     path = written(folder, PLAIN.drop(index=range(10, 45)))
@@ -327,9 +327,9 @@ def _several(folder: Path, _: pytest.MonkeyPatch) -> None:
 
 @row("hundreds of records, each a machine of its own")
 def _hundreds(folder: Path, _: pytest.MonkeyPatch) -> None:
-    from fmuid.runs.batch.cases import Cases
+    from fmuid.runs.batch.cases import CaseList
 
     for k in range(30):
         written(folder, name=f"rig{k}.csv")
     studied(written(folder), more='[batch]\ntables = "rig*.csv"')
-    assert len(Cases.of(Study.read(folder / "study.toml"))) == 30
+    assert len(CaseList.of(Study.read(folder / "study.toml"))) == 30

@@ -150,11 +150,11 @@ def _mean(_: Path, __: pytest.CaptureFixture[str]) -> None:
     free = {"L": FREE["L"], "i_start": Parameter(0.0, nominal=1.0)}
     given = experiment(recorded(offset=0.1, noise=0.2))
     problem = Problem(COIL, given, free, values={"R": 4.0})
-    found = describe(fmuid.examine_residuals(problem, identify(problem, accuracy="off", remedies=False)))
+    found = describe(fmuid.analyze_residuals(problem, identify(problem, accuracy="off", remedies=False)))
     assert re.search(
         r"The residual of i has the mean 0\.10\d, 0\.5 of its standard deviation: a sensor's offset", found
     )
-    assert abs(np.mean(residual(fmuid.reduce(given, detrend="mean"), free, R=4.0))) < 0.05
+    assert abs(np.mean(residual(fmuid.preprocess(given, detrend="mean"), free, R=4.0))) < 0.05
 
 
 @row("grows with time")
@@ -254,7 +254,7 @@ def _fails(_: Path, __: pytest.CaptureFixture[str]) -> None:
 @row("it takes long")
 def _long(_: Path, __: pytest.CaptureFixture[str]) -> None:
     given = experiment(recorded())
-    fewer = fmuid.reduce(given, resample=5 * STEP)
+    fewer = fmuid.preprocess(given, resample=5 * STEP)
     assert fewer.times.size == N // 5
     assert identify(Problem(COIL, fewer, FREE))["R"] == pytest.approx(4.0, abs=0.1)
 

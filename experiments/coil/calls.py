@@ -23,7 +23,7 @@ from experiments.coil import study
 from fmuid.array_types import Floats
 from fmuid.diagnosis import Causes
 from fmuid.diagnosis.change_parameters import coordinates_of
-from fmuid.diagnosis.linearisation import Machine
+from fmuid.diagnosis.linearisation import LinearizedMachine
 
 HERE = Path(__file__).parent
 DRIFT = {"R": 0.5, "L": 0.0013}  # Ω, H: standard deviations of what may change without being a fault
@@ -151,9 +151,9 @@ def setting(beside: Causes | None = None) -> calls.Setting:
     for name, std in DRIFT.items():
         drift[[each.name for each in coordinates.each].index(name)] = std
 
-    def machine(case: str, new: bool) -> Machine:
+    def machine(case: str, new: bool) -> LinearizedMachine:
         record = clean(CASES[case].new if new else CASES[case].always)
-        return Machine(coil, {}, nominal, {"turns": turns}, coordinates, record)
+        return LinearizedMachine(coil, {}, nominal, {"turns": turns}, coordinates, record)
 
     return calls.Setting(
         coordinates, drift, STD, machine, records, truth, lambda case: CASES[case].colour, lambda case: CASES[case].slow

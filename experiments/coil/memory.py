@@ -23,7 +23,7 @@ from scipy.signal import lfilter
 from experiments.coil import study
 from fmuid.reports import follow as following
 from fmuid.reports import run_following
-from fmuid.reports.follow import Watching
+from fmuid.reports.follow import FollowStatus
 from fmuid.runs.log_following import follower
 
 STEP, SAMPLES, LOOK = 0.01, 40, 500  # s; samples of a window, windows that come at once
@@ -73,7 +73,7 @@ def main(windows: int) -> None:
         log, shown = Logger(folder / "records" / "log.csv"), [0.0]
         log()
 
-        def ended(watching: Watching) -> bool:
+        def ended(watching: FollowStatus) -> bool:
             found = watching.monitor
             if watching.idle and found.windows >= shown[0]:
                 gc.collect()

@@ -24,7 +24,7 @@ import fmuid
 from experiments import calls, pages
 from experiments.coil import study
 from experiments.coil.calls import DRIFT, SOUND, Off, sensor
-from fmuid.diagnosis import Shape
+from fmuid.diagnosis import OnsetShape
 
 HERE = Path(__file__).parent
 FILE = HERE / "onsets.csv"
@@ -127,7 +127,7 @@ def drawn(name: str, draw: int) -> dict[str, float | str]:
         "off": abs(onset.likely.time - begin),
         "held": int(onset.first.time - 1e-9 <= begin <= onset.last.time + 1e-9),
         "width": onset.last.time - onset.first.time,
-        "shape": int(onset.shape is (Shape.RAMP if case.rise else Shape.STEP)),
+        "shape": int(onset.shape is (OnsetShape.RAMP if case.rise else OnsetShape.STEP)),
         "scaled": (change.value - case.size) / change.std if change.fault and not case.rise else math.nan,
     }
 

@@ -20,10 +20,10 @@ from experiments import calls, pages
 from experiments.coil import calls as coil
 from experiments.coil import study
 from fmuid.diagnosis import Causes
-from fmuid.diagnosis.change_detection.detection import Chance, detectable
-from fmuid.diagnosis.change_detection.information_matrix import Information, Known, News
+from fmuid.diagnosis.change_detection.detection import MinPDistribution, detectable
+from fmuid.diagnosis.change_detection.information_matrix import ChangePrior, InformationMatrix, ScoreStatistics
 from fmuid.diagnosis.change_parameters import coordinates_of
-from fmuid.diagnosis.linearisation import Machine
+from fmuid.diagnosis.linearisation import LinearizedMachine
 
 HERE = Path(__file__).parent
 SHARES, DRAWS, SEED = (0.02, 0.05, 0.10, 0.25, -0.10), 50, 23
@@ -49,8 +49,8 @@ def setting(kind: str) -> calls.Setting:
     drift = np.zeros(len(coordinates.each))
     drift[:2] = coil.DRIFT["R"], coil.DRIFT["L"]
 
-    def machine(case: str, new: bool) -> Machine:
-        return Machine(system, {}, known, faults, coordinates, record(float(case) if new else 0.0))
+    def machine(case: str, new: bool) -> LinearizedMachine:
+        return LinearizedMachine(system, {}, known, faults, coordinates, record(float(case) if new else 0.0))
 
     def truth(case: str) -> dict[str, float]:
         return {f"turns.{name}": float(case) * (1.0 if kind == "exact" else -study.R)}
@@ -96,7 +96,7 @@ def hidden_table() -> str:
     common = coil.setting()
     coordinates = common.coordinates
     _, columns = common.machine("white noise", True).linearise(coordinates.healthy)
-    said = Information.of(columns[:, 0] / coil.STD, np.zeros(len(columns)))
+    said = InformationMatrix.of(columns[:, 0] / coil.STD, np.zeros(len(columns)))
     names, gain = [each.name for each in coordinates.each], next(c for c in coordinates.causes if c.name == coil.GAIN)
     drifts = {
         "nothing drifts": np.zeros(len(names)),
@@ -105,10 +105,10 @@ def hidden_table() -> str:
     }
     lines = ["| healthy record | | std of a gain, % | 3 % called (%) | called in 90 %, % |", "|---" * 5 + "|"]
     for longer, label in ((1.0, "as long"), (10.0, "ten times")):
-        healthy = Known.after(Information(longer * said.matrix, longer * said.score), coordinates.normal)
+        healthy = ChangePrior.after(InformationMatrix(longer * said.matrix, longer * said.score), coordinates.normal)
         for text, drift in drifts.items():
-            news = News.of(said, healthy.drifting(drift))
-            limit = Chance.of(news, coordinates.causes).limit(calls.LEVEL)
+            news = ScoreStatistics.of(said, healthy.drifting(drift))
+            limit = MinPDistribution.of(news, coordinates.causes).limit(calls.LEVEL)
             own = float(news.part(gain.columns)[0][0, 0])
             seen = 1.0 - float(special.chndtr(special.chdtri(1, limit), 1, GAIN**2 * own))
             least = detectable(news, gain, limit, 0.1)

@@ -24,7 +24,7 @@ from scipy.signal import lfilter, max_len_seq
 import fmuid
 from experiments import pages
 from fmuid.array_types import Floats
-from fmuid.diagnosis.hypothesis_tests import Reference
+from fmuid.diagnosis.hypothesis_tests import NullDistribution
 from fmuid.reports.figures.style import AMBER, BLUE, DPI, GREY, INK, WIDTH, style
 
 HERE = Path(__file__).parent
@@ -214,7 +214,7 @@ def theory(resistance: float, fault: float) -> Theory:
     noise = covariance @ (columns.T @ columns / NOISE_VARIANCE) @ covariance
     spread = math.sqrt(float(noise[2, 2] + by_healthy @ known @ by_healthy))
     stated = math.sqrt(float(covariance[2, 2]))
-    limit = math.sqrt(Reference(1, freedom=SAMPLES - 2).threshold(LEVEL)) * stated
+    limit = math.sqrt(NullDistribution(1, freedom=SAMPLES - 2).threshold(LEVEL)) * stated
     above, below = ((fault + bias - limit) / spread, (-limit - fault - bias) / spread)
     return Theory(bias, spread, stated, float(special.ndtr(above) + special.ndtr(below)))
 

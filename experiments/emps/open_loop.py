@@ -2,7 +2,7 @@
 
     FMUID_EMPS_DATA=/where/it/is/DATA_EMPS.mat python -m experiments.emps.open_loop
 
-rewrites the table of README.md. An observer keeps the simulation with the record (`fmuid.identification.observed`), the
+rewrites the table of README.md. An observer keeps the simulation with the record (`fmuid.identification.with_observer`), the
 slower the weaker; without one the parameters are pulled to where the drift is least.
 """
 
@@ -17,7 +17,7 @@ from scipy.io import loadmat
 
 import fmuid
 from experiments import pages
-from fmuid.identification import observed
+from fmuid.identification import with_observer
 
 HERE = Path(__file__).parent
 DRIVE = HERE.parents[1] / "fmus" / "PositionDrive" / "PositionDrive.fmu"
@@ -56,7 +56,7 @@ def main() -> None:
     ]
     starts = STARTS
     for samples in SAMPLES:
-        result = fmuid.identify(observed(problem(frame, STARTS), samples))
+        result = fmuid.identify(with_observer(problem(frame, STARTS), samples))
         rows.append(line(f"{samples:g} ms", result))
         starts = dict(zip(result.names, result.values.tolist(), strict=True))
     rows.append(line("none: output error", fmuid.identify(problem(frame, starts), remedies=False)))

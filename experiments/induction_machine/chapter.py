@@ -343,7 +343,7 @@ def markdown(rows: list[list[str]]) -> str:
 def main() -> None:
     """Rewrite tables, figures and the tables in README.md."""
     clean = make_table.simulate()
-    table = fmuid.read_table(HERE / "table.csv")
+    table = fmuid.read_data(HERE / "table.csv")
     data = experiment(table)
     found, counts, variances, drawn = pair(data), iterations(data), repetition(data), drawn_variance(clean, table)
     began = time.perf_counter()

@@ -26,8 +26,8 @@ from experiments.machine_faults.make_tables import SAMPLE_TIME, WARM, simulate
 from fmuid.array_types import Floats
 from fmuid.data.signals import T23
 from fmuid.diagnosis import Causes
-from fmuid.diagnosis.change_parameters import CauseKind, Coordinates, coordinates_of
-from fmuid.diagnosis.linearisation import Machine
+from fmuid.diagnosis.change_parameters import CauseKind, ChangeParameterSet, coordinates_of
+from fmuid.diagnosis.linearisation import LinearizedMachine
 
 HERE = Path(__file__).parent
 STD = 0.175  # A, on each of the two phase currents: as much as on ids and iqs in make_tables.py
@@ -151,14 +151,14 @@ class Phases:
 
     Parameters
     ----------
-    inner : Machine
+    inner : LinearizedMachine
         In the rotor's axes, with the healthy parameters and the faults as coordinates.
-    coordinates : Coordinates
+    coordinates : ChangeParameterSet
         These first, then sensors and supply.
     experiment : Experiment
     """
 
-    def __init__(self, inner: Machine, coordinates: Coordinates, experiment: fmuid.Experiment) -> None:
+    def __init__(self, inner: LinearizedMachine, coordinates: ChangeParameterSet, experiment: fmuid.Experiment) -> None:
         self._inner, self._coordinates, self.experiment = inner, coordinates, experiment
         self._count = len(inner.coordinates.each)
 
@@ -171,7 +171,7 @@ class Phases:
         def phases(vectors: Floats) -> Floats:
             return np.asarray(np.einsum("kc...,cp->kp...", turned(theta, vectors), T23[:, :2]))
 
-        def over(gains: Floats) -> Machine:
+        def over(gains: Floats) -> LinearizedMachine:
             return self._inner.over(rotating(supplied(frame, asymmetry(gains))))
 
         outputs, columns = over(gains).linearise(own)
@@ -209,7 +209,7 @@ def setting() -> calls.Setting:
     turning = rotating(sound.frame)
     own = Causes(None, None, None, None)
     inner = coordinates_of(models.healthy_machine(), nominal, faults, turning, dict.fromkeys(models.OUTPUTS, STD), own)
-    machine = Machine(models.healthy_machine(), {}, nominal, faults, inner, turning)
+    machine = LinearizedMachine(models.healthy_machine(), {}, nominal, faults, inner, turning)
     drift = np.zeros(len(coordinates.each))
     for name, std in DRIFT.items():
         drift[[each.name for each in coordinates.each].index(name)] = std

@@ -20,10 +20,10 @@ from experiments.machine_faults import calls, models
 from experiments.machine_faults.machine import TURNS
 from fmuid.array_types import Floats
 from fmuid.diagnosis.change_detection.causes import Cause
-from fmuid.diagnosis.change_detection.detection import Chance, detectable
-from fmuid.diagnosis.change_detection.information_matrix import Information, Known, News
+from fmuid.diagnosis.change_detection.detection import MinPDistribution, detectable
+from fmuid.diagnosis.change_detection.information_matrix import ChangePrior, InformationMatrix, ScoreStatistics
 from fmuid.diagnosis.change_parameters import CauseKind
-from fmuid.diagnosis.hypothesis_tests import Reference, orthant_weights
+from fmuid.diagnosis.hypothesis_tests import NullDistribution, orthant_weights
 
 HERE = Path(__file__).parent
 LEVEL, MISS = 0.01, 0.1
@@ -42,10 +42,12 @@ def fallen(scores: Floats, information: Floats) -> Floats:
     return best
 
 
-def together(news: News, columns: list[int], level: float) -> float:
+def together(news: ScoreStatistics, columns: list[int], level: float) -> float:
     """Return the size of the first of some coordinates, none negative, that one test of all calls in 90 %."""
     information, _ = news.part(columns)
-    threshold = Reference(0, orthant_weights(np.asarray(np.linalg.inv(information), dtype=np.float64))).threshold(level)
+    threshold = NullDistribution(
+        0, orthant_weights(np.asarray(np.linalg.inv(information), dtype=np.float64))
+    ).threshold(level)
     noise = np.random.default_rng(SEED).standard_normal((DRAWS, len(columns))) @ np.linalg.cholesky(information).T
 
     def missed(size: float) -> float:
@@ -62,18 +64,18 @@ def shown() -> str:
     _, columns = setting.machine("white noise", True).linearise(coordinates.healthy)
     white = columns.reshape(-1, columns.shape[-1]) / calls.STD
     zero = np.zeros(white.shape[1])
-    said = Information(white.T @ white, zero)
+    said = InformationMatrix(white.T @ white, zero)
     own = coordinates.of(CauseKind.PARAMETER)
     spread = np.zeros(len(zero))
     spread[own] = np.sqrt(np.diag(np.linalg.inv(said.matrix[np.ix_(own, own)]))) * list(models.INFLATION.values())
     each = {cause.name: cause for cause in coordinates.causes}
     ratios = [each[f"stator.{name}"] for name in models.RATIOS]
-    earlier = News.of(said, Known(zero, np.diag(spread**2)))
+    earlier = ScoreStatistics.of(said, ChangePrior(zero, np.diag(spread**2)))
     base = together(earlier, [cause.columns[0] for cause in ratios], LEVEL / 2)
     lines = ["| causes | healthy record | std of one phase, turns | p of one cause | called in 90 %, turns | times |",
              "|---|---|---|---|---|---|"]  # fmt: skip
 
-    def add(name: str, length: str, news: News, limit: float, size: float) -> None:
+    def add(name: str, length: str, news: ScoreStatistics, limit: float, size: float) -> None:
         std = TURNS * news.part(ratios[0].columns)[0][0, 0] ** -0.5
         lines.append(f"| {name} | {length} | {std:.3f} | {limit:.1e} | {TURNS * size:.2f} | {size / base:.2f} |")
 
@@ -86,10 +88,10 @@ def shown() -> str:
     for name, causes in named.items():
         for length in LENGTHS if len(causes) == len(each) else LENGTHS[:1]:
             sure = np.zeros_like(said.matrix)
-            longer = Information(length * said.matrix, zero) if math.isfinite(length) else None
-            known = Known(zero, sure) if longer is None else Known.after(longer, coordinates.normal)
-            news = News.of(said, known.drifting(setting.drift))
-            limit = LEVEL if len(causes) == 1 else Chance.of(news, causes).limit(LEVEL)
+            longer = InformationMatrix(length * said.matrix, zero) if math.isfinite(length) else None
+            known = ChangePrior(zero, sure) if longer is None else ChangePrior.after(longer, coordinates.normal)
+            news = ScoreStatistics.of(said, known.drifting(setting.drift))
+            limit = LEVEL if len(causes) == 1 else MinPDistribution.of(news, causes).limit(LEVEL)
             size = detectable(news, ratios[0], limit, MISS)
             add(name, "endless" if longer is None else f"{length:.0f} times", news, limit, size)
     return "\n".join(lines)

@@ -22,7 +22,7 @@ from experiments import calls, pages
 from experiments.machine_faults import models
 from experiments.machine_faults.machine import SPEED, SPEED_STEP, TURNS, Condition, run
 from experiments.machine_faults.make_tables import BIT, SAMPLE_TIME, SUBSTEPS, add_noise
-from fmuid.diagnosis import Shape
+from fmuid.diagnosis import OnsetShape
 
 HERE = Path(__file__).parent
 FILE = HERE / "onsets.csv"
@@ -80,7 +80,7 @@ def drawn(turns: int, draw: int) -> dict[str, float | str]:
         "off": abs(onset.likely.time - since),
         "held": int(onset.first.time - 1e-9 <= since <= onset.last.time + 1e-9),
         "width": onset.last.time - onset.first.time,
-        "shape": int(onset.shape is Shape.STEP),
+        "shape": int(onset.shape is OnsetShape.STEP),
         "scaled": (change.value - turns / TURNS) / change.std,
     }
 

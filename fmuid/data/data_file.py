@@ -27,7 +27,7 @@ UNITS, BEGIN = "units", "begin"
 """What `read_table` leaves in the attributes of a frame: units as the file writes them, and the date of second 0."""
 
 
-def read_table(
+def read_data(
     path: Path | str,
     time: str | int = "time",
     *,
@@ -83,7 +83,7 @@ def read_table(
 
     Examples
     --------
-    >>> fmuid.read_table(fmuid.datasets.coil().path).shape
+    >>> fmuid.read_data(fmuid.datasets.coil().path).shape
     (200, 3)
     """
     path = Path(path)

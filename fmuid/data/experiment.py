@@ -15,10 +15,10 @@ import pandas as pd
 
 from fmuid.array_types import Flags, Floats
 from fmuid.data.clock import column_of, missing_column
-from fmuid.data.data_file import UNITS, numeric_column, read_table
+from fmuid.data.data_file import UNITS, numeric_column, read_data
 from fmuid.data.filters import missing_rows, usual_step
 from fmuid.data.interpolation import HELD, as_held, interpolation_words, slopes
-from fmuid.display_mixins import Displayed
+from fmuid.display_mixins import HtmlTableMixin
 from fmuid.errors import InputError
 from fmuid.formatting import nearest
 from fmuid.units import unit_in_name
@@ -28,7 +28,7 @@ _TIME_TOLERANCE = 1e-9
 
 
 @dataclass(frozen=True, eq=False)
-class Experiment(Displayed):
+class Experiment(HtmlTableMixin):
     """A table with roles: columns that drive the model, and columns that it must reproduce.
 
     Checked on construction. The table is copied, and the arrays are read-only. Rows are counted from 1 in messages,
@@ -171,7 +171,7 @@ class Experiment(Displayed):
         values: Mapping[str, float | int | bool | str] | None = None,
         name: str | None = None,
     ) -> Self:
-        """Read the table from a file; the words are those of the class and of `fmuid.read_table`.
+        """Read the table from a file; the words are those of the class and of `fmuid.read_data`.
 
         Parameters
         ----------
@@ -185,7 +185,7 @@ class Experiment(Displayed):
         """
         path = Path(path)
         return cls(
-            read_table(path, time, time_unit=time_unit, sample_rate=sample_rate, sheet=sheet),
+            read_data(path, time, time_unit=time_unit, sample_rate=sample_rate, sheet=sheet),
             inputs,
             outputs,
             time=time,

@@ -123,7 +123,7 @@ LOSSES: dict[str, Loss | None] = {"linear": None, "soft_l1": SoftL1(), "huber": 
 """The losses by name; "linear" is the plain sum of squares."""
 
 
-def loss_of(name: str) -> Loss | None:
+def get_loss(name: str) -> Loss | None:
     """Return the loss of a name, None for the plain sum of squares.
 
     Raises

@@ -62,7 +62,7 @@ class NoiseLevels:
         return found
 
 
-def levels_of(noise: Noise, experiments: Sequence[Measurements], outputs: Sequence[str]) -> NoiseLevels:
+def noise_levels(noise: Noise, experiments: Sequence[Measurements], outputs: Sequence[str]) -> NoiseLevels:
     """Return the noise of all counted samples, experiment by experiment, sample by sample.
 
     Raises

@@ -61,7 +61,7 @@ class Measurements(Protocol):
 
 
 @dataclass(frozen=True, eq=False)
-class Table:
+class ArrayMeasurements:
     """Measurements without an FMU behind them; the attributes are those of `Measurements`."""
 
     name: str

@@ -17,7 +17,7 @@ from fmuid.data.experiment import Experiment
 from fmuid.data.expressions import evaluate
 from fmuid.data.filters import detrended, filled, low_passed, resampled, with_missing_rows
 from fmuid.data.interpolation import HELD, interpolation_words
-from fmuid.data.signals import inverse_park, park
+from fmuid.data.signals import inverse_park, park_transform
 from fmuid.errors import InputError
 from fmuid.units import parse_unit, unit_in_name
 
@@ -29,7 +29,7 @@ FILLS = ("linear", "hold")
 
 
 @dataclass(frozen=True)
-class Axes:
+class ParkTransform:
     """Three phases as two axes that turn, or the way back (docs/method.md section 8).
 
     Attributes
@@ -51,8 +51,8 @@ class Axes:
     --------
     >>> phases = {"ia": [3.0, 3.0], "ib": [-1.5, -1.5], "ic": [-1.5, -1.5]}
     >>> table = pd.DataFrame({"time": [0.0, 0.1], "w": [0.0, 0.0], **phases})
-    >>> axes = fmuid.Axes(("ia", "ib", "ic"), ("id", "iq"), speed="w", pole_pairs=2)
-    >>> fmuid.reduce(table, axes=[axes])["id"].round(3).tolist()
+    >>> axes = fmuid.ParkTransform(("ia", "ib", "ic"), ("id", "iq"), speed="w", pole_pairs=2)
+    >>> fmuid.preprocess(table, axes=[axes])["id"].round(3).tolist()
     [3.674, 3.674]
     """
 
@@ -65,7 +65,7 @@ class Axes:
 
 
 @dataclass(frozen=True)
-class Preparation:
+class Preprocessing:
     """What is done with a table, in this order.
 
     Attributes
@@ -73,7 +73,7 @@ class Preparation:
     columns : mapping of str to str
         New columns, or others in place of what is there, by expressions (`fmuid.data.expressions`), one
         after the other.
-    axes : sequence of Axes
+    axes : sequence of ParkTransform
     low_pass : float or None
         Hz: signals without what is faster (`fmuid.data.filters.low_passed`).
     start, end : float or None
@@ -90,7 +90,7 @@ class Preparation:
     """
 
     columns: Mapping[str, str] = field(default_factory=dict)
-    axes: Sequence[Axes] = ()
+    axes: Sequence[ParkTransform] = ()
     low_pass: float | None = None
     start: float | None = None
     end: float | None = None
@@ -102,7 +102,7 @@ class Preparation:
     @property
     def by_rows(self) -> bool:
         """Whether each row is made of itself alone, so that a table can be prepared piece by piece."""
-        alone = Preparation(self.columns, self.axes)
+        alone = Preprocessing(self.columns, self.axes)
         return self == alone and all(each.angle is not None for each in self.axes)
 
     def applied(
@@ -132,7 +132,7 @@ class Preparation:
         InputError
             If something is asked for that the table does not allow.
         """
-        if self == Preparation():
+        if self == Preprocessing():
             return frame
         work, between = _Work(frame, time, source), interpolation or {}
         work.derive(self.columns)
@@ -219,7 +219,7 @@ class _Work:
                 raise InputError(f"{self.source}: column {name!r}: {why}") from None
             self.put([name], np.where(np.isfinite(values), values, np.nan)[:, None])
 
-    def fill(self, asked: Preparation) -> None:
+    def fill(self, asked: Preprocessing) -> None:
         if asked.fill:
             times, rows = with_missing_rows(self.times, asked.longest_gap or 0.0)
             self.frame = self.frame.reset_index(drop=True).reindex(rows).reset_index(drop=True)
@@ -232,7 +232,7 @@ class _Work:
             found = column_of([str(column) for column in self.frame.columns], name) or name
             self.put([found], filled(self.times, values, how, asked.longest_gap, within, called)[:, None])
 
-    def turn(self, axes: Axes) -> None:
+    def turn(self, axes: ParkTransform) -> None:
         unit = {self.unit(name) for name in axes.columns}
         if len(unit) > 1:
             said = ", ".join(f"{name} in {self.unit(name) or 'no unit'}" for name in axes.columns)
@@ -240,13 +240,13 @@ class _Work:
         names = [column_of([str(each) for each in self.frame.columns], name) or name for name in axes.columns]
         angle = "\0"
         frame = self.frame.assign(**{angle: self._angle(axes)})
-        turned = (park if len(names) == 3 else inverse_park)(frame, names, axes.names, angle)
+        turned = (park_transform if len(names) == 3 else inverse_park)(frame, names, axes.names, angle)
         self.frame = turned.drop(columns=angle)
         if (shared := unit.pop()) is not None:
             self.units |= dict.fromkeys(axes.names, shared)
         self._keep_units()
 
-    def _angle(self, axes: Axes) -> Floats:
+    def _angle(self, axes: ParkTransform) -> Floats:
         """Return the electrical angle, rad."""
         if axes.angle is not None:
             return axes.pole_pairs * self._in("rad", axes.angle)
@@ -301,11 +301,11 @@ def _kept(times: Floats, start: float | None, end: float | None) -> tuple[float,
     return (-math.inf if start is None else start - tolerance), (math.inf if end is None else end + tolerance)
 
 
-def reduce(
+def preprocess(
     given: Table,
     *,
     columns: Mapping[str, str] | None = None,
-    axes: Sequence[Axes] = (),
+    axes: Sequence[ParkTransform] = (),
     low_pass: float | None = None,
     start: float | None = None,
     end: float | None = None,
@@ -323,7 +323,7 @@ def reduce(
         Of an experiment, inputs and outputs are filtered, resampled and detrended; of a frame, all columns of numbers.
     columns : mapping of str to str
         Columns to compute, by expressions such as ``"pulses * 35.1 + vir"``.
-    axes : sequence of Axes
+    axes : sequence of ParkTransform
         Phases to transform to turning axes, or back.
     low_pass : float
         Hz: what is faster is taken away, without a shift in time.
@@ -355,10 +355,10 @@ def reduce(
     --------
     >>> import pandas as pd, fmuid
     >>> frame = pd.DataFrame({"time": [0.0, 0.1, 0.2, 0.3], "pulses": [0.0, 2.0, 4.0, 6.0]})
-    >>> fmuid.reduce(frame, columns={"x": "pulses / 2 + 1"}, start=0.1, resample=0.2)["x"].tolist()
+    >>> fmuid.preprocess(frame, columns={"x": "pulses / 2 + 1"}, start=0.1, resample=0.2)["x"].tolist()
     [2.0, 4.0]
     """
-    how = Preparation(columns or {}, axes, low_pass, start, end, resample, detrend, fill or {}, longest_gap)
+    how = Preprocessing(columns or {}, axes, low_pass, start, end, resample, detrend, fill or {}, longest_gap)
     if not isinstance(given, Experiment):
         return how.applied(given, time, "the frame")
     driven = {name: given.columns[name] for name in given.input_names}

@@ -157,7 +157,7 @@ def multisine(
     return pd.DataFrame({"time": times, column: offset + amplitude / np.abs(values).max() * values})
 
 
-def steps(
+def step_sequence(
     duration: float,
     step: float,
     levels: Sequence[float],
@@ -190,7 +190,7 @@ def steps(
 
     Examples
     --------
-    >>> fmuid.steps(0.4, 0.1, [0.0, 12.0])["u"].tolist()
+    >>> fmuid.step_sequence(0.4, 0.1, [0.0, 12.0])["u"].tolist()
     [0.0, 0.0, 12.0, 12.0]
     """
     clock = _times(duration, step, column, offset=offset)
@@ -249,7 +249,7 @@ def _whole(value: int, what: str, least: int, most: int | None = None) -> int:
     return int(value)
 
 
-def concordia(frame: pd.DataFrame, columns: Sequence[str], names: Sequence[str]) -> pd.DataFrame:
+def concordia_transform(frame: pd.DataFrame, columns: Sequence[str], names: Sequence[str]) -> pd.DataFrame:
     """Add the two axes of three phases: x_αβ = T₂₃ x_abc (docs/method.md section 8).
 
     The zero sequence (a + b + c)/√3 is lost; phases without a neutral wire have none.
@@ -276,7 +276,7 @@ def concordia(frame: pd.DataFrame, columns: Sequence[str], names: Sequence[str])
     Examples
     --------
     >>> table = pd.DataFrame({"a": [2.0], "b": [-1.0], "c": [-1.0]})
-    >>> fmuid.concordia(table, ["a", "b", "c"], ["alpha", "beta"])["alpha"].round(4).tolist()
+    >>> fmuid.concordia_transform(table, ["a", "b", "c"], ["alpha", "beta"])["alpha"].round(4).tolist()
     [2.4495]
     """
     return _with_columns(frame, _columns(frame, columns, 3) @ T23.T, names, 2)
@@ -290,7 +290,9 @@ def inverse_concordia(frame: pd.DataFrame, columns: Sequence[str], names: Sequen
     return _with_columns(frame, _columns(frame, columns, 2) @ T23, names, 3)
 
 
-def park(frame: pd.DataFrame, columns: Sequence[str], names: Sequence[str], theta: str = "theta") -> pd.DataFrame:
+def park_transform(
+    frame: pd.DataFrame, columns: Sequence[str], names: Sequence[str], theta: str = "theta"
+) -> pd.DataFrame:
     """Add the two axes, turning with `theta`, of three phases: x_dq = P(−θ) T₂₃ x_abc (docs/method.md section 8).
 
     With the electrical angle of the rotor these are Park's axes linked to the rotor. The zero sequence is lost.
@@ -305,7 +307,7 @@ def park(frame: pd.DataFrame, columns: Sequence[str], names: Sequence[str], thet
     Examples
     --------
     >>> table = pd.DataFrame({"a": [2.0], "b": [-1.0], "c": [-1.0], "theta": [np.pi / 2]})
-    >>> fmuid.park(table, ["a", "b", "c"], ["d", "q"])["q"].round(4).tolist()
+    >>> fmuid.park_transform(table, ["a", "b", "c"], ["d", "q"])["q"].round(4).tolist()
     [-2.4495]
     """
     fixed = _columns(frame, columns, 3) @ T23.T

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from fmuid.data import Experiment, Parameter, read_table
+from fmuid.data import Experiment, Parameter, read_data
 from fmuid.errors import InputError
 from fmuid.formatting import nearest
 
@@ -53,7 +53,7 @@ class ExampleRecord:
     @property
     def table(self) -> pd.DataFrame:
         """The record."""
-        return read_table(self.path)
+        return read_data(self.path)
 
     @property
     def experiment(self) -> Experiment:

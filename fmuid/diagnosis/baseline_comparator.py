@@ -12,14 +12,14 @@ from fmuid.array_types import Floats
 from fmuid.blas import single_threaded
 from fmuid.data import Experiment
 from fmuid.diagnosis.baseline.baseline import Baseline
-from fmuid.diagnosis.baseline.stored_baseline import Basis, HealthyEvidence, MachineDigest
+from fmuid.diagnosis.baseline.stored_baseline import BaselineSource, MachineDigest, StoredBaseline
 from fmuid.diagnosis.baseline.whitening import Whitening
-from fmuid.diagnosis.cause_analysis import Healthy, error_of, examine, healthy_of, shown_by
-from fmuid.diagnosis.cause_results import Evidence
-from fmuid.diagnosis.change_detection.information_matrix import Known
-from fmuid.diagnosis.change_parameters import OPEN, Causes, Coordinates, coordinates_of
+from fmuid.diagnosis.cause_analysis import BaselineStatistics, error_of, examine, healthy_of, shown_by
+from fmuid.diagnosis.cause_results import ChangeEvidence
+from fmuid.diagnosis.change_detection.information_matrix import ChangePrior
+from fmuid.diagnosis.change_parameters import OPEN, Causes, ChangeParameterSet, coordinates_of
 from fmuid.diagnosis.faults import Fault
-from fmuid.diagnosis.linearisation import Machine
+from fmuid.diagnosis.linearisation import LinearizedMachine
 from fmuid.errors import InputError
 from fmuid.formatting import nearest
 from fmuid.models import System
@@ -28,7 +28,7 @@ NOTHING_BESIDE = Causes(None, None, None, None, None)
 
 
 @dataclass(frozen=True, eq=False)
-class Juxtaposition:
+class BaselineComparator:
     """A healthy machine, as records are compared with it.
 
     Attributes
@@ -37,21 +37,21 @@ class Juxtaposition:
         The healthy machine.
     baseline : Baseline
     faults : mapping of str to Fault
-    coordinates : Coordinates
-    healthy : Healthy
-    basis : Basis
+    coordinates : ChangeParameterSet
+    healthy : BaselineStatistics
+    basis : BaselineSource
         Where the healthy machine is from.
-    shown : HealthyEvidence or None
+    shown : StoredBaseline or None
         What the healthy records showed.
     """
 
     system: System
     baseline: Baseline
     faults: Mapping[str, Fault]
-    coordinates: Coordinates
-    healthy: Healthy
-    basis: Basis = Basis.RECORDS
-    shown: HealthyEvidence | None = None
+    coordinates: ChangeParameterSet
+    healthy: BaselineStatistics
+    basis: BaselineSource = BaselineSource.RECORDS
+    shown: StoredBaseline | None = None
 
     @classmethod
     def of(
@@ -64,7 +64,7 @@ class Juxtaposition:
         *,
         planned: bool = False,
         fewer: bool = False,
-    ) -> Juxtaposition:
+    ) -> BaselineComparator:
         """Return that of a baseline with its records; without them, of its result alone and with the faults as causes.
 
         Parameters
@@ -100,7 +100,7 @@ class Juxtaposition:
         coordinates = coordinates_of(system, baseline.common, faults, first, noise, beside)
         drift = _drift(baseline, coordinates)
         if not baseline.beside:
-            healthy = Healthy(_by_result(baseline, coordinates), Whitening.white(variance), drift)
+            healthy = BaselineStatistics(_by_result(baseline, coordinates), Whitening.white(variance), drift)
             return cls(system, baseline, faults, coordinates, healthy)
         basis, shown = _shown(system, baseline, faults, coordinates, variance, fewer=fewer)
         return cls(system, baseline, faults, coordinates, healthy_of(shown, coordinates, drift), basis, shown)
@@ -128,7 +128,7 @@ class Juxtaposition:
                 found.append(shown)
         return max(found)
 
-    def machine(self, experiment: Experiment) -> Machine:
+    def machine(self, experiment: Experiment) -> LinearizedMachine:
         """Return the machine over a record."""
         return _machine(self.system, self.baseline, self.faults, self.coordinates, experiment)
 
@@ -141,37 +141,39 @@ def compare(
     causes: Causes,
     level: float,
     model_error: float,
-) -> Evidence:
+) -> ChangeEvidence:
     """Say what is new in records beside the healthy ones of the baseline.
 
     Parameters
     ----------
     experiments, baseline, faults, system, causes
-        As for `Juxtaposition.of`.
+        As for `BaselineComparator.of`.
     level, model_error : float
         As for `fmuid.diagnosis.cause_analysis.examine`.
 
     Raises
     ------
     InputError, SimulationError
-        As `Juxtaposition.of`.
+        As `BaselineComparator.of`.
     """
-    made = Juxtaposition.of(system, baseline, faults, causes, experiments)
+    made = BaselineComparator.of(system, baseline, faults, causes, experiments)
     machines = [made.machine(each) for each in experiments]
     kappa = made.model_error(model_error, level)
-    return Evidence.of(examine(machines, made.healthy, made.coordinates, level, kappa), faults, made.basis)
+    return ChangeEvidence.of(examine(machines, made.healthy, made.coordinates, level, kappa), faults, made.basis)
 
 
 @single_threaded
-def show(baseline: Baseline, faults: Mapping[str, Fault], system: System, causes: Causes) -> HealthyEvidence:
+def compute_stored_baseline(
+    baseline: Baseline, faults: Mapping[str, Fault], system: System, causes: Causes
+) -> StoredBaseline:
     """Return what the records of a baseline show of the healthy machine and of all causes.
 
     Raises
     ------
     InputError, SimulationError
-        As `Juxtaposition.of`.
+        As `BaselineComparator.of`.
     """
-    shown = Juxtaposition.of(system, baseline, faults, causes, []).shown
+    shown = BaselineComparator.of(system, baseline, faults, causes, []).shown
     assert shown is not None  # there are records
     return shown
 
@@ -180,19 +182,19 @@ def _shown(
     system: System,
     baseline: Baseline,
     faults: Mapping[str, Fault],
-    coordinates: Coordinates,
+    coordinates: ChangeParameterSet,
     variance: Mapping[str, float],
     *,
     fewer: bool,
-) -> tuple[Basis, HealthyEvidence]:
+) -> tuple[BaselineSource, StoredBaseline]:
     """Return what healthy records showed, of the file where that fits, and where it is from."""
-    given, known, basis = baseline.noise_variance, baseline.shown, Basis.RECORDS
+    given, known, basis = baseline.noise_variance, baseline.shown, BaselineSource.RECORDS
     how = system, baseline.values, baseline.refinement
     asked = MachineDigest.of(how, faults, coordinates, given, baseline.records)
     if known is not None and known.subject is not None:
         unlike = known.subject.unlike(asked, fewer=fewer)
         if unlike is None:
-            return Basis.FILE, known.subject.among(known, asked)
+            return BaselineSource.FILE, known.subject.among(known, asked)
         if not baseline.records:
             raise InputError(
                 f"{known.path} is of {unlike.value} than this study: identify the healthy study again with these, or "
@@ -200,7 +202,7 @@ def _shown(
             )
         basis = unlike
     elif known is not None and known.path is not None:
-        basis = Basis.DAMAGED
+        basis = BaselineSource.DAMAGED
     records = [_machine(system, baseline, faults, coordinates, each) for each in baseline.records]
     whitening = whitening_of(records, coordinates, None if given is None else variance)
     return basis, replace(shown_by(records, whitening, coordinates), subject=asked)
@@ -210,19 +212,21 @@ def _machine(
     system: System,
     baseline: Baseline,
     faults: Mapping[str, Fault],
-    coordinates: Coordinates,
+    coordinates: ChangeParameterSet,
     experiment: Experiment,
-) -> Machine:
-    return Machine(system, baseline.values, baseline.common, faults, coordinates, experiment, baseline.refinement)
+) -> LinearizedMachine:
+    return LinearizedMachine(
+        system, baseline.values, baseline.common, faults, coordinates, experiment, baseline.refinement
+    )
 
 
-def _by_result(baseline: Baseline, coordinates: Coordinates) -> Known:
+def _by_result(baseline: Baseline, coordinates: ChangeParameterSet) -> ChangePrior:
     """Return what the healthy result alone says: its estimates, and no fault."""
     std = np.zeros(len(coordinates.each))
     known = dict(zip(baseline.result.names, baseline.result.std.tolist(), strict=True))
     for i, name in enumerate(baseline.common):
         std[i] = known.get(name, 0.0)
-    return Known(np.zeros(std.size), np.diag(std**2))
+    return ChangePrior(np.zeros(std.size), np.diag(std**2))
 
 
 def _check(first: Experiment, others: Sequence[Experiment], baseline: Baseline) -> None:
@@ -243,15 +247,15 @@ def _check(first: Experiment, others: Sequence[Experiment], baseline: Baseline) 
 
 
 def whitening_of(
-    records: Sequence[Machine], coordinates: Coordinates, variances: Mapping[str, float] | None = None
+    records: Sequence[LinearizedMachine], coordinates: ChangeParameterSet, variances: Mapping[str, float] | None = None
 ) -> Whitening:
     """Return the noise of healthy records, by what is left of them beside all coordinates of sound machines.
 
     Parameters
     ----------
-    records : sequence of Machine
+    records : sequence of LinearizedMachine
         Over the records.
-    coordinates : Coordinates
+    coordinates : ChangeParameterSet
     variances : mapping of str to float, optional
         Of outputs whose noise is given.
     """
@@ -270,7 +274,7 @@ def whitening_of(
     return Whitening.of(residuals, variances)
 
 
-def _drift(baseline: Baseline, coordinates: Coordinates) -> Floats:
+def _drift(baseline: Baseline, coordinates: ChangeParameterSet) -> Floats:
     """Return what the healthy parameters may have changed by without being a fault (N,): what `inflate` adds."""
     drift = np.zeros(len(coordinates.each))
     known = dict(zip(baseline.result.names, baseline.result.std.tolist(), strict=True))

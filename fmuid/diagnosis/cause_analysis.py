@@ -16,22 +16,22 @@ import numpy as np
 
 from fmuid.array_types import Floats
 from fmuid.data import Experiment
-from fmuid.diagnosis.baseline.stored_baseline import HealthyEvidence
+from fmuid.diagnosis.baseline.stored_baseline import StoredBaseline
 from fmuid.diagnosis.baseline.whitening import Whitening
-from fmuid.diagnosis.change_detection.cause_ranking import MODEL_ERROR, Naming, name
+from fmuid.diagnosis.change_detection.cause_ranking import MODEL_ERROR, CauseRanking, name
 from fmuid.diagnosis.change_detection.causes import Cause
-from fmuid.diagnosis.change_detection.detection import Chance, fit
-from fmuid.diagnosis.change_detection.information_matrix import Information, Known, News
+from fmuid.diagnosis.change_detection.detection import MinPDistribution, fit
+from fmuid.diagnosis.change_detection.information_matrix import ChangePrior, InformationMatrix, ScoreStatistics
 from fmuid.diagnosis.change_detection.unexplained_residual import (
     NOTHING_LEFT,
-    Remainder,
+    UnexplainedResidual,
     change,
     lagged,
     probability,
     regression,
 )
-from fmuid.diagnosis.change_parameters import Coordinates
-from fmuid.diagnosis.linearisation import Machine
+from fmuid.diagnosis.change_parameters import ChangeParameterSet
+from fmuid.diagnosis.linearisation import LinearizedMachine
 from fmuid.errors import SimulationError
 
 # The null estimate and the name are found again at most so often; a name that alternates ends there too.
@@ -48,10 +48,10 @@ class Examination:
 
     Attributes
     ----------
-    coordinates : Coordinates
-    naming : Naming
+    coordinates : ChangeParameterSet
+    naming : CauseRanking
         Sizes in the order of each explanation's coordinates.
-    news : News
+    news : ScoreStatistics
         At the point where the models were linearised last.
     point : (N,) array
         That point.
@@ -64,52 +64,54 @@ class Examination:
     samples : int
     steady : bool
         Whether the name stayed when the models were linearised again.
-    remainder : Remainder
+    remainder : UnexplainedResidual
         What no cause explains.
     """
 
-    coordinates: Coordinates
-    naming: Naming
-    news: News
+    coordinates: ChangeParameterSet
+    naming: CauseRanking
+    news: ScoreStatistics
     point: Floats
     model_error: float
     ratio: float
     without: float
     samples: int
     steady: bool = True
-    remainder: Remainder = NOTHING_LEFT
+    remainder: UnexplainedResidual = NOTHING_LEFT
 
 
 @dataclass(frozen=True, eq=False)
-class Healthy:
+class BaselineStatistics:
     """What the healthy machine is like, as new records are compared with it.
 
     Attributes
     ----------
-    known : Known
+    known : ChangePrior
         Of all coordinates, relative to the healthy ones.
     whitening : Whitening
     drift : (N,) array
         Standard deviation of what may change without being a fault.
-    owed : Information or None
+    owed : InformationMatrix or None
         What the residuals of the healthy records owe to the inputs; None without records.
     """
 
-    known: Known
+    known: ChangePrior
     whitening: Whitening
     drift: Floats
-    owed: Information | None = None
+    owed: InformationMatrix | None = None
 
 
-def shown_by(records: Sequence[Machine], whitening: Whitening, coordinates: Coordinates) -> HealthyEvidence:
+def shown_by(
+    records: Sequence[LinearizedMachine], whitening: Whitening, coordinates: ChangeParameterSet
+) -> StoredBaseline:
     """Return what healthy records showed.
 
     Parameters
     ----------
-    records : sequence of Machine
+    records : sequence of LinearizedMachine
         Over at least one healthy record.
     whitening : Whitening
-    coordinates : Coordinates
+    coordinates : ChangeParameterSet
 
     Raises
     ------
@@ -117,18 +119,20 @@ def shown_by(records: Sequence[Machine], whitening: Whitening, coordinates: Coor
         If the healthy machine cannot be simulated.
     """
     said = [_information(machine, whitening, coordinates.healthy, coordinates.healthy) for machine in records]
-    return HealthyEvidence(tuple(said), _owed(records, whitening, coordinates.healthy), whitening)
+    return StoredBaseline(tuple(said), _owed(records, whitening, coordinates.healthy), whitening)
 
 
-def healthy_of(shown: HealthyEvidence, coordinates: Coordinates, drift: Floats) -> Healthy:
+def healthy_of(shown: StoredBaseline, coordinates: ChangeParameterSet, drift: Floats) -> BaselineStatistics:
     """Return what healthy records leave known; `drift` (N,) as the class has it."""
-    return Healthy(Known.after_several(shown.said, coordinates.normal), shown.whitening, drift, shown.owed)
+    return BaselineStatistics(
+        ChangePrior.after_several(shown.said, coordinates.normal), shown.whitening, drift, shown.owed
+    )
 
 
 def examine(
-    machines: Sequence[Machine],
-    healthy: Healthy,
-    coordinates: Coordinates,
+    machines: Sequence[LinearizedMachine],
+    healthy: BaselineStatistics,
+    coordinates: ChangeParameterSet,
     level: float,
     model_error: float = MODEL_ERROR,
 ) -> Examination:
@@ -136,10 +140,10 @@ def examine(
 
     Parameters
     ----------
-    machines : sequence of Machine
+    machines : sequence of LinearizedMachine
         Over the new records.
-    healthy : Healthy
-    coordinates : Coordinates
+    healthy : BaselineStatistics
+    coordinates : ChangeParameterSet
     level : float
         Probability of an alarm where nothing is new.
     model_error : float
@@ -150,32 +154,34 @@ def examine(
     SimulationError
         If the healthy machine cannot be simulated.
     """
-    work = _Examining(machines, healthy, coordinates, level, model_error)
+    work = _CauseAnalyzer(machines, healthy, coordinates, level, model_error)
     point = coordinates.healthy
     said = work.at(point)
     for _ in range(NULL_STEPS):
-        point = coordinates.healthy + work.null(News.of(said, work.known))
+        point = coordinates.healthy + work.null(ScoreStatistics.of(said, work.known))
         said = work.at(point)
     without, samples = work.variance(point)
-    news = News.of(said, work.known)
-    chance = Chance.of(news, coordinates.causes)
+    news = ScoreStatistics.of(said, work.known)
+    chance = MinPDistribution.of(news, coordinates.causes)
     naming = work.named(news, chance)
     found = Examination(coordinates, naming, news, point, model_error, without, without, samples)
     found = work.settled(found, chance) if naming.named else found
     return replace(found, remainder=work.remainder(found))
 
 
-def error_of(trial: Machine, healthy: Healthy, coordinates: Coordinates, cause: Cause, level: float) -> float:
+def error_of(
+    trial: LinearizedMachine, healthy: BaselineStatistics, coordinates: ChangeParameterSet, cause: Cause, level: float
+) -> float:
     """Return κ of a trial: how much of a fault's effect its model leaves along another cause's signature.
 
     A third of the largest √(D₂|₁/D₁), what chance adds on the average taken off: pairs are named from about 4 κ on.
 
     Parameters
     ----------
-    trial : Machine
+    trial : LinearizedMachine
         Over a record in which this cause is there, and nothing else is new.
-    healthy : Healthy
-    coordinates : Coordinates
+    healthy : BaselineStatistics
+    coordinates : ChangeParameterSet
     cause : Cause
     level : float
         As for `examine`; a trial that shows nothing new says nothing.
@@ -194,14 +200,14 @@ def error_of(trial: Machine, healthy: Healthy, coordinates: Coordinates, cause: 
     return math.sqrt(max(0.0, *left) / own) / TOLERATED if left else 0.0
 
 
-class _Examining:
+class _CauseAnalyzer:
     """What all steps of an examination share."""
 
     def __init__(
         self,
-        machines: Sequence[Machine],
-        healthy: Healthy,
-        coordinates: Coordinates,
+        machines: Sequence[LinearizedMachine],
+        healthy: BaselineStatistics,
+        coordinates: ChangeParameterSet,
         level: float,
         model_error: float,
     ) -> None:
@@ -209,7 +215,7 @@ class _Examining:
         self.level, self.model_error = level, model_error
         self.known = healthy.known.drifting(healthy.drift)
 
-    def at(self, point: Floats) -> Information:
+    def at(self, point: Floats) -> InformationMatrix:
         """Return what the records say, linearised at a point (N,)."""
         first, *others = (
             _information(machine, self.healthy.whitening, point, self.coordinates.healthy) for machine in self.machines
@@ -218,12 +224,12 @@ class _Examining:
             first = first + each
         return first
 
-    def null(self, news: News, new: Floats | None = None) -> Floats:
+    def null(self, news: ScoreStatistics, new: Floats | None = None) -> Floats:
         """Return the estimate of everything beside what is new (N,), relative to the healthy machine."""
         score = news.score if new is None else news.score - news.information @ new
         return np.asarray(self.known.mean + self.known.covariance @ score)
 
-    def named(self, news: News, chance: Chance) -> Naming:
+    def named(self, news: ScoreStatistics, chance: MinPDistribution) -> CauseRanking:
         """Return what is new."""
         return name(news, self.coordinates.causes, self.level, chance=chance, model_error=self.model_error)
 
@@ -236,16 +242,16 @@ class _Examining:
             squares, samples = squares + float(np.sum(white**2)), samples + white.size
         return squares / samples, samples
 
-    def remainder(self, found: Examination) -> Remainder:
+    def remainder(self, found: Examination) -> UnexplainedResidual:
         """Return the change of what the residual owes to the inputs, beside all causes and the models' error."""
         if self.healthy.owed is None:
             return NOTHING_LEFT
         owed = _owed(self.machines, self.healthy.whitening, found.point)
         statistic, degrees = change(self.healthy.owed, owed)
         statistic /= found.naming.temper
-        return Remainder(statistic, degrees, probability(statistic, degrees))
+        return UnexplainedResidual(statistic, degrees, probability(statistic, degrees))
 
-    def settled(self, found: Examination, chance: Chance) -> Examination:
+    def settled(self, found: Examination, chance: MinPDistribution) -> Examination:
         """Return the examination where the name stays when the models are linearised at the cause named."""
         steady = False
         for _ in range(NAME_STEPS):
@@ -254,7 +260,7 @@ class _Examining:
             new[[i for cause in best.causes for i in cause.columns]] = best.fit.sizes
             point = self.coordinates.healthy + self.null(found.news, new) + new
             try:
-                news = News.of(self.at(point), self.known)
+                news = ScoreStatistics.of(self.at(point), self.known)
                 ratio, _ = self.variance(point)
             except SimulationError:  # too large a step for the model: what was reached before stays
                 break
@@ -269,29 +275,29 @@ class _Examining:
         return replace(found, steady=steady)
 
 
-def _moved(naming: Naming, sizes: Floats) -> float:
+def _moved(naming: CauseRanking, sizes: Floats) -> float:
     """Return by how many standard deviations the sizes have moved at most."""
     now = naming.named[0].fit
     std = np.sqrt(np.diag(now.covariance))
     return float(np.max(np.abs(now.sizes - sizes) / np.where(std > 0, std, math.inf), initial=0.0))
 
 
-def _information(machine: Machine, whitening: Whitening, point: Floats, healthy: Floats) -> Information:
+def _information(machine: LinearizedMachine, whitening: Whitening, point: Floats, healthy: Floats) -> InformationMatrix:
     """Return what a record says of all coordinates, linearised at a point and relative to the healthy ones."""
     experiment = machine.experiment
     outputs, columns = machine.linearise(point)
     residual = _residual(experiment, outputs) + columns @ (point - healthy)
     white = whitening(experiment, np.concatenate([residual[:, :, None], columns], axis=2))
-    return Information.of(white[:, 1:], white[:, 0])
+    return InformationMatrix.of(white[:, 1:], white[:, 0])
 
 
-def _owed(machines: Sequence[Machine], whitening: Whitening, point: Floats) -> Information:
+def _owed(machines: Sequence[LinearizedMachine], whitening: Whitening, point: Floats) -> InformationMatrix:
     """Return what the residuals of records at a point (N,) owe to the inputs before, beside all coordinates."""
     each = [_regressed(machine, whitening, point) for machine in machines]
     return sum(each[1:], start=each[0])
 
 
-def _regressed(machine: Machine, whitening: Whitening, point: Floats) -> Information:
+def _regressed(machine: LinearizedMachine, whitening: Whitening, point: Floats) -> InformationMatrix:
     experiment = machine.experiment
     outputs, columns = machine.linearise(point)
     inputs = lagged(experiment.input_values)

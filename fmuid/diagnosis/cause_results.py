@@ -10,18 +10,18 @@ from typing import Any
 import numpy as np
 from scipy import special
 
-from fmuid.diagnosis.baseline.stored_baseline import Basis
+from fmuid.diagnosis.baseline.stored_baseline import BaselineSource
 from fmuid.diagnosis.cause_analysis import Examination
 from fmuid.diagnosis.change_detection.cause_ranking import angle
 from fmuid.diagnosis.change_detection.causes import Cause
 from fmuid.diagnosis.change_detection.detection import CauseFit, fit, probability
-from fmuid.diagnosis.change_detection.unexplained_residual import Remainder
-from fmuid.diagnosis.change_parameters import CauseKind, Coordinate, Coordinates, name_of
+from fmuid.diagnosis.change_detection.unexplained_residual import UnexplainedResidual
+from fmuid.diagnosis.change_parameters import CauseKind, ChangeParameter, ChangeParameterSet, name_of
 from fmuid.diagnosis.faults import Fault
 
 
 @dataclass(frozen=True)
-class Change:
+class EstimatedChange:
     """A cause and its size.
 
     Attributes
@@ -63,12 +63,12 @@ class Change:
 
 
 @dataclass(frozen=True)
-class Suspect:
+class CauseScore:
     """A cause alone, as it explains the record.
 
     Attributes
     ----------
-    change : Change
+    change : EstimatedChange
         At the healthy machine, or where the models were linearised last.
     statistic : float
         D.
@@ -80,7 +80,7 @@ class Suspect:
         Between the two signatures, rad.
     """
 
-    change: Change
+    change: EstimatedChange
     statistic: float
     probability: float
     rival: str
@@ -93,12 +93,12 @@ class Explanation:
 
     Attributes
     ----------
-    changes : tuple of Change
+    changes : tuple of EstimatedChange
     odds : float
         Against the best explanation, at most 1.
     """
 
-    changes: tuple[Change, ...]
+    changes: tuple[EstimatedChange, ...]
     odds: float
 
     @classmethod
@@ -113,7 +113,7 @@ class Explanation:
 
 
 @dataclass(frozen=True)
-class Evidence:
+class ChangeEvidence:
     """What is new in a record beside the healthy ones.
 
     Attributes
@@ -124,7 +124,7 @@ class Evidence:
         Whether that is below the level.
     explanations : tuple of Explanation
         The best one first, then all that the record does not exclude beside it.
-    suspects : tuple of Suspect
+    suspects : tuple of CauseScore
         Every cause alone.
     model_error : float
         κ, stated or measured on trials.
@@ -135,24 +135,24 @@ class Evidence:
     samples : int
     steady : bool
         Whether the name stayed when the models were linearised there.
-    remainder : Remainder
+    remainder : UnexplainedResidual
         What no cause explains.
-    basis : Basis
+    basis : BaselineSource
         Where the healthy machine is from.
     """
 
     probability: float
     alarm: bool
     explanations: tuple[Explanation, ...]
-    suspects: tuple[Suspect, ...]
+    suspects: tuple[CauseScore, ...]
     model_error: float
     temper: float
     ratio: float
     without: float
     samples: int
     steady: bool
-    remainder: Remainder
-    basis: Basis = Basis.RECORDS
+    remainder: UnexplainedResidual
+    basis: BaselineSource = BaselineSource.RECORDS
 
     @property
     def explained(self) -> float:
@@ -167,7 +167,7 @@ class Evidence:
         return tuple(dict.fromkeys(name for each in self.explanations for name in each.faults))
 
     @classmethod
-    def of(cls, found: Examination, faults: Mapping[str, Fault], basis: Basis) -> Evidence:
+    def of(cls, found: Examination, faults: Mapping[str, Fault], basis: BaselineSource) -> ChangeEvidence:
         """Return the numbers of an examination."""
         naming, coordinates = found.naming, found.coordinates
         return cls(
@@ -186,7 +186,7 @@ class Evidence:
         )
 
     @classmethod
-    def of_json(cls, data: Mapping[str, Any]) -> Evidence:
+    def of_json(cls, data: Mapping[str, Any]) -> ChangeEvidence:
         """Return that of a file.
 
         Raises
@@ -199,21 +199,21 @@ class Evidence:
             for key in ("probability", "alarm", "model_error", "temper", "ratio", "without", "samples", "steady")
         }
         explanations = tuple(map(Explanation.of_json, data["explanations"]))
-        suspects = tuple(Suspect(**each | {"change": _change(each["change"])}) for each in data["suspects"])
-        remainder = Remainder(**data["remainder"])
-        basis = Basis(data["basis"])
+        suspects = tuple(CauseScore(**each | {"change": _change(each["change"])}) for each in data["suspects"])
+        remainder = UnexplainedResidual(**data["remainder"])
+        basis = BaselineSource(data["basis"])
         return cls(explanations=explanations, suspects=suspects, remainder=remainder, basis=basis, **plain)
 
 
-def _change(data: Mapping[str, Any]) -> Change:
+def _change(data: Mapping[str, Any]) -> EstimatedChange:
     angle_value = math.nan if data["angle_value"] is None else float(data["angle_value"])
     std = math.inf if data["std"] is None else float(data["std"])
-    return Change(**{**data, "kind": CauseKind(data["kind"]), "angle_value": angle_value, "std": std})
+    return EstimatedChange(**{**data, "kind": CauseKind(data["kind"]), "angle_value": angle_value, "std": std})
 
 
 def changes(
-    causes: Sequence[Cause], found: CauseFit, coordinates: Coordinates, faults: Mapping[str, Fault]
-) -> tuple[Change, ...]:
+    causes: Sequence[Cause], found: CauseFit, coordinates: ChangeParameterSet, faults: Mapping[str, Fault]
+) -> tuple[EstimatedChange, ...]:
     """Return causes with their sizes; a vector of the plane is a size with its angle."""
     said, first = [], 0
     for cause in causes:
@@ -238,13 +238,15 @@ def changes(
     return tuple(said)
 
 
-def _plain(of: Coordinate, value: float, std: float, angle_name: str = "", angle_value: float = math.nan) -> Change:
-    return Change(of.kind, of.variable, of.fault, value, std, of.unit, angle_name, angle_value)
+def _plain(
+    of: ChangeParameter, value: float, std: float, angle_name: str = "", angle_value: float = math.nan
+) -> EstimatedChange:
+    return EstimatedChange(of.kind, of.variable, of.fault, value, std, of.unit, angle_name, angle_value)
 
 
-def _suspect(found: Examination, cause: Cause, faults: Mapping[str, Fault]) -> Suspect:
+def _suspect(found: Examination, cause: Cause, faults: Mapping[str, Fault]) -> CauseScore:
     alone = fit(found.news, (cause,))
     change = changes((cause,), alone, found.coordinates, faults)[0]
     near = {other.name: angle(found.news, cause, other) for other in found.coordinates.causes if other is not cause}
     rival = min(near, key=lambda each: near[each], default="")
-    return Suspect(change, alone.statistic, probability(alone.statistic, cause), rival, near.get(rival, math.nan))
+    return CauseScore(change, alone.statistic, probability(alone.statistic, cause), rival, near.get(rival, math.nan))

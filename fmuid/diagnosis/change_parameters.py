@@ -43,7 +43,7 @@ SOUND_SHARE = 0.1
 
 
 @dataclass(frozen=True)
-class Range:
+class CauseScale:
     """How far something may be off.
 
     Parameters
@@ -74,24 +74,24 @@ class Causes:
 
     Parameters
     ----------
-    gain : Range or None
+    gain : CauseScale or None
         Of each sensor, as a share of the reading.
-    offset : Range or None
+    offset : CauseScale or None
         Of each sensor, in standard deviations of its noise.
-    delay : Range or None
+    delay : CauseScale or None
         Of each sensor, in sampling steps.
-    input_gain : Range or None
+    input_gain : CauseScale or None
         Of each input, as a share: a supply whose phases differ.
-    parameter : Range or None
+    parameter : CauseScale or None
         Drift of each healthy parameter beyond what `inflate` foresees, as a share of its value; what is normal is
         known from the healthy record.
     """
 
-    gain: Range | None = field(default_factory=lambda: Range(0.03, 0.03))
-    offset: Range | None = field(default_factory=lambda: Range(0.5, 0.5))
-    delay: Range | None = field(default_factory=lambda: Range(0.2, 0.2))
-    input_gain: Range | None = field(default_factory=lambda: Range(0.02, 0.02))
-    parameter: Range | None = field(default_factory=lambda: Range(1.0, 0.1))
+    gain: CauseScale | None = field(default_factory=lambda: CauseScale(0.03, 0.03))
+    offset: CauseScale | None = field(default_factory=lambda: CauseScale(0.5, 0.5))
+    delay: CauseScale | None = field(default_factory=lambda: CauseScale(0.2, 0.2))
+    input_gain: CauseScale | None = field(default_factory=lambda: CauseScale(0.02, 0.02))
+    parameter: CauseScale | None = field(default_factory=lambda: CauseScale(1.0, 0.1))
 
 
 def name_of(kind: CauseKind, variable: str, fault: str) -> str:
@@ -102,7 +102,7 @@ def name_of(kind: CauseKind, variable: str, fault: str) -> str:
 
 
 @dataclass(frozen=True)
-class Coordinate:
+class ChangeParameter:
     """One number of the machine and what is around it.
 
     Attributes
@@ -137,19 +137,19 @@ class Coordinate:
 
 
 @dataclass(frozen=True, eq=False)
-class Coordinates:
+class ChangeParameterSet:
     """The coordinates of a machine, and the causes that they make.
 
     Attributes
     ----------
-    each : tuple of Coordinate
+    each : tuple of ChangeParameter
         Healthy parameters first.
     causes : tuple of Cause
     healthy : (N,) array
         The healthy machine: its parameters, and zero for all else.
     """
 
-    each: tuple[Coordinate, ...]
+    each: tuple[ChangeParameter, ...]
     causes: tuple[Cause, ...]
     healthy: Floats
 
@@ -186,7 +186,7 @@ def coordinates_of(
     experiment: Experiment,
     noise: Mapping[str, float],
     causes: Causes,
-) -> Coordinates:
+) -> ChangeParameterSet:
     """Return the coordinates of a machine.
 
     Parameters
@@ -206,7 +206,7 @@ def coordinates_of(
     made = _Made()
     for name, parameter in nominal.items():
         magnitude = parameter.nominal or abs(parameter.start) or 1.0
-        of = Coordinate(
+        of = ChangeParameter(
             CauseKind.PARAMETER, name, system.unit(name) or "", DIFFERENCE_STEP * magnitude, OPEN * magnitude
         )
         made.add(of, parameter.start, None if causes.parameter is None else causes.parameter.size * magnitude)
@@ -221,26 +221,28 @@ def coordinates_of(
             (CauseKind.DELAY, causes.delay, step, "s"),
         ):
             if range_ is not None:
-                made.add(Coordinate(kind, output, own, math.nan, range_.normal * scale), 0.0, range_.size * scale)
+                made.add(ChangeParameter(kind, output, own, math.nan, range_.normal * scale), 0.0, range_.size * scale)
     if causes.input_gain is not None:
         for name in experiment.input_names:
             if np.any(experiment.input_values[:, experiment.input_names.index(name)]):
-                of = Coordinate(CauseKind.INPUT_GAIN, name, "", DIFFERENCE_STEP, causes.input_gain.normal)
+                of = ChangeParameter(CauseKind.INPUT_GAIN, name, "", DIFFERENCE_STEP, causes.input_gain.normal)
                 made.add(of, 0.0, causes.input_gain.size)
-    return Coordinates(tuple(made.each), tuple(made.causes), np.array(made.healthy))
+    return ChangeParameterSet(tuple(made.each), tuple(made.causes), np.array(made.healthy))
 
 
 class _Made:
     """Coordinates and causes as they come."""
 
     def __init__(self) -> None:
-        self.each: list[Coordinate] = []
+        self.each: list[ChangeParameter] = []
         self.causes: list[Cause] = []
         self.healthy: list[float] = []
 
-    def add(self, of: Coordinate | Sequence[Coordinate], healthy: float, size: float | None, sign: int = 0) -> None:
+    def add(
+        self, of: ChangeParameter | Sequence[ChangeParameter], healthy: float, size: float | None, sign: int = 0
+    ) -> None:
         """Add a coordinate, or the two of a plane, and the cause that they are unless their size is None."""
-        new = [of] if isinstance(of, Coordinate) else list(of)
+        new = [of] if isinstance(of, ChangeParameter) else list(of)
         columns = tuple(range(len(self.each), len(self.each) + len(new)))
         self.each += new
         self.healthy += [healthy] * len(new)
@@ -255,9 +257,11 @@ def _add_fault(made: _Made, name: str, fault: Fault) -> None:
         magnitude = parameter.nominal or 1.0
         unit = system.unit(size) or ""
         step, normal = DIFFERENCE_STEP * magnitude, SOUND_SHARE * magnitude
-        first = Coordinate(CauseKind.FAULT, size, unit, step, normal, name)
+        first = ChangeParameter(CauseKind.FAULT, size, unit, step, normal, name)
         if size in fault.located:
-            made.add([first, Coordinate(CauseKind.FAULT, size, unit, step, normal, name, second=True)], 0.0, magnitude)
+            made.add(
+                [first, ChangeParameter(CauseKind.FAULT, size, unit, step, normal, name, second=True)], 0.0, magnitude
+            )
         else:
             sign = 1 if parameter.min == 0.0 else -1 if parameter.max == 0.0 else 0
             made.add(first, 0.0, magnitude, sign)

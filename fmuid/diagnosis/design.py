@@ -21,11 +21,11 @@ import pandas as pd
 from fmuid.blas import single_threaded
 from fmuid.data import Experiment
 from fmuid.diagnosis.baseline.baseline import Baseline
-from fmuid.diagnosis.baseline_comparator import Juxtaposition
-from fmuid.diagnosis.change_detection.cause_ranking import MODEL_ERROR, angle, told_apart_from
+from fmuid.diagnosis.baseline_comparator import BaselineComparator
+from fmuid.diagnosis.change_detection.cause_ranking import MODEL_ERROR, angle, distinguishable_size
 from fmuid.diagnosis.change_detection.causes import Cause
-from fmuid.diagnosis.change_detection.detection import Chance, detectable
-from fmuid.diagnosis.change_detection.information_matrix import Information, Known, News
+from fmuid.diagnosis.change_detection.detection import MinPDistribution, detectable
+from fmuid.diagnosis.change_detection.information_matrix import ChangePrior, InformationMatrix, ScoreStatistics
 from fmuid.diagnosis.change_detection.onset_tracker import LEAST
 from fmuid.diagnosis.change_parameters import CauseKind, Causes
 from fmuid.diagnosis.faults import Fault
@@ -41,7 +41,7 @@ FOREVER = 1e4
 
 
 @dataclass(frozen=True)
-class Detectable:
+class MinimumDetectableFault:
     """The smallest size of a fault that is found.
 
     Attributes
@@ -104,8 +104,8 @@ class Design:
     >>> coil = fmuid.datasets.coil()
     >>> fault = fmuid.Fault(fmuid.datasets.faulty_coil().fmu, {"dR": fmuid.Parameter(0.0, nominal=1.0)})
     >>> design = fmuid.Design({"turns": fault}, fmuid.identify(coil.problem()), coil.fmu)
-    >>> long = fmuid.trial(fmuid.prbs(2.0, 1e-3, 12.0, bit=8), ["u"], ["i"])
-    >>> short = fmuid.trial(fmuid.steps(0.2, 1e-3, [0.0, 12.0]), ["u"], ["i"])
+    >>> long = fmuid.planned_experiment(fmuid.prbs(2.0, 1e-3, 12.0, bit=8), ["u"], ["i"])
+    >>> short = fmuid.planned_experiment(fmuid.step_sequence(0.2, 1e-3, [0.0, 12.0]), ["u"], ["i"])
     >>> design.rank({"short": short, "long": long})["excitation"].tolist()
     ['long', 'short']
     """
@@ -131,7 +131,7 @@ class Design:
         self.false_alarm, self.miss = false_alarm, miss
 
     @single_threaded
-    def detectable(self, excitation: Experiment, healthy: float | None = None) -> tuple[Detectable, ...]:
+    def detectable(self, excitation: Experiment, healthy: float | None = None) -> tuple[MinimumDetectableFault, ...]:
         """Return the smallest detectable value of each size.
 
         Parameters
@@ -151,33 +151,37 @@ class Design:
             If the simulation of the healthy machine fails.
         """
         planned = healthy is not None
-        made = Juxtaposition.of(
+        made = BaselineComparator.of(
             self.system, self.baseline, self.faults, self.causes, [excitation], planned=planned, fewer=True
         )
         _, columns = made.machine(excitation).linearise(made.coordinates.healthy)
         white = made.healthy.whitening(excitation, columns)
-        said = Information.of(white, np.zeros(len(white)))
+        said = InformationMatrix.of(white, np.zeros(len(white)))
         known = made.healthy.known
         if healthy is not None:
             longer = min(healthy, FOREVER)
-            known = Known.after(Information(longer * said.matrix, longer * said.score), made.coordinates.normal)
-        sharp = News.of(said, Known(0.0 * known.mean, 0.0 * known.covariance).drifting(made.healthy.drift))
-        news = News.of(said, known.drifting(made.healthy.drift))
+            known = ChangePrior.after(
+                InformationMatrix(longer * said.matrix, longer * said.score), made.coordinates.normal
+            )
+        sharp = ScoreStatistics.of(
+            said, ChangePrior(0.0 * known.mean, 0.0 * known.covariance).drifting(made.healthy.drift)
+        )
+        news = ScoreStatistics.of(said, known.drifting(made.healthy.drift))
         causes, kappa = made.coordinates.causes, made.model_error(self.model_error, self.false_alarm)
-        limit = self.false_alarm if len(causes) == 1 else Chance.of(news, causes).limit(self.false_alarm)
+        limit = self.false_alarm if len(causes) == 1 else MinPDistribution.of(news, causes).limit(self.false_alarm)
         found = []
         for cause in causes:
             of = made.coordinates.each[cause.columns[0]]
             if of.kind is CauseKind.FAULT:
                 size = self._size(news, sharp, said, cause, causes, limit, kappa)
-                found.append(Detectable(of.fault, of.variable, size[0], size[1], of.unit, *size[2:]))
+                found.append(MinimumDetectableFault(of.fault, of.variable, size[0], size[1], of.unit, *size[2:]))
         return tuple(found)
 
     def _size(
         self,
-        news: News,
-        sharp: News,
-        said: Information,
+        news: ScoreStatistics,
+        sharp: ScoreStatistics,
+        said: InformationMatrix,
         cause: Cause,
         causes: Sequence[Cause],
         limit: float,
@@ -195,7 +199,7 @@ class Design:
             return value, std, share, "", math.nan, value
         angles = [angle(news, cause, other) for other in others]
         near = int(np.argmin(angles))
-        apart = max(told_apart_from(news, cause, other, kappa) for other in others)
+        apart = max(distinguishable_size(news, cause, other, kappa) for other in others)
         return value, std, share, others[near].name, angles[near], max(apart, value)
 
     def cost(self, excitation: Experiment, healthy: Sequence[float] = (1.0, 3.0, 10.0, 100.0)) -> pd.DataFrame:
@@ -260,7 +264,7 @@ class Design:
 
 
 @single_threaded
-def trial(
+def planned_experiment(
     frame: pd.DataFrame,
     inputs: Sequence[str] | Mapping[str, str],
     outputs: Sequence[str] | Mapping[str, str],
@@ -281,7 +285,7 @@ def trial(
 
     Examples
     --------
-    >>> fmuid.trial(fmuid.steps(0.2, 1e-3, [0.0, 12.0]), ["u"], ["i"])
+    >>> fmuid.planned_experiment(fmuid.step_sequence(0.2, 1e-3, [0.0, 12.0]), ["u"], ["i"])
     Experiment('trial', 200 samples, 0 to 0.199 s, u → i)
     """
     return Experiment(

@@ -21,32 +21,32 @@ from fmuid.blas import single_threaded
 from fmuid.data import Experiment, Noise, Parameter
 from fmuid.diagnosis.baseline.baseline import Baseline
 from fmuid.diagnosis.baseline_comparator import compare
-from fmuid.diagnosis.cause_results import Evidence
+from fmuid.diagnosis.cause_results import ChangeEvidence
 from fmuid.diagnosis.change_detection.cause_ranking import MODEL_ERROR
 from fmuid.diagnosis.change_parameters import Causes
-from fmuid.diagnosis.diagnosis_result import Diagnosis, Test
-from fmuid.diagnosis.fault_fits import Checked, fit_both
+from fmuid.diagnosis.diagnosis_result import Diagnosis, ResidualVarianceTest
+from fmuid.diagnosis.fault_fits import FitSolverCheck, fit_both
 from fmuid.diagnosis.faults import Fault
-from fmuid.diagnosis.hypothesis import Hypothesis, Size, Strain
+from fmuid.diagnosis.hypothesis import BaselineDeviation, FaultHypothesis, FaultSize
 from fmuid.diagnosis.hypothesis_tests import (
     FALSE_ALARM_LEVEL,
     UNEXPLAINED_SHARE,
-    Reference,
+    NullDistribution,
     at_least_one,
     orthant_weights,
     rivals,
 )
 from fmuid.errors import InputError
-from fmuid.estimation import SENSITIVITIES, Marquardt, Outcome, Result, check_level
+from fmuid.estimation import SENSITIVITIES, Marquardt, Result, TerminationReason, check_level
 from fmuid.formatting import nearest, of_one_experiment
 from fmuid.identification import (
     SAME_VARIANCE_RATIO,
     SIGNIFICANCE_LEVEL,
+    PriorDataComparison,
     Problem,
-    Reading,
     VarianceTest,
+    compare_prior_and_data,
     identify,
-    read_result,
 )
 from fmuid.models import FMU, System
 from fmuid.progress import FaultStep, Progress
@@ -141,7 +141,7 @@ def diagnose(
     if not hypotheses:
         raise InputError("there is no fault to look for: give at least one fault model with its parameters")
     listed = [experiments] if isinstance(experiments, Experiment) else list(experiments)
-    work = _Diagnosing(listed, Baseline.of(baseline), settings or DiagnosisSettings())
+    work = _DiagnosisRunner(listed, Baseline.of(baseline), settings or DiagnosisSettings())
     models: list[str | None] = [None, *hypotheses]
 
     def tell(fault: str | None) -> None:
@@ -161,7 +161,7 @@ def diagnose(
     return work.decided(nominal, found, work.beside(system, hypotheses) if work.baseline.beside else None)
 
 
-class _Diagnosing:
+class _DiagnosisRunner:
     """What all hypotheses share: the record, the common mode, the noise."""
 
     def __init__(self, experiments: list[Experiment], baseline: Baseline, settings: DiagnosisSettings) -> None:
@@ -176,15 +176,15 @@ class _Diagnosing:
         self.freedom, self.variance = baseline.freedom, baseline.variance(outputs)
         self.refinement = baseline.refinement
 
-    def fit_nominal(self, model: System) -> tuple[Result, Reading]:
+    def fit_nominal(self, model: System) -> tuple[Result, PriorDataComparison]:
         """Fit the healthy machine."""
         problem = self._problem(model, self.experiments, self.common, self.variance, self.held)
         problem.simulate_by(self.refinement)  # that of the healthy record, whose estimates are the prior
         # a fault that is not in the model leaves a residual: no reason to search elsewhere
         result = identify(problem, self.settings.search, accuracy=self.settings.accuracy, remedies=False)
-        return result, read_result(problem, result)
+        return result, compare_prior_and_data(problem, result)
 
-    def fit_fault(self, name: str, fault: Fault, nominal: tuple[Result, Reading]) -> Hypothesis:
+    def fit_fault(self, name: str, fault: Fault, nominal: tuple[Result, PriorDataComparison]) -> FaultHypothesis:
         """Fit a fault model without and with its fault."""
         names = fault.names
         everywhere = {*self.common, *(n for each in self.experiments for n in (*each.input_names, *each.output_names))}
@@ -206,10 +206,10 @@ class _Diagnosing:
             self.settings.search,
             self.settings.accuracy,
         )
-        reading, freedom = read_result(problem, best), _freedom(best, fault, self.freedom)
+        reading, freedom = compare_prior_and_data(problem, best), _freedom(best, fault, self.freedom)
         return _hypothesis(name, fault, system, (healthy, best), nominal[0].criterion, reading, freedom)
 
-    def beside(self, system: System, faults: Mapping[str, Fault]) -> Evidence:
+    def beside(self, system: System, faults: Mapping[str, Fault]) -> ChangeEvidence:
         """Say what is new beside the healthy records."""
         how = self.settings
         return compare(self.experiments, self.baseline, faults, system, how.causes, self.level, how.model_error)
@@ -227,7 +227,10 @@ class _Diagnosing:
         )
 
     def decided(
-        self, nominal: tuple[Result, Reading], found: Sequence[Hypothesis], evidence: Evidence | None
+        self,
+        nominal: tuple[Result, PriorDataComparison],
+        found: Sequence[FaultHypothesis],
+        evidence: ChangeEvidence | None,
     ) -> Diagnosis:
         """Compare the hypotheses and say what it is; with healthy records by the evidence of all causes."""
         adjusted = at_least_one([each.probability for each in found])
@@ -264,27 +267,29 @@ class _Diagnosing:
             strain=found[best[0]].strain if best else _strain(nominal[1]),
             version=__version__,
             result=result,
-            checked=Checked.of(result),
+            checked=FitSolverCheck.of(result),
             evidence=evidence,
         )
 
-    def _unexplained(self, without: Sequence[VarianceTest], with_: Sequence[VarianceTest] | None) -> Test:
+    def _unexplained(
+        self, without: Sequence[VarianceTest], with_: Sequence[VarianceTest] | None
+    ) -> ResidualVarianceTest:
         """Test whether the residual is larger than the noise; the last test is that of all outputs together."""
         test = (without if with_ is None else with_)[-1]
         return self._larger(test.ratio, without[-1].ratio, round(test.degrees_of_freedom), alarm=with_ is not None)
 
-    def _owed(self, evidence: Evidence) -> Test:
+    def _owed(self, evidence: ChangeEvidence) -> ResidualVarianceTest:
         """Say whether what the residual owes to the inputs has changed from the healthy records on."""
         p = evidence.remainder.probability
-        return Test(evidence.ratio, p, p < UNEXPLAINED_SHARE * self.level, evidence.explained)
+        return ResidualVarianceTest(evidence.ratio, p, p < UNEXPLAINED_SHARE * self.level, evidence.explained)
 
-    def _larger(self, ratio: float, before: float, samples: int, *, alarm: bool) -> Test:
+    def _larger(self, ratio: float, before: float, samples: int, *, alarm: bool) -> ResidualVarianceTest:
         # both variances are estimates: their ratio is F
         exact = math.isinf(self.freedom)
         tail = special.chdtrc(samples, samples * ratio) if exact else special.fdtrc(samples, self.freedom, ratio)
         larger = ratio > SAME_VARIANCE_RATIO and float(tail) < UNEXPLAINED_SHARE * self.level
         explained = (before - ratio) / (before - 1.0) if alarm and before > 1.0 else 0.0
-        return Test(ratio, float(tail), bool(larger), float(np.clip(explained, 0.0, 1.0)))
+        return ResidualVarianceTest(ratio, float(tail), bool(larger), float(np.clip(explained, 0.0, 1.0)))
 
 
 # --- one hypothesis ---------------------------------------------------------------------
@@ -310,7 +315,7 @@ def _starts(problem: Problem, healthy: Result, fault: Fault) -> list[np.ndarray]
 
 def _ended(result: Result) -> bool:
     """Whether a search has ended where nothing more is to be gained, whatever it determines."""
-    return result.converged or result.outcome in (Outcome.UNDETERMINED, Outcome.RUNAWAY)
+    return result.converged or result.outcome in (TerminationReason.UNDETERMINED, TerminationReason.RUNAWAY)
 
 
 def _colour(result: Result, fault: Fault) -> float:
@@ -330,9 +335,9 @@ def _hypothesis(
     system: System,
     fits: tuple[Result, Result],
     nominal_criterion: float,
-    reading: Reading,
+    reading: PriorDataComparison,
     freedom: float,
-) -> Hypothesis:
+) -> FaultHypothesis:
     without, best = fits
     colour = _colour(best, fault)
     statistic = max(without.criterion - best.criterion, 0.0) / colour**2
@@ -340,7 +345,7 @@ def _hypothesis(
     probability = reference.probability(statistic)
     sizes = tuple(_size(each, fault, best, system.unit(each) or "", freedom, probability) for each in fault.sizes)
     off_bound = [each for each in sizes if each.value != 0.0 or each.name not in fault.constrained]
-    return Hypothesis(
+    return FaultHypothesis(
         name=name,
         sizes=sizes,
         common={
@@ -362,11 +367,11 @@ def _hypothesis(
         strain=_strain(reading),
         variances=reading.variances,
         result=best,
-        checked=Checked.of(best),
+        checked=FitSolverCheck.of(best),
     )
 
 
-def _reference(fault: Fault, result: Result, freedom: float) -> Reference:
+def _reference(fault: Fault, result: Result, freedom: float) -> NullDistribution:
     """Return the distribution of D without fault; directions that nothing determines are no part of it."""
     constrained = [result.names.index(name) for name in fault.constrained]
     kept = [i for i in constrained if math.isfinite(result.std[i])]
@@ -375,31 +380,35 @@ def _reference(fault: Fault, result: Result, freedom: float) -> Reference:
         weights = orthant_weights(result.covariance[np.ix_(kept, kept)])
     except InputError:  # all but the same parameter several times: χ² of all of them is an upper limit
         weights = (*(0.0,) * len(kept), 1.0)
-    return Reference(free, weights, freedom)
+    return NullDistribution(free, weights, freedom)
 
 
-def _size(name: str, fault: Fault, result: Result, unit: str, freedom: float, probability: float) -> Size:
+def _size(name: str, fault: Fault, result: Result, unit: str, freedom: float, probability: float) -> FaultSize:
     """Return a size with the probability that it is as far from zero by chance; an only one has that of D."""
     value, std = result[name], float(result.std[result.names.index(name)])
     if len(fault.sizes) > 1:
         ratio = (value / std) ** 2 if 0.0 < std < math.inf else 0.0
-        alone = Reference(0, (0.5, 0.5), freedom) if name in fault.constrained else Reference(1, freedom=freedom)
-        probability = (Reference(2, freedom=freedom) if name in fault.located else alone).probability(ratio)
+        alone = (
+            NullDistribution(0, (0.5, 0.5), freedom)
+            if name in fault.constrained
+            else NullDistribution(1, freedom=freedom)
+        )
+        probability = (NullDistribution(2, freedom=freedom) if name in fault.located else alone).probability(ratio)
     low, high = fault.parameters[name].min, fault.parameters[name].max
     located = fault.located.get(name)
     angle = fault.angle(located) if located else None
     if located is None or angle is None:
-        return Size(name, value, std, unit, probability, low, high)
+        return FaultSize(name, value, std, unit, probability, low, high)
     at = result[located] % angle.period
     std_there = float(result.std[result.names.index(located)])
-    return Size(name, value, std, unit, probability, low, high, located, at, std_there, angle.period)
+    return FaultSize(name, value, std, unit, probability, low, high, located, at, std_there, angle.period)
 
 
-def _strain(reading: Reading) -> Strain | None:
+def _strain(reading: PriorDataComparison) -> BaselineDeviation | None:
     """Return the nominal parameter that has left what was foreseen, the one that has most."""
     agreement = reading.agreement
     if agreement is None or agreement.probability >= SIGNIFICANCE_LEVEL:
         return None
     conflict = np.abs(np.nan_to_num(reading.conflict))
     i = int(np.argmax(conflict))
-    return Strain(reading.names[i], float(conflict[i])) if conflict[i] else None
+    return BaselineDeviation(reading.names[i], float(conflict[i])) if conflict[i] else None

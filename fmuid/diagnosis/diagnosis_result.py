@@ -10,10 +10,10 @@ from typing import Any
 
 import pandas as pd
 
-from fmuid.diagnosis.cause_results import Evidence
-from fmuid.diagnosis.fault_fits import Checked
-from fmuid.diagnosis.hypothesis import Estimate, Hypothesis, Strain, estimates_of
-from fmuid.display_mixins import Plotted
+from fmuid.diagnosis.cause_results import ChangeEvidence
+from fmuid.diagnosis.fault_fits import FitSolverCheck
+from fmuid.diagnosis.hypothesis import BaselineDeviation, Estimate, FaultHypothesis, estimates_of
+from fmuid.display_mixins import PlotMixin
 from fmuid.errors import InputError
 from fmuid.estimation import Result
 from fmuid.files import as_json, content_of, write_json
@@ -23,7 +23,7 @@ EXPLAINED_SHARE = 0.5
 
 
 @dataclass(frozen=True)
-class Test:
+class ResidualVarianceTest:
     """The residual of the most likely model against the noise of the healthy machine.
 
     Attributes
@@ -45,19 +45,19 @@ class Test:
 
 
 @dataclass(frozen=True, eq=False)
-class Diagnosis(Plotted):
+class Diagnosis(PlotMixin):
     """What a diagnosis found.
 
     Attributes
     ----------
     level : float
         Probability of an alarm where nothing is wrong.
-    hypotheses : tuple of Hypothesis
+    hypotheses : tuple of FaultHypothesis
     called : tuple of str
         The hypotheses that are significant.
     named : tuple of str
         Of these the most likely one, and those that the data do not tell apart from it.
-    unexplained : Test
+    unexplained : ResidualVarianceTest
         Whether the residual is larger than the noise even so.
     samples : int
     noise_variance : dict of str to float
@@ -65,15 +65,15 @@ class Diagnosis(Plotted):
         The healthy model fitted.
     ended : bool
         Whether that fit ended at a minimum.
-    strain : Strain or None
+    strain : BaselineDeviation or None
         The nominal parameter that has left what was foreseen.
     version : str
         Of fmuid.
     result : Result or None
         The fit of the healthy model; not kept in a file.
-    checked : Checked
+    checked : FitSolverCheck
         What the error of the simulation does to it.
-    evidence : Evidence or None
+    evidence : ChangeEvidence or None
         What is new beside the healthy records, faults and all other causes; None where there are none. It decides
         what is named.
 
@@ -87,24 +87,24 @@ class Diagnosis(Plotted):
     """
 
     level: float
-    hypotheses: tuple[Hypothesis, ...]
+    hypotheses: tuple[FaultHypothesis, ...]
     called: tuple[str, ...]
     named: tuple[str, ...]
-    unexplained: Test
+    unexplained: ResidualVarianceTest
     samples: int
     noise_variance: Mapping[str, float]
     nominal: Mapping[str, Estimate]
     ended: bool
-    strain: Strain | None
+    strain: BaselineDeviation | None
     version: str
     result: Result | None = None
-    checked: Checked = field(default_factory=Checked)
-    evidence: Evidence | None = None
+    checked: FitSolverCheck = field(default_factory=FitSolverCheck)
+    evidence: ChangeEvidence | None = None
 
     def __repr__(self) -> str:
         return f"Diagnosis({self.kind}{': ' if self.named else ''}{', '.join(self.named)})"
 
-    def __getitem__(self, name: str) -> Hypothesis:
+    def __getitem__(self, name: str) -> FaultHypothesis:
         """Return one hypothesis."""
         for each in self.hypotheses:
             if each.name == name:
@@ -202,16 +202,16 @@ class Diagnosis(Plotted):
         with content_of(Path(path), "the diagnosis.json of a diagnosis", "run fmuid diagnose again") as data:
             return cls(
                 level=float(data["level"]),
-                hypotheses=tuple(Hypothesis.of_json(name, each) for name, each in data["faults"].items()),
+                hypotheses=tuple(FaultHypothesis.of_json(name, each) for name, each in data["faults"].items()),
                 called=tuple(data["called"]),
                 named=tuple(data["named"]),
-                unexplained=Test(**data["unexplained"]),
+                unexplained=ResidualVarianceTest(**data["unexplained"]),
                 samples=int(data["samples"]),
                 noise_variance=dict(data["noise_variance"]),
                 nominal=estimates_of(data["nominal"]),
                 ended=bool(data["ended"]),
-                strain=None if data["strain"] is None else Strain(**data["strain"]),
+                strain=None if data["strain"] is None else BaselineDeviation(**data["strain"]),
                 version=str(data["version"]),
-                checked=Checked.of_json(data.get("accuracy")),
-                evidence=None if data["evidence"] is None else Evidence.of_json(data["evidence"]),
+                checked=FitSolverCheck.of_json(data.get("accuracy")),
+                evidence=None if data["evidence"] is None else ChangeEvidence.of_json(data["evidence"]),
             )

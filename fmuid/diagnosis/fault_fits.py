@@ -10,25 +10,25 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from fmuid.array_types import Floats
-from fmuid.estimation import Accuracy, LeastSquares, Marquardt, Result, merged
+from fmuid.estimation import LeastSquares, Marquardt, Result, SolverCheck, merge_optima
 from fmuid.identification import Problem, identify
 from fmuid.progress import Progress
 
 
 @dataclass(frozen=True, eq=False)
-class Checked:
+class FitSolverCheck:
     """What the error of the simulation does to the parameters of a fit.
 
     Attributes
     ----------
     names : tuple of str
-        The parameters, in the order of `Accuracy.shift`.
-    accuracy : Accuracy or None
+        The parameters, in the order of `SolverCheck.shift`.
+    accuracy : SolverCheck or None
         None where it was not looked at.
     """
 
     names: tuple[str, ...] = ()
-    accuracy: Accuracy | None = None
+    accuracy: SolverCheck | None = None
 
     @classmethod
     def of(cls, result: Result) -> Self:
@@ -47,7 +47,7 @@ class Checked:
         if data is None:
             return cls()
         shift = [np.nan if each is None else float(each) for each in data["shift"].values()]
-        return cls(tuple(data["shift"]), Accuracy.of_json(data, np.array(shift)))
+        return cls(tuple(data["shift"]), SolverCheck.of_json(data, np.array(shift)))
 
 
 @dataclass(frozen=True)
@@ -68,7 +68,7 @@ class _Starts:
         best = min(fits, key=lambda each: each.criterion)
         if len(fits) == 1:
             return best
-        optima = merged(problem, fits)
+        optima = merge_optima(problem, fits)
         # the best fit itself, whatever the others say of how well it converged
         optima = (replace(optima[0], theta=best.values, outcome=best.outcome, fit=best), *optima[1:])
         return replace(best, simulations=problem.simulations - before, optima=optima)

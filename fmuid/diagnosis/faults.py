@@ -25,7 +25,7 @@ ANGLE_STARTS = 4
 
 
 @dataclass(frozen=True)
-class Angle:
+class FaultAngle:
     """A circular fault parameter, which locates a fault and means nothing without it.
 
     Parameters
@@ -42,7 +42,7 @@ class Angle:
 
     Examples
     --------
-    >>> fmuid.Angle("size", period=2 * np.pi / 3)
+    >>> fmuid.FaultAngle("size", period=2 * np.pi / 3)
     Angle(size='size', period=2.0943951023931953)
     """
 
@@ -96,7 +96,7 @@ class Fault:
     model: System | FMU | str | Path
     parameters: Mapping[str, Parameter]
     names: Mapping[str, str] = field(default_factory=dict)
-    angles: Mapping[str, Angle] | Sequence[str] = ()
+    angles: Mapping[str, FaultAngle] | Sequence[str] = ()
     values: Mapping[str, float | int | bool | str] = field(default_factory=dict)
     inputs: Mapping[str, str] = field(default_factory=dict)
 
@@ -128,15 +128,15 @@ class Fault:
                     f"the bounds of the fault parameter {name!r} exclude 0, which is the healthy machine: widen them"
                 )
 
-    def _angles(self) -> dict[str, Angle]:
+    def _angles(self) -> dict[str, FaultAngle]:
         sizes = [name for name in self.parameters if name not in self.angles]
-        found: dict[str, Angle] = {}
+        found: dict[str, FaultAngle] = {}
         for name in self.angles:
             if isinstance(self.angles, Mapping):
                 angle = self.angles[name]
             elif len(sizes) == 1:
                 width = self.parameters[name].max - self.parameters[name].min
-                angle = Angle(sizes[0], width) if math.isfinite(width) else Angle(sizes[0])
+                angle = FaultAngle(sizes[0], width) if math.isfinite(width) else FaultAngle(sizes[0])
             else:
                 raise InputError(f"the angle {name!r} may belong to {' or '.join(sizes) or 'no size'}: name its size")
             if angle.size not in sizes:
@@ -153,7 +153,7 @@ class Fault:
         """The parameters that are no angles."""
         return tuple(name for name in self.parameters if name not in self.angles)
 
-    def angle(self, name: str) -> Angle | None:
+    def angle(self, name: str) -> FaultAngle | None:
         """Return the angle that a parameter is, None for a size."""
         return self.angles[name] if isinstance(self.angles, Mapping) and name in self.angles else None
 

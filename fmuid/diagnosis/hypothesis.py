@@ -9,10 +9,10 @@ from typing import Any
 
 from scipy import special
 
-from fmuid.diagnosis.fault_fits import Checked
-from fmuid.diagnosis.hypothesis_tests import Reference
+from fmuid.diagnosis.fault_fits import FitSolverCheck
+from fmuid.diagnosis.hypothesis_tests import NullDistribution
 from fmuid.errors import InputError
-from fmuid.estimation import Direction, Outcome, Result, check_level
+from fmuid.estimation import Result, TerminationReason, WeakDirection, check_level
 from fmuid.identification import VarianceTest
 
 Estimate = tuple[float, float]
@@ -38,7 +38,7 @@ SAME_CRITERION = 1.0
 
 
 @dataclass(frozen=True)
-class Size:
+class FaultSize:
     """How large a fault is.
 
     Attributes
@@ -84,7 +84,7 @@ class Size:
 
 
 @dataclass(frozen=True)
-class Strain:
+class BaselineDeviation:
     """A nominal parameter that has left what was foreseen.
 
     Attributes
@@ -99,18 +99,18 @@ class Strain:
 
 
 @dataclass(frozen=True, eq=False)
-class Hypothesis:
+class FaultHypothesis:
     """One fault model, fitted.
 
     Attributes
     ----------
     name : str
-    sizes : tuple of Size
+    sizes : tuple of FaultSize
     common : dict of str to (value, std)
         The nominal parameters beside the fault.
     statistic : float
         D, by how much the fault lowers the compound criterion (1.68), divided by the square of `colour`.
-    reference : Reference
+    reference : NullDistribution
         The distribution of D without a fault.
     probability : float
         That D is as large without a fault.
@@ -122,13 +122,13 @@ class Hypothesis:
         J_C with the fault.
     ended : bool
         Whether both searches ended at a minimum.
-    undetermined : tuple of Direction
+    undetermined : tuple of WeakDirection
         What leaves the fault open.
-    prior_determined : tuple of Direction
+    prior_determined : tuple of WeakDirection
         What would leave it open without the healthy record.
     mismatch : float
         By how much the criterion of this model without its fault differs from the healthy machine's.
-    outcome : Outcome
+    outcome : TerminationReason
         How the search ended.
     adjusted : float
         `probability`, adjusted for the number of hypotheses.
@@ -136,39 +136,39 @@ class Hypothesis:
         What D must exceed at the chosen level.
     information : float
         Bayesian information criterion against no fault, k ln n − D; less is better.
-    strain : Strain or None
+    strain : BaselineDeviation or None
         The nominal parameter that has left what was foreseen; not kept in a file.
     variances : tuple of VarianceTest
         Not kept in a file.
     result : Result or None
         The fit; not kept in a file.
-    checked : Checked
+    checked : FitSolverCheck
         What the error of the simulation does to it.
     """
 
     name: str
-    sizes: tuple[Size, ...]
+    sizes: tuple[FaultSize, ...]
     common: Mapping[str, Estimate]
     statistic: float
-    reference: Reference
+    reference: NullDistribution
     probability: float
     colour: float
     active: int
     criterion: float
     ended: bool
-    undetermined: tuple[Direction, ...]
-    prior_determined: tuple[Direction, ...]
+    undetermined: tuple[WeakDirection, ...]
+    prior_determined: tuple[WeakDirection, ...]
     mismatch: float
-    outcome: Outcome
+    outcome: TerminationReason
     adjusted: float = math.nan
     threshold: float = math.nan
     information: float = math.nan
-    strain: Strain | None = None
+    strain: BaselineDeviation | None = None
     variances: tuple[VarianceTest, ...] = ()
     result: Result | None = None
-    checked: Checked = field(default_factory=Checked)
+    checked: FitSolverCheck = field(default_factory=FitSolverCheck)
 
-    def judged(self, adjusted: float, threshold: float, information: float) -> Hypothesis:
+    def judged(self, adjusted: float, threshold: float, information: float) -> FaultHypothesis:
         """Return the hypothesis with what follows from comparing it with the others."""
         return replace(self, adjusted=adjusted, threshold=threshold, information=information)
 
@@ -182,14 +182,14 @@ class Hypothesis:
         """Whether the model without its fault fits as the healthy machine does."""
         return abs(self.mismatch) <= SAME_CRITERION
 
-    def __getitem__(self, name: str) -> Size:
+    def __getitem__(self, name: str) -> FaultSize:
         """Return one size."""
         for each in self.sizes:
             if each.name == name:
                 return each
         raise InputError(f"fault {self.name!r} has no size {name!r}; it has {', '.join(s.name for s in self.sizes)}")
 
-    def significant(self, level: float) -> tuple[Size, ...]:
+    def significant(self, level: float) -> tuple[FaultSize, ...]:
         """Return the sizes that are significant by themselves, the most first; the most likely one where none is."""
         order = sorted(self.sizes, key=lambda each: each.probability)
         return tuple(each for each in order if each.probability <= level / len(order)) or tuple(order[:1])
@@ -212,12 +212,12 @@ class Hypothesis:
             "accuracy": self.checked.to_json_dict(),
         }
 
-    def located(self, size: Size, level: float) -> bool:
+    def located(self, size: FaultSize, level: float) -> bool:
         """Return whether the angle of a size means anything: fault and size are significant."""
         return self.adjusted <= level and size.probability <= level
 
     @classmethod
-    def of_json(cls, name: str, data: Mapping[str, Any]) -> Hypothesis:
+    def of_json(cls, name: str, data: Mapping[str, Any]) -> FaultHypothesis:
         """Return a hypothesis of a ``diagnosis.json``.
 
         Raises
@@ -229,19 +229,19 @@ class Hypothesis:
         for each in data["sizes"].values():
             located = {key: number(each[key], math.nan) for key in ("angle_value", "angle_std", "period")}
             bounds = {"min": number(each["min"], -math.inf), "max": number(each["max"], math.inf)}
-            sizes.append(Size(**each | located | bounds | {"std": number(each["std"], math.inf)}))
+            sizes.append(FaultSize(**each | located | bounds | {"std": number(each["std"], math.inf)}))
         reference = data["reference"]
         return cls(
             name=name,
             sizes=tuple(sizes),
             common=estimates_of(data["common"]),
-            reference=Reference(
+            reference=NullDistribution(
                 int(reference["free"]), tuple(reference["weights"]), number(reference["freedom"], math.inf)
             ),
-            outcome=Outcome(data["outcome"]),
-            undetermined=tuple(map(Direction.of_json, data["undetermined"])),
-            prior_determined=tuple(map(Direction.of_json, data["prior_determined"])),
-            checked=Checked.of_json(data.get("accuracy")),
+            outcome=TerminationReason(data["outcome"]),
+            undetermined=tuple(map(WeakDirection.of_json, data["undetermined"])),
+            prior_determined=tuple(map(WeakDirection.of_json, data["prior_determined"])),
+            checked=FitSolverCheck.of_json(data.get("accuracy")),
             **{key: data[key] for key in _PLAIN_KEYS},
         )
 

@@ -46,7 +46,7 @@ WEIGHT_DRAWS, WEIGHT_SEED = 20_000, 0
 
 
 @dataclass(frozen=True)
-class Reference:
+class NullDistribution:
     """The distribution of D where there is no fault.
 
     Attributes

@@ -15,14 +15,14 @@ import numpy as np
 
 from fmuid.array_types import Floats
 from fmuid.data import Experiment, Parameter
-from fmuid.diagnosis.change_parameters import CauseKind, Coordinates
+from fmuid.diagnosis.change_parameters import CauseKind, ChangeParameterSet
 from fmuid.diagnosis.faults import Fault
 from fmuid.estimation import parabola_slope
 from fmuid.models import System
 from fmuid.simulation import AS_ASKED, Refinement, Simulator, refined
 
 
-class Machine:
+class LinearizedMachine:
     """A healthy machine and its fault models, over one record.
 
     Parameters
@@ -34,7 +34,7 @@ class Machine:
     nominal : mapping of str to Parameter
         Its parameters.
     faults : mapping of str to Fault
-    coordinates : Coordinates
+    coordinates : ChangeParameterSet
     experiment : Experiment
         The record.
     refinement : Refinement
@@ -52,7 +52,7 @@ class Machine:
         values: Mapping[str, float | int | bool | str],
         nominal: Mapping[str, Parameter],
         faults: Mapping[str, Fault],
-        coordinates: Coordinates,
+        coordinates: ChangeParameterSet,
         experiment: Experiment,
         refinement: Refinement = AS_ASKED,
     ) -> None:
@@ -63,7 +63,7 @@ class Machine:
             for name, fault in faults.items()
         ]
 
-    def over(self, experiment: Experiment) -> Machine:
+    def over(self, experiment: Experiment) -> LinearizedMachine:
         """Return the same machine over another record, which takes over what has been made ready to simulate."""
         other = copy(self)
         other.experiment, other._models = experiment, [model.again() for model in self._models]
@@ -108,7 +108,7 @@ class _Model:
         values: Mapping[str, float | int | bool | str],
         nominal: Mapping[str, Parameter],
         name: str,
-        coordinates: Coordinates,
+        coordinates: ChangeParameterSet,
         refinement: Refinement,
     ) -> None:
         self.fault, self.values = fault, dict(values)
@@ -236,7 +236,7 @@ def _driven(experiment: Experiment, gains: Mapping[str, float]) -> Experiment:
 class _Sum:
     """Outputs and columns as the models add to them."""
 
-    def __init__(self, coordinates: Coordinates, point: Floats, experiment: Experiment) -> None:
+    def __init__(self, coordinates: ChangeParameterSet, point: Floats, experiment: Experiment) -> None:
         self.coordinates, self.point, self.experiment = coordinates, point, experiment
         shape = experiment.output_values.shape
         self.outputs: Floats = np.zeros(shape)

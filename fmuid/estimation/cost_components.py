@@ -21,7 +21,7 @@ CHUNK_SAMPLES, LEAST_BATCH = 1_000_000, 64
 
 
 @dataclass(frozen=True, eq=False)
-class Misfits:
+class CostComponents:
     """The parts of the criterion at several thetas.
 
     Attributes
@@ -50,7 +50,7 @@ class Misfits:
         return np.asarray(parts.sum(axis=1) + self.prior, dtype=np.float64)
 
 
-def misfits(problem: LeastSquares, thetas: Floats) -> Misfits:
+def misfits(problem: LeastSquares, thetas: Floats) -> CostComponents:
     """Simulate thetas (m, N), as many at a time as memory allows, and sum up the squares of their residuals.
 
     The criterion itself needs no residual afterwards, so that maps and generations of any size fit into memory.
@@ -63,14 +63,14 @@ def misfits(problem: LeastSquares, thetas: Floats) -> Misfits:
         rows = problem.predict(thetas[first : first + at_a_time])
         with np.errstate(over="ignore", invalid="ignore"):  # too large to be squared is as bad as failed
             squares[first : first + at_a_time] = (rows - problem.measured) ** 2 @ members
-    return Misfits(squares, np.sum(problem.parameters.prior_residual(thetas) ** 2, axis=1))
+    return CostComponents(squares, np.sum(problem.parameters.prior_residual(thetas) ** 2, axis=1))
 
 
-def fitted(problem: LeastSquares, result: Result) -> Misfits:
+def fitted(problem: LeastSquares, result: Result) -> CostComponents:
     """Return the criterion's parts at a result of this problem, from its fit: nothing is simulated."""
     assert result.history is not None, "not of a result that was read from a file"
     errors = problem.measured - problem.stacked(result.history.simulated)
-    return Misfits(
+    return CostComponents(
         problem.squares(errors)[None], np.sum(problem.parameters.prior_residual(result.values[None]) ** 2, axis=1)
     )
 

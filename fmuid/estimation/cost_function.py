@@ -11,10 +11,10 @@ from numpy.typing import ArrayLike
 from fmuid.array_types import Flags, Floats
 from fmuid.errors import FmuidError, InputError
 from fmuid.estimation.finite_differences import FiniteDifferences, SensitivityError
-from fmuid.estimation.inactive_parameters import idle_parameters, waking_point
-from fmuid.estimation.model_sensitivities import Derivatives, ModelSensitivities
+from fmuid.estimation.inactive_parameters import find_active_point, inactive_parameters
+from fmuid.estimation.model_sensitivities import JacobianProvider, ModelSensitivities
 from fmuid.estimation.problem import LeastSquares
-from fmuid.estimation.simulation_noise import NoiseLevel, noise_along, shares_of, table_noise
+from fmuid.estimation.simulation_noise import SimulationNoise, noise_along, shares_of, table_noise
 
 # Of data that are fitted to the last digits of double precision, the residual says nothing about their noise: its
 # standard deviation counts as this share of the measured values at least.
@@ -39,7 +39,7 @@ class Evaluation:
     jacobian: Floats
 
 
-class Criterion:
+class CostFunction:
     """The compound criterion J_C (1.37) of a problem with noise variances chosen, as a sum of squares of theta.
 
     With a robust loss the rows of the data are the roots ±√ρ(f²) of the whitened residuals f (`fmuid.data.losses`).
@@ -61,10 +61,10 @@ class Criterion:
         self,
         problem: LeastSquares,
         variance: Floats,
-        noise: NoiseLevel,
+        noise: SimulationNoise,
         least_variance: Floats,
         start: Floats,
-        derivatives: Derivatives | None = None,
+        derivatives: JacobianProvider | None = None,
     ) -> None:
         self.problem, self.variance, self.least_variance = problem, variance, least_variance
         self.lower, self.upper = problem.parameters.lower, problem.parameters.upper
@@ -79,7 +79,7 @@ class Criterion:
         else:
             self._derivatives = derivatives.weighted(-self._weights, rows)
 
-    def _chosen_derivatives(self, noise: Floats) -> Derivatives:
+    def _chosen_derivatives(self, noise: Floats) -> JacobianProvider:
         problem, reach = self.problem, self.problem.parameters.reach
         differences = FiniteDifferences(
             problem.predict,
@@ -97,11 +97,11 @@ class Criterion:
             problem.derivatives, differences, reach, noise, -self._weights, problem.refuse_derivatives
         )
 
-    def reweighted(self, variance: Floats) -> Criterion:
+    def reweighted(self, variance: Floats) -> CostFunction:
         """Return the criterion with other noise variances and the same difference steps."""
-        return Criterion(self.problem, variance, self._level, self.least_variance, self._start, self._derivatives)
+        return CostFunction(self.problem, variance, self._level, self.least_variance, self._start, self._derivatives)
 
-    def converted(self, other: Criterion, residual: Floats, jacobian: Floats) -> tuple[Floats, Floats]:
+    def converted(self, other: CostFunction, residual: Floats, jacobian: Floats) -> tuple[Floats, Floats]:
         """Return residual and Jacobian of this criterion as those of another that differs in its variances only."""
         residual, jacobian = self.unrooted(residual, jacobian)
         scale = np.ones(residual.size)
@@ -216,7 +216,7 @@ class Criterion:
         if larger:
             outputs = np.maximum(outputs, self._level.outputs)
             self.least_variance = np.maximum(self.least_variance, outputs**2)
-            self._level = NoiseLevel(outputs, self._level.simulations + len(table) - 1)
+            self._level = SimulationNoise(outputs, self._level.simulations + len(table) - 1)
             weighed = outputs[problem.groups] * self._weights
             self._start, self._size, self._shrunk = base, _rms(base * self._weights), None
             self.noise, self._derivatives = _rms(weighed), self._derivatives.renoised(weighed, self._size)
@@ -262,29 +262,29 @@ def _rms(values: Floats) -> float:
 
 
 @dataclass(frozen=True, eq=False)
-class Start:
+class InitializedProblem:
     """A problem made ready at one theta.
 
     Attributes
     ----------
     theta : (N,) array
-    criterion : Criterion
+    criterion : CostFunction
     evaluation : Evaluation
         Residual and central Jacobian there.
-    noise : NoiseLevel
+    noise : SimulationNoise
         Of the simulation itself.
     moved : tuple of str
         Parameters that change no output at the theta given, and were moved to where they do.
     """
 
     theta: Floats
-    criterion: Criterion
+    criterion: CostFunction
     evaluation: Evaluation
-    noise: NoiseLevel
+    noise: SimulationNoise
     moved: tuple[str, ...] = ()
 
 
-def prepare(problem: LeastSquares, theta: ArrayLike | None = None) -> Start:
+def prepare(problem: LeastSquares, theta: ArrayLike | None = None) -> InitializedProblem:
     """Simulate the start, measure the simulation's noise, choose variances and steps, check influence.
 
     Where parameters act on nothing at the start but elsewhere in their box, that is where the search sets out from.
@@ -308,16 +308,16 @@ def prepare(problem: LeastSquares, theta: ArrayLike | None = None) -> Start:
     at = parameters.start if theta is None else np.array(theta, dtype=np.float64)
     _check_inside(problem, at)
     ready, acting = _prepared(problem, at)
-    idle = idle_parameters(problem, acting)
+    idle = inactive_parameters(problem, acting)
     if not idle.size:
         return ready
     noise = ready.noise.outputs[problem.groups]
-    there = waking_point(problem, at, idle, noise, 1.0 / np.sqrt(ready.criterion.variance[problem.groups]))
+    there = find_active_point(problem, at, idle, noise, 1.0 / np.sqrt(ready.criterion.variance[problem.groups]))
     names = tuple(parameters.names[i] for i in idle if there[i] != at[i])
     return replace(_prepared(problem, there)[0], moved=names)
 
 
-def _prepared(problem: LeastSquares, at: Floats) -> tuple[Start, Flags]:
+def _prepared(problem: LeastSquares, at: Floats) -> tuple[InitializedProblem, Flags]:
     """Return a problem made ready at a theta (N,), and which parameters act there."""
     parameters = problem.parameters
     base, noise = problem.noise_near(at)
@@ -330,7 +330,7 @@ def _prepared(problem: LeastSquares, at: Floats) -> tuple[Start, Flags]:
     # a robust loss must not take the residual of the start for outliers: it sets out from large variances
     given = problem.variance if problem.loss is None else np.maximum(problem.variance, from_residual)
     variance = np.where(np.isnan(problem.variance), first, given)
-    criterion = Criterion(problem, variance, noise, least, base)
+    criterion = CostFunction(problem, variance, noise, least, base)
     residual = criterion.whiten(at[None], base[None])[0]
     try:
         jacobian, acting = criterion.first_jacobian(at, base, residual)
@@ -339,7 +339,7 @@ def _prepared(problem: LeastSquares, at: Floats) -> tuple[Start, Flags]:
             f"the simulation succeeds at the start, but not with {parameters.names[error.index]!r} moved to either "
             f"side of {at[error.index]:g}; start from where the model is sound, or give bounds"
         ) from None
-    return Start(at, criterion, Evaluation(residual, jacobian), noise), acting
+    return InitializedProblem(at, criterion, Evaluation(residual, jacobian), noise), acting
 
 
 def _failure(problem: LeastSquares, theta: Floats, remedy: str) -> FmuidError:

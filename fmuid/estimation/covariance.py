@@ -52,7 +52,7 @@ def check_level(level: float, of: str = "an interval") -> None:
         raise InputError(f"the level of {of} must lie between 0 and 1, not {level!r}")
 
 
-class Determined(Enum):
+class Identifiability(Enum):
     """How little is known along a direction, within the limits above."""
 
     NOT = "not"
@@ -67,7 +67,7 @@ class Determined(Enum):
 
 
 @dataclass(frozen=True)
-class AtBound:
+class ActiveBound:
     """A parameter that lies on a bound, which the data would push it beyond.
 
     Attributes
@@ -82,12 +82,12 @@ class AtBound:
 
 
 @dataclass(frozen=True)
-class Direction:
+class WeakDirection:
     """A direction of the parameters that is not, or hardly, determined.
 
     Attributes
     ----------
-    determined : Determined
+    determined : Identifiability
     names : tuple of str
         The parameters that move most along it.
     coefficients : tuple of float
@@ -98,7 +98,7 @@ class Direction:
         The parameters where this was found, and how large each is.
     """
 
-    determined: Determined
+    determined: Identifiability
     names: tuple[str, ...]
     coefficients: tuple[float, ...]
     std: float
@@ -108,13 +108,13 @@ class Direction:
     @classmethod
     def of(
         cls,
-        determined: Determined,
+        determined: Identifiability,
         names: Sequence[str],
         relative: Floats,
         std: float,
         theta: Floats,
         magnitudes: Floats,
-    ) -> Direction:
+    ) -> WeakDirection:
         """Return a direction (N,) that is relative to the magnitudes, without the parameters that hardly move."""
         size = np.abs(relative)
         main = np.flatnonzero(size >= NAMED_SHARE * size.max()).tolist()
@@ -128,7 +128,7 @@ class Direction:
         )
 
     @classmethod
-    def of_json(cls, data: Mapping[str, Any]) -> Direction:
+    def of_json(cls, data: Mapping[str, Any]) -> WeakDirection:
         """Return a direction of a file.
 
         Raises
@@ -143,7 +143,7 @@ class Direction:
         if not len(names) == len(coefficients) == len(values) == len(magnitudes) > 0:
             raise ValueError("a direction has not as many numbers as names")
         std = math.inf if data["std"] is None else float(data["std"])
-        return cls(Determined(data["determined"]), names, coefficients, std, values, magnitudes)
+        return cls(Identifiability(data["determined"]), names, coefficients, std, values, magnitudes)
 
 
 @dataclass(frozen=True, eq=False)
@@ -154,7 +154,7 @@ class LocalCovariance:
     ----------
     covariance : (N, N) array
         (JᵀJ)⁻¹ of the whitened Jacobian; infinite variances and NaN covariances for parameters that are not determined.
-    undetermined, weak : tuple of Direction
+    undetermined, weak : tuple of WeakDirection
         What is not determined, at all first, then in effect; what is hardly determined.
     rank : int
         How many directions are determined at all, if only in theory: those of finite variance.
@@ -163,8 +163,8 @@ class LocalCovariance:
     """
 
     covariance: Floats
-    undetermined: tuple[Direction, ...]
-    weak: tuple[Direction, ...]
+    undetermined: tuple[WeakDirection, ...]
+    weak: tuple[WeakDirection, ...]
     rank: int
     root: Floats
 
@@ -240,13 +240,13 @@ def local_covariance(
     for row in _sparse(null):
         effect, error = (float(np.linalg.norm(part)) for part in (reduced @ row, jacobian_error * magnitudes * row))
         none = max(rounding, min(JACOBIAN_ERRORS * error, float(np.linalg.norm(row)) / UNDETERMINED_STD))
-        determined = Determined.NOT if effect <= none else Determined.HIDDEN
-        undetermined.append(Direction.of(determined, names, row, math.inf, at, magnitudes))
+        determined = Identifiability.NOT if effect <= none else Identifiability.HIDDEN
+        undetermined.append(WeakDirection.of(determined, names, row, math.inf, at, magnitudes))
     for direction, std in zip(directions[~zero], (1.0 / values[~zero]).tolist(), strict=True):
         if _lost_in_effect(np.abs(direction) * std * magnitudes, magnitudes, magnitudes if scale is None else scale):
-            undetermined.append(Direction.of(Determined.NOT_IN_EFFECT, names, direction, std, at, magnitudes))
+            undetermined.append(WeakDirection.of(Identifiability.NOT_IN_EFFECT, names, direction, std, at, magnitudes))
         elif std > WEAK_STD:
-            weak.append(Direction.of(Determined.HARDLY, names, direction, std, at, magnitudes))
+            weak.append(WeakDirection.of(Identifiability.HARDLY, names, direction, std, at, magnitudes))
     rank = len(names) - int(zero.sum())
     return LocalCovariance(covariance, tuple(undetermined), tuple(weak), rank, root[:, ~unseen])
 

@@ -13,12 +13,12 @@ from fmuid.array_types import Floats
 from fmuid.blas import single_threaded
 from fmuid.data import Loss
 from fmuid.estimation.cost_components import log_likelihood
-from fmuid.estimation.cost_function import Criterion, prepare
-from fmuid.estimation.covariance import AtBound, LocalCovariance, local_covariance
+from fmuid.estimation.cost_function import CostFunction, prepare
+from fmuid.estimation.covariance import ActiveBound, LocalCovariance, local_covariance
 from fmuid.estimation.iteration_history import History
-from fmuid.estimation.linearized_problem import LocalModel
-from fmuid.estimation.marquardt.jacobian_cache import Waypoints
-from fmuid.estimation.marquardt.outcome import Outcome
+from fmuid.estimation.linearized_problem import LinearizedProblem
+from fmuid.estimation.marquardt.jacobian_cache import JacobianCache
+from fmuid.estimation.marquardt.outcome import TerminationReason
 from fmuid.estimation.marquardt.search import Iteration, MarquardtSettings, State, search
 from fmuid.estimation.noise.sandwich import sandwich_of
 from fmuid.estimation.problem import LeastSquares
@@ -73,7 +73,7 @@ def point_result(problem: LeastSquares, theta: Floats) -> Result:
     np.fill_diagonal(covariance, np.inf)
     given = np.flatnonzero(~np.isnan(problem.variance))
     return Result(
-        outcome=Outcome.INTERRUPTED,
+        outcome=TerminationReason.INTERRUPTED,
         names=parameters.names,
         values=theta.copy(),
         start=parameters.start.copy(),
@@ -105,7 +105,7 @@ def point_result(problem: LeastSquares, theta: Floats) -> Result:
 
 
 @single_threaded
-def waypoints(problem: LeastSquares, settings: MarquardtSettings) -> Waypoints:
+def waypoints(problem: LeastSquares, settings: MarquardtSettings) -> JacobianCache:
     """Search, and return the derivatives of the simulation at the points that the search went through.
 
     Raises
@@ -114,13 +114,13 @@ def waypoints(problem: LeastSquares, settings: MarquardtSettings) -> Waypoints:
         If the search does not come through.
     """
     found = _Identification(problem, settings, None, None)
-    if found.run().outcome is Outcome.INTERRUPTED:
+    if found.run().outcome is TerminationReason.INTERRUPTED:
         raise KeyboardInterrupt
     n = len(problem.parameters)
     most = LARGEST_WAYPOINTS // (8 * problem.measured.size * n)
     thetas = np.array([step.theta for _, step in found.trace[1:] if step.accepted][:most]).reshape(-1, n)
     residuals = found.criterion.residuals(thetas)
-    return Waypoints(thetas, tuple(map(found.criterion.derivatives, thetas, residuals)))
+    return JacobianCache(thetas, tuple(map(found.criterion.derivatives, thetas, residuals)))
 
 
 class _Identification:
@@ -148,15 +148,15 @@ class _Identification:
                     break
                 self._reweight()
         except KeyboardInterrupt:
-            self.state.outcome = Outcome.INTERRUPTED
+            self.state.outcome = TerminationReason.INTERRUPTED
             self._end_round(len(self.rounds) + 1)
         if self._outcome.converged and not settled:
-            self.state.outcome = Outcome.UNSETTLED
+            self.state.outcome = TerminationReason.UNSETTLED
         return self._result()
 
     @property
-    def _outcome(self) -> Outcome:
-        return self.state.outcome or Outcome.INTERRUPTED
+    def _outcome(self) -> TerminationReason:
+        return self.state.outcome or TerminationReason.INTERRUPTED
 
     def _search(self, number: int, rough: bool) -> None:
         known = self.criterion.known_jacobian
@@ -230,7 +230,7 @@ class _Identification:
 
     def _covariance(
         self,
-        criterion: Criterion,
+        criterion: CostFunction,
         residual: Floats,
         jacobian: Floats,
         spread: Floats | None = None,
@@ -250,7 +250,7 @@ class _Identification:
             reduced=reduced,
         )
 
-    def _local_model(self) -> LocalModel:
+    def _local_model(self) -> LinearizedProblem:
         """Make the problem linear at the point found, with the final variances."""
         state, data = self.state, self.problem.measured.size
         residual, jacobian, combined, spread = state.residual, state.jacobian, self.local, None
@@ -267,7 +267,7 @@ class _Identification:
         if len(jacobian) > data:
             alone = self._covariance(final, whole, jacobian[:data], None if spread is None else spread[:data])
         magnitudes = self.problem.parameters.magnitudes(state.theta)
-        return LocalModel(
+        return LinearizedProblem(
             residual[:data],
             jacobian[:data],
             residual[data:],
@@ -302,14 +302,14 @@ class _Identification:
         model, history = self._local_model(), self._history()
         local = model.combined
         coloured = sandwich_of(problem, model, self.estimated <= self.criterion.least_variance)
-        at_bounds = tuple(AtBound(parameters.names[i], float(state.theta[i])) for i in np.flatnonzero(state.held))
+        at_bounds = tuple(ActiveBound(parameters.names[i], float(state.theta[i])) for i in np.flatnonzero(state.held))
         given = ~np.isnan(problem.variance)
         # away from a minimum the Jacobian, made where the simulation jumps, says nothing of the parameters
-        stalled = self._outcome is Outcome.STALLED
+        stalled = self._outcome is TerminationReason.STALLED
         undetermined = () if stalled else local.undetermined
-        ended = self._outcome.converged or self._outcome is Outcome.RUNAWAY
+        ended = self._outcome.converged or self._outcome is TerminationReason.RUNAWAY
         return Result(
-            outcome=Outcome.UNDETERMINED if undetermined and ended else self._outcome,
+            outcome=TerminationReason.UNDETERMINED if undetermined and ended else self._outcome,
             names=parameters.names,
             values=state.theta.copy(),
             start=self.start.copy(),
@@ -348,6 +348,8 @@ class _Identification:
     def _history(self) -> History:
         state, problem = self.state, self.problem
         predicted = problem.measured - self.criterion.unwhiten(state.residual)
-        ended = self._outcome is not Outcome.INTERRUPTED  # who interrupts a slow search waits for no simulation
+        ended = (
+            self._outcome is not TerminationReason.INTERRUPTED
+        )  # who interrupts a slow search waits for no simulation
         simulated = tuple(problem.outputs(state.theta, predicted, simulate=ended))
         return History(problem.parameters.names, tuple(self.trace), tuple(self.rounds), problem.experiments, simulated)

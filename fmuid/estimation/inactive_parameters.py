@@ -21,13 +21,13 @@ VALUE_MULTIPLES = (0.01, 0.1, 0.3, 3.0, 10.0, -0.1, -1.0, -10.0)
 RANDOM_POINTS, SEED, BEST_POINTS = 16, 0, 8
 
 
-def idle_parameters(problem: LeastSquares, acting: Flags) -> Indices:
+def inactive_parameters(problem: LeastSquares, acting: Flags) -> Indices:
     """Return the parameters that act on nothing and have no prior."""
     known = (problem.parameters.prior_whitening != 0).any(axis=0)
     return np.flatnonzero(~acting & ~known)
 
 
-def waking_point(problem: LeastSquares, theta: Floats, idle: Indices, noise: Floats, weights: Floats) -> Floats:
+def find_active_point(problem: LeastSquares, theta: Floats, idle: Indices, noise: Floats, weights: Floats) -> Floats:
     """Return the best point near theta at which parameters act that do not at theta.
 
     Parameters

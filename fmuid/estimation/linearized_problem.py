@@ -19,7 +19,7 @@ from fmuid.estimation.marquardt.step import triangle
 
 
 @dataclass(frozen=True, eq=False)
-class Combination:
+class PriorDataOptimum:
     """Where data and prior together are least, and by how much they disagree.
 
     Attributes
@@ -39,7 +39,7 @@ class Combination:
 
 
 @dataclass(frozen=True, eq=False)
-class LocalModel:
+class LinearizedProblem:
     """The rows of the compound criterion (1.37) and their derivatives at one point.
 
     Attributes
@@ -103,7 +103,7 @@ class LocalModel:
         force = -self.prior_jacobian.T @ self.prior_residual
         return _known(self.data, ((give @ give.T) * force).T).T
 
-    def combine(self, noise: Floats | None = None) -> Combination:
+    def combine(self, noise: Floats | None = None) -> PriorDataOptimum:
         """Add the paraboloids of data and prior.
 
         Parameters
@@ -123,7 +123,7 @@ class LocalModel:
         along = left[:, :rank].T @ vector
         rest = vector - left[:, :rank] @ along
         step = -self.magnitudes * (right[:rank].T @ (along / singular[:rank]))
-        return Combination(_known(self.combined, step), float(rest @ rest), len(vector) - rank)
+        return PriorDataOptimum(_known(self.combined, step), float(rest @ rest), len(vector) - rank)
 
     @cached_property
     def root(self) -> Floats:

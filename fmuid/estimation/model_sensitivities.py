@@ -15,7 +15,7 @@ from typing import Protocol
 import numpy as np
 
 from fmuid.array_types import Flags, Floats
-from fmuid.errors import RefusedError
+from fmuid.errors import SensitivityUnavailableError
 from fmuid.estimation.finite_differences import INFLUENCE_NOISES, LARGEST_STEP, FiniteDifferences
 
 SENSITIVITIES = ("finite-difference", "forward", "fmu")
@@ -24,7 +24,7 @@ the sensitivity system (1.26) with the model, or as outputs of the FMU."""
 
 
 @dataclass(frozen=True)
-class Sensitivity:
+class SensitivityMethod:
     """How the derivatives by the parameters were found.
 
     Attributes
@@ -47,13 +47,13 @@ class Sensitivity:
 RELATIVE_ERROR = 1e-6
 
 
-class Derivatives(Protocol):
-    """What `fmuid.estimation.cost_function.Criterion` needs of derivatives; `FiniteDifferences` has the docstrings."""
+class JacobianProvider(Protocol):
+    """What `fmuid.estimation.cost_function.CostFunction` needs of derivatives; `FiniteDifferences` has the docstrings."""
 
-    def weighted(self, weights: float | Floats, noise: Floats) -> Derivatives:
+    def weighted(self, weights: float | Floats, noise: Floats) -> JacobianProvider:
         """Return the same with other weights."""
 
-    def renoised(self, noise: Floats, size: float) -> Derivatives:
+    def renoised(self, noise: Floats, size: float) -> JacobianProvider:
         """Return the same for another noise (n,) and size."""
 
     def jacobian(self, theta: Floats, base: Floats, *, central: bool) -> Floats:
@@ -72,7 +72,7 @@ class ModelSensitivities:
     Parameters
     ----------
     derivatives : callable
-        Theta (N,) to the derivatives (N, n) of the stacked outputs; raises `RefusedError`.
+        Theta (N,) to the derivatives (N, n) of the stacked outputs; raises `SensitivityUnavailableError`.
     differences : FiniteDifferences
         For when the model refuses.
     magnitudes : callable
@@ -144,7 +144,7 @@ class ModelSensitivities:
             return None
         try:
             found = self._derivatives(theta)
-        except RefusedError as error:
+        except SensitivityUnavailableError as error:
             self._serves = False
             self._refused(str(error))
             return None

@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike
 
 from fmuid.array_types import Floats, numbers
 from fmuid.data import (
+    ArrayMeasurements,
     FunctionPredictor,
     JointPrior,
     MeasuredSeries,
@@ -18,19 +19,18 @@ from fmuid.data import (
     Parameter,
     ParameterSet,
     Predictor,
-    Table,
-    levels_of,
-    loss_of,
+    get_loss,
     measured_series,
+    noise_levels,
     robust_variance,
 )
 from fmuid.data import Noise as Noise
 from fmuid.errors import InputError, check_kind
-from fmuid.estimation.marquardt.jacobian_cache import Waypoints
-from fmuid.estimation.model_sensitivities import Sensitivity
-from fmuid.estimation.noise.output_series import Series, period_of, series_of
+from fmuid.estimation.marquardt.jacobian_cache import JacobianCache
+from fmuid.estimation.model_sensitivities import SensitivityMethod
+from fmuid.estimation.noise.output_series import OutputSeries, output_series, period_of
 from fmuid.estimation.noise.periodic_error import check_periods
-from fmuid.estimation.simulation_noise import LARGEST_VALUE, NoiseLevel, noise_level
+from fmuid.estimation.simulation_noise import LARGEST_VALUE, SimulationNoise, noise_level
 
 
 class LeastSquares:
@@ -81,7 +81,7 @@ class LeastSquares:
         None for the plain sum of squares.
     one_of_many : bool
         Whether there are others that differ in their measurements only: all set out by the same simulations then.
-    waypoints : Waypoints or None
+    waypoints : JacobianCache or None
         Derivatives that were found on the way of another one of many.
     simulations, failures : int
         How many simulations of an experiment were made so far, and how many thetas could not be simulated.
@@ -124,16 +124,16 @@ class LeastSquares:
         self._derivatives = tuple(derivatives)
         self.sensitivity, self._refusal = sensitivity, ""
         noise = noise or Noise()
-        self.noise, self.loss = noise, loss_of(loss)
+        self.noise, self.loss = noise, get_loss(loss)
         self.simulations = self.failures = 0
         self.one_of_many = False
-        self.waypoints: Waypoints | None = None
+        self.waypoints: JacobianCache | None = None
         self._reasons: dict[int, tuple[Floats, Exception | None]] = {}  # of the last failure, by experiment
         self.output_names = tuple(dict.fromkeys(name for e in experiments for name in e.output_names))
         if not self.output_names:
             raise InputError("no outputs are measured; name at least one output to compare with the simulation")
         self._counted = [np.flatnonzero(e.counted) for e in experiments]
-        self.levels = levels_of(noise, experiments, self.output_names)
+        self.levels = noise_levels(noise, experiments, self.output_names)
         self.measured = self.stacked([e.output_values for e in experiments])
         columns = [np.array([self.output_names.index(n) for n in e.output_names], dtype=np.intp) for e in experiments]
         self.groups = np.concatenate(
@@ -181,7 +181,7 @@ class LeastSquares:
         clock = np.arange(len(values), dtype=np.float64) if times is None else numbers(times, "times")
         if clock.shape != (len(values),):
             raise InputError(f"times must have {len(values)} values, one a sample; its shape is {clock.shape}")
-        table = Table("experiment", clock, tuple(outputs), values, ~np.isnan(values))
+        table = ArrayMeasurements("experiment", clock, tuple(outputs), values, ~np.isnan(values))
         predictor = FunctionPredictor(function, values.shape)
         return LeastSquares([predictor], [table], parameters, noise=noise, joint_prior=joint_prior, loss=loss)
 
@@ -202,9 +202,9 @@ class LeastSquares:
         return tuple(series for experiment in asked for series in measured_series(experiment))
 
     @cached_property
-    def series(self) -> tuple[Series, ...]:
+    def series(self) -> tuple[OutputSeries, ...]:
         """Which counted samples belong to one output of one experiment, and where they stand in time."""
-        return series_of(self.experiments, self.output_names)
+        return output_series(self.experiments, self.output_names)
 
     @cached_property
     def periods(self) -> dict[str, float]:
@@ -272,7 +272,7 @@ class LeastSquares:
         stacked[failed] = np.nan
         return self._weighed(stacked)
 
-    def noise_near(self, theta: Floats) -> tuple[Floats, NoiseLevel]:
+    def noise_near(self, theta: Floats) -> tuple[Floats, SimulationNoise]:
         """Return the counted samples (n,) at theta (N,), NaN where it fails, and the noise of the simulation there."""
         given, groups = self.parameters, self.groups
         bounds = given.lower, given.upper
@@ -283,7 +283,7 @@ class LeastSquares:
 
         Raises
         ------
-        RefusedError
+        SensitivityUnavailableError
             If the model cannot give them there.
         """
         blocks = []
@@ -300,10 +300,10 @@ class LeastSquares:
         self._refusal = reason
 
     @property
-    def used_sensitivity(self) -> Sensitivity:
+    def used_sensitivity(self) -> SensitivityMethod:
         """How the derivatives were found."""
         by_differences = any(getattr(each, "by_differences", False) for each in self._derivatives)
-        return Sensitivity(self.sensitivity, by_differences, self._refusal)
+        return SensitivityMethod(self.sensitivity, by_differences, self._refusal)
 
     def outputs(self, theta: ArrayLike, predicted: Floats | None = None, *, simulate: bool = True) -> list[Floats]:
         """Simulate one theta (N,) and return every experiment's outputs (K, n_outputs), NaN where failed.

@@ -16,17 +16,17 @@ from scipy import special
 
 from fmuid.array_types import Floats
 from fmuid.data import JointPrior, MeasuredSeries, Measurements, Normal, ParameterEstimate, measured_series
-from fmuid.display_mixins import CanPredict, Text, text_of
+from fmuid.display_mixins import MultilineText, PredictMixin, text_of
 from fmuid.errors import InputError
 from fmuid.estimation import result_file
-from fmuid.estimation.covariance import AtBound, Direction, check_level
+from fmuid.estimation.covariance import ActiveBound, WeakDirection, check_level
 from fmuid.estimation.iteration_history import History
-from fmuid.estimation.linearized_problem import LocalModel
-from fmuid.estimation.marquardt.outcome import Outcome
-from fmuid.estimation.model_sensitivities import Sensitivity
+from fmuid.estimation.linearized_problem import LinearizedProblem
+from fmuid.estimation.marquardt.outcome import TerminationReason
+from fmuid.estimation.model_sensitivities import SensitivityMethod
 from fmuid.estimation.noise.sandwich import ResidualNoise
-from fmuid.estimation.solver_check.outcome import Accuracy
-from fmuid.estimation.starting_points.outcome import Attempt, ChoiceTried
+from fmuid.estimation.solver_check.outcome import SolverCheck
+from fmuid.estimation.starting_points.outcome import CombinationFit, RestartAttempt
 
 # Estimates correlated more strongly than this move together: their intervals must not be read one by one.
 STRONG_CORRELATION = 0.95
@@ -35,12 +35,12 @@ PRIOR_LEVEL = 0.95
 
 
 @dataclass(frozen=True, eq=False)
-class Result(CanPredict):
+class Result(PredictMixin):
     """What an identification found.
 
     Attributes
     ----------
-    outcome : Outcome
+    outcome : TerminationReason
         How the search ended.
     names : tuple of str
     values, start : (N,) arrays
@@ -68,21 +68,21 @@ class Result(CanPredict):
         Of the noise variances: K − N where they are estimated, infinite where all are given.
     iterations, simulations : int
     elapsed_s : float
-    undetermined, weak, prior_determined : tuple of Direction
+    undetermined, weak, prior_determined : tuple of WeakDirection
         Directions in which the estimates could move without effect, or next to none (`fmuid.estimation.covariance`);
         that are determined to no better than the parameters' own magnitudes; that the data leave to the prior.
-    at_bounds : tuple of AtBound
+    at_bounds : tuple of ActiveBound
         Parameters that the data would push beyond a bound.
     version : str
         Of fmuid.
     models : mapping of str to mapping
-        ``name``, ``digest`` and ``run`` (the fields of a `fmuid.models.HowRun`) of each FMU by its component; a single
+        ``name``, ``digest`` and ``run`` (the fields of a `fmuid.models.SolverConfiguration`) of each FMU by its component; a single
         one is the component ``""``. Empty for problems that are not made of FMUs.
-    sensitivity : Sensitivity or None
+    sensitivity : SensitivityMethod or None
         How the derivatives by the parameters were found.
     moved_start : tuple of str
         Parameters that change no output at the start that was given; `start` is another one.
-    local : LocalModel or None
+    local : LinearizedProblem or None
         The problem made linear at the estimate, with the given noise variances or else the estimated ones. None where
         it was not kept in a file.
     noise : ResidualNoise or None
@@ -92,20 +92,20 @@ class Result(CanPredict):
     optima : tuple of Optimum
         Where the whole box was searched, from `fits` points: all that were found, the best first. Not kept in a file.
     fits : int or None
-    accuracy : Accuracy or None
+    accuracy : SolverCheck or None
         What the error of the simulation does to the estimates, part of `covariance`. None where it was not checked.
     data : tuple of MeasuredSeries
         Which measurements it was made from.
-    attempts : tuple of Attempt
+    attempts : tuple of RestartAttempt
         The starts that were tried, where the one that was given did not lead to a good end at once; empty where it did.
     units : mapping of str to str
         Of the parameters that have one.
-    combinations : tuple of ChoiceTried
+    combinations : tuple of CombinationFit
         Of the values of parameters that take few: all that were tried, the best first, which the result is of.
     observer : float or None
-        Time constant in samples of the observer whose predictions were fitted (`fmuid.identification.observed`).
+        Time constant in samples of the observer whose predictions were fitted (`fmuid.identification.with_observer`).
     made_with : object
-        What `predict` needs: a `fmuid.identification.MadeWith`, or the path of the file that this was read from.
+        What `predict` needs: a `fmuid.identification.ModelReference`, or the path of the file that this was read from.
 
     Examples
     --------
@@ -114,7 +114,7 @@ class Result(CanPredict):
     (R = 3.9989 ± 0.0015 Ohm, 3.0)
     """
 
-    outcome: Outcome
+    outcome: TerminationReason
     names: tuple[str, ...]
     values: Floats
     start: Floats
@@ -133,24 +133,24 @@ class Result(CanPredict):
     iterations: int
     simulations: int
     elapsed_s: float
-    undetermined: tuple[Direction, ...]
-    weak: tuple[Direction, ...]
-    prior_determined: tuple[Direction, ...]
-    at_bounds: tuple[AtBound, ...]
+    undetermined: tuple[WeakDirection, ...]
+    weak: tuple[WeakDirection, ...]
+    prior_determined: tuple[WeakDirection, ...]
+    at_bounds: tuple[ActiveBound, ...]
     version: str
     models: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
-    sensitivity: Sensitivity | None = None
+    sensitivity: SensitivityMethod | None = None
     moved_start: tuple[str, ...] = ()
-    local: LocalModel | None = None
+    local: LinearizedProblem | None = None
     noise: ResidualNoise | None = None
     history: History | None = None
     optima: tuple[Optimum, ...] = ()
     fits: int | None = None
-    accuracy: Accuracy | None = None
+    accuracy: SolverCheck | None = None
     data: tuple[MeasuredSeries, ...] = ()
-    attempts: tuple[Attempt, ...] = ()
+    attempts: tuple[RestartAttempt, ...] = ()
     units: Mapping[str, str] = field(default_factory=dict)
-    combinations: tuple[ChoiceTried, ...] = ()
+    combinations: tuple[CombinationFit, ...] = ()
     observer: float | None = None
     made_with: object = field(default=None, repr=False)
 
@@ -187,7 +187,7 @@ class Result(CanPredict):
     def __str__(self) -> str:
         return str(self.summary())
 
-    def summary(self) -> Text:
+    def summary(self) -> MultilineText:
         """Return the estimates as a table and what is to be said of them, in 25 lines at most, as `print` shows it."""
         return text_of(self)
 
@@ -381,7 +381,7 @@ class Optimum:
         J_C (1.37) there; where noise variances are estimated, with those of the best optimum.
     hits : int
         How many of the fits ended here.
-    outcome : Outcome
+    outcome : TerminationReason
         How the best of these fits ended.
     fit : Result
         That fit.
@@ -390,7 +390,7 @@ class Optimum:
     theta: Floats
     criterion: float
     hits: int
-    outcome: Outcome
+    outcome: TerminationReason
     fit: Result = field(repr=False)
 
     @property

@@ -11,13 +11,13 @@ import numpy as np
 
 from fmuid.array_types import Floats
 from fmuid.data import MeasuredSeries
-from fmuid.estimation.covariance import AtBound, Direction
-from fmuid.estimation.marquardt.outcome import Outcome
-from fmuid.estimation.model_sensitivities import Sensitivity
+from fmuid.estimation.covariance import ActiveBound, WeakDirection
+from fmuid.estimation.marquardt.outcome import TerminationReason
+from fmuid.estimation.model_sensitivities import SensitivityMethod
 from fmuid.estimation.saved.check import check_types
 from fmuid.estimation.saved.schema import ResultContent
-from fmuid.estimation.solver_check.outcome import Accuracy
-from fmuid.estimation.starting_points.outcome import Attempt, ChoiceTried
+from fmuid.estimation.solver_check.outcome import SolverCheck
+from fmuid.estimation.starting_points.outcome import CombinationFit, RestartAttempt
 from fmuid.files import ContentError, as_json, content_of
 from fmuid.formatting import with_std
 
@@ -99,7 +99,7 @@ def _fields(data: Mapping[str, Any]) -> dict[str, Any]:
         raise ContentError("a value of a parameter is no number")
     if list(names) != data["covariance"]["names"]:
         raise ContentError("the names of parameters and covariance differ")
-    outcome = Outcome(data["outcome"])
+    outcome = TerminationReason(data["outcome"])
     matrix = data["covariance"]["matrix"]
     covariance = _covariance(matrix, names, outcome)
     white = _covariance(data["covariance"].get("white", matrix), names, outcome)
@@ -128,21 +128,21 @@ def _fields(data: Mapping[str, Any]) -> dict[str, Any]:
         "iterations": int(data["iterations"]),
         "simulations": int(data["simulations"]),
         "elapsed_s": float(data["elapsed_s"]),
-        "undetermined": tuple(map(Direction.of_json, data.get("undetermined", ()))),
-        "weak": tuple(map(Direction.of_json, data.get("weak", ()))),
-        "prior_determined": tuple(map(Direction.of_json, data.get("prior_determined", ()))),
-        "at_bounds": tuple(AtBound(str(b["name"]), float(b["value"])) for b in data.get("at_bounds", ())),
+        "undetermined": tuple(map(WeakDirection.of_json, data.get("undetermined", ()))),
+        "weak": tuple(map(WeakDirection.of_json, data.get("weak", ()))),
+        "prior_determined": tuple(map(WeakDirection.of_json, data.get("prior_determined", ()))),
+        "at_bounds": tuple(ActiveBound(str(b["name"]), float(b["value"])) for b in data.get("at_bounds", ())),
         "version": str(data["version"]),
         "models": {
             str(c): {"name": str(m.get("name", "")), "digest": str(m.get("digest", "")), "run": dict(m.get("run", {}))}
             for c, m in data.get("models", {}).items()
         },
-        "sensitivity": Sensitivity(**data["sensitivity"]) if data.get("sensitivity") else None,
+        "sensitivity": SensitivityMethod(**data["sensitivity"]) if data.get("sensitivity") else None,
         "moved_start": tuple(map(str, data.get("moved_start", ()))),
-        "accuracy": Accuracy.of_json(data["accuracy"], column["numerical_shift"]) if data.get("accuracy") else None,
+        "accuracy": SolverCheck.of_json(data["accuracy"], column["numerical_shift"]) if data.get("accuracy") else None,
         "data": tuple(map(MeasuredSeries.of_json, data.get("data", ()))),
-        "attempts": tuple(map(Attempt.of_json, data.get("attempts", ()))),
-        "combinations": tuple(map(ChoiceTried.of_json, data.get("combinations", ()))),
+        "attempts": tuple(map(RestartAttempt.of_json, data.get("attempts", ()))),
+        "combinations": tuple(map(CombinationFit.of_json, data.get("combinations", ()))),
         "observer": None if data.get("observer") is None else float(data["observer"]),
         "units": {name: str(parameters[name]["unit"]) for name in names if parameters[name].get("unit")},
     }
@@ -152,12 +152,12 @@ def _number(value: float | None, missing: float) -> float:
     return missing if value is None else float(value)
 
 
-def _covariance(rows: Any, names: tuple[str, ...], outcome: Outcome) -> Floats:
+def _covariance(rows: Any, names: tuple[str, ...], outcome: TerminationReason) -> Floats:
     matrix = _array(rows, np.nan).reshape(len(names), len(names))
     if (np.diag(matrix) < 0).any():
         raise ContentError("a variance is negative")
     lost = np.isnan(np.diag(matrix))
-    matrix[lost, lost] = np.nan if outcome is Outcome.STALLED else np.inf
+    matrix[lost, lost] = np.nan if outcome is TerminationReason.STALLED else np.inf
     return matrix
 
 

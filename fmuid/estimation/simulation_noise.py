@@ -40,7 +40,7 @@ ROUNDING_SHARE = 2.0**-53
 
 
 @dataclass(frozen=True, eq=False)
-class NoiseLevel:
+class SimulationNoise:
     """The noise of the simulation itself.
 
     Attributes
@@ -63,7 +63,7 @@ def noise_level(
     upper: Floats,
     groups: Indices,
     count: int,
-) -> tuple[Floats, NoiseLevel]:
+) -> tuple[Floats, SimulationNoise]:
     """Measure the noise of a simulation near theta by a table of differences (ECnoise of Moré and Wild 2011).
 
     All parameters move together along one direction in equal steps. The kth differences of a smooth function fall
@@ -86,7 +86,7 @@ def noise_level(
     -------
     base : (n,) array
         The simulation at theta, NaN if it failed (the level is then meaningless).
-    level : NoiseLevel
+    level : SimulationNoise
     """
     above, below = upper - theta, theta - lower
     direction, room = np.where(above >= below, 1.0, -1.0), np.maximum(above, below)
@@ -96,7 +96,7 @@ def noise_level(
     base = predict(theta[None])[0]  # by itself: where it fails, the others are not worth a simulation
     simulated = 1
     if not usable(base):
-        return np.full_like(base, np.nan), NoiseLevel(level, simulated)
+        return np.full_like(base, np.nan), SimulationNoise(level, simulated)
     rounding = ROUNDING_SHARE * np.sqrt(base**2 @ shares)
     for _ in range(MOST_NOISE_TABLES):
         points = theta + np.arange(1, NOISE_POINTS)[:, None] * (steps * direction)
@@ -113,7 +113,7 @@ def noise_level(
     else:
         # every table met a failing simulation: with nothing known, the rounding of single precision
         level = np.where(np.isfinite(level), level, np.sqrt(ROUNDING_SHARE) * np.sqrt(base**2 @ shares))
-    return base, NoiseLevel(level, simulated)
+    return base, SimulationNoise(level, simulated)
 
 
 def noise_along(predict: Predict, theta: Floats, base: Floats, steps: Floats, room: Floats) -> Floats | None:

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fmuid.estimation import MAX_NOISE_RATIO, Attempt, Remedy, Result, Trouble
+from fmuid.estimation import MAX_NOISE_RATIO, RestartAttempt, Result, SearchFailure, StartingPointSource
 from fmuid.identification.equation_error_start import POOR
 from fmuid.identification.solver_checked_search import RIVAL_CRITERION
 
@@ -29,7 +29,7 @@ class EndedSearch:
     Attributes
     ----------
     result : Result
-    attempt : Attempt
+    attempt : RestartAttempt
     number : int
         Of the attempt.
     worth : float
@@ -37,7 +37,7 @@ class EndedSearch:
     """
 
     result: Result
-    attempt: Attempt
+    attempt: RestartAttempt
     number: int
     worth: float
 
@@ -53,7 +53,7 @@ def is_confirmed(one: EndedSearch, ended: Sequence[EndedSearch], equation_ratio:
     equation_ratio : float
         Root mean square of the equations' residual at the measured states by its noise; NaN where it is unknown.
     """
-    if one.attempt.trouble is not Trouble.LARGE_RESIDUAL:
+    if one.attempt.trouble is not SearchFailure.LARGE_RESIDUAL:
         return False
     confirmed = sum(_agree(one, other) for other in ended if other.number != one.number)
     ratio = one.attempt.noise_ratio
@@ -64,9 +64,9 @@ def is_confirmed(one: EndedSearch, ended: Sequence[EndedSearch], equation_ratio:
 def _agree(one: EndedSearch, other: EndedSearch) -> bool:
     """Return whether two searches from independent starts ended at the same optimum."""
     # corrections set out from the start that was given: the two confirm nothing of each other
-    if {one.attempt.remedy, other.attempt.remedy} == {Remedy.GIVEN, Remedy.CORRECTION}:
+    if {one.attempt.remedy, other.attempt.remedy} == {StartingPointSource.GIVEN, StartingPointSource.CORRECTION}:
         return False
-    if other.attempt.trouble is not Trouble.LARGE_RESIDUAL or not abs(one.worth - other.worth) <= RIVAL_CRITERION:
+    if other.attempt.trouble is not SearchFailure.LARGE_RESIDUAL or not abs(one.worth - other.worth) <= RIVAL_CRITERION:
         return False
     std = np.fmax(one.result.std, other.result.std)
     apart = np.abs(one.result.values - other.result.values)

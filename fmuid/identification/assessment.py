@@ -16,14 +16,14 @@ import pandas as pd
 from fmuid.blas import single_threaded
 from fmuid.estimation import LeastSquares, Result, check_level
 from fmuid.files import as_json
-from fmuid.identification.prior_and_data import Reading, read_result
-from fmuid.identification.residual_analysis import Diagnostics, examine_residuals
+from fmuid.identification.prior_and_data import PriorDataComparison, compare_prior_and_data
+from fmuid.identification.residual_analysis import ResidualAnalysis, analyze_residuals
 from fmuid.progress import Event, MapStep, Progress
 
 if TYPE_CHECKING:
-    from fmuid.identification.cost_map import CriterionMap
+    from fmuid.identification.cost_map import CostMap
     from fmuid.identification.profile import Profile
-    from fmuid.identification.sampling.posterior import Posterior, Sampling
+    from fmuid.identification.sampling.posterior import Posterior, SamplerSettings
 
 CONFIDENCE_LEVEL = 0.95
 # A criterion on a map lower than at the estimate by more than this shows another optimum; less may be rounding, or
@@ -41,7 +41,7 @@ class AssessmentSettings:
         Of all intervals, between 0 and 1.
     profile : tuple of str
         Parameters whose profile is computed.
-    posterior : Sampling, optional
+    posterior : SamplerSettings, optional
         How the posterior is sampled, where it is.
     maps : tuple of (str, str)
         Pairs of parameters over which the criterion is mapped.
@@ -58,7 +58,7 @@ class AssessmentSettings:
 
     level: float = CONFIDENCE_LEVEL
     profile: tuple[str, ...] = ()
-    posterior: Sampling | None = None
+    posterior: SamplerSettings | None = None
     maps: tuple[tuple[str, str], ...] = ()
     search_data: bool = False
     known_variance: Mapping[str, float] | None = None
@@ -80,11 +80,11 @@ class Assessment:
     ----------
     level : float
         Of all intervals.
-    residuals : Diagnostics or None
+    residuals : ResidualAnalysis or None
         None of a result that was read from a file, which has no residuals.
-    prior_and_data : Reading or None
+    prior_and_data : PriorDataComparison or None
         Likewise.
-    maps : tuple of CriterionMap
+    maps : tuple of CostMap
         Around the estimate.
     profiles : tuple of Profile
     posterior : Posterior or None
@@ -93,9 +93,9 @@ class Assessment:
     """
 
     level: float = CONFIDENCE_LEVEL
-    residuals: Diagnostics | None = None
-    prior_and_data: Reading | None = None
-    maps: tuple[CriterionMap, ...] = ()
+    residuals: ResidualAnalysis | None = None
+    prior_and_data: PriorDataComparison | None = None
+    maps: tuple[CostMap, ...] = ()
     profiles: tuple[Profile, ...] = ()
     posterior: Posterior | None = None
     interrupted: bool = False
@@ -186,7 +186,7 @@ def _posterior(found: Posterior, level: float) -> dict[str, Any]:
     }
 
 
-def better_point(chart: CriterionMap) -> tuple[float, float, float] | None:
+def better_point(chart: CostMap) -> tuple[float, float, float] | None:
     """Return where a map shows a lower criterion than the estimate has, and by how much; None where it does not."""
     points = chart.table[[*chart.names, "criterion"]].to_numpy()
     values = np.where(np.isnan(points[:, 2]), np.inf, points[:, 2])
@@ -241,8 +241,8 @@ def assess(
     if earlier is not None:
         found = replace(found, residuals=earlier.residuals, prior_and_data=earlier.prior_and_data)
     elif result.local is not None:
-        residuals = examine_residuals(problem, result)
-        reading = read_result(
+        residuals = analyze_residuals(problem, result)
+        reading = compare_prior_and_data(
             problem, result, search_data=asked.search_data, healthy=asked.known_variance, diagnostics=residuals
         )
         found = replace(found, residuals=residuals, prior_and_data=reading)
@@ -277,27 +277,27 @@ class _Exploration:
 
     def _map(self) -> None:
         for k, (first, second) in enumerate(self.asked.maps):
-            from fmuid.identification.cost_map import map_criterion
+            from fmuid.identification.cost_map import map_cost
 
             self._tell(MapStep(share=k / len(self.asked.maps), first=first, second=second))
-            chart = map_criterion(self.problem, self.result, first, second)
+            chart = map_cost(self.problem, self.result, first, second)
             self.found = replace(self.found, maps=(*self.found.maps, chart))
 
     def _profile(self) -> bool:
         names = self.asked.profile
         if not names:
             return True
-        from fmuid.identification.profile import profiles
+        from fmuid.identification.profile import profile_likelihood
 
-        done = profiles(self.problem, self.result, names, level=self.asked.level, progress=self.progress)
+        done = profile_likelihood(self.problem, self.result, names, level=self.asked.level, progress=self.progress)
         self.found = replace(self.found, profiles=done)
         return len(done) == len(names) and not done[-1].interrupted
 
     def _sample(self) -> bool:
         if self.asked.posterior is None:
             return True
-        from fmuid.identification.sampling.sampler import sample
+        from fmuid.identification.sampling.sampler import sample_posterior
 
-        drawn = sample(self.problem, self.result, self.asked.posterior, self.progress)
+        drawn = sample_posterior(self.problem, self.result, self.asked.posterior, self.progress)
         self.found = replace(self.found, posterior=drawn)
         return not drawn.interrupted

@@ -35,7 +35,7 @@ from fmuid.estimation import Result
 
 
 @dataclass(frozen=True, eq=False)
-class Compared:
+class ModelCandidate:
     """A result to be compared.
 
     Attributes
@@ -52,7 +52,7 @@ class Compared:
     --------
     >>> problem = fmuid.datasets.coil().problem()
     >>> result = fmuid.identify(problem)
-    >>> one = fmuid.Compared("coil", result)
+    >>> one = fmuid.ModelCandidate("coil", result)
     >>> one.count, one.samples
     (3, 200)
     """
@@ -111,7 +111,7 @@ class Rank:
 
 
 @dataclass(frozen=True)
-class LikelihoodRatio:
+class LikelihoodRatioTest:
     """A model tested against one that contains it.
 
     Attributes
@@ -137,14 +137,14 @@ class LikelihoodRatio:
 
 
 @dataclass(frozen=True, eq=False)
-class Comparison:
+class ModelComparison:
     """Results of the same data beside each other.
 
     Attributes
     ----------
     ranks : tuple of Rank
         The best first, by `Rank.corrected_aic`.
-    tests : tuple of LikelihoodRatio
+    tests : tuple of LikelihoodRatioTest
         Of all pairs of which one is known to contain the other.
     dependence : float
         c.
@@ -155,7 +155,7 @@ class Comparison:
     """
 
     ranks: tuple[Rank, ...]
-    tests: tuple[LikelihoodRatio, ...]
+    tests: tuple[LikelihoodRatioTest, ...]
     dependence: float
     samples: int
     with_priors: tuple[str, ...]
@@ -180,13 +180,13 @@ class IncomparableError(InputError):
         super().__init__(f"{reason}: compare on a common table (--data)")
 
 
-def same_data(candidates: Sequence[Compared]) -> bool:
+def same_data(candidates: Sequence[ModelCandidate]) -> bool:
     """Return whether all results were made from the same measurements, whatever they call the outputs."""
     found = {tuple(sorted((s.unit, s.samples, s.digest) for s in each.result.data)) for each in candidates}
     return len(found) == 1 and () not in found
 
 
-def compare(candidates: Sequence[Compared]) -> Comparison:
+def compare_models(candidates: Sequence[ModelCandidate]) -> ModelComparison:
     """Compare results that were made from the same measurements; nothing is simulated.
 
     Raises
@@ -200,13 +200,13 @@ def compare(candidates: Sequence[Compared]) -> Comparison:
     >>> coil = fmuid.datasets.coil()
     >>> result = fmuid.identify(coil.problem())
     >>> held = fmuid.Problem(coil.fmu, coil.experiment, {"R": coil.parameters["R"]}, values={"L": 0.2})
-    >>> both = fmuid.compare([fmuid.Compared("R, L", result), fmuid.Compared("R", fmuid.identify(held))])
+    >>> both = fmuid.compare_models([fmuid.ModelCandidate("R, L", result), fmuid.ModelCandidate("R", fmuid.identify(held))])
     >>> [rank.name for rank in both.ranks]
     ['R, L', 'R']
     """
-    check_kind(candidates, (list, tuple), "what is compared must be a list of fmuid.Compared(name, result)")
+    check_kind(candidates, (list, tuple), "what is compared must be a list of fmuid.ModelCandidate(name, result)")
     for each in candidates:
-        check_kind(each, Compared, "what is compared must be fmuid.Compared(name, result)")
+        check_kind(each, ModelCandidate, "what is compared must be fmuid.ModelCandidate(name, result)")
     _check(candidates)
     best_fit = max(candidates, key=lambda each: each.result.log_likelihood)
     dependence = max(1.0, np.nan_to_num(best_fit.dependence, nan=1.0))
@@ -233,14 +233,14 @@ def compare(candidates: Sequence[Compared]) -> Comparison:
     tests = [_ratio(one, other, dependence) for one in candidates for other in candidates if _contains(other, one)]
     priors = tuple(each.name for each in candidates if each.has_prior)
     ranks.sort(key=lambda rank: rank.corrected_aic)
-    return Comparison(tuple(ranks), tuple(tests), float(dependence), samples, priors)
+    return ModelComparison(tuple(ranks), tuple(tests), float(dependence), samples, priors)
 
 
-def _corrected(candidate: Compared, dependence: float) -> float:
+def _corrected(candidate: ModelCandidate, dependence: float) -> float:
     return -2.0 * candidate.result.log_likelihood / dependence + 2.0 * candidate.count
 
 
-def _check(candidates: Sequence[Compared]) -> None:
+def _check(candidates: Sequence[ModelCandidate]) -> None:
     if len(candidates) < 2:
         raise InputError("there is nothing to compare: give at least two results")
     names = [each.name for each in candidates]
@@ -261,7 +261,7 @@ def _check(candidates: Sequence[Compared]) -> None:
         )
 
 
-def _contains(larger: Compared, smaller: Compared) -> bool:
+def _contains(larger: ModelCandidate, smaller: ModelCandidate) -> bool:
     """Return whether a model is known to be another with more of its parameters free, and both were fitted alike."""
     one, other = smaller.result, larger.result
     freed = set(other.names) - set(one.names)
@@ -277,11 +277,11 @@ def _contains(larger: Compared, smaller: Compared) -> bool:
     return rest == dict(larger.held)
 
 
-def _ratio(smaller: Compared, larger: Compared, dependence: float) -> LikelihoodRatio:
+def _ratio(smaller: ModelCandidate, larger: ModelCandidate, dependence: float) -> LikelihoodRatioTest:
     one, other = smaller.result, larger.result
     freed = tuple(name for name in other.names if name not in one.names)
     twice = max(0.0, 2.0 * (other.log_likelihood - one.log_likelihood))
-    return LikelihoodRatio(
+    return LikelihoodRatioTest(
         smaller.name,
         larger.name,
         freed,

@@ -9,13 +9,13 @@ import numpy as np
 from fmuid.array_types import Floats
 from fmuid.errors import InputError
 from fmuid.estimation import (
-    Criterion,
+    CostFunction,
     LeastSquares,
     Marquardt,
-    Outcome,
     Result,
     SensitivityError,
     State,
+    TerminationReason,
     best_step,
     prepare,
     search,
@@ -24,7 +24,7 @@ from fmuid.estimation import (
 
 
 @dataclass(frozen=True, eq=False)
-class Point:
+class ConditionalOptimum:
     """A point that is the best one for some parameter held.
 
     Attributes
@@ -33,7 +33,7 @@ class Point:
         All parameters.
     residual, jacobian : (n_rows,) and (n_rows, N) arrays
         There, or very nearly so; of all parameters.
-    outcome : Outcome
+    outcome : TerminationReason
         How the search for the others ended.
     at_bounds : tuple of int
         The others that lie on a bound and are pushed outwards.
@@ -42,7 +42,7 @@ class Point:
     theta: Floats
     residual: Floats
     jacobian: Floats
-    outcome: Outcome = Outcome.CONVERGED
+    outcome: TerminationReason = TerminationReason.CONVERGED
     at_bounds: tuple[int, ...] = ()
 
     @property
@@ -71,7 +71,7 @@ def check_result(problem: LeastSquares, result: Result) -> None:
             )
 
 
-def best_near(problem: LeastSquares, result: Result) -> tuple[Criterion, Point]:
+def best_near(problem: LeastSquares, result: Result) -> tuple[CostFunction, ConditionalOptimum]:
     """Return the criterion with the result's variances, and its minimum; the result's own may be a hair beside it."""
     # prepared where the search began: what has an effect there may have none left at the estimate, and is then flat
     ready = prepare(problem, result.start)
@@ -83,10 +83,10 @@ def best_near(problem: LeastSquares, result: Result) -> tuple[Criterion, Point]:
         pass
     if not state.fresh:
         state.jacobian = criterion.jacobian(state.theta, state.residual, central=True)
-    return criterion, Point(state.theta, state.residual, state.jacobian)
+    return criterion, ConditionalOptimum(state.theta, state.residual, state.jacobian)
 
 
-class Conditional:
+class FixedParameterResidual:
     """A criterion as a function of all parameters but one, which is held at its value in theta; a `ResidualFunction`.
 
     Attributes
@@ -99,7 +99,7 @@ class Conditional:
         The last Jacobian made, with the held parameter's column, which tells how the criterion changes with it.
     """
 
-    def __init__(self, criterion: Criterion, index: int, theta: Floats) -> None:
+    def __init__(self, criterion: CostFunction, index: int, theta: Floats) -> None:
         self._criterion, self._theta = criterion, theta
         self.others = np.delete(np.arange(theta.size), index)
         self.lower, self.upper = criterion.lower[self.others], criterion.upper[self.others]
@@ -138,7 +138,9 @@ class Conditional:
         return self._criterion.jacobian_error(self.whole(theta), residual, central=central)[self.others]
 
 
-def best_with(criterion: Criterion, index: int, value: float, start: Point) -> Point | None:
+def best_with(
+    criterion: CostFunction, index: int, value: float, start: ConditionalOptimum
+) -> ConditionalOptimum | None:
     """Return the best point with one parameter at a value, from a point near it; None where simulations fail.
 
     The others start where the linear model of the residual puts them: the step p that minimises
@@ -146,15 +148,15 @@ def best_with(criterion: Criterion, index: int, value: float, start: Point) -> P
 
     Parameters
     ----------
-    criterion : Criterion
+    criterion : CostFunction
     index : int
         The parameter to hold.
     value : float
-    start : Point
+    start : ConditionalOptimum
     """
     theta = start.theta.copy()
     theta[index] = value
-    rest = Conditional(criterion, index, theta)
+    rest = FixedParameterResidual(criterion, index, theta)
     inner = start.jacobian[:, rest.others]
     moved = start.residual + (value - start.theta[index]) * start.jacobian[:, index]
     others = _followed(rest, start, inner, moved) if rest.others.size else theta[:0]
@@ -168,16 +170,16 @@ def best_with(criterion: Criterion, index: int, value: float, start: Point) -> P
                 pass
         else:
             rest.jacobian(others, residual, central=True)
-            state.outcome = Outcome.CONVERGED
+            state.outcome = TerminationReason.CONVERGED
     except SensitivityError:  # as where it cannot be simulated: the profile has a gap here
         return None
-    if state.outcome is None or state.outcome is Outcome.FAILING or rest.whole_jacobian is None:
+    if state.outcome is None or state.outcome is TerminationReason.FAILING or rest.whole_jacobian is None:
         return None
     at_bounds = tuple(int(i) for i in rest.others[state.held]) if rest.others.size else ()
-    return Point(rest.whole(state.theta), state.residual, rest.whole_jacobian, state.outcome, at_bounds)
+    return ConditionalOptimum(rest.whole(state.theta), state.residual, rest.whole_jacobian, state.outcome, at_bounds)
 
 
-def _followed(rest: Conditional, start: Point, inner: Floats, moved: Floats) -> Floats:
+def _followed(rest: FixedParameterResidual, start: ConditionalOptimum, inner: Floats, moved: Floats) -> Floats:
     """Return where the Gauss–Newton step of the moved residual takes the others (N − 1,)."""
     others = start.theta[rest.others]
     reduced = triangle(inner, moved)

@@ -35,7 +35,7 @@ ELLIPSE_POINTS = 181
 
 
 @dataclass(frozen=True, eq=False)
-class CriterionMap:
+class CostMap:
     """The criterion over two parameters, the others held at the estimate.
 
     Attributes
@@ -116,7 +116,7 @@ def region_rise(level: float, freedom: float) -> float:
 
 
 @single_threaded
-def map_criterion(
+def map_cost(
     problem: LeastSquares,
     result: Result,
     first: str,
@@ -124,7 +124,7 @@ def map_criterion(
     *,
     points: int = POINTS,
     ranges: Mapping[str, tuple[float, float]] | None = None,
-) -> CriterionMap:
+) -> CostMap:
     """Compute the criterion on a grid over two parameters around the estimate.
 
     Parameters
@@ -151,7 +151,7 @@ def map_criterion(
     --------
     >>> problem = fmuid.datasets.coil().problem()
     >>> result = fmuid.identify(problem)
-    >>> fmuid.map_criterion(problem, result, "R", "L", points=3).names
+    >>> fmuid.map_cost(problem, result, "R", "L", points=3).names
     ('R', 'L')
     """
     refuse_loss(problem, "a map of the criterion")
@@ -169,7 +169,7 @@ def map_criterion(
     thetas = np.tile(result.values, (points * points + 1, 1))  # the last one is the estimate
     thetas[:-1, where] = np.stack(np.meshgrid(*sides, indexing="ij"), axis=-1).reshape(-1, 2)
     values = misfits(problem, thetas).compound(variances(problem, result))
-    return CriterionMap(
+    return CostMap(
         names=(first, second),
         table=pd.DataFrame({first: thetas[:-1, where[0]], second: thetas[:-1, where[1]], "criterion": values[:-1]}),
         shape=(points, points),

@@ -25,7 +25,7 @@ def parabolas(reading: pd.DataFrame, name: str) -> pd.DataFrame:
     Parameters
     ----------
     reading : DataFrame
-        `Reading.table`, or ``reading.csv``.
+        `PriorDataComparison.table`, or ``reading.csv``.
     name : str
         A parameter.
 
@@ -57,7 +57,7 @@ def parabolas(reading: pd.DataFrame, name: str) -> pd.DataFrame:
     return pd.DataFrame(found)
 
 
-def both_known(reading: pd.DataFrame) -> list[str]:
+def parameters_with_prior_and_data(reading: pd.DataFrame) -> list[str]:
     """Return the parameters of which prior and data both speak."""
     finite = np.isfinite(reading[["prior_std", "data_std", "combined_std"]].to_numpy(np.float64)).all(axis=1)
     return [str(name) for name in reading["parameter"][finite]]

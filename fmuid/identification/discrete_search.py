@@ -15,14 +15,14 @@ import numpy as np
 
 from fmuid.array_types import Floats
 from fmuid.errors import FmuidError, InputError, SimulationError
-from fmuid.estimation import ChoiceTried, Outcome, Result
+from fmuid.estimation import CombinationFit, Result, TerminationReason
 from fmuid.identification.discrete_parameters import combinations
 from fmuid.identification.problem import Problem
 from fmuid.simulation import Value
 
 
 @dataclass(frozen=True, eq=False)
-class _Tried:
+class _CombinationResult:
     values: Mapping[str, Value]
     result: Result
     deviance: float
@@ -48,7 +48,7 @@ def identify_each(problem: Problem, search: Callable[[], Result]) -> Result:
         Of the first combination, where none can be searched.
     """
     clock, before = time.perf_counter(), problem.simulations
-    tried: list[_Tried] = []
+    tried: list[_CombinationResult] = []
     failed: list[Mapping[str, Value]] = []
     first: FmuidError | None = None
     for values in combinations(problem.choices):
@@ -59,8 +59,8 @@ def identify_each(problem: Problem, search: Callable[[], Result]) -> Result:
             first = first or error
             failed.append(values)
             continue
-        tried.append(_Tried(values, result, _deviance(problem, result)))
-        if result.outcome is Outcome.INTERRUPTED:
+        tried.append(_CombinationResult(values, result, _deviance(problem, result)))
+        if result.outcome is TerminationReason.INTERRUPTED:
             break
     if not tried:
         assert first is not None
@@ -68,13 +68,15 @@ def identify_each(problem: Problem, search: Callable[[], Result]) -> Result:
     tried.sort(key=lambda each: each.deviance if math.isfinite(each.deviance) else math.inf)
     best = tried[0]
     told = [
-        ChoiceTried(each.values, each.result.outcome, each.deviance - best.deviance, _estimates(each.result))
+        CombinationFit(each.values, each.result.outcome, each.deviance - best.deviance, _estimates(each.result))
         for each in tried
     ]
     result = replace(
         best.result,
-        outcome=Outcome.INTERRUPTED if any(c.outcome is Outcome.INTERRUPTED for c in told) else best.result.outcome,
-        combinations=(*told, *(ChoiceTried(values, None, math.inf, {}) for values in failed)),
+        outcome=TerminationReason.INTERRUPTED
+        if any(c.outcome is TerminationReason.INTERRUPTED for c in told)
+        else best.result.outcome,
+        combinations=(*told, *(CombinationFit(values, None, math.inf, {}) for values in failed)),
         simulations=problem.simulations - before,
         elapsed_s=time.perf_counter() - clock,
     )

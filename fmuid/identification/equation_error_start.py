@@ -14,10 +14,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from fmuid.array_types import Flags, Floats, Indices
-from fmuid.data import FunctionPredictions, Noise, Parameter, Table
+from fmuid.data import ArrayMeasurements, FunctionPredictions, Noise, Parameter
 from fmuid.errors import FmuidError, InputError
 from fmuid.estimation import LeastSquares, Marquardt, WeakForm, second_difference_noise, sobol_points
-from fmuid.identification.measured_states import MeasuredStates, both_ends, told_states
+from fmuid.identification.measured_states import MeasuredStates, both_ends, states_from_outputs
 from fmuid.identification.problem import Problem
 from fmuid.simulation import RightHandSide
 
@@ -92,7 +92,7 @@ class _WeakRecord:
         )
         noise = np.array([second_difference_noise(times, column) for column in values.T])
         _, columns = problem.parameters.for_experiment(index)
-        states, slopes = told_states(side, start[columns], times, filled)
+        states, slopes = states_from_outputs(side, start[columns], times, filled)
         own = slopes.any(axis=1)
         scale = np.maximum(noise, 1e-9 * np.nanstd(values, axis=0))
         if not scale.all():  # an output that never changes tells no slopes
@@ -168,7 +168,9 @@ def _fitted(problem: Problem, records: list[_WeakRecord], start: Floats) -> Equa
     if not acting.size or size <= acting.size:
         return None
     scaled = _Scaled(records, start, acting, problem.parameters.scale)
-    table = Table("windows", np.arange(size, dtype=np.float64), ("r",), np.zeros((size, 1)), np.ones((size, 1), bool))
+    table = ArrayMeasurements(
+        "windows", np.arange(size, dtype=np.float64), ("r",), np.zeros((size, 1)), np.ones((size, 1), bool)
+    )
     given = scaled.parameters(problem.parameters.lower, problem.parameters.upper)
     search = LeastSquares([scaled], [table], given, noise=Noise(1.0))
     found = Marquardt(max_iterations=MOST_ITERATIONS).search(search)

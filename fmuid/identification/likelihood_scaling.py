@@ -35,7 +35,7 @@ LEVEL = 0.95
 
 
 @dataclass(frozen=True, eq=False)
-class Adjustment:
+class LikelihoodScaling:
     """How the log-likelihood of the data is scaled.
 
     Attributes
@@ -80,13 +80,13 @@ class Adjustment:
         return np.asarray(top - fall, dtype=np.float64)
 
 
-def adjustment(problem: LeastSquares, result: Result, known: float) -> Adjustment:
+def adjustment(problem: LeastSquares, result: Result, known: float) -> LikelihoodScaling:
     """Return how the likelihood of a problem, whose variances have `known` freedom, is to be scaled around a result."""
     local = result.local
     curvature = result.white_covariance if local is None else local.root @ local.root.T
     at = np.flatnonzero(np.isfinite(result.std) & (np.diag(curvature) > 0))
     if not at.size:
-        return Adjustment(at, np.zeros(0), np.zeros((0, 0)), np.zeros((0, 0)), 0.0, known, known)
+        return LikelihoodScaling(at, np.zeros(0), np.zeros((0, 0)), np.zeros((0, 0)), 0.0, known, known)
     own, unit = np.ix_(at, at), np.sqrt(np.diag(curvature))[at]
     scale = np.outer(unit, unit)
     # t quantiles of each estimate, against those that the density has
@@ -107,7 +107,7 @@ def adjustment(problem: LeastSquares, result: Result, known: float) -> Adjustmen
     half = basis * root @ turned
     force = whitening.T @ problem.parameters.prior_residual(result.values[None])[0]
     shift = -basis @ ((basis.T @ force) / information)
-    return Adjustment(
+    return LikelihoodScaling(
         at,
         result.values[at] + unit * shift,
         (basis * information) @ basis.T / scale,

@@ -95,7 +95,9 @@ def both_ends(states: Floats) -> Floats:
     return np.repeat(states, 2, axis=0)[1:-1]
 
 
-def told_states(side: RightHandSide, theta: Floats, times: Floats, outputs: Floats) -> tuple[MeasuredStates, Floats]:
+def states_from_outputs(
+    side: RightHandSide, theta: Floats, times: Floats, outputs: Floats
+) -> tuple[MeasuredStates, Floats]:
     """Return the states that outputs (K, n_y) tell, and C = ∂y/∂x (n_y, n_x).
 
     C is found at the beginning and taken for constant.

@@ -33,7 +33,7 @@ UNOBSERVED = 1e-12
 TINY = 1e-300
 
 
-def observed(problem: Problem, samples: float = 3.0) -> Problem:
+def with_observer(problem: Problem, samples: float = 3.0) -> Problem:
     """Return a problem whose states an observer corrects at each sample, for `fmuid.identify`.
 
     What is identified by it is predicted over a few samples, and is no output error: its result says so

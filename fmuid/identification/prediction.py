@@ -39,11 +39,11 @@ from fmuid.estimation import Result, check_level
 from fmuid.formatting import nearest
 from fmuid.identification.assessment import CONFIDENCE_LEVEL
 from fmuid.identification.problem import Problem, refinement_of
-from fmuid.identification.residual_analysis import Diagnostics
+from fmuid.identification.residual_analysis import ResidualAnalysis
 from fmuid.identification.residual_series import examine_outputs
 from fmuid.identification.solver_checked_search import identify
 from fmuid.models import FMU, System
-from fmuid.simulation import Fit, Simulator, Value, column_conversion, fit_of, refined
+from fmuid.simulation import OutputFit, Simulator, Value, column_conversion, fit_of, refined
 
 # Sensitivities are differences over the parameters' standard deviations, but at most over this share of their
 # magnitudes: what is wrong with them is a share of the band.
@@ -94,7 +94,7 @@ class Prediction:
 
     Attributes
     ----------
-    fit : Fit
+    fit : OutputFit
     std : (K, n_outputs) array
         Standard deviation of the simulated outputs by that of the estimates; NaN where the result leaves parameters
         undetermined.
@@ -106,7 +106,7 @@ class Prediction:
         Of the band.
     scores : tuple of OutputScore
         One an output that has samples that count.
-    residuals : Diagnostics
+    residuals : ResidualAnalysis
         Tests of measured − simulated.
     estimated : Result or None
         Of the values that were estimated again on this record.
@@ -121,13 +121,13 @@ class Prediction:
     0.009
     """
 
-    fit: Fit
+    fit: OutputFit
     std: Floats
     noise_std: Floats
     half_width: Floats
     level: float
     scores: tuple[OutputScore, ...]
-    residuals: Diagnostics
+    residuals: ResidualAnalysis
     estimated: Result | None
     undetermined: tuple[str, ...]
 
@@ -330,7 +330,7 @@ class _Record:
         scores = tuple(
             _score(fit, j, variance[:, j], half[:, j]) for j in np.flatnonzero(fit.counted.any(axis=0)).tolist()
         )
-        tests = Diagnostics(tuple(examine_outputs(experiment, simulated)), {})
+        tests = ResidualAnalysis(tuple(examine_outputs(experiment, simulated)), {})
         return Prediction(fit, std, self.noise_std, half, level, scores, tests, again, lost)
 
     def _simulated(self, simulator: Simulator, point: Floats, scatter: Floats) -> tuple[Floats, Floats]:
@@ -381,7 +381,7 @@ class _Record:
         return np.asarray(np.sqrt(by_noise + by_estimates), dtype=np.float64)
 
 
-def _score(fit: Fit, j: int, variance: Floats, half: Floats) -> OutputScore:
+def _score(fit: OutputFit, j: int, variance: Floats, half: Floats) -> OutputScore:
     counted = fit.counted[:, j]
     error = (fit.measured - fit.simulated)[counted, j]
     known = bool(np.isfinite(half).all())

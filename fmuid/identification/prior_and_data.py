@@ -20,23 +20,23 @@ from fmuid.array_types import Floats
 from fmuid.blas import single_threaded
 from fmuid.errors import InputError
 from fmuid.estimation import (
-    Criterion,
-    Direction,
+    CostFunction,
     LeastSquares,
-    LocalModel,
+    LinearizedProblem,
     Marquardt,
-    Outcome,
     Result,
     SensitivityError,
     State,
+    TerminationReason,
+    WeakDirection,
     local_covariance,
     prepare,
     sandwich_of,
     search,
 )
 from fmuid.files import as_json
-from fmuid.identification.prior_data_tests import Agreement, VarianceTest, agree, known_variances, variance_tests
-from fmuid.identification.residual_analysis import Diagnostics, examine_residuals
+from fmuid.identification.prior_data_tests import PriorDataTest, VarianceTest, agree, known_variances, variance_tests
+from fmuid.identification.residual_analysis import ResidualAnalysis, analyze_residuals
 
 # A barycentre further than this from the estimate, in standard deviations, shows that the model is not linear.
 NONLINEAR_STDS = 0.5
@@ -46,29 +46,29 @@ LEAST_MOVE_STDS, RESTING_STD_RATIO = 1.0, 2.0
 
 
 @dataclass(frozen=True)
-class Obstacle:
+class ExtrapolationReason:
     """Why the optimum of the data alone is extrapolated although it was to be searched.
 
     Attributes
     ----------
     robust : bool
         A robust loss, with which it is not searched.
-    outcome : Outcome or None
+    outcome : TerminationReason or None
         How its search ended, where it did not converge.
     at_bounds : tuple of str
         The parameters that the data alone push to a bound.
-    undetermined : tuple of Direction
+    undetermined : tuple of WeakDirection
         What the data alone leave open there.
     """
 
     robust: bool = False
-    outcome: Outcome | None = None
+    outcome: TerminationReason | None = None
     at_bounds: tuple[str, ...] = ()
-    undetermined: tuple[Direction, ...] = ()
+    undetermined: tuple[WeakDirection, ...] = ()
 
 
 @dataclass(frozen=True)
-class Influence:
+class PriorInfluence:
     """What a prior does to an estimate.
 
     Attributes
@@ -87,7 +87,7 @@ class Influence:
 
 
 @dataclass(frozen=True, eq=False)
-class Reading:
+class PriorDataComparison:
     """What prior and data contribute to a result, and whether they agree.
 
     Attributes
@@ -106,11 +106,11 @@ class Reading:
     moves : (N, N) array
         How far the prior of each parameter (columns) moved each estimate (rows) from the data's optimum, by the
         paraboloids at the estimate; NaN where the data do not determine a parameter.
-    agreement : Agreement or None
+    agreement : PriorDataTest or None
         None where data and prior have nothing in common.
     variances : tuple of VarianceTest
         One an output whose variance is known, and one for all of them where there are several.
-    obstacle : Obstacle or None
+    obstacle : ExtrapolationReason or None
         What stood in the way of the search for the data's optimum.
     """
 
@@ -124,9 +124,9 @@ class Reading:
     combined_std: Floats
     barycentre: Floats
     moves: Floats
-    agreement: Agreement | None
+    agreement: PriorDataTest | None
     variances: tuple[VarianceTest, ...]
-    obstacle: Obstacle | None
+    obstacle: ExtrapolationReason | None
 
     @property
     def pull(self) -> Floats:
@@ -176,14 +176,14 @@ class Reading:
         )
 
     @property
-    def influences(self) -> tuple[Influence, ...]:
+    def influences(self) -> tuple[PriorInfluence, ...]:
         """The estimates that rest on a prior, and others that a prior has moved, the most first."""
         found = []
         for i in np.argsort(-np.abs(np.nan_to_num(self.moved)), kind="stable"):
             if self.moved_by[i] and math.isfinite(self.data_std[i]):
                 rests = bool(self.data_std[i] >= RESTING_STD_RATIO * self.combined_std[i])
                 if rests or abs(self.moved[i]) >= LEAST_MOVE_STDS:
-                    found.append(Influence(self.names[i], self.moved_by[i], rests))
+                    found.append(PriorInfluence(self.names[i], self.moved_by[i], rests))
         return tuple(found)
 
     @property
@@ -208,14 +208,14 @@ class Reading:
 
 
 @single_threaded
-def read_result(
+def compare_prior_and_data(
     problem: LeastSquares,
     result: Result,
     *,
     search_data: bool = False,
     healthy: Mapping[str, float] | None = None,
-    diagnostics: Diagnostics | None = None,
-) -> Reading:
+    diagnostics: ResidualAnalysis | None = None,
+) -> PriorDataComparison:
     """Read a result.
 
     Parameters
@@ -229,7 +229,7 @@ def read_result(
         Otherwise it is where the paraboloid at the estimate has it, and nothing is simulated.
     healthy : mapping of str to float, optional
         Known noise variance of each output, of the healthy system; default those given to the problem.
-    diagnostics : Diagnostics, optional
+    diagnostics : ResidualAnalysis, optional
         Of the residuals, where they have already been examined.
 
     Raises
@@ -244,7 +244,7 @@ def read_result(
     >>> coil = fmuid.datasets.coil()
     >>> known = {**coil.parameters, "R": fmuid.Parameter(3.0, min=0.0, prior=fmuid.Normal(4.2, 0.1))}
     >>> problem = fmuid.Problem(coil.fmu, coil.experiment, known)
-    >>> reading = fmuid.read_result(problem, fmuid.identify(problem))
+    >>> reading = fmuid.compare_prior_and_data(problem, fmuid.identify(problem))
     >>> reading.pull.round(1)
     array([-2., nan])
     """
@@ -252,12 +252,12 @@ def read_result(
     if local is None or result.noise is None:
         raise InputError("a result read from a file cannot be read in this way; identify the study again")
     known = known_variances(problem, result.given_variance if healthy is None else healthy)
-    examined = examine_residuals(problem, result) if diagnostics is None else diagnostics
+    examined = analyze_residuals(problem, result) if diagnostics is None else diagnostics
     variances = variance_tests(problem, result, known, local, examined)
     at, there, obstacle, noise = result.values, local, None, result.noise
     if search_data and len(local.prior_residual) and local.data.rank == len(result.names):
-        found = Obstacle(robust=True) if problem.loss is not None else _search_data(problem, result, local)
-        if isinstance(found, Obstacle):
+        found = ExtrapolationReason(robust=True) if problem.loss is not None else _search_data(problem, result, local)
+        if isinstance(found, ExtrapolationReason):
             obstacle = found
         else:
             at, there = found
@@ -268,7 +268,7 @@ def read_result(
     searched = there is not local
     data_std = there.data_std(noise.gram(there.data_basis))
     white = there.combine()
-    return Reading(
+    return PriorDataComparison(
         result.names,
         result.prior_mean,
         result.prior_std,
@@ -291,7 +291,7 @@ def read_result(
 class _DataAlone:
     """A criterion without the rows of the prior; a `ResidualFunction`."""
 
-    def __init__(self, criterion: Criterion) -> None:
+    def __init__(self, criterion: CostFunction) -> None:
         self._criterion, self._rows = criterion, criterion.problem.measured.size
         self.lower, self.upper, self.noise = criterion.lower, criterion.upper, criterion.noise
 
@@ -318,7 +318,9 @@ class _DataAlone:
         return self._criterion.jacobian_error(theta, residual, central=central)
 
 
-def _search_data(problem: LeastSquares, result: Result, local: LocalModel) -> tuple[Floats, LocalModel] | Obstacle:
+def _search_data(
+    problem: LeastSquares, result: Result, local: LinearizedProblem
+) -> tuple[Floats, LinearizedProblem] | ExtrapolationReason:
     """Return the optimum of the data alone and the local model there, or why there is none."""
     variance = np.array([result.variance[name] for name in problem.output_names])
     state = State(result.values.copy(), local.residual, local.jacobian, fresh=False)
@@ -329,19 +331,21 @@ def _search_data(problem: LeastSquares, result: Result, local: LocalModel) -> tu
         if not state.fresh:
             state.jacobian = alone.jacobian(state.theta, state.residual, central=True)
     except SensitivityError:
-        state.outcome = Outcome.FAILING
+        state.outcome = TerminationReason.FAILING
     except KeyboardInterrupt:
-        state.outcome = Outcome.INTERRUPTED
+        state.outcome = TerminationReason.INTERRUPTED
     if state.outcome is None or not state.outcome.converged:
-        return Obstacle(outcome=state.outcome)
+        return ExtrapolationReason(outcome=state.outcome)
     held = [result.names[i] for i in np.flatnonzero(state.held)]
     if held:
-        return Obstacle(at_bounds=tuple(held))
+        return ExtrapolationReason(at_bounds=tuple(held))
     magnitudes = alone.magnitudes(state.theta)
     error = alone.jacobian_error(state.theta, state.residual, central=state.central)
     data = local_covariance(result.names, state.jacobian, magnitudes, error, theta=state.theta)
     if data.rank < len(result.names):
-        return Obstacle(undetermined=data.undetermined)
+        return ExtrapolationReason(undetermined=data.undetermined)
     prior = problem.parameters.prior_residual(state.theta[None])[0]
-    there = LocalModel(state.residual, state.jacobian, prior, local.prior_jacobian, magnitudes, data, local.combined)
+    there = LinearizedProblem(
+        state.residual, state.jacobian, prior, local.prior_jacobian, magnitudes, data, local.combined
+    )
     return state.theta, there

@@ -21,9 +21,9 @@ import numpy as np
 from scipy import special
 
 from fmuid.errors import InputError
-from fmuid.estimation import LeastSquares, LocalModel, ResidualNoise, Result
+from fmuid.estimation import LeastSquares, LinearizedProblem, ResidualNoise, Result
 from fmuid.formatting import nearest
-from fmuid.identification.residual_analysis import Diagnostics
+from fmuid.identification.residual_analysis import ResidualAnalysis
 
 # Tests are said to fail below this probability.
 SIGNIFICANCE_LEVEL = 0.01
@@ -70,7 +70,7 @@ class VarianceTest:
 
 
 @dataclass(frozen=True)
-class Agreement:
+class PriorDataTest:
     """The prior against the data.
 
     Attributes
@@ -92,12 +92,12 @@ class Agreement:
         return self.probability >= SIGNIFICANCE_LEVEL
 
 
-def agree(local: LocalModel, noise: ResidualNoise) -> Agreement | None:
+def agree(local: LinearizedProblem, noise: ResidualNoise) -> PriorDataTest | None:
     """Test the prior against the data, by the paraboloids of a local model and the colour of the noise.
 
     Parameters
     ----------
-    local : LocalModel
+    local : LinearizedProblem
         At the optimum of the data alone or, where the problem is linear enough, at the estimate.
     noise : ResidualNoise
     """
@@ -107,7 +107,7 @@ def agree(local: LocalModel, noise: ResidualNoise) -> Agreement | None:
     freedom = found.degrees_of_freedom
     if freedom <= 0:
         return None
-    return Agreement(found.disagreement, freedom, float(special.chdtrc(freedom, found.disagreement)))
+    return PriorDataTest(found.disagreement, freedom, float(special.chdtrc(freedom, found.disagreement)))
 
 
 # --- the residual against the known noise -----------------------------------------------
@@ -132,7 +132,11 @@ def known_variances(problem: LeastSquares, given: Mapping[str, float]) -> dict[s
 
 
 def variance_tests(
-    problem: LeastSquares, result: Result, known: Mapping[str, float], local: LocalModel, diagnostics: Diagnostics
+    problem: LeastSquares,
+    result: Result,
+    known: Mapping[str, float],
+    local: LinearizedProblem,
+    diagnostics: ResidualAnalysis,
 ) -> tuple[VarianceTest, ...]:
     """Test the estimated noise variances against the known ones: of each output, then of all where there are several.
 
@@ -142,9 +146,9 @@ def variance_tests(
     result : Result
     known : mapping of str to float
         Taken as exact.
-    local : LocalModel
+    local : LinearizedProblem
         At the estimate.
-    diagnostics : Diagnostics
+    diagnostics : ResidualAnalysis
     """
     leverage = np.bincount(
         problem.groups, weights=np.sum((local.jacobian @ local.root) ** 2, axis=1), minlength=problem.counts.size

@@ -14,7 +14,7 @@ import numpy as np
 from fmuid.array_types import Floats
 from fmuid.data import Experiment, JointPrior, Noise, Parameter
 from fmuid.errors import InputError
-from fmuid.estimation import SENSITIVITIES, LeastSquares, NoiseLevel, Result
+from fmuid.estimation import SENSITIVITIES, LeastSquares, Result, SimulationNoise
 from fmuid.formatting import nearest
 from fmuid.identification.discrete_parameters import Given, choices_of
 from fmuid.models import FMU, System
@@ -32,7 +32,7 @@ from fmuid.simulation import (
 
 
 @dataclass(frozen=True, eq=False)
-class MadeWith:
+class ModelReference:
     """What a result was made with, by which it predicts; a result that is copied or sent elsewhere knows it no more.
 
     Attributes
@@ -92,7 +92,7 @@ class Problem(LeastSquares):
     laid_out : tuple of Simulator
         What simulates the experiments as it was asked for, with the first of each of the `choices`.
     observer : float or None
-        The time constant, in samples, of an observer that corrects the states (`fmuid.identification.observed`).
+        The time constant, in samples, of an observer that corrects the states (`fmuid.identification.with_observer`).
 
     Raises
     ------
@@ -137,7 +137,7 @@ class Problem(LeastSquares):
         self._given, self._asked = (tuple(parameters), held, step_size), parameters
         self.laid_out: tuple[Simulator, ...] = like.laid_out if like else tuple(self._lay_out(listed, held))
         self._simulators = list(self.laid_out)
-        self._noise_found: tuple[Floats, Floats, NoiseLevel] | None = None if like is None else like._noise_found
+        self._noise_found: tuple[Floats, Floats, SimulationNoise] | None = None if like is None else like._noise_found
         self.refinement = AS_ASKED
         self.observer: float | None = None
         self._finer: dict[Refinement, Problem] = {}
@@ -162,9 +162,9 @@ class Problem(LeastSquares):
         return [Simulator(self.system, each, names, values=held, step_size=step_size) for each in experiments]
 
     @property
-    def made_with(self) -> MadeWith:
+    def made_with(self) -> ModelReference:
         """What its results are made with."""
-        return MadeWith(self.system, self._given[1], self._asked, self._given[2])
+        return ModelReference(self.system, self._given[1], self._asked, self._given[2])
 
     def choose(self, values: Mapping[str, Value]) -> None:
         """Hold parameters that take few values at these from now on, simulated as was asked for."""
@@ -182,7 +182,7 @@ class Problem(LeastSquares):
 
     @property
     def models(self) -> dict[str, dict[str, Any]]:
-        """``name``, ``digest`` and ``run`` (the fields of its `fmuid.models.HowRun`) of each FMU by its component."""
+        """``name``, ``digest`` and ``run`` (the fields of its `fmuid.models.SolverConfiguration`) of each FMU by its component."""
         run = self.how_run(self.refinement)
         return {
             name: {"name": model.fmu.name, "digest": model.fmu.digest, "run": run[name]}
@@ -198,7 +198,7 @@ class Problem(LeastSquares):
     def how_run(self, refinement: Refinement) -> dict[str, dict[str, Any]]:
         """Return how each component is run with a refinement, as far as it is known which are stiff.
 
-        The fields of a `fmuid.models.HowRun` for each.
+        The fields of a `fmuid.models.SolverConfiguration` for each.
         """
         known = self if refinement == self.refinement else self._finer.get(refinement)
         stiff = frozenset[str]().union(*(each.stiff for each in (known._simulators if known is not None else ())))
@@ -214,7 +214,7 @@ class Problem(LeastSquares):
         """Whether measurements correct the states at the samples: nothing finer can be compared with that."""
         return any(each.corrects for each in self._simulators)
 
-    def noise_near(self, theta: Floats) -> tuple[Floats, NoiseLevel]:
+    def noise_near(self, theta: Floats) -> tuple[Floats, SimulationNoise]:
         """Find out as `LeastSquares.noise_near` does, once for all problems that differ in their measurements only."""
         plain = self._simulators == list(self.laid_out) and self._known is None
         plain &= self.levels.scale is None  # which may follow from measurements

@@ -33,9 +33,9 @@ import pandas as pd
 from fmuid.array_types import Floats
 from fmuid.blas import single_threaded
 from fmuid.errors import InputError
-from fmuid.estimation import AtBound, Criterion, LeastSquares, Outcome, Result, check_level
-from fmuid.identification.conditional_optimum import Point, best_near, best_with, check_result
-from fmuid.identification.profile_ends import EndKind, Remark
+from fmuid.estimation import ActiveBound, CostFunction, LeastSquares, Result, TerminationReason, check_level
+from fmuid.identification.conditional_optimum import ConditionalOptimum, best_near, best_with, check_result
+from fmuid.identification.profile_ends import EndKind, ProfileEndNote
 from fmuid.progress import ProfileStep, Progress
 
 # Approximate number of steps of a side, equal in τ.
@@ -79,7 +79,7 @@ class Profile:
         where no interval can be given. `remarks` say which.
     minimum, threshold : float
         J_min, and the rise above it at which the interval ends.
-    remarks : tuple of Remark
+    remarks : tuple of ProfileEndNote
         On the ends; empty for an ordinary profile.
     interrupted : bool
         Whether the keyboard ended it before both ends were found.
@@ -96,7 +96,7 @@ class Profile:
     upper: float
     minimum: float
     threshold: float
-    remarks: tuple[Remark, ...]
+    remarks: tuple[ProfileEndNote, ...]
     interrupted: bool
     table: pd.DataFrame
 
@@ -112,7 +112,7 @@ class Profile:
 
 
 @single_threaded
-def profiles(
+def profile_likelihood(
     problem: LeastSquares,
     result: Result,
     names: Sequence[str] | None = None,
@@ -151,7 +151,7 @@ def profiles(
     --------
     >>> problem = fmuid.datasets.coil().problem()
     >>> result = fmuid.identify(problem)
-    >>> [profile.name for profile in fmuid.profiles(problem, result, ["R"])]
+    >>> [profile.name for profile in fmuid.profile_likelihood(problem, result, ["R"])]
     ['R']
     """
     check_result(problem, result)
@@ -195,10 +195,10 @@ def reach(problem: LeastSquares, result: Result) -> Floats:
 class _Side:
     """One side of a profile: the points in the order in which they were found, the end, and remarks."""
 
-    points: list[Point]
+    points: list[ConditionalOptimum]
     upper: bool
     end: float = math.nan
-    remarks: list[Remark] = field(default_factory=list)
+    remarks: list[ProfileEndNote] = field(default_factory=list)
     lost: bool = False
     doubtful: bool = False
 
@@ -208,8 +208,8 @@ class _Profiler:
 
     def __init__(
         self,
-        criterion: Criterion,
-        origin: Point,
+        criterion: CostFunction,
+        origin: ConditionalOptimum,
         index: int,
         widths: tuple[float, float, float],
         level: float,
@@ -288,7 +288,7 @@ class _Profiler:
             step = self._next_step(point, step)
             here = point
 
-    def _keep(self, side: _Side, point: Point) -> None:
+    def _keep(self, side: _Side, point: ConditionalOptimum) -> None:
         side.points.append(point)
         if not point.outcome.converged and not side.doubtful:
             side.doubtful = True
@@ -307,14 +307,14 @@ class _Profiler:
         wanted = min(math.sqrt(self.threshold) * self.bend / STEPS_PER_SIDE, FIRST_STEP_SHARE * self.magnitude)
         return max(wanted, LEAST_STEP_SHARE * self.magnitude)
 
-    def _next_step(self, point: Point, last: float) -> float:
+    def _next_step(self, point: ConditionalOptimum, last: float) -> float:
         """Return the step that raises τ by its share, as its slope says, and not much longer than the last one."""
         slope, level = self._slope(point), math.sqrt(self.threshold)
         usable = slope > 0 and self._root(point) > LEAST_ROOT_SHARE * level
         wanted = level / STEPS_PER_SIDE / slope if usable else math.inf
         return min(max(wanted, STEP_REDUCTION * last), LARGEST_GROWTH * last)
 
-    def _next(self, here: Point, value: float, step: float, bound: float) -> Point | None:
+    def _next(self, here: ConditionalOptimum, value: float, step: float, bound: float) -> ConditionalOptimum | None:
         """Return the next point, nearer where simulations fail, None where they all do."""
         for _ in range(MOST_REDUCTIONS):
             there = value + step
@@ -327,7 +327,7 @@ class _Profiler:
 
     # --- its end
 
-    def _refine(self, side: _Side, inside: Point, outside: Point) -> float:
+    def _refine(self, side: _Side, inside: ConditionalOptimum, outside: ConditionalOptimum) -> float:
         """Return where τ meets its level between two points: Newton's method, bisection where that leaves them."""
         level = math.sqrt(self.threshold)
         low, high = inside, outside
@@ -348,34 +348,36 @@ class _Profiler:
         self._remark(side, EndKind.IMPRECISE, near)
         return self._value(near)
 
-    def _newton(self, point: Point, level: float) -> float:
+    def _newton(self, point: ConditionalOptimum, level: float) -> float:
         slope = self._slope(point)
         away = math.copysign(1.0, self._value(point) - self._value(self.origin))
         return self._value(point) + away * (level - self._root(point)) / slope if slope > 0 else math.nan
 
     # --- remarks
 
-    def _remark(self, side: _Side, kind: EndKind, point: Point, *, outcome: Outcome | None = None) -> None:
-        side.remarks.append(Remark(kind, side.upper, self._value(point), self._rise(point), outcome))
+    def _remark(
+        self, side: _Side, kind: EndKind, point: ConditionalOptimum, *, outcome: TerminationReason | None = None
+    ) -> None:
+        side.remarks.append(ProfileEndNote(kind, side.upper, self._value(point), self._rise(point), outcome))
 
-    def _remark_held(self, side: _Side, point: Point) -> None:
+    def _remark_held(self, side: _Side, point: ConditionalOptimum) -> None:
         for i in point.at_bounds:
-            other = AtBound(self.names[i], float(point.theta[i]))
+            other = ActiveBound(self.names[i], float(point.theta[i]))
             value, rise = self._value(point), self._rise(point)
-            side.remarks.append(Remark(EndKind.OTHER_AT_BOUND, side.upper, value, rise, other=other))
+            side.remarks.append(ProfileEndNote(EndKind.OTHER_AT_BOUND, side.upper, value, rise, other=other))
 
     # --- numbers
 
-    def _value(self, point: Point) -> float:
+    def _value(self, point: ConditionalOptimum) -> float:
         return float(point.theta[self.index])
 
-    def _rise(self, point: Point) -> float:
+    def _rise(self, point: ConditionalOptimum) -> float:
         return point.criterion - self.origin.criterion
 
-    def _root(self, point: Point) -> float:
+    def _root(self, point: ConditionalOptimum) -> float:
         return math.sqrt(max(self._rise(point), 0.0))
 
-    def _slope(self, point: Point) -> float:
+    def _slope(self, point: ConditionalOptimum) -> float:
         """Return the slope of τ away from the estimate, dJ_p/dψ/(2τ)."""
         away = math.copysign(1.0, self._value(point) - self._value(self.origin))
         root = self._root(point)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from enum import Enum
 
-from fmuid.estimation import AtBound, Outcome
+from fmuid.estimation import ActiveBound, TerminationReason
 
 
 class EndKind(Enum):
@@ -28,7 +28,7 @@ class EndKind(Enum):
 
 
 @dataclass(frozen=True)
-class Remark:
+class ProfileEndNote:
     """What is to be known of one end of a profile.
 
     Attributes
@@ -40,9 +40,9 @@ class Remark:
         Of the parameter, where it happens.
     rise : float
         Of the criterion there, above its least value.
-    outcome : Outcome or None
+    outcome : TerminationReason or None
         How the search for the others ended, where it did not converge.
-    other : AtBound or None
+    other : ActiveBound or None
         The other parameter that is at its bound.
     """
 
@@ -50,5 +50,5 @@ class Remark:
     upper: bool
     value: float
     rise: float
-    outcome: Outcome | None = None
-    other: AtBound | None = None
+    outcome: TerminationReason | None = None
+    other: ActiveBound | None = None

@@ -1,7 +1,7 @@
 """What the residuals say of the model and of the stated uncertainty: whiteness, inputs, distribution.
 
 Output errors are unbiased whatever the colour of the noise (1.29), and their covariance allows for it
-(`fmuid.estimation.noise.sandwich`): `Diagnostics.widening` says by how much, parameter by parameter. Where the
+(`fmuid.estimation.noise.sandwich`): `ResidualAnalysis.widening` says by how much, parameter by parameter. Where the
 residual is an error of the model that comes back with every cycle of the experiment, that is rather too little.
 
 With thousands of samples the slightest imperfection is significant: findings tell what is unlikely by chance and large
@@ -26,7 +26,7 @@ import pandas as pd
 
 from fmuid.blas import single_threaded
 from fmuid.errors import InputError
-from fmuid.estimation import LeastSquares, NoiseModel, ResidualNoise, Result, Taken
+from fmuid.estimation import FitProjection, LeastSquares, NoiseModel, ResidualNoise, Result
 from fmuid.files import as_json
 from fmuid.identification.residual_series import InputCorrelation, ResidualSeries, examine_outputs
 
@@ -50,7 +50,7 @@ LEAST_RETURNING = 0.01
 LONG_MEMORY = 0.2
 
 
-class Trait(Enum):
+class ResidualDefect(Enum):
     """In what a residual differs from white normal noise."""
 
     COLOURED = "coloured"
@@ -64,12 +64,12 @@ class Trait(Enum):
 
 
 @dataclass(frozen=True, eq=False)
-class Finding:
+class ResidualFinding:
     """Something in a residual that is unlikely by chance.
 
     Attributes
     ----------
-    trait : Trait
+    trait : ResidualDefect
     large : bool
         Whether it is large enough to matter.
     series : ResidualSeries
@@ -78,24 +78,28 @@ class Finding:
         The correlation, where it is one with an input.
     """
 
-    trait: Trait
+    trait: ResidualDefect
     large: bool
     series: ResidualSeries
     input: InputCorrelation | None = None
 
 
-def _findings(series: ResidualSeries, outputs: int, inputs: int) -> list[Finding]:
+def _findings(series: ResidualSeries, outputs: int, inputs: int) -> list[ResidualFinding]:
     """Return what is unlikely by chance in one of so many residuals, which go with so many inputs all together."""
     level, found = RESIDUAL_LEVEL / outputs, []
     if series.whiteness.probability <= level:
-        found.append(Finding(Trait.COLOURED, abs(series.whiteness.strongest[1]) >= LARGE_AUTOCORRELATION, series))
+        found.append(
+            ResidualFinding(
+                ResidualDefect.COLOURED, abs(series.whiteness.strongest[1]) >= LARGE_AUTOCORRELATION, series
+            )
+        )
     if series.mean_probability < level:
-        found.append(Finding(Trait.OFFSET, abs(series.mean) > LARGE_OFFSET_STDS * series.std, series))
+        found.append(ResidualFinding(ResidualDefect.OFFSET, abs(series.mean) > LARGE_OFFSET_STDS * series.std, series))
     for each in series.inputs:
         if each.probability < RESIDUAL_LEVEL / inputs:
-            found.append(Finding(Trait.INPUT, abs(each.correlation) > LARGE_CORRELATION, series, each))
+            found.append(ResidualFinding(ResidualDefect.INPUT, abs(each.correlation) > LARGE_CORRELATION, series, each))
     if series.normality.probability < level:
-        found.append(Finding(Trait.SHAPE, series.is_lopsided or series.is_tailed, series))
+        found.append(ResidualFinding(ResidualDefect.SHAPE, series.is_lopsided or series.is_tailed, series))
     return found
 
 
@@ -118,7 +122,7 @@ class NoiseFinding:
 
 
 @dataclass(frozen=True)
-class SlowResidual(NoiseFinding):
+class LowFrequencyNoiseFinding(NoiseFinding):
     """Low-frequency noise in a residual (`fmuid.estimation.noise.low_frequency`), too weak for other tests.
 
     Attributes
@@ -143,7 +147,7 @@ class LongMemory(NoiseFinding):
     record: float
 
 
-def _slow(noise: ResidualNoise) -> tuple[tuple[SlowResidual, ...], tuple[LongMemory, ...]]:
+def _slow(noise: ResidualNoise) -> tuple[tuple[LowFrequencyNoiseFinding, ...], tuple[LongMemory, ...]]:
     """Return the slow noise of each process that has some, and whose memory is long for the record."""
     pools: dict[int, list[NoiseModel]] = {}
     for model in noise.models:
@@ -155,14 +159,16 @@ def _slow(noise: ResidualNoise) -> tuple[tuple[SlowResidual, ...], tuple[LongMem
         constant = members[0].time_constant
         record = first.step * (1 + max(int(each.series.places[-1]) for each in members))
         if process.pole:
-            slow.append(SlowResidual(first.output, names, -first.step / math.log(process.pole), process.slow_share))
+            slow.append(
+                LowFrequencyNoiseFinding(first.output, names, -first.step / math.log(process.pole), process.slow_share)
+            )
         if constant > LONG_MEMORY * record:
             long.append(LongMemory(first.output, names, min(constant, record), record))
     return tuple(slow), tuple(long)
 
 
 @dataclass(frozen=True)
-class ReturningResidual:
+class PeriodicErrorFinding:
     """What comes back in a residual with each cycle of the excitation (`fmuid.estimation.noise.periodic_error`).
 
     Attributes
@@ -181,7 +187,7 @@ class ReturningResidual:
 
 
 @dataclass(frozen=True, eq=False)
-class Diagnostics:
+class ResidualAnalysis:
     """All residuals of a result.
 
     Attributes
@@ -194,9 +200,9 @@ class Diagnostics:
     off_grid : tuple of (str, str)
         Experiments and outputs whose samples stand on no grid: the colour of their noise is taken as if they were
         equally spaced.
-    slow : tuple of SlowResidual
+    slow : tuple of LowFrequencyNoiseFinding
         Where the standard deviations allow for weak slow noise.
-    returning : tuple of ReturningResidual
+    returning : tuple of PeriodicErrorFinding
         Where the standard deviations allow for what comes back with each cycle of the excitation, and it more likely
         does than not.
     long_memory : tuple of LongMemory
@@ -206,12 +212,12 @@ class Diagnostics:
     series: tuple[ResidualSeries, ...]
     widening: dict[str, float]
     off_grid: tuple[tuple[str, str], ...] = ()
-    slow: tuple[SlowResidual, ...] = ()
-    returning: tuple[ReturningResidual, ...] = ()
+    slow: tuple[LowFrequencyNoiseFinding, ...] = ()
+    returning: tuple[PeriodicErrorFinding, ...] = ()
     long_memory: tuple[LongMemory, ...] = ()
 
     @property
-    def findings(self) -> tuple[Finding, ...]:
+    def findings(self) -> tuple[ResidualFinding, ...]:
         """All that is unlikely by chance, residual by residual."""
         inputs = sum(len(each.inputs) for each in self.series)
         return tuple(found for each in self.series for found in _findings(each, len(self.series), inputs))
@@ -277,7 +283,7 @@ class Diagnostics:
 
 
 @single_threaded
-def examine_residuals(problem: LeastSquares, result: Result) -> Diagnostics:
+def analyze_residuals(problem: LeastSquares, result: Result) -> ResidualAnalysis:
     """Examine the residuals of a result; nothing is simulated.
 
     Parameters
@@ -296,14 +302,14 @@ def examine_residuals(problem: LeastSquares, result: Result) -> Diagnostics:
     --------
     >>> problem = fmuid.datasets.coil().problem()
     >>> result = fmuid.identify(problem)
-    >>> fmuid.examine_residuals(problem, result).table["output"].tolist()
+    >>> fmuid.analyze_residuals(problem, result).table["output"].tolist()
     ['i']
     """
     if result.noise is None or result.local is None:
         raise InputError("a result read from a file has no residuals to examine; identify the study again")
     series: list[ResidualSeries] = []
     columns = result.local.jacobian @ result.local.root
-    taken = Taken(columns, columns.T @ columns)
+    taken = FitProjection(columns, columns.T @ columns)
     for experiment, fit in zip(problem.experiments, result.fit, strict=True):
         simulated = fit[[f"simulated.{output}" for output in experiment.output_names]].to_numpy(np.float64)
         models = [each for each in result.noise.models if each.series.experiment == experiment.name]
@@ -318,6 +324,6 @@ def examine_residuals(problem: LeastSquares, result: Result) -> Diagnostics:
             if found.probability > MORE_LIKELY and share > LEAST_RETURNING:
                 key = (own.output, own.experiment, found.period * own.step)
                 shares[key] = min(shares.get(key, 0.0) + share, 1.0)
-    returning = tuple(ReturningResidual(*key, share) for key, share in shares.items())
+    returning = tuple(PeriodicErrorFinding(*key, share) for key, share in shares.items())
     slow, long = _slow(result.noise)
-    return Diagnostics(tuple(series), widening, off_grid, slow, returning, long)
+    return ResidualAnalysis(tuple(series), widening, off_grid, slow, returning, long)

@@ -14,13 +14,13 @@ from fmuid.array_types import Floats
 from fmuid.data import Experiment, Measurements
 from fmuid.estimation import (
     CrossCorrelation,
+    FitProjection,
     LaggedSeries,
     NoiseModel,
     NormalityTest,
-    Taken,
     WhitenessTest,
     normality,
-    series_of,
+    output_series,
     whiteness,
 )
 
@@ -141,7 +141,7 @@ class ResidualSeries:
         return abs(self.normality.kurtosis) > RESIDUAL_SETTINGS.large_kurtosis
 
     def row(self) -> dict[str, Any]:
-        """Return the line of `Diagnostics.table`."""
+        """Return the line of `ResidualAnalysis.table`."""
         strongest = min(self.inputs, key=lambda each: each.probability, default=None)
         white, normal, unknown = self.whiteness, self.normality, math.nan
         factor = self.noise.variance_factor() if self.is_tested else unknown
@@ -173,7 +173,7 @@ def examine_outputs(
     experiment: Measurements,
     simulated: Floats,
     models: Sequence[NoiseModel] | None = None,
-    taken: Taken | None = None,
+    taken: FitProjection | None = None,
     scale: Floats | None = None,
 ) -> list[ResidualSeries]:
     """Examine measured − simulated of those outputs of an experiment that have samples that count.
@@ -184,12 +184,14 @@ def examine_outputs(
     simulated : (K, n_outputs) array
     models : sequence of NoiseModel, optional
         The noise of each of them, as the fit has it; default: nothing has been fitted, and the residual tells.
-    taken : Taken, optional
+    taken : FitProjection, optional
         What the fit has taken out of the noise of all rows.
     scale : (n,) array, optional
         The standard deviation of the noise of each row against that of its output: tests are of residuals over it.
     """
-    series = series_of([experiment], experiment.output_names) if models is None else [each.series for each in models]
+    series = (
+        output_series([experiment], experiment.output_names) if models is None else [each.series for each in models]
+    )
     found = []
     for index, own in enumerate(series):
         column = experiment.output_names.index(own.output)
@@ -202,13 +204,13 @@ def examine_outputs(
         measured = experiment.output_values[experiment.counted[:, column], column]
         rounding = RESIDUAL_SETTINGS.rounding_share * float(np.sqrt(np.mean(measured**2)))
         if values.size >= RESIDUAL_SETTINGS.least_samples and found[-1].std > rounding:
-            left = Taken.nothing(values.size) if taken is None else taken.of(own.rows)
+            left = FitProjection.nothing(values.size) if taken is None else taken.of(own.rows)
             found[-1] = _tested(found[-1], values if scale is None else values / scale[own.rows], left)
     related = _related(experiment, [each for each in found if each.is_tested])
     return [replace(each, inputs=related.get(each.output, ())) for each in found]
 
 
-def _tested(found: ResidualSeries, values: Floats, taken: Taken) -> ResidualSeries:
+def _tested(found: ResidualSeries, values: Floats, taken: FitProjection) -> ResidualSeries:
     """Test a residual by its samples (n,) in units of their noise, the inputs aside."""
     series, mean, std = found.noise.series, float(values.mean()), float(values.std())
     # in the model of the fit a mean passes for slow noise

@@ -23,14 +23,14 @@ from fmuid.blas import single_threaded
 from fmuid.errors import FmuidError, InputError, SimulationError, check_kind
 from fmuid.estimation import (
     MAX_NOISE_RATIO,
-    Attempt,
     LeastSquares,
     Marquardt,
     Method,
-    Outcome,
-    Remedy,
+    RestartAttempt,
     Result,
-    Trouble,
+    SearchFailure,
+    StartingPointSource,
+    TerminationReason,
     second_difference_noise,
     sobol_points,
 )
@@ -55,7 +55,13 @@ POINTS, BEST, FACTOR, MULTIPLE, SEED = 16, 3, 10.0, 3.0, 0
 PATIENCE = 60
 # One wild sample must not decide between points: squares of residuals count up to here, in those of the noise.
 LARGEST_SQUARE = 1e12
-UNFINISHED = (Outcome.STALLED, Outcome.ITERATION_LIMIT, Outcome.FAILING, Outcome.RUNAWAY, Outcome.UNSETTLED)
+UNFINISHED = (
+    TerminationReason.STALLED,
+    TerminationReason.ITERATION_LIMIT,
+    TerminationReason.FAILING,
+    TerminationReason.RUNAWAY,
+    TerminationReason.UNSETTLED,
+)
 
 
 @single_threaded
@@ -76,7 +82,7 @@ def identify(
     problem : LeastSquares
         Only a `Problem`, whose predictors run FMUs, has a simulation to check, and remedies. It is simulated in a finer
         way from then on where the search has to go on by one. One that measurements correct
-        (`fmuid.identification.observed`) has neither, and its result says so by `Result.observer`.
+        (`fmuid.identification.with_observer`) has neither, and its result says so by `Result.observer`.
     settings : Marquardt or GlobalSearch, optional
         Default: Marquardt's search from the parameters' starts.
     progress : callable, optional
@@ -142,10 +148,10 @@ def _identify(
         return replace(method.search(problem, progress, start), observer=problem.observer)
     if not remedies or method.whole_box or not isinstance(problem, Problem):
         return checked_search.identify(problem, method, progress, start, accuracy=accuracy, region=region)
-    return _GuardedSearch(problem, method, progress, accuracy, region).run(start)
+    return _RestartingSearch(problem, method, progress, accuracy, region).run(start)
 
 
-class _GuardedSearch:
+class _RestartingSearch:
     """The starts of one search, and what became of them."""
 
     def __init__(
@@ -159,7 +165,7 @@ class _GuardedSearch:
         self.problem, self.method, self.progress = problem, method, progress
         self.accuracy, self.region = accuracy, region
         self.clock, self.before = time.perf_counter(), problem.simulations
-        self.attempts: list[Attempt] = []
+        self.attempts: list[RestartAttempt] = []
         self.ended: list[EndedSearch] = []
         self.equation_ratio = math.nan
         self.error: FmuidError | None = None
@@ -175,12 +181,12 @@ class _GuardedSearch:
         before = problem.simulations
         for remedy, theta in self._starts(given):
             try:
-                own = remedy is Remedy.GIVEN
+                own = remedy is StartingPointSource.GIVEN
                 result = self._search(theta, given=own and start is None, most=math.inf if own else PATIENCE)
             except (InputError, SimulationError) as error:
                 failed = isinstance(error, SimulationError)
-                self.error = error if self.error is None or remedy is Remedy.GIVEN else self.error
-                self._note(remedy, Trouble.FAILED if failed else Trouble.NO_EFFECT, before)
+                self.error = error if self.error is None or remedy is StartingPointSource.GIVEN else self.error
+                self._note(remedy, SearchFailure.FAILED if failed else SearchFailure.NO_EFFECT, before)
                 before = problem.simulations
                 continue
             self._end(remedy, result, before)
@@ -198,32 +204,32 @@ class _GuardedSearch:
         if not self.ended:
             return
         best, limit = self._best(), self.method.marquardt.max_iterations
-        if best.result.outcome is Outcome.ITERATION_LIMIT and best.result.iterations < limit:
+        if best.result.outcome is TerminationReason.ITERATION_LIMIT and best.result.iterations < limit:
             before = self.problem.simulations
             self._end(best.attempt.remedy, self._search(best.result.values), before)
 
     # --- where to begin
 
-    def _starts(self, given: Floats) -> Iterator[tuple[Remedy, Floats]]:
+    def _starts(self, given: Floats) -> Iterator[tuple[StartingPointSource, Floats]]:
         better = self._better(given)
         first = next(better, None) if self._is_far(given) else None
         if first is not None:
-            self.attempts.append(Attempt(Remedy.GIVEN, Trouble.FAR, simulations=1))
+            self.attempts.append(RestartAttempt(StartingPointSource.GIVEN, SearchFailure.FAR, simulations=1))
             yield first
-        yield Remedy.GIVEN, given
+        yield StartingPointSource.GIVEN, given
         yield from better
         for theta in self._points(given):
-            yield Remedy.SOBOL, theta
+            yield StartingPointSource.SOBOL, theta
 
-    def _better(self, given: Floats) -> Iterator[tuple[Remedy, Floats]]:
+    def _better(self, given: Floats) -> Iterator[tuple[StartingPointSource, Floats]]:
         """Return the starts that are found from the one that was given, the cheapest first."""
         equation = equation_start(self.problem, given)
         if equation is not None:
             self.equation_ratio = equation.noise_ratio
-            yield Remedy.EQUATION_ERROR, equation.theta
+            yield StartingPointSource.EQUATION_ERROR, equation.theta
         corrected = corrected_start(self.problem, given, self.progress)
         if corrected is not None:
-            yield Remedy.CORRECTION, corrected
+            yield StartingPointSource.CORRECTION, corrected
 
     def _is_far(self, given: Floats) -> bool:
         """Whether the simulation at a start fails, or explains little of an output."""
@@ -277,18 +283,20 @@ class _GuardedSearch:
             start_limit=checked_search.START_LIMIT if given else START_LIMIT,
         )
 
-    def _end(self, remedy: Remedy, result: Result, before: int) -> None:
+    def _end(self, remedy: StartingPointSource, result: Result, before: int) -> None:
         ratio = self._noise_ratio(result)
-        trouble = Trouble.NONE
+        trouble = SearchFailure.NONE
         if result.outcome in UNFINISHED:
-            trouble = Trouble.UNFINISHED
+            trouble = SearchFailure.UNFINISHED
         elif ratio > MAX_NOISE_RATIO:
-            trouble = Trouble.LARGE_RESIDUAL
+            trouble = SearchFailure.LARGE_RESIDUAL
         attempt = self._note(remedy, trouble, before, ratio)
         self.ended.append(EndedSearch(result, attempt, len(self.attempts) - 1, self._worth(result)))
 
-    def _note(self, remedy: Remedy, trouble: Trouble, before: int, ratio: float = math.nan) -> Attempt:
-        self.attempts.append(Attempt(remedy, trouble, ratio, self.problem.simulations - before))
+    def _note(
+        self, remedy: StartingPointSource, trouble: SearchFailure, before: int, ratio: float = math.nan
+    ) -> RestartAttempt:
+        self.attempts.append(RestartAttempt(remedy, trouble, ratio, self.problem.simulations - before))
         return self.attempts[-1]
 
     def _noise_ratio(self, result: Result) -> float:
@@ -300,7 +308,7 @@ class _GuardedSearch:
     def _settled(self) -> bool:
         """Whether the last search ended well, was interrupted, or ended where another did."""
         last = self.ended[-1]
-        if last.attempt.trouble is Trouble.NONE or last.result.outcome is Outcome.INTERRUPTED:
+        if last.attempt.trouble is SearchFailure.NONE or last.result.outcome is TerminationReason.INTERRUPTED:
             return True
         return is_confirmed(last, self.ended, self.equation_ratio)
 
@@ -309,7 +317,7 @@ class _GuardedSearch:
         best = self._best()
         is_wrong = is_confirmed(best, self.ended, self.equation_ratio)
         self.attempts[best.number] = replace(
-            best.attempt, kept=True, trouble=Trouble.MODEL_ERROR if is_wrong else best.attempt.trouble
+            best.attempt, kept=True, trouble=SearchFailure.MODEL_ERROR if is_wrong else best.attempt.trouble
         )
         tried = tuple(self.attempts) if len(self.attempts) > 1 else ()
         return replace(
@@ -324,7 +332,7 @@ class _GuardedSearch:
         """Return the one that fits best; of those that fit alike, one that came to an end."""
         least = min(each.worth for each in self.ended)
         alike = [each for each in self.ended if each.worth - checked_search.RIVAL_CRITERION <= least]
-        return min(alike, key=lambda each: (each.attempt.trouble is Trouble.UNFINISHED, each.worth))
+        return min(alike, key=lambda each: (each.attempt.trouble is SearchFailure.UNFINISHED, each.worth))
 
     def _worth(self, result: Result) -> float:
         """Return Σ K_j log σ̂_j², by which results of any variances compare."""

@@ -159,7 +159,7 @@ def expected_accuracy(
     ----------
     model : System
     excitation : Experiment
-        A record, or an excitation that is still to be applied (`fmuid.trial`).
+        A record, or an excitation that is still to be applied (`fmuid.planned_experiment`).
     parameters : mapping of str to Parameter
     variance : mapping of str to float
         Of each output's noise, in the unit of the excitation's table.

@@ -20,21 +20,21 @@ from fmuid.array_types import Floats, numbers
 from fmuid.errors import InputError, SimulationError
 from fmuid.estimation import (
     SHIFT_LIMIT,
-    Accuracy,
     AccuracyOutcome,
-    Kept,
     LeastSquares,
     Marquardt,
     Method,
     Optimum,
-    Outcome,
+    RefinementRefusal,
+    RefinementStep,
     Result,
-    Switch,
+    SolverCheck,
     SwitchCause,
-    checked,
+    TerminationReason,
+    estimate_solver_error,
     fits_worse,
-    merged,
-    simulated,
+    merge_optima,
+    stack_simulated,
     with_shift,
     would_fit_better,
 )
@@ -105,7 +105,7 @@ class _CheckedSearch:
         self.start_limit = start_limit
         self.switching = switching
         self.clock, self.before = time.perf_counter(), problem.simulations
-        self.switches: list[Switch] = []
+        self.switches: list[RefinementStep] = []
         self.refused = self.foreseen = 0
         self.origin, self.returned = problem.refinement, False
 
@@ -116,8 +116,8 @@ class _CheckedSearch:
             self._compare_start(problem.parameters.start if start is None else numbers(start, "start"))
         first = self.method.search(problem, self.progress, start)
         self.optima = first.optima or (Optimum(first.values, first.criterion, 1, first.outcome, first),)
-        self.found = Accuracy(AccuracyOutcome.INTERRUPTED, np.full(len(first.names), np.nan))
-        if first.local is not None and first.outcome is not Outcome.INTERRUPTED:
+        self.found = SolverCheck(AccuracyOutcome.INTERRUPTED, np.full(len(first.names), np.nan))
+        if first.local is not None and first.outcome is not TerminationReason.INTERRUPTED:
             try:
                 self._settle()
                 self._return()
@@ -206,48 +206,54 @@ class _CheckedSearch:
                 self.found = replace(self.found, kept=kept)
                 return
 
-    def _check(self, fit: Result) -> Accuracy:
+    def _check(self, fit: Result) -> SolverCheck:
         """Return what the error of the simulation does to the estimates of a fit."""
         problem, finer = self.problem, self.problem.next_refinement
         if finer is None:
             exact = not any(map(problem.system.integrates, problem.system.components))
             exact &= all(model.kind == "model-exchange" for model in problem.system.components.values())
             outcome = AccuracyOutcome.PASSED if exact else AccuracyOutcome.UNCHECKABLE
-            return Accuracy(outcome, np.full(fit.values.size, 0.0 if exact else np.nan))
+            return SolverCheck(outcome, np.full(fit.values.size, 0.0 if exact else np.nan))
         controlled = is_controlled(problem.system, problem.refinement)
         if self.region is not None:
-            found = checked(problem, fit, self.region.error(problem, finer, fit.values), controlled=controlled)
+            found = estimate_solver_error(
+                problem, fit, self.region.error(problem, finer, fit.values), controlled=controlled
+            )
             if found.outcome is AccuracyOutcome.UNCHECKABLE or found.change < SHIFT_LIMIT or found.largest < SURE_SHIFT:
                 return replace(found, finer=problem.how_run(finer))
         # to the last bit where the FMU may step as it likes: what the fit has kept is rounded
-        predicted = simulated(problem, fit) if finer.tolerance else problem.predict(fit.values[None])[0]
-        found = checked(problem, fit, problem.predict_by(finer, fit.values) - predicted, controlled=controlled)
+        predicted = stack_simulated(problem, fit) if finer.tolerance else problem.predict(fit.values[None])[0]
+        found = estimate_solver_error(
+            problem, fit, problem.predict_by(finer, fit.values) - predicted, controlled=controlled
+        )
         found = replace(found, finer=problem.how_run(finer))
         sure = problem.next_sure_refinement
         if not found.doubtful or sure == finer:
             return found
         if sure is not None:
-            inside = checked(problem, fit, problem.predict_by(sure, fit.values) - predicted, controlled=controlled)
+            inside = estimate_solver_error(
+                problem, fit, problem.predict_by(sure, fit.values) - predicted, controlled=controlled
+            )
             if inside.doubtful:
                 return replace(inside, finer=problem.how_run(sure))
         return replace(found, outcome=AccuracyOutcome.COUPLED)
 
-    def _go_on(self) -> Kept | None:
+    def _go_on(self) -> RefinementRefusal | None:
         """Search on from the optima by the next finer simulation; return why nothing came of it, if so."""
         problem, finer = self.problem, self.problem.next_sure_refinement
         if not self.switching or not is_free(problem.system):
-            return Kept.ASKED
+            return RefinementRefusal.ASKED
         if finer is None or problem.refined(finer).next_sure_refinement is None:
-            return Kept.FINEST
+            return RefinementRefusal.FINEST
         other = problem.refined(finer)
         better, spent = self._optima_by(other)
         problem.count(other)
         if not better:
-            return Kept.NO_SEARCH
+            return RefinementRefusal.NO_SEARCH
         # what it is kept from by a bound is no fault of a simulation
         bounded = bool(better[0].fit.at_bounds) and not self.optima[0].fit.at_bounds
         if fits_worse(problem, better[0].fit, self.optima[0].fit) and not bounded:
-            return Kept.FITS_BETTER
+            return RefinementRefusal.FITS_BETTER
         self.optima = better
         self._switch(finer, SwitchCause.SHIFT, self.found.largest, spent)
         return None
@@ -255,7 +261,7 @@ class _CheckedSearch:
     def _optima_by(self, other: Problem) -> tuple[tuple[Optimum, ...], int]:
         """Search on from the optima by another simulation; return where that ends, and what it took."""
         fits = [fit for each in self.optima[:MOST_OPTIMA] if (fit := self._searched(other, each.fit)) is not None]
-        found = merged(other, fits) if self.problem.loss is None else _single(fits)
+        found = merge_optima(other, fits) if self.problem.loss is None else _single(fits)
         return found, sum(fit.simulations for fit in fits)
 
     def _return(self) -> None:
@@ -266,14 +272,14 @@ class _CheckedSearch:
         if self.start_limit < START_LIMIT and self.switches[0].size <= START_LIMIT:
             return  # left for a smoother simulation alone, not for another model
         other = problem.refined(self.origin)
-        error = problem.predict_by(self.origin, best.values) - simulated(problem, best)
-        if would_fit_better(problem, best, other, checked(problem, best, error).shift):
+        error = problem.predict_by(self.origin, best.values) - stack_simulated(problem, best)
+        if would_fit_better(problem, best, other, estimate_solver_error(problem, best, error).shift):
             found, _ = self._optima_by(other)
             if found and fits_worse(problem, best, found[0].fit):
                 problem.simulate_by(self.origin)
                 self.optima, self.switches, self.returned = found, [], True
                 self.found = self._check(found[0].fit)
-                self.found = replace(self.found, kept=Kept.FITS_BETTER if self.found.doubtful else None)
+                self.found = replace(self.found, kept=RefinementRefusal.FITS_BETTER if self.found.doubtful else None)
         problem.count(other)
 
     def _searched(self, other: Problem, fit: Result) -> Result | None:
@@ -282,7 +288,7 @@ class _CheckedSearch:
             found = self.method.marquardt.search(other, self.progress, fit.values)
         except (InputError, SimulationError):
             return None
-        if found.outcome is Outcome.INTERRUPTED:
+        if found.outcome is TerminationReason.INTERRUPTED:
             raise KeyboardInterrupt
         if fit.converged and not found.converged:
             return None
@@ -292,7 +298,7 @@ class _CheckedSearch:
         """Simulate in a finer way from now on, and note why."""
         problem = self.problem
         before, after = (problem.how_run(each) for each in (problem.refinement, finer))
-        self.switches.append(Switch(cause, size, before, after, simulations))
+        self.switches.append(RefinementStep(cause, size, before, after, simulations))
         problem.simulate_by(finer)
 
     # --- the result

@@ -16,7 +16,7 @@ import numpy as np
 from fmuid.array_types import Floats
 from fmuid.data import ParameterSet
 from fmuid.errors import FmuidError
-from fmuid.estimation import Marquardt, Outcome
+from fmuid.estimation import Marquardt, TerminationReason
 from fmuid.identification.equation_error_start import FARTHEST
 from fmuid.identification.problem import Problem
 from fmuid.progress import Progress
@@ -64,7 +64,7 @@ def corrected_start(problem: Problem, start: Floats, progress: Progress | None =
             break
         finally:
             problem.count(other)
-        if result.outcome is Outcome.INTERRUPTED:
+        if result.outcome is TerminationReason.INTERRUPTED:
             raise KeyboardInterrupt
         theta = result.values
     return None if theta is start else theta

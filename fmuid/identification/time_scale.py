@@ -31,7 +31,7 @@ _LEFT, _SETTLED = 0.37, 0.3
 _DECADES, _POINTS = 7, 150
 
 
-class TimeScale(Enum):
+class TimeScaleMismatch(Enum):
     """What a record is against the time constants of its model."""
 
     TOO_LONG = "too_long"
@@ -39,12 +39,12 @@ class TimeScale(Enum):
 
 
 @dataclass(frozen=True)
-class TimeScaleDoubt:
+class TimeScaleWarning:
     """A record whose time is perhaps in another unit.
 
     Attributes
     ----------
-    kind : TimeScale
+    kind : TimeScaleMismatch
     source : str
         The table.
     duration, step : float
@@ -53,14 +53,14 @@ class TimeScaleDoubt:
         Of the model, s: the slowest that its outputs show where the record is too long, else the fastest.
     """
 
-    kind: TimeScale
+    kind: TimeScaleMismatch
     source: str
     duration: float
     step: float
     time_constant: float
 
 
-def doubt_of_time(simulator: Simulator, theta: Sequence[float]) -> TimeScaleDoubt | None:
+def doubt_of_time(simulator: Simulator, theta: Sequence[float]) -> TimeScaleWarning | None:
     """Compare a record with the time constants of its model, by one simulation, or a few where hardly anything moves.
 
     Parameters
@@ -72,7 +72,7 @@ def doubt_of_time(simulator: Simulator, theta: Sequence[float]) -> TimeScaleDoub
 
     Returns
     -------
-    TimeScaleDoubt or None
+    TimeScaleWarning or None
         None where the record is of the model's time scale, or where the model does not settle or cannot be simulated.
     """
     record = simulator.experiment
@@ -82,7 +82,7 @@ def doubt_of_time(simulator: Simulator, theta: Sequence[float]) -> TimeScaleDoub
     if constants.size and np.isfinite(constants).all():
         slowest = float(constants.max())
         if duration > TOO_LONG * slowest and step > slowest:
-            return TimeScaleDoubt(TimeScale.TOO_LONG, record.source, duration, step, slowest)
+            return TimeScaleWarning(TimeScaleMismatch.TOO_LONG, record.source, duration, step, slowest)
     if np.isfinite(constants).any() or not values.size or _moves(values, record):
         return None
     for factor in LONGER:
@@ -90,7 +90,7 @@ def doubt_of_time(simulator: Simulator, theta: Sequence[float]) -> TimeScaleDoub
         if np.isfinite(found).any():
             fastest = float(np.nanmin(found))
             if fastest > TOO_SHORT * duration:
-                return TimeScaleDoubt(TimeScale.TOO_SHORT, record.source, duration, step, fastest)
+                return TimeScaleWarning(TimeScaleMismatch.TOO_SHORT, record.source, duration, step, fastest)
             return None
     return None
 

@@ -50,7 +50,7 @@ _DAMAGES = (
 )
 
 
-class Zipped:
+class CheckedArchive:
     """An archive whose entries have been checked; a context manager that closes it.
 
     Parameters

@@ -160,7 +160,7 @@ class Component:
         """The integrator that model exchange begins with: the one asked for, else "rk45"."""
         return self.numerics.integrator or DEFAULT_INTEGRATOR
 
-    def how_run(self, *, stiff: bool = False) -> HowRun:
+    def how_run(self, *, stiff: bool = False) -> SolverConfiguration:
         """Return how the FMU is run.
 
         Parameters
@@ -170,14 +170,14 @@ class Component:
         """
         given, version = self.numerics, self.fmu.description.fmi_version
         if self.kind == "co-simulation":
-            return HowRun(version, self.kind, None, False, given.tolerance, given.step_size)
+            return SolverConfiguration(version, self.kind, None, False, given.tolerance, given.step_size)
         tolerance = None if self.integrator == "rk4" else given.tolerance or DEFAULT_TOLERANCE
         integrator = STIFF_INTEGRATOR if stiff else self.integrator
-        return HowRun(version, self.kind, integrator, stiff, tolerance, given.step_size)
+        return SolverConfiguration(version, self.kind, integrator, stiff, tolerance, given.step_size)
 
 
 @dataclass(frozen=True)
-class HowRun:
+class SolverConfiguration:
     """How an FMU was run, its defaults resolved.
 
     Attributes

@@ -8,10 +8,10 @@ from functools import cached_property
 from os import PathLike
 from pathlib import Path, PurePosixPath
 
-from fmuid.display_mixins import Displayed
+from fmuid.display_mixins import HtmlTableMixin
 from fmuid.errors import InputError, check_kind
 from fmuid.files import is_file
-from fmuid.models.archive import Zipped
+from fmuid.models.archive import CheckedArchive
 from fmuid.models.description import Description
 from fmuid.models.reading import read_description
 from fmuid.models.unpacking import file_digest, unpacked
@@ -22,7 +22,7 @@ PLATFORMS = {2: _SYSTEM + "64", 3: f"{_MACHINE}-{'windows' if _SYSTEM == 'win' e
 """What the versions of FMI call the folder with binaries of this machine (FMI 2.0.4, 2.3; FMI 3.0.2, 2.5.1.4.1)."""
 
 
-class FMU(Displayed):
+class FMU(HtmlTableMixin):
     """An FMU file; nothing is unpacked or loaded before it is needed.
 
     Parameters
@@ -72,7 +72,7 @@ class FMU(Displayed):
     @cached_property
     def _binaries(self) -> tuple[PurePosixPath, ...]:
         """The files below ``binaries/``, in folders of platforms."""
-        with Zipped(self.file, self.path) as archive:
+        with CheckedArchive(self.file, self.path) as archive:
             paths = [PurePosixPath(name) for name in archive.names if name.startswith("binaries/")]
         return tuple(path for path in paths if len(path.parts) > 2)
 

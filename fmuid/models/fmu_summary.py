@@ -10,7 +10,7 @@ from math import prod
 from typing import NamedTuple
 from xml.etree.ElementTree import Element
 
-from fmuid.models.component import Component, HowRun
+from fmuid.models.component import Component, SolverConfiguration
 from fmuid.models.description import DESCRIPTION_FILE, Description, Variable
 from fmuid.models.fmu import FMU, PLATFORMS
 from fmuid.models.reading import read_text
@@ -30,7 +30,7 @@ _TAGS = {
 
 
 @dataclass(frozen=True)
-class Facts:
+class FmuSummary:
     """The declarations of an FMU, sorted for the identification of its parameters.
 
     Attributes
@@ -42,7 +42,7 @@ class Facts:
         The folder of binaries for this machine; None if there is none.
     machine : str
         FMI's name of this machine's platform.
-    run_as : HowRun
+    run_as : SolverConfiguration
         How fmuid runs the FMU by default.
     tunable, fixed, calculated, structural : tuple of Variable
         Parameters: that may change at any time, that are set before the initialisation, that the FMU computes from
@@ -60,7 +60,7 @@ class Facts:
     capabilities: Mapping[str, Mapping[str, str]]
     here: str | None
     machine: str
-    run_as: HowRun
+    run_as: SolverConfiguration
     tunable: tuple[Variable, ...]
     fixed: tuple[Variable, ...]
     calculated: tuple[Variable, ...]
@@ -80,7 +80,7 @@ class Facts:
         return len(self.fmu.description.variables.keys() - {variable.name for variable in known})
 
 
-def facts(fmu: FMU) -> Facts:
+def facts(fmu: FMU) -> FmuSummary:
     """Return the facts of an FMU; nothing of it is unpacked or loaded.
 
     Parameters
@@ -96,7 +96,7 @@ def facts(fmu: FMU) -> Facts:
     groups = {group: tuple(sorted_.get(group, ())) for group in GROUPS}
     inputs = frozenset(described.inputs)
     observed = (*groups["inputs"], *groups["outputs"], *(v for v in variables if v.is_state))
-    return Facts(
+    return FmuSummary(
         fmu=fmu,
         capabilities=_capabilities(fmu),
         here=next((name for name in PLATFORMS.values() if name in fmu.platforms), None),
@@ -112,7 +112,7 @@ def facts(fmu: FMU) -> Facts:
 
 
 GROUPS = ("tunable", "fixed", "calculated", "structural", "inputs", "outputs", "starts")
-"""Disjoint groups of variables; states are also in `Facts.states`."""
+"""Disjoint groups of variables; states are also in `FmuSummary.states`."""
 
 
 def _group(variable: Variable) -> str | None:
@@ -169,7 +169,7 @@ def other_units(described: Description, unit: str) -> tuple[str, ...]:
     return tuple(name for name in dict.fromkeys([*own.display_units, *same]) if name != unit)
 
 
-class Line(NamedTuple):
+class VariableRow(NamedTuple):
     """One line of a list of variables: one variable, or many elements of an array.
 
     Attributes
@@ -183,7 +183,7 @@ class Line(NamedTuple):
     variables: tuple[Variable, ...]
 
 
-def lines(variables: Iterable[Variable]) -> list[Line]:
+def lines(variables: Iterable[Variable]) -> list[VariableRow]:
     """Return variables as lines: elements of one array, or of like components, share one where there are many.
 
     FMI 3.0 has arrays; tools that export FMI 2.0 write their elements as variables ``x[1]``, ``cells[1].R``. Elements
@@ -193,10 +193,10 @@ def lines(variables: Iterable[Variable]) -> list[Line]:
     for v in variables:
         pattern = _SUBSCRIPT.sub("#", v.name) if "[" in v.name else v.name
         alike.setdefault((pattern, v.type, v.unit, v.causality, v.variability), []).append(v)
-    found: list[Line] = []
+    found: list[VariableRow] = []
     for some in alike.values():
         if len(some) <= SINGLE_ELEMENTS:
-            found += [Line(v.name, (v,)) for v in some]
+            found += [VariableRow(v.name, (v,)) for v in some]
             continue
         places = [[int(n) for n in _SUBSCRIPT.findall(v.name)] for v in some]
         ranges = [(min(along), max(along)) for along in zip(*places, strict=True)]
@@ -205,7 +205,7 @@ def lines(variables: Iterable[Variable]) -> list[Line]:
             spans = [f"{low}..{high}" if high > low else str(low) for low, high in ranges]
             between = _SUBSCRIPT.split(some[0].name)
             name = "".join(chain.from_iterable(zip(between, [*spans, ""], strict=True)))
-            found.append(Line(name, tuple(some)))
+            found.append(VariableRow(name, tuple(some)))
         else:
-            found += [Line(v.name, (v,)) for v in some]
+            found += [VariableRow(v.name, (v,)) for v in some]
     return found

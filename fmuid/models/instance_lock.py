@@ -4,7 +4,7 @@ FMI has an FMU say that it cannot be instantiated twice in a process (canBeInsta
 section 3.3.1); saying nothing means that it can. Too many tools say nothing, or the wrong thing. Threads are therefore
 only for FMUs that say so themselves, or whose tool is known to keep everything inside the instances (`in_threads`).
 
-Of any other FMU only one instance at a time is at work in a process (`Custody`), instances of its two interfaces never
+Of any other FMU only one instance at a time is at work in a process (`InstanceLock`), instances of its two interfaces never
 live there together, and none is freed while another lives: OpenModelica's allocator, its hooks for errors and its
 thread-local pointers are one for the whole library. Freeing any instance frees the memory of all, and two threads use
 and release the same memory; a plain C program with two threads crashes as well.
@@ -41,7 +41,7 @@ class _Owner(Protocol):
         """Free all instances, or leave them alone, never to be used again."""
 
 
-class Residents:
+class InstanceRegistry:
     """The instances of one FMU in this process.
 
     Attributes
@@ -77,18 +77,18 @@ class Residents:
 
 
 _counting = threading.RLock()  # one for all: a collection of garbage can free any instance within any other's end
-_residents: dict[str, Residents] = {}
+_residents: dict[str, InstanceRegistry] = {}
 
 
-def residents(fmu: FMU, kind: str) -> Residents | None:
+def residents(fmu: FMU, kind: str) -> InstanceRegistry | None:
     """Return who is there of an FMU that must be kept apart; None of one that need not, or can have one only."""
     if in_threads(fmu.description, kind) or fmu.description.interfaces[kind].once_per_process:
         return None
     with _counting:
-        return _residents.setdefault(fmu.digest, Residents())
+        return _residents.setdefault(fmu.digest, InstanceRegistry())
 
 
-class Custody:
+class InstanceLock:
     """Keeps who has instances apart from all others in this process with whose instances they could interfere.
 
     Nothing is to be paid where all FMUs may run in threads.
@@ -105,7 +105,7 @@ class Custody:
     """
 
     def __init__(self, models: Iterable[tuple[FMU, str]]) -> None:
-        found: dict[str, tuple[Residents, str]] = {}
+        found: dict[str, tuple[InstanceRegistry, str]] = {}
         for fmu, kind in models:
             there = residents(fmu, kind)
             if there is not None and found.setdefault(fmu.digest, (there, kind))[1] != kind:

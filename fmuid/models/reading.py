@@ -13,7 +13,7 @@ from xml.etree.ElementTree import Element
 
 from fmuid.errors import InputError
 from fmuid.files import is_file
-from fmuid.models.archive import Zipped
+from fmuid.models.archive import CheckedArchive
 from fmuid.models.description import DESCRIPTION_FILE, KINDS, SI_BASE_UNITS, Description, Interface, Unit, Variable
 from fmuid.models.start_values import ANNOTATION, TOOL, Value
 from fmuid.models.untrusted_xml import parse_xml, uncollected
@@ -71,7 +71,7 @@ def read_text(path: Path) -> bytes:
     InputError
         If the archive is refused, or has none.
     """
-    with Zipped(path) as archive:
+    with CheckedArchive(path) as archive:
         if DESCRIPTION_FILE not in archive.names:
             raise InputError(f"{path} is not an FMU: it has no {DESCRIPTION_FILE} at its top level")
         return archive.read(DESCRIPTION_FILE)

@@ -17,7 +17,7 @@ from pathlib import Path
 import platformdirs
 
 from fmuid.errors import InputError
-from fmuid.models.archive import Zipped, parts_of
+from fmuid.models.archive import CheckedArchive, parts_of
 
 _PRIVATE, _PRIVATE_FILE = 0o700, 0o600
 _BINARY = getattr(os, "O_BINARY", 0)  # of Windows
@@ -48,13 +48,13 @@ def unpacked(file: Path, digest: str, path: Path | None = None) -> Path:
     Raises
     ------
     InputError
-        If the archive is refused (`Zipped`), the cache is a symbolic link or somebody else's, or nothing can be written
+        If the archive is refused (`CheckedArchive`), the cache is a symbolic link or somebody else's, or nothing can be written
         there.
     """
     cache = Path(platformdirs.user_cache_dir("fmuid"))
     shelf = cache / "unpacked"
     target = shelf / digest
-    with Zipped(file, path) as archive:
+    with CheckedArchive(file, path) as archive:
         try:
             for folder in (cache, shelf):
                 _make_private(folder)
@@ -86,7 +86,7 @@ def _make_private(folder: Path) -> None:
             folder.chmod(_PRIVATE)
 
 
-def _unpack(archive: Zipped, target: Path) -> None:
+def _unpack(archive: CheckedArchive, target: Path) -> None:
     """Unpack beside the target and rename, so that an interrupted or parallel run leaves no half archive."""
     fresh = Path(tempfile.mkdtemp(dir=target.parent))
     try:
@@ -105,7 +105,7 @@ def _unpack(archive: Zipped, target: Path) -> None:
         shutil.rmtree(fresh, ignore_errors=True)
 
 
-def _repair(archive: Zipped, target: Path) -> None:
+def _repair(archive: CheckedArchive, target: Path) -> None:
     """Unpack missing files, replacing each in one step, so that processes that use the folder see whole files."""
     made = {target}
     for entry in archive.entries:
@@ -144,7 +144,7 @@ def _place(entry: zipfile.ZipInfo, folder: Path, made: set[Path]) -> Path:
     return place
 
 
-def _write(archive: Zipped, entry: zipfile.ZipInfo, handle: int) -> None:
+def _write(archive: CheckedArchive, entry: zipfile.ZipInfo, handle: int) -> None:
     with os.fdopen(handle, "wb") as file:
         for chunk in archive.chunks(entry):
             file.write(chunk)

@@ -14,8 +14,8 @@ from .ends import HUNG as HUNG
 from .ends import KILLED as KILLED
 from .ends import REFUSED as REFUSED
 from .ends import STOPPED as STOPPED
-from .ends import End as End
-from .family import Condition as Condition
+from .ends import HostExitError as HostExitError
+from .family import ProcessStatus as ProcessStatus
 from .fork_server import CLOSING_LIMIT as CLOSING_LIMIT
 from .fork_server import SERVER as SERVER
 from .host import PRINTED_KEPT_BYTES as PRINTED_KEPT_BYTES

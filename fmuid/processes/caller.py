@@ -7,7 +7,7 @@ from collections.abc import Callable
 from typing import Any, TypeVar
 
 from fmuid.processes.children import AVAILABLE
-from fmuid.processes.ends import KILLED, End
+from fmuid.processes.ends import KILLED, HostExitError
 from fmuid.processes.watchdog import Watchdog
 
 Value = TypeVar("Value")
@@ -67,7 +67,7 @@ class IsolatedCaller:
 
             try:
                 value = called()
-            except End as end:
+            except HostExitError as end:
                 if end.kind != KILLED:
                     raise
                 value = called()  # the process may have been ended before this call

@@ -47,7 +47,7 @@ def family(pid: int) -> list[int]:
 
 
 @dataclass(frozen=True)
-class Condition:
+class ProcessStatus:
     """What the system says of a process: `pid`, its status as psutil names it, and the CPU time that it has had, s."""
 
     pid: int
@@ -63,15 +63,15 @@ def numbered(pid: int) -> psutil.Process | None:
         return None
 
 
-def condition_of(pid: int) -> Condition:
+def condition_of(pid: int) -> ProcessStatus:
     """Return the condition of a process, that of a zombie where there is none."""
     try:
         process = psutil.Process(pid)
         with process.oneshot():
             times = process.cpu_times()
-            return Condition(pid, str(process.status()), times.user + times.system)
+            return ProcessStatus(pid, str(process.status()), times.user + times.system)
     except psutil.Error:
-        return Condition(pid, psutil.STATUS_ZOMBIE, 0.0)
+        return ProcessStatus(pid, psutil.STATUS_ZOMBIE, 0.0)
 
 
 def wants_processor(pid: int) -> bool:

@@ -31,7 +31,7 @@ LOOK_SECONDS = 0.1  # between looks whether the server does well while it owes a
 
 
 class ForkServer:
-    """The server of this process (`fmuid.processes.server.Server`), started when it is first needed."""
+    """The server of this process (`fmuid.processes.server.HostForkServer`), started when it is first needed."""
 
     def __init__(self) -> None:
         self._lock = threading.RLock()

@@ -20,7 +20,7 @@ import psutil
 from fmuid.errors import FmuidError
 from fmuid.processes import cgroup
 from fmuid.processes.channel import TOKEN_BYTES, Channel
-from fmuid.processes.ends import CRASHED, EXITED, GARBLED, GREW, KILLED, End
+from fmuid.processes.ends import CRASHED, EXITED, GARBLED, GREW, KILLED, HostExitError
 from fmuid.processes.family import Footprint, condition_of, family, numbered
 from fmuid.processes.fork_server import SERVER
 from fmuid.processes.messages import GarbledError, answer_of, order_parts
@@ -120,7 +120,7 @@ class HostProcess:
         except EOFError:
             raise self._ended() from None
         except GarbledError:
-            raise self.stopped(End(GARBLED, 0)) from None
+            raise self.stopped(HostExitError(GARBLED, 0)) from None
         except BaseException:  # half a message may be on its way
             self.kill()
             raise
@@ -139,7 +139,7 @@ class HostProcess:
         if end is not None:
             raise self.stopped(end)
         if self._footprint.exceeds(self._limit + self.given):
-            raise self.stopped(End(GREW, round(self._limit / 1e6)))
+            raise self.stopped(HostExitError(GREW, round(self._limit / 1e6)))
         if os.fstat(self._printed).st_size > PRINTED_LARGEST_BYTES:
             self._read_printed()
 
@@ -159,17 +159,21 @@ class HostProcess:
         grown = self._footprint.exceeds(self._baseline + LARGEST_GROWTH + self.given)
         return grown or len(family(self.pid)) > MOST_RELATIVES
 
-    def stopped(self, end: End) -> End:
+    def stopped(self, end: HostExitError) -> HostExitError:
         """Kill it; return how it came to its end."""
         self.kill()
         return end
 
-    def _ended(self) -> End:
+    def _ended(self) -> HostExitError:
         status = SERVER.status(self.pid)
         self.kill()
         if status is None or (os.WIFSIGNALED(status) and os.WTERMSIG(status) == signal.SIGKILL):
-            return End(KILLED, signal.SIGKILL)
-        return End(CRASHED, os.WTERMSIG(status)) if os.WIFSIGNALED(status) else End(EXITED, os.WEXITSTATUS(status))
+            return HostExitError(KILLED, signal.SIGKILL)
+        return (
+            HostExitError(CRASHED, os.WTERMSIG(status))
+            if os.WIFSIGNALED(status)
+            else HostExitError(EXITED, os.WEXITSTATUS(status))
+        )
 
     @property
     def alive(self) -> bool:

@@ -9,7 +9,7 @@ from typing import Any, Generic, TypeVar
 
 import psutil
 
-from fmuid.processes.ends import End
+from fmuid.processes.ends import HostExitError
 from fmuid.processes.host import HostProcess
 
 LEAST_MEMORY = 1e9  # bytes that a process may take by default even on a small machine
@@ -59,7 +59,7 @@ class HostKeeper(Generic[Host]):
             host = self._make(self._memory)
             try:
                 begin(host)
-            except End:
+            except HostExitError:
                 if attempt + 1 == MOST_KILLS:
                     raise
             except BaseException:

@@ -74,7 +74,7 @@ def _write_lines_at_once() -> None:
             return
 
 
-class Server:
+class HostForkServer:
     """Forks hosts, as the process at the other end of a socket orders."""
 
     def __init__(self, channel: socket.socket) -> None:
@@ -162,7 +162,7 @@ def main(descriptor: str, *modules: str) -> None:
     adopt_orphans()
     for module in modules:
         importlib.import_module(module)
-    Server(socket.socket(fileno=int(descriptor))).serve()
+    HostForkServer(socket.socket(fileno=int(descriptor))).serve()
 
 
 if __name__ == "__main__":

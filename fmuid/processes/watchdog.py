@@ -8,8 +8,8 @@ from collections.abc import Hashable
 
 import psutil
 
-from fmuid.processes.ends import HUNG, STOPPED, End
-from fmuid.processes.family import Condition, wants_processor
+from fmuid.processes.ends import HUNG, STOPPED, HostExitError
+from fmuid.processes.family import ProcessStatus, wants_processor
 
 STANDSTILL_SECONDS = 0.5
 """Time between two looks above which this process has stood still, and the machine with it, s."""
@@ -37,7 +37,7 @@ class Watchdog:
         self._computed = 0.0
         self._state: tuple[Hashable, bool] | None = None
 
-    def state(self, condition: Condition) -> Hashable:
+    def state(self, condition: ProcessStatus) -> Hashable:
         """Return what it is doing: the limit begins anew where that has changed."""
         del condition
         return None
@@ -46,7 +46,7 @@ class Watchdog:
         """Return how long it may do what it is doing, s."""
         return self.limit
 
-    def end(self, condition: Condition) -> End | None:
+    def end(self, condition: ProcessStatus) -> HostExitError | None:
         """Return the end of a process that has done the same for too long."""
         stopped, now = condition.status == psutil.STATUS_STOPPED, time.monotonic()
         state = self.state(condition), stopped
@@ -58,6 +58,6 @@ class Watchdog:
         if now - self._since <= allowed:
             return None
         if stopped:
-            return End(STOPPED, 0)
+            return HostExitError(STOPPED, 0)
         waits = condition.computed - self._computed < COMPUTED_SHARE * allowed and wants_processor(condition.pid)
-        return None if waits else End(HUNG, round(1e3 * allowed))
+        return None if waits else HostExitError(HUNG, round(1e3 * allowed))

@@ -15,13 +15,13 @@ from fmuid.formatting import nearest
 from fmuid.models import (
     DESCRIPTION_FILE,
     FMU,
+    CheckedArchive,
     Description,
     Quantity,
     System,
     Unit,
     Value,
     Variable,
-    Zipped,
     read_ssv,
     unit_conversion,
     with_starts,
@@ -246,7 +246,7 @@ def _checked(variable: Variable, value: Value, factor: float, offset: float, fmu
 
 def _copy(fmu: Path, output: Path, values: Mapping[str, float | int | bool]) -> None:
     """Write a copy of an FMU with other start values; all other entries keep their content, order and attributes."""
-    with Zipped(fmu) as old:
+    with CheckedArchive(fmu) as old:
         try:
             text = with_starts(old.read(DESCRIPTION_FILE), values)
         except InputError as error:

@@ -15,7 +15,14 @@ from fmuid.data import record_files
 from fmuid.errors import InputError
 from fmuid.estimation import Result
 from fmuid.files import as_json, content_of
-from fmuid.identification import CONFIDENCE_LEVEL, Compared, Comparison, IncomparableError, Prediction, compare
+from fmuid.identification import (
+    CONFIDENCE_LEVEL,
+    IncomparableError,
+    ModelCandidate,
+    ModelComparison,
+    Prediction,
+    compare_models,
+)
 from fmuid.reports.predictions import run_prediction
 from fmuid.reports.provenance import digests, made_now
 from fmuid.runs import RESULT_FILE, result_path, study_of
@@ -23,12 +30,12 @@ from fmuid.studies import Study
 
 
 @dataclass(frozen=True, eq=False)
-class ComparisonFindings:
+class ComparisonRun:
     """What a comparison has found.
 
     Attributes
     ----------
-    comparison : Comparison or None
+    comparison : ModelComparison or None
         By their likelihoods; None where they were compared on common tables alone.
     predictions : mapping of str to tuple of Prediction
         Of the common tables, by the name of the result; empty without.
@@ -40,7 +47,7 @@ class ComparisonFindings:
         What it was made from: ``version``, ``date``, and ``files``, SHA-256 of each result, its study and the tables.
     """
 
-    comparison: Comparison | None
+    comparison: ModelComparison | None
     predictions: Mapping[str, tuple[Prediction, ...]]
     apart: str = ""
     estimates: tuple[Mapping[str, Any], ...] = ()
@@ -98,7 +105,7 @@ def run_comparison(
     *,
     free: Sequence[str] = (),
     isolated: bool = False,
-) -> ComparisonFindings:
+) -> ComparisonRun:
     """Compare results by their likelihoods where they were made from the same data, and on common tables.
 
     ``fmuid compare`` is this, with a folder.
@@ -134,7 +141,7 @@ def run_comparison(
     candidates = [_candidate(path, name) for path, name in zip(paths, _names(paths), strict=True)]
     comparison, apart = None, ""
     try:
-        comparison = compare(candidates)
+        comparison = compare_models(candidates)
     except IncomparableError as error:
         if not tables:
             raise
@@ -143,7 +150,7 @@ def run_comparison(
     for each, path in zip(candidates, paths if tables else (), strict=bool(tables)):
         study = study_of(path, isolated=isolated, in_place=Path(tables[0]))
         predictions[each.name] = run_prediction(path, tables, study=study, free=free).predictions
-    return ComparisonFindings(
+    return ComparisonRun(
         comparison,
         predictions,
         apart,
@@ -153,7 +160,7 @@ def run_comparison(
 
 
 def estimate_rows(result: str, found: Result) -> list[dict[str, Any]]:
-    """Return a row for each estimate of a result of that name, as in `ComparisonFindings.estimates`."""
+    """Return a row for each estimate of a result of that name, as in `ComparisonRun.estimates`."""
     ends = found.intervals(CONFIDENCE_LEVEL).itertuples(index=False)
     return [
         {"result": result, "parameter": name, "unit": found.units.get(name, ""), "value": value}
@@ -177,7 +184,7 @@ def _names(paths: Sequence[Path]) -> list[str]:
     return names
 
 
-def _candidate(path: Path, name: str) -> Compared:
+def _candidate(path: Path, name: str) -> ModelCandidate:
     result = Result.from_json(path)
     with content_of(path, "the result.json of an identification", "run fmuid identify again") as content:
         rows = content.get("diagnostics", {}).get("residuals", [])
@@ -187,4 +194,4 @@ def _candidate(path: Path, name: str) -> Compared:
     study: Study | None = None
     if "study" in content:
         study = study_of(path)
-    return Compared(name, result, dependence, None if study is None else study.model.values)
+    return ModelCandidate(name, result, dependence, None if study is None else study.model.values)

@@ -24,7 +24,7 @@ from fmuid.reports.page.saved import read_json
 from fmuid.reports.page.write import show_results
 from fmuid.reports.preprocessing import prepared, prepared_table, said_of, thinned_again, words_of, write_prepared
 from fmuid.reports.provenance import made_from
-from fmuid.runs import monitor_of, records_of, rule_of
+from fmuid.runs import build_monitor, records_of, rule_of
 from fmuid.studies import ExperimentSettings, Study
 
 RESIDUALS_FILE = "diagnosis-residuals.csv"
@@ -32,7 +32,7 @@ RESIDUALS_FILE = "diagnosis-residuals.csv"
 
 
 @dataclass(frozen=True, eq=False)
-class DiagnosisFindings:
+class DiagnosisRun:
     """What a diagnosis has found, and the files that were written."""
 
     diagnosis: Diagnosis
@@ -45,7 +45,7 @@ class DiagnosisFindings:
 
 
 @dataclass(frozen=True, eq=False)
-class MonitoringFindings:
+class MonitoringRun:
     """What monitoring has found, and the files that were written."""
 
     monitor: Monitor
@@ -58,11 +58,11 @@ class MonitoringFindings:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Judged(Event):
+class DiagnosisFinished(Event):
     """A search for faults has ended; figures come next."""
 
     task: str = "judged"
-    findings: DiagnosisFindings | MonitoringFindings
+    findings: DiagnosisRun | MonitoringRun
 
 
 def run_diagnosis(
@@ -72,7 +72,7 @@ def run_diagnosis(
     figures: str | None = None,
     report: bool = False,
     progress: Progress | None = None,
-) -> DiagnosisFindings:
+) -> DiagnosisRun:
     """Look for the faults that the ``[diagnosis]`` of a study names, and write what is found.
 
     ``fmuid diagnose`` is this, with a folder and a report.
@@ -87,7 +87,7 @@ def run_diagnosis(
     report : bool
         Whether to write ``report.html`` into the folder.
     progress : callable, optional
-        Called before each fit, and with `Judged`.
+        Called before each fit, and with `DiagnosisFinished`.
 
     Raises
     ------
@@ -110,7 +110,7 @@ def run_diagnosis(
     study, target = _prepared(study, folder, figures is not None or report)
     if target is not None:
         files.make_folder(target)
-    found = DiagnosisFindings(study.diagnose(progress))
+    found = DiagnosisRun(study.diagnose(progress))
     try:
         if target is not None:
             found = replace(found, files=tuple(_written(target, study, found.diagnosis)))
@@ -129,7 +129,7 @@ def run_monitoring(
     report: bool = False,
     append: bool = False,
     progress: Progress | None = None,
-) -> MonitoringFindings:
+) -> MonitoringRun:
     """Look for the faults that a study names in records, window by window, and write what is found.
 
     ``fmuid monitor`` is this, with a folder and a report.
@@ -148,7 +148,7 @@ def run_monitoring(
     append : bool
         Whether to go on with the run in the folder, whose records are left out.
     progress : callable, optional
-        Called before each window, and with `Judged`.
+        Called before each window, and with `DiagnosisFinished`.
 
     Raises
     ------
@@ -169,7 +169,7 @@ def run_monitoring(
     """
     check_format(figures)
     study, target = _prepared(study, folder, figures is not None or report or append)
-    monitor = monitor_of(study, rule_of(study))
+    monitor = build_monitor(study, rule_of(study))
     paths, written = [Path(table) for table in tables], list[Path]()
     earlier, beside, kept = dict[str, Any](), dict[str, Any](), None
     if target is not None:
@@ -191,7 +191,7 @@ def run_monitoring(
             told["experiments"] = kept.said
             written += kept.write()
             written += monitor.write(target, told | {"words": monitoring_sentences(monitor)}, beside=beside)
-    found = MonitoringFindings(monitor, tuple(written))
+    found = MonitoringRun(monitor, tuple(written))
     _tell(progress, found)
     there = [] if target is None or not written else show_results(target, report=report, figures=figures)
     return replace(found, files=(*found.files, *there))
@@ -283,6 +283,6 @@ def residuals_of(frame: pd.DataFrame) -> list[pd.Series[float]]:
     return [frame[measured] - frame[simulated] for measured, simulated in zip(*kinds, strict=True)]
 
 
-def _tell(progress: Progress | None, found: DiagnosisFindings | MonitoringFindings) -> None:
+def _tell(progress: Progress | None, found: DiagnosisRun | MonitoringRun) -> None:
     if progress is not None:
-        progress(Judged(findings=found))
+        progress(DiagnosisFinished(findings=found))

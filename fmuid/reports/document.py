@@ -20,14 +20,16 @@ class Message(Enum):
     def __init__(self, text: str, meaning: str = "", action: str = "") -> None:
         self.text, self.meaning, self.action = text, meaning, action
 
-    def said(self, tone: Tone = "plain", section: str = "", names: Iterable[str] = (), /, **values: object) -> Remark:
+    def said(
+        self, tone: Tone = "plain", section: str = "", names: Iterable[str] = (), /, **values: object
+    ) -> ProfileEndNote:
         """Return the sentence with these values; it begins with a capital, unless one of the names stands there."""
         told = self.text.format(**values)
-        return Remark(capitalised(told, names), tone, section, f"{type(self).__name__}.{self.name}", values)
+        return ProfileEndNote(capitalised(told, names), tone, section, f"{type(self).__name__}.{self.name}", values)
 
 
 @dataclass(frozen=True, eq=False)
-class Remark:
+class ProfileEndNote:
     """A sentence.
 
     Attributes
@@ -92,7 +94,7 @@ class Section:
         A stretch of the only chart, which print shows beside it.
     shown : frozenset of str
         Where its table is shown: ``console``, ``page``.
-    remarks : tuple of Remark
+    remarks : tuple of ProfileEndNote
         Below the table.
     """
 
@@ -104,7 +106,7 @@ class Section:
     beside: int = 3
     zoom: Figure | None = None
     shown: frozenset[Place] = EVERYWHERE
-    remarks: tuple[Remark, ...] = ()
+    remarks: tuple[ProfileEndNote, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -120,7 +122,7 @@ class Document:
         In a word.
     tone : str
         Of the state.
-    remarks : tuple of Remark
+    remarks : tuple of ProfileEndNote
         The verdict first.
     sections : tuple of Section
         The first ones, without charts, are tables of the verdict.
@@ -138,7 +140,7 @@ class Document:
     heading: str
     state: str
     tone: Tone
-    remarks: tuple[Remark, ...] = ()
+    remarks: tuple[ProfileEndNote, ...] = ()
     sections: tuple[Section, ...] = ()
     origin: Table = ()
     study: str = ""

@@ -5,7 +5,7 @@ from __future__ import annotations
 from functools import singledispatch
 
 from fmuid.errors import InputError
-from fmuid.reports.comparisons import ComparisonFindings
+from fmuid.reports.comparisons import ComparisonRun
 from fmuid.reports.document import Document
 from fmuid.reports.topics.model_comparison import comparison_document
 
@@ -22,4 +22,4 @@ def document(found: object) -> Document:
     raise InputError(f"a {type(found).__name__} has no document")
 
 
-document.register(ComparisonFindings, comparison_document)
+document.register(ComparisonRun, comparison_document)

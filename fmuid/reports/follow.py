@@ -19,12 +19,12 @@ from fmuid import files
 from fmuid.diagnosis import ALARMS_FILE, FOUND_FILE, STATE_FILE, TABLE_FILE, DamagedStateError, Monitor, damage_of
 from fmuid.errors import FmuidError, InputError
 from fmuid.reports.alarm_log import AlarmLines
-from fmuid.reports.diagnosis_runs import MonitoredTables, MonitoringFindings
+from fmuid.reports.diagnosis_runs import MonitoredTables, MonitoringRun
 from fmuid.reports.messages.monitoring import gap_words, monitoring_sentences
 from fmuid.reports.page.faults import MONITORED_FILE
 from fmuid.reports.page.write import show_results
 from fmuid.reports.provenance import made_from, made_now
-from fmuid.runs import Follower, Piece, monitor_of, rule_of
+from fmuid.runs import LogFollower, RecordUpdate, build_monitor, rule_of
 from fmuid.studies import Study
 
 # It is looked so often for what is new, s.
@@ -42,7 +42,7 @@ TOLD = ("id", "event", "fault", "record", "time", "date", "words")
 
 
 @dataclass(frozen=True)
-class Watching:
+class FollowStatus:
     """How far it is.
 
     Attributes
@@ -66,9 +66,9 @@ def run_following(
     folder: str | Path,
     *,
     report: bool = False,
-    show: Callable[[Watching], None] | None = None,
-    until: Callable[[Watching], bool] | None = None,
-) -> MonitoringFindings:
+    show: Callable[[FollowStatus], None] | None = None,
+    until: Callable[[FollowStatus], bool] | None = None,
+) -> MonitoringRun:
     """Monitor the records of a folder, or of a file that grows, as they come in, until Ctrl-C.
 
     ``fmuid monitor --follow`` is this. It goes on where an earlier run into the same folder was, however that ended.
@@ -83,7 +83,7 @@ def run_following(
     report : bool
         Whether to write ``report.html`` at the end.
     show : callable, optional
-        Called with a `Watching` after each look.
+        Called with a `FollowStatus` after each look.
     until : callable, optional
         Whether to end, asked after each look.
 
@@ -100,7 +100,7 @@ def run_following(
         running.write()  # unless the break was in the midst of something: that is done again then
         written = [target / name for name in running.written]
         shown = show_results(target, report=report) if written else []
-        return MonitoringFindings(running.monitor, (*written, *shown))
+        return MonitoringRun(running.monitor, (*written, *shown))
 
 
 class _Running:
@@ -122,7 +122,7 @@ class _Running:
     def _resume(self) -> None:
         """Go on where the earlier run in the folder was; begin where there is none, or it has examined no window."""
         rule, given = rule_of(self.study), self.study.experiments[0]
-        self.monitor = monitor_of(self.study, rule)
+        self.monitor = build_monitor(self.study, rule)
         state = self.folder / STATE_FILE
         left = [name for name in (TABLE_FILE, ALARMS_FILE) if files.is_file(self.folder / name)]
         if left and not files.is_file(state):
@@ -134,7 +134,7 @@ class _Running:
                 "use the same, or another output folder"
             )
         with damage_of(state):
-            self.follower = Follower(given, self.place, rule.window, rule.transient, beside.get("followed"))
+            self.follower = LogFollower(given, self.place, rule.window, rule.transient, beside.get("followed"))
             self.alarms = AlarmLines(**beside.get("alarms", {"study": self.study.title}))
             self.waiting = [str(line) for line in beside.get("waiting", [])]  # of which the command was not told
         try:
@@ -152,7 +152,7 @@ class _Running:
         self.sound, self.changed = True, False
         self._resume()
 
-    def run(self, show: Callable[[Watching], None] | None, until: Callable[[Watching], bool] | None) -> None:
+    def run(self, show: Callable[[FollowStatus], None] | None, until: Callable[[FollowStatus], bool] | None) -> None:
         self.tell()
         while True:
             try:
@@ -164,27 +164,27 @@ class _Running:
                 return
             time.sleep(EVERY)
 
-    def _look(self, show: Callable[[Watching], None] | None) -> None:
+    def _look(self, show: Callable[[FollowStatus], None] | None) -> None:
         """Examine what is new."""
         for found in self.follower.look():
-            if isinstance(found, Piece):
+            if isinstance(found, RecordUpdate):
                 self.examine(found)
             else:
                 self.remarks.append(found.text)
             if self.lines or time.monotonic() >= self._next:
                 self._shown(show, idle=False)
 
-    def _shown(self, show: Callable[[Watching], None] | None, *, idle: bool) -> Watching:
+    def _shown(self, show: Callable[[FollowStatus], None] | None, *, idle: bool) -> FollowStatus:
         lines = tuple(self.lines)
         self.write()
         self.tell()
-        watching = Watching(self.monitor, tuple(self.remarks), lines, idle)
+        watching = FollowStatus(self.monitor, tuple(self.remarks), lines, idle)
         self.remarks = []
         if show is not None:
             show(watching)
         return watching
 
-    def examine(self, piece: Piece) -> None:
+    def examine(self, piece: RecordUpdate) -> None:
         """Examine a piece; what is wrong with it is said, and what follows goes on."""
         self.sound = False  # until both know of it
         name, told = piece.record.name, len(self.monitor.gaps)

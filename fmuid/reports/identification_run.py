@@ -12,9 +12,9 @@ import pandas as pd
 
 from fmuid.array_types import Floats
 from fmuid.data import ParameterSet
-from fmuid.display_mixins import Plotted
+from fmuid.display_mixins import PlotMixin
 from fmuid.errors import InputError
-from fmuid.estimation import Outcome, Result, optima_table
+from fmuid.estimation import Result, TerminationReason, optima_table
 from fmuid.files import file_name, write_json, write_table
 from fmuid.identification import Assessment
 from fmuid.reports.downsampling import evenly
@@ -22,12 +22,12 @@ from fmuid.reports.messages.prior_and_data import reading_words
 from fmuid.reports.messages.residuals import residual_words
 from fmuid.reports.messages.result import dropout_words, ending, remarks
 from fmuid.reports.messages.uncertainty import uncertainty_words
-from fmuid.reports.preprocessing import Prepared
-from fmuid.simulation import Fit, fit_of
+from fmuid.reports.preprocessing import PreprocessedTable
+from fmuid.simulation import OutputFit, fit_of
 
 if TYPE_CHECKING:
     from fmuid.data import Experiment
-    from fmuid.identification import CriterionMap, Posterior
+    from fmuid.identification import CostMap, Posterior
     from fmuid.models import System
 
 # Tables that a run may write: those of an earlier run would be taken for this one's.
@@ -39,7 +39,7 @@ _TABLES = (
 MOST_WALKERS, MOST_STEPS = 24, 200
 
 
-def result_fits(system: System, experiments: Sequence[Experiment], result: Result) -> tuple[Fit, ...]:
+def result_fits(system: System, experiments: Sequence[Experiment], result: Result) -> tuple[OutputFit, ...]:
     """Return the fits at the estimate, one an experiment."""
     return tuple(
         fit_of(system, experiment, frame[[f"simulated.{name}" for name in experiment.output_names]].to_numpy())
@@ -79,17 +79,17 @@ def stacked(names: Sequence[str], frames: Sequence[pd.DataFrame]) -> pd.DataFram
 
 def at_minimum(result: Result) -> bool:
     """Return whether a search has ended where more can be asked of the criterion, sure or not."""
-    return result.converged or result.outcome is Outcome.UNDETERMINED
+    return result.converged or result.outcome is TerminationReason.UNDETERMINED
 
 
 @dataclass(frozen=True, eq=False)
-class Findings(Plotted):
+class IdentificationRun(PlotMixin):
     """All that a run has found so far.
 
     Attributes
     ----------
     result : Result
-    fits : tuple of Fit
+    fits : tuple of OutputFit
         One an experiment.
     assessment : Assessment
         What the result is worth.
@@ -99,7 +99,7 @@ class Findings(Plotted):
         By which study the result was made (`fmuid.runs.origin_of`), for ``result.json``.
     origin : mapping or None
         What it was made from (`fmuid.reports.provenance.made_from`), likewise.
-    prepared : tuple of Prepared
+    prepared : tuple of PreprocessedTable
         What was done with tables first, where something was.
     dropouts : mapping of str to tuple of float
         Experiments whose tables lack rows that the inputs go on over: the times before, s.
@@ -112,12 +112,12 @@ class Findings(Plotted):
     """
 
     result: Result
-    fits: tuple[Fit, ...]
+    fits: tuple[OutputFit, ...]
     assessment: Assessment
     files: tuple[Path, ...] = ()
     study: Mapping[str, Any] | None = None
     origin: Mapping[str, Any] | None = None
-    prepared: tuple[Prepared, ...] = ()
+    prepared: tuple[PreprocessedTable, ...] = ()
     dropouts: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
 
     def __repr__(self) -> str:
@@ -192,7 +192,7 @@ class Findings(Plotted):
         lost = {name: {"dropouts": list(times)} for name, times in self.dropouts.items()}
         return [_experiment(fit) | done.get(fit.experiment, {}) | lost.get(fit.experiment, {}) for fit in self.fits]
 
-    def maps(self) -> dict[str, CriterionMap]:
+    def maps(self) -> dict[str, CostMap]:
         """Return the maps of the criterion by the names of their files."""
         return {f"map-{file_name('-'.join(chart.names))}": chart for chart in self.assessment.maps}
 
@@ -231,7 +231,7 @@ class Findings(Plotted):
         return _write(folder, self.to_json_dict(), self.tables())
 
 
-def _experiment(fit: Fit) -> dict[str, Any]:
+def _experiment(fit: OutputFit) -> dict[str, Any]:
     """Return what ``fit.csv`` does not say: units, the first time that counts, s, fit (%) and RMSE of each output."""
     counted = np.asarray(fit.counted.any(axis=1))
     first = float(fit.times[int(counted.argmax())]) if counted.any() else None

@@ -16,19 +16,19 @@ from fmuid.estimation import Result, optima_table
 from fmuid.formatting import unit_text
 from fmuid.models import FMU
 from fmuid.reports.batch_tables import noted
-from fmuid.reports.identification_run import Findings
+from fmuid.reports.identification_run import IdentificationRun
 from fmuid.reports.interactive import estimates
 from fmuid.reports.interactive.style import Units
 from fmuid.reports.messages.describe import describe
 from fmuid.reports.page import batches, faults, identification
 from fmuid.reports.page.batches import summary_table
-from fmuid.reports.page.contents import Identification
+from fmuid.reports.page.contents import SavedIdentification
 from fmuid.reports.page.document import Section, table
 from fmuid.reports.page.faults import faults_table
 from fmuid.reports.page.identification import estimates_table
 from fmuid.runs import Batch, BatchResult
-from fmuid.runs import predicted as predicted
-from fmuid.simulation import Fit
+from fmuid.runs import predict_experiments as predict_experiments
+from fmuid.simulation import OutputFit
 from fmuid.studies import Study
 
 # Rows of a table; a notebook is no place for ten thousand variables.
@@ -41,7 +41,7 @@ MAX_ROWS = 25
 def html(found: object) -> str | None:
     """Return what a notebook shows of a finding, a study, a model or a table, as HTML."""
     match found:
-        case Findings():
+        case IdentificationRun():
             return _with_words(found.result, estimates_table(found.result, found.result.units, found.assessment.level))
         case Result():
             return _with_words(found, estimates_table(found, found.units))
@@ -176,7 +176,7 @@ def _cell() -> str:
     return str(parent.get("metadata", {}).get("cellId", ""))
 
 
-class Plots:
+class FigureCollection:
     """Figures of a finding, a method for each part of its page: ``found.plot.fit()``, ``found.plot.sizes()``.
 
     Parameters
@@ -218,7 +218,7 @@ class Plots:
         return Drawing(estimates.parabolas(self._reading, names, self._units), 3)
 
 
-def plots(found: object) -> Plots:
+def plots(found: object) -> FigureCollection:
     """Return the figures of a finding.
 
     Raises
@@ -227,22 +227,24 @@ def plots(found: object) -> Plots:
         If nothing can be drawn of it.
     """
     match found:
-        case Findings():
+        case IdentificationRun():
             checks = found.assessment.prior_and_data
             reading = None if checks is None else checks.table
-            return Plots(identification.sections_of(Identification.of(found)), reading, found.unit_of)
+            return FigureCollection(identification.sections_of(SavedIdentification.of(found)), reading, found.unit_of)
         case Result():
-            return Plots(identification.sections_of(_known(found)))
+            return FigureCollection(identification.sections_of(_known(found)))
         case Diagnosis():
-            return Plots(faults.sections_of(found))
+            return FigureCollection(faults.sections_of(found))
         case BatchResult():
             tables = {"summary": found.summary()[0].parameters}
             truth, units = dict(found.truth), dict[str, str | None](found.units)
-            return Plots(batches.sections_of(found.frame, tables, truth, units, given_noise=found.given_noise))
+            return FigureCollection(
+                batches.sections_of(found.frame, tables, truth, units, given_noise=found.given_noise)
+            )
     raise InputError(f"a {type(found).__name__} has no figures")
 
 
-def _known(result: Result) -> Identification:
+def _known(result: Result) -> SavedIdentification:
     """Return what a result knows by itself; units of the outputs are not among that."""
     fits = []
     for k, frame in enumerate(result.fit):
@@ -251,7 +253,7 @@ def _known(result: Result) -> Identification:
             frame[[f"{kind}.{name}" for name in names]].to_numpy(np.float64) for kind in ("measured", "simulated")
         )
         times, counted = frame["time"].to_numpy(np.float64), np.isfinite(measured)
-        fits.append(Fit(f"experiment {k + 1}", times, names, (None,) * len(names), measured, simulated, counted))
+        fits.append(OutputFit(f"experiment {k + 1}", times, names, (None,) * len(names), measured, simulated, counted))
     tables = {"estimates": result.to_frame().reset_index(), "trace": result.trace, "rounds": result.rounds}
     tables |= {"optima": optima_table(result.names, result.optima)} if result.optima else {}
-    return Identification({}, result, tables, tuple(fits), ())
+    return SavedIdentification({}, result, tables, tuple(fits), ())

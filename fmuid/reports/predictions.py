@@ -13,17 +13,17 @@ from fmuid import files
 from fmuid.data import record_files
 from fmuid.errors import InputError
 from fmuid.estimation import Result
-from fmuid.identification import CONFIDENCE_LEVEL, Diagnostics, Prediction
+from fmuid.identification import CONFIDENCE_LEVEL, Prediction, ResidualAnalysis
 from fmuid.progress import Progress
 from fmuid.reports.identification_run import stacked
 from fmuid.reports.messages.prediction import fold_words, prediction_words
 from fmuid.reports.provenance import made_from
 from fmuid.runs import Fold, cross_validate, notes_of, predict_with, records_like, result_path, study_of
-from fmuid.studies import SourceNote, Study
+from fmuid.studies import SourceWarning, Study
 
 
 @dataclass(frozen=True, eq=False)
-class PredictionFindings:
+class PredictionRun:
     """What a result predicts.
 
     Attributes
@@ -32,7 +32,7 @@ class PredictionFindings:
         One a record.
     folds : tuple of Fold
         Of a cross-validation, whose predictions these are; empty otherwise.
-    notes : tuple of SourceNote
+    notes : tuple of SourceWarning
         What is to be known of the result.
     seen : tuple of str
         Records that the result was made from.
@@ -42,7 +42,7 @@ class PredictionFindings:
 
     predictions: tuple[Prediction, ...]
     folds: tuple[Fold, ...] = ()
-    notes: tuple[SourceNote, ...] = ()
+    notes: tuple[SourceWarning, ...] = ()
     seen: tuple[str, ...] = ()
     origin: Mapping[str, Any] = field(default_factory=dict)
 
@@ -58,7 +58,9 @@ class PredictionFindings:
     @property
     def correlations(self) -> pd.DataFrame:
         """The content of ``prediction-correlations.csv``: of residuals with themselves and with inputs."""
-        return Diagnostics(tuple(one for each in self.predictions for one in each.residuals.series), {}).correlations
+        return ResidualAnalysis(
+            tuple(one for each in self.predictions for one in each.residuals.series), {}
+        ).correlations
 
     @property
     def words(self) -> tuple[str, ...]:
@@ -102,7 +104,7 @@ def run_prediction(
     folds: int | None = None,
     level: float = CONFIDENCE_LEVEL,
     progress: Progress | None = None,
-) -> PredictionFindings:
+) -> PredictionRun:
     """Predict records that a result was not made from, or each part of its own study's from the others.
 
     ``fmuid predict`` is this, with a folder and figures.
@@ -154,10 +156,10 @@ def run_prediction(
         parts = cross_validate(study, folds, free=free, level=level, progress=progress)
         order = {given.name: k for k, given in enumerate(study.experiments)}
         found = sorted((p for fold in parts for p in fold.predictions), key=lambda p: order[p.fit.experiment])
-        return PredictionFindings(tuple(found), parts, notes, origin=made_from(study, [path]))
+        return PredictionRun(tuple(found), parts, notes, origin=made_from(study, [path]))
     records = records_like(study, [Path(table) for table in tables], like)
     seen = tuple(each.name for each in records if estimates.made_from(each))
     predictions = tuple(predict_with(study, estimates, each, free=free, level=level) for each in records)
-    return PredictionFindings(
+    return PredictionRun(
         predictions, (), notes, seen, made_from(study, [path, *record_files([Path(table) for table in tables])])
     )

@@ -25,7 +25,7 @@ _READ_BY = ("table", "time", "time_unit", "sample_rate", "sheet")
 
 
 @dataclass(frozen=True, eq=False)
-class Prepared:
+class PreprocessedTable:
     """What was done with the table of an experiment.
 
     Attributes
@@ -46,7 +46,7 @@ class Prepared:
     table: pd.DataFrame
 
 
-def prepared(study: Study) -> tuple[Prepared, ...]:
+def prepared(study: Study) -> tuple[PreprocessedTable, ...]:
     """Return what each experiment's preparation did; tables are read again for it, one after the other.
 
     Raises
@@ -54,7 +54,7 @@ def prepared(study: Study) -> tuple[Prepared, ...]:
     InputError
         If a table cannot be read.
     """
-    found: list[Prepared] = []
+    found: list[PreprocessedTable] = []
     read: tuple[list[Any], pd.DataFrame] | None = None
     for given, experiment in zip(study.experiments, study.tables, strict=True):
         if not words_of(given):
@@ -67,7 +67,7 @@ def prepared(study: Study) -> tuple[Prepared, ...]:
     return tuple(found)
 
 
-def said_of(done: Iterable[Prepared]) -> list[dict[str, Any]]:
+def said_of(done: Iterable[PreprocessedTable]) -> list[dict[str, Any]]:
     """Return what a JSON file says of what was done with tables."""
     return [{"name": each.experiment, "preparation": each.words, "columns": each.units} for each in done]
 
@@ -84,10 +84,10 @@ def words_of(given: ExperimentSettings) -> dict[str, Any]:
     return given.prepare.model_dump(exclude_defaults=True, by_alias=True)
 
 
-def prepared_table(given: ExperimentSettings, experiment: Experiment, raw: pd.DataFrame) -> Prepared:
+def prepared_table(given: ExperimentSettings, experiment: Experiment, raw: pd.DataFrame) -> PreprocessedTable:
     """Return what was done with a table, as it was read, for an experiment."""
     units = dict(experiment.frame.attrs.get(UNITS, {}))
-    return Prepared(given.name, words_of(given), units, prepared_columns(given, experiment, raw))
+    return PreprocessedTable(given.name, words_of(given), units, prepared_columns(given, experiment, raw))
 
 
 def thinned_again(table: pd.DataFrame) -> pd.DataFrame:

@@ -15,29 +15,29 @@ from fmuid.errors import FmuidError, InputError
 from fmuid.estimation import Result
 from fmuid.files import WriteError
 from fmuid.identification import AssessmentSettings, Problem, assess
-from fmuid.progress import DataAloneStep, Event, Progress
+from fmuid.progress import DataOnlyStep, Event, Progress
 from fmuid.reports.apply import write_estimates
 from fmuid.reports.figure_files import check_format
-from fmuid.reports.identification_run import Findings, at_minimum, result_fits, resumed_start, write_point
+from fmuid.reports.identification_run import IdentificationRun, at_minimum, result_fits, resumed_start, write_point
 from fmuid.reports.page.write import show_results
-from fmuid.reports.preprocessing import Prepared, prepared
+from fmuid.reports.preprocessing import PreprocessedTable, prepared
 from fmuid.reports.provenance import made_from
 from fmuid.runs import origin_of
 from fmuid.studies import BASELINE_FILE, Study
 
 if TYPE_CHECKING:
-    from fmuid.diagnosis import HealthyEvidence
+    from fmuid.diagnosis import StoredBaseline
 
 # A search that took longer than this, s, is not repeated with the data alone without a word.
 QUICK_SECONDS = 2.0
 
 
 @dataclass(frozen=True, kw_only=True)
-class Identified(Event):
+class SearchFinished(Event):
     """The search has ended, and its result is examined and written; what ``[uncertainty]`` asks for comes next."""
 
     task: str = "identified"
-    findings: Findings
+    findings: IdentificationRun
 
 
 class SearchInterruptedError(FmuidError):
@@ -68,7 +68,7 @@ def run_study(
     report: bool = False,
     resume: bool = False,
     progress: Progress | None = None,
-) -> Findings:
+) -> IdentificationRun:
     """Do all that a study asks for: search, look at residuals, prior and data, and at the uncertainty; write it.
 
     ``fmuid identify`` is this, with a folder and a report.
@@ -86,7 +86,7 @@ def run_study(
     resume : bool
         Whether to start from the values in the folder's ``result.json``, without a search of the whole box.
     progress : callable, optional
-        Called with every step of the search, with `Identified`, and with what goes on then (`fmuid.progress`).
+        Called with every step of the search, with `SearchFinished`, and with what goes on then (`fmuid.progress`).
 
     Returns
     -------
@@ -127,9 +127,9 @@ class _Run:
     ) -> None:
         self.study, self.folder, self.progress, self.figures, self.report = study, folder, progress, figures, report
         self.files: list[Path] = []
-        self.prepared: tuple[Prepared, ...] = ()
+        self.prepared: tuple[PreprocessedTable, ...] = ()
 
-    def run(self, *, resume: bool) -> Findings:
+    def run(self, *, resume: bool) -> IdentificationRun:
         problem, shown = self.study.problem(), self._shown()
         if self.folder is None:
             return self._found(problem, None, shown)
@@ -139,8 +139,8 @@ class _Run:
             return self._found(problem, start, shown)
 
     def _found(
-        self, problem: Problem, start: Floats | None, shown: Callable[[Result], HealthyEvidence] | None
-    ) -> Findings:
+        self, problem: Problem, start: Floats | None, shown: Callable[[Result], StoredBaseline] | None
+    ) -> IdentificationRun:
         """Return what is found by a search from a start, after writing it."""
         try:
             result = self.study.search(problem, self.progress, start)
@@ -153,13 +153,13 @@ class _Run:
         try:
             self._write(found)
         except FmuidError:  # what was found is shown all the same
-            self._tell(Identified(findings=found))
+            self._tell(SearchFinished(findings=found))
             raise
         if self.folder is not None:
             (self.folder / BASELINE_FILE).unlink(missing_ok=True)
             if shown is not None and result.converged:
                 self.files.append(shown(result).write(self.folder / BASELINE_FILE))
-        self._tell(Identified(findings=replace(found, files=tuple(self.files))))
+        self._tell(SearchFinished(findings=replace(found, files=tuple(self.files))))
         self._draw()
         asked = self.study.uncertainty_settings
         if asked.explores and at_minimum(result):
@@ -168,7 +168,7 @@ class _Run:
             self._draw()
         return replace(found, files=tuple(dict.fromkeys(self.files)))
 
-    def _shown(self) -> Callable[[Result], HealthyEvidence] | None:
+    def _shown(self) -> Callable[[Result], StoredBaseline] | None:
         """Return what says what a healthy study shows of faults, None of another."""
         if self.study.diagnosis is None:
             return None
@@ -176,17 +176,17 @@ class _Run:
 
         return shown_by(self.study)
 
-    def _examined(self, problem: Problem, result: Result) -> Findings:
+    def _examined(self, problem: Problem, result: Result) -> IdentificationRun:
         """Look at residuals, and at what prior and data say."""
         if problem.parameters.prior_whitening.size and result.elapsed_s > QUICK_SECONDS:
-            self._tell(DataAloneStep())
+            self._tell(DataOnlyStep())
         study = self.study
         asked = AssessmentSettings(
             study.uncertainty_settings.level,
             search_data=at_minimum(result),
             known_variance=study.known_variance | dict(result.given_variance),
         )
-        return Findings(
+        return IdentificationRun(
             result,
             result_fits(study.system, study.tables, result),
             assess(problem, result, asked),
@@ -202,7 +202,7 @@ class _Run:
 
     # --- files
 
-    def _write(self, found: Findings) -> None:
+    def _write(self, found: IdentificationRun) -> None:
         if self.folder is not None:
             with _kept(self.folder / "result.json", found.to_json_dict):
                 self.files += found.write(self.folder)

@@ -8,7 +8,16 @@ from pathlib import Path
 import pandas as pd
 
 from fmuid.data import Experiment, record_files
-from fmuid.diagnosis import FALSE_ALARM_LEVEL, MISS_PROBABILITY, Baseline, Design, HealthyEvidence, Monitor, Rule, show
+from fmuid.diagnosis import (
+    FALSE_ALARM_LEVEL,
+    MISS_PROBABILITY,
+    Baseline,
+    Design,
+    Monitor,
+    Rule,
+    StoredBaseline,
+    compute_stored_baseline,
+)
 from fmuid.errors import InputError
 from fmuid.estimation import Result
 from fmuid.studies import Study
@@ -26,7 +35,7 @@ def rule_of(study: Study) -> Rule:
     return study.monitoring.rule(study.experiments[0].discard, study.fault_search.level)
 
 
-def monitor_of(study: Study, rule: Rule) -> Monitor:
+def build_monitor(study: Study, rule: Rule) -> Monitor:
     """Return the monitor of the faults that the ``[diagnosis]`` of a study names; its level is the rule's.
 
     Raises
@@ -74,7 +83,7 @@ def design_of(
     )
 
 
-def shown_by(study: Study) -> Callable[[Result], HealthyEvidence] | None:
+def shown_by(study: Study) -> Callable[[Result], StoredBaseline] | None:
     """Return what says what a healthy study's tables show of faults, by its result; None of a study of another kind.
 
     Raises
@@ -91,11 +100,11 @@ def shown_by(study: Study) -> Callable[[Result], HealthyEvidence] | None:
     faults = settings.hypotheses(study.system, study.model, study.data)
     variance = study.noise.given_variance()
 
-    def shown(result: Result) -> HealthyEvidence:
+    def shown(result: Result) -> StoredBaseline:
         healthy = Baseline(
             result, settings.inflate, noise_variance=variance, values=study.model.values, records=study.tables
         )
-        return show(healthy, faults, study.system, settings.causes)
+        return compute_stored_baseline(healthy, faults, study.system, settings.causes)
 
     return shown
 

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from fmuid.array_types import Floats, Indices
 from fmuid.simulation import core_constants as k
 from fmuid.simulation.failures import function_name
-from fmuid.simulation.simulation_plan import Operation, Plan, TimeGrid
+from fmuid.simulation.simulation_plan import Operation, SimulationPlan, TimeGrid
 
 _STAGES = 5  # start values, inputs, exchange, outputs, input derivatives; then the exchange after each component
 _FLOAT, _WORD = np.dtype(np.float64), np.dtype(np.intp)
@@ -25,7 +25,7 @@ _WIRE_OF = {  # how the values of a type are passed, where that is not as it is 
 }
 
 
-def check_plan(plan: Plan, grid: TimeGrid, versions: Sequence[int]) -> None:
+def check_plan(plan: SimulationPlan, grid: TimeGrid, versions: Sequence[int]) -> None:
     """Check a plan and its grid for components of the given versions of FMI.
 
     Raises
@@ -55,7 +55,7 @@ def check_plan(plan: Plan, grid: TimeGrid, versions: Sequence[int]) -> None:
     _check_grid(plan, grid, n)
 
 
-def check_arrays(plan: Plan, grid: TimeGrid, thetas: Floats, outputs: Floats, reports: Indices) -> None:
+def check_arrays(plan: SimulationPlan, grid: TimeGrid, thetas: Floats, outputs: Floats, reports: Indices) -> None:
     """Check what a call of the core reads and writes.
 
     Raises
@@ -77,7 +77,7 @@ def _demand(right: object, what: str, wrong: str) -> None:
         raise ValueError(f"the {what} of a plan {wrong}")
 
 
-def _arrays(plan: Plan, grid: TimeGrid) -> list[tuple[str, NDArray[Any], type[np.generic]]]:
+def _arrays(plan: SimulationPlan, grid: TimeGrid) -> list[tuple[str, NDArray[Any], type[np.generic]]]:
     found: list[tuple[str, NDArray[Any], type[np.generic]]] = [
         (name, getattr(plan, name), np.intp)
         for name in (
@@ -93,7 +93,7 @@ def _arrays(plan: Plan, grid: TimeGrid) -> list[tuple[str, NDArray[Any], type[np
     return [*found, *((name, array, np.float64) for name, array in open_ if array is not None)]
 
 
-def _check_operation(plan: Plan, given: Operation, versions: Sequence[int]) -> None:
+def _check_operation(plan: SimulationPlan, given: Operation, versions: Sequence[int]) -> None:
     n_signals = len(plan.signals)
     if given.function == k.COPY:
         inside = 0 <= given.reference < n_signals and 0 <= given.signal < n_signals
@@ -120,7 +120,7 @@ def _check_operation(plan: Plan, given: Operation, versions: Sequence[int]) -> N
     _demand(right, "operations", "do what their component cannot")
 
 
-def _check_groups(plan: Plan) -> None:
+def _check_groups(plan: SimulationPlan) -> None:
     first, last = int(plan.stages[2]), int(plan.stages[3])
     _demand(plan.groups.ndim == 2 and plan.groups.shape[1] == 2, "groups", "are no pairs")
     loops = [end for begin, end in plan.groups.tolist() if begin < 0]
@@ -134,7 +134,7 @@ def _check_groups(plan: Plan) -> None:
         _demand(stated, "loops", "have nominal values that are none")
 
 
-def _check_signals(plan: Plan) -> None:
+def _check_signals(plan: SimulationPlan) -> None:
     for name in ("parameter_signals", "input_signals", "derivative_signals", "output_signals"):
         signals = getattr(plan, name)
         _demand(signals.ndim == 1 and ((signals >= 0) & (signals < len(plan.signals))).all(), name, "point nowhere")
@@ -148,7 +148,7 @@ def _check_signals(plan: Plan) -> None:
     _demand(plan.conversions.ndim == 2 and plan.conversions.shape[1] == 2, "conversions", "are no pairs")
 
 
-def _check_grid(plan: Plan, grid: TimeGrid, n: int) -> None:
+def _check_grid(plan: SimulationPlan, grid: TimeGrid, n: int) -> None:
     n_times = len(grid.times)
     shape = (n_times, len(plan.input_signals))
     _demand(n_times > 0 and np.isfinite(grid.times).all(), "times", "are no numbers")

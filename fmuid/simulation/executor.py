@@ -11,7 +11,7 @@ from typing import Protocol
 from fmuid.array_types import Floats, Indices
 from fmuid.errors import SimulationError
 from fmuid.models import System
-from fmuid.simulation.simulation_plan import Simulation
+from fmuid.simulation.simulation_plan import GridSimulation
 
 _log = logging.getLogger("fmuid.fmu")
 
@@ -21,12 +21,12 @@ class Executor(Protocol):
 
     lock: threading.RLock
 
-    def run(self, simulation: Simulation, thetas: Floats, outputs: Floats, reports: Indices) -> None:
+    def run(self, simulation: GridSimulation, thetas: Floats, outputs: Floats, reports: Indices) -> None:
         """Simulate all thetas (m, N) into outputs (m, K, n_outputs) and reports (m, codes.REPORT)."""
 
     def failure(
         self,
-        simulation: Simulation,
+        simulation: GridSimulation,
         theta: Floats,
         outputs: Floats,
         report: Indices,
@@ -64,11 +64,11 @@ def _made_for(system: System) -> Executor:
 
         if AVAILABLE:
             from fmuid.simulation.isolation.isolated import IsolatedExecutor  # for Linux and macOS only
-            from fmuid.simulation.isolation.multi_process import SpreadExecutor
+            from fmuid.simulation.isolation.multi_process import MultiProcessExecutor
 
             processes = min(threads(), system.isolation.threads or threads())
             if not in_threads and system.can_be_repeated and processes > 1:
-                return SpreadExecutor(system.components, processes, system.isolation, system.told)
+                return MultiProcessExecutor(system.components, processes, system.isolation, system.told)
             return IsolatedExecutor(system.components, limit, system.isolation, system.told)
         _log.warning("FMUs run inside fmuid's own process: processes of their own need Linux or macOS")
     from fmuid.simulation.in_process import InProcessExecutor  # and with it the core

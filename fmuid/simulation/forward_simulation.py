@@ -16,13 +16,13 @@ from fmuid.simulation.executor import Executor
 from fmuid.simulation.grid import grid_of
 from fmuid.simulation.plan import plan_of, simulation_of
 from fmuid.simulation.plan_builder import outputs_with_sensitivities
-from fmuid.simulation.simulation_plan import Plan, Sensitivities, Simulation, new_reports
+from fmuid.simulation.simulation_plan import GridSimulation, Sensitivities, SimulationPlan, new_reports
 from fmuid.simulation.simulator import Simulator
 from fmuid.simulation.task import task_of
 
 
 @dataclass(frozen=True)
-class Refusal:
+class SensitivityRefusal:
     """Why there are no sensitivities."""
 
     reason: str
@@ -55,28 +55,28 @@ class SensitivitySimulation:
 
     Attributes
     ----------
-    simulation : Simulation
+    simulation : GridSimulation
     system : System
         What it runs.
     given : Sensitivities
         Its arrays are filled in before each simulation.
     """
 
-    simulation: Simulation
+    simulation: GridSimulation
     system: System
     given: Sensitivities
 
-    def simulate(self, executor: Executor, theta: Floats) -> Floats | Refusal:
+    def simulate(self, executor: Executor, theta: Floats) -> Floats | SensitivityRefusal:
         """Simulate theta (N,); return the outputs (K, n), or why there are none."""
         outputs = np.empty((1, self.simulation.grid.times.size, len(self.simulation.output_names)))
         reports = new_reports(1)
         with executor.lock:
             executor.run(self.simulation, theta[None], outputs, reports)
             if reports[0, 0] == codes.SENSITIVITIES:
-                return Refusal("the FMU gives no directional derivatives of its outputs by parameters")
+                return SensitivityRefusal("the FMU gives no directional derivatives of its outputs by parameters")
             error = executor.failure(self.simulation, theta, outputs[0], reports[0], {})
         if error is not None:
-            return Refusal(f"from t = {error.time:g} s on, {error.call}")
+            return SensitivityRefusal(f"from t = {error.time:g} s on, {error.call}")
         found: Floats = outputs[0]
         return found
 
@@ -106,18 +106,18 @@ def directional_simulation(simulator: Simulator) -> SensitivitySimulation | None
     )
     task = task_of(system, simulator.experiment, names, *simulator.settings)
     plan = plan_of(task, partial(outputs_with_sensitivities, count=count))
-    simulation = Simulation(carrying(plan, given), grid_of(task), simulator.output_names * (1 + count))
+    simulation = GridSimulation(carrying(plan, given), grid_of(task), simulator.output_names * (1 + count))
     return SensitivitySimulation(simulation, system, given)
 
 
-def carrying(plan: Plan, given: Sensitivities) -> Plan:
+def carrying(plan: SimulationPlan, given: Sensitivities) -> SimulationPlan:
     """Return a plan whose last component is integrated with its sensitivities, and any before follow it as twins."""
     *twins, last = plan.integrations
     followers = [each and each._replace(follows=True) for each in twins]
     return plan._replace(integrations=(*followers, last and last._replace(sensitivities=given)))
 
 
-def initial_simulation(simulator: Simulator) -> Simulation | None:
+def initial_simulation(simulator: Simulator) -> GridSimulation | None:
     """Return the run that initialises a simulator's FMU, and whose outputs are the states.
 
     None if the states are not open to view.
@@ -133,7 +133,7 @@ def initial_simulation(simulator: Simulator) -> Simulation | None:
     return simulation
 
 
-def initial_states(simulation: Simulation, executor: Executor, thetas: Floats) -> Floats | None:
+def initial_states(simulation: GridSimulation, executor: Executor, thetas: Floats) -> Floats | None:
     """Return the initial states (m, n_states) of thetas (m, N), None if an initialisation fails."""
     outputs = np.empty((len(thetas), 1, len(simulation.output_names)))
     reports = new_reports(len(thetas))

@@ -8,7 +8,7 @@ from fmuid.array_types import Floats
 from fmuid.errors import InputError
 from fmuid.simulation import core_constants as codes
 from fmuid.simulation.simulation_plan import TimeGrid
-from fmuid.simulation.task import Task
+from fmuid.simulation.task import SimulationTask
 from fmuid.simulation.variable_checks import column_conversion
 
 # Substeps of a sampling interval where an input is linear in between but the FMU can only hold it. Each substep
@@ -19,7 +19,7 @@ LINEAR_SUBSTEPS = 10
 STEP_TOLERANCE = 1e-3
 
 
-def grid_of(task: Task) -> TimeGrid:
+def grid_of(task: SimulationTask) -> TimeGrid:
     """Return the grid of a task: steps no longer than they may be, else from sample to sample.
 
     Where inputs are linear in between and their FMU cannot interpolate, `LINEAR_SUBSTEPS` to a sampling interval.
@@ -50,7 +50,7 @@ def grid_of(task: Task) -> TimeGrid:
     return TimeGrid(np.array(task.experiment.times), substeps, strides, inputs, slopes if curved else None)
 
 
-def _check_steps(task: Task, steps: Floats) -> None:
+def _check_steps(task: SimulationTask, steps: Floats) -> None:
     """Refuse unequal steps where an FMU declares that it cannot take them."""
     taken = steps[steps > 0]
     if taken.size == 0 or np.ptp(taken) <= STEP_TOLERANCE * taken.max():
@@ -64,7 +64,7 @@ def _check_steps(task: Task, steps: Floats) -> None:
             )
 
 
-def _converted_inputs(task: Task) -> tuple[Floats, Floats]:
+def _converted_inputs(task: SimulationTask) -> tuple[Floats, Floats]:
     """Return the inputs, and their slopes at the samples, in the units of the FMU."""
     experiment = task.experiment
     columns = [each.column for each in task.targets.values()]

@@ -8,9 +8,9 @@ from concurrent.futures import Future, wait
 
 from fmuid.array_types import Floats, Indices
 from fmuid.errors import SimulationError
-from fmuid.models import STIFF_INTEGRATOR, Component, Custody, Renewal
+from fmuid.models import STIFF_INTEGRATOR, Component, InstanceLock, Renewal
 from fmuid.simulation import core_constants as codes
-from fmuid.simulation.simulation_plan import Simulation, shares
+from fmuid.simulation.simulation_plan import GridSimulation, shares
 from fmuid.simulation.simulation_thread import SimulationThread
 
 
@@ -44,15 +44,15 @@ class InProcessExecutor:
         self._components, self._limit, self.renewal = components, limit, renewal
         self._told = set[str]() if told is None else told
         self._threads = [SimulationThread(components, 0, renewal, self._told)]
-        self._custody = Custody((model.fmu, model.kind) for model in components.values())
+        self._custody = InstanceLock((model.fmu, model.kind) for model in components.values())
         self._doing: Indices | None = None
-        self._running: Simulation | None = None
+        self._running: GridSimulation | None = None
 
-    def run(self, simulation: Simulation, thetas: Floats, outputs: Floats, reports: Indices) -> None:
+    def run(self, simulation: GridSimulation, thetas: Floats, outputs: Floats, reports: Indices) -> None:
         """Simulate all thetas (m, N), in equal shares over the threads; a model found stiff is run again as such.
 
         Outputs (m, K, n_outputs) and reports (m, codes.REPORT) are filled in
-        (`fmuid.simulation.simulation_loop.Loop.run`).
+        (`fmuid.simulation.simulation_loop.SimulationLoop.run`).
         """
         with self._custody.turn(self):
             self._running = simulation
@@ -65,7 +65,7 @@ class InProcessExecutor:
                     thread.forget(simulation)
                 self._run_shares(simulation, thetas, outputs, reports)
 
-    def _found_stiff(self, simulation: Simulation, reports: Indices) -> bool:
+    def _found_stiff(self, simulation: GridSimulation, reports: Indices) -> bool:
         """Have a run integrate as such the models that the default integrator found stiff; return if there are any."""
         stiff = {int(component) for function, component, *_ in reports if function == codes.STIFF}
         models = list(self._components.values())
@@ -74,7 +74,7 @@ class InProcessExecutor:
             simulation.integrate(component, STIFF_INTEGRATOR)
         return bool(undecided)
 
-    def _run_shares(self, simulation: Simulation, thetas: Floats, outputs: Floats, reports: Indices) -> None:
+    def _run_shares(self, simulation: GridSimulation, thetas: Floats, outputs: Floats, reports: Indices) -> None:
         count = min(self._limit, len(thetas))
         while len(self._threads) < count:
             self._threads.append(SimulationThread(self._components, len(self._threads), self.renewal, self._told))
@@ -101,7 +101,7 @@ class InProcessExecutor:
 
     def failure(
         self,
-        simulation: Simulation,
+        simulation: GridSimulation,
         theta: Floats,
         outputs: Floats,
         report: Indices,

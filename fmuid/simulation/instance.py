@@ -14,7 +14,7 @@ from ctypes import byref, c_char_p, c_int, c_size_t, c_uint8, c_void_p
 from typing import Any
 
 from fmuid.errors import InputError
-from fmuid.models import FMU, Residents, residents
+from fmuid.models import FMU, InstanceRegistry, residents
 from fmuid.simulation.float_environment import kept
 from fmuid.simulation.native import core
 
@@ -182,7 +182,7 @@ class Instance:
                 self._residents.leave()
 
 
-def _free(free: Any, handle: int, log: Any, those_there: Residents | None, thread: int) -> None:
+def _free(free: Any, handle: int, log: Any, those_there: InstanceRegistry | None, thread: int) -> None:
     def free_now() -> None:
         with kept():
             free(handle)

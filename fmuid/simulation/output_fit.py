@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, eq=False)
-class Fit:
+class OutputFit:
     """Measured against simulated outputs of one experiment.
 
     Attributes
@@ -92,11 +92,13 @@ def root_mean_square(measured: Floats, simulated: Floats) -> float:
     return size / math.sqrt(measured.size) if measured.size else math.nan
 
 
-def fit_of(system: System, experiment: Experiment, simulated: Floats) -> Fit:
+def fit_of(system: System, experiment: Experiment, simulated: Floats) -> OutputFit:
     """Set the outputs (K, n_outputs) that a system gives in an experiment beside the measured ones."""
     names = experiment.output_names
     units = tuple(experiment.units.get(name, system.unit(name)) for name in names)
-    return Fit(experiment.name, experiment.times, names, units, experiment.output_values, simulated, experiment.counted)
+    return OutputFit(
+        experiment.name, experiment.times, names, units, experiment.output_values, simulated, experiment.counted
+    )
 
 
 def parameter_units(system: System, names: Sequence[str]) -> tuple[str | None, ...]:

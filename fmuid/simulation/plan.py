@@ -10,12 +10,12 @@ from fmuid.models import DEFAULT_TOLERANCE
 from fmuid.simulation import core_constants as codes
 from fmuid.simulation import plan_builder as operations
 from fmuid.simulation.grid import grid_of
-from fmuid.simulation.plan_builder import Operations, Outputs
-from fmuid.simulation.simulation_plan import MOST_STEPS, Integration, Plan, Simulation
-from fmuid.simulation.task import Task
+from fmuid.simulation.plan_builder import Outputs, PlanBuilder
+from fmuid.simulation.simulation_plan import MOST_STEPS, GridSimulation, Integration, SimulationPlan
+from fmuid.simulation.task import SimulationTask
 
 
-def simulation_of(task: Task) -> Simulation:
+def simulation_of(task: SimulationTask) -> GridSimulation:
     """Return the run of a task.
 
     Raises
@@ -23,15 +23,15 @@ def simulation_of(task: Task) -> Simulation:
     InputError
         If an FMU cannot step that way, or elements of one array vary in different ways.
     """
-    return Simulation(plan_of(task), grid_of(task), task.experiment.output_names)
+    return GridSimulation(plan_of(task), grid_of(task), task.experiment.output_names)
 
 
-def plan_of(task: Task, add_outputs: Callable[[Operations], Outputs] = operations.outputs) -> Plan:
+def plan_of(task: SimulationTask, add_outputs: Callable[[PlanBuilder], Outputs] = operations.outputs) -> SimulationPlan:
     """Return the plan of a task.
 
     Parameters
     ----------
-    task : Task
+    task : SimulationTask
     add_outputs : callable, optional
         Appends what gets the outputs; default: those of the experiment, and nothing else.
 
@@ -40,7 +40,7 @@ def plan_of(task: Task, add_outputs: Callable[[Operations], Outputs] = operation
     InputError
         If elements of one array vary in different ways.
     """
-    system, to = task.system, Operations(task)
+    system, to = task.system, PlanBuilder(task)
     stages = [0]
 
     def end_stage() -> None:
@@ -60,7 +60,7 @@ def plan_of(task: Task, add_outputs: Callable[[Operations], Outputs] = operation
         if system.master == "gauss-seidel":
             operations.exchange_after(to, component)
         end_stage()
-    return Plan(
+    return SimulationPlan(
         operations=tuple(to.calls),
         stages=np.array(stages, np.intp),
         groups=np.array(groups, np.intp).reshape(-1, 2),
@@ -82,7 +82,7 @@ def plan_of(task: Task, add_outputs: Callable[[Operations], Outputs] = operation
     )
 
 
-def _integration(task: Task, component: str) -> Integration | None:
+def _integration(task: SimulationTask, component: str) -> Integration | None:
     model, system = task.system.components[component], task.system
     if model.kind != "model-exchange":
         return None
@@ -101,7 +101,7 @@ def _integration(task: Task, component: str) -> Integration | None:
     )
 
 
-def _curves(task: Task) -> tuple[tuple[int, int], ...]:
+def _curves(task: SimulationTask) -> tuple[tuple[int, int], ...]:
     """Return for each input which row of which component's polynomials it is."""
     numbers = {name: i for i, name in enumerate(task.system.components)}
     found = []

@@ -11,24 +11,24 @@ from dataclasses import dataclass, field
 from fmuid.models import Connection, System
 from fmuid.simulation import core_constants as codes
 from fmuid.simulation.core_constants import BOOLEAN, FLOAT64, INT32, UINT8, WIRES
-from fmuid.simulation.simulation_plan import FeedThrough, Operation
-from fmuid.simulation.task import Task
+from fmuid.simulation.simulation_plan import AlgebraicLoop, Operation
+from fmuid.simulation.task import SimulationTask
 
 Outputs = tuple[list[int], list[int]]
 """The signals that are summed to outputs, and where among them those of each output begin, and the end."""
 
 
 @dataclass
-class Operations:
-    """What is gathered for a `Plan`; its methods append to it and return signals."""
+class PlanBuilder:
+    """What is gathered for a `SimulationPlan`; its methods append to it and return signals."""
 
-    task: Task
+    task: SimulationTask
     signals: list[float] = field(default_factory=list)
     references: list[int] = field(default_factory=list)
     calls: list[Operation] = field(default_factory=list)
     texts: list[bytes] = field(default_factory=list)
     conversions: list[tuple[float, float]] = field(default_factory=list)
-    loops: list[FeedThrough] = field(default_factory=list)
+    loops: list[AlgebraicLoop] = field(default_factory=list)
 
     def number(self, component: str) -> int:
         """Return the number of a component."""
@@ -100,7 +100,7 @@ class Operations:
         return at + len(copies), slots
 
 
-def start_values(to: Operations) -> list[int]:
+def start_values(to: PlanBuilder) -> list[int]:
     """Append what sets the values before the initialisation; return the signals of the parameters."""
     task, variables = to.task, to.task.system.variables
     numbers = [name for name in task.values if variables[name].type != "String"]
@@ -115,8 +115,8 @@ def start_values(to: Operations) -> list[int]:
     return slots[len(numbers) :]
 
 
-def exchange(to: Operations) -> list[tuple[int, int]]:
-    """Append what passes outputs on; return the groups of `Plan`."""
+def exchange(to: PlanBuilder) -> list[tuple[int, int]]:
+    """Append what passes outputs on; return the groups of `SimulationPlan`."""
     groups = []
     for group, is_loop in to.task.system.exchange_order:
         first = len(to.calls)
@@ -125,7 +125,7 @@ def exchange(to: Operations) -> list[tuple[int, int]]:
             groups.append((-1, len(to.loops)))
             words = " -> ".join(to.task.system.full_name(*connection.target) for connection in group)
             nominals = tuple(_nominal(to.task.system, connection) for connection in group)
-            to.loops.append(FeedThrough(first, setting, len(to.calls), tuple(slots), nominals, words))
+            to.loops.append(AlgebraicLoop(first, setting, len(to.calls), tuple(slots), nominals, words))
         else:
             groups.append((first, len(to.calls)))
     return groups
@@ -140,20 +140,20 @@ def _nominal(system: System, connection: Connection) -> float:
     return stated if math.isfinite(stated) else 0.0
 
 
-def exchange_after(to: Operations, component: str) -> None:
+def exchange_after(to: PlanBuilder, component: str) -> None:
     """Append what passes the outputs of a component on to those that step after it (Gauss–Seidel)."""
     later = list(to.task.system.components)[to.number(component) + 1 :]
     to.pass_on([c for c in to.task.system.connections if c.source[0] == component and c.target[0] in later])
 
 
-def outputs(to: Operations) -> Outputs:
+def outputs(to: PlanBuilder) -> Outputs:
     """Append what gets the outputs of the experiment."""
     terms, found = _terms(to.task)
     slots = dict(zip(found, to.transfer(found, setting=False), strict=True))
     return [slots[term] for some in terms for term in some], [0, *itertools.accumulate(map(len, terms))]
 
 
-def outputs_with_sensitivities(to: Operations, count: int) -> Outputs:
+def outputs_with_sensitivities(to: PlanBuilder, count: int) -> Outputs:
     """Append what gets the outputs, and after them their sensitivities to a number of parameters, by parameters."""
     slots, bounds = outputs(to)
     terms, found = _terms(to.task)
@@ -168,13 +168,13 @@ def outputs_with_sensitivities(to: Operations, count: int) -> Outputs:
     return slots, bounds
 
 
-def _terms(task: Task) -> tuple[list[list[str]], list[str]]:
+def _terms(task: SimulationTask) -> tuple[list[list[str]], list[str]]:
     """Return the variables whose sum each output is, and all of them once."""
     terms = [task.system.terms(name) for name in task.experiment.output_names]
     return terms, list(dict.fromkeys(term for some in terms for term in some))
 
 
-def input_slopes(to: Operations) -> list[int]:
+def input_slopes(to: PlanBuilder) -> list[int]:
     """Append what sets derivatives of inputs; return the signals of the slopes of all inputs."""
     unused = len(to.signals)  # where the slopes of the inputs go that are given none
     to.signals.append(0.0)

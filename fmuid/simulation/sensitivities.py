@@ -8,11 +8,11 @@ from collections.abc import Callable
 import numpy as np
 
 from fmuid.array_types import Floats
-from fmuid.errors import InputError, RefusedError
+from fmuid.errors import InputError, SensitivityUnavailableError
 from fmuid.models import DEFAULT_TOLERANCE
 from fmuid.simulation.executor import executor_of
 from fmuid.simulation.forward_simulation import (
-    Refusal,
+    SensitivityRefusal,
     SensitivitySimulation,
     directional_simulation,
     extended_by,
@@ -138,7 +138,7 @@ class ForwardSensitivities:
 
         Raises
         ------
-        RefusedError
+        SensitivityUnavailableError
             If the FMU can be instantiated only once and twins are needed, an event cannot be gone through, or the
             simulation fails.
         """
@@ -151,14 +151,14 @@ class ForwardSensitivities:
         factors, offsets = np.array([each[2:] for each in targets], np.float64).reshape(-1, 2).T
         values = factors * theta[columns] + offsets
         magnitudes = np.where(values != 0.0, np.abs(values), self._nominal)
-        found: Floats | Refusal | None = None
+        found: Floats | SensitivityRefusal | None = None
         if self._directional is not None:
             found = self._by_directional_derivatives(self._directional, values, magnitudes)
         if found is None:
             self._directional = None
             found = self._by_twins(values, magnitudes)
-        if isinstance(found, Refusal):
-            raise RefusedError(found.reason)
+        if isinstance(found, SensitivityRefusal):
+            raise SensitivityUnavailableError(found.reason)
         gathered = np.zeros((theta.size, *found.shape[1:]))
         for column, factor, each in zip(columns.tolist(), factors.tolist(), found, strict=True):
             gathered[column] += factor * each
@@ -181,7 +181,7 @@ class ForwardSensitivities:
             return None
         simulation.given.magnitudes[:], simulation.given.initial[:] = magnitudes, initial
         outputs = simulation.simulate(executor_of(self._simulator.system), values)
-        if isinstance(outputs, Refusal):
+        if isinstance(outputs, SensitivityRefusal):
             return None
         n = len(self._simulator.output_names)
         return np.moveaxis(outputs[:, n:].reshape(len(outputs), values.size, n), 1, 0)
@@ -207,10 +207,10 @@ class ForwardSensitivities:
         error, size = change - found * steps[:, None, None], np.abs(outputs[0]).max(axis=0)
         return not bool((_rms(error) > ALLOWED_ERROR * _rms(change) + ROUNDING_SHARE * size).any())
 
-    def _by_twins(self, values: Floats, magnitudes: Floats) -> Floats | Refusal:
+    def _by_twins(self, values: Floats, magnitudes: Floats) -> Floats | SensitivityRefusal:
         if not self._simulator.system.can_be_repeated:
             name = self._model.fmu.path.name
-            return Refusal(f"{name} can be instantiated only once, and differences need twins of it")
+            return SensitivityRefusal(f"{name} can be instantiated only once, and differences need twins of it")
         if self._twins is None:
             self._twins = twin_simulation(self._simulator)
         simulation, changed = self._twins, values + TWIN_STEP * magnitudes
@@ -220,7 +220,7 @@ class ForwardSensitivities:
         several = np.tile(values, (values.size + 1, 1))
         np.fill_diagonal(several, changed)
         outputs = simulation.simulate(executor_of(simulation.system), several.ravel())
-        if isinstance(outputs, Refusal):
+        if isinstance(outputs, SensitivityRefusal):
             return outputs
         split = np.moveaxis(outputs.reshape(len(outputs), values.size + 1, -1), 1, 0)
         found: Floats = (split[:-1] - split[-1]) / simulation.given.steps[:, None, None]

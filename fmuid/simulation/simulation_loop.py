@@ -18,15 +18,15 @@ from fmuid.simulation.checks import check_arrays, check_plan
 from fmuid.simulation.failures import function_name
 from fmuid.simulation.instance import Instance
 from fmuid.simulation.integrator import REQUIRED, Integrator, address, function_table
-from fmuid.simulation.simulation_plan import Operation, Plan, TimeGrid
+from fmuid.simulation.simulation_plan import Operation, SimulationPlan, TimeGrid
 
 
-class Loop:
+class SimulationLoop:
     """A plan bound to one set of instances: it owns the memory whose addresses the core works with.
 
     Parameters
     ----------
-    plan : Plan
+    plan : SimulationPlan
     grid : TimeGrid
     instances : sequence of Instance
         One for each component.
@@ -41,7 +41,7 @@ class Loop:
         If plan and grid do not fit together.
     """
 
-    def __init__(self, plan: Plan, grid: TimeGrid, instances: Sequence[Instance], used: Indices) -> None:
+    def __init__(self, plan: SimulationPlan, grid: TimeGrid, instances: Sequence[Instance], used: Indices) -> None:
         check_plan(plan, grid, [instance.version for instance in instances])
         self._core = native.core()
         self._plan_given, self._grid_given, self._instances = plan, grid, instances
@@ -81,7 +81,7 @@ class Loop:
         self._kept.append(memory)
         return address(memory)
 
-    def _lay_out_signals(self, plan: Plan) -> None:
+    def _lay_out_signals(self, plan: SimulationPlan) -> None:
         n = len(plan.signals)
         self._signals = plan.signals.copy()
         self._words = np.zeros(n + 1, np.uint64)  # values of other types on their way
@@ -90,7 +90,7 @@ class Loop:
         self._strings = np.array([cast(text, c_void_p).value for text in texts], np.intp)
         self._kept.append(texts)
 
-    def _lay_out(self, plan: Plan, grid: TimeGrid) -> Any:
+    def _lay_out(self, plan: SimulationPlan, grid: TimeGrid) -> Any:
         stages = [self._core.Range(*map(int, plan.stages[i : i + 2])) for i in range(len(plan.stages) - 1)]
         n = len(self._instances)
         after_step = (self._core.Range * n)(*stages[5:]) if plan.gauss_seidel else None
@@ -126,7 +126,7 @@ class Loop:
             by_rows=self._goes_by_rows(plan, grid),
         )
 
-    def _component(self, number: int, plan: Plan, used: Indices) -> Any:
+    def _component(self, number: int, plan: SimulationPlan, used: Indices) -> Any:
         instance, table, integrator = self._instances[number], self._tables[number], self._integrators[number]
         if instance.version == 3 and instance.event_mode:
             for name in ("EnterEventMode", "UpdateDiscreteStates", "EnterStepMode"):
@@ -140,7 +140,7 @@ class Loop:
             **{f"fmi{instance.version}": address(table)},
         )
 
-    def _integrator(self, number: int, plan: Plan, grid: TimeGrid) -> Integrator | None:
+    def _integrator(self, number: int, plan: SimulationPlan, grid: TimeGrid) -> Integrator | None:
         instance, integration = self._instances[number], plan.integrations[number]
         if integration is None:
             return None
@@ -189,7 +189,7 @@ class Loop:
             fmi2=address(self._tables[given.component]) if instance.version == 2 else None,
         )
 
-    def _groups(self, plan: Plan) -> Any:
+    def _groups(self, plan: SimulationPlan) -> Any:
         """Return the parts of the exchange; None where a single pass over it is all that there is to do."""
         eventful = any(each.kind == "model-exchange" or each.version == 3 for each in self._instances)
         if not eventful and not plan.loops:
@@ -217,7 +217,7 @@ class Loop:
         self._kept.append(loops)
         return groups
 
-    def _curves(self, plan: Plan) -> int | None:
+    def _curves(self, plan: SimulationPlan) -> int | None:
         """Return where the polynomial of each input is: with an integrator, or here."""
         own = np.zeros((len(plan.input_signals) + 1, 4))
         self._kept.append(own)
@@ -227,7 +227,7 @@ class Loop:
             found.append((mine if integrator is None else integrator.curves[row]).ctypes.data)
         return self._keep(np.array(found, np.intp))
 
-    def _direct(self, plan: Plan, stage: int, function: int, signals: Indices) -> Any:
+    def _direct(self, plan: SimulationPlan, stage: int, function: int, signals: Indices) -> Any:
         """Return the one operation that takes a whole row of the table as it is, None if there is none."""
         first, last = map(int, plan.stages[stage : stage + 2])
         if last != first + 1:
@@ -239,7 +239,7 @@ class Loop:
             return None
         return address(self._operations[first])
 
-    def _goes_by_rows(self, plan: Plan, grid: TimeGrid) -> bool:
+    def _goes_by_rows(self, plan: SimulationPlan, grid: TimeGrid) -> bool:
         """Return whether all that is done at and between samples is to pass whole rows to and from a single FMU."""
         exchange, outputs, slopes, slopes_end = plan.stages[2:6].tolist()
         sloped = [plan.operations[i].signal + np.arange(plan.operations[i].n_values) for i in range(slopes, slopes_end)]

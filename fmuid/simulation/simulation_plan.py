@@ -31,7 +31,7 @@ class Operation(NamedTuple):
     when: int = codes.ALWAYS
 
 
-class FeedThrough(NamedTuple):
+class AlgebraicLoop(NamedTuple):
     """A loop of direct feed-through: which operations get and copy, which set, its inputs and its name.
 
     `signals` are those of the inputs, `nominals` their nominal values, 0 where none is stated.
@@ -83,7 +83,7 @@ class Integration(NamedTuple):
     most_steps: int = MOST_STEPS
 
 
-class Plan(NamedTuple):
+class SimulationPlan(NamedTuple):
     """What the loop does, as arrays.
 
     `stages` says where each list of operations starts: start values | external inputs | exchange between components |
@@ -96,7 +96,7 @@ class Plan(NamedTuple):
     operations: tuple[Operation, ...]
     stages: Indices
     groups: Indices
-    loops: tuple[FeedThrough, ...]
+    loops: tuple[AlgebraicLoop, ...]
     references: NDArray[np.uint32]
     signals: Floats
     conversions: Floats
@@ -114,7 +114,7 @@ class Plan(NamedTuple):
 
 
 class TimeGrid(NamedTuple):
-    """The experiment as the loop walks it, `Grid` of the core.
+    """The experiment as the loop walks it, `SampleGrid` of the core.
 
     Times (K,), substeps of each interval (K-1,), how many substeps each component's own step has (n_components,), input
     values (K, n_u) and, where any input goes along a cubic curve, the slopes at the samples, else None.
@@ -139,21 +139,21 @@ def new_reports(count: int) -> Indices:
     return np.full((count, codes.REPORT), codes.UNDONE, np.intp)
 
 
-class Simulation:
+class GridSimulation:
     """What threads simulate: a plan over a grid. It can travel to another process.
 
     Parameters
     ----------
-    plan : Plan
+    plan : SimulationPlan
     grid : TimeGrid
     output_names : tuple of str
     """
 
-    def __init__(self, plan: Plan, grid: TimeGrid, output_names: tuple[str, ...]) -> None:
+    def __init__(self, plan: SimulationPlan, grid: TimeGrid, output_names: tuple[str, ...]) -> None:
         self.plan, self.grid, self.output_names = plan, grid, output_names
 
-    def __reduce__(self) -> tuple[type[Simulation], tuple[Plan, TimeGrid, tuple[str, ...]]]:
-        return Simulation, (self.plan, self.grid, self.output_names)
+    def __reduce__(self) -> tuple[type[GridSimulation], tuple[SimulationPlan, TimeGrid, tuple[str, ...]]]:
+        return GridSimulation, (self.plan, self.grid, self.output_names)
 
     def integrate(self, component: int, integrator: str) -> None:
         """Integrate a component for model exchange by another integrator from now on."""

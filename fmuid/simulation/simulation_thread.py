@@ -20,8 +20,8 @@ from fmuid.models import Component, Renewal, is_repeated, needs_process, note_pr
 from fmuid.simulation import core_constants as codes
 from fmuid.simulation.failures import describe
 from fmuid.simulation.instance import Instance, warn
-from fmuid.simulation.simulation_loop import Loop
-from fmuid.simulation.simulation_plan import Simulation, new_reports
+from fmuid.simulation.simulation_loop import SimulationLoop
+from fmuid.simulation.simulation_plan import GridSimulation, new_reports
 
 _log = logging.getLogger("fmuid.fmu")
 # Longest that one call of the core should last, s: between calls an interruption gets through.
@@ -81,7 +81,7 @@ class SimulationThread:
         self.renewal = Renewal.PROCESS if self._spent else renewal
         self._executor = ThreadPoolExecutor(1, f"fmuid-{index}") if index else None
         self._instances: list[Instance] = []
-        self._loops: weakref.WeakKeyDictionary[Simulation, Loop] = weakref.WeakKeyDictionary()
+        self._loops: weakref.WeakKeyDictionary[GridSimulation, SimulationLoop] = weakref.WeakKeyDictionary()
         self._used = np.zeros(0, np.intp)
         self._seconds = CALL_SECONDS  # of one simulation, as last measured
         self._cancelled = False
@@ -100,7 +100,7 @@ class SimulationThread:
         task(*arguments)
         return None
 
-    def run(self, simulation: Simulation, thetas: Floats, outputs: Floats, reports: Indices) -> None:
+    def run(self, simulation: GridSimulation, thetas: Floats, outputs: Floats, reports: Indices) -> None:
         """Simulate all thetas (m, N) into outputs (m, K, n_y) and reports (m, codes.REPORT)."""
         done = 0
         while done < len(thetas) and not self._cancelled:
@@ -132,14 +132,14 @@ class SimulationThread:
             again |= stuck
         return slice(part.start, part.start + int(np.argmax(again)) if again.any() else part.stop)
 
-    def _try_reset(self, simulation: Simulation, theta: Floats, expected: Floats) -> None:
+    def _try_reset(self, simulation: GridSimulation, theta: Floats, expected: Floats) -> None:
         """Repeat the first simulation, after a reset and by a new instance: find out what an FMU needs every time."""
         if not np.isfinite(expected).all():
             return
         with self._busy(codes.REPEATING):
             self._judge_reset(simulation, theta, expected)
 
-    def _judge_reset(self, simulation: Simulation, theta: Floats, expected: Floats) -> None:
+    def _judge_reset(self, simulation: GridSimulation, theta: Floats, expected: Floats) -> None:
         same, fatal = self._repeats(simulation, theta, expected)
         if same:
             self.renewal = Renewal.RESET
@@ -155,7 +155,7 @@ class SimulationThread:
             self.renewal = Renewal.PROCESS
             note_process(self._components.values())
 
-    def _repeats(self, simulation: Simulation, theta: Floats, expected: Floats) -> tuple[bool, bool]:
+    def _repeats(self, simulation: GridSimulation, theta: Floats, expected: Floats) -> tuple[bool, bool]:
         """Simulate again; return whether the outputs are the same, and whether the FMU failed fatally."""
         outputs, report = np.empty_like(expected), new_reports(1)
         self._simulate(simulation, theta, outputs, report)
@@ -186,7 +186,9 @@ class SimulationThread:
         finally:
             self.doing[0] = before
 
-    def explain(self, simulation: Simulation, theta: Floats, parameters: Mapping[str, float]) -> SimulationError | None:
+    def explain(
+        self, simulation: GridSimulation, theta: Floats, parameters: Mapping[str, float]
+    ) -> SimulationError | None:
         """Repeat a failed simulation with the FMU's debug log on; return the error (None if it succeeds now)."""
         outputs = np.empty((1, simulation.grid.times.size, len(simulation.output_names)))
         reports = new_reports(1)
@@ -206,7 +208,7 @@ class SimulationThread:
         return error
 
     def error(
-        self, simulation: Simulation, outputs: Floats, report: Indices, parameters: Mapping[str, float]
+        self, simulation: GridSimulation, outputs: Floats, report: Indices, parameters: Mapping[str, float]
     ) -> SimulationError | None:
         """Return what a report and the outputs say, as an error; None where the simulation succeeded."""
         function, component, _, sample = (int(word) for word in report[:4])
@@ -227,7 +229,7 @@ class SimulationThread:
             return SimulationError(", ".join(self._labels), float(simulation.grid.times[row]), parameters, what, said)
         return None
 
-    def _describe(self, simulation: Simulation, report: Indices) -> str:
+    def _describe(self, simulation: GridSimulation, report: Indices) -> str:
         failure, component, status, _, bad = (int(word) for word in report[:5])
         time, step = (float(number) for number in report[5:].view(np.float64))
         description = list(self._components.values())[component].fmu.description
@@ -245,14 +247,14 @@ class SimulationThread:
         self._instances = []
         self._loops.clear()
 
-    def cancel(self, simulation: Simulation) -> None:
+    def cancel(self, simulation: GridSimulation) -> None:
         """Let the simulations of a run end soon, as failed; it must be forgotten before its next one."""
         self._cancelled = True
         loop = self._loops.get(simulation)
         if loop is not None:
             loop.cancel()
 
-    def forget(self, simulation: Simulation) -> None:
+    def forget(self, simulation: GridSimulation) -> None:
         """Lay a run out anew before its next simulation."""
         self._loops.pop(simulation, None)
 
@@ -300,7 +302,7 @@ class SimulationThread:
                     self._instances.append(Instance(model.fmu, model.kind, name))
             self._used = np.zeros(len(self._instances), np.intp)
 
-    def _call(self, simulation: Simulation, thetas: Floats, outputs: Floats, reports: Indices) -> None:
+    def _call(self, simulation: GridSimulation, thetas: Floats, outputs: Floats, reports: Indices) -> None:
         if self.renewal not in (None, Renewal.RESET):
             self.close()
         self._prepare()
@@ -310,11 +312,13 @@ class SimulationThread:
             self._prepare()
             self._simulate(simulation, thetas, outputs, reports)
 
-    def _simulate(self, simulation: Simulation, thetas: Floats, outputs: Floats, reports: Indices) -> None:
+    def _simulate(self, simulation: GridSimulation, thetas: Floats, outputs: Floats, reports: Indices) -> None:
         loop = self._loops.get(simulation)
         if loop is None:
             with self._busy(codes.PREPARING):
-                loop = self._loops[simulation] = Loop(simulation.plan, simulation.grid, self._instances, self._used)
+                loop = self._loops[simulation] = SimulationLoop(
+                    simulation.plan, simulation.grid, self._instances, self._used
+                )
         if self._cancelled:
             loop.cancel()
         began = time.perf_counter()

@@ -22,7 +22,7 @@ import pandas as pd
 
 from fmuid.data import Experiment
 from fmuid.errors import FmuidError, SimulationError
-from fmuid.models import FMU, Description, HowRun
+from fmuid.models import FMU, Description, SolverConfiguration
 from fmuid.processes import watch_lifeline
 from fmuid.simulation.instance import Instance
 from fmuid.simulation.simulator import Simulator
@@ -56,7 +56,7 @@ class SmokeReport:
         Whether that was done.
     differs : bool
         Whether the second simulation gave other outputs than the first.
-    run : HowRun or None
+    run : SolverConfiguration or None
     start, stop : float
         What was simulated, s.
     samples, outputs : int
@@ -76,7 +76,7 @@ class SmokeReport:
     simulated: bool = False
     repeated: bool = False
     differs: bool = False
-    run: HowRun | None = None
+    run: SolverConfiguration | None = None
     start: float = 0.0
     stop: float = 0.0
     samples: int = 0
@@ -96,7 +96,7 @@ class SmokeReport:
         if not path.is_file():
             return cls()
         found = json.loads(path.read_text(encoding="utf-8"))
-        run = None if found["run"] is None else HowRun(**found["run"])
+        run = None if found["run"] is None else SolverConfiguration(**found["run"])
         return cls(**found | {"doing": Stage(found["doing"]), "run": run})
 
 

@@ -12,7 +12,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 
-from fmuid.models import DEFAULT_TOLERANCE, Component, HowRun, Numerics, System, needs_process
+from fmuid.models import DEFAULT_TOLERANCE, Component, Numerics, SolverConfiguration, System, needs_process
 from fmuid.simulation.simulator import Simulator
 
 FINE_TOLERANCE = 1e-9
@@ -135,7 +135,9 @@ def by_model_exchange(system: System, tolerance: float | None = None) -> System 
     return system.run_by({name: _exchange(m, tolerance or m.numerics.tolerance) for name, m in exchanged.items()})
 
 
-def how_run(system: System, refinement: Refinement, stiff: frozenset[str] = frozenset()) -> dict[str, HowRun]:
+def how_run(
+    system: System, refinement: Refinement, stiff: frozenset[str] = frozenset()
+) -> dict[str, SolverConfiguration]:
     """Return how each component is run.
 
     Parameters

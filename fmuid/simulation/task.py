@@ -13,7 +13,7 @@ from fmuid.simulation import core_constants as codes
 from fmuid.simulation.variable_checks import Value, check_roles
 
 
-class Target(NamedTuple):
+class InputTarget(NamedTuple):
     """Which column feeds a variable: factor times it plus offset."""
 
     column: int
@@ -22,7 +22,7 @@ class Target(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Task:
+class SimulationTask:
     """One system over one experiment.
 
     Attributes
@@ -35,7 +35,7 @@ class Task:
         All variables that are set before the initialisation but the parameters.
     step_size : float or None
         Largest communication step, s, in place of the system's.
-    targets : dict of str to Target
+    targets : dict of str to InputTarget
         The variables that the table feeds.
     modes : dict of str to int
         How each of them varies between the samples (`codes.HELD` and so on).
@@ -50,7 +50,7 @@ class Task:
     parameters: tuple[str, ...]
     values: Mapping[str, Value]
     step_size: float | None
-    targets: dict[str, Target]
+    targets: dict[str, InputTarget]
     modes: dict[str, int]
     steps: dict[str, float | None]
     divisor: int = 1
@@ -109,7 +109,7 @@ def task_of(
     values: Mapping[str, Value],
     step_size: float | None,
     divisor: int = 1,
-) -> Task:
+) -> SimulationTask:
     """Return the task of a system and an experiment.
 
     Parameters
@@ -137,17 +137,17 @@ def task_of(
     modes = {name: _mode(system, name, bool(experiment.held[each.column])) for name, each in targets.items()}
     known = _known_values(system, {*parameters, *targets, *system.connected_inputs}) | dict(values)
     steps = _component_steps(system, step_size)
-    return Task(system, experiment, tuple(parameters), known, step_size, targets, modes, steps, divisor)
+    return SimulationTask(system, experiment, tuple(parameters), known, step_size, targets, modes, steps, divisor)
 
 
-def _targets(system: System, experiment: Experiment) -> dict[str, Target]:
+def _targets(system: System, experiment: Experiment) -> dict[str, InputTarget]:
     """Return the variables that the table feeds, with their columns; a connector of the system may feed several."""
-    found: dict[str, Target] = {}
+    found: dict[str, InputTarget] = {}
     for column, given in enumerate(experiment.input_names):
         for name, factor, offset in system.targets(given):
             if name in found:
                 raise InputError(f"{experiment.source} feeds {name!r} twice, through {given!r} too; keep one")
-            found[name] = Target(column, factor, offset)
+            found[name] = InputTarget(column, factor, offset)
     return found
 
 

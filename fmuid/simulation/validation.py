@@ -9,7 +9,7 @@ from enum import Enum
 from pathlib import Path
 
 from fmuid.errors import InputError
-from fmuid.models import DESCRIPTION_FILE, FMU, Zipped, archive_of, parse_xml
+from fmuid.models import DESCRIPTION_FILE, FMU, CheckedArchive, archive_of, parse_xml
 from fmuid.processes import Child
 from fmuid.simulation.smoke_test import SmokeReport
 
@@ -59,7 +59,7 @@ class Binary:
 
 
 @dataclass(frozen=True)
-class Trial:
+class InterfaceTest:
     """One try of an interface in a process of its own.
 
     Attributes
@@ -99,13 +99,13 @@ class Check:
         Of which, if of one.
     result : "ok", "warning", "failed" or "left out"
     evidence : tuple
-        What the result rests on: `Tool`, `Binary`, each `Trial`, or what FMPy or the FMU says.
+        What the result rests on: `Tool`, `Binary`, each `InterfaceTest`, or what FMPy or the FMU says.
     """
 
     subject: Subject
     interface: str | None
     result: str
-    evidence: tuple[Tool | Binary | Trial | str, ...] = ()
+    evidence: tuple[Tool | Binary | InterfaceTest | str, ...] = ()
 
     @property
     def name(self) -> str:
@@ -163,7 +163,7 @@ def check_binaries(fmu: FMU) -> dict[str, Check]:
 def _description(fmu: FMU) -> Check:
     from fmpy.validation import validate_fmu
 
-    with Zipped(fmu.path) as archive:
+    with CheckedArchive(fmu.path) as archive:
         texts = {name: archive.read(name) for name in (DESCRIPTION_FILE, BUILD_FILE) if name in archive.names}
     for name, text in texts.items():
         parse_xml(text, f"{fmu.path}: its {name}")
@@ -188,7 +188,7 @@ def _binary(fmu: FMU, kind: str, identifier: str) -> Check:
 
 
 def _interface(fmu: FMU, kind: str) -> list[Check]:
-    tries: list[Trial] = []
+    tries: list[InterfaceTest] = []
     for share in DURATION_SHARES:
         tries.append(_try(fmu, kind, share))
         report = tries[-1].report
@@ -205,7 +205,7 @@ def _interface(fmu: FMU, kind: str) -> list[Check]:
     return [*checks, Check(Subject.MESSAGES, kind, "warning", said)] if said else checks
 
 
-def _reset(kind: str, last: Trial) -> Check:
+def _reset(kind: str, last: InterfaceTest) -> Check:
     """Judge the second simulation, and whether it could be made with the same instance."""
     if last.troubled:
         return Check(Subject.RESET, kind, "warning" if last.code is None else "failed", (last,))
@@ -215,7 +215,7 @@ def _reset(kind: str, last: Trial) -> Check:
     return Check(Subject.RESET, kind, "warning" if lost else "ok", lost)
 
 
-def _try(fmu: FMU, kind: str, share: float) -> Trial:
+def _try(fmu: FMU, kind: str, share: float) -> InterfaceTest:
     """Simulate one interface in a process of its own."""
     with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as folder:
         report, printed = Path(folder) / "report.json", Path(folder) / "printed.txt"
@@ -228,4 +228,4 @@ def _try(fmu: FMU, kind: str, share: float) -> Trial:
                 child.end()
         lines = printed.read_text(encoding="utf-8", errors="replace").split("\n")
         last_words = next((line.strip() for line in reversed(lines) if line.strip()), "")
-        return Trial(share, SmokeReport.read(report), code, last_words, TIME_LIMIT)
+        return InterfaceTest(share, SmokeReport.read(report), code, last_words, TIME_LIMIT)

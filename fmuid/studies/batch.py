@@ -23,13 +23,13 @@ from fmuid.studies.section import (
     Entries,
     Finite,
     Finites,
-    Kind,
     Names,
     Natural,
     PositiveOrEach,
     Scalar,
+    StudySection,
     Text,
-    Words,
+    ValueKind,
     as_list,
     must_be,
     one_of,
@@ -53,10 +53,10 @@ def _wrong_points(value: Any) -> str:
     return f"a whole number up to {MOST_POINTS}" if whole else "a whole number above 0"
 
 
-Points = Annotated[int, Field(gt=0, le=MOST_POINTS), Kind("a whole number above 0", _wrong_points)]
+Points = Annotated[int, Field(gt=0, le=MOST_POINTS), ValueKind("a whole number above 0", _wrong_points)]
 
 
-class RangeWords(Words):
+class RangeSection(StudySection):
     """Equally spaced numbers, both ends included."""
 
     first: Finite = word(..., "the first", alias="from")
@@ -70,7 +70,7 @@ Tables = Annotated[
     | Annotated[dict[str, Text], Field(min_length=1), Tag(TABLE_TAG)],
     BY_SHAPE,
     BeforeValidator(as_list, json_schema_input_type=str | list[str] | dict[str, str]),
-    Kind(TABLES),
+    ValueKind(TABLES),
 ]
 
 
@@ -91,7 +91,7 @@ def _text(error: ValidationError) -> str:
 _FINITE, _POINTS = TypeAdapter[float](Finite), TypeAdapter[int](Points)
 Starts = Annotated[
     Count | Annotated[list[Annotated[dict[str, Finite], Field(min_length=1)]], Field(min_length=1)],
-    Kind(_wrong_starts(None), _wrong_starts),
+    ValueKind(_wrong_starts(None), _wrong_starts),
 ]
 
 
@@ -105,7 +105,7 @@ Subsets = Annotated[
     list[Names],
     Field(min_length=1),
     AfterValidator(_different),
-    Kind('a list of different lists of parameters, [["Rs", "Rr"], ["Rs", "Rr", "Lm"]]'),
+    ValueKind('a list of different lists of parameters, [["Rs", "Rr"], ["Rs", "Rr", "Lm"]]'),
 ]
 
 AXIS = "a list of values of one type, [0.40, 0.47], or { from = 0.4, to = 0.5, count = 5 }"
@@ -142,7 +142,9 @@ def _range(value: dict[str, Any]) -> tuple[float, ...]:
     return tuple(np.linspace(first, last, count).tolist())
 
 
-Axis = Annotated[tuple[Value, ...], PlainValidator(_axis, json_schema_input_type=list[Scalar] | RangeWords), Kind(AXIS)]
+Axis = Annotated[
+    tuple[Value, ...], PlainValidator(_axis, json_schema_input_type=list[Scalar] | RangeSection), ValueKind(AXIS)
+]
 
 
 def _rising(value: list[float]) -> list[float]:
@@ -151,14 +153,16 @@ def _rising(value: list[float]) -> list[float]:
     return value
 
 
-Limits = Annotated[list[Finite], Field(min_length=2, max_length=2), AfterValidator(_rising), Kind("[lowest, highest]")]
+Limits = Annotated[
+    list[Finite], Field(min_length=2, max_length=2), AfterValidator(_rising), ValueKind("[lowest, highest]")
+]
 Ranges = Annotated[dict[str, Limits], Field(min_length=1), Entries("a table { variable = [lowest, highest] }")]
 
 
 # --- tables -----------------------------------------------------------------------------
 
 
-class Sample(Words):
+class SpaceFillingSection(StudySection):
     """Values held that fill a box."""
 
     method: Annotated[str, one_of(METHODS)] = word("sobol", "how the points are spread")
@@ -166,7 +170,7 @@ class Sample(Words):
     ranges: Ranges = word(..., "the variables that are held at values, as ranges = { Lm = [0.4, 0.5] }")
 
 
-class NoiseDraws(Words):
+class MonteCarloSection(StudySection):
     """Monte Carlo: simulate the truth, disturb it, identify."""
 
     draws: Count = word(..., "how many draws of the noise")
@@ -204,7 +208,7 @@ class NoiseDraws(Words):
         return self.model_copy(update={"std": stds})
 
 
-class BatchSettings(Words):
+class BatchSettings(StudySection):
     """Many identifications, called cases."""
 
     tables: Tables = word([], "one identification a record: files, patterns of files, or names and files")
@@ -213,8 +217,8 @@ class BatchSettings(Words):
     values: Annotated[dict[str, Axis], Entries("a table { name = values }")] = word(
         {}, "variables, and the values at which they are held one after the other"
     )
-    sample: Sample | None = word(None, "values held that fill a box")
-    noise: NoiseDraws | None = word(None, "Monte Carlo: simulate the truth, disturb it, identify")
+    sample: SpaceFillingSection | None = word(None, "values held that fill a box")
+    noise: MonteCarloSection | None = word(None, "Monte Carlo: simulate the truth, disturb it, identify")
     combine: Annotated[str, one_of(("product", "list"))] = word(
         "product", "each entry of an axis with every entry of the others, or the n-th ones of all together"
     )

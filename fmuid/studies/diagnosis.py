@@ -11,15 +11,15 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 from pydantic import AfterValidator, BeforeValidator, Tag
 
 from fmuid.data import Experiment, Noise, Parameter
-from fmuid.diagnosis import MODEL_ERROR, Causes, Range, Rule
+from fmuid.diagnosis import MODEL_ERROR, Causes, CauseScale, Rule
 from fmuid.errors import InputError
 from fmuid.estimation import Marquardt, Result
 from fmuid.files import is_file
 from fmuid.formatting import of_one_experiment
 from fmuid.models import System
 from fmuid.studies.arrays import by_element, check_shapes
-from fmuid.studies.model import ModelSettings, ModelWords
-from fmuid.studies.parameters import Knowns, Source
+from fmuid.studies.model import ModelSection, ParsedModel
+from fmuid.studies.parameters import ParsedParameters, PriorSource
 from fmuid.studies.section import (
     BY_SHAPE,
     TABLE_TAG,
@@ -28,21 +28,21 @@ from fmuid.studies.section import (
     Entries,
     File,
     Files,
-    Kind,
     Names,
     NotNegative,
     Number,
     Positive,
     Share,
+    StudySection,
     Text,
     Texts,
-    Words,
+    ValueKind,
     must_be,
     word,
 )
 
 if TYPE_CHECKING:
-    from fmuid.diagnosis import Angle, Baseline, DiagnosisSettings, Fault
+    from fmuid.diagnosis import Baseline, DiagnosisSettings, Fault, FaultAngle
 
 BASELINE_FILE = "baseline.npz"
 """Beside the ``result.json`` of a healthy study with faults: what its tables show."""
@@ -58,18 +58,18 @@ def _factor(value: float) -> float:
 
 
 FACTOR = "a number above 0, inf for no prior"
-Factor = Annotated[float, AfterValidator(_factor), Kind(FACTOR)]
+Factor = Annotated[float, AfterValidator(_factor), ValueKind(FACTOR)]
 Factors = Annotated[dict[str, Factor], Entries("a table { parameter = number }")]
 
 
-class AngleWords(Words):
+class AngleSection(StudySection):
     """A parameter that is an angle."""
 
     size: Text = word(..., "the parameter that is the size of this fault")
     period: Positive = word(2.0 * math.pi, "of the angle")
 
 
-class FaultParameterWords(Words):
+class FaultParameterSection(StudySection):
     """A parameter of a fault."""
 
     start: Number = word(0.0, "where the search begins; zero is the healthy machine")
@@ -91,19 +91,19 @@ class FaultParameterWords(Words):
             raise self.error(f"is refused: {error}") from None
 
 
-class FaultWords(ModelWords):
+class FaultSection(ModelSection):
     """A fault to look for: a model of it, or parameters of the study's own model."""
 
-    parameters: Annotated[dict[str, FaultParameterWords], BeforeValidator(by_element)] = word(
+    parameters: Annotated[dict[str, FaultParameterSection], BeforeValidator(by_element)] = word(
         {}, "those of the fault, zero where it is not there"
     )
-    angle: Annotated[Annotated[Names, Tag(VALUE_TAG)] | Annotated[dict[str, AngleWords], Tag(TABLE_TAG)], BY_SHAPE] = (
-        word([], 'the parameters that are angles, ["theta0"]; or each with the size that it belongs to')
-    )
+    angle: Annotated[
+        Annotated[Names, Tag(VALUE_TAG)] | Annotated[dict[str, AngleSection], Tag(TABLE_TAG)], BY_SHAPE
+    ] = word([], 'the parameters that are angles, ["theta0"]; or each with the size that it belongs to')
     names: Texts = word({}, "what the study calls a variable, and what this model calls it")
     inputs: Columns = word({}, "inputs that only this model has")
 
-    def fault(self) -> FaultSettings:
+    def fault(self) -> ParsedFault:
         """Return the fault that the words describe.
 
         Raises
@@ -112,7 +112,7 @@ class FaultWords(ModelWords):
             If it has no parameters, or words on a model and no model.
         """
         own = bool({"fmu", "components"} & self.model_fields_set)
-        for key in ModelWords.model_fields:
+        for key in ModelSection.model_fields:
             if not own and key in self.model_fields_set and key != "values":
                 raise self.error(f"has {key} and no model: give fmu or components, or leave {key} out")
         if not self.parameters:
@@ -120,7 +120,7 @@ class FaultWords(ModelWords):
                 "has no parameters: name those of the fault, zero without it, as in "
                 "parameters = { dR = { nominal = 1.0 } }"
             )
-        return FaultSettings(
+        return ParsedFault(
             str(self.place),
             replace(self.settings(), values={}, sources=()) if own else None,
             self.held()[0],
@@ -130,15 +130,15 @@ class FaultWords(ModelWords):
             self.inputs,
         )
 
-    def _angles(self) -> Mapping[str, Angle] | Sequence[str]:
+    def _angles(self) -> Mapping[str, FaultAngle] | Sequence[str]:
         if isinstance(self.angle, list):
             return self.angle
-        from fmuid.diagnosis import Angle
+        from fmuid.diagnosis import FaultAngle
 
-        return {name: Angle(each.size, each.period) for name, each in self.angle.items()}
+        return {name: FaultAngle(each.size, each.period) for name, each in self.angle.items()}
 
 
-class CauseRangeWords(Words):
+class CauseRangeSection(StudySection):
     """How far something may be off."""
 
     normal: Positive = word(..., "standard deviation of what a sound machine may have at all times", 0.03)
@@ -149,18 +149,18 @@ CAUSES = Causes()
 """What is not said of causes beside the faults."""
 
 RangeOrNone = Annotated[
-    Annotated[Literal[False], Kind("false, or a table { normal = number, size = number }"), Tag(VALUE_TAG)]
-    | Annotated[CauseRangeWords, Tag(TABLE_TAG)],
+    Annotated[Literal[False], ValueKind("false, or a table { normal = number, size = number }"), Tag(VALUE_TAG)]
+    | Annotated[CauseRangeSection, Tag(TABLE_TAG)],
     BY_SHAPE,
 ]
 
 
-def _shown(of: Range | None) -> dict[str, float]:
+def _shown(of: CauseScale | None) -> dict[str, float]:
     assert of is not None  # the defaults leave no cause out
     return {"normal": of.normal, "size": of.size}
 
 
-class CausesWords(Words):
+class CausesSection(StudySection):
     """What may have changed beside the faults, where there are healthy records; false leaves one out."""
 
     gain: RangeOrNone | None = word(None, f"of each sensor, as a share; default {_shown(CAUSES.gain)}")
@@ -177,14 +177,14 @@ class CausesWords(Words):
         return replace(
             CAUSES,
             **{
-                name: Range(each.normal, each.size) if isinstance(each, CauseRangeWords) else None
+                name: CauseScale(each.normal, each.size) if isinstance(each, CauseRangeSection) else None
                 for name, each in given.items()
                 if each is not None
             },
         )
 
 
-class DiagnosisWords(Words):
+class DiagnosisSection(StudySection):
     """Which fault, and how large."""
 
     healthy: File | None = word(
@@ -199,13 +199,13 @@ class DiagnosisWords(Words):
     level: Share = word(RULE.level, "probability of a false alarm", RULE.level)
     records: Files = word([], "tables of the healthy machine: sensors and supply are told from faults by them")
     trials: dict[str, Files] = word({}, "cause to tables in which it alone is new: they show model_error", {})
-    causes: CausesWords | None = word(None, "what may have changed beside the faults")
+    causes: CausesSection | None = word(None, "what may have changed beside the faults")
     model_error: NotNegative = word(
         MODEL_ERROR, "of a fault model along other signatures, a share of its effect; a quarter of it in its size"
     )
-    faults: dict[str, FaultWords] = word({}, "the faults to look for, by their names")
+    faults: dict[str, FaultSection] = word({}, "the faults to look for, by their names")
 
-    def settings(self, model: ModelSettings, loss: str, known: Knowns) -> FaultSearch:
+    def settings(self, model: ParsedModel, loss: str, known: ParsedParameters) -> ParsedDiagnosis:
         """Return the diagnosis of a study with this model, loss and these parameters.
 
         Raises
@@ -224,7 +224,7 @@ class DiagnosisWords(Words):
                 raise self.error(f"does not go with {said} in this version: remove one of the two")
         if not self.faults:
             raise self.error("has no faults: describe at least one as [diagnosis.faults.<name>]")
-        return FaultSearch(
+        return ParsedDiagnosis(
             str(self.place),
             self._source(model),
             self.inflate,
@@ -236,7 +236,7 @@ class DiagnosisWords(Words):
             {name: tuple(tables) for name, tables in self.trials.items()},
         )
 
-    def _source(self, model: ModelSettings) -> Source | None:
+    def _source(self, model: ParsedModel) -> PriorSource | None:
         if self.healthy is None:
             for key in {"records", "trials"} & self.model_fields_set:
                 raise self.error(f"has {key} and no healthy: give the result.json of the healthy machine, too")
@@ -246,18 +246,18 @@ class DiagnosisWords(Words):
         except InputError as error:
             raise self.error(f"healthy: {error}") from None
         names = tuple(name for name in result.names if not of_one_experiment(name) and name not in model.values)
-        return Source(str(self.place), self.healthy, result, names)
+        return PriorSource(str(self.place), self.healthy, result, names)
 
 
 @dataclass(frozen=True, eq=False)
-class FaultSettings:
+class ParsedFault:
     """A table ``[diagnosis.faults.<name>]``.
 
     Attributes
     ----------
     where : str
         The study file and the table, for messages.
-    model : ModelSettings or None
+    model : ParsedModel or None
         None for the study's own.
     values : mapping
         Variables held at a value, beside those of the study's own model where it is that.
@@ -269,14 +269,14 @@ class FaultSettings:
     """
 
     where: str
-    model: ModelSettings | None
+    model: ParsedModel | None
     values: Mapping[str, float | int | bool | str]
     parameters: Mapping[str, Parameter]
-    angles: Mapping[str, Angle] | Sequence[str]
+    angles: Mapping[str, FaultAngle] | Sequence[str]
     names: Mapping[str, str]
     inputs: Mapping[str, str]
 
-    def fault(self, system: System, model: ModelSettings) -> Fault:
+    def fault(self, system: System, model: ParsedModel) -> Fault:
         """Return the fault; `system` and `model` are the study's own.
 
         Raises
@@ -308,19 +308,19 @@ class FaultSettings:
 
 
 @dataclass(frozen=True, eq=False)
-class FaultSearch:
+class ParsedDiagnosis:
     """What the table ``[diagnosis]`` says: the healthy machine, and the faults to look for.
 
     Attributes
     ----------
     where : str
         The study file and the table, for messages.
-    source : Source or None
+    source : PriorSource or None
         The healthy result and where it comes from; None where the study itself is of the healthy machine.
     inflate : float or mapping of str to float
         Factor on its standard deviations.
     level : float
-    faults : mapping of str to FaultSettings
+    faults : mapping of str to ParsedFault
     records : tuple of Path
         Tables of the healthy machine.
     causes : Causes
@@ -331,10 +331,10 @@ class FaultSearch:
     """
 
     where: str
-    source: Source | None
+    source: PriorSource | None
     inflate: float | Mapping[str, float]
     level: float
-    faults: Mapping[str, FaultSettings]
+    faults: Mapping[str, ParsedFault]
     records: tuple[Path, ...] = ()
     causes: Causes = CAUSES
     model_error: float = MODEL_ERROR
@@ -352,7 +352,7 @@ class FaultSearch:
         path = None if self.source is None else self.source.path.with_name(BASELINE_FILE)
         return path if path is not None and is_file(path) else None
 
-    def hypotheses(self, system: System, model: ModelSettings, data: Mapping[str, Any]) -> dict[str, Fault]:
+    def hypotheses(self, system: System, model: ParsedModel, data: Mapping[str, Any]) -> dict[str, Fault]:
         """Return the faults; `system` and `model` are the study's own, `data` the content of its file.
 
         Raises
@@ -373,7 +373,7 @@ class FaultSearch:
 
     def baseline(
         self,
-        model: ModelSettings,
+        model: ParsedModel,
         parameters: Mapping[str, Parameter],
         noise: Noise,
         read: Callable[[Path], Experiment],
@@ -385,12 +385,12 @@ class FaultSearch:
         InputError
             If the healthy result does not fit them.
         """
-        from fmuid.diagnosis import Baseline, HealthyEvidence
+        from fmuid.diagnosis import Baseline, StoredBaseline
 
         if self.source is None:
             raise InputError('there is no healthy machine: give healthy = "healthy/result.json", of its identification')
         records = [read(path) for path in self.records]
         trials = {name: [read(path) for path in paths] for name, paths in self.trials.items()}
         variance = noise.given_variance()
-        shown = None if self.kept is None else HealthyEvidence.read(self.kept, needed=not records)
+        shown = None if self.kept is None else StoredBaseline.read(self.kept, needed=not records)
         return Baseline(self.source.result, self.inflate, variance, parameters, model.values, records, trials, shown)

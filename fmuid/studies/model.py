@@ -25,8 +25,8 @@ from fmuid.models import (
 )
 from fmuid.simulation import MOST_STEPS, Value
 from fmuid.studies.arrays import by_element
-from fmuid.studies.parameters import Estimate, Source
-from fmuid.studies.preprocess import PrepareWords
+from fmuid.studies.parameters import PriorSource, ResultValueSection
+from fmuid.studies.preprocess import PrepareSection
 from fmuid.studies.section import (
     BY_SHAPE,
     TABLE_TAG,
@@ -40,19 +40,19 @@ from fmuid.studies.section import (
     Names,
     NotNegative,
     Number,
-    Place,
     Positive,
     Scalar,
     Scalars,
+    SectionLocation,
     Share,
+    StudySection,
     Text,
     Texts,
-    Words,
     as_list,
     one_of,
     word,
 )
-from fmuid.studies.settings import NoiseForms
+from fmuid.studies.settings import ExperimentNoiseSection
 from fmuid.units import TIME_UNITS
 
 if TYPE_CHECKING:
@@ -62,7 +62,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True)
-class ModelSettings:
+class ParsedModel:
     """The table ``[model]``.
 
     Attributes
@@ -80,7 +80,7 @@ class ModelSettings:
         Names of the system's own, and the variables that each of them sets.
     isolation : Isolation or None
         How the FMUs run in a process of their own; None: in this one.
-    sources : tuple of Source
+    sources : tuple of PriorSource
         The earlier results that values are taken from.
     choices : mapping of str to sequence of values, or to "all"
         The parameters that take few values, of which each combination is tried.
@@ -93,10 +93,10 @@ class ModelSettings:
     values: Mapping[str, float | int | bool | str] = field(default_factory=dict)
     connectors: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     isolation: Isolation | None = None
-    sources: tuple[Source, ...] = ()
+    sources: tuple[PriorSource, ...] = ()
     choices: Mapping[str, Sequence[Value] | str] = field(default_factory=dict)
 
-    def choosing(self, choices: Mapping[str, Sequence[Value] | str]) -> ModelSettings:
+    def choosing(self, choices: Mapping[str, Sequence[Value] | str]) -> ParsedModel:
         """Return the model with parameters that take few values, held at the first where these are listed."""
         first = {name: values[0] for name, values in choices.items() if not isinstance(values, str)}
         return replace(self, values={**self.values, **first}, choices=choices)
@@ -128,7 +128,7 @@ class ModelSettings:
 # --- [model] ----------------------------------------------------------------------------
 
 
-class NumericsWords(Words):
+class NumericsSection(StudySection):
     """How an FMU is run."""
 
     interface: Annotated[str, one_of(KINDS)] | None = word(
@@ -161,7 +161,7 @@ class NumericsWords(Words):
         return Numerics(self.interface, self.integrator, self.tolerance, self.step_size, most_steps=self.most_steps)
 
 
-class ComponentWords(NumericsWords):
+class ComponentSection(NumericsSection):
     """One of several FMUs."""
 
     name: Text = word(..., "what its variables are prefixed with")
@@ -179,7 +179,7 @@ class ComponentWords(NumericsWords):
         return replace(super().numerics, samples=self.samples)
 
 
-class ConnectionWords(Words):
+class ConnectionSection(StudySection):
     """An output that feeds an input."""
 
     source: Text = word(..., "an output", alias="from")
@@ -198,12 +198,14 @@ class ConnectionWords(Words):
 OneOrMore = Annotated[Names, BeforeValidator(as_list, json_schema_input_type=str | list[str])]
 
 
-ScalarOrEstimate = Annotated[Annotated[Scalar, Tag(VALUE_TAG)] | Annotated[Estimate, Tag(TABLE_TAG)], BY_SHAPE]
+ScalarOrEstimate = Annotated[
+    Annotated[Scalar, Tag(VALUE_TAG)] | Annotated[ResultValueSection, Tag(TABLE_TAG)], BY_SHAPE
+]
 Values = Annotated[Scalars, BeforeValidator(by_element)]
 Held = Annotated[dict[str, ScalarOrEstimate], Entries("a table { name = value }"), BeforeValidator(by_element)]
 
 
-class ModelWords(NumericsWords):
+class ModelSection(NumericsSection):
     """The model: one FMU, or several coupled ones."""
 
     fmu: File | None = word(None, "the path of the FMU, or of a system, .ssp")
@@ -211,13 +213,15 @@ class ModelWords(NumericsWords):
     values: Held = word(
         {}, 'FMU variables held at a value, or at rows of them, or at an estimate, { result = "drive/result.json" }'
     )
-    components: list[ComponentWords] = word([], "several FMUs in place of fmu; their variables are component.variable")
-    connections: list[ConnectionWords] = word([], "what feeds what")
+    components: list[ComponentSection] = word(
+        [], "several FMUs in place of fmu; their variables are component.variable"
+    )
+    connections: list[ConnectionSection] = word([], "what feeds what")
     connectors: Annotated[dict[str, OneOrMore], Entries("a table { name = variables }")] = word(
         {}, "names of the system's own, and the variables that each of them sets"
     )
 
-    def settings(self) -> ModelSettings:
+    def settings(self) -> ParsedModel:
         """Return the model that the words describe.
 
         Raises
@@ -226,7 +230,7 @@ class ModelWords(NumericsWords):
             If it has no FMU, or words for one FMU and for several, or a result has no such estimate.
         """
         values, sources = self.held()
-        return ModelSettings(
+        return ParsedModel(
             self._components(),
             tuple(each.connection for each in self.connections),
             self.numerics,
@@ -236,7 +240,7 @@ class ModelWords(NumericsWords):
             sources=sources,
         )
 
-    def held(self) -> tuple[dict[str, Value], tuple[Source, ...]]:
+    def held(self) -> tuple[dict[str, Value], tuple[PriorSource, ...]]:
         """Return the variables held at a value, and the results that values are taken from.
 
         Raises
@@ -248,7 +252,7 @@ class ModelWords(NumericsWords):
         values: dict[str, Value] = {}
         taken: dict[Path, list[str]] = {}
         for name, given in self.values.items():
-            if isinstance(given, Estimate):
+            if isinstance(given, ResultValueSection):
                 path = given.result
                 try:
                     result = results.setdefault(path, results.get(path) or Result.from_json(path))
@@ -258,7 +262,7 @@ class ModelWords(NumericsWords):
                 taken.setdefault(path, []).append(name)
             else:
                 values[name] = given
-        sources = (Source(str(self.place), path, results[path], tuple(names)) for path, names in taken.items())
+        sources = (PriorSource(str(self.place), path, results[path], tuple(names)) for path, names in taken.items())
         return values, tuple(sources)
 
     def _components(self) -> dict[str, tuple[Path, Numerics]]:
@@ -287,7 +291,7 @@ Interpolation = Annotated[str, one_of(INTERPOLATIONS)]
 Interpolations = Annotated[dict[str, Interpolation], Entries("a table { input = interpolation }")]
 
 
-class ExperimentSettings(Words):
+class ExperimentSettings(StudySection):
     """A table of measurements, with the words of `fmuid.Experiment`; as many as there are."""
 
     table: File = word(..., "the file of measurements")
@@ -307,8 +311,10 @@ class ExperimentSettings(Words):
     values: Annotated[Scalars, BeforeValidator(by_element)] = word(
         {}, "FMU variables held at a value, or at rows of them, in this experiment"
     )
-    noise: NoiseForms = word({}, "of this experiment, where it is not as [noise] says", validate_default=True)
-    prepare: PrepareWords = word({}, "what is done with the table first", validate_default=True)
+    noise: ExperimentNoiseSection = word(
+        {}, "of this experiment, where it is not as [noise] says", validate_default=True
+    )
+    prepare: PrepareSection = word({}, "what is done with the table first", validate_default=True)
     units: Texts = word(
         {}, "of columns whose unit the table does not say and that are not in the FMU's: { variable = unit }"
     )
@@ -326,10 +332,10 @@ class ExperimentSettings(Words):
         InputError
             If it cannot be read.
         """
-        from fmuid.data import read_table
+        from fmuid.data import read_data
 
         how = {key: getattr(self, key) for key in ("time_unit", "sample_rate", "sheet")}
-        return read_table(table, self.time, **how, source=source or str(table))
+        return read_data(table, self.time, **how, source=source or str(table))
 
     def experiment(self, frame: pd.DataFrame, source: str, *, measured: bool = True) -> Experiment:
         """Return the experiment that a table is with these words; messages call the table `source`.
@@ -352,7 +358,7 @@ class ExperimentSettings(Words):
         return Experiment(frame, self.inputs, self.outputs, time, **other, measured=measured, source=source)
 
 
-def named(experiments: Sequence[ExperimentSettings], top: Place) -> tuple[ExperimentSettings, ...]:
+def named(experiments: Sequence[ExperimentSettings], top: SectionLocation) -> tuple[ExperimentSettings, ...]:
     """Return the experiments, each with its name.
 
     Raises

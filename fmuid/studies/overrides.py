@@ -11,7 +11,7 @@ from fmuid.errors import InputError
 from fmuid.formatting import nearest
 from fmuid.studies.section import entries_of, only_tables, table_of
 from fmuid.studies.study_file import StudyFile
-from fmuid.studies.toml import UnreadableError, parsed, show
+from fmuid.studies.toml import TomlReadError, parsed, show
 
 _SEGMENT = re.compile(r"""\s*(?:"([^"]*)"|'([^']*)'|([^."'\s]+))\s*(?:\.|$)""")
 
@@ -64,7 +64,7 @@ def value_of(text: str) -> Any:
     """Return the value that a text is in TOML, or else the text."""
     try:
         found = parsed(f"value = {text}")
-    except (UnreadableError, tomllib.TOMLDecodeError):
+    except (TomlReadError, tomllib.TOMLDecodeError):
         return text
     return found["value"] if len(found) == 1 else text
 

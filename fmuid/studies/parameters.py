@@ -14,7 +14,7 @@ from pydantic import BeforeValidator, Tag
 
 from fmuid.data import JointPrior, Normal, Parameter, ParameterSet
 from fmuid.errors import InputError
-from fmuid.estimation import Outcome, Result
+from fmuid.estimation import Result, TerminationReason
 from fmuid.formatting import nearest
 from fmuid.models import FMU, System
 from fmuid.simulation import Value
@@ -30,18 +30,18 @@ from fmuid.studies.section import (
     Names,
     Number,
     Numbers,
-    Place,
     Positive,
     Scalar,
+    SectionLocation,
+    StudySection,
     Text,
-    Words,
     as_list,
     word,
 )
 from fmuid.studies.toml import show
 
 
-class FromResult(Words):
+class ResultPriorSection(StudySection):
     """A prior that may come from an earlier result."""
 
     result: File | None = word(None, "the result.json of an earlier identification", "healthy/result.json")
@@ -68,14 +68,14 @@ class FromResult(Words):
         return False
 
 
-class PriorWords(FromResult):
+class PriorSection(ResultPriorSection):
     """What is known of one parameter."""
 
     mean: Finite | None = word(None, "its mean")
     std: Positive | None = word(None, "its standard deviation")
 
 
-class JointPriorWords(FromResult):
+class JointPriorSection(ResultPriorSection):
     """What is known of several parameters together."""
 
     names: Names | None = word(
@@ -90,7 +90,7 @@ class JointPriorWords(FromResult):
 Groups = Annotated[dict[str, Names], Entries("a table { group = experiments }")]
 
 
-class ParameterWords(Words):
+class ParameterSection(StudySection):
     """A parameter to identify, by its name in the FMU."""
 
     start: Number | None = word(
@@ -110,10 +110,10 @@ class ParameterWords(Words):
     per_experiment: Annotated[Annotated[Flag, Tag(VALUE_TAG)] | Annotated[Groups, Tag(TABLE_TAG)], BY_SHAPE] = word(
         False, 'one value for each experiment, or for each group of them: { cold = ["run1", "run2"], warm = ["run3"] }'
     )
-    prior: PriorWords | None = word(None, "what is known of it")
+    prior: PriorSection | None = word(None, "what is known of it")
 
 
-class Estimate(Words):
+class ResultValueSection(StudySection):
     """A value that is an estimate of an earlier identification."""
 
     result: File = word(..., "the result.json of an earlier identification", "drive/result.json")
@@ -139,7 +139,7 @@ class Estimate(Words):
         return result[found]
 
 
-class SourceDoubt(Enum):
+class SourceIssue(Enum):
     """Why an earlier result is to be taken with care."""
 
     DID_NOT_SUCCEED = "did_not_succeed"
@@ -150,28 +150,28 @@ class SourceDoubt(Enum):
 
 
 @dataclass(frozen=True)
-class SourceNote:
+class SourceWarning:
     """What is to be known of an earlier result that priors are taken from.
 
     Attributes
     ----------
     path : Path
         The ``result.json``.
-    doubt : SourceDoubt
-    outcome : Outcome
+    doubt : SourceIssue
+    outcome : TerminationReason
         Of the result.
     fmu : FMU or None
         That of the study of which the result has another build.
     """
 
     path: Path
-    doubt: SourceDoubt
-    outcome: Outcome
+    doubt: SourceIssue
+    outcome: TerminationReason
     fmu: FMU | None = None
 
 
 @dataclass(frozen=True, eq=False)
-class Source:
+class PriorSource:
     """An earlier result from which a study takes priors or values.
 
     Attributes
@@ -190,12 +190,12 @@ class Source:
     result: Result
     names: tuple[str, ...]
 
-    def compare(self, system: System) -> list[SourceNote]:
+    def compare(self, system: System) -> list[SourceWarning]:
         """Compare the models that the parameters belong to with those of a study.
 
         Returns
         -------
-        list of SourceNote
+        list of SourceWarning
             What differs without being wrong.
 
         Raises
@@ -203,10 +203,10 @@ class Source:
         InputError
             If the result is one of another model.
         """
-        note = partial(SourceNote, self.path, outcome=self.result.outcome)
-        notes = [] if self.result.converged else [note(SourceDoubt.DID_NOT_SUCCEED)]
+        note = partial(SourceWarning, self.path, outcome=self.result.outcome)
+        notes = [] if self.result.converged else [note(SourceIssue.DID_NOT_SUCCEED)]
         if not self.result.models:
-            return [*notes, note(SourceDoubt.NO_MODEL)]
+            return [*notes, note(SourceIssue.NO_MODEL)]
         for component in dict.fromkeys(system.split(name)[0] for name in self.names):
             fmu = system.components[component].fmu
             earlier = self.result.models.get(component) or self.result.models.get("")  # of that component alone
@@ -218,19 +218,19 @@ class Source:
                     f"{fmu.name}{as_}: give the result of an identification of {fmu.name}"
                 )
             if earlier["digest"] != fmu.digest:
-                notes.append(note(SourceDoubt.OTHER_BUILD, fmu=fmu))
+                notes.append(note(SourceIssue.OTHER_BUILD, fmu=fmu))
         return notes
 
 
 @dataclass(frozen=True, eq=False)
-class Knowns:
+class ParsedParameters:
     """What a study says of its parameters.
 
     Attributes
     ----------
     parameters : dict of str to Parameter
     joint_prior : JointPrior or None
-    sources : tuple of Source
+    sources : tuple of PriorSource
     names : tuple of str
         All parameters but the following, those per experiment one by one.
     choices : dict of str to tuple of values, or to "all"
@@ -239,30 +239,30 @@ class Knowns:
 
     parameters: dict[str, Parameter]
     joint_prior: JointPrior | None
-    sources: tuple[Source, ...]
+    sources: tuple[PriorSource, ...]
     names: tuple[str, ...]
     choices: dict[str, tuple[Value, ...] | str]
 
 
-class Reader:
+class ParameterReader:
     """Reads the parameters and their priors, each result file once.
 
     Parameters
     ----------
-    top : Place
+    top : SectionLocation
         The study file.
     held : mapping
         The variables held at a value.
     """
 
-    def __init__(self, top: Place, held: Mapping[str, float | int | bool | str]) -> None:
+    def __init__(self, top: SectionLocation, held: Mapping[str, float | int | bool | str]) -> None:
         self.top, self.held = top, held
         self.results: dict[Path, Result] = {}
-        self.sources: list[Source] = []
+        self.sources: list[PriorSource] = []
 
     def read(
-        self, words: Mapping[str, ParameterWords], prior: JointPriorWords | None, experiments: Sequence[str]
-    ) -> Knowns:
+        self, words: Mapping[str, ParameterSection], prior: JointPriorSection | None, experiments: Sequence[str]
+    ) -> ParsedParameters:
         """Return what a study with these experiments says of its parameters.
 
         Raises
@@ -273,15 +273,15 @@ class Reader:
         if not words:
             if prior is not None:
                 raise self.top.error("has a [prior] and no parameters: name those to identify under [parameters]")
-            return Knowns({}, None, (), (), {})
+            return ParsedParameters({}, None, (), (), {})
         choices = {name: self._values(name, each) for name, each in words.items() if each.values}
         parameters = {name: self._parameter(name, each) for name, each in words.items() if not each.values}
         alone = self._set(parameters, experiments, None, "parameters")
         if prior is None:
-            return Knowns(parameters, None, tuple(self.sources), alone.names, choices)
+            return ParsedParameters(parameters, None, tuple(self.sources), alone.names, choices)
         joint = self._joint(prior, alone.names)
         self._set(parameters, experiments, joint, "prior")
-        return Knowns(parameters, joint, tuple(self.sources), alone.names, choices)
+        return ParsedParameters(parameters, joint, tuple(self.sources), alone.names, choices)
 
     def _set(
         self, parameters: Mapping[str, Parameter], experiments: Sequence[str], joint: JointPrior | None, table: str
@@ -291,14 +291,14 @@ class Reader:
         except InputError as error:
             raise InputError(f"{self.top.below(table)}: {error}") from None
 
-    def _values(self, name: str, words: ParameterWords) -> tuple[Value, ...] | str:
+    def _values(self, name: str, words: ParameterSection) -> tuple[Value, ...] | str:
         for key in sorted(words.model_fields_set - {"values"}):
             raise words.error(f"has both values and {key}: a parameter that takes few values has nothing else")
         if name in self.held:
             raise words.error(f"is also held at {show(self.held[name])} by [model.values]: keep one of the two")
         return "all" if words.values == ["all"] else tuple(words.values)
 
-    def _parameter(self, name: str, words: ParameterWords) -> Parameter:
+    def _parameter(self, name: str, words: ParameterSection) -> Parameter:
         if words.start is None:
             raise words.error(f"needs the key 'start': {type(words).model_fields['start'].description}")
         prior = None if words.prior is None else self._normal(name, words.prior)
@@ -307,7 +307,7 @@ class Reader:
         except InputError as error:  # a Parameter does not know what it is called
             raise InputError(f"{words.place}: {error}") from None
 
-    def _normal(self, name: str, words: PriorWords) -> Normal:
+    def _normal(self, name: str, words: PriorSection) -> Normal:
         if not words.comes_from_result(("mean", "std"), ("mean", "std")):
             assert words.mean is not None and words.std is not None
             return Normal(words.mean, words.std)
@@ -318,7 +318,7 @@ class Reader:
         except InputError as error:
             raise InputError(f"{words.place}: {path}: {error}") from None
 
-    def _joint(self, words: JointPriorWords, names: Sequence[str]) -> JointPrior:
+    def _joint(self, words: JointPriorSection, names: Sequence[str]) -> JointPrior:
         for name in words.names or ():
             if name in self.held:
                 raise words.error(
@@ -335,7 +335,7 @@ class Reader:
         except InputError as error:
             raise InputError(f"{words.place}: {error}") from None
 
-    def _joint_from_result(self, words: JointPriorWords, names: Sequence[str]) -> JointPrior:
+    def _joint_from_result(self, words: JointPriorSection, names: Sequence[str]) -> JointPrior:
         path, result = self._result(words)
         shared = words.names or [name for name in names if name in result.names]
         if not shared:
@@ -349,7 +349,7 @@ class Reader:
         except InputError as error:
             raise words.error(f"cannot be taken from {path}: {error}") from None
 
-    def _result(self, words: FromResult) -> tuple[Path, Result]:
+    def _result(self, words: ResultPriorSection) -> tuple[Path, Result]:
         assert words.result is not None
         path = words.result
         try:
@@ -357,7 +357,7 @@ class Reader:
         except InputError as error:
             raise InputError(f"{words.place}: {error}") from None
 
-    def _take(self, words: FromResult, path: Path, result: Result, names: Sequence[str]) -> None:
+    def _take(self, words: ResultPriorSection, path: Path, result: Result, names: Sequence[str]) -> None:
         """Note which parameters are taken from a result, which must have them."""
         for name in names:
             if name not in result.names:
@@ -365,4 +365,4 @@ class Reader:
                     f"takes {name!r} from {path}, which has no such parameter{nearest(name, result.names)}; "
                     f"it has {', '.join(result.names)}"
                 )
-        self.sources.append(Source(str(words.place), path, result, tuple(names)))
+        self.sources.append(PriorSource(str(words.place), path, result, tuple(names)))

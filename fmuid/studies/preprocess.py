@@ -7,19 +7,19 @@ from typing import Annotated
 
 from pydantic import AfterValidator, Field, Tag
 
-from fmuid.data import FILLS, TRENDS, Axes, Preparation
+from fmuid.data import FILLS, TRENDS, ParkTransform, Preprocessing
 from fmuid.studies.section import (
     BY_SHAPE,
     TABLE_TAG,
     VALUE_TAG,
     Entries,
     Finite,
-    Kind,
     Names,
     Positive,
+    StudySection,
     Text,
     Texts,
-    Words,
+    ValueKind,
     must_be,
     one_of,
     word,
@@ -35,14 +35,14 @@ def _forwards(pieces: list[list[float]]) -> list[list[float]]:
 
 
 Pieces = Annotated[
-    list[Annotated[list[Finite], Field(min_length=2, max_length=2)]], Kind(PIECES), AfterValidator(_forwards)
+    list[Annotated[list[Finite], Field(min_length=2, max_length=2)]], ValueKind(PIECES), AfterValidator(_forwards)
 ]
 Trend = Annotated[str, one_of(tuple(TRENDS))]
 Fills = Annotated[dict[str, Annotated[str, one_of(FILLS)]], Entries('a table { column = "linear" or "hold" }')]
 Trends = Annotated[dict[str, Trend], Entries("a table { column = trend }")]
 
 
-class AxesWords(Words):
+class AxesSection(StudySection):
     """Three phases as two axes that turn (Park), or the way back."""
 
     source: Names = word(
@@ -54,7 +54,7 @@ class AxesWords(Words):
     pole_pairs: Positive = word(1.0, "what angle or speed are multiplied by; 1 where they are electrical")
     start: Finite = word(0.0, "the electrical angle where the integration begins, rad")
 
-    def settings(self) -> Axes:
+    def settings(self) -> ParkTransform:
         """Return the words as an object.
 
         Raises
@@ -67,10 +67,10 @@ class AxesWords(Words):
         if (self.angle is None) == (self.speed is None):
             raise self.error("must have one of angle and speed: name the column")
         names = tuple(self.source), tuple(self.target)
-        return Axes(*names, self.angle, self.speed, self.pole_pairs, self.start)
+        return ParkTransform(*names, self.angle, self.speed, self.pole_pairs, self.start)
 
 
-class PrepareWords(Words):
+class PrepareSection(StudySection):
     """What is done with the table, in the order of these words."""
 
     columns: Texts = word(
@@ -78,7 +78,7 @@ class PrepareWords(Words):
     )
     fill: Fills = word({}, 'inputs whose missing samples are filled, { u = "linear" }, or "hold", the sample before')
     longest_gap: Positive | None = word(None, "s: a longer gap is not filled but refused; default: 20 usual steps")
-    axes: list[AxesWords] = word([], "phases transformed to turning axes, or back")
+    axes: list[AxesSection] = word([], "phases transformed to turning axes, or back")
     low_pass: Positive | None = word(None, "Hz: inputs and outputs without what is faster, nothing shifted in time")
     start: Finite | None = word(None, "s: the table is kept from there", alias="from")
     end: Finite | None = word(None, "s: and up to there", alias="to")
@@ -88,7 +88,7 @@ class PrepareWords(Words):
         None, "what is taken from inputs and outputs, or from some columns: { column = trend }"
     )
 
-    def settings(self) -> Preparation:
+    def settings(self) -> Preprocessing:
         """Return the words as an object.
 
         Raises
@@ -102,7 +102,7 @@ class PrepareWords(Words):
             raise self.error('has longest_gap and nothing to fill: name the columns, fill = { u = "linear" }')
         axes = tuple(each.settings() for each in self.axes)
         how = self.low_pass, self.start, self.end, self.resample, self.detrend, self.fill, self.longest_gap
-        return Preparation(self.columns, axes, *how)
+        return Preprocessing(self.columns, axes, *how)
 
     def check_fill(self, outputs: Mapping[str, str]) -> None:
         """Check that no measurements are made up: an `InputError` where a column of an output is filled."""
@@ -113,7 +113,7 @@ class PrepareWords(Words):
                     "samples of an output do not count"
                 )
 
-    def cut_up(self) -> Sequence[PrepareWords]:
+    def cut_up(self) -> Sequence[PrepareSection]:
         """Return the words of each piece.
 
         Raises

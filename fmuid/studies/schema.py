@@ -14,7 +14,7 @@ from pydantic.fields import FieldInfo
 from pydantic.json_schema import GenerateJsonSchema, JsonSchemaValue
 from pydantic_core import core_schema
 
-from fmuid.studies.section import Kind, Words, entries_of, table_of
+from fmuid.studies.section import StudySection, ValueKind, entries_of, table_of
 from fmuid.studies.study_file import StudyFile
 from fmuid.studies.toml import show
 
@@ -65,7 +65,7 @@ def reference() -> str:
     return "\n".join(parts)
 
 
-def _tables(table: type[Words], name: str) -> Iterator[tuple[str, type[Words]]]:
+def _tables(table: type[StudySection], name: str) -> Iterator[tuple[str, type[StudySection]]]:
     yield name, table
     for key, type_ in table.types().items():
         below = _below(key, type_, name)
@@ -73,7 +73,7 @@ def _tables(table: type[Words], name: str) -> Iterator[tuple[str, type[Words]]]:
             yield from _tables(below[1], below[0])
 
 
-def _below(key: str, type_: Any, above: str) -> tuple[str, type[Words]] | None:
+def _below(key: str, type_: Any, above: str) -> tuple[str, type[StudySection]] | None:
     """Return the table that a key leads to, and its name as it stands in a file."""
     path = f"{above.strip('[]')}.{key}".lstrip(".")
     table = table_of(type_)
@@ -83,7 +83,7 @@ def _below(key: str, type_: Any, above: str) -> tuple[str, type[Words]] | None:
     return None if table is None else (f"[{path}.<name>]", table)
 
 
-def _own_first(table: type[Words]) -> list[tuple[str, FieldInfo]]:
+def _own_first(table: type[StudySection]) -> list[tuple[str, FieldInfo]]:
     own = table.__annotations__
     return sorted(table.model_fields.items(), key=lambda item: item[0] not in own)
 
@@ -93,14 +93,14 @@ def _kind(field: FieldInfo, above: str) -> str:
     if below is not None:
         return "a table"
     return " or ".join(
-        [each.name for each in field.metadata if isinstance(each, Kind)][-1:] or _kinds(field.annotation)
+        [each.name for each in field.metadata if isinstance(each, ValueKind)][-1:] or _kinds(field.annotation)
     )
 
 
 def _kinds(type_: Any) -> list[str]:
     """Return the names of the kinds that a type may be of."""
     if get_origin(type_) is Annotated:
-        own = [each.name for each in type_.__metadata__ if isinstance(each, Kind)]
+        own = [each.name for each in type_.__metadata__ if isinstance(each, ValueKind)]
         return own[-1:] or _kinds(get_args(type_)[0])
     return [] if get_origin(type_) in (list, dict) else [name for part in get_args(type_) for name in _kinds(part)]
 

@@ -1,6 +1,6 @@
 """What a study file is described with: tables as pydantic models, kinds of values, and every refusal in one sentence.
 
-A table is a class of `Words`, each of its fields a `word` with kind, default and meaning. Checking, the JSON schema,
+A table is a class of `StudySection`, each of its fields a `word` with kind, default and meaning. Checking, the JSON schema,
 the reference page and the template of ``fmuid init`` all come from there. A sentence names the file, the table, the key
 and what was expected there.
 """
@@ -54,7 +54,7 @@ def said_of_table(text: str) -> PydanticCustomError:
 
 
 @dataclass(frozen=True)
-class Place:
+class SectionLocation:
     """A table of a study file.
 
     Attributes
@@ -71,9 +71,9 @@ class Place:
     folder: Path
     keys: tuple[str | int, ...] = ()
 
-    def below(self, *keys: str | int) -> Place:
+    def below(self, *keys: str | int) -> SectionLocation:
         """Return a place further down."""
-        return Place(self.file, self.folder, (*self.keys, *keys))
+        return SectionLocation(self.file, self.folder, (*self.keys, *keys))
 
     @property
     def name(self) -> str:
@@ -95,16 +95,16 @@ class Place:
         return InputError(f"{self.file}: {key} {text}") if not self.keys else self.error(f"{key} {text}")
 
 
-class Words(BaseModel):
+class StudySection(BaseModel):
     """One table of a study file; its fields are the keys that it may have."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, strict=True, defer_build=True)
     retired: ClassVar[Mapping[str, str]] = {}
     """Keys of earlier versions, and what to do instead."""
-    _place: Place = PrivateAttr(default=Place("the study", Path()))
+    _place: SectionLocation = PrivateAttr(default=SectionLocation("the study", Path()))
 
     @property
-    def place(self) -> Place:
+    def place(self) -> SectionLocation:
         """Where in the file this stands."""
         return self._place
 
@@ -113,7 +113,7 @@ class Words(BaseModel):
         return self._place.error(text)
 
     @classmethod
-    def read(cls, data: object, place: Place) -> Self:
+    def read(cls, data: object, place: SectionLocation) -> Self:
         """Return the words of a table and of those below it.
 
         Raises
@@ -185,17 +185,17 @@ def _alternatives(type_: Any) -> list[Any]:
     return [type_]
 
 
-def table_of(type_: Any) -> type[Words] | None:
+def table_of(type_: Any) -> type[StudySection] | None:
     """Return the table that values of a type may be, or that the entries of their list are."""
     for each in _alternatives(type_):
         part = get_args(each)[0] if get_origin(each) is list else each
-        if isinstance(part, type) and issubclass(part, Words):
+        if isinstance(part, type) and issubclass(part, StudySection):
             return part
     return None
 
 
 def only_tables(type_: Any) -> bool:
-    """Return whether values of a type are tables of `Words`, or lists of them, and nothing else."""
+    """Return whether values of a type are tables of `StudySection`, or lists of them, and nothing else."""
     return all(table_of(each) is not None for each in _alternatives(type_))
 
 
@@ -204,9 +204,9 @@ def entries_of(type_: Any) -> Any:
     return next((get_args(each)[1] for each in _alternatives(type_) if get_origin(each) is dict), None)
 
 
-def _put(value: object, place: Place) -> None:
+def _put(value: object, place: SectionLocation) -> None:
     """Tell all tables below `value` where they stand."""
-    if isinstance(value, Words):
+    if isinstance(value, StudySection):
         value._place = place
         for name, field in type(value).model_fields.items():
             _put(getattr(value, name), place.below(field.alias or name))
@@ -215,7 +215,7 @@ def _put(value: object, place: Place) -> None:
             _put(item, place.below(key))
 
 
-def _refusal(error: ValidationError, place: Place) -> InputError:
+def _refusal(error: ValidationError, place: SectionLocation) -> InputError:
     """Return pydantic's first error as a sentence."""
     first = error.errors(include_url=False)[0]
     kind, there = first["type"], place.below(*(key for key in first["loc"] if key not in (VALUE_TAG, TABLE_TAG)))
@@ -226,7 +226,7 @@ def _refusal(error: ValidationError, place: Place) -> InputError:
         return there.error(text)
     if kind == "list_type":
         text = f"a list of tables, each begun with [{there.name}]"
-    table, key = Place(place.file, place.folder, there.keys[:-1]), str(there.keys[-1])
+    table, key = SectionLocation(place.file, place.folder, there.keys[:-1]), str(there.keys[-1])
     return table.error_of(key, text if kind == KEY else f"must be {text}, not {show(first['input'])}")
 
 
@@ -234,7 +234,7 @@ def _refusal(error: ValidationError, place: Place) -> InputError:
 
 
 @dataclass(frozen=True)
-class Kind:
+class ValueKind:
     """What values of a type are called; in the annotation of the type, after all that restricts it.
 
     Attributes
@@ -265,14 +265,14 @@ class Kind:
             raise must_be(self.name if self.of_wrong is None else self.of_wrong(value)) from None
 
 
-class Entries(Kind):
+class Entries(ValueKind):
     """The kind of a table of names whose entries are of one kind; what is wrong with one names it."""
 
     names_keys: ClassVar[bool] = True
 
 
 @dataclass(frozen=True)
-class Choice(Kind):
+class Choice(ValueKind):
     """The kind of a text that is one of some words; `one_of` makes it."""
 
     words: tuple[str, ...] = ()
@@ -349,7 +349,7 @@ def existing_file(value: object, info: ValidationInfo) -> Path:
     """Return the path of a file that must be there, relative to the study file."""
     if not isinstance(value, str) or not value:
         raise must_be("a text in quotes")
-    assert isinstance(info.context, Place)
+    assert isinstance(info.context, SectionLocation)
     path = info.context.folder / value
     if not is_file(path):
         raise PydanticCustomError(KEY, "{text}", {"text": f"= {show(value)}: there is no file {full(path)}"})
@@ -362,34 +362,34 @@ def _shape(value: object) -> str:
 
 BY_SHAPE = Discriminator(_shape)
 """Of a value or a table, tagged as `VALUE_TAG` and `TABLE_TAG`."""
-Text = Annotated[str, Field(min_length=1), Kind("a text in quotes")]
-Flag = Annotated[bool, Kind("true or false")]
-Number = Annotated[float, AfterValidator(_not_nan), Kind("a number")]
-Finite = Annotated[float, Field(allow_inf_nan=False), Kind("a finite number", _wrong_finite)]
-Positive = Annotated[float, Field(gt=0, allow_inf_nan=False), Kind("a number above 0")]
-NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False), Kind("a number, 0 or above")]
-Share = Annotated[float, Field(gt=0, lt=1), Kind("a number between 0 and 1")]
-Count = Annotated[int, Field(gt=0), Kind("a whole number above 0")]
-Natural = Annotated[int, Field(ge=0), Kind("a whole number, 0 or above")]
-Scalar = Annotated[bool | int | float | str, Kind("a number, true, false or a text")]
-Numbers = Annotated[list[Finite], Kind("a list of numbers")]
+Text = Annotated[str, Field(min_length=1), ValueKind("a text in quotes")]
+Flag = Annotated[bool, ValueKind("true or false")]
+Number = Annotated[float, AfterValidator(_not_nan), ValueKind("a number")]
+Finite = Annotated[float, Field(allow_inf_nan=False), ValueKind("a finite number", _wrong_finite)]
+Positive = Annotated[float, Field(gt=0, allow_inf_nan=False), ValueKind("a number above 0")]
+NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False), ValueKind("a number, 0 or above")]
+Share = Annotated[float, Field(gt=0, lt=1), ValueKind("a number between 0 and 1")]
+Count = Annotated[int, Field(gt=0), ValueKind("a whole number above 0")]
+Natural = Annotated[int, Field(ge=0), ValueKind("a whole number, 0 or above")]
+Scalar = Annotated[bool | int | float | str, ValueKind("a number, true, false or a text")]
+Numbers = Annotated[list[Finite], ValueKind("a list of numbers")]
 Matrix = Annotated[
     list[Numbers],
     Field(min_length=1),
     AfterValidator(_rows),
-    Kind(ROWS),
+    ValueKind(ROWS),
 ]
-Names = Annotated[list[Text], Field(min_length=1), Kind('a list of names, ["Rs", "Rr"]'), AfterValidator(_once)]
+Names = Annotated[list[Text], Field(min_length=1), ValueKind('a list of names, ["Rs", "Rr"]'), AfterValidator(_once)]
 Columns = Annotated[
     dict[str, Text],
     BeforeValidator(_columns, json_schema_input_type=list[str] | dict[str, str]),
-    Kind('a list of names, ["u", "w"], or a table { fmu_variable = "column" }'),
+    ValueKind('a list of names, ["u", "w"], or a table { fmu_variable = "column" }'),
 ]
-NameOrPlace = Annotated[str | int, AfterValidator(_named_or_placed), Kind("a name, or a place from 1")]
+NameOrPlace = Annotated[str | int, AfterValidator(_named_or_placed), ValueKind("a name, or a place from 1")]
 Texts = Annotated[dict[str, Text], Entries("a table { name = text }")]
 Scalars = Annotated[dict[str, Scalar], Entries("a table { name = value }")]
 Finites = Annotated[dict[str, Finite], Entries("a table { name = number }")]
 Positives = Annotated[dict[str, Positive], Entries("a table { name = number }")]
 PositiveOrEach = Annotated[Annotated[Positive, Tag(VALUE_TAG)] | Annotated[Positives, Tag(TABLE_TAG)], BY_SHAPE]
-File = Annotated[Path, BeforeValidator(existing_file, json_schema_input_type=str), Kind("the path of a file")]
+File = Annotated[Path, BeforeValidator(existing_file, json_schema_input_type=str), ValueKind("the path of a file")]
 Files = Annotated[list[File], BeforeValidator(_listed_files, json_schema_input_type=list[str])]

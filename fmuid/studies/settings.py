@@ -14,7 +14,7 @@ from fmuid.diagnosis import Rule
 from fmuid.errors import InputError
 from fmuid.estimation import SENSITIVITIES, Marquardt
 from fmuid.formatting import nearest
-from fmuid.identification import ACCURACIES, CONFIDENCE_LEVEL, AssessmentSettings, Problem, observed
+from fmuid.identification import ACCURACIES, CONFIDENCE_LEVEL, AssessmentSettings, Problem, with_observer
 from fmuid.models import Isolation
 from fmuid.studies.section import (
     BY_SHAPE,
@@ -23,18 +23,18 @@ from fmuid.studies.section import (
     Count,
     Entries,
     Flag,
-    Kind,
     Names,
     Natural,
     NotNegative,
     Number,
-    Place,
     Positive,
     PositiveOrEach,
     Positives,
+    SectionLocation,
     Share,
+    StudySection,
     Text,
-    Words,
+    ValueKind,
     must_be,
     one_of,
     word,
@@ -42,19 +42,19 @@ from fmuid.studies.section import (
 
 if TYPE_CHECKING:
     from fmuid.estimation import GlobalSearch, Method
-    from fmuid.identification import Sampling
+    from fmuid.identification import SamplerSettings
 
 SEARCH = Marquardt()
 """What is not said of Marquardt's search."""
 
-Command = Annotated[list[Text], Kind('a list of a program and its arguments, ["python", "tell.py"]')]
+Command = Annotated[list[Text], ValueKind('a list of a program and its arguments, ["python", "tell.py"]')]
 Limits = Annotated[dict[str, Number], Entries("a table { fault.size = number }")]
 
 
 # --- [isolation], [noise], [estimator] --------------------------------------------------
 
 
-class IsolationWords(Words):
+class IsolationSection(StudySection):
     """What FMUs in a process of their own may do."""
 
     time_limit: Positive | None = word(None, "s for one simulation; default: by how long earlier ones took")
@@ -69,13 +69,13 @@ class IsolationWords(Words):
 VARIANCES = '"estimate", a number above 0 or a table { output = number }'
 Variance = Annotated[
     Literal["estimate"] | Annotated[float, Field(gt=0, allow_inf_nan=False)],
-    Kind(VARIANCES, lambda value: VARIANCES if isinstance(value, str) else "a number above 0"),
+    ValueKind(VARIANCES, lambda value: VARIANCES if isinstance(value, str) else "a number above 0"),
 ]
 
 
 NumberOrColumn = Annotated[
     Annotated[float, Field(gt=0, allow_inf_nan=False)] | Annotated[str, Field(min_length=1)],
-    Kind("a number above 0 or the name of a column"),
+    ValueKind("a number above 0 or the name of a column"),
 ]
 Levels = Annotated[
     Annotated[NumberOrColumn, Tag(VALUE_TAG)]
@@ -86,7 +86,7 @@ Levels = Annotated[
 ]
 
 
-class NoiseForms(Words):
+class ExperimentNoiseSection(StudySection):
     """The noise of the measurements of one experiment, where it is not that of all."""
 
     variance: Annotated[Annotated[Variance, Tag(VALUE_TAG)] | Annotated[Positives, Tag(TABLE_TAG)], BY_SHAPE] = word(
@@ -111,7 +111,7 @@ class NoiseForms(Words):
         return Noise(self.variance, std=self.std, relative=self.relative, weights=self.weights, period=self.period)
 
 
-class NoiseWords(NoiseForms):
+class NoiseSection(ExperimentNoiseSection):
     """The noise of the measurements."""
 
     retired: ClassVar[Mapping[str, str]] = {
@@ -122,7 +122,7 @@ class NoiseWords(NoiseForms):
     )
     common: Flag | Names = word(False, "outputs that share one estimated variance, a list of names; true: all of them")
 
-    def settings(self, experiments: Mapping[str, NoiseForms]) -> Noise:
+    def settings(self, experiments: Mapping[str, ExperimentNoiseSection]) -> Noise:
         """Return the words as an object, with those of single experiments."""
         own = {name: each.forms() for name, each in experiments.items() if each.model_fields_set}
         return replace(self.forms(), start=self.start, common=self.common, experiments=own)
@@ -131,7 +131,7 @@ class NoiseWords(NoiseForms):
 GLOBAL_WORDS = ("starts", "search", "seed")
 
 
-class EstimatorWords(Words):
+class EstimationSection(StudySection):
     """How the parameters are searched for."""
 
     method: Annotated[str, one_of(("marquardt", "global"), later=("linear",))] = word(
@@ -202,7 +202,7 @@ class EstimatorWords(Words):
         except InputError as error:
             raise self.error(f"is refused: {error}") from None
 
-    def check_loss(self, method: Method, asked: AssessmentSettings, top: Place) -> None:
+    def check_loss(self, method: Method, asked: AssessmentSettings, top: SectionLocation) -> None:
         """Check that all the rest knows what to do with the loss.
 
         Raises
@@ -217,7 +217,7 @@ class EstimatorWords(Words):
                     "keep one of the two"
                 )
 
-    def check_observer(self, tables: Mapping[str, bool], top: Place) -> None:
+    def check_observer(self, tables: Mapping[str, bool], top: SectionLocation) -> None:
         """Check that all the rest goes with an observer; `tables` says which others of the study file there are.
 
         Raises
@@ -249,7 +249,7 @@ def observed_by(problem: Problem, samples: float | None, path: Path) -> Problem:
     if samples is None:
         return problem
     try:
-        return observed(problem, samples)
+        return with_observer(problem, samples)
     except InputError as error:
         raise InputError(f"{path}: [estimator] has observer = {samples:g}, but {error}: remove observer") from None
 
@@ -257,7 +257,7 @@ def observed_by(problem: Problem, samples: float | None, path: Path) -> Problem:
 # --- [uncertainty] ----------------------------------------------------------------------
 
 
-class PosteriorWords(Words):
+class PosteriorSection(StudySection):
     """How the posterior is sampled."""
 
     walkers: Count | None = word(None, "an even number; default: four a parameter, 16 at least")
@@ -285,20 +285,20 @@ def _different(value: list[list[str]]) -> list[list[str]]:
     return value
 
 
-class UncertaintyWords(Words):
+class UncertaintySection(StudySection):
     """More than the standard deviations, which are local."""
 
     level: Share = word(CONFIDENCE_LEVEL, "of all intervals", CONFIDENCE_LEVEL)
     profile: Annotated[
-        Flag | list[Text], Kind('true (all parameters), false or a list of parameters, ["Rs", "Rr"]')
+        Flag | list[Text], ValueKind('true (all parameters), false or a list of parameters, ["Rs", "Rr"]')
     ] = word(False, 'profile likelihood of all parameters, or of some: ["a", "b"]', True)
     posterior: Annotated[
-        PosteriorWords | None, BeforeValidator(_switched, json_schema_input_type=bool | PosteriorWords)
+        PosteriorSection | None, BeforeValidator(_switched, json_schema_input_type=bool | PosteriorSection)
     ] = word(None, "samples of the posterior; or { steps = 20000, walkers = 32, seed = 0 }", True)
     map: Annotated[
         list[Pair],
         BeforeValidator(_pairs, json_schema_input_type=Pair | list[Pair]),
-        Kind(PAIRS),
+        ValueKind(PAIRS),
         AfterValidator(_different),
     ] = word([], "the criterion over two parameters", [["a", "b"]])
 
@@ -318,13 +318,13 @@ class UncertaintyWords(Words):
         pairs = tuple((first, second) for first, second in self.map)
         return AssessmentSettings(self.level, tuple(dict.fromkeys(listed)), self._sampling(), pairs)
 
-    def _sampling(self) -> Sampling | None:
+    def _sampling(self) -> SamplerSettings | None:
         if self.posterior is None:
             return None
-        from fmuid.identification import Sampling
+        from fmuid.identification import SamplerSettings
 
         try:
-            return Sampling(**self.posterior.model_dump(exclude_unset=True))
+            return SamplerSettings(**self.posterior.model_dump(exclude_unset=True))
         except InputError as error:
             raise self.posterior.error(f"is refused: {error}") from None
 
@@ -332,7 +332,7 @@ class UncertaintyWords(Words):
 # --- [monitoring] -----------------------------------------------------------------------
 
 
-class MonitoringWords(Words):
+class MonitoringSection(StudySection):
     """The same in windows of long records, one after the other."""
 
     window: Positive | None = word(None, "length of a window, s; default: each record is one")

@@ -14,21 +14,21 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from fmuid.data import Experiment, JointPrior, Noise, Parameter
-from fmuid.display_mixins import Displayed
+from fmuid.display_mixins import HtmlTableMixin
 from fmuid.errors import InputError
 from fmuid.estimation import Method, Result
 from fmuid.formatting import bounded
 from fmuid.identification import Assessment, AssessmentSettings, Problem, assess, identify
 from fmuid.models import System
 from fmuid.progress import Progress
-from fmuid.simulation import Fit, Simulator, fit_of
+from fmuid.simulation import OutputFit, Simulator, fit_of
 from fmuid.studies.arrays import check_shapes
-from fmuid.studies.diagnosis import FaultSearch
-from fmuid.studies.model import ExperimentSettings, ModelSettings, named
+from fmuid.studies.diagnosis import ParsedDiagnosis
+from fmuid.studies.model import ExperimentSettings, ParsedModel, named
 from fmuid.studies.overrides import override
-from fmuid.studies.parameters import Reader, Source, SourceNote
-from fmuid.studies.section import Place
-from fmuid.studies.settings import MonitoringWords, observed_by
+from fmuid.studies.parameters import ParameterReader, PriorSource, SourceWarning
+from fmuid.studies.section import SectionLocation
+from fmuid.studies.settings import MonitoringSection, observed_by
 from fmuid.studies.study_file import StudyFile
 from fmuid.studies.toml import read_toml
 
@@ -41,7 +41,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True)
-class Study(Displayed):
+class Study(HtmlTableMixin):
     """A study file, read and checked; nothing is loaded or simulated before a method asks for it.
 
     Attributes
@@ -50,7 +50,7 @@ class Study(Displayed):
         The file.
     title : str
         What the file says it is about.
-    model : ModelSettings
+    model : ParsedModel
     experiments : tuple of ExperimentSettings
     parameters : dict of str to Parameter
         The parameters to identify.
@@ -61,7 +61,7 @@ class Study(Displayed):
         How the criterion grows with a residual (`fmuid.data.losses`).
     joint_prior : JointPrior or None
         Beside the priors of single parameters.
-    sources : tuple of Source
+    sources : tuple of PriorSource
         The earlier results that priors are taken from.
     uncertainty_settings : AssessmentSettings
         What is asked beyond the local covariance.
@@ -73,10 +73,10 @@ class Study(Displayed):
         Whether other starts are tried where the search fails or fits badly.
     observer : float or None
         Samples in which an observer forgets that keeps the simulation with the record
-        (`fmuid.identification.observed`).
-    diagnosis : FaultSearch or None
+        (`fmuid.identification.with_observer`).
+    diagnosis : ParsedDiagnosis or None
         The faults to look for, and what is known of the healthy machine.
-    monitoring : MonitoringWords
+    monitoring : MonitoringSection
         How records are cut into windows, and what makes an alarm.
     batch : BatchSettings or None
         The many identifications that the study spans.
@@ -92,21 +92,21 @@ class Study(Displayed):
 
     path: Path
     title: str
-    model: ModelSettings
+    model: ParsedModel
     experiments: tuple[ExperimentSettings, ...]
     parameters: Mapping[str, Parameter]
     noise: Noise
     estimator: Method
     loss: str = "linear"
     joint_prior: JointPrior | None = None
-    sources: tuple[Source, ...] = ()
+    sources: tuple[PriorSource, ...] = ()
     uncertainty_settings: AssessmentSettings = field(default_factory=AssessmentSettings)
     sensitivity: str = "finite-difference"
     accuracy: str = "switch"
     remedies: bool = True
     observer: float | None = None
-    diagnosis: FaultSearch | None = None
-    monitoring: MonitoringWords = field(default_factory=MonitoringWords)
+    diagnosis: ParsedDiagnosis | None = None
+    monitoring: MonitoringSection = field(default_factory=MonitoringSection)
     batch: BatchSettings | None = None
     data: Mapping[str, Any] = field(default_factory=dict, repr=False)
 
@@ -160,12 +160,14 @@ class Study(Displayed):
 
     @classmethod
     def _of(cls, data: dict[str, Any], path: Path, file: str, isolated: bool) -> Study:
-        top = Place(file, path.parent)
+        top = SectionLocation(file, path.parent)
         words = StudyFile.read(data, top)
         isolation = words.isolation.settings()  # checked also where it is not asked for
         model = replace(words.model.settings(), isolation=isolation if isolated else None)
         experiments = named(words.experiments, top)
-        known = Reader(top, model.values).read(words.parameters, words.prior, [given.name for given in experiments])
+        known = ParameterReader(top, model.values).read(
+            words.parameters, words.prior, [given.name for given in experiments]
+        )
         model = model.choosing(known.choices)
         estimator, search, asked = words.estimator, words.estimator.settings(), words.uncertainty.settings(known.names)
         noise = words.noise.settings({given.name: given.noise for given in experiments})
@@ -208,7 +210,7 @@ class Study(Displayed):
         return tuple(dict.fromkeys([*found, *(self.batch.records().values() if self.batch is not None else ())]))
 
     @property
-    def _all_sources(self) -> tuple[Source, ...]:
+    def _all_sources(self) -> tuple[PriorSource, ...]:
         healthy = None if self.diagnosis is None else self.diagnosis.source
         return (*self.model.sources, *self.sources, *(() if healthy is None else (healthy,)))
 
@@ -273,7 +275,7 @@ class Study(Displayed):
         return observed_by(problem, self.observer, self.path)
 
     @cached_property
-    def notes(self) -> tuple[SourceNote, ...]:
+    def notes(self) -> tuple[SourceWarning, ...]:
         """What is to be known of the results that values and priors are taken from.
 
         Raises
@@ -323,7 +325,7 @@ class Study(Displayed):
         return identify(problem, self.estimator, progress, start, accuracy=self.accuracy, remedies=self.remedies)
 
     @property
-    def fault_search(self) -> FaultSearch:
+    def fault_search(self) -> ParsedDiagnosis:
         """What ``[diagnosis]`` says; `InputError` where there is none."""
         if self.diagnosis is not None:
             return self.diagnosis
@@ -385,7 +387,7 @@ class Study(Displayed):
         """Return what `fits` simulates of each experiment: ``time`` (s) and each output, by its name in the FMU."""
         return [fit.simulated_frame() for fit in self.fits()]
 
-    def fits(self) -> tuple[Fit, ...]:
+    def fits(self) -> tuple[OutputFit, ...]:
         """Simulate every experiment at the parameters' starts and set the measurements beside.
 
         Raises

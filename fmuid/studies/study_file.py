@@ -8,29 +8,35 @@ from pydantic import BeforeValidator
 
 from fmuid.studies.arrays import by_element
 from fmuid.studies.batch import BatchSettings
-from fmuid.studies.diagnosis import DiagnosisWords
-from fmuid.studies.model import ExperimentSettings, ModelWords
-from fmuid.studies.parameters import JointPriorWords, ParameterWords
-from fmuid.studies.section import Text, Words, word
-from fmuid.studies.settings import EstimatorWords, IsolationWords, MonitoringWords, NoiseWords, UncertaintyWords
+from fmuid.studies.diagnosis import DiagnosisSection
+from fmuid.studies.model import ExperimentSettings, ModelSection
+from fmuid.studies.parameters import JointPriorSection, ParameterSection
+from fmuid.studies.section import StudySection, Text, word
+from fmuid.studies.settings import (
+    EstimationSection,
+    IsolationSection,
+    MonitoringSection,
+    NoiseSection,
+    UncertaintySection,
+)
 
 
-class StudyFile(Words):
+class StudyFile(StudySection):
     """A study: model, experiments, parameters, and what is asked of them."""
 
     title: Text = word("", "what the study is about")
-    model: ModelWords = word({}, "the model", validate_default=True)
+    model: ModelSection = word({}, "the model", validate_default=True)
     experiments: list[ExperimentSettings] = word([], "the measurements")
-    parameters: Annotated[dict[str, ParameterWords], BeforeValidator(by_element)] = word(
+    parameters: Annotated[dict[str, ParameterSection], BeforeValidator(by_element)] = word(
         {}, "the parameters to identify"
     )
-    prior: JointPriorWords | None = word(None, "what is known of several parameters together")
-    noise: NoiseWords = word({}, "the noise of the measurements", validate_default=True)
-    estimator: EstimatorWords = word({}, "how the parameters are searched for", validate_default=True)
-    uncertainty: UncertaintyWords = word(
+    prior: JointPriorSection | None = word(None, "what is known of several parameters together")
+    noise: NoiseSection = word({}, "the noise of the measurements", validate_default=True)
+    estimator: EstimationSection = word({}, "how the parameters are searched for", validate_default=True)
+    uncertainty: UncertaintySection = word(
         {}, "more than the standard deviations, which are local", validate_default=True
     )
-    diagnosis: DiagnosisWords | None = word(None, "which fault, and how large")
-    monitoring: MonitoringWords = word({}, "the same in windows of long records", validate_default=True)
+    diagnosis: DiagnosisSection | None = word(None, "which fault, and how large")
+    monitoring: MonitoringSection = word({}, "the same in windows of long records", validate_default=True)
     batch: BatchSettings | None = word(None, "many identifications")
-    isolation: IsolationWords = word({}, "what FMUs in a process of their own may do", validate_default=True)
+    isolation: IsolationSection = word({}, "what FMUs in a process of their own may do", validate_default=True)

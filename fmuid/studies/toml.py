@@ -16,7 +16,7 @@ from fmuid.formatting import nearest
 _LONG_KEY = re.compile(r"""(?:(?<![\w-])(?:[\w-]++|"[^"\n]*+"|'[^'\n]*+')[ \t]*+\.[ \t]*+){100}""")
 
 
-class UnreadableError(Exception):
+class TomlReadError(Exception):
     """A text is TOML that cannot be read here; the text says why."""
 
 
@@ -27,19 +27,19 @@ def parsed(text: str) -> dict[str, Any]:
     ------
     TOMLDecodeError
         If it is no TOML.
-    UnreadableError
+    TomlReadError
         If it is nested too deeply, or has numbers or keys of absurd length.
     """
     if _LONG_KEY.search(text):
-        raise UnreadableError("a key has more than 100 parts, of which no study has more than ten")
+        raise TomlReadError("a key has more than 100 parts, of which no study has more than ten")
     try:
         return tomllib.loads(text)
     except RecursionError:
-        raise UnreadableError("its lists or tables are nested too deeply") from None
+        raise TomlReadError("its lists or tables are nested too deeply") from None
     except tomllib.TOMLDecodeError:
         raise
     except ValueError:  # of `int`
-        raise UnreadableError("a number in it has thousands of digits") from None
+        raise TomlReadError("a number in it has thousands of digits") from None
 
 
 def read_toml(path: Path) -> dict[str, Any]:
@@ -62,7 +62,7 @@ def read_toml(path: Path) -> dict[str, Any]:
         raise InputError(f"{path} is not a study file: it is not UTF-8 text") from None
     except OSError as error:
         raise InputError(f"{path} cannot be read: {error.strerror}") from None
-    except UnreadableError as error:
+    except TomlReadError as error:
         raise InputError(f"{path} is not a study file: {error}") from None
     except tomllib.TOMLDecodeError as error:
         said = str(error)

@@ -9,7 +9,7 @@ from random import Random
 import pytest
 from scipy.io import savemat
 
-from fmuid.data import Experiment, read_table
+from fmuid.data import Experiment, read_data
 from fmuid.errors import InputError
 from tests.support import table_variants as variants
 from tests.support.mutations import mutated
@@ -46,7 +46,7 @@ def test_damaged_tables(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: s
     for _ in range(MUTATIONS):
         path.write_bytes(mutated(rng, sound))
         try:
-            frame = read_table(path)
+            frame = read_data(path)
             Experiment(frame, ["u"], ["i", "w"])
         except InputError as error:
             assert "\n" not in str(error)

@@ -9,7 +9,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from fmuid.data.signals import multisine, prbs, steps
+from fmuid.data.signals import multisine, prbs, step_sequence
 from fmuid.errors import InputError
 
 
@@ -80,9 +80,9 @@ def test_multisine_of_one_line() -> None:
 
 
 def test_steps() -> None:
-    frame = steps(1.0, 0.1, [1.0, -1.0, 2.0], offset=10.0, column="w")
+    frame = step_sequence(1.0, 0.1, [1.0, -1.0, 2.0], offset=10.0, column="w")
     assert frame["w"].tolist() == [11.0] * 3 + [9.0] * 3 + [12.0] * 4
-    given = steps(1.0, 0.1, [0.0, 1.0, 3.0], times=[0.0, 0.3, 0.45])["u"]
+    given = step_sequence(1.0, 0.1, [0.0, 1.0, 3.0], times=[0.0, 0.3, 0.45])["u"]
     assert given.tolist() == [0.0] * 3 + [1.0] * 2 + [3.0] * 5
 
 
@@ -106,11 +106,14 @@ def test_steps() -> None:
         (lambda: multisine(1.0, 1e-3, 1.0, 5.2, 5.8), "no multiple of 1/period, 1 Hz, lies between 5.2 and 5.8 Hz"),
         (lambda: multisine(1.0, 1e-3, 1.0, 0.0, 5.0), "lowest must be greater than 0"),
         (lambda: multisine(1.0, 1e-3, "1", 1.0, 5.0), "amplitude must be a finite number, not '1'"),  # type: ignore[arg-type]
-        (lambda: steps(1.0, 0.1, []), "0 levels do not fit 10 samples"),
-        (lambda: steps(1.0, 0.1, [1.0, 2.0], times=[0.0]), "there are 2 levels and 1 times; give one time for each"),
-        (lambda: steps(1.0, 0.1, [1.0, 2.0], times=[0.1, 0.2]), "the times of the levels must begin with 0"),
-        (lambda: steps(1.0, 0.1, [1.0, 2.0], times=[0.0, 1.0]), "end before 1 s"),
-        (lambda: steps(1.0, 0.1, [True]), "a level must be a finite number, not True"),
+        (lambda: step_sequence(1.0, 0.1, []), "0 levels do not fit 10 samples"),
+        (
+            lambda: step_sequence(1.0, 0.1, [1.0, 2.0], times=[0.0]),
+            "there are 2 levels and 1 times; give one time for each",
+        ),
+        (lambda: step_sequence(1.0, 0.1, [1.0, 2.0], times=[0.1, 0.2]), "the times of the levels must begin with 0"),
+        (lambda: step_sequence(1.0, 0.1, [1.0, 2.0], times=[0.0, 1.0]), "end before 1 s"),
+        (lambda: step_sequence(1.0, 0.1, [True]), "a level must be a finite number, not True"),
     ],
 )
 def test_refusals(call: Callable[[], Any], text: str) -> None:

@@ -11,7 +11,7 @@ import h5py
 import numpy as np
 import pytest
 
-from fmuid.data import read_table, readers
+from fmuid.data import read_data, readers
 from fmuid.data.readers import base
 from fmuid.errors import InputError
 from fmuid.processes import IsolatedCaller
@@ -40,16 +40,16 @@ def test_read_isolated_refuses_files_over_which_the_process_is_lost(
             caller = IsolatedCaller(600.0, 200.0)
             patched.setattr(base, "_reader", lambda: caller)
         with pytest.raises(InputError, match=SENTENCES[what]) as caught:
-            read_table(tmp_path / "a.parquet")
+            read_data(tmp_path / "a.parquet")
         assert str(caught.value).startswith(f"{tmp_path / 'a.parquet'}: ")
-    assert len(read_table(tmp_path / "a.parquet")) == len(FRAME)
+    assert len(read_data(tmp_path / "a.parquet")) == len(FRAME)
 
 
 def test_read_isolated_refuses_a_file_that_claims_more_than_the_memory(tmp_path: Path) -> None:
     with h5py.File(tmp_path / "a.h5", "w") as file:
         file.create_dataset("time", shape=(1 << 50,), dtype="f8", chunks=(1 << 20,))
     with pytest.raises(InputError, match=r"a\.h5: the file (needs more memory than there is|is no readable HDF5 file)"):
-        read_table(tmp_path / "a.h5")
+        read_data(tmp_path / "a.h5")
 
 
 def test_one_process_reads_all_files_of_all_threads(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -59,7 +59,7 @@ def test_one_process_reads_all_files_of_all_threads(tmp_path: Path, monkeypatch:
     seen: set[int] = set()
 
     def read(name: str) -> None:
-        np.testing.assert_array_equal(read_table(name)["w"], FRAME["w"])
+        np.testing.assert_array_equal(read_data(name)["w"], FRAME["w"])
         seen.add(base._reader().call(os.getpid))
 
     threads = [threading.Thread(target=read, args=(name,)) for name in ("a.parquet", "compound.h5", "vectors.mat") * 3]
@@ -75,4 +75,4 @@ def test_text_is_read_in_the_same_process(tmp_path: Path, monkeypatch: pytest.Mo
     monkeypatch.setattr(readers, "call_reader", pytest.fail)
     FRAME.to_csv(tmp_path / "a.csv")
     FILES["a.json"](tmp_path / "a.json")
-    assert len(read_table(tmp_path / "a.csv")) == len(read_table(tmp_path / "a.json"))
+    assert len(read_data(tmp_path / "a.csv")) == len(read_data(tmp_path / "a.json"))

@@ -11,7 +11,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from fmuid.data import Experiment, read_table
+from fmuid.data import Experiment, read_data
 from fmuid.errors import InputError
 from tests.support.table_variants import FRAME, MS, TEXTS, said, text, writers
 
@@ -37,7 +37,7 @@ def check(found: Experiment) -> None:
 def test_as_it_was_written(tmp_path: Path, variant: str) -> None:
     name, write = WRITERS[variant]
     write(tmp_path / name)
-    frame = read_table(tmp_path / name)
+    frame = read_data(tmp_path / name)
     columns = {each: each for each in frame.columns if each in FRAME and each != "time"}
     columns |= {each[0]: each for each in frame.columns if each in ("w_rpm", "i_mA")}
     check(Experiment(frame, {"u": "u"}, {name: columns[name] for name in "iw"}))
@@ -46,47 +46,47 @@ def test_as_it_was_written(tmp_path: Path, variant: str) -> None:
 def test_missing_samples_by_a_dash(tmp_path: Path) -> None:
     path = tmp_path / "a.csv"
     path.write_text("time;u;w\n0;1,5;-\n1;2,5;3\n2;2,5; - \n")
-    found = Experiment(read_table(path), ["u"], ["w"])
+    found = Experiment(read_data(path), ["u"], ["w"])
     np.testing.assert_array_equal(found.output_values[:, 0], [np.nan, 3, np.nan])
 
 
 def test_shuffled_rows_are_refused_with_their_row(tmp_path: Path) -> None:
     FRAME.iloc[[0, 2, 1, *range(3, 12)]].to_csv(tmp_path / "a.csv", index=False)
     with pytest.raises(InputError, match="the time column 'time' decreases in row 3"):
-        Experiment(read_table(tmp_path / "a.csv"), ["u"], ["w"])
+        Experiment(read_data(tmp_path / "a.csv"), ["u"], ["w"])
 
 
 def test_no_times_but_a_rate(tmp_path: Path) -> None:
     FRAME[["u", "i", "w"]].to_csv(tmp_path / "a.csv", index=False)
     with pytest.raises(InputError, match=r"the time column 'time' is missing \(there is u, i, w\).* sample_rate"):
-        read_table(tmp_path / "a.csv")
+        read_data(tmp_path / "a.csv")
     check(Experiment.read(tmp_path / "a.csv", ["u"], ["i", "w"], sample_rate=100.0))
     FRAME.to_csv(tmp_path / "b.csv", index=False)
     with pytest.raises(InputError, match="there are a column 'time' and a sample rate"):
-        read_table(tmp_path / "b.csv", sample_rate=100.0)
+        read_data(tmp_path / "b.csv", sample_rate=100.0)
 
 
 def test_the_time_by_its_place_and_in_a_unit_that_is_given(tmp_path: Path) -> None:
     MS.rename(columns={"time": "clock"}).to_csv(tmp_path / "a.csv", index=False)
-    check(Experiment(read_table(tmp_path / "a.csv", 1, time_unit="ms"), ["u"], ["i", "w"]))
+    check(Experiment(read_data(tmp_path / "a.csv", 1, time_unit="ms"), ["u"], ["i", "w"]))
     with pytest.raises(InputError, match="there is no column 5: the table has 4"):
-        read_table(tmp_path / "a.csv", 5)
+        read_data(tmp_path / "a.csv", 5)
     with pytest.raises(InputError, match="the unit of time 'fortnight' is not known: write one of s, ms"):
-        read_table(tmp_path / "a.csv", 1, time_unit="fortnight")
+        read_data(tmp_path / "a.csv", 1, time_unit="fortnight")
 
 
 def test_columns_may_be_named_with_the_units_of_their_headers(tmp_path: Path) -> None:
     (tmp_path / "a.csv").write_text(
         text("Time (ms),u (mV),i,shaft (rpm)", frame=MS.assign(u=1000 * U, w=W * 30 / np.pi))
     )
-    frame = read_table(tmp_path / "a.csv", "Time (ms)")
+    frame = read_data(tmp_path / "a.csv", "Time (ms)")
     assert frame.attrs["units"] == {"u": "mV", "shaft": "rpm"}
     check(Experiment(frame, {"u": "u (mV)"}, {"i": "i", "w": "shaft (rpm)"}, "Time (ms)"))
 
 
 def test_the_date_of_the_first_sample_is_kept(tmp_path: Path) -> None:
     (tmp_path / "a.csv").write_text(TEXTS["dates with zone"][1])  # type: ignore[arg-type]
-    begin = read_table(tmp_path / "a.csv").attrs["begin"]
+    begin = read_data(tmp_path / "a.csv").attrs["begin"]
     assert begin.isoformat() == "2026-11-22T10:30:00+01:00"
 
 
@@ -94,7 +94,7 @@ def test_times_of_the_day_go_on_past_midnight(tmp_path: Path) -> None:
     clock = [f"{hour:02}:{minute:02}:00" for hour, minute in ((22, 30), (23, 59), (0, 0), (0, 1), (23, 0), (1, 0))]
     (tmp_path / "a.csv").write_text("time,u\n" + "".join(f"{each},1\n" for each in clock))
     minutes = [0, 89, 90, 91, 1470, 1590]
-    np.testing.assert_array_equal(read_table(tmp_path / "a.csv")["time"], np.multiply(minutes, 60.0))
+    np.testing.assert_array_equal(read_data(tmp_path / "a.csv")["time"], np.multiply(minutes, 60.0))
 
 
 @pytest.mark.parametrize(("day", "offsets"), [("2026-10-25", (120, 60)), ("2026-03-29", (60, 120))])
@@ -105,13 +105,13 @@ def test_dates_over_a_change_of_clocks(tmp_path: Path, day: str, offsets: tuple[
     local = [(each + pd.Timedelta(minutes=shift)).isoformat() for each, shift in zip(utc, shifts, strict=True)]
     path = tmp_path / "a.csv"
     path.write_text("time,u\n" + "".join(f"{a}+0{b // 60}:00,1\n" for a, b in zip(local, shifts, strict=True)))
-    frame = read_table(path)
+    frame = read_data(path)
     np.testing.assert_array_equal(frame["time"], 1200.0 * np.arange(6))
     assert frame.attrs["begin"].isoformat() == f"{local[0]}+0{shifts[0] // 60}:00"
     path.write_text("time,u\n" + "".join(f"{each},1\n" for each in local))
     if offsets[1] < offsets[0]:
         with pytest.raises(InputError, match=r"goes back by an hour in row 4, where .*02:00:00 follows .* in UTC or"):
-            read_table(path)
+            read_data(path)
 
 
 @pytest.mark.parametrize("suffix", [".xlsx", ".ods"])
@@ -119,7 +119,7 @@ def test_a_spreadsheet_that_is_called_a_text(tmp_path: Path, suffix: str) -> Non
     FRAME.to_excel(tmp_path / f"a{suffix}", index=False)
     (tmp_path / f"a{suffix}").rename(tmp_path / "a.csv")
     with pytest.raises(InputError, match=r"is a spreadsheet or packed, by its first bytes: name it \.xlsx"):
-        read_table(tmp_path / "a.csv")
+        read_data(tmp_path / "a.csv")
 
 
 @pytest.mark.parametrize(
@@ -138,7 +138,7 @@ def test_a_library_that_is_missing_is_named_with_its_extra(
     monkeypatch.setattr("fmuid.processes.caller.AVAILABLE", False)  # read in this process
     (tmp_path / name).write_bytes(b"")
     with pytest.raises(InputError, match=rf'read by {module}, which is not installed: pip install "fmuid\[{extra}\]"'):
-        read_table(tmp_path / name)
+        read_data(tmp_path / name)
 
 
 @pytest.mark.parametrize("kind", ["cut gzip", "spoilt gzip", "cut zip", "spoilt zip", "encrypted zip", "two in a zip"])
@@ -159,7 +159,7 @@ def test_what_cannot_be_unpacked(tmp_path: Path, kind: str) -> None:
     with pytest.raises(
         InputError, match=r"cannot be unpacked: pack it again|holds 2 files: give one with the table alone"
     ):
-        read_table(path)
+        read_data(path)
 
 
 def write_long(path: Path, content: bytes, files: int) -> None:
@@ -177,10 +177,10 @@ def test_a_sheet_by_name_and_by_place(tmp_path: Path) -> None:
         FRAME.assign(u=0.0).to_excel(book, sheet_name="idle", index=False)
         FRAME.to_excel(book, sheet_name="run", index=False)
         pd.DataFrame({"remark": ["none"]}).to_excel(book, sheet_name="about", index=False)
-    assert not read_table(path)["u"].any()
+    assert not read_data(path)["u"].any()
     given: tuple[str | int, ...] = ("run", 2)
     for sheet in given:
-        pd.testing.assert_frame_equal(read_table(path, sheet=sheet)[[*FRAME]], FRAME)
+        pd.testing.assert_frame_equal(read_data(path, sheet=sheet)[[*FRAME]], FRAME)
     wrong: dict[str | int, str] = {
         "rum": "there is no sheet 'rum'.*'run'.*the file has idle, run, about",
         4: "there is no sheet 4: the file has idle, run, about",
@@ -188,14 +188,14 @@ def test_a_sheet_by_name_and_by_place(tmp_path: Path) -> None:
     }
     for other, sentence in wrong.items():
         with pytest.raises(InputError, match=sentence):
-            read_table(path, sheet=other)
+            read_data(path, sheet=other)
 
 
 @pytest.mark.parametrize("index", [range(3), ["a", "b", "c"], [3.0, 1.0, 2.0]])
 def test_an_index_without_a_name_that_is_no_time(tmp_path: Path, index: object) -> None:
     pd.DataFrame({"u": [1.0, 2.0, 3.0]}, index=index).to_csv(tmp_path / "a.csv")  # type: ignore[call-overload]
     with pytest.raises(InputError, match=r"column 'time' is missing \(there is \(no name\), u\): name the column"):
-        read_table(tmp_path / "a.csv")
+        read_data(tmp_path / "a.csv")
 
 
 @pytest.mark.parametrize(
@@ -213,7 +213,7 @@ def test_files_that_are_none(tmp_path: Path, name: str, sentence: str) -> None:
     for broken in (b"", b"hello world", bytes(range(256)) * 4):
         (tmp_path / name).write_bytes(broken)
         with pytest.raises(InputError, match=sentence):
-            read_table(tmp_path / name)
+            read_data(tmp_path / name)
 
 
 @pytest.mark.parametrize("name", ["time", None])
@@ -232,15 +232,15 @@ def test_durations_of_pandas_are_no_other_numbers(tmp_path: Path, kind: str, nam
     else:
         frame.to_excel(str(path))
         with pytest.raises(InputError, match=r"(time|no name\))' may be in days, .* by time_unit = \"d\" or \"s\""):
-            read_table(path)
+            read_data(path)
         unit = "d"
-    np.testing.assert_allclose(read_table(path, time_unit=unit)["time"], FRAME["time"], rtol=1e-12)
+    np.testing.assert_allclose(read_data(path, time_unit=unit)["time"], FRAME["time"], rtol=1e-12)
 
 
 @pytest.mark.parametrize("kind", ["xlsx", "ods"])
 def test_an_index_of_seconds_in_a_spreadsheet(tmp_path: Path, kind: str) -> None:
     FRAME.set_index("time").rename_axis(None).to_excel(str(tmp_path / f"a.{kind}"))
-    np.testing.assert_array_equal(read_table(tmp_path / f"a.{kind}")["time"], FRAME["time"])
+    np.testing.assert_array_equal(read_data(tmp_path / f"a.{kind}")["time"], FRAME["time"])
 
 
 def test_durations_as_spreadsheets_show_them(tmp_path: Path) -> None:
@@ -249,7 +249,7 @@ def test_durations_as_spreadsheets_show_them(tmp_path: Path) -> None:
         frame.to_excel(book, index=False)
         for row in range(2, len(frame) + 2):
             book.sheets["Sheet1"].cell(row, 1).number_format = "[h]:mm:ss.00"
-    np.testing.assert_allclose(read_table(tmp_path / "a.xlsx")["time"], FRAME["time"], atol=1e-9)
+    np.testing.assert_allclose(read_data(tmp_path / "a.xlsx")["time"], FRAME["time"], atol=1e-9)
 
 
 @pytest.mark.parametrize("name", ["Time", "t"])
@@ -257,7 +257,7 @@ def test_two_header_rows_of_pandas(tmp_path: Path, name: str) -> None:
     columns = pd.MultiIndex.from_product([["u", "w"], ["raw"]], names=["Variables", "Tags"])
     index = pd.Index(FRAME["time"], name=name)
     pd.DataFrame(FRAME[["u", "w"]].to_numpy(), index, columns).to_csv(tmp_path / "a.csv")
-    frame = read_table(tmp_path / "a.csv")
+    frame = read_data(tmp_path / "a.csv")
     assert [*frame.columns] == ["time", "u", "w"]
     np.testing.assert_array_equal(frame["w"], W)
 
@@ -266,4 +266,4 @@ def test_rows_with_exponents_are_not_looked_up_as_units(tmp_path: Path, monkeypa
     # with decimal commas, 5e-06 would be the first number of this table, and the rows before it a header with units
     monkeypatch.setattr("fmuid.data.headers.parse_unit", pytest.fail)
     (tmp_path / "a.csv").write_text("time,u\n0.1,0.5\n0.2,0.7\n0.3,5e-06\n", encoding="utf-8")
-    assert read_table(tmp_path / "a.csv")["u"].tolist() == [0.5, 0.7, 5e-06]
+    assert read_data(tmp_path / "a.csv")["u"].tolist() == [0.5, 0.7, 5e-06]

@@ -8,7 +8,7 @@ import pandas as pd
 import pytest
 from scipy.io import savemat
 
-from fmuid.data.data_file import numeric_column, read_table
+from fmuid.data.data_file import numeric_column, read_data
 from fmuid.errors import InputError
 from tests.support.mat4 import characters, write_mat4
 
@@ -27,7 +27,7 @@ def written(tmp_path: Path, text: str | bytes, name: str = "run.csv") -> Path:
 
 def test_csv_with_names_as_they_are_and_empty_cells(tmp_path: Path) -> None:
     path = written(tmp_path, '\ufeff\ntime, u,"x[1,2]",der(y)\n0,1.5,2,\n0.1,2.5,3,0.30000000000000004\n')
-    table = read_table(path)
+    table = read_data(path)
     assert list(table.columns) == ["time", "u", "x[1,2]", "der(y)"]
     np.testing.assert_array_equal(table["x[1,2]"], [2, 3])
     assert np.isnan(table["der(y)"][0])
@@ -35,12 +35,12 @@ def test_csv_with_names_as_they_are_and_empty_cells(tmp_path: Path) -> None:
 
 
 def test_csv_columns_of_text_are_kept_for_whoever_needs_them(tmp_path: Path) -> None:
-    table = read_table(written(tmp_path, "time,comment\n0,start\n1,end\n"))
+    table = read_data(written(tmp_path, "time,comment\n0,start\n1,end\n"))
     assert list(table["comment"]) == ["start", "end"]
 
 
 def test_a_time_column_of_another_name(tmp_path: Path) -> None:
-    table = read_table(written(tmp_path, "u,t\n1,0\n2,1\n"), time="t")
+    table = read_data(written(tmp_path, "u,t\n1,0\n2,1\n"), time="t")
     np.testing.assert_array_equal(table["t"], [0, 1])
 
 
@@ -79,7 +79,7 @@ def test_a_time_column_of_another_name(tmp_path: Path) -> None:
 def test_csv_that_is_none(tmp_path: Path, text: str | bytes, sentence: str) -> None:
     path = written(tmp_path, text)
     with pytest.raises(InputError, match=sentence) as caught:
-        read_table(path)
+        read_data(path)
     assert str(caught.value).startswith(f"{path}: ")
     assert "\n" not in str(caught.value)
 
@@ -88,29 +88,29 @@ def test_csv_that_is_none(tmp_path: Path, text: str | bytes, sentence: str) -> N
 def test_a_cell_that_only_python_takes_for_a_number_is_named_with_its_row(tmp_path: Path, cell: str) -> None:
     rows = [f"{k},{k}.5\n" for k in range(12)]
     rows[9] = f"9,{cell}\n"
-    table = read_table(written(tmp_path, "time,u\n" + "".join(rows)))
+    table = read_data(written(tmp_path, "time,u\n" + "".join(rows)))
     with pytest.raises(InputError) as caught:
         numeric_column(table, "u", "file.csv")
     assert str(caught.value).startswith(f"file.csv: column 'u' holds {cell!r} in row 10, ")
 
 
 def test_empty_cells_at_the_end_of_rows_are_missing_samples_and_blank_lines_are_no_rows(tmp_path: Path) -> None:
-    table = read_table(written(tmp_path, "time,u,y\n0,1,2\n  \n1,2,\n\n2,,\n"))
+    table = read_data(written(tmp_path, "time,u,y\n0,1,2\n  \n1,2,\n\n2,,\n"))
     np.testing.assert_array_equal(table.to_numpy(), [[0, 1, 2], [1, 2, np.nan], [2, np.nan, np.nan]])
 
 
 def test_files_that_cannot_be_read(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"none\.csv: there is no such file"):
-        read_table(tmp_path / "none.csv")
+        read_data(tmp_path / "none.csv")
     (tmp_path / "folder.csv").mkdir()
     with pytest.raises(InputError, match=r"folder\.csv: this is a folder"):
-        read_table(tmp_path / "folder.csv")
+        read_data(tmp_path / "folder.csv")
     with pytest.raises(
         InputError, match=r"run\.docx: tables of the kind '\.docx' are not read: save it as one of \.csv"
     ):
-        read_table(written(tmp_path, "", "run.docx"))
+        read_data(written(tmp_path, "", "run.docx"))
     with pytest.raises(InputError, match="'without suffix'"):
-        read_table(written(tmp_path, "", "run"))
+        read_data(written(tmp_path, "", "run"))
 
 
 # --- Parquet ---
@@ -120,18 +120,18 @@ def test_parquet_with_time_as_column_or_index(tmp_path: Path) -> None:
     frame = pd.DataFrame({"time": TIMES, "w": SPEED, "on": [True, False, True, True, False]})
     frame.to_parquet(tmp_path / "column.parquet")
     frame.set_index("time").to_parquet(tmp_path / "index.PARQUET")
-    pd.testing.assert_frame_equal(read_table(tmp_path / "column.parquet"), frame)
-    pd.testing.assert_frame_equal(read_table(tmp_path / "index.PARQUET"), frame)
+    pd.testing.assert_frame_equal(read_data(tmp_path / "column.parquet"), frame)
+    pd.testing.assert_frame_equal(read_data(tmp_path / "index.PARQUET"), frame)
 
 
 def test_parquet_that_is_none(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"run\.parquet: the file is no readable Parquet table"):
-        read_table(written(tmp_path, "time,u\n0,1\n", "run.parquet"))
+        read_data(written(tmp_path, "time,u\n0,1\n", "run.parquet"))
     with pytest.raises(InputError, match=r"run\.parquet: the file is no readable Parquet table"):
-        read_table(written(tmp_path, "", "run.parquet"))
+        read_data(written(tmp_path, "", "run.parquet"))
     pd.DataFrame({"time": [], "u": []}).to_parquet(tmp_path / "empty.parquet")
     with pytest.raises(InputError, match="a header but no rows"):
-        read_table(tmp_path / "empty.parquet")
+        read_data(tmp_path / "empty.parquet")
 
 
 # --- MAT of MATLAB ---
@@ -143,7 +143,7 @@ def test_mat_vectors_of_the_common_length(tmp_path: Path, version: Any) -> None:
     content |= {"label": "hello"}
     content |= {"count": np.arange(5, dtype=np.int16)} if version == "5" else {}
     savemat(tmp_path / "run.mat", content, format=version)
-    table = read_table(tmp_path / "run.mat", time="t")
+    table = read_data(tmp_path / "run.mat", time="t")
     assert set(table.columns) == {"t", "w", "count"} & set(content)
     np.testing.assert_array_equal(table["t"], TIMES)
     np.testing.assert_array_equal(table["w"], SPEED)
@@ -152,18 +152,18 @@ def test_mat_vectors_of_the_common_length(tmp_path: Path, version: Any) -> None:
 def test_mat_without_the_time_lists_what_there_is(tmp_path: Path) -> None:
     savemat(tmp_path / "run.mat", {"tt": TIMES, "vir": SPEED, "data": {"clock": TIMES}, "A": np.eye(5)})
     with pytest.raises(InputError, match=r"run\.mat: the time column 'time' is missing \(there is tt, vir, data.clock"):
-        read_table(tmp_path / "run.mat")
+        read_data(tmp_path / "run.mat")
 
 
 def test_mat_that_is_none(tmp_path: Path) -> None:
     header = b"MATLAB 7.3 MAT-file, Platform: GLNXA64".ljust(124) + b"\x00\x02IM"
     with pytest.raises(InputError, match=r"run\.mat: the file is no readable HDF5 file: write it again"):
-        read_table(written(tmp_path, header.ljust(600, b"\0"), "run.mat"))
+        read_data(written(tmp_path, header.ljust(600, b"\0"), "run.mat"))
     savemat(tmp_path / "whole.mat", {"time": TIMES})
     whole = (tmp_path / "whole.mat").read_bytes()
     for broken in (b"", b"hello", b"time,u\n0,1\n" * 40, whole[:-20], whole[:100]):
         with pytest.raises(InputError, match=r"run\.mat: the file is no readable MAT file"):
-            read_table(written(tmp_path, broken, "run.mat"))
+            read_data(written(tmp_path, broken, "run.mat"))
 
 
 @pytest.mark.parametrize("name", ["run.csv", "run.mat", "run.h5", "run.xlsx", "run.tdms", "run.parquet"])
@@ -176,7 +176,7 @@ def test_a_file_that_may_not_be_read(tmp_path: Path, monkeypatch: pytest.MonkeyP
     path = written(tmp_path, b"time,u\n0,1\n", name)
     monkeypatch.setattr(Path, "open", refused)
     with pytest.raises(InputError, match="the file may not be read: change its permissions"):
-        read_table(path)
+        read_data(path)
 
 
 # --- MAT of OpenModelica and Dymola ---
@@ -214,7 +214,7 @@ def test_result_files_either_way_round(tmp_path: Path, transposed: bool, padding
         "größe": SPEED**2,
         "x[1,2]": np.full(5, 0.5),
     }
-    pd.testing.assert_frame_equal(read_table(tmp_path / "run_res.mat"), pd.DataFrame(expected), check_exact=True)
+    pd.testing.assert_frame_equal(read_data(tmp_path / "run_res.mat"), pd.DataFrame(expected), check_exact=True)
 
 
 def test_of_many_rows_at_an_event_the_first_and_last_stay(tmp_path: Path) -> None:
@@ -227,7 +227,7 @@ def test_of_many_rows_at_an_event_the_first_and_last_stay(tmp_path: Path) -> Non
         "data_2": np.column_stack([times, np.arange(8.0)]).T,
     }
     write_mat4(tmp_path / "r.mat", content)
-    table = read_table(tmp_path / "r.mat")
+    table = read_data(tmp_path / "r.mat")
     np.testing.assert_array_equal(table["time"], [0.0, 0.5, 0.5, 1.0, 1.0])
     np.testing.assert_array_equal(table["u"], [0, 1, 4, 5, 7])
 
@@ -239,7 +239,7 @@ def test_what_dymola_exports_as_plotted(tmp_path: Path) -> None:
         "data": np.column_stack([TIMES, SPEED]),
     }
     write_mat4(tmp_path / "plotted.mat", content)
-    table = read_table(tmp_path / "plotted.mat")
+    table = read_data(tmp_path / "plotted.mat")
     np.testing.assert_array_equal(table[["time", "w"]], np.column_stack([TIMES, SPEED]))
 
 
@@ -247,11 +247,11 @@ def test_result_files_without_a_trajectory(tmp_path: Path) -> None:
     linear = characters(["AlinearSystem", "1.0", "", "binNormal"], "nul")
     write_mat4(tmp_path / "dslin.mat", {"Aclass": linear, "ABCD": np.eye(3)})
     with pytest.raises(InputError, match=r"dslin\.mat: the file holds 'AlinearSystem' data and no trajectories"):
-        read_table(tmp_path / "dslin.mat")
+        read_data(tmp_path / "dslin.mat")
     trajectory = characters(["Atrajectory", "1.1", "", "binTrans"], "nul")
     write_mat4(tmp_path / "half.mat", {"Aclass": trajectory, "name": characters(["time"], "nul").T})
     with pytest.raises(InputError, match=r"half\.mat: the result file is incomplete: simulate again"):
-        read_table(tmp_path / "half.mat")
+        read_data(tmp_path / "half.mat")
 
 
 def test_a_place_of_the_time_beside_a_column_of_that_name(tmp_path: Path) -> None:
@@ -259,5 +259,5 @@ def test_a_place_of_the_time_beside_a_column_of_that_name(tmp_path: Path) -> Non
     with pytest.raises(
         InputError, match="asked for in column 1, 'u', and another column is called 'time': give the name"
     ):
-        read_table(path, 1)
-    assert [*read_table(path, 2)["time"]] == [1.0, 2.0]
+        read_data(path, 1)
+    assert [*read_data(path, 2)["time"]] == [1.0, 2.0]

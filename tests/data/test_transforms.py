@@ -4,7 +4,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from fmuid.data.signals import concordia, inverse_concordia, inverse_park, park
+from fmuid.data.signals import concordia_transform, inverse_concordia, inverse_park, park_transform
 from fmuid.errors import InputError
 
 PHASES = ("a", "b", "c")
@@ -26,7 +26,7 @@ def random_phases(zero_sum: bool) -> pd.DataFrame:
 
 def test_concordia_of_single_phases_gives_the_published_columns() -> None:
     unit = pd.DataFrame(np.eye(3), columns=list(PHASES))
-    axes = concordia(unit, PHASES, ("alpha", "beta"))
+    axes = concordia_transform(unit, PHASES, ("alpha", "beta"))
     assert list(axes.columns) == [*PHASES, "alpha", "beta"]
     np.testing.assert_allclose(axes["alpha"], [0.816496580928, -0.408248290464, -0.408248290464], rtol=1e-11)
     np.testing.assert_allclose(axes["beta"], [0.0, 0.707106781187, -0.707106781187], rtol=1e-11)
@@ -34,7 +34,7 @@ def test_concordia_of_single_phases_gives_the_published_columns() -> None:
 
 def test_park_of_every_row_against_the_explicit_matrices() -> None:
     frame = random_phases(zero_sum=False)
-    axes = park(frame, PHASES, ("d", "q"))
+    axes = park_transform(frame, PHASES, ("d", "q"))
     for _, row in axes.iterrows():
         angle = -row["theta"]
         rotation = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
@@ -44,7 +44,7 @@ def test_park_of_every_row_against_the_explicit_matrices() -> None:
 
 
 def test_a_balanced_set_is_a_constant_vector_of_sqrt_three_halves_its_peak() -> None:
-    axes = park(balanced(peak=3.0, delay=0.4), PHASES, ("d", "q"))
+    axes = park_transform(balanced(peak=3.0, delay=0.4), PHASES, ("d", "q"))
     length = np.sqrt(3 / 2) * 3.0
     np.testing.assert_allclose(axes["d"], length * np.cos(0.4), rtol=1e-12)
     np.testing.assert_allclose(axes["q"], -length * np.sin(0.4), rtol=1e-12)  # behind the axis: negative
@@ -53,7 +53,7 @@ def test_a_balanced_set_is_a_constant_vector_of_sqrt_three_halves_its_peak() -> 
 def test_power_is_the_same_in_both() -> None:
     u, i = random_phases(zero_sum=False), random_phases(zero_sum=True)
     u["theta"] = i["theta"]
-    udq, idq = (park(frame, PHASES, ("d", "q"))[["d", "q"]].to_numpy() for frame in (u, i))
+    udq, idq = (park_transform(frame, PHASES, ("d", "q"))[["d", "q"]].to_numpy() for frame in (u, i))
     power = (u[list(PHASES)].to_numpy() * i[list(PHASES)].to_numpy()).sum(axis=1)
     np.testing.assert_allclose((udq * idq).sum(axis=1), power, rtol=1e-12, atol=1e-13)
 
@@ -62,15 +62,15 @@ def test_round_trips_without_zero_sequence() -> None:
     frame = random_phases(zero_sum=True)
     back = tuple(f"{name} back" for name in PHASES)
     for there_and_back in (
-        inverse_concordia(concordia(frame, PHASES, ("x", "y")), ("x", "y"), back),
-        inverse_park(park(frame, PHASES, ("x", "y")), ("x", "y"), back),
+        inverse_concordia(concordia_transform(frame, PHASES, ("x", "y")), ("x", "y"), back),
+        inverse_park(park_transform(frame, PHASES, ("x", "y")), ("x", "y"), back),
     ):
         np.testing.assert_allclose(there_and_back[list(back)], frame[list(PHASES)], rtol=0, atol=1e-13)
 
 
 def test_the_zero_sequence_is_lost() -> None:
     frame = random_phases(zero_sum=False)
-    back = inverse_concordia(concordia(frame, PHASES, ("x", "y")), ("x", "y"), ("a back", "b back", "c back"))
+    back = inverse_concordia(concordia_transform(frame, PHASES, ("x", "y")), ("x", "y"), ("a back", "b back", "c back"))
     zero = frame[list(PHASES)].mean(axis=1)
     np.testing.assert_allclose(back["a back"], frame["a"] - zero, atol=1e-13)
 
@@ -78,21 +78,21 @@ def test_the_zero_sequence_is_lost() -> None:
 def test_the_given_frame_stays_as_it_was() -> None:
     frame = balanced()
     before = frame.copy()
-    park(frame, PHASES, ("d", "q"))
+    park_transform(frame, PHASES, ("d", "q"))
     pd.testing.assert_frame_equal(frame, before)
 
 
 def test_wrong_columns_are_named() -> None:
     frame = balanced()
     with pytest.raises(InputError, match=r"'voltage' is missing \(there is time, a, b, c, theta\)"):
-        concordia(frame, ("voltage", "b", "c"), ("x", "y"))
+        concordia_transform(frame, ("voltage", "b", "c"), ("x", "y"))
     with pytest.raises(InputError, match=r"'thet' is missing \(did you mean 'theta' or 'time'\?\)"):
-        park(frame, PHASES, ("x", "y"), theta="thet")
+        park_transform(frame, PHASES, ("x", "y"), theta="thet")
     with pytest.raises(InputError, match=r"columns is .*: give 3 different names"):
-        concordia(frame, ("a", "b"), ("x", "y"))
+        concordia_transform(frame, ("a", "b"), ("x", "y"))
     with pytest.raises(InputError, match="names is 'dq': give 2 different names"):
-        park(frame, PHASES, "dq")
+        park_transform(frame, PHASES, "dq")
     with pytest.raises(InputError, match="a column 'time' already"):
-        park(frame, PHASES, ("time", "y"))
+        park_transform(frame, PHASES, ("time", "y"))
     with pytest.raises(InputError, match="column 'a' holds 'x' in row 2"):
-        concordia(frame.astype({"a": object}).replace({"a": {frame["a"][1]: "x"}}), PHASES, ("x", "y"))
+        concordia_transform(frame.astype({"a": object}).replace({"a": {frame["a"][1]: "x"}}), PHASES, ("x", "y"))

@@ -15,7 +15,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
-from fmuid.data import read_table
+from fmuid.data import read_data
 from fmuid.data.readers.pandas_hdf import PickledObject, plain_value
 from fmuid.errors import InputError
 
@@ -90,7 +90,7 @@ def test_hdf_tables_of_pandas(tmp_path: Path, layout: Any, by_column: Any, index
     }
     frame, path = frames[index], tmp_path / "run.h5"
     frame.to_hdf(path, key="bench/run", format=layout, data_columns=by_column)
-    found = read_table(path)
+    found = read_data(path)
     expected = pd.read_hdf(path)
     assert isinstance(expected, pd.DataFrame)
     times = LONG["lasted"].dt.total_seconds() if index == "durations" else LONG["time"]
@@ -105,12 +105,12 @@ def test_hdf_tables_of_pandas(tmp_path: Path, layout: Any, by_column: Any, index
 
 def test_hdf_tables_of_pandas_with_other_headers(tmp_path: Path) -> None:
     FRAME.rename(columns={"u": "Größe [mV]"}).to_hdf(tmp_path / "a.h5", key="run")
-    assert read_table(tmp_path / "a.h5").attrs["units"] == {"Größe": "mV"}
+    assert read_data(tmp_path / "a.h5").attrs["units"] == {"Größe": "mV"}
     FRAME.set_axis(range(3), axis="columns").to_hdf(tmp_path / "a.h5", key="run", mode="w")
-    assert [*read_table(tmp_path / "a.h5", "0")] == ["0", "1", "2"]
+    assert [*read_data(tmp_path / "a.h5", "0")] == ["0", "1", "2"]
     FRAME[:0].to_hdf(tmp_path / "b.h5", key="run")
     with pytest.raises(InputError, match=r"b\.h5: the table has a header but no rows"):
-        read_table(tmp_path / "b.h5")
+        read_data(tmp_path / "b.h5")
 
 
 def test_hdf_with_several_tables_of_pandas(tmp_path: Path) -> None:
@@ -118,11 +118,11 @@ def test_hdf_with_several_tables_of_pandas(tmp_path: Path) -> None:
     FRAME.to_hdf(path, key="bench/cold")
     (FRAME + 1.0).to_hdf(path, key="warm")
     with pytest.raises(InputError, match=r"a\.h5: the file holds the frames bench/cold, warm: choose one by sheet"):
-        read_table(path)
+        read_data(path)
     for sheet, first in (("bench/cold", 0.0), ("warm", 1.0), (2, 1.0)):
-        assert read_table(path, sheet=sheet)["u"][0] == first
+        assert read_data(path, sheet=sheet)["u"][0] == first
     with pytest.raises(InputError, match=r"no sheet 'warn' \(did you mean 'warm'\?\): the file has bench/cold"):
-        read_table(path, sheet="warn")
+        read_data(path, sheet="warn")
 
 
 LEVELS = pd.MultiIndex.from_product([["a", "b"], [1, 2, 3]], names=["p", "q"])
@@ -143,7 +143,7 @@ def test_hdf_tables_of_pandas_that_are_refused(tmp_path: Path, sentence: str) ->
     frame, layout = REFUSED[sentence]
     frame.to_hdf(tmp_path / "run.h5", key="run", format=layout)
     with pytest.raises(InputError, match=sentence) as caught:
-        read_table(tmp_path / "run.h5")
+        read_data(tmp_path / "run.h5")
     assert str(caught.value).startswith(f"{tmp_path / 'run.h5'}: ")
 
 
@@ -152,13 +152,13 @@ def test_hdf_headers_that_are_objects(tmp_path: Path) -> None:
     with h5py.File(tmp_path / "run.h5", "r+") as file:
         file["run/axis0"].attrs["kind"] = np.bytes_(pickle.dumps(Payload(tmp_path / "mark"), 0))
     with pytest.raises(InputError, match="its header in '/run' has Python objects, which"):
-        read_table(tmp_path / "run.h5")
+        read_data(tmp_path / "run.h5")
 
 
 def test_hdf_tables_of_pandas_by_a_compressor_that_is_missing(tmp_path: Path) -> None:
     FRAME.to_hdf(tmp_path / "run.h5", key="run", format="table", complevel=1, complib="blosc")
     with pytest.raises(InputError, match=r"run\.h5: 'run/table' is compressed by blosc.*: save it with zlib"):
-        read_table(tmp_path / "run.h5")
+        read_data(tmp_path / "run.h5")
 
 
 def places(path: Path) -> list[tuple[str, str | None]]:
@@ -195,7 +195,7 @@ def test_hdf_executes_no_pickle_anywhere(tmp_path: Path, layout: Any) -> None:
             else:
                 file[name].attrs[attribute] = np.bytes_(data)
         try:
-            outcomes.add(len(read_table(path)))
+            outcomes.add(len(read_data(path)))
         except InputError as error:
             assert str(error).startswith(f"{path}: "), error
             outcomes.add(-1)
@@ -223,10 +223,10 @@ def test_mdf_formulas_are_expressions(tmp_path: Path, suffix: str) -> None:
             file.append([Signal(np.arange(ROWS), times, name="u", conversion={"formula": formula})])
             file.save(path, overwrite=True)
         if sentence is None:
-            np.testing.assert_allclose(read_table(path)["u"], 2.0 * np.arange(ROWS) + 1)
+            np.testing.assert_allclose(read_data(path)["u"], 2.0 * np.arange(ROWS) + 1)
             continue
         with pytest.raises(InputError, match=rf"{sentence}.*converts a channel cannot be computed"):
-            read_table(path)
+            read_data(path)
         assert not mark.exists()
 
 
@@ -235,7 +235,7 @@ def test_parquet_unpickles_no_extension_type(tmp_path: Path) -> None:
     said = {"ARROW:extension:name": "arrow.py_extension_type", "ARROW:extension:metadata": pickle.dumps(Payload(mark))}
     schema = pa.schema([pa.field("time", pa.float64()), pa.field("u", pa.float64(), metadata=said)])
     pq.write_table(pa.table({"time": FRAME["time"], "u": FRAME["u"]}, schema=schema), path)
-    np.testing.assert_array_equal(read_table(path)["u"], FRAME["u"])
+    np.testing.assert_array_equal(read_data(path)["u"], FRAME["u"])
     assert not mark.exists()
 
 
@@ -253,7 +253,7 @@ ARROW: dict[str, Callable[[], Any]] = {
 def test_parquet_columns_of_other_types(tmp_path: Path) -> None:
     columns = {name: make() for name, make in ARROW.items()}
     pq.write_table(pa.table({"time": [0.0, 1.0], **columns}), tmp_path / "a.parquet")
-    found = read_table(tmp_path / "a.parquet")
+    found = read_data(tmp_path / "a.parquet")
     assert [*found] == ["time", *ARROW]
     assert [*found["clock"]] == ["01:00:00", "01:00:00.100000"]
     np.testing.assert_array_equal(found["decimal"], [1.0, 2.0])
@@ -261,7 +261,7 @@ def test_parquet_columns_of_other_types(tmp_path: Path) -> None:
     assert [*found["dictionary"]] == ["a", "b"]
     assert found["list"][0] == "list<element: double>"
     assert found["nothing"].isna().all()
-    assert read_table(tmp_path / "a.parquet", "days")["days"][1] == 86400.0
+    assert read_data(tmp_path / "a.parquet", "days")["days"][1] == 86400.0
 
 
 def test_parquet_numbers_with_missing_samples_in_several_groups(tmp_path: Path) -> None:
@@ -273,7 +273,7 @@ def test_parquet_numbers_with_missing_samples_in_several_groups(tmp_path: Path) 
         frame.loc[rng.integers(0, 20, 3), name] = None
     frame["date"] = DATES[0] + pd.to_timedelta(frame["time"].where(frame["time"] != 7), unit="s")
     pq.write_table(pa.Table.from_pandas(frame), tmp_path / "a.parquet", row_group_size=6)
-    found = read_table(tmp_path / "a.parquet")
+    found = read_data(tmp_path / "a.parquet")
     for name in "iufb":
         np.testing.assert_array_equal(found[name].astype(float), frame[name].to_numpy(float, na_value=np.nan))
     pd.testing.assert_series_equal(found["date"], frame["date"], check_dtype=False)

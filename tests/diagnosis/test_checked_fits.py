@@ -12,7 +12,7 @@ from scipy.linalg import expm
 
 import fmuid
 from fmuid.diagnosis.fault_fits import fit_both
-from fmuid.estimation import AccuracyOutcome, Kept
+from fmuid.estimation import AccuracyOutcome, RefinementRefusal
 from fmuid.reports.messages.diagnosis import diagnosis_words
 from tests.support.stepping import MOTOR, stepping_fmu
 
@@ -85,7 +85,7 @@ def test_what_is_not_cured_is_said_and_kept(motor: fmuid.System, healthy: fmuid.
     for each in (found, again):
         accuracy = each["friction"].checked.accuracy
         assert accuracy is not None
-        assert (accuracy.outcome, accuracy.kept) == (AccuracyOutcome.SHIFTED, Kept.ASKED)
+        assert (accuracy.outcome, accuracy.kept) == (AccuracyOutcome.SHIFTED, RefinementRefusal.ASKED)
         (said,) = [words for words in diagnosis_words(each) if words.startswith("friction: the error")]
         assert f"F by {accuracy.shift[1]:+.2g}" in said
 

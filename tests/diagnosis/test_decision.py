@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy import optimize, stats
 
-from fmuid.diagnosis.hypothesis_tests import Reference, at_least_one, orthant_weights, rivals
+from fmuid.diagnosis.hypothesis_tests import NullDistribution, at_least_one, orthant_weights, rivals
 from fmuid.errors import InputError
 
 CORRELATED = np.array([[1.0, 0.6, -0.3], [0.6, 1.0, 0.2], [-0.3, 0.2, 1.0]])
@@ -28,8 +28,8 @@ def test_one_parameter_on_its_bound_is_half_and_half() -> None:
     weights = orthant_weights(np.array([[4.0]]))
     assert weights == (0.5, 0.5)
     # the 1 % point of half χ²_0, half χ²_1 is the 2 % point of χ²_1
-    assert Reference(0, weights).threshold(0.01) == pytest.approx(stats.chi2.isf(0.02, 1))
-    assert Reference(0, weights).threshold(0.6) == 0.0
+    assert NullDistribution(0, weights).threshold(0.01) == pytest.approx(stats.chi2.isf(0.02, 1))
+    assert NullDistribution(0, weights).threshold(0.6) == 0.0
 
 
 def test_independent_parameters_have_binomial_weights() -> None:
@@ -45,7 +45,7 @@ def test_weights_and_tail_against_counts(k: int) -> None:
     statistic, positive = projected(covariance, 20_000, seed=k)
     assert sum(weights) == pytest.approx(1.0)
     assert weights == pytest.approx(np.bincount(positive, minlength=k + 1) / len(positive), abs=0.012)
-    reference = Reference(0, weights)
+    reference = NullDistribution(0, weights)
     for level in (0.1, 0.01):
         share = np.mean(statistic > reference.threshold(level))
         assert share == pytest.approx(level, abs=4 * math.sqrt(level / len(statistic)))
@@ -61,20 +61,20 @@ def test_drawn_weights_agree_with_the_closed_form_of_a_part() -> None:
 
 def test_free_and_constrained_parameters_together() -> None:
     """D of one free and one constrained parameter, correlated, is that of a half plane."""
-    reference = Reference(1, (0.5, 0.5))
+    reference = NullDistribution(1, (0.5, 0.5))
     draws = np.random.default_rng(5).standard_normal((50_000, 2))
     statistic = draws[:, 0] ** 2 + np.maximum(draws[:, 1], 0.0) ** 2
     assert np.mean(statistic > reference.threshold(0.05)) == pytest.approx(0.05, abs=0.004)
 
 
 def test_size_and_angle_are_a_vector_of_the_plane() -> None:
-    assert Reference(2).threshold(0.01) == pytest.approx(-2.0 * math.log(0.01))
-    assert Reference(2).probability(0.0) == 1.0
+    assert NullDistribution(2).threshold(0.01) == pytest.approx(-2.0 * math.log(0.01))
+    assert NullDistribution(2).probability(0.0) == 1.0
 
 
 def test_an_estimated_variance_gives_f() -> None:
-    assert Reference(2, freedom=30.0).threshold(0.01) == pytest.approx(2.0 * stats.f.isf(0.01, 2, 30))
-    assert Reference(1, freedom=1e9).threshold(0.01) == pytest.approx(stats.chi2.isf(0.01, 1), rel=1e-6)
+    assert NullDistribution(2, freedom=30.0).threshold(0.01) == pytest.approx(2.0 * stats.f.isf(0.01, 2, 30))
+    assert NullDistribution(1, freedom=1e9).threshold(0.01) == pytest.approx(stats.chi2.isf(0.01, 1), rel=1e-6)
 
 
 def test_bonferroni_keeps_the_level_of_any_alarm() -> None:
@@ -90,4 +90,4 @@ def test_refusals() -> None:
     with pytest.raises(InputError, match="not positive definite"):
         orthant_weights(np.ones((2, 2)))
     with pytest.raises(InputError, match="the level of a test must lie between 0 and 1"):
-        Reference(1).threshold(0.0)
+        NullDistribution(1).threshold(0.0)

@@ -13,9 +13,9 @@ from scipy.signal import lfilter
 
 import fmuid
 from experiments.coil import study as coil
-from fmuid.data.signals import multisine, prbs, steps
+from fmuid.data.signals import multisine, prbs, step_sequence
 from fmuid.diagnosis.baseline.baseline import Baseline
-from fmuid.diagnosis.design import Design, trial
+from fmuid.diagnosis.design import Design, planned_experiment
 from fmuid.diagnosis.monitoring.alarms import Rule
 from fmuid.diagnosis.monitoring.monitor import Monitor
 from fmuid.runs.monitoring import design_of
@@ -63,7 +63,7 @@ def coil_deviation(healthy: fmuid.Result, voltage: np.ndarray) -> float:
 
 
 def on_coil(frame: pd.DataFrame) -> fmuid.Experiment:
-    return trial(frame, ["u"], ["i"])
+    return planned_experiment(frame, ["u"], ["i"])
 
 
 def test_the_smallest_fault_of_the_coil(healthy: fmuid.Result) -> None:
@@ -83,7 +83,7 @@ def test_excitations_are_ranked(healthy: fmuid.Result) -> None:
         "weak": prbs(1.2, coil.STEP, 0.5, 15),
         "strong": prbs(1.2, coil.STEP, 2.0, 15),
         "slow": prbs(1.2, coil.STEP, 1.0, 150),
-        "steps": steps(1.2, coil.STEP, [1.0, -1.0]),
+        "steps": step_sequence(1.2, coil.STEP, [1.0, -1.0]),
         "multisine": multisine(1.2, coil.STEP, 1.0, 1.0, 30.0),
     }
     expected = {name: coil_deviation(healthy, frame["u"].to_numpy()) for name, frame in frames.items()}
@@ -100,7 +100,7 @@ def test_excitations_are_ranked(healthy: fmuid.Result) -> None:
 
 
 def test_nothing_is_detectable_without_excitation(healthy: fmuid.Result) -> None:
-    still, moved = steps(1.0, coil.STEP, [0.0]), prbs(1.0, coil.STEP, 1.0, 15)
+    still, moved = step_sequence(1.0, coil.STEP, [0.0]), prbs(1.0, coil.STEP, 1.0, 15)
     table = design(healthy).rank({"still": on_coil(still), "moved": on_coil(moved)})
     assert list(table["excitation"]) == ["moved", "still"]
     assert math.isinf(table["dR"][1]) and math.isfinite(table["dR"][0])
@@ -198,7 +198,7 @@ def test_what_a_healthy_record_costs(healthy: fmuid.Result) -> None:
 
 def test_of_a_turned_fault_the_worst_angle_counts(plate: fmuid.System, known: fmuid.Result) -> None:
     parameters = {"size": fmuid.Parameter(0.0, min=0.0, nominal=0.01), "angle": fmuid.Parameter(0.0, nominal=1.0)}
-    fault = fmuid.Fault(plate, parameters, angles={"angle": fmuid.Angle("size", math.pi)})
+    fault = fmuid.Fault(plate, parameters, angles={"angle": fmuid.FaultAngle("size", math.pi)})
     baseline = Baseline(known, noise_variance={"x": STD**2, "y": STD**2})
     (found,) = Design({"rotor": fault}, baseline, plate).detectable(plate_record(None))
     precision = plate_precision(known, [5, 6])
@@ -227,7 +227,7 @@ def test_wrong_words_are_one_sentence(healthy: fmuid.Result) -> None:
     with pytest.raises(fmuid.InputError, match="no excitation to compare"):
         design(healthy).rank({})
     with pytest.raises(fmuid.InputError, match="'v'"):
-        design(healthy).detectable(trial(prbs(1.0, coil.STEP, 1.0, 15, column="v"), ["v"], ["i"]))
+        design(healthy).detectable(planned_experiment(prbs(1.0, coil.STEP, 1.0, 15, column="v"), ["v"], ["i"]))
     with pytest.raises(fmuid.InputError, match="names 'j', which is no measured output"):
         unknown = Design({"turns": turns()}, Baseline(healthy, noise_variance={"j": 1.0}), coil.models()[0])
         unknown.detectable(on_coil(prbs(1.0, coil.STEP, 1.0, 15)))

@@ -229,7 +229,7 @@ def test_a_file_keeps_the_diagnosis(look: Look, tmp_path: Path) -> None:
         (
             {
                 "parameters": {name: fmuid.Parameter(0.0, nominal=1.0) for name in ("s", "a", "b")},
-                "angles": {"a": fmuid.Angle("s"), "b": fmuid.Angle("s")},
+                "angles": {"a": fmuid.FaultAngle("s"), "b": fmuid.FaultAngle("s")},
             },
             "the size 's' has two angles: one locates it",
         ),

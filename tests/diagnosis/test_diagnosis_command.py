@@ -12,7 +12,7 @@ import pytest
 import fmuid
 from fmuid.apps.cli.app import run
 from fmuid.progress import Event
-from fmuid.reports import Judged
+from fmuid.reports import DiagnosisFinished
 from tests.support.diagnosis_studies import Look
 from tests.support.plate import (
     record,
@@ -80,7 +80,7 @@ def test_from_python_it_is_what_the_command_does(study: Path) -> None:
     before, events = files_in(study.parent), list[Event]()
     again = fmuid.run_diagnosis(fmuid.Study.read(study), progress=events.append)
     assert (again.files, files_in(study.parent)) == ((), before)
-    assert isinstance(events[-1], Judged)
+    assert isinstance(events[-1], DiagnosisFinished)
     assert events[-1].findings.healthy is again.healthy is False
     assert {event.task for event in events} == {"diagnosis", "judged"}
     with pytest.raises(fmuid.InputError, match="in a folder"):

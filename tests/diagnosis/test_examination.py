@@ -13,10 +13,10 @@ from scipy import signal
 
 import fmuid
 from fmuid.apps.cli.app import run
-from fmuid.diagnosis import MODEL_ERROR, CauseKind, Causes, Evidence, Range
+from fmuid.diagnosis import MODEL_ERROR, CauseKind, Causes, CauseScale, ChangeEvidence
 from fmuid.diagnosis.baseline.whitening import Whitening
-from fmuid.diagnosis.change_parameters import Coordinates, coordinates_of
-from fmuid.diagnosis.linearisation import Machine
+from fmuid.diagnosis.change_parameters import ChangeParameterSet, coordinates_of
+from fmuid.diagnosis.linearisation import LinearizedMachine
 from fmuid.errors import InputError
 from fmuid.reports.messages.diagnosis import verdict
 from tests.support.closed_forms import coil_response
@@ -63,7 +63,7 @@ def faults() -> dict[str, fmuid.Fault]:
 
 
 @pytest.fixture(scope="module")
-def coordinates(coil: fmuid.System, faults: dict[str, fmuid.Fault]) -> Coordinates:
+def coordinates(coil: fmuid.System, faults: dict[str, fmuid.Fault]) -> ChangeParameterSet:
     return coordinates_of(coil, NOMINAL, faults, experiment(current()), {"i": NOISE}, Causes())
 
 
@@ -72,9 +72,9 @@ ORDER = ("R", "L", "turns", "gain", "offset", "delay", "input_gain")
 
 @pytest.mark.parametrize("at", [{}, {"turns": 1.0, "gain": 0.1, "R": 0.5}, {"input_gain": 0.2, "turns": -0.5}])
 def test_outputs_and_columns_are_those_of_the_closed_form(
-    coil: fmuid.System, faults: dict[str, fmuid.Fault], coordinates: Coordinates, at: dict[str, float]
+    coil: fmuid.System, faults: dict[str, fmuid.Fault], coordinates: ChangeParameterSet, at: dict[str, float]
 ) -> None:
-    machine = Machine(coil, {}, NOMINAL, faults, coordinates, experiment(current()))
+    machine = LinearizedMachine(coil, {}, NOMINAL, faults, coordinates, experiment(current()))
     point = coordinates.healthy + np.array([at.get(name, 0.0) for name in ORDER])
     outputs, columns = machine.linearise(point)
     assert outputs[:, 0] == pytest.approx(current(**at), abs=1e-6)
@@ -91,7 +91,7 @@ def test_a_column_that_two_inputs_share_is_scaled_for_one(coil: fmuid.System) ->
     frame = experiment(current()).frame
     shared = fmuid.Experiment(frame, {"u": "u"}, {"i": "i"}, interpolation="hold")
     made = coordinates_of(coil, NOMINAL, {}, shared, {"i": NOISE}, Causes())
-    Machine(coil, {}, NOMINAL, {}, made, shared).linearise(made.healthy)
+    LinearizedMachine(coil, {}, NOMINAL, {}, made, shared).linearise(made.healthy)
     assert shared.frame["u"].to_numpy() == pytest.approx(VOLTAGE)
     assert [each.variable for each in made.each if each.kind is CauseKind.INPUT_GAIN] == ["u"]
 
@@ -194,7 +194,7 @@ def test_trials_show_what_a_fault_model_leaves(coil: fmuid.System, faults: dict[
     healthy = noisy(random)
     known = fmuid.identify(fmuid.Problem(coil, healthy, NOMINAL))
 
-    def found(record: fmuid.Experiment, **trials: list[fmuid.Experiment]) -> Evidence:
+    def found(record: fmuid.Experiment, **trials: list[fmuid.Experiment]) -> ChangeEvidence:
         named = {name.replace("_", "."): each for name, each in trials.items()}
         baseline = fmuid.Baseline(known, {"R": 10.0}, records=[healthy], trials=named)
         evidence = fmuid.diagnose(record, baseline, faults, coil).evidence
@@ -225,7 +225,7 @@ def test_causes_may_be_left_out(look: Look) -> None:
     assert [each.change.kind for each in found.evidence.suspects] == [CauseKind.FAULT]
     assert names(found) == [TURNS]
     with pytest.raises(InputError, match="must be positive, not 0"):
-        Range(0.0, 1.0)
+        CauseScale(0.0, 1.0)
 
 
 def test_what_no_cause_explains_is_something_else(look: Look, tmp_path: Path) -> None:

@@ -12,8 +12,8 @@ import pytest
 
 import fmuid
 from fmuid.apps.cli.app import run
-from fmuid.diagnosis import Basis
-from fmuid.diagnosis.baseline_comparator import Juxtaposition
+from fmuid.diagnosis import BaselineSource
+from fmuid.diagnosis.baseline_comparator import BaselineComparator
 from fmuid.reports import run_following
 from fmuid.reports.messages.diagnosis import UNLIKE, basis_notes
 from tests.support.paths import FMUS
@@ -46,25 +46,27 @@ def asked(folder: Path, **said: Any) -> fmuid.Study:
     return fmuid.Study.of(WORDS | tested, folder / "test.toml")
 
 
-def made(study: fmuid.Study) -> Juxtaposition:
+def made(study: fmuid.Study) -> BaselineComparator:
     """Return what a diagnosis compares records with."""
     search = study.diagnosis
     assert search is not None
     faults = search.hypotheses(study.system, study.model, study.data)
     baseline = search.baseline(study.model, study.parameters, study.noise, study.experiments[0].read_experiment)
-    return Juxtaposition.of(study.system, baseline, faults, search.causes, study.tables)
+    return BaselineComparator.of(study.system, baseline, faults, search.causes, study.tables)
 
 
 def test_the_file_says_what_the_records_say(kept: Path) -> None:
     from_file, records = made(asked(kept)), made(asked(kept, records=["test2.csv"]))
-    assert (from_file.basis, records.basis) == (Basis.FILE, Basis.OTHER_RECORDS)
+    assert (from_file.basis, records.basis) == (BaselineSource.FILE, BaselineSource.OTHER_RECORDS)
     wider = {"offset": {"normal": 0.5, "size": 1.0}}
-    assert made(asked(kept, causes=wider, records=["healthy.csv"])).basis is Basis.FILE  # no matter of the healthy one
+    assert (
+        made(asked(kept, causes=wider, records=["healthy.csv"])).basis is BaselineSource.FILE
+    )  # no matter of the healthy one
     shutil.move(kept / "healthy/baseline.npz", kept / "baseline.npz")
     examined = made(asked(kept, records=["healthy.csv"]))
     few = made(asked(kept, causes={"gain": False, "delay": False}, records=["healthy.csv"]))
     shutil.move(kept / "baseline.npz", kept / "healthy/baseline.npz")
-    assert examined.basis is Basis.RECORDS
+    assert examined.basis is BaselineSource.RECORDS
     assert from_file.healthy.known.mean == pytest.approx(examined.healthy.known.mean, rel=1e-9)
     assert from_file.healthy.known.covariance == pytest.approx(examined.healthy.known.covariance, rel=1e-9)
     # of fewer causes: the noise is what all of them leave
@@ -79,27 +81,27 @@ def test_the_file_says_what_the_records_say(kept: Path) -> None:
 def test_a_diagnosis_and_a_monitoring_take_it(kept: Path) -> None:
     found = asked(kept).diagnose()
     assert found.evidence is not None
-    assert found.evidence.basis is Basis.FILE
+    assert found.evidence.basis is BaselineSource.FILE
     assert {"turns.lost", "gain(i)", "delay(i)"} <= {each.change.label for each in found.evidence.suspects}
     assert "What the healthy records show is from the baseline.npz beside the healthy result" in fmuid.describe(found)
     again = fmuid.Diagnosis.from_json(found.to_json(kept / "diagnosis.json"))
     assert again.evidence == found.evidence
     monitor = fmuid.run_monitoring(asked(kept), [kept / "test1.csv"]).monitor
-    assert monitor.basis is Basis.FILE
+    assert monitor.basis is BaselineSource.FILE
     assert "baseline.npz" in fmuid.describe(monitor)
 
 
 @pytest.mark.parametrize(
     ("said", "basis"),
     [
-        ({"faults": FAULTS | {"other": FAULTS["turns"]}}, Basis.OTHER_MODELS),
-        ({"faults": {"turns": FAULTS["turns"] | {"values": {"i_start": 0.1}}}}, Basis.OTHER_MODELS),
-        ({"model": WORDS["model"] | {"values": {"i_start": 0.1}}}, Basis.OTHER_MODELS),
-        ({"causes": {"gain": False}}, Basis.OTHER_CAUSES),
-        ({"noise": {"variance": {"i": 1e-3}}}, Basis.OTHER_NOISE),
+        ({"faults": FAULTS | {"other": FAULTS["turns"]}}, BaselineSource.OTHER_MODELS),
+        ({"faults": {"turns": FAULTS["turns"] | {"values": {"i_start": 0.1}}}}, BaselineSource.OTHER_MODELS),
+        ({"model": WORDS["model"] | {"values": {"i_start": 0.1}}}, BaselineSource.OTHER_MODELS),
+        ({"causes": {"gain": False}}, BaselineSource.OTHER_CAUSES),
+        ({"noise": {"variance": {"i": 1e-3}}}, BaselineSource.OTHER_NOISE),
     ],
 )
-def test_a_file_that_does_not_fit(kept: Path, said: dict[str, Any], basis: Basis) -> None:
+def test_a_file_that_does_not_fit(kept: Path, said: dict[str, Any], basis: BaselineSource) -> None:
     top = {key: value for key, value in said.items() if key not in ("faults", "causes")}
     own = {key: value for key, value in said.items() if key in ("faults", "causes")}
     study = asked(kept, **own)
@@ -137,13 +139,13 @@ def test_a_damaged_file_serves_nobody_and_ends_nothing(kept: Path, tmp_path: Pat
         study = asked(folder, records=list(names))
         return run_following(study, folder / "records", folder / "out", until=lambda at: at.idle).monitor
 
-    assert followed("healthy.csv").basis is Basis.FILE
+    assert followed("healthy.csv").basis is BaselineSource.FILE
     path = folder / "healthy/baseline.npz"
     path.write_bytes(path.read_bytes()[: int(share * path.stat().st_size)])
     pd.read_csv(folder / "test2.csv").to_parquet(folder / "records" / "b.parquet")
     found = followed("healthy.csv")
     assert found.records == ("a", "b")
-    assert found.basis is Basis.DAMAGED
+    assert found.basis is BaselineSource.DAMAGED
     (said,) = basis_notes(found.basis)
     assert said.startswith("the baseline.npz beside the healthy result is damaged and was not used: the healthy")
     with pytest.raises(fmuid.InputError, match=r"not whole .*: identify the healthy study again"):

@@ -16,11 +16,11 @@ import fmuid
 from experiments.coil import study as coil
 from fmuid.data import BEGIN
 from fmuid.data.npz import read_arrays
-from fmuid.diagnosis import Gap, Shape
+from fmuid.diagnosis import OnsetShape, SkippedWindow
 from fmuid.diagnosis.monitoring.alarms import SOMETHING_ELSE, Rule, Trend
 from fmuid.diagnosis.monitoring.monitor import Monitor
 from fmuid.reports.messages.monitoring import gap_words, monitoring_words
-from fmuid.runs.monitoring import monitor_of, rule_of
+from fmuid.runs.monitoring import build_monitor, rule_of
 from tests.support.coil_records import warming
 from tests.support.exported import export_text
 from tests.support.plate import COLUMNS, PHASES, PLATE, STD, TRUTH, identified
@@ -75,7 +75,7 @@ def test_nothing_is_found_where_nothing_is(healthy: fmuid.Result) -> None:
 def test_a_window_says_what_a_diagnosis_says(number: int) -> None:
     study = fmuid.Study.read(coil.HERE / "test.toml", [f"experiments.0.table=test{number}.csv"])
     expected = study.diagnose()["turns"]
-    found = monitor_of(study, rule_of(study))
+    found = build_monitor(study, rule_of(study))
     found.add(study.tables[0])
     row = found.table.iloc[0]
     assert row["turns.dR"] == pytest.approx(expected["dR"].value, abs=0.1 * expected["dR"].std)
@@ -95,7 +95,7 @@ def test_an_onset_is_dated_within_its_window(healthy: fmuid.Result, size: float)
     (alarm,) = found.alarms
     onset = alarm.onset
     assert onset is not None
-    assert onset.shape is Shape.STEP
+    assert onset.shape is OnsetShape.STEP
     assert onset.likely.time == pytest.approx(7.4, abs=0.1)
     assert onset.first.time <= 7.4 <= onset.last.time
     assert onset.last.time - onset.first.time < 0.6
@@ -111,7 +111,7 @@ def test_a_size_that_grows_has_a_trend_and_a_limit(healthy: fmuid.Result) -> Non
     found.add(coil.experiment(table))
     (alarm,) = found.alarms
     assert alarm.onset is not None
-    assert alarm.onset.shape is Shape.RAMP
+    assert alarm.onset.shape is OnsetShape.RAMP
     assert abs(alarm.onset.likely.time - 8.0) < 1.5
     trend = alarm.trend
     assert trend is not None
@@ -183,7 +183,7 @@ def test_a_gap_is_passed_over(healthy: fmuid.Result) -> None:
     assert [gap.time for gap in found.gaps] == pytest.approx([1.0])
     (said,) = gap_words(found.gaps)
     assert "the windows from 1 s on are left out" in said
-    (many,) = gap_words([Gap("a", float(k)) for k in range(8)])
+    (many,) = gap_words([SkippedWindow("a", float(k)) for k in range(8)])
     assert "from 0 s, 1 s, 2 s, 3 s, 4 s and 3 more on are" in many
 
 
@@ -250,7 +250,7 @@ def test_each_size_alone_is_one_of_least_squares(
         "rotor": fmuid.Fault(
             plate,
             {"size": ratio, "angle": fmuid.Parameter(0.0, nominal=1.0)},
-            angles={"angle": fmuid.Angle("size", math.pi)},
+            angles={"angle": fmuid.FaultAngle("size", math.pi)},
         ),
     }
     record = plate_record(np.random.default_rng(50), **faults)

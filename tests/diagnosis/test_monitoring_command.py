@@ -17,7 +17,7 @@ from experiments.coil import study as coil
 from fmuid.apps.cli.app import run
 from fmuid.data.npz import read_arrays, write_arrays
 from fmuid.diagnosis.monitoring.alarms import Rule
-from fmuid.diagnosis.monitoring.window_evaluation import Seen
+from fmuid.diagnosis.monitoring.window_evaluation import WindowEvaluation
 from fmuid.runs.monitoring import design_of, rule_of
 from tests.support.coil_records import warming
 from tests.support.interrupting import SIGNALS, command, killing
@@ -132,11 +132,11 @@ def test_interrupted_inside_a_record(
     words: list[str | Path] = [folder / "study.toml", folder / "records"]
     words += told(window=1, transient=0.2)
 
-    def when(seen: Seen) -> bool:
+    def when(seen: WindowEvaluation) -> bool:
         return (seen.now.records[-1].name, seen.sums.window.number) == ("day1", 2)
 
     with monkeypatch.context() as disturbed:
-        disturbed.setattr(Seen, "row", killing(number, when, Seen.row))
+        disturbed.setattr(WindowEvaluation, "row", killing(number, when, WindowEvaluation.row))
         assert command("monitor", *words, "-o", folder / "grown") == 1
     out, error = capsys.readouterr()
     saying = "interrupted: saving the records examined so far, with which --resume goes on"

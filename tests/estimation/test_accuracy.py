@@ -13,14 +13,14 @@ import pytest
 from fmuid.array_types import Floats
 from fmuid.data import Normal, Parameter
 from fmuid.estimation import (
-    Accuracy,
     AccuracyOutcome,
-    Kept,
     LeastSquares,
+    RefinementRefusal,
+    RefinementStep,
     Result,
-    Switch,
+    SolverCheck,
     SwitchCause,
-    checked,
+    estimate_solver_error,
     identify,
     with_shift,
 )
@@ -50,7 +50,7 @@ def test_the_shift_of_a_linear_model(prior: bool) -> None:
     if prior:
         rows, values = np.vstack([rows, [0.0, 1.0 / 0.05, 0.0]]), np.append(values, -2.0 / 0.05)
     moved = np.linalg.lstsq(rows, values)[0] - result.values
-    found = checked(one, result, ERROR)
+    found = estimate_solver_error(one, result, ERROR)
     assert found.shift * result.std == pytest.approx(moved, rel=2e-3)
     assert found.outcome is AccuracyOutcome.SHIFTED
     assert (np.abs(found.shift) <= found.change).all()
@@ -62,12 +62,12 @@ def test_the_shift_with_a_robust_loss() -> None:
     finer = problem(loss="huber")
     finer.measured = finer.measured - ERROR
     moved = identify(finer).values - result.values
-    assert checked(one, result, ERROR).shift * result.std == pytest.approx(moved, rel=0.2)
+    assert estimate_solver_error(one, result, ERROR).shift * result.std == pytest.approx(moved, rel=0.2)
 
 
 def test_a_small_error_passes() -> None:
     one = problem()
-    found = checked(one, identify(one), 1e-3 * ERROR)
+    found = estimate_solver_error(one, identify(one), 1e-3 * ERROR)
     assert found.outcome is AccuracyOutcome.PASSED
     assert 0.0 < found.largest < 0.1
 
@@ -76,18 +76,18 @@ def test_where_a_standard_deviation_is_infinite() -> None:
     """Two parameters that act alike: their shift is not known, and not 0; that of the third is."""
     one = problem(columns=BASIS[:, [0, 0, 1]])
     result = identify(one)
-    found = checked(one, result, ERROR)
+    found = estimate_solver_error(one, result, ERROR)
     assert np.isnan(found.shift).tolist() == [True, True, False]
-    assert checked(one, result, 1e-9 * ERROR).outcome is AccuracyOutcome.PASSED
+    assert estimate_solver_error(one, result, 1e-9 * ERROR).outcome is AccuracyOutcome.PASSED
     orthogonal = ERROR - BASIS[:, :2] @ np.linalg.lstsq(BASIS[:, :2], ERROR)[0]
-    assert checked(one, result, orthogonal).outcome is AccuracyOutcome.UNKNOWN
+    assert estimate_solver_error(one, result, orthogonal).outcome is AccuracyOutcome.UNKNOWN
 
 
 def test_what_cannot_be_checked_is_not_well() -> None:
     one = problem()
     result = identify(one)
-    assert checked(one, result, np.zeros(60)).outcome is AccuracyOutcome.UNCHECKABLE
-    failed = checked(one, result, np.where(TIMES > 0.5, np.nan, ERROR))
+    assert estimate_solver_error(one, result, np.zeros(60)).outcome is AccuracyOutcome.UNCHECKABLE
+    failed = estimate_solver_error(one, result, np.where(TIMES > 0.5, np.nan, ERROR))
     assert failed.outcome is AccuracyOutcome.FAILED
     assert np.isnan(failed.shift).all()
 
@@ -95,13 +95,13 @@ def test_what_cannot_be_checked_is_not_well() -> None:
 def test_tables_without_noise_raise_no_alarm() -> None:
     """An error of 1e-7 is thousands of standard deviations of a fit to rounding, and as good as none for any table."""
     one = problem(noise=1e-12)
-    assert checked(one, identify(one), 1e-7 * np.ones(60)).outcome is AccuracyOutcome.PASSED
+    assert estimate_solver_error(one, identify(one), 1e-7 * np.ones(60)).outcome is AccuracyOutcome.PASSED
 
 
 def test_the_shift_is_part_of_the_covariance() -> None:
     one = problem()
     result = identify(one)
-    found = checked(one, result, ERROR)
+    found = estimate_solver_error(one, result, ERROR)
     whole = with_shift(result, found)
     assert whole.std == pytest.approx(result.std * np.hypot(1.0, found.shift))
     assert np.linalg.matrix_rank(whole.covariance - result.covariance, tol=1e-10) == 1
@@ -111,10 +111,13 @@ def test_written_and_read(tmp_path: Path) -> None:
     one = problem()
     run = {"fmi_version": "2.0", "interface": "model-exchange", "integrator": "rk45", "stiff": False, "step_size": None}
     a, b, c = ({"": run | {"tolerance": each}} for each in (1e-5, 1e-7, 1e-9))
-    switches = (Switch(SwitchCause.START_FAILED, math.nan, a, b), Switch(SwitchCause.SHIFT, 3.0, b, c, 17))
+    switches = (
+        RefinementStep(SwitchCause.START_FAILED, math.nan, a, b),
+        RefinementStep(SwitchCause.SHIFT, 3.0, b, c, 17),
+    )
     shift = np.array([0.5, np.nan, -2.0])
-    words = b, c, 12.5, Kept.FITS_BETTER, switches, 2, 40, 1e-9, 4
-    result = replace(identify(one), accuracy=Accuracy(AccuracyOutcome.SHIFTED, shift, *words))
+    words = b, c, 12.5, RefinementRefusal.FITS_BETTER, switches, 2, 40, 1e-9, 4
+    result = replace(identify(one), accuracy=SolverCheck(AccuracyOutcome.SHIFTED, shift, *words))
     path = tmp_path / "result.json"
     path.write_text(json.dumps(content(result)), encoding="utf-8")
     written = json.loads(path.read_text(encoding="utf-8"))
@@ -123,7 +126,11 @@ def test_written_and_read(tmp_path: Path) -> None:
     assert read is not None
     assert np.array_equal(read.shift, shift, equal_nan=True)
     assert content(Result.from_json(path))["accuracy"] == written["accuracy"]
-    assert (read.outcome, read.kept, read.switches[1]) == (AccuracyOutcome.SHIFTED, Kept.FITS_BETTER, switches[1])
+    assert (read.outcome, read.kept, read.switches[1]) == (
+        AccuracyOutcome.SHIFTED,
+        RefinementRefusal.FITS_BETTER,
+        switches[1],
+    )
 
 
 def test_results_without_a_check_are_read(tmp_path: Path) -> None:

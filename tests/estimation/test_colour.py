@@ -12,12 +12,12 @@ from scipy import linalg
 from scipy.signal import lfilter
 
 from fmuid.array_types import Floats
-from fmuid.data import Table
+from fmuid.data import ArrayMeasurements
 from fmuid.estimation.noise import autoregression
 from fmuid.estimation.noise.autoregression import Autoregression, impulse_response, most_orders
 from fmuid.estimation.noise.model import NoiseModel
-from fmuid.estimation.noise.output_series import Series, series_of, table_grid
-from fmuid.estimation.noise.sample_grid import Grid, Rows
+from fmuid.estimation.noise.output_series import OutputSeries, output_series, table_grid
+from fmuid.estimation.noise.sample_grid import Rows, SampleGrid
 from fmuid.estimation.noise.sandwich import ResidualNoise, sandwich
 from tests.support.problems import ar1
 
@@ -29,8 +29,8 @@ def model(coefficients: Floats, variance: float = 1.0, samples: int = 100) -> Au
     return Autoregression(coefficients, variance, samples, impulse_response(coefficients, 5000).size)
 
 
-def series(rows: NDArray[Any], places: NDArray[Any], group: int = 0, grid: int = 0, pool: int = 0) -> Series:
-    return Series("experiment", f"y{group}", group, rows, places, 1.0, True, grid, pool)
+def series(rows: NDArray[Any], places: NDArray[Any], group: int = 0, grid: int = 0, pool: int = 0) -> OutputSeries:
+    return OutputSeries("experiment", f"y{group}", group, rows, places, 1.0, True, grid, pool)
 
 
 def made(
@@ -150,7 +150,7 @@ def test_scatter_of_coefficients_is_the_asymptotic_one(coefficients: Floats) -> 
 # --- the sandwich, with models given
 
 
-def crossed(share: float) -> tuple[Grid, list[Autoregression], Floats]:
+def crossed(share: float) -> tuple[SampleGrid, list[Autoregression], Floats]:
     """Return two outputs with gaps, their models, and the dense covariance of all their rows."""
     count, rng = 60, np.random.default_rng(2)
     there = rng.random((2, count)) < 0.7
@@ -161,7 +161,7 @@ def crossed(share: float) -> tuple[Grid, list[Autoregression], Floats]:
     jacobian = np.vstack([regressors(count)[places[0]], regressors(count)[places[1]] * [1.0, -2.0, 0.5]])
     models = [model(SLOW, 1.0), model(OSCILLATING, 0.25)]
     rows = made(jacobian, rng.standard_normal(len(jacobian)), outputs=2)
-    grid = Grid(rows, both, [0, 1])
+    grid = SampleGrid(rows, both, [0, 1])
     grid.take(models, rows.columns, np.array([[1.0, share], [share, 0.25]]))
     blocks = [
         [dense(models[i], models[j], grid.innovations[i, j], count)[np.ix_(places[i], places[j])] for j in (0, 1)]
@@ -195,7 +195,7 @@ def test_what_the_fit_removes_is_that_of_projections() -> None:
 @pytest.mark.parametrize("given", [False, True])
 def test_slopes_of_variances_are_those_of_differences(given: bool) -> None:
     rows = made(regressors(80), np.random.default_rng(4).standard_normal(80), given=given)
-    grid = Grid(rows, [series(np.arange(80), np.arange(80))], [0])
+    grid = SampleGrid(rows, [series(np.arange(80), np.arange(80))], [0])
 
     def variances(coefficients: Floats, variance: float) -> Floats:
         own = model(coefficients, variance)
@@ -305,7 +305,7 @@ def test_what_a_fit_hardly_takes_is_not_made_up_for(monkeypatch: pytest.MonkeyPa
     rows = made(regressors(3000), np.random.default_rng(12).standard_normal(3000))
     own = [series(np.arange(3000), np.arange(3000))]
     calls: list[Floats] = []
-    monkeypatch.setattr(Grid, "add_removed", lambda _, gram: calls.append(gram))
+    monkeypatch.setattr(SampleGrid, "add_removed", lambda _, gram: calls.append(gram))
     without = sandwich(rows, own).covariance
     assert not calls
     monkeypatch.undo()
@@ -328,16 +328,16 @@ def test_noise_that_is_nearly_a_random_walk_leaves_no_nonsense() -> None:
     assert (ratio < 5.0).all()  # that of one to two degrees of freedom
 
 
-def table(times: NDArray[Any], counted: NDArray[np.bool_], name: str = "a") -> Table:
+def table(times: NDArray[Any], counted: NDArray[np.bool_], name: str = "a") -> ArrayMeasurements:
     outputs = tuple(f"y{i}" for i in range(counted.shape[1]))
-    return Table(name, times, outputs, np.zeros(counted.shape), counted)
+    return ArrayMeasurements(name, times, outputs, np.zeros(counted.shape), counted)
 
 
 def test_rows_are_found_on_the_grid_of_each_output() -> None:
     counted = np.ones((21, 2), dtype=np.bool_)
     counted[:, 1] = np.arange(21) % 5 == 2
     counted[7:10, 0] = False
-    fast, slow = series_of([table(0.1 * np.arange(21), counted)], ("y0", "y1"))
+    fast, slow = output_series([table(0.1 * np.arange(21), counted)], ("y0", "y1"))
     assert fast.rows.tolist() + slow.rows.tolist() != sorted(fast.rows.tolist() + slow.rows.tolist())
     flat = np.flatnonzero(counted)
     assert (flat[fast.rows] // 2).tolist() == fast.places.tolist()
@@ -349,14 +349,14 @@ def test_rows_are_found_on_the_grid_of_each_output() -> None:
 
 def test_outputs_with_gaps_at_random_share_the_grid() -> None:
     counted = np.random.default_rng(0).random((60, 2)) < 0.5
-    first, second = series_of([table(np.arange(60.0), counted)], ("y0", "y1"))
+    first, second = output_series([table(np.arange(60.0), counted)], ("y0", "y1"))
     assert first.grid == second.grid
     assert first.places.tolist() == np.flatnonzero(counted[:, 0]).tolist()
 
 
 def test_samples_off_any_grid_are_counted_and_said() -> None:
     times = np.cumsum(np.random.default_rng(0).exponential(1.0, 50))
-    (found,) = series_of([table(times, np.ones((50, 1), dtype=np.bool_))], ("y0",))
+    (found,) = output_series([table(times, np.ones((50, 1), dtype=np.bool_))], ("y0",))
     assert not found.regular
     assert found.places.tolist() == list(range(50))
 
@@ -364,7 +364,7 @@ def test_samples_off_any_grid_are_counted_and_said() -> None:
 def test_a_time_given_twice_is_one_place_of_the_table() -> None:
     places, step, regular = table_grid(np.array([0.0, 1.0, 1.0, 2.0, 5.0]))
     assert (places.tolist(), step, regular) == ([0, 1, 1, 2, 5], 1.0, True)
-    (found,) = series_of([table(np.array([0.0, 1.0, 1.0, 2.0]), np.ones((4, 1), dtype=np.bool_))], ("y0",))
+    (found,) = output_series([table(np.array([0.0, 1.0, 1.0, 2.0]), np.ones((4, 1), dtype=np.bool_))], ("y0",))
     assert found.places.tolist() == [0, 1, 2, 3]
 
 
@@ -377,6 +377,6 @@ def test_models_are_shared_by_short_experiments_of_one_step() -> None:
         table(0.1 * np.arange(200), long, "d"),
         table(0.1 * np.arange(200), long, "e"),
     ]
-    pools = [each.pool for each in series_of(experiments, ("y0",))]
+    pools = [each.pool for each in output_series(experiments, ("y0",))]
     assert pools[0] == pools[1]
     assert len(set(pools)) == 4

@@ -22,13 +22,13 @@ from fmuid.data.parameters import Parameter
 from fmuid.estimation.identification import identify
 from fmuid.estimation.problem import LeastSquares
 from fmuid.estimation.result import Result
-from fmuid.identification.profile import profiles
-from fmuid.identification.sampling.posterior import Sampling
-from fmuid.identification.sampling.sampler import sample
+from fmuid.identification.profile import profile_likelihood
+from fmuid.identification.sampling.posterior import SamplerSettings
+from fmuid.identification.sampling.sampler import sample_posterior
 from tests.support.problems import ar1
 
 SEED, STD, LEVEL, TEST = 2026, 0.05, 0.95, 0.01
-SAMPLING = Sampling(effective_size=700, walkers=8)
+SAMPLING = SamplerSettings(effective_size=700, walkers=8)
 
 Noise = Callable[[np.random.Generator, int], Floats]
 
@@ -150,9 +150,9 @@ class Count:
         self.wald += square / count > stats.f.ppf(1.0 - TEST, count, freedom)
         if more:
             self.more += 1
-            found = profiles(draw.problem, result, level=LEVEL)
+            found = profile_likelihood(draw.problem, result, level=LEVEL)
             self.profile += held(np.array([(each.lower, each.upper) for each in found]), truth)
-            samples = sample(draw.problem, result, Sampling(**{**vars(SAMPLING), "seed": seed}))
+            samples = sample_posterior(draw.problem, result, SamplerSettings(**{**vars(SAMPLING), "seed": seed}))
             self.posterior += held(samples.intervals(LEVEL).to_numpy(), truth)
 
 

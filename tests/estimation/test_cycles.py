@@ -20,12 +20,20 @@ from fmuid.data import Experiment, FunctionPredictor, Noise, Parameter
 from fmuid.errors import InputError
 from fmuid.estimation.identification import identify
 from fmuid.estimation.noise.low_frequency import Bins
-from fmuid.estimation.noise.output_series import Series, period_of
-from fmuid.estimation.noise.periodic_error import Folded, Returning, _floor, _likelihoods, _products, _sides, _summed
+from fmuid.estimation.noise.output_series import OutputSeries, period_of
+from fmuid.estimation.noise.periodic_error import (
+    MeanCycle,
+    PeriodicError,
+    _floor,
+    _likelihoods,
+    _products,
+    _sides,
+    _summed,
+)
 from fmuid.estimation.noise.sandwich import sandwich_of
 from fmuid.estimation.problem import LeastSquares
 from fmuid.estimation.result import Result
-from fmuid.identification.residual_analysis import examine_residuals
+from fmuid.identification.residual_analysis import analyze_residuals
 from fmuid.reports.messages.residuals import residual_words
 from tests.support.problems import ar1
 
@@ -155,14 +163,15 @@ def test_what_returns_adds_the_dense_covariance(powers: Floats) -> None:
     """An error g of covariance Γ in each cycle of two outputs, once g and once −g/2: of Cᵀ(g, −g/2, g, ...)."""
     columns = np.random.default_rng(2).standard_normal((2 * COUNT, 3))
     series = tuple(
-        Series("experiment", f"y{k}", k, np.arange(k, 2 * COUNT, 2), np.arange(COUNT), STEP, True, 0, k) for k in (0, 1)
+        OutputSeries("experiment", f"y{k}", k, np.arange(k, 2 * COUNT, 2), np.arange(COUNT), STEP, True, 0, k)
+        for k in (0, 1)
     )
     assert _sides(PERIOD).sum() == PERIOD
     np.testing.assert_allclose(
         _summed(columns, series[0], PERIOD), columns[::2].reshape(CYCLES, PERIOD, 3).sum(0) / CYCLES**0.5
     )
     factors, points, weights = np.array([1.0, -0.5]), np.array([powers, 2.0 * powers]), np.array([0.5, 0.3])
-    both = Returning(series, factors, PERIOD, powers, points, weights, np.zeros(2))
+    both = PeriodicError(series, factors, PERIOD, powers, points, weights, np.zeros(2))
     whole = np.kron(np.tile(covariance(powers / CYCLES), (CYCLES, CYCLES)), np.outer(factors, factors))
     np.testing.assert_allclose(both.gram(columns), columns.T @ whole @ columns, rtol=1e-9)
     assert both.probability == pytest.approx(0.8)
@@ -176,10 +185,10 @@ def test_what_returns_adds_the_dense_covariance(powers: Floats) -> None:
 def test_the_noise_of_a_sum_of_outputs_has_the_dense_spectrum() -> None:
     """Of two autoregressions of order 1 around a circle, w = (2, −1), whose innovations are correlated."""
     shares, weights, common = (0.8, 0.3), np.array([2.0, -1.0]), np.array([[1.0, 0.6], [0.6, 2.0]])
-    series = Series("experiment", "y", 0, np.arange(COUNT), np.arange(COUNT), STEP, True, 0, 0)
+    series = OutputSeries("experiment", "y", 0, np.arange(COUNT), np.arange(COUNT), STEP, True, 0, 0)
     responses = [1.0 / (1.0 - share * np.exp(-2j * np.pi * np.arange(PERIOD) / PERIOD)) for share in shares]
     half = PERIOD // 2 + 1
-    folded = [Folded(series, np.zeros((PERIOD, 2)), own[:half], 1.0, 1.0) for own in responses]
+    folded = [MeanCycle(series, np.zeros((PERIOD, 2)), own[:half], 1.0, 1.0) for own in responses]
     filters = [np.linalg.inv(np.eye(PERIOD) - share * np.roll(np.eye(PERIOD), 1, axis=0)) for share in shares]
     dense = sum(weights[i] * weights[j] * common[i, j] * filters[i] @ filters[j].T for i in range(2) for j in range(2))
     np.testing.assert_allclose(_floor(folded, weights, common), np.fft.rfft(np.asarray(dense)[:, 0]).real, rtol=1e-9)
@@ -204,7 +213,7 @@ def test_an_error_of_two_outputs_acts_at_once(signs: tuple[float, float], least:
     wider = np.sqrt(np.diag(result.covariance) / np.diag(apart.covariance))
     assert (wider > least).all()
     assert (wider < most).all()
-    said = [line for line in residual_words(examine_residuals(problem, result)) if "comes back" in line]
+    said = [line for line in residual_words(analyze_residuals(problem, result)) if "comes back" in line]
     assert {line.split()[4] for line in said} == {"y", "y1"}
 
 
@@ -220,7 +229,7 @@ def test_an_error_that_returns_is_found_said_and_allowed_for() -> None:
     root = result.local.root
     gram = result.noise.gram(result.local.jacobian @ root)
     np.testing.assert_allclose(root @ gram @ root.T, result.covariance, rtol=1e-9)
-    (said,) = (line for line in residual_words(examine_residuals(problem, result)) if "comes back" in line)
+    (said,) = (line for line in residual_words(analyze_residuals(problem, result)) if "comes back" in line)
     assert "every 4 s" in said
 
 
@@ -236,7 +245,7 @@ def test_where_nothing_returns_hardly_anything_changes(kind: str, monkeypatch: p
     assert (wider >= 1.0).all()
     assert (wider < 1.02).all()
     assert (result.freedom <= without.freedom).all()
-    assert examine_residuals(problem, result).returning == ()
+    assert analyze_residuals(problem, result).returning == ()
 
 
 def returns(level: float, share: float = 0.8) -> Drawn:

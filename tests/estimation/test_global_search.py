@@ -18,7 +18,7 @@ from fmuid.estimation.global_search import search as global_search
 from fmuid.estimation.global_search.optima import optima_table
 from fmuid.estimation.global_search.search import GlobalSearch, Strategy
 from fmuid.estimation.identification import identify
-from fmuid.estimation.marquardt.outcome import Outcome
+from fmuid.estimation.marquardt.outcome import TerminationReason
 from fmuid.estimation.method import Marquardt
 from fmuid.estimation.problem import LeastSquares
 from fmuid.estimation.result import Result
@@ -133,7 +133,7 @@ def test_valley_is_one_optimum(method: Strategy) -> None:
     assert optimum.hits >= (12 if method == "multistart" else 1)
     assert not optimum.converged
     assert not found.converged
-    assert optimum.outcome is Outcome.UNDETERMINED
+    assert optimum.outcome is TerminationReason.UNDETERMINED
     assert optimum.theta[0] * optimum.theta[1] == pytest.approx(2.0, abs=0.1)
 
 

@@ -9,7 +9,7 @@ from fmuid.array_types import Floats
 from fmuid.data.parameters import Parameter
 from fmuid.errors import InputError
 from fmuid.estimation.global_search.search import GlobalSearch, Strategy
-from fmuid.estimation.marquardt.outcome import Outcome
+from fmuid.estimation.marquardt.outcome import TerminationReason
 from fmuid.estimation.problem import LeastSquares
 from fmuid.progress import Event
 from fmuid.reports.messages.result import ending
@@ -95,10 +95,10 @@ def test_interruption_keeps_what_is_found(method: Strategy, calls: int, complete
     """It is no worse than any point of a generation or fit that was complete, with its uncertainty if a fit has it."""
     problem, seen = interrupting(calls)
     found = searched(problem, GlobalSearch(method, starts=40))
-    assert found.outcome is Outcome.INTERRUPTED
+    assert found.outcome is TerminationReason.INTERRUPTED
     assert len(seen) == calls  # who interrupts waits for nothing more to be simulated
     assert not found.converged
-    assert found.outcome is Outcome.INTERRUPTED
+    assert found.outcome is TerminationReason.INTERRUPTED
     said = f"interrupted: these are the best values so far of a global search, after {found.fits} fit"
     assert ending(found).startswith(said)
     assert sum(o.hits for o in found.optima) == found.fits

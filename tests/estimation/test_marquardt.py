@@ -12,11 +12,11 @@ from fmuid.data.parameters import Parameter
 from fmuid.errors import InputError
 from fmuid.estimation.cost_function import prepare
 from fmuid.estimation.identification import identify, waypoints
-from fmuid.estimation.marquardt.jacobian_cache import Waypoints
-from fmuid.estimation.marquardt.outcome import Outcome
+from fmuid.estimation.marquardt.jacobian_cache import JacobianCache
+from fmuid.estimation.marquardt.outcome import TerminationReason
 from fmuid.estimation.marquardt.search import Iteration, State, search
 from fmuid.estimation.marquardt.step import Step, best_step, triangle
-from fmuid.estimation.marquardt.trust_region import GROW, SHRINK_LEAST, SHRINK_MOST, Radius
+from fmuid.estimation.marquardt.trust_region import GROW, SHRINK_LEAST, SHRINK_MOST, TrustRegion
 from fmuid.estimation.method import Marquardt
 from fmuid.estimation.problem import LeastSquares
 
@@ -57,7 +57,7 @@ def test_same_optimum_as_scipy() -> None:
     state, trace, problem = run(decay, y, STARTS)
     exact, _, _ = run(decay, y, STARTS, Marquardt(tolerance=1e-9))
     reference = curve_fit(model, TIMES, y, TRUTH, jac=jacobian, xtol=1e-15, ftol=1e-15)[0]
-    assert state.outcome is Outcome.CONVERGED
+    assert state.outcome is TerminationReason.CONVERGED
     np.testing.assert_allclose(state.theta, reference, rtol=3e-6)
     np.testing.assert_allclose(exact.theta, reference, rtol=1e-8)
     assert problem.simulations < 60
@@ -137,7 +137,7 @@ def test_an_optimum_on_a_bound() -> None:
         return model(t, a, k, 0.4)
 
     reference = curve_fit(held, TIMES, y, TRUTH[:2], xtol=1e-15, ftol=1e-15)[0]
-    assert state.outcome is Outcome.CONVERGED
+    assert state.outcome is TerminationReason.CONVERGED
     assert state.held.tolist() == [False, False, True]
     np.testing.assert_allclose(state.theta, [*reference, 0.4], rtol=3e-6)
 
@@ -171,7 +171,7 @@ def test_points_that_fail_are_rejected(raises: bool) -> None:
     state, trace, _ = run(fragile, y, [Parameter(0.2), Parameter(2.5), Parameter(-1.0)])
     free, _, _ = run(decay, y, STARTS)
     assert any(not i.accepted and np.isnan(i.criterion) for i in trace)
-    assert state.outcome is Outcome.CONVERGED
+    assert state.outcome is TerminationReason.CONVERGED
     np.testing.assert_allclose(state.theta, free.theta, rtol=3e-6)
 
 
@@ -188,7 +188,7 @@ def test_simulations_that_all_fail_around_a_point_end_the_search() -> None:
     next(steps), next(steps)
     armed = True
     assert len(list(steps)) < 20
-    assert state.outcome is Outcome.FAILING
+    assert state.outcome is TerminationReason.FAILING
 
 
 @pytest.mark.parametrize("digits", [6, 4, 2])
@@ -224,7 +224,7 @@ def test_parameters_that_run_away_end_the_search() -> None:
 
     y = 1.01 * np.exp(-1.2 * TIMES) + 0.01 * np.random.default_rng(3).standard_normal(TIMES.size)
     state, trace, _ = run(ratio, y, [Parameter(1.0), Parameter(1.0)])
-    assert state.outcome is Outcome.RUNAWAY
+    assert state.outcome is TerminationReason.RUNAWAY
     assert not state.outcome.converged
     assert state.theta[0] / state.theta[1] == pytest.approx(1.2, rel=2e-2)
     assert state.theta.max() < 1e6
@@ -233,7 +233,7 @@ def test_parameters_that_run_away_end_the_search() -> None:
 
 def test_the_iteration_limit() -> None:
     state, trace, _ = run(decay, measured(), STARTS, Marquardt(max_iterations=2))
-    assert state.outcome is Outcome.ITERATION_LIMIT
+    assert state.outcome is TerminationReason.ITERATION_LIMIT
     assert trace[-1].number == 2
 
 
@@ -246,7 +246,7 @@ def test_two_parameters_that_act_alike_do_not_wander() -> None:
         [Parameter(0.5), Parameter(0.7), *STARTS[1:]],
     )
     single, _, _ = run(decay, y, STARTS)
-    assert state.outcome is Outcome.CONVERGED
+    assert state.outcome is TerminationReason.CONVERGED
     assert state.theta[0] + state.theta[1] == pytest.approx(single.theta[0], rel=1e-5)
     np.testing.assert_allclose(state.theta[2:], single.theta[1:], rtol=1e-5)
     assert np.abs(state.theta[:2]).max() < 5.0
@@ -284,13 +284,13 @@ def test_bad_settings(words: dict[str, object]) -> None:
 )
 def test_a_poor_step_is_shortened_to_the_least_value_of_its_parabola(slope: float, fall: float, share: float) -> None:
     """J(t) = J(0) + 2 slope t + bend t² along the step, with J(0) - J(1) = fall."""
-    step, radius = Step(np.ones(2), 1.0, 4.0, np.zeros(2, np.bool_)), Radius(8.0)
+    step, radius = Step(np.ones(2), 1.0, 4.0, np.zeros(2, np.bool_)), TrustRegion(8.0)
     radius.judge(step, 5.0, fall, slope, 0.0, moved=True)
     assert radius.value == pytest.approx(share * 5.0)
 
 
 def test_a_good_step_lengthens_the_next() -> None:
-    step, radius = Step(np.ones(2), 1.0, 4.0, np.zeros(2, np.bool_)), Radius(8.0)
+    step, radius = Step(np.ones(2), 1.0, 4.0, np.zeros(2, np.bool_)), TrustRegion(8.0)
     assert radius.judge(step, 5.0, 3.9, -4.0, 0.0, moved=True)
     assert radius.value == GROW * 5.0
     assert radius.judge(step, 5.0, 2.0, -4.0, 0.0, moved=True)  # half of what was predicted
@@ -309,9 +309,9 @@ def test_derivatives_along_the_way_of_another_search_lead_to_the_same_optimum(wr
     way = waypoints(problem(3), Marquardt())
     for theta, derivatives in zip(way.thetas, way.derivatives, strict=True):
         np.testing.assert_allclose(derivatives, jacobian(TIMES, *theta.tolist()).T, rtol=1e-4, atol=1e-5)
-    other.waypoints = Waypoints(way.thetas, tuple(wrong * each for each in way.derivatives))
+    other.waypoints = JacobianCache(way.thetas, tuple(wrong * each for each in way.derivatives))
     found = identify(other)
-    assert found.outcome is Outcome.CONVERGED
+    assert found.outcome is TerminationReason.CONVERGED
     assert found.simulations < most * alone.simulations
     assert (np.abs(found.values - alone.values) < 1e-3 * alone.std).all()
     np.testing.assert_allclose(found.std, alone.std, rtol=1e-3)

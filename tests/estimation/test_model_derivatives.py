@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from fmuid.array_types import Floats
-from fmuid.errors import RefusedError
+from fmuid.errors import SensitivityUnavailableError
 from fmuid.estimation.finite_differences import FiniteDifferences
 from fmuid.estimation.model_sensitivities import RELATIVE_ERROR, ModelSensitivities
 
@@ -36,7 +36,7 @@ class Model:
     def derivatives(self, theta: Floats) -> Floats:
         self.left -= 1
         if self.left < 0:
-            raise RefusedError("no derivatives today")
+            raise SensitivityUnavailableError("no derivatives today")
         return slopes(theta)
 
 

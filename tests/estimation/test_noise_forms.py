@@ -12,16 +12,16 @@ import pytest
 from scipy import stats
 
 from fmuid.array_types import Floats
-from fmuid.data import Experiment, FunctionPredictor, Noise, Parameter, Table, robust_variance
+from fmuid.data import ArrayMeasurements, Experiment, FunctionPredictor, Noise, Parameter, robust_variance
 from fmuid.data.data_file import UNITS
 from fmuid.errors import InputError
 from fmuid.estimation.cost_components import fitted, misfits
 from fmuid.estimation.identification import identify
 from fmuid.estimation.problem import LeastSquares
 from fmuid.estimation.result import Result
-from fmuid.identification.prior_and_data import read_result
+from fmuid.identification.prior_and_data import compare_prior_and_data
 from fmuid.identification.prior_data_tests import Deviation
-from fmuid.identification.residual_analysis import examine_residuals
+from fmuid.identification.residual_analysis import analyze_residuals
 from fmuid.identification.sampling.sampler import log_density
 from tests.support.problems import ar1
 
@@ -85,7 +85,7 @@ def test_a_standard_deviation_for_each_sample() -> None:
 def test_residuals_are_examined_by_their_own_standard_deviations() -> None:
     problem = one(Noise(std=STD.tolist()))
     result = identify(problem)
-    (found,) = examine_residuals(problem, result).series
+    (found,) = analyze_residuals(problem, result).series
     residual = problem.experiments[0].output_values[:, 0] - PHI @ result.values
     assert found.std == pytest.approx(float(residual.std()))
     assert found.normality.kurtosis == pytest.approx(float(stats.kurtosis(residual / STD)))
@@ -156,7 +156,7 @@ def several(noise: Noise, names: tuple[str, ...] = ("first", "second")) -> Least
     rng, tables = np.random.default_rng(3), []
     for name, std in zip(names, (0.1, 0.5), strict=True):
         y = (PHI @ TRUTH + std * rng.standard_normal(COUNT))[:, None]
-        tables.append(Table(name, X, ("y",), y, np.ones_like(y, dtype=np.bool_)))
+        tables.append(ArrayMeasurements(name, X, ("y",), y, np.ones_like(y, dtype=np.bool_)))
     predictor = FunctionPredictor(lambda p: PHI @ p, (COUNT, 1))
     return LeastSquares([predictor, predictor], tables, PARAMETERS, noise=noise)
 
@@ -288,12 +288,12 @@ def test_stated_variance_scales_standard_deviations_and_nothing_else(colour: flo
     _, own = stated("estimate")
     for variance in (1e-2, 1e-4, 1e-6):
         problem, found = stated(variance)
-        diagnostics = examine_residuals(problem, found)
+        diagnostics = analyze_residuals(problem, found)
         assert found.values == pytest.approx(own.values, abs=1e-3 * own.std[0])
         assert found.std == pytest.approx(own.std * math.sqrt(variance / own.noise_variance["y"]), rel=0.1)
         assert found.widening == pytest.approx(own.widening, rel=0.1)
         assert diagnostics.slow == ()
-        (test,) = read_result(problem, found, diagnostics=diagnostics).variances
+        (test,) = compare_prior_and_data(problem, found, diagnostics=diagnostics).variances
         assert (test.known, test.estimated) == (variance, found.noise_variance["y"])
         if colour == 0.0:
             assert found.widening == pytest.approx(1.0, abs=0.1)

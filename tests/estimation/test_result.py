@@ -12,11 +12,11 @@ from scipy.stats import norm
 from fmuid.array_types import Floats
 from fmuid.data.noise import Noise
 from fmuid.data.parameters import Normal, Parameter
-from fmuid.data.predictors import Table
+from fmuid.data.predictors import ArrayMeasurements
 from fmuid.estimation import identification
 from fmuid.estimation.identification import identify
 from fmuid.estimation.marquardt.linear import linear_least_squares
-from fmuid.estimation.marquardt.outcome import Outcome
+from fmuid.estimation.marquardt.outcome import TerminationReason
 from fmuid.estimation.method import Marquardt
 from fmuid.estimation.problem import LeastSquares
 from fmuid.estimation.result import Result
@@ -30,7 +30,7 @@ from tests.support.two_outputs import TIMES, two_output_problem, two_outputs
 def test_every_output_gets_its_own_variance() -> None:
     result = identify(two_output_problem())
     assert result.converged
-    assert result.outcome is Outcome.CONVERGED
+    assert result.outcome is TerminationReason.CONVERGED
     assert result.noise_variance["u"] == pytest.approx(400.0, rel=0.3)
     assert result.noise_variance["i"] == pytest.approx(1e-8, rel=0.3)
     assert (np.abs(result.values - [1.5, 2.0]) < 3.5 * result.std).all()
@@ -145,7 +145,7 @@ def test_parameters_shared_and_per_experiment() -> None:
         return np.column_stack([1e3 * gain * np.exp(-k * times), 1e-3 * gain * np.sin(k * times)])
 
     tables = [
-        Table(name, times, ("a", "b"), y, np.ones((50, 2), dtype=np.bool_))
+        ArrayMeasurements(name, times, ("a", "b"), y, np.ones((50, 2), dtype=np.bool_))
         for name, gain in (("first", 2.0), ("second", 5.0))
         for y in [simulate(1.5, gain) + rng.standard_normal((50, 2)) * [5.0, 1e-5]]
     ]
@@ -169,7 +169,7 @@ def test_an_interrupted_search_keeps_its_best_point() -> None:
 
     result = identify(two_output_problem(), progress=stop)
     assert not result.converged
-    assert result.outcome is Outcome.INTERRUPTED
+    assert result.outcome is TerminationReason.INTERRUPTED
     best = min((i for i in seen if i.accepted), key=lambda i: i.criterion)
     assert dict(zip(result.names, result.values.tolist(), strict=True)) == best.values
     assert np.isfinite(result.std).all()
@@ -188,14 +188,14 @@ def test_an_interruption_inside_a_simulation() -> None:
 
     y = 3.0 * np.exp(-TIMES) + 0.01 * np.sin(50.0 * TIMES)
     result = identify(LeastSquares.from_function(function, y, {"a": Parameter(1.0), "k": Parameter(3.0)}))
-    assert result.outcome is Outcome.INTERRUPTED
+    assert result.outcome is TerminationReason.INTERRUPTED
     assert result.criterion < result.trace["criterion"].iloc[0]
 
 
 def test_the_iteration_limit_is_not_convergence() -> None:
     result = identify(two_output_problem(), Marquardt(max_iterations=1))
     assert not result.converged
-    assert result.outcome is Outcome.ITERATION_LIMIT
+    assert result.outcome is TerminationReason.ITERATION_LIMIT
     assert "raise max_iterations" in ending(result)
     assert result.iterations == 1
 
@@ -203,7 +203,7 @@ def test_the_iteration_limit_is_not_convergence() -> None:
 def test_variances_that_do_not_settle_are_not_convergence(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(identification, "MAX_ROUNDS", 1)
     result = identify(two_output_problem())
-    assert result.outcome is Outcome.UNSETTLED
+    assert result.outcome is TerminationReason.UNSETTLED
     assert not result.converged
     assert not at_minimum(result)
     assert "give them as noise.variance" in ending(result)

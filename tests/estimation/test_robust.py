@@ -21,7 +21,7 @@ from fmuid.estimation.identification import identify
 from fmuid.estimation.method import Marquardt
 from fmuid.estimation.problem import LeastSquares
 from fmuid.estimation.result import Result
-from fmuid.identification.profile import profiles
+from fmuid.identification.profile import profile_likelihood
 from tests.support.paths import FMUS
 
 ROBUST = ["soft_l1", "huber", "cauchy"]
@@ -219,7 +219,7 @@ def test_outliers_hardly_inflate_the_noise_variance(name: str) -> None:
 
 def test_currents_with_spikes() -> None:
     """The induction machine with 3 % of the samples of both currents off by 20 A, both noise variances estimated."""
-    clean = fmuid.read_table(Path(make_table.__file__).parent / "table.csv")
+    clean = fmuid.read_data(Path(make_table.__file__).parent / "table.csv")
     spiky, rng = clean.copy(), np.random.default_rng(10)
     for name in ("ids", "iqs"):
         spiky.loc[rng.random(len(spiky)) < 0.03, name] += 20.0
@@ -314,7 +314,7 @@ def test_profiles_agree_with_the_local_intervals(name: str) -> None:
     for seed in range(12):
         problem = LeastSquares.from_function(decay, contaminated(seed, 0.1), STARTS, loss=name)
         result = identify(problem)
-        (profile,) = profiles(problem, result, ["a"])
+        (profile,) = profile_likelihood(problem, result, ["a"])
         lower, upper = result.intervals().to_numpy()[0]
         ratios.append((profile.upper - profile.lower) / (upper - lower))
     assert np.mean(ratios) == pytest.approx(1.0, abs=0.04)

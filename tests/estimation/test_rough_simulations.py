@@ -17,7 +17,7 @@ from fmuid.data.parameters import Parameter
 from fmuid.errors import InputError
 from fmuid.estimation.finite_differences import FiniteDifferences
 from fmuid.estimation.identification import identify
-from fmuid.estimation.marquardt.outcome import Outcome
+from fmuid.estimation.marquardt.outcome import TerminationReason
 from fmuid.estimation.problem import LeastSquares
 from fmuid.estimation.result import Result
 from fmuid.reports.apply import apply_result
@@ -113,7 +113,7 @@ def test_noise_that_was_not_there_at_the_start(amplitude: float, std: float) -> 
     y, reference = smooth(std)
     result = fit(chattering(amplitude), y, GROWTH_START)
     assert result.converged, result.outcome
-    assert result.outcome in (Outcome.CONVERGED, Outcome.ACCURACY)
+    assert result.outcome in (TerminationReason.CONVERGED, TerminationReason.ACCURACY)
     assert (np.abs(result.values - reference.values) < 0.3 * reference.std).all()
     np.testing.assert_allclose(result.std, reference.std, rtol=0.1)
 
@@ -168,7 +168,7 @@ def stalled(monkeypatch: pytest.MonkeyPatch) -> Result:
 
 
 def test_a_stalled_search_claims_nothing(stalled: Result, tmp_path: Path) -> None:
-    assert stalled.outcome is Outcome.STALLED
+    assert stalled.outcome is TerminationReason.STALLED
     assert not stalled.converged
     assert np.isnan(stalled.std).all()
     assert stalled.intervals().isna().to_numpy().all()
@@ -176,7 +176,7 @@ def test_a_stalled_search_claims_nothing(stalled: Result, tmp_path: Path) -> Non
     path = tmp_path / "result.json"
     path.write_text(json.dumps(stalled.to_json_dict(), allow_nan=False))
     again = Result.from_json(path)
-    assert again.outcome is Outcome.STALLED
+    assert again.outcome is TerminationReason.STALLED
     assert np.isnan(again.std).all()
     with pytest.raises(InputError, match="has not converged: stalled"):
         apply_result(path, FMUS / "Coil" / "Coil.fmu", tmp_path / "new.fmu")
@@ -186,7 +186,7 @@ def test_what_is_as_accurate_as_the_simulation_may_be_applied(tmp_path: Path) ->
     y = noisy(push(PUSH_TRUTH, 1e-9), 0.1, 1)
     parameters = {"R": Parameter(1.5), "L": Parameter(1.5), "brake": Parameter(0.8)}
     result = identify(LeastSquares.from_function(lambda theta: push(theta, 1e-4), y, parameters))
-    assert result.outcome is Outcome.ACCURACY
+    assert result.outcome is TerminationReason.ACCURACY
     content = result.to_json_dict()
     assert content["outcome"] == "accuracy"
     assert ending(result).startswith("converged to the accuracy of the simulation: make it more accurate")

@@ -12,8 +12,8 @@ from scipy.signal import lfilter
 from fmuid.array_types import Floats
 from fmuid.estimation.noise.autoregression import Autoregression, fit
 from fmuid.estimation.noise.low_frequency import Spectrum, slow_noise
-from fmuid.estimation.noise.output_series import Series
-from fmuid.estimation.noise.sample_grid import Grid, Rows
+from fmuid.estimation.noise.output_series import OutputSeries
+from fmuid.estimation.noise.sample_grid import Rows, SampleGrid
 from tests.support.problems import ar1
 
 WEAK, POLE = 0.08, 0.98
@@ -65,8 +65,8 @@ def test_slopes_of_variances_are_those_of_differences(given: bool) -> None:
     basis = np.linalg.qr(np.column_stack([np.exp(-t), np.ones(80)]))[0]
     flags = np.array([given]), np.array([False])
     rows = Rows(np.random.default_rng(4).standard_normal(80), basis, basis, np.eye(2), np.zeros((2, 2)), *flags)
-    own = Series("a", "y", 0, np.arange(80), np.arange(80), 1.0, True, 0, 0)
-    grid = Grid(rows, [own], [0])
+    own = OutputSeries("a", "y", 0, np.arange(80), np.arange(80), 1.0, True, 0, 0)
+    grid = SampleGrid(rows, [own], [0])
 
     def variances(values: Floats) -> Floats:
         variance = math.exp(values[0])

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import fmuid
-from fmuid.estimation import Attempt, Remedy, Trouble, WeakForm, second_difference_noise
+from fmuid.estimation import RestartAttempt, SearchFailure, StartingPointSource, WeakForm, second_difference_noise
 from fmuid.estimation.starting_points.weak_form import WINDOW
 
 RNG = np.random.default_rng(0)
@@ -113,7 +113,7 @@ def test_second_differences_of_straight_lines_and_of_nearly_nothing() -> None:
 
 
 def test_attempts_survive_a_file() -> None:
-    attempt = Attempt(Remedy.SOBOL, Trouble.LARGE_RESIDUAL, 4.5, 12, kept=True)
-    assert Attempt.of_json(
+    attempt = RestartAttempt(StartingPointSource.SOBOL, SearchFailure.LARGE_RESIDUAL, 4.5, 12, kept=True)
+    assert RestartAttempt.of_json(
         {"remedy": "sobol", "trouble": "large_residual", "noise_ratio": 4.5, "simulations": 12, "kept": True}
     ) == (attempt)

@@ -10,7 +10,7 @@ from scipy import stats
 
 from fmuid.array_types import Floats
 from fmuid.data.parameters import Parameter
-from fmuid.estimation.covariance import AtBound, Determined
+from fmuid.estimation.covariance import ActiveBound, Identifiability
 from fmuid.estimation.identification import identify
 from fmuid.estimation.problem import LeastSquares
 from fmuid.reports.messages.identifiability import direction_words
@@ -80,7 +80,7 @@ def test_two_alike_and_one_lost() -> None:
             parameters,
         )
     )
-    assert all(each.determined is Determined.NOT for each in result.undetermined)
+    assert all(each.determined is Identifiability.NOT for each in result.undetermined)
     assert {each.names for each in result.undetermined} == {("c",), ("a", "b")}
     assert {direction_words(each) for each in result.undetermined} == {
         "c is not determined: changing it changes no output",
@@ -96,7 +96,7 @@ def test_a_hardly_determined_parameter_is_named() -> None:
     )
     assert result.converged
     (direction,) = result.weak
-    assert (direction.determined, direction.names) == (Determined.HARDLY, ("bend",))
+    assert (direction.determined, direction.names) == (Identifiability.HARDLY, ("bend",))
     assert direction_words(direction).startswith("bend is hardly determined: its standard deviation is ")
 
 
@@ -114,7 +114,7 @@ def test_strong_correlations_are_listed() -> None:
 def test_bounds_are_named() -> None:
     result = identify(two_output_problem(parameters={"k": Parameter(0.8, min=0.0, max=1.2)}))
     assert result.converged
-    assert result.at_bounds == (AtBound("k", 1.2),)
+    assert result.at_bounds == (ActiveBound("k", 1.2),)
     assert "widen the bound" in ending(result)
     assert result["k"] == 1.2
     # one-sided where the estimate stands on a bound

@@ -13,11 +13,11 @@ import fmuid
 from fmuid.array_types import Floats
 from fmuid.data.noise import Noise
 from fmuid.data.parameters import JointPrior, Normal, Parameter
-from fmuid.data.predictors import Table
+from fmuid.data.predictors import ArrayMeasurements
 from fmuid.errors import InputError
-from fmuid.estimation.covariance import UNDETERMINED_STD, AtBound, Determined, local_covariance
+from fmuid.estimation.covariance import UNDETERMINED_STD, ActiveBound, Identifiability, local_covariance
 from fmuid.estimation.identification import identify
-from fmuid.estimation.marquardt.outcome import Outcome
+from fmuid.estimation.marquardt.outcome import TerminationReason
 from fmuid.estimation.problem import LeastSquares
 from fmuid.estimation.result import Result
 from fmuid.reports.messages.identifiability import direction_words
@@ -54,7 +54,7 @@ def test_a_fault_that_looks_like_another_resistance() -> None:
     either = of(lambda p: np.full(600, 1.0 / (p[0] + p[1])), y, R=Parameter(4.0), dR=Parameter(0.0, nominal=1.0))
     result = identify(either)
     assert not result.converged
-    assert result.outcome is Outcome.UNDETERMINED
+    assert result.outcome is TerminationReason.UNDETERMINED
     assert ending(result) == (
         "undetermined: R and dR cannot be told apart: only R + dR is determined: "
         "give a prior, hold one of them at a value, or measure more"
@@ -70,7 +70,7 @@ def test_any_prior_on_the_direction_determines_it() -> None:
         result = coil_result(STEPS, **{name: prior})
         assert result.converged
         (direction,) = result.prior_determined
-        assert (direction.determined, direction.names) == (Determined.NOT, ("R", "L", "dR"))
+        assert (direction.determined, direction.names) == (Identifiability.NOT, ("R", "L", "dR"))
         assert result.std[result.names.index(name)] == pytest.approx(prior.std, rel=0.05)
         assert result[name] == pytest.approx(prior.mean, abs=1e-3 * prior.std)  # the data do not pull at it
         assert result["dR"] == pytest.approx(1.0, abs=4.0 * result.std[2])
@@ -113,7 +113,7 @@ def test_a_runaway_is_stopped_and_named() -> None:
 
 def test_a_bound_holds_a_runaway() -> None:
     result = resting_coil(L=10.0)
-    assert result.at_bounds == (AtBound("L", 10.0),)
+    assert result.at_bounds == (ActiveBound("L", 10.0),)
     assert "widen the bound or check the model" in ending(result)
 
 
@@ -149,17 +149,17 @@ def test_weak_and_undetermined() -> None:
     weak = bend(9.0)
     assert weak.converged
     (direction,) = weak.weak
-    assert (direction.determined, direction.names) == (Determined.HARDLY, ("bend",))
+    assert (direction.determined, direction.names) == (Identifiability.HARDLY, ("bend",))
     assert direction.std == pytest.approx(9.0, rel=1e-5)
     assert direction_words(direction) == "bend is hardly determined: its standard deviation is 900% of its magnitude"
     (direction,) = bend(3.0, truth=1e-4).weak  # which happens to lie near zero
     said = "bend is hardly determined: its standard deviation, 3, is far more than its value"
-    assert (direction.determined, direction_words(direction)) == (Determined.HARDLY, said)
+    assert (direction.determined, direction_words(direction)) == (Identifiability.HARDLY, said)
     lost = bend(11.0)
     assert not lost.converged
     assert lost.weak == ()
     (direction,) = lost.undetermined
-    assert direction.determined is Determined.NOT_IN_EFFECT
+    assert direction.determined is Identifiability.NOT_IN_EFFECT
     said = "bend is not determined in effect: its standard deviation is 11 times its magnitude"
     assert direction_words(direction) == said
     assert lost.std == pytest.approx([weak.std[0], weak.std[1], 11.0], rel=1e-5)
@@ -193,9 +193,9 @@ def test_singular_and_weak_directions_together() -> None:
     found = local_covariance("abcd", jacobian, np.ones(4), np.zeros(4))
     assert found.rank == 3
     none, in_effect = found.undetermined
-    assert (none.determined, none.names, none.std) == (Determined.NOT, ("a", "b"), math.inf)
+    assert (none.determined, none.names, none.std) == (Identifiability.NOT, ("a", "b"), math.inf)
     assert none.coefficients[0] == pytest.approx(-none.coefficients[1])
-    assert (in_effect.determined, in_effect.names) == (Determined.NOT_IN_EFFECT, ("c",))
+    assert (in_effect.determined, in_effect.names) == (Identifiability.NOT_IN_EFFECT, ("c",))
     assert in_effect.std == pytest.approx(20.0)
     assert tuple(map(direction_words, found.undetermined)) == (
         "a and b cannot be told apart: only a + b is determined",
@@ -210,12 +210,14 @@ def test_singular_and_weak_directions_together() -> None:
 @pytest.mark.parametrize(
     ("effect", "error", "determined"),
     [
-        (0.0, 5.0, Determined.NOT),  # nothing at all
-        (0.01, 0.01, Determined.NOT),  # less than would ever tell it
-        (3.0, 5.0, Determined.HIDDEN),  # errors where without them it would be known to a third
+        (0.0, 5.0, Identifiability.NOT),  # nothing at all
+        (0.01, 0.01, Identifiability.NOT),  # less than would ever tell it
+        (3.0, 5.0, Identifiability.HIDDEN),  # errors where without them it would be known to a third
     ],
 )
-def test_what_errors_hide_does_not_count_as_without_effect(effect: float, error: float, determined: Determined) -> None:
+def test_what_errors_hide_does_not_count_as_without_effect(
+    effect: float, error: float, determined: Identifiability
+) -> None:
     rows, _ = np.linalg.qr(np.random.default_rng(6).standard_normal((50, 2)))
     found = local_covariance("ab", rows * [100.0, effect], np.ones(2), np.array([0.0, error]))
     (direction,) = found.undetermined
@@ -235,7 +237,7 @@ def test_a_sum_of_parameters_does_not_stall_the_search() -> None:
     start = 10.0 ** rng.uniform(-3.0, 3.0, 2)
     parameters = {name: Parameter(value) for name, value in zip("ab", start.tolist(), strict=True)}
     result = identify(LeastSquares.from_function(lambda theta: t * (theta[0] + theta[1]), y, parameters))
-    assert result.outcome is Outcome.UNDETERMINED
+    assert result.outcome is TerminationReason.UNDETERMINED
     assert "only a + b is determined" in ending(result)
 
 
@@ -280,7 +282,7 @@ def test_a_parameter_with_a_prior_and_no_data(variance: object) -> None:
     assert both["slope"] == pytest.approx(single["slope"], rel=1e-9)
     assert both.std[0] == pytest.approx(single.std[0], rel=1e-6)
     (direction,) = both.prior_determined
-    assert (direction.determined, direction.names) == (Determined.NOT, ("idle",))
+    assert (direction.determined, direction.names) == (Identifiability.NOT, ("idle",))
     assert direction_words(direction) == "idle is not determined: changing it changes no output"
 
 
@@ -325,7 +327,7 @@ def test_one_run_may_need_the_prior_and_another_not() -> None:
     tables = []
     for name, gain, kept in (("first", 2.0, counted), ("second", 5.0, few)):
         y = np.column_stack([1e3 * gain * np.exp(-1.5 * times), 1e-3 * gain * np.sin(1.5 * times)])
-        tables.append(Table(name, times, ("a", "b"), y + rng.standard_normal((50, 2)) * [2e4, 1e-3], kept))
+        tables.append(ArrayMeasurements(name, times, ("a", "b"), y + rng.standard_normal((50, 2)) * [2e4, 1e-3], kept))
     parameters = {
         "k": Parameter(1.0, min=0.0),
         "gain": Parameter(3.0, per_experiment=True, prior=Normal(3.0, 0.3)),

@@ -18,10 +18,10 @@ from experiments.coil import onsets, squared, study
 from experiments.machine_faults import calls as machine
 from experiments.machine_faults import detectable, neighbours
 from experiments.machine_faults.machine import TURNS
-from fmuid.diagnosis import Evidence
+from fmuid.diagnosis import ChangeEvidence
 from fmuid.diagnosis.change_detection.causes import Cause
 from fmuid.diagnosis.change_detection.detection import fit
-from fmuid.diagnosis.change_detection.information_matrix import News
+from fmuid.diagnosis.change_detection.information_matrix import ScoreStatistics
 
 
 def test_a_record_of_the_campaign_is_as_by_itself(tmp_path: Path) -> None:
@@ -40,7 +40,7 @@ def test_a_record_of_the_campaign_is_as_by_itself(tmp_path: Path) -> None:
     )
     baseline = fmuid.Baseline(known, inflate, records=[healthy])
     alone = fmuid.diagnose(new, baseline, {"turns": turns}, study.models()[0]).evidence
-    assert isinstance(alone, Evidence)
+    assert isinstance(alone, ChangeEvidence)
     change = alone.explanations[0].changes[0]
     best = found.naming.named[0]
     assert (change.label, len(alone.explanations)) == (best.names[0], len(found.naming.named))
@@ -116,7 +116,7 @@ def test_one_test_of_some_sizes_that_are_not_negative() -> None:
     factor = random.standard_normal((3, 3))
     information, scores = factor @ factor.T, random.standard_normal((50, 3))
     signed = [Cause(name, (i,), 1.0, 1) for i, name in enumerate("abc")]
-    alone = [fit(News(information, score), signed).statistic for score in scores]
+    alone = [fit(ScoreStatistics(information, score), signed).statistic for score in scores]
     assert detectable.fallen(scores, information) == pytest.approx(np.array(alone))
 
 

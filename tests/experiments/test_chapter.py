@@ -15,7 +15,7 @@ README = (chapter.HERE / "README.md").read_text(encoding="utf-8")
 
 @pytest.fixture(scope="module")
 def table() -> pd.DataFrame:
-    return fmuid.read_table(chapter.HERE / "table.csv")
+    return fmuid.read_data(chapter.HERE / "table.csv")
 
 
 @pytest.fixture(scope="module")

@@ -11,7 +11,7 @@ from scipy.interpolate import CubicSpline
 
 import fmuid
 from experiments.induction_machine import chapter, make_table
-from fmuid.data.signals import T23, park
+from fmuid.data.signals import T23, park_transform
 from tests.support.closed_forms import park_rates
 
 Array = npt.NDArray[np.floating]
@@ -137,7 +137,7 @@ def test_without_noise_the_parameters_come_back(clean: pd.DataFrame) -> None:
 
 def test_phases_and_park_axes_agree(frame: pd.DataFrame) -> None:
     for letter in "ui":
-        axes = park(frame, [f"{letter}{phase}" for phase in "abc"], ["d", "q"])
+        axes = park_transform(frame, [f"{letter}{phase}" for phase in "abc"], ["d", "q"])
         np.testing.assert_allclose(axes[["d", "q"]], frame[[f"{letter}ds", f"{letter}qs"]], rtol=0, atol=1e-10)
 
 

@@ -1,6 +1,6 @@
 """The exported machine models against their equations, written here anew and integrated by scipy.
 
-`Reference` knows nothing of the FMUs: plain formulas of docs/method.md section 8 and of the models' README files. The
+`NullDistribution` knows nothing of the FMUs: plain formulas of docs/method.md section 8 and of the models' README files. The
 FMUs run through FMPy's low-level calls (its `simulate_fmu` does not apply inputs inside an integrator).
 """
 
@@ -12,7 +12,7 @@ import pandas as pd
 import pytest
 from scipy.linalg import expm
 
-from fmuid.data.signals import park
+from fmuid.data.signals import park_transform
 from tests.support.shipped_instances import Opener, points, relative_error
 from tests.support.shipped_models import FLUXES, MACHINE, PHASES, REFERENCES, TOLERANCE, models, park_machine
 
@@ -139,8 +139,8 @@ def test_three_phase_machine_is_the_park_machine(opened: Opener, speed: float, s
     phases = machine.run(three, t, frame[list(three.inputs)].to_numpy(), linear=True)
     frame[list(three.outputs)] = phases
     np.testing.assert_allclose(frame["theta"], 0.7 + speed * t, rtol=1e-12)
-    frame = park(frame, ["ua", "ub", "uc"], ["uds", "uqs"])
-    frame = park(frame, ["ia", "ib", "ic"], ["ids", "iqs"])
+    frame = park_transform(frame, ["ua", "ub", "uc"], ["uds", "uqs"])
+    frame = park_transform(frame, ["ia", "ib", "ic"], ["ids", "iqs"])
     two = REFERENCES["InductionMachine"]
     machine = opened("InductionMachine")
     starts = {f"{name}_start": float(frame[name].iloc[0]) for name in ("ids", "iqs")}

@@ -110,7 +110,7 @@ def certified(name: str, start: int) -> Numbers:
 
 def chapter_pair() -> Numbers:
     """Identify the induction machine with the chapter's prior and without."""
-    found = chapter.pair(chapter.experiment(fmuid.read_table(chapter.HERE / "table.csv")))
+    found = chapter.pair(chapter.experiment(fmuid.read_data(chapter.HERE / "table.csv")))
     return {key: value for name, each in found.items() for key, value in of_result(each, f"{name}.").items()}
 
 
@@ -181,7 +181,7 @@ def of_diagnosis(found: fmuid.Diagnosis) -> Numbers:
 def coil_test(number: int) -> Numbers:
     """Diagnose a test of table 1.1."""
     healthy = fmuid.Result.from_json(coil.HERE / "healthy" / "result.json")
-    return of_diagnosis(coil.diagnose(fmuid.read_table(coil.HERE / f"test{number}.csv"), healthy))
+    return of_diagnosis(coil.diagnose(fmuid.read_data(coil.HERE / f"test{number}.csv"), healthy))
 
 
 @cache

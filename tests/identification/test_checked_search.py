@@ -12,7 +12,7 @@ from scipy.linalg import expm
 
 import fmuid
 from fmuid.array_types import Floats
-from fmuid.estimation import SHIFT_LIMIT, AccuracyOutcome, Kept, SwitchCause
+from fmuid.estimation import SHIFT_LIMIT, AccuracyOutcome, RefinementRefusal, SwitchCause
 from fmuid.reports.messages.solver import runs_words
 from fmuid.simulation import Refinement
 from tests.support.exported import export_text
@@ -159,7 +159,7 @@ def test_a_table_made_by_this_very_solver(folder: Path) -> None:
     result = fmuid.identify(problem)
     found = result.accuracy
     assert found is not None
-    assert (found.outcome, found.kept, found.switches) == (AccuracyOutcome.SHIFTED, Kept.FITS_BETTER, ())
+    assert (found.outcome, found.kept, found.switches) == (AccuracyOutcome.SHIFTED, RefinementRefusal.FITS_BETTER, ())
     assert not problem.refinement.any
     assert result["k"] == plain["k"]
     assert result.std[0] == pytest.approx(plain.std[0] * np.hypot(1.0, found.shift[0]))
@@ -174,7 +174,7 @@ def test_a_table_made_by_this_very_solver_that_differs_at_the_start(folder: Path
     result = fmuid.identify(problem)
     found = result.accuracy
     assert found is not None
-    assert (found.outcome, found.kept, found.switches) == (AccuracyOutcome.SHIFTED, Kept.FITS_BETTER, ())
+    assert (found.outcome, found.kept, found.switches) == (AccuracyOutcome.SHIFTED, RefinementRefusal.FITS_BETTER, ())
     assert not problem.refinement.any
     assert result["k"] == pytest.approx(plain["k"], abs=1e-3 * plain.std[0])
     assert result.std[0] == pytest.approx(plain.std[0] * np.hypot(1.0, found.shift[0]), rel=1e-3)
@@ -189,7 +189,7 @@ def test_what_was_asked_for_is_kept(folder: Path) -> None:
     for result in (by_word, by_option):
         found = result.accuracy
         assert found is not None
-        assert (found.outcome, found.kept, found.switches) == (AccuracyOutcome.SHIFTED, Kept.ASKED, ())
+        assert (found.outcome, found.kept, found.switches) == (AccuracyOutcome.SHIFTED, RefinementRefusal.ASKED, ())
         assert f"{found.shift[0]:+.2g}" in fmuid.describe(result)
     assert by_word["k"] == by_option["k"]
 

@@ -12,14 +12,14 @@ from fmuid.array_types import Floats
 from fmuid.data import Normal, Parameter
 from fmuid.errors import InputError
 from fmuid.estimation import LeastSquares, Result, identify
-from fmuid.identification import Compared, IncomparableError, compare, examine_residuals
+from fmuid.identification import IncomparableError, ModelCandidate, analyze_residuals, compare_models
 from tests.support.problems import ar1
 
 TIMES = np.linspace(0.0, 1.0, 400)
 MODEL = {"": {"name": "Line", "digest": "1", "run": {}}}
 
 
-def candidate(y: Floats, order: int, name: str, held: dict[str, float] | None = None) -> Compared:
+def candidate(y: Floats, order: int, name: str, held: dict[str, float] | None = None) -> ModelCandidate:
     """A polynomial of so many coefficients, those beyond held at zero."""
     names = [f"c{k}" for k in range(order)]
     problem = LeastSquares.from_function(
@@ -29,10 +29,10 @@ def candidate(y: Floats, order: int, name: str, held: dict[str, float] | None = 
         times=TIMES,
     )
     result = identify(problem)
-    (series,) = examine_residuals(problem, result).series
+    (series,) = analyze_residuals(problem, result).series
     object.__setattr__(result, "models", MODEL)
     rest = {f"c{k}": 0.0 for k in range(order, 4)} if held is None else held
-    return Compared(name, result, max(1.0, series.noise.variance_factor()), rest)
+    return ModelCandidate(name, result, max(1.0, series.noise.variance_factor()), rest)
 
 
 def line(seed: int, colour: float = 0.0) -> Floats:
@@ -42,7 +42,7 @@ def line(seed: int, colour: float = 0.0) -> Floats:
 def test_criteria_are_the_books() -> None:
     y = line(1)
     small, large = candidate(y, 2, "small"), candidate(y, 3, "large")
-    found = compare([Compared("small", small.result), Compared("large", large.result)])
+    found = compare_models([ModelCandidate("small", small.result), ModelCandidate("large", large.result)])
     for rank in found.ranks:
         order = {"small": 2, "large": 3}[rank.name]
         residual = y - np.polynomial.Polynomial.fit(TIMES, y, order - 1)(TIMES)
@@ -64,7 +64,7 @@ def test_a_right_model_is_rejected_as_rarely_as_the_level_says(colour: float) ->
     corrected, plain = [], []
     for seed in range(60):
         y = line(seed, colour)
-        (test,) = compare([candidate(y, 2, "line"), candidate(y, 4, "cubic")]).tests
+        (test,) = compare_models([candidate(y, 2, "line"), candidate(y, 4, "cubic")]).tests
         assert (test.smaller, test.larger, test.freed) == ("line", "cubic", ("c2", "c3"))
         corrected.append(test.probability)
         plain.append(test.uncorrected)
@@ -76,7 +76,7 @@ def test_a_right_model_is_rejected_as_rarely_as_the_level_says(colour: float) ->
 
 def test_a_wrong_model_is_rejected() -> None:
     y = line(2, 0.5) + TIMES**2
-    found = compare([candidate(y, 2, "line"), candidate(y, 3, "parabola"), candidate(y, 4, "cubic")])
+    found = compare_models([candidate(y, 2, "line"), candidate(y, 3, "parabola"), candidate(y, 4, "cubic")])
     assert [(test.smaller, test.larger) for test in found.tests] == [
         ("line", "parabola"),
         ("line", "cubic"),
@@ -92,7 +92,7 @@ def test_the_likelihood_ratio_of_polynomials() -> None:
     """n ln(S₁/S₂), divided by how many samples are worth one independent sample; χ² with as many freedoms as freed."""
     y = line(2, 0.5)
     small, large = candidate(y, 2, "small"), candidate(y, 4, "large")
-    found = compare([small, large])
+    found = compare_models([small, large])
     squares = [np.sum((y - np.polynomial.Polynomial.fit(TIMES, y, order)(TIMES)) ** 2) for order in (1, 3)]
     ratio = TIMES.size * math.log(squares[0] / squares[1])
     (test,) = found.tests
@@ -105,18 +105,18 @@ def test_the_likelihood_ratio_of_polynomials() -> None:
 def test_nesting_is_claimed_only_where_it_is_known() -> None:
     y = line(1)
     small, large = candidate(y, 2, "small"), candidate(y, 3, "large")
-    assert len(compare([small, large]).tests) == 1
+    assert len(compare_models([small, large]).tests) == 1
     other = candidate(y, 2, "small", {"c2": 0.0, "c3": 5.0})  # another value of what both hold
-    assert compare([other, large]).tests == ()
+    assert compare_models([other, large]).tests == ()
     object.__setattr__(small.result, "models", {"": {"name": "Other", "digest": "1", "run": {}}})
-    assert compare([small, large]).tests == ()
+    assert compare_models([small, large]).tests == ()
 
 
 def test_priors_are_said_and_not_tested() -> None:
     y = line(1)
     small, large = candidate(y, 2, "small"), candidate(y, 3, "large")
     object.__setattr__(large.result, "prior_mean", np.array([np.nan, np.nan, Normal(0.0, 1.0).mean]))
-    found = compare([small, large])
+    found = compare_models([small, large])
     assert found.tests == ()
     assert found.with_priors == ("large",)
 
@@ -130,15 +130,15 @@ def changed(result: Result, **changes: object) -> Result:
 def test_what_cannot_be_compared() -> None:
     one, other = candidate(line(1), 2, "one"), candidate(line(2), 2, "other")
     with pytest.raises(IncomparableError, match="one and other were made from different measurements"):
-        compare([one, other])
+        compare_models([one, other])
     with pytest.raises(InputError, match="give at least two results"):
-        compare([one])
+        compare_models([one])
     with pytest.raises(InputError, match="two results are called one"):
-        compare([one, one])
+        compare_models([one, one])
     again = candidate(line(1), 2, "again")
     changed(again.result, log_likelihood=math.nan)
     with pytest.raises(IncomparableError, match="again has no likelihood"):
-        compare([one, again])
+        compare_models([one, again])
     changed(again.result, data=())
     with pytest.raises(IncomparableError, match="again does not say which measurements"):
-        compare([one, again])
+        compare_models([one, again])

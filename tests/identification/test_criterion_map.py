@@ -21,7 +21,7 @@ from fmuid.estimation.cost_components import misfits, variances
 from fmuid.estimation.cost_function import prepare
 from fmuid.estimation.problem import LeastSquares
 from fmuid.estimation.result import Result
-from fmuid.identification.cost_map import CriterionMap, map_criterion, region_rise
+from fmuid.identification.cost_map import CostMap, map_cost, region_rise
 from tests.support.results import identify_white as identify
 
 TIMES = np.linspace(0.0, 1.0, 40)
@@ -38,9 +38,9 @@ def linear(count: int = 3, *, noise: Noise | None = None, **words: Any) -> Least
     return LeastSquares.from_function(lambda theta: basis @ theta + rest, measured, parameters, noise=noise)
 
 
-def chart_of(problem: LeastSquares, first: str = "a", second: str = "b", **words: Any) -> tuple[CriterionMap, Result]:
+def chart_of(problem: LeastSquares, first: str = "a", second: str = "b", **words: Any) -> tuple[CostMap, Result]:
     result = identify(problem)
-    return map_criterion(problem, result, first, second, **words), result
+    return map_cost(problem, result, first, second, **words), result
 
 
 # --- the table --------------------------------------------------------------------------
@@ -155,16 +155,16 @@ def test_failures_are_nan() -> None:
 def test_wrong_wishes(names: tuple[str, str], words: Mapping[str, Any], match: str) -> None:
     problem = linear(2, min=-5.0)
     with pytest.raises(InputError, match=match):
-        map_criterion(problem, identify(problem), *names, **words)
+        map_cost(problem, identify(problem), *names, **words)
 
 
 def test_result_of_another_problem() -> None:
     other = identify(linear(2))
     with pytest.raises(InputError, match="its parameters are a, b, and the problem's are a, b, c; give"):
-        map_criterion(linear(), other, "a", "b")
+        map_cost(linear(), other, "a", "b")
     stranger = replace(other, noise_variance={"z": 1.0})
     with pytest.raises(InputError, match="its outputs are z, and the problem's are y; give"):
-        map_criterion(linear(2), stranger, "a", "b")
+        map_cost(linear(2), stranger, "a", "b")
 
 
 def test_result_from_a_file(tmp_path: Path) -> None:
@@ -174,7 +174,7 @@ def test_result_from_a_file(tmp_path: Path) -> None:
     chart, result = chart_of(problem, points=3)
     path = tmp_path / "result.json"
     path.write_text(json.dumps(result.to_json_dict()))
-    again = map_criterion(problem, Result.from_json(path), "a", "b", points=3)
+    again = map_cost(problem, Result.from_json(path), "a", "b", points=3)
     pd.testing.assert_frame_equal(again.table, chart.table)
 
 

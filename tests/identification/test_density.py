@@ -12,7 +12,7 @@ from scipy.integrate import quad
 from fmuid.data.noise import Noise
 from fmuid.data.parameters import JointPrior, Parameter
 from fmuid.estimation.problem import LeastSquares
-from fmuid.identification.sampling.sampler import log_density, sample
+from fmuid.identification.sampling.sampler import log_density, sample_posterior
 from tests.support.posteriors import Array, linear
 from tests.support.results import identify_white as identify
 
@@ -69,7 +69,7 @@ def test_density_of_a_robust_loss() -> None:
     rho = 2.0 * (np.sqrt(1.0 + (problem.measured - thetas @ phi.T) ** 2 / 0.2) - 1.0)
     np.testing.assert_allclose(log_density(problem, np.array([0.2]))(thetas), -0.5 * rho.sum(axis=1), rtol=1e-12)
     result = identify(problem)
-    posterior = sample(problem, result)
+    posterior = sample_posterior(problem, result)
     # scaled to how the estimates scatter, of which a robust loss knows as little as of the colour of the noise
     bend = result.local.root @ result.local.root.T if result.local is not None else np.eye(2)
     whole = log_density(problem, np.array([result.variance["y"]]))

@@ -12,7 +12,7 @@ import pandas as pd
 import pytest
 
 import fmuid
-from fmuid.estimation import Outcome
+from fmuid.estimation import TerminationReason
 from fmuid.identification.discrete_parameters import MOST_COMBINATIONS, choices_of
 from fmuid.identification.discrete_search import identify_each
 from fmuid.runs.batch.run_case import CaseRunner
@@ -230,8 +230,8 @@ def test_an_interrupted_search_keeps_what_was_tried(fmu: Path, experiment: fmuid
     def search() -> fmuid.Result:
         nonlocal count
         count += 1
-        return replace(plain, outcome=Outcome.INTERRUPTED if count == 2 else Outcome.CONVERGED)
+        return replace(plain, outcome=TerminationReason.INTERRUPTED if count == 2 else TerminationReason.CONVERGED)
 
     result = identify_each(given, search)
     assert count == len(result.combinations) == 2
-    assert result.outcome is Outcome.INTERRUPTED
+    assert result.outcome is TerminationReason.INTERRUPTED

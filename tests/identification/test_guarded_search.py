@@ -16,7 +16,7 @@ import fmuid
 from experiments.starts.draws import DC_MOTOR, Record, draw
 from experiments.starts.study import searched
 from fmuid.array_types import Floats
-from fmuid.estimation import Attempt, Remedy, Trouble
+from fmuid.estimation import RestartAttempt, SearchFailure, StartingPointSource
 from fmuid.files import as_json
 from fmuid.identification import restarting_search as guarded_search
 from fmuid.identification.agreement import EndedSearch, is_confirmed
@@ -67,8 +67,8 @@ def test_a_motor_from_far_away_is_found_by_its_equations(motor: Path, record: Re
     assert result.converged
     assert fits(result, record)
     assert [(each.remedy, each.trouble) for each in result.attempts] == [
-        (Remedy.GIVEN, Trouble.FAR),
-        (Remedy.EQUATION_ERROR, Trouble.NONE),
+        (StartingPointSource.GIVEN, SearchFailure.FAR),
+        (StartingPointSource.EQUATION_ERROR, SearchFailure.NONE),
     ]
     assert [each.kept for each in result.attempts] == [False, True]
     assert result.start == pytest.approx(whole.parameters.start)
@@ -100,9 +100,9 @@ def test_the_equations_give_a_start_and_the_initial_states(motor: Path, record: 
 class Tried:
     """Searches by the trouble, the worth and the number of each, in place of results."""
 
-    def __init__(self, *ended: tuple[Trouble, float]) -> None:
+    def __init__(self, *ended: tuple[SearchFailure, float]) -> None:
         self.ended = [
-            EndedSearch(worth, Attempt(Remedy.GIVEN, trouble), k, worth)  # type: ignore[arg-type]
+            EndedSearch(worth, RestartAttempt(StartingPointSource.GIVEN, trouble), k, worth)  # type: ignore[arg-type]
             for k, (trouble, worth) in enumerate(ended)
         ]
 
@@ -110,16 +110,19 @@ class Tried:
 @pytest.mark.parametrize(
     ("ended", "best"),
     [
-        ([(Trouble.UNFINISHED, -1600.35), (Trouble.NONE, -1600.34)], 1),  # it fits as well, and has an end
-        ([(Trouble.UNFINISHED, -1600.0), (Trouble.NONE, -1590.0)], 0),
-        ([(Trouble.LARGE_RESIDUAL, 5.0), (Trouble.UNFINISHED, 4.0), (Trouble.LARGE_RESIDUAL, 4.5)], 2),
-        ([(Trouble.UNFINISHED, -np.inf), (Trouble.NONE, 1.0)], 0),
+        ([(SearchFailure.UNFINISHED, -1600.35), (SearchFailure.NONE, -1600.34)], 1),  # it fits as well, and has an end
+        ([(SearchFailure.UNFINISHED, -1600.0), (SearchFailure.NONE, -1590.0)], 0),
+        (
+            [(SearchFailure.LARGE_RESIDUAL, 5.0), (SearchFailure.UNFINISHED, 4.0), (SearchFailure.LARGE_RESIDUAL, 4.5)],
+            2,
+        ),
+        ([(SearchFailure.UNFINISHED, -np.inf), (SearchFailure.NONE, 1.0)], 0),
     ],
 )
-def test_of_searches_that_fit_alike_one_that_ended_is_kept(ended: list[tuple[Trouble, float]], best: int) -> None:
+def test_of_searches_that_fit_alike_one_that_ended_is_kept(ended: list[tuple[SearchFailure, float]], best: int) -> None:
     """A ball's search that stalled fitted better by 0.01 in −2 ln L, and left estimates without deviations."""
     tried: Any = Tried(*ended)
-    assert guarded_search._GuardedSearch._best(tried).number == best
+    assert guarded_search._RestartingSearch._best(tried).number == best
 
 
 def test_one_word_switches_it_off(motor: Path, record: Record) -> None:
@@ -174,12 +177,12 @@ def test_a_secondary_optimum_is_left_for_points_of_the_box(curved: Path) -> None
     result = fmuid.identify(wave(curved, 1.0))
     assert result["b"] == pytest.approx(3.0, abs=0.01)
     first, corrected, given = result.attempts[:3]
-    assert (first.remedy, first.trouble) == (Remedy.GIVEN, Trouble.FAR)
-    assert corrected.remedy is Remedy.CORRECTION  # where the equations give nothing
-    assert given.remedy is Remedy.GIVEN
-    assert given.trouble in (Trouble.LARGE_RESIDUAL, Trouble.UNFINISHED)
+    assert (first.remedy, first.trouble) == (StartingPointSource.GIVEN, SearchFailure.FAR)
+    assert corrected.remedy is StartingPointSource.CORRECTION  # where the equations give nothing
+    assert given.remedy is StartingPointSource.GIVEN
+    assert given.trouble in (SearchFailure.LARGE_RESIDUAL, SearchFailure.UNFINISHED)
     assert given.noise_ratio > 3.0
-    assert result.attempts[-1].remedy is Remedy.SOBOL
+    assert result.attempts[-1].remedy is StartingPointSource.SOBOL
     assert result.attempts[-1].kept
     assert result.simulations == sum(each.simulations for each in result.attempts) - first.simulations
 
@@ -189,8 +192,8 @@ def test_a_guess_waits_for_the_others_and_is_gone_on_with(curved: Path, monkeypa
     result = fmuid.identify(wave(curved, 1.0))
     assert result["b"] == pytest.approx(3.0, abs=0.01)
     *before, last = result.attempts
-    assert {each.trouble for each in before if each.remedy is Remedy.SOBOL} == {Trouble.UNFINISHED}
-    assert (last.remedy, last.trouble, last.kept) == (Remedy.SOBOL, Trouble.NONE, True)
+    assert {each.trouble for each in before if each.remedy is StartingPointSource.SOBOL} == {SearchFailure.UNFINISHED}
+    assert (last.remedy, last.trouble, last.kept) == (StartingPointSource.SOBOL, SearchFailure.NONE, True)
 
 
 @pytest.mark.slow
@@ -206,7 +209,7 @@ def test_a_model_that_is_wrong_is_confirmed_by_a_second_start(curved: Path) -> N
     result = fmuid.identify(wave(curved, 2.9, lambda t: 0.3 * np.cos(1.3 * t)))
     assert result.converged
     kept = next(each for each in result.attempts if each.kept)
-    assert kept.trouble is Trouble.MODEL_ERROR
+    assert kept.trouble is SearchFailure.MODEL_ERROR
     assert "the model does not explain the data" in fmuid.describe(result)
 
 
@@ -234,9 +237,9 @@ def test_two_searches_that_agree_end_it_however_large_the_residual_is(tmp_path: 
     parameters = {"a": fmuid.Parameter(3.0, min=0.0), "b": fmuid.Parameter(1.0, min=0.0)}
     result = fmuid.identify(fmuid.Problem(export_text(tmp_path, LAG), experiment, parameters))
     assert result.converged
-    assert len([each for each in result.attempts if each.trouble is not Trouble.FAR]) == 2
+    assert len([each for each in result.attempts if each.trouble is not SearchFailure.FAR]) == 2
     kept = next(each for each in result.attempts if each.kept)
-    assert kept.trouble is Trouble.MODEL_ERROR
+    assert kept.trouble is SearchFailure.MODEL_ERROR
     assert kept.noise_ratio > 15.0
     (said,) = attempt_words(result)
     assert said.endswith(
@@ -246,25 +249,25 @@ def test_two_searches_that_agree_end_it_however_large_the_residual_is(tmp_path: 
     assert [each["trouble"] for each in data["attempts"] if each["kept"]] == ["model_error"]
 
 
-def ended(remedy: Remedy, values: list[float], worth: float = 0.0, number: int = 0) -> EndedSearch:
+def ended(remedy: StartingPointSource, values: list[float], worth: float = 0.0, number: int = 0) -> EndedSearch:
     """A search that ended with standard deviations of 0.1, the second one without end."""
     result: Any = SimpleNamespace(values=np.array(values), std=np.array([0.1, np.inf]))
-    return EndedSearch(result, Attempt(remedy, Trouble.LARGE_RESIDUAL, 20.0), number, worth)
+    return EndedSearch(result, RestartAttempt(remedy, SearchFailure.LARGE_RESIDUAL, 20.0), number, worth)
 
 
 @pytest.mark.parametrize(
     ("other", "equation_ratio", "confirmed"),
     [
-        (ended(Remedy.EQUATION_ERROR, [1.05, 7.0]), np.nan, True),
-        (ended(Remedy.EQUATION_ERROR, [1.05, 7.0]), 15.0, True),
-        (ended(Remedy.EQUATION_ERROR, [1.05, 7.0]), 3.0, False),  # the equations hold: a secondary optimum
-        (ended(Remedy.EQUATION_ERROR, [1.2, 7.0]), np.nan, False),
-        (ended(Remedy.EQUATION_ERROR, [1.05, 7.0], worth=-4.0), np.nan, False),
-        (ended(Remedy.CORRECTION, [1.05, 7.0]), np.nan, False),  # which set out from the given start
+        (ended(StartingPointSource.EQUATION_ERROR, [1.05, 7.0]), np.nan, True),
+        (ended(StartingPointSource.EQUATION_ERROR, [1.05, 7.0]), 15.0, True),
+        (ended(StartingPointSource.EQUATION_ERROR, [1.05, 7.0]), 3.0, False),  # the equations hold: a secondary optimum
+        (ended(StartingPointSource.EQUATION_ERROR, [1.2, 7.0]), np.nan, False),
+        (ended(StartingPointSource.EQUATION_ERROR, [1.05, 7.0], worth=-4.0), np.nan, False),
+        (ended(StartingPointSource.CORRECTION, [1.05, 7.0]), np.nan, False),  # which set out from the given start
     ],
 )
 def test_searches_agree_in_criterion_and_estimates(other: EndedSearch, equation_ratio: float, confirmed: bool) -> None:
-    one = ended(Remedy.GIVEN, [1.0, 2.0], number=1)
+    one = ended(StartingPointSource.GIVEN, [1.0, 2.0], number=1)
     assert is_confirmed(one, [other, one], equation_ratio) == confirmed
 
 
@@ -298,8 +301,8 @@ def test_the_problem_is_simulated_as_before_after_corrections(motor: Path, recor
 
 
 def test_every_attempt_has_words() -> None:
-    assert set(PLACES) == set(Remedy)
-    assert set(ENDS) == set(Trouble)
+    assert set(PLACES) == set(StartingPointSource)
+    assert set(ENDS) == set(SearchFailure)
 
 
 def test_the_noise_of_an_output_is_never_zero(curved: Path) -> None:

@@ -13,9 +13,9 @@ import fmuid
 from experiments.starts.draws import INDUCTION_MACHINE, bits, draw, simulated
 from experiments.starts.study import problem
 from fmuid.array_types import Floats
-from fmuid.estimation import Remedy, Trouble
+from fmuid.estimation import SearchFailure, StartingPointSource
 from fmuid.identification.equation_error_start import equation_start
-from fmuid.identification.measured_states import told_states
+from fmuid.identification.measured_states import states_from_outputs
 from fmuid.simulation import RightHandSide
 from tests.support.exported import export_text
 from tests.support.paths import FMUS
@@ -59,7 +59,7 @@ def test_the_fluxes_of_a_machine_follow_from_its_currents() -> None:
     side = RightHandSide.of(whole.simulators[0])
     assert side is not None
     theta = whole.parameters.start
-    known, slopes = told_states(side, theta, times, states[:, :2])
+    known, slopes = states_from_outputs(side, theta, times, states[:, :2])
     assert known.unseen.shape == (4, 2)
     assert slopes == pytest.approx(np.eye(2, 4))
     ((found, rates),) = known(theta[None])
@@ -95,7 +95,7 @@ def test_unmeasured_states_with_a_law_that_is_not_linear(cubic: Path) -> None:
     side = RightHandSide.of(whole.simulators[0])
     assert side is not None
     (experiment,) = whole.experiments
-    known, slopes = told_states(side, whole.parameters.start, experiment.times, experiment.output_values)
+    known, slopes = states_from_outputs(side, whole.parameters.start, experiment.times, experiment.output_values)
     assert np.abs(slopes).max() == pytest.approx(2.0)
     ((found, _),) = known(whole.parameters.start[None])
     assert found == pytest.approx(states[:, ["xzw".index(name) for name in side.states]], abs=5e-3)
@@ -114,7 +114,7 @@ def test_a_machine_from_up_to_a_hundred_times_away_is_found_without_its_fluxes()
     result = fmuid.identify(problem("im", draw("im", 2, 3.0, 100.0)))
     assert result.converged
     assert [(each.remedy, each.trouble) for each in result.attempts] == [
-        (Remedy.GIVEN, Trouble.FAR),
-        (Remedy.EQUATION_ERROR, Trouble.NONE),
+        (StartingPointSource.GIVEN, SearchFailure.FAR),
+        (StartingPointSource.EQUATION_ERROR, SearchFailure.NONE),
     ]
     assert result.simulations < 200

@@ -16,8 +16,8 @@ from scipy.linalg import expm
 
 import fmuid
 from fmuid.array_types import Floats
-from fmuid.identification import observed
 from fmuid.identification import state_correction_start as corrected_start
+from fmuid.identification import with_observer
 from fmuid.identification.observer import observer_gain
 from fmuid.reports.page.verdict import identification_words
 from fmuid.simulation import RightHandSide
@@ -108,7 +108,7 @@ def test_what_the_output_does_not_see_cannot_be_observed() -> None:
 
 
 def test_a_right_model_is_found_with_an_observer_too(cart: Path) -> None:
-    whole = observed(problem(cart, 0.0))
+    whole = with_observer(problem(cart, 0.0))
     result = fmuid.identify(whole)
     assert result.converged
     assert result.attempts == ()
@@ -118,7 +118,7 @@ def test_a_right_model_is_found_with_an_observer_too(cart: Path) -> None:
 
 
 def test_the_result_says_that_it_is_no_output_error(cart: Path, tmp_path: Path) -> None:
-    result = fmuid.identify(observed(problem(cart, 0.0), 5.0))
+    result = fmuid.identify(with_observer(problem(cart, 0.0), 5.0))
     (tmp_path / "result.json").write_text(json.dumps(result.to_json_dict()), encoding="utf-8")
     kept = fmuid.Result.from_json(tmp_path / "result.json")
     assert kept.observer == 5.0
@@ -132,14 +132,14 @@ def test_combinations_are_not_observed(cart: Path) -> None:
     whole = problem(cart, 0.0)
     whole.choices = {"mode": (1, 2)}
     with pytest.raises(fmuid.InputError, match="'mode' takes few values: hold it"):
-        observed(whole)
+        with_observer(whole)
 
 
 def test_an_error_of_the_model_pulls_output_error_more(cart: Path) -> None:
     """What integrates keeps a force that the model has not; the observer forgets it."""
     whole = problem(cart, 0.3)
     long = fmuid.identify(whole, remedies=False)
-    short = fmuid.identify(observed(problem(cart, 0.3)))
+    short = fmuid.identify(with_observer(problem(cart, 0.3)))
     assert abs(short["m"] - M) < 0.5 * abs(long["m"] - M)
 
 
@@ -148,9 +148,9 @@ def test_an_observer_is_for_one_output_of_one_model(cart: Path) -> None:
     frame = pd.DataFrame({"time": TIMES, "u": 1.0, "q": 0.0, "w": 0.0})
     two = fmuid.Experiment(frame, ["u"], {"q": "q", "v": "w"}, interpolation="hold")
     with pytest.raises(fmuid.InputError, match="one output"):
-        observed(fmuid.Problem(cart, two, {"m": fmuid.Parameter(1.0)}))
+        with_observer(fmuid.Problem(cart, two, {"m": fmuid.Parameter(1.0)}))
     with pytest.raises(fmuid.InputError, match="positive number of samples"):
-        observed(whole, 0.0)
+        with_observer(whole, 0.0)
 
 
 STUDY = """
@@ -182,7 +182,7 @@ def test_a_study_asks_for_an_observer(cart: Path, tmp_path: Path) -> None:
     record(0.3).to_csv(tmp_path / "table.csv", index=False)
     asked = study(tmp_path, cart)
     found = fmuid.run_study(asked, tmp_path / "out")
-    by_hand = fmuid.identify(observed(problem(cart, 0.3), 5.0))
+    by_hand = fmuid.identify(with_observer(problem(cart, 0.3), 5.0))
     assert found.result.observer == 5.0
     assert found.result.values == pytest.approx(by_hand.values, rel=1e-6)
     assert fmuid.Result.from_json(tmp_path / "out" / "result.json").observer == 5.0

@@ -15,8 +15,8 @@ from fmuid.data.noise import Noise
 from fmuid.data.parameters import JointPrior, Normal, Parameter
 from fmuid.errors import InputError
 from fmuid.estimation.problem import LeastSquares
-from fmuid.identification.sampling.posterior import Posterior, Sampling, SamplingDoubt
-from fmuid.identification.sampling.sampler import sample
+from fmuid.identification.sampling.posterior import Posterior, SamplerSettings, SamplingWarning
+from fmuid.identification.sampling.sampler import sample_posterior
 from fmuid.reports.messages.uncertainty import posterior_words
 from tests.support.posteriors import Array, linear, sampled
 from tests.support.results import identify_white as identify
@@ -162,7 +162,7 @@ def banana(bend: float) -> LeastSquares:
 def test_a_bent_posterior() -> None:
     """E b = 6, Var b = 1 + 2·36; differential evolution and local draws give some 350 independent samples."""
     problem = banana(6.0)
-    found = sample(problem, identify(problem), Sampling(effective_size=500))
+    found = sample_posterior(problem, identify(problem), SamplerSettings(effective_size=500))
     assert found.converged
     assert found.effective_size.min() > 500.0
     error = 5.0 / math.sqrt(found.effective_size.min())
@@ -181,7 +181,7 @@ def test_two_optima(prior: Normal | None) -> None:
     problem = LeastSquares.from_function(
         lambda theta: np.full(10, theta[0] ** 2), np.full(10, 4.0), parameters, noise=Noise(0.25)
     )
-    found = sample(problem, identify(problem), Sampling(effective_size=200))
+    found = sample_posterior(problem, identify(problem), SamplerSettings(effective_size=200))
     assert found.converged
     words = posterior_words(found)
     if prior is None:
@@ -218,7 +218,7 @@ def test_bounds_alone_hold_what_data_leave_open() -> None:
 
 def test_nothing_holds_what_data_leave_open() -> None:
     posterior, _ = sampled(sum_only(Parameter(1.0), Parameter(1.0)))
-    assert (posterior.doubt, posterior.doubtful) == (SamplingDoubt.RUNAWAY, "a")
+    assert (posterior.doubt, posterior.doubtful) == (SamplingWarning.RUNAWAY, "a")
     assert posterior_words(posterior).startswith("nothing holds a, the samples run away: give a prior or bounds")
     assert posterior.intervals().to_numpy().tolist() == [[-math.inf, math.inf]] * 2
 
@@ -229,7 +229,7 @@ def test_nothing_holds_what_data_leave_open() -> None:
 @pytest.mark.slow
 def test_coverage_of_the_coil() -> None:
     """Of 12 draws a method that covers 95 % holds the truth at least 8 times but for one in 5,000 repetitions."""
-    sampling = Sampling(effective_size=400, walkers=8)
+    sampling = SamplerSettings(effective_size=400, walkers=8)
     shares = coverage("coil", 12, sampling=sampling)
     assert list(shares.index) == ["R", "L"]
     assert list(shares.columns) == ["local", "profile", "posterior"]

@@ -17,13 +17,18 @@ from fmuid.estimation.cost_function import prepare
 from fmuid.estimation.identification import identify
 from fmuid.estimation.marquardt.linear import linear_least_squares
 from fmuid.estimation.noise.autoregression import Autoregression
-from fmuid.estimation.noise.sandwich import ResidualNoise, Sandwich
+from fmuid.estimation.noise.sandwich import ResidualNoise, SandwichCovariance
 from fmuid.estimation.problem import LeastSquares
 from fmuid.estimation.result import Result
 from fmuid.identification import Problem
-from fmuid.identification.prior_and_data import Influence, Obstacle, Reading, read_result
+from fmuid.identification.prior_and_data import (
+    ExtrapolationReason,
+    PriorDataComparison,
+    PriorInfluence,
+    compare_prior_and_data,
+)
 from fmuid.identification.prior_data_tests import Deviation
-from fmuid.identification.residual_analysis import Diagnostics, examine_residuals
+from fmuid.identification.residual_analysis import ResidualAnalysis, analyze_residuals
 from fmuid.reports.messages.prior_and_data import reading_words
 from fmuid.studies.study import Study
 from tests.support.paths import ROOT
@@ -62,9 +67,9 @@ def information() -> Floats:
     return np.asarray(PHI.T @ PHI / VARIANCE)
 
 
-def white_reading(problem: LeastSquares, result: Result, **words: Any) -> Reading:
+def white_reading(problem: LeastSquares, result: Result, **words: Any) -> PriorDataComparison:
     """Read a result with residuals that are taken for white."""
-    found = examine_residuals(problem, result)
+    found = analyze_residuals(problem, result)
     assert result.noise is not None
     models = tuple(
         dataclasses.replace(each, process=Autoregression(np.zeros(0), 1.0, each.process.samples))
@@ -76,9 +81,9 @@ def white_reading(problem: LeastSquares, result: Result, **words: Any) -> Readin
     with pytest.MonkeyPatch.context() as patched:  # also where the optimum of the data is searched
         patched.setattr(
             "fmuid.identification.prior_and_data.sandwich_of",
-            lambda *_: Sandwich(taken.covariance, taken.freedom, noise),
+            lambda *_: SandwichCovariance(taken.covariance, taken.freedom, noise),
         )
-        return read_result(problem, taken, diagnostics=Diagnostics(series, found.widening), **words)
+        return compare_prior_and_data(problem, taken, diagnostics=ResidualAnalysis(series, found.widening), **words)
 
 
 def _outputs(noise: ResidualNoise) -> list[int]:
@@ -151,7 +156,7 @@ def test_the_kalman_form_of_the_induction_machine() -> None:
     off = np.abs(kalman(problem, mean) - result.values) / result.std
     assert (off < 0.05).all()
     assert (np.abs(mean - result.values) / result.std).max() > 1.0
-    reading = read_result(problem, result, search_data=True)
+    reading = compare_prior_and_data(problem, result, search_data=True)
     assert reading.searched
     assert (np.abs(reading.nonlinearity) < 0.05).all()
     assert reading.agreement is not None
@@ -165,11 +170,11 @@ def test_the_kalman_form_of_the_induction_machine() -> None:
 def test_a_changed_machine_is_noticed() -> None:
     """A rotor resistance ten prior standard deviations from what it is."""
     problem = machine(Noise(0.0462), np.array([9.81, 3.95, 0.436, 0.0762]))
-    reading = read_result(problem, identify(problem), search_data=True)
+    reading = compare_prior_and_data(problem, identify(problem), search_data=True)
     assert reading.agreement is not None
     assert reading.agreement.probability < 1e-6
     assert not reading.agreement.holds
-    assert Influence("Rr", "Rr", rests=False) in reading.influences
+    assert PriorInfluence("Rr", "Rr", rests=False) in reading.influences
     said = reading_words(reading)
     assert "Prior and data disagree" in said[0]
     assert "most of all on Rr" in said[0]
@@ -190,14 +195,14 @@ def test_the_data_alone_are_searched() -> None:
     with_prior = free | {"rate": Parameter(1.0, prior=Normal(0.6, 0.02))}
     problem = LeastSquares.from_function(decay, y, with_prior, noise=noise)
     result = identify(problem)
-    reading = read_result(problem, result, search_data=True)
+    reading = compare_prior_and_data(problem, result, search_data=True)
     np.testing.assert_allclose(reading.data, alone.values, rtol=1e-5)
     np.testing.assert_allclose(reading.data_std, alone.std, rtol=1e-3)
     # far from each other, the paraboloids of both do not describe what lies between
     assert np.abs(reading.nonlinearity).max() > 0.5
     assert reading.bent
     assert any(line.startswith("Between prior and data the model is not linear") for line in reading_words(reading))
-    extrapolated = read_result(problem, result)
+    extrapolated = compare_prior_and_data(problem, result)
     assert np.abs((extrapolated.data - alone.values) / alone.std).max() > 0.5
 
 
@@ -205,7 +210,7 @@ def test_whose_prior_moved_what() -> None:
     """The moves add up, and removing one of two independent priors undoes what it did beside the other."""
     y = noisy(np.random.default_rng(4))
     problem, result = linear(y, own={"a": Normal(1.3, 0.02), "c": Normal(0.5, 0.05)})
-    reading = read_result(problem, result)
+    reading = compare_prior_and_data(problem, result)
     np.testing.assert_allclose(reading.moves.sum(axis=1), reading.combined - reading.data, rtol=1e-5)
     assert (reading.moves[:, 1] == 0.0).all()
     assert reading.moved_by[0] == reading.moved_by[1] == "a"
@@ -233,7 +238,7 @@ def test_data_that_determine_combinations_only() -> None:
     """The coil: two priors and two determined combinations of three parameters have one direction in common."""
     problem = coil_problem(prior=True)
     result = identify(problem)
-    reading = read_result(problem, result, search_data=True)
+    reading = compare_prior_and_data(problem, result, search_data=True)
     assert np.isnan(reading.data).all()
     assert np.isinf(reading.data_std).all()
     assert not reading.searched
@@ -252,7 +257,7 @@ def test_nothing_in_common() -> None:
     problem = LeastSquares.from_function(lambda theta: PHI @ theta[:3], measured, parameters, noise=Noise(VARIANCE))
     result = identify(problem)
     assert result["d"] == pytest.approx(2.0)
-    reading = read_result(problem, result)
+    reading = compare_prior_and_data(problem, result)
     assert reading.agreement is None
     np.testing.assert_allclose(reading.data[:3], linear_least_squares(PHI, measured).theta, rtol=1e-6)
     assert np.isnan(reading.data[3])
@@ -271,7 +276,7 @@ def test_false_alarms_come_as_often_as_the_level_says(colour: float) -> None:
         y = phi @ truth + 0.3 * ar1(rng, colour, 600)
         parameters = {name: Parameter(1.0, prior=Normal(1.0, std)) for name, std in zip("ab", stds, strict=True)}
         problem = LeastSquares.from_function(lambda theta: phi @ theta, y, parameters, noise=Noise(0.09))
-        reading = read_result(problem, identify(problem))
+        reading = compare_prior_and_data(problem, identify(problem))
         assert reading.agreement is not None
         apart.append(reading.agreement.probability < 0.05)
         larger.append(reading.variances[0].probability < 0.05)
@@ -288,8 +293,8 @@ def test_the_known_variance() -> None:
         lambda theta: np.column_stack([PHI @ theta, PHI @ theta]), y, parameters, outputs=("u", "i")
     )
     result = identify(problem)
-    assert read_result(problem, result).variances == ()
-    assert reading_words(read_result(problem, result)) == ()
+    assert compare_prior_and_data(problem, result).variances == ()
+    assert reading_words(compare_prior_and_data(problem, result)) == ()
     reading = white_reading(problem, result, healthy={"i": VARIANCE, "u": VARIANCE})
     one, other, both = reading.variances
     assert (one.output, other.output, both.output) == ("u", "i", "")
@@ -311,9 +316,9 @@ def test_the_known_variance() -> None:
     assert smaller.variances[0].deviation is Deviation.SMALLER
     assert reading_words(smaller)[0].startswith("The residual of u is smaller than its stated noise level: ")
     with pytest.raises(InputError, match="healthy names 'x', which is no measured output"):
-        read_result(problem, result, healthy={"x": 1.0})
+        compare_prior_and_data(problem, result, healthy={"x": 1.0})
     with pytest.raises(InputError, match="healthy variance of 'u' must be positive"):
-        read_result(problem, result, healthy={"u": 0.0})
+        compare_prior_and_data(problem, result, healthy={"u": 0.0})
 
 
 def test_a_robust_loss_is_extrapolated() -> None:
@@ -321,8 +326,8 @@ def test_a_robust_loss_is_extrapolated() -> None:
     y = noisy(rng)
     y[::20] += 5.0
     problem, result = linear(y, joint(), loss="huber")
-    reading = read_result(problem, result, search_data=True)
-    assert reading.obstacle == Obstacle(robust=True)
+    reading = compare_prior_and_data(problem, result, search_data=True)
+    assert reading.obstacle == ExtrapolationReason(robust=True)
     assert reading_words(reading)[-1] == "With a robust loss the optimum of the data alone is extrapolated"
     alone = linear(y, loss="huber")[1]
     assert (np.abs(reading.data - alone.values) < 0.5 * alone.std).all()
@@ -335,9 +340,9 @@ def test_a_search_that_ends_at_a_bound_is_said() -> None:
     problem = LeastSquares.from_function(lambda theta: PHI @ theta, y, parameters, noise=Noise(VARIANCE))
     result = identify(problem)
     assert result.at_bounds == ()
-    reading = read_result(problem, result, search_data=True)
+    reading = compare_prior_and_data(problem, result, search_data=True)
     assert not reading.searched
-    assert reading.obstacle == Obstacle(at_bounds=("a",))
+    assert reading.obstacle == ExtrapolationReason(at_bounds=("a",))
     said = "The data alone would push a to a bound, so their optimum is extrapolated"
     assert reading_words(reading)[-1] == said
     np.testing.assert_allclose(reading.data, linear_least_squares(PHI, y).theta, rtol=1e-5)
@@ -345,7 +350,7 @@ def test_a_search_that_ends_at_a_bound_is_said() -> None:
 
 def test_written_and_read() -> None:
     problem, result = linear(noisy(np.random.default_rng(10)), joint())
-    reading = read_result(problem, result, search_data=True)
+    reading = compare_prior_and_data(problem, result, search_data=True)
     written = json.loads(json.dumps(reading.to_json_dict(), allow_nan=False))
     assert written["variances"][0]["deviation"] == reading.variances[0].deviation.value
     assert written["parameters"]["b"]["data"] == reading.data[1]
@@ -355,4 +360,4 @@ def test_written_and_read() -> None:
     assert table["parameter"].tolist() == list(NAMES)
     assert table.shape == (3, 13)
     with pytest.raises(InputError, match="identify the study again"):
-        read_result(problem, dataclasses.replace(result, local=None))
+        compare_prior_and_data(problem, dataclasses.replace(result, local=None))

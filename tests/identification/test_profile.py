@@ -15,10 +15,10 @@ from scipy.stats import norm
 from fmuid.data.noise import Noise
 from fmuid.data.parameters import JointPrior, Normal, Parameter
 from fmuid.errors import InputError
-from fmuid.estimation.covariance import AtBound
+from fmuid.estimation.covariance import ActiveBound
 from fmuid.estimation.problem import LeastSquares
 from fmuid.estimation.result import Result
-from fmuid.identification.profile import Profile, profiles
+from fmuid.identification.profile import Profile, profile_likelihood
 from fmuid.identification.profile_ends import EndKind
 from fmuid.progress import Event, ProfileStep
 from fmuid.reports.messages.uncertainty import profile_words
@@ -75,7 +75,7 @@ def coil(least: float = -math.inf) -> tuple[LeastSquares, Result]:
 
 
 def only(problem: LeastSquares, result: Result, name: str, **words: Any) -> Profile:
-    (profile,) = profiles(problem, result, [name], **words)
+    (profile,) = profile_likelihood(problem, result, [name], **words)
     return profile
 
 
@@ -94,7 +94,7 @@ def test_linear_equals_student(level: float) -> None:
     theta, square, *_ = np.linalg.lstsq(phi, problem.measured)
     quantile = math.sqrt(f_distribution.ppf(level, 1, 27))
     half = quantile * np.sqrt(square[0] / 27 * np.diag(np.linalg.inv(phi.T @ phi)))
-    found = ends(profiles(problem, result, level=level))
+    found = ends(profile_likelihood(problem, result, level=level))
     np.testing.assert_allclose(found, np.column_stack([theta - half, theta + half]), rtol=0, atol=1e-6 * half.max())
     np.testing.assert_allclose(found, result.intervals(level).to_numpy(), rtol=0, atol=1e-6 * half.max())
 
@@ -106,7 +106,7 @@ def test_linear_given_variance_and_prior() -> None:
     precision = phi.T @ phi / 0.5 + np.diag([0.0, 1.0 / 0.05**2, 0.0])
     theta = np.linalg.solve(precision, phi.T @ problem.measured / 0.5)
     half = norm.ppf(0.5 + LEVEL / 2) * np.sqrt(np.diag(np.linalg.inv(precision)))
-    found = profiles(problem, result)
+    found = profile_likelihood(problem, result)
     np.testing.assert_allclose(
         ends(found), np.column_stack([theta - half, theta + half]), rtol=0, atol=1e-6 * half.max()
     )
@@ -130,7 +130,7 @@ def test_linear_two_outputs_and_joint_prior() -> None:
     result = identify(problem)
     local = result.intervals().to_numpy()
     # the result's variances moved by up to 2 % after its last search, and the optimum with them
-    np.testing.assert_allclose(ends(profiles(problem, result)), local, rtol=0, atol=0.01 * result.std.max())
+    np.testing.assert_allclose(ends(profile_likelihood(problem, result)), local, rtol=0, atol=0.01 * result.std.max())
 
 
 def test_one_parameter() -> None:
@@ -138,7 +138,7 @@ def test_one_parameter() -> None:
         lambda theta: theta[0] * TIMES, 2.0 * TIMES + np.cos(40 * TIMES), {"k": Parameter(1.0)}
     )
     result = identify(problem)
-    np.testing.assert_allclose(ends(profiles(problem, result)), result.intervals().to_numpy(), rtol=1e-7)
+    np.testing.assert_allclose(ends(profile_likelihood(problem, result)), result.intervals().to_numpy(), rtol=1e-7)
 
 
 # --- nonlinear problems: brute force
@@ -201,7 +201,7 @@ def test_table_holds_the_path() -> None:
 def test_flat_is_not_given_a_number() -> None:
     problem, result = coil()
     assert not np.isfinite(result.std).any()
-    for profile in profiles(problem, result):
+    for profile in profile_likelihood(problem, result):
         assert (profile.lower, profile.upper) == (-math.inf, math.inf)
         assert [each.kind for each in profile.remarks] == [EndKind.FLAT, EndKind.FLAT]
         assert f"{profile.name} has no upper end: even at " in profile_words(profile)[1]
@@ -215,7 +215,7 @@ def test_ends_by_the_bounds_of_others() -> None:
     assert profile.lower == -math.inf
     total = result["L"] + 0.05 * result["dR"]
     assert profile.upper == pytest.approx((total - 1e-3) / 0.05, rel=0.1)
-    assert profile.remarks[-1].other == AtBound("L", 1e-3)
+    assert profile.remarks[-1].other == ActiveBound("L", 1e-3)
     assert profile_words(profile)[-1] == "at the upper end of dR, L is at its bound 0.001"
 
 
@@ -333,7 +333,7 @@ def test_interrupted_keeps_what_there_is() -> None:
         if point.name == "b" and point.rise > 1.0:
             raise KeyboardInterrupt
 
-    found = profiles(problem, identify(problem), progress=stop)
+    found = profile_likelihood(problem, identify(problem), progress=stop)
     assert [profile.name for profile in found] == ["a", "b"]
     assert math.isfinite(found[0].upper)
     assert not found[0].remarks
@@ -348,8 +348,8 @@ def test_wrong_use() -> None:
     problem, _ = linear()
     result = identify(problem)
     with pytest.raises(InputError, match=r"'d' is not a parameter of the problem"):
-        profiles(problem, result, ["d"])
+        profile_likelihood(problem, result, ["d"])
     with pytest.raises(InputError, match="level of an interval must lie between 0 and 1, not 95"):
-        profiles(problem, result, level=95)
+        profile_likelihood(problem, result, level=95)
     with pytest.raises(InputError, match=r"its parameters are a, b, c, and the problem's are top, rate"):
-        profiles(rise_problem(), result)
+        profile_likelihood(rise_problem(), result)

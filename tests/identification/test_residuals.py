@@ -14,13 +14,13 @@ from fmuid.array_types import Floats
 from fmuid.data.experiment import Experiment
 from fmuid.data.noise import Noise
 from fmuid.data.parameters import Normal, Parameter
-from fmuid.data.predictors import FunctionPredictor, Table
+from fmuid.data.predictors import ArrayMeasurements, FunctionPredictor
 from fmuid.errors import InputError
 from fmuid.estimation.identification import identify
 from fmuid.estimation.noise.whiteness_tests import LaggedSeries
 from fmuid.estimation.problem import LeastSquares
 from fmuid.estimation.result import Result
-from fmuid.identification.residual_analysis import Diagnostics, Trait, examine_residuals
+from fmuid.identification.residual_analysis import ResidualAnalysis, ResidualDefect, analyze_residuals
 from fmuid.identification.residual_series import ResidualSeries, examine_outputs
 from fmuid.reports.messages.residuals import residual_words
 from tests.support.problems import ar1
@@ -33,10 +33,10 @@ TRUTH = np.array([2.0, 1.0, 0.5])
 PARAMETERS = {"level": Parameter(1.0), "slow": Parameter(2.0), "fast": Parameter(1.0)}
 
 
-def examined(errors: Floats, **words: Any) -> Diagnostics:
+def examined(errors: Floats, **words: Any) -> ResidualAnalysis:
     """Examine the residuals of a model linear in its parameters whose one output is measured with `errors`."""
     problem, result = identified(errors, **words)
-    return examine_residuals(problem, result)
+    return analyze_residuals(problem, result)
 
 
 def identified(errors: Floats, **words: Any) -> tuple[LeastSquares, Result]:
@@ -51,7 +51,7 @@ def white(seed: int) -> Floats:
     return np.random.default_rng(seed).standard_normal(COUNT)
 
 
-def only(found: Diagnostics) -> ResidualSeries:
+def only(found: ResidualAnalysis) -> ResidualSeries:
     (series,) = found.series
     return series
 
@@ -101,7 +101,7 @@ def test_the_scatter_of_estimates_in_coloured_noise() -> None:
 def test_coloured_noise_in_words() -> None:
     found = examined(ar1(np.random.default_rng(3), 0.9, COUNT))
     far, factor = residual_words(found)
-    assert [(each.trait, each.large) for each in found.findings] == [(Trait.COLOURED, True)]
+    assert [(each.trait, each.large) for each in found.findings] == [(ResidualDefect.COLOURED, True)]
     assert far.startswith("The residual of y is far from white (autocorrelation 0.9")
     assert far.endswith("at a lag of 1 sample): the model or the noise has dynamics of its own")
     assert factor.startswith("Since neighbouring samples are not independent, the standard deviations are 0.")
@@ -127,8 +127,11 @@ def test_what_is_significant_but_slight_is_not_called_white() -> None:
     correlations = np.concatenate([[1.0, 0.07], np.zeros(24)])
     whiteness = dataclasses.replace(series.whiteness, autocorrelation=correlations, probability=1e-9)
     slight = dataclasses.replace(series, whiteness=whiteness, inputs=(u,))
-    found = Diagnostics((slight,), {"level": 1.0})
-    assert [(each.trait, each.large) for each in found.findings] == [(Trait.COLOURED, False), (Trait.INPUT, False)]
+    found = ResidualAnalysis((slight,), {"level": 1.0})
+    assert [(each.trait, each.large) for each in found.findings] == [
+        (ResidualDefect.COLOURED, False),
+        (ResidualDefect.INPUT, False),
+    ]
     first, second = residual_words(found)
     assert first == (
         "The residual of y has an autocorrelation of 0.07 at a lag of 1 sample and a correlation of +0.05 with the "
@@ -142,7 +145,7 @@ def test_no_residual_is_called_white_where_its_colour_counts(probability: float)
     """Small autocorrelations over many lags, none of them worth a sentence, add up where sensitivities are slow."""
     series = only(examined(white(1)))
     series = dataclasses.replace(series, whiteness=dataclasses.replace(series.whiteness, probability=probability))
-    (said,) = residual_words(Diagnostics((series,), {"level": 1.3, "slow": 1.0}))
+    (said,) = residual_words(ResidualAnalysis((series,), {"level": 1.3, "slow": 1.0}))
     sure = "Since neighbouring samples are not independent, the"
     chance = "Neighbouring samples of the residual look correlated, if not strongly enough to rule out chance: the"
     assert said == (
@@ -157,7 +160,7 @@ def test_samples_on_no_grid_are_said() -> None:
     frame = pd.DataFrame({"time": times, "y": 1.0 + rng.standard_normal(100)})
     predictor = FunctionPredictor(lambda theta: np.full((100, 1), theta[0]), (100, 1))
     problem = LeastSquares([predictor], [Experiment(frame, outputs=["y"])], {"level": Parameter(1.0)})
-    found = examine_residuals(problem, identify(problem))
+    found = analyze_residuals(problem, identify(problem))
     assert found.off_grid == (("experiment", "y"),)
     assert found.to_json_dict()["off_grid"] == [["experiment", "y"]]
     assert any(line.startswith("The samples of y stand on no grid: ") for line in residual_words(found))
@@ -228,9 +231,9 @@ def test_a_long_record_with_a_long_memory_takes_no_time() -> None:
     experiment = Experiment(frame, inputs=["u"], outputs=["y"])
     predictor = FunctionPredictor(lambda theta: np.full((count, 1), theta[0]), (count, 1))
     problem = LeastSquares([predictor], [experiment], {"level": Parameter(1e4)})
-    found = examine_residuals(problem, identify(problem))
+    found = analyze_residuals(problem, identify(problem))
     assert found.widening["level"] > 50.0
-    assert all(each.trait is not Trait.INPUT for each in found.findings)
+    assert all(each.trait is not ResidualDefect.INPUT for each in found.findings)
 
 
 def test_an_offset_is_named() -> None:
@@ -238,7 +241,7 @@ def test_an_offset_is_named() -> None:
     frame = pd.DataFrame({"time": TIMES, "y": REGRESSORS[:, 1] + 0.5 + white(7)})
     predictor = FunctionPredictor(lambda theta: REGRESSORS[:, 1] * theta[0], (COUNT, 1))
     problem = LeastSquares([predictor], [Experiment(frame, outputs=["y"])], {"slow": Parameter(2.0)})
-    found = examine_residuals(problem, identify(problem))
+    found = analyze_residuals(problem, identify(problem))
     assert any(line.startswith("The residual of y has the mean 0.4") for line in residual_words(found))
     assert any(re.search(r"the mean 0\.4\d+ A, ", line) for line in residual_words(found, {"y": "A"}))
     assert only(found).mean_probability < 1e-10
@@ -266,7 +269,7 @@ def test_outliers_are_named() -> None:
     assert any(
         "has heavy tails, unlike normal noise" in line and "robust loss" in line for line in residual_words(found)
     )
-    assert [each.trait for each in found.findings if each.large] == [Trait.SHAPE]
+    assert [each.trait for each in found.findings if each.large] == [ResidualDefect.SHAPE]
     assert 5 <= only(found).outliers <= 10
 
 
@@ -307,7 +310,7 @@ def several() -> tuple[LeastSquares, Result]:
 
 def test_rows_of_several_outputs_and_experiments() -> None:
     problem, result = several()
-    found = examine_residuals(problem, result)
+    found = analyze_residuals(problem, result)
     assert [(each.experiment, each.output) for each in found.series] == [
         (experiment, output) for experiment in ("first", "second") for output in ("a", "b")
     ]
@@ -376,17 +379,18 @@ def test_an_output_that_one_experiment_lacks() -> None:
     y = REGRESSORS @ TRUTH + white(14)
     values = np.column_stack([y, np.full(COUNT, np.nan)])
     tables = [
-        Table(name, TIMES, ("a", "b"), v, np.isfinite(v)) for name, v in (("one", values), ("two", values[:, ::-1]))
+        ArrayMeasurements(name, TIMES, ("a", "b"), v, np.isfinite(v))
+        for name, v in (("one", values), ("two", values[:, ::-1]))
     ]
     predictor = FunctionPredictor(lambda theta: np.column_stack([REGRESSORS @ theta] * 2), (COUNT, 2))
     problem = LeastSquares([predictor, predictor], tables, PARAMETERS)
-    found = examine_residuals(problem, identify(problem))
+    found = analyze_residuals(problem, identify(problem))
     assert [(each.experiment, each.output) for each in found.series] == [("one", "a"), ("two", "b")]
 
 
 def test_written_and_read() -> None:
     problem, result = several()
-    found = examine_residuals(problem, result)
+    found = analyze_residuals(problem, result)
     written = json.loads(json.dumps(found.to_json_dict(), allow_nan=False))
     assert len(written["findings"]) == len(found.findings)
     assert set(written["widening"]) == {"level", "slow", "fast"}
@@ -394,4 +398,4 @@ def test_written_and_read() -> None:
     assert written["residuals"][3]["inputs"][0]["input"] == "u"
     assert written["residuals"][0]["std"] == found.table["std"][0]
     with pytest.raises(InputError, match="identify the study again"):
-        examine_residuals(problem, dataclasses.replace(result, noise=None))
+        analyze_residuals(problem, dataclasses.replace(result, noise=None))

@@ -10,12 +10,12 @@ import pytest
 
 from fmuid.data.noise import Noise
 from fmuid.data.parameters import Normal, Parameter
-from fmuid.data.predictors import FunctionPredictions, Table
+from fmuid.data.predictors import ArrayMeasurements, FunctionPredictions
 from fmuid.errors import InputError
 from fmuid.estimation.problem import LeastSquares
 from fmuid.identification.sampling.chains import effective_size, r_hat
-from fmuid.identification.sampling.posterior import Sampling, SamplingDoubt
-from fmuid.identification.sampling.sampler import sample
+from fmuid.identification.sampling.posterior import SamplerSettings, SamplingWarning
+from fmuid.identification.sampling.sampler import sample_posterior
 from fmuid.progress import Event, SamplingStep
 from fmuid.reports.messages.uncertainty import posterior_words
 from tests.support.posteriors import Array, linear, sampled
@@ -35,12 +35,12 @@ def test_ensembles_run_as_batches() -> None:
             return FunctionPredictions((given @ np.ones((2, 5)))[:, :, None], (None,) * len(given))
 
     rng = np.random.default_rng(0)
-    table = Table("run", np.arange(5.0), ("y",), rng.normal(size=(5, 1)), np.ones((5, 1), dtype=np.bool_))
+    table = ArrayMeasurements("run", np.arange(5.0), ("y",), rng.normal(size=(5, 1)), np.ones((5, 1), dtype=np.bool_))
     priors = {name: Parameter(1.0, prior=Normal(0.0, 1.0)) for name in ("a", "b")}
     problem = LeastSquares([Counting()], [table], priors)
     result = identify(problem)
     sizes.clear()
-    posterior = sample(problem, result, Sampling(walkers=20, steps=200))
+    posterior = sample_posterior(problem, result, SamplerSettings(walkers=20, steps=200))
     assert set(sizes[-len(posterior.chain) :]) <= {10, 20}
     assert posterior.simulations == sum(sizes)
 
@@ -76,7 +76,7 @@ def test_too_few_steps_are_not_trusted() -> None:
     assert not posterior.converged
     assert "raise steps" in posterior_words(posterior)
     few, _ = sampled(problem, steps=900, effective_size=1_000_000)
-    assert few.doubt is SamplingDoubt.TOO_FEW
+    assert few.doubt is SamplingWarning.TOO_FEW
     assert "independent ones instead of 1000000: raise steps to about" in posterior_words(few)
 
 
@@ -90,7 +90,7 @@ def test_interrupted_keeps_what_there_is() -> None:
         if step.step == 40:
             raise KeyboardInterrupt
 
-    posterior = sample(problem, identify(problem), progress=stop)
+    posterior = sample_posterior(problem, identify(problem), progress=stop)
     assert len(posterior.chain) == 40
     assert posterior.interrupted
     assert posterior_words(posterior).startswith("interrupted after 40 steps; ")
@@ -115,7 +115,7 @@ def test_interrupted_inside_a_simulation(capsys: pytest.CaptureFixture[str]) -> 
     )
     result = identify(problem)
     last[0] = calls[0] + 500
-    posterior = sample(problem, result)
+    posterior = sample_posterior(problem, result)
     assert posterior.interrupted
     assert 1 < len(posterior.chain) < 100
     assert calls[0] <= last[0] + 1
@@ -151,7 +151,7 @@ def test_tables() -> None:
 )
 def test_wrong_settings(settings: dict[str, Any], said: str) -> None:
     with pytest.raises(InputError, match=said):
-        Sampling(**settings)
+        SamplerSettings(**settings)
 
 
 def test_wrong_use() -> None:
@@ -160,16 +160,16 @@ def test_wrong_use() -> None:
     six = {name: Parameter(1.0, prior=Normal(0.0, 1.0)) for name in "abcdef"}
     wide = LeastSquares.from_function(lambda theta: phi @ theta[:2], problem.measured, six)
     with pytest.raises(InputError, match="4 walkers are too few for 6 parameters; the sampler needs at least 12"):
-        sample(wide, identify(wide), Sampling(walkers=4))
+        sample_posterior(wide, identify(wide), SamplerSettings(walkers=4))
     with pytest.raises(InputError, match="the result is of another problem: its parameters are a, b"):
-        sample(wide, result)
+        sample_posterior(wide, result)
     with pytest.raises(InputError, match="level of an interval"):
         sampled(problem, steps=20)[0].intervals(1.0)
     exact = LeastSquares.from_function(
         lambda theta: theta[0] * np.arange(4.0), 2.0 * np.arange(4.0), {"a": Parameter(2.0)}
     )
     with pytest.raises(InputError, match="fits an output exactly"):
-        sample(exact, identify(exact))
+        sample_posterior(exact, identify(exact))
 
 
 # --- diagnostics

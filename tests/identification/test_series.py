@@ -8,13 +8,13 @@ from scipy import stats
 from scipy.signal import lfilter
 
 from fmuid.array_types import Floats
-from fmuid.data.predictors import Table
+from fmuid.data.predictors import ArrayMeasurements
 from fmuid.estimation.noise.autoregression import Autoregression
 from fmuid.estimation.noise.model import NoiseModel
-from fmuid.estimation.noise.output_series import Series
+from fmuid.estimation.noise.output_series import OutputSeries
 from fmuid.estimation.noise.whiteness_tests import (
+    FitProjection,
     LaggedSeries,
-    Taken,
     autocorrelation,
     ljung_box,
     normality,
@@ -27,12 +27,12 @@ from tests.support.problems import ar1
 def noise_model(grid: Floats) -> NoiseModel:
     """Return the noise of a series on a grid, NaN where a sample is missing."""
     places = np.flatnonzero(np.isfinite(grid))
-    return NoiseModel.of(Series("run", "y", 0, np.arange(places.size), places, 1.0, True, 0, 0), grid[places])
+    return NoiseModel.of(OutputSeries("run", "y", 0, np.arange(places.size), places, 1.0, True, 0, 0), grid[places])
 
 
 def white_model(count: int) -> NoiseModel:
     places = np.arange(count)
-    series = Series("run", "y", 0, places, places, 1.0, True, 0, 0)
+    series = OutputSeries("run", "y", 0, places, places, 1.0, True, 0, 0)
     return NoiseModel(series, Autoregression(np.zeros(0), 1.0, count))
 
 
@@ -130,7 +130,7 @@ def test_whiteness_in_short_records_that_a_fit_has_smoothed(gaps: bool) -> None:
         grid = np.full(int(places[-1]) + 1, np.nan)
         grid[places] = noise - columns @ (columns.T @ noise)
         limit.append(ljung_box(*autocorrelation(grid, 6))[1])
-        tested.append(whiteness(grid, Taken(columns, np.eye(5))).probability)
+        tested.append(whiteness(grid, FitProjection(columns, np.eye(5))).probability)
     assert np.mean(np.array(limit) < 0.05) > 0.1
     assert np.mean(np.array(tested) < 0.05) == pytest.approx(0.05, abs=0.033)  # three standard errors
     assert np.mean(np.array(tested) < 0.01) < 0.03
@@ -139,7 +139,7 @@ def test_whiteness_in_short_records_that_a_fit_has_smoothed(gaps: bool) -> None:
 def test_what_a_fit_of_several_outputs_takes_from_one() -> None:
     """The covariance of an output's residual is I − C_a C_aᵀ where that of all is I − C Cᵀ, Cᵀ C = I."""
     columns = np.linalg.qr(np.random.default_rng(1).standard_normal((40, 6)))[0]
-    taken = Taken(columns[:12], np.eye(6))
+    taken = FitProjection(columns[:12], np.eye(6))
     found = np.cov(taken.draws(np.random.default_rng(2), 40_000).T, bias=True)
     np.testing.assert_allclose(found, np.eye(12) - columns[:12] @ columns[:12].T, atol=0.03)
 
@@ -209,7 +209,7 @@ def test_the_band_is_bartletts_sum() -> None:
 def test_a_mean_is_judged_by_the_independent_samples_it_is_of(share: float) -> None:
     """Of noise with the autocorrelation share^lag, n samples are worth n (1 - share)/(1 + share) in a mean."""
     values = 0.1 + ar1(np.random.default_rng(3), share, 4000)
-    table = Table("run", np.arange(4000.0), ("y",), values[:, None], np.ones((4000, 1), dtype=np.bool_))
+    table = ArrayMeasurements("run", np.arange(4000.0), ("y",), values[:, None], np.ones((4000, 1), dtype=np.bool_))
     (series,) = examine_outputs(table, np.zeros((4000, 1)))
     score = values.mean() / values.std() * math.sqrt(4000 * (1.0 - share) / (1.0 + share))
     assert abs(score) > 2.0

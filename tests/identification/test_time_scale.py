@@ -10,14 +10,14 @@ import pytest
 
 from fmuid.apps.cli.options import DONE
 from fmuid.data import Experiment
-from fmuid.identification import TimeScale, doubt_of_time
+from fmuid.identification import TimeScaleMismatch, doubt_of_time
 from fmuid.simulation import Simulator
 from tests.support.coil_study import COIL, coil_table, fmuid_
 
 R, L = 4.0, 0.1
 
 
-def doubt(step: float, count: int, **values: float) -> tuple[TimeScale, float] | None:
+def doubt(step: float, count: int, **values: float) -> tuple[TimeScaleMismatch, float] | None:
     """Return what is found of a coil's record of steps, and the time constant."""
     t = step * np.arange(count)
     u = np.where(np.arange(count) % 100 < 50, 10.0, 0.0)
@@ -32,8 +32,8 @@ def test_records_of_the_model_s_time_scale(step: float, count: int) -> None:
     assert doubt(step, count) is None
 
 
-@pytest.mark.parametrize(("step", "kind"), [(1.0, TimeScale.TOO_LONG), (1e-6, TimeScale.TOO_SHORT)])
-def test_the_same_record_in_a_wrong_unit(step: float, kind: TimeScale) -> None:
+@pytest.mark.parametrize(("step", "kind"), [(1.0, TimeScaleMismatch.TOO_LONG), (1e-6, TimeScaleMismatch.TOO_SHORT)])
+def test_the_same_record_in_a_wrong_unit(step: float, kind: TimeScaleMismatch) -> None:
     found = doubt(step, 400)
     assert found is not None
     assert found[0] is kind

@@ -16,12 +16,12 @@ from fmuid.errors import InputError
 from fmuid.estimation.identification import identify
 from fmuid.estimation.problem import LeastSquares
 from fmuid.identification.assessment import Assessment, AssessmentSettings, assess
-from fmuid.identification.cost_map import map_criterion
-from fmuid.identification.sampling.posterior import Sampling
+from fmuid.identification.cost_map import map_cost
+from fmuid.identification.sampling.posterior import SamplerSettings
 from fmuid.progress import Event, ProfileStep, SamplingStep
 from fmuid.reports.messages.uncertainty import uncertainty_words
 
-ALL = AssessmentSettings(0.9, ("a", "b"), Sampling(steps=600, effective_size=600), (("a", "b"),))
+ALL = AssessmentSettings(0.9, ("a", "b"), SamplerSettings(steps=600, effective_size=600), (("a", "b"),))
 
 
 def line() -> LeastSquares:
@@ -132,7 +132,7 @@ def test_interrupted_keeps_what_there_is(
 
 def test_samples_that_cannot_be_trusted_are_no_success() -> None:
     problem = line()
-    settings = AssessmentSettings(posterior=Sampling(steps=20))
+    settings = AssessmentSettings(posterior=SamplerSettings(steps=20))
     found = assess(problem, identify(problem), settings)
     assert not found.interrupted
     assert not found.succeeded
@@ -149,7 +149,7 @@ def test_a_better_optimum_on_the_map_is_named() -> None:
     near = assess(problem, result, asked)  # four standard deviations around the estimate
     assert near.succeeded
     assert not uncertainty_words(near)
-    far = Assessment(maps=(map_criterion(problem, result, "a", "b", ranges={"a": (-4.0, 4.0), "b": (-1.0, 1.0)}),))
+    far = Assessment(maps=(map_cost(problem, result, "a", "b", ranges={"a": (-4.0, 4.0), "b": (-1.0, 1.0)}),))
     (note,) = uncertainty_words(far)
     assert "the criterion over a and b is lower at a = 2, b = 0 than at the estimate" in note
     assert 'method = "global"' in note

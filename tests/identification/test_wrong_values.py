@@ -55,7 +55,7 @@ WRONG: dict[str, tuple[Callable[[], object], str]] = {
     "identified": (lambda: fmuid.identify(FRAME), "must be a fmuid.Problem, not a DataFrame"),
     "start": (lambda: fmuid.identify(COIL.problem(), start=TEXT), "start must be numbers .*, not 'abc'"),
     "settings": (lambda: fmuid.identify(COIL.problem(), TEXT), "settings must be fmuid.Marquardt"),
-    "compared": (lambda: fmuid.compare([result(), result()]), "must be fmuid.Compared.*, not a Result"),  # type: ignore[list-item]
+    "compared": (lambda: fmuid.compare_models([result(), result()]), "must be fmuid.ModelCandidate.*, not a Result"),  # type: ignore[list-item]
     "function": (
         lambda: fmuid.LeastSquares.from_function(abs, TEXT, {"a": Parameter(1.0)}),
         "measured must be numbers",

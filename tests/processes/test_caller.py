@@ -19,7 +19,7 @@ import psutil
 import pytest
 
 from fmuid.errors import InputError, SimulationError
-from fmuid.processes import CRASHED, EXITED, GREW, HUNG, End, IsolatedCaller
+from fmuid.processes import CRASHED, EXITED, GREW, HUNG, HostExitError, IsolatedCaller
 from tests.support.isolated import wait_until
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="processes of their own need fork")
@@ -101,13 +101,13 @@ def test_a_dict_of_another_kind_is_a_dict() -> None:
 @pytest.mark.parametrize(
     ("function", "arguments", "end"),
     [
-        (os.abort, (), End(CRASHED, signal.SIGABRT)),
-        (os._exit, (3,), End(EXITED, 3)),
+        (os.abort, (), HostExitError(CRASHED, signal.SIGABRT)),
+        (os._exit, (3,), HostExitError(EXITED, 3)),
     ],
 )
-def test_a_process_that_is_lost_costs_one_call(function: Any, arguments: Any, end: End) -> None:
+def test_a_process_that_is_lost_costs_one_call(function: Any, arguments: Any, end: HostExitError) -> None:
     before = CALLER.call(os.getpid)
-    with pytest.raises(End) as caught:
+    with pytest.raises(HostExitError) as caught:
         CALLER.call(function, *arguments)
     assert caught.value == end
     assert CALLER.call(os.getpid) not in (before, os.getpid())
@@ -128,8 +128,8 @@ def passing() -> Iterator[None]:
 
 
 def test_an_end_passes_through_contexts() -> None:
-    with pytest.raises(End), passing():
-        raise End(CRASHED, signal.SIGSEGV)
+    with pytest.raises(HostExitError), passing():
+        raise HostExitError(CRASHED, signal.SIGSEGV)
 
 
 def test_a_fork_that_comes_back_answers_nothing() -> None:
@@ -140,12 +140,12 @@ def test_a_fork_that_comes_back_answers_nothing() -> None:
 
 
 def test_limits() -> None:
-    with pytest.raises(End) as caught:
+    with pytest.raises(HostExitError) as caught:
         IsolatedCaller(0.2).call(time.sleep, 600.0)
-    assert caught.value == End(HUNG, 200)
-    with pytest.raises(End) as caught:
+    assert caught.value == HostExitError(HUNG, 200)
+    with pytest.raises(HostExitError) as caught:
         IsolatedCaller(600.0, memory=150.0).call(take, 200)
-    assert caught.value == End(GREW, 150)
+    assert caught.value == HostExitError(GREW, 150)
 
 
 SCRIPT = """

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import fmuid
-from fmuid.estimation import Accuracy, AccuracyOutcome, Kept, Switch, SwitchCause
+from fmuid.estimation import AccuracyOutcome, RefinementRefusal, RefinementStep, SolverCheck, SwitchCause
 from fmuid.reports.messages.accuracy import KEPT, accuracy_words, passed_words, shift_text
 from tests.support.paths import ROOT
 
@@ -34,8 +34,8 @@ def test_all_is_well(result: fmuid.Result) -> None:
     assert accuracy_words(result.names, None) == ()
 
 
-@pytest.mark.parametrize("kept", Kept)
-def test_shifted(result: fmuid.Result, kept: Kept) -> None:
+@pytest.mark.parametrize("kept", RefinementRefusal)
+def test_shifted(result: fmuid.Result, kept: RefinementRefusal) -> None:
     (said,) = with_(result, outcome=AccuracyOutcome.SHIFTED, shift=np.array([0.01, -3.21]), kept=kept)
     assert "L by -3.2" in said
     assert "R by" not in said
@@ -46,7 +46,7 @@ def test_shifted(result: fmuid.Result, kept: Kept) -> None:
 def test_what_is_not_known_is_said(result: fmuid.Result, outcome: AccuracyOutcome) -> None:
     (said,) = with_(result, outcome=outcome, shift=np.full(2, math.nan))
     assert "the error of the simulation" in said
-    unknown = Accuracy(outcome, np.full(2, math.nan))
+    unknown = SolverCheck(outcome, np.full(2, math.nan))
     assert passed_words(unknown) == ""
 
 
@@ -54,7 +54,7 @@ def test_what_is_not_known_is_said(result: fmuid.Result, outcome: AccuracyOutcom
 def test_what_was_switched_is_said(result: fmuid.Result, cause: SwitchCause) -> None:
     assert result.accuracy is not None
     used, finer = result.accuracy.used, result.accuracy.finer
-    said = with_(result, switches=(Switch(cause, 0.25, used, finer, 17),))[0]
+    said = with_(result, switches=(RefinementStep(cause, 0.25, used, finer, 17),))[0]
     assert "FMI 2.0 co-simulation" in said
     assert "rk45, tolerance 1e-09" in said
     part = {

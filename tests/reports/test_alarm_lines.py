@@ -17,7 +17,7 @@ from fmuid.diagnosis import Alarm
 from fmuid.reports.alarm_log import AlarmLines
 from fmuid.reports.console import following
 from fmuid.reports.console.following import FollowingDisplay
-from fmuid.reports.follow import Watching
+from fmuid.reports.follow import FollowStatus
 
 
 def monitor(*alarms: Alarm, windows: int) -> Any:
@@ -70,8 +70,8 @@ def test_the_console_says_each_line_once(monkeypatch: pytest.MonkeyPatch, termin
     found = monitor(alarm("turns", 1, 1), windows=2)
     lines = tuple(AlarmLines("Rig").new(found))
     with FollowingDisplay() as display:
-        display(Watching(found, (), lines, idle=True))
-        display(Watching(monitor(windows=0), (), (), idle=True))
+        display(FollowStatus(found, (), lines, idle=True))
+        display(FollowStatus(monitor(windows=0), (), (), idle=True))
         seen = display._live
     said = Text.from_ansi(out.getvalue()).plain
     assert said.count("2026-03-01 12:00:05: alarm 1 raised: Fault: turns") == 1

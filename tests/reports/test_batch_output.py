@@ -13,7 +13,7 @@ from fmuid.reports.console.batch import show_batch
 from fmuid.reports.figures import matplotlib_renderer as paint
 from fmuid.reports.figures import style as plots
 from fmuid.reports.page import batches
-from fmuid.runs.batch.statistics import Columns
+from fmuid.runs.batch.statistics import BatchColumns
 from fmuid.runs.batch.summary import summarize
 from tests.support.drawn_batches import TRUTH, UNITS, batch, fail
 
@@ -44,7 +44,7 @@ def test_console(capsys: pytest.CaptureFixture[str]) -> None:
 def test_console_says_median_and_least_fit(capsys: pytest.CaptureFixture[str]) -> None:
     frame = batch({"draw": range(40)})
     fits = np.linspace(90.0, 99.0, 40)
-    output = Columns.of(frame).outputs[0]
+    output = BatchColumns.of(frame).outputs[0]
     frame[f"fit.{output}"] = np.where(np.arange(40) == 7, np.nan, fits)
     summary = summarize(frame, TRUTH, UNITS)
     show_batch(summary)
@@ -107,6 +107,6 @@ def test_nothing_to_draw() -> None:
 
 def test_columns() -> None:
     frame = batch({"table": ["a"], "start.R": [1.0], "set.m.J": [2.0], "free": ["R"], "draw": [0]})
-    columns = Columns.of(frame)
+    columns = BatchColumns.of(frame)
     assert (columns.parameters, columns.outputs, columns.starts) == (("R", "L"), ("i",), ("start.R",))
     assert (columns.design, columns.repeats) == (("set.m.J", "free"), ("table", "draw"))

@@ -17,7 +17,7 @@ from fmuid.apps.cli.options import DONE, WRONG_INPUT
 from fmuid.errors import InputError
 from fmuid.formatting import bounded
 from fmuid.models.description import Variable
-from fmuid.models.fmu_summary import Facts, facts, lines
+from fmuid.models.fmu_summary import FmuSummary, facts, lines
 from fmuid.reports.console import fmu as console_fmu
 from fmuid.reports.console.layout import TERMINAL_ROWS, console, show_notes, table_of, table_of_rows
 from fmuid.reports.messages.solver import capability_words, run_words
@@ -27,12 +27,12 @@ from tests.support.paths import FMUS
 
 
 @pytest.fixture
-def motor(tmp_path: Path) -> Facts:
+def motor(tmp_path: Path) -> FmuSummary:
     return facts(fmuid.FMU(write_fmu(tmp_path / "Motor.fmu", FMI2, "binaries/other64/motor.bin")))
 
 
 @pytest.fixture
-def linear(tmp_path: Path) -> Facts:
+def linear(tmp_path: Path) -> FmuSummary:
     return facts(fmuid.FMU(write_fmu(tmp_path / "Linear.fmu", FMI3)))
 
 
@@ -40,7 +40,7 @@ def names(variables: tuple[Variable, ...]) -> list[str]:
     return [variable.name for variable in variables]
 
 
-def test_groups(motor: Facts) -> None:
+def test_groups(motor: FmuSummary) -> None:
     assert names(motor.tunable) == ["R"]
     assert names(motor.fixed) == ["L", "J", "poles"]
     assert names(motor.calculated) == ["tau", "half"]
@@ -51,23 +51,23 @@ def test_groups(motor: Facts) -> None:
     assert motor.others == 2  # der(angle) and heat
 
 
-def said(found: Facts) -> dict[str, list[str]]:
+def said(found: FmuSummary) -> dict[str, list[str]]:
     return {kind: capability_words(kind, declared) for kind, declared in found.capabilities.items()}
 
 
-def test_how_it_runs(motor: Facts) -> None:
+def test_how_it_runs(motor: FmuSummary) -> None:
     assert said(motor) == {"model-exchange": ["is told completed steps", "directional derivatives"]}
     assert (motor.run_as.interface, motor.run_as.integrator) == ("model-exchange", "rk45")
     assert run_words(motor.run_as).startswith("FMI 2.0 model-exchange, integrator rk45")
     assert motor.here is None
 
 
-def test_direct_dependence(motor: Facts) -> None:
-    """Knowns that are no inputs do not count; where nothing is declared, nothing is known."""
+def test_direct_dependence(motor: FmuSummary) -> None:
+    """ParsedParameters that are no inputs do not count; where nothing is declared, nothing is known."""
     assert motor.direct == {"i": (), "w": ("u",), "torque": None}
 
 
-def test_units_are_those_that_convert(motor: Facts) -> None:
+def test_units_are_those_that_convert(motor: FmuSummary) -> None:
     """Just the units are named that a column may have: all others are refused."""
     assert motor.units == {"A": (), "rad/s": ("rpm", "krad/s"), "lap": ()}
     described = motor.fmu.description
@@ -81,7 +81,7 @@ def test_units_are_those_that_convert(motor: Facts) -> None:
                     described.conversion(variable, unit)
 
 
-def test_arrays_and_capabilities_of_fmi3(linear: Facts) -> None:
+def test_arrays_and_capabilities_of_fmi3(linear: FmuSummary) -> None:
     assert names(linear.structural) == ["n", "length"]
     assert names(linear.fixed) == ["b[1]", "b[2]"]
     assert [(line.name, len(line.variables)) for line in lines(linear.tunable)] == [("A[1..2,1..3]", 6)]
@@ -120,7 +120,7 @@ def test_lines_of_scalars() -> None:
     assert lines([real(f"m[{i},2]") for i in range(5)])[0].name == "m[0..4,2]"
 
 
-def shown(motor: Facts, monkeypatch: pytest.MonkeyPatch, *, terminal: bool) -> str:
+def shown(motor: FmuSummary, monkeypatch: pytest.MonkeyPatch, *, terminal: bool) -> str:
     out = io.StringIO()
     made = Console(file=out, force_terminal=terminal, width=80, color_system=None, highlight=False)
     monkeypatch.setattr(console_fmu, "console", lambda: made)
@@ -128,7 +128,7 @@ def shown(motor: Facts, monkeypatch: pytest.MonkeyPatch, *, terminal: bool) -> s
     return out.getvalue()
 
 
-def test_shown(motor: Facts, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_shown(motor: FmuSummary, monkeypatch: pytest.MonkeyPatch) -> None:
     text = shown(motor, monkeypatch, terminal=False)
     for line in (
         r"Motor: two windings",
@@ -152,7 +152,7 @@ def test_shown(motor: Facts, monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.fixture
-def crowded(tmp_path: Path) -> Iterator[Facts]:
+def crowded(tmp_path: Path) -> Iterator[FmuSummary]:
     """An FMU with hundreds of parameters that share no line, each with a long description."""
     extra = "".join(
         f'<ScalarVariable name="p{i}" valueReference="{100 + i}" causality="parameter" variability="fixed" '
@@ -163,7 +163,7 @@ def crowded(tmp_path: Path) -> Iterator[Facts]:
     yield facts(fmuid.FMU(write_fmu(tmp_path / "Crowded.fmu", text)))
 
 
-def test_a_pipe_gets_all(crowded: Facts, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_pipe_gets_all(crowded: FmuSummary, monkeypatch: pytest.MonkeyPatch) -> None:
     text = shown(crowded, monkeypatch, terminal=False)
     rows = [line for line in text.splitlines() if re.match(r"p\d+ ", line)]
     assert len(rows) == 300
@@ -171,7 +171,7 @@ def test_a_pipe_gets_all(crowded: Facts, monkeypatch: pytest.MonkeyPatch) -> Non
     assert "# and 294 more" in text  # than 12 of 303 parameters (poles is no Real) and 3 start values
 
 
-def test_a_terminal_gets_what_it_can_hold(crowded: Facts, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_terminal_gets_what_it_can_hold(crowded: FmuSummary, monkeypatch: pytest.MonkeyPatch) -> None:
     text = shown(crowded, monkeypatch, terminal=True)
     table = text[text.index("Parameters (303)") : text.index("Parameters (1), tunable")].splitlines()
     assert "and 243 more" in text

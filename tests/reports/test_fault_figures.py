@@ -10,7 +10,7 @@ import pandas as pd
 import pytest
 from bokeh.models import BoxAnnotation, Span
 
-from fmuid.diagnosis.cause_results import Change, Evidence, Explanation, Suspect
+from fmuid.diagnosis.cause_results import CauseScore, ChangeEvidence, EstimatedChange, Explanation
 from fmuid.diagnosis.change_detection.unexplained_residual import NOTHING_LEFT
 from fmuid.diagnosis.change_parameters import CauseKind
 from fmuid.diagnosis.monitoring.alarms import Alarm
@@ -75,21 +75,21 @@ def test_sizes_show_zero() -> None:
 
 
 @pytest.fixture
-def news() -> Evidence:
+def news() -> ChangeEvidence:
     """Evidence of lost turns, beside which a gain of the sensor is not excluded."""
-    turns = Change(CauseKind("fault"), "dR", "turns", 0.3, 0.05, "Ohm")
-    gain = Change(CauseKind("gain"), "i", "", -0.02, 0.01, "")
-    still = Change(CauseKind("offset"), "i", "", 0.0, 0.1, "A")
+    turns = EstimatedChange(CauseKind("fault"), "dR", "turns", 0.3, 0.05, "Ohm")
+    gain = EstimatedChange(CauseKind("gain"), "i", "", -0.02, 0.01, "")
+    still = EstimatedChange(CauseKind("offset"), "i", "", 0.0, 0.1, "A")
     suspects = (
-        Suspect(still, 0.01, 0.9, "gain(i)", 1.5),
-        Suspect(turns, 41.0, 1e-9, "gain(i)", math.radians(5.0)),
-        Suspect(gain, 38.0, 1e-8, "turns.dR", math.radians(5.0)),
+        CauseScore(still, 0.01, 0.9, "gain(i)", 1.5),
+        CauseScore(turns, 41.0, 1e-9, "gain(i)", math.radians(5.0)),
+        CauseScore(gain, 38.0, 1e-8, "turns.dR", math.radians(5.0)),
     )
     explanations = (Explanation((turns,), 1.0), Explanation((gain,), 0.2))
-    return Evidence(1e-9, True, explanations, suspects, 0.05, 1.0, 1.0, 3.0, 600, True, NOTHING_LEFT)
+    return ChangeEvidence(1e-9, True, explanations, suspects, 0.05, 1.0, 1.0, 3.0, 600, True, NOTHING_LEFT)
 
 
-def test_causes_stand_by_their_likelihood_with_the_angle_to_the_nearest(news: Evidence) -> None:
+def test_causes_stand_by_their_likelihood_with_the_angle_to_the_nearest(news: ChangeEvidence) -> None:
     plot = diagnosis.causes(news)
     assert plot.y_range.factors[::-1] == ["turns (dR)", "the gain of the sensor of i", "an offset of the sensor of i"]
     red, grey = (each.data_source.data for each in plot.renderers)
@@ -98,7 +98,7 @@ def test_causes_stand_by_their_likelihood_with_the_angle_to_the_nearest(news: Ev
     assert red["size"][0] == "0.300 ± 0.050 Ohm"
 
 
-def test_changes_have_their_intervals_in_units_that_are_read(news: Evidence) -> None:
+def test_changes_have_their_intervals_in_units_that_are_read(news: ChangeEvidence) -> None:
     turns, gain = diagnosis.changes(news)
     assert turns.xaxis.axis_label == "size, with its interval of 95 % (Ohm)"
     assert gain.xaxis.axis_label == "size, with its interval of 95 % (%)"

@@ -17,7 +17,7 @@ from fmuid.reports.figures import style
 from fmuid.reports.interactive import bokeh_spec as sketch
 from fmuid.reports.interactive import comparison, estimates, fit, residuals, search
 from fmuid.reports.interactive.style import BLUE, GREY, RED, Panel
-from fmuid.simulation.output_fit import Fit
+from fmuid.simulation.output_fit import OutputFit
 from tests.support.records import record
 from tests.support.records import search as searched
 
@@ -114,18 +114,18 @@ def test_a_fit_and_its_zoom() -> None:
 def test_zoom_finds_the_step() -> None:
     times = np.arange(2000.0)
     simulated = np.where(times > 1200, 1 - np.exp(-(times - 1200) / 20), 0.0)[:, None]
-    given = Fit("run", times, ("y",), (None,), simulated, simulated, np.ones((2000, 1), bool))
+    given = OutputFit("run", times, ("y",), (None,), simulated, simulated, np.ones((2000, 1), bool))
     found = fit.zoom(given)
     assert found.start <= 1201 < found.stop
     assert found.stop - found.start == fit.ZOOM_SAMPLES
-    short = Fit("run", times[:50], ("y",), (None,), simulated[:50], simulated[:50], np.ones((50, 1), bool))
+    short = OutputFit("run", times[:50], ("y",), (None,), simulated[:50], simulated[:50], np.ones((50, 1), bool))
     assert fit.zoom(short) == slice(0, 50)
 
 
 def test_zoom_ignores_what_does_not_count() -> None:
     simulated, counted = np.zeros((2000, 1)), np.ones((2000, 1), bool)
     simulated[10], simulated[1500], counted[:100] = 100.0, 1.0, False
-    found = fit.zoom(Fit("run", np.arange(2000.0), ("y",), (None,), simulated, simulated, counted))
+    found = fit.zoom(OutputFit("run", np.arange(2000.0), ("y",), (None,), simulated, simulated, counted))
     assert found.start <= 1500 < found.stop
 
 
@@ -153,6 +153,6 @@ def test_figures_for_print_are_the_same_file_each_time(tmp_path: Path, kind: str
 def test_the_least_that_an_experiment_can_have(tmp_path: Path) -> None:
     """Two samples are drawn without warnings."""
     values = np.ones((2, 1))
-    tiny = Fit("tiny", np.array([0.0, 1.0]), ("y",), (None,), values, 0 * values, np.ones((2, 1), bool))
+    tiny = OutputFit("tiny", np.array([0.0, 1.0]), ("y",), (None,), values, 0 * values, np.ones((2, 1), bool))
     drawn = paint.printed([fit.fit(tiny), residuals.histogram(np.array([0.1, -0.2]), "y")], 2)
     assert len(style.save({"fit": drawn}, tmp_path)) == 1

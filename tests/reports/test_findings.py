@@ -10,7 +10,7 @@ import pytest
 
 from fmuid.data.parameters import Parameter
 from fmuid.estimation.identification import identify
-from fmuid.estimation.marquardt.outcome import Outcome
+from fmuid.estimation.marquardt.outcome import TerminationReason
 from fmuid.estimation.method import Marquardt
 from fmuid.estimation.problem import LeastSquares
 from fmuid.files import file_name
@@ -65,18 +65,18 @@ def test_at_minimum(iterations: int, ended: bool) -> None:
     problem = LeastSquares.from_function(lambda t: np.exp(-t[0] * x), np.exp(-2.0 * x), {"a": Parameter(20.0)})
     result = identify(problem, Marquardt(iterations))
     assert at_minimum(result) is ended
-    assert (result.outcome is Outcome.ITERATION_LIMIT) is not ended
+    assert (result.outcome is TerminationReason.ITERATION_LIMIT) is not ended
 
 
-ENDED = {Outcome.CONVERGED, Outcome.ACCURACY, Outcome.UNDETERMINED}
+ENDED = {TerminationReason.CONVERGED, TerminationReason.ACCURACY, TerminationReason.UNDETERMINED}
 
 
-@pytest.mark.parametrize("outcome", Outcome)
-def test_what_may_be_asked_for_more(outcome: Outcome) -> None:
+@pytest.mark.parametrize("outcome", TerminationReason)
+def test_what_may_be_asked_for_more(outcome: TerminationReason) -> None:
     """Not a criterion whose noise variances still move, either: it is another one the next time."""
     x = np.linspace(0.0, 1.0, 20)
     problem = LeastSquares.from_function(lambda t: np.exp(-t[0] * x), np.exp(-2.0 * x), {"a": Parameter(20.0)})
     result = replace(identify(problem), outcome=outcome)
     assert at_minimum(result) is (outcome in ENDED)
-    assert result.converged is (outcome in ENDED - {Outcome.UNDETERMINED})
+    assert result.converged is (outcome in ENDED - {TerminationReason.UNDETERMINED})
     assert ending(result)

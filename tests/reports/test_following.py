@@ -25,7 +25,7 @@ from fmuid.reports import follow as following
 from fmuid.reports import run_following
 from fmuid.reports.console.following import state
 from fmuid.reports.console.layout import console
-from fmuid.reports.follow import Watching
+from fmuid.reports.follow import FollowStatus
 from fmuid.runs.log_following import follower
 from tests.support.coil_records import warming
 
@@ -54,7 +54,7 @@ def plant(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return tmp_path
 
 
-def idle(watching: Watching) -> bool:
+def idle(watching: FollowStatus) -> bool:
     return watching.idle
 
 
@@ -116,7 +116,7 @@ def test_records_in_files_and_an_alarm_that_ends(plant: Path) -> None:
 
 def test_the_console_says_since_when_and_whether_records_come(plant: Path, capsys: pytest.CaptureFixture[str]) -> None:
     warming(4, to=4.0, fails=1.0, size=1.0).to_parquet(plant / "records" / "r.parquet")
-    seen: list[Watching] = []
+    seen: list[FollowStatus] = []
     run_following("study.toml", "records", "out", show=seen.append, until=idle)
     console().print(state(seen[-1], 8.0), state(seen[-1], 1.0))
     late, soon = capsys.readouterr().out.split("examined")[1:]

@@ -16,7 +16,7 @@ import pytest
 from experiments.coil import study as coil
 from fmuid.data.npz import read_arrays, write_arrays
 from fmuid.diagnosis.monitoring import monitor as monitoring
-from fmuid.diagnosis.monitoring.monitor_store import Journal
+from fmuid.diagnosis.monitoring.monitor_store import MonitorStore
 from fmuid.diagnosis.monitoring.window_statistics import summed
 from fmuid.reports import follow as following
 from fmuid.reports import run_following, run_monitoring
@@ -108,7 +108,7 @@ def follow(folder: Path, rounds: int = 2) -> list[str]:
     said: list[str] = []
     idle: list[bool] = []
 
-    def until(watching: following.Watching) -> bool:
+    def until(watching: following.FollowStatus) -> bool:
         idle.append(watching.idle)
         return len(idle) >= rounds
 
@@ -238,7 +238,7 @@ def test_damaged_files_are_put_aside_once(
 
 @pytest.mark.parametrize("kept", [b"", b"1\n", b"1\n2\n"])
 def test_alarms_that_were_taken_away_leave_no_hole(tmp_path: Path, kept: bytes) -> None:
-    journal = Journal(tmp_path)
+    journal = MonitorStore(tmp_path)
     journal._add("alarms.jsonl", "1\n2\n")
     (tmp_path / "alarms.jsonl").write_bytes(kept)
     journal._add("alarms.jsonl", "3\n")

@@ -11,7 +11,7 @@ from bokeh.models import BoxAnnotation, Span
 
 from fmuid.errors import InputError
 from fmuid.estimation import Result
-from fmuid.identification import CriterionMap
+from fmuid.identification import CostMap
 from tests.support import records
 from tests.support.live_figures import comparison, estimates, search, uncertainty
 from tests.support.plots import bands, drawn, entries, labels, marks, plots
@@ -22,10 +22,10 @@ def result(rho: float = 0.6) -> Result:
     std = np.array([0.1, 0.002])
     covariance = np.outer(std, std) * np.array([[1.0, rho], [rho, 1.0]])
     empty, free = np.full(2, np.nan), np.full(2, np.inf)
-    from fmuid.estimation import Outcome
+    from fmuid.estimation import TerminationReason
 
     return Result(
-        Outcome.CONVERGED, ("R", "L"), np.array([4.0, 0.1]), np.array([5.0, 0.2]), -free, free,
+        TerminationReason.CONVERGED, ("R", "L"), np.array([4.0, 0.1]), np.array([5.0, 0.2]), -free, free,
         empty, empty, covariance, covariance, free, {}, {"i": 1.0}, 10.0, 0.0, math.inf, 3, 9, 0.1, (), (), (), (), "0",
     )  # fmt: skip
 
@@ -230,7 +230,7 @@ def test_map() -> None:
     table["criterion"] = 10.0 + 100.0 * (table["R"] - 4.0) ** 2 + np.log(table["L"] / 0.1) ** 2
     table.loc[0, "criterion"] = np.nan
     block, centre = result().covariance, np.array([4.0, 0.1])
-    chart = CriterionMap(("R", "L"), table, (5, 3), (False, True), centre, 10.0, block, 1.0, math.inf, {})
+    chart = CostMap(("R", "L"), table, (5, 3), (False, True), centre, 10.0, block, 1.0, math.inf, {})
     plot = uncertainty.criterion_map(chart, {"L": "H"})
     assert labels(plot) == ("R", "L (H)")
     data = next(each.data_source.data for each in plot.renderers if type(each.glyph).__name__ == "Quad")

@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from fmuid.identification.comparison import LikelihoodRatio
+from fmuid.identification.comparison import LikelihoodRatioTest
 from fmuid.reports.topics.model_comparison import comparison_remarks
 
 
@@ -58,7 +58,7 @@ def test_what_else_a_comparison_says() -> None:
     ],
 )
 def test_a_smaller_model_is_rejected_or_not(probability: float, said: str) -> None:
-    test = LikelihoodRatio("b", "a", ("L",), 3.0, probability, probability)
+    test = LikelihoodRatioTest("b", "a", ("L",), 3.0, probability, probability)
     assert _texts(comparison(5.0, tests=(test,)), {})[1].endswith(said)
 
 

@@ -15,7 +15,7 @@ import pytest
 
 import fmuid
 from fmuid.display_mixins import shown_by
-from fmuid.estimation import Determined, Direction, Outcome
+from fmuid.estimation import Identifiability, TerminationReason, WeakDirection
 from fmuid.formatting import with_std
 from fmuid.reports.notebook import Drawing, plots
 from fmuid.runs.batch.dataset import Dataset
@@ -26,7 +26,7 @@ LARGEST = 3_000_000
 
 
 @pytest.fixture(scope="module")
-def found(tmp_path_factory: pytest.TempPathFactory) -> fmuid.Findings:
+def found(tmp_path_factory: pytest.TempPathFactory) -> fmuid.IdentificationRun:
     folder = tmp_path_factory.mktemp("notebook")
     coil_table(folder / "first.csv", 0.0, seed=1)
     study = folder / "study.toml"
@@ -47,7 +47,7 @@ def html(shown: Any) -> str:
     return text
 
 
-def test_a_notebook_with_five_figures_can_be_kept(found: fmuid.Findings) -> None:
+def test_a_notebook_with_five_figures_can_be_kept(found: fmuid.IdentificationRun) -> None:
     """The library, 1.3 MB, is in the first of them only."""
     plots = (found.plot.fit, found.plot.residuals, found.plot.criterion, found.plot.correlation, found.plot.belief)
     shown = [html(plot()) for plot in plots]
@@ -57,7 +57,7 @@ def test_a_notebook_with_five_figures_can_be_kept(found: fmuid.Findings) -> None
     assert all("cdn." not in text for text in shown[1:])
 
 
-def test_a_result_draws_itself_without_its_findings(found: fmuid.Findings) -> None:
+def test_a_result_draws_itself_without_its_findings(found: fmuid.IdentificationRun) -> None:
     assert [len(found.result.plot.residuals().models), len(found.plot.residuals().models)] == [1, 3]
     assert len(found.result.plot.fit().models) == len(found.result.plot.accuracy().models) == 1
     assert dir(found.result.plot) == ["accuracy", "correlation", "criterion", "fit", "parameters", "residuals"]
@@ -68,7 +68,7 @@ def test_a_result_draws_itself_without_its_findings(found: fmuid.Findings) -> No
     assert len(found.plot.parabolas("L").models) == 1
 
 
-def test_tables(found: fmuid.Findings, tmp_path: Path) -> None:
+def test_tables(found: fmuid.IdentificationRun, tmp_path: Path) -> None:
     """Each shows what it is, and names never become markup."""
     for shown in (found, found.result):
         assert "<th scope=row>R</th>" in html(shown)
@@ -84,7 +84,7 @@ def test_tables(found: fmuid.Findings, tmp_path: Path) -> None:
     assert all(f"<th scope=row>{name}</th>" in coil for name in ("R", "L", "u", "i"))
 
 
-def test_a_parameter_of_a_result_knows_more_than_its_value(found: fmuid.Findings) -> None:
+def test_a_parameter_of_a_result_knows_more_than_its_value(found: fmuid.IdentificationRun) -> None:
     result, own = found.result, found.result["R"]
     assert own == own.value == result.values[0]
     assert own + 1.0 == result.values[0] + 1.0
@@ -102,7 +102,7 @@ def test_a_parameter_of_a_result_knows_more_than_its_value(found: fmuid.Findings
         result["Rs"]
 
 
-def test_units_are_kept_in_the_file(found: fmuid.Findings, tmp_path: Path) -> None:
+def test_units_are_kept_in_the_file(found: fmuid.IdentificationRun, tmp_path: Path) -> None:
     found.write(tmp_path)
     again = fmuid.Result.from_json(tmp_path / "result.json")
     assert again.units == found.result.units == {"R": "Ohm", "L": "H"}
@@ -110,7 +110,7 @@ def test_units_are_kept_in_the_file(found: fmuid.Findings, tmp_path: Path) -> No
     pd.testing.assert_frame_equal(table, again.to_frame(), check_index_type=False)
 
 
-def test_a_result_is_printed_as_a_table(found: fmuid.Findings) -> None:
+def test_a_result_is_printed_as_a_table(found: fmuid.IdentificationRun) -> None:
     lines = str(found.result).splitlines()
     assert repr(found.result.summary()) == str(found.result)
     assert lines[0].split()[0] == "parameter"
@@ -127,11 +127,11 @@ def many(count: int, directions: int) -> fmuid.Result:
     names = tuple(f"a_parameter_whose_name_takes_room_{i}" for i in range(count))
     own, free = np.ones(count), np.full(count, np.inf)
     weak = tuple(
-        Direction(Determined.HARDLY, names[i % count : i % count + 1], (1.0,), 2.0, (1.0,), (1.0,))
+        WeakDirection(Identifiability.HARDLY, names[i % count : i % count + 1], (1.0,), 2.0, (1.0,), (1.0,))
         for i in range(directions)
     )
     return fmuid.Result(
-        Outcome.CONVERGED, names, own, own, -free, free, np.nan * own, np.nan * own, np.eye(count), np.eye(count), free,
+        TerminationReason.CONVERGED, names, own, own, -free, free, np.nan * own, np.nan * own, np.eye(count), np.eye(count), free,
         {}, {"i": 1.0}, 10.0, 0.0, math.inf, 3, 9, 0.1, (), weak, (), (), "0",
     )  # fmt: skip
 
@@ -149,7 +149,7 @@ def test_a_printed_result_takes_25_lines(count: int, directions: int) -> None:
     assert ("fmuid.describe" in text) == (directions == 60)
 
 
-def test_texts_are_short(found: fmuid.Findings, tmp_path: Path) -> None:
+def test_texts_are_short(found: fmuid.IdentificationRun, tmp_path: Path) -> None:
     """What a notebook keeps beside the HTML is a line; of many parameters the first ones."""
     assert repr(found.result).startswith("Result(converged: R = ")
     coil_table(tmp_path / "first.csv", 0.0, seed=1)
@@ -163,7 +163,7 @@ def test_texts_are_short(found: fmuid.Findings, tmp_path: Path) -> None:
         assert "\n" not in repr(shown)
 
 
-def test_without_anybody_who_shows_there_is_the_text(found: fmuid.Findings) -> None:
+def test_without_anybody_who_shows_there_is_the_text(found: fmuid.IdentificationRun) -> None:
     shown_by("fmuid.reports.notebook")
     from fmuid import display_mixins as displays
 

@@ -18,8 +18,8 @@ from scipy import stats
 
 import fmuid
 from fmuid.apps.cli.options import DONE, WRONG_INPUT
-from fmuid.reports import Findings, write_report
-from fmuid.reports.page.contents import Identification
+from fmuid.reports import IdentificationRun, write_report
+from fmuid.reports.page.contents import SavedIdentification
 from fmuid.reports.page.identification import part
 from tests.support.coil_study import STUDY, coil_table, fmuid_, result
 
@@ -85,7 +85,7 @@ def page(results: Path) -> Page:
 
 
 def test_the_folder_is_read_back_as_it_was_written(results: Path) -> None:
-    found = Identification.read(results)
+    found = SavedIdentification.read(results)
     assert [each.experiment for each in found.fits] == ["first", "second"]
     first, second = found.fits
     assert first.units == ("A",)
@@ -105,7 +105,7 @@ def test_the_folder_is_read_back_as_it_was_written(results: Path) -> None:
     assert chart.criterion == chart.table["criterion"].min()
     content = json.loads((results / "result.json").read_text())
     (results / "result.json").write_text(json.dumps(content | {"criterion": 5.0}))  # of other noise variances
-    again = Identification.read(results).maps[0].criterion
+    again = SavedIdentification.read(results).maps[0].criterion
     (results / "result.json").write_text(json.dumps(content))
     assert again == chart.criterion
     written = json.loads((results / "result.json").read_text())
@@ -238,8 +238,8 @@ def test_the_command_writes_the_report_alone(
 def test_what_a_page_shows_of_findings_is_what_they_are(results: Path) -> None:
     """Numbers read back from the files are those of the run."""
     found = fmuid.run_study(results.parent / "study.toml")
-    assert isinstance(found, Findings)
-    read = Identification.read(results)
+    assert isinstance(found, IdentificationRun)
+    read = SavedIdentification.read(results)
     np.testing.assert_allclose(read.result.values, found.result.values, rtol=1e-3)
     assert [each.outputs for each in read.fits] == [each.outputs for each in found.fits]
     np.testing.assert_array_equal(read.fits[1].counted, found.fits[1].counted)

@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from fmuid.estimation import Outcome
+from fmuid.estimation import TerminationReason
 from fmuid.reports.messages.prediction import fold_words, prediction_words
 
 
@@ -42,7 +42,7 @@ def test_how_good_a_prediction_is(ratio: float, said: str) -> None:
 
 
 def test_what_a_prediction_leaves_open() -> None:
-    again = SimpleNamespace(converged=False, names=("i_start",), outcome=Outcome.ITERATION_LIMIT)
+    again = SimpleNamespace(converged=False, names=("i_start",), outcome=TerminationReason.ITERATION_LIMIT)
     _, open_, estimated = prediction_words(prediction(1.0, undetermined=("R", "dR"), estimated=again))
     assert open_ == "The result leaves R and dR undetermined: the band is that of the noise alone"
     assert estimated.startswith("Estimated again on this record, i_start: ")

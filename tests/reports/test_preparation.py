@@ -15,7 +15,7 @@ import fmuid
 from fmuid.reports import run_following
 from fmuid.reports.diagnosis_runs import MonitoredTables
 from fmuid.reports.interactive.style import MAX_ROWS
-from fmuid.reports.page.contents import Identification
+from fmuid.reports.page.contents import SavedIdentification
 from fmuid.reports.page.faults import part_of_diagnosis, part_of_monitoring
 from fmuid.reports.page.preparation import preparation_words, sections
 from fmuid.reports.preprocessing import prepared
@@ -122,7 +122,7 @@ def test_pieces_of_a_long_record_are_thinned_and_the_record_is_read_once(
 def test_the_report_draws_it_and_says_what_was_done(study: Study, tmp_path: Path) -> None:
     found = run_study(study, tmp_path, report=True)
     assert tmp_path / "preparation.csv" in found.files
-    read = Identification.read(tmp_path)
+    read = SavedIdentification.read(tmp_path)
     cut, mean = sections(read.tables["preparation"], read.content["experiments"])
     assert (cut.heading, cut.name) == ("What was done with the table first: cut", "preparation")
     assert (mean.heading, mean.name) == ("What was done with the table first: mean", "preparation-2")

@@ -14,8 +14,8 @@ import fmuid
 from fmuid import files
 from fmuid.apps.cli.options import DONE
 from fmuid.estimation.problem import LeastSquares
-from fmuid.progress import DataAloneStep, Event, GlobalStep, ProfileStep, Progress, SearchStep
-from fmuid.reports import Identified, SearchInterruptedError
+from fmuid.progress import DataOnlyStep, Event, GlobalStep, ProfileStep, Progress, SearchStep
+from fmuid.reports import SearchFinished, SearchInterruptedError
 from tests.support.coil_study import STUDY, coil_table, fmuid_, result
 
 PRIOR = STUDY.replace("min = 0.0", "min = 0.0, prior = { mean = 4.0, std = 1.0 }")
@@ -96,7 +96,7 @@ def test_events_come_in_their_order(study: Path, monkeypatch: pytest.MonkeyPatch
     assert steps[0].values == {"R": 6.0, "L": 0.05}
     assert math.isnan(steps[0].share)
     assert steps[-1].values["R"] == pytest.approx(found.result["R"], rel=1e-6)
-    (told,) = (event for event in events if isinstance(event, Identified))
+    (told,) = (event for event in events if isinstance(event, SearchFinished))
     assert told.findings.result is found.result
     assert not told.findings.assessment.is_explored
 
@@ -156,4 +156,4 @@ def test_no_word_on_the_data_alone_without_a_prior(study: Path, monkeypatch: pyt
     study.write_text(STUDY)
     events: list[Event] = []
     fmuid.run_study(study, progress=events.append)
-    assert not any(isinstance(event, DataAloneStep) for event in events)
+    assert not any(isinstance(event, DataOnlyStep) for event in events)

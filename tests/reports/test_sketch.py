@@ -56,7 +56,7 @@ def every_glyph() -> Any:
     return plot
 
 
-def figures() -> list[sketch.Sketch]:
+def figures() -> list[sketch.BokehSpec]:
     names = style.Panel(y_range=sketch.FactorRange(factors=["u", "v"]))
     names.hbar(["u", "v"], 0.5, [1.0, 2.0], 0.0, fill_color=style.GREY)
     matrix = pd.DataFrame([[1.0, math.nan], [math.nan, 1.0]], ["R", "L"], ["R", "L"])

@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 
 import fmuid
-from fmuid.estimation import Accuracy, AccuracyOutcome
-from fmuid.estimation.covariance import Determined, Direction
-from fmuid.estimation.marquardt.outcome import Outcome
+from fmuid.estimation import AccuracyOutcome, SolverCheck
+from fmuid.estimation.covariance import Identifiability, WeakDirection
+from fmuid.estimation.marquardt.outcome import TerminationReason
 from fmuid.files import as_json
-from fmuid.identification.prior_and_data import Obstacle
-from fmuid.models import HowRun
+from fmuid.identification.prior_and_data import ExtrapolationReason
+from fmuid.models import SolverConfiguration
 from fmuid.reports.messages.accuracy import passed_words
 from fmuid.reports.messages.identifiability import direction_words
 from fmuid.reports.messages.prior_and_data import obstacle_words
@@ -32,78 +32,88 @@ def line() -> tuple[fmuid.LeastSquares, fmuid.Result]:
 
 def test_whatever_is_found_is_described() -> None:
     problem, result = line()
-    diagnostics = fmuid.examine_residuals(problem, result)
+    diagnostics = fmuid.analyze_residuals(problem, result)
     assert fmuid.describe(result) == "Converged"
     assert fmuid.describe(diagnostics).startswith("Neighbouring samples of the residual look correlated")
-    assert fmuid.describe(fmuid.read_result(problem, result)).startswith("Prior and data agree")
-    assert "raise steps" in fmuid.describe(fmuid.sample(problem, result, fmuid.Sampling(steps=20)))
+    assert fmuid.describe(fmuid.compare_prior_and_data(problem, result)).startswith("Prior and data agree")
+    assert "raise steps" in fmuid.describe(fmuid.sample_posterior(problem, result, fmuid.SamplerSettings(steps=20)))
 
 
-@pytest.mark.parametrize("outcome", Outcome)
-def test_every_outcome_has_words(outcome: Outcome) -> None:
+@pytest.mark.parametrize("outcome", TerminationReason)
+def test_every_outcome_has_words(outcome: TerminationReason) -> None:
     _, result = line()
     assert fmuid.describe(replace(result, outcome=outcome)).startswith(ENDS[outcome][0].upper() + ENDS[outcome][1:])
 
 
 def test_an_end_names_directions_and_bounds() -> None:
     _, result = line()
-    direction = Direction(Determined.NOT, ("a", "b"), (1.0, -2.0), math.inf, (1.0, 1.0), (1.0, 1.0))
+    direction = WeakDirection(Identifiability.NOT, ("a", "b"), (1.0, -2.0), math.inf, (1.0, 1.0), (1.0, 1.0))
     assert direction_words(direction) == "a and b cannot be told apart: only a + 0.5 b is determined"
-    open_ = replace(result, outcome=Outcome.UNDETERMINED, undetermined=(direction,))
+    open_ = replace(result, outcome=TerminationReason.UNDETERMINED, undetermined=(direction,))
     assert ending(open_) == f"undetermined: {direction_words(direction)}: " + (
         "give a prior, hold one of them at a value, or measure more"
     )
-    hidden = replace(direction, determined=Determined.HIDDEN)
+    hidden = replace(direction, determined=Identifiability.HIDDEN)
     assert ending(replace(open_, undetermined=(hidden,))).endswith(
         "or make the simulation more accurate " + ("(step_size, tolerance, interface)")
     )
     # where the search did not even end, that comes first
-    assert ending(replace(open_, outcome=Outcome.STALLED)).startswith(f"{ENDS[Outcome.STALLED]}; a and b")
+    assert ending(replace(open_, outcome=TerminationReason.STALLED)).startswith(
+        f"{ENDS[TerminationReason.STALLED]}; a and b"
+    )
 
 
 def test_a_sign_that_changed_is_told_where_the_search_came_to_nothing() -> None:
     _, result = line()
-    crossed = replace(result, outcome=Outcome.STALLED, start=-result.values)
+    crossed = replace(result, outcome=TerminationReason.STALLED, start=-result.values)
     assert any("give it a bound if the model holds on one side of zero only" in said for said in remarks(crossed))
-    assert not any("side of zero" in said for said in remarks(replace(crossed, outcome=Outcome.CONVERGED)))
+    assert not any("side of zero" in said for said in remarks(replace(crossed, outcome=TerminationReason.CONVERGED)))
 
 
 @pytest.mark.parametrize(
     ("direction", "said"),
     [
         (
-            Direction(Determined.NOT, ("c",), (1.0,), math.inf, (1.0,), (1.0,)),
+            WeakDirection(Identifiability.NOT, ("c",), (1.0,), math.inf, (1.0,), (1.0,)),
             "c is not determined: changing it changes no output",
         ),
         (
-            Direction(Determined.NOT_IN_EFFECT, ("a", "b"), (1.0, 1.0), 25.0, (1.0, 1.0), (1.0, 1.0)),
+            WeakDirection(Identifiability.NOT_IN_EFFECT, ("a", "b"), (1.0, 1.0), 25.0, (1.0, 1.0), (1.0, 1.0)),
             "a and b cannot be told apart in effect: only a - b is determined, and their standard deviation together "
             "is 25 times their magnitude",
         ),
         (
-            Direction(Determined.HARDLY, ("a", "b", "c"), (1.0, 1.0, -1.0), 3.0, (1.0,) * 3, (1.0,) * 3),
+            WeakDirection(Identifiability.HARDLY, ("a", "b", "c"), (1.0, 1.0, -1.0), 3.0, (1.0,) * 3, (1.0,) * 3),
             "a, b and c can hardly be told apart: a + c and b + c are determined better than each of them, whose "
             "standard deviation together is 300% of their magnitude",
         ),
     ],
 )
-def test_directions(direction: Direction, said: str) -> None:
+def test_directions(direction: WeakDirection, said: str) -> None:
     assert direction_words(direction) == said
-    assert Direction.of_json(as_json(direction)) == direction
+    assert WeakDirection.of_json(as_json(direction)) == direction
 
 
 @pytest.mark.parametrize(
     ("obstacle", "said"),
     [
-        (Obstacle(outcome=Outcome.STALLED), "did not converge, so it is extrapolated: stalled: no step lowers"),
-        (Obstacle(outcome=Outcome.INTERRUPTED), "did not converge, so it is extrapolated: interrupted"),
         (
-            Obstacle(undetermined=(Direction(Determined.NOT, ("c",), (1.0,), math.inf, (1.0,), (1.0,)),)),
+            ExtrapolationReason(outcome=TerminationReason.STALLED),
+            "did not converge, so it is extrapolated: stalled: no step lowers",
+        ),
+        (
+            ExtrapolationReason(outcome=TerminationReason.INTERRUPTED),
+            "did not converge, so it is extrapolated: interrupted",
+        ),
+        (
+            ExtrapolationReason(
+                undetermined=(WeakDirection(Identifiability.NOT, ("c",), (1.0,), math.inf, (1.0,), (1.0,)),)
+            ),
             "optimum of the data alone c is not determined: changing it changes no output, so it is extrapolated",
         ),
     ],
 )
-def test_why_the_data_alone_are_extrapolated(obstacle: Obstacle, said: str) -> None:
+def test_why_the_data_alone_are_extrapolated(obstacle: ExtrapolationReason, said: str) -> None:
     assert said in obstacle_words(obstacle)
 
 
@@ -129,6 +139,6 @@ def test_a_name_at_the_beginning_of_a_sentence_is_kept_as_it_is(words: str, said
     ],
 )
 def test_a_check_without_standard_deviations_tells_what_it_changes(shift: list[float], said: str) -> None:
-    finer = {"": asdict(HowRun("2.0", "co-simulation", None, False, None, None, 4))}
-    found = Accuracy(AccuracyOutcome.PASSED, np.array(shift), finer, finer, change=0.02)
+    finer = {"": asdict(SolverConfiguration("2.0", "co-simulation", None, False, None, None, 4))}
+    found = SolverCheck(AccuracyOutcome.PASSED, np.array(shift), finer, finer, change=0.02)
     assert passed_words(found) == f"simulation checked by FMI 2.0 co-simulation, each step divided by 4: {said}"

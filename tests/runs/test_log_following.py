@@ -10,7 +10,7 @@ import pandas as pd
 import pytest
 
 import fmuid
-from fmuid.runs import Follower, Piece
+from fmuid.runs import LogFollower, RecordUpdate
 from fmuid.runs.log_following import follower as module
 from fmuid.studies import ExperimentSettings
 
@@ -51,10 +51,10 @@ class Reader:
 
     def look(self) -> list[str]:
         """Look once and return the remarks."""
-        follower = Follower(self.given, self.place, self.window, 0.05, self.state)
+        follower = LogFollower(self.given, self.place, self.window, 0.05, self.state)
         said: list[str] = []
         for each in follower.look():
-            if not isinstance(each, Piece):
+            if not isinstance(each, RecordUpdate):
                 said.append(each.text)
                 continue
             times = each.record.times
@@ -105,9 +105,9 @@ def test_dates_and_sample_rates_go_on(tmp_path: Path) -> None:
         state: dict[str, Any] | None = None
         for stop in (100, 200, 300):
             (folder / "log.csv").write_text("\n".join([head, *rows[:stop]]) + "\n")
-            follower = Follower(given, folder, 0.1, 0.05, state)
+            follower = LogFollower(given, folder, 0.1, 0.05, state)
             (piece,) = follower.look()
-            assert isinstance(piece, Piece)
+            assert isinstance(piece, RecordUpdate)
             record = piece.record
             assert record.times == pytest.approx(STEP * record.input_values[:, 0])
             assert record.times[-1] == pytest.approx(STEP * (stop - 1))

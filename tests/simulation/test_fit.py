@@ -10,17 +10,17 @@ import pytest
 from fmuid.array_types import Floats
 from fmuid.formatting import fit_text
 from fmuid.reports.messages.result import CONSTANT, fit_words
-from fmuid.simulation import Fit, nrmse_fit
+from fmuid.simulation import OutputFit, nrmse_fit
 
 TIMES = np.linspace(0.0, 10.0, 500)
 SIGNAL = np.sin(TIMES)
 
 
-def made(measured: Floats, simulated: Floats, counted: Floats | None = None) -> Fit:
+def made(measured: Floats, simulated: Floats, counted: Floats | None = None) -> OutputFit:
     """Return the fit of outputs (K, n_outputs)."""
     names = tuple(f"y{j}" for j in range(measured.shape[1]))
     there = np.isfinite(measured) if counted is None else counted.astype(np.bool_)
-    return Fit("run", TIMES, names, ("K",) * len(names), measured, simulated, there)
+    return OutputFit("run", TIMES, names, ("K",) * len(names), measured, simulated, there)
 
 
 @pytest.mark.parametrize("offset", [0.0, 300.0, 1e6])

@@ -20,7 +20,7 @@ from fmuid.errors import FmuidError, InputError, SimulationError
 from fmuid.models.component import Isolation, Numerics
 from fmuid.models.system import System
 from fmuid.simulation.executor import executor_of
-from fmuid.simulation.isolation.host import Host
+from fmuid.simulation.isolation.host import FmuHost
 from fmuid.simulation.sensitivities import derivatives_of
 from fmuid.simulation.simulator import Simulator
 from tests.support.isolated import (
@@ -224,13 +224,13 @@ def test_recycling_bounds_the_memory_of_an_fmu_that_leaks(folder: Path, monkeypa
         Simulator(misbehaving_fmu(folder), RECORD, NAMES, values={"amount": 8.0}, isolation=isolation)
         for isolation in (Isolation(recycle=10, threads=1), Isolation(threads=1))
     )
-    sizes, close = list[tuple[int, float]](), Host.close
+    sizes, close = list[tuple[int, float]](), FmuHost.close
 
-    def weighed(host: Host) -> None:
+    def weighed(host: FmuHost) -> None:
         sizes.append((host.simulations, psutil.Process(host.pid).memory_info().rss / 1e6))
         close(host)
 
-    monkeypatch.setattr(Host, "close", weighed)
+    monkeypatch.setattr(FmuHost, "close", weighed)
     some = np.tile([2.0, 0.5, Mode.LEAK_ONCE], (60, 1))
     gc.collect()  # what other tests have left is not counted
     sizes.clear()

@@ -13,7 +13,7 @@ import psutil
 import pytest
 
 from fmuid.models.component import Isolation
-from fmuid.processes import HUNG, STOPPED, Condition, End
+from fmuid.processes import HUNG, STOPPED, HostExitError, ProcessStatus
 from fmuid.processes.family import condition_of, family
 from fmuid.processes.fork_server import SERVER
 from fmuid.simulation import core_constants as codes
@@ -96,12 +96,12 @@ class Clock:
         self.now, self.computed, self._watchdog = 100.0, 1.0, watchdog
         monkeypatch.setattr("fmuid.processes.watchdog.time.monotonic", lambda: self.now)
 
-    def end_after(self, seconds: float, status: str, share: float = 0.0) -> End | None:
+    def end_after(self, seconds: float, status: str, share: float = 0.0) -> HostExitError | None:
         """Return the end that is seen within some seconds of a process that computes for a share of them."""
         until = self.now + seconds
         while self.now < until:
             self.now, self.computed = self.now + 0.1, self.computed + 0.1 * share
-            end = self._watchdog.end(Condition(os.getpid(), status, self.computed))
+            end = self._watchdog.end(ProcessStatus(os.getpid(), status, self.computed))
             if end is not None:
                 return end
         return None
@@ -114,7 +114,9 @@ def test_a_process_at_rest_that_owes_an_answer_is_ended(monkeypatch: pytest.Monk
     clock = Clock(monkeypatch, HostWatchdog(1.0, doing, computes=True))
     assert clock.end_after(3600.0, psutil.STATUS_RUNNING, share=0.05) is None
     assert clock.end_after(0.9 * AT_REST_SECONDS, psutil.STATUS_SLEEPING) is None
-    assert clock.end_after(0.2 * AT_REST_SECONDS, psutil.STATUS_SLEEPING) == End(HUNG, round(1e3 * AT_REST_SECONDS))
+    assert clock.end_after(0.2 * AT_REST_SECONDS, psutil.STATUS_SLEEPING) == HostExitError(
+        HUNG, round(1e3 * AT_REST_SECONDS)
+    )
 
 
 def test_a_process_that_is_stopped_for_a_moment_goes_on(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -122,7 +124,7 @@ def test_a_process_that_is_stopped_for_a_moment_goes_on(monkeypatch: pytest.Monk
     for _ in range(5):
         assert clock.end_after(1.5, psutil.STATUS_STOPPED) is None
         assert clock.end_after(1.5, psutil.STATUS_RUNNING, share=1.0) is None
-    assert clock.end_after(2.5, psutil.STATUS_STOPPED) == End(STOPPED, 0)
+    assert clock.end_after(2.5, psutil.STATUS_STOPPED) == HostExitError(STOPPED, 0)
 
 
 def test_code_that_fails_beside_an_fmu_costs_the_simulation(

@@ -16,7 +16,7 @@ from fmuid.models.component import Isolation
 from fmuid.processes import cgroup
 from fmuid.processes.family import Footprint
 from fmuid.processes.fork_server import SERVER
-from fmuid.simulation.isolation.host import Host
+from fmuid.simulation.isolation.host import FmuHost
 from fmuid.simulation.simulator import Simulator
 from tests.support.isolated import NAMES, RECORD, expected, processes, thetas, wait_until
 from tests.support.misbehaving import Mode, misbehaving_fmu
@@ -87,7 +87,7 @@ def members(group: Path) -> list[int]:
 
 
 def test_a_host_has_a_group_of_its_own_until_it_ends(parent: Path) -> None:
-    hosts = [Host([], 1e9) for _ in range(2)]
+    hosts = [FmuHost([], 1e9) for _ in range(2)]
     groups = []
     for host in hosts:
         host.order(os.getpid, limit=20.0)

@@ -19,7 +19,7 @@ import pytest
 from fmuid.data.experiment import Experiment
 from fmuid.errors import FmuidError, InputError
 from fmuid.models.component import Isolation
-from fmuid.processes.ends import REFUSED, End
+from fmuid.processes.ends import REFUSED, HostExitError
 from fmuid.processes.family import Footprint, family
 from fmuid.simulation.executor import executor_of
 from fmuid.simulation.isolation.host_exit import end_words
@@ -126,11 +126,14 @@ def test_what_the_system_refuses_this_process_is_one_sentence(folder: Path, monk
 @pytest.mark.parametrize(
     ("end", "words"),
     [
-        (End(REFUSED, errno.ENOMEM), "the system refused its process what it needs to go on (Cannot allocate memory)"),
-        (End(REFUSED, 0), "the system refused its process what it needs to go on"),
+        (
+            HostExitError(REFUSED, errno.ENOMEM),
+            "the system refused its process what it needs to go on (Cannot allocate memory)",
+        ),
+        (HostExitError(REFUSED, 0), "the system refused its process what it needs to go on"),
     ],
 )
-def test_words_of_an_end(end: End, words: str) -> None:
+def test_words_of_an_end(end: HostExitError, words: str) -> None:
     assert end_words(end) == words
 
 

@@ -27,10 +27,10 @@ from fmuid.models.component import Isolation
 from fmuid.models.system import System
 from fmuid.processes import MEMORY_KEPT, Child, fork_server
 from fmuid.processes.channel import Channel, Look
-from fmuid.processes.ends import KILLED, End
+from fmuid.processes.ends import KILLED, HostExitError
 from fmuid.processes.fork_server import SERVER, ForkServer
 from fmuid.simulation.executor import executor_of
-from fmuid.simulation.isolation.host import Host
+from fmuid.simulation.isolation.host import FmuHost
 from fmuid.simulation.simulator import Simulator
 from tests.support.isolated import (
     NAMES,
@@ -172,7 +172,7 @@ def test_no_process_is_left_when_fmuid_ends(folder: Path, name: str, mode: Mode)
     assert ("KeyboardInterrupt" in said) == (name == "SIGINT")
 
 
-def called_pid(host: Host) -> int:
+def called_pid(host: FmuHost) -> int:
     """Return the process id of a host as it says itself."""
     return int(host.order(os.getpid, limit=20.0))
 
@@ -182,7 +182,7 @@ def test_memory_is_kept_whatever_the_starter_says(monkeypatch: pytest.MonkeyPatc
     monkeypatch.setenv("MALLOC_TRIM_THRESHOLD_", "65536")
     server = ForkServer()
     monkeypatch.setattr("fmuid.processes.host.SERVER", server)
-    host = Host([], 1e9)
+    host = FmuHost([], 1e9)
     found = {name: str(host.order(os.getenv, name, limit=20.0)) for name in MEMORY_KEPT}
     host.close()
     server.stop()
@@ -194,7 +194,7 @@ def test_memory_is_kept_whatever_the_starter_says(monkeypatch: pytest.MonkeyPatc
 @pytest.mark.parametrize("question", ["fork", "wait"])
 def test_an_interruption_leaves_no_answer_for_the_next(monkeypatch: pytest.MonkeyPatch, question: str) -> None:
     """Ctrl-C after the server has its order and before its answer is read."""
-    host = Host([], 1e9)
+    host = FmuHost([], 1e9)
     assert called_pid(host) == host.pid
 
     def interrupt(*_: object) -> None:
@@ -203,8 +203,8 @@ def test_an_interruption_leaves_no_answer_for_the_next(monkeypatch: pytest.Monke
     with monkeypatch.context() as changed:
         changed.setattr("fmuid.processes.host.Channel.receive", interrupt)
         with pytest.raises(KeyboardInterrupt):
-            Host([], 1e9) if question == "fork" else SERVER.status(host.pid)
-    others = [Host([], 1e9) for _ in range(2)]
+            FmuHost([], 1e9) if question == "fork" else SERVER.status(host.pid)
+    others = [FmuHost([], 1e9) for _ in range(2)]
     assert [called_pid(other) for other in others] == [other.pid for other in others]
     for each in (host, *others):
         each.close()
@@ -212,7 +212,7 @@ def test_an_interruption_leaves_no_answer_for_the_next(monkeypatch: pytest.Monke
 
 def test_garbage_that_is_collected_in_the_middle_of_a_question_asks_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
     """A system whose host is closed by the collector, in the thread that forks another."""
-    garbage, receive = Host([], 1e9), Channel.receive
+    garbage, receive = FmuHost([], 1e9), Channel.receive
 
     def collect(channel: Channel, look: Look | None = None) -> object:
         monkeypatch.undo()
@@ -220,7 +220,7 @@ def test_garbage_that_is_collected_in_the_middle_of_a_question_asks_nothing(monk
         return receive(channel, look)
 
     monkeypatch.setattr("fmuid.processes.host.Channel.receive", collect)
-    host = Host([], 1e9)
+    host = FmuHost([], 1e9)
     assert called_pid(host) == host.pid
     host.close()
 
@@ -252,7 +252,7 @@ def test_the_default_is_in_process(folder: Path) -> None:
 @pytest.mark.parametrize("how", ["closed", "killed", "struck"])
 def test_who_has_the_number_of_a_host_by_now_is_left_alone(how: str) -> None:
     """A host that went with its server, which nobody asks about for long; process numbers come round."""
-    host = Host([], 1e9)
+    host = FmuHost([], 1e9)
     gone = psutil.Process(host.pid)
     server = SERVER._process
     assert server is not None
@@ -287,12 +287,12 @@ def test_a_system_that_makes_no_more_processes(monkeypatch: pytest.MonkeyPatch) 
 
 
 def test_a_host_that_never_begins(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    def order(host: Host, *_words: object, **_options: object) -> None:
+    def order(host: FmuHost, *_words: object, **_options: object) -> None:
         host.kill()
-        raise End(KILLED, signal.SIGKILL)
+        raise HostExitError(KILLED, signal.SIGKILL)
 
     simulator = Simulator(misbehaving_fmu(folder), RECORD, NAMES, isolation=Isolation(threads=1))
-    monkeypatch.setattr(Host, "order", order)
+    monkeypatch.setattr(FmuHost, "order", order)
     with pytest.raises(FmuidError, match=r"^the process that is to run .* ends again and again before it has begun$"):
         simulator([2.0, 0.5, 0.0])
 

@@ -19,7 +19,7 @@ from fmuid.models.system import System
 from fmuid.processes.family import condition_of
 from fmuid.simulation.executor import executor_of
 from fmuid.simulation.isolation.isolated import IsolatedExecutor
-from fmuid.simulation.isolation.multi_process import SpreadExecutor
+from fmuid.simulation.isolation.multi_process import MultiProcessExecutor
 from fmuid.simulation.simulator import Simulator
 from tests.support.isolated import NAMES, PROCESSES, RECORD, closed_form, processes, thetas, wait_until
 from tests.support.misbehaving import Mode, misbehaving_fmu
@@ -37,7 +37,7 @@ def _three_at_a_time(monkeypatch: pytest.MonkeyPatch) -> None:
 def hosts_of(system: System) -> set[int]:
     """Return the processes that a system has."""
     executor: Any = executor_of(system)
-    assert isinstance(executor, SpreadExecutor)
+    assert isinstance(executor, MultiProcessExecutor)
     return {host.pid for part in executor._parts for host in part._keeper._hosts}
 
 
@@ -57,7 +57,7 @@ def test_it_runs_in_a_process_for_each_core_with_the_same_bits(tmp_path: Path) -
 )
 def test_who_is_spread(tmp_path: Path, said: dict[str, Any], threads: int | None, spread: bool) -> None:
     system = System(misbehaving_fmu(tmp_path, **said), isolation=Isolation(threads=threads))
-    assert isinstance(executor_of(system), SpreadExecutor if spread else IsolatedExecutor)
+    assert isinstance(executor_of(system), MultiProcessExecutor if spread else IsolatedExecutor)
 
 
 @pytest.mark.parametrize("kind", ["spread", "one"])
@@ -71,7 +71,7 @@ def test_what_one_finds_stiff_is_run_again_by_all(kind: str) -> None:
     some = np.array([[1.0, 0.1], [2.0, 0.1], [4.0, 0.1], [4e3, 1e-5]])
     coil = FMUS / "Coil" / "Coil.fmu"
     system, alone = (System(coil, numerics=Numerics("model-exchange")) for _ in range(2))
-    made = SpreadExecutor if kind == "spread" else IsolatedExecutor
+    made = MultiProcessExecutor if kind == "spread" else IsolatedExecutor
     system.executor(lambda each: made(each.components, 3, Isolation()))
     found = Simulator(system, record, ["R", "L"])(some)
     plain = Simulator(alone, record, ["R", "L"])(some[:1])

@@ -10,8 +10,8 @@ import numpy as np
 import psutil
 import pytest
 
-from fmuid.processes.ends import HUNG, End
-from fmuid.processes.family import Condition, condition_of, wants_processor
+from fmuid.processes.ends import HUNG, HostExitError
+from fmuid.processes.family import ProcessStatus, condition_of, wants_processor
 from fmuid.processes.watchdog import COMPUTED_SHARE, STANDSTILL_SECONDS
 from fmuid.simulation import core_constants as codes
 from fmuid.simulation.isolation.host import HostWatchdog
@@ -38,9 +38,9 @@ class Watched:
         until = self.now + seconds
         while True:
             self.now = min(self.now + every, until)
-            end = self.watchdog.end(Condition(1, psutil.STATUS_RUNNING, computed))
+            end = self.watchdog.end(ProcessStatus(1, psutil.STATUS_RUNNING, computed))
             if end is not None or self.now == until:
-                return end == End(HUNG, round(1e3 * LIMIT))
+                return end == HostExitError(HUNG, round(1e3 * LIMIT))
 
 
 @pytest.mark.parametrize("wants", [False, True], ids=["waits for something else", "computes"])
@@ -76,6 +76,6 @@ def test_who_wants_a_processor(code: str, wants: bool) -> None:
                 assert wants_processor(process.pid)
         finally:
             process.kill()
-    assert condition_of(process.pid) == Condition(process.pid, psutil.STATUS_ZOMBIE, 0.0)
+    assert condition_of(process.pid) == ProcessStatus(process.pid, psutil.STATUS_ZOMBIE, 0.0)
     assert not wants_processor(process.pid)
     assert condition_of(os.getpid()).computed > 0.0

@@ -11,7 +11,7 @@ import pytest
 
 from fmuid import Experiment, Isolation, Parameter, Problem, Simulator, System, identify
 from fmuid.errors import InputError
-from fmuid.models import HowRun
+from fmuid.models import SolverConfiguration
 from fmuid.reports.messages.solver import run_words
 from fmuid.reports.messages.validation import check_words
 from fmuid.simulation import Subject, validate
@@ -66,7 +66,7 @@ def test_identify_by_new_processes(folder: Path) -> None:
     for _, costs in trace[trace["accepted"]].groupby("round")["criterion"]:
         assert (np.diff(costs) <= 0.0).all()
     assert [each.models[""]["run"]["new_processes"] for each in found] == [False, True]
-    assert run_words(HowRun(**result.models[""]["run"])).endswith("in a new process for each simulation")
+    assert run_words(SolverConfiguration(**result.models[""]["run"])).endswith("in a new process for each simulation")
 
 
 def test_one_simulation_in_a_process(folder: Path) -> None:

@@ -16,8 +16,8 @@ import fmuid
 from fmuid.array_types import Floats
 from fmuid.data.experiment import Experiment
 from fmuid.data.parameters import Parameter
-from fmuid.errors import InputError, RefusedError
-from fmuid.estimation import Sensitivity
+from fmuid.errors import InputError, SensitivityUnavailableError
+from fmuid.estimation import SensitivityMethod
 from fmuid.identification import Problem
 from fmuid.models.component import Numerics
 from fmuid.models.system import System
@@ -316,12 +316,14 @@ def test_what_cannot_be_had_is_refused(folder: Path) -> None:
         derivatives_of(Simulator(system, Experiment(frame, {"a.u": "u"}, {"a.i": "i"}), ["a.R"]), "forward")
     once = hybrid_fmu(folder, "ball", 2, 'canBeInstantiatedOnlyOncePerProcess="true"')
     simulator = Simulator(model_exchange(once), Experiment(frame, outputs={"x0": "i"}), ["p0"])
-    with pytest.raises(RefusedError, match=r"ball.*can be instantiated only once"):
+    with pytest.raises(SensitivityUnavailableError, match=r"ball.*can be instantiated only once"):
         forward(simulator)(np.array([9.81]))
     switch = hybrid_fmu(folder, "switch", 2)  # an event of the input alone, in a model without states
     frame["u"] = [0.0, 1.0]
     simulator = Simulator(model_exchange(switch), Experiment(frame, {"u[1]": "u"}, {"count": "i"}), ["p0"])
-    with pytest.raises(RefusedError, match="from t = 0 s on, the sensitivities cannot be carried through an event"):
+    with pytest.raises(
+        SensitivityUnavailableError, match="from t = 0 s on, the sensitivities cannot be carried through an event"
+    ):
         forward(simulator)(np.array([0.5]))
 
 
@@ -351,5 +353,5 @@ def test_identification_is_that_by_differences_and_says_what_served(noisy: Exper
         ("finite-difference", "finite differences of whole simulations"),
     ):
         used = found[word].sensitivity
-        assert used == Sensitivity(word)
+        assert used == SensitivityMethod(word)
         assert sensitivity_words(used) == words

@@ -20,7 +20,7 @@ from fmuid.simulation import smoke_test as smoke
 from fmuid.simulation import validation
 from fmuid.simulation.native.build import compiler_here
 from fmuid.simulation.smoke_test import SmokeReport, Stage
-from fmuid.simulation.validation import Check, Trial, Validation, validate
+from fmuid.simulation.validation import Check, InterfaceTest, Validation, validate
 from tests.support.fmu_texts import FMI2, FMI3, write_fmu
 from tests.support.paths import FMUS, HERE
 from tests.support.probe_fmu import ProbeMaker
@@ -215,11 +215,11 @@ def test_a_tool_that_is_needed(probe: ProbeMaker) -> None:
 
 
 @pytest.fixture
-def scripted(monkeypatch: pytest.MonkeyPatch) -> Iterator[list[Trial]]:
+def scripted(monkeypatch: pytest.MonkeyPatch) -> Iterator[list[InterfaceTest]]:
     """The tries of an interface in turn, in place of processes; what is left over was not tried."""
-    tries: list[Trial] = []
+    tries: list[InterfaceTest] = []
 
-    def next_try(_fmu: fmuid.FMU, _kind: str, share: float) -> Trial:
+    def next_try(_fmu: fmuid.FMU, _kind: str, share: float) -> InterfaceTest:
         assert tries[0].share == share
         return tries.pop(0)
 
@@ -232,18 +232,18 @@ def interface(kind: str) -> Sequence[Check]:
     return validation._interface(fmuid.FMU(COIL), kind)
 
 
-def test_a_slow_model_is_tried_for_a_shorter_time(scripted: list[Trial]) -> None:
+def test_a_slow_model_is_tried_for_a_shorter_time(scripted: list[InterfaceTest]) -> None:
     slow = SmokeReport(Stage.SIMULATION, instantiated=True)
     done = SmokeReport(Stage.REPETITION, instantiated=True, simulated=True)
-    scripted += [Trial(1.0, slow, code=None), Trial(0.01, done, code=None)]
+    scripted += [InterfaceTest(1.0, slow, code=None), InterfaceTest(0.01, done, code=None)]
     _, simulation, reset = interface("co-simulation")
     assert (simulation.result, reset.result) == ("warning", "warning")
     assert "did not end within 60 s" in check_words(simulation)[0]
     assert "1 % of the default experiment" in check_words(simulation)[1]
 
 
-def test_a_fault_is_not_tried_for_a_shorter_time(scripted: list[Trial]) -> None:
-    scripted.append(Trial(1.0, SmokeReport(instantiated=True, error="failed at t = 0 s")))
+def test_a_fault_is_not_tried_for_a_shorter_time(scripted: list[InterfaceTest]) -> None:
+    scripted.append(InterfaceTest(1.0, SmokeReport(instantiated=True, error="failed at t = 0 s")))
     assert [check.result for check in interface("co-simulation")] == ["ok", "failed"]
 
 

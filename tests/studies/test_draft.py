@@ -14,9 +14,9 @@ import fmuid
 from fmuid.models import read_description
 from fmuid.models.component import DEFAULT_INTEGRATOR, DEFAULT_TOLERANCE, INTEGRATORS, Numerics
 from fmuid.reports.console.draft import remarks
-from fmuid.studies.init.draft import begin, draft
+from fmuid.studies.init.draft import draft, match_data_files
 from fmuid.studies.init.lines import LINE_LENGTH
-from fmuid.studies.init.parameter_survey import Candidate, Use, bounds
+from fmuid.studies.init.parameter_survey import Candidate, ParameterProposal, bounds
 from tests.support.fmu_texts import FMI2, FMI3, write_fmu
 from tests.support.paths import FMUS
 
@@ -24,7 +24,7 @@ from tests.support.paths import FMUS
 def drafted(fmu: Path, *columns: str) -> str:
     table = fmu.parent / "table.csv"
     pd.DataFrame({"time": [0.0, 1.0], **dict.fromkeys(columns, 0.0)}).to_csv(table, index=False)
-    return draft(fmu, begin(fmu, [table]), fmu.parent / "study.toml").text
+    return draft(fmu, match_data_files(fmu, [table]), fmu.parent / "study.toml").text
 
 
 def freed(text: str) -> dict[str, Any]:
@@ -85,7 +85,7 @@ def test_elements_of_one_array_hold_together(tmp_path: Path, both: bool, held: t
     steps, slope = [0.0, 0.0, 0.0, 1.0, 1.0, 1.0], [0.0, 1.0, 2.0, 3.0, 4.0, 5.0]
     columns = {"time": slope, "u[1]": steps, "u[2]": steps if both else slope, "y[1]": slope}
     pd.DataFrame(columns).to_csv(tmp_path / "table.csv", index=False)
-    (record,) = begin(fmu, [tmp_path / "table.csv"])
+    (record,) = match_data_files(fmu, [tmp_path / "table.csv"])
     assert record.held == held
     assert (
         any(each.endswith('u[1], u[2]; interpolation = "linear" for what was measured') for each in remarks(record))
@@ -95,8 +95,8 @@ def test_elements_of_one_array_hold_together(tmp_path: Path, both: bool, held: t
 
 def test_a_matrix_has_no_sign_to_keep(tmp_path: Path) -> None:
     variables = read_description(write_fmu(tmp_path / "Linear.fmu", FMI3)).variables
-    assert bounds(Candidate(variables["A[1,2]"], Use.FREED, 2.0)) == {}
-    assert bounds(Candidate(variables["b[1]"], Use.FREED, 7.0)) == {"min": 0.0}
+    assert bounds(Candidate(variables["A[1,2]"], ParameterProposal.FREED, 2.0)) == {}
+    assert bounds(Candidate(variables["b[1]"], ParameterProposal.FREED, 7.0)) == {"min": 0.0}
 
 
 def test_local_variables_may_be_outputs(tmp_path: Path) -> None:
@@ -110,7 +110,7 @@ def test_a_table_of_one_row(tmp_path: Path) -> None:
     """What is wrong with it is said; whether its input holds is not looked for, not even with a warning."""
     table = tmp_path / "table.csv"
     table.write_text("time,u,w\n0,1,2\n")
-    (record,) = begin(write_fmu(tmp_path / "Motor.fmu", FMI2), [table])
+    (record,) = match_data_files(write_fmu(tmp_path / "Motor.fmu", FMI2), [table])
     assert record.roles("input") and record.interpolation == "linear"
     assert record.refusal.endswith("has fewer than two different times: give a longer record")
 

@@ -17,7 +17,15 @@ from fmuid.data import Experiment
 from fmuid.errors import InputError
 from fmuid.models import System, read_description
 from fmuid.studies import Study
-from fmuid.studies.init.parameter_survey import Survey, Use, _Changes, _proposed, _select, is_solver_setting, survey
+from fmuid.studies.init.parameter_survey import (
+    ParameterProposal,
+    Survey,
+    _Changes,
+    _proposed,
+    _select,
+    is_solver_setting,
+    survey,
+)
 from fmuid.studies.init.start_parameters import is_start
 from tests.support.coil_study import COIL, fmuid_, result
 from tests.support.exported import export_text
@@ -181,12 +189,12 @@ def test_what_acts_alike_is_left_out() -> None:
     rng = np.random.default_rng(5)
     a, b, c = rng.standard_normal((3, 50))
     columns = np.column_stack([a, 3 * b, a + 3 * b, 1e-5 * c, 0.1 * c])
-    uses: list[Use | None] = [None] * 5
+    uses: list[ParameterProposal | None] = [None] * 5
     likes = _select(columns, np.linalg.norm(columns, axis=0), uses, [], columns / 1e-3)
-    assert uses.count(Use.ALIKE) == 1
-    assert uses[:3].count(Use.FREED) == 2
-    assert uses[3:] == [Use.NOISE, Use.FREED]
-    (out,) = (k for k in (0, 1, 2) if uses[k] is Use.ALIKE)
+    assert uses.count(ParameterProposal.ALIKE) == 1
+    assert uses[:3].count(ParameterProposal.FREED) == 2
+    assert uses[3:] == [ParameterProposal.NOISE, ParameterProposal.FREED]
+    (out,) = (k for k in (0, 1, 2) if uses[k] is ParameterProposal.ALIKE)
     assert sorted(likes[out]) == [k for k in (0, 1, 2) if k != out]
 
 
@@ -194,11 +202,11 @@ def test_what_the_noise_hides_is_left_out() -> None:
     """The second column is as strong as the noise lets it be seen by one standard deviation."""
     a, b = np.random.default_rng(5).standard_normal((2, 50))
     b -= (a @ b) / (a @ a) * a
-    for share, use in ((0.9, Use.NOISE), (1.1, Use.FREED)):
+    for share, use in ((0.9, ParameterProposal.NOISE), (1.1, ParameterProposal.FREED)):
         columns = np.column_stack([a, a + share * 0.1 * b / np.linalg.norm(b)])
-        uses: list[Use | None] = [None, None]
+        uses: list[ParameterProposal | None] = [None, None]
         _select(columns, np.linalg.norm(columns, axis=0), uses, [], columns / 0.1)
-        assert sorted(each.value for each in uses if each) == sorted([Use.FREED.value, use.value])
+        assert sorted(each.value for each in uses if each) == sorted([ParameterProposal.FREED.value, use.value])
 
 
 def changes(columns: Floats, starts: Floats, noise: float) -> _Changes:
@@ -214,15 +222,19 @@ def test_survey_frees_zero_or_start_values_rather_than_nothing() -> None:
     a, b, c = np.random.default_rng(6).standard_normal((3, 50))
     every = changes(np.column_stack([a, b, c]), np.array([0.0, 1.0, 1.0]), 0.1)
 
-    def uses(given: _Changes) -> dict[str, Use]:
+    def uses(given: _Changes) -> dict[str, ParameterProposal]:
         return {each.variable.name: each.use for each in _proposed(given, [2], {}, driven=True)}
 
-    assert uses(every) == {"p0": Use.ZERO, "p1": Use.FREED, "p2": Use.START}
+    assert uses(every) == {"p0": ParameterProposal.ZERO, "p1": ParameterProposal.FREED, "p2": ParameterProposal.START}
     hidden = replace(every, jacobian=np.column_stack([a, 1e-3 * b, c]))
-    assert uses(hidden) == {"p0": Use.FREED, "p1": Use.NOISE, "p2": Use.START}
+    assert uses(hidden) == {"p0": ParameterProposal.FREED, "p1": ParameterProposal.NOISE, "p2": ParameterProposal.START}
     both = replace(every, jacobian=np.column_stack([1e-3 * a, 1e-3 * b, c]))
-    assert uses(both) == {"p0": Use.NOISE, "p1": Use.NOISE, "p2": Use.START_OPEN}
-    assert set(uses(replace(every, jacobian=1e-3 * every.jacobian)).values()) == {Use.NOISE}
+    assert uses(both) == {
+        "p0": ParameterProposal.NOISE,
+        "p1": ParameterProposal.NOISE,
+        "p2": ParameterProposal.START_OPEN,
+    }
+    assert set(uses(replace(every, jacobian=1e-3 * every.jacobian)).values()) == {ParameterProposal.NOISE}
 
 
 BIASED = """
@@ -253,8 +265,15 @@ def test_survey_judges_effects_against_noise_and_inputs_against_offsets(tmp_path
         frame = pd.DataFrame({"time": t, "u": u + offset, "y": y + start * np.exp(-a * t)})
         found = survey(fmu, [Experiment(frame, ["u"], ["y"], interpolation="hold")])
         uses[offset, start] = {each.variable.name: each.use for each in found.candidates}
-        assert [uses[offset, start][name] for name in ("a", "b", "c", "drift")] == [*[Use.FREED] * 3, Use.ZERO]
-    assert [each["x_start"] for each in uses.values()] == [Use.START, Use.START, Use.START_FREED]
+        assert [uses[offset, start][name] for name in ("a", "b", "c", "drift")] == [
+            *[ParameterProposal.FREED] * 3,
+            ParameterProposal.ZERO,
+        ]
+    assert [each["x_start"] for each in uses.values()] == [
+        ParameterProposal.START,
+        ParameterProposal.START,
+        ParameterProposal.START_FREED,
+    ]
 
 
 SPRING = """
@@ -282,9 +301,15 @@ def test_a_length_at_rest_is_no_start_value(tmp_path: Path) -> None:
     record = Experiment(pd.DataFrame({"time": t, "s": s}), [], ["s"])
     found = {each.variable.name: each for each in survey(export_text(tmp_path, SPRING), [record]).candidates}
     uses = {name: each.use for name, each in found.items()}
-    assert [uses[name] for name in ("c", "m")] in ([Use.FREED, Use.ALIKE], [Use.ALIKE, Use.FREED])
-    assert sorted([uses["s_rel0"].value, uses["fixed"].value]) == [Use.ALIKE.value, Use.FREED.value]
-    assert uses["s0"] is Use.START_OPEN
+    assert [uses[name] for name in ("c", "m")] in (
+        [ParameterProposal.FREED, ParameterProposal.ALIKE],
+        [ParameterProposal.ALIKE, ParameterProposal.FREED],
+    )
+    assert sorted([uses["s_rel0"].value, uses["fixed"].value]) == [
+        ParameterProposal.ALIKE.value,
+        ParameterProposal.FREED.value,
+    ]
+    assert uses["s0"] is ParameterProposal.START_OPEN
 
 
 def experiment(table: pd.DataFrame) -> Experiment:
@@ -294,12 +319,16 @@ def experiment(table: pd.DataFrame) -> Experiment:
 def test_start_values_are_freed_where_records_begin_elsewhere() -> None:
     t = np.arange(200.0) * 1e-3
     u: Floats = np.where(np.arange(200) % 40 < 20, 10.0, 0.0)
-    for i0, use in ((0.0, Use.START), (0.7, Use.START_FREED)):
+    for i0, use in ((0.0, ParameterProposal.START), (0.7, ParameterProposal.START_FREED)):
         i = current(t, u, i0, 4.0)
         found = survey(COIL, [experiment(pd.DataFrame({"time": t, "u": u, "i": i}))])
         candidates = {each.variable.name: each for each in found.candidates}
         assert candidates.keys() == {"R", "L", "i_start"}  # the current itself starts at i_start
-        assert [candidates[name].use for name in ("R", "L", "i_start")] == [Use.FREED, Use.FREED, use]
+        assert [candidates[name].use for name in ("R", "L", "i_start")] == [
+            ParameterProposal.FREED,
+            ParameterProposal.FREED,
+            use,
+        ]
         assert candidates["i_start"].start == pytest.approx(i0, abs=1e-4)
     # what 10 % of R change of the current, from the closed form moved by a thousandth
     difference = current(t, u, 0.7, 4.004) - current(t, u, 0.7, 4.0)

@@ -11,7 +11,7 @@ from fmuid.apps.cli.options import DONE, NOT_SUCCEEDED, WRONG_INPUT
 from fmuid.errors import InputError
 from fmuid.models import read_description
 from fmuid.reports.console import draft as console_draft
-from fmuid.studies import Asked, Reason, Study, begin
+from fmuid.studies import InitOptions, Reason, Study, match_data_files
 from fmuid.studies.init.column_matching import guess
 from tests.support.coil_study import COIL, coil_table, fmuid_
 from tests.support.paths import FMUS
@@ -162,7 +162,7 @@ class Terminal:
 
 def test_a_guess_is_asked_about_in_a_terminal(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     frame = bench(tmp_path).assign(other=1.0)
-    (record,) = begin(COIL, [write(frame, tmp_path / "bench.csv")], Asked())
+    (record,) = match_data_files(COIL, [write(frame, tmp_path / "bench.csv")], InitOptions())
     terminal = Terminal(["u=othr", "nonsense", "u = other", ""])
     monkeypatch.setattr(console_draft, "Prompt", terminal)
     assert console_draft.asked_about(record) is record  # no terminal
@@ -171,6 +171,6 @@ def test_a_guess_is_asked_about_in_a_terminal(tmp_path: Path, monkeypatch: pytes
     found = console_draft.asked_about(record)
     assert terminal.asked == 4
     assert found.roles("input") == {"u": "other"}
-    (sure,) = begin(COIL, [tmp_path / "run.csv"])
+    (sure,) = match_data_files(COIL, [tmp_path / "run.csv"])
     assert console_draft.asked_about(sure) is sure
     assert terminal.asked == 4

@@ -12,9 +12,9 @@ import pytest
 
 from fmuid.data.parameters import Normal
 from fmuid.errors import InputError
-from fmuid.estimation import Outcome
+from fmuid.estimation import TerminationReason
 from fmuid.reports.messages.result import source_words
-from fmuid.studies import SourceDoubt
+from fmuid.studies import SourceIssue
 from fmuid.studies.study import Study
 from tests.support.paths import FMUS
 
@@ -160,16 +160,16 @@ def test_result_of_the_same_fmu(folder: Path) -> None:
 
 def test_another_build_is_noted(folder: Path) -> None:
     (note,) = read(folder, '[prior]\nresult = "healthy.json"', prior_of_r="").notes
-    assert (note.doubt, note.path.name) == (SourceDoubt.OTHER_BUILD, "healthy.json")
+    assert (note.doubt, note.path.name) == (SourceIssue.OTHER_BUILD, "healthy.json")
     assert "healthy.json was made with another build of Coil than" in source_words(note)
 
 
 def test_result_without_model_and_result_that_failed_are_noted(folder: Path) -> None:
     earlier(folder, models={}, outcome="iteration_limit", converged=False)
     failed, unknown = read(folder, '[prior]\nresult = "healthy.json"').notes
-    assert (failed.doubt, failed.outcome) == (SourceDoubt.DID_NOT_SUCCEED, Outcome.ITERATION_LIMIT)
+    assert (failed.doubt, failed.outcome) == (SourceIssue.DID_NOT_SUCCEED, TerminationReason.ITERATION_LIMIT)
     assert "did not succeed: iteration_limit" in source_words(failed)
-    assert unknown.doubt is SourceDoubt.NO_MODEL
+    assert unknown.doubt is SourceIssue.NO_MODEL
     assert "does not say of which model it is" in source_words(unknown)
 
 

@@ -14,7 +14,7 @@ from fmuid.errors import InputError
 from fmuid.estimation import GlobalSearch
 from fmuid.estimation.method import Marquardt, Method
 from fmuid.identification.assessment import AssessmentSettings
-from fmuid.identification.sampling.posterior import Sampling
+from fmuid.identification.sampling.posterior import SamplerSettings
 from fmuid.models.component import Numerics
 from fmuid.studies.study import Study
 from fmuid.studies.toml import show
@@ -87,8 +87,8 @@ def test_uncertainty_words(folder: Path) -> None:
         0.9, maps=(("R", "drive.M"), ("R", "dR[run1]"))
     )
     assert asked('map = ["R", "drive.M"]').maps == (("R", "drive.M"),)
-    assert asked("posterior = true").posterior == Sampling()
-    assert asked("posterior = { walkers = 32, steps = 2000, burn = 0.5, seed = 3 }").posterior == Sampling(
+    assert asked("posterior = true").posterior == SamplerSettings()
+    assert asked("posterior = { walkers = 32, steps = 2000, burn = 0.5, seed = 3 }").posterior == SamplerSettings(
         32, 2000, burn=0.5, seed=3
     )
 

@@ -14,7 +14,7 @@ from typing import Any
 import pytest
 
 from fmuid.errors import InputError
-from fmuid.studies.section import Place
+from fmuid.studies.section import SectionLocation
 from fmuid.studies.study_file import StudyFile
 
 TEXT = """
@@ -99,7 +99,7 @@ def places(data: Any, above: tuple[Any, ...] = ()) -> Iterator[tuple[Any, ...]]:
 def test_odd_values_are_refused_in_words(table: str, tmp_path: Path) -> None:
     (tmp_path / "file").touch()
     good = tomllib.loads(TEXT)
-    StudyFile.read(copy.deepcopy(good), Place("study.toml", tmp_path))
+    StudyFile.read(copy.deepcopy(good), SectionLocation("study.toml", tmp_path))
     refused = 0
     for way in places(good[table], (table,)) if table != "title" else [("title",)]:
         for value in ODD:
@@ -109,7 +109,7 @@ def test_odd_values_are_refused_in_words(table: str, tmp_path: Path) -> None:
                 node = node[key]
             node[way[-1]] = value
             try:
-                StudyFile.read(data, Place("study.toml", tmp_path))
+                StudyFile.read(data, SectionLocation("study.toml", tmp_path))
             except InputError as error:
                 refused, said = refused + 1, str(error)
                 assert re.match(rf"study\.toml: (title|experiments|{table}|\[+{table}\b)", said), (way, value, said)

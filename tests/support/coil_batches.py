@@ -19,7 +19,7 @@ from experiments.batches.campaign import family
 from fmuid.runs.batch import worker_pool as cluster
 from fmuid.runs.batch.batch import Batch, BatchResult
 from fmuid.runs.batch.run_case import VOLATILE, CaseRunner
-from fmuid.runs.batch.study_package import Parcel
+from fmuid.runs.batch.study_package import StudyPackage
 from fmuid.runs.batch.worker import run_group
 from fmuid.studies.study import Study
 from tests.support.coil_study import STUDY, fmuid_
@@ -65,7 +65,7 @@ class Here:
         self.rng, self.stop_after, self.error = np.random.default_rng(seed), stop_after, error
         self.ran: list[int] = []
 
-    def run(self, parcel: Parcel, cases: Any, record_of: Any) -> cluster.Results:
+    def run(self, parcel: StudyPackage, cases: Any, record_of: Any) -> cluster.Results:
         edges = np.sort(self.rng.choice(np.arange(1, len(cases)), min(6, len(cases) - 1), replace=False))
         groups = np.split(cases, edges)
         for k in self.rng.permutation(len(groups)):

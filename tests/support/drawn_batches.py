@@ -10,7 +10,7 @@ import numpy.typing as npt
 import pandas as pd
 
 from fmuid.reports.batch_tables import noted
-from fmuid.runs.batch.statistics import EstimateDoubt
+from fmuid.runs.batch.statistics import EstimateWarning
 from fmuid.runs.batch.summary import Summary
 
 Array = npt.NDArray[np.float64]
@@ -52,9 +52,9 @@ def row(summary: Summary, name: str) -> Mapping[Any, Any]:
     return found
 
 
-def doubts(table: pd.DataFrame, name: str) -> list[tuple[EstimateDoubt, ...]]:
+def doubts(table: pd.DataFrame, name: str) -> list[tuple[EstimateWarning, ...]]:
     """Return what is doubted of one parameter, a tuple a row."""
-    found: list[tuple[EstimateDoubt, ...]] = table.loc[table["parameter"] == name, "doubts"].tolist()
+    found: list[tuple[EstimateWarning, ...]] = table.loc[table["parameter"] == name, "doubts"].tolist()
     return found
 
 

@@ -22,7 +22,7 @@ import pytest
 
 from fmuid.apps.cli.app import run
 from fmuid.errors import FmuidError
-from fmuid.runs.batch.cases import Cases
+from fmuid.runs.batch.cases import CaseList
 from fmuid.runs.batch.run_case import VOLATILE, CaseRunner
 from fmuid.studies.study import Study
 from tests.support import fuzz_inputs as good
@@ -257,7 +257,7 @@ def batch(rng: Random, place: Path) -> None:
     with watched(place):
         try:
             read = Study.read(path)
-            cases, runner = Cases.of(read), CaseRunner(read)
+            cases, runner = CaseList.of(read), CaseRunner(read)
             rows = [runner(rng.randrange(len(cases))).row for _ in range(3)]
         except FmuidError as error:
             check_sentence(str(error))

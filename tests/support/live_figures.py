@@ -20,9 +20,9 @@ class _Live:
 
 
 def _live(found: Any) -> Any:
-    if isinstance(found, sketch.Sketch):
+    if isinstance(found, sketch.BokehSpec):
         return sketch.live([found])[0]
-    if isinstance(found, list) and found and isinstance(found[0], sketch.Sketch):
+    if isinstance(found, list) and found and isinstance(found[0], sketch.BokehSpec):
         return sketch.live(found)
     return found
 

@@ -10,8 +10,8 @@ import numpy.typing as npt
 from fmuid.data.parameters import Parameter
 from fmuid.estimation.problem import LeastSquares
 from fmuid.estimation.result import Result
-from fmuid.identification.sampling.posterior import Posterior, Sampling
-from fmuid.identification.sampling.sampler import sample
+from fmuid.identification.sampling.posterior import Posterior, SamplerSettings
+from fmuid.identification.sampling.sampler import sample_posterior
 from tests.support.results import identify_white as identify
 
 Array = npt.NDArray[np.float64]
@@ -28,4 +28,4 @@ def linear(samples: int = 30, **words: Any) -> tuple[LeastSquares, Array]:
 
 def sampled(problem: LeastSquares, **settings: Any) -> tuple[Posterior, Result]:
     result = identify(problem)
-    return sample(problem, result, Sampling(**settings)), result
+    return sample_posterior(problem, result, SamplerSettings(**settings)), result

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pandas as pd
 
-from fmuid.simulation import Fit
+from fmuid.simulation import OutputFit
 
 
-def record(samples: int = 600, outputs: int = 2, name: str = "run", noise: float = 0.1) -> Fit:
+def record(samples: int = 600, outputs: int = 2, name: str = "run", noise: float = 0.1) -> OutputFit:
     """Return a fit with known noise; the first 50 samples do not count and one output lacks some."""
     rng = np.random.default_rng(3)
     times = np.linspace(0.0, 1e-3 * (samples - 1), samples)
@@ -18,7 +18,7 @@ def record(samples: int = 600, outputs: int = 2, name: str = "run", noise: float
     counted = ~np.isnan(measured)
     counted[:50] = False
     names = tuple(f"y{k}" for k in range(outputs))
-    return Fit(name, times, names, ("A",) * outputs, measured, simulated, counted)
+    return OutputFit(name, times, names, ("A",) * outputs, measured, simulated, counted)
 
 
 def search(names: tuple[str, ...] = ("R", "L")) -> tuple[pd.DataFrame, pd.DataFrame]:

@@ -68,21 +68,21 @@ def init(
 ) -> int:
     """Write a first study file for an FMU and data; a terminal is asked in doubt."""
     from fmuid.reports.console.draft import asked_about, show_draft
-    from fmuid.studies import Asked, begin, check_output, draft, placed, value_of, write_draft
+    from fmuid.studies import InitOptions, check_output, draft, match_data_files, parse_column, value_of, write_draft
 
     check_output(output)
     columns = _pairs(map_ or (), "--map", "variable=column", "ids=Id_meas")
     words = _pairs(preprocess or (), "--preprocess", "key=value", "low_pass=100")
-    asked = Asked(
-        placed(time),
+    asked = InitOptions(
+        parse_column(time),
         time_unit,
         sample_rate,
-        None if sheet is None else placed(sheet),
+        None if sheet is None else parse_column(sheet),
         columns,
         {word: value_of(text) for word, text in words.items()},
         _pairs(unit or (), "--unit", "variable=unit", "w=rpm"),
     )
-    records = [asked_about(record) for record in begin(fmu, data, asked)]
+    records = [asked_about(record) for record in match_data_files(fmu, data, asked)]
     made = draft(fmu, records, output)
     write_draft(made, output)
     show_draft(made, output)

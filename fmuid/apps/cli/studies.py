@@ -29,7 +29,7 @@ from fmuid.files import is_folder, noted, replacing
 if TYPE_CHECKING:
     from fmuid.progress import Event
     from fmuid.reports.console.progress import Display
-    from fmuid.simulation import Fit
+    from fmuid.simulation import OutputFit
     from fmuid.studies import Study
 
 FMU_LOG = "fmu.log"
@@ -91,7 +91,7 @@ def _sensitivities(study: Study, folder: Path) -> list[Path]:
     return [write_table(folder / "sensitivities.csv", table), write_origin(folder / "sensitivities.json", study)]
 
 
-def _fits_at(study: Study, result: Path) -> tuple[Fit, ...]:
+def _fits_at(study: Study, result: Path) -> tuple[OutputFit, ...]:
     """Simulate a study at a result."""
     from fmuid.estimation import Result
     from fmuid.runs import fits_at, notes_of, result_path
@@ -146,17 +146,17 @@ def _show_event(display: Display, read: Study, event: Event, /) -> None:
     KeyboardInterrupt
         If SIGTERM or SIGHUP has come, which leaves out what follows too.
     """
-    from fmuid.progress import DataAloneStep
-    from fmuid.reports import Identified
+    from fmuid.progress import DataOnlyStep
+    from fmuid.reports import SearchFinished
     from fmuid.reports import identification_run as report
     from fmuid.reports.console import layout as console
     from fmuid.reports.console import result as console_result
 
     match event:
-        case DataAloneStep():
+        case DataOnlyStep():
             display.pause()
             console.show_notes(["searching the optimum of the data alone, for comparison; Ctrl-C leaves it out"])
-        case Identified():
+        case SearchFinished():
             display.pause()
             console_result.show_result(event.findings)
             if read.uncertainty_settings.explores and not report.at_minimum(event.findings.result):
@@ -253,15 +253,15 @@ def _follow(
 
 def _show_judged(display: Display, event: Event, /) -> None:
     """Show how far a search for faults is, and what it has found once it is there."""
-    from fmuid.reports import DiagnosisFindings, Judged
+    from fmuid.reports import DiagnosisFinished, DiagnosisRun
     from fmuid.reports.console.diagnosis import show_diagnosis
     from fmuid.reports.console.monitoring import show_monitoring
 
-    if not isinstance(event, Judged):
+    if not isinstance(event, DiagnosisFinished):
         display(event)
         return
     display.pause()
-    if isinstance(event.findings, DiagnosisFindings):
+    if isinstance(event.findings, DiagnosisRun):
         show_diagnosis(event.findings.diagnosis)
     else:
         show_monitoring(event.findings.monitor)

@@ -100,7 +100,7 @@ class Guard(BokehTornado):  # type: ignore[misc]
             return self._refuse(request)
         given = request.arguments.get("token", [b""])[-1]
         if request.method == "GET" and given and self._accept(given):
-            return self.get_handler_delegate(request, Enter, {"secret": self._secret, "name": self._cookie})
+            return self.get_handler_delegate(request, LoginHandler, {"secret": self._secret, "name": self._cookie})
         cookies, site = _cookies(request), request.headers.get("Sec-Fetch-Site", "none")
         if site not in ("none", "same-origin"):
             return self._refuse(request)
@@ -118,7 +118,7 @@ class Guard(BokehTornado):  # type: ignore[misc]
         return self.get_handler_delegate(request, ErrorHandler, {"status_code": 403})
 
 
-class Enter(RequestHandler):
+class LoginHandler(RequestHandler):
     """Exchange of a token for the cookie; no later address carries a token."""
 
     def initialize(self, secret: str, name: str) -> None:

@@ -153,7 +153,7 @@ def _row(folder: Folder, result: FoundResult) -> str:
     return f"<tr><td>{box if result.kind == 'identification' else ''}</td><th scope=row>{first}</th>{cells}</tr>"
 
 
-class OwnHandler(RequestHandler):
+class AssetHandler(RequestHandler):
     """Style and script of the pages."""
 
     def get(self, name: str) -> None:

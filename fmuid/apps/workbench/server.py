@@ -17,7 +17,7 @@ from tornado.ioloop import IOLoop
 from tornado.netutil import bind_sockets
 
 from fmuid.apps.workbench.access_control import LARGEST_MESSAGE, Guard
-from fmuid.apps.workbench.home import FileHandler, HomeHandler, OwnHandler, escaped
+from fmuid.apps.workbench.home import AssetHandler, FileHandler, HomeHandler, escaped
 from fmuid.apps.workbench.jobs import Jobs
 from fmuid.apps.workbench.page_layout import argument, dress
 from fmuid.apps.workbench.project_folder import Folder
@@ -65,7 +65,7 @@ class Workbench:
             hosts,
             [
                 (r"/", HomeHandler, {"folder": folder, "jobs": self.jobs}),
-                (r"/own/(.*)", OwnHandler),
+                (r"/own/(.*)", AssetHandler),
                 (r"/file/(.*)", FileHandler, {"folder": folder}),
             ],
         )

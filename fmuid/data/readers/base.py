@@ -24,7 +24,7 @@ from fmuid.files import ContentError
 from fmuid.formatting import nearest
 
 if TYPE_CHECKING:
-    from fmuid.processes import End, IsolatedCaller
+    from fmuid.processes import HostExitError, IsolatedCaller
 
 READING_SECONDS = 60.0
 """Time in which any file is read, s; larger files have more."""
@@ -152,7 +152,7 @@ def call_reader(function: Callable[..., dict[str, Any]], path: Path, *arguments:
     ContentError
         If the file cannot be read, or the process is lost over it.
     """
-    from fmuid.processes import End
+    from fmuid.processes import HostExitError
 
     try:
         limit = READING_SECONDS + path.stat().st_size / _SLOWEST_READING
@@ -161,11 +161,11 @@ def call_reader(function: Callable[..., dict[str, Any]], path: Path, *arguments:
         raise ContentError(f"the file cannot be read: {error.strerror or error}") from None
     except MemoryError:
         raise ContentError(f"the file needs more memory than there is: {_REMEDY}") from None
-    except End as end:
+    except HostExitError as end:
         raise ContentError(_lost(end, limit)) from None
 
 
-def _lost(end: End, limit: float) -> str:
+def _lost(end: HostExitError, limit: float) -> str:
     """Return what became of the reader process over a file, and what to do."""
     from fmuid.processes import CRASHED, GREW, HUNG
 

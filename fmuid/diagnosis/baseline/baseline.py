@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Self
 
 from fmuid.data import Experiment, Noise, Parameter
-from fmuid.diagnosis.baseline.stored_baseline import HealthyEvidence
+from fmuid.diagnosis.baseline.stored_baseline import StoredBaseline
 from fmuid.diagnosis.faults import common_mode
 from fmuid.errors import InputError
 from fmuid.estimation import Result
@@ -40,7 +40,7 @@ class Baseline:
         operating points show the healthy model's own error, too.
     trials : mapping of str to sequence of Experiment
         Cause to records in which it alone is new: they show the fault models' error.
-    shown : HealthyEvidence, optional
+    shown : StoredBaseline, optional
         What the healthy records showed when the healthy machine was identified: taken where it is of the same machine,
         faults and records, or none are given.
 
@@ -70,7 +70,7 @@ class Baseline:
     values: Mapping[str, float | int | bool | str] = field(default_factory=dict)
     records: Sequence[Experiment] = ()
     trials: Mapping[str, Sequence[Experiment]] = field(default_factory=dict)
-    shown: HealthyEvidence | None = None
+    shown: StoredBaseline | None = None
     common: dict[str, Parameter] = field(init=False, repr=False)
 
     def __post_init__(self) -> None:

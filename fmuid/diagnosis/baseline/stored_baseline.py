@@ -15,9 +15,9 @@ import numpy as np
 from fmuid.array_types import Floats
 from fmuid.data import Experiment, read_arrays, write_arrays
 from fmuid.diagnosis.baseline.whitening import Whitening
-from fmuid.diagnosis.change_detection.information_matrix import Information
+from fmuid.diagnosis.change_detection.information_matrix import InformationMatrix
 from fmuid.diagnosis.change_detection.unexplained_residual import SPANS
-from fmuid.diagnosis.change_parameters import Coordinates
+from fmuid.diagnosis.change_parameters import ChangeParameterSet
 from fmuid.diagnosis.faults import Fault
 from fmuid.errors import InputError
 from fmuid.estimation import Autoregression
@@ -30,7 +30,7 @@ KIND, REMEDY = "the baseline.npz of fmuid identify", "identify the healthy study
 SAME_VALUE = 1e-9
 
 
-class Basis(Enum):
+class BaselineSource(Enum):
     """Where a diagnosis has the healthy machine from."""
 
     RECORDS = "records"
@@ -71,7 +71,7 @@ class MachineDigest:
         cls,
         machine: tuple[System, Mapping[str, Any], Any],
         faults: Mapping[str, Fault],
-        coordinates: Coordinates,
+        coordinates: ChangeParameterSet,
         noise: Any,
         records: Sequence[Experiment],
     ) -> MachineDigest:
@@ -83,40 +83,40 @@ class MachineDigest:
         names = tuple(f"{each.name}{' across' * each.second}" for each in coordinates.each)
         return cls(models, names, coordinates.healthy, as_json(noise), tuple(map(_of_record, records)))
 
-    def unlike(self, asked: MachineDigest, *, fewer: bool) -> Basis | None:
+    def unlike(self, asked: MachineDigest, *, fewer: bool) -> BaselineSource | None:
         """Return why it does not serve where something is asked, of `fewer` causes or of the same; None if it does."""
         if any(self.models.get(name) != digest for name, digest in asked.models.items()):
-            return Basis.OTHER_MODELS
+            return BaselineSource.OTHER_MODELS
         mine, theirs = set(self.coordinates), set(asked.coordinates)
         if not theirs <= mine or not (fewer or mine == theirs):
-            return Basis.OTHER_CAUSES
+            return BaselineSource.OTHER_CAUSES
         if not np.allclose(self.healthy[self._places(asked)], asked.healthy, rtol=SAME_VALUE, atol=0.0):
-            return Basis.OTHER_MODELS
+            return BaselineSource.OTHER_MODELS
         if self.noise != asked.noise:
-            return Basis.OTHER_NOISE
+            return BaselineSource.OTHER_NOISE
         if asked.records and sorted(asked.records) != sorted(self.records):
-            return Basis.OTHER_RECORDS
+            return BaselineSource.OTHER_RECORDS
         return None
 
     def _places(self, asked: MachineDigest) -> list[int]:
         return [self.coordinates.index(name) for name in asked.coordinates]
 
-    def among(self, shown: HealthyEvidence, asked: MachineDigest) -> HealthyEvidence:
+    def among(self, shown: StoredBaseline, asked: MachineDigest) -> StoredBaseline:
         """Return what was shown of the coordinates asked for, in their order, without a change of the others."""
         at = self._places(asked)
-        said = tuple(Information(each.matrix[np.ix_(at, at)], each.score[at]) for each in shown.said)
+        said = tuple(InformationMatrix(each.matrix[np.ix_(at, at)], each.score[at]) for each in shown.said)
         return replace(shown, said=said)
 
 
 @dataclass(frozen=True, eq=False)
-class HealthyEvidence:
+class StoredBaseline:
     """What healthy records showed.
 
     Attributes
     ----------
-    said : tuple of Information
+    said : tuple of InformationMatrix
         Of each record, on all coordinates and relative to the healthy ones.
-    owed : Information
+    owed : InformationMatrix
         What the residuals owe to the inputs.
     whitening : Whitening
         By which all of it is white.
@@ -126,8 +126,8 @@ class HealthyEvidence:
         That file.
     """
 
-    said: tuple[Information, ...]
-    owed: Information
+    said: tuple[InformationMatrix, ...]
+    owed: InformationMatrix
     whitening: Whitening
     subject: MachineDigest | None = None
     path: Path | None = None
@@ -146,7 +146,7 @@ class HealthyEvidence:
         return write_arrays(path, arrays)
 
     @classmethod
-    def read(cls, path: Path, *, needed: bool = True) -> HealthyEvidence:
+    def read(cls, path: Path, *, needed: bool = True) -> StoredBaseline:
         """Read a ``baseline.npz``.
 
         Parameters
@@ -165,15 +165,15 @@ class HealthyEvidence:
         except InputError:
             if needed:
                 raise
-            return cls((), Information(np.zeros((0, 0)), np.zeros(0)), Whitening({}), None, path)
+            return cls((), InformationMatrix(np.zeros((0, 0)), np.zeros(0)), Whitening({}), None, path)
 
     @classmethod
-    def _read(cls, path: Path) -> HealthyEvidence:
+    def _read(cls, path: Path) -> StoredBaseline:
         try:
             sums = read_arrays(path)
             text = sums.pop("text").tobytes()
-            said = tuple(map(Information, sums["matrices"], sums["scores"]))
-            owed = Information(sums["owed"], sums["owed_score"])
+            said = tuple(map(InformationMatrix, sums["matrices"], sums["scores"]))
+            owed = InformationMatrix(sums["owed"], sums["owed_score"])
         except (KeyError, ValueError, TypeError) as error:
             raise InputError(f"{path} is not of fmuid identify, or not whole ({error}): {REMEDY}") from None
         with read_content(text, path, KIND, REMEDY) as content:

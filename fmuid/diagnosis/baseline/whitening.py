@@ -12,7 +12,7 @@ import numpy as np
 
 from fmuid.array_types import Floats, Indices
 from fmuid.data import Experiment
-from fmuid.estimation import Autoregression, autoregression, innovations_matrix, series_of
+from fmuid.estimation import Autoregression, autoregression, innovations_matrix, output_series
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,7 +70,7 @@ class Whitening:
 
     def of_outputs(self, experiment: Experiment, columns: Floats) -> Iterator[tuple[Indices, Floats]]:
         """Yield the same of one output after the other, with the rows of the record that they belong to."""
-        for series in series_of([experiment], experiment.output_names):
+        for series in output_series([experiment], experiment.output_names):
             model = self.models[series.output]
             j = experiment.output_names.index(series.output)
             rows = np.flatnonzero(experiment.counted[:, j])
@@ -79,7 +79,7 @@ class Whitening:
 
 def _placed(experiment: Experiment, residual: Floats, name: str) -> Floats:
     """Return one output's residual on the grid of its samples, NaN between them; empty where it has none."""
-    for series in series_of([experiment], experiment.output_names):
+    for series in output_series([experiment], experiment.output_names):
         if series.output == name:
             j = experiment.output_names.index(name)
             return series.on_grid(residual[experiment.counted[:, j], j])

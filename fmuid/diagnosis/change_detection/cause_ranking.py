@@ -12,8 +12,8 @@ from scipy import special
 
 from fmuid.array_types import Floats
 from fmuid.diagnosis.change_detection.causes import Cause
-from fmuid.diagnosis.change_detection.detection import CauseFit, Chance, fit, probability
-from fmuid.diagnosis.change_detection.information_matrix import News
+from fmuid.diagnosis.change_detection.detection import CauseFit, MinPDistribution, fit, probability
+from fmuid.diagnosis.change_detection.information_matrix import ScoreStatistics
 
 # Causes within these odds of the best one are all named: beyond it evidence is strong (Kass and Raftery, section 3.2)
 ODDS = 20.0
@@ -54,7 +54,7 @@ class CauseSet:
 
 
 @dataclass(frozen=True, eq=False)
-class Naming:
+class CauseRanking:
     """What is new in a record.
 
     Attributes
@@ -79,39 +79,39 @@ class Naming:
 
 
 def name(
-    news: News,
+    news: ScoreStatistics,
     causes: Sequence[Cause],
     level: float,
     *,
-    chance: Chance | None = None,
+    chance: MinPDistribution | None = None,
     model_error: float = MODEL_ERROR,
-) -> Naming:
+) -> CauseRanking:
     """Decide whether anything is new, and which cause or pair of causes it is.
 
     Parameters
     ----------
-    news : News
+    news : ScoreStatistics
     causes : sequence of Cause
     level : float
         Probability of an alarm where nothing is new; pairs have the same beside single causes.
-    chance : Chance, optional
+    chance : MinPDistribution, optional
         Of records like this one; drawn where it is not given.
     model_error : float
         κ: the fault models' error along any other signature, as a share of their own effect.
     """
-    chance = chance or Chance.of(news, causes)
+    chance = chance or MinPDistribution.of(news, causes)
     statistics = np.array([fit(news, (cause,)).statistic for cause in causes])
     smallest = min(probability(d, cause) for d, cause in zip(statistics.tolist(), causes, strict=True))
     by_name = dict(zip((cause.name for cause in causes), statistics.tolist(), strict=True))
     adjusted = chance.adjusted(smallest)
     if smallest > chance.limit(level):
-        return Naming(by_name, adjusted, False)
-    temper, likely = weighed(news, causes, level, model_error)
-    return Naming(by_name, adjusted, True, likely, temper)
+        return CauseRanking(by_name, adjusted, False)
+    temper, likely = rank_with_model_error(news, causes, level, model_error)
+    return CauseRanking(by_name, adjusted, True, likely, temper)
 
 
-def weighed(
-    news: News, causes: Sequence[Cause], level: float, model_error: float
+def rank_with_model_error(
+    news: ScoreStatistics, causes: Sequence[Cause], level: float, model_error: float
 ) -> tuple[float, tuple[CauseSet, ...]]:
     """Return what something new is, and by what evidence was divided for the models' error; as for `name`."""
     alone = {cause: fit(news, (cause,)).statistic for cause in causes}
@@ -121,10 +121,12 @@ def weighed(
     found = np.array([log_bayes_factor(evidence, each) + sum(math.log(c.probability) for c in each) for each in sets])
     odds = np.exp(found - found.max())
     order = [i for i in np.argsort(-odds, kind="stable") if odds[i] * ODDS > 1.0]
-    return temper, tuple(CauseSet(sets[i], float(odds[i]), sized(news, sets[i], model_error)) for i in order)
+    return temper, tuple(CauseSet(sets[i], float(odds[i]), estimate_sizes(news, sets[i], model_error)) for i in order)
 
 
-def _pairs(news: News, causes: Sequence[Cause], single: float, temper: float, level: float) -> list[tuple[Cause, ...]]:
+def _pairs(
+    news: ScoreStatistics, causes: Sequence[Cause], single: float, temper: float, level: float
+) -> list[tuple[Cause, ...]]:
     """Return the pairs that may be it, none where the best one explains no more than a single cause does."""
     pairs = list(itertools.combinations(causes, 2))
     if not pairs:
@@ -137,7 +139,7 @@ def _pairs(news: News, causes: Sequence[Cause], single: float, temper: float, le
     return [pair for pair, gain in zip(pairs, gains, strict=True) if gain > gains[best] - HOPELESS]
 
 
-def _together(news: News, pairs: Sequence[tuple[Cause, Cause]]) -> Floats:
+def _together(news: ScoreStatistics, pairs: Sequence[tuple[Cause, Cause]]) -> Floats:
     """Return D of pairs: of two single coordinates in closed form, at once."""
     found = np.array([0.0 if len(a.columns + b.columns) == 2 else fit(news, (a, b)).statistic for a, b in pairs])
     plain = [k for k, (a, b) in enumerate(pairs) if len(a.columns + b.columns) == 2]
@@ -155,7 +157,7 @@ def _together(news: News, pairs: Sequence[tuple[Cause, Cause]]) -> Floats:
     return found
 
 
-def sized(news: News, causes: Sequence[Cause], model_error: float) -> CauseFit:
+def estimate_sizes(news: ScoreStatistics, causes: Sequence[Cause], model_error: float) -> CauseFit:
     """Return the sizes of a cause or of two, each with what the errors of fault models may add to its variance.
 
     What κ bounds is what a model leaves when its own size is fitted: it is orthogonal to its own signature and does not
@@ -181,7 +183,7 @@ def sized(news: News, causes: Sequence[Cause], model_error: float) -> CauseFit:
     return replace(found, covariance=found.covariance + found.covariance @ shift @ found.covariance + wrong)
 
 
-def log_bayes_factor(news: News, causes: Sequence[Cause]) -> float:
+def log_bayes_factor(news: ScoreStatistics, causes: Sequence[Cause]) -> float:
     """Return the logarithm of the Bayes factor of some causes against nothing new.
 
     Their sizes are N(0, size²), half-normal where the sign is known: ½ hᵀ(F + τ⁻²)⁻¹h − ½ ln|I + τFτ|, and the ratio
@@ -214,7 +216,7 @@ def _log_right_signs(mean: Floats, covariance: Floats, signs: Floats, signed: np
     return math.log(both) if both > 0.0 else float(special.log_ndtr(own).sum())
 
 
-def angle(news: News, one: Cause, other: Cause) -> float:
+def angle(news: ScoreStatistics, one: Cause, other: Cause) -> float:
     """Return the smallest angle between the signatures of two causes, beside all that may change, in rad."""
     roots = [np.linalg.cholesky(news.part(cause.columns)[0]) for cause in (one, other)]
     between = news.information[np.ix_(list(one.columns), list(other.columns))]
@@ -222,7 +224,7 @@ def angle(news: News, one: Cause, other: Cause) -> float:
     return float(math.acos(min(1.0, float(np.linalg.svd(cosines, compute_uv=False)[0]))))
 
 
-def told_apart_from(news: News, one: Cause, other: Cause, model_error: float = MODEL_ERROR) -> float:
+def distinguishable_size(news: ScoreStatistics, one: Cause, other: Cause, model_error: float = MODEL_ERROR) -> float:
     """Return the size from which the other cause is excluded by the odds in 90 % of records; infinite if never.
 
     What tells them apart, D sin²φ, scatters by its root, and both are divided by 1 + κ² D: ½ D sin²φ − z √D sin φ >

@@ -21,7 +21,7 @@ LAGS = 64
 
 
 @dataclass(frozen=True, eq=False)
-class BuildUp:
+class ChangeTransient:
     """How much of a change shows.
 
     Attributes
@@ -36,7 +36,7 @@ class BuildUp:
     shown: Floats = field(default_factory=lambda: np.zeros(1))
 
     @classmethod
-    def of(cls, left: Floats, columns: Floats, step: float) -> BuildUp:
+    def of(cls, left: Floats, columns: Floats, step: float) -> ChangeTransient:
         """Return that of a machine.
 
         Parameters

@@ -13,7 +13,7 @@ from scipy import special
 from fmuid.array_types import Floats
 from fmuid.diagnosis.change_detection.causes import Cause
 from fmuid.diagnosis.change_detection.false_alarms import log_tail
-from fmuid.diagnosis.change_detection.information_matrix import News
+from fmuid.diagnosis.change_detection.information_matrix import ScoreStatistics
 
 # The distribution of the smallest probability of all causes is counted over so many seeded draws: a level of 1 % to a
 # fourteenth of itself.
@@ -41,7 +41,7 @@ class CauseFit:
     covariance: Floats
 
 
-def fit(news: News, causes: Sequence[Cause]) -> CauseFit:
+def fit(news: ScoreStatistics, causes: Sequence[Cause]) -> CauseFit:
     """Return the most likely sizes of some causes together, each with its sign."""
     columns = [i for cause in causes for i in cause.columns]
     signs = np.array([cause.sign for cause in causes for _ in cause.columns])
@@ -85,7 +85,7 @@ def probability(statistic: float, cause: Cause) -> float:
 
 
 @dataclass(frozen=True, eq=False)
-class Chance:
+class MinPDistribution:
     """How small the smallest probability of all causes is where nothing is new (min-p of Westfall and Young).
 
     Attributes
@@ -99,7 +99,7 @@ class Chance:
     causes: int
 
     @classmethod
-    def of(cls, news: News, causes: Sequence[Cause], draws: int = DRAWS) -> Chance:
+    def of(cls, news: ScoreStatistics, causes: Sequence[Cause], draws: int = DRAWS) -> MinPDistribution:
         """Return that of scores drawn from N(0, F), whose correlations the causes share."""
         values, vectors = np.linalg.eigh(news.information)
         normal = np.random.default_rng(SEED).standard_normal((draws, values.size))
@@ -131,16 +131,16 @@ class Chance:
         return min(bound, below / self.smallest.size) if below >= COUNTED else bound
 
 
-def detectable(news: News, cause: Cause, limit: float, miss: float) -> float:
+def detectable(news: ScoreStatistics, cause: Cause, limit: float, miss: float) -> float:
     """Return the size of a cause that is called in all but a share `miss` of records, one coordinate.
 
     Parameters
     ----------
-    news : News
+    news : ScoreStatistics
         Of the planned record: its information.
     cause : Cause
     limit : float
-        Of the smallest probability (`Chance.limit`).
+        Of the smallest probability (`MinPDistribution.limit`).
     miss : float
         Below one half.
     """

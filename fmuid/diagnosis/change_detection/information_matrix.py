@@ -17,7 +17,7 @@ LEAST_RECORDS = 4
 
 
 @dataclass(frozen=True, eq=False)
-class Information:
+class InformationMatrix:
     """What a record says of the coordinates, linearised at zero.
 
     Attributes
@@ -32,17 +32,17 @@ class Information:
     score: Floats
 
     @classmethod
-    def of(cls, jacobian: Floats, residual: Floats) -> Information:
+    def of(cls, jacobian: Floats, residual: Floats) -> InformationMatrix:
         """Return that of a whitened Jacobian (n, N) and residual (n,)."""
         return cls(jacobian.T @ jacobian, jacobian.T @ residual)
 
-    def __add__(self, other: Information) -> Information:
+    def __add__(self, other: InformationMatrix) -> InformationMatrix:
         """Return that of both records."""
-        return Information(self.matrix + other.matrix, self.score + other.score)
+        return InformationMatrix(self.matrix + other.matrix, self.score + other.score)
 
 
 @dataclass(frozen=True, eq=False)
-class Known:
+class ChangePrior:
     """What is known of the coordinates before a record.
 
     Attributes
@@ -55,12 +55,12 @@ class Known:
     covariance: Floats
 
     @classmethod
-    def after(cls, record: Information, normal: Floats) -> Known:
+    def after(cls, record: InformationMatrix, normal: Floats) -> ChangePrior:
         """Return what a healthy record leaves: m = C g, C = (G + B⁻²)⁻¹.
 
         Parameters
         ----------
-        record : Information
+        record : InformationMatrix
             Of all coordinates, those of the causes too: an asymmetry of a sound machine that is left out would come
             back as a fault of the next record.
         normal : (N,) array
@@ -76,7 +76,7 @@ class Known:
         return cls(covariance @ record.score, covariance)
 
     @classmethod
-    def after_several(cls, records: Sequence[Information], normal: Floats) -> Known:
+    def after_several(cls, records: Sequence[InformationMatrix], normal: Floats) -> ChangePrior:
         """Return what healthy records at different operating points leave, the error of the healthy model included.
 
         What their estimates scatter beyond their noise is the model's error: the positive part of cov(m_i) − mean C_i
@@ -96,16 +96,16 @@ class Known:
         shown = inside / k + excess * (1.0 + 1.0 / k) * (k - 1.0) / (k - 3.0)
         return cls(means.mean(axis=0), shown)
 
-    def after_also(self, record: Information) -> Known:
+    def after_also(self, record: InformationMatrix) -> ChangePrior:
         """Return what is known after a record of the same coordinates; what is known for sure may stay so."""
         left = np.linalg.inv(np.eye(self.mean.size) + record.matrix @ self.covariance)
         covariance = self.covariance @ left
         covariance = 0.5 * (covariance + covariance.T)
-        return Known(self.mean + covariance @ (record.score - record.matrix @ self.mean), covariance)
+        return ChangePrior(self.mean + covariance @ (record.score - record.matrix @ self.mean), covariance)
 
-    def drifting(self, std: Floats) -> Known:
+    def drifting(self, std: Floats) -> ChangePrior:
         """Return what is known where each coordinate may have drifted by a standard deviation (N,) and be sound."""
-        return Known(self.mean, self.covariance + np.diag(std**2))
+        return ChangePrior(self.mean, self.covariance + np.diag(std**2))
 
 
 def _excess(scatter: Floats, inside: Floats) -> Floats:
@@ -118,7 +118,7 @@ def _excess(scatter: Floats, inside: Floats) -> Floats:
 
 
 @dataclass(frozen=True, eq=False)
-class News:
+class ScoreStatistics:
     """What is new in a record, beside everything that was known.
 
     Attributes
@@ -133,7 +133,7 @@ class News:
     score: Floats
 
     @classmethod
-    def of(cls, record: Information, known: Known) -> News:
+    def of(cls, record: InformationMatrix, known: ChangePrior) -> ScoreStatistics:
         """Return F = (I + G C)⁻¹ G and h = (I + G C)⁻¹ (g − G m)."""
         scale = 1.0 / np.sqrt(np.maximum(np.diag(record.matrix), np.finfo(float).tiny))
         matrix = record.matrix * np.outer(scale, scale)
@@ -143,9 +143,9 @@ class News:
         information = (found[:, :-1] + found[:, :-1].T) / 2.0 / np.outer(scale, scale)
         return cls(information, found[:, -1] / scale)
 
-    def tempered(self, factor: float) -> News:
+    def tempered(self, factor: float) -> ScoreStatistics:
         """Return what is left of it where all variances are larger by a factor: the models' own error."""
-        return News(self.information / factor, self.score / factor)
+        return ScoreStatistics(self.information / factor, self.score / factor)
 
     def part(self, columns: Sequence[int]) -> tuple[Floats, Floats]:
         """Return information and score of some coordinates, the others being as they were known."""

@@ -26,7 +26,7 @@ NOTHING = 1e-12
 ALIKE = 1e-9
 
 
-class Shape(Enum):
+class OnsetShape(Enum):
     """How a cause comes."""
 
     STEP = "step"
@@ -34,13 +34,13 @@ class Shape(Enum):
 
 
 @dataclass(frozen=True, eq=False)
-class Onsets:
+class OnsetLikelihood:
     """What the onsets of one cause explain.
 
     Attributes
     ----------
     cause : Cause
-    shape : Shape
+    shape : OnsetShape
     clock : (T,) array
         When they begin, s of all that was seen.
     widths : (T,) array
@@ -51,7 +51,7 @@ class Onsets:
     """
 
     cause: Cause
-    shape: Shape
+    shape: OnsetShape
     clock: Floats
     widths: Floats
     information: Floats
@@ -82,7 +82,7 @@ class Onsets:
         rise : float
             The time in which a ramp reaches the cause's size, s.
         """
-        slab = self.cause.size / (rise if self.shape is Shape.RAMP else 1.0)
+        slab = self.cause.size / (rise if self.shape is OnsetShape.RAMP else 1.0)
         precision = self.information + np.eye(self.score.shape[1]) / slab**2
         mean = np.linalg.solve(precision, self.score[..., None])[..., 0]
         found = 0.5 * np.einsum("tc,tc->t", self.score, mean) - 0.5 * np.linalg.slogdet(precision * slab**2)[1]
@@ -93,13 +93,13 @@ class Onsets:
 
 
 @dataclass(frozen=True, eq=False)
-class Dated:
+class OnsetEstimate:
     """When a cause began and how, by a flat prior over the time.
 
     Attributes
     ----------
     cause : Cause
-    shape : Shape
+    shape : OnsetShape
         The likelier one.
     clock : float
         The most likely onset of this shape, s of all that was seen.
@@ -110,14 +110,14 @@ class Dated:
     """
 
     cause: Cause
-    shape: Shape
+    shape: OnsetShape
     clock: float
     between: tuple[float, float]
     log_evidence: float
 
 
-def dated(onsets: Sequence[Onsets], rise: float) -> Dated:
-    """Return when a cause began, by the same onsets in each shape; `rise` as for `Onsets.log_evidence`."""
+def estimate_onset(onsets: Sequence[OnsetLikelihood], rise: float) -> OnsetEstimate:
+    """Return when a cause began, by the same onsets in each shape; `rise` as for `OnsetLikelihood.log_evidence`."""
     first = onsets[0]
     evidence = np.array([each.log_evidence(rise) for each in onsets])
     weights = np.exp(evidence - evidence.max()) * first.widths
@@ -129,7 +129,7 @@ def dated(onsets: Sequence[Onsets], rise: float) -> Dated:
     low, high = within.min(), within.max()
     # between two onsets lies any time
     since = first.clock[low] - (first.widths[low - 1] if low else 0.0)
-    return Dated(
+    return OnsetEstimate(
         first.cause,
         onsets[best].shape,
         float(first.clock[int(np.argmax(evidence[best] >= evidence[best].max() - ALIKE))]),

@@ -1,7 +1,7 @@
 """Watching: the likelihood of all onsets of all causes, brought up to date window by window, as steps and as ramps.
 
 A step of a cause from time t_k on has the columns J_c w(t − t_k), where w says how much of a change shows by then
-(`BuildUp`), a ramp J_c (t − t_k)₊. What may drift without being
+(`ChangeTransient`), a ramp J_c (t − t_k)₊. What may drift without being
 a fault is another number in each window and is eliminated there (the marginal likelihood of a window); everything else
 is the same all the time and is estimated over all windows, together with what was known of it. So each onset has three
 sums, its own information, that shared with the coordinates, and its score, to which a new window adds: nothing is
@@ -27,9 +27,9 @@ import numpy as np
 
 from fmuid.array_types import Flags, Floats, Indices
 from fmuid.diagnosis.change_detection.causes import Cause
-from fmuid.diagnosis.change_detection.change_transient import BuildUp
-from fmuid.diagnosis.change_detection.information_matrix import Information, Known, News
-from fmuid.diagnosis.change_detection.onset import Onsets, Shape
+from fmuid.diagnosis.change_detection.change_transient import ChangeTransient
+from fmuid.diagnosis.change_detection.information_matrix import ChangePrior, InformationMatrix, ScoreStatistics
+from fmuid.diagnosis.change_detection.onset import OnsetLikelihood, OnsetShape
 
 # Onsets within windows are kept of so many windows, those at the begin of windows up to so many: every second one of
 # the older half goes then.
@@ -57,9 +57,9 @@ class Blocks:
     scores: Floats
 
     @property
-    def whole(self) -> Information:
+    def whole(self) -> InformationMatrix:
         """What the window says."""
-        return Information(self.matrices.sum(axis=0), self.scores.sum(axis=0))
+        return InformationMatrix(self.matrices.sum(axis=0), self.scores.sum(axis=0))
 
 
 # What the watch has of each onset: its place, the sums of all before its window (information and score), and its own
@@ -67,12 +67,12 @@ class Blocks:
 _KEPT = ("clock", "window", "begins", "before", "step", "ramp")
 
 
-class Watch:
+class OnsetTracker:
     """All onsets of a machine that is being watched.
 
     Parameters
     ----------
-    known : Known
+    known : ChangePrior
         Before the first window, of all coordinates.
     drift : (N,) array
         Standard deviation of what may change without being new, at any time and from window to window.
@@ -85,15 +85,15 @@ class Watch:
         Of the last one, s of all that was seen.
     pinned : (float, float)
         Onsets in this time are kept, s.
-    build_up : BuildUp
+    build_up : ChangeTransient
     slow : (N,) array of bool
         Which coordinates' changes build up so.
     """
 
-    def __init__(self, known: Known, drift: Floats) -> None:
+    def __init__(self, known: ChangePrior, drift: Floats) -> None:
         self.known, self._drift = known.drifting(drift), drift
         n = drift.size
-        self.build_up, self.slow = BuildUp(), np.zeros(n, bool)
+        self.build_up, self.slow = ChangeTransient(), np.zeros(n, bool)
         self._least = np.zeros(n)
         self.windows, self.end = 0, 0.0
         self.pinned = (math.inf, -math.inf)
@@ -102,13 +102,13 @@ class Watch:
         places = np.zeros(0), np.zeros(0, int), np.zeros(0, bool)
         self._of: dict[str, Any] = dict(zip(_KEPT, (*places, *sums), strict=True))
 
-    def copy(self) -> Watch:
+    def copy(self) -> OnsetTracker:
         """Return a watch that goes on by itself."""
         other = copy(self)
         other._of = dict(self._of)  # arrays are replaced, never changed
         return other
 
-    def building_up(self, build_up: BuildUp, slow: Flags) -> Watch:
+    def building_up(self, build_up: ChangeTransient, slow: Flags) -> OnsetTracker:
         """Return a watch in whose next windows changes of some coordinates build up so."""
         other = self.copy()
         other.build_up, other.slow = build_up, slow
@@ -149,17 +149,19 @@ class Watch:
 
     # --- what the onsets explain
 
-    def _posterior(self) -> Known:
+    def _posterior(self) -> ChangePrior:
         """Return what is known of the coordinates after all windows if nothing is new."""
-        return self.known.after_also(Information(self._total, self._score))
+        return self.known.after_also(InformationMatrix(self._total, self._score))
 
-    def _news(self, at: Any, shape: Shape = Shape.STEP) -> tuple[Floats, Floats]:
+    def _news(self, at: Any, shape: OnsetShape = OnsetShape.STEP) -> tuple[Floats, Floats]:
         """Return F (T, N, N) and h (T, N) of the onsets at some places, for all coordinates as causes."""
         after = self._posterior()
         own, shared, score = _parts(self._of[shape.value][at], self._score.size)
         mixed = np.swapaxes(shared, 1, 2)
         information = own - mixed @ after.covariance @ shared + np.diag(self._least)
-        return self._beside_drift(information, score - mixed @ after.mean, 1.0 if shape is Shape.STEP else self.end)
+        return self._beside_drift(
+            information, score - mixed @ after.mean, 1.0 if shape is OnsetShape.STEP else self.end
+        )
 
     def _beside_drift(self, information: Floats, score: Floats, rise: float) -> tuple[Floats, Floats]:
         """Return information and score where what may drift may also have done so at the onset, and stay.
@@ -183,7 +185,7 @@ class Watch:
         clock = self._of["clock"][at]
         return clock, statistics_of(information, score, causes)
 
-    def onsets(self, causes: Sequence[Cause], shape: Shape) -> list[Onsets]:
+    def onsets(self, causes: Sequence[Cause], shape: OnsetShape) -> list[OnsetLikelihood]:
         """Return what all onsets of each cause explain."""
         information, score = self._news(slice(None), shape)
         clock = self._of["clock"]
@@ -192,16 +194,16 @@ class Watch:
         for cause in causes:
             columns = list(cause.columns)
             own = information[:, columns][:, :, columns]
-            found.append(Onsets(cause, shape, clock, widths, own, score[:, columns]))
+            found.append(OnsetLikelihood(cause, shape, clock, widths, own, score[:, columns]))
         return found
 
-    def news(self, clock: float) -> News:
+    def news(self, clock: float) -> ScoreStatistics:
         """Return what is new from an onset on, that nearest to a time, if all causes are steps."""
         at = int(np.argmin(np.abs(self._of["clock"] - clock)))
         information, score = self._news([at])
-        return News(information[0], score[0])
+        return ScoreStatistics(information[0], score[0])
 
-    def apart(self, low: float, high: float) -> tuple[News, float] | None:
+    def apart(self, low: float, high: float) -> tuple[ScoreStatistics, float] | None:
         """Return what is new in the windows after a time, beside those before another, and where the former begin.
 
         The windows in between are left out: a cause that comes within them is there in a part of them only. Where no
@@ -218,9 +220,9 @@ class Watch:
         first, last = late[0], early[-1] if early.size else np.flatnonzero(begins)[0]
         n = self._score.size
         before = [self._of["before"][k] for k in (last, first)]
-        early_on, until = (Information(each[: n * n].reshape(n, n), each[n * n :]) for each in before)
-        after = Information(self._total - until.matrix, self._score - until.score)
-        return News.of(after, self.known.after_also(early_on).drifting(self._drift)), float(clock[first])
+        early_on, until = (InformationMatrix(each[: n * n].reshape(n, n), each[n * n :]) for each in before)
+        after = InformationMatrix(self._total - until.matrix, self._score - until.score)
+        return ScoreStatistics.of(after, self.known.after_also(early_on).drifting(self._drift)), float(clock[first])
 
     # --- files
 
@@ -237,7 +239,7 @@ class Watch:
             "slow": self.slow,
         }
 
-    def restored(self, state: Mapping[str, Any]) -> Watch:
+    def restored(self, state: Mapping[str, Any]) -> OnsetTracker:
         """Return the watch that a state is of; it must be of the same coordinates."""
         for name, own in self.state().items():
             free = name in (*_KEPT, "lags", "shown")  # there are as many as there are
@@ -246,7 +248,7 @@ class Watch:
         other = self.copy()
         other._of = {name: state[name] for name in _KEPT}
         other._total, other._score, other._least = state["total"], state["score"], state["least"]
-        other.build_up, other.slow = BuildUp(state["lags"], state["shown"]), state["slow"]
+        other.build_up, other.slow = ChangeTransient(state["lags"], state["shown"]), state["slow"]
         windows, other.end, *pinned = state["seen"].tolist()
         other.windows, other.pinned = int(windows), (pinned[0], pinned[1])
         return other
@@ -265,7 +267,9 @@ def statistics_of(information: Floats, score: Floats, causes: Sequence[Cause]) -
         if k not in single:
             columns = list(cause.columns)
             part = information[:, columns][:, :, columns]
-            found[:, k] = Onsets(cause, Shape.STEP, score[:, 0], score[:, 0], part, score[:, columns]).statistics
+            found[:, k] = OnsetLikelihood(
+                cause, OnsetShape.STEP, score[:, 0], score[:, 0], part, score[:, columns]
+            ).statistics
     return found
 
 
@@ -289,7 +293,7 @@ class _Window:
         What it adds to those of steps a little earlier, and the sums of the onsets at the begins of its blocks.
     """
 
-    def __init__(self, window: Blocks, drift: Floats, slow: Flags, build_up: BuildUp, recent: Floats) -> None:
+    def __init__(self, window: Blocks, drift: Floats, slow: Flags, build_up: ChangeTransient, recent: Floats) -> None:
         count, n = window.scores.shape
         self._edges = edges = window.edges
         flat = np.hstack([window.matrices.reshape(count, n * n), window.scores])

@@ -16,7 +16,7 @@ import numpy as np
 from scipy import special
 
 from fmuid.array_types import Floats
-from fmuid.diagnosis.change_detection.information_matrix import Information
+from fmuid.diagnosis.change_detection.information_matrix import InformationMatrix
 
 # Lags of the inputs, in samples; those from each to before the next are one regressor, their sum.
 SPANS = (0, 1, 2, 4, 8, 16, 32)
@@ -27,7 +27,7 @@ SPANNED = 1e-12
 
 
 @dataclass(frozen=True)
-class Remainder:
+class UnexplainedResidual:
     """What no cause explains.
 
     Attributes
@@ -45,7 +45,7 @@ class Remainder:
     probability: float
 
 
-NOTHING_LEFT = Remainder(0.0, 0, 1.0)
+NOTHING_LEFT = UnexplainedResidual(0.0, 0, 1.0)
 
 
 def lagged(inputs: Floats, spans: Sequence[int] = SPANS) -> Floats:
@@ -56,7 +56,7 @@ def lagged(inputs: Floats, spans: Sequence[int] = SPANS) -> Floats:
     return np.hstack([np.ones((len(inputs), 1)), *(a - b for a, b in itertools.pairwise(until))])
 
 
-def regression(residual: Floats, regressors: Floats, jacobian: Floats) -> Information:
+def regression(residual: Floats, regressors: Floats, jacobian: Floats) -> InformationMatrix:
     """Return what a residual says of its regression on some columns, beside the model's own.
 
     Parameters
@@ -72,12 +72,12 @@ def regression(residual: Floats, regressors: Floats, jacobian: Floats) -> Inform
     basis, values, _ = np.linalg.svd(jacobian / np.where(norms > 0, norms, 1.0), full_matrices=False)
     spanned = basis[:, values > SPANNED * values.max(initial=0.0)]
     shared = spanned.T @ regressors
-    return Information(
+    return InformationMatrix(
         regressors.T @ regressors - shared.T @ shared, regressors.T @ residual - shared.T @ (spanned.T @ residual)
     )
 
 
-def change(healthy: Information, new: Information) -> tuple[float, int]:
+def change(healthy: InformationMatrix, new: InformationMatrix) -> tuple[float, int]:
     """Return the χ² of the change of the coefficients between two records, and its degrees of freedom.
 
     Directions that either record does not determine are left out.

@@ -7,15 +7,15 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 from fmuid.diagnosis.cause_results import Explanation, changes
-from fmuid.diagnosis.change_detection.cause_ranking import weighed
-from fmuid.diagnosis.change_detection.onset import Dated, Shape, dated
-from fmuid.diagnosis.change_detection.onset_tracker import Watch
-from fmuid.diagnosis.change_parameters import Coordinates
+from fmuid.diagnosis.change_detection.cause_ranking import rank_with_model_error
+from fmuid.diagnosis.change_detection.onset import OnsetEstimate, OnsetShape, estimate_onset
+from fmuid.diagnosis.change_detection.onset_tracker import OnsetTracker
+from fmuid.diagnosis.change_parameters import ChangeParameterSet
 from fmuid.diagnosis.faults import Fault
 
 
 @dataclass(frozen=True, eq=False)
-class Judgement:
+class AlarmDecision:
     """What is new.
 
     Attributes
@@ -24,7 +24,7 @@ class Judgement:
         The best one first.
     columns : tuple of int
         The coordinates of the best one.
-    when : Dated
+    when : OnsetEstimate
         Of its first cause.
     since : float
         From when on whole windows have it, s of all that was seen; infinite where none has yet.
@@ -32,34 +32,34 @@ class Judgement:
 
     explanations: tuple[Explanation, ...]
     columns: tuple[int, ...]
-    when: Dated
+    when: OnsetEstimate
     since: float
 
 
-def judged(
-    watch: Watch, coordinates: Coordinates, faults: Mapping[str, Fault], level: float, model_error: float
-) -> Judgement:
+def decide_alarm(
+    watch: OnsetTracker, coordinates: ChangeParameterSet, faults: Mapping[str, Fault], level: float, model_error: float
+) -> AlarmDecision:
     """Say what is new, once there is an alarm.
 
     Parameters
     ----------
-    watch : Watch
-    coordinates : Coordinates
+    watch : OnsetTracker
+    coordinates : ChangeParameterSet
     faults : mapping of str to Fault
     level, model_error : float
         As for `fmuid.diagnosis.change_detection.cause_ranking.name`.
     """
     causes = coordinates.causes
-    every = zip(*(watch.onsets(causes, shape) for shape in Shape), strict=True)
-    dates = [dated(each, watch.end) for each in every]
+    every = zip(*(watch.onsets(causes, shape) for shape in OnsetShape), strict=True)
+    dates = [estimate_onset(each, watch.end) for each in every]
     when = max(dates, key=lambda each: each.log_evidence + math.log(each.cause.probability))
     for _ in range(2):  # the name may be another one than that by which it was dated
         apart = watch.apart(*when.between)
         news, since = (watch.news(when.clock), math.inf) if apart is None else apart
-        _, likely = weighed(news, causes, level, model_error)
+        _, likely = rank_with_model_error(news, causes, level, model_error)
         if when.cause in likely[0].causes:
             break
         when = next(each for each in dates if each.cause is likely[0].causes[0])
     said = tuple(Explanation(changes(each.causes, each.fit, coordinates, faults), each.odds) for each in likely)
     columns = tuple(i for each in likely[0].causes for i in each.columns)
-    return Judgement(said, columns, when, since)
+    return AlarmDecision(said, columns, when, since)

@@ -12,7 +12,7 @@ from scipy import special
 
 from fmuid.array_types import Floats
 from fmuid.diagnosis.cause_results import Explanation
-from fmuid.diagnosis.change_detection.onset import Shape
+from fmuid.diagnosis.change_detection.onset import OnsetShape
 from fmuid.diagnosis.hypothesis_tests import FALSE_ALARM_LEVEL
 from fmuid.errors import InputError
 from fmuid.estimation import check_level
@@ -86,7 +86,7 @@ class Rule:
 
 
 @dataclass(frozen=True)
-class Moment:
+class RecordTime:
     """A time of a record.
 
     Attributes
@@ -109,16 +109,16 @@ class Onset:
 
     Attributes
     ----------
-    likely, first, last : Moment
+    likely, first, last : RecordTime
         The most likely one, and the set that holds the true one with 95 %.
-    shape : Shape
+    shape : OnsetShape
         Whether it came at once, or grows.
     """
 
-    likely: Moment
-    first: Moment
-    last: Moment
-    shape: Shape
+    likely: RecordTime
+    first: RecordTime
+    last: RecordTime
+    shape: OnsetShape
 
 
 @dataclass(frozen=True)
@@ -223,5 +223,5 @@ def onset_of_json(data: Mapping[str, Any] | None) -> Onset | None:
     """Return an onset of a file."""
     if data is None:
         return None
-    likely, first, last = (Moment(**data[name]) for name in ("likely", "first", "last"))
-    return Onset(likely, first, last, Shape(data["shape"]))
+    likely, first, last = (RecordTime(**data[name]) for name in ("likely", "first", "last"))
+    return Onset(likely, first, last, OnsetShape(data["shape"]))

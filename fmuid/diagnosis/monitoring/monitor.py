@@ -23,22 +23,22 @@ import pandas as pd
 from fmuid.blas import single_threaded
 from fmuid.data import Experiment
 from fmuid.diagnosis.baseline.baseline import Baseline
-from fmuid.diagnosis.baseline.stored_baseline import Basis
-from fmuid.diagnosis.baseline_comparator import Juxtaposition
+from fmuid.diagnosis.baseline.stored_baseline import BaselineSource
+from fmuid.diagnosis.baseline_comparator import BaselineComparator
 from fmuid.diagnosis.change_detection.cause_ranking import MODEL_ERROR
-from fmuid.diagnosis.change_detection.information_matrix import Known
-from fmuid.diagnosis.change_detection.onset_tracker import Watch
-from fmuid.diagnosis.change_parameters import CauseKind, Causes, Coordinates
+from fmuid.diagnosis.change_detection.information_matrix import ChangePrior
+from fmuid.diagnosis.change_detection.onset_tracker import OnsetTracker
+from fmuid.diagnosis.change_parameters import CauseKind, Causes, ChangeParameterSet
 from fmuid.diagnosis.faults import Fault
-from fmuid.diagnosis.linearisation import Machine
-from fmuid.diagnosis.monitoring.alarm_decision import judged
-from fmuid.diagnosis.monitoring.alarms import Alarm, Moment, Rule
-from fmuid.diagnosis.monitoring.monitor_store import STATE_FILE, Journal, Resumed, restored
+from fmuid.diagnosis.linearisation import LinearizedMachine
+from fmuid.diagnosis.monitoring.alarm_decision import decide_alarm
+from fmuid.diagnosis.monitoring.alarms import Alarm, RecordTime, Rule
+from fmuid.diagnosis.monitoring.monitor_store import STATE_FILE, MonitorStore, Resumed, restored
 from fmuid.diagnosis.monitoring.transient import build_up_of
 from fmuid.diagnosis.monitoring.trends import with_trend
-from fmuid.diagnosis.monitoring.window_evaluation import Against, Now, Seen
+from fmuid.diagnosis.monitoring.window_evaluation import MonitorReference, MonitorState, WindowEvaluation
 from fmuid.diagnosis.monitoring.window_statistics import WindowSums, summed
-from fmuid.diagnosis.monitoring.windows import Begun, Gap, Window, cut, part_of
+from fmuid.diagnosis.monitoring.windows import GrowingRecord, SkippedWindow, Window, part_of, split_windows
 from fmuid.errors import InputError, SimulationError
 from fmuid.estimation import Result
 from fmuid.models import FMU, System
@@ -70,7 +70,7 @@ class Monitor:
     ----------
     rule : Rule
     faults : dict of str to Fault
-    gaps : tuple of Gap
+    gaps : tuple of SkippedWindow
         Windows that are left out, those that are held (`forget`).
 
     Raises
@@ -101,12 +101,12 @@ class Monitor:
             raise InputError("there is no fault to look for: give at least one fault model with its parameters")
         self.baseline, self.faults, self.system = Baseline.of(baseline), dict(hypotheses), System.of(nominal_model)
         self.rule, self.causes, self.model_error = rule or Rule(), causes or Causes(), model_error
-        self.gaps: tuple[Gap, ...] = ()
-        self._journal: Journal | None = None
-        self._made: Juxtaposition | None = None
-        self._machine: Machine | None = None
+        self.gaps: tuple[SkippedWindow, ...] = ()
+        self._journal: MonitorStore | None = None
+        self._made: BaselineComparator | None = None
+        self._machine: LinearizedMachine | None = None
         self._resumed = Resumed()
-        self._now = Now(Watch(Known(np.zeros(0), np.zeros((0, 0))), np.zeros(0)), np.zeros(0))
+        self._now = MonitorState(OnsetTracker(ChangePrior(np.zeros(0), np.zeros((0, 0))), np.zeros(0)), np.zeros(0))
 
     @single_threaded
     def add(self, record: Experiment, progress: Progress | None = None, *, grows: bool = False) -> pd.DataFrame:
@@ -167,26 +167,26 @@ class Monitor:
         """Keep so many rows and alarms, the latest, no gaps, and of records those in which an onset may lie."""
         self._now, self.gaps = self._now.without(rows, alarms), ()
 
-    def _comparison(self, record: Experiment) -> Juxtaposition:
+    def _comparison(self, record: Experiment) -> BaselineComparator:
         if self._made is None:
-            made = Juxtaposition.of(self.system, self.baseline, self.faults, self.causes, [record])
-            watch = Watch(made.healthy.known, made.healthy.drift)
+            made = BaselineComparator.of(self.system, self.baseline, self.faults, self.causes, [record])
+            watch = OnsetTracker(made.healthy.known, made.healthy.drift)
             if self._resumed.sums and self._journal is not None:
                 watch = restored(watch, self._resumed.sums, self._journal.folder / STATE_FILE)
             point = self._resumed.sums.get("point", made.coordinates.healthy)
             self._made, self._now = made, replace(self._now, watch=watch, point=point)
-            self._against = Against(made, self.rule, self.model_error)
+            self._against = MonitorReference(made, self.rule, self.model_error)
         return self._made
 
     # --- the windows of a record
 
     def _examined(
-        self, made: Juxtaposition, record: Experiment, progress: Progress | None, *, grows: bool
+        self, made: BaselineComparator, record: Experiment, progress: Progress | None, *, grows: bool
     ) -> list[dict[str, Any]]:
         """Return the rows of a record, linearising as many windows at once as are near each other."""
         begun = self._now.records[-1]
-        own = Begun(begun.begin, begun.counts, begun.windows, grows)
-        every = cut(record, self.rule.window, self.rule.transient, own)
+        own = GrowingRecord(begun.begin, begun.counts, begun.windows, grows)
+        every = split_windows(record, self.rule.window, self.rule.transient, own)
         windows = [each for each in every if each.there]
         missing = [each for each in every if not each.there]
         if not windows and not grows and not begun.windows:
@@ -194,7 +194,7 @@ class Monitor:
                 f"{record.source} leaves no window in which every output has a sample that counts: make the transient "
                 "or what the study discards shorter, or leave the record out"
             )
-        self.gaps += tuple(Gap(record.source, float(record.times[each.start])) for each in missing)
+        self.gaps += tuple(SkippedWindow(record.source, float(record.times[each.start])) for each in missing)
         self._now = self._now.cut(len(every), grows=grows)
         if not windows:
             if not grows:
@@ -212,7 +212,7 @@ class Monitor:
                 progress(WindowStep(record=record.name, number=batch[0].number, total=begun.windows + len(every)))
             taken, point, targets = 0, self._now.point, []
             for each in self._summed(made, record, batch):
-                seen = Seen(self._against, self._now, each, level)
+                seen = WindowEvaluation(self._against, self._now, each, level)
                 point = seen.target
                 if (taken or tries < MOST_STEPS) and seen.far:
                     break
@@ -227,7 +227,7 @@ class Monitor:
             self._finish(made, level)
         return rows
 
-    def _summed(self, made: Juxtaposition, record: Experiment, windows: Sequence[Window]) -> list[WindowSums]:
+    def _summed(self, made: BaselineComparator, record: Experiment, windows: Sequence[Window]) -> list[WindowSums]:
         part = part_of(record, windows, self.rule.transient)
         self._machine = made.machine(part) if self._machine is None else self._machine.over(part)
         point, healthy = self._now.point, made.coordinates.healthy
@@ -239,16 +239,18 @@ class Monitor:
             self._now = replace(self._now, point=healthy)  # where it was last cannot be simulated with these inputs
             return list(summed(self._machine, part, windows, healthy, healthy, made.healthy.whitening))
 
-    def _compare_starts(self, made: Juxtaposition, record: Experiment, windows: Sequence[Window]) -> None:
+    def _compare_starts(self, made: BaselineComparator, record: Experiment, windows: Sequence[Window]) -> None:
         """Check that the transient is over in time, and see how it passes."""
         found, slow = build_up_of(made, record, windows, self.rule.transient, self._now.point)
         self._now = replace(self._now, watch=self._now.watch.building_up(found, slow))
 
-    def _finish(self, made: Juxtaposition, level: float) -> None:
+    def _finish(self, made: BaselineComparator, level: float) -> None:
         """Judge an alarm that lasts to the end of a record by all that was seen."""
         now = self._now
         if now.judgement is not None:
-            self._now = now.said(judged(now.watch, made.coordinates, self.faults, level, self._against.model_error))
+            self._now = now.said(
+                decide_alarm(now.watch, made.coordinates, self.faults, level, self._against.model_error)
+            )
 
     # --- what was found
 
@@ -281,7 +283,7 @@ class Monitor:
         """How many were examined."""
         return self._now.row
 
-    def moment(self, record: str, time: float) -> Moment:
+    def moment(self, record: str, time: float) -> RecordTime:
         """Return a time of one of the records that are held, with its date."""
         return next(each for each in self._now.records if each.name == record).moment_at(time)
 
@@ -296,14 +298,14 @@ class Monitor:
         )
 
     @property
-    def coordinates(self) -> Coordinates | None:
+    def coordinates(self) -> ChangeParameterSet | None:
         """All that may differ between the records; None before the first one."""
         return None if self._made is None else self._made.coordinates
 
     @property
-    def basis(self) -> Basis:
+    def basis(self) -> BaselineSource:
         """Where the healthy machine is from."""
-        return Basis.RECORDS if self._made is None else self._made.basis
+        return BaselineSource.RECORDS if self._made is None else self._made.basis
 
     @property
     def units(self) -> dict[str, str]:
@@ -344,7 +346,7 @@ class Monitor:
             What `resume` is to return.
         """
         if self._journal is None or self._journal.folder != Path(folder):
-            self._journal = Journal(Path(folder))
+            self._journal = MonitorStore(Path(folder))
         content = {
             "alarms": self.alarms,
             **self._same,
@@ -394,6 +396,6 @@ class Monitor:
         InputError
             If there is none, it is damaged, or it had another rule, other faults or another healthy machine.
         """
-        self._journal = Journal(Path(folder))
+        self._journal = MonitorStore(Path(folder))
         self._now, self._resumed = self._journal.read(self._now, self._same, rows)
         return dict(self._resumed.beside)

@@ -21,9 +21,9 @@ import pandas as pd
 
 from fmuid.data import read_arrays, write_arrays
 from fmuid.diagnosis.cause_results import Explanation
-from fmuid.diagnosis.change_detection.onset_tracker import Watch
+from fmuid.diagnosis.change_detection.onset_tracker import OnsetTracker
 from fmuid.diagnosis.monitoring.alarms import Alarm, onset_of_json
-from fmuid.diagnosis.monitoring.window_evaluation import Now, WatchedRecord
+from fmuid.diagnosis.monitoring.window_evaluation import MonitorState, WatchedRecord
 from fmuid.errors import InputError
 from fmuid.files import as_json, first_line, is_file, note, with_formulas, without_formulas, write_json
 from fmuid.version import __version__
@@ -56,7 +56,7 @@ class Resumed:
     columns: tuple[str, ...] = ()
 
 
-class Journal:
+class MonitorStore:
     """The files of a monitoring in a folder.
 
     Parameters
@@ -70,7 +70,7 @@ class Journal:
 
     def write(
         self,
-        now: Now,
+        now: MonitorState,
         content: Mapping[str, Any],
         lines: Sequence[str],
         same: Mapping[str, Any],
@@ -80,7 +80,7 @@ class Journal:
 
         Parameters
         ----------
-        now : Now
+        now : MonitorState
         content : mapping
             What the JSON file says.
         lines : sequence of str
@@ -108,7 +108,7 @@ class Journal:
         found = write_json(self.folder / FOUND_FILE, said)
         return [found, *(self.folder / name for name in (TABLE_FILE, ALARMS_FILE) if self._lengths[name])]
 
-    def _add_rows(self, now: Now) -> None:
+    def _add_rows(self, now: MonitorState) -> None:
         table = now.table()
         text, new = io.StringIO(), without_formulas(table.loc[self._rows :])
         new.to_csv(text, index=False, header=not self._lengths[TABLE_FILE], lineterminator="\n")
@@ -137,12 +137,12 @@ class Journal:
         if text:
             note(path)
 
-    def read(self, now: Now, same: Mapping[str, Any], rows: int | None) -> tuple[Now, Resumed]:
+    def read(self, now: MonitorState, same: Mapping[str, Any], rows: int | None) -> tuple[MonitorState, Resumed]:
         """Return how far an earlier run was, and what it needs to go on.
 
         Parameters
         ----------
-        now : Now
+        now : MonitorState
             Before any record.
         same : mapping
             What the state must say.
@@ -231,7 +231,7 @@ def damage_of(path: Path) -> Iterator[None]:
         raise DamagedStateError(path, said) from None
 
 
-def restored(watch: Watch, sums: Mapping[str, Any], path: Path) -> Watch:
+def restored(watch: OnsetTracker, sums: Mapping[str, Any], path: Path) -> OnsetTracker:
     """Return a watch as it was when its sums were written to a file.
 
     Raises

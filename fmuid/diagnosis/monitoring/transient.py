@@ -8,8 +8,8 @@ import numpy as np
 
 from fmuid.array_types import Flags, Floats
 from fmuid.data import Experiment
-from fmuid.diagnosis.baseline_comparator import Juxtaposition
-from fmuid.diagnosis.change_detection.change_transient import OVER, BuildUp
+from fmuid.diagnosis.baseline_comparator import BaselineComparator
+from fmuid.diagnosis.change_detection.change_transient import OVER, ChangeTransient
 from fmuid.diagnosis.monitoring.windows import Window, part_of
 from fmuid.errors import InputError
 
@@ -20,15 +20,15 @@ MOST_COMPARED = 8
 
 
 def build_up_of(
-    made: Juxtaposition, record: Experiment, windows: Sequence[Window], transient: float, point: Floats
-) -> tuple[BuildUp, Flags]:
+    made: BaselineComparator, record: Experiment, windows: Sequence[Window], transient: float, point: Floats
+) -> tuple[ChangeTransient, Flags]:
     """Return how a change builds up in the outputs, by what is left of other starts before some windows, and of what.
 
     A change whose column is the same from the start on needs no state: it shows at once.
 
     Parameters
     ----------
-    made : Juxtaposition
+    made : BaselineComparator
     record : Experiment
     windows : sequence of Window
         Two or more, one after the other.
@@ -39,7 +39,7 @@ def build_up_of(
 
     Returns
     -------
-    build_up : BuildUp
+    build_up : ChangeTransient
     slow : (N,) array of bool
         Whose changes build up.
 
@@ -73,8 +73,8 @@ def build_up_of(
     step, slow = float(np.median(np.diff(whole.times))), made.coordinates.slow
     states, seen = np.mean([each[:length] for each in left], axis=0), columns / std[:, None]
 
-    def built() -> BuildUp:
-        return BuildUp.of(states, seen[:, :, slow].reshape(len(seen), -1), step)
+    def built() -> ChangeTransient:
+        return ChangeTransient.of(states, seen[:, :, slow].reshape(len(seen), -1), step)
 
     first = 1 + round(built().lasts / step)
     differs = np.mean([each[:first].sum(axis=(0, 1)) for each in late], axis=0)

@@ -10,10 +10,10 @@ import numpy as np
 import pandas as pd
 
 from fmuid.diagnosis.monitoring.alarms import Alarm, Trend
-from fmuid.diagnosis.monitoring.window_evaluation import Now
+from fmuid.diagnosis.monitoring.window_evaluation import MonitorState
 
 
-def with_trend(alarm: Alarm, now: Now, table: pd.DataFrame, limits: Mapping[str, float]) -> Alarm:
+def with_trend(alarm: Alarm, now: MonitorState, table: pd.DataFrame, limits: Mapping[str, float]) -> Alarm:
     """Return an alarm with the trend of its first size, by the rows that are held; limits as of `Rule`."""
     if not alarm.explanations or alarm.onset is None:
         return alarm

@@ -13,18 +13,18 @@ from scipy import special
 
 from fmuid.array_types import Floats
 from fmuid.data import BEGIN, Experiment
-from fmuid.diagnosis.baseline_comparator import Juxtaposition
+from fmuid.diagnosis.baseline_comparator import BaselineComparator
 from fmuid.diagnosis.cause_results import Explanation, changes
 from fmuid.diagnosis.change_detection.causes import Cause
 from fmuid.diagnosis.change_detection.detection import fit
 from fmuid.diagnosis.change_detection.false_alarms import log_chances, log_limit
-from fmuid.diagnosis.change_detection.information_matrix import Known, News
-from fmuid.diagnosis.change_detection.onset_tracker import LEAST, Watch, statistics_of
+from fmuid.diagnosis.change_detection.information_matrix import ChangePrior, ScoreStatistics
+from fmuid.diagnosis.change_detection.onset_tracker import LEAST, OnsetTracker, statistics_of
 from fmuid.diagnosis.change_parameters import DIFFERENCE_STEP, CauseKind
 from fmuid.diagnosis.diagnosis_result import EXPLAINED_SHARE
 from fmuid.diagnosis.hypothesis_tests import UNEXPLAINED_SHARE
-from fmuid.diagnosis.monitoring.alarm_decision import Judgement, judged
-from fmuid.diagnosis.monitoring.alarms import SOMETHING_ELSE, Alarm, Moment, Onset, Rule, label_of
+from fmuid.diagnosis.monitoring.alarm_decision import AlarmDecision, decide_alarm
+from fmuid.diagnosis.monitoring.alarms import SOMETHING_ELSE, Alarm, Onset, RecordTime, Rule, label_of
 from fmuid.diagnosis.monitoring.window_statistics import WindowSums
 from fmuid.identification import SAME_VARIANCE_RATIO
 
@@ -66,23 +66,23 @@ class WatchedRecord:
     windows: int = 0
     grows: bool = False
 
-    def moment(self, clock: float) -> Moment:
+    def moment(self, clock: float) -> RecordTime:
         """Return a time of the record by the clock of all."""
         return self.moment_at(clock - self.clock + self.begin)
 
-    def moment_at(self, time: float) -> Moment:
+    def moment_at(self, time: float) -> RecordTime:
         """Return a time of the record with its date."""
         date = (pd.Timestamp(self.date) + pd.Timedelta(seconds=time)).isoformat() if self.date else ""
-        return Moment(self.name, time, date)
+        return RecordTime(self.name, time, date)
 
 
 @dataclass(frozen=True, eq=False)
-class Now:
+class MonitorState:
     """How far a monitoring is.
 
     Attributes
     ----------
-    watch : Watch
+    watch : OnsetTracker
     point : (N,) array
         Where the next window is linearised.
     records : tuple of WatchedRecord
@@ -93,30 +93,30 @@ class Now:
         Of the next window.
     forgotten : int
         Rows before those of the tables.
-    judgement : Judgement or None
+    judgement : AlarmDecision or None
         Of the alarm that there is.
     statistic : float
         D when that was judged.
     """
 
-    watch: Watch
+    watch: OnsetTracker
     point: Floats
     records: tuple[WatchedRecord, ...] = ()
     tables: tuple[pd.DataFrame, ...] = ()
     alarms: tuple[Alarm, ...] = ()
     row: int = 0
     forgotten: int = 0
-    judgement: Judgement | None = None
+    judgement: AlarmDecision | None = None
     statistic: float = 0.0
 
-    def beginning(self, record: Experiment, transient: float) -> Now:
+    def beginning(self, record: Experiment, transient: float) -> MonitorState:
         """Return how far it is where a record begins: an alarm that lasts is judged anew."""
         date, begin = record.frame.attrs.get(BEGIN), float(record.times[0])
         counts = begin + max(record.discard, transient)
         made = WatchedRecord(record.name, begin, self.watch.end, "" if date is None else str(date), counts)
         return replace(self, records=(*self.records, made), judgement=None, statistic=0.0)
 
-    def cut(self, windows: int, *, grows: bool) -> Now:
+    def cut(self, windows: int, *, grows: bool) -> MonitorState:
         """Return it with so many more windows of the last record."""
         last = self.records[-1]
         last = replace(last, windows=last.windows + windows, grows=grows)
@@ -128,7 +128,7 @@ class Now:
         found.index = found.index + self.forgotten
         return found
 
-    def without(self, rows: int, alarms: int) -> Now:
+    def without(self, rows: int, alarms: int) -> MonitorState:
         """Return it with so many of the latest rows and alarms, and the records that onsets may lie in."""
         table = self.table().tail(rows)
         needed, kept = self.watch.clocks(), []
@@ -141,17 +141,17 @@ class Now:
             self, tables=(table,), forgotten=self.row - len(table), alarms=self.alarms[-alarms:], records=tuple(kept)
         )
 
-    def moment(self, clock: float) -> Moment:
+    def moment(self, clock: float) -> RecordTime:
         """Return the record and its time at a time by the clock of all."""
         before = [each for each in self.records if each.clock <= clock]
         return (before[-1] if before else self.records[0]).moment(clock)
 
-    def clock(self, moment: Moment) -> float:
+    def clock(self, moment: RecordTime) -> float:
         """Return a moment by the clock of all records."""
         record = next(each for each in self.records if each.name == moment.record)
         return moment.time - record.begin + record.clock
 
-    def said(self, found: Judgement) -> Now:
+    def said(self, found: AlarmDecision) -> MonitorState:
         """Return it with an alarm that was judged again."""
         last = self.alarms[-1]
         if last.fault == SOMETHING_ELSE:
@@ -159,7 +159,7 @@ class Now:
         last = replace(last, fault=label_of(found.explanations), onset=self._onset(found))
         return replace(self, alarms=(*self.alarms[:-1], replace(last, explanations=found.explanations)))
 
-    def _onset(self, found: Judgement) -> Onset:
+    def _onset(self, found: AlarmDecision) -> Onset:
         first, last = found.when.between
         return Onset(self.moment(found.when.clock), self.moment(first), self.moment(last), found.when.shape)
 
@@ -179,17 +179,17 @@ class Now:
         return (*(self.alarms[:-1] if goes_on else self.alarms), alarm)
 
 
-class Against:
+class MonitorReference:
     """What every window is compared with.
 
     Parameters
     ----------
-    made : Juxtaposition
+    made : BaselineComparator
     rule : Rule
     model_error : float
     """
 
-    def __init__(self, made: Juxtaposition, rule: Rule, model_error: float) -> None:
+    def __init__(self, made: BaselineComparator, rule: Rule, model_error: float) -> None:
         self.made, self.rule = made, rule
         self.model_error = made.model_error(model_error, rule.level)
         self.coordinates = made.coordinates
@@ -213,7 +213,7 @@ class Against:
         self.faulty = np.array([each.kind is CauseKind.FAULT for each in self.coordinates.each])
         self.limit = lru_cache(lambda level, windows: log_limit(level, self.coordinates.causes, windows))
 
-    def free(self, columns: tuple[int, ...]) -> Known:
+    def free(self, columns: tuple[int, ...]) -> ChangePrior:
         """Return what is known where some coordinates may be anything."""
         std = np.zeros(self.magnitude.size)
         for cause in self.coordinates.causes:
@@ -222,20 +222,20 @@ class Against:
         return self.known.drifting(std)
 
 
-class Seen:
+class WindowEvaluation:
     """One more window.
 
     Parameters
     ----------
-    against : Against
-    now : Now
+    against : MonitorReference
+    now : MonitorState
         Before the window.
     sums : WindowSums
     level : float
         Probability of a false alarm in this window.
     """
 
-    def __init__(self, against: Against, now: Now, sums: WindowSums, level: float) -> None:
+    def __init__(self, against: MonitorReference, now: MonitorState, sums: WindowSums, level: float) -> None:
         self.against, self.sums, self.level = against, sums, level
         self.watch, record = now.watch.copy(), now.records[-1]
         self.clock = sums.window.end + record.clock - record.begin
@@ -255,12 +255,12 @@ class Seen:
         self.known = against.free(self.free) if self.free else against.known
         self.estimate = self.known.after_also(sums.whole)
 
-    def _judged(self, now: Now) -> Now:
+    def _judged(self, now: MonitorState) -> MonitorState:
         old = now.judgement
         if old is not None and math.isfinite(old.since) and self.statistic < (1.0 + GROWN) * now.statistic:
             return now
         made = self.against.made
-        found = judged(self.watch, made.coordinates, made.faults, self.level, self.against.model_error)
+        found = decide_alarm(self.watch, made.coordinates, made.faults, self.level, self.against.model_error)
         self.watch.pinned = found.when.between
         return replace(now, judgement=found, statistic=self.statistic)
 
@@ -281,7 +281,7 @@ class Seen:
         distance = math.sqrt(max(0.0, float(off @ self.sums.whole.matrix @ off)))
         return float(np.max(np.abs(off) / self.against.magnitude)) * distance > FAR
 
-    def taken(self) -> Now:
+    def taken(self) -> MonitorState:
         """Return how far the monitoring is with it."""
         end = self.sums.window.end
         return replace(self.now, watch=self.watch, alarms=self.now.alarmed(self.label, end), row=self.now.row + 1)
@@ -316,7 +316,7 @@ class Seen:
     def row(self) -> dict[str, Any]:
         """Return the window's row of the table."""
         window, causes = self.sums.window, self.against.coordinates.causes
-        news = News.of(self.sums.whole, self.against.known)
+        news = ScoreStatistics.of(self.sums.whole, self.against.known)
         least = LEAST * np.diag(self.sums.whole.matrix)
         statistics = statistics_of((news.information + np.diag(least))[None], news.score[None], causes)
         chances = log_chances(statistics, causes)[0]
@@ -346,7 +346,7 @@ class Seen:
             row |= self._alone(news, cause, least)
         return row
 
-    def _alone(self, news: News, cause: Cause, least: Floats) -> dict[str, float]:
+    def _alone(self, news: ScoreStatistics, cause: Cause, least: Floats) -> dict[str, float]:
         """Return the cells of a cause as this window shows it by itself."""
         first = self.against.coordinates.each[cause.columns[0]]
         name = first.name if first.kind is not CauseKind.PARAMETER else f"{first.name} drift"

@@ -12,9 +12,9 @@ import numpy as np
 from fmuid.array_types import Floats
 from fmuid.data import Experiment
 from fmuid.diagnosis.baseline.whitening import Whitening
-from fmuid.diagnosis.change_detection.information_matrix import Information
+from fmuid.diagnosis.change_detection.information_matrix import InformationMatrix
 from fmuid.diagnosis.change_detection.onset_tracker import Blocks
-from fmuid.diagnosis.linearisation import Machine
+from fmuid.diagnosis.linearisation import LinearizedMachine
 from fmuid.diagnosis.monitoring.windows import Window
 
 # A window is cut into so many blocks at most, each of so many samples at least: an onset is dated to a block.
@@ -49,9 +49,9 @@ class WindowSums:
         return np.asarray(self.grams.sum(axis=0))
 
     @cached_property
-    def whole(self) -> Information:
+    def whole(self) -> InformationMatrix:
         """What the window says of all coordinates."""
-        return Information(self._gram[1:, 1:], self._gram[1:, 0])
+        return InformationMatrix(self._gram[1:, 1:], self._gram[1:, 0])
 
     def squares(self, at: Floats) -> float:
         """Return the sum of squares of what is left at some coordinates (N,)."""
@@ -60,7 +60,7 @@ class WindowSums:
 
 
 def summed(
-    machine: Machine,
+    machine: LinearizedMachine,
     part: Experiment,
     windows: Sequence[Window],
     point: Floats,
@@ -71,7 +71,7 @@ def summed(
 
     Parameters
     ----------
-    machine : Machine
+    machine : LinearizedMachine
         Over `part`.
     part : Experiment
         The windows and what is simulated before them.

@@ -16,7 +16,7 @@ STEP_TOLERANCE = 1e-3
 
 
 @dataclass(frozen=True)
-class Begun:
+class GrowingRecord:
     """A record that is cut piece by piece, as it grows.
 
     Attributes
@@ -66,7 +66,7 @@ class Window:
 
 
 @dataclass(frozen=True)
-class Gap:
+class SkippedWindow:
     """A window of a record in which no sample of some output counts.
 
     Attributes
@@ -81,7 +81,7 @@ class Gap:
     time: float
 
 
-def cut(record: Experiment, window: float | None, transient: float, begun: Begun) -> list[Window]:
+def split_windows(record: Experiment, window: float | None, transient: float, begun: GrowingRecord) -> list[Window]:
     """Return the windows of a record, or the next ones of a piece of it.
 
     What is left at the end of the record and shorter than a window is in none.
@@ -93,7 +93,7 @@ def cut(record: Experiment, window: float | None, transient: float, begun: Begun
         Their length, s; None for the whole record.
     transient : float
         What is simulated before them, s.
-    begun : Begun
+    begun : GrowingRecord
 
     Raises
     ------

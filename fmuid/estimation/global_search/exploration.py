@@ -10,7 +10,7 @@ from scipy.spatial import KDTree
 
 from fmuid.array_types import Floats
 from fmuid.errors import InputError
-from fmuid.estimation.cost_components import Misfits, misfits
+from fmuid.estimation.cost_components import CostComponents, misfits
 from fmuid.estimation.global_search.box import Box
 from fmuid.estimation.problem import LeastSquares
 from fmuid.estimation.starting_points.sobol import sobol_points
@@ -58,7 +58,7 @@ class Exploration:
         """Return the concentrated criterion at thetas (m, N), +inf where the simulation failed, and remember it."""
         return self.remember(thetas, misfits(self.problem, thetas))
 
-    def remember(self, thetas: Floats, found: Misfits) -> Floats:
+    def remember(self, thetas: Floats, found: CostComponents) -> Floats:
         """Return the concentrated criterion at thetas (m, N) whose misfits are known, and remember it."""
         values = found.concentrated(self.problem)
         values = np.where(np.isnan(values), np.inf, values)

@@ -9,7 +9,7 @@ import numpy as np
 import pandas as pd
 
 from fmuid.array_types import Floats
-from fmuid.estimation.cost_components import Misfits, fitted, variances
+from fmuid.estimation.cost_components import CostComponents, fitted, variances
 from fmuid.estimation.problem import LeastSquares
 from fmuid.estimation.result import Optimum, Result
 
@@ -24,13 +24,13 @@ def optima_table(names: Sequence[str], optima: Sequence[Optimum]) -> pd.DataFram
     return pd.DataFrame(rows, columns=["criterion", "hits", "converged", *names])
 
 
-def merged(problem: LeastSquares, results: Sequence[Result]) -> tuple[Optimum, ...]:
+def merge_optima(problem: LeastSquares, results: Sequence[Result]) -> tuple[Optimum, ...]:
     """Return the optima at which fits of a problem ended, the best first; nothing is simulated for it."""
     if not results:
         return ()
     ends = [fitted(problem, result) for result in results]
     squares, prior = (np.concatenate([getattr(end, part) for end in ends]) for part in ("squares", "prior"))
-    every = Misfits(squares, prior)
+    every = CostComponents(squares, prior)
     criteria = every.compound(variances(problem, results[int(np.argmin(every.concentrated(problem)))]))
     groups: list[list[int]] = []  # of fits that ended at one optimum, the best of each first
     for i in map(int, np.argsort(criteria)):

@@ -16,9 +16,9 @@ from fmuid.errors import FmuidError, InputError, SimulationError
 from fmuid.estimation.cost_components import fitted, refuse_loss
 from fmuid.estimation.global_search.box import Box
 from fmuid.estimation.global_search.exploration import Exploration
-from fmuid.estimation.global_search.optima import merged
+from fmuid.estimation.global_search.optima import merge_optima
 from fmuid.estimation.identification import identify, point_result
-from fmuid.estimation.marquardt.outcome import Outcome
+from fmuid.estimation.marquardt.outcome import TerminationReason
 from fmuid.estimation.method import Marquardt
 from fmuid.estimation.problem import LeastSquares
 from fmuid.estimation.result import Result
@@ -191,7 +191,7 @@ class _BoxSearch:
         """Keep the result of a fit and the criterion there, which is known from the fit itself."""
         end = fitted(self.problem, result)
         self.fits.append(_Fit(result, float(self.explored.remember(result.values[None], end)[0])))
-        if result.outcome is Outcome.INTERRUPTED:
+        if result.outcome is TerminationReason.INTERRUPTED:
             raise KeyboardInterrupt
 
     def _known(self, start: Floats) -> bool:
@@ -207,7 +207,7 @@ class _BoxSearch:
     def _finish(self) -> None:
         """Go on with the best fit where only its few iterations ended it."""
         best = self._best()
-        if best.result.outcome is Outcome.ITERATION_LIMIT:
+        if best.result.outcome is TerminationReason.ITERATION_LIMIT:
             self._keep(identify(self.problem, self.settings.marquardt, start=best.result.values))
             self.fits.remove(best)
 
@@ -216,7 +216,7 @@ class _BoxSearch:
 
     def _conclude(self, interrupted: bool) -> Result:
         """Put the fits in order, and merge those that ended at one optimum; nothing is simulated for it."""
-        optima = merged(self.problem, [fit.result for fit in self.fits])
+        optima = merge_optima(self.problem, [fit.result for fit in self.fits])
         return dataclasses.replace(
             self._best_so_far() if interrupted else optima[0].fit,
             simulations=self.explored.simulations,
@@ -229,5 +229,5 @@ class _BoxSearch:
         """Return the best of all points tried: as its fit found it, or by itself where none has led there."""
         tried = int(np.argmin(self.explored.values))
         if self.fits and self._best().reached <= self.explored.values[tried]:
-            return dataclasses.replace(self._best().result, outcome=Outcome.INTERRUPTED)
+            return dataclasses.replace(self._best().result, outcome=TerminationReason.INTERRUPTED)
         return point_result(self.problem, self.explored.thetas[tried])

@@ -13,7 +13,7 @@ REACH = 0.05
 
 
 @dataclass(frozen=True, eq=False)
-class Waypoints:
+class JacobianCache:
     """Points of a search and the derivatives of the simulation there.
 
     Attributes

@@ -5,7 +5,7 @@ from __future__ import annotations
 from enum import Enum
 
 
-class Outcome(Enum):
+class TerminationReason(Enum):
     """How a search ended; the values are what ``result.json`` has as ``outcome``."""
 
     CONVERGED = "converged"
@@ -30,4 +30,4 @@ class Outcome(Enum):
     @property
     def converged(self) -> bool:
         """Whether the point is a minimum, as far as the simulation can tell, that determines every parameter."""
-        return self in (Outcome.CONVERGED, Outcome.ACCURACY)
+        return self in (TerminationReason.CONVERGED, TerminationReason.ACCURACY)

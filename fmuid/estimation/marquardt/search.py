@@ -23,14 +23,14 @@ import numpy as np
 
 from fmuid.array_types import Floats
 from fmuid.estimation.finite_differences import SensitivityError
-from fmuid.estimation.marquardt.outcome import Outcome
+from fmuid.estimation.marquardt.outcome import TerminationReason
 from fmuid.estimation.marquardt.settings import Iteration as Iteration
 from fmuid.estimation.marquardt.settings import MarquardtSettings as MarquardtSettings
 from fmuid.estimation.marquardt.settings import ResidualFunction
 from fmuid.estimation.marquardt.settings import State as State
 from fmuid.estimation.marquardt.stagnation import SLOW_SHARE, WORTHLESS_SHARE, Stagnation
 from fmuid.estimation.marquardt.step import Step, best_step, triangle
-from fmuid.estimation.marquardt.trust_region import NOISE_SURPRISE, Radius
+from fmuid.estimation.marquardt.trust_region import NOISE_SURPRISE, TrustRegion
 
 # The search ends where, all together, the parameters have no more than this share of their standard deviations to go.
 OFFSET_TOLERANCE = 1e-3
@@ -89,10 +89,10 @@ def search(
         Gives for theta (N,) and residual (n_rows,) the Jacobian of a point close by, where one is known. It serves
         far from the optimum; what is not rough converges by Jacobians of its own.
     """
-    return _Descent(problem, state, settings, rough, known).run()
+    return _LevenbergMarquardtLoop(problem, state, settings, rough, known).run()
 
 
-class _Descent:
+class _LevenbergMarquardtLoop:
     """The loop of `search` and what it remembers from step to step."""
 
     def __init__(
@@ -109,7 +109,7 @@ class _Descent:
         self.lengths = np.zeros(state.theta.size)
         self.accurate = False  # whether the Jacobian is good enough to find the optimum by; known near it
         self._linearise()
-        self.radius = Radius(settings.first_radius * self._length(problem.magnitudes(state.theta)))
+        self.radius = TrustRegion(settings.first_radius * self._length(problem.magnitudes(state.theta)))
         self.near = False  # whether the Jacobian was made close to the optimum, and is good enough there
         self.predicted = math.inf
         self.offset = self.fresh_offset = self.previous_offset = math.inf
@@ -206,7 +206,7 @@ class _Descent:
 
     def _renew_after_step(self) -> None:
         if self.state.iterations >= self.settings.max_iterations:
-            self.state.outcome = Outcome.ITERATION_LIMIT
+            self.state.outcome = TerminationReason.ITERATION_LIMIT
         else:
             self._renew()
 
@@ -222,7 +222,7 @@ class _Descent:
             if jacobian is None:
                 jacobian = self.problem.jacobian(state.theta, state.residual, central=central)
         except SensitivityError:
-            state.outcome = Outcome.FAILING
+            state.outcome = TerminationReason.FAILING
             return
         if not state.fresh:
             self.previous_offset = self.fresh_offset
@@ -287,7 +287,7 @@ class _Descent:
             self.lengths = np.zeros(state.theta.size)  # columns that were noise are no measure
             self.radius.reopen(fully=False)
             self._renew(central=True)
-            self.radius = Radius(self.settings.first_radius * self._length(self.problem.magnitudes(state.theta)))
+            self.radius = TrustRegion(self.settings.first_radius * self._length(self.problem.magnitudes(state.theta)))
             self.stagnation = Stagnation(self.square)
 
     def _doubtful_steps(self) -> Floats:
@@ -327,31 +327,35 @@ class _Descent:
         rate = self.state.rate
         return max(self.offset, rate * self.fresh_offset), max(self.change, rate * self.fresh_change)
 
-    def _ended(self) -> Outcome | None:
+    def _ended(self) -> TerminationReason | None:
         """Decide whether the search is over, before it takes another step."""
         state, rejections = self.state, self.radius.rejections
         offset, change = self._remaining()
         if self.rough and offset <= max(ROUGH_OFFSET, math.sqrt(ROUGH_CHANGE * self.free)):
-            return Outcome.CONVERGED
+            return TerminationReason.CONVERGED
         if self.accurate and offset <= OFFSET_TOLERANCE and change <= self.settings.tolerance:
-            return Outcome.CONVERGED
+            return TerminationReason.CONVERGED
         if self.accurate and self.predicted <= self._criterion_noise():
             settled = state.fresh and self.offset > SETTLED_RATIO * self.previous_offset
             if settled or offset <= NOISE_MARGIN * self._offset_noise():
-                return Outcome.CONVERGED if self.offset <= NEAR_OFFSET else Outcome.ACCURACY
+                return TerminationReason.CONVERGED if self.offset <= NEAR_OFFSET else TerminationReason.ACCURACY
         if self._in_vain():
             little = self.offset <= IN_VAIN_OFFSET or self.predicted <= NOISE_SURPRISE * self._criterion_noise()
-            return Outcome.ACCURACY if little else Outcome.STALLED
+            return TerminationReason.ACCURACY if little else TerminationReason.STALLED
         if self.radius.failures >= HOPELESS_FAILURES:
-            return Outcome.FAILING
+            return TerminationReason.FAILING
         if rejections > SUSPICIOUS_REJECTIONS and state.central and self.near:
-            return Outcome.CONVERGED
+            return TerminationReason.CONVERGED
         size = self._length(self.problem.magnitudes(state.theta))
         if state.central and rejections and self.radius.value <= VANISHING_STEP * size:
-            return Outcome.ACCURACY if self.predicted <= NOISE_SURPRISE * self._criterion_noise() else Outcome.STALLED
+            return (
+                TerminationReason.ACCURACY
+                if self.predicted <= NOISE_SURPRISE * self._criterion_noise()
+                else TerminationReason.STALLED
+            )
         if (np.abs(state.theta) > RUNAWAY_GROWTH * self.grown_from).any():
-            return Outcome.RUNAWAY
-        return Outcome.ITERATION_LIMIT if state.iterations >= self.settings.max_iterations else None
+            return TerminationReason.RUNAWAY
+        return TerminationReason.ITERATION_LIMIT if state.iterations >= self.settings.max_iterations else None
 
     def _in_vain(self) -> bool:
         """Whether the search gains nothing although the noise was measured anew."""

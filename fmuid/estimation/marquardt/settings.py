@@ -9,7 +9,7 @@ import numpy as np
 
 from fmuid.array_types import Flags, Floats
 from fmuid.errors import InputError
-from fmuid.estimation.marquardt.outcome import Outcome
+from fmuid.estimation.marquardt.outcome import TerminationReason
 
 # Most problems need 5 to 20 steps; the most crooked of the NIST reference problems (Bennett5) need several hundred.
 MAX_ITERATIONS = 1000
@@ -20,7 +20,7 @@ FIRST_RADIUS = 1.0
 
 
 class ResidualFunction(Protocol):
-    """A residual (n_rows,) as a function of theta (N,); `fmuid.estimation.cost_function.Criterion` is one."""
+    """A residual (n_rows,) as a function of theta (N,); `fmuid.estimation.cost_function.CostFunction` is one."""
 
     @property
     def lower(self) -> Floats:
@@ -115,7 +115,7 @@ class State:
         Steps tried so far.
     rate : float
         By which the last Gauss–Newton steps came nearer to the optimum.
-    outcome : Outcome or None
+    outcome : TerminationReason or None
         How the search ended, None while it has not.
     borrowed : bool
         Whether the Jacobian is that of a waypoint close by.
@@ -132,7 +132,7 @@ class State:
     fresh: bool = True
     iterations: int = 0
     rate: float = 1.0
-    outcome: Outcome | None = None
+    outcome: TerminationReason | None = None
     borrowed: bool = False
     held: Flags = field(default_factory=lambda: np.zeros(0, dtype=np.bool_))
     reduced: Floats | None = None

@@ -25,7 +25,7 @@ NOISY_MISS = 0.5
 NOISE_SURPRISE = 10.0
 
 
-class Radius:
+class TrustRegion:
     """The longest ‖D p‖ of the next step.
 
     Attributes

@@ -29,7 +29,7 @@ import scipy
 
 from fmuid.array_types import Floats, Indices
 from fmuid.estimation.noise.autoregression import Autoregression, autoregression
-from fmuid.estimation.noise.output_series import Series
+from fmuid.estimation.noise.output_series import OutputSeries
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
@@ -54,17 +54,17 @@ class NoiseModel:
 
     Attributes
     ----------
-    series : Series
+    series : OutputSeries
         Where its samples stand.
     process : Autoregression
         In units of the residual that it was fitted to; experiments that share a pool share it.
     """
 
-    series: Series
+    series: OutputSeries
     process: Autoregression
 
     @classmethod
-    def of(cls, series: Series, values: Floats) -> NoiseModel:
+    def of(cls, series: OutputSeries, values: Floats) -> NoiseModel:
         """Return the noise of samples (n,) about their mean, of which no fit has taken anything."""
         grid = series.on_grid(values - values.mean())
         return cls(series, autoregression(grid, np.isfinite(grid)))

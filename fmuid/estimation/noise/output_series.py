@@ -32,7 +32,7 @@ LONGEST = 0.55
 
 
 @dataclass(frozen=True, eq=False)
-class Series:
+class OutputSeries:
     """One output of one experiment.
 
     Attributes
@@ -71,7 +71,7 @@ class Series:
         return grid
 
 
-def series_of(experiments: Sequence[Measurements], outputs: Sequence[str]) -> tuple[Series, ...]:
+def output_series(experiments: Sequence[Measurements], outputs: Sequence[str]) -> tuple[OutputSeries, ...]:
     """Return the series of all counted samples, experiment by experiment, output by output.
 
     Parameters
@@ -80,7 +80,7 @@ def series_of(experiments: Sequence[Measurements], outputs: Sequence[str]) -> tu
     outputs : sequence of str
         The problem's outputs.
     """
-    found: list[Series] = []
+    found: list[OutputSeries] = []
     pools: dict[tuple[str, int, int], int] = {}
     first = grids = 0
     for experiment in experiments:
@@ -96,7 +96,7 @@ def series_of(experiments: Sequence[Measurements], outputs: Sequence[str]) -> tu
             alone = len(found) if own.size >= POOLED else -1
             pool = pools.setdefault((output, _rounded(stride * step), alone), len(pools))
             found.append(
-                Series(
+                OutputSeries(
                     experiment.name,
                     output,
                     outputs.index(output),

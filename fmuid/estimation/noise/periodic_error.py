@@ -45,7 +45,7 @@ from fmuid.errors import InputError
 from fmuid.estimation.noise.autoregression import ENOUGH
 from fmuid.estimation.noise.low_frequency import Bins, rises
 from fmuid.estimation.noise.model import NoiseModel
-from fmuid.estimation.noise.output_series import LONGEST, Series
+from fmuid.estimation.noise.output_series import LONGEST, OutputSeries
 
 # Periods are whole numbers of samples to this.
 WHOLE = 1e-3
@@ -65,12 +65,12 @@ TAKEN = 0.01
 
 
 @dataclass(frozen=True, eq=False)
-class Returning:
+class PeriodicError:
     """What returns with each cycle in one series, or in several at once.
 
     Attributes
     ----------
-    series : tuple of Series
+    series : tuple of OutputSeries
     factors : (s,) array
         By which it acts on each of them.
     period : int
@@ -85,7 +85,7 @@ class Returning:
         Of the variance of the residual of each that it has.
     """
 
-    series: tuple[Series, ...]
+    series: tuple[OutputSeries, ...]
     factors: Floats
     period: int
     powers: Floats
@@ -114,7 +114,7 @@ class Returning:
         return np.asarray(sum(factor * _summed(columns, series, self.period) for factor, series in parts))
 
 
-def check_periods(series: Sequence[Series], noise: Noise, parameters: int) -> None:
+def check_periods(series: Sequence[OutputSeries], noise: Noise, parameters: int) -> None:
     """Check that each period said of an excitation is one that errors in its series can be asked for.
 
     Raises
@@ -140,12 +140,12 @@ def check_periods(series: Sequence[Series], noise: Noise, parameters: int) -> No
 
 
 @dataclass(frozen=True, eq=False)
-class Folded:
+class MeanCycle:
     """The mean cycle of a series, times the root of the number of cycles.
 
     Attributes
     ----------
-    series : Series
+    series : OutputSeries
     values : (T, 1 + k) array
         Of its residual and of the basis, in the units of its noise model.
     response : (f,) array
@@ -154,14 +154,14 @@ class Folded:
         Squares of its units, and the residual's mean one.
     """
 
-    series: Series
+    series: OutputSeries
     values: Floats
     response: Complexes
     unit: float
     square: float
 
     @classmethod
-    def of(cls, rows: Floats, noise: NoiseModel, period: float, *, given: bool) -> Folded | None:
+    def of(cls, rows: Floats, noise: NoiseModel, period: float, *, given: bool) -> MeanCycle | None:
         """Return that of all rows (n, 1 + k); None where they have no whole cycles."""
         series, model = noise.series, noise.process
         time, residual = period / series.step, rows[series.rows, 0]
@@ -182,7 +182,7 @@ def returning(
     periods: Mapping[str, float],
     grids: Sequence[tuple[Sequence[NoiseModel], Floats]],
     given: Flags,
-) -> tuple[Returning, ...]:
+) -> tuple[PeriodicError, ...]:
     """Return what returns with each cycle of the excitation, in the series of experiments that have some.
 
     Parameters
@@ -199,7 +199,7 @@ def returning(
     rows, found = np.column_stack([residual, basis]), []
     for noise, innovations in grids:
         each = [
-            Folded.of(rows, model, periods[model.series.experiment], given=bool(given[model.series.group]))
+            MeanCycle.of(rows, model, periods[model.series.experiment], given=bool(given[model.series.group]))
             for model in noise
         ]
         known = [index for index, own in enumerate(each) if own is not None]
@@ -209,7 +209,7 @@ def returning(
     return tuple(found)
 
 
-def _together(folded: Sequence[Folded], alone: Sequence[Returning], innovations: Floats) -> list[Returning]:
+def _together(folded: Sequence[MeanCycle], alone: Sequence[PeriodicError], innovations: Floats) -> list[PeriodicError]:
     """Return what returns in the series of one grid, where it is correlated between some in all of these at once."""
     period = alone[0].period
     taken = _taken(np.hstack([each.values[:, 1:] for each in folded]), 1.0)
@@ -225,7 +225,7 @@ def _together(folded: Sequence[Folded], alone: Sequence[Returning], innovations:
     chance = np.sqrt((powers * counts) @ powers.T)
     squares = cycles.T @ cycles
     related = np.abs(squares * period / left - noise) > RELATED * chance
-    found: list[Returning] = []
+    found: list[PeriodicError] = []
     for group in np.unique(np.linalg.matrix_power(related.astype(np.float64), len(alone)) > 0.0, axis=0):
         members = np.flatnonzero(group)
         if members.size == 1:
@@ -239,7 +239,7 @@ def _together(folded: Sequence[Folded], alone: Sequence[Returning], innovations:
     return found
 
 
-def _floor(folded: Sequence[Folded], weights: Floats, innovations: Floats) -> Floats:
+def _floor(folded: Sequence[MeanCycle], weights: Floats, innovations: Floats) -> Floats:
     """Return the spectrum at the bins of harmonics (f,) of the noise of a sum of series with weights (m,)."""
     responses = weights[:, None] * np.array([each.response for each in folded])
     period = len(folded[0].values)
@@ -255,7 +255,7 @@ def _taken(values: Floats, scale: float) -> Floats:
     return np.asarray(vectors[:, sizes**2 > TAKEN * scale])
 
 
-def _summed(columns: Floats, series: Series, period: int) -> Floats:
+def _summed(columns: Floats, series: OutputSeries, period: int) -> Floats:
     """Return the columns (n, k) of all rows summed over the cycles of a series (T, k), divided by the root of these."""
     sums = np.zeros((period, columns.shape[1]))
     np.add.at(sums, series.places % period, columns[series.rows])
@@ -282,7 +282,7 @@ def _sides(period: int) -> Floats:
     return found
 
 
-def _weighed(folded: Sequence[Folded], weights: Floats, factors: Floats, innovations: Floats) -> Returning:
+def _weighed(folded: Sequence[MeanCycle], weights: Floats, factors: Floats, innovations: Floats) -> PeriodicError:
     """Return what returns in a sum of series with weights (m,), acting on each of them by factors (m,)."""
     cycle = np.sum([weight * each.values for weight, each in zip(weights, folded, strict=True)], axis=0)
     period, floor = len(cycle), _floor(folded, weights, innovations)
@@ -319,7 +319,7 @@ def _weighed(folded: Sequence[Folded], weights: Floats, factors: Floats, innovat
     # of what returns the noise model of the whole record has one cycle's share already
     level = float(point @ counts) / period / max(cycles - 1.0, 1.0)
     shares = factors**2 * level * np.array([each.unit / each.square for each in folded])
-    return Returning(
+    return PeriodicError(
         tuple(each.series for each in folded), factors, period, point, powers, likely, np.minimum(shares, 1.0)
     )
 

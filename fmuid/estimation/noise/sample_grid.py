@@ -11,7 +11,7 @@ from scipy import fft
 
 from fmuid.array_types import Complexes, Flags, Floats
 from fmuid.estimation.noise.autoregression import Autoregression
-from fmuid.estimation.noise.output_series import Series
+from fmuid.estimation.noise.output_series import OutputSeries
 
 # Correlations of innovations are kept this far from singular.
 LEAST_EIGENVALUE = 1e-6
@@ -67,7 +67,7 @@ class Spectra:
     filtered: Complexes
 
     @classmethod
-    def of(cls, columns: Floats, series: Sequence[Series], models: Sequence[Autoregression]) -> Spectra:
+    def of(cls, columns: Floats, series: Sequence[OutputSeries], models: Sequence[Autoregression]) -> Spectra:
         """Filter the columns (n, k) of all rows."""
         size = fft.next_fast_len(length_of(series) + max(model.memory for model in models), real=True)
         transfers = np.array([model.transfer(size) for model in models])
@@ -87,12 +87,12 @@ class Spectra:
         return np.asarray((total + total.T) / 2.0, dtype=np.float64)
 
 
-def length_of(series: Sequence[Series]) -> int:
+def length_of(series: Sequence[OutputSeries]) -> int:
     """Return the length of the grid of some series."""
     return 1 + max(int(each.places[-1]) for each in series)
 
 
-def on_grid(each: Series, rows: Floats, length: int) -> Floats:
+def on_grid(each: OutputSeries, rows: Floats, length: int) -> Floats:
     """Return the columns of all rows (n, k) that a series has, on its grid (k, length)."""
     if each.places.size == length:
         return np.ascontiguousarray(rows[each.rows].T)
@@ -101,13 +101,13 @@ def on_grid(each: Series, rows: Floats, length: int) -> Floats:
     return grid
 
 
-class Grid:
+class SampleGrid:
     """The series of one grid, their spectra, and the noise that is taken for theirs.
 
     Parameters
     ----------
     rows : Rows
-    series : sequence of Series
+    series : sequence of OutputSeries
     members : sequence of int
         Their numbers among all series.
 
@@ -121,7 +121,7 @@ class Grid:
         The noise of each.
     """
 
-    def __init__(self, rows: Rows, series: Sequence[Series], members: Sequence[int]) -> None:
+    def __init__(self, rows: Rows, series: Sequence[OutputSeries], members: Sequence[int]) -> None:
         self.rows, self.series, self.members = rows, series, members
         self.length = length_of(series)
         self.columns = [on_grid(each, rows.residual[:, None], self.length) for each in series]

@@ -45,13 +45,13 @@ import numpy as np
 from fmuid.array_types import Flags, Floats
 from fmuid.estimation.noise.autoregression import Autoregression, fit, most_orders
 from fmuid.estimation.noise.model import NoiseModel
-from fmuid.estimation.noise.output_series import Series
-from fmuid.estimation.noise.periodic_error import Returning, returning
-from fmuid.estimation.noise.sample_grid import Grid, Rows, Spectra
+from fmuid.estimation.noise.output_series import OutputSeries
+from fmuid.estimation.noise.periodic_error import PeriodicError, returning
+from fmuid.estimation.noise.sample_grid import Rows, SampleGrid, Spectra
 from fmuid.estimation.problem import LeastSquares
 
 if TYPE_CHECKING:
-    from fmuid.estimation.linearized_problem import LocalModel
+    from fmuid.estimation.linearized_problem import LinearizedProblem
 
 # Rounds of the correction for what the fit takes away, at most; one for long records, where it is slight, and none
 # where it would take too much memory. They end when a round moves no variance by more than the tolerance.
@@ -76,13 +76,13 @@ class ResidualNoise:
         Experiment by experiment, output by output.
     innovations : tuple of (m, m) arrays
         The covariance S of the innovations of the series of each grid, in the order of the series.
-    returning : tuple of Returning
+    returning : tuple of PeriodicError
         Errors that come back with each cycle of the excitation.
     """
 
     models: tuple[NoiseModel, ...]
     innovations: tuple[Floats, ...]
-    returning: tuple[Returning, ...] = ()
+    returning: tuple[PeriodicError, ...] = ()
 
     def gram(self, columns: Floats) -> Floats:
         """Return XᵀΓX (k, k) of columns X (n, k) over the rows, Γ the covariance of their whitened noise."""
@@ -99,7 +99,7 @@ class ResidualNoise:
 
 
 @dataclass(frozen=True, eq=False)
-class Sandwich:
+class SandwichCovariance:
     """A covariance, and what it rests on.
 
     Attributes
@@ -116,13 +116,13 @@ class Sandwich:
     noise: ResidualNoise
 
 
-def sandwich_of(problem: LeastSquares, local: LocalModel, rounding: Flags) -> Sandwich:
+def sandwich_of(problem: LeastSquares, local: LinearizedProblem, rounding: Flags) -> SandwichCovariance:
     """Return the covariance of the estimates of a problem under the noise that their residual shows.
 
     Parameters
     ----------
     problem : LeastSquares
-    local : LocalModel
+    local : LinearizedProblem
         At the estimate.
     rounding : (n_outputs,) array of bool
         Outputs whose residual is nothing but rounding and the noise of the simulation.
@@ -145,17 +145,17 @@ def sandwich_of(problem: LeastSquares, local: LocalModel, rounding: Flags) -> Sa
     return replace(found, covariance=covariance)
 
 
-def sandwich(rows: Rows, series: Sequence[Series]) -> Sandwich:
+def sandwich(rows: Rows, series: Sequence[OutputSeries]) -> SandwichCovariance:
     """Return the covariance of estimates under the noise that their residual shows.
 
     Parameters
     ----------
     rows : Rows
-    series : sequence of Series
+    series : sequence of OutputSeries
         Of all rows.
     """
     grids, pools = _members([each.grid for each in series]), _members([each.pool for each in series])
-    parts = [Grid(rows, [series[i] for i in members], members) for members in grids]
+    parts = [SampleGrid(rows, [series[i] for i in members], members) for members in grids]
     rounds, spread = _rounds(rows), np.full(rows.basis.shape[1], math.inf)
     models: dict[int, Autoregression] = {}
     for done in range(rounds + 1):
@@ -183,10 +183,10 @@ def sandwich(rows: Rows, series: Sequence[Series]) -> Sandwich:
     noise = ResidualNoise(
         tuple(NoiseModel(each, models[i]) for i, each in enumerate(series)), tuple(part.innovations for part in parts)
     )
-    return Sandwich(covariance, freedom, noise)
+    return SandwichCovariance(covariance, freedom, noise)
 
 
-def _with_returning(found: Sandwich, rows: Rows, periods: Mapping[str, float]) -> Sandwich:
+def _with_returning(found: SandwichCovariance, rows: Rows, periods: Mapping[str, float]) -> SandwichCovariance:
     """Return a sandwich with what returns with each cycle of the excitation."""
     own = found.noise
     known = []
@@ -207,7 +207,7 @@ def _with_returning(found: Sandwich, rows: Rows, periods: Mapping[str, float]) -
         scatter = scatter + each.scatter(columns, spread - np.diag(part))
     with np.errstate(divide="ignore"):
         freedom = np.clip(2.0 / scatter, LEAST_FREEDOM, found.freedom)
-    return Sandwich(covariance, freedom, noise)
+    return SandwichCovariance(covariance, freedom, noise)
 
 
 def _members(numbers: Sequence[int]) -> list[list[int]]:
@@ -218,7 +218,7 @@ def _members(numbers: Sequence[int]) -> list[list[int]]:
     return list(found.values())
 
 
-def _taken(parts: Sequence[Grid], models: dict[int, Autoregression], rows: Rows) -> Floats:
+def _taken(parts: Sequence[SampleGrid], models: dict[int, Autoregression], rows: Rows) -> Floats:
     """Take models for the noise of the series of all grids, and return the sum of QᵀΓQ."""
     return np.asarray(np.sum([part.take([models[i] for i in part.members], rows.basis) for part in parts], axis=0))
 
@@ -235,7 +235,7 @@ def _slight(taken: float, models: Iterable[Autoregression]) -> bool:
 
 
 def _models(
-    rows: Rows, series: Sequence[Series], parts: Sequence[Grid], pools: Sequence[Sequence[int]]
+    rows: Rows, series: Sequence[OutputSeries], parts: Sequence[SampleGrid], pools: Sequence[Sequence[int]]
 ) -> dict[int, Autoregression]:
     """Fit the noise of each pool of series to their second moments, with what the fit has removed from them."""
     columns = {index: own for part in parts for index, own in zip(part.members, part.columns, strict=True)}
@@ -254,7 +254,9 @@ def _models(
     return models
 
 
-def _as_given(models: Mapping[int, Autoregression], rows: Rows, series: Sequence[Series]) -> dict[int, Autoregression]:
+def _as_given(
+    models: Mapping[int, Autoregression], rows: Rows, series: Sequence[OutputSeries]
+) -> dict[int, Autoregression]:
     """Return models with the correlation found, and the variance 1 where it was given."""
     scaled = rows.given & ~rows.white
     return {
@@ -272,7 +274,11 @@ def _joined(blocks: Sequence[tuple[Floats, Flags]], gap: int) -> tuple[Floats, F
 
 
 def _freedom(
-    rows: Rows, variances: Floats, series: Sequence[Series], parts: Sequence[Grid], pools: Sequence[Sequence[int]]
+    rows: Rows,
+    variances: Floats,
+    series: Sequence[OutputSeries],
+    parts: Sequence[SampleGrid],
+    pools: Sequence[Sequence[int]],
 ) -> Floats:
     """Return the degrees of freedom of the variances (N,), from the scatter of the models they rest on."""
     taken = np.einsum("ij,ij->i", rows.basis, rows.basis)

@@ -90,7 +90,7 @@ def ljung_box(correlations: Floats, pairs: Floats) -> tuple[float, float]:
 
 
 @dataclass(frozen=True, eq=False)
-class Taken:
+class FitProjection:
     """What a fit takes out of the noise e of one output: the residual is e_a − C_a Σ_b C_bᵀ e_b over all outputs.
 
     Attributes
@@ -105,13 +105,13 @@ class Taken:
     gram: Floats
 
     @classmethod
-    def nothing(cls, count: int) -> Taken:
+    def nothing(cls, count: int) -> FitProjection:
         """Return that of a residual that was not fitted."""
         return cls(np.zeros((count, 0)), np.zeros((0, 0)))
 
-    def of(self, rows: Indices) -> Taken:
+    def of(self, rows: Indices) -> FitProjection:
         """Return that of some rows: those of one output."""
-        return Taken(self.columns[rows], self.gram)
+        return FitProjection(self.columns[rows], self.gram)
 
     def draws(self, random: np.random.Generator, count: int) -> Floats:
         """Return residuals of white noise (count, n)."""
@@ -152,7 +152,7 @@ class WhitenessTest:
         return lag, float(tested[lag])
 
 
-def whiteness(grid: Floats, taken: Taken) -> WhitenessTest:
+def whiteness(grid: Floats, taken: FitProjection) -> WhitenessTest:
     """Test whether a series is the residual of white noise.
 
     The statistic is χ² of as many degrees of freedom as lags in long records. In short ones its tail is heavier, and
@@ -164,7 +164,7 @@ def whiteness(grid: Floats, taken: Taken) -> WhitenessTest:
     ----------
     grid : (m,) array
         NaN where a sample is missing; not constant.
-    taken : Taken
+    taken : FitProjection
         By the fit that left the series.
     """
     there = np.isfinite(grid)

@@ -36,7 +36,7 @@ class CovarianceContent(TypedDict, total=False):
 
 
 class DirectionContent(TypedDict, total=False):
-    """A `fmuid.estimation.covariance.Direction`."""
+    """A `fmuid.estimation.covariance.WeakDirection`."""
 
     determined: str
     names: list[str]
@@ -47,14 +47,14 @@ class DirectionContent(TypedDict, total=False):
 
 
 class BoundContent(TypedDict, total=False):
-    """A `fmuid.estimation.covariance.AtBound`."""
+    """A `fmuid.estimation.covariance.ActiveBound`."""
 
     name: str
     value: float
 
 
 class RunContent(TypedDict):
-    """The fields of a `fmuid.models.HowRun`, and no others."""
+    """The fields of a `fmuid.models.SolverConfiguration`, and no others."""
 
     __pydantic_config__ = {"extra": "forbid"}  # type: ignore[misc]  # noqa: RUF012
 
@@ -77,7 +77,7 @@ class ModelContent(TypedDict, total=False):
 
 
 class SensitivityContent(TypedDict, total=False):
-    """A `fmuid.estimation.model_sensitivities.Sensitivity`."""
+    """A `fmuid.estimation.model_sensitivities.SensitivityMethod`."""
 
     method: str
     by_differences: bool
@@ -85,7 +85,7 @@ class SensitivityContent(TypedDict, total=False):
 
 
 class SwitchContent(TypedDict, total=False):
-    """A `fmuid.estimation.solver_check.outcome.Switch`."""
+    """A `fmuid.estimation.solver_check.outcome.RefinementStep`."""
 
     cause: str
     size: Number
@@ -95,7 +95,7 @@ class SwitchContent(TypedDict, total=False):
 
 
 class AccuracyContent(TypedDict, total=False):
-    """A `fmuid.estimation.solver_check.outcome.Accuracy`."""
+    """A `fmuid.estimation.solver_check.outcome.SolverCheck`."""
 
     outcome: str
     used: dict[str, RunContent]
@@ -120,7 +120,7 @@ class SeriesContent(TypedDict, total=False):
 
 
 class AttemptContent(TypedDict, total=False):
-    """A `fmuid.estimation.starting_points.outcome.Attempt`."""
+    """A `fmuid.estimation.starting_points.outcome.RestartAttempt`."""
 
     remedy: str
     trouble: str
@@ -130,7 +130,7 @@ class AttemptContent(TypedDict, total=False):
 
 
 class ChoiceContent(TypedDict, total=False):
-    """A `fmuid.estimation.starting_points.outcome.ChoiceTried`."""
+    """A `fmuid.estimation.starting_points.outcome.CombinationFit`."""
 
     values: dict[str, bool | int | float | str]
     outcome: str | None

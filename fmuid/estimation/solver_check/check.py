@@ -16,7 +16,7 @@ from fmuid.estimation.cost_components import fitted, misfits
 from fmuid.estimation.identification import LEAST_CURVATURE
 from fmuid.estimation.problem import LeastSquares
 from fmuid.estimation.result import Result
-from fmuid.estimation.solver_check.outcome import SHIFT_LIMIT, Accuracy, AccuracyOutcome
+from fmuid.estimation.solver_check.outcome import SHIFT_LIMIT, AccuracyOutcome, SolverCheck
 
 CLEARLY_BETTER_CRITERION = 10.0
 """Criteria that differ by more are not alike by chance."""
@@ -24,13 +24,15 @@ CLEARLY_BETTER_CRITERION = 10.0
 LEAST_NOISE = 1e-5
 
 
-def simulated(problem: LeastSquares, result: Result) -> Floats:
+def stack_simulated(problem: LeastSquares, result: Result) -> Floats:
     """Return the counted samples (n,) as they were simulated at a result, as `LeastSquares.measured` has them."""
     assert result.history is not None, "not of a result that was read from a file"
     return problem.stacked(result.history.simulated)
 
 
-def checked(problem: LeastSquares, result: Result, error: Floats, *, controlled: bool = False) -> Accuracy:
+def estimate_solver_error(
+    problem: LeastSquares, result: Result, error: Floats, *, controlled: bool = False
+) -> SolverCheck:
     """Return what an error of the simulation does to the estimates.
 
     Parameters
@@ -46,9 +48,9 @@ def checked(problem: LeastSquares, result: Result, error: Floats, *, controlled:
     """
     unknown = np.full(len(result.names), np.nan)
     if not np.isfinite(error).all():
-        return Accuracy(AccuracyOutcome.FAILED, unknown)
+        return SolverCheck(AccuracyOutcome.FAILED, unknown)
     if not error.any() and not controlled:
-        return Accuracy(AccuracyOutcome.UNCHECKABLE, unknown)
+        return SolverCheck(AccuracyOutcome.UNCHECKABLE, unknown)
     assert result.local is not None
     rows = error * _weights(problem, result)
     root, std = result.local.combined.root, result.std
@@ -56,7 +58,7 @@ def checked(problem: LeastSquares, result: Result, error: Floats, *, controlled:
     with np.errstate(over="ignore", invalid="ignore"):  # of what explodes without failing
         step = root @ (root.T @ (result.local.jacobian.T @ rows))
         shift = step / np.where(np.isfinite(std) & (std > 0), std, np.nan)
-        found = Accuracy(AccuracyOutcome.PASSED, shift, change=float(np.linalg.norm(rows)))
+        found = SolverCheck(AccuracyOutcome.PASSED, shift, change=float(np.linalg.norm(rows)))
     if found.largest > SHIFT_LIMIT:
         return replace(found, outcome=AccuracyOutcome.SHIFTED)
     return replace(found, outcome=AccuracyOutcome.UNKNOWN) if found.doubtful else found
@@ -72,12 +74,14 @@ def _weights(problem: LeastSquares, result: Result) -> Floats:
     weights = scale / np.sqrt(variance)
     if problem.loss is None:
         return np.asarray(weights[groups])
-    curvature = problem.loss.curvature((problem.measured - simulated(problem, result)) / np.sqrt(variance)[groups])
+    curvature = problem.loss.curvature(
+        (problem.measured - stack_simulated(problem, result)) / np.sqrt(variance)[groups]
+    )
     mean = np.bincount(groups, weights=curvature, minlength=variance.size) / problem.counts
     return np.asarray((weights * np.sqrt(np.maximum(mean, LEAST_CURVATURE)))[groups])
 
 
-def with_shift(result: Result, accuracy: Accuracy) -> Result:
+def with_shift(result: Result, accuracy: SolverCheck) -> Result:
     """Return a result whose covariance has what its estimates are shifted by, as far as that is known."""
     moved = np.nan_to_num(accuracy.shift) * np.where(np.isfinite(result.std), result.std, 0.0)
     both = np.outer(moved, moved)

@@ -39,7 +39,7 @@ class AccuracyOutcome(Enum):
     """By the keyboard."""
 
 
-class Kept(Enum):
+class RefinementRefusal(Enum):
     """Why a simulation that shifts the estimates serves all the same."""
 
     ASKED = "asked"
@@ -64,7 +64,7 @@ class SwitchCause(Enum):
 
 
 @dataclass(frozen=True)
-class Switch:
+class RefinementStep:
     """A step to a finer simulation.
 
     Attributes
@@ -74,7 +74,7 @@ class Switch:
         The largest difference of an output at the start, as a share of its spread, or the largest shift of an estimate,
         standard deviations; NaN where that is not known.
     before, after : mapping of str to mapping
-        How each component was run, and then was: the fields of a `fmuid.models.HowRun`.
+        How each component was run, and then was: the fields of a `fmuid.models.SolverConfiguration`.
     simulations : int
         What the search that followed took.
     """
@@ -86,7 +86,7 @@ class Switch:
     simulations: int = 0
 
     @classmethod
-    def of_json(cls, data: Mapping[str, Any]) -> Switch:
+    def of_json(cls, data: Mapping[str, Any]) -> RefinementStep:
         """Return it as ``result.json`` has it."""
         size = math.nan if data["size"] is None else float(data["size"])
         return cls(
@@ -95,7 +95,7 @@ class Switch:
 
 
 @dataclass(frozen=True, eq=False)
-class Accuracy:
+class SolverCheck:
     """What the error of the simulation does to the estimates, and what was done about it.
 
     Attributes
@@ -105,13 +105,13 @@ class Accuracy:
         What each estimate would move by if the finer simulation took the place of the one used, in its standard
         deviations; NaN where it is not known.
     used, finer : mapping of str to mapping
-        How each component is run, and how it is in the check, as for `Switch`; empty where there is none.
+        How each component is run, and how it is in the check, as for `RefinementStep`; empty where there is none.
     change : float
         Norm of the difference of all outputs in standard deviations of their noise, which bounds what any estimate can
         be moved by; NaN without a check.
-    kept : Kept or None
+    kept : RefinementRefusal or None
         Why nothing finer serves where the estimates are shifted.
-    switches : tuple of Switch
+    switches : tuple of RefinementStep
     refused : int
         Optima of a search of the whole box that a finer simulation does not bear out.
     simulations : int
@@ -125,8 +125,8 @@ class Accuracy:
     used: Runs = field(default_factory=dict)
     finer: Runs = field(default_factory=dict)
     change: float = math.nan
-    kept: Kept | None = None
-    switches: tuple[Switch, ...] = ()
+    kept: RefinementRefusal | None = None
+    switches: tuple[RefinementStep, ...] = ()
     refused: int = 0
     simulations: int = 0
     tolerance: float | None = None
@@ -147,7 +147,7 @@ class Accuracy:
         return float(known.max()) if known.size else math.nan
 
     @classmethod
-    def of_json(cls, data: Mapping[str, Any], shift: Floats) -> Accuracy:
+    def of_json(cls, data: Mapping[str, Any], shift: Floats) -> SolverCheck:
         """Return it as ``result.json`` has it, and the shift of each parameter."""
         return cls(
             AccuracyOutcome(data["outcome"]),
@@ -155,8 +155,8 @@ class Accuracy:
             _runs(data["used"]),
             _runs(data["finer"]),
             math.nan if data["change"] is None else float(data["change"]),
-            None if data["kept"] is None else Kept(data["kept"]),
-            tuple(map(Switch.of_json, data["switches"])),
+            None if data["kept"] is None else RefinementRefusal(data["kept"]),
+            tuple(map(RefinementStep.of_json, data["switches"])),
             int(data["refused"]),
             int(data["simulations"]),
             None if data["tolerance"] is None else float(data["tolerance"]),

@@ -8,10 +8,10 @@ from dataclasses import dataclass
 from enum import Enum
 from typing import Any
 
-from fmuid.estimation.marquardt.outcome import Outcome
+from fmuid.estimation.marquardt.outcome import TerminationReason
 
 
-class Remedy(Enum):
+class StartingPointSource(Enum):
     """Where a search set out from; the values are what ``result.json`` has."""
 
     GIVEN = "given"
@@ -24,7 +24,7 @@ class Remedy(Enum):
     """The best of a few points of the box."""
 
 
-class Trouble(Enum):
+class SearchFailure(Enum):
     """What is wrong with a start or with where the search from it ended."""
 
     NONE = "none"
@@ -46,13 +46,13 @@ MAX_NOISE_RATIO = 3.0
 
 
 @dataclass(frozen=True)
-class Attempt:
+class RestartAttempt:
     """One start that was tried.
 
     Attributes
     ----------
-    remedy : Remedy
-    trouble : Trouble
+    remedy : StartingPointSource
+    trouble : SearchFailure
     noise_ratio : float
         Largest root mean square of an output's residual by its noise from second differences; NaN where unknown.
     simulations : int
@@ -60,14 +60,14 @@ class Attempt:
         Whether the result is of this one.
     """
 
-    remedy: Remedy
-    trouble: Trouble
+    remedy: StartingPointSource
+    trouble: SearchFailure
     noise_ratio: float = math.nan
     simulations: int = 0
     kept: bool = False
 
     @classmethod
-    def of_json(cls, data: Mapping[str, Any]) -> Attempt:
+    def of_json(cls, data: Mapping[str, Any]) -> RestartAttempt:
         """Return an attempt of a file.
 
         Raises
@@ -77,18 +77,22 @@ class Attempt:
         """
         noise_ratio = math.nan if data["noise_ratio"] is None else float(data["noise_ratio"])
         return cls(
-            Remedy(data["remedy"]), Trouble(data["trouble"]), noise_ratio, int(data["simulations"]), bool(data["kept"])
+            StartingPointSource(data["remedy"]),
+            SearchFailure(data["trouble"]),
+            noise_ratio,
+            int(data["simulations"]),
+            bool(data["kept"]),
         )
 
 
 @dataclass(frozen=True)
-class ChoiceTried:
+class CombinationFit:
     """A combination of the values of parameters that take few, which was searched with.
 
     Attributes
     ----------
     values : mapping of str to float, int, bool or str
-    outcome : Outcome or None
+    outcome : TerminationReason or None
         How its search ended; None where it could not begin.
     behind : float
         By how much its −2 ln L, with the prior's part, is above that of the best one: 0 for that, infinite without end.
@@ -97,12 +101,12 @@ class ChoiceTried:
     """
 
     values: Mapping[str, float | int | bool | str]
-    outcome: Outcome | None
+    outcome: TerminationReason | None
     behind: float
     estimates: Mapping[str, float]
 
     @classmethod
-    def of_json(cls, data: Mapping[str, Any]) -> ChoiceTried:
+    def of_json(cls, data: Mapping[str, Any]) -> CombinationFit:
         """Return a combination of a file.
 
         Raises
@@ -110,6 +114,6 @@ class ChoiceTried:
         KeyError, TypeError, ValueError
             If the data are not of one.
         """
-        outcome = None if data["outcome"] is None else Outcome(data["outcome"])
+        outcome = None if data["outcome"] is None else TerminationReason(data["outcome"])
         behind = math.inf if data["behind"] is None else float(data["behind"])
         return cls(dict(data["values"]), outcome, behind, {str(k): float(v) for k, v in data["estimates"].items()})

@@ -12,7 +12,7 @@ import pandas as pd
 
 from fmuid.array_types import Floats
 from fmuid.errors import InputError
-from fmuid.estimation import Direction, check_level
+from fmuid.estimation import WeakDirection, check_level
 
 # Steps of the longest chain.
 MAX_STEPS = 20_000
@@ -27,7 +27,7 @@ LARGEST_R_HAT = 1.01
 
 
 @dataclass(frozen=True)
-class Sampling:
+class SamplerSettings:
     """Settings of the sampler.
 
     Parameters
@@ -52,7 +52,7 @@ class Sampling:
     --------
     >>> problem = fmuid.datasets.coil().problem()
     >>> result = fmuid.identify(problem)
-    >>> fmuid.sample(problem, result, fmuid.Sampling(walkers=8, steps=40, effective_size=10)).chain.shape
+    >>> fmuid.sample_posterior(problem, result, fmuid.SamplerSettings(walkers=8, steps=40, effective_size=10)).chain.shape
     (40, 8, 2)
     """
 
@@ -77,7 +77,7 @@ class Sampling:
             raise InputError(f"the setting burn of the sampler must be a share from 0 to below 1, not {self.burn!r}")
 
 
-class SamplingDoubt(Enum):
+class SamplingWarning(Enum):
     """Why samples cannot be trusted."""
 
     RUNAWAY = "runaway"
@@ -98,7 +98,7 @@ class Posterior:
 
     Attributes
     ----------
-    doubt : SamplingDoubt or None
+    doubt : SamplingWarning or None
         Why the samples cannot be trusted; None where they can.
     doubtful : str
         The parameter that the doubt is about, "" where it is about all of them.
@@ -106,7 +106,7 @@ class Posterior:
         Whether the keyboard ended it.
     wanted : int
         How many independent samples were asked for.
-    undetermined : tuple of Direction
+    undetermined : tuple of WeakDirection
         Along which the samples show priors and bounds, not data.
     optima : (m, N) array
         Where the walkers set out: the estimate, and other optima that hold a share of the posterior.
@@ -131,11 +131,11 @@ class Posterior:
     elapsed_s : float
     """
 
-    doubt: SamplingDoubt | None
+    doubt: SamplingWarning | None
     doubtful: str
     interrupted: bool
     wanted: int
-    undetermined: tuple[Direction, ...]
+    undetermined: tuple[WeakDirection, ...]
     optima: Floats
     names: tuple[str, ...]
     lower: Floats
@@ -187,7 +187,7 @@ class Posterior:
             If the level is not between 0 and 1.
         """
         check_level(level)
-        if self.doubt is SamplingDoubt.RUNAWAY:
+        if self.doubt is SamplingWarning.RUNAWAY:
             return pd.DataFrame({"lower": self.lower, "upper": self.upper}, index=list(self.names))
         columns = zip(np.sort(self.samples, axis=0).T, self.lower, self.upper, strict=True)
         ends = np.array([_densest(own, level, lower, upper) for own, lower, upper in columns])

@@ -41,12 +41,12 @@ import numpy as np
 from fmuid.array_types import Floats
 from fmuid.blas import single_threaded
 from fmuid.errors import InputError, SimulationError
-from fmuid.estimation import GlobalSearch, LeastSquares, Outcome, Result
+from fmuid.estimation import GlobalSearch, LeastSquares, Result, TerminationReason
 from fmuid.identification.conditional_optimum import check_result
 from fmuid.identification.likelihood_scaling import adjustment
 from fmuid.identification.profile import reach
 from fmuid.identification.sampling.chains import effective_size, r_hat
-from fmuid.identification.sampling.posterior import LARGEST_R_HAT, Posterior, Sampling, SamplingDoubt
+from fmuid.identification.sampling.posterior import LARGEST_R_HAT, Posterior, SamplerSettings, SamplingWarning
 from fmuid.identification.sampling.proposal_archive import Archive
 from fmuid.progress import Progress, SamplingStep
 
@@ -75,8 +75,8 @@ BATCH_SAMPLES = 8_000_000
 
 
 @single_threaded
-def sample(
-    problem: LeastSquares, result: Result, settings: Sampling | None = None, progress: Progress | None = None
+def sample_posterior(
+    problem: LeastSquares, result: Result, settings: SamplerSettings | None = None, progress: Progress | None = None
 ) -> Posterior:
     """Sample the posterior of a problem, starting around its result.
 
@@ -85,7 +85,7 @@ def sample(
     problem : LeastSquares
     result : Result
         Of its identification.
-    settings : Sampling, optional
+    settings : SamplerSettings, optional
     progress : callable, optional
         Called after every step of all walkers with a `fmuid.progress.SamplingStep`.
 
@@ -106,12 +106,12 @@ def sample(
     --------
     >>> problem = fmuid.datasets.coil().problem()
     >>> result = fmuid.identify(problem)
-    >>> posterior = fmuid.sample(problem, result, fmuid.Sampling(steps=40, effective_size=10))
+    >>> posterior = fmuid.sample_posterior(problem, result, fmuid.SamplerSettings(steps=40, effective_size=10))
     >>> posterior.table.shape
     (480, 2)
     """
     check_result(problem, result)
-    return _Sampler(problem, result, settings or Sampling(), progress).run()
+    return _Sampler(problem, result, settings or SamplerSettings(), progress).run()
 
 
 def log_density(
@@ -173,7 +173,9 @@ def log_density(
 class _Sampler:
     """One run of the sampler."""
 
-    def __init__(self, problem: LeastSquares, result: Result, settings: Sampling, progress: Progress | None) -> None:
+    def __init__(
+        self, problem: LeastSquares, result: Result, settings: SamplerSettings, progress: Progress | None
+    ) -> None:
         self.problem, self.result, self.settings, self.progress = problem, result, settings, progress
         self.estimate: Floats = np.array(result.values)
         self.clock, self.simulations = time.perf_counter(), problem.simulations
@@ -263,7 +265,7 @@ class _Sampler:
             found = search.search(self.problem, self.progress)
         except (InputError, SimulationError):  # no box, or nothing in it can be simulated
             return []
-        if found.outcome is Outcome.INTERRUPTED:
+        if found.outcome is TerminationReason.INTERRUPTED:
             raise KeyboardInterrupt
         near = OWN_STDS * self.result.std
         others = [
@@ -365,21 +367,21 @@ class _Sampler:
         below = np.isinf(parameters.lower) & (beyond < -self.far).any(axis=0)
         return next((name for name, gone in zip(found.names, above | below, strict=True) if gone), "")
 
-    def _doubt(self, found: Posterior) -> tuple[SamplingDoubt | None, str]:
+    def _doubt(self, found: Posterior) -> tuple[SamplingWarning | None, str]:
         """Return why the samples cannot be trusted yet, and of which parameter; None where they can."""
         runaway = self._runaway(found)
         if runaway:
-            return SamplingDoubt.RUNAWAY, runaway
+            return SamplingWarning.RUNAWAY, runaway
         if np.isnan(found.r_hat).any() or np.isnan(found.effective_size).any():
-            return SamplingDoubt.TOO_SHORT, ""
+            return SamplingWarning.TOO_SHORT, ""
         if found.acceptance < LEAST_ACCEPTANCE:
-            return SamplingDoubt.STUCK, ""
+            return SamplingWarning.STUCK, ""
         worst = int(np.argmax(found.r_hat))
         if found.r_hat[worst] > LARGEST_R_HAT:
-            return SamplingDoubt.DISAGREEING, found.names[worst]
+            return SamplingWarning.DISAGREEING, found.names[worst]
         worst = int(np.argmin(found.effective_size))
         if found.effective_size[worst] < self.settings.effective_size:
-            return SamplingDoubt.TOO_FEW, found.names[worst]
+            return SamplingWarning.TOO_FEW, found.names[worst]
         return None, ""
 
 

@@ -22,7 +22,7 @@ from fmuid.reports.messages.diagnosis import (
 )
 
 if TYPE_CHECKING:
-    from fmuid.diagnosis import Diagnosis, Evidence
+    from fmuid.diagnosis import ChangeEvidence, Diagnosis
 
 COLORS = {"healthy": "green", "undecided": "yellow"}
 
@@ -48,7 +48,7 @@ def show_diagnosis(found: Diagnosis) -> None:
     show_remarks([*simulation_notes(found), *scope_notes(found)])
 
 
-def _show_evidence(evidence: Evidence) -> None:
+def _show_evidence(evidence: ChangeEvidence) -> None:
     """Print every cause alone, the likeliest first."""
     named = {change_name(change) for each in evidence.explanations for change in each.changes}
     rows = []

@@ -13,7 +13,7 @@ from fmuid.errors import InputError
 from fmuid.formatting import two_digits, unit_text
 from fmuid.reports.console.layout import TERMINAL_ROWS, console, show_remarks, table_of_rows
 from fmuid.reports.messages.result import dropout_words, size_words, time_words
-from fmuid.studies import SHOWN_CHANGE, Candidate, ColumnLink, Draft, Reason, Record, proposal
+from fmuid.studies import SHOWN_CHANGE, Candidate, ColumnMatch, Draft, MatchedDataFile, Reason, proposal
 
 REASONS: Mapping[Reason, str] = {
     Reason.GIVEN: "given",
@@ -27,7 +27,7 @@ LINK_HEADS = ("variable", "unit", "is the", "column", "unit of the column", "bec
 QUESTION = "Is this right? Enter to go on, or variable=column to change it (variable= for none)"
 
 
-def show_record(record: Record) -> None:
+def show_record(record: MatchedDataFile) -> None:
     """Print which columns are which variables, and what is wrong with the table."""
     out = console()
     out.print(table_of_rows(escape(heading(record, str(record.path))), LINK_HEADS, map(link_cells, record.links)))
@@ -36,13 +36,13 @@ def show_record(record: Record) -> None:
     show_remarks(remarks(record))
 
 
-def heading(record: Record, name: str) -> str:
+def heading(record: MatchedDataFile, name: str) -> str:
     """Return what a table of this name has."""
     span = record.frame[record.time]
     return f"{name}: {len(record.frame)} samples, {span.min():.6g} to {span.max():.6g} s"
 
 
-def link_cells(link: ColumnLink) -> tuple[str, ...]:
+def link_cells(link: ColumnMatch) -> tuple[str, ...]:
     """Return what is said of a variable, under `LINK_HEADS`."""
     unit = unit_text(link.unit)
     if link.column is None or link.reason is None:
@@ -52,7 +52,7 @@ def link_cells(link: ColumnLink) -> tuple[str, ...]:
     return link.variable, unit, link.role, link.column, said, REASONS[link.reason]
 
 
-def remarks(record: Record) -> list[str]:
+def remarks(record: MatchedDataFile) -> list[str]:
     """Return what is to be said of a table, a sentence each."""
     said = [record.refusal] if record.refusal else []
     for role in ("input", "output"):
@@ -99,7 +99,7 @@ def on_terminal() -> bool:
     return sys.stdin.isatty() and sys.stdout.isatty()
 
 
-def asked_about(record: Record) -> Record:
+def asked_about(record: MatchedDataFile) -> MatchedDataFile:
     """Show what the columns are taken for, and let who sits at a terminal correct it where it is a guess."""
     show_record(record)
     if not on_terminal() or all(link.sure for link in record.links):

@@ -14,7 +14,7 @@ from rich.table import Table
 from rich.text import Text
 
 from fmuid.formatting import bounded, unit_text
-from fmuid.models import Description, Facts, Line, Variable, lines
+from fmuid.models import Description, FmuSummary, Variable, VariableRow, lines
 from fmuid.reports.console.layout import TERMINAL_ROWS, console, show_notes, table_of
 from fmuid.reports.messages.solver import capability_words, run_words
 from fmuid.studies import skeleton
@@ -42,7 +42,7 @@ Column = Callable[[Variable], str]
 # --- fmuid info -------------------------------------------------------------------------
 
 
-def show_facts(found: Facts) -> None:
+def show_facts(found: FmuSummary) -> None:
     """Print what an FMU declares, and a study to begin with."""
     described, out = found.fmu.description, console()
     if not out.is_terminal:
@@ -77,7 +77,7 @@ def _text(text: str) -> str:
     return bounded(text, TEXT_LENGTH)
 
 
-def _head(found: Facts) -> Table:
+def _head(found: FmuSummary) -> Table:
     described, platforms = found.fmu.description, found.fmu.platforms
     rows = Table.grid(padding=(0, 2))
     rows.add_row("FMI version", described.fmi_version)
@@ -156,13 +156,13 @@ def _filled(texts: Sequence[str], *, flush_right: bool) -> list[str]:
     return [blank + text if flush_right else text + blank for text, blank in zip(texts, blanks, strict=True)]
 
 
-def _cells(rows: Sequence[Line], column: Column) -> list[str]:
+def _cells(rows: Sequence[VariableRow], column: Column) -> list[str]:
     """Return what the lines say in a column."""
     said = [column(line.variables[0]) if len(line.variables) == 1 else _cell(line, column) for line in rows]
     return [text if len(text) <= TEXT_LENGTH and text.isprintable() else _text(text) for text in said]
 
 
-def _cell(line: Line, column: Column) -> str:
+def _cell(line: VariableRow, column: Column) -> str:
     """Return what several variables say in a column: all the same, a range of numbers, or the first and last."""
     said = list(dict.fromkeys(column(v) for v in line.variables))
     if len(said) == 1:
@@ -194,7 +194,7 @@ def _settable(variable: Variable) -> str:
     return "yes" if variable.settable else ""
 
 
-def _direct(found: Facts) -> Column:
+def _direct(found: FmuSummary) -> Column:
     """Return the column that names the inputs which act on an output at once."""
 
     def words(output: Variable) -> str:
@@ -211,7 +211,7 @@ def _direct(found: Facts) -> Column:
     return words
 
 
-def _show_units(out: Console, found: Facts) -> None:
+def _show_units(out: Console, found: FmuSummary) -> None:
     others = {unit: names for unit, names in found.units.items() if names}
     if not others:
         return

@@ -21,7 +21,7 @@ from fmuid.reports.messages.monitoring import alarm_words
 
 if TYPE_CHECKING:
     from fmuid.diagnosis import Monitor
-    from fmuid.reports.follow import Watching
+    from fmuid.reports.follow import FollowStatus
 
 # Records that were silent for longer than this, s, are said to be.
 SILENT = 5.0
@@ -48,7 +48,7 @@ class FollowingDisplay:
         if self._live is not None:
             self._live.stop()
 
-    def __call__(self, watching: Watching) -> None:
+    def __call__(self, watching: FollowStatus) -> None:
         """Print what is new, and show where it stands."""
         for line in watching.lines:
             said = json.loads(line)
@@ -66,7 +66,7 @@ class FollowingDisplay:
             self._live.update(Group(state(watching, silent), hint))
 
 
-def state(watching: Watching, silent: float) -> Table:
+def state(watching: FollowStatus, silent: float) -> Table:
     """Return where it stands: the last window, what it shows, whether there is an alarm, and since when."""
     found = watching.monitor
     table = Table.grid(padding=(0, 3))

@@ -17,7 +17,7 @@ from fmuid.formatting import fit_text, label, visible, with_unit
 if TYPE_CHECKING:
     import pandas as pd
 
-    from fmuid.simulation import Fit, Simulator
+    from fmuid.simulation import OutputFit, Simulator
     from fmuid.studies import Study
 
 # Into a file or a pipe, where nobody can widen the window: what a README shows without scrolling.
@@ -90,7 +90,7 @@ def table_of_rows(title: str, heads: Sequence[str], rows: Iterable[Sequence[str]
 # --- fmuid simulate ---------------------------------------------------------------------
 
 
-def show_fits(fits: Sequence[Fit]) -> None:
+def show_fits(fits: Sequence[OutputFit]) -> None:
     """Print the fit and the RMSE of each output of each experiment."""
     several = len(fits) > 1
     rows = []

@@ -11,10 +11,10 @@ from fmuid.reports.messages.prediction import fold_words, prediction_words
 from fmuid.reports.messages.result import source_words
 
 if TYPE_CHECKING:
-    from fmuid.reports.predictions import PredictionFindings
+    from fmuid.reports.predictions import PredictionRun
 
 
-def show_predictions(found: PredictionFindings) -> None:
+def show_predictions(found: PredictionRun) -> None:
     """Print a table, a row for each output of each record, and what is to be said of them."""
     show_notes(map(source_words, found.notes))
     show_notes(f"the result was made from {name}: this is no prediction" for name in found.seen)

@@ -13,10 +13,10 @@ from rich.markup import escape
 from rich.measure import Measurement
 from rich.table import Table
 
-from fmuid.estimation import Outcome
+from fmuid.estimation import TerminationReason
 from fmuid.formatting import rounded, two_digits, unit_text, with_std
-from fmuid.identification import CONFIDENCE_LEVEL, LEAST_STD_FACTOR, RIVAL_CRITERION, SamplingDoubt
-from fmuid.models import HowRun
+from fmuid.identification import CONFIDENCE_LEVEL, LEAST_STD_FACTOR, RIVAL_CRITERION, SamplingWarning
+from fmuid.models import SolverConfiguration
 from fmuid.reports.console.layout import PLAIN_WIDTH, TERMINAL_ROWS, console, show_remarks, show_sentences, table_of
 from fmuid.reports.messages.accuracy import passed_words, shift_text
 from fmuid.reports.messages.prior_and_data import reading_words
@@ -27,9 +27,9 @@ from fmuid.reports.messages.uncertainty import posterior_words, uncertainty_word
 
 if TYPE_CHECKING:
     from fmuid.estimation import Result
-    from fmuid.identification import Assessment, Reading
-    from fmuid.reports.identification_run import Findings
-    from fmuid.simulation import Fit
+    from fmuid.identification import Assessment, PriorDataComparison
+    from fmuid.reports.identification_run import IdentificationRun
+    from fmuid.simulation import OutputFit
 
 SHIFT = "numerical shift"
 """The column of what the error of the simulation moves each estimate by, in its standard deviations."""
@@ -39,7 +39,7 @@ SUMMARY_LINES, HEAD_LINES = 25, 2
 UNLIMITED_WIDTH = 10_000
 
 
-def show_result(found: Findings) -> None:
+def show_result(found: IdentificationRun) -> None:
     """Print estimates and their uncertainty, what is to be said of them, noise, and how the search ended."""
     out, result, fits = console(), found.result, found.fits
     out.print()
@@ -59,7 +59,7 @@ def show_result(found: Findings) -> None:
     color = "green" if result.converged else "red"
     out.print(f"[bold {color}]{escape(capitalised(ending(result)))}[/]", soft_wrap=True)
     for component, model in result.models.items():
-        run = run_words(HowRun(**model["run"]))
+        run = run_words(SolverConfiguration(**model["run"]))
         out.print(f"[dim]{escape(component or model['name'])} run as {escape(run)}[/]", soft_wrap=True)
     if result.accuracy is not None and (passed := passed_words(result.accuracy)):
         out.print(f"[dim]{escape(passed)}[/]", soft_wrap=True)
@@ -122,7 +122,7 @@ def _estimates(out: Console, result: Result, level: float) -> dict[str, list[str
     return _narrowed(out, _columns(result, level), ("start", "rel. std", SHIFT, "note"))
 
 
-def _reading(out: Console, found: Findings, reading: Reading) -> Table:
+def _reading(out: Console, found: IdentificationRun, reading: PriorDataComparison) -> Table:
     """Return prior, data and both side by side, how far the prior is, and what moved the data's optimum by how much."""
     rows = {
         "prior": (reading.prior_mean, reading.prior_std),
@@ -179,7 +179,7 @@ def _columns(result: Result, level: float) -> dict[str, list[str]]:
     limits = result.intervals(level).to_numpy().tolist()
     # where nothing is known of a value, its digits must not look as if there were
     cells["value"] = [f"{value:.2g} ± ?" if std == math.inf else with_std(value, std) for value, std in rows]
-    if result.outcome is not Outcome.STALLED:  # which has no intervals
+    if result.outcome is not TerminationReason.STALLED:  # which has no intervals
         shares = [f"{100 * std / abs(value):.2g} %" if value and std < math.inf else "" for value, std in rows]
         cells["rel. std"] = shares
         cells[f"{100 * level:.4g} % interval"] = [
@@ -204,7 +204,7 @@ def _note(result: Result, name: str, factor: float) -> str:
     return ", ".join(words)
 
 
-def show_uncertainty(found: Findings) -> None:
+def show_uncertainty(found: IdentificationRun) -> None:
     """Print the intervals side by side, local, profile and posterior, and what is to be known of them."""
     there = found.assessment
     out = console()
@@ -218,7 +218,7 @@ def show_uncertainty(found: Findings) -> None:
         out.print("[bold red]Interrupted: this is what there is[/]")
 
 
-def _intervals(out: Console, found: Findings, there: Assessment) -> Table:
+def _intervals(out: Console, found: IdentificationRun, there: Assessment) -> Table:
     limits, posterior = there.intervals(found.result), there.posterior
     kinds = list(dict.fromkeys(limits.columns.get_level_values(0)))
     columns: dict[str, list[str]] = {"parameter": list(found.result.names)}
@@ -226,7 +226,7 @@ def _intervals(out: Console, found: Findings, there: Assessment) -> Table:
     for kind in kinds:
         ends = limits[kind].to_numpy().tolist()
         columns[kind] = [_interval(lower, upper, value) for (lower, upper), value in zip(ends, values, strict=True)]
-    if posterior is not None and posterior.doubt is not SamplingDoubt.RUNAWAY:
+    if posterior is not None and posterior.doubt is not SamplingWarning.RUNAWAY:
         pairs = zip(posterior.mean.tolist(), posterior.std.tolist(), strict=True)
         columns["posterior mean"] = [with_std(mean, std) for mean, std in pairs]
     columns["unit"] = list(map(unit_text, found.unit_of.values()))
@@ -249,7 +249,7 @@ def _interval(lower: float, upper: float, value: float) -> str:
     return f"{rounded(lower, width)} to {rounded(upper, width)}"
 
 
-def _noise(result: Result, fits: Sequence[Fit]) -> str:
+def _noise(result: Result, fits: Sequence[OutputFit]) -> str:
     """Return the standard deviation of each output's residual."""
     units = {output: unit for fit in fits for output, unit in zip(fit.outputs, fit.units, strict=True)}
     words = []

@@ -18,7 +18,7 @@ from matplotlib.ticker import MaxNLocator
 
 from fmuid.array_types import Floats
 from fmuid.reports.figures.style import WIDTH, style
-from fmuid.reports.interactive.bokeh_spec import Field, Sketch, Value
+from fmuid.reports.interactive.bokeh_spec import BokehSpec, Field, Value
 
 # Inches of a pixel of a figure's height, and points of one of its lines.
 INCH, POINT = 1 / 92, 0.72
@@ -30,12 +30,12 @@ LETTERS = 11
 ROOM = (0.01, 0.06)
 
 
-def printed(figures: Sequence[Sketch], columns: int, title: str = "") -> Figure:
+def printed(figures: Sequence[BokehSpec], columns: int, title: str = "") -> Figure:
     """Return figures beside and below each other as one for print.
 
     Parameters
     ----------
-    figures : sequence of Sketch
+    figures : sequence of BokehSpec
         Plots, and grids of them.
     columns : int
         So many stand beside each other.
@@ -56,16 +56,16 @@ def printed(figures: Sequence[Sketch], columns: int, title: str = "") -> Figure:
     return whole
 
 
-def _height(figure: Sketch) -> float:
+def _height(figure: BokehSpec) -> float:
     return float(sum(_rows(figure))) if figure.kind == "GridPlot" else float(figure.height)
 
 
-def _rows(grid: Sketch) -> list[float]:
+def _rows(grid: BokehSpec) -> list[float]:
     count = 1 + max(i for _, i, _ in grid.children)
     return [max(plot.height for plot, i, _ in grid.children if i == row) for row in range(count)]
 
 
-def _arranged(place: Any, figure: Sketch) -> None:
+def _arranged(place: Any, figure: BokehSpec) -> None:
     if figure.kind != "GridPlot":
         paint(place.subplots(), figure)
         return
@@ -75,7 +75,7 @@ def _arranged(place: Any, figure: Sketch) -> None:
         paint(place.add_subplot(cells[i, j]), plot)
 
 
-def paint(axes: Axes, plot: Sketch) -> None:
+def paint(axes: Axes, plot: BokehSpec) -> None:
     """Paint a plot into axes."""
     for setting, scale in ((axes.set_xscale, plot.x_scale), (axes.set_yscale, plot.y_scale)):
         if scale.kind == "LogScale":
@@ -105,7 +105,7 @@ def paint(axes: Axes, plot: Sketch) -> None:
 class _Glyph:
     """A glyph with its columns and looks, in matplotlib's terms."""
 
-    def __init__(self, axes: Axes, plot: Sketch, renderer: Sketch) -> None:
+    def __init__(self, axes: Axes, plot: BokehSpec, renderer: BokehSpec) -> None:
         self.axes, self.plot, self.kind = axes, plot, renderer.glyph.kind
         self._told, self._data = vars(renderer.glyph), renderer.data_source.data
 
@@ -211,7 +211,7 @@ _PLACES = ("x", "y", "x0", "y0", "x1", "y1", "y2", "left", "right", "top", "bott
 _UP = ("y", "y0", "y1", "y2", "top", "bottom", "height")
 
 
-def shades(mapper: Sketch) -> ScalarMappable:
+def shades(mapper: BokehSpec) -> ScalarMappable:
     """Return the colours of a scale."""
     scale: type[Normalize] = LogNorm if mapper.kind == "LogColorMapper" else Normalize
     colors = ListedColormap(list(mapper.palette), bad=mapper.nan_color)
@@ -221,7 +221,7 @@ def shades(mapper: Sketch) -> ScalarMappable:
 # --- axes
 
 
-def _frame(axes: Axes, plot: Sketch) -> None:
+def _frame(axes: Axes, plot: BokehSpec) -> None:
     """Set ranges, labels, ticks and grids."""
     axes.margins(*ROOM)
     for side, across, axis, grid in (
@@ -244,7 +244,7 @@ def _frame(axes: Axes, plot: Sketch) -> None:
             mine.set_label_text(_words(textwrap.fill(said, int(LETTERS * _width(axes))) if side == "x" else said))
 
 
-def _ticks(axes: Axes, side: str, axis: Sketch) -> None:
+def _ticks(axes: Axes, side: str, axis: BokehSpec) -> None:
     told, turned = vars(axis.ticker), vars(axis).get("major_label_orientation")
     mine = axes.xaxis if side == "x" else axes.yaxis
     wanted = told.get("desired_num_ticks")
@@ -266,7 +266,7 @@ def _words(text: str) -> str:
 # --- what lies over a plot, or beside it
 
 
-def _box(axes: Axes, each: Sketch) -> None:
+def _box(axes: Axes, each: BokehSpec) -> None:
     told, color = vars(each), to_rgba(each.fill_color, each.fill_alpha)
     for fill, (low, high), ends in (
         (axes.axvspan, axes.get_xlim(), ("left", "right")),
@@ -281,7 +281,7 @@ def _width(axes: Axes) -> float:
     return float(axes.figure.bbox.width / axes.figure.dpi)
 
 
-def _legend(axes: Axes, each: Sketch, drawn: dict[int, Any]) -> None:
+def _legend(axes: Axes, each: BokehSpec, drawn: dict[int, Any]) -> None:
     handles, texts = [], []
     for item in each.items:
         mine = {type(found): found for renderer in item.renderers if (found := drawn[id(renderer)]) is not None}
@@ -304,7 +304,7 @@ def _legend(axes: Axes, each: Sketch, drawn: dict[int, Any]) -> None:
     )
 
 
-def _labels(axes: Axes, each: Sketch, order: list[str]) -> None:
+def _labels(axes: Axes, each: BokehSpec, order: list[str]) -> None:
     """Write the names of rows above them."""
     for name, text in zip(each.source.data["name"], each.source.data["text"], strict=True):
         axes.annotate(

@@ -29,7 +29,7 @@ from fmuid.reports.interactive.style import (
     named,
     normal,
 )
-from fmuid.runs import INTERVAL_STDS, Columns
+from fmuid.runs import INTERVAL_STDS, BatchColumns
 
 # Bars of a histogram, from few cases to many.
 MIN_BINS, MAX_BINS = 8, 60
@@ -52,7 +52,7 @@ MAX_FAILURES, LONGEST = 12, 70
 
 def parameters_of(frame: pd.DataFrame) -> list[str]:
     """Return the parameters that any case has an estimate of, `MAX_PARAMETERS` at most."""
-    names = Columns.of(frame).parameters
+    names = BatchColumns.of(frame).parameters
     return [name for name in names if np.isfinite(frame[f"value.{name}"].to_numpy(np.float64)).any()][:MAX_PARAMETERS]
 
 
@@ -213,7 +213,7 @@ def distributions(found: pd.DataFrame, truth: Mapping[str, float], units: Units,
 
 def _groups(found: pd.DataFrame) -> list[tuple[str, Any]]:
     """Return text and rows of each combination of settings; all rows as one where these are too many."""
-    names = [name for name in Columns.of(found).design if len(found[name].unique()) > 1]
+    names = [name for name in BatchColumns.of(found).design if len(found[name].unique()) > 1]
     levels = list(found.groupby(names, sort=True).indices.items()) if names else []
     if not 1 < len(levels) <= len(LOOKS):
         return [("estimates", np.arange(len(found)))]

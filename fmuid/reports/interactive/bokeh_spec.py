@@ -38,7 +38,7 @@ class Field:
     """A column of a source, by its key, and the colour mapper that it goes through."""
 
     field: str
-    transform: Sketch | None = None
+    transform: BokehSpec | None = None
 
 
 @dataclass(frozen=True)
@@ -48,7 +48,7 @@ class Value:
     value: object
 
 
-class Sketch:
+class BokehSpec:
     """A model by its name in Bokeh; its attributes are what is set of it."""
 
     __slots__ = ("__dict__", "kind")
@@ -64,36 +64,36 @@ class Sketch:
         def __setattr__(self, name: str, value: Any) -> None: ...
 
 
-BasicTicker = partial(Sketch, "BasicTicker")
-BoxAnnotation = partial(Sketch, "BoxAnnotation")
-BoxZoomTool = partial(Sketch, "BoxZoomTool")
-ColorBar = partial(Sketch, "ColorBar")
-CrosshairTool = partial(Sketch, "CrosshairTool")
-FactorRange = partial(Sketch, "FactorRange")
-HoverTool = partial(Sketch, "HoverTool")
-LabelSet = partial(Sketch, "LabelSet")
-Legend = partial(Sketch, "Legend")
-LegendItem = partial(Sketch, "LegendItem")
-LinearColorMapper = partial(Sketch, "LinearColorMapper")
-LogColorMapper = partial(Sketch, "LogColorMapper")
-LogTicker = partial(Sketch, "LogTicker")
-PlainText = partial(Sketch, "PlainText")
-ResetTool = partial(Sketch, "ResetTool")
-SaveTool = partial(Sketch, "SaveTool")
-Span = partial(Sketch, "Span")
+BasicTicker = partial(BokehSpec, "BasicTicker")
+BoxAnnotation = partial(BokehSpec, "BoxAnnotation")
+BoxZoomTool = partial(BokehSpec, "BoxZoomTool")
+ColorBar = partial(BokehSpec, "ColorBar")
+CrosshairTool = partial(BokehSpec, "CrosshairTool")
+FactorRange = partial(BokehSpec, "FactorRange")
+HoverTool = partial(BokehSpec, "HoverTool")
+LabelSet = partial(BokehSpec, "LabelSet")
+Legend = partial(BokehSpec, "Legend")
+LegendItem = partial(BokehSpec, "LegendItem")
+LinearColorMapper = partial(BokehSpec, "LinearColorMapper")
+LogColorMapper = partial(BokehSpec, "LogColorMapper")
+LogTicker = partial(BokehSpec, "LogTicker")
+PlainText = partial(BokehSpec, "PlainText")
+ResetTool = partial(BokehSpec, "ResetTool")
+SaveTool = partial(BokehSpec, "SaveTool")
+Span = partial(BokehSpec, "Span")
 
 
-def ColumnDataSource(data: dict[str, Any]) -> Sketch:  # as Bokeh calls it
+def ColumnDataSource(data: dict[str, Any]) -> BokehSpec:  # as Bokeh calls it
     """Return a source of columns: arrays, or lists of texts, all of one length."""
-    return Sketch("ColumnDataSource", data=data)
+    return BokehSpec("ColumnDataSource", data=data)
 
 
-def Range1d(start: float, end: float, **more: Any) -> Sketch:
+def Range1d(start: float, end: float, **more: Any) -> BokehSpec:
     """Return a range."""
-    return Sketch("Range1d", start=start, end=end, **more)
+    return BokehSpec("Range1d", start=start, end=end, **more)
 
 
-class Plot(Sketch):
+class Plot(BokehSpec):
     """A plot with two axes and their grids.
 
     Parameters
@@ -102,7 +102,7 @@ class Plot(Sketch):
         Default: what is drawn decides.
     x_axis_type, y_axis_type : str
         ``"linear"`` or ``"log"``; of a range of names the axis has names.
-    tools : sequence of Sketch
+    tools : sequence of BokehSpec
     **more
         Further properties.
     """
@@ -114,54 +114,54 @@ class Plot(Sketch):
         y_range: Any = None,
         x_axis_type: str = "linear",
         y_axis_type: str = "linear",
-        tools: Sequence[Sketch] = (),
+        tools: Sequence[BokehSpec] = (),
         **more: Any,
     ) -> None:
         super().__init__("Plot", **more)
-        self.x_range, self.y_range = x_range or Sketch("DataRange1d"), y_range or Sketch("DataRange1d")
+        self.x_range, self.y_range = x_range or BokehSpec("DataRange1d"), y_range or BokehSpec("DataRange1d")
         kinds = [
             "categorical" if getattr(across, "kind", type(across).__name__) == "FactorRange" else kind
             for across, kind in ((self.x_range, x_axis_type), (self.y_range, y_axis_type))
         ]
-        self.x_scale, self.y_scale = (Sketch(_SCALES[kind]) for kind in kinds)
-        below, left = (Sketch(_AXES[kind], ticker=Sketch(_TICKERS[kind])) for kind in kinds)
-        sides: dict[str, list[Sketch]] = {"below": [below], "left": [left], "above": [], "right": []}
+        self.x_scale, self.y_scale = (BokehSpec(_SCALES[kind]) for kind in kinds)
+        below, left = (BokehSpec(_AXES[kind], ticker=BokehSpec(_TICKERS[kind])) for kind in kinds)
+        sides: dict[str, list[BokehSpec]] = {"below": [below], "left": [left], "above": [], "right": []}
         vars(self).update(sides)
-        self.center = [Sketch("Grid", axis=below), Sketch("Grid", axis=left, dimension=1)]
-        self.renderers: list[Sketch] = []
-        self.toolbar = Sketch("Toolbar", tools=list(tools))
+        self.center = [BokehSpec("Grid", axis=below), BokehSpec("Grid", axis=left, dimension=1)]
+        self.renderers: list[BokehSpec] = []
+        self.toolbar = BokehSpec("Toolbar", tools=list(tools))
 
     @property
-    def xaxis(self) -> Sketch:
+    def xaxis(self) -> BokehSpec:
         """The axis below."""
-        axis: Sketch = self.below[0]
+        axis: BokehSpec = self.below[0]
         return axis
 
     @property
-    def yaxis(self) -> Sketch:
+    def yaxis(self) -> BokehSpec:
         """The axis on the left."""
-        axis: Sketch = self.left[0]
+        axis: BokehSpec = self.left[0]
         return axis
 
     @property
-    def xgrid(self) -> Sketch:
+    def xgrid(self) -> BokehSpec:
         """The vertical lines."""
         return self.center[0]
 
     @property
-    def ygrid(self) -> Sketch:
+    def ygrid(self) -> BokehSpec:
         """The horizontal lines."""
         return self.center[1]
 
-    def add_layout(self, model: Sketch, place: str = "center") -> None:
+    def add_layout(self, model: BokehSpec, place: str = "center") -> None:
         """Put something over a plot, or beside it."""
         vars(self)[place].append(model)
 
-    def add_tools(self, *tools: Sketch) -> None:
+    def add_tools(self, *tools: BokehSpec) -> None:
         """Add tools."""
         self.toolbar.tools.extend(tools)
 
-    def _glyph(self, kind: str, names: str, /, *places: Any, source: Any = None, **looks: Any) -> Sketch:
+    def _glyph(self, kind: str, names: str, /, *places: Any, source: Any = None, **looks: Any) -> BokehSpec:
         """Draw a glyph: its coordinates are columns by their keys, arrays, or a number for all."""
         given = source or ColumnDataSource({})
         told: dict[str, Any] = {}
@@ -174,7 +174,7 @@ class Plot(Sketch):
         more = {name: looks.pop(name) for name in _OF_RENDERER if name in looks}
         for name, look in looks.items():
             told[name] = look if kind in _ONE_SHAPE or isinstance(look, Field) else Value(look)
-        renderer = Sketch("GlyphRenderer", data_source=given, glyph=Sketch(kind, **told), **more)
+        renderer = BokehSpec("GlyphRenderer", data_source=given, glyph=BokehSpec(kind, **told), **more)
         self.renderers.append(renderer)
         return renderer
 
@@ -190,24 +190,24 @@ class Plot(Sketch):
     hbar = partialmethod(_glyph, "HBar", "y height right left")
 
 
-def grid(rows: Sequence[Sequence[Plot | None]]) -> Sketch:
+def grid(rows: Sequence[Sequence[Plot | None]]) -> BokehSpec:
     """Return plots in rows and columns, with one toolbar for all of them."""
     children = [(plot, i, j) for i, row in enumerate(rows) for j, plot in enumerate(row) if plot is not None]
-    kinds: dict[str, list[Sketch]] = {}
+    kinds: dict[str, list[BokehSpec]] = {}
     for plot, _, _ in children:
         plot.toolbar_location = None
         for tool in plot.toolbar.tools:
             kinds.setdefault(_key(tool), []).append(tool)
     tools = [
-        Sketch(each[0].kind) if each[0].kind in _SINGLE_TOOLS else Sketch("ToolProxy", tools=each)
+        BokehSpec(each[0].kind) if each[0].kind in _SINGLE_TOOLS else BokehSpec("ToolProxy", tools=each)
         for each in kinds.values()
     ]
     first = next((tool for tool in tools if tool.kind == "ToolProxy" and tool.tools[0].kind == "BoxZoomTool"), None)
-    bar = Sketch("Toolbar", tools=tools, logo=None, autohide=True, active_drag=first)
-    return Sketch("GridPlot", children=children, toolbar=bar, toolbar_location="right", sizing_mode="stretch_width")
+    bar = BokehSpec("Toolbar", tools=tools, logo=None, autohide=True, active_drag=first)
+    return BokehSpec("GridPlot", children=children, toolbar=bar, toolbar_location="right", sizing_mode="stretch_width")
 
 
-def _key(tool: Sketch) -> str:
+def _key(tool: BokehSpec) -> str:
     """Return what tools have alike that one switch stands for: the kind, and what is shown where the pointer is."""
     return f"{tool.kind} {vars(tool).get('tooltips')}"
 
@@ -215,7 +215,7 @@ def _key(tool: Sketch) -> str:
 # --- to Bokeh's models, and to JSON
 
 
-def live(figures: Sequence[Sketch]) -> list[Any]:
+def live(figures: Sequence[BokehSpec]) -> list[Any]:
     """Return figures as Bokeh's own models, for a server; what several share is shared.
 
     Raises
@@ -229,7 +229,7 @@ def live(figures: Sequence[Sketch]) -> list[Any]:
 
     def of(value: Any) -> Any:
         match value:
-            case Sketch():
+            case BokehSpec():
                 if id(value) not in made:
                     made[id(value)] = getattr(library, value.kind)(
                         **{name: of(each) for name, each in vars(value).items()}
@@ -246,7 +246,7 @@ def live(figures: Sequence[Sketch]) -> list[Any]:
     return [of(figure) for figure in figures]
 
 
-def written(figures: Sequence[Sketch]) -> tuple[list[Any], list[str]]:
+def written(figures: Sequence[BokehSpec]) -> tuple[list[Any], list[str]]:
     """Return figures as JSON that Bokeh's library in a browser reads, and the id of each."""
     ids: dict[int, str] = {}
     roots = [_json(figure, ids) for figure in figures]
@@ -261,7 +261,7 @@ def _json(value: Any, ids: dict[int, str]) -> Any:
             return value if math.isfinite(value) else {"type": "number", "value": _beyond(value)}
         case np.generic():
             return _json(value.item(), ids)
-        case Sketch():
+        case BokehSpec():
             if id(value) in ids:
                 return {"id": ids[id(value)]}
             ids[id(value)] = name = f"sketch-{next(_NUMBERS)}"

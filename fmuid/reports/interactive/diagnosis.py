@@ -31,7 +31,7 @@ from fmuid.reports.messages.diagnosis import change_name, change_size
 if TYPE_CHECKING:
     import pandas as pd
 
-    from fmuid.diagnosis import Diagnosis, Evidence, Hypothesis
+    from fmuid.diagnosis import ChangeEvidence, Diagnosis, FaultHypothesis
 
 # More hypotheses than these make a figure nobody reads: the most significant are kept.
 MAX_FAULTS = 12
@@ -39,7 +39,7 @@ MAX_FAULTS = 12
 LEAST_STATISTIC = 0.1
 
 
-def shown(found: Diagnosis) -> list[Hypothesis]:
+def shown(found: Diagnosis) -> list[FaultHypothesis]:
     """Return the hypotheses to draw, in their order: of more than `MAX_FAULTS` the most significant."""
     likely = sorted(found.hypotheses, key=lambda each: each.probability)[:MAX_FAULTS]
     return [each for each in found.hypotheses if each in likely]
@@ -74,7 +74,7 @@ def evidence(found: Diagnosis) -> Any:
     return plot
 
 
-def _kinds(found: Diagnosis, kept: list[Hypothesis]) -> list[tuple[str, str, list[Hypothesis]]]:
+def _kinds(found: Diagnosis, kept: list[FaultHypothesis]) -> list[tuple[str, str, list[FaultHypothesis]]]:
     named = [each for each in kept if each.name in found.named]
     called = [each for each in kept if each.name in found.called and each.name not in found.named]
     others = [each for each in kept if each not in named and each not in called]
@@ -109,7 +109,7 @@ def _intervals(text: str, names: list[str], values: list[float], ends: list[tupl
     return plot
 
 
-def causes(found: Evidence) -> Any:
+def causes(found: ChangeEvidence) -> Any:
     """Draw what each cause alone lowers the criterion by, the likeliest first; what explains the record is red.
 
     The pointer shows the size, and which other cause has the nearest signature, at which angle.
@@ -141,7 +141,7 @@ def causes(found: Evidence) -> Any:
     return plot
 
 
-def changes(found: Evidence) -> list[Any]:
+def changes(found: ChangeEvidence) -> list[Any]:
     """Draw the size of each change that explains the record, with its interval of 95 %; shares in percent."""
     plots, drawn = [], set()
     for each in (change for one in found.explanations for change in one.changes):

@@ -10,8 +10,8 @@ import numpy as np
 
 from fmuid.array_types import Floats
 from fmuid.estimation import SHIFT_LIMIT
-from fmuid.identification import both_known, region_rise
 from fmuid.identification import parabolas as parabolas_of
+from fmuid.identification import parameters_with_prior_and_data, region_rise
 from fmuid.reports.interactive.bokeh_spec import ColumnDataSource, FactorRange, Field, HoverTool, LinearColorMapper
 from fmuid.reports.interactive.rows import rows_of
 from fmuid.reports.interactive.style import (
@@ -110,7 +110,7 @@ def parabolas(reading: pd.DataFrame, names: Sequence[str] = (), units: Units | N
         If there is no such parameter, or it has no standard deviation.
     """
     plots = []
-    for name in list(names or both_known(reading))[:MAX_PARAMETERS]:
+    for name in list(names or parameters_with_prior_and_data(reading))[:MAX_PARAMETERS]:
         curves = parabolas_of(reading, name)
         plot = Panel(x=named(name, units), y="criterion", height=230)
         entries = []

@@ -13,7 +13,7 @@ from fmuid.array_types import Floats, Indices
 from fmuid.formatting import fit_text, label
 from fmuid.identification import CONFIDENCE_LEVEL
 from fmuid.reports.downsampling import evenly, extremes
-from fmuid.reports.interactive.bokeh_spec import BasicTicker, ColumnDataSource, CrosshairTool, Range1d, Sketch, Span
+from fmuid.reports.interactive.bokeh_spec import BasicTicker, BokehSpec, ColumnDataSource, CrosshairTool, Range1d, Span
 from fmuid.reports.interactive.style import (
     BLUE,
     GREY,
@@ -27,19 +27,19 @@ from fmuid.reports.interactive.style import (
 )
 
 if TYPE_CHECKING:
-    from fmuid.simulation import Fit
+    from fmuid.simulation import OutputFit
 
 # A zoom for print is this share of the record, and at least this many samples.
 ZOOM_SHARE, ZOOM_SAMPLES = 0.06, 120
 
 
-def worst(records: Sequence[Fit]) -> tuple[Fit, ...]:
+def worst(records: Sequence[OutputFit]) -> tuple[OutputFit, ...]:
     """Return the experiments to draw, in their order: of more than `MAX_EXPERIMENTS` those of least fit."""
     kept = sorted(records, key=lambda record: np.nanmin([100.0, *record.fit]))[:MAX_EXPERIMENTS]
     return tuple(record for record in records if record in kept)
 
 
-def zoom(record: Fit) -> slice:
+def zoom(record: OutputFit) -> slice:
     """Return the rows of the stretch where the simulated outputs vary most, for print, where nobody can drag.
 
     The total variation of each output, relative to its own over the record, is summed over the outputs: being
@@ -57,14 +57,14 @@ def zoom(record: Fit) -> slice:
     return slice(start, start + width)
 
 
-def drawn_outputs(record: Fit) -> list[int]:
+def drawn_outputs(record: OutputFit) -> list[int]:
     """Return the outputs to draw, in their order: of more than `MAX_OUTPUTS` those of least fit."""
     order = np.argsort(np.nan_to_num(np.asarray(record.fit), nan=100.0), kind="stable")
     return sorted(int(output) for output in order[:MAX_OUTPUTS])
 
 
 def fit(
-    record: Fit,
+    record: OutputFit,
     half_width: Floats | None = None,
     degree: float = CONFIDENCE_LEVEL,
     *,
@@ -78,7 +78,7 @@ def fit(
 
     Parameters
     ----------
-    record : Fit
+    record : OutputFit
     half_width : (K, n_outputs) array, optional
         Of the band around the simulated line in which a measurement is expected, and around zero in the residual; NaN
         where there is none.
@@ -110,14 +110,14 @@ def _simulated(fit: float) -> str:
     return "simulated" if math.isnan(fit) else f"simulated, fit {fit_text(fit)}"
 
 
-def _cut(record: Fit, rows: slice) -> Fit:
+def _cut(record: OutputFit, rows: slice) -> OutputFit:
     cut = {name: getattr(record, name)[rows] for name in ("times", "measured", "simulated", "counted")}
     return replace(record, **cut)
 
 
 def sources(
-    record: Fit, outputs: Sequence[int], half_width: Floats | None = None, rows: slice = slice(None)
-) -> tuple[Sketch, Sketch]:
+    record: OutputFit, outputs: Sequence[int], half_width: Floats | None = None, rows: slice = slice(None)
+) -> tuple[BokehSpec, BokehSpec]:
     """Return the rows that draw the lines, by least and greatest, and those that are drawn as dots, evenly.
 
     Columns are ``t``, and of output number j ``m``, ``s`` and ``r`` with the number: measured, simulated, residual;
@@ -141,7 +141,7 @@ def sources(
     return ColumnDataSource(lines), ColumnDataSource(dots)
 
 
-def _columns(record: Fit, outputs: Sequence[int], rows: Indices) -> dict[str, Any]:
+def _columns(record: OutputFit, outputs: Sequence[int], rows: Indices) -> dict[str, Any]:
     found: dict[str, Any] = {"t": record.times[rows]}
     for j in outputs:
         measured, simulated = record.measured[rows, j], record.simulated[rows, j]
@@ -156,7 +156,9 @@ def _short(values: Floats) -> Any:
         return values.astype(np.float32)
 
 
-def _upper(record: Fit, j: int, given: tuple[Sketch, Sketch], across: Sketch, texts: tuple[str, str]) -> Any:
+def _upper(
+    record: OutputFit, j: int, given: tuple[BokehSpec, BokehSpec], across: BokehSpec, texts: tuple[str, str]
+) -> Any:
     (lines, dots), (said, band) = given, texts
     plot = Panel(y=label(record.outputs[j], record.units[j]), height=220, x_range=across, lod_threshold=None)
     size = 3 if len(dots.data["t"]) > 600 else 5
@@ -170,7 +172,7 @@ def _upper(record: Fit, j: int, given: tuple[Sketch, Sketch], across: Sketch, te
     return plot
 
 
-def _lower(record: Fit, j: int, lines: Sketch, across: Sketch, *, last: bool) -> Any:
+def _lower(record: OutputFit, j: int, lines: BokehSpec, across: BokehSpec, *, last: bool) -> Any:
     text = label("residual", record.units[j])
     plot = Panel(x="time (s)" if last else "", y=text, height=140 if last else 110, x_range=across, lod_threshold=None)
     if f"w{j}" in lines.data:
@@ -182,7 +184,7 @@ def _lower(record: Fit, j: int, lines: Sketch, across: Sketch, *, last: bool) ->
     return plot
 
 
-def shade_uncounted(plot: Any, record: Fit) -> None:
+def shade_uncounted(plot: Any, record: OutputFit) -> None:
     """Have what does not count at the beginning of a record lie in a grey part."""
     counted = np.asarray(record.counted.any(axis=1))
     if counted.any() and not counted[0]:

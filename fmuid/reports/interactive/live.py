@@ -19,10 +19,10 @@ from fmuid.array_types import Floats, Indices
 from fmuid.formatting import label
 from fmuid.identification import CONFIDENCE_LEVEL
 from fmuid.reports.downsampling import evenly, extremes
-from fmuid.reports.interactive.bokeh_spec import BasicTicker, Sketch, live
+from fmuid.reports.interactive.bokeh_spec import BasicTicker, BokehSpec, live
 from fmuid.reports.interactive.fit import drawn_outputs, fit, shade_uncounted, sources
 from fmuid.reports.interactive.style import AMBER, BLUE, DARK, GREY, MAX_OUTPUTS, RED, Panel, below_each_other
-from fmuid.simulation import Fit
+from fmuid.simulation import OutputFit
 
 # Rows of lines and dots: so many are painted within a frame on a machine without a graphics card.
 ROWS, DOTS = 1600, 700
@@ -32,7 +32,7 @@ Later = Callable[[Callable[[], None]], object]
 """What has a callable called in a moment, as ``add_next_tick_callback`` of a document."""
 
 
-class Stretch:
+class TimeRange:
     """The stretch of time that is looked at.
 
     Parameters
@@ -81,19 +81,19 @@ class ZoomedFit:
 
     Attributes
     ----------
-    figure : Sketch
+    figure : BokehSpec
         Its sources and range of time are Bokeh's own models.
     """
 
     def __init__(
         self,
         later: Later,
-        record: Fit,
+        record: OutputFit,
         half_width: Floats | None = None,
         degree: float = CONFIDENCE_LEVEL,
     ) -> None:
         self._shown = record, drawn_outputs(record), half_width
-        self.stretch = Stretch(record.times, later, self._draw)
+        self.stretch = TimeRange(record.times, later, self._draw)
         self.lines, self.dots = ColumnDataSource(), ColumnDataSource()
         self._draw()
         self.figure = fit(record, half_width, degree, given=(self.lines, self.dots, self.stretch.across))
@@ -108,20 +108,20 @@ class LiveFit:
 
     Parameters
     ----------
-    record : Fit
+    record : OutputFit
         What is shown at first.
     later : Later
 
     Attributes
     ----------
-    figure : Sketch
+    figure : BokehSpec
         Its sources and ranges are Bokeh's own models.
     """
 
-    def __init__(self, record: Fit, later: Later) -> None:
+    def __init__(self, record: OutputFit, later: Later) -> None:
         self.record, self._ghost = record, np.full_like(record.simulated, np.nan)
         self.outputs = range(min(len(record.outputs), MAX_OUTPUTS))
-        self.stretch = Stretch(record.times, later, lambda: self.draw(self.record.simulated))
+        self.stretch = TimeRange(record.times, later, lambda: self.draw(self.record.simulated))
         self.across = self.stretch.across
         self.lines, self.dots, self.ghosts = (ColumnDataSource(name=name) for name in ("lines", "dots", "ghosts"))
         self._shown: tuple[float, float] | None = None
@@ -223,7 +223,7 @@ def _round_up(value: float) -> float:
     return next(each * power for each in (1.0, 2.0, 5.0, 10.0) if each * power >= value)
 
 
-def in_scheme(figure: Sketch, scheme: str) -> Any:
+def in_scheme(figure: BokehSpec, scheme: str) -> Any:
     """Return Bokeh's own models of a figure, in the colours of a page of this scheme, "light" or "dark".
 
     Pages without a server exchange them by a script of their own.

@@ -9,7 +9,7 @@ import numpy as np
 
 from fmuid.array_types import Floats
 from fmuid.formatting import has_unit, label
-from fmuid.reports.interactive.bokeh_spec import ColumnDataSource, Field, Range1d, Sketch
+from fmuid.reports.interactive.bokeh_spec import BokehSpec, ColumnDataSource, Field, Range1d
 from fmuid.reports.interactive.style import AMBER, BLUE, GREY, INK, MAX_PARAMETERS, RED, WHITE, Panel, Units, named
 
 if TYPE_CHECKING:
@@ -54,7 +54,7 @@ def parameters(trace: pd.DataFrame, estimates: pd.DataFrame) -> list[Any]:
     return plots
 
 
-def _iterations(trace: pd.DataFrame) -> Sketch:
+def _iterations(trace: pd.DataFrame) -> BokehSpec:
     last = float(trace["iteration"].max())
     return Range1d(-0.03 * last - 0.15, 1.03 * last + 0.15)
 
@@ -85,7 +85,7 @@ def criterion(trace: pd.DataFrame) -> list[Any]:
     return found
 
 
-def _curve(trace: pd.DataFrame, column: str, text: str, shared: Sketch) -> Any:
+def _curve(trace: pd.DataFrame, column: str, text: str, shared: BokehSpec) -> Any:
     plot = Panel(x="iteration", y=text, height=220, x_range=shared, y_axis_type="log")
     lines, dots, crosses = [], [], []
     for number, (_, part) in enumerate(trace.groupby("round")):

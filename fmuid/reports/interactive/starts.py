@@ -14,7 +14,7 @@ from fmuid.reports.downsampling import evenly
 from fmuid.reports.interactive.batch import outside
 from fmuid.reports.interactive.bokeh_spec import ColumnDataSource
 from fmuid.reports.interactive.style import AMBER, BLUE, MAX_DOTS, RED, Panel, Units, named
-from fmuid.runs import INTERVAL_STDS, Columns, data_sets, fit_cost, optimum_numbers
+from fmuid.runs import INTERVAL_STDS, BatchColumns, data_sets, fit_cost, optimum_numbers
 
 # Optima of which all is inside the picture.
 MAX_OPTIMA = 5
@@ -38,7 +38,7 @@ def over_starts(
     given_noise : bool
         See `fmuid.runs.batch.statistics.fit_cost`.
     """
-    columns, number = Columns.of(frame), optimum_numbers(frame, given_noise=given_noise)
+    columns, number = BatchColumns.of(frame), optimum_numbers(frame, given_noise=given_noise)
     lost = (frame["status"] != "converged").to_numpy(bool)
     plots = [_waterfall(_excess(frame, columns, given_noise=given_noise), number, lost, given_noise=given_noise)]
     for name in (name for each in columns.starts if (name := each.removeprefix("start.")) in columns.parameters):
@@ -88,7 +88,7 @@ def _limits(end: Floats, half: Floats, number: npt.NDArray[np.int64]) -> tuple[f
     return low - room, high + room
 
 
-def _excess(frame: pd.DataFrame, columns: Columns, *, given_noise: bool) -> Floats:
+def _excess(frame: pd.DataFrame, columns: BatchColumns, *, given_noise: bool) -> Floats:
     """Return how much worse each converged case fits than the best of its data, NaN for the others.
 
     By the criterion where the noise variances are given, else the share by which the residual is larger.

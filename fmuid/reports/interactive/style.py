@@ -18,6 +18,7 @@ from fmuid.array_types import Floats
 from fmuid.formatting import label
 from fmuid.reports.interactive.bokeh_spec import (
     BasicTicker,
+    BokehSpec,
     BoxAnnotation,
     BoxZoomTool,
     HoverTool,
@@ -28,7 +29,6 @@ from fmuid.reports.interactive.bokeh_spec import (
     Range1d,
     ResetTool,
     SaveTool,
-    Sketch,
     Span,
     Value,
     grid,
@@ -162,7 +162,7 @@ class Panel(Plot):
         self.y_range.start = 0
 
 
-def plain(text: str) -> str | Sketch:
+def plain(text: str) -> str | BokehSpec:
     """Return a text that is drawn as it is written, also where a name looks like mathematics."""
     return PlainText(text=text) if any(mark in text for mark in _TEX) else text
 

@@ -13,13 +13,13 @@ from fmuid.array_types import Floats
 from fmuid.identification import CONFIDENCE_LEVEL
 from fmuid.reports.downsampling import evenly
 from fmuid.reports.interactive.bokeh_spec import (
+    BokehSpec,
     ColorBar,
     ColumnDataSource,
     Field,
     LogColorMapper,
     LogTicker,
     Range1d,
-    Sketch,
     grid,
 )
 from fmuid.reports.interactive.estimates import ellipse
@@ -42,7 +42,7 @@ if TYPE_CHECKING:
     import pandas as pd
 
     from fmuid.estimation import Result
-    from fmuid.identification import CriterionMap
+    from fmuid.identification import CostMap
 
 # Profiles are drawn up to so many times the rise at which the interval ends.
 HEIGHT = 1.8
@@ -183,7 +183,7 @@ def _range(samples: Floats) -> tuple[float, float]:
     return float(low - room), float(high + room)
 
 
-def _single(plot: Any, samples: Floats, result: Result | None, name: str, across: Sketch) -> None:
+def _single(plot: Any, samples: Floats, result: Result | None, name: str, across: BokehSpec) -> None:
     edges = np.linspace(float(across.start), float(across.end), BINS + 1)
     density, _ = np.histogram(samples, bins=edges, density=True)
     plot.quad(edges[:-1], edges[1:], density, 0, fill_color=BLUE, fill_alpha=0.4, line_color=None)
@@ -260,7 +260,7 @@ def walkers(paths: pd.DataFrame, units: Units | None = None) -> list[Any]:
 # --- maps of the criterion
 
 
-def criterion_map(chart: CriterionMap, units: Units | None = None, optima: pd.DataFrame | None = None) -> Any:
+def criterion_map(chart: CostMap, units: Units | None = None, optima: pd.DataFrame | None = None) -> Any:
     """Draw by how much the criterion exceeds its minimum over two parameters, the estimate and its ellipse.
 
     The dashed line is where the section itself has risen by as much as the border of the confidence region allows:
@@ -269,7 +269,7 @@ def criterion_map(chart: CriterionMap, units: Units | None = None, optima: pd.Da
 
     Parameters
     ----------
-    chart : CriterionMap
+    chart : CostMap
     units : mapping of str to str, optional
         Of the parameters.
     optima : DataFrame, optional
@@ -323,7 +323,7 @@ def criterion_map(chart: CriterionMap, units: Units | None = None, optima: pd.Da
     return plot
 
 
-def _others(chart: CriterionMap, optima: pd.DataFrame | None) -> Floats:
+def _others(chart: CostMap, optima: pd.DataFrame | None) -> Floats:
     """Return the optima on the map (n, 2) that are not the estimate."""
     if optima is None:
         return np.empty((0, 2))
@@ -341,7 +341,7 @@ def _blues() -> list[str]:
     return [f"#{red:02x}{green:02x}{blue:02x}" for red, green, blue in zip(*channels, strict=True)]
 
 
-def _cells(chart: CriterionMap, excess: Floats) -> Sketch:
+def _cells(chart: CostMap, excess: Floats) -> BokehSpec:
     first, second, _ = chart.grid
     x, y = (_edges(each, logarithmic=log) for each, log in zip((first, second), chart.logarithmic, strict=True))
     shape = excess.shape

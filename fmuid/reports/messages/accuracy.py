@@ -6,31 +6,31 @@ import math
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
-from fmuid.estimation import SHIFT_LIMIT, AccuracyOutcome, Kept, SwitchCause
+from fmuid.estimation import SHIFT_LIMIT, AccuracyOutcome, RefinementRefusal, SwitchCause
 from fmuid.reports.messages.solver import runs_words
 
 if TYPE_CHECKING:
-    from fmuid.estimation import Accuracy, Switch
+    from fmuid.estimation import RefinementStep, SolverCheck
 
 KEPT = {
-    Kept.ASKED: "it is simulated as it was asked for: leave interface, tolerance and accuracy open for a finer search",
-    Kept.FITS_BETTER: "the finer simulation fits clearly worse, as if the table came from this very solver",
-    Kept.NO_SEARCH: "a search by the finer simulation does not end",
-    Kept.FINEST: "there is no finer simulation to go on by",
+    RefinementRefusal.ASKED: "it is simulated as it was asked for: leave interface, tolerance and accuracy open for a finer search",
+    RefinementRefusal.FITS_BETTER: "the finer simulation fits clearly worse, as if the table came from this very solver",
+    RefinementRefusal.NO_SEARCH: "a search by the finer simulation does not end",
+    RefinementRefusal.FINEST: "there is no finer simulation to go on by",
 }
 """Why a simulation that shifts the estimates serves all the same."""
 LEAST_SHOWN = 0.005
 """Standard deviations: a smaller shift is none to a reader."""
 
 
-def accuracy_words(names: Sequence[str], found: Accuracy | None) -> tuple[str, ...]:
+def accuracy_words(names: Sequence[str], found: SolverCheck | None) -> tuple[str, ...]:
     """Return the sentences on a simulation that cannot be taken for exact, or was not to begin with.
 
     Parameters
     ----------
     names : sequence of str
-        The parameters, in the order of `Accuracy.shift`.
-    found : Accuracy or None
+        The parameters, in the order of `SolverCheck.shift`.
+    found : SolverCheck or None
     """
     if found is None:
         return ()
@@ -43,7 +43,7 @@ def accuracy_words(names: Sequence[str], found: Accuracy | None) -> tuple[str, .
     return tuple(filter(None, words))
 
 
-def passed_words(found: Accuracy) -> str:
+def passed_words(found: SolverCheck) -> str:
     """Return the sentence on a simulation that has passed its check, nothing for others."""
     if found.outcome is not AccuracyOutcome.PASSED or not found.finer:
         return ""
@@ -57,7 +57,7 @@ def _optima(count: int) -> str:
     return "another optimum" if count == 1 else f"{count} other optima"
 
 
-def _switch(switch: Switch) -> str:
+def _switch(switch: RefinementStep) -> str:
     before, after = runs_words(switch.before), runs_words(switch.after)
     if switch.cause is SwitchCause.START_FAILED:
         return f"simulated by {before} the start fails: the search went by {after}"
@@ -74,7 +74,7 @@ def _switch(switch: Switch) -> str:
     return f"the error of {before} {moved}: the search went on by {after}, in {switch.simulations} simulations"
 
 
-def _outcome(names: Sequence[str], found: Accuracy) -> str:
+def _outcome(names: Sequence[str], found: SolverCheck) -> str:
     used, finer = runs_words(found.used), runs_words(found.finer)
     match found.outcome:
         case AccuracyOutcome.PASSED:
@@ -110,7 +110,7 @@ def _outcome(names: Sequence[str], found: Accuracy) -> str:
             return "the error of the simulation was not checked: interrupted"
 
 
-def _shifts(names: Sequence[str], found: Accuracy) -> str:
+def _shifts(names: Sequence[str], found: SolverCheck) -> str:
     """Return which estimates are moved, and by how much; just that they may be where no standard deviation is known."""
     pairs = zip(names, found.shift.tolist(), strict=True)
     moved = ", ".join(f"{name} by {shift:+.2g}" for name, shift in pairs if abs(shift) > SHIFT_LIMIT)

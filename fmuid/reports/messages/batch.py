@@ -10,14 +10,14 @@ from fmuid.estimation import AccuracyOutcome
 from fmuid.formatting import fit_text, has_unit, rounded
 from fmuid.reports.messages.identifiability import open_words
 from fmuid.reports.messages.result import ENDS
-from fmuid.runs import Dependence, EstimateDoubt, Summary
+from fmuid.runs import Dependence, EstimateWarning, Summary
 
 Row = Mapping[Any, Any]
 
 IN_GROUPS = {
-    EstimateDoubt.STD_TOO_SMALL: "its stated std is too small",
-    EstimateDoubt.STD_TOO_LARGE: "its stated std is too large",
-    EstimateDoubt.BIASED: "it is biased",
+    EstimateWarning.STD_TOO_SMALL: "its stated std is too small",
+    EstimateWarning.STD_TOO_LARGE: "its stated std is too large",
+    EstimateWarning.BIASED: "it is biased",
 }
 ACCURACY = {
     AccuracyOutcome.SHIFTED: "are shifted by that error, which their std include",
@@ -44,13 +44,13 @@ def summary_words(summary: Summary) -> list[str]:
 def note(row: Row) -> str:
     """Return in a few words what is not as stated of one row of a table of statistics."""
     ratio, doubts, notes = row["ratio"], row["doubts"], []
-    if EstimateDoubt.STD_TOO_SMALL in doubts:
+    if EstimateWarning.STD_TOO_SMALL in doubts:
         notes.append(f"std {ratio:.3g} x too small")
-    if EstimateDoubt.STD_TOO_LARGE in doubts:
+    if EstimateWarning.STD_TOO_LARGE in doubts:
         notes.append(f"std {1.0 / ratio:.3g} x too large" if ratio else "std too large")
-    if EstimateDoubt.BIASED in doubts:
+    if EstimateWarning.BIASED in doubts:
         notes.append("biased")
-    if doubts == (EstimateDoubt.COVERAGE_OFF,):
+    if doubts == (EstimateWarning.COVERAGE_OFF,):
         notes.append(f"95 % intervals hold {100 * row['coverage']:.3g} %")
     if row["undetermined"]:
         notes.append(f"not determined in {row['undetermined']}")
@@ -97,13 +97,13 @@ def _not_as_stated(row: Row, *, tables: bool) -> Iterator[str]:
     """Give what is surely not as stated of one parameter."""
     unit, doubts = _after(row["unit"]), row["doubts"]
     spread, stated = (rounded(row[name], row[name]) + unit for name in ("spread", "stated_std"))
-    if EstimateDoubt.STD_TOO_SMALL in doubts:
+    if EstimateWarning.STD_TOO_SMALL in doubts:
         why = "what was measured differs, or the stated std is too small" if tables else "that is too small"
         among = "from table to table" if tables else "from case to case"
         yield f"varies {row['ratio']:.3g} times as much {among} ({spread}) as its stated std ({stated}): {why}"
-    if EstimateDoubt.STD_TOO_LARGE in doubts:
+    if EstimateWarning.STD_TOO_LARGE in doubts:
         yield f"varies less ({spread}) than its stated std says ({stated}): that is too large"
-    if EstimateDoubt.BIASED in doubts:
+    if EstimateWarning.BIASED in doubts:
         share = abs(row["bias"]) / row["stated_std"]
         size = f"{rounded(row['bias'], row['bias_std'])} ± {rounded(row['bias_std'], row['bias_std'])}{unit}"
         yield f"biased by {size}, {share:.2g} times its stated std"

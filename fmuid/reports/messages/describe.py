@@ -5,7 +5,7 @@ from __future__ import annotations
 from fmuid.diagnosis import Diagnosis, Monitor
 from fmuid.estimation import Estimator, LinearEstimate, Result
 from fmuid.formatting import with_std
-from fmuid.identification import Assessment, Diagnostics, Posterior, Reading
+from fmuid.identification import Assessment, Posterior, PriorDataComparison, ResidualAnalysis
 from fmuid.reports.messages.diagnosis import diagnosis_words
 from fmuid.reports.messages.monitoring import monitoring_sentences
 from fmuid.reports.messages.prior_and_data import reading_words
@@ -13,7 +13,7 @@ from fmuid.reports.messages.residuals import residual_words
 from fmuid.reports.messages.result import capitalised, result_words
 from fmuid.reports.messages.uncertainty import posterior_words, uncertainty_words
 
-Found = Result | LinearEstimate | Assessment | Diagnostics | Reading | Posterior | Diagnosis | Monitor
+Found = Result | LinearEstimate | Assessment | ResidualAnalysis | PriorDataComparison | Posterior | Diagnosis | Monitor
 
 THOUGHTS = {
     Estimator.LEAST_SQUARES: "unbiased where the regressors are free of noise and the residual is white",
@@ -32,8 +32,8 @@ def describe(found: Found) -> str:
     Parameters
     ----------
     found : Result, LinearEstimate, Assessment, Diagnostics, Reading, Posterior, Diagnosis or Monitor
-        Of `fmuid.identify`, `fmuid.equation_error` and its like, `fmuid.assess`, `fmuid.examine_residuals`,
-        `fmuid.read_result`, `fmuid.sample`, `fmuid.diagnose`, or a `fmuid.Monitor`.
+        Of `fmuid.identify`, `fmuid.equation_error` and its like, `fmuid.assess`, `fmuid.analyze_residuals`,
+        `fmuid.compare_prior_and_data`, `fmuid.sample_posterior`, `fmuid.diagnose`, or a `fmuid.Monitor`.
 
     Examples
     --------
@@ -61,9 +61,9 @@ def _sentences(found: Found) -> tuple[str, ...]:
             return result_words(found)
         case LinearEstimate():
             return _linear_words(found)
-        case Diagnostics():
+        case ResidualAnalysis():
             return residual_words(found)
-        case Reading():
+        case PriorDataComparison():
             return reading_words(found)
         case Assessment():
             said = () if found.prior_and_data is None else reading_words(found.prior_and_data)

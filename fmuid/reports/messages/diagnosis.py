@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING
 
-from fmuid.diagnosis import Basis
+from fmuid.diagnosis import BaselineSource
 from fmuid.formatting import has_unit, listed, rounded, unit_text, with_std
 from fmuid.identification import LEAST_STD_FACTOR
 from fmuid.reports.messages.accuracy import accuracy_words
@@ -14,7 +14,15 @@ from fmuid.reports.messages.identifiability import direction_words
 if TYPE_CHECKING:
     import pandas as pd
 
-    from fmuid.diagnosis import Change, Diagnosis, Evidence, Explanation, Hypothesis, Size, Strain
+    from fmuid.diagnosis import (
+        BaselineDeviation,
+        ChangeEvidence,
+        Diagnosis,
+        EstimatedChange,
+        Explanation,
+        FaultHypothesis,
+        FaultSize,
+    )
 
 # A healthy record is long enough where a longer one lowers the smallest size found by no more than this.
 ENOUGH = 1.1
@@ -65,7 +73,7 @@ def verdict(found: Diagnosis) -> str:
     )
 
 
-def _evidence_words(found: Diagnosis, evidence: Evidence) -> str:
+def _evidence_words(found: Diagnosis, evidence: ChangeEvidence) -> str:
     """Return what is new beside the healthy records, in one sentence."""
     likely = f"probability if nothing is new {chance(evidence.probability)}"
     said = [explanation_words(each) for each in evidence.explanations]
@@ -91,14 +99,14 @@ CHANGES = {
 }
 
 
-def change_words(change: Change) -> str:
+def change_words(change: EstimatedChange) -> str:
     """Return a change with its size."""
     if change.fault:
         return f"{change.fault}, {change.variable} = {change_size(change)}"
     return f"{change_name(change)}, {change_size(change)}"
 
 
-def change_size(change: Change) -> str:
+def change_size(change: EstimatedChange) -> str:
     """Return the size of a change with its standard deviation; shares in percent."""
     if change.kind.is_share:
         return f"{with_std(100 * change.value, 100 * change.std)} %"
@@ -107,7 +115,7 @@ def change_size(change: Change) -> str:
     return f"{with_std(change.value, change.std)}{unit}{at}"
 
 
-def change_name(change: Change) -> str:
+def change_name(change: EstimatedChange) -> str:
     """Return what has changed, without its size."""
     if change.fault:
         return f"{change.fault} ({change.variable})"
@@ -133,13 +141,13 @@ def _obstacle(found: Diagnosis) -> str:
     return f"the search for the fault {each.name} did not end at a minimum"
 
 
-def hypothesis_words(each: Hypothesis, level: float) -> str:
+def hypothesis_words(each: FaultHypothesis, level: float) -> str:
     """Return the name and the sizes that matter."""
     sizes = [size_words(size, located=each.located(size, level)) for size in each.significant(level)]
     return f"{each.name}, " + listed(sizes)
 
 
-def size_words(size: Size, *, located: bool) -> str:
+def size_words(size: FaultSize, *, located: bool) -> str:
     """Return name, value and standard deviation; with the angle where that is asked for."""
     unit = f" {size.unit}" if has_unit(size.unit) else ""
     if math.isinf(size.std):
@@ -148,7 +156,7 @@ def size_words(size: Size, *, located: bool) -> str:
     return f"{size.name} = {with_std(size.value, size.std)}{unit}{at}"
 
 
-def hypothesis_notes(each: Hypothesis) -> list[str]:
+def hypothesis_notes(each: FaultHypothesis) -> list[str]:
     """Return what is to be known of one fault model."""
     notes = [direction_words(direction) for direction in each.undetermined]
     notes += [f"without the healthy record, {direction_words(direction)}" for direction in each.prior_determined]
@@ -189,19 +197,19 @@ def scope_notes(found: Diagnosis) -> list[str]:
 
 # What the file of the healthy study is of, where it does not serve.
 UNLIKE = {
-    Basis.DAMAGED: "damaged",
-    Basis.OTHER_MODELS: "of other models or values",
-    Basis.OTHER_CAUSES: "of other faults or causes",
-    Basis.OTHER_NOISE: "of another noise variance",
-    Basis.OTHER_RECORDS: "of other records",
+    BaselineSource.DAMAGED: "damaged",
+    BaselineSource.OTHER_MODELS: "of other models or values",
+    BaselineSource.OTHER_CAUSES: "of other faults or causes",
+    BaselineSource.OTHER_NOISE: "of another noise variance",
+    BaselineSource.OTHER_RECORDS: "of other records",
 }
 
 
-def basis_notes(basis: Basis) -> list[str]:
+def basis_notes(basis: BaselineSource) -> list[str]:
     """Say where the healthy machine is from, nothing where only records can be."""
-    if basis is Basis.RECORDS:
+    if basis is BaselineSource.RECORDS:
         return []
-    if basis is Basis.FILE:
+    if basis is BaselineSource.FILE:
         return ["what the healthy records show is from the baseline.npz beside the healthy result"]
     return [
         f"the baseline.npz beside the healthy result is {UNLIKE[basis]} and was not used: "
@@ -209,7 +217,7 @@ def basis_notes(basis: Basis) -> list[str]:
     ]
 
 
-def strain_words(strain: Strain | None) -> list[str]:
+def strain_words(strain: BaselineDeviation | None) -> list[str]:
     """Say which nominal parameter has left what was foreseen, nothing where none has."""
     if strain is None:
         return []

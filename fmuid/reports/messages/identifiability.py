@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from fmuid.estimation import Determined, Direction
+from fmuid.estimation import Identifiability, WeakDirection
 from fmuid.formatting import listed
 
 # Steps along a direction are told in percent of values, but of magnitudes where values are below this share of them.
@@ -16,24 +16,24 @@ FAR_MAGNITUDES = 10.0
 DIGITS = 3
 
 
-def direction_words(direction: Direction) -> str:
+def direction_words(direction: WeakDirection) -> str:
     """Say in words what is not known along a direction."""
-    if direction.determined in (Determined.NOT, Determined.HIDDEN):
+    if direction.determined in (Identifiability.NOT, Identifiability.HIDDEN):
         return _lost(direction)
-    return _open(direction) if direction.determined is Determined.NOT_IN_EFFECT else _weak(direction)
+    return _open(direction) if direction.determined is Identifiability.NOT_IN_EFFECT else _weak(direction)
 
 
-def open_words(determined: Determined, names: Sequence[str]) -> str:
+def open_words(determined: Identifiability, names: Sequence[str]) -> str:
     """Say in words, without numbers, which parameters the data leave open."""
-    effect = " in effect" if determined is Determined.NOT_IN_EFFECT else ""
+    effect = " in effect" if determined is Identifiability.NOT_IN_EFFECT else ""
     return f"{listed(names)} {'is not determined' if len(names) == 1 else 'cannot be told apart'}{effect}"
 
 
-def _lost(direction: Direction) -> str:
+def _lost(direction: WeakDirection) -> str:
     names = direction.names
     who = listed(names)
     no_output = "no output"
-    if direction.determined is Determined.HIDDEN:
+    if direction.determined is Identifiability.HIDDEN:
         no_output = "the outputs by no more than the simulation's errors"
     if len(names) == 1:
         return f"{who} is not determined: changing it changes {no_output}"
@@ -62,7 +62,7 @@ def _lost(direction: Direction) -> str:
     )
 
 
-def _open(direction: Direction) -> str:
+def _open(direction: WeakDirection) -> str:
     who, std = listed(direction.names), f"{direction.std:.{DIGITS}g}"
     if len(direction.names) == 1:
         return f"{who} is not determined in effect: its standard deviation is {std} times its magnitude"
@@ -72,7 +72,7 @@ def _open(direction: Direction) -> str:
     )
 
 
-def _weak(direction: Direction) -> str:
+def _weak(direction: WeakDirection) -> str:
     who, std = listed(direction.names), f"{direction.std:.0%}"
     if len(direction.names) == 1 and direction.std > FAR_MAGNITUDES:  # it happens to lie near zero, as at a bound
         own = direction.std * abs(direction.coefficients[0])
@@ -85,11 +85,11 @@ def _weak(direction: Direction) -> str:
     )
 
 
-def _verb(direction: Direction) -> str:
+def _verb(direction: WeakDirection) -> str:
     return "is" if len(direction.names) == 2 else "are"
 
 
-def _combinations(direction: Direction) -> str:
+def _combinations(direction: WeakDirection) -> str:
     """Return the combinations that stay the same along a direction: θ_i − (v_i/v_last) θ_last."""
     last = direction.coefficients[-1]
     shares = [-coefficient / last for coefficient in direction.coefficients[:-1]]

@@ -6,12 +6,12 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
 
-from fmuid.diagnosis import SOMETHING_ELSE, Shape
+from fmuid.diagnosis import SOMETHING_ELSE, OnsetShape
 from fmuid.formatting import listed, with_std
 from fmuid.reports.messages.diagnosis import basis_notes, explanation_words
 
 if TYPE_CHECKING:
-    from fmuid.diagnosis import Alarm, Gap, Moment, Monitor, Onset, Trend
+    from fmuid.diagnosis import Alarm, Monitor, Onset, RecordTime, SkippedWindow, Trend
 
 # Of more windows that are left out, the first are named.
 MOST_GAPS = 5
@@ -51,15 +51,15 @@ def alarm_sentence(alarm: Alarm, units: Mapping[str, str]) -> str:
 def onset_words(onset: Onset) -> str:
     """Return since when, with the set that holds the onset with 95 %."""
     span = f"{_at(onset.first, onset.likely)} to {_at(onset.last, onset.likely)}"
-    how = "" if onset.shape is Shape.STEP else ", growing"
+    how = "" if onset.shape is OnsetShape.STEP else ", growing"
     return f", since {_moment(onset.likely)} (95 %: {span}){how}"
 
 
-def _moment(each: Moment) -> str:
+def _moment(each: RecordTime) -> str:
     return f"{each.time:.6g} s of {each.record}" + (f", {each.date[:19].replace('T', ' ')}" if each.date else "")
 
 
-def _at(each: Moment, likely: Moment) -> str:
+def _at(each: RecordTime, likely: RecordTime) -> str:
     return f"{each.time:.6g} s" + (f" of {each.record}" if each.record != likely.record else "")
 
 
@@ -87,7 +87,7 @@ def alarm_words(alarm: Alarm) -> tuple[str, str]:
     return onset, "; or ".join(map(explanation_words, alarm.explanations))
 
 
-def gap_words(gaps: Sequence[Gap]) -> list[str]:
+def gap_words(gaps: Sequence[SkippedWindow]) -> list[str]:
     """Return which windows are left out, a sentence a record."""
     said = []
     for source in dict.fromkeys(gap.source for gap in gaps):

@@ -8,22 +8,22 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from fmuid.estimation import Outcome
+from fmuid.estimation import TerminationReason
 from fmuid.formatting import listed, two_digits, with_unit
 from fmuid.identification import Deviation
 from fmuid.reports.messages.identifiability import direction_words
 from fmuid.reports.messages.result import ENDS
 
 if TYPE_CHECKING:
-    from fmuid.identification import Agreement, Influence, Obstacle, Reading
+    from fmuid.identification import ExtrapolationReason, PriorDataComparison, PriorDataTest, PriorInfluence
 
 
-def reading_words(reading: Reading, units: Mapping[str, str | None] | None = None) -> tuple[str, ...]:
+def reading_words(reading: PriorDataComparison, units: Mapping[str, str | None] | None = None) -> tuple[str, ...]:
     """Return what is to be known of it; nothing where there is neither a prior nor a known variance.
 
     Parameters
     ----------
-    reading : Reading
+    reading : PriorDataComparison
     units : mapping of str to str, optional
         Of the outputs.
     """
@@ -35,7 +35,7 @@ def reading_words(reading: Reading, units: Mapping[str, str | None] | None = Non
     return tuple(said)
 
 
-def _agreement(reading: Reading, agreement: Agreement) -> str:
+def _agreement(reading: PriorDataComparison, agreement: PriorDataTest) -> str:
     """Say whether prior and data agree and, where not, on which parameter they disagree most."""
     chance = (
         f"χ² {agreement.statistic:.3g} with {agreement.degrees_of_freedom} degrees of freedom, "
@@ -52,7 +52,7 @@ def _agreement(reading: Reading, agreement: Agreement) -> str:
     )
 
 
-def _influence(reading: Reading, found: Influence) -> str:
+def _influence(reading: PriorDataComparison, found: PriorInfluence) -> str:
     """Say of an estimate that it rests on a prior, or that a prior has moved it."""
     i = reading.names.index(found.name)
     std = float(reading.data_std[i])
@@ -67,7 +67,7 @@ def _influence(reading: Reading, found: Influence) -> str:
     )
 
 
-def _bent(reading: Reading) -> str:
+def _bent(reading: PriorDataComparison) -> str:
     i = reading.names.index(reading.bent)
     return (
         f"Between prior and data the model is not linear: their barycentre has {reading.bent} at "
@@ -77,7 +77,7 @@ def _bent(reading: Reading) -> str:
     )
 
 
-def _variances(reading: Reading, units: Mapping[str, str | None]) -> list[str]:
+def _variances(reading: PriorDataComparison, units: Mapping[str, str | None]) -> list[str]:
     """Say which residuals are larger or smaller than the known noise, or that all are as large."""
     blame = "the model or the prior" if np.isfinite(reading.prior_mean).any() else "the model"
     said, outputs = [], [test for test in reading.variances if test.output]
@@ -104,7 +104,7 @@ def _variances(reading: Reading, units: Mapping[str, str | None]) -> list[str]:
     return said
 
 
-def obstacle_words(obstacle: Obstacle) -> str:
+def obstacle_words(obstacle: ExtrapolationReason) -> str:
     """Say why the optimum of the data alone is extrapolated."""
     if obstacle.at_bounds:
         return f"The data alone would push {listed(obstacle.at_bounds)} to a bound, so their optimum is extrapolated"
@@ -112,7 +112,7 @@ def obstacle_words(obstacle: Obstacle) -> str:
         what = listed(tuple(map(direction_words, obstacle.undetermined)))
         return f"At the optimum of the data alone {what}, so it is extrapolated"
     if obstacle.outcome is not None:
-        why = "interrupted" if obstacle.outcome is Outcome.INTERRUPTED else ENDS[obstacle.outcome]
+        why = "interrupted" if obstacle.outcome is TerminationReason.INTERRUPTED else ENDS[obstacle.outcome]
         return f"The search for the optimum of the data alone did not converge, so it is extrapolated: {why}"
     return "With a robust loss the optimum of the data alone is extrapolated"
 

@@ -10,49 +10,49 @@ from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
 from fmuid.formatting import listed, two_digits, unit_text
-from fmuid.identification import LEAST_STD_FACTOR, RESIDUAL_LEVEL, RESIDUAL_SETTINGS, Trait
+from fmuid.identification import LEAST_STD_FACTOR, RESIDUAL_LEVEL, RESIDUAL_SETTINGS, ResidualDefect
 
 if TYPE_CHECKING:
-    from fmuid.identification import Diagnostics, Finding, ResidualSeries
+    from fmuid.identification import ResidualAnalysis, ResidualFinding, ResidualSeries
 
 # An autocorrelation from which on a residual is called far from white.
 FAR_FROM_WHITE = 0.5
 
 
-def residual_words(found: Diagnostics, units: Mapping[str, str | None] | None = None) -> tuple[str, ...]:
+def residual_words(found: ResidualAnalysis, units: Mapping[str, str | None] | None = None) -> tuple[str, ...]:
     """Return what is to be known of the residuals, in sentences, one at least; with the units of the outputs."""
     large = [each for each in found.findings if each.large]
-    coloured = [each for each in large if each.trait is Trait.COLOURED]
+    coloured = [each for each in large if each.trait is ResidualDefect.COLOURED]
     said = [_large(found, each, units or {}) for each in coloured]
     said += _widening(found, coloured=bool(coloured))
-    said += [_large(found, each, units or {}) for each in large if each.trait is not Trait.COLOURED]
+    said += [_large(found, each, units or {}) for each in large if each.trait is not ResidualDefect.COLOURED]
     said += _off_grid(found)
     said += _returning(found)
     quiet = not said
     return tuple(said + _slow(found) + _long(found) + _summary(found, quiet=quiet))
 
 
-def _name(found: Diagnostics, output: str, *experiments: str) -> str:
+def _name(found: ResidualAnalysis, output: str, *experiments: str) -> str:
     """Return an output's name, with its experiments where there are others."""
     several = len({each.experiment for each in found.series}) > 1
     return f"{output} in {listed(experiments)}" if several else output
 
 
-def _series_name(found: Diagnostics, series: ResidualSeries) -> str:
+def _series_name(found: ResidualAnalysis, series: ResidualSeries) -> str:
     return _name(found, series.output, series.experiment)
 
 
-def _large(found: Diagnostics, finding: Finding, units: Mapping[str, str | None]) -> str:
+def _large(found: ResidualAnalysis, finding: ResidualFinding, units: Mapping[str, str | None]) -> str:
     """Return a sentence on what is large enough to be said by itself."""
     series, name = finding.series, _series_name(found, finding.series)
-    if finding.trait is Trait.COLOURED:
+    if finding.trait is ResidualDefect.COLOURED:
         lag, largest = series.whiteness.strongest
         far = "far from white" if abs(largest) >= FAR_FROM_WHITE else "not white"
         return (
             f"The residual of {name} is {far} (autocorrelation {largest:.2f} at a lag of {_count(lag, 'sample')}): "
             "the model or the noise has dynamics of its own"
         )
-    if finding.trait is Trait.OFFSET:
+    if finding.trait is ResidualDefect.OFFSET:
         mean = f"{series.mean:.3g} {unit_text(units.get(series.output))}".rstrip()
         return (
             f"The residual of {name} has the mean {mean}, {abs(series.mean) / series.std:.2g} of its standard "
@@ -76,7 +76,7 @@ def _large(found: Diagnostics, finding: Finding, units: Mapping[str, str | None]
     )
 
 
-def _widening(found: Diagnostics, *, coloured: bool) -> list[str]:
+def _widening(found: ResidualAnalysis, *, coloured: bool) -> list[str]:
     """Say how the standard deviations allow for the colour of the residuals, where that is worth it."""
     known = {name: factor for name, factor in found.widening.items() if math.isfinite(factor)}
     other = {name: f for name, f in known.items() if not 1.0 / LEAST_STD_FACTOR < f < LEAST_STD_FACTOR}
@@ -87,14 +87,14 @@ def _widening(found: Diagnostics, *, coloured: bool) -> list[str]:
     about = f"{two_digits(known[high])} times"
     if known[high] > LEAST_STD_FACTOR * known[low]:
         about = f"{two_digits(known[low])} ({low}) to {two_digits(known[high])} times ({high})"
-    sure = any(each.trait is Trait.COLOURED for each in found.findings)
+    sure = any(each.trait is ResidualDefect.COLOURED for each in found.findings)
     why = "Since neighbouring samples are not independent, the"
     if not sure:
         why = "Neighbouring samples of the residual look correlated, if not strongly enough to rule out chance: the"
     return [f"{why} standard deviations are {about} those that white noise of this size would give"]
 
 
-def _slow(found: Diagnostics) -> list[str]:
+def _slow(found: ResidualAnalysis) -> list[str]:
     """Say where the standard deviations allow for weak slow noise."""
     return [
         f"In the residual of {_name(found, each.output, *each.experiments)} there is slow noise "
@@ -105,7 +105,7 @@ def _slow(found: Diagnostics) -> list[str]:
     ]
 
 
-def _long(found: Diagnostics) -> list[str]:
+def _long(found: ResidualAnalysis) -> list[str]:
     """Say where noise is so slow that the record hardly tells how slow."""
     return [
         f"The noise of {_name(found, each.output, *each.experiments)} is slow for its record (a "
@@ -115,7 +115,7 @@ def _long(found: Diagnostics) -> list[str]:
     ]
 
 
-def _returning(found: Diagnostics) -> list[str]:
+def _returning(found: ResidualAnalysis) -> list[str]:
     """Say where the standard deviations allow for what comes back with each cycle of the excitation."""
     return [
         f"In the residual of {_name(found, each.output, each.experiment)} something comes back with each "
@@ -125,7 +125,7 @@ def _returning(found: Diagnostics) -> list[str]:
     ]
 
 
-def _off_grid(found: Diagnostics) -> list[str]:
+def _off_grid(found: ResidualAnalysis) -> list[str]:
     if not found.off_grid:
         return []
     names = [_name(found, output, experiment) for experiment, output in found.off_grid]
@@ -135,7 +135,7 @@ def _off_grid(found: Diagnostics) -> list[str]:
     ]
 
 
-def _summary(found: Diagnostics, *, quiet: bool) -> list[str]:
+def _summary(found: ResidualAnalysis, *, quiet: bool) -> list[str]:
     """Say where there was nothing to examine and, where nothing else is to be said, what was tested."""
     idle = [_series_name(found, each) for each in found.series if not each.is_tested]
     lines = [f"The residual of {listed(idle)} is too short, or nothing but rounding, to be examined"] if idle else []
@@ -159,13 +159,13 @@ def _summary(found: Diagnostics, *, quiet: bool) -> list[str]:
     ]
 
 
-def _slight(finding: Finding) -> str:
+def _slight(finding: ResidualFinding) -> str:
     """Return what is significant, but not large enough to be said by itself."""
     series = finding.series
-    if finding.trait is Trait.COLOURED:
+    if finding.trait is ResidualDefect.COLOURED:
         lag, largest = series.whiteness.strongest
         return f"an autocorrelation of {largest:.2g} at a lag of {_count(lag, 'sample')}"
-    if finding.trait is Trait.OFFSET:
+    if finding.trait is ResidualDefect.OFFSET:
         return f"a mean of {series.mean / series.std:.2g} standard deviations"
     if finding.input is not None:
         return f"a correlation of {finding.input.correlation:+.2g} with the input {finding.input.input}"

@@ -5,7 +5,7 @@ from __future__ import annotations
 from itertools import groupby
 from typing import TYPE_CHECKING
 
-from fmuid.estimation import Attempt, ChoiceTried, Remedy, Trouble
+from fmuid.estimation import CombinationFit, RestartAttempt, SearchFailure, StartingPointSource
 from fmuid.formatting import listed
 from fmuid.identification import RIVAL_CRITERION
 
@@ -13,21 +13,21 @@ if TYPE_CHECKING:
     from fmuid.estimation import Result
 
 PLACES = {
-    Remedy.GIVEN: "the start that was given",
-    Remedy.EQUATION_ERROR: "where the model's equations hold best at the measured states",
-    Remedy.CORRECTION: "where simulations fit best that the measurements correct at each sample",
-    Remedy.SOBOL: "a point of the box",
+    StartingPointSource.GIVEN: "the start that was given",
+    StartingPointSource.EQUATION_ERROR: "where the model's equations hold best at the measured states",
+    StartingPointSource.CORRECTION: "where simulations fit best that the measurements correct at each sample",
+    StartingPointSource.SOBOL: "a point of the box",
 }
 """Where a search set out from."""
 
 ENDS = {
-    Trouble.NONE: "ended well",
-    Trouble.FAR: "was put off, for it explains too little of the data",
-    Trouble.FAILED: "could not be simulated",
-    Trouble.NO_EFFECT: "could not be searched from",
-    Trouble.UNFINISHED: "did not come to an end",
-    Trouble.LARGE_RESIDUAL: "left {ratio:.3g} times the noise that the data show",
-    Trouble.MODEL_ERROR: "left {ratio:.3g} times the noise that the data show",
+    SearchFailure.NONE: "ended well",
+    SearchFailure.FAR: "was put off, for it explains too little of the data",
+    SearchFailure.FAILED: "could not be simulated",
+    SearchFailure.NO_EFFECT: "could not be searched from",
+    SearchFailure.UNFINISHED: "did not come to an end",
+    SearchFailure.LARGE_RESIDUAL: "left {ratio:.3g} times the noise that the data show",
+    SearchFailure.MODEL_ERROR: "left {ratio:.3g} times the noise that the data show",
 }
 """What became of it."""
 
@@ -49,7 +49,7 @@ def combination_words(result: Result) -> tuple[str, ...]:
     return (said,)
 
 
-def _values(each: ChoiceTried) -> str:
+def _values(each: CombinationFit) -> str:
     said = {name: str(value).lower() if isinstance(value, bool) else value for name, value in each.values.items()}
     return ", ".join(f"{name} = {value}" for name, value in said.items())
 
@@ -62,17 +62,17 @@ def attempt_words(result: Result) -> tuple[str, ...]:
     counts = ((one, len(list(alike))) for one, alike in each_told)
     told = [one if count == 1 else f"{one} ({count} times)" for one, count in counts]
     kept = next((each for each in result.attempts if each.kept), None)
-    if kept is None or kept.trouble is Trouble.NONE:
+    if kept is None or kept.trouble is SearchFailure.NONE:
         return (f"several starts were tried: {listed(told)}",)
-    if kept.trouble is Trouble.MODEL_ERROR:
+    if kept.trouble is SearchFailure.MODEL_ERROR:
         reason = "; the model does not explain the data, other starts end there too: check the model and its inputs"
         return (f"several starts were tried: {listed(told)}{reason}",)
-    if kept.trouble is Trouble.LARGE_RESIDUAL:
+    if kept.trouble is SearchFailure.LARGE_RESIDUAL:
         reason = "; other starts fit no better: look at the model, or at what else moves the outputs"
         return (f"several starts were tried: {listed(told)}{reason}",)
     return (f"several starts were tried: {listed(told)}; none ended well",)
 
 
-def _end(attempt: Attempt) -> str:
+def _end(attempt: RestartAttempt) -> str:
     words = ENDS[attempt.trouble].format(ratio=attempt.noise_ratio)
     return f"{words}, which is kept" if attempt.kept else words

@@ -5,47 +5,47 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING
 
-from fmuid.estimation import Determined, Outcome
+from fmuid.estimation import Identifiability, TerminationReason
 from fmuid.formatting import fit_text, two_digits, with_unit
-from fmuid.identification import TimeScale
+from fmuid.identification import TimeScaleMismatch
 from fmuid.reports.messages.accuracy import accuracy_words
 from fmuid.reports.messages.identifiability import direction_words
 from fmuid.reports.messages.restarts import attempt_words, combination_words
-from fmuid.studies import SourceDoubt
+from fmuid.studies import SourceIssue
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
 
     from fmuid.estimation import Result
-    from fmuid.identification import TimeScaleDoubt
-    from fmuid.simulation import Fit
-    from fmuid.studies import SourceNote
+    from fmuid.identification import TimeScaleWarning
+    from fmuid.simulation import OutputFit
+    from fmuid.studies import SourceWarning
 
 CONSTANT = "constant as measured: no fit"
 """What is said in place of a fit that has no meaning."""
 ENDS = {
-    Outcome.CONVERGED: "converged",
-    Outcome.ACCURACY: (
+    TerminationReason.CONVERGED: "converged",
+    TerminationReason.ACCURACY: (
         "converged to the accuracy of the simulation: make it more accurate (step_size, its tolerance) for more digits"
     ),
-    Outcome.UNDETERMINED: "undetermined",
-    Outcome.UNSETTLED: (
+    TerminationReason.UNDETERMINED: "undetermined",
+    TerminationReason.UNSETTLED: (
         "the noise variances still move from one repetition of the search to the next: give them as noise.variance"
     ),
-    Outcome.ITERATION_LIMIT: "stopped at the iteration limit: raise max_iterations or start nearer",
-    Outcome.RUNAWAY: (
+    TerminationReason.ITERATION_LIMIT: "stopped at the iteration limit: raise max_iterations or start nearer",
+    TerminationReason.RUNAWAY: (
         "stopped: parameters run away by orders of magnitude, and the fit gains nothing by it: "
         "give a prior, bounds or a start nearer by, or measure more"
     ),
-    Outcome.STALLED: (
+    TerminationReason.STALLED: (
         "stalled: no step lowers the criterion although its slope says so; "
         "make the simulation more accurate (step_size, its tolerance) or start elsewhere"
     ),
-    Outcome.FAILING: (
+    TerminationReason.FAILING: (
         "stopped at the edge of what can be simulated, every step that would lower the criterion fails: "
         "give bounds that keep the search where the model is sound, or start elsewhere"
     ),
-    Outcome.INTERRUPTED: "interrupted: these are the best values so far",
+    TerminationReason.INTERRUPTED: "interrupted: these are the best values so far",
 }
 """How a search ended, and what to do about it."""
 
@@ -62,14 +62,14 @@ def result_words(result: Result) -> tuple[str, ...]:
 
 def ending(result: Result) -> str:
     """Return how an identification ended and, where that is needed, the remedy."""
-    words = [ENDS[result.outcome] + (_so_far(result) if result.outcome is Outcome.INTERRUPTED else "")]
+    words = [ENDS[result.outcome] + (_so_far(result) if result.outcome is TerminationReason.INTERRUPTED else "")]
     if result.undetermined:
         told = (
             "; ".join(map(direction_words, result.undetermined))
             + ": give a prior, hold one of them at a value, or measure more"
-            + (_FINER if any(each.determined is Determined.HIDDEN for each in result.undetermined) else "")
+            + (_FINER if any(each.determined is Identifiability.HIDDEN for each in result.undetermined) else "")
         )
-        words = [f"{words[0]}: {told}"] if result.outcome is Outcome.UNDETERMINED else [*words, told]
+        words = [f"{words[0]}: {told}"] if result.outcome is TerminationReason.UNDETERMINED else [*words, told]
     if result.at_bounds:
         bounds = "; ".join(f"{each.name} is at its bound {each.value:g}" for each in result.at_bounds)
         words.append(f"{bounds}, and the data would move it further: widen the bound or check the model")
@@ -146,14 +146,14 @@ def dropout_words(source: str, times: Sequence[float]) -> str:
     return f"{source}: rows are missing after t = {some} s; inputs go on there as between any samples"
 
 
-def time_words(doubt: TimeScaleDoubt) -> str:
+def time_words(doubt: TimeScaleWarning) -> str:
     """Return why the unit of a record's time is to be looked at."""
     lasts = f"{doubt.source} lasts {doubt.duration:.3g} s in steps of {doubt.step:.3g} s"
     look = 'look at the unit of its time, and say it by time_unit = "ms" or what it is'
     match doubt.kind:
-        case TimeScale.TOO_LONG:
+        case TimeScaleMismatch.TOO_LONG:
             return f"{lasts}, and what the model does is over in {doubt.time_constant:.2g} s (ms?): {look}"
-        case TimeScale.TOO_SHORT:
+        case TimeScaleMismatch.TOO_SHORT:
             return f"{lasts}, and the model takes {doubt.time_constant:.2g} s for what it does (s, not ms?): {look}"
 
 
@@ -165,19 +165,19 @@ def size_words(source: str, column: str, ratio: float) -> str:
     )
 
 
-def source_words(note: SourceNote) -> str:
+def source_words(note: SourceWarning) -> str:
     """Return why an earlier result, of which something is taken, is to be taken with care."""
     match note.doubt:
-        case SourceDoubt.DID_NOT_SUCCEED:
+        case SourceIssue.DID_NOT_SUCCEED:
             return f"{note.path}, an earlier result, did not succeed: {note.outcome.value}"
-        case SourceDoubt.NO_MODEL:
+        case SourceIssue.NO_MODEL:
             return f"{note.path} does not say of which model it is a result"
-        case SourceDoubt.OTHER_BUILD:
+        case SourceIssue.OTHER_BUILD:
             assert note.fmu is not None
             return f"{note.path} was made with another build of {note.fmu.name} than {note.fmu.path}"
 
 
-def fit_words(fits: Sequence[Fit]) -> str:
+def fit_words(fits: Sequence[OutputFit]) -> str:
     """Return the fit and RMSE of each output of each experiment, as far as it was measured."""
     said = []
     for each in fits:

@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
-from fmuid.models import HowRun
+from fmuid.models import SolverConfiguration
 
 if TYPE_CHECKING:
-    from fmuid.estimation import Sensitivity
+    from fmuid.estimation import SensitivityMethod
 
 # Attributes of <CoSimulation>, <ModelExchange> and <ScheduledExecution> in words (FMI 2.0.4, sections 3.3.1 and 4.3.1;
 # FMI 3.0.2, section 2.4.8). The versions of the standard spell some names differently.
@@ -33,7 +33,7 @@ _CAPABILITIES = {
 
 
 def capability_words(interface: str, declared: Mapping[str, str]) -> list[str]:
-    """Return what an interface of an FMU can do beyond the obligatory, from what it declares (`Facts.capabilities`)."""
+    """Return what an interface of an FMU can do beyond the obligatory, from what it declares (`FmuSummary.capabilities`)."""
     given = {name for name, value in declared.items() if value.strip() in ("true", "1")}
     words = [word for name, word in _CAPABILITIES.items() if name in given]
     if interface == "co-simulation":
@@ -46,7 +46,7 @@ def capability_words(interface: str, declared: Mapping[str, str]) -> list[str]:
     return list(dict.fromkeys(words))
 
 
-def run_words(run: HowRun) -> str:
+def run_words(run: SolverConfiguration) -> str:
     """Return with which interface, integrator, tolerance and step an FMU is run."""
     words = f"FMI {run.fmi_version} {run.interface}"
     if run.integrator is not None:
@@ -61,12 +61,12 @@ def run_words(run: HowRun) -> str:
 
 
 def runs_words(runs: Mapping[str, Mapping[str, Any]]) -> str:
-    """Return how each component of a model is run, from the fields of its `HowRun`."""
-    told = {name: run_words(HowRun(**run)) for name, run in runs.items()}
+    """Return how each component of a model is run, from the fields of its `SolverConfiguration`."""
+    told = {name: run_words(SolverConfiguration(**run)) for name, run in runs.items()}
     return "; ".join(f"{name}: {words}" if name else words for name, words in told.items())
 
 
-def sensitivity_words(used: Sensitivity) -> str:
+def sensitivity_words(used: SensitivityMethod) -> str:
     """Return how the derivatives by the parameters were found."""
     if used.refusal:
         return f"finite differences ({used.method} sensitivities are refused: {used.refusal})"

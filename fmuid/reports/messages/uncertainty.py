@@ -7,12 +7,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from fmuid.identification import LARGEST_R_HAT, EndKind, SamplingDoubt, better_point
+from fmuid.identification import LARGEST_R_HAT, EndKind, SamplingWarning, better_point
 from fmuid.reports.messages.identifiability import direction_words
 from fmuid.reports.messages.result import ENDS
 
 if TYPE_CHECKING:
-    from fmuid.identification import Assessment, CriterionMap, Posterior, Profile, Remark
+    from fmuid.identification import Assessment, CostMap, Posterior, Profile, ProfileEndNote
 
 # A chain that is advised is longer than what is foreseen to suffice by this factor.
 STEPS_MARGIN = 1.2
@@ -33,7 +33,7 @@ def profile_words(profile: Profile) -> tuple[str, ...]:
     return *said, *([f"interrupted: the profile of {profile.name} is not complete"] if profile.interrupted else [])
 
 
-def _remark_words(profile: Profile, remark: Remark) -> str:
+def _remark_words(profile: Profile, remark: ProfileEndNote) -> str:
     name, value, end = profile.name, f"{remark.value:.6g}", "upper" if remark.upper else "lower"
     risen = (
         f"the criterion has risen by only {max(remark.rise, 0.0):.2g} of the {profile.threshold:.3g} "
@@ -63,7 +63,7 @@ def _remark_words(profile: Profile, remark: Remark) -> str:
     return f"the end of {name} near {value} could not be found more precisely"
 
 
-def _map_words(chart: CriterionMap) -> list[str]:
+def _map_words(chart: CostMap) -> list[str]:
     """Say where a map shows a lower criterion than the estimate has."""
     better = better_point(chart)
     if better is None:
@@ -92,23 +92,23 @@ def posterior_words(found: Posterior) -> str:
 def _doubt_words(found: Posterior) -> str:
     length, name = len(found.chain), found.doubtful
     i = found.names.index(name) if name else int(np.argmin(found.effective_size))
-    if found.doubt is SamplingDoubt.RUNAWAY:
+    if found.doubt is SamplingWarning.RUNAWAY:
         return f"nothing holds {name}, the samples run away: give a prior or bounds, or measure more"
-    if found.doubt is SamplingDoubt.TOO_SHORT:
+    if found.doubt is SamplingWarning.TOO_SHORT:
         return f"{length} steps are too few to judge: raise steps, or let it go on"
-    if found.doubt is SamplingDoubt.STUCK:
+    if found.doubt is SamplingWarning.STUCK:
         return (
             f"the walkers hardly move, {found.acceptance:.1%} of the proposals are accepted: look for several "
             "optima and for simulations that fail, and narrow the bounds around what is meant"
         )
-    if found.doubt is SamplingDoubt.DISAGREEING:
+    if found.doubt is SamplingWarning.DISAGREEING:
         return (
             f"not converged: the walkers do not agree on {name} (R-hat {found.r_hat[i]:.3f}, {LARGEST_R_HAT} is the "
             f"most) after {length} steps: raise steps; if that does not help, the data leave it open or there are "
             "several optima, so give a prior or narrower bounds"
         )
     worth = float(found.effective_size[i])
-    if found.doubt is SamplingDoubt.TOO_FEW:
+    if found.doubt is SamplingWarning.TOO_FEW:
         return (
             f"not enough: the samples of {name} are worth {worth:.0f} independent ones instead of {found.wanted}: "
             f"raise steps to about {math.ceil(STEPS_MARGIN * found.wanted / worth * length)}"

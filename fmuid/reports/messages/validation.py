@@ -6,7 +6,7 @@ import re
 import signal
 
 from fmuid.reports.messages.solver import run_words
-from fmuid.simulation import Binary, Check, Stage, Subject, Tool, Trial
+from fmuid.simulation import Binary, Check, InterfaceTest, Stage, Subject, Tool
 
 _DOING = {
     Stage.START: "was starting",
@@ -29,22 +29,22 @@ def check_words(check: Check) -> list[str]:
     return said or ([plain] if plain else [])
 
 
-def _evidence_words(subject: Subject, evidence: Tool | Binary | Trial | str) -> str:
+def _evidence_words(subject: Subject, evidence: Tool | Binary | InterfaceTest | str) -> str:
     match evidence:
         case Tool():
             interfaces = ", ".join(evidence.interfaces)
             return f"runs only with {evidence.name or 'the tool that made it'} on this machine ({interfaces})"
         case Binary():
             return evidence.library + (f"; also for {', '.join(evidence.others)}" if evidence.others else "")
-        case Trial() if subject is Subject.SIMULATION:
+        case InterfaceTest() if subject is Subject.SIMULATION:
             return _simulation_words(evidence)
-        case Trial():
+        case InterfaceTest():
             return _with_licence(_trouble_words(evidence))
         case _:
             return evidence
 
 
-def _simulation_words(trial: Trial) -> str:
+def _simulation_words(trial: InterfaceTest) -> str:
     report = trial.report
     part = f" ({100 * trial.share:g} % of the default experiment)" if trial.share < 1 else ""
     span = f"{report.start:g} to {report.stop:g} s{part}"
@@ -56,7 +56,7 @@ def _simulation_words(trial: Trial) -> str:
     return f"{run}{span}: {report.samples} samples, {seen}{took}"
 
 
-def _trouble_words(trial: Trial) -> str:
+def _trouble_words(trial: InterfaceTest) -> str:
     """Return what ended a try."""
     doing = f"while it {_DOING[trial.report.doing]}"
     if trial.code is None:

@@ -17,8 +17,8 @@ from fmuid.reports.page.contents import read_table
 from fmuid.reports.page.document import Part, Section, table
 from fmuid.reports.page.provenance import origin
 from fmuid.reports.page.saved import read_json
-from fmuid.reports.page.verdict import Said
-from fmuid.runs import Columns, estimates, is_repetition, read_rows
+from fmuid.reports.page.verdict import ReportStatement
+from fmuid.runs import BatchColumns, estimates, is_repetition, read_rows
 
 CASES = (
     "Estimates of the cases that converged, with their intervals where there are few; of very many, the fuller a cell, "
@@ -52,7 +52,7 @@ def part(folder: Path) -> Part:
     tables = {name: read_table(folder / f"{name}.csv") for name in _TABLES if is_file(folder / f"{name}.csv")}
     try:
         frame = read_rows(folder, _wanted)
-        said = [Said(capitalised(str(text), content["units"]), "distributions") for text in content["words"]]
+        said = [ReportStatement(capitalised(str(text), content["units"]), "distributions") for text in content["words"]]
         counts = {str(name): int(count) for name, count in content["statuses"].items()}
         sections = sections_of(frame, tables, content["truth"], content["units"], given_noise=content["given_noise"])
     except (OSError, KeyError, TypeError, ValueError, AttributeError) as error:
@@ -60,7 +60,7 @@ def part(folder: Path) -> Part:
             f"{folder} has no whole results of fmuid batch ({error}): run the same command again"
         ) from None
     done, total = counts.get("converged", 0), sum(counts.values())
-    said.insert(0, Said(f"{done} of {total} cases converged", "failures"))
+    said.insert(0, ReportStatement(f"{done} of {total} cases converged", "failures"))
     shown = [each for each in sections if each.figures]
     rows = {"cases": ", ".join(f"{count} {name}" for name, count in counts.items())}
     head = summary_table(tables["summary"]) if "summary" in tables else ""
@@ -97,7 +97,7 @@ def sections_of(
     truth, units, given_noise
         As ``summary.json`` has them.
     """
-    found, columns = estimates(frame, given_noise=given_noise), Columns.of(frame)
+    found, columns = estimates(frame, given_noise=given_noise), BatchColumns.of(frame)
     sections = [Section("cases", "Estimates over the cases", CASES, batch.over_cases(frame, truth, units), 2)]
     if len(found) > 1:
         drawn = batch.distributions(found, truth, units, repeated=is_repetition(found, columns))
@@ -117,7 +117,7 @@ def sections_of(
     return sections
 
 
-def _tables(columns: Columns) -> tuple[str, ...]:
+def _tables(columns: BatchColumns) -> tuple[str, ...]:
     return ("table",) if "table" in columns.repeats else ()
 
 

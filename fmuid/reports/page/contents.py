@@ -14,12 +14,12 @@ import pandas as pd
 from fmuid.errors import InputError
 from fmuid.estimation import Result
 from fmuid.files import with_formulas
-from fmuid.identification import CriterionMap
+from fmuid.identification import CostMap
 from fmuid.reports.page.saved import read_json
-from fmuid.simulation import Fit
+from fmuid.simulation import OutputFit
 
 if TYPE_CHECKING:
-    from fmuid.reports.identification_run import Findings
+    from fmuid.reports.identification_run import IdentificationRun
 
 # Columns of texts, which pandas would take for numbers or missing values where they look like it.
 _TEXTS = (
@@ -29,7 +29,7 @@ _TEXTS = (
 
 
 @dataclass(frozen=True, eq=False)
-class Identification:
+class SavedIdentification:
     """What ``fmuid identify`` has left in a folder.
 
     Attributes
@@ -39,18 +39,18 @@ class Identification:
     result : Result
     tables : dict of str to DataFrame
         The CSV tables by their names; those that are not there are missing.
-    fits : tuple of Fit
-    maps : tuple of CriterionMap
+    fits : tuple of OutputFit
+    maps : tuple of CostMap
     """
 
     content: Mapping[str, Any]
     result: Result
     tables: dict[str, pd.DataFrame]
-    fits: tuple[Fit, ...]
-    maps: tuple[CriterionMap, ...]
+    fits: tuple[OutputFit, ...]
+    maps: tuple[CostMap, ...]
 
     @classmethod
-    def read(cls, folder: Path) -> Identification:
+    def read(cls, folder: Path) -> SavedIdentification:
         """Read a folder.
 
         Raises
@@ -74,7 +74,7 @@ class Identification:
         return cls(content, result, tables, fits, maps)
 
     @classmethod
-    def of(cls, found: Findings) -> Identification:
+    def of(cls, found: IdentificationRun) -> SavedIdentification:
         """Return what a folder would have of findings."""
         return cls(found.to_json_dict(), found.result, found.tables(), found.fits, tuple(found.maps().values()))
 
@@ -118,7 +118,7 @@ def read_table(path: Path) -> pd.DataFrame:
         raise InputError(f"{path} cannot be read as a table of results: {error}") from None
 
 
-def _fits(content: Mapping[str, Any], tables: Mapping[str, pd.DataFrame]) -> tuple[Fit, ...]:
+def _fits(content: Mapping[str, Any], tables: Mapping[str, pd.DataFrame]) -> tuple[OutputFit, ...]:
     if "fit" not in tables:
         return ()
     whole, given = tables["fit"], content.get("experiments", [])
@@ -126,7 +126,7 @@ def _fits(content: Mapping[str, Any], tables: Mapping[str, pd.DataFrame]) -> tup
     return tuple(_fit(each, part) for each, part in zip(given, parts, strict=False))
 
 
-def _fit(given: Mapping[str, Any], table: pd.DataFrame) -> Fit:
+def _fit(given: Mapping[str, Any], table: pd.DataFrame) -> OutputFit:
     outputs = tuple(given["outputs"])
     times = table["time"].to_numpy(np.float64)
     measured, simulated = (
@@ -135,20 +135,20 @@ def _fit(given: Mapping[str, Any], table: pd.DataFrame) -> Fit:
     first = given["counted_from"]
     late = times >= (math.inf if first is None else first)
     counted = np.isfinite(measured) & late[:, np.newaxis]
-    return Fit(given["name"], times, outputs, tuple(given["outputs"].values()), measured, simulated, counted)
+    return OutputFit(given["name"], times, outputs, tuple(given["outputs"].values()), measured, simulated, counted)
 
 
-def _maps(tables: list[pd.DataFrame], result: Result) -> tuple[CriterionMap, ...]:
+def _maps(tables: list[pd.DataFrame], result: Result) -> tuple[CostMap, ...]:
     """Return the maps; the least of them is at the estimate, whose own criterion may be of other noise variances."""
     least = min((float(table["criterion"].min()) for table in tables), default=math.nan)
     return tuple(_map(table, result, least) for table in tables)
 
 
-def _map(table: pd.DataFrame, result: Result, least: float) -> CriterionMap:
+def _map(table: pd.DataFrame, result: Result, least: float) -> CostMap:
     first, second = (str(name) for name in table.columns[:2])
     where = [result.names.index(name) for name in (first, second)]
     sides = [np.unique(table[name].to_numpy(np.float64)) for name in (first, second)]
-    return CriterionMap(
+    return CostMap(
         (first, second),
         table,
         (sides[0].size, sides[1].size),

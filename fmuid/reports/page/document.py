@@ -23,7 +23,7 @@ from typing import Any
 
 from fmuid.errors import InputError
 from fmuid.formatting import visible
-from fmuid.reports.page.verdict import Said
+from fmuid.reports.page.verdict import ReportStatement
 
 # More takes longer than it makes smaller.
 PACKED = 4
@@ -46,7 +46,7 @@ class Section:
         So many at most.
     body : str
         HTML above the figures, in which all that is not ours is escaped.
-    zoom : Sketch, optional
+    zoom : BokehSpec, optional
         A stretch of the only figure, which print shows beside it.
     fit : tuple
         What the only figure shows as much of as can be seen: arguments of `fmuid.reports.interactive.fit.fit`.
@@ -71,7 +71,7 @@ class Part:
     heading : str
     state, good : str, bool
         In a word, and whether that is good.
-    said : sequence of Said
+    said : sequence of ReportStatement
     table : str
         HTML, as for `Section`.
     sections : sequence of Section
@@ -82,7 +82,7 @@ class Part:
     heading: str
     state: str
     good: bool
-    said: Sequence[Said]
+    said: Sequence[ReportStatement]
     table: str
     sections: Sequence[Section]
     end: str = ""
@@ -225,7 +225,7 @@ def _part(part: Part, waiting: list[str], *, several: bool) -> str:
     return first + contents + "".join(_section(each, waiting) for each in part.sections)
 
 
-def _sentence(said: Said, here: set[str]) -> str:
+def _sentence(said: ReportStatement, here: set[str]) -> str:
     words = text(said.text.rstrip("."))
     link = f' <a href="#{said.figure}">see the figure</a>' if said.figure in here else ""
     return f"<li>{words}.{link}</li>"

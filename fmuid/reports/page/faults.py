@@ -7,7 +7,7 @@ from typing import Any
 
 import pandas as pd
 
-from fmuid.diagnosis import Diagnosis, Evidence
+from fmuid.diagnosis import ChangeEvidence, Diagnosis
 from fmuid.errors import InputError
 from fmuid.files import is_file
 from fmuid.reports.interactive import diagnosis
@@ -17,7 +17,7 @@ from fmuid.reports.page.contents import read_table
 from fmuid.reports.page.document import Part, Section, table
 from fmuid.reports.page.provenance import origin
 from fmuid.reports.page.saved import read_json
-from fmuid.reports.page.verdict import Said
+from fmuid.reports.page.verdict import ReportStatement
 
 PREPARED_FILE, MONITORED_FILE = "diagnosis-preparation.csv", "monitoring-preparation.csv"
 """What was done with the tables of a diagnosis, and of a monitoring, as in ``preparation.csv``."""
@@ -56,7 +56,7 @@ def part_of_diagnosis(folder: Path) -> Part:
     units = content.get("units") or {}
     first, *others = diagnosis_words(found)
     proof = "evidence" if found.evidence is None else "causes"
-    said = [Said(first, proof), *(Said(text, "sizes", doubtful=True) for text in others)]
+    said = [ReportStatement(first, proof), *(ReportStatement(text, "sizes", doubtful=True) for text in others)]
     sections = sections_of(found)
     residuals = folder / "diagnosis-residuals.csv"
     if is_file(residuals):
@@ -82,7 +82,7 @@ def sections_of(found: Diagnosis) -> list[Section]:
     return [each for each in sections if each.figures]
 
 
-def _causes(found: Evidence) -> list[Section]:
+def _causes(found: ChangeEvidence) -> list[Section]:
     odds = table(
         {
             "explanation": [explanation_words(each) for each in found.explanations],
@@ -113,7 +113,7 @@ def part_of_monitoring(folder: Path) -> Part:
     content = read_json(folder / "monitoring.json")
     rows = read_table(folder / "monitoring.csv") if content.get("windows") else pd.DataFrame()
     try:
-        said = [Said(text, "timeline") for text in content["words"]]
+        said = [ReportStatement(text, "timeline") for text in content["words"]]
         alarms = content["alarms"]
         drawn = _timelines(rows, content)
         shown = _alarms(alarms)

@@ -11,7 +11,7 @@ from fmuid.array_types import Floats
 from fmuid.reports.interactive import fit, residuals
 from fmuid.reports.interactive.style import MAX_EXPERIMENTS, MAX_OUTPUTS
 from fmuid.reports.page.document import Section
-from fmuid.simulation import Fit
+from fmuid.simulation import OutputFit
 
 RESIDUALS = (
     "Left: the residual's distribution should follow the normal curve. Middle: its autocorrelation should stay in the "
@@ -25,7 +25,7 @@ def fit_sections(
     name: str,
     heading: str,
     caption: str,
-    records: Sequence[Fit],
+    records: Sequence[OutputFit],
     bands: Mapping[str, tuple[Floats | None, float]] | None = None,
 ) -> list[Section]:
     """Return a section an experiment, of many for those that fit worst.
@@ -33,7 +33,7 @@ def fit_sections(
     Parameters
     ----------
     name, heading, caption : str
-    records : sequence of Fit
+    records : sequence of OutputFit
     bands : mapping of str to (array or None, float), optional
         Half widths (K, n_outputs) of the bands around the lines, and their level, by the names of the experiments.
     """
@@ -51,12 +51,12 @@ def fit_sections(
     return sections
 
 
-def residual_section(records: Sequence[Fit], correlations: pd.DataFrame) -> Section:
+def residual_section(records: Sequence[OutputFit], correlations: pd.DataFrame) -> Section:
     """Return the section on the residuals.
 
     Parameters
     ----------
-    records : sequence of Fit
+    records : sequence of OutputFit
     correlations : DataFrame
         As in ``correlations.csv``.
     """

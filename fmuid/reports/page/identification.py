@@ -16,7 +16,7 @@ from fmuid.reports.interactive.style import MAX_PARAMETERS, Units, named
 from fmuid.reports.messages.accuracy import shift_text
 from fmuid.reports.messages.result import effort_words
 from fmuid.reports.page import preparation
-from fmuid.reports.page.contents import Identification
+from fmuid.reports.page.contents import SavedIdentification
 from fmuid.reports.page.document import Part, Section, table
 from fmuid.reports.page.fits import fit_sections, residual_section
 from fmuid.reports.page.provenance import origin
@@ -59,7 +59,7 @@ def part(folder: Path) -> Part:
     InputError
         If a file in it cannot be read.
     """
-    found = Identification.read(folder)
+    found = SavedIdentification.read(folder)
     result = found.result
     said = identification_words(found.content, result, found.fits)
     state = "converged" if result.converged else result.outcome.value.replace("_", " ")
@@ -70,7 +70,7 @@ def part(folder: Path) -> Part:
     return Part("Identification", state, good, said, head, sections_of(found), end)
 
 
-def sections_of(found: Identification) -> list[Section]:
+def sections_of(found: SavedIdentification) -> list[Section]:
     """Return the sections of a page on an identification."""
     told = found.content.get("experiments", [])
     correlations = found.tables.get("correlations", pd.DataFrame(columns=CORRELATIONS))
@@ -118,7 +118,7 @@ def estimates_table(result: Result, units: Units, level: float = CONFIDENCE_LEVE
     return table(columns, numbers=[name for name in columns if name not in ("parameter", "unit")])
 
 
-def _search(found: Identification) -> list[Section]:
+def _search(found: SavedIdentification) -> list[Section]:
     tables, sections = found.tables, []
     if "trace" in tables and "estimates" in tables and len(tables["trace"]):
         drawn = search.parameters(tables["trace"], tables["estimates"])
@@ -132,7 +132,7 @@ def _search(found: Identification) -> list[Section]:
     return sections
 
 
-def _belief(found: Identification) -> list[Section]:
+def _belief(found: SavedIdentification) -> list[Section]:
     reading = found.tables.get("reading", pd.DataFrame())
     figures = estimates.belief(reading, found.units) if len(reading) else []
     parts = estimates.parabolas(reading, units=found.units) if len(reading) else []
@@ -142,7 +142,7 @@ def _belief(found: Identification) -> list[Section]:
     ]
 
 
-def _correlation(found: Identification) -> list[Section]:
+def _correlation(found: SavedIdentification) -> list[Section]:
     result = found.result
     if len(result.names) < 2 or not np.isfinite(result.std).any():
         return []
@@ -150,14 +150,14 @@ def _correlation(found: Identification) -> list[Section]:
     return [Section("correlation", "Correlation of the estimates", CAPTIONS["correlation"], figures)]
 
 
-def _accuracy(found: Identification) -> list[Section]:
+def _accuracy(found: SavedIdentification) -> list[Section]:
     table = found.tables.get("estimates", pd.DataFrame())
     if not len(table) or not np.isfinite(table["numerical_shift"].astype(float)).any():
         return []
     return [Section("accuracy", "Error of the simulation", CAPTIONS["accuracy"], [estimates.accuracy(table)], 1)]
 
 
-def _uncertainty(found: Identification) -> list[Section]:
+def _uncertainty(found: SavedIdentification) -> list[Section]:
     tables = found.tables
     maps = [uncertainty.criterion_map(chart, found.units, tables.get("optima")) for chart in found.maps]
     sections = [
@@ -173,7 +173,7 @@ def _uncertainty(found: Identification) -> list[Section]:
     return sections
 
 
-def _profiles(found: Identification) -> list[object]:
+def _profiles(found: SavedIdentification) -> list[object]:
     points, given = found.tables.get("profiles", pd.DataFrame()), found.content.get("profiles") or {}
     drawn: list[object] = []
     for name, each in list(given.items())[:MAX_PARAMETERS]:

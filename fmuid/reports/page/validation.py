@@ -21,8 +21,8 @@ from fmuid.reports.page.document import Part, Section, table
 from fmuid.reports.page.fits import fit_sections, residual_section
 from fmuid.reports.page.provenance import origin
 from fmuid.reports.page.saved import read_json
-from fmuid.reports.page.verdict import Said
-from fmuid.simulation import Fit
+from fmuid.reports.page.verdict import ReportStatement
+from fmuid.simulation import OutputFit
 
 PREDICTED = (
     "Dots were measured, the line is simulated with the values of the result; the residual is below. "
@@ -61,7 +61,7 @@ def part_of_prediction(folder: Path) -> Part:
     content, whole = read_json(folder / "prediction.json"), read_table(folder / "prediction.csv")
     try:
         records = content["records"]
-        said = [Said(str(text), "prediction") for text in content["words"]]
+        said = [ReportStatement(str(text), "prediction") for text in content["words"]]
         scores = [{"record": each["experiment"], **score} for each in records for score in each["outputs"]]
         found = {str(each["experiment"]): _predicted(each, whole, len(records)) for each in records}
         seen = [str(each["experiment"]) for each in records if each.get("seen")]
@@ -72,7 +72,7 @@ def part_of_prediction(folder: Path) -> Part:
     good = all(ratio <= LEAST_RATIO for ratio in ratios)
     state = "seen before" if seen else "predicted" if not ratios else "carries over" if good else "worse than expected"
     if seen:
-        said.append(Said(f"The result was made from {listed(seen)}: this is no prediction", doubtful=True))
+        said.append(ReportStatement(f"The result was made from {listed(seen)}: this is no prediction", doubtful=True))
     fits = [fit for fit, _, _ in found.values()]
     bands = {name: (half, level) for name, (_, half, level) in found.items()}
     sections = fit_sections("prediction", "Predicted", PREDICTED, fits, bands)
@@ -81,7 +81,7 @@ def part_of_prediction(folder: Path) -> Part:
     return Part("Prediction", state, good and not seen, said, rows, sections, origin(content))
 
 
-def _predicted(record: dict[str, Any], whole: pd.DataFrame, count: int) -> tuple[Fit, Floats | None, float]:
+def _predicted(record: dict[str, Any], whole: pd.DataFrame, count: int) -> tuple[OutputFit, Floats | None, float]:
     """Return measured and predicted outputs, the half widths of the bands and their level."""
     rows = whole[whole["experiment"] == record["experiment"]] if count > 1 else whole
     outputs = [str(name).removeprefix("simulated.") for name in rows.columns if str(name).startswith("simulated.")]
@@ -90,7 +90,7 @@ def _predicted(record: dict[str, Any], whole: pd.DataFrame, count: int) -> tuple
         rows[[f"{kind}.{name}" for name in outputs]].to_numpy(np.float64) for kind in ("measured", "simulated", "upper")
     )
     times, told = rows["time"].to_numpy(np.float64), tuple(units.get(name) for name in outputs)
-    found = Fit(record["experiment"], times, tuple(outputs), told, measured, simulated, np.isfinite(measured))
+    found = OutputFit(record["experiment"], times, tuple(outputs), told, measured, simulated, np.isfinite(measured))
     half = upper - simulated
     return found, half if np.isfinite(half).any() else None, float(record["level"])
 
@@ -122,7 +122,7 @@ def part_of_design(folder: Path) -> Part:
     worst = 100.0 * rows["worst"].to_numpy(np.float64)
     what = "leaves no relative std above" if accuracy else "shows faults from this share of their magnitude on:"
     one = f"{names[0]} is the best of {len(names)} excitations: it" if len(names) > 1 else names[0]
-    said = [Said(f"{one} {what} {worst[0]:.3g} %", "excitations")]
+    said = [ReportStatement(f"{one} {what} {worst[0]:.3g} %", "excitations")]
     columns = {HEADS.get(str(key), str(key)): [_cell(each) for each in rows[key]] for key in rows}
     shown = table(columns, numbers=list(columns)[1:])
     section = Section(
@@ -153,7 +153,9 @@ def part_of_sensitivities(folder: Path) -> Part:
         heading = f"Sensitivities: {name}" if name else "Sensitivities"
         anchor, caption = ("sensitivities", SENSITIVITIES) if k == 0 else (f"sensitivities-{k + 1}", "")
         sections.append(Section(anchor, heading, caption, [comparison.sensitivities(rows, units)], 1))
-    said = [Said("What relative changes of the parameters do to the outputs at their starts", "sensitivities")]
+    said = [
+        ReportStatement("What relative changes of the parameters do to the outputs at their starts", "sensitivities")
+    ]
     return Part(
         "Sensitivities",
         f"{len(groups)} experiment{'s' * (len(groups) > 1)}",

@@ -24,14 +24,14 @@ from fmuid.reports.messages.result import (
 
 if TYPE_CHECKING:
     from fmuid.estimation import Result
-    from fmuid.simulation import Fit
+    from fmuid.simulation import OutputFit
 
 # Of more outputs than this, the sentence on the fit has the least only.
 MOST_FITS = 4
 
 
 @dataclass(frozen=True)
-class Said:
+class ReportStatement:
     """A sentence of a report.
 
     Attributes
@@ -48,7 +48,9 @@ class Said:
     doubtful: bool = False
 
 
-def identification_words(content: Mapping[str, Any], result: Result, fits: Sequence[Fit]) -> tuple[Said, ...]:
+def identification_words(
+    content: Mapping[str, Any], result: Result, fits: Sequence[OutputFit]
+) -> tuple[ReportStatement, ...]:
     """Return what a report of an identification says, the verdict first.
 
     Parameters
@@ -57,37 +59,47 @@ def identification_words(content: Mapping[str, Any], result: Result, fits: Seque
         Of ``result.json``.
     result : Result
         Read from it.
-    fits : sequence of Fit
+    fits : sequence of OutputFit
     """
-    said = [Said(capitalised(ending(result)), "criterion", not result.converged)]
-    said += [Said(text, "estimates") for text in _precision(result)]
-    said += [Said(text, "fit") for text in _fit(fits)]
+    said = [ReportStatement(capitalised(ending(result)), "criterion", not result.converged)]
+    said += [ReportStatement(text, "estimates") for text in _precision(result)]
+    said += [ReportStatement(text, "fit") for text in _fit(fits)]
     lost = {each["name"]: each["dropouts"] for each in content.get("experiments", ()) if "dropouts" in each}
-    said += [Said(dropout_words(*each), "fit", doubtful=True) for each in lost.items()]
-    said += [Said(capitalised(text, result.names), "criterion", doubtful=True) for text in observer_words(result)]
-    said += [Said(capitalised(text, result.names), "criterion", doubtful=True) for text in start_words(result)]
+    said += [ReportStatement(dropout_words(*each), "fit", doubtful=True) for each in lost.items()]
+    said += [
+        ReportStatement(capitalised(text, result.names), "criterion", doubtful=True) for text in observer_words(result)
+    ]
+    said += [
+        ReportStatement(capitalised(text, result.names), "criterion", doubtful=True) for text in start_words(result)
+    ]
     if result.accuracy is not None:
         said += [
-            Said(capitalised(text, result.names), "accuracy") for text in filter(None, [passed_words(result.accuracy)])
+            ReportStatement(capitalised(text, result.names), "accuracy")
+            for text in filter(None, [passed_words(result.accuracy)])
         ]
         said += [
-            Said(capitalised(text, result.names), "accuracy", result.accuracy.doubtful)
+            ReportStatement(capitalised(text, result.names), "accuracy", result.accuracy.doubtful)
             for text in accuracy_words(result.names, result.accuracy)
         ]
-    said += [Said(capitalised(text, result.names), "correlation", doubtful=True) for text in dependence_words(result)]
+    said += [
+        ReportStatement(capitalised(text, result.names), "correlation", doubtful=True)
+        for text in dependence_words(result)
+    ]
     return *said, *_saved(content, result)
 
 
-def _saved(content: Mapping[str, Any], result: Result) -> list[Said]:
+def _saved(content: Mapping[str, Any], result: Result) -> list[ReportStatement]:
     """Return what the file says of residuals, of prior and data, and of the uncertainty."""
     found, read, more = (content.get(key) or {} for key in ("diagnostics", "consistency", "uncertainty"))
     coloured = any(each["large"] for each in found.get("findings", ()))
     agreement = read.get("prior_against_data") or {}
     odd = agreement.get("probability", 1.0) < SIGNIFICANCE_LEVEL
     odd |= any(each.get("deviation") in _ODD for each in read.get("variances", ()))
-    said = [Said(text, "residuals", coloured) for text in found.get("words", ())]
-    said += [Said(text, "belief", odd) for text in read.get("words", ())]
-    said += [Said(capitalised(text, result.names), "profiles", doubtful=True) for text in more.get("words", ())]
+    said = [ReportStatement(text, "residuals", coloured) for text in found.get("words", ())]
+    said += [ReportStatement(text, "belief", odd) for text in read.get("words", ())]
+    said += [
+        ReportStatement(capitalised(text, result.names), "profiles", doubtful=True) for text in more.get("words", ())
+    ]
     return said
 
 
@@ -113,7 +125,7 @@ def _precision(result: Result) -> list[str]:
     return [capitalised(text, result.names) for text in said]
 
 
-def _fit(fits: Sequence[Fit]) -> list[str]:
+def _fit(fits: Sequence[OutputFit]) -> list[str]:
     """Say how well measured and simulated outputs agree; of many, which agrees least."""
     counts = [(fit, j) for fit in fits for j in np.flatnonzero(fit.counted.any(axis=0)).tolist()]
     known = [(fit, j) for fit, j in counts if math.isfinite(fit.fit[j])]

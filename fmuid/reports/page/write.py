@@ -14,7 +14,7 @@ from fmuid.reports.render.document_json import DOCUMENT_FILE
 
 if TYPE_CHECKING:
     from fmuid.reports.page.document import Part, Section
-    from fmuid.simulation import Fit
+    from fmuid.simulation import OutputFit
 
 FILES = (
     *("result.json", "diagnosis.json", "monitoring.json", "summary.json", "prediction.json"),
@@ -88,7 +88,7 @@ def show_results(folder: Path, *, report: bool, figures: str | None = None) -> l
     return [*drawn, *([write_report(folder)] if report else [])]
 
 
-def draw_simulation(folder: Path, fits: Sequence[Fit], figures: str, *, sensitivities: bool) -> list[Path]:
+def draw_simulation(folder: Path, fits: Sequence[OutputFit], figures: str, *, sensitivities: bool) -> list[Path]:
     """Draw measured and simulated outputs for print, and the sensitivities in the folder; those of an earlier run go.
 
     Raises

@@ -23,7 +23,7 @@ _NUMBERS = itertools.count(1)
 _FLOATS = (np.dtype(np.float32), np.dtype(np.float64))
 
 
-class Sketch:
+class BokehSpec:
     """A model by its name in Bokeh; its attributes are what is set of it."""
 
     __slots__ = ("__dict__", "kind")
@@ -44,7 +44,7 @@ class Field:
     """A column of a source, and the colors that it goes through."""
 
     field: str
-    transform: Sketch | None = None
+    transform: BokehSpec | None = None
 
 
 @dataclass(frozen=True)
@@ -54,12 +54,12 @@ class Value:
     value: object
 
 
-def live(figures: Sequence[Sketch], *, dark: bool = False) -> list[Any]:
+def live(figures: Sequence[BokehSpec], *, dark: bool = False) -> list[Any]:
     """Return figures as Bokeh's own models, for a server; what several share is shared.
 
     Parameters
     ----------
-    figures : sequence of Sketch
+    figures : sequence of BokehSpec
         Models of Bokeh in them stay as they are.
     dark : bool
         Whether the page is dark: pages without a server exchange colors by a script of their own.
@@ -75,7 +75,7 @@ def live(figures: Sequence[Sketch], *, dark: bool = False) -> list[Any]:
 
     def of(value: Any, name: str = "") -> Any:
         match value:
-            case Sketch():
+            case BokehSpec():
                 if id(value) not in made:
                     told = {key: of(each, key) for key, each in vars(value).items()}
                     made[id(value)] = getattr(library, value.kind)(**told)
@@ -93,7 +93,7 @@ def live(figures: Sequence[Sketch], *, dark: bool = False) -> list[Any]:
     return [of(figure) for figure in figures]
 
 
-def written(figures: Sequence[Sketch]) -> tuple[list[Any], list[str]]:
+def written(figures: Sequence[BokehSpec]) -> tuple[list[Any], list[str]]:
     """Return figures as JSON that Bokeh's library in a browser reads, and the id of each."""
     ids: dict[int, str] = {}
     roots = [_json(figure, ids) for figure in figures]
@@ -108,7 +108,7 @@ def _json(value: Any, ids: dict[int, str]) -> Any:
             return value if math.isfinite(value) else {"type": "number", "value": _beyond(value)}
         case np.generic():
             return _json(value.item(), ids)
-        case Sketch():
+        case BokehSpec():
             if id(value) in ids:
                 return {"id": ids[id(value)]}
             ids[id(value)] = name = f"sketch-{next(_NUMBERS)}"

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from fmuid.reports.chart import Axis, Chart, ChartGrid, Figure, Layer, Shades, beside, row_below, wrapped
-from fmuid.reports.render.bokeh_models import Field, Sketch, Value
+from fmuid.reports.render.bokeh_models import BokehSpec, Field, Value
 from fmuid.reports.render.style import (
     BAR,
     BAR_BELOW,
@@ -52,7 +52,7 @@ _GLYPHS = {
 class DrawnCharts:
     """Figures, and the sources of their columns: for who exchanges the data while somebody looks."""
 
-    figures: tuple[Sketch, ...]
+    figures: tuple[BokehSpec, ...]
     sources: tuple[tuple[Any, Mapping[str, tuple[int, str]]], ...]
 
     def refill(self, figures: Sequence[Figure], before: Sequence[Figure]) -> None:
@@ -66,7 +66,7 @@ class DrawnCharts:
 def drawing(
     figures: Sequence[Figure],
     ranges: Mapping[str, Any] | None = None,
-    source: Callable[[dict[str, Any]], Any] = lambda data: Sketch("ColumnDataSource", data=data),
+    source: Callable[[dict[str, Any]], Any] = lambda data: BokehSpec("ColumnDataSource", data=data),
 ) -> DrawnCharts:
     """Return figures as sketches.
 
@@ -112,10 +112,10 @@ def _column(values: Any) -> Any:
     return list(values) if isinstance(values, tuple) else values
 
 
-def _figure(figure: Figure, linked: dict[str, Any], places: Mapping[int, Any], sources: Mapping[int, Any]) -> Sketch:
+def _figure(figure: Figure, linked: dict[str, Any], places: Mapping[int, Any], sources: Mapping[int, Any]) -> BokehSpec:
     if isinstance(figure, Chart):
         return _Plot(figure, linked, places, sources).sketch
-    crosses: dict[str, Sketch] = {}
+    crosses: dict[str, BokehSpec] = {}
     children = []
     for i, row in enumerate(figure.rows):
         for j, chart in enumerate(row):
@@ -126,20 +126,20 @@ def _figure(figure: Figure, linked: dict[str, Any], places: Mapping[int, Any], s
     return _grid(children)
 
 
-def _grid(children: list[tuple[Sketch, int, int]]) -> Sketch:
+def _grid(children: list[tuple[BokehSpec, int, int]]) -> BokehSpec:
     """Return plots in rows and columns, with one toolbar for all of them."""
-    kinds: dict[str, list[Sketch]] = {}
+    kinds: dict[str, list[BokehSpec]] = {}
     for plot, _, _ in children:
         plot.toolbar_location = None
         for tool in plot.toolbar.tools:
             kinds.setdefault(f"{tool.kind} {vars(tool).get('tooltips')}", []).append(tool)
     tools = [
-        Sketch(each[0].kind) if each[0].kind in _SINGLE_TOOLS else Sketch("ToolProxy", tools=each)
+        BokehSpec(each[0].kind) if each[0].kind in _SINGLE_TOOLS else BokehSpec("ToolProxy", tools=each)
         for each in kinds.values()
     ]
     first = next((tool for tool in tools if tool.kind == "ToolProxy" and tool.tools[0].kind == "BoxZoomTool"), None)
-    bar = Sketch("Toolbar", tools=tools, logo=None, autohide=True, active_drag=first)
-    return Sketch("GridPlot", children=children, toolbar=bar, toolbar_location="right", sizing_mode="stretch_width")
+    bar = BokehSpec("Toolbar", tools=tools, logo=None, autohide=True, active_drag=first)
+    return BokehSpec("GridPlot", children=children, toolbar=bar, toolbar_location="right", sizing_mode="stretch_width")
 
 
 class _Plot:
@@ -157,14 +157,14 @@ class _Plot:
         )
         lines = (chart.x.grid is True, chart.y.grid is not False and chart.y.shown)
         grids = [
-            Sketch("Grid", axis=axis, dimension=k, grid_line_color=COLORS["faint"] if line else None)
+            BokehSpec("Grid", axis=axis, dimension=k, grid_line_color=COLORS["faint"] if line else None)
             for k, (axis, line) in enumerate(zip((self.xaxis, self.yaxis), lines, strict=True))
         ]
-        zoom = Sketch("BoxZoomTool", **({"dimensions": "width"} if any(each.above for each in chart.layers) else {}))
-        self.tools = [zoom, Sketch("ResetTool"), Sketch("SaveTool")]
-        self.renderers: list[Sketch] = []
-        self.center, self.above, self.right = grids, list[Sketch](), list[Sketch]()
-        entries: dict[str, list[Sketch]] = {}
+        zoom = BokehSpec("BoxZoomTool", **({"dimensions": "width"} if any(each.above for each in chart.layers) else {}))
+        self.tools = [zoom, BokehSpec("ResetTool"), BokehSpec("SaveTool")]
+        self.renderers: list[BokehSpec] = []
+        self.center, self.above, self.right = grids, list[BokehSpec](), list[BokehSpec]()
+        entries: dict[str, list[BokehSpec]] = {}
         for layer in chart.layers:
             drawn = self._layer(layer)
             if layer.label and drawn is not None:
@@ -174,13 +174,13 @@ class _Plot:
         if names_above:
             self.yaxis.visible = False
             self.center.append(self._names(chart.y.names))
-        self.sketch = Sketch(
+        self.sketch = BokehSpec(
             "Plot",
             height=chart.whole_height,
             x_range=ranges[0],
             y_range=ranges[1],
-            x_scale=Sketch(f"{kinds[0]}Scale"),
-            y_scale=Sketch(f"{kinds[1]}Scale"),
+            x_scale=BokehSpec(f"{kinds[0]}Scale"),
+            y_scale=BokehSpec(f"{kinds[1]}Scale"),
             below=[self.xaxis],
             left=[self.yaxis],
             center=self.center,
@@ -189,7 +189,7 @@ class _Plot:
             renderers=self.renderers,
             sizing_mode="stretch_width",
             toolbar_location="right",
-            toolbar=Sketch("Toolbar", tools=self.tools, logo=None, autohide=True, active_drag=zoom),
+            toolbar=BokehSpec("Toolbar", tools=self.tools, logo=None, autohide=True, active_drag=zoom),
             min_border_left=12 if names_above else 58,
             min_border_right=10,
             outline_line_color=None,  # that of the page, as the colors behind
@@ -198,14 +198,14 @@ class _Plot:
             **({"lod_threshold": None} if chart.crosshair else {}),
         )
 
-    def compact(self, crosses: dict[str, Sketch]) -> None:
+    def compact(self, crosses: dict[str, BokehSpec]) -> None:
         """Have it stand close to others of a grid, and read with those over the same time."""
         if self.chart.crosshair:
             vars(self.sketch).update(min_border_top=4, min_border_bottom=4)
             self.xaxis.ticker.desired_num_ticks = 8
             look = {"dimension": "height", "line_dash": "dotted", "line_color": COLORS["grey"]}
-            cross = crosses.setdefault(self.chart.x.linked, Sketch("Span", **look))
-            self.tools.append(Sketch("CrosshairTool", overlay=cross))
+            cross = crosses.setdefault(self.chart.x.linked, BokehSpec("Span", **look))
+            self.tools.append(BokehSpec("CrosshairTool", overlay=cross))
         elif not self.chart.y.shown:
             vars(self.sketch)["min_border_left"] = 12
 
@@ -217,26 +217,26 @@ class _Plot:
         low, high = axis.reach
         more = {} if not self.chart.crosshair or axis is self.chart.y else {"bounds": "auto"}
         if axis.kind == "names":
-            found = Sketch("FactorRange", factors=list(axis.names))
+            found = BokehSpec("FactorRange", factors=list(axis.names))
         elif low is not None and high is not None:
-            found = Sketch("Range1d", start=float(low), end=float(high), **more)
+            found = BokehSpec("Range1d", start=float(low), end=float(high), **more)
         else:
-            found = Sketch("DataRange1d", **({} if low is None else {"start": low}))
+            found = BokehSpec("DataRange1d", **({} if low is None else {"start": low}))
         if axis.linked:
             linked[axis.linked] = found
         return found
 
-    def _axis(self, axis: Axis, kind: str, *, vertical: bool) -> Sketch:
-        ticker = Sketch(f"{kind.replace('Linear', 'Basic')}Ticker")
+    def _axis(self, axis: Axis, kind: str, *, vertical: bool) -> BokehSpec:
+        ticker = BokehSpec(f"{kind.replace('Linear', 'Basic')}Ticker")
         ticks = axis.ticks or (6 if axis.whole else 0 if vertical else 5)
         if axis.kind != "names":
             vars(ticker).update({"desired_num_ticks": ticks} if ticks else {})
             vars(ticker).update({"min_interval": 1} if axis.whole else {})
         text = axis.label if vertical else wrapped(axis.label)
-        found = Sketch(
+        found = BokehSpec(
             f"{kind}Axis",
             ticker=ticker,
-            axis_label=Sketch("PlainText", text=text) if any(mark in text for mark in _TEX) else text,
+            axis_label=BokehSpec("PlainText", text=text) if any(mark in text for mark in _TEX) else text,
             axis_line_color=LINE if axis.grid is not False else None,
             major_tick_line_color=LINE if axis.grid is not False else None,
             minor_tick_line_color=None,
@@ -254,12 +254,12 @@ class _Plot:
         vars(found).update({"major_label_orientation": axis.turned} if axis.turned else {})
         return found
 
-    def _names(self, names: Sequence[str]) -> Sketch:
+    def _names(self, names: Sequence[str]) -> BokehSpec:
         """Return the names of rows above them."""
         data = {"name": list(names), "text": [wrapped(name) for name in names]}
-        return Sketch(
+        return BokehSpec(
             "LabelSet",
-            source=Sketch("ColumnDataSource", data=data),
+            source=BokehSpec("ColumnDataSource", data=data),
             x=Value(0),
             x_units="screen",
             y=Field("name"),
@@ -271,14 +271,14 @@ class _Plot:
             text_font_size=Value(NAME_SIZE),
         )
 
-    def _legend(self, entries: Mapping[str, list[Sketch]]) -> None:
+    def _legend(self, entries: Mapping[str, list[BokehSpec]]) -> None:
         """Put a legend above, in lines where one has no room: a click hides what an entry stands for."""
-        items = [Sketch("LegendItem", label=Value(text), renderers=drawn) for text, drawn in entries.items()]
+        items = [BokehSpec("LegendItem", label=Value(text), renderers=drawn) for text, drawn in entries.items()]
         if not items:
             return
         long = self.chart.legend_lines > 1
         self.above.append(
-            Sketch(
+            BokehSpec(
                 "Legend",
                 items=items,
                 orientation="vertical" if long else "horizontal",
@@ -299,7 +299,7 @@ class _Plot:
 
     # --- layers
 
-    def _layer(self, layer: Layer) -> Sketch | None:
+    def _layer(self, layer: Layer) -> BokehSpec | None:
         if layer.mark in ("rule", "zone"):
             self.center += _annotations(layer)
             return None
@@ -320,17 +320,17 @@ class _Plot:
         for name, look in self._looks(layer, names).items():
             told[name] = look if kind in _ONE_SHAPE or isinstance(look, Field) else Value(look)
         above = {"level": "overlay"} if layer.above else {}
-        drawn = Sketch("GlyphRenderer", data_source=self._sources[group], glyph=Sketch(kind, **told), **above)
+        drawn = BokehSpec("GlyphRenderer", data_source=self._sources[group], glyph=BokehSpec(kind, **told), **above)
         self.renderers.append(drawn)
         if layer.hover:
             lines = [(word, re.sub(r"@(\w+)", lambda found: f"@{names[found[1]]}", text)) for word, text in layer.hover]
             mode = {"mode": "vline", "line_policy": "nearest", "point_policy": "snap_to_data"}
             across = mode if self.chart.crosshair else {}
-            self.tools.append(Sketch("HoverTool", renderers=[drawn], tooltips=lines, **across))
+            self.tools.append(BokehSpec("HoverTool", renderers=[drawn], tooltips=lines, **across))
         if layer.above and layer.label:  # Bokeh empties the legend of what is painted on the overlay
-            nothing = Sketch("ColumnDataSource", data={"x": np.array([np.nan]), "y": np.array([np.nan])})
-            own = Sketch(kind, **(told | {"x": Field("x"), "y": Field("y")}))
-            drawn = Sketch("GlyphRenderer", data_source=nothing, glyph=own)
+            nothing = BokehSpec("ColumnDataSource", data={"x": np.array([np.nan]), "y": np.array([np.nan])})
+            own = BokehSpec(kind, **(told | {"x": Field("x"), "y": Field("y")}))
+            drawn = BokehSpec("GlyphRenderer", data_source=nothing, glyph=own)
             self.renderers.append(drawn)
         return drawn
 
@@ -361,15 +361,15 @@ class _Plot:
                 return {"fill_color": shade, "line_color": shade if layer.shades.title else None}
         return {"fill_color": color, "fill_alpha": alpha, **({} if layer.mark == "band" else {"line_color": edge})}
 
-    def _shades(self, shades: Shades) -> Sketch:
+    def _shades(self, shades: Shades) -> BokehSpec:
         kind = "LogColorMapper" if shades.log else "LinearColorMapper"
         missing = COLORS["white"] if shades.title else MISSING
-        found = Sketch(kind, palette=palette(shades.palette), low=shades.low, high=shades.high, nan_color=missing)
+        found = BokehSpec(kind, palette=palette(shades.palette), low=shades.low, high=shades.high, nan_color=missing)
         if shades.title:
-            bar = Sketch(
+            bar = BokehSpec(
                 "ColorBar",
                 color_mapper=found,
-                ticker=Sketch("LogTicker", desired_num_ticks=6),
+                ticker=BokehSpec("LogTicker", desired_num_ticks=6),
                 width=12,
                 title=shades.title,
                 background_fill_color=COLORS["white"],
@@ -383,7 +383,7 @@ class _Plot:
         return found
 
 
-def _annotations(layer: Layer) -> list[Sketch]:
+def _annotations(layer: Layer) -> list[BokehSpec]:
     """Return lines across and shaded parts."""
     color = COLORS[layer.color]
     if layer.mark == "zone":
@@ -391,11 +391,11 @@ def _annotations(layer: Layer) -> list[Sketch]:
         count = max(each.size for each in columns.values())
         look = {"fill_color": color, "fill_alpha": layer.alpha, "line_color": None}
         return [
-            Sketch("BoxAnnotation", **{side: float(each[k]) for side, each in columns.items()}, **look)
+            BokehSpec("BoxAnnotation", **{side: float(each[k]) for side, each in columns.items()}, **look)
             for k in range(count)
         ]
     return [
-        Sketch(
+        BokehSpec(
             "Span",
             dimension="height" if side == "x" else "width",
             location=float(place),

@@ -23,11 +23,11 @@ from fmuid.reports.chart import (
     short,
     stacked,
 )
-from fmuid.reports.document import Message, Remark, Section, table_of
+from fmuid.reports.document import Message, ProfileEndNote, Section, table_of
 from fmuid.reports.downsampling import evenly, extremes
 
 if TYPE_CHECKING:
-    from fmuid.simulation import Fit
+    from fmuid.simulation import OutputFit
 
 ZOOM_SHARE, ZOOM_SAMPLES = 0.06, 120
 """A zoom for print is this share of the record, and at least this many samples."""
@@ -61,7 +61,7 @@ CONSTANT = "constant as measured: no fit"
 """In place of a fit that has no meaning."""
 
 
-def fit_remarks(fits: Sequence[Fit], *, whole: bool = False) -> list[Remark]:
+def fit_remarks(fits: Sequence[OutputFit], *, whole: bool = False) -> list[ProfileEndNote]:
     """Say how well outputs agree; of many which agrees least, unless the `whole` list is asked for."""
     counts = [(fit, j) for fit in fits for j in np.flatnonzero(fit.counted.any(axis=0)).tolist()]
     known = [(fit, j) for fit, j in counts if math.isfinite(fit.fit[j])]
@@ -74,7 +74,7 @@ def fit_remarks(fits: Sequence[Fit], *, whole: bool = False) -> list[Remark]:
     return [FitMessage.FIT.said("plain", "fit", scores=scores)] if scores else []
 
 
-def fit_scores(fits: Sequence[Fit]) -> str:
+def fit_scores(fits: Sequence[OutputFit]) -> str:
     """Return fit and RMSE of each output of each experiment, as far as it was measured."""
     said = []
     for each in fits:
@@ -90,7 +90,7 @@ def _score(fit: float, rmse: float, unit: str | None) -> str:
     return f"{error} ({CONSTANT})" if math.isnan(fit) and math.isfinite(rmse) else f"{fit_text(fit)} ({error})"
 
 
-def scores_section(fits: Sequence[Fit]) -> Section:
+def scores_section(fits: Sequence[OutputFit]) -> Section:
     """Return the table of fit and RMSE of each output of each experiment."""
     rows = []
     for fit in fits:
@@ -105,7 +105,7 @@ def scores_section(fits: Sequence[Fit]) -> Section:
 
 
 def fit_sections(
-    fits: Sequence[Fit],
+    fits: Sequence[OutputFit],
     heading: str = "Measured and simulated",
     caption: str = CAPTION,
     bands: Mapping[str, Band] | None = None,
@@ -115,7 +115,7 @@ def fit_sections(
 
     Parameters
     ----------
-    fits : sequence of Fit
+    fits : sequence of OutputFit
     heading, caption : str
     bands : mapping of str to Band, optional
         By the names of the experiments.
@@ -136,19 +136,19 @@ def fit_sections(
     return sections
 
 
-def worst(fits: Sequence[Fit]) -> tuple[Fit, ...]:
+def worst(fits: Sequence[OutputFit]) -> tuple[OutputFit, ...]:
     """Return the experiments to draw, in their order: of more than `MAX_EXPERIMENTS` those of least fit."""
     kept = sorted(fits, key=lambda fit: np.nanmin([100.0, *fit.fit]))[:MAX_EXPERIMENTS]
     return tuple(fit for fit in fits if fit in kept)
 
 
-def drawn_outputs(fit: Fit) -> list[int]:
+def drawn_outputs(fit: OutputFit) -> list[int]:
     """Return the outputs to draw, in their order: of more than `MAX_OUTPUTS` those of least fit."""
     order = np.argsort(np.nan_to_num(np.asarray(fit.fit), nan=100.0), kind="stable")
     return sorted(int(output) for output in order[:MAX_OUTPUTS])
 
 
-def zoomed(fit: Fit) -> slice:
+def zoomed(fit: OutputFit) -> slice:
     """Return the rows of the stretch where the simulated outputs vary most, for print, where nobody can drag.
 
     The total variation of each output, relative to its own over the record, is summed over the outputs: being
@@ -166,7 +166,7 @@ def zoomed(fit: Fit) -> slice:
     return slice(start, start + width)
 
 
-def fit_charts(fit: Fit, band: Band | None = None, rows: slice = slice(None)) -> ChartGrid:
+def fit_charts(fit: OutputFit, band: Band | None = None, rows: slice = slice(None)) -> ChartGrid:
     """Return the outputs of an experiment: measured dots, the simulated line with its band, the residual below.
 
     Of more than `MAX_OUTPUTS` those of least fit are drawn. What does not count lies in the grey part.

@@ -11,12 +11,12 @@ import numpy as np
 from fmuid.array_types import Floats
 from fmuid.formatting import fit_text, label, listed
 from fmuid.reports.chart import MAX_PARAMETERS, Axis, Chart, Data, Layer, picked, rows_of
-from fmuid.reports.document import Document, Message, Remark, Section, Table, Tone, table_of
+from fmuid.reports.document import Document, Message, ProfileEndNote, Section, Table, Tone, table_of
 from fmuid.reports.topics.provenance import origin_of
 
 if TYPE_CHECKING:
-    from fmuid.identification import Comparison
-    from fmuid.reports.comparisons import ComparisonFindings
+    from fmuid.identification import ModelComparison
+    from fmuid.reports.comparisons import ComparisonRun
 
 ALIKE_AIC, CLEAR_AIC = 2.0, 10.0
 """Criteria of Akaike's that differ by less than the first are as good as each other, by more than the second they tell
@@ -83,7 +83,7 @@ class ComparisonMessage(Message):
     )
 
 
-def comparison_document(found: ComparisonFindings) -> Document:
+def comparison_document(found: ComparisonRun) -> Document:
     """Return the document of a comparison of results."""
     rows = found.table
     fits = dict(zip(rows["name"], rows["fit"].tolist(), strict=True)) if "fit" in rows else {}
@@ -108,12 +108,12 @@ def comparison_document(found: ComparisonFindings) -> Document:
     return Document("comparison", "Comparison", state, tone, tuple(said), tuple(sections), **origin_of(found.origin))
 
 
-def comparison_remarks(found: Comparison | None, fits: Mapping[str, float]) -> list[Remark]:
+def comparison_remarks(found: ModelComparison | None, fits: Mapping[str, float]) -> list[ProfileEndNote]:
     """Say which result the criteria and the common tables speak for.
 
     Parameters
     ----------
-    found : Comparison or None
+    found : ModelComparison or None
         By likelihoods.
     fits : mapping of str to float
         Of each result over the common tables, %; empty without, NaN where measured outputs are constant.
@@ -121,7 +121,7 @@ def comparison_remarks(found: Comparison | None, fits: Mapping[str, float]) -> l
     return [*([] if found is None else _by_likelihood(found)), *([_by_fit(fits)] if fits else [])]
 
 
-def _by_likelihood(found: Comparison) -> list[Remark]:
+def _by_likelihood(found: ModelComparison) -> list[ProfileEndNote]:
     best, *rest = found.ranks
     near = [rank.name for rank in rest if rank.behind < ALIKE_AIC]
     if near:
@@ -148,7 +148,7 @@ def _by_likelihood(found: Comparison) -> list[Remark]:
     return said
 
 
-def _by_fit(fits: Mapping[str, float]) -> Remark:
+def _by_fit(fits: Mapping[str, float]) -> ProfileEndNote:
     if not any(map(math.isfinite, fits.values())):
         return ComparisonMessage.NO_FIT.said("plain", "errors")
     order = sorted(fits, key=lambda name: -fits[name] if math.isfinite(fits[name]) else math.inf)
@@ -161,7 +161,7 @@ def _by_fit(fits: Mapping[str, float]) -> Remark:
     return ComparisonMessage.BEST_FIT.said("plain", "errors", **values)
 
 
-def _table(found: ComparisonFindings) -> Table:
+def _table(found: ComparisonRun) -> Table:
     frame = found.table
     heads = {"name": "result", "parameters": "k", "log_likelihood": "log-likelihood", "aic": "AIC", "bic": "BIC"}
     heads |= {"corrected_aic": "corrected AIC", "corrected_bic": "corrected BIC", "behind": "behind"}

@@ -18,13 +18,13 @@ import numpy as np
 import pandas as pd
 
 from fmuid.array_types import Indices
-from fmuid.display_mixins import Displayed, Plotted
+from fmuid.display_mixins import HtmlTableMixin, PlotMixin
 from fmuid.errors import InputError
 from fmuid.progress import BatchStep, Progress
-from fmuid.runs.batch.cases import Cases, truth_of
+from fmuid.runs.batch.cases import CaseList, truth_of
 from fmuid.runs.batch.dataset import MANIFEST, Dataset
 from fmuid.runs.batch.run_case import CaseRunner
-from fmuid.runs.batch.study_package import Bundle, changes
+from fmuid.runs.batch.study_package import BatchStudy, changes
 from fmuid.runs.batch.summary import Summary, condensed, summarize
 from fmuid.runs.batch.worker import GroupResult, versions
 from fmuid.runs.batch.worker_pool import crew
@@ -40,7 +40,7 @@ RATE_SECONDS = 30.0
 
 
 @dataclass(frozen=True, eq=False)
-class BatchResult(Plotted):
+class BatchResult(PlotMixin):
     """What a batch has found so far.
 
     Attributes
@@ -97,7 +97,7 @@ class BatchResult(Plotted):
         return found, frame
 
 
-class Batch(Displayed):
+class Batch(HtmlTableMixin):
     """The identifications that a study's ``[batch]`` spans, and the folder that their rows go to.
 
     Parameters
@@ -143,7 +143,7 @@ class Batch(Displayed):
     ) -> None:
         self.study = study if isinstance(study, Study) else Study.read(study)
         self.folder = Path(folder)
-        self.cases = Cases.of(self.study)
+        self.cases = CaseList.of(self.study)
         if len(self.cases) > max_cases:
             raise InputError(
                 f"{self.study.path} spans {len(self.cases)} cases, and --max-cases allows {max_cases}: see whether "
@@ -181,7 +181,7 @@ class Batch(Displayed):
         FmuidError
             If the disk is full or the scheduler lost; what is finished is kept.
         """
-        bundle = Bundle(self.study, isolated=self._isolated, versions=versions())
+        bundle = BatchStudy(self.study, isolated=self._isolated, versions=versions())
         with self.dataset.locked():
             lost = self._begin(bundle)
             pending, interrupted = self.pending, False
@@ -210,7 +210,7 @@ class Batch(Displayed):
         outputs = tuple(dict.fromkeys(name for given in self.study.experiments for name in given.outputs))
         return bool(np.isfinite(self.study.noise.known(outputs)).all())
 
-    def _begin(self, bundle: Bundle) -> tuple[Path, ...]:
+    def _begin(self, bundle: BatchStudy) -> tuple[Path, ...]:
         """See whose cases the folder has, and say whose they are now; return the damaged parts of the earlier run."""
         path = self.folder / MANIFEST
         if self._resume and self.dataset.parts():
@@ -235,7 +235,7 @@ class Batch(Displayed):
     def _write_manifest(self, content: Mapping[str, Any]) -> None:
         self.dataset.write_manifest(json.dumps(content, indent=1, ensure_ascii=False, default=str) + "\n")
 
-    def _work(self, bundle: Bundle, pending: Indices, progress: Progress | None) -> bool:
+    def _work(self, bundle: BatchStudy, pending: Indices, progress: Progress | None) -> bool:
         """Run cases; return whether Ctrl-C ended it."""
         record = _remembering(bundle)
         writer = _Writer(self.dataset)
@@ -318,8 +318,8 @@ class _Counter:
         return BatchStep(done=self._done, total=self._total, failed=self._failed, rate=rate, left=left, threads=threads)
 
 
-def _remembering(bundle: Bundle) -> Callable[[Path | None], dict[str, bytes]]:
-    """Return `Bundle.record`, which does not read again what was asked for last."""
+def _remembering(bundle: BatchStudy) -> Callable[[Path | None], dict[str, bytes]]:
+    """Return `BatchStudy.record`, which does not read again what was asked for last."""
     last: list[tuple[Path | None, dict[str, bytes]]] = [(None, {})]
 
     def record(path: Path | None) -> dict[str, bytes]:

@@ -17,7 +17,7 @@ from fmuid.errors import InputError
 from fmuid.files import full, is_file
 from fmuid.runs.batch.case_problem import check_model, flat_names, truth_values
 from fmuid.runs.batch.random_draws import StartRanges, design
-from fmuid.studies import Sample, Study, Value
+from fmuid.studies import SpaceFillingSection, Study, Value
 
 # More cases than a float64 counts are a mistake of the study.
 MOST_CASES = 2**53
@@ -31,7 +31,7 @@ class Case:
     ----------
     index : int
     settings : mapping
-        What the case is, in the columns `Cases.columns`.
+        What the case is, in the columns `CaseList.columns`.
     record : str or None
         Name of the record whose table it is about; None for the study's own tables.
     table : Path or None
@@ -77,10 +77,10 @@ class _Axis:
     put: Callable[[_Draft, int], None]
 
 
-class Cases:
+class CaseList:
     """The cases of a study's ``[batch]``, each made when it is asked for.
 
-    Tables need not be here: a worker that knows all cases may have the tables of some of them only (`Cases.of` checks).
+    Tables need not be here: a worker that knows all cases may have the tables of some of them only (`CaseList.of` checks).
 
     Attributes
     ----------
@@ -116,7 +116,7 @@ class Cases:
         self.columns = tuple(self._all_columns())
 
     @classmethod
-    def of(cls, study: Study) -> Cases:
+    def of(cls, study: Study) -> CaseList:
         """Return the cases of a study whose files are all here, checked against its model.
 
         Raises
@@ -197,7 +197,7 @@ class Cases:
     def _put_table(self, draft: _Draft, entry: int) -> None:
         draft.record, draft.table = self._records[entry]
 
-    def _putting_sample(self, sample: Sample) -> Callable[[_Draft, int], None]:
+    def _putting_sample(self, sample: SpaceFillingSection) -> Callable[[_Draft, int], None]:
         def put(draft: _Draft, entry: int) -> None:
             draft.held |= dict(zip(sample.ranges, self._design[entry], strict=True))
 

@@ -15,10 +15,10 @@ from pathlib import Path
 from typing import Any
 
 from fmuid.models import Isolation
-from fmuid.processes import PRINTED_KEPT_BYTES, End
+from fmuid.processes import PRINTED_KEPT_BYTES, HostExitError
 from fmuid.runs.batch.run_case import CaseOutcome, CaseRunner
-from fmuid.runs.batch.study_package import Copies
-from fmuid.simulation import FIRST_TIME_LIMIT, Host, Keeper, executor_of, watch
+from fmuid.runs.batch.study_package import CopiedFiles
+from fmuid.simulation import FIRST_TIME_LIMIT, FmuHost, HostManager, executor_of, watch
 from fmuid.studies import Study
 
 # An order, which costs a third of a millisecond, is of as many cases as take so long, s. Where the process ends over
@@ -28,7 +28,7 @@ ORDER_SECONDS = 0.2
 _runner: list[CaseRunner] = []  # of a process that runs cases
 
 
-def open_cases(data: Mapping[str, Any], path: Path, copies: Copies | None, no_way: set[Hashable]) -> None:
+def open_cases(data: Mapping[str, Any], path: Path, copies: CopiedFiles | None, no_way: set[Hashable]) -> None:
     """Make this process one that runs the cases of a study."""
     _runner[:] = [CaseRunner(Study.of(data, path), copies, no_way)]
 
@@ -62,7 +62,7 @@ class IsolatedCases:
     ----------
     study : Study
         With a ``[batch]``.
-    copies : Copies, optional
+    copies : CopiedFiles, optional
         As for `CaseRunner`.
 
     Raises
@@ -71,11 +71,11 @@ class IsolatedCases:
         As `CaseRunner`.
     """
 
-    def __init__(self, study: Study, copies: Copies | None = None) -> None:
+    def __init__(self, study: Study, copies: CopiedFiles | None = None) -> None:
         settings = study.model.isolation or Isolation()
         self._opened = study.data, study.path, copies
         self._careful = CaseRunner(replace(study, model=replace(study.model, isolation=settings)), copies)
-        self._keeper = Keeper(settings, [__name__])
+        self._keeper = HostManager(settings, [__name__])
         self._alone = settings.recycle is not None  # how many simulations a case takes is known afterwards
         self._size = 1  # of the next order
 
@@ -100,7 +100,7 @@ class IsolatedCases:
             outcomes = [CaseOutcome(row, log) for row, log in rows]
             host.simulations += sum(int(str(outcome.row["simulations"])) for outcome in outcomes)
             keeper.replace_outgrown()
-        except End:
+        except HostExitError:
             keeper.bury()
             self._size = 1
             if len(indices) > 1:
@@ -113,6 +113,6 @@ class IsolatedCases:
         self._size = 1 if self._alone else max(1, min(fitting, 2 * len(indices)))
         return outcomes
 
-    def _begin(self, host: Host) -> None:
+    def _begin(self, host: FmuHost) -> None:
         host.order(watch, limit=FIRST_TIME_LIMIT)
         host.order(open_cases, *self._opened, self._careful.no_way, limit=FIRST_TIME_LIMIT)

@@ -15,7 +15,7 @@ import numpy as np
 from fmuid.array_types import Floats
 from fmuid.data import Parameter, ParameterSet
 from fmuid.estimation import spans_decades
-from fmuid.studies import Sample
+from fmuid.studies import SpaceFillingSection
 
 # Purposes of random numbers.
 FOR_STARTS, FOR_SAMPLE, FOR_NOISE = 1, 2, 3
@@ -46,7 +46,7 @@ def noise(seed: int, record: str | None, draw: int, experiment: int, shape: tupl
     return generator(seed, FOR_NOISE, draw, experiment, *words).standard_normal(shape)
 
 
-def design(sample: Sample, seed: int) -> Floats:
+def design(sample: SpaceFillingSection, seed: int) -> Floats:
     """Return the points (count, n) of a space-filling design within its ranges.
 
     Those of `scipy.stats.qmc`: a scrambled Sobol sequence, or a Latin hypercube. Of a sequence whose length is no power

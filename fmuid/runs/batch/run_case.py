@@ -23,15 +23,15 @@ from fmuid.array_types import Floats
 from fmuid.blas import single_threaded
 from fmuid.data import Experiment
 from fmuid.errors import FmuidError
-from fmuid.estimation import Accuracy, Direction, Outcome, Result, Waypoints, waypoints
+from fmuid.estimation import JacobianCache, Result, SolverCheck, TerminationReason, WeakDirection, waypoints
 from fmuid.files import as_json
 from fmuid.identification import CheckedRegion, Problem, identify
 from fmuid.runs.batch.case_problem import flat_names, problem_of, truth_simulators, truth_values
-from fmuid.runs.batch.cases import Case, Cases
+from fmuid.runs.batch.cases import Case, CaseList
 from fmuid.runs.batch.random_draws import noise
-from fmuid.runs.batch.study_package import Copies
+from fmuid.runs.batch.study_package import CopiedFiles
 from fmuid.simulation import executor_of, nrmse_fit, root_mean_square
-from fmuid.studies import ExperimentSettings, NoiseDraws, Study, Value
+from fmuid.studies import ExperimentSettings, MonteCarloSection, Study, Value
 
 Key = TypeVar("Key")
 Item = TypeVar("Item")
@@ -81,7 +81,7 @@ class CaseRunner:
     ----------
     study : Study
         With a ``[batch]``. Its tables may be missing, for which their cases fail.
-    copies : Copies, optional
+    copies : CopiedFiles, optional
         Files of the study that are copies and go by the names of the originals in messages.
     no_way : iterable, optional
         What another runner's `no_way` has.
@@ -89,7 +89,7 @@ class CaseRunner:
     Attributes
     ----------
     study : Study
-    cases : Cases
+    cases : CaseList
     no_way : set
         Of what the draws borrow no derivatives, because simulations fail on the way.
     columns : dict of str to str
@@ -98,20 +98,20 @@ class CaseRunner:
     Raises
     ------
     InputError
-        As `Cases`, or if an FMU cannot be read.
+        As `CaseList`, or if an FMU cannot be read.
     """
 
-    def __init__(self, study: Study, copies: Copies | None = None, no_way: Iterable[Hashable] = ()) -> None:
-        self.study, self.cases = study, Cases(study)
-        self._copies = copies or Copies(Path(), {})
+    def __init__(self, study: Study, copies: CopiedFiles | None = None, no_way: Iterable[Hashable] = ()) -> None:
+        self.study, self.cases = study, CaseList(study)
+        self._copies = copies or CopiedFiles(Path(), {})
         self._drawn, self._seed = self.cases.settings.noise, self.cases.settings.seed
         self._outputs = tuple(dict.fromkeys(name for given in study.experiments for name in given.outputs))
-        self._tables: _Recent[Path | None, tuple[Experiment, ...]] = _Recent()
+        self._tables: _BoundedCache[Path | None, tuple[Experiment, ...]] = _BoundedCache()
         self._before: tuple[object, Problem] | None = None  # what the case before had to be simulated, and its problem
-        self._truths: _Recent[object, tuple[Floats, ...]] = _Recent()
-        self._ways: _Recent[object, Waypoints | None] = _Recent()
+        self._truths: _BoundedCache[object, tuple[Floats, ...]] = _BoundedCache()
+        self._ways: _BoundedCache[object, JacobianCache | None] = _BoundedCache()
         self.no_way = set(no_way)
-        self._regions: _Recent[object, CheckedRegion] = _Recent()
+        self._regions: _BoundedCache[object, CheckedRegion] = _BoundedCache()
         self._worker = f"{platform.node()}:{os.getpid()}"
         self._system = study.system
         for model in self._system.components.values():
@@ -178,14 +178,14 @@ class CaseRunner:
                 each.remember(AT_START)
         return problem
 
-    def _often(self, drawn: NoiseDraws) -> bool:
+    def _often(self, drawn: MonteCarloSection) -> bool:
         """Whether so many cases differ in their noise alone that a search beforehand pays."""
         study, product = self.study, self.cases.settings.combine == "product"
         return product and drawn.draws >= MANY_DRAWS and not (study.estimator.whole_box or study.model.choices)
 
     def _way(
-        self, way: Hashable, case: Case, drawn: NoiseDraws, experiments: tuple[Experiment, ...]
-    ) -> Waypoints | None:
+        self, way: Hashable, case: Case, drawn: MonteCarloSection, experiments: tuple[Experiment, ...]
+    ) -> JacobianCache | None:
         """Return the derivatives along the way that the first draw takes, whichever draw asks.
 
         None where a simulation fails on it: in a process of the case's own it might have taken that with it.
@@ -207,7 +207,7 @@ class CaseRunner:
         region = self._regions.get(key, lambda: self._region(problem))
         before, accuracy = region.checks, self.study.accuracy
         result = identify(problem, self.study.estimator, accuracy=accuracy, remedies=False, region=region)
-        if result.outcome is Outcome.INTERRUPTED:
+        if result.outcome is TerminationReason.INTERRUPTED:
             raise KeyboardInterrupt
         found = result.accuracy
         own = found is not None and found.simulations > 0
@@ -230,7 +230,7 @@ class CaseRunner:
         return given.read_experiment(table, str(self._copies.original(table)), measured=self._drawn is None)
 
     def _disturbed(
-        self, case: Case, draw: int, drawn: NoiseDraws, experiments: tuple[Experiment, ...]
+        self, case: Case, draw: int, drawn: MonteCarloSection, experiments: tuple[Experiment, ...]
     ) -> tuple[Experiment, ...]:
         """Return the experiments with the simulated truth and a draw of noise as measurements, where there were any."""
         truth = truth_values(self.study, case.held)
@@ -305,17 +305,17 @@ def _scores(problem: Problem, result: Result) -> dict[str, object]:
     return found | {f"rmse.{name}": root_mean_square(*both) for name, both in errors.items()}
 
 
-def directions_text(directions: Sequence[Direction]) -> str:
+def directions_text(directions: Sequence[WeakDirection]) -> str:
     """Return directions as the JSON that ``result.json`` has of them; nothing where there are none."""
     return json.dumps(as_json(directions)) if directions else ""
 
 
-def directions_of(text: str) -> tuple[Direction, ...]:
+def directions_of(text: str) -> tuple[WeakDirection, ...]:
     """Return the directions of a row's ``undetermined``."""
-    return tuple(Direction.of_json(each) for each in json.loads(text)) if text else ()
+    return tuple(WeakDirection.of_json(each) for each in json.loads(text)) if text else ()
 
 
-def _accuracy_of(found: Accuracy | None) -> dict[str, object]:
+def _accuracy_of(found: SolverCheck | None) -> dict[str, object]:
     if found is None:
         return {}
     return {"accuracy": found.outcome.value, "shift": found.largest, "finer": len(found.switches)}
@@ -329,7 +329,7 @@ def _type_of(value: object) -> str:
     return {bool: FLAG, int: WHOLE, float: NUMBER, str: TEXT}[type(value)]
 
 
-class _Recent(Generic[Key, Item]):
+class _BoundedCache(Generic[Key, Item]):
     """The last few things that were made, by what they were made of; an error that came of it comes again."""
 
     def __init__(self) -> None:

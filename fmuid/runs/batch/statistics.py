@@ -30,7 +30,7 @@ FALSE_DOUBT_PROBABILITY = 0.01
 WORTH_RATIO, WORTH_BIAS, WORTH_COVERAGE = 1.05, 0.15, 0.01
 
 
-class EstimateDoubt(Enum):
+class EstimateWarning(Enum):
     """What is surely not as stated of a parameter's estimates."""
 
     STD_TOO_SMALL = "std too small"
@@ -44,7 +44,7 @@ class EstimateDoubt(Enum):
 
 
 @dataclass(frozen=True)
-class Columns:
+class BatchColumns:
     """What the columns of a batch's frame stand for.
 
     Attributes
@@ -66,7 +66,7 @@ class Columns:
     repeats: tuple[str, ...]
 
     @classmethod
-    def of(cls, frame: pd.DataFrame) -> Columns:
+    def of(cls, frame: pd.DataFrame) -> BatchColumns:
         """Read them off a frame."""
         names = [str(name) for name in frame.columns]
 
@@ -109,7 +109,7 @@ def fit_cost(frame: pd.DataFrame, *, given_noise: bool) -> Floats:
     if given_noise:
         badness = frame["criterion"].to_numpy(np.float64)
     else:
-        noise = frame[[f"noise.{name}" for name in Columns.of(frame).outputs]].to_numpy(np.float64)
+        noise = frame[[f"noise.{name}" for name in BatchColumns.of(frame).outputs]].to_numpy(np.float64)
         badness = np.log(np.maximum(noise, np.finfo(np.float64).tiny)).sum(axis=1)
     return np.where(np.isfinite(badness), badness, np.inf)
 
@@ -126,7 +126,7 @@ def estimates(frame: pd.DataFrame, *, given_noise: bool) -> pd.DataFrame:
     given_noise : bool
         See `fit_cost`.
     """
-    found, columns = converged(frame), Columns.of(frame)
+    found, columns = converged(frame), BatchColumns.of(frame)
     if not columns.starts:
         return found
     ranked = found.iloc[np.argsort(fit_cost(found, given_noise=given_noise), kind="stable")]
@@ -134,7 +134,7 @@ def estimates(frame: pd.DataFrame, *, given_noise: bool) -> pd.DataFrame:
     return best.sort_values("case")
 
 
-def is_repetition(frame: pd.DataFrame, columns: Columns) -> bool:
+def is_repetition(frame: pd.DataFrame, columns: BatchColumns) -> bool:
     """Return whether the cases of a frame repeat one experiment, so that their spread can be held against their std."""
     return all(len(frame[name].unique()) <= 1 for name in columns.design)
 
@@ -241,7 +241,7 @@ def _binomial_probability(held: int, n: int) -> float:
 
 
 def doubted(table: pd.DataFrame) -> pd.DataFrame:
-    """Return a table of statistics with a last column ``doubts``, a tuple of `EstimateDoubt` for each row.
+    """Return a table of statistics with a last column ``doubts``, a tuple of `EstimateWarning` for each row.
 
     Parameters
     ----------
@@ -254,7 +254,7 @@ def doubted(table: pd.DataFrame) -> pd.DataFrame:
     return table.assign(doubts=pd.Series(found, table.index, dtype=object))
 
 
-def _doubts(row: Mapping[Any, Any], tests: int) -> tuple[EstimateDoubt, ...]:
+def _doubts(row: Mapping[Any, Any], tests: int) -> tuple[EstimateWarning, ...]:
     """Return what is sure of one parameter and large enough to matter."""
 
     def sure(name: str) -> bool:
@@ -262,11 +262,11 @@ def _doubts(row: Mapping[Any, Any], tests: int) -> tuple[EstimateDoubt, ...]:
 
     ratio, found = row["ratio"], []
     if sure("ratio_p") and max(ratio, 1.0 / ratio if ratio else math.inf) > WORTH_RATIO:
-        found.append(EstimateDoubt.STD_TOO_SMALL if ratio > 1.0 else EstimateDoubt.STD_TOO_LARGE)
+        found.append(EstimateWarning.STD_TOO_SMALL if ratio > 1.0 else EstimateWarning.STD_TOO_LARGE)
     if sure("bias_p") and abs(row["bias"]) > WORTH_BIAS * row["stated_std"]:
-        found.append(EstimateDoubt.BIASED)
+        found.append(EstimateWarning.BIASED)
     if sure("coverage_p") and abs(row["coverage"] - INTERVAL_LEVEL) > WORTH_COVERAGE:
-        found.append(EstimateDoubt.COVERAGE_OFF)
+        found.append(EstimateWarning.COVERAGE_OFF)
     return tuple(found)
 
 
@@ -285,7 +285,7 @@ def optimum_numbers(frame: pd.DataFrame, *, given_noise: bool) -> NDArray[np.int
     given_noise : bool
         See `fit_cost`.
     """
-    columns = Columns.of(frame)
+    columns = BatchColumns.of(frame)
     numbers = np.zeros(len(frame), np.int64)
     values = frame[[f"value.{name}" for name in columns.parameters]].to_numpy(np.float64)
     stds = frame[[f"std.{name}" for name in columns.parameters]].to_numpy(np.float64)
@@ -298,7 +298,7 @@ def optimum_numbers(frame: pd.DataFrame, *, given_noise: bool) -> NDArray[np.int
     return numbers
 
 
-def data_sets(frame: pd.DataFrame, columns: Columns) -> Sequence[NDArray[np.int64]]:
+def data_sets(frame: pd.DataFrame, columns: BatchColumns) -> Sequence[NDArray[np.int64]]:
     """Return the row numbers of each data set's cases."""
     if not columns.data:
         return [np.arange(len(frame), dtype=np.int64)]

@@ -25,7 +25,7 @@ _MISSING = object()
 
 
 @dataclass(frozen=True)
-class Copies:
+class CopiedFiles:
     """Files below a folder that are copies of the user's, by whose names they go in messages.
 
     Attributes
@@ -45,7 +45,7 @@ class Copies:
 
 
 @dataclass(eq=False)
-class Parcel:
+class StudyPackage:
     """A study as it travels to workers: its words, and the content of all its files but the records.
 
     Attributes
@@ -92,12 +92,12 @@ class Parcel:
         data = _renamed(self.data, lambda name: str(folder / name) if name in self.originals else name)
         return Study.of(data, self.path, isolated=self.isolated)
 
-    def copies(self, folder: Path) -> Copies:
+    def copies(self, folder: Path) -> CopiedFiles:
         """Return whose copies the files below the folder are."""
-        return Copies(folder, self.originals)
+        return CopiedFiles(folder, self.originals)
 
 
-class Bundle:
+class BatchStudy:
     """A study of a batch, with the digests of its files.
 
     Parameters
@@ -127,7 +127,7 @@ class Bundle:
         self.digests = {path: _digest(path) for path in (*self._names, *self._records)}
         files = {name: content for path, name in self._names.items() if (content := self._content(path)) is not None}
         originals = {name: str(path) for path, name in (*self._names.items(), *self._records.items())}
-        self.parcel = Parcel(
+        self.parcel = StudyPackage(
             uuid.uuid4().hex,
             str(study.path),
             data,

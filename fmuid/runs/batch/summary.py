@@ -11,11 +11,11 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from fmuid.estimation import AccuracyOutcome, Determined
+from fmuid.estimation import AccuracyOutcome, Identifiability
 from fmuid.runs.batch.dataset import Dataset
 from fmuid.runs.batch.run_case import VOLATILE, directions_of
 from fmuid.runs.batch.statistics import (
-    Columns,
+    BatchColumns,
     converged,
     doubted,
     estimates,
@@ -82,20 +82,20 @@ class Summary:
 
     Attributes
     ----------
-    columns : Columns
+    columns : BatchColumns
         What the batch varied.
     cases, data_sets : int
         Finished cases, and data sets with an estimate; fewer where several starts share one.
     statuses : DataFrame
         ``status``, ``cases`` and ``share``, a row each of converged, not converged and failed.
     failures : DataFrame
-        ``status``, ``message`` with ``#`` in place of numbers, ``undetermined`` (pairs of a `Determined` and the names
+        ``status``, ``message`` with ``#`` in place of numbers, ``undetermined`` (pairs of a `Identifiability` and the names
         along a direction, a tuple of them), ``cases``, and ``first``, the number of the first of them; the most
         frequent first.
     parameters : DataFrame
         A row a parameter: its name, ``unit``, and `fmuid.runs.batch.statistics.statistics` over all data sets (what
         has to do with the truth only where one is known), and ``doubts``, a tuple of
-        `fmuid.runs.batch.statistics.EstimateDoubt`.
+        `fmuid.runs.batch.statistics.EstimateWarning`.
     groups : DataFrame
         The same for every combination of those settings that have few levels, after columns of the settings and, in
         ``failed``, how many cases of the group have no estimate; empty where no setting varies.
@@ -119,7 +119,7 @@ class Summary:
         outputs whose fit has a meaning.
     """
 
-    columns: Columns
+    columns: BatchColumns
     cases: int
     data_sets: int
     statuses: pd.DataFrame
@@ -178,7 +178,7 @@ def summarize(
     failures : DataFrame, optional
         Those of `condensed`, whose frame has no messages.
     """
-    columns = Columns.of(frame)
+    columns = BatchColumns.of(frame)
     found = estimates(frame, given_noise=given_noise)
     truth = {name: value for name, value in (truth or {}).items() if name in columns.parameters}
     settings = _settings(frame, columns)
@@ -207,7 +207,7 @@ def summarize(
 
 
 def _table(
-    found: pd.DataFrame, columns: Columns, truth: Mapping[str, float], units: Mapping[str, str | None]
+    found: pd.DataFrame, columns: BatchColumns, truth: Mapping[str, float], units: Mapping[str, str | None]
 ) -> pd.DataFrame:
     """Return the statistics of every parameter, a row each."""
     repeated = is_repetition(found, columns)
@@ -220,7 +220,7 @@ def _table(
     return table if truth else table.drop(columns=list(_TRUTH_COLUMNS))
 
 
-def _settings(frame: pd.DataFrame, columns: Columns) -> tuple[str, ...]:
+def _settings(frame: pd.DataFrame, columns: BatchColumns) -> tuple[str, ...]:
     """Return the settings with few levels, by which the cases are grouped; those of fewest levels come first."""
     names = [*columns.design, *(name for name in columns.repeats if name == "table")]
     levels = {name: len(frame[name].unique()) for name in names}
@@ -234,7 +234,7 @@ def _settings(frame: pd.DataFrame, columns: Columns) -> tuple[str, ...]:
 def _groups(
     frame: pd.DataFrame,
     found: pd.DataFrame,
-    columns: Columns,
+    columns: BatchColumns,
     settings: tuple[str, ...],
     truth: Mapping[str, float],
     units: Mapping[str, str | None],
@@ -270,7 +270,7 @@ def _wide(parameters: pd.DataFrame) -> dict[str, float]:
     return dict(zip(rows["parameter"], rows["spread"] / rows["stated_std"], strict=True))
 
 
-def _fits(found: pd.DataFrame, columns: Columns) -> pd.DataFrame:
+def _fits(found: pd.DataFrame, columns: BatchColumns) -> pd.DataFrame:
     rows = []
     for output in columns.outputs:
         known = found.dropna(subset=f"fit.{output}") if f"fit.{output}" in found else found.iloc[:0]
@@ -335,7 +335,7 @@ def _counted(failures: Sequence[pd.DataFrame]) -> pd.DataFrame:
     return grouped.sort_values(["cases", "first"], ascending=[False, True], ignore_index=True)
 
 
-def _open(text: str) -> tuple[tuple[Determined, tuple[str, ...]], ...]:
+def _open(text: str) -> tuple[tuple[Identifiability, tuple[str, ...]], ...]:
     """Return what is not determined by a row, its numbers left out."""
     return tuple((each.determined, each.names) for each in directions_of(text))
 
@@ -347,7 +347,7 @@ def _pattern(message: str, table: str) -> str:
     return _NUMBER.sub("#", message)
 
 
-def _optima(frame: pd.DataFrame, columns: Columns, *, given_noise: bool) -> pd.DataFrame:
+def _optima(frame: pd.DataFrame, columns: BatchColumns, *, given_noise: bool) -> pd.DataFrame:
     numbers = optimum_numbers(frame, given_noise=given_noise)
     there = frame[numbers > 0]
     if there.empty:

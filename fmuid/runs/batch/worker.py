@@ -20,7 +20,7 @@ from fmuid.errors import FmuidError, InputError
 from fmuid.processes import AVAILABLE
 from fmuid.runs.batch.dataset import bounded
 from fmuid.runs.batch.run_case import CaseOutcome, CaseRunner
-from fmuid.runs.batch.study_package import Copies, Parcel
+from fmuid.runs.batch.study_package import CopiedFiles, StudyPackage
 from fmuid.studies import Study
 
 # What must be the same on both sides, to how many places of the version.
@@ -67,12 +67,12 @@ def difference(here: Mapping[str, str | None], there: Mapping[str, str | None]) 
     return None
 
 
-def run_group(parcel: Parcel, cases: Sequence[int], records: Mapping[str, bytes]) -> GroupResult:
+def run_group(parcel: StudyPackage, cases: Sequence[int], records: Mapping[str, bytes]) -> GroupResult:
     """Run cases one after the other.
 
     Parameters
     ----------
-    parcel : Parcel
+    parcel : StudyPackage
     cases : sequence of int
     records : mapping of str to bytes
         Names and content of the records that they need.
@@ -100,13 +100,13 @@ def run_group(parcel: Parcel, cases: Sequence[int], records: Mapping[str, bytes]
     return GroupResult(rows, logs, seconds)
 
 
-def _check_worker(parcel: Parcel) -> None:
+def _check_worker(parcel: StudyPackage) -> None:
     said = difference(parcel.versions, versions())
     if said is not None:
         raise InputError(f"the worker {_address()} {said}")
 
 
-def _runner_of(study: Study, copies: Copies, isolated: bool) -> Callable[[Sequence[int]], list[CaseOutcome]]:
+def _runner_of(study: Study, copies: CopiedFiles, isolated: bool) -> Callable[[Sequence[int]], list[CaseOutcome]]:
     if not (isolated and AVAILABLE):
         runner = CaseRunner(study, copies)
         return lambda cases: [runner(case) for case in cases]
@@ -118,7 +118,7 @@ def _runner_of(study: Study, copies: Copies, isolated: bool) -> Callable[[Sequen
 class _OpenStudy:
     """The study of one thread of a worker, in a folder of its own, and what runs its cases."""
 
-    def __init__(self, parcel: Parcel, folder: Path) -> None:
+    def __init__(self, parcel: StudyPackage, folder: Path) -> None:
         self.folder = folder
         self.run = _runner_of(parcel.unpack(folder), parcel.copies(folder), parcel.isolated)
 
@@ -137,7 +137,7 @@ class _OpenStudies:
         self._folder = Path(tempfile.mkdtemp(prefix="fmuid-", dir=_local_directory()))
         self._end = weakref.finalize(self, shutil.rmtree, self._folder, ignore_errors=True)
 
-    def opened(self, parcel: Parcel) -> _OpenStudy:
+    def opened(self, parcel: StudyPackage) -> _OpenStudy:
         """Return the study of this thread: an FMU's instances stay with the thread that made them."""
         thread = threading.get_ident()
         with self._lock:
@@ -154,11 +154,11 @@ class _OpenStudies:
 
 # Whose studies are open here. They go with their parcel, which the scheduler has its workers drop when the sender ends,
 # however it does; that may take until Python's next collection, so a sender that can says so itself.
-_parcels: weakref.WeakSet[Parcel] = weakref.WeakSet()
+_parcels: weakref.WeakSet[StudyPackage] = weakref.WeakSet()
 _opening = threading.Lock()
 
 
-def _open_studies(parcel: Parcel) -> _OpenStudies:
+def _open_studies(parcel: StudyPackage) -> _OpenStudies:
     with _opening:
         if parcel.unpacked is None:
             parcel.unpacked = _OpenStudies()

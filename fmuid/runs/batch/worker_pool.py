@@ -22,7 +22,7 @@ from fmuid.array_types import Indices
 from fmuid.errors import FmuidError, InputError
 from fmuid.processes import MEMORY_KEPT, Child
 from fmuid.runs.batch.local_workers import CALM
-from fmuid.runs.batch.study_package import Parcel
+from fmuid.runs.batch.study_package import StudyPackage
 from fmuid.runs.batch.temporary_folder import scratch_folder
 from fmuid.runs.batch.worker import GroupResult, difference, forget, run_group, versions
 
@@ -74,7 +74,7 @@ class GroupSizes:
         return max(1, min(self._size, left // (2 * threads)))
 
 
-class Crew:
+class WorkerPool:
     """The workers that a batch has.
 
     Parameters
@@ -100,12 +100,12 @@ class Crew:
         self._done: queue.SimpleQueue[Future] = queue.SimpleQueue()
         self._killed: dict[int, int] = {}
 
-    def run(self, parcel: Parcel, cases: Indices, record_of: RecordOf) -> Results:
+    def run(self, parcel: StudyPackage, cases: Indices, record_of: RecordOf) -> Results:
         """Run cases in groups, and give what comes back in the order in which it does; None now and then in between.
 
         Parameters
         ----------
-        parcel : Parcel
+        parcel : StudyPackage
         cases : (M,) array
         record_of : callable
             Returns name and content of the record that a case needs.
@@ -124,7 +124,7 @@ class Crew:
                 if self._local is None and self._client.status == "running":
                     self._client.run(forget, parcel.token)
 
-    def _run(self, parcel: Parcel, cases: Indices, record_of: RecordOf) -> Results:
+    def _run(self, parcel: StudyPackage, cases: Indices, record_of: RecordOf) -> Results:
         with self._watched():
             shipped = self._client.submit(_as_it_is, parcel, pure=False)
         left, sizes, position = deque[list[int]](), GroupSizes(), 0
@@ -241,7 +241,7 @@ class _LocalWorkers:
 
 
 @contextlib.contextmanager
-def crew(scheduler: str | None = None, workers: int | None = None) -> Iterator[Crew]:
+def crew(scheduler: str | None = None, workers: int | None = None) -> Iterator[WorkerPool]:
     """Give the workers of a scheduler, or of this machine, for the time of a batch.
 
     Parameters
@@ -260,7 +260,7 @@ def crew(scheduler: str | None = None, workers: int | None = None) -> Iterator[C
         if scheduler is not None:
             client = stack.enter_context(_client(scheduler))
             _check(client, scheduler)
-            yield Crew(client, scheduler, None)
+            yield WorkerPool(client, scheduler, None)
             return
         folder, locks = stack.enter_context(scratch_folder())
         stack.enter_context(dask.config.set({"temporary-directory": str(folder)} | CALM))
@@ -273,7 +273,7 @@ def crew(scheduler: str | None = None, workers: int | None = None) -> Iterator[C
         client = stack.enter_context(_client(cluster.scheduler_address))
         local = _LocalWorkers(cluster.scheduler_address, workers or CPU_COUNT, folder, locks)
         stack.callback(local.close)
-        yield Crew(client, cluster.scheduler_address, local)
+        yield WorkerPool(client, cluster.scheduler_address, local)
 
 
 @contextlib.contextmanager
@@ -347,6 +347,6 @@ def _gather(cases: Sequence[int], record_of: RecordOf) -> tuple[list[int], dict[
     return group, records
 
 
-def _as_it_is(parcel: Parcel) -> Parcel:
+def _as_it_is(parcel: StudyPackage) -> StudyPackage:
     """Return a parcel: what a scheduler can have done anew, unlike data laid down, is not lost with a worker."""
     return parcel

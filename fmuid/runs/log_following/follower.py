@@ -33,7 +33,7 @@ GONE = 1000
 
 
 @dataclass(frozen=True, eq=False)
-class Piece:
+class RecordUpdate:
     """A record, or what is new of one that grows.
 
     Attributes
@@ -68,7 +68,7 @@ class FileRemark:
     text: str
 
 
-class Follower:
+class LogFollower:
     """Looks again and again at what a logger writes.
 
     Parameters
@@ -123,7 +123,7 @@ class Follower:
         self._numbers = {stem: number for stem, number in self._numbers.items() if stem in stems}
         return {"files": files, "numbers": self._numbers}
 
-    def look(self) -> Iterator[Piece | FileRemark]:
+    def look(self) -> Iterator[RecordUpdate | FileRemark]:
         """Yield what is new; after each piece comes `taken` or `refused`."""
         yield from self._found()
         here = [each for _, each in sorted(self._files.items()) if (self.folder / each.file).exists()]
@@ -138,7 +138,7 @@ class Follower:
             if not each.done:
                 return
 
-    def taken(self, piece: Piece, needed: float) -> None:
+    def taken(self, piece: RecordUpdate, needed: float) -> None:
         """Note that a piece was examined, and from which time on its rows are needed again."""
         each, rows = piece._file, piece._rows
         path, each.begun = self.folder / each.file, True
@@ -153,7 +153,7 @@ class Follower:
         each.rows, each.position = each.rows + at, int(rows.starts[at])
         each.mark(path, piece.until)
 
-    def refused(self, piece: Piece) -> None:
+    def refused(self, piece: RecordUpdate) -> None:
         """Note that a piece cannot be examined: what follows is a record of its own."""
         path = self.folder / piece._file.file
         if piece._rows is None:
@@ -167,7 +167,7 @@ class Follower:
     def _growing(self, path: Path) -> bool:
         return self._by_rows and path.suffix.lower() in TEXT
 
-    def _whole(self, path: Path, each: Followed) -> Iterator[Piece | FileRemark]:
+    def _whole(self, path: Path, each: Followed) -> Iterator[RecordUpdate | FileRemark]:
         """Yield a file as one record, once it is whole."""
         settled = self._settled(each)
         if not settled and path.suffix.lower() not in WHOLE_OR_NOT:
@@ -181,9 +181,9 @@ class Follower:
                 each.done = True
                 yield from self._say(each, str(error))
             return
-        yield Piece(record, raw, False, each)
+        yield RecordUpdate(record, raw, False, each)
 
-    def _of_rows(self, path: Path, each: Followed, others: bool) -> Iterator[Piece | FileRemark]:
+    def _of_rows(self, path: Path, each: Followed, others: bool) -> Iterator[RecordUpdate | FileRemark]:
         """Yield the rows of a text that are new, and let its record end where another file waits."""
         over = others and self._settled(each)
         more = each.read != each.seen or over
@@ -216,7 +216,7 @@ class Follower:
                 self._most *= 2
         each.done = over
 
-    def _piece(self, path: Path, each: Followed, rows: NewRows, over: bool) -> Piece | None:
+    def _piece(self, path: Path, each: Followed, rows: NewRows, over: bool) -> RecordUpdate | None:
         """Return rows as a piece, up to where time jumps; None where more of them are waited for."""
         assert self.window is not None  # only windows of a record that grows are examined
         times = numeric_column(rows.frame, time_name(self.words.time), str(path))
@@ -234,7 +234,7 @@ class Follower:
         frame = rows.frame.iloc[:count]
         frame.attrs = rows.frame.attrs
         record = self.words.model_copy(update=update).experiment(frame, str(path))
-        return Piece(record, frame, not last, each, rows, int(rows.starts[count]), splits)
+        return RecordUpdate(record, frame, not last, each, rows, int(rows.starts[count]), splits)
 
     def _end(self, path: Path, each: Followed, at: int) -> None:
         """Let a record end at a byte, and another one begin there."""

@@ -10,12 +10,12 @@ from fmuid.data import Experiment, Parameter, record_files
 from fmuid.errors import InputError
 from fmuid.estimation import Result
 from fmuid.formatting import nearest
-from fmuid.identification import CONFIDENCE_LEVEL, MadeWith, Prediction, estimates_for, predict, refinement_of
+from fmuid.identification import CONFIDENCE_LEVEL, ModelReference, Prediction, estimates_for, predict, refinement_of
 from fmuid.models import FMU, System
 from fmuid.progress import Progress
 from fmuid.runs.prediction.result_study import study_of
-from fmuid.simulation import Fit, Simulator, Value, fit_of, refined
-from fmuid.studies import ExperimentSettings, Source, SourceNote, Study
+from fmuid.simulation import OutputFit, Simulator, Value, fit_of, refined
+from fmuid.studies import ExperimentSettings, PriorSource, SourceWarning, Study
 
 
 @dataclass(frozen=True, eq=False)
@@ -105,7 +105,7 @@ def predict_with(
     return predict(study.system, result, experiment, values=study.model.values, free=again, level=level)
 
 
-def fits_at(study: Study, result: Result) -> tuple[Fit, ...]:
+def fits_at(study: Study, result: Result) -> tuple[OutputFit, ...]:
     """Simulate every experiment of a study at the estimates of a result and set the measurements beside.
 
     Parameters of which the result has no value are at their starts.
@@ -129,7 +129,7 @@ def fits_at(study: Study, result: Result) -> tuple[Fit, ...]:
     return tuple(found)
 
 
-def predicted(
+def predict_experiments(
     result: Result,
     experiment: Experiment,
     model: System | FMU | str | Path | None = None,
@@ -139,19 +139,19 @@ def predicted(
     level: float = CONFIDENCE_LEVEL,
 ) -> Prediction:
     """Simulate a result over a record by what it was made with, as `Result.predict` says."""
-    known = MadeWith(System.of(model), {}) if model is not None else _known(result)
+    known = ModelReference(System.of(model), {}) if model is not None else _known(result)
     again = free if isinstance(free, Mapping) else _free(known, result, [free] if isinstance(free, str) else free)
     held = {**known.values, **(values or {})}
     return predict(known.system, result, experiment, values=held, free=again, step_size=known.step_size, level=level)
 
 
-def _of(study: Study) -> MadeWith:
-    return MadeWith(study.system, study.model.values, study.parameters)
+def _of(study: Study) -> ModelReference:
+    return ModelReference(study.system, study.model.values, study.parameters)
 
 
-def _known(result: Result) -> MadeWith:
+def _known(result: Result) -> ModelReference:
     remedy = "give the model: result.predict(experiment, model)"
-    if isinstance(result.made_with, MadeWith):
+    if isinstance(result.made_with, ModelReference):
         return result.made_with
     if not isinstance(result.made_with, Path):
         raise InputError(f"the result does not know what it was made with: {remedy}")
@@ -161,7 +161,7 @@ def _known(result: Result) -> MadeWith:
         raise InputError(f"{error}, or {remedy}") from None
 
 
-def _free(known: MadeWith, result: Result, names: Sequence[str]) -> dict[str, Parameter]:
+def _free(known: ModelReference, result: Result, names: Sequence[str]) -> dict[str, Parameter]:
     """Return how variables are estimated again on a record: from the value that is known, within the bounds there were.
 
     Raises
@@ -231,7 +231,7 @@ def cross_validate(
     return tuple(found)
 
 
-def notes_of(study: Study, path: Path, result: Result) -> list[SourceNote]:
+def notes_of(study: Study, path: Path, result: Result) -> list[SourceWarning]:
     """Return what is to be known of a result before its predictions are trusted.
 
     Raises
@@ -243,4 +243,4 @@ def notes_of(study: Study, path: Path, result: Result) -> list[SourceNote]:
     names = tuple(dict.fromkeys(n if n in variables else n.rpartition("[")[0] for n in result.names))
     for name in names:
         study.system.variable(name, "parameter")
-    return Source(str(study.path), path, result, names).compare(study.system)
+    return PriorSource(str(study.path), path, result, names).compare(study.system)

@@ -12,7 +12,7 @@ import numpy as np
 
 from fmuid.array_types import Indices
 from fmuid.errors import FmuidError
-from fmuid.processes import CLOSING_LIMIT, FAILED, REFUSED, Condition, End, HostProcess, Watchdog
+from fmuid.processes import CLOSING_LIMIT, FAILED, REFUSED, HostExitError, HostProcess, ProcessStatus, Watchdog
 from fmuid.simulation import core_constants as codes
 from fmuid.simulation.isolation import orders
 
@@ -44,7 +44,7 @@ class HostWatchdog(Watchdog):
     def _at_rest(self) -> bool:
         return self._computes and not self._doing[::2].any()
 
-    def state(self, condition: Condition) -> Hashable:
+    def state(self, condition: ProcessStatus) -> Hashable:
         """Return what all threads are doing, how many reports are left, and CPU time where that counts, s."""
         undone = 0 if self._reports is None else int((self._reports[:, 2] == codes.UNDONE).sum())
         return self._doing.tobytes(), undone, int(condition.computed) if self._at_rest else 0
@@ -57,7 +57,7 @@ class HostWatchdog(Watchdog):
         return max(self.limit, PREPARATION_LIMIT) if preparing else self.limit
 
 
-class Host(HostProcess):
+class FmuHost(HostProcess):
     """One process that runs the FMUs of one system.
 
     Parameters
@@ -123,10 +123,10 @@ class Host(HostProcess):
         if isinstance(error, FmuidError):
             return error
         if isinstance(error, OSError | MemoryError):
-            return self.stopped(End(REFUSED, getattr(error, "errno", errno.ENOMEM) or 0))
+            return self.stopped(HostExitError(REFUSED, getattr(error, "errno", errno.ENOMEM) or 0))
         words = f"code of fmuid failed in the process of an FMU: {type(error).__name__}: {error}"
         self.pass_on([("fmuid.fmu", logging.WARNING, words)])
-        return self.stopped(End(FAILED, 0))
+        return self.stopped(HostExitError(FAILED, 0))
 
     @property
     def given(self) -> float:
@@ -136,6 +136,6 @@ class Host(HostProcess):
     def close(self) -> None:
         """Let it free its instances and end it."""
         if self.alive:
-            with contextlib.suppress(End):  # it is killed below either way
+            with contextlib.suppress(HostExitError):  # it is killed below either way
                 self.order(orders.close, limit=CLOSING_LIMIT)
             self.kill()

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import os
 
-from fmuid.processes import EXITED, FAILED, GARBLED, GREW, HUNG, KILLED, REFUSED, STOPPED, End
+from fmuid.processes import EXITED, FAILED, GARBLED, GREW, HUNG, KILLED, REFUSED, STOPPED, HostExitError
 
 
-def end_words(end: End) -> str:
+def end_words(end: HostExitError) -> str:
     """Return an end as a sentence goes on after the simulation.
 
-    Of the limits, only those are named that were given (`End.number` is 0 otherwise): the others depend on the machine
+    Of the limits, only those are named that were given (`HostExitError.number` is 0 otherwise): the others depend on the machine
     and on what ran before, and the same failure is to read the same.
     """
     if end.kind == EXITED:

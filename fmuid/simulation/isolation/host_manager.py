@@ -9,7 +9,7 @@ import numpy as np
 from fmuid.array_types import Indices
 from fmuid.models import Isolation
 from fmuid.processes import HostKeeper
-from fmuid.simulation.isolation.host import Host
+from fmuid.simulation.isolation.host import FmuHost
 
 SLOWER_FACTOR = 100.0
 """How much longer than all before a simulation may take by default."""
@@ -21,7 +21,7 @@ FIRST_TIME_LIMIT = 60.0
 _left: list[str] = []  # what FMUs printed whose keepers are gone
 
 
-class Keeper(HostKeeper[Host]):
+class HostManager(HostKeeper[FmuHost]):
     """Keeps one process for FMUs, which ends with it.
 
     Parameters
@@ -39,7 +39,7 @@ class Keeper(HostKeeper[Host]):
     """
 
     def __init__(self, settings: Isolation, modules: Sequence[str], told: set[str] | None = None) -> None:
-        super().__init__(lambda memory: Host(modules, memory, told), settings.memory, _left)
+        super().__init__(lambda memory: FmuHost(modules, memory, told), settings.memory, _left)
         self._settings, self.longest = settings, 0.0
 
     @property

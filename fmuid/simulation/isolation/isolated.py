@@ -21,14 +21,14 @@ import numpy as np
 from fmuid.array_types import Floats, Indices
 from fmuid.errors import FmuidError, InputError, SimulationError
 from fmuid.models import STIFF_INTEGRATOR, Component, Isolation, Renewal, is_repeated, needs_process, note_process
-from fmuid.processes import FAILED, GREW, HUNG, KILLED, MOST_KILLS, End
+from fmuid.processes import FAILED, GREW, HUNG, KILLED, MOST_KILLS, HostExitError
 from fmuid.simulation import core_constants as codes
 from fmuid.simulation.isolation import orders
 from fmuid.simulation.isolation.ahead import CODE
-from fmuid.simulation.isolation.host import Host
+from fmuid.simulation.isolation.host import FmuHost
 from fmuid.simulation.isolation.host_exit import end_words
-from fmuid.simulation.isolation.host_manager import FIRST_TIME_LIMIT, Keeper, left
-from fmuid.simulation.simulation_plan import Simulation, new_reports, shares
+from fmuid.simulation.isolation.host_manager import FIRST_TIME_LIMIT, HostManager, left
+from fmuid.simulation.simulation_plan import GridSimulation, new_reports, shares
 
 STEP_LIMIT = 1e-4
 """What is added to `FIRST_TIME_LIMIT` for each communication step, s: far more than one takes, but of a slow model."""
@@ -64,9 +64,9 @@ class IsolatedExecutor:
         self.lock = threading.RLock()
         self._components, self._settings = dict(components), settings
         self._limit = min(limit, settings.threads or limit)
-        self._keeper = Keeper(settings, [CODE], set() if told is None else told)
+        self._keeper = HostManager(settings, [CODE], set() if told is None else told)
         self._renewal: Renewal | None = None
-        self._numbers: weakref.WeakKeyDictionary[Simulation, int] = weakref.WeakKeyDictionary()
+        self._numbers: weakref.WeakKeyDictionary[GridSimulation, int] = weakref.WeakKeyDictionary()
         self._next, self._known, self._forgotten = 0, set[int](), list[int]()
         self._steps = 0  # of the simulation with most of them
         self._found_stiff = 0  # models, in any run
@@ -75,11 +75,11 @@ class IsolatedExecutor:
 
     # --- simulations
 
-    def run(self, simulation: Simulation, thetas: Floats, outputs: Floats, reports: Indices) -> None:
+    def run(self, simulation: GridSimulation, thetas: Floats, outputs: Floats, reports: Indices) -> None:
         """Simulate all thetas (m, N); those at which the process comes to an end have a report of `codes.PROCESS`.
 
         Outputs (m, K, n_outputs) and reports (m, codes.REPORT) are filled in
-        (`fmuid.simulation.simulation_loop.Loop.run`). Where one of them finds a model stiff, all are run as such, also
+        (`fmuid.simulation.simulation_loop.SimulationLoop.run`). Where one of them finds a model stiff, all are run as such, also
         those that were through before, as in-process: how many go at a time depends on how fast the machine is, and
         the outputs must not.
         """
@@ -88,7 +88,7 @@ class IsolatedExecutor:
             found = self._found_stiff
             self._run_chunks(simulation, thetas, outputs, reports)
 
-    def _run_chunks(self, simulation: Simulation, thetas: Floats, outputs: Floats, reports: Indices) -> None:
+    def _run_chunks(self, simulation: GridSimulation, thetas: Floats, outputs: Floats, reports: Indices) -> None:
         first, largest = 0, max(1, CHUNK_BYTES // max(1, outputs[:1].nbytes))
         while first < len(thetas):
             known = self._alone
@@ -117,7 +117,7 @@ class IsolatedExecutor:
         often = 1 if not before else max(1, int(MEASURE_SECONDS / max(self._keeper.longest, 1e-6)))
         return min(largest, self._limit * often, max(1, recycle - before) if recycle else largest)
 
-    def _try_processes(self, simulation: Simulation, theta: Floats) -> None:
+    def _try_processes(self, simulation: GridSimulation, theta: Floats) -> None:
         """See whether new processes give the same outputs each, where new instances do not."""
         found = []
         for _ in range(2):
@@ -137,7 +137,7 @@ class IsolatedExecutor:
                 self._labels,
             )
 
-    def _run_part(self, simulation: Simulation, thetas: Floats, outputs: Floats, reports: Indices) -> None:
+    def _run_part(self, simulation: GridSimulation, thetas: Floats, outputs: Floats, reports: Indices) -> None:
         left, suspects = np.arange(len(thetas)), list[int]()
         kills, unblamed = np.zeros(len(thetas), np.intp), 0
         while left.size:
@@ -173,12 +173,12 @@ class IsolatedExecutor:
 
     def _attempt(
         self,
-        simulation: Simulation,
+        simulation: GridSimulation,
         thetas: Floats,
         outputs: Floats,
         reports: Indices,
         group: Indices,
-    ) -> tuple[End | None, Indices]:
+    ) -> tuple[HostExitError | None, Indices]:
         """Simulate some thetas; return how the process came to an end, if it did, and what is still to be done."""
         host, end = self._host(), None
         shape = (len(group), thetas.shape[1], *outputs.shape[1:])
@@ -198,7 +198,7 @@ class IsolatedExecutor:
             for component in stiff:
                 simulation.integrate(component, STIFF_INTEGRATOR)
                 self._found_stiff += 1
-        except End as ended:
+        except HostExitError as ended:
             end = ended
         done = their_reports[:, 2] != codes.UNDONE
         if len(group) == len(outputs) and done.all():
@@ -216,7 +216,7 @@ class IsolatedExecutor:
                 found.append(waiting[0])
         return found
 
-    def _time_limit(self, simulation: Simulation) -> float:
+    def _time_limit(self, simulation: GridSimulation) -> float:
         """Return how long a simulation may take, s; one of more steps than all before is like the first of all."""
         if self._settings.time_limit:
             return self._settings.time_limit
@@ -225,7 +225,7 @@ class IsolatedExecutor:
 
     def failure(
         self,
-        simulation: Simulation,
+        simulation: GridSimulation,
         theta: Floats,
         outputs: Floats,
         report: Indices,
@@ -245,10 +245,10 @@ class IsolatedExecutor:
                 words = theta, outputs, report, dict(parameters), explain
                 number = self._tell(host, simulation)
                 return host.order(orders.failure, number, *words, limit=self._time_limit(simulation))
-            except End as end:
+            except HostExitError as end:
                 self._keeper.bury()
                 kind, number = end.kind, end.number
-        return SimulationError(self._labels, math.nan, parameters, end_words(End(kind, number)))
+        return SimulationError(self._labels, math.nan, parameters, end_words(HostExitError(kind, number)))
 
     # --- the process
 
@@ -260,12 +260,12 @@ class IsolatedExecutor:
     def _models(self) -> list[tuple[str, Component]]:
         return list(self._components.items())
 
-    def _host(self) -> Host:
+    def _host(self) -> FmuHost:
         """Return the process, a new one where there is none."""
         self._check_cancelled()
         try:
             host = self._keeper.host(self._begin)
-        except End:
+        except HostExitError:
             raise FmuidError(
                 f"the process that is to run {self._labels} ends again and again before it has begun"
             ) from None
@@ -276,13 +276,13 @@ class IsolatedExecutor:
         if self.cancelled:
             raise FmuidError(f"the simulations of {self._labels} were cancelled")
 
-    def _begin(self, host: Host) -> None:
+    def _begin(self, host: FmuHost) -> None:
         for _, model in self._models:
             _ = model.fmu.directory  # unpacked here, where what is wrong with it can be said
         self._known.clear()
         host.order(orders.start, self._components, self._limit, self._renewal, limit=FIRST_TIME_LIMIT)
 
-    def _tell(self, host: Host, simulation: Simulation) -> int:
+    def _tell(self, host: FmuHost, simulation: GridSimulation) -> int:
         """Return the number of a run, which the process knows now."""
         number = self._numbers.get(simulation)
         if number is None:
@@ -299,7 +299,7 @@ class IsolatedExecutor:
             self._known.add(number)
         return number
 
-    def forget(self, simulation: Simulation) -> None:
+    def forget(self, simulation: GridSimulation) -> None:
         """Tell a run anew before its next simulation: it has changed."""
         self._numbers.pop(simulation, None)
 
@@ -308,7 +308,7 @@ class IsolatedExecutor:
         self.cancelled = True
         self._keeper.strike()
 
-    def _write(self, end: End, indices: Indices, reports: Indices) -> None:
+    def _write(self, end: HostExitError, indices: Indices, reports: Indices) -> None:
         limits = {HUNG: self._settings.time_limit, GREW: self._settings.memory}
         reports[indices, :4] = codes.PROCESS, end.kind, end.number if limits.get(end.kind, 1) else 0, -1
 
@@ -336,5 +336,5 @@ def printed() -> str:
     return "".join([*left(), *(executor.printed() for executor in list(_living))])
 
 
-def _steps(simulation: Simulation) -> int:
+def _steps(simulation: GridSimulation) -> int:
     return int(simulation.grid.substeps.sum())

@@ -10,10 +10,10 @@ from fmuid.array_types import Floats, Indices
 from fmuid.errors import SimulationError
 from fmuid.models import Component, Isolation
 from fmuid.simulation.isolation.isolated import IsolatedExecutor
-from fmuid.simulation.simulation_plan import Simulation, shares
+from fmuid.simulation.simulation_plan import GridSimulation, shares
 
 
-class SpreadExecutor:
+class MultiProcessExecutor:
     """Several `IsolatedExecutor` of one simulation at a time, which share what is to be simulated.
 
     Parameters
@@ -40,7 +40,7 @@ class SpreadExecutor:
         self._parts = [IsolatedExecutor(components, 1, settings, told) for _ in range(limit)]
         self._threads = ThreadPoolExecutor(limit, "fmuid-process")
 
-    def run(self, simulation: Simulation, thetas: Floats, outputs: Floats, reports: Indices) -> None:
+    def run(self, simulation: GridSimulation, thetas: Floats, outputs: Floats, reports: Indices) -> None:
         """Simulate all thetas (m, N) in equal shares; where one finds a model stiff, all are run again as such."""
         plan = simulation.plan
         self._run_shares(simulation, thetas, outputs, reports)
@@ -49,7 +49,7 @@ class SpreadExecutor:
                 part.forget(simulation)
             self._run_shares(simulation, thetas, outputs, reports)
 
-    def _run_shares(self, simulation: Simulation, thetas: Floats, outputs: Floats, reports: Indices) -> None:
+    def _run_shares(self, simulation: GridSimulation, thetas: Floats, outputs: Floats, reports: Indices) -> None:
         count = min(len(self._parts), len(thetas))
         futures: list[Future[None]] = []
         try:
@@ -71,7 +71,7 @@ class SpreadExecutor:
 
     def failure(
         self,
-        simulation: Simulation,
+        simulation: GridSimulation,
         theta: Floats,
         outputs: Floats,
         report: Indices,

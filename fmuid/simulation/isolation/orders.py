@@ -17,7 +17,7 @@ from fmuid.simulation.core_constants import REPORT
 
 if TYPE_CHECKING:
     from fmuid.simulation.in_process import InProcessExecutor
-    from fmuid.simulation.simulation_plan import Simulation
+    from fmuid.simulation.simulation_plan import GridSimulation
 
 DOING_WORDS = 512
 """Words at the beginning of the shared memory: two for each thread, what it is doing and how often it has begun."""
@@ -26,7 +26,7 @@ Arrays = tuple[np.ndarray[Any, Any], np.ndarray[Any, Any], np.ndarray[Any, Any]]
 
 _memory: list[mmap.mmap] = []
 _executor: list[InProcessExecutor] = []
-_runs: dict[int, Simulation] = {}
+_runs: dict[int, GridSimulation] = {}
 
 
 def layout(m: int, n_theta: int, n_times: int, n_outputs: int) -> tuple[int, int, int, int]:
@@ -56,7 +56,7 @@ def start(components: dict[str, Any], limit: int, renewal: int | None) -> None:
     _executor[:] = [InProcessExecutor(components, limit, None if renewal is None else Renewal(renewal))]
 
 
-def know(number: int, simulation: Simulation, forgotten: Sequence[int]) -> None:
+def know(number: int, simulation: GridSimulation, forgotten: Sequence[int]) -> None:
     """Remember a run by its number, and forget others."""
     for each in forgotten:
         _runs.pop(each, None)

@@ -27,7 +27,7 @@ SET_REALS, GET_REALS, SET_SLOPES, COPY_ONE, GET_SENSITIVITIES, OTHER = range(6) 
 METHODS = {"rk4": 0, "rk45": 1, "cvode": 2}
 
 
-class _Place(Structure):
+class _FieldLayout(Structure):
     _fields_: ClassVar[list[tuple[str, Any]]] = [
         *(("structure", c_char_p), ("field", c_char_p), ("type", c_char_p)),
         *(("offset", c_size_t), ("size", c_size_t)),
@@ -81,7 +81,7 @@ def _path() -> Path:
 def _declare(library: Any) -> None:
     integrator = c_void_p
     for name, result, arguments in (
-        ("layout", POINTER(_Place), []),
+        ("layout", POINTER(_FieldLayout), []),
         *(("code_names", POINTER(c_char_p), []), ("version", c_char_p, [])),
         ("simulate", None, [c_void_p, c_void_p, c_size_t, c_void_p, c_void_p, c_void_p, c_void_p]),
         *(("environment_size", c_size_t, []), ("environment_keep", None, [c_void_p])),

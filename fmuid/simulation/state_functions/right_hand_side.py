@@ -18,7 +18,7 @@ from fmuid.simulation.executor import executor_of
 from fmuid.simulation.forward_simulation import extended_by, initial_simulation, initial_states, names_of
 from fmuid.simulation.grid import grid_of
 from fmuid.simulation.plan import plan_of
-from fmuid.simulation.simulation_plan import Simulation, new_reports
+from fmuid.simulation.simulation_plan import GridSimulation, new_reports
 from fmuid.simulation.simulator import Simulator
 from fmuid.simulation.solver_refinement import by_model_exchange
 from fmuid.simulation.task import task_of
@@ -89,7 +89,7 @@ class RightHandSide:
 
         P = 2 (K − 1) points: the beginning and the end of each interval. Outputs are in the units of the table.
         """
-        simulation = Simulation(self._plan, self._grid._replace(states=np.ascontiguousarray(states)), self._names)
+        simulation = GridSimulation(self._plan, self._grid._replace(states=np.ascontiguousarray(states)), self._names)
         executor, count = executor_of(self._system), len(self.states)
         found = np.empty((len(thetas), len(states), len(self._names)))
         reports = new_reports(len(thetas))

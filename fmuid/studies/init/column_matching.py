@@ -53,7 +53,7 @@ SURE = (Reason.GIVEN, Reason.NAME)
 
 
 @dataclass(frozen=True)
-class ColumnLink:
+class ColumnMatch:
     """A variable of the FMU and the column that is taken for it.
 
     Attributes
@@ -87,7 +87,7 @@ class ColumnLink:
 
 def guess(
     description: Description, columns: Sequence[str], units: Mapping[str, str], given: Mapping[str, str]
-) -> tuple[ColumnLink, ...]:
+) -> tuple[ColumnMatch, ...]:
     """Return for each input and output which column it is, and local variables that are columns.
 
     Parameters
@@ -125,7 +125,7 @@ def guess(
         match, reason = found.get(name, (None, None))
         unit, said = description.variables[name].unit, units.get(match or "")
         links.append(
-            ColumnLink(name, role, match, reason, unit, said, search.choices.get(name, ()) if not match else ())
+            ColumnMatch(name, role, match, reason, unit, said, search.choices.get(name, ()) if not match else ())
         )
     return tuple(links)
 

@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from fmuid.data import dropouts, read_table, time_name
+from fmuid.data import dropouts, read_data, time_name
 from fmuid.errors import InputError
-from fmuid.studies.init.column_matching import ColumnLink, guess
+from fmuid.studies.init.column_matching import ColumnMatch, guess
 from fmuid.units import unit_in_name
 
 if TYPE_CHECKING:
@@ -30,13 +30,13 @@ FAR = 10.0
 """A value that is so many times the range of all others away from them is no sample, but a mark."""
 
 
-def placed(name: str) -> str | int:
+def parse_column(name: str) -> str | int:
     """Return a place where that is given and not a name."""
     return int(name) if name.isdecimal() and int(name) > 0 else name
 
 
 @dataclass(frozen=True)
-class Asked:
+class InitOptions:
     """What who begins a study knows of its tables; the words are those of ``[[experiments]]``.
 
     Attributes
@@ -64,25 +64,25 @@ class Asked:
 
 
 @dataclass(frozen=True, eq=False)
-class Record:
+class MatchedDataFile:
     """A table as it was read, and which column is which variable.
 
     Attributes
     ----------
     path : Path
-    asked : Asked
+    asked : InitOptions
     description : Description
         Of the FMU.
     frame : pandas.DataFrame
     """
 
     path: Path
-    asked: Asked
+    asked: InitOptions
     description: Description = field(repr=False)
     frame: pd.DataFrame = field(repr=False)
 
     @classmethod
-    def read(cls, path: Path, description: Description, asked: Asked) -> Record:
+    def read(cls, path: Path, description: Description, asked: InitOptions) -> MatchedDataFile:
         """Read a table.
 
         Raises
@@ -91,9 +91,9 @@ class Record:
             If it cannot be read, or has no times.
         """
         how = {word: getattr(asked, word) for word in ("time_unit", "sample_rate", "sheet")}
-        return cls(path, asked, description, read_table(path, asked.time, **how))
+        return cls(path, asked, description, read_data(path, asked.time, **how))
 
-    def with_columns(self, columns: Mapping[str, str]) -> Record:
+    def with_columns(self, columns: Mapping[str, str]) -> MatchedDataFile:
         """Return the same where more is known of the columns."""
         return replace(self, asked=replace(self.asked, columns={**self.asked.columns, **columns}))
 
@@ -108,7 +108,7 @@ class Record:
         return tuple(str(column) for column in self.frame.columns if column != self.time)
 
     @cached_property
-    def links(self) -> tuple[ColumnLink, ...]:
+    def links(self) -> tuple[ColumnMatch, ...]:
         """What the columns are taken for.
 
         Raises
@@ -184,16 +184,16 @@ class Record:
         Raises
         ------
         InputError
-            If `Asked.prepare` has others than ``[experiments.prepare]``.
+            If `InitOptions.prepare` has others than ``[experiments.prepare]``.
         """
         from fmuid.studies.model import ExperimentSettings
-        from fmuid.studies.section import Place
+        from fmuid.studies.section import SectionLocation
 
         words: dict[str, Any] = {"table": str(self.path.absolute()), "name": self.path.stem, "time": self.asked.time}
         words |= {"inputs": self.roles("input"), "outputs": self.roles("output")}
         words |= {"interpolation": self.interpolation, "prepare": dict(self.asked.prepare)}
         words |= {"units": dict(self.asked.units)}
-        return ExperimentSettings.read(words, Place(str(self.path), Path()))
+        return ExperimentSettings.read(words, SectionLocation(str(self.path), Path()))
 
     @property
     def missing(self) -> dict[str, int]:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 from fmuid.errors import InputError
 from fmuid.files import exists
 from fmuid.formatting import two_digits
-from fmuid.studies.init.data_file import Asked, Record
+from fmuid.studies.init.data_file import InitOptions, MatchedDataFile
 from fmuid.studies.init.lines import (
     free,
     inline,
@@ -27,8 +27,8 @@ from fmuid.studies.init.parameter_survey import (
     FREE,
     SHOWN_CHANGE,
     Candidate,
+    ParameterProposal,
     Survey,
-    Use,
     bounds,
     is_solver_setting,
     proposal,
@@ -47,14 +47,14 @@ class Draft:
     ----------
     text : str
         The file.
-    records : tuple of Record
+    records : tuple of MatchedDataFile
         The tables, and what their columns are taken for.
     survey : Survey
         What the parameters change; empty where the tables cannot be simulated and compared yet.
     """
 
     text: str
-    records: tuple[Record, ...]
+    records: tuple[MatchedDataFile, ...]
     survey: Survey = field(default_factory=Survey)
 
     @property
@@ -63,7 +63,9 @@ class Draft:
         return bool(self.survey.freed)
 
 
-def begin(fmu: Path, tables: Sequence[Path], asked: Asked | None = None) -> tuple[Record, ...]:
+def match_data_files(
+    fmu: Path, tables: Sequence[Path], asked: InitOptions | None = None
+) -> tuple[MatchedDataFile, ...]:
     """Read an FMU's description and tables, and guess which columns are which variables.
 
     Raises
@@ -74,13 +76,13 @@ def begin(fmu: Path, tables: Sequence[Path], asked: Asked | None = None) -> tupl
     from fmuid.models import read_description
 
     description = read_description(fmu)
-    records = tuple(Record.read(table, description, asked or Asked()) for table in tables)
+    records = tuple(MatchedDataFile.read(table, description, asked or InitOptions()) for table in tables)
     for record in records:
         _ = record.links, record.settings  # checks what is given
     return records
 
 
-def draft(fmu: Path, records: Sequence[Record], output: Path) -> Draft:
+def draft(fmu: Path, records: Sequence[MatchedDataFile], output: Path) -> Draft:
     """Write down a study of an FMU and tables, without writing the file.
 
     Parameters
@@ -119,7 +121,7 @@ def draft(fmu: Path, records: Sequence[Record], output: Path) -> Draft:
     return Draft("\n".join(lines) + "\n", tuple(records), found)
 
 
-def _ready(records: Sequence[Record]) -> bool:
+def _ready(records: Sequence[MatchedDataFile]) -> bool:
     return all(record.experiment is not None and not record.lacking("input") for record in records)
 
 
@@ -152,7 +154,7 @@ def check_output(output: Path) -> None:
     output.unlink()
 
 
-def _experiment(record: Record, output: Path, name: str, *, first: bool) -> list[str]:
+def _experiment(record: MatchedDataFile, output: Path, name: str, *, first: bool) -> list[str]:
     """Return the table of one experiment, with a name where its own is another's too."""
     from fmuid.studies.model import ExperimentSettings
 
@@ -175,7 +177,7 @@ def _experiment(record: Record, output: Path, name: str, *, first: bool) -> list
     ]
 
 
-def _interpolation(record: Record) -> str:
+def _interpolation(record: MatchedDataFile) -> str:
     """Return the line on how inputs go between samples."""
     from fmuid.studies.model import ExperimentSettings
 
@@ -186,7 +188,7 @@ def _interpolation(record: Record) -> str:
     return f'interpolation = {said}  # guessed: over most samples it stays what it was; "linear" for what is measured'
 
 
-def _role(record: Record, which: str) -> list[str]:
+def _role(record: MatchedDataFile, which: str) -> list[str]:
     """Return inputs or outputs, with what of them is a guess and what is missing."""
     lines = [role(f"{which}s", record.roles(which))]
     guessed = [link.variable for link in record.links if link.role == which and link.column and not link.sure]
@@ -229,7 +231,11 @@ def _parameters(description: Description, found: Survey, experiments: int) -> li
 def _candidate(given: Candidate, experiments: int) -> str:
     """Return the line of a parameter that was looked at."""
     said = [f"{two_digits(100 * given.effect)} %"] if given.effect else []
-    said += [proposal(given)] if given.use is not Use.FREED else []
-    more = "per_experiment = true" if given.use in (Use.START_FREED, Use.START_OPEN) and experiments > 1 else ""
+    said += [proposal(given)] if given.use is not ParameterProposal.FREED else []
+    more = (
+        "per_experiment = true"
+        if given.use in (ParameterProposal.START_FREED, ParameterProposal.START_OPEN) and experiments > 1
+        else ""
+    )
     line = parameter_line(given.variable, given.start, bounds(given), more, "; ".join(said))
     return line if given.use in FREE else "# " + line

@@ -14,7 +14,7 @@ from fmuid.studies.init.column_matching import of_tables
 
 if TYPE_CHECKING:
     from fmuid.models import FMU, Description, Variable
-    from fmuid.studies.section import Words
+    from fmuid.studies.section import StudySection
 
 # What an output of an experiment can be.
 OBSERVED = ("output", "local")
@@ -67,30 +67,30 @@ def inline(value: object) -> str:
 
 def numerics(description: Description) -> list[str]:
     """Return the words on how the FMU is run, commented out, as far as its interfaces have use for them."""
-    from fmuid.studies.model import NumericsWords
+    from fmuid.studies.model import NumericsSection
 
     words = ["interface"] if len(description.interfaces) > 1 else []
     words += ["integrator"] if "model-exchange" in description.interfaces else []
-    return [NumericsWords.example_line(word) for word in (*words, "tolerance", "step_size")]
+    return [NumericsSection.example_line(word) for word in (*words, "tolerance", "step_size")]
 
 
 def rest() -> list[str]:
     """Return what does not depend on FMU and table; the tables that few studies need are commented out."""
-    from fmuid.studies.parameters import JointPriorWords
-    from fmuid.studies.settings import EstimatorWords, NoiseWords, UncertaintyWords
+    from fmuid.studies.parameters import JointPriorSection
+    from fmuid.studies.settings import EstimationSection, NoiseSection, UncertaintySection
 
     return [
-        *_table(JointPriorWords, "prior", asked=False),
+        *_table(JointPriorSection, "prior", asked=False),
         "",
-        *_table(NoiseWords, "noise", asked=True),
+        *_table(NoiseSection, "noise", asked=True),
         "",
-        *_table(EstimatorWords, "estimator", asked=True),
+        *_table(EstimationSection, "estimator", asked=True),
         "",
-        *_table(UncertaintyWords, "uncertainty", asked=False),
+        *_table(UncertaintySection, "uncertainty", asked=False),
     ]
 
 
-def _table(table: type[Words], name: str, *, asked: bool) -> list[str]:
+def _table(table: type[StudySection], name: str, *, asked: bool) -> list[str]:
     """Return those words of a table that have an example; all commented out where it is not asked for."""
     lines = [table.example_line(key) for key, field in table.model_fields.items() if field.examples]
     if asked:

@@ -25,7 +25,7 @@ from fmuid.studies.init.start_parameters import direct_effects, started, starts_
 
 if TYPE_CHECKING:
     from fmuid.data import Experiment
-    from fmuid.identification import TimeScaleDoubt
+    from fmuid.identification import TimeScaleWarning
     from fmuid.models import Description, System, Variable
 
 STEP = 1e-3
@@ -50,7 +50,7 @@ _SIGNED = ("degC", "°C", "degF", "rad", "deg")
 _PLACE = re.compile(r"position|offset|bias|(^|[._])flange|\[\d+, ?\d", re.I)  # or of a matrix, which is no quantity
 
 
-class Use(Enum):
+class ParameterProposal(Enum):
     """What is proposed for a parameter."""
 
     FREED = "freed"
@@ -73,7 +73,7 @@ class Use(Enum):
     """There are as many free ones as can be looked over."""
 
 
-FREE = (Use.FREED, Use.START_FREED, Use.START_OPEN)
+FREE = (ParameterProposal.FREED, ParameterProposal.START_FREED, ParameterProposal.START_OPEN)
 
 
 @dataclass(frozen=True)
@@ -83,7 +83,7 @@ class Candidate:
     Attributes
     ----------
     variable : Variable
-    use : Use
+    use : ParameterProposal
     start : float
         Where the search is to begin.
     effect : float
@@ -93,28 +93,28 @@ class Candidate:
     """
 
     variable: Variable
-    use: Use
+    use: ParameterProposal
     start: float
     effect: float = 0.0
     like: tuple[str, ...] = ()
 
 
 _PROPOSALS = {
-    Use.FREED: "free",
-    Use.START_FREED: "free: the records begin elsewhere",
-    Use.START_OPEN: "free: all begins with it",
-    Use.NOISE: "lost in the noise",
-    Use.START: "a start value that the records do not contradict",
-    Use.NO_EFFECT: "no effect",
-    Use.ZERO: "0 in the FMU: free it by hand where it is something",
-    Use.FAILS: "the simulation fails when it is changed",
-    Use.ENOUGH: "others change more",
+    ParameterProposal.FREED: "free",
+    ParameterProposal.START_FREED: "free: the records begin elsewhere",
+    ParameterProposal.START_OPEN: "free: all begins with it",
+    ParameterProposal.NOISE: "lost in the noise",
+    ParameterProposal.START: "a start value that the records do not contradict",
+    ParameterProposal.NO_EFFECT: "no effect",
+    ParameterProposal.ZERO: "0 in the FMU: free it by hand where it is something",
+    ParameterProposal.FAILS: "the simulation fails when it is changed",
+    ParameterProposal.ENOUGH: "others change more",
 }
 
 
 def proposal(given: Candidate) -> str:
     """Return what is proposed for a parameter in words, for the study file and the terminal."""
-    return f"acts like {' and '.join(given.like)}" if given.use is Use.ALIKE else _PROPOSALS[given.use]
+    return f"acts like {' and '.join(given.like)}" if given.use is ParameterProposal.ALIKE else _PROPOSALS[given.use]
 
 
 @dataclass(frozen=True)
@@ -124,7 +124,7 @@ class Survey:
     Attributes
     ----------
     candidates : tuple of Candidate
-    doubts : tuple of TimeScaleDoubt
+    doubts : tuple of TimeScaleWarning
         The records that last much longer or shorter than what the model does.
     sizes : tuple of (str, str, float)
         The measured columns, each with its table, than which the model moves `FAR_OFF` times as far, or as little.
@@ -133,7 +133,7 @@ class Survey:
     """
 
     candidates: tuple[Candidate, ...] = ()
-    doubts: tuple[TimeScaleDoubt, ...] = ()
+    doubts: tuple[TimeScaleWarning, ...] = ()
     sizes: tuple[tuple[str, str, float], ...] = ()
     failure: str = ""
     names: frozenset[str] = field(init=False, repr=False)
@@ -270,24 +270,33 @@ def _proposed(
     columns = np.where(finite, jacobian, 0.0) / math.sqrt(max(len(jacobian), 1))
     effects = np.sqrt(np.sum(columns**2, axis=0))
     starts = changes.starts.tolist()
-    uses: list[Use | None] = [
-        Use.FAILS if not finite[k] else Use.NO_EFFECT if effects[k] == 0 else Use.ZERO if starts[k] == 0 else None
+    uses: list[ParameterProposal | None] = [
+        ParameterProposal.FAILS
+        if not finite[k]
+        else ParameterProposal.NO_EFFECT
+        if effects[k] == 0
+        else ParameterProposal.ZERO
+        if starts[k] == 0
+        else None
         for k in range(len(variables))
     ]
     for k in begun:
-        if uses[k] in (None, Use.ZERO):
-            uses[k] = Use.START_FREED if k in freed else Use.START if driven else None
+        if uses[k] in (None, ParameterProposal.ZERO):
+            uses[k] = ParameterProposal.START_FREED if k in freed else ParameterProposal.START if driven else None
     weighted = np.where(finite, jacobian, 0.0) * changes.weights[:, None]
     likes = _select(columns, effects, uses, list(freed), weighted)
-    for last in (Use.ZERO, Use.START):  # a study without free parameters cannot be identified
+    for last in (
+        ParameterProposal.ZERO,
+        ParameterProposal.START,
+    ):  # a study without free parameters cannot be identified
         if not any(use in FREE for use in uses):
             uses = [None if use is last else use for use in uses]
             likes = _select(columns, effects, uses, [], weighted)
     for k in begun:
-        uses[k] = Use.START_OPEN if uses[k] is Use.FREED else uses[k]
+        uses[k] = ParameterProposal.START_OPEN if uses[k] is ParameterProposal.FREED else uses[k]
     alike = [tuple(variables[i].name for i in like) for like in likes]
     found = [
-        Candidate(v, uses[k] or Use.ENOUGH, starts[k], SHOWN_CHANGE * float(effects[k]), alike[k])
+        Candidate(v, uses[k] or ParameterProposal.ENOUGH, starts[k], SHOWN_CHANGE * float(effects[k]), alike[k])
         for k, v in enumerate(variables)
     ]
     return tuple(sorted(found, key=lambda each: (each.use not in FREE, -each.effect)))
@@ -311,7 +320,7 @@ def _freed_starts(changes: _Changes, which: Sequence[int]) -> dict[int, float]:
 
 
 def _select(
-    columns: Floats, effects: Floats, uses: list[Use | None], first: Sequence[int], weighted: Floats
+    columns: Floats, effects: Floats, uses: list[ParameterProposal | None], first: Sequence[int], weighted: Floats
 ) -> list[list[int]]:
     """Decide on the parameters on which nothing is decided yet, and return which of the freed ones each acts like.
 
@@ -327,15 +336,15 @@ def _select(
         left = np.sqrt(np.sum(rest[:, open_] ** 2, axis=0))
         k = open_[int(np.argmax(left))]
         if np.linalg.norm(own[:, k]) < 1.0:
-            uses[k] = Use.NOISE  # its standard deviation would be more than its magnitude
+            uses[k] = ParameterProposal.NOISE  # its standard deviation would be more than its magnitude
         elif left.max() < APART * effects[k]:
-            uses[k] = Use.ALIKE
+            uses[k] = ParameterProposal.ALIKE
             shares = np.abs(np.linalg.lstsq(r[:, chosen], r[:, k])[0]) * effects[chosen]
             likes[k] = [i for i, share in zip(chosen, shares, strict=True) if share > 0.1 * shares.max()]
         elif np.linalg.norm(_left(own, chosen, k)) < 1.0:
-            uses[k] = Use.NOISE
+            uses[k] = ParameterProposal.NOISE
         else:
-            uses[k] = Use.FREED
+            uses[k] = ParameterProposal.FREED
             chosen.append(k)
             _project_out(rest, k)
     return likes
@@ -386,6 +395,11 @@ def bounds(given: Candidate) -> dict[str, float]:
     variable, start = given.variable, given.start
     found = declared_bounds(variable, start)
     signed = (variable.unit or "") in _SIGNED or _PLACE.search(f"{variable.name} {variable.description}")
-    if found or signed or given.use in (Use.START, Use.START_FREED, Use.START_OPEN) or not start:
+    if (
+        found
+        or signed
+        or given.use in (ParameterProposal.START, ParameterProposal.START_FREED, ParameterProposal.START_OPEN)
+        or not start
+    ):
         return found
     return {"min": 0.0} if start > 0 else {"max": 0.0}

@@ -13,7 +13,7 @@ import pytest
 from scipy.io import savemat
 
 from fmuid.apps.cli.app import run
-from fmuid.data.data_file import read_table
+from fmuid.data.data_file import read_data
 from tests.support.bad_input import SOUND, refused, rezip, table
 
 # --- what the fuzz tests found ----------------------------------------------------------
@@ -149,7 +149,7 @@ def test_mat_files_nested_deeply(tmp_path: Path) -> None:
     for _ in range(60):
         cell = np.array([cell, None], dtype=object)[:1]
     savemat(tmp_path / "deep.mat", {"time": [0.0, 1.0], "c": cell})
-    assert list(read_table(tmp_path / "deep.mat").columns) == ["time"]
+    assert list(read_data(tmp_path / "deep.mat").columns) == ["time"]
 
 
 @pytest.mark.parametrize(

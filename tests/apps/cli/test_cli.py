@@ -18,7 +18,7 @@ from experiments.batches.campaign import R, coil_current
 from fmuid.apps.cli import app as cli
 from fmuid.apps.cli.options import DONE, WRONG_INPUT
 from fmuid.errors import ModelicaWarning
-from fmuid.studies import begin, draft
+from fmuid.studies import draft, match_data_files
 from fmuid.studies.study import Study
 from tests.support.coil_study import COIL, STUDY, fmuid_, result
 from tests.support.commands import SECOND
@@ -131,7 +131,7 @@ def test_every_line_of_a_draft_is_valid(folder: Path) -> None:
     """All parameters, taken out of their comments, are a valid study."""
     machine = FMUS / "InductionMachine/InductionMachine.fmu"
     pd.DataFrame({"time": [0.0, 1.0], "uds": 1.0, "w": 0.0, "ids": 0.1}).to_csv(folder / "run.csv", index=False)
-    made = draft(machine, begin(machine, [folder / "run.csv"]), folder / "sub/study.toml")
+    made = draft(machine, match_data_files(machine, [folder / "run.csv"]), folder / "sub/study.toml")
     assert made.records[0].lacking("input") == ("uqs",)
     assert made.records[0].lacking("output") == ("iqs",)
     lines = [
@@ -149,7 +149,7 @@ def test_every_line_of_a_draft_is_valid(folder: Path) -> None:
 def test_every_word_that_init_comments_on_is_one(folder: Path) -> None:
     """With all its comments uncommented, what `fmuid init` writes is a study still."""
     assert fmuid_("identify", folder / "study.toml", "--output", folder / "healthy") == DONE
-    made = draft(COIL, begin(COIL, [folder / "first.csv"]), folder / "study.toml")
+    made = draft(COIL, match_data_files(COIL, [folder / "first.csv"]), folder / "study.toml")
     text = made.text.replace('"a", "b"', '"R", "L"').replace('"marquardt"', '"global"').replace('"soft_l1"', '"linear"')
     words = re.compile(r"^# (?=\[?(?!prior |per_experiment )[a-zA-Z_]+\]?( = |  #))")
     (folder / "study.toml").write_text("\n".join(words.sub("", line) for line in text.splitlines()))

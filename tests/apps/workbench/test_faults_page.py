@@ -16,7 +16,7 @@ from fmuid.apps.cli.options import NOT_SUCCEEDED
 from fmuid.apps.workbench import Folder
 from fmuid.apps.workbench.jobs import Jobs
 from fmuid.apps.workbench.pages.faults import FaultsPage
-from fmuid.apps.workbench.pages.results_view import Shown
+from fmuid.apps.workbench.pages.results_view import ResultsView
 from fmuid.errors import InputError
 from fmuid.reports import run_diagnosis, run_monitoring
 from fmuid.studies import Study
@@ -26,12 +26,12 @@ from tests.support.results import result
 PATIENCE = 120.0
 
 
-def text(shown: Shown) -> str:
+def text(shown: ResultsView) -> str:
     return " ".join(each.text for each in shown.layout.children if isinstance(each, Div))
 
 
 def test_what_is_written_is_shown_at_the_next_look(tmp_path: Path) -> None:
-    shown = Shown(Document(), tmp_path, "light", ("result.json",))
+    shown = ResultsView(Document(), tmp_path, "light", ("result.json",))
     assert "no result yet" in text(shown)
     result(tmp_path, {"R": (4.0, 0.1)})
     shown.look()

@@ -24,8 +24,8 @@ from fmuid.apps.workbench import Folder
 from fmuid.apps.workbench.home import _results, _studies
 from fmuid.apps.workbench.jobs import Jobs
 from fmuid.apps.workbench.pages.batch import BatchPage, case_settings
-from fmuid.apps.workbench.pages.remedy_panel import Remedied
-from fmuid.apps.workbench.pages.results import PLACE, Predicting, Writing, _compared, _zoomed, build
+from fmuid.apps.workbench.pages.remedy_panel import UndeterminedResult
+from fmuid.apps.workbench.pages.results import PLACE, PredictAction, WriteAction, _compared, _zoomed, build
 from fmuid.apps.workbench.project_folder import FoundResult, FoundStudy
 from fmuid.estimation import Result
 from fmuid.progress import EVENTS, BatchStep, Event, GlobalStep, SearchStep, of_line, to_line
@@ -34,9 +34,9 @@ from fmuid.reports.console.progress import Display
 from fmuid.reports.page.document import Part, written_parts
 from fmuid.reports.page.fits import fit_sections
 from fmuid.reports.page.write import contents
-from fmuid.runs import Cases, origin_of
-from fmuid.runs.batch.study_package import Bundle
-from fmuid.simulation import Fit
+from fmuid.runs import CaseList, origin_of
+from fmuid.runs.batch.study_package import BatchStudy
+from fmuid.simulation import OutputFit
 from fmuid.studies import Study
 from tests.support.begun_batch import batch
 from tests.support.coil_study import COIL, STUDY, coil_table
@@ -155,7 +155,7 @@ def test_from_results_to_what_would_help(tmp_path: Path) -> None:
         assert Study.read(path, asked["set"]).data == run.data
     designing = next(each for each in doc.roots if each.name == "designing")
     assert "compare excitations" in {each.name for each in designing.select({"type": Button})}
-    words = Remedied(Folder(tmp_path), tmp_path / "open").designing
+    words = UndeterminedResult(Folder(tmp_path), tmp_path / "open").designing
     design = Study.read(path, [word for word in words if word != "--set"])
     assert design.known_variance == {"i": 1.0}  # as the result says
     assert [(name, each.start) for name, each in design.parameters.items()] == [("R", 4.0), ("L", 0.05)]
@@ -165,7 +165,7 @@ def test_from_results_to_what_would_help(tmp_path: Path) -> None:
     assert part.table.count("Hold L") == 1
     assert 'href="/results?file=open#remedies"' in part.table
     path.unlink()
-    assert Remedied(Folder(tmp_path), tmp_path / "open").names == []
+    assert UndeterminedResult(Folder(tmp_path), tmp_path / "open").names == []
 
 
 def test_figures_of_results_have_places_on_their_page(tmp_path: Path) -> None:
@@ -190,8 +190,8 @@ def test_a_long_fit_is_thinned_anew_where_one_looks(monkeypatch: pytest.MonkeyPa
     simulated = np.sin(times)[:, None]
     half, counted = np.full_like(simulated, 0.3), np.ones_like(simulated, dtype=bool)
     measured = simulated + rng.normal(0.0, 0.1, simulated.shape)
-    record = Fit("first", times, ("i",), ("A",), measured, simulated, counted)
-    short = Fit("second", times[:600], ("i",), ("A",), measured[:600], simulated[:600], counted[:600])
+    record = OutputFit("first", times, ("i",), ("A",), measured, simulated, counted)
+    short = OutputFit("second", times[:600], ("i",), ("A",), measured[:600], simulated[:600], counted[:600])
     doc, due = Document(), list[Any]()
     monkeypatch.setattr(doc, "add_next_tick_callback", due.append)
     sections = fit_sections("fit", "Fit", "", (record, short), {"first": (half, 0.95)})
@@ -263,7 +263,7 @@ def test_a_case_leads_to_what_if_with_what_it_was_given_and_found(tmp_path: Path
     (tmp_path / "study.toml").write_text(STUDY + words)
     batch(tmp_path / "out", 3)
     manifest = json.loads((tmp_path / "out/batch.json").read_text())
-    manifest |= Bundle(Study.read(tmp_path / "study.toml"), isolated=False, versions={}).manifest()
+    manifest |= BatchStudy(Study.read(tmp_path / "study.toml"), isolated=False, versions={}).manifest()
     manifest |= {"dashboard": "http://host:8787/status?a=<b>"}
     (tmp_path / "out/batch.json").write_text(json.dumps(manifest))
     doc: Any = Document()
@@ -274,7 +274,7 @@ def test_a_case_leads_to_what_if_with_what_it_was_given_and_found(tmp_path: Path
     asked = parse_qs(urlsplit(html.unescape(link[1])).query)
     assert asked["file"] == ["study.toml"]
     study = Study.read(tmp_path / "study.toml", asked["set"])
-    case = Cases(Study.read(tmp_path / "study.toml"))[2]
+    case = CaseList(Study.read(tmp_path / "study.toml"))[2]
     assert case.table is not None
     assert Path(study.path.parent, study.experiments[0].table).resolve() == case.table.resolve()
     assert study.model.values["L"] == case.held["L"]
@@ -298,7 +298,7 @@ def test_a_result_is_passed_on_by_commands(tmp_path: Path) -> None:
     (tmp_path / "study.toml").write_text(STUDY)
     assert run_study(tmp_path / "study.toml", tmp_path / "results").succeeded
     doc: Any = Document()
-    page = Writing(doc, bench_of(tmp_path), tmp_path / "results")
+    page = WriteAction(doc, bench_of(tmp_path), tmp_path / "results")
     assert page.fmus[page.fmu.value] == COIL.resolve()
     assert "fmuid report" in page.command.text
     assert "fmuid apply" in page.command.text
@@ -331,7 +331,7 @@ def dropped(name: str, content: bytes) -> FileInput:
 
 
 def test_what_is_to_be_predicted_is_looked_at_first(tmp_path: Path) -> None:
-    page = Predicting(Document(), bench_of(tmp_path), tmp_path)
+    page = PredictAction(Document(), bench_of(tmp_path), tmp_path)
     for given, said in (
         (FileInput(filename="", value=""), "choose a table, or drop one"),
         (dropped("../../evil.exe", b"no"), "evil.exe is no table: give a file of the kinds"),
@@ -350,7 +350,7 @@ def test_a_dropped_table_is_predicted(tmp_path: Path) -> None:
     (tmp_path / "study.toml").write_text(STUDY)
     assert run_study(tmp_path / "study.toml", tmp_path / "results").succeeded
     doc: Any = Document()
-    page = Predicting(doc, bench_of(tmp_path), tmp_path / "results")
+    page = PredictAction(doc, bench_of(tmp_path), tmp_path / "results")
     assert page.chosen.options == ["", "first.csv", "second.csv"]
     page.dropped = dropped("../third.csv", (tmp_path / "second.csv").read_bytes())
     page.begin()

@@ -20,7 +20,7 @@ from bokeh.models import Button
 from fmuid.apps.workbench import Folder
 from fmuid.apps.workbench.jobs import Jobs
 from fmuid.apps.workbench.pages.identification_panel import UNCERTAIN
-from fmuid.apps.workbench.pages.latest_only_worker import Newest
+from fmuid.apps.workbench.pages.latest_only_worker import LatestOnlyWorker
 from fmuid.apps.workbench.pages.sliders import PLACES, reach_of
 from fmuid.apps.workbench.pages.study import StudyPage
 from fmuid.data import Normal, Parameter
@@ -280,7 +280,7 @@ def test_only_the_newest_is_done() -> None:
         begun.set()
         assert go.wait(PATIENCE)
 
-    newest = Newest(work)
+    newest = LatestOnlyWorker(work)
     newest.ask(0)
     assert begun.wait(PATIENCE)
     for what in range(1, 50):

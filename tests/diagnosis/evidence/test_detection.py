@@ -7,19 +7,19 @@ import pytest
 from scipy import optimize, special
 
 from fmuid.diagnosis.change_detection.causes import Cause
-from fmuid.diagnosis.change_detection.detection import Chance, detectable, fit, probability
-from fmuid.diagnosis.change_detection.information_matrix import News
+from fmuid.diagnosis.change_detection.detection import MinPDistribution, detectable, fit, probability
+from fmuid.diagnosis.change_detection.information_matrix import ScoreStatistics
 from fmuid.errors import InputError
 
 SIGNED = tuple(Cause(f"c{i}", (i,), 1.0, sign) for i, sign in enumerate((1, -1, 1, 0)))
 
 
-def news(seed: int, information: np.ndarray | None = None) -> News:
+def news(seed: int, information: np.ndarray | None = None) -> ScoreStatistics:
     random = np.random.default_rng(seed)
     if information is None:
         root = random.standard_normal((7, 4))
         information = root.T @ root
-    return News(information, np.linalg.cholesky(information) @ random.standard_normal(4))
+    return ScoreStatistics(information, np.linalg.cholesky(information) @ random.standard_normal(4))
 
 
 @pytest.mark.parametrize("seed", range(12))
@@ -37,7 +37,7 @@ def test_sizes_with_signs(seed: int) -> None:
 
 
 def test_a_cause_with_the_wrong_sign_explains_nothing() -> None:
-    given = News(np.eye(4), np.array([-2.0, 0.0, 0.0, 0.0]))
+    given = ScoreStatistics(np.eye(4), np.array([-2.0, 0.0, 0.0, 0.0]))
     assert fit(given, SIGNED[:1]).statistic == 0.0
     assert probability(0.0, SIGNED[0]) == 1.0
     assert fit(given, (Cause("free", (0,), 1.0),)).statistic == pytest.approx(4.0)
@@ -47,15 +47,19 @@ def test_a_cause_with_the_wrong_sign_explains_nothing() -> None:
 def test_the_smallest_probability_of_unlike_and_of_equal_causes() -> None:
     """m unlike causes: 1 − (1 − α)^(1/m), m times the same: α."""
     free = tuple(Cause(str(i), (i,), 1.0) for i in range(4))
-    unlike = Chance.of(News(np.eye(4), np.zeros(4)), free)
+    unlike = MinPDistribution.of(ScoreStatistics(np.eye(4), np.zeros(4)), free)
     assert unlike.limit(0.05) == pytest.approx(1 - 0.95**0.25, rel=0.08)
     assert unlike.adjusted(unlike.limit(0.05)) == pytest.approx(0.05, rel=0.02)
     assert unlike.adjusted(1e-6) == pytest.approx(4e-6)
-    equal = Chance.of(News(np.eye(4), np.zeros(4)), tuple(Cause(str(i), (0,), 1.0) for i in range(4)))
+    equal = MinPDistribution.of(
+        ScoreStatistics(np.eye(4), np.zeros(4)), tuple(Cause(str(i), (0,), 1.0) for i in range(4))
+    )
     assert equal.limit(0.05) == pytest.approx(0.05, rel=0.08)
-    pair = Chance.of(News(np.eye(4), np.zeros(4)), (Cause("plane", (1, 2), 1.0),))
+    pair = MinPDistribution.of(ScoreStatistics(np.eye(4), np.zeros(4)), (Cause("plane", (1, 2), 1.0),))
     assert pair.limit(0.05) == pytest.approx(0.05, rel=0.08)
-    both = Chance.of(News(np.eye(4), np.zeros(4)), (Cause("up", (0,), 1.0, 1), Cause("down", (0,), 1.0, -1)))
+    both = MinPDistribution.of(
+        ScoreStatistics(np.eye(4), np.zeros(4)), (Cause("up", (0,), 1.0, 1), Cause("down", (0,), 1.0, -1))
+    )
     assert both.limit(0.05) == pytest.approx(0.025, rel=0.08)
 
 
@@ -63,13 +67,14 @@ def test_the_smallest_probability_of_unlike_and_of_equal_causes() -> None:
 def test_the_detectable_size_is_called_as_often_as_it_says(cause: Cause) -> None:
     information = news(3).information
     limit, miss = 0.002, 0.1
-    size = detectable(News(information, np.zeros(4)), cause, limit, miss)
+    size = detectable(ScoreStatistics(information, np.zeros(4)), cause, limit, miss)
     values, vectors = np.linalg.eigh(information[np.ix_(cause.columns, cause.columns)])
     truth = np.zeros(4)
     truth[list(cause.columns)] = size * vectors[:, 0] * (np.sign(vectors[0, 0]) if cause.sign else 1.0)
     random, root = np.random.default_rng(9), np.linalg.cholesky(information)
     called = [
-        probability(fit(News(information, information @ truth + root @ z), (cause,)).statistic, cause) <= limit
+        probability(fit(ScoreStatistics(information, information @ truth + root @ z), (cause,)).statistic, cause)
+        <= limit
         for z in random.standard_normal((2000, 4))
     ]
     assert values[0] > 0

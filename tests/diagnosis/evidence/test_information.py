@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy import linalg
 
-from fmuid.diagnosis.change_detection.information_matrix import Information, Known, News
+from fmuid.diagnosis.change_detection.information_matrix import ChangePrior, InformationMatrix, ScoreStatistics
 from fmuid.errors import InputError
 
 UNITS = np.array([1e3, 1.0, 1e-5, 2.0])
@@ -23,8 +23,8 @@ def test_what_is_new_is_generalised_least_squares() -> None:
     """Noise and what is uncertain beforehand make one covariance of all samples, I + J C Jᵀ."""
     jacobian, residual = record(1)
     root = np.random.default_rng(2).standard_normal((4, 4))
-    known = Known(0.1 * UNITS, root @ root.T * np.outer(UNITS, UNITS))
-    news = News.of(Information.of(jacobian, residual), known)
+    known = ChangePrior(0.1 * UNITS, root @ root.T * np.outer(UNITS, UNITS))
+    news = ScoreStatistics.of(InformationMatrix.of(jacobian, residual), known)
     whole = np.eye(len(residual)) + jacobian @ known.covariance @ jacobian.T
     weighted = linalg.solve(whole, np.column_stack([jacobian, residual - jacobian @ known.mean]))
     scale = np.outer(UNITS, UNITS)
@@ -36,22 +36,22 @@ def test_a_healthy_record_and_what_is_normal() -> None:
     """m and C are those of the regression with a row for each coordinate that says what is normal."""
     jacobian, residual = record(3)
     normal = np.array([5e2, 0.2, 1e-6, 30.0])
-    known = Known.after(Information.of(jacobian, residual), normal)
+    known = ChangePrior.after(InformationMatrix.of(jacobian, residual), normal)
     stacked = np.vstack([jacobian * normal, np.eye(4)])
     mean = np.linalg.lstsq(stacked, np.concatenate([residual, np.zeros(4)]))[0] * normal
     covariance = np.linalg.inv(stacked.T @ stacked) * np.outer(normal, normal)
     assert known.mean / UNITS == pytest.approx(mean / UNITS, rel=1e-9)
     assert known.covariance / np.outer(UNITS, UNITS) == pytest.approx(covariance / np.outer(UNITS, UNITS), rel=1e-9)
     with pytest.raises(InputError, match="what is normal must be positive and finite"):
-        Known.after(Information.of(jacobian, residual), np.array([1.0, 0.0, 1.0, 1.0]))
+        ChangePrior.after(InformationMatrix.of(jacobian, residual), np.array([1.0, 0.0, 1.0, 1.0]))
 
 
 def test_scatter_of_records_beyond_their_noise_is_the_error_of_the_model() -> None:
     """Where it is all that they scatter by, its covariance is theirs: once to find it, once for the next record."""
     jacobian, count = 1e6 * record(9)[0], 8
     truths = np.random.default_rng(10).standard_normal((count, 4)) * UNITS
-    records = [Information.of(jacobian, jacobian @ x) for x in truths]
-    known = Known.after_several(records, 1e3 * UNITS)
+    records = [InformationMatrix.of(jacobian, jacobian @ x) for x in truths]
+    known = ChangePrior.after_several(records, 1e3 * UNITS)
     # of the inverse of a covariance of K records, (K - 1)/(K - 3): the variance of a t of K - 1 degrees of freedom
     expected = np.cov((truths / UNITS).T) * (1.0 + 1.0 / count) * (count - 1) / (count - 3)
     assert known.covariance / np.outer(UNITS, UNITS) == pytest.approx(expected, rel=1e-6, abs=1e-9)
@@ -61,9 +61,9 @@ def test_scatter_of_records_beyond_their_noise_is_the_error_of_the_model() -> No
 def test_of_larger_variances_less_is_known() -> None:
     """Twice the variance of all noise: the same data divided by the root of two."""
     jacobian, residual = record(11)
-    sure = Known(np.zeros(4), np.zeros((4, 4)))
-    found = News.of(Information.of(jacobian, residual), sure).tempered(2.0)
-    same = News.of(Information.of(jacobian / np.sqrt(2.0), residual / np.sqrt(2.0)), sure)
+    sure = ChangePrior(np.zeros(4), np.zeros((4, 4)))
+    found = ScoreStatistics.of(InformationMatrix.of(jacobian, residual), sure).tempered(2.0)
+    same = ScoreStatistics.of(InformationMatrix.of(jacobian / np.sqrt(2.0), residual / np.sqrt(2.0)), sure)
     assert found.information == pytest.approx(same.information)
     assert found.score == pytest.approx(same.score)
 
@@ -78,9 +78,9 @@ def test_nothing_new_leaves_scores_with_the_information_as_covariance() -> None:
     for _ in range(4000):
         truth = normal * random.standard_normal(4)
         moved = truth + drift * random.standard_normal(4)
-        known = Known.after(Information.of(healthy, healthy @ truth + random.standard_normal(60)), normal)
-        data = Information.of(new, new @ moved + random.standard_normal(60))
-        news = News.of(data, known.drifting(drift))
+        known = ChangePrior.after(InformationMatrix.of(healthy, healthy @ truth + random.standard_normal(60)), normal)
+        data = InformationMatrix.of(new, new @ moved + random.standard_normal(60))
+        news = ScoreStatistics.of(data, known.drifting(drift))
         scores.append(linalg.solve_triangular(np.linalg.cholesky(news.information), news.score, lower=True))
     assert np.mean(scores, axis=0) == pytest.approx(np.zeros(4), abs=0.07)
     assert np.cov(np.array(scores).T) == pytest.approx(np.eye(4), abs=0.1)
@@ -96,13 +96,13 @@ def test_several_records_show_the_error_of_the_model() -> None:
     off = []
     for _ in range(600):
         truths = random.multivariate_normal(np.zeros(4), error, size=13)
-        records = [Information.of(jacobian, jacobian @ x + random.standard_normal(60)) for x in truths]
-        known = Known.after_several(records[1:], normal)
-        news = News.of(records[0], known)
+        records = [InformationMatrix.of(jacobian, jacobian @ x + random.standard_normal(60)) for x in truths]
+        known = ChangePrior.after_several(records[1:], normal)
+        news = ScoreStatistics.of(records[0], known)
         off.append(news.score @ np.linalg.solve(news.information, news.score))
     # with the model's error in the covariance, what is new stays near its χ²_4; without, it is far above
     assert 2.5 < np.mean(off) < 5.5
-    pooled = Known.after_several(records[1:4], normal)
-    alone = Known.after(records[1] + records[2] + records[3], normal)
+    pooled = ChangePrior.after_several(records[1:4], normal)
+    alone = ChangePrior.after(records[1] + records[2] + records[3], normal)
     assert pooled.covariance == pytest.approx(alone.covariance)
     assert pooled.mean == pytest.approx(alone.mean)

@@ -8,25 +8,27 @@ from scipy.signal import lfilter
 
 from fmuid.diagnosis.change_detection import onset_tracker as watching
 from fmuid.diagnosis.change_detection.causes import Cause
-from fmuid.diagnosis.change_detection.change_transient import BuildUp
+from fmuid.diagnosis.change_detection.change_transient import ChangeTransient
 from fmuid.diagnosis.change_detection.false_alarms import log_chance, log_limit
-from fmuid.diagnosis.change_detection.information_matrix import Known
-from fmuid.diagnosis.change_detection.onset import Shape, dated
-from fmuid.diagnosis.change_detection.onset_tracker import Blocks, Watch
+from fmuid.diagnosis.change_detection.information_matrix import ChangePrior
+from fmuid.diagnosis.change_detection.onset import OnsetShape, estimate_onset
+from fmuid.diagnosis.change_detection.onset_tracker import Blocks, OnsetTracker
 
 LENGTH, BLOCKS, WINDOWS = 20, 5, 8
 SAMPLES = LENGTH * BLOCKS * WINDOWS
 CAUSE = Cause("step", (1,), 2.0)
-KNOWN = Known(np.array([0.2, -0.1, 0.0]), np.diag([0.5, 1e-4, 0.3]) + 1e-3)
+KNOWN = ChangePrior(np.array([0.2, -0.1, 0.0]), np.diag([0.5, 1e-4, 0.3]) + 1e-3)
 DRIFT = np.array([0.0, 0.0, 0.4])
 
 
-def watched(jacobian: np.ndarray, residual: np.ndarray, known: Known = KNOWN, drift: np.ndarray = DRIFT) -> Watch:
+def watched(
+    jacobian: np.ndarray, residual: np.ndarray, known: ChangePrior = KNOWN, drift: np.ndarray = DRIFT
+) -> OnsetTracker:
     """Return a watch that has seen all windows; a block lasts a second."""
-    return fed(Watch(known, drift), jacobian, residual)
+    return fed(OnsetTracker(known, drift), jacobian, residual)
 
 
-def fed(found: Watch, jacobian: np.ndarray, residual: np.ndarray) -> Watch:
+def fed(found: OnsetTracker, jacobian: np.ndarray, residual: np.ndarray) -> OnsetTracker:
     """Return a watch after all windows."""
     rows = jacobian.reshape(-1, BLOCKS, LENGTH, jacobian.shape[1])
     rest = residual.reshape(-1, BLOCKS, LENGTH)
@@ -58,15 +60,15 @@ def explained(
     return float(np.linalg.lstsq(without, data)[1][0] - rest[0]), float(found[-1])
 
 
-@pytest.mark.parametrize("shape", Shape)
+@pytest.mark.parametrize("shape", OnsetShape)
 @pytest.mark.parametrize("at", [0, 13, 29])
-def test_an_onset_is_a_column_of_least_squares(shape: Shape, at: int) -> None:
+def test_an_onset_is_a_column_of_least_squares(shape: OnsetShape, at: int) -> None:
     random = np.random.default_rng(1)
     jacobian, residual = random.standard_normal((SAMPLES, 3)), random.standard_normal(SAMPLES)
     (found,) = watched(jacobian, residual).onsets([CAUSE], shape)
     block = np.repeat(np.arange(BLOCKS * WINDOWS), LENGTH)
     course, total = (block >= at) * 1.0, 1.0
-    if shape is Shape.RAMP:  # it rises from block to block: the middle of each stands for its samples
+    if shape is OnsetShape.RAMP:  # it rises from block to block: the middle of each stands for its samples
         course, total = course * (block + 0.5 - at), float(BLOCKS * WINDOWS)
     statistic, size = explained(jacobian, residual, jacobian[:, 1] * course, jacobian[:, 2] * course / total)
     assert found.clock[at] == at
@@ -94,14 +96,14 @@ def test_what_persists_of_a_drift_is_no_news() -> None:
 def test_old_onsets_thin_out_and_those_of_an_alarm_stay(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(watching, "MOST", 8)
     monkeypatch.setattr(watching, "FINE", 2)
-    found = Watch(KNOWN, DRIFT)
+    found = OnsetTracker(KNOWN, DRIFT)
     for k in range(100):
         found.add(
             Blocks(np.arange(BLOCKS + 1.0) + BLOCKS * k, np.tile(np.eye(3), (BLOCKS, 1, 1)), np.ones((BLOCKS, 3)))
         )
         if k == 30:
             found.pinned = (147.0, 148.0)
-    clock = found.onsets([CAUSE], Shape.STEP)[0].clock
+    clock = found.onsets([CAUSE], OnsetShape.STEP)[0].clock
     assert clock[0] == 0.0
     assert {147.0, 148.0, 490.0, 491.0, 499.0} <= set(clock.tolist())
     assert len(clock) <= 9 + 2 * BLOCKS + 2
@@ -120,10 +122,10 @@ def test_the_set_holds_the_onset_and_the_shape_is_told() -> None:
         course[begin:, 1] += 0.6
         residual = np.einsum("ij,ij->i", jacobian, course) + random.standard_normal(SAMPLES)
         found = watched(jacobian, residual, drift=np.zeros(3))
-        (step,), (ramp,) = (found.onsets([CAUSE], shape) for shape in Shape)
-        when = dated([step, ramp], found.end)
+        (step,), (ramp,) = (found.onsets([CAUSE], shape) for shape in OnsetShape)
+        when = estimate_onset([step, ramp], found.end)
         held.append(when.between[0] <= begin / LENGTH <= when.between[1])
-        shapes.append(when.shape is Shape.STEP)
+        shapes.append(when.shape is OnsetShape.STEP)
     assert np.mean(held) >= 0.92
     assert np.mean(shapes) >= 0.8  # steps near an end look like ramps
 
@@ -142,7 +144,7 @@ def test_how_a_change_builds_up(constant: bool) -> None:
     """Of a lag of the first order: 1 − exp(−2t/τ) under white excitation, 1 − exp(−t/τ) under constant excitation."""
     driven = np.ones(20_000) if constant else np.random.default_rng(7).standard_normal(20_000)
     left = np.exp(-2.0 * np.arange(1000) / LAG)
-    found = BuildUp.of(left, lagged(driven, LAG)[1000:, None], 0.1)
+    found = ChangeTransient.of(left, lagged(driven, LAG)[1000:, None], 0.1)
     rate = (1.0 if constant else 2.0) / (0.1 * LAG)
     lags = np.array([0.0, 0.5, 1.0, 4.0]) * 0.1 * LAG
     expected = (lags[1:] - lags[:-1] + np.diff(np.exp(-rate * lags)) / rate) / np.diff(lags)
@@ -151,7 +153,7 @@ def test_how_a_change_builds_up(constant: bool) -> None:
 
 
 def test_nothing_builds_up_where_no_state_is() -> None:
-    assert BuildUp.of(np.zeros(50), np.ones((100, 2)), 0.1).lasts == 0.0
+    assert ChangeTransient.of(np.zeros(50), np.ones((100, 2)), 0.1).lasts == 0.0
 
 
 @pytest.mark.slow
@@ -167,11 +169,11 @@ def test_the_set_holds_the_onset_of_a_machine_with_memory() -> None:
         column, changed = (lagged(each, LAG)[lead:, None] for each in (driven, driven * course))
         jacobian = np.hstack([random.standard_normal((SAMPLES, 1)), column / column.std()])
         residual = 0.6 * changed[:, 0] / column.std() + random.standard_normal(SAMPLES)
-        known = BuildUp.of(np.exp(-2.0 * np.arange(400) / LAG), jacobian[:, 1:], 1.0 / LENGTH)
-        for k, build_up in enumerate((known, BuildUp())):
-            begun = Watch(Known(np.zeros(2), np.diag([0.5, 1e-4])), np.zeros(2))
+        known = ChangeTransient.of(np.exp(-2.0 * np.arange(400) / LAG), jacobian[:, 1:], 1.0 / LENGTH)
+        for k, build_up in enumerate((known, ChangeTransient())):
+            begun = OnsetTracker(ChangePrior(np.zeros(2), np.diag([0.5, 1e-4])), np.zeros(2))
             found = fed(begun.building_up(build_up, np.array([False, True])), jacobian, residual)
-            when = dated([found.onsets([CAUSE], shape)[0] for shape in Shape], found.end)
+            when = estimate_onset([found.onsets([CAUSE], shape)[0] for shape in OnsetShape], found.end)
             held[k].append(when.between[0] - 1e-9 <= begin <= when.between[1] + 1e-9)
             near[k].append(abs(when.clock - begin) <= 2)
             widths[k].append(when.between[1] - when.between[0])

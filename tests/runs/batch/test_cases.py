@@ -11,7 +11,7 @@ import pytest
 from scipy.stats import qmc
 
 from fmuid.errors import InputError
-from fmuid.runs.batch.cases import Cases
+from fmuid.runs.batch.cases import CaseList
 from fmuid.studies.study import Study
 from tests.support.coil_cases import COIL, STD, record, study_of
 
@@ -26,7 +26,7 @@ def test_product_in_its_documented_order(case_folder: Path) -> None:
         "values": {"i_start": [0.0, 0.1, 0.2]},
         "tables": "records/*.csv",
     }
-    cases = Cases.of(study_of(case_folder, batch))
+    cases = CaseList.of(study_of(case_folder, batch))
     axes = ["run1", "run10", "run2"], [0.0, 0.1, 0.2], ["R", "R L"], [2.0, 5.0], [0, 1, 2]
     expected = list(itertools.product(*axes))
     assert len(cases) == len(expected) == 108
@@ -49,7 +49,7 @@ def test_list_goes_through_all_axes_together(case_folder: Path) -> None:
         "starts": 3,
         "values": {"i_start": {"from": 0.0, "to": 1.0, "count": 3}},
     }
-    cases = Cases.of(study_of(case_folder, batch))
+    cases = CaseList.of(study_of(case_folder, batch))
     found = [(case.settings["table"], case.settings["set.i_start"]) for case in cases]
     assert found == [("run2", 0.0), ("run1", 0.5), ("run10", 1.0)]
     assert len({case.settings["start.L"] for case in cases}) == 3
@@ -57,29 +57,29 @@ def test_list_goes_through_all_axes_together(case_folder: Path) -> None:
 
 def test_a_product_of_very_many_cases_costs_nothing(case_folder: Path) -> None:
     batch = {"values": {"i_start": list(range(10000))}, "noise": {"draws": 100_000_000, "std": STD}, "starts": 1000}
-    cases = Cases.of(study_of(case_folder, batch))
+    cases = CaseList.of(study_of(case_folder, batch))
     assert len(cases) == 10**15
     case = cases[10**15 - 10**8 - 1]
     assert (case.held["i_start"], case.draw) == (9999, 10**8 - 1)
     assert case.starts == cases[998 * 10**8].starts
     with pytest.raises(InputError, match="spans 10000000000000000 cases, more than can be run"):
-        Cases.of(study_of(case_folder, batch | {"starts": 10000}))
+        CaseList.of(study_of(case_folder, batch | {"starts": 10000}))
 
 
 def test_drawn_starts_are_those_of_their_seed(case_folder: Path) -> None:
-    both = [case.starts for case in Cases.of(study_of(case_folder, {"starts": 40, "seed": 5}))]
+    both = [case.starts for case in CaseList.of(study_of(case_folder, {"starts": 40, "seed": 5}))]
     for k, starts in enumerate(both):
         units = np.random.default_rng(np.random.SeedSequence([5, 1, k])).random(2)
         # R between its bounds by orders of magnitude, L, which has but one, half of itself from its start
         expected = {"R": math.exp(math.log(0.5) + units[0] * math.log(16)), "L": 0.1 + 0.2 * units[1]}
         assert starts == pytest.approx(expected, rel=1e-12)
-    other = Cases.of(
+    other = CaseList.of(
         study_of(case_folder, {"starts": 2, "seed": 5, "subsets": [["L"]], "values": {"i_start": [1, 2, 3]}})
     )
     assert [case.starts for case in other] == both[:2] * 3
     assert np.isnan([float(case.settings["start.R"]) for case in other]).all()
     known = study_of(case_folder, {"starts": 400}, prior={"names": ["L"], "mean": [0.1], "covariance": [[1e-4]]})
-    drawn = [case.starts["L"] for case in Cases.of(known)]
+    drawn = [case.starts["L"] for case in CaseList.of(known)]
     assert 0.07 < min(drawn) < 0.071
     assert 0.129 < max(drawn) < 0.13
 
@@ -87,7 +87,7 @@ def test_drawn_starts_are_those_of_their_seed(case_folder: Path) -> None:
 @pytest.mark.parametrize(("method", "count"), [("sobol", 64), ("sobol", 50), ("latin-hypercube", 50)])
 def test_design_is_that_of_scipy(case_folder: Path, method: str, count: int) -> None:
     sample = {"method": method, "count": count, "ranges": {"L": [0.05, 0.2], "i_start": [-1.0, 1.0]}}
-    cases = Cases.of(study_of(case_folder, {"sample": sample, "seed": 3}))
+    cases = CaseList.of(study_of(case_folder, {"sample": sample, "seed": 3}))
     rng = np.random.default_rng(np.random.SeedSequence([3, 2]))
     engine = qmc.Sobol(2, rng=rng) if method == "sobol" else qmc.LatinHypercube(2, rng=rng)
     units = engine.random(64 if method == "sobol" else count)[:count]
@@ -112,7 +112,7 @@ def test_records_are_called_as_shortly_as_they_can_be_told_apart(case_folder: Pa
     record(3).to_parquet(case_folder / "more" / "run1.parquet")
     assert names("more/run1.*") == ["more/run1.csv", "more/run1.parquet"]
     given = study_of(case_folder, {"tables": {"first": "records/run2.csv"}})
-    assert [case.settings for case in Cases.of(given)] == [{"table": "first"}]
+    assert [case.settings for case in CaseList.of(given)] == [{"table": "first"}]
 
 
 def test_a_study_is_its_data_and_names_its_files(case_folder: Path) -> None:
@@ -127,11 +127,11 @@ def test_a_study_is_its_data_and_names_its_files(case_folder: Path) -> None:
     study = Study.read(path, overrides)
     assert Study.of(study.data, path) == study
     assert study.parameters["R"].start == 2.5
-    assert len(Cases.of(study)) == 42
+    assert len(CaseList.of(study)) == 42
     assert study.files() == (
         COIL,
         case_folder / "table.csv",
         *(case_folder / "records" / f"run{k}.csv" for k in (1, 10, 2)),
     )
     begun = Study.of(Study.read(path, ["batch.sample.count=4", "batch.sample.ranges.i_start=[0.0, 1.0]"]).data, path)
-    assert len(Cases.of(begun)) == 24
+    assert len(CaseList.of(begun)) == 24

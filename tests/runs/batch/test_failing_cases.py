@@ -23,7 +23,7 @@ from fmuid.estimation import Marquardt
 from fmuid.estimation.identification import identify
 from fmuid.estimation.problem import LeastSquares
 from fmuid.runs.batch import run_case as case_run
-from fmuid.runs.batch.cases import Cases
+from fmuid.runs.batch.cases import CaseList
 from fmuid.runs.batch.run_case import CaseRunner
 from tests.support.coil_cases import TIMES, bits, record, study_of
 from tests.support.probe_fmu import ProbeMaker
@@ -193,21 +193,21 @@ WRONG: list[tuple[dict[str, Any], str]] = [
 @pytest.mark.parametrize(("batch", "sentence"), WRONG)
 def test_refusals_are_one_sentence(case_folder: Path, batch: dict[str, Any], sentence: str) -> None:
     with pytest.raises(InputError, match=sentence) as caught:
-        Cases.of(study_of(case_folder, batch))
+        CaseList.of(study_of(case_folder, batch))
     assert str(case_folder / "study.toml") in str(caught.value)
     assert "\n" not in str(caught.value)
 
 
 def test_refusals_of_the_whole_study(case_folder: Path) -> None:
     with pytest.raises(InputError, match=r"has no \[batch\]: give it"):
-        Cases.of(study_of(case_folder, None))
+        CaseList.of(study_of(case_folder, None))
     with pytest.raises(InputError, match="no parameters: name at least one"):
-        Cases.of(study_of(case_folder, {"starts": 2}, parameters={}))
+        CaseList.of(study_of(case_folder, {"starts": 2}, parameters={}))
     twice = [{"table": f"records/run{k}.csv", "inputs": ["u"], "outputs": ["i"]} for k in (1, 2)]
     with pytest.raises(InputError, match=r"has tables, each in place of .* the study has 2 \[\[experiments\]\]"):
-        Cases.of(study_of(case_folder, {"tables": "records/*.csv"}, experiments=twice))
+        CaseList.of(study_of(case_folder, {"tables": "records/*.csv"}, experiments=twice))
     with pytest.raises(InputError, match="has no parameter 'Q'"):
-        Cases.of(study_of(case_folder, {"starts": 2}, parameters={"Q": {"start": 1.0}}))
+        CaseList.of(study_of(case_folder, {"starts": 2}, parameters={"Q": {"start": 1.0}}))
 
 
 def test_the_noise_of_a_study_is_that_of_its_draws(case_folder: Path) -> None:

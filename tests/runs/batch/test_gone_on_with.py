@@ -15,7 +15,7 @@ import pytest
 from fmuid.errors import FmuidError, InputError
 from fmuid.progress import BatchStep, Event
 from fmuid.runs.batch.batch import Batch
-from fmuid.runs.batch.study_package import Bundle, changes
+from fmuid.runs.batch.study_package import BatchStudy, changes
 from fmuid.studies.study import Study
 from tests.support.coil_batches import (
     DRAWS,
@@ -182,14 +182,14 @@ def test_changed_records_are_named(fleet: Path, here: Any) -> None:
 
 
 def test_another_version_is_refused(folder: Path) -> None:
-    bundle = Bundle(Study.read(folder / "study.toml"), isolated=False, versions={})
+    bundle = BatchStudy(Study.read(folder / "study.toml"), isolated=False, versions={})
     told = bundle.manifest()
     assert changes(json.loads(json.dumps(told)), told) == []
     assert changes(told | {"fmuid": "0.0.9"}, told) == [f"it was run by fmuid 0.0.9, this is {told['fmuid']}"]
 
 
 def test_a_record_that_changes_meanwhile(fleet: Path) -> None:
-    bundle = Bundle(Study.read(fleet / "study.toml"), isolated=False, versions={})
+    bundle = BatchStudy(Study.read(fleet / "study.toml"), isolated=False, versions={})
     path = fleet / "records" / "r1.csv"
     assert list(bundle.record(path).values()) == [path.read_bytes()]
     coil_table(path, 0.0, seed=9)
@@ -201,5 +201,5 @@ def test_a_record_that_changes_meanwhile(fleet: Path) -> None:
 
 
 def test_records_do_not_travel_with_the_study(fleet: Path) -> None:
-    parcel = Bundle(Study.read(fleet / "study.toml"), isolated=False, versions={}).parcel
+    parcel = BatchStudy(Study.read(fleet / "study.toml"), isolated=False, versions={}).parcel
     assert sorted(Path(name).name for name in parcel.files) == ["Coil.fmu", "first.csv"]

@@ -14,7 +14,7 @@ from distributed import KilledWorker
 from distributed.utils import LoopRunner, sync
 
 from fmuid.runs.batch import worker_pool as cluster
-from fmuid.runs.batch.study_package import Parcel
+from fmuid.runs.batch.study_package import StudyPackage
 from fmuid.runs.batch.worker import GroupResult, run_group
 from fmuid.runs.batch.worker_pool import GroupSizes
 from tests.support.coil_batches import (
@@ -54,7 +54,7 @@ def test_sizes_of_groups() -> None:
 
 def test_a_case_that_ends_its_workers_is_given_up(folder: Path, here: Any) -> None:
     class Deadly(Here):
-        def run(self, parcel: Parcel, cases: Any, record_of: Any) -> cluster.Results:
+        def run(self, parcel: StudyPackage, cases: Any, record_of: Any) -> cluster.Results:
             yield GroupResult(given_up=(7,))
             yield from super().run(parcel, cases[cases != 7], record_of)
 
@@ -91,7 +91,7 @@ class Dying:
 
 
 def test_a_group_whose_workers_die_is_taken_apart() -> None:
-    crew: Any = cluster.Crew(Dying(), "tcp://here:1", None)
+    crew: Any = cluster.WorkerPool(Dying(), "tcp://here:1", None)
     found = [each for each in crew.run(None, np.arange(12), lambda _: {}) if each is not None]
     assert sorted(row["case"] for each in found for row in each.rows) == [case for case in range(12) if case != 5]
     assert [each.given_up for each in found if each.given_up] == [(5,)]

@@ -18,7 +18,7 @@ from fmuid.errors import InputError
 from fmuid.estimation.identification import identify
 from fmuid.identification import Problem
 from fmuid.runs.batch.case_problem import problem_of
-from fmuid.runs.batch.cases import Cases, truth_of
+from fmuid.runs.batch.cases import CaseList, truth_of
 from fmuid.runs.batch.run_case import MANY_DRAWS, VOLATILE, CaseRunner, directions_of
 from fmuid.simulation.simulator import Simulator
 from fmuid.studies.study import Study
@@ -161,7 +161,7 @@ def test_no_measurements_are_made_up_to_check_a_model_with(case_folder: Path, mo
         return checked[-1]
 
     monkeypatch.setattr("fmuid.runs.batch.case_problem.problem_of", watched)
-    Cases.of(study_of(case_folder, {"subsets": [["R"], ["R", "L"]]}))
+    CaseList.of(study_of(case_folder, {"subsets": [["R"], ["R", "L"]]}))
     assert len(checked) == 3
     for problem in checked:
         assert problem.measured.size > len(problem.parameters)
@@ -214,7 +214,7 @@ def test_a_global_search_is_the_study_s_own(case_folder: Path) -> None:
     assert row["status"] == "converged"
     assert row["value.R"] == pytest.approx(study_of(case_folder, None, **words).identify()["R"], rel=1e-6)
     with pytest.raises(InputError, match="a global search needs a bounded box, and parameter 'L' has no max"):
-        Cases.of(study_of(case_folder, {"starts": 1}, estimator={"method": "global"}))
+        CaseList.of(study_of(case_folder, {"starts": 1}, estimator={"method": "global"}))
 
 
 def test_what_a_joint_prior_says_where_one_of_its_parameters_is_held(case_folder: Path) -> None:

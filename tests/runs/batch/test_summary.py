@@ -12,13 +12,13 @@ import pandas as pd
 import pytest
 from scipy import stats
 
-from fmuid.estimation.covariance import Determined, Direction
+from fmuid.estimation.covariance import Identifiability, WeakDirection
 from fmuid.reports.batch_tables import write_summary
 from fmuid.reports.console.batch import show_batch
 from fmuid.reports.messages.batch import summary_words
 from fmuid.runs.batch.dataset import Dataset
 from fmuid.runs.batch.run_case import directions_of, directions_text
-from fmuid.runs.batch.statistics import EstimateDoubt, statistics
+from fmuid.runs.batch.statistics import EstimateWarning, statistics
 from fmuid.runs.batch.summary import condensed, summarize
 from tests.support.drawn_batches import TRUTH, UNITS, batch, doubts, fail, row
 
@@ -103,11 +103,13 @@ def test_stated_std_against_spread(spread: float, word: str) -> None:
     assert row(summary, "R")["note"] == word
     assert ("that is" in " ".join(summary_words(summary))) == bool(word)
     kinds = {
-        2.0: [EstimateDoubt.STD_TOO_SMALL, EstimateDoubt.COVERAGE_OFF],
-        0.5: [EstimateDoubt.STD_TOO_LARGE],
+        2.0: [EstimateWarning.STD_TOO_SMALL, EstimateWarning.COVERAGE_OFF],
+        0.5: [EstimateWarning.STD_TOO_LARGE],
         1.0: [],
     }
-    assert set(kinds[spread]) <= set(doubts(summary.parameters, "R")[0]) <= {*kinds[spread], EstimateDoubt.COVERAGE_OFF}
+    assert (
+        set(kinds[spread]) <= set(doubts(summary.parameters, "R")[0]) <= {*kinds[spread], EstimateWarning.COVERAGE_OFF}
+    )
 
 
 def test_stated_std_half_the_spread_in_words() -> None:
@@ -190,16 +192,16 @@ def test_what_is_not_determined_is_told_by_its_names(tmp_path: Path, capsys: pyt
     frame = fail(batch({"draw": np.arange(20)}), [3, 5, 8], ["undetermined"] * 3, "not converged")
     frame = fail(frame, [9, 11], ["iteration_limit"] * 2, "not converged")
     values = (4.0, 0.1)
-    apart = [Direction(Determined.NOT, ("R", "L"), (1.0, 0.1), math.inf, values, values)]
-    single = [Direction(Determined.NOT_IN_EFFECT, ("L",), (1.0,), 30.0, values[1:], values[1:])]
+    apart = [WeakDirection(Identifiability.NOT, ("R", "L"), (1.0, 0.1), math.inf, values, values)]
+    single = [WeakDirection(Identifiability.NOT_IN_EFFECT, ("L",), (1.0,), 30.0, values[1:], values[1:])]
     other = [replace(apart[0], coefficients=(1.0, -7.0))]
     frame["undetermined"] = ""
     frame.loc[[3, 5, 8], "undetermined"] = [directions_text(each) for each in (apart, single, other)]
     summary = summarize(frame)
     assert summary.failures["undetermined"].tolist() == [
-        ((Determined.NOT, ("R", "L")),),
+        ((Identifiability.NOT, ("R", "L")),),
         (),
-        ((Determined.NOT_IN_EFFECT, ("L",)),),
+        ((Identifiability.NOT_IN_EFFECT, ("L",)),),
     ]
     assert summary.failures["cases"].tolist() == [2, 2, 1]
     write_summary(summary, tmp_path)

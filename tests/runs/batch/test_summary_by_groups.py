@@ -6,7 +6,7 @@ import numpy as np
 
 from fmuid.reports.console.batch import show_batch
 from fmuid.reports.messages.batch import summary_words
-from fmuid.runs.batch.statistics import EstimateDoubt, estimates, optimum_numbers
+from fmuid.runs.batch.statistics import EstimateWarning, estimates, optimum_numbers
 from fmuid.runs.batch.summary import MAX_LEVELS, summarize
 from tests.support.drawn_batches import TRUTH, UNITS, batch, doubts, fail, row, starts
 
@@ -27,7 +27,7 @@ def test_groups_of_a_sweep() -> None:
     # over all levels together the spread is the sweep's, which no std is held against
     assert np.isnan(row(summary, "R")["ratio"])
     assert groups["ratio"].between(0.8, 1.25).all()
-    both = (EstimateDoubt.BIASED, EstimateDoubt.COVERAGE_OFF)
+    both = (EstimateWarning.BIASED, EstimateWarning.COVERAGE_OFF)
     assert doubts(summary.groups, "R") == [both, (), both]
     words = " ".join(summary_words(summary))
     assert "R depends on what is set: its mean goes from" in words

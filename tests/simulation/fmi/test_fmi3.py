@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from fmuid.data.experiment import Experiment
 from fmuid.data.parameters import Parameter
 from fmuid.errors import InputError, SimulationError
-from fmuid.estimation import Sensitivity
+from fmuid.estimation import SensitivityMethod
 from fmuid.estimation.identification import identify
 from fmuid.identification import Problem
 from fmuid.models.component import Component, Numerics
@@ -128,8 +128,8 @@ def test_sensitivities_of_the_fmu_serve_the_search(tmp_path: Path) -> None:
     assert np.abs((by_fmu.values - by_differences.values) / by_differences.std).max() < 1e-4
     assert by_fmu.std == pytest.approx(by_differences.std, rel=1e-5)
     assert by_fmu.simulations < by_differences.simulations
-    assert by_fmu.sensitivity == Sensitivity("fmu")
-    assert by_differences.sensitivity == Sensitivity("finite-difference")
+    assert by_fmu.sensitivity == SensitivityMethod("fmu")
+    assert by_differences.sensitivity == SensitivityMethod("finite-difference")
 
 
 def test_missing_sensitivities_are_one_sentence() -> None:

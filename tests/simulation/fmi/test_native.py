@@ -25,8 +25,8 @@ from fmuid.simulation.checks import check_arrays, check_plan
 from fmuid.simulation.instance import Instance
 from fmuid.simulation.native import build
 from fmuid.simulation.plan import simulation_of
-from fmuid.simulation.simulation_loop import Loop
-from fmuid.simulation.simulation_plan import Operation, Simulation, new_reports
+from fmuid.simulation.simulation_loop import SimulationLoop
+from fmuid.simulation.simulation_plan import GridSimulation, Operation, new_reports
 from fmuid.simulation.simulator import Simulator
 from fmuid.simulation.task import task_of
 from fmuid.version import __version__
@@ -116,7 +116,9 @@ def test_structures_are_laid_out_as_the_compiler_did() -> None:
 def test_a_layout_that_ctypes_does_not_know_is_refused(field: str, place: int) -> None:
     class Library:
         def layout(self) -> Any:
-            told = (native._Place * 3)(native._Place(b"Made", b"n", b"c_double", 0, 8), native._Place(b"Made", size=8))
+            told = (native._FieldLayout * 3)(
+                native._FieldLayout(b"Made", b"n", b"c_double", 0, 8), native._FieldLayout(b"Made", size=8)
+            )
             setattr(told[0 if field == "offset" else 1], field, place)
             return told
 
@@ -137,7 +139,7 @@ def test_every_compiler_is_told_its_target() -> None:
 
 
 @pytest.fixture(scope="module")
-def runs() -> dict[str, tuple[Simulation, list[int]]]:
+def runs() -> dict[str, tuple[GridSimulation, list[int]]]:
     """Plans of all kinds with the versions of their components: connected, with a loop, by model exchange."""
     frame = pd.DataFrame({"time": TIMES, "u": np.sin(TIMES), "i": 0.0})
     coil = FMUS / "Coil" / "Coil.fmu"
@@ -158,7 +160,7 @@ def runs() -> dict[str, tuple[Simulation, list[int]]]:
 
 @pytest.mark.parametrize("name", ["pair", "co-simulation", "model exchange"])
 def test_no_operation_that_points_nowhere_gets_through(
-    runs: dict[str, tuple[Simulation, list[int]]], name: str
+    runs: dict[str, tuple[GridSimulation, list[int]]], name: str
 ) -> None:
     simulation, versions = runs[name]
     check_plan(simulation.plan, simulation.grid, versions)
@@ -174,7 +176,9 @@ def test_no_operation_that_points_nowhere_gets_through(
 
 
 @pytest.mark.parametrize("name", ["pair", "co-simulation", "model exchange"])
-def test_no_index_that_points_nowhere_gets_through(runs: dict[str, tuple[Simulation, list[int]]], name: str) -> None:
+def test_no_index_that_points_nowhere_gets_through(
+    runs: dict[str, tuple[GridSimulation, list[int]]], name: str
+) -> None:
     simulation, versions = runs[name]
     for part, kinds in (
         ("plan", ("stages", "parameter_signals", "input_signals", "input_modes", "derivative_signals")),
@@ -202,7 +206,7 @@ def test_no_index_that_points_nowhere_gets_through(runs: dict[str, tuple[Simulat
                         check_plan(both["plan"], both["grid"], versions)
 
 
-def test_random_plans_are_refused_or_run(runs: dict[str, tuple[Simulation, list[int]]]) -> None:
+def test_random_plans_are_refused_or_run(runs: dict[str, tuple[GridSimulation, list[int]]]) -> None:
     """Small indices at random: what gets through the checks does not crash (best seen under a sanitizer)."""
     rng = np.random.default_rng(12)
     simulation, _ = runs["pair"]
@@ -215,7 +219,7 @@ def test_random_plans_are_refused_or_run(runs: dict[str, tuple[Simulation, list[
         operations[i] = operations[i]._replace(**{field: int(rng.integers(-1, 30))})
         plan = simulation.plan._replace(operations=tuple(operations))
         try:
-            loop = Loop(plan, simulation.grid, instances, used)
+            loop = SimulationLoop(plan, simulation.grid, instances, used)
         except (ValueError, InputError):
             refused += 1
             continue
@@ -225,7 +229,7 @@ def test_random_plans_are_refused_or_run(runs: dict[str, tuple[Simulation, list[
         instance.close()
 
 
-def test_arrays_of_other_shapes_are_refused(runs: dict[str, tuple[Simulation, list[int]]]) -> None:
+def test_arrays_of_other_shapes_are_refused(runs: dict[str, tuple[GridSimulation, list[int]]]) -> None:
     simulation, _ = runs["pair"]
     right = np.zeros((3, 1)), np.zeros((3, TIMES.size, 1)), new_reports(3)
     check_arrays(simulation.plan, simulation.grid, *right)
@@ -254,7 +258,7 @@ def test_a_simulation_is_cancelled_inside_its_integrator(tmp_path: Path, method:
     )
     (component,) = system.components.values()
     instance, used = Instance(component.fmu, component.kind, "x"), np.zeros(1, np.intp)
-    loop, reports = Loop(simulation.plan, simulation.grid, [instance], used), new_reports(1)
+    loop, reports = SimulationLoop(simulation.plan, simulation.grid, [instance], used), new_reports(1)
     thread = threading.Thread(target=loop.run, args=(np.zeros((1, 0)), np.zeros((1, 2, 1)), reports))
     state = loop._integrators[0]
     assert state is not None
@@ -320,7 +324,7 @@ def test_whole_rows_go_through_as_each_sample_does(probe: ProbeMaker, model: str
     found = []
     for by_rows in (True, False):
         instance, used = Instance(component.fmu, component.kind, "x"), np.zeros(1, np.intp)
-        loop = Loop(simulation.plan, simulation.grid, [instance], used)
+        loop = SimulationLoop(simulation.plan, simulation.grid, [instance], used)
         assert loop._plan.by_rows
         loop._plan.by_rows = by_rows
         got, reports = np.zeros((len(thetas), 6, len(outputs))), new_reports(len(thetas))
@@ -332,12 +336,14 @@ def test_whole_rows_go_through_as_each_sample_does(probe: ProbeMaker, model: str
     assert (found[0][1][1][0] >= 0) == (model == "failing")
 
 
-def test_what_is_not_whole_rows_does_not_go_by_rows(runs: dict[str, tuple[Simulation, list[int]]]) -> None:
+def test_what_is_not_whole_rows_does_not_go_by_rows(runs: dict[str, tuple[GridSimulation, list[int]]]) -> None:
     coil = FMU(FMUS / "Coil" / "Coil.fmu")
     for simulation, versions in runs.values():  # coupled; in substeps; by model exchange
         kinds = ["model-exchange" if each else "co-simulation" for each in simulation.plan.integrations]
         instances = [Instance(coil, kind, f"x{i}") for i, kind in enumerate(kinds)]
-        assert not Loop(simulation.plan, simulation.grid, instances, np.zeros(len(versions), np.intp))._plan.by_rows
+        assert not SimulationLoop(
+            simulation.plan, simulation.grid, instances, np.zeros(len(versions), np.intp)
+        )._plan.by_rows
         for instance in instances:
             instance.close()
 

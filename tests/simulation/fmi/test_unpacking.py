@@ -17,7 +17,7 @@ import pytest
 
 from fmuid.errors import InputError
 from fmuid.models import archive as zipped
-from fmuid.models.archive import Zipped
+from fmuid.models.archive import CheckedArchive
 from fmuid.models.fmu import FMU
 from fmuid.models.ssp import parameter_values
 from fmuid.models.ssp.parameter_values import read_ssv
@@ -189,7 +189,7 @@ def test_what_is_read_is_counted(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     monkeypatch.setattr(zipped, "CHUNK", 2**10)
     path = pack(tmp_path / "a.fmu", *((f"{k}", os.urandom(2**20)) for k in range(4)), method=zipfile.ZIP_STORED)
     with monkeypatch.context() as patched:
-        patched.setattr(Zipped, "_check", lambda _: None)
+        patched.setattr(CheckedArchive, "_check", lambda _: None)
         assert "unpacks to more than 3 MB" in refusal(path)
     assert "unpacks to more than 3 MB" in refusal(path)
     with monkeypatch.context() as patched:
@@ -209,7 +209,7 @@ def test_an_entry_has_half_of_what_an_archive_has(tmp_path: Path, monkeypatch: p
 def test_a_limit_that_is_no_number(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, text: str) -> None:
     monkeypatch.setenv(zipped.LARGEST_TOTAL_VARIABLE, text)
     with pytest.raises(InputError, match=f"{zipped.LARGEST_TOTAL_VARIABLE} must be a number"):
-        Zipped(pack(tmp_path / "a.fmu"))
+        CheckedArchive(pack(tmp_path / "a.fmu"))
 
 
 def test_too_many_entries(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -233,7 +233,7 @@ def test_entries_that_overlap(tmp_path: Path) -> None:
 
 
 def test_large_xml(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(Zipped.read, "__defaults__", (100,))
+    monkeypatch.setattr(CheckedArchive.read, "__defaults__", (100,))
     with pytest.raises(InputError, match=r"'modelDescription\.xml' is larger than"):
         FMU(write_fmu(tmp_path / "a.fmu", FMI2))
     monkeypatch.setattr(parameter_values, "LARGEST_XML", 100)
@@ -279,7 +279,7 @@ def test_zlib_errors_are_sentences(tmp_path: Path, monkeypatch: pytest.MonkeyPat
 
 
 def test_content_is_what_zipfile_reads() -> None:
-    with Zipped(COIL) as archive, zipfile.ZipFile(io.BytesIO(COIL.read_bytes())) as plain:
+    with CheckedArchive(COIL) as archive, zipfile.ZipFile(io.BytesIO(COIL.read_bytes())) as plain:
         assert archive.comment == plain.comment
         assert [b"".join(archive.chunks(e)) for e in archive.entries] == [plain.read(n) for n in plain.namelist()]
     assert unpacked(COIL, file_digest(COIL)).is_dir()

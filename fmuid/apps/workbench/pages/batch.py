@@ -26,7 +26,7 @@ from fmuid.files import is_file
 from fmuid.reports.interactive import batch as figures
 from fmuid.reports.interactive.live import in_scheme
 from fmuid.reports.page.saved import read_json
-from fmuid.runs import Cases, Columns, parts_in, read_part
+from fmuid.runs import BatchColumns, CaseList, parts_in, read_part
 from fmuid.studies import Study
 
 # More rows make a table slow; a filter finds the others.
@@ -243,7 +243,7 @@ def case_settings(path: Path, number: int, found: pd.Series[Any]) -> list[str]:
         The study file.
     number : int
         Of the case.
-    found : Series
+    found : OutputSeries
         Its row.
 
     Raises
@@ -252,7 +252,7 @@ def case_settings(path: Path, number: int, found: pd.Series[Any]) -> list[str]:
         If there is no such case.
     """
     study = Study.read(path)
-    cases = Cases(study)
+    cases = CaseList(study)
     if not 0 <= number < len(cases):
         raise InputError(f"{path} has no case {number} any more")
     case = cases[number]
@@ -294,7 +294,7 @@ def _is_numeric(values: pd.Series[Any], kinds: str) -> bool:
 
 
 def _columns(frame: pd.DataFrame) -> list[str]:
-    known = Columns.of(frame)
+    known = BatchColumns.of(frame)
     values = [f"value.{name}" for name in known.parameters]
     return ["case", "status", *known.design, *known.repeats, *values, "criterion", "message"]
 

@@ -19,7 +19,7 @@ EVERY = 150
 """Milliseconds between two looks at a command that runs."""
 
 
-class Run:
+class CommandPanel:
     """The buttons of commands that write into one folder, and how far the one that runs is.
 
     Parameters

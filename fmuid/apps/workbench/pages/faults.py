@@ -12,8 +12,8 @@ from fmuid.apps.workbench.access_control import SCHEME
 from fmuid.apps.workbench.home import address, escaped
 from fmuid.apps.workbench.jobs import command_text
 from fmuid.apps.workbench.page_layout import LINE, SHEET, argument, dress, words
-from fmuid.apps.workbench.pages.command_panel import Run
-from fmuid.apps.workbench.pages.results_view import Shown
+from fmuid.apps.workbench.pages.command_panel import CommandPanel
+from fmuid.apps.workbench.pages.results_view import ResultsView
 from fmuid.apps.workbench.project_folder import Folder, beside, read_study, tables
 from fmuid.errors import InputError
 
@@ -34,7 +34,7 @@ class FaultsPage:
         study = read_study(path)
         if study is None or study.error or "diagnosis" not in study.asks:
             raise InputError(f"{path} has no [diagnosis]: it names the faults to look for")
-        self.run = Run(
+        self.run = CommandPanel(
             doc, bench.jobs, study.results, {"Diagnose": self.diagnose, "Monitor": self.monitor}, ended=self._look
         )
         found = [self.folder.name(each) for each in tables(self.folder)]
@@ -46,7 +46,7 @@ class FaultsPage:
             each.stylesheets = [SHEET]
         self.records.on_change("value", lambda _attr, _old, _new: self._tell())
         self.follow.on_change("active", lambda _attr, _old, _new: self._tell())
-        self.shown = Shown(doc, study.results, scheme, KINDS)
+        self.shown = ResultsView(doc, study.results, scheme, KINDS)
         if self.run.job is not None and self.run.job.running:
             self.run.follow()
         self._tell()

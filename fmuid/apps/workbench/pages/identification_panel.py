@@ -15,8 +15,8 @@ from bokeh.models import ColumnDataSource, Select, Spinner
 from fmuid.apps.workbench.home import address, escaped, file_address
 from fmuid.apps.workbench.jobs import Job
 from fmuid.apps.workbench.page_layout import SHEET, WIDE, several, words
-from fmuid.apps.workbench.pages.command_panel import Run
-from fmuid.apps.workbench.pages.remedy_panel import Page, Remedies
+from fmuid.apps.workbench.pages.command_panel import CommandPanel
+from fmuid.apps.workbench.pages.remedy_panel import RemedyPanel, StudyPageProtocol
 from fmuid.apps.workbench.pages.results_view import models, side_by_side
 from fmuid.apps.workbench.project_folder import Folder
 from fmuid.errors import InputError
@@ -42,22 +42,22 @@ UNCERTAIN = ("profiles", "maps", "posterior")
 """The sections of a report on more than standard deviations."""
 
 
-class Identifying:
+class IdentificationPanel:
     """Controls, live iterations and outcome of ``fmuid identify``.
 
     Parameters
     ----------
-    page : Page
+    page : StudyPageProtocol
 
     Attributes
     ----------
     controls, search, found : Bokeh models
-    run : Run
+    run : CommandPanel
     """
 
-    def __init__(self, page: Page) -> None:
+    def __init__(self, page: StudyPageProtocol) -> None:
         self.page = page
-        self.run = Run(page.doc, page.bench.jobs, page.results, {"Identify": self.begin}, self._add, self._end)
+        self.run = CommandPanel(page.doc, page.bench.jobs, page.results, {"Identify": self.begin}, self._add, self._end)
         names = [each.name for each in page.rows]
         self.how = Select(title="search", options=list(SEARCHES), value="from here", name="how", stylesheets=[SHEET])
         self.starts = Spinner(title="starts", value=STARTS, low=1, step=1, visible=False, width=80, name="starts")
@@ -73,7 +73,7 @@ class Identifying:
         self.refused = ColumnDataSource({"k": [], "c": []})
         self.hint = words("hint", "<p>Press Identify to see the search go on here.</p>")
         self.search = column(self.hint, **WIDE)
-        self.text, self.remedies, self.more = words("found"), Remedies(page), column([], **WIDE)
+        self.text, self.remedies, self.more = words("found"), RemedyPanel(page), column([], **WIDE)
         self.found = column(self.text, self.remedies.layout, self.more, **WIDE)
         if self.run.job is not None and self.run.job.running:
             self._follow()

@@ -9,7 +9,7 @@ from typing import Generic, TypeVar
 Asked = TypeVar("Asked")
 
 
-class Newest(Generic[Asked]):
+class LatestOnlyWorker(Generic[Asked]):
     """Does what it was asked for last: what is asked for while it works replaces what waits.
 
     Parameters

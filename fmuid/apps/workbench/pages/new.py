@@ -11,7 +11,7 @@ from fmuid.apps.workbench.access_control import SCHEME
 from fmuid.apps.workbench.home import address, escaped
 from fmuid.apps.workbench.jobs import Job, command_text
 from fmuid.apps.workbench.page_layout import LINE, SHEET, WIDE, argument, dress, several, words
-from fmuid.apps.workbench.pages.command_panel import Run
+from fmuid.apps.workbench.pages.command_panel import CommandPanel
 from fmuid.apps.workbench.project_folder import Folder, choices, tables
 from fmuid.data import first_lines
 from fmuid.errors import FmuidError, InputError
@@ -20,7 +20,7 @@ from fmuid.reports.console.draft import LINK_HEADS, heading, link_cells, remarks
 from fmuid.reports.interactive.live import in_scheme
 from fmuid.reports.interactive.preparation import preparation
 from fmuid.reports.page.document import details, table
-from fmuid.studies import Asked, Record, begin, placed, value_of
+from fmuid.studies import InitOptions, MatchedDataFile, match_data_files, parse_column, value_of
 from fmuid.units import TIME_UNITS
 
 GUESSED, NONE = "(guess)", "(none)"
@@ -42,7 +42,7 @@ class NewPage:
 
     def __init__(self, doc: Any, bench: Any, scheme: str) -> None:
         self.folder: Folder = bench.folder
-        self.scheme, self.records = scheme, tuple[Record, ...]()
+        self.scheme, self.records = scheme, tuple[MatchedDataFile, ...]()
         fmus = [self.folder.name(path) for path in choices(self.folder, (".fmu",))]
         known = [self.folder.name(path) for path in tables(self.folder)]
         self.fmu = Select(title="FMU", options=["", *fmus], value=fmus[0] if len(fmus) == 1 else "", name="fmu")
@@ -58,7 +58,9 @@ class NewPage:
         self.mapping = row([], name="mapping", stylesheets=[LINE], sizing_mode="stretch_width")
         self.said, self.command = words("said"), words("command")
         self.drawn = column([], name="drawn", **WIDE)
-        self.run = Run(doc, bench.jobs, self.folder.root / "init", {"Write study": self.write}, ended=self._end)
+        self.run = CommandPanel(
+            doc, bench.jobs, self.folder.root / "init", {"Write study": self.write}, ended=self._end
+        )
         how = (self.time, self.unit, self.rate, self.sheet)
         for each in (self.fmu, self.tables, *how, self.output, *self.prepare.values()):
             each.stylesheets = [SHEET]
@@ -81,7 +83,7 @@ class NewPage:
     # --- what is asked for
 
     @property
-    def asked(self) -> Asked:
+    def asked(self) -> InitOptions:
         """What is said of the tables.
 
         Raises
@@ -95,8 +97,8 @@ class NewPage:
         given = {name: each.value for name, each in self.maps.items() if each.value != GUESSED}
         columns = {name: "" if value == NONE else value for name, value in given.items()}
         how = {word: value_of(each.value) for word, each in self.prepare.items() if each.value.strip()}
-        sheet = placed(self.sheet.value) if self.sheet.value.strip() else None
-        return Asked(placed(self.time.value or "time"), self.unit.value or None, rate, sheet, columns, how)
+        sheet = parse_column(self.sheet.value) if self.sheet.value.strip() else None
+        return InitOptions(parse_column(self.time.value or "time"), self.unit.value or None, rate, sheet, columns, how)
 
     def words(self) -> list[str]:
         """Return the command, to be given in the opened folder."""
@@ -122,7 +124,7 @@ class NewPage:
             return
         try:
             where = [self.folder.path(name) for name in self.tables.value]
-            self.records = begin(self.folder.path(self.fmu.value), where, self.asked)
+            self.records = match_data_files(self.folder.path(self.fmu.value), where, self.asked)
             self.command.text = f"<pre>{escaped(command_text(self.words()))}</pre>"
         except FmuidError as error:
             self.said.text, self.command.text = f"<p class=error role=alert>{escaped(error)}</p>", ""
@@ -148,7 +150,7 @@ class NewPage:
             self.maps[name] = made
         self.mapping.children = list(self.maps.values())
 
-    def _figure(self, record: Record) -> Any:
+    def _figure(self, record: MatchedDataFile) -> Any:
         assert record.experiment is not None
         drawn = prepared_columns(record.settings, record.experiment, record.frame, whole=True)
         return in_scheme(preparation(drawn, record.frame.attrs.get("units", {})), self.scheme)
@@ -176,7 +178,7 @@ def _typed(title: str, value: str, name: str) -> TextInput:
     return TextInput(title=title, value=value, name=name, width=150)
 
 
-def _record(record: Record, folder: Folder) -> str:
+def _record(record: MatchedDataFile, folder: Folder) -> str:
     """Return what a table has and what it is taken for, as HTML."""
     links = [link_cells(link) for link in record.links]
     taken = table({head: [cells[k] for cells in links] for k, head in enumerate(LINK_HEADS)})

@@ -15,7 +15,7 @@ from bokeh.layouts import column, row
 from fmuid.apps.workbench.home import address, escaped
 from fmuid.apps.workbench.jobs import Job
 from fmuid.apps.workbench.page_layout import LINE, WIDE, button, several, words
-from fmuid.apps.workbench.pages.command_panel import Run
+from fmuid.apps.workbench.pages.command_panel import CommandPanel
 from fmuid.apps.workbench.pages.sliders import ParameterRow
 from fmuid.apps.workbench.project_folder import Folder, beside, tables
 from fmuid.errors import InputError
@@ -29,7 +29,7 @@ DESIGN = "design"
 """The folder in that of the results into which excitations are compared."""
 
 
-class Page(Protocol):
+class StudyPageProtocol(Protocol):
     """What a part of the page of a study needs of the whole."""
 
     doc: Any
@@ -61,13 +61,13 @@ class Page(Protocol):
         """Show a result as the last optimum."""
 
 
-class Excitations:
+class ExcitationComparison:
     """What compares excitations for a study, by ``fmuid design``, into the folder of a result.
 
     Parameters
     ----------
     doc : Document
-    bench : Bench
+    bench : WorkbenchProtocol
     study : Path
     results : Path
         The folder of the result.
@@ -81,7 +81,7 @@ class Excitations:
 
     def __init__(self, doc: Any, bench: Any, study: Path, results: Path, settings: Callable[[], Sequence[str]]) -> None:
         self.where, self.study, self.folder, self._settings = bench.folder, study, results / DESIGN, settings
-        self.run = Run(doc, bench.jobs, self.folder, {"Compare excitations": self.compare}, ended=self._end)
+        self.run = CommandPanel(doc, bench.jobs, self.folder, {"Compare excitations": self.compare}, ended=self._end)
         known = [self.where.name(path) for path in tables(self.where)]
         self.tables = several("excitations, tables of inputs", known, "excitations")
         self.compared = words("compared")
@@ -106,21 +106,23 @@ class Excitations:
         self.compared.text = f'<p><a href="{link}">The excitations compared</a></p>' if done else ""
 
 
-class Remedies:
+class RemedyPanel:
     """What stands below a result that does not determine all parameters.
 
     Parameters
     ----------
-    page : Page
+    page : StudyPageProtocol
 
     Attributes
     ----------
     layout : Bokeh model
     """
 
-    def __init__(self, page: Page) -> None:
+    def __init__(self, page: StudyPageProtocol) -> None:
         self.page = page
-        self.excitations = Excitations(page.doc, page.bench, page.path, page.results, lambda: page.words("design")[2:])
+        self.excitations = ExcitationComparison(
+            page.doc, page.bench, page.path, page.results, lambda: page.words("design")[2:]
+        )
         self.layout = column([], name="remedies", **WIDE)
 
     def tell(self, folder: Path) -> None:
@@ -154,7 +156,7 @@ def undetermined(result: Result, parameters: Sequence[str]) -> list[str]:
     return [each for each in parameters if any(of_parameter(name, each) for name in names)]
 
 
-class Remedied:
+class UndeterminedResult:
     """The study of a result that does not determine all parameters, where the folder has it.
 
     Parameters

@@ -20,8 +20,8 @@ from fmuid.apps.workbench.access_control import SCHEME
 from fmuid.apps.workbench.home import address, escaped, file_address
 from fmuid.apps.workbench.jobs import Job, Jobs, command_text
 from fmuid.apps.workbench.page_layout import LINE, SHEET, WIDE, argument, arguments, dress, words
-from fmuid.apps.workbench.pages.command_panel import Run
-from fmuid.apps.workbench.pages.remedy_panel import Excitations, Remedied
+from fmuid.apps.workbench.pages.command_panel import CommandPanel
+from fmuid.apps.workbench.pages.remedy_panel import ExcitationComparison, UndeterminedResult
 from fmuid.apps.workbench.project_folder import TABLES, Folder, FoundResult, choices, tables
 from fmuid.errors import InputError
 from fmuid.estimation import Result
@@ -76,8 +76,10 @@ def _elsewhere(folder: Folder, place: Path) -> tuple[str, str]:
 
 def _acts(doc: Any, bench: Any, place: Path) -> list[tuple[str, str]]:
     """Add to the document what can be done with a result, and return the pieces of the page that have it."""
-    found = {"Predict another record": Predicting(doc, bench, place).layout} if is_file(place / "result.json") else {}
-    found["Pass it on"] = Writing(doc, bench, place).layout
+    found = (
+        {"Predict another record": PredictAction(doc, bench, place).layout} if is_file(place / "result.json") else {}
+    )
+    found["Pass it on"] = WriteAction(doc, bench, place).layout
     for layout in found.values():
         doc.add_root(layout)
     pieces = ((f"<section><h3>{head}</h3>", layout.name) for head, layout in found.items())
@@ -86,10 +88,10 @@ def _acts(doc: Any, bench: Any, place: Path) -> list[tuple[str, str]]:
 
 def _helped(doc: Any, bench: Any, place: Path, parts: Sequence[Part]) -> tuple[list[Part], list[str]]:
     """Have a verdict that not all is determined be followed by what would help; return parts, and names of places."""
-    open_ = Remedied(bench.folder, place)
+    open_ = UndeterminedResult(bench.folder, place)
     if not open_.names:
         return list(parts), []
-    layout = Excitations(doc, bench, open_.study, place, lambda: open_.designing).layout
+    layout = ExcitationComparison(doc, bench, open_.study, place, lambda: open_.designing).layout
     doc.add_root(layout)
     more = f"<h3 id={REMEDIES}>What would help</h3>{open_.links()}{PLACE}"
     return [replace(parts[0], table=parts[0].table + more), *parts[1:]], [layout.name]
@@ -144,7 +146,7 @@ def _compared(folder: Folder, places: Sequence[Path]) -> tuple[str, list[Part]]:
 
 def _onward(folder: Folder, place: Path) -> str:
     """Return links from one of several results to its own page, and to what would help."""
-    link, open_ = address("results", folder, place), Remedied(folder, place)
+    link, open_ = address("results", folder, place), UndeterminedResult(folder, place)
     more = f'<p><a class=go href="{link}#{REMEDIES}">Compare excitations</a></p>' if open_.names else ""
     return f'<p><a class=go href="{link}">All figures</a></p>{open_.links()}{more}'
 
@@ -155,13 +157,13 @@ def _estimate(known: tuple[float, float] | None) -> str:
     return with_std(*known) if math.isfinite(known[1]) else f"{known[0]:.6g}, not determined"
 
 
-class Acting:
+class ResultAction:
     """What is done with a result by commands.
 
     Parameters
     ----------
     doc : Document
-    bench : Bench
+    bench : WorkbenchProtocol
     place : Path
         The folder of the result.
 
@@ -181,11 +183,11 @@ class Acting:
         raise NotImplementedError
 
 
-class Predicting(Acting):
+class PredictAction(ResultAction):
     """What predicts a table that is chosen or dropped, by ``fmuid predict``."""
 
     def _make(self, doc: Any, jobs: Jobs) -> None:
-        self.run = Run(doc, jobs, self.place / "prediction", {"Predict": self.begin}, ended=self._end)
+        self.run = CommandPanel(doc, jobs, self.place / "prediction", {"Predict": self.begin}, ended=self._end)
         known = [self.folder.name(path) for path in tables(self.folder)]
         self.chosen = Select(title="a table of the folder", options=["", *known], value="", name="table")
         self.dropped = FileInput(value="", filename="", title="or drop one here", accept=",".join(TABLES), name="drop")
@@ -232,7 +234,7 @@ class Predicting(Acting):
         self.said.text = f'<p><a href="{link}">The prediction</a></p>' if job.code == 0 else ""
 
 
-class Writing(Acting):
+class WriteAction(ResultAction):
     """What writes the report of a result, by ``fmuid report``, and its values into an FMU, by ``fmuid apply``."""
 
     def _make(self, doc: Any, jobs: Jobs) -> None:
@@ -244,7 +246,7 @@ class Writing(Acting):
         self.command = words("commands")
         if names:
             acts["Apply to the FMU"] = lambda: self.begin(self.applying)
-        self.run = Run(doc, jobs, self.place, acts, ended=self._end)
+        self.run = CommandPanel(doc, jobs, self.place, acts, ended=self._end)
         parts = [self.fmu, self.run.layout] if names else [self.run.layout]
         self.layout = column(*parts, self.said, self.command, name="writing", sizing_mode="stretch_width")
         self._tell()

@@ -23,7 +23,7 @@ LEAST_WIDTH = 280
 """Of a figure beside others."""
 
 
-class Shown:
+class ResultsView:
     """The report of a folder, as long as somebody looks at it.
 
     Parameters

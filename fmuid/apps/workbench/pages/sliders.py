@@ -32,7 +32,7 @@ _CENTRED = ":host{align-items:center}"
 
 
 @dataclass(frozen=True)
-class Reach:
+class SliderRange:
     """The range of a slider.
 
     Attributes
@@ -62,15 +62,15 @@ class Reach:
             share = (value - self.low) / (self.high - self.low)
         return PLACES * min(share, 1.0)
 
-    def including(self, value: float) -> Reach:
+    def including(self, value: float) -> SliderRange:
         """Return a range that has this value too."""
         if self.low <= value <= self.high:
             return self
         low, high = min(self.low, value), max(self.high, value)
-        return Reach(low, high, self.logarithmic and low > 0)
+        return SliderRange(low, high, self.logarithmic and low > 0)
 
 
-def reach_of(parameter: Parameter, estimate: tuple[float, float] | None = None, *, near: bool = False) -> Reach:
+def reach_of(parameter: Parameter, estimate: tuple[float, float] | None = None, *, near: bool = False) -> SliderRange:
     """Return the range of a slider within the bounds.
 
     Parameters
@@ -101,10 +101,10 @@ def _span(parameter: Parameter, centre: float) -> list[float]:
     return [parameter.start, *span, *room]
 
 
-def _within(parameter: Parameter, places: Sequence[float]) -> Reach:
+def _within(parameter: Parameter, places: Sequence[float]) -> SliderRange:
     """Return the range over some values within the bounds; that around the start where they are all outside."""
     low, high = max(min(places), parameter.min), min(max(places), parameter.max)
-    return Reach(low, high, low > 0 and high / low >= LOG_RATIO) if low < high else reach_of(parameter)
+    return SliderRange(low, high, low > 0 and high / low >= LOG_RATIO) if low < high else reach_of(parameter)
 
 
 class ParameterRow:

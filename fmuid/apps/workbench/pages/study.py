@@ -19,8 +19,8 @@ from fmuid.apps.workbench.access_control import SCHEME
 from fmuid.apps.workbench.home import address, escaped
 from fmuid.apps.workbench.jobs import Jobs, command_text
 from fmuid.apps.workbench.page_layout import LINE, SHEET, WIDE, argument, arguments, button, dress, words
-from fmuid.apps.workbench.pages.identification_panel import Identifying
-from fmuid.apps.workbench.pages.latest_only_worker import Newest
+from fmuid.apps.workbench.pages.identification_panel import IdentificationPanel
+from fmuid.apps.workbench.pages.latest_only_worker import LatestOnlyWorker
 from fmuid.apps.workbench.pages.remedy_panel import last_of, noise_of
 from fmuid.apps.workbench.pages.sliders import ParameterRow, stacked
 from fmuid.apps.workbench.project_folder import Folder, FoundResult
@@ -40,14 +40,14 @@ MOST_UNDONE = 100
 HOLD, PRIOR = "hold", "prior"
 
 
-class Bench(Protocol):
+class WorkbenchProtocol(Protocol):
     """What a page needs of the workbench."""
 
     folder: Folder
     jobs: Jobs
 
 
-def build(doc: Any, bench: Bench) -> None:
+def build(doc: Any, bench: WorkbenchProtocol) -> None:
     """Fill a document with the page of the study that its address names."""
     path, given = bench.folder.path(argument(doc, "file")), arguments(doc, "set")
     page = StudyPage(doc, bench, path, Study.read(path, given, isolated=AVAILABLE), argument(doc, SCHEME), given)
@@ -62,7 +62,7 @@ class StudyPage:
     """What one tab shows of a study."""
 
     def __init__(
-        self, doc: Any, bench: Bench, path: Path, study: Study, scheme: str, given: Sequence[str] = ()
+        self, doc: Any, bench: WorkbenchProtocol, path: Path, study: Study, scheme: str, given: Sequence[str] = ()
     ) -> None:
         study.check_parameters()
         self.doc, self.bench, self.path, self.study, self.scheme = doc, bench, path, study, scheme
@@ -77,10 +77,12 @@ class StudyPage:
         self.optimum: Result | None = None
         self.shown = np.full(len(self.rows), np.nan)  # the values whose simulation is shown
         self._undone = [self._state()]
-        self._newest: Newest[Floats] = Newest(self._simulate, executor_of(study.system).cancel, study.system.close)
+        self._newest: LatestOnlyWorker[Floats] = LatestOnlyWorker(
+            self._simulate, executor_of(study.system).cancel, study.system.close
+        )
         doc.on_session_destroyed(lambda _context: self._newest.close())
         self._make()
-        self.identifying = Identifying(self)
+        self.identifying = IdentificationPanel(self)
         self.show_result(self.results)
         self._lay_out()
 
