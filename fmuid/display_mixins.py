@@ -9,7 +9,7 @@ _by: list[str] = []
 
 
 def shown_by(module: str) -> None:
-    """Say which module has ``html(found)``, ``text(found)``, ``plots(found)`` and ``predicted(found, ...)``."""
+    """Name the module with ``html(found)``, ``text(found)``, ``plots(found)`` and ``predict_experiments(found, …)``."""
     _by[:] = [module]
 
 
@@ -76,4 +76,4 @@ class PredictMixin(PlotMixin):
         SimulationError
             If the simulation fails.
         """
-        return import_module(_by[0]).predicted(self, experiment, model, values=values, free=free, level=level)
+        return import_module(_by[0]).predict_experiments(self, experiment, model, values=values, free=free, level=level)

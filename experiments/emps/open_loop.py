@@ -2,8 +2,9 @@
 
     FMUID_EMPS_DATA=/where/it/is/DATA_EMPS.mat python -m experiments.emps.open_loop
 
-rewrites the table of README.md. An observer keeps the simulation with the record (`fmuid.identification.with_observer`), the
-slower the weaker; without one the parameters are pulled to where the drift is least.
+rewrites the table of README.md. An observer keeps the simulation with the record
+(`fmuid.identification.with_observer`), the slower the weaker; without one the
+parameters are pulled to where the drift is least.
 """
 
 from __future__ import annotations

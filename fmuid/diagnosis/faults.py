@@ -43,7 +43,7 @@ class FaultAngle:
     Examples
     --------
     >>> fmuid.FaultAngle("size", period=2 * np.pi / 3)
-    Angle(size='size', period=2.0943951023931953)
+    FaultAngle(size='size', period=2.0943951023931953)
     """
 
     size: str

@@ -48,7 +48,7 @@ RELATIVE_ERROR = 1e-6
 
 
 class JacobianProvider(Protocol):
-    """What `fmuid.estimation.cost_function.CostFunction` needs of derivatives; `FiniteDifferences` has the docstrings."""
+    """Derivatives that a `fmuid.estimation.cost_function.CostFunction` needs; docstrings: `FiniteDifferences`."""
 
     def weighted(self, weights: float | Floats, noise: Floats) -> JacobianProvider:
         """Return the same with other weights."""

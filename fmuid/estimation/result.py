@@ -76,8 +76,8 @@ class Result(PredictMixin):
     version : str
         Of fmuid.
     models : mapping of str to mapping
-        ``name``, ``digest`` and ``run`` (the fields of a `fmuid.models.SolverConfiguration`) of each FMU by its component; a single
-        one is the component ``""``. Empty for problems that are not made of FMUs.
+        ``name``, ``digest`` and ``run`` (the fields of a `fmuid.models.SolverConfiguration`) of each FMU by its
+        component; a single one is the component ``""``. Empty for problems that are not made of FMUs.
     sensitivity : SensitivityMethod or None
         How the derivatives by the parameters were found.
     moved_start : tuple of str

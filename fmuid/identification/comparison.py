@@ -200,7 +200,8 @@ def compare_models(candidates: Sequence[ModelCandidate]) -> ModelComparison:
     >>> coil = fmuid.datasets.coil()
     >>> result = fmuid.identify(coil.problem())
     >>> held = fmuid.Problem(coil.fmu, coil.experiment, {"R": coil.parameters["R"]}, values={"L": 0.2})
-    >>> both = fmuid.compare_models([fmuid.ModelCandidate("R, L", result), fmuid.ModelCandidate("R", fmuid.identify(held))])
+    >>> candidates = [fmuid.ModelCandidate("R, L", result), fmuid.ModelCandidate("R", fmuid.identify(held))]
+    >>> both = fmuid.compare_models(candidates)
     >>> [rank.name for rank in both.ranks]
     ['R, L', 'R']
     """

@@ -182,7 +182,7 @@ class Problem(LeastSquares):
 
     @property
     def models(self) -> dict[str, dict[str, Any]]:
-        """``name``, ``digest`` and ``run`` (the fields of its `fmuid.models.SolverConfiguration`) of each FMU by its component."""
+        """``name``, ``digest`` and ``run`` (a `fmuid.models.SolverConfiguration`) of each component's FMU."""
         run = self.how_run(self.refinement)
         return {
             name: {"name": model.fmu.name, "digest": model.fmu.digest, "run": run[name]}

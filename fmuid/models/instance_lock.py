@@ -4,8 +4,8 @@ FMI has an FMU say that it cannot be instantiated twice in a process (canBeInsta
 section 3.3.1); saying nothing means that it can. Too many tools say nothing, or the wrong thing. Threads are therefore
 only for FMUs that say so themselves, or whose tool is known to keep everything inside the instances (`in_threads`).
 
-Of any other FMU only one instance at a time is at work in a process (`InstanceLock`), instances of its two interfaces never
-live there together, and none is freed while another lives: OpenModelica's allocator, its hooks for errors and its
+Of any other FMU only one instance at a time is at work in a process (`InstanceLock`), instances of its two interfaces
+never live there together, and none is freed while another lives: OpenModelica's allocator, its hooks for errors and its
 thread-local pointers are one for the whole library. Freeing any instance frees the memory of all, and two threads use
 and release the same memory; a plain C program with two threads crashes as well.
 """

@@ -48,8 +48,8 @@ def unpacked(file: Path, digest: str, path: Path | None = None) -> Path:
     Raises
     ------
     InputError
-        If the archive is refused (`CheckedArchive`), the cache is a symbolic link or somebody else's, or nothing can be written
-        there.
+        If the archive is refused (`CheckedArchive`), the cache is a symbolic link or somebody else's, or nothing
+        can be written there.
     """
     cache = Path(platformdirs.user_cache_dir("fmuid"))
     shelf = cache / "unpacked"

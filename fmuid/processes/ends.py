@@ -12,7 +12,7 @@ since code of fmuid failed in it."""
 
 
 @dataclass(unsafe_hash=True)  # not frozen: who passes on an exception notes where
-class HostExitError(Exception):  # noqa: N818  # no error: a report of what became of the process
+class HostExitError(Exception):  # no error: a report of what became of the process
     """An isolated process has come to an end while it was to work.
 
     Attributes

@@ -1,8 +1,8 @@
 """What a study file is described with: tables as pydantic models, kinds of values, and every refusal in one sentence.
 
-A table is a class of `StudySection`, each of its fields a `word` with kind, default and meaning. Checking, the JSON schema,
-the reference page and the template of ``fmuid init`` all come from there. A sentence names the file, the table, the key
-and what was expected there.
+A table is a class of `StudySection`, each of its fields a `word` with kind, default and meaning. Checking, the JSON
+schema, the reference page and the template of ``fmuid init`` all come from there. A sentence names the file, the
+table, the key and what was expected there.
 """
 
 from __future__ import annotations

@@ -131,8 +131,8 @@ def many(count: int, directions: int) -> fmuid.Result:
         for i in range(directions)
     )
     return fmuid.Result(
-        TerminationReason.CONVERGED, names, own, own, -free, free, np.nan * own, np.nan * own, np.eye(count), np.eye(count), free,
-        {}, {"i": 1.0}, 10.0, 0.0, math.inf, 3, 9, 0.1, (), weak, (), (), "0",
+        TerminationReason.CONVERGED, names, own, own, -free, free, np.nan * own, np.nan * own,
+        np.eye(count), np.eye(count), free, {}, {"i": 1.0}, 10.0, 0.0, math.inf, 3, 9, 0.1, (), weak, (), (), "0",
     )  # fmt: skip
 
 

@@ -52,7 +52,8 @@ class SamplerSettings:
     --------
     >>> problem = fmuid.datasets.coil().problem()
     >>> result = fmuid.identify(problem)
-    >>> fmuid.sample_posterior(problem, result, fmuid.SamplerSettings(walkers=8, steps=40, effective_size=10)).chain.shape
+    >>> settings = fmuid.SamplerSettings(walkers=8, steps=40, effective_size=10)
+    >>> fmuid.sample_posterior(problem, result, settings).chain.shape
     (40, 8, 2)
     """
 

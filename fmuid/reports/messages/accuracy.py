@@ -13,8 +13,10 @@ if TYPE_CHECKING:
     from fmuid.estimation import RefinementStep, SolverCheck
 
 KEPT = {
-    RefinementRefusal.ASKED: "it is simulated as it was asked for: leave interface, tolerance and accuracy open for a finer search",
-    RefinementRefusal.FITS_BETTER: "the finer simulation fits clearly worse, as if the table came from this very solver",
+    RefinementRefusal.ASKED: "it is simulated as it was asked for: "
+    "leave interface, tolerance and accuracy open for a finer search",
+    RefinementRefusal.FITS_BETTER: "the finer simulation fits clearly worse, "
+    "as if the table came from this very solver",
     RefinementRefusal.NO_SEARCH: "a search by the finer simulation does not end",
     RefinementRefusal.FINEST: "there is no finer simulation to go on by",
 }

@@ -33,7 +33,7 @@ _CAPABILITIES = {
 
 
 def capability_words(interface: str, declared: Mapping[str, str]) -> list[str]:
-    """Return what an interface of an FMU can do beyond the obligatory, from what it declares (`FmuSummary.capabilities`)."""
+    """Return what an interface can do beyond the obligatory, from what it declares (`FmuSummary.capabilities`)."""
     given = {name for name, value in declared.items() if value.strip() in ("true", "1")}
     words = [word for name, word in _CAPABILITIES.items() if name in given]
     if interface == "co-simulation":

@@ -80,7 +80,7 @@ class _Axis:
 class CaseList:
     """The cases of a study's ``[batch]``, each made when it is asked for.
 
-    Tables need not be here: a worker that knows all cases may have the tables of some of them only (`CaseList.of` checks).
+    Tables need not be here: a worker that knows all cases may have the tables of some of them (`CaseList.of` checks).
 
     Attributes
     ----------

@@ -89,8 +89,8 @@ class Summary:
     statuses : DataFrame
         ``status``, ``cases`` and ``share``, a row each of converged, not converged and failed.
     failures : DataFrame
-        ``status``, ``message`` with ``#`` in place of numbers, ``undetermined`` (pairs of a `Identifiability` and the names
-        along a direction, a tuple of them), ``cases``, and ``first``, the number of the first of them; the most
+        ``status``, ``message`` with ``#`` in place of numbers, ``undetermined`` (pairs of an `Identifiability` and the
+        names along a direction, a tuple of them), ``cases``, and ``first``, the number of the first of them; the most
         frequent first.
     parameters : DataFrame
         A row a parameter: its name, ``unit``, and `fmuid.runs.batch.statistics.statistics` over all data sets (what

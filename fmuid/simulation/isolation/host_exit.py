@@ -10,8 +10,8 @@ from fmuid.processes import EXITED, FAILED, GARBLED, GREW, HUNG, KILLED, REFUSED
 def end_words(end: HostExitError) -> str:
     """Return an end as a sentence goes on after the simulation.
 
-    Of the limits, only those are named that were given (`HostExitError.number` is 0 otherwise): the others depend on the machine
-    and on what ran before, and the same failure is to read the same.
+    Of the limits, only those are named that were given (`HostExitError.number` is 0 otherwise): the others depend on
+    the machine and on what ran before, and the same failure is to read the same.
     """
     if end.kind == EXITED:
         return f"it ended its process with exit code {end.number}"

@@ -79,9 +79,9 @@ class IsolatedExecutor:
         """Simulate all thetas (m, N); those at which the process comes to an end have a report of `codes.PROCESS`.
 
         Outputs (m, K, n_outputs) and reports (m, codes.REPORT) are filled in
-        (`fmuid.simulation.simulation_loop.SimulationLoop.run`). Where one of them finds a model stiff, all are run as such, also
-        those that were through before, as in-process: how many go at a time depends on how fast the machine is, and
-        the outputs must not.
+        (`fmuid.simulation.simulation_loop.SimulationLoop.run`). Where one of them finds a model stiff, all are run as
+        such, also those that were through before, as in-process: how many go at a time depends on how fast the
+        machine is, and the outputs must not.
         """
         found = -1
         while found != self._found_stiff:
