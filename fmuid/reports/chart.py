@@ -14,6 +14,7 @@ from fmuid.formatting import label
 
 Mark = Literal["line", "step", "points", "band", "bars", "cells", "segments", "patch", "text", "rule", "zone"]
 Color = Literal["ink", "grey", "faint", "white", "blue", "red", "amber"]
+Dash = Literal["solid", "dashed", "dotted"]
 Data: TypeAlias = Mapping[str, Floats | tuple[str, ...] | float]
 Units = Mapping[str, str | None]
 WITH_ARRAYS = {"arbitrary_types_allowed": True}
@@ -85,7 +86,7 @@ class Layer:
     data: Data
     color: Color = "blue"
     width: float = 1.8
-    dash: Literal["solid", "dashed", "dotted"] = "solid"
+    dash: Dash = "solid"
     alpha: float = 1.0
     size: float = 6.0
     marker: Literal["circle", "x", "dash", "bar"] = "circle"
@@ -132,6 +133,10 @@ class Axis:
     whole: bool = False
     turned: float = 0.0
     grid: bool | None = None
+
+
+DENSITY = Axis(reach=(0.0, None), shown=False)
+"""The ordinate of a density."""
 
 
 @dataclass(frozen=True, eq=False)

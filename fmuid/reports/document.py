@@ -12,6 +12,8 @@ from fmuid.reports.chart import WITH_ARRAYS, Figure
 Tone = Literal["plain", "good", "doubt", "bad"]
 Place = Literal["console", "page"]
 EVERYWHERE: frozenset[Place] = frozenset(("console", "page"))
+CONSOLE: frozenset[Place] = frozenset(("console",))
+PAGE: frozenset[Place] = frozenset(("page",))
 
 
 class Message(Enum):
@@ -20,16 +22,14 @@ class Message(Enum):
     def __init__(self, text: str, meaning: str = "", action: str = "") -> None:
         self.text, self.meaning, self.action = text, meaning, action
 
-    def said(
-        self, tone: Tone = "plain", section: str = "", names: Iterable[str] = (), /, **values: object
-    ) -> ProfileEndNote:
+    def said(self, tone: Tone = "plain", section: str = "", names: Iterable[str] = (), /, **values: object) -> Remark:
         """Return the sentence with these values; it begins with a capital, unless one of the names stands there."""
         told = self.text.format(**values)
-        return ProfileEndNote(capitalised(told, names), tone, section, f"{type(self).__name__}.{self.name}", values)
+        return Remark(capitalised(told, names), tone, section, f"{type(self).__name__}.{self.name}", values)
 
 
 @dataclass(frozen=True, eq=False)
-class ProfileEndNote:
+class Remark:
     """A sentence.
 
     Attributes
@@ -94,7 +94,7 @@ class Section:
         A stretch of the only chart, which print shows beside it.
     shown : frozenset of str
         Where its table is shown: ``console``, ``page``.
-    remarks : tuple of ProfileEndNote
+    remarks : tuple of Remark
         Below the table.
     """
 
@@ -106,7 +106,7 @@ class Section:
     beside: int = 3
     zoom: Figure | None = None
     shown: frozenset[Place] = EVERYWHERE
-    remarks: tuple[ProfileEndNote, ...] = ()
+    remarks: tuple[Remark, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -122,7 +122,7 @@ class Document:
         In a word.
     tone : str
         Of the state.
-    remarks : tuple of ProfileEndNote
+    remarks : tuple of Remark
         The verdict first.
     sections : tuple of Section
         The first ones, without charts, are tables of the verdict.
@@ -140,7 +140,7 @@ class Document:
     heading: str
     state: str
     tone: Tone
-    remarks: tuple[ProfileEndNote, ...] = ()
+    remarks: tuple[Remark, ...] = ()
     sections: tuple[Section, ...] = ()
     origin: Table = ()
     study: str = ""

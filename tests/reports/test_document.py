@@ -14,7 +14,7 @@ import pytest
 
 from fmuid.errors import InputError
 from fmuid.reports.chart import Axis, Chart, ChartGrid, Layer, Shades, rows_of, stacked
-from fmuid.reports.document import Column, Document, Message, ProfileEndNote, Section, table_of
+from fmuid.reports.document import Column, Document, Message, Remark, Section, table_of
 from fmuid.reports.publish import publish, write_report
 from fmuid.reports.render import console
 from fmuid.reports.render.bokeh_models import live, written
@@ -55,7 +55,7 @@ def every_mark() -> ChartGrid:
 
 def document(**more: Any) -> Document:
     rows = table_of({"parameter": ["R", EVIL], "value": ["4.00 ± 0.20", "1"], "note": ["", ""]}, ["note"], ["value"])
-    said = (Said.KNOWN.said("plain", "fit", name="R", share=5.0), ProfileEndNote(EVIL, "doubt"))
+    said = (Said.KNOWN.said("plain", "fit", name="R", share=5.0), Remark(EVIL, "doubt"))
     sections = (Section("estimates", "Estimates", table=rows), Section("fit", EVIL, EVIL, charts=(every_mark(),)))
     made = Document("identification", "Identification", "converged", "good", said, sections, rows, EVIL, EVIL)
     return replace(made, **more)

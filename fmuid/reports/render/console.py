@@ -15,7 +15,7 @@ from rich.table import Table as RichTable
 from rich.text import Text
 
 from fmuid.formatting import visible
-from fmuid.reports.document import Document, ProfileEndNote, Section, Table
+from fmuid.reports.document import Document, Remark, Section, Table
 
 # Into a file or a pipe, where nobody can widen the window: what a README shows without scrolling.
 PLAIN_WIDTH = 110
@@ -58,7 +58,7 @@ def show_section(section: Section, out: Console | None = None) -> None:
         show_remarks(section.remarks)
 
 
-def show_remarks(remarks: Iterable[ProfileEndNote]) -> None:
+def show_remarks(remarks: Iterable[Remark]) -> None:
     """Print sentences, one a line; doubts after a mark."""
     for each in remarks:
         mark = "[yellow]note:[/] " if each.tone in ("doubt", "bad") else ""

@@ -23,7 +23,7 @@ from typing import Any
 from fmuid.errors import InputError
 from fmuid.formatting import visible
 from fmuid.reports.chart import Figure
-from fmuid.reports.document import Document, ProfileEndNote, Section, Table
+from fmuid.reports.document import Document, Remark, Section, Table
 
 # Compression level: more takes longer than it makes smaller.
 PACKED = 6
@@ -133,7 +133,7 @@ def _document(document: Document, drawings: list[Any], live: frozenset[str], *, 
     return verdict(document) + contents + "".join(_section(each, drawings, live) for each in sections)
 
 
-def _sentence(said: ProfileEndNote, here: set[str]) -> str:
+def _sentence(said: Remark, here: set[str]) -> str:
     words = text(said.text.rstrip("."))
     link = f' <a href="#{said.section}">see the figure</a>' if said.section in here else ""
     return f"<li>{words}.{link}</li>"

@@ -23,7 +23,7 @@ from fmuid.reports.chart import (
     short,
     stacked,
 )
-from fmuid.reports.document import Message, ProfileEndNote, Section, table_of
+from fmuid.reports.document import Message, Remark, Section, table_of
 from fmuid.reports.downsampling import evenly, extremes
 
 if TYPE_CHECKING:
@@ -61,7 +61,7 @@ CONSTANT = "constant as measured: no fit"
 """In place of a fit that has no meaning."""
 
 
-def fit_remarks(fits: Sequence[OutputFit], *, whole: bool = False) -> list[ProfileEndNote]:
+def fit_remarks(fits: Sequence[OutputFit], *, whole: bool = False) -> list[Remark]:
     """Say how well outputs agree; of many which agrees least, unless the `whole` list is asked for."""
     counts = [(fit, j) for fit in fits for j in np.flatnonzero(fit.counted.any(axis=0)).tolist()]
     known = [(fit, j) for fit, j in counts if math.isfinite(fit.fit[j])]

@@ -11,7 +11,7 @@ import numpy as np
 from fmuid.array_types import Floats
 from fmuid.formatting import fit_text, label, listed
 from fmuid.reports.chart import MAX_PARAMETERS, Axis, Chart, Data, Layer, picked, rows_of
-from fmuid.reports.document import Document, Message, ProfileEndNote, Section, Table, Tone, table_of
+from fmuid.reports.document import Document, Message, Remark, Section, Table, Tone, table_of
 from fmuid.reports.topics.provenance import origin_of
 
 if TYPE_CHECKING:
@@ -108,7 +108,7 @@ def comparison_document(found: ComparisonRun) -> Document:
     return Document("comparison", "Comparison", state, tone, tuple(said), tuple(sections), **origin_of(found.origin))
 
 
-def comparison_remarks(found: ModelComparison | None, fits: Mapping[str, float]) -> list[ProfileEndNote]:
+def comparison_remarks(found: ModelComparison | None, fits: Mapping[str, float]) -> list[Remark]:
     """Say which result the criteria and the common tables speak for.
 
     Parameters
@@ -121,7 +121,7 @@ def comparison_remarks(found: ModelComparison | None, fits: Mapping[str, float])
     return [*([] if found is None else _by_likelihood(found)), *([_by_fit(fits)] if fits else [])]
 
 
-def _by_likelihood(found: ModelComparison) -> list[ProfileEndNote]:
+def _by_likelihood(found: ModelComparison) -> list[Remark]:
     best, *rest = found.ranks
     near = [rank.name for rank in rest if rank.behind < ALIKE_AIC]
     if near:
@@ -148,7 +148,7 @@ def _by_likelihood(found: ModelComparison) -> list[ProfileEndNote]:
     return said
 
 
-def _by_fit(fits: Mapping[str, float]) -> ProfileEndNote:
+def _by_fit(fits: Mapping[str, float]) -> Remark:
     if not any(map(math.isfinite, fits.values())):
         return ComparisonMessage.NO_FIT.said("plain", "errors")
     order = sorted(fits, key=lambda name: -fits[name] if math.isfinite(fits[name]) else math.inf)

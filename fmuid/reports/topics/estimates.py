@@ -1,0 +1,175 @@
+"""Estimates: the table, how precise they are, correlations and confidence ellipses."""
+
+from __future__ import annotations
+
+import math
+from itertools import combinations
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from fmuid.array_types import Floats
+from fmuid.estimation import TerminationReason
+from fmuid.formatting import listed, rounded, two_digits, unit_text, with_std
+from fmuid.identification import CONFIDENCE_LEVEL, LEAST_STD_FACTOR, region_rise
+from fmuid.reports.chart import MAX_PARAMETERS, Axis, Chart, Data, Layer, Shades, Units, named
+from fmuid.reports.document import Message, Remark, Section, Table, table_of
+from fmuid.reports.render.style import ON_PALE, ON_STRONG
+from fmuid.reports.topics.solver_check import shift_text
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+    from fmuid.estimation import Result
+
+MAX_ELLIPSES = 6
+"""Pairs whose ellipses are drawn: the most correlated ones."""
+STRONG = 0.6
+"""Correlations beyond this have cells of a strong color."""
+MOST_TEXTS = 12
+"""Of more parameters the cells of the matrix have no numbers."""
+ELLIPSE_POINTS = 121
+CAPTION = (
+    "Near ±1 two estimates are hardly told apart: their intervals (dashed) do not hold one by one, the "
+    "ellipse does. Shown are the pairs that are correlated most."
+)
+SHIFT = "numerical shift"
+"""The column of what the error of the simulation moves each estimate by, in its standard deviations."""
+
+
+class EstimateMessage(Message):
+    """How precisely parameters are known."""
+
+    LOST = ("{names} {verb} not determined", "the data do not determine it; see what they leave open")
+    ONE = ("{name} is known to {share}", "one standard deviation as a share of the value")
+    SEVERAL = (
+        "{count} parameters are known to between {least} ({best}) and {most} ({worst}), one standard deviation",
+        "one standard deviation as a share of the value, of the best and of the worst",
+    )
+
+
+def precision_remarks(result: Result) -> list[Remark]:
+    """Say how precisely the parameters are determined, the best and the worst."""
+    pairs = zip(result.names, result.values.tolist(), result.std.tolist(), strict=True)
+    shares = {name: std / abs(value) for name, value, std in pairs if value and math.isfinite(std)}
+    lost = [name for name, std in zip(result.names, result.std.tolist(), strict=True) if math.isinf(std)]
+    verb, keep = "is" if len(lost) == 1 else "are", ("plain", "correlation", result.names)
+    said = [EstimateMessage.LOST.said(*keep, names=listed(lost), verb=verb)] if lost else []  # type: ignore[arg-type]
+    if len(shares) == 1:
+        ((name, share),) = shares.items()
+        said.append(EstimateMessage.ONE.said("plain", "correlation", result.names, name=name, share=_percent(share)))
+    elif shares:
+        best, worst = min(shares, key=shares.__getitem__), max(shares, key=shares.__getitem__)
+        ends = {"least": _percent(shares[best]), "best": best, "most": _percent(shares[worst]), "worst": worst}
+        said.append(EstimateMessage.SEVERAL.said("plain", "correlation", (), count=len(shares), **ends))
+    return said
+
+
+def _percent(share: float) -> str:
+    return f"{100 * share:.2g} %" if share < 0.995 else f"{100 * share:.0f} %"
+
+
+def estimates_section(result: Result, level: float = CONFIDENCE_LEVEL) -> Section:
+    """Return the table of the estimates with intervals of a level."""
+    return Section("estimates", "", table=estimates_table(result, level))
+
+
+def estimates_table(result: Result, level: float = CONFIDENCE_LEVEL) -> Table:
+    """Return the table of the estimates with intervals of a level; a narrow terminal leaves out the start first."""
+    rows = list(zip(result.names, result.values.tolist(), result.std.tolist(), strict=True))
+    ends = result.intervals(level).to_numpy().tolist()
+    # where nothing is known of a value, its digits must not look as if there were
+    value = [f"{value:.2g} ± ?" if std == math.inf else with_std(value, std) for _, value, std in rows]
+    columns = {"parameter": list(result.names), "value": value}
+    if result.outcome is not TerminationReason.STALLED:  # which has no intervals
+        columns["rel. std"] = [
+            f"{100 * std / abs(value):.2g} %" if value and math.isfinite(std) else "" for _, value, std in rows
+        ]
+        columns[f"{100 * level:.4g} % interval"] = [
+            f"{rounded(low, std)} to {rounded(high, std)}" if math.isfinite(std) else "not determined"
+            for (low, high), (_, _, std) in zip(ends, rows, strict=True)
+        ]
+    if result.accuracy is not None:
+        columns[SHIFT] = [shift_text(shift) for shift in result.numerical_shift.tolist()]
+    columns["unit"] = [unit_text(result.units.get(name)) for name in result.names]
+    if np.isfinite(result.prior_mean).any():
+        pairs = zip(result.prior_mean.tolist(), result.prior_std.tolist(), strict=True)
+        columns["prior"] = [with_std(mean, std) if math.isfinite(mean) else "" for mean, std in pairs]
+    columns["start"] = [f"{start:.6g}" for start in result.start.tolist()]
+    columns["note"] = [_note(result, *each) for each in zip(result.names, result.widening, strict=True)]
+    words = [head for head in columns if head not in ("rel. std", SHIFT, "start")]
+    return table_of(columns, words, ("start", "prior", "rel. std", SHIFT, "note"))
+
+
+def _note(result: Result, name: str, factor: float) -> str:
+    """Return what the table's last column says of one parameter."""
+    words = ["at its bound"] if any(bound.name == name for bound in result.at_bounds) else []
+    return ", ".join([*words, *([f"std {two_digits(factor)} x white noise's"] if factor >= LEAST_STD_FACTOR else [])])
+
+
+# --- charts ---------------------------------------------------------------------------------
+
+
+def correlation_sections(result: Result, units: Units, level: float = CONFIDENCE_LEVEL) -> list[Section]:
+    """Return how the estimates are correlated; nothing of one, or where none has a standard deviation."""
+    if len(result.names) < 2 or not np.isfinite(result.std).any():
+        return []
+    charts = (_matrix(result.correlation), *_ellipses(result, units, level))
+    return [Section("correlation", "Correlation of the estimates", CAPTION, charts=charts)]
+
+
+def _matrix(matrix: pd.DataFrame) -> Chart:
+    """Return the correlation matrix of the estimates; NaN where a parameter is not determined."""
+    shown = matrix.iloc[:MAX_PARAMETERS, :MAX_PARAMETERS]
+    names, flat = tuple(map(str, shown.columns)), shown.to_numpy(np.float64).ravel()
+    count = len(names)
+    across, down = np.meshgrid(np.arange(count), np.arange(count))
+    texts = ["?" if math.isnan(v) else "1" if v > 0.9995 else f"{v:+.2f}".replace("-", "−") for v in flat]
+    data: Data = {
+        "x": tuple(names[i] for i in across.ravel()),
+        "y": tuple(names[i] for i in down.ravel()),
+        "value": flat,
+        "text": tuple(texts) if count <= MOST_TEXTS else ("",) * flat.size,
+        "ink": tuple(ON_STRONG if abs(v) > STRONG else ON_PALE for v in flat),
+    }
+    hover = (("", "@x, @y"), ("correlation", "@value{0.0000}"))
+    layers = (Layer("cells", data, shades=Shades("diverging", -1.0, 1.0), hover=hover), Layer("text", data))
+    x = Axis(kind="names", names=names, turned=0.8 if count > 6 else 0.0, grid=False)
+    return Chart(x, Axis(kind="names", names=names[::-1], grid=False), layers, max(240, 60 + 34 * count))
+
+
+def _ellipses(result: Result, units: Units, level: float) -> list[Chart]:
+    """Return the confidence ellipses of the pairs of estimates that are most correlated.
+
+    Dashed lines are the intervals of each parameter by itself. (θ − θ̂)ᵀ P⁻¹ (θ − θ̂) = χ²(2) with P the block of the
+    local covariance, 2 F(2, ν) where noise variances are estimated.
+    """
+    matrix, intervals = result.correlation.to_numpy(), result.intervals(level).to_numpy()
+    known = [i for i in range(len(result.names)) if math.isfinite(result.std[i]) and result.std[i] > 0]
+    pairs = sorted(combinations(known, 2), key=lambda pair: -abs(matrix[pair]))[:MAX_ELLIPSES]
+    charts = []
+    for i, j in sorted(pairs):
+        freedom = result.test_freedom([result.names[i], result.names[j]])
+        radius = math.sqrt(region_rise(level, freedom))
+        x, y = ellipse(result.values[[i, j]], result.covariance[np.ix_([i, j], [i, j])], radius)
+        border: Data = {"x": x, "y": y}
+        text = f"{100 * level:g} % region, correlation {matrix[i, j]:+.2f}"
+        estimate: Data = {"x": result.values[[i]], "y": result.values[[j]]}
+        layers = (
+            Layer("line", border, width=2, label=text),
+            Layer("patch", border, alpha=0.12, label=text),
+            Layer("rule", {"x": intervals[i], "y": intervals[j]}, "grey", dash="dashed"),
+            Layer("points", estimate, "amber", size=8, edge="ink", hover=(("estimate", "@x{0.000000}, @y{0.000000}"),)),
+        )
+        axes = (Axis(named(result.names[i], units), ticks=4), Axis(named(result.names[j], units)))
+        charts.append(Chart(*axes, layers, 260))
+    return charts
+
+
+def ellipse(centre: Floats, covariance: Floats, radius: float) -> tuple[Floats, Floats]:
+    """Return the points at a distance of so many standard deviations, closed, abscissas and ordinates."""
+    values, directions = np.linalg.eigh(covariance)  # which may be singular
+    angles = np.linspace(0.0, 2.0 * np.pi, ELLIPSE_POINTS)
+    root = directions * np.sqrt(np.maximum(values, 0.0))
+    points = centre[:, None] + radius * root @ np.array([np.cos(angles), np.sin(angles)])
+    return points[0], points[1]

@@ -1,0 +1,150 @@
+"""An identification: the topics of its document, in their order."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pandas as pd
+
+from fmuid.formatting import unit_text
+from fmuid.identification import SIGNIFICANCE_LEVEL, Deviation
+from fmuid.models import SolverConfiguration
+from fmuid.reports.document import Document, Message, Remark, Section, Tone, capitalised
+from fmuid.reports.shared_phrases import dropout_words
+from fmuid.reports.topics.estimates import correlation_sections, estimates_section, precision_remarks
+from fmuid.reports.topics.fit import fit_remarks, fit_sections
+from fmuid.reports.topics.optimization import optima_section, optimization_sections
+from fmuid.reports.topics.preprocessing import preprocessing_sections
+from fmuid.reports.topics.prior_and_data import prior_sections, reading_words
+from fmuid.reports.topics.provenance import origin_of
+from fmuid.reports.topics.residual_analysis import residual_section, residual_words
+from fmuid.reports.topics.solver_check import run_words, sensitivity_words, solver_section
+from fmuid.reports.topics.termination import effort_words, ending, result_remarks
+from fmuid.reports.topics.uncertainty import (
+    interval_section,
+    posterior_words,
+    uncertainty_sections,
+    uncertainty_words,
+)
+
+if TYPE_CHECKING:
+    from fmuid.estimation import Result
+    from fmuid.reports.identification_run import IdentificationRun
+    from fmuid.simulation import OutputFit
+
+_ODD = (Deviation.LARGER, Deviation.SMALLER)
+
+
+class RunMessage(Message):
+    """How models were run, and what is left of the measurements."""
+
+    NOISE = ("Residual: {noise}", "the standard deviation of each output's residual, beside that given")
+    RUN = (
+        "{model} run as {run}",
+        "how the FMU was simulated; in a new process for each simulation, where it keeps something outside its "
+        "instances, such as a static variable, by which each simulation would change the next",
+    )
+    SENSITIVITIES = ("sensitivities by {how}", "how the derivatives by the parameters were found")
+    POSTERIOR = ("Posterior: {words}", "the samples can be used")
+    INTERRUPTED = ("Interrupted: this is what there is", "Ctrl-C ended what was asked for beside the estimates")
+
+
+def identification_document(found: IdentificationRun) -> Document:
+    """Return the document of an identification."""
+    result, more = found.result, found.uncertainty
+    good = result.converged and (more is None or more.succeeded)
+    state = "converged" if result.converged else result.outcome.value.replace("_", " ")
+    tone: Tone = "good" if good else "bad"
+    origin = origin_of({**(found.origin or {}), "study": {**_told(found), **dict(found.study or {})}}, _effort(result))
+    sections = identification_sections(found)
+    return Document("identification", "Identification", state, tone, tuple(_remarks(found)), tuple(sections), **origin)
+
+
+def _told(found: IdentificationRun) -> dict[str, object]:
+    return dict((found.origin or {}).get("study") or {})
+
+
+def _effort(result: Result) -> dict[str, str]:
+    models = {
+        f"FMU {name or model['name']}": f"SHA-256 {model.get('digest', '')}" for name, model in result.models.items()
+    }
+    return {**models, "search": effort_words(result)}
+
+
+def _remarks(found: IdentificationRun) -> list[Remark]:
+    """Return the sentences on an identification, the verdict first."""
+    result, names, more = found.result, found.result.names, found.uncertainty
+    coloured: Tone = "doubt" if any(each.large for each in found.diagnostics.findings) else "plain"
+    reading = found.reading
+    odd = reading.agreement is not None and reading.agreement.probability < SIGNIFICANCE_LEVEL
+    odd |= any(each.deviation in _ODD for each in reading.variances)
+    said = [Remark(capitalised(ending(result), names), "plain" if result.converged else "bad", "criterion")]
+    said += [*precision_remarks(result), *fit_remarks(found.fits)]
+    said += [Remark(dropout_words(*each), "doubt", "fit") for each in found.dropouts.items()]
+    said += result_remarks(result)
+    said += [Remark(text, "doubt" if odd else "plain", "belief") for text in reading_words(reading, found.output_units)]
+    said += [Remark(text, coloured, "residuals") for text in residual_words(found.diagnostics, found.output_units)]
+    said.append(RunMessage.NOISE.said("plain", "residuals", noise=_noise(result, found.fits)))
+    for component, model in result.models.items():
+        run = run_words(SolverConfiguration(**model["run"]))
+        said.append(RunMessage.RUN.said("plain", "", (), model=component or model["name"], run=run))
+    if result.sensitivity is not None:
+        said.append(RunMessage.SENSITIVITIES.said(how=sensitivity_words(result.sensitivity)))
+    if more is not None:
+        said += [Remark(capitalised(text, names), "doubt", "profiles") for text in uncertainty_words(more)]
+        if more.posterior is not None and more.posterior.converged:
+            said.append(RunMessage.POSTERIOR.said("plain", "posterior", words=posterior_words(more.posterior)))
+        said += [RunMessage.INTERRUPTED.said("bad")] if more.interrupted else []
+    return said
+
+
+def _noise(result: Result, fits: Sequence[OutputFit]) -> str:
+    """Return the standard deviation of each output's residual."""
+    units = {output: unit for fit in fits for output, unit in zip(fit.outputs, fit.units, strict=True)}
+    words = []
+    for output, variance in result.noise_variance.items():
+        given = result.given_variance.get(output)
+        of = f" (given: {math.sqrt(given):.4g})" if given is not None else ""
+        words.append(f"{output} std {math.sqrt(variance):.4g} {unit_text(units.get(output))}".rstrip() + of)
+    return ", ".join(words)
+
+
+def identification_sections(found: IdentificationRun) -> list[Section]:
+    """Return the sections of an identification."""
+    result, fits, units, estimates = found.result, found.fits, found.unit_of, found.estimates
+    optima = found.optima if result.optima else pd.DataFrame()
+    told = [{"name": each.experiment, "preparation": each.words, "columns": each.units} for each in found.prepared]
+    others = [{"name": fit.experiment} for fit in fits if fit.experiment not in {each["name"] for each in told}]
+    changed = [each.table for each in found.prepared if len(each.table)]
+    sections = [
+        *([optima_section(result)] if result.optima else []),
+        estimates_section(result, found.level),
+        *([] if found.uncertainty is None else [interval_section(found.uncertainty, result, found.level)]),
+        *fit_sections(fits),
+        *(preprocessing_sections(pd.concat(changed, ignore_index=True), [*told, *others]) if changed else []),
+        residual_section(fits, found.diagnostics.correlations),
+        *optimization_sections(result, estimates, optima, found.output_units),
+        *(prior_sections(found.reading, units) if found.has_prior else []),
+        *correlation_sections(result, units, found.level),
+        *solver_section(estimates),
+        *([] if found.uncertainty is None else uncertainty_sections(found.uncertainty, result, units, optima)),
+    ]
+    return [each for each in sections if each.charts or each.table]
+
+
+def result_sections(result: Result, fits: Sequence[OutputFit]) -> list[Section]:
+    """Return the sections that a result has by itself."""
+    estimates = result.to_frame().reset_index()
+    units = dict(result.units)
+    known = np.isfinite(result.std).any()
+    return [
+        estimates_section(result),
+        *fit_sections(fits),
+        residual_section(fits, pd.DataFrame(columns=["experiment", "output", "with"])),
+        *optimization_sections(result, estimates, pd.DataFrame(), {}),
+        *(correlation_sections(result, units) if known else []),
+        *solver_section(estimates),
+    ]

@@ -1,0 +1,208 @@
+"""How a search went: parameters, cost and Marquardt's λ over the iterations, noise variances, local optima."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, Literal
+
+import numpy as np
+
+from fmuid.array_types import Flags
+from fmuid.formatting import has_unit, label
+from fmuid.identification import RIVAL_CRITERION
+from fmuid.reports.chart import MAX_PARAMETERS, Axis, Chart, Color, Data, Layer, Units, named, picked
+from fmuid.reports.document import CONSOLE, Remark, Section, table_of
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+    from fmuid.estimation import Result
+
+WIDE_RANGE = 5.0
+"""Variances and criteria are drawn logarithmically where they range over this ratio."""
+LEAST_POINT, MOST_POINT = 6.0, 16.0
+"""Diameters of the points of optima, from few fits to many, in pixels."""
+PARAMETERS = (
+    "They should come to rest in the blue band, the interval of the estimate; the prior's ± 2 std is "
+    "amber, the circle is the start."
+)
+CRITERION = (
+    "The criterion falls with each accepted step; rejected trials are crosses. It begins anew where the "
+    "noise variances are estimated again."
+)
+OPTIMA = (
+    "Where the searches from points of the whole box ended; the larger a point, the more of them. Several "
+    "low points apart from each other: the data do not tell which is true."
+)
+
+
+def optima_section(result: Result) -> Section:
+    """Return the table of the optima found, the best first, and a sentence on each that fits as well as the best."""
+    shown, best = result.optima, result.optima[0]
+    values = {name: [f"{optimum.theta[i]:.5g}" for optimum in shown] for i, name in enumerate(result.names)}
+    columns = {
+        "criterion": [f"{optimum.criterion:.6g}" for optimum in shown],
+        "found": [f"{optimum.hits} x" for optimum in shown],
+        **values,
+        "note": ["" if optimum.converged else "not converged" for optimum in shown],
+    }
+    searches = sum(optimum.hits for optimum in shown)
+    rivals = [
+        Remark(
+            f"another optimum fits as well (criterion higher by {other.criterion - best.criterion:.2g}), "
+            + ", ".join(f"{name} = {value:.5g}" for name, value in zip(result.names, other.theta.tolist(), strict=True))
+            + ": the data do not tell which is true; narrow the bounds, give a prior or measure more",
+            "doubt",
+            "optima",
+        )
+        for other in shown[1:]
+        if other.criterion - best.criterion < RIVAL_CRITERION
+    ]
+    title = f"Optima found by {searches} search{'es' if searches > 1 else ''}"
+    table = table_of(columns, ["note"], result.names[::-1])
+    return Section("found", title, table=table, shown=CONSOLE, remarks=tuple(rivals))
+
+
+def optimization_sections(
+    result: Result, estimates: pd.DataFrame, optima: pd.DataFrame, output_units: Units
+) -> list[Section]:
+    """Return how the search went.
+
+    Parameters
+    ----------
+    result : Result
+    estimates, optima : DataFrame
+        Of the findings.
+    output_units : mapping of str to str
+    """
+    sections, trace = [], result.trace
+    if len(trace):
+        drawn = tuple(_parameters(trace, estimates))
+        sections.append(Section("parameters", "Parameters during the search", PARAMETERS, charts=drawn))
+        curves = _criterion(trace) + (_rounds(result.rounds, output_units) if len(result.rounds) > 1 else [])
+        sections.append(Section("criterion", "The criterion during the search", CRITERION, charts=tuple(curves)))
+    if len(optima):
+        units = dict(zip(estimates["parameter"], estimates["unit"], strict=True))
+        sections.append(Section("optima", "Optima found", OPTIMA, charts=tuple(_optima(optima, units))))
+    return sections
+
+
+def _iterations(trace: pd.DataFrame) -> Axis:
+    last = float(trace["iteration"].max())
+    return Axis("iteration", reach=(-0.03 * last - 0.15, 1.03 * last + 0.15), linked="iterations", whole=True)
+
+
+def _parameters(trace: pd.DataFrame, estimates: pd.DataFrame) -> list[Chart]:
+    """Return each parameter over the iterations, with its interval and its prior as bands.
+
+    Rejected trials are left out: a parameter stays where it is during them.
+    """
+    accepted = trace[trace["accepted"].astype(bool)]
+    iterations, cost = (accepted[name].to_numpy(np.float64) for name in ("iteration", "criterion"))
+    across, charts = _iterations(trace), []
+    hover = (("iteration", "@x"), ("value", "@y{0.000000}"), ("criterion", "@c{0.000}"))
+    for row in estimates.iloc[:MAX_PARAMETERS].to_dict("records"):
+        values, layers = accepted[str(row["parameter"])].to_numpy(np.float64), []
+        half = 2.0 * float(row["prior_std"])
+        if math.isfinite(half):
+            prior = {"bottom": row["prior_mean"] - half, "top": row["prior_mean"] + half}
+            layers.append(Layer("zone", prior, "amber", alpha=0.18))
+        if math.isfinite(row["lower"]) and math.isfinite(row["upper"]):
+            layers.append(Layer("zone", {"bottom": row["lower"], "top": row["upper"]}, alpha=0.18))
+        data: Data = {"x": iterations, "y": values, "c": cost}
+        layers += [
+            Layer("rule", {"y": float(row["value"])}, dash="dashed"),
+            Layer("line", data),
+            Layer("points", data, hover=hover),
+            Layer("points", {"x": iterations[:1], "y": values[:1]}, "white", size=8, edge="ink"),
+        ]
+        reach = _room([*values, row["value"], row["prior_mean"]], row["std"])
+        name = label(str(row["parameter"]), row["unit"])
+        charts.append(Chart(across, Axis(name, reach=reach), tuple(layers)))
+    return charts
+
+
+def _room(values: list[float], std: float) -> tuple[float, float]:
+    """Return limits around values; of a parameter that did not move, around its standard deviation."""
+    known = [value for value in values if math.isfinite(value)]
+    low, high = min(known), max(known)
+    still = 2.5 * std if math.isfinite(std) and std > 0 else 0.05 * abs(low) or 1.0
+    room = 0.12 * (high - low) or still
+    return low - room, high + room
+
+
+def _criterion(trace: pd.DataFrame) -> list[Chart]:
+    """Return the cost over the iterations, and Marquardt's λ where the search needed any.
+
+    Rounds use different noise variances, so that their costs cannot be compared: each has its own line.
+    """
+    damped, across = trace[trace["lambda"] > 0], _iterations(trace)
+    found = [_curve(trace, "criterion", "criterion", across)]
+    return found + ([_curve(damped, "lambda", "Marquardt's λ, where it is not 0", across)] if len(damped) else [])
+
+
+def _curve(trace: pd.DataFrame, column: str, text: str, across: Axis) -> Chart:
+    layers: list[Layer] = []
+    for number, (_, part) in enumerate(trace.groupby("round")):
+        taken = part["accepted"].to_numpy(bool)
+        data = {"x": part["iteration"].to_numpy(np.float64), "y": part[column].to_numpy(np.float64)}
+        some = picked(data, taken)
+        layers.append(Layer("line", some, label="accepted"))
+        hover = (("iteration", "@x"), (column, "@y{0.0000}"))
+        layers.append(Layer("points", some, label="accepted", hover=hover))
+        refused = ~taken & np.isfinite(data["y"])
+        if refused.any():
+            look = Layer("points", picked(data, refused), "red", marker="x", size=8, width=1.6, label="rejected trial")
+            layers.append(look)
+        if number and column == "criterion":
+            layers.append(Layer("rule", {"x": float(part["iteration"].iloc[0])}, "amber", dash="dashed"))
+    return Chart(across, Axis(text, "log"), tuple(layers))
+
+
+def _rounds(found: pd.DataFrame, units: Units) -> list[Chart]:
+    """Return each output's noise variance over the repetitions of the search.
+
+    The first value, at 0, is the one that the search began with; after each round stands what its residual gave.
+    """
+    outputs = [str(name).removeprefix("used.") for name in found.columns if str(name).startswith("used.")]
+    charts = []
+    for output in outputs[:MAX_PARAMETERS]:
+        used, estimated = (found[f"{kind}.{output}"].to_numpy(np.float64) for kind in ("used", "estimated"))
+        values = np.array([used[0], *estimated])
+        unit = units.get(output)
+        text = label(f"noise variance of {output}", f"{unit}²" if has_unit(unit) else None)
+        wide = values.max() > WIDE_RANGE * values.min() > 0
+        data: Data = {"x": np.arange(values.size, dtype=np.float64), "y": values}
+        hover = (("round", "@x"), ("variance", "@y{0.00000000}"))
+        layers = (Layer("line", data), Layer("points", data, hover=hover))
+        charts.append(Chart(Axis("round of the search", whole=True), Axis(text, "log" if wide else "linear"), layers))
+    return charts
+
+
+def _optima(table: pd.DataFrame, units: Units) -> list[Chart]:
+    """Return the cost of the optima found over each parameter; the larger a point, the more fits ended there."""
+    names = [str(name) for name in table.columns.drop(["criterion", "hits", "converged"])][:MAX_PARAMETERS]
+    sure, values = table["converged"].to_numpy(bool), table["criterion"].to_numpy(np.float64)
+    hits = table["hits"].to_numpy(np.float64)
+    sizes = LEAST_POINT + (MOST_POINT - LEAST_POINT) * hits / hits.max()
+    best = np.arange(len(table)) == 0
+    wide = values.max() > WIDE_RANGE * values.min() > 0
+    hover = (("value", "@x{0.000000}"), ("criterion", "@y{0.000}"), ("searches", "@n"))
+    charts = []
+    for name in names:
+        data = {"x": table[name].to_numpy(np.float64), "y": values, "size": sizes, "n": hits}
+        kinds: tuple[tuple[Flags, Color, str], ...] = (
+            (sure & ~best, "blue", "optimum"),
+            (~sure, "red", "not converged"),
+            (best, "amber", "best"),
+        )
+        layers = [
+            Layer("points", picked(data, mine), color, edge="grey", label=text, hover=hover)
+            if color != "red"
+            else Layer("points", picked(data, mine), color, marker="x", label=text, hover=hover)
+            for mine, color, text in kinds
+            if mine.any()
+        ]
+        kind: Literal["linear", "log"] = "log" if wide else "linear"
+        charts.append(Chart(Axis(named(name, units)), Axis("criterion", kind), tuple(layers)))
+    return charts

@@ -1,0 +1,112 @@
+"""What was done with data files before they were experiments: columns as recorded and as they are used."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from fmuid.formatting import listed
+from fmuid.reports.chart import (
+    MAX_EXPERIMENTS,
+    MAX_OUTPUTS,
+    Axis,
+    Chart,
+    ChartGrid,
+    Color,
+    Layer,
+    Units,
+    named,
+    stacked,
+)
+from fmuid.reports.document import Section
+
+CAPTION = (
+    "Grey is what was recorded, blue what the model is driven by and compared with. Columns that stay as they were "
+    "are not drawn."
+)
+STAGES: tuple[tuple[str, str, Color, float], ...] = (
+    ("before", "as recorded", "grey", 1.2),
+    ("after", "as used", "blue", 1.6),
+)
+
+
+def preprocessing_charts(table: pd.DataFrame, units: Units | None = None) -> ChartGrid:
+    """Return the columns of an experiment that its preparation changed or made, before it and after, over time.
+
+    Parameters
+    ----------
+    table : DataFrame
+        Columns ``column``, ``stage`` (before or after), ``time`` (s), ``value``. Of more than `MAX_OUTPUTS` columns the
+        first are drawn.
+    units : mapping of str to str, optional
+        Of the columns.
+    """
+    times = table["time"].to_numpy(np.float64)
+    across = Axis("time (s)", reach=(float(times.min()), float(times.max())), linked="time", ticks=8)
+    charts = []
+    for name in list(dict.fromkeys(table["column"]))[:MAX_OUTPUTS]:
+        rows, layers = table[table["column"] == name], []
+        for stage, text, color, width in STAGES:
+            part = rows[rows["stage"] == stage]
+            data = {"x": part["time"].to_numpy(np.float64), "y": part["value"].to_numpy(np.float32)}
+            hover = ((text, "@y{0.00000}"), ("time", "@x{0.0000} s"))
+            layers += [Layer("line", data, color, width=width, label=text, hover=hover)] if len(part) else []
+        charts.append(Chart(across, Axis(named(str(name), units)), tuple(layers), 200, crosshair=True))
+    return stacked(charts)
+
+
+def preprocessing_sections(
+    table: pd.DataFrame, experiments: Sequence[Mapping[str, Any]], key: str = "preparation"
+) -> list[Section]:
+    """Return a section for each experiment whose table was prepared; of more than are drawn, of the first.
+
+    Parameters
+    ----------
+    table : DataFrame
+        As for `preprocessing_charts`, with ``experiment``.
+    experiments : sequence of mapping
+        With ``name``, and where they were prepared ``preparation`` and ``columns``.
+    key : str
+        Of the sections.
+    """
+    shown: list[Section] = []
+    for each in experiments:
+        rows, words = table[table["experiment"] == each["name"]], each.get("preparation")
+        if not words or not len(rows) or len(shown) == MAX_EXPERIMENTS:
+            continue
+        heading = "What was done with the table first" + (f": {each['name']}" if len(experiments) > 1 else "")
+        caption = f"{preparation_words(words)}." + ("" if shown else f" {CAPTION}")
+        anchor = key if not shown else f"{key}-{len(shown) + 1}"
+        charts = (preprocessing_charts(rows, each.get("columns")),)
+        shown.append(Section(anchor, heading, caption, charts=charts, beside=1))
+    return shown
+
+
+def preparation_words(words: Mapping[str, Any]) -> str:
+    """Say what was done with a table, by the words of ``[experiments.prepare]`` that are not their defaults."""
+    done = list(_done(words))
+    return f"The table was {listed(done)}" if done else "The table was left as it is"
+
+
+def _done(words: Mapping[str, Any]) -> Iterator[str]:
+    if words.get("columns"):
+        yield f"given the columns {', '.join(f'{name} = {text}' for name, text in words['columns'].items())}"
+    if words.get("fill"):
+        gap = f" of at most {words['longest_gap']:g} s" if words.get("longest_gap") else ""
+        yield f"filled over gaps{gap} ({', '.join(f'{name}: {how}' for name, how in words['fill'].items())})"
+    for each in words.get("axes", ()):
+        yield f"turned from {', '.join(each['from'])} to {', '.join(each['to'])}"
+    if "low_pass" in words:
+        yield f"low-passed at {words['low_pass']:g} Hz, without a shift in time"
+    if "from" in words or "to" in words:
+        ends = [f"{key} {words[key]:g} s" for key in ("from", "to") if key in words]
+        yield f"cut {' '.join(ends)}"
+    if "resample" in words:
+        yield f"resampled in steps of {words['resample']:g} s"
+    if "detrend" in words:
+        given = words["detrend"]
+        each = ", ".join(f"{name}: {how}" for name, how in given.items()) if isinstance(given, dict) else given
+        yield f"detrended ({each})"
