@@ -167,16 +167,16 @@ title = "Coil on the bench"
 [model]
 fmu = "coil.fmu"
 [[experiments]]
-table = "faulty_coil.csv"
+data = "faulty_coil.csv"
 inputs = ["u"]
 outputs = ["i"]
 [diagnosis]
-healthy = "healthy/result.json"
+baseline = "healthy/result.json"
 [diagnosis.faults.turns]
 fmu = "turns.fmu"
 parameters = { dR = { nominal = 1.0 } }
 [monitoring]
-level = 0.01
+false_alarm_rate = 0.01
 """
 
 
@@ -200,7 +200,7 @@ def results(folder: Path) -> None:
     fleet = campaign.write_study(folder / "fleet", 40)
     coil(folder / "coil")
     for words in (
-        ("identify", "study_prior.toml", "--set", 'uncertainty.map=[["Rs", "Lm"]]'),
+        ("identify", "study_prior.toml", "--set", 'uncertainty.cost_map=[["Rs", "Lm"]]'),
         ("identify", "study_prior.toml", "--output", "free", "--set", "parameters.Rs.prior.std=1.0"),
         ("batch", str(fleet), "--output", "fleet/out"),
         ("diagnose", "coil/faults.toml"),

@@ -29,7 +29,7 @@ from tests.support.paths import FMUS, ROOT
 MUTATIONS = 500
 COIL = {
     "model": {"fmu": str(FMUS / "Coil/Coil.fmu")},
-    "experiments": [{"table": "healthy.csv", "inputs": ["u"], "outputs": ["i"], "interpolation": "hold"}],
+    "experiments": [{"data": "healthy.csv", "inputs": ["u"], "outputs": ["i"], "interpolation": "zoh"}],
     "parameters": {"R": {"start": 3.0}, "L": {"start": 0.2}},
 }
 TURNS = {"fmu": str(FMUS / "CoilTurns/CoilTurns.fmu"), "parameters": {"lost": {"nominal": 0.1, "max": 0.9}}}
@@ -55,7 +55,7 @@ def sound(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def asked(folder: Path) -> fmuid.Study:
     """Return the study of a monitoring, which takes the healthy result."""
-    known = {"healthy": "healthy/result.json", **FAULTS}
+    known = {"baseline": "healthy/result.json", **FAULTS}
     tested = {name: COIL[name] for name in ("model", "experiments")}
     return fmuid.Study.of(tested | {"diagnosis": known}, folder / "test.toml")
 

@@ -23,12 +23,12 @@ HERE = Path(__file__).parent
 STUDY = """
 [model]
 fmu = "CascadedTanks.fmu"
-values = {{ {values} }}
+fixed = {{ {values} }}
 [[experiments]]
-table = "first.csv"
+data = "first.csv"
 inputs = ["u"]
 outputs = ["y"]
-interpolation = "hold"
+interpolation = "zoh"
 [parameters]
 k = {{ start = 0.04, min = 1e-4 }}
 u0 = {{ start = 0.5, nominal = 1.0, min = 0.0 }}

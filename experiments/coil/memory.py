@@ -28,7 +28,7 @@ from fmuid.runs.log_following import follower
 
 STEP, SAMPLES, LOOK = 0.01, 40, 500  # s; samples of a window, windows that come at once
 SHOWN = 1 / 20  # of all windows, after which memory is printed
-RULE = "[monitoring]\nwindow = 0.4\ntransient = 0.2\nhorizon = 3600.0\n"
+RULE = "[monitoring]\nwindow_length = 0.4\nwarmup = 0.2\nfalse_alarm_horizon = 3600.0\n"
 
 
 def resident() -> float:

@@ -98,7 +98,7 @@ def models() -> tuple[fmuid.System, fmuid.System]:
 
 def experiment(table: pd.DataFrame) -> fmuid.Experiment:
     """Return a record as an experiment."""
-    return fmuid.Experiment(table, ["u"], ["i"], interpolation="hold")
+    return fmuid.Experiment(table, ["u"], ["i"], interpolation="zoh")
 
 
 def identify(table: pd.DataFrame) -> fmuid.Result:
@@ -312,7 +312,7 @@ def main() -> None:
     content = healthy.to_json_dict()
     (HERE / "healthy" / "result.json").write_text(json.dumps(content, indent=2, ensure_ascii=False) + "\n", "utf-8")
     single = {
-        number: fmuid.Study.read(HERE / "test.toml", [f"experiments.0.table=test{number}.csv"]).diagnose()
+        number: fmuid.Study.read(HERE / "test.toml", [f"experiments.0.data=test{number}.csv"]).diagnose()
         for number in TESTS
     }
     found = pd.concat(

@@ -93,7 +93,7 @@ def fit_both(
     starts : callable
         Returns the starts with the fault from the fit without.
     search : Marquardt
-    accuracy : "switch", "check" or "off"
+    accuracy : "refine", "report" or "off"
         As for `fmuid.identify`.
     """
     healthy = identify(without, search, start=start, accuracy=accuracy, remedies=False)
@@ -102,6 +102,6 @@ def fit_both(
     best = identify(problem, _Starts(found[1:], search), start=found[0], accuracy=accuracy, remedies=False)
     if problem.refinement != without.refinement:
         without.simulate_by(problem.refinement)
-        accuracy = "check" if accuracy == "switch" else accuracy
+        accuracy = "report" if accuracy == "refine" else accuracy
         healthy = identify(without, search, start=healthy.values, accuracy=accuracy, remedies=False)
     return healthy, replace(best, optima=())

@@ -71,7 +71,7 @@ def identify(
     progress: Progress | None = None,
     start: ArrayLike | None = None,
     *,
-    accuracy: str = "switch",
+    accuracy: str = "refine",
     remedies: bool = True,
     region: CheckedRegion | None = None,
 ) -> Result:
@@ -89,7 +89,7 @@ def identify(
         Called with every `fmuid.progress.SearchStep`, and `GlobalStep` of a search of the box.
     start : (N,) array, optional
         Start elsewhere than the parameters say.
-    accuracy : "switch", "check" or "off"
+    accuracy : "refine", "report" or "off"
         Go on by a finer simulation where the error moves an estimate by more than `SHIFT_LIMIT` of its standard
         deviation, if that goes against nothing that was asked for; just say what it does; or do not look. Optima of a
         box that are as good as the best, and that a finer simulation does not bear out, are no optima.

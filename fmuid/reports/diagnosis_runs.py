@@ -101,7 +101,7 @@ def run_diagnosis(
     >>> coil, test = fmuid.datasets.coil(), fmuid.datasets.faulty_coil()
     >>> _ = fmuid.run_study(fmuid.Study.of(coil.study, "coil.toml"), "healthy")
     >>> faults = {"turns": {"fmu": str(test.fmu), "parameters": {"dR": {"nominal": 1.0}}}}
-    >>> known = {"healthy": "healthy/result.json", "faults": faults}
+    >>> known = {"baseline": "healthy/result.json", "faults": faults}
     >>> words = coil.study | {"experiments": test.study["experiments"], "parameters": {}, "diagnosis": known}
     >>> fmuid.run_diagnosis(fmuid.Study.of(words, "test.toml")).diagnosis
     Diagnosis(fault: turns)
@@ -161,8 +161,8 @@ def run_monitoring(
     >>> coil, test = fmuid.datasets.coil(), fmuid.datasets.faulty_coil()
     >>> _ = fmuid.run_study(fmuid.Study.of(coil.study, "coil.toml"), "healthy")
     >>> faults = {"turns": {"fmu": str(test.fmu), "parameters": {"dR": {"nominal": 1.0}}}}
-    >>> known = {"healthy": "healthy/result.json", "faults": faults}
-    >>> rule = {"level": 0.01}
+    >>> known = {"baseline": "healthy/result.json", "faults": faults}
+    >>> rule = {"false_alarm_rate": 0.01}
     >>> words = coil.study | {"parameters": {}, "diagnosis": known, "monitoring": rule}
     >>> fmuid.run_monitoring(fmuid.Study.of(words, "test.toml"), [test.path]).healthy
     False

@@ -36,7 +36,7 @@ KEPT_ROWS, KEPT_ALARMS = 10_000, 100
 # A command that takes longer is ended, s.
 COMMAND_SECONDS = 60.0
 # Words of [monitoring] that may change between two runs.
-NOT_IN_KEY = ("command", "limits")
+NOT_IN_KEY = ("alarm_command", "size_limits")
 # What a command finds in its environment, too.
 TOLD = ("id", "event", "fault", "record", "time", "date", "words")
 
@@ -210,7 +210,7 @@ class _Running:
         if not self.changed or not self.sound:
             return
         begin = time.monotonic()
-        if self.study.monitoring.command:
+        if self.study.monitoring.alarm_command:
             self.waiting += self.lines
         self._write(self.lines)
         self.lines = []
@@ -231,7 +231,7 @@ class _Running:
 
     def tell(self) -> None:
         """Run the user's command for each line that it has not been told; a line is told again after a break in it."""
-        command = self.study.monitoring.command
+        command = self.study.monitoring.alarm_command
         while self.waiting and command:
             self.remarks += _told(command, self.waiting[0], self.folder)
             del self.waiting[0]
@@ -259,7 +259,7 @@ def _key(study: Study) -> str:
     monitoring = {key: value for key, value in study.data.get("monitoring", {}).items() if key not in NOT_IN_KEY}
     words = {key: study.data.get(key) for key in ("model", "experiments", "parameters", "noise", "diagnosis")}
     content = json.dumps([words, monitoring], sort_keys=True, default=str).encode()
-    tables = {*(each.table for each in study.experiments), study.fault_search.kept}
+    tables = {*(each.data for each in study.experiments), study.fault_search.kept}
     for path in study.files():
         content += b"" if path in tables else hashlib.sha256(path.read_bytes()).digest()
     return hashlib.sha256(content).hexdigest()

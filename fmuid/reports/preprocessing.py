@@ -1,4 +1,4 @@
-"""What ``[experiments.prepare]`` made of each table: its columns before and after, thinned as figures are."""
+"""What ``[experiments.preprocess]`` made of each table: its columns before and after, thinned as figures are."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from fmuid.studies import ExperimentSettings, Study
 
 BEFORE, AFTER = "before", "after"
-_READ_BY = ("table", "time", "time_unit", "sample_rate", "sheet")
+_READ_BY = ("data", "time", "time_unit", "sample_rate", "sheet")
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,7 +32,7 @@ class PreprocessedTable:
     ----------
     experiment : str
     words : mapping
-        Those of ``[experiments.prepare]`` that are not its defaults.
+        Those of ``[experiments.preprocess]`` that are not its defaults.
     units : dict of str to str
         Of its columns, where the table says them.
     table : DataFrame
@@ -62,7 +62,7 @@ def prepared(study: Study) -> tuple[PreprocessedTable, ...]:
         key = [getattr(given, name) for name in _READ_BY]
         if read is None or read[0] != key:  # pieces of a record follow each other
             read = None  # two records at once may be more than there is room for
-            read = key, given.read_frame(given.table)
+            read = key, given.read_frame(given.data)
         found.append(prepared_table(given, experiment, read[1]))
     return tuple(found)
 
@@ -80,8 +80,8 @@ def write_prepared(path: Path, tables: Iterable[pd.DataFrame]) -> list[Path]:
 
 
 def words_of(given: ExperimentSettings) -> dict[str, Any]:
-    """Return the words of ``[experiments.prepare]`` that are not its defaults."""
-    return given.prepare.model_dump(exclude_defaults=True, by_alias=True)
+    """Return the words of ``[experiments.preprocess]`` that are not its defaults."""
+    return given.preprocess.model_dump(exclude_defaults=True, by_alias=True)
 
 
 def prepared_table(given: ExperimentSettings, experiment: Experiment, raw: pd.DataFrame) -> PreprocessedTable:
@@ -111,12 +111,12 @@ def _changes(
     given: ExperimentSettings, experiment: Experiment, raw: pd.DataFrame, *, whole: bool
 ) -> Iterator[pd.DataFrame]:
     time = time_name(given.time)
-    words, after = given.prepare, experiment.frame
+    words, after = given.preprocess, experiment.frame
     names = [
         *experiment.columns.values(),
-        *words.columns,
-        *words.fill,
-        *(name for each in words.axes for name in each.target),
+        *words.computed_columns,
+        *words.fill_missing,
+        *(name for each in words.park for name in each.target),
     ]
     names += list(words.detrend) if isinstance(words.detrend, dict) else []
     there = [[str(each) for each in frame.columns] for frame in (raw, after)]

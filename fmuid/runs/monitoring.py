@@ -32,7 +32,7 @@ def rule_of(study: Study) -> Rule:
         If the study has no ``[diagnosis]``, a record is to be cut and nothing says how long the transient is, or the
         rule is wrong.
     """
-    return study.monitoring.rule(study.experiments[0].discard, study.fault_search.level)
+    return study.monitoring.rule(study.experiments[0].warmup, study.fault_search.level)
 
 
 def build_monitor(study: Study, rule: Rule) -> Monitor:

@@ -24,18 +24,18 @@ STUDY = """
 [model]
 fmu = "Plate.fmu"
 [[experiments]]
-table = "table.csv"
+data = "table.csv"
 inputs = ["ux", "uy", "vx", "vy"]
 outputs = ["x", "y"]
 [diagnosis]
-healthy = "result.json"
-inflate = { g = 5, h = 5 }
+baseline = "result.json"
+std_factor = { g = 5, h = 5 }
 [diagnosis.faults.stator]
 parameters = { ea = { nominal = 0.01, min = 0 }, eb = { nominal = 0.01, min = 0 }, ec = { nominal = 0.01, min = 0 } }
 [diagnosis.faults.rotor]
 fmu = "Plate.fmu"
 parameters = { size = { nominal = 0.01, min = 0 }, angle = { nominal = 1, min = 0, max = 3.141592653589793 } }
-angle = ["angle"]
+angles = ["angle"]
 """
 
 
@@ -93,26 +93,26 @@ def files_in(folder: Path) -> set[Path]:
 
 def test_the_command_finds_nothing_in_a_sound_machine(study: Path, capsys: pytest.CaptureFixture[str]) -> None:
     study.write_text(STUDY.replace("angle = { nominal = 1, ", "angle = { "), encoding="utf-8")  # angles need none
-    assert run(["diagnose", str(study), "--set", "experiments.0.table=sound.csv"]) == 0
+    assert run(["diagnose", str(study), "--set", "experiments.0.data=sound.csv"]) == 0
     assert "No fault found at a false-alarm level of 1 %" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize(
     ("old", "new", "said"),
     [
-        ('healthy = "result.json"', "", "there is no healthy machine: give healthy"),
-        ('healthy = "result.json"', 'healthy = "none.json"', "there is no file"),
-        ('healthy = "result.json"', 'healthy = "table.csv"', "is not JSON"),
+        ('baseline = "result.json"', "", "there is no healthy machine: give baseline"),
+        ('baseline = "result.json"', 'baseline = "none.json"', "there is no file"),
+        ('baseline = "result.json"', 'baseline = "table.csv"', "is not JSON"),
         ("ea = { nominal = 0.01, min = 0 }", "ea = { min = 0 }", "[diagnosis.faults.stator.parameters.ea] is refused"),
-        ('angle = ["angle"]', 'angle = ["angel"]', "[diagnosis.faults.rotor]: the angle 'angel'"),
-        ('angle = ["angle"]', "angle = { angle = { period = 3.14 } }", "needs the key 'size'"),
-        ('angle = ["angle"]', 'inputs = { q = "none" }', "'none'"),
-        ('angle = ["angle"]', "step_sise = 1", "did you mean 'step_size'"),
+        ('angles = ["angle"]', 'angles = ["angel"]', "[diagnosis.faults.rotor]: the angle 'angel'"),
+        ('angles = ["angle"]', "angles = { angle = { period = 3.14 } }", "needs the key 'magnitude'"),
+        ('angles = ["angle"]', 'inputs = { q = "none" }', "'none'"),
+        ('angles = ["angle"]', "step_sise = 1", "did you mean 'step_size'"),
         ("[diagnosis.faults.stator]", "[diagnosis.faults.stator]\nstep_size = 1", "has step_size and no model"),
         ("ea = {", "dR = {", "has no 'dR', and the fault no model of its own"),
-        ("inflate = { g = 5, h = 5 }", "inflate = { g = -5 }", "a number above 0"),
-        ("[diagnosis]", '[estimator]\nloss = "huber"\n[diagnosis]', 'does not go with loss = "huber"'),
-        ("[diagnosis]", "[noise]\nrelative = 0.1\n[diagnosis]", "leave noise.relative out"),
+        ("std_factor = { g = 5, h = 5 }", "std_factor = { g = -5 }", "a number above 0"),
+        ("[diagnosis]", '[estimation]\nloss = "huber"\n[diagnosis]', 'does not go with loss = "huber"'),
+        ("[diagnosis]", "[noise]\nrelative_std = 0.1\n[diagnosis]", "leave noise.relative out"),
         (STUDY[STUDY.index("[diagnosis.faults.stator]") :], "", "[diagnosis] has no faults"),
         (STUDY[STUDY.index("[diagnosis]") :], "", "has no [diagnosis]"),
     ],

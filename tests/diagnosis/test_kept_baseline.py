@@ -21,7 +21,7 @@ from tests.support.paths import FMUS
 COIL = Path(__file__).parents[2] / "experiments" / "coil"
 WORDS: dict[str, Any] = {
     "model": {"fmu": str(FMUS / "Coil/Coil.fmu")},
-    "experiments": [{"table": "healthy.csv", "inputs": ["u"], "outputs": ["i"], "interpolation": "hold"}],
+    "experiments": [{"data": "healthy.csv", "inputs": ["u"], "outputs": ["i"], "interpolation": "zoh"}],
 }
 FAULTS = {
     "turns": {"fmu": str(FMUS / "CoilTurns/CoilTurns.fmu"), "parameters": {"lost": {"nominal": 0.1, "max": 0.9}}},
@@ -41,8 +41,8 @@ def kept(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def asked(folder: Path, **said: Any) -> fmuid.Study:
-    known = {"healthy": "healthy/result.json", "faults": FAULTS, "inflate": {"R": 10.0}}
-    tested = {"experiments": [WORDS["experiments"][0] | {"table": "test1.csv"}], "diagnosis": known | said}
+    known = {"baseline": "healthy/result.json", "faults": FAULTS, "std_factor": {"R": 10.0}}
+    tested = {"experiments": [WORDS["experiments"][0] | {"data": "test1.csv"}], "diagnosis": known | said}
     return fmuid.Study.of(WORDS | tested, folder / "test.toml")
 
 
@@ -56,15 +56,15 @@ def made(study: fmuid.Study) -> BaselineComparator:
 
 
 def test_the_file_says_what_the_records_say(kept: Path) -> None:
-    from_file, records = made(asked(kept)), made(asked(kept, records=["test2.csv"]))
+    from_file, records = made(asked(kept)), made(asked(kept, healthy_data=["test2.csv"]))
     assert (from_file.basis, records.basis) == (BaselineSource.FILE, BaselineSource.OTHER_RECORDS)
-    wider = {"offset": {"normal": 0.5, "size": 1.0}}
+    wider = {"sensor_offset": {"healthy_std": 0.5, "change_std": 1.0}}
     assert (
-        made(asked(kept, causes=wider, records=["healthy.csv"])).basis is BaselineSource.FILE
+        made(asked(kept, causes=wider, healthy_data=["healthy.csv"])).basis is BaselineSource.FILE
     )  # no matter of the healthy one
     shutil.move(kept / "healthy/baseline.npz", kept / "baseline.npz")
-    examined = made(asked(kept, records=["healthy.csv"]))
-    few = made(asked(kept, causes={"gain": False, "delay": False}, records=["healthy.csv"]))
+    examined = made(asked(kept, healthy_data=["healthy.csv"]))
+    few = made(asked(kept, causes={"sensor_gain": False, "sensor_delay": False}, healthy_data=["healthy.csv"]))
     shutil.move(kept / "baseline.npz", kept / "healthy/baseline.npz")
     assert examined.basis is BaselineSource.RECORDS
     assert from_file.healthy.known.mean == pytest.approx(examined.healthy.known.mean, rel=1e-9)
@@ -95,9 +95,9 @@ def test_a_diagnosis_and_a_monitoring_take_it(kept: Path) -> None:
     ("said", "basis"),
     [
         ({"faults": FAULTS | {"other": FAULTS["turns"]}}, BaselineSource.OTHER_MODELS),
-        ({"faults": {"turns": FAULTS["turns"] | {"values": {"i_start": 0.1}}}}, BaselineSource.OTHER_MODELS),
-        ({"model": WORDS["model"] | {"values": {"i_start": 0.1}}}, BaselineSource.OTHER_MODELS),
-        ({"causes": {"gain": False}}, BaselineSource.OTHER_CAUSES),
+        ({"faults": {"turns": FAULTS["turns"] | {"fixed": {"i_start": 0.1}}}}, BaselineSource.OTHER_MODELS),
+        ({"model": WORDS["model"] | {"fixed": {"i_start": 0.1}}}, BaselineSource.OTHER_MODELS),
+        ({"causes": {"sensor_gain": False}}, BaselineSource.OTHER_CAUSES),
         ({"noise": {"variance": {"i": 1e-3}}}, BaselineSource.OTHER_NOISE),
     ],
 )
@@ -107,7 +107,7 @@ def test_a_file_that_does_not_fit(kept: Path, said: dict[str, Any], basis: Basel
     study = asked(kept, **own)
     with pytest.raises(fmuid.InputError, match=f"baseline.npz is of {basis.value} than this study: identify"):
         made(fmuid.Study.of({**study.data, **top}, study.path))
-    study = asked(kept, records=["healthy.csv"], **own)
+    study = asked(kept, healthy_data=["healthy.csv"], **own)
     found = made(fmuid.Study.of({**study.data, **top}, study.path))
     assert found.basis is basis
     assert f"is {UNLIKE[basis]} and was not used" in basis_notes(found.basis)[0]
@@ -115,8 +115,8 @@ def test_a_file_that_does_not_fit(kept: Path, said: dict[str, Any], basis: Basel
 
 def test_wrong_words(kept: Path) -> None:
     for words, message in (
-        ({"records": ["healthy.csv"], "faults": FAULTS}, "has records and no healthy"),
-        ({"faults": FAULTS}, "there is no healthy machine: give healthy"),
+        ({"healthy_data": ["healthy.csv"], "faults": FAULTS}, "has healthy_data and no baseline"),
+        ({"faults": FAULTS}, "there is no healthy machine: give baseline"),
     ):
         with pytest.raises(fmuid.InputError, match=message):
             fmuid.Study.of(WORDS | {"diagnosis": words}, kept / "test.toml").diagnose()
@@ -136,7 +136,7 @@ def test_a_damaged_file_serves_nobody_and_ends_nothing(kept: Path, tmp_path: Pat
     pd.read_csv(folder / "test1.csv").to_parquet(folder / "records" / "a.parquet")
 
     def followed(*names: str) -> fmuid.Monitor:
-        study = asked(folder, records=list(names))
+        study = asked(folder, healthy_data=list(names))
         return run_following(study, folder / "records", folder / "out", until=lambda at: at.idle).monitor
 
     assert followed("healthy.csv").basis is BaselineSource.FILE
@@ -155,8 +155,8 @@ def test_a_damaged_file_serves_nobody_and_ends_nothing(kept: Path, tmp_path: Pat
 def test_a_later_run_without_faults_leaves_no_file(kept: Path, tmp_path: Path) -> None:
     shutil.copytree(kept, tmp_path / "a")
     (tmp_path / "a/healthy.toml").write_text(
-        f'[model]\nfmu = "{WORDS["model"]["fmu"]}"\n[[experiments]]\ntable = "healthy.csv"\ninputs = ["u"]\n'
-        'outputs = ["i"]\ninterpolation = "hold"\n[parameters]\nR = { start = 3.0 }\nL = { start = 0.2 }\n'
+        f'[model]\nfmu = "{WORDS["model"]["fmu"]}"\n[[experiments]]\ndata = "healthy.csv"\ninputs = ["u"]\n'
+        'outputs = ["i"]\ninterpolation = "zoh"\n[parameters]\nR = { start = 3.0 }\nL = { start = 0.2 }\n'
     )
     assert (tmp_path / "a/healthy/baseline.npz").is_file()
     assert run(["identify", str(tmp_path / "a/healthy.toml"), "-o", str(tmp_path / "a/healthy"), "--no-report"]) == 0

@@ -73,7 +73,7 @@ def test_nothing_is_found_where_nothing_is(healthy: fmuid.Result) -> None:
 # D is that of one linearisation at the estimate without the fault; the sizes are those where the fault is
 @pytest.mark.parametrize("number", [1, 2, 3])
 def test_a_window_says_what_a_diagnosis_says(number: int) -> None:
-    study = fmuid.Study.read(coil.HERE / "test.toml", [f"experiments.0.table=test{number}.csv"])
+    study = fmuid.Study.read(coil.HERE / "test.toml", [f"experiments.0.data=test{number}.csv"])
     expected = study.diagnose()["turns"]
     found = build_monitor(study, rule_of(study))
     found.add(study.tables[0])

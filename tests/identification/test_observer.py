@@ -59,7 +59,7 @@ def record(stiction: float) -> pd.DataFrame:
 
 
 def problem(cart: Path, stiction: float) -> fmuid.Problem:
-    given = fmuid.Experiment(record(stiction), ["u"], ["q"], interpolation="hold")
+    given = fmuid.Experiment(record(stiction), ["u"], ["q"], interpolation="zoh")
     return fmuid.Problem(cart, given, {"m": fmuid.Parameter(1.0, min=0.1), "d": fmuid.Parameter(1.0, min=0.0)})
 
 
@@ -75,7 +75,7 @@ def test_all_poles_are_where_they_are_asked_for(count: int) -> None:
 def test_between_corrections_cvode_goes_on_with_its_history(cart: Path) -> None:
     """A gain of zero moves nothing: what differs from a simulation without corrections are new beginnings."""
     system = fmuid.System(cart, numerics=fmuid.Numerics(interface="model-exchange", integrator="cvode"))
-    given = fmuid.Experiment(record(0.0), ["u"], ["q"], interpolation="hold")
+    given = fmuid.Experiment(record(0.0), ["u"], ["q"], interpolation="zoh")
     side = RightHandSide.of(fmuid.Simulator(system, given, ["m", "d"]))
     assert side is not None
     theta = np.array([M, D])
@@ -146,7 +146,7 @@ def test_an_error_of_the_model_pulls_output_error_more(cart: Path) -> None:
 def test_an_observer_is_for_one_output_of_one_model(cart: Path) -> None:
     whole = problem(cart, 0.0)
     frame = pd.DataFrame({"time": TIMES, "u": 1.0, "q": 0.0, "w": 0.0})
-    two = fmuid.Experiment(frame, ["u"], {"q": "q", "v": "w"}, interpolation="hold")
+    two = fmuid.Experiment(frame, ["u"], {"q": "q", "v": "w"}, interpolation="zoh")
     with pytest.raises(fmuid.InputError, match="one output"):
         with_observer(fmuid.Problem(cart, two, {"m": fmuid.Parameter(1.0)}))
     with pytest.raises(fmuid.InputError, match="positive number of samples"):
@@ -158,17 +158,17 @@ STUDY = """
 fmu = "{fmu}"
 {model}
 [[experiments]]
-table = "table.csv"
+data = "table.csv"
 inputs = ["u"]
 outputs = {outputs}
-interpolation = "hold"
+interpolation = "zoh"
 
 [parameters]
 m = {{ start = 1.0, min = 0.1 }}
 d = {{ start = 1.0, min = 0.0 }}
 
-[estimator]
-observer = 5
+[estimation]
+observer_memory = 5
 {more}
 """
 
@@ -194,13 +194,13 @@ def test_a_study_is_told_what_an_observer_cannot(cart: Path, tmp_path: Path) -> 
     with pytest.raises(fmuid.InputError) as refused:
         study(tmp_path, cart, outputs='{ q = "q", v = "w" }').problem()
     assert str(refused.value) == (
-        f"{tmp_path / 'study.toml'}: [estimator] has observer = 5, but an observer is for one output, and "
-        f"{tmp_path / 'table.csv'} has 2: remove observer"
+        f"{tmp_path / 'study.toml'}: [estimation] has observer_memory = 5, but an observer is for one output, and "
+        f"{tmp_path / 'table.csv'} has 2: remove observer_memory"
     )
-    with pytest.raises(fmuid.InputError, match=r'both observer and sensitivity = "forward"'):
-        study(tmp_path, cart, more='sensitivity = "forward"')
-    with pytest.raises(fmuid.InputError, match=r"both observer in \[estimator\] and \[batch\]"):
-        study(tmp_path, cart, more='[batch]\ntables = "*.csv"')
+    with pytest.raises(fmuid.InputError, match=r'both observer_memory and jacobian = "forward"'):
+        study(tmp_path, cart, more='jacobian = "forward"')
+    with pytest.raises(fmuid.InputError, match=r"both observer_memory in \[estimation] and \[batch\]"):
+        study(tmp_path, cart, more='[batch]\ndata = "*.csv"')
 
 
 def test_a_system_of_several_fmus_is_not_observed(cart: Path, tmp_path: Path) -> None:
@@ -209,16 +209,16 @@ def test_a_system_of_several_fmus_is_not_observed(cart: Path, tmp_path: Path) ->
 [model]
 components = [{{ name = "a", fmu = "{cart.as_posix()}" }}, {{ name = "b", fmu = "{cart.as_posix()}" }}]
 [[experiments]]
-table = "table.csv"
+data = "table.csv"
 inputs = {{ "a.u" = "u" }}
 outputs = {{ "a.q" = "q" }}
 [parameters]
 "a.m" = {{ start = 1.0 }}
-[estimator]
-observer = 3
+[estimation]
+observer_memory = 3
 """
     several = fmuid.Study.of(tomllib.loads(text), tmp_path / "study.toml")
     with pytest.raises(
-        fmuid.InputError, match=r"observer = 3, but an observer needs a single FMU that offers model exch"
+        fmuid.InputError, match=r"observer_memory = 3, but an observer needs a single FMU that offers model exch"
     ):
         several.problem()

@@ -37,7 +37,7 @@ def record(seed: int, start: float = 0.0, name: str = "new", noise: float = NOIS
     voltage = np.repeat(rng.choice([-1.0, 1.0], COUNT // 20), 20)
     y = current(np.array([R, L]), voltage, start) + noise * rng.standard_normal(COUNT)
     frame = pd.DataFrame({"time": STEP * np.arange(COUNT), "u": voltage, "i": y})
-    return Experiment(frame, ["u"], ["i"], interpolation="hold", name=name)
+    return Experiment(frame, ["u"], ["i"], interpolation="zoh", name=name)
 
 
 def identified(**more: Parameter) -> Result:

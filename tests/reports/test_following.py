@@ -49,7 +49,7 @@ def plant(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     warming(1, to=4.0).to_csv(tmp_path / "test1.csv", index=False)
     text = (coil.HERE / "test.toml").read_text(encoding="utf-8").replace("../../fmus", coil.FMUS.as_posix())
     command = json.dumps([sys.executable, "tell.py"])
-    rule = f"[monitoring]\nwindow = 1.0\ntransient = 0.2\nhorizon = 3600.0\ncommand = {command}\n"
+    rule = f"[monitoring]\nwindow_length = 1.0\nwarmup = 0.2\nfalse_alarm_horizon = 3600.0\nalarm_command = {command}\n"
     (tmp_path / "study.toml").write_text(text + rule, encoding="utf-8")
     return tmp_path
 
@@ -162,7 +162,7 @@ def test_a_command_that_fails_is_said(
     warming(3, to=4.0, fails=0.0, size=1.0).to_csv(plant / "records" / "a.csv", index=False)
     remarks: list[str] = []
 
-    study = fmuid.Study.read("study.toml", [f"monitoring.command={json.dumps(command)}"])
+    study = fmuid.Study.read("study.toml", [f"monitoring.alarm_command={json.dumps(command)}"])
     run_following(study, "records", "out", show=lambda watching: remarks.extend(watching.remarks), until=idle)
     (remark,) = remarks
     assert said in remark
@@ -193,9 +193,12 @@ def test_memory_is_of_the_latest_windows(plant: Path, monkeypatch: pytest.Monkey
         (["records", "--resume"], "--follow and --resume do not go together"),
         (["records", "--figures", "png"], "--follow and --figures do not go together"),
         (["nowhere"], "nowhere: there is no such folder or file"),
-        (["records", "--set", "monitoring.command=3"], "[monitoring] command must be a list of a program"),
-        (["records", "--set", "diagnosis.faults.turns.values.tau=0.02"], "of a run with another study or other models"),
-        (["records", "--set", "diagnosis.level=0.2"], "another rule, other faults or another healthy machine"),
+        (["records", "--set", "monitoring.alarm_command=3"], "[monitoring] alarm_command must be a list of a program"),
+        (["records", "--set", "diagnosis.faults.turns.fixed.tau=0.02"], "of a run with another study or other models"),
+        (
+            ["records", "--set", "diagnosis.false_alarm_rate=0.2"],
+            "another rule, other faults or another healthy machine",
+        ),
     ],
 )
 def test_what_is_refused(plant: Path, capsys: pytest.CaptureFixture[str], words: list[str], said: str) -> None:

@@ -24,8 +24,8 @@ from fmuid.runs.log_following import follower
 from tests.support.coil_records import warming
 
 GOOD, FAULTY = warming(3, to=4.0), warming(3, to=4.0, fails=0.0, size=1.0)
-RULE = "[monitoring]\nwindow = 1.0\ntransient = 0.2\n"
-HORIZON = "horizon = 3600.0\n"
+RULE = "[monitoring]\nwindow_length = 1.0\nwarmup = 0.2\n"
+HORIZON = "false_alarm_horizon = 3600.0\n"
 
 STARTS: dict[str, Callable[[pd.DataFrame], pd.DataFrame]] = {
     "sound": lambda table: table,

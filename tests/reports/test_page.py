@@ -70,8 +70,8 @@ def results(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("results")
     for name, seed in (("first", 1), ("second", 2)):
         coil_table(folder / f"{name}.csv", 0.0, seed=seed)
-    second = '[[experiments]]\ntable = "second.csv"\ninputs = ["u"]\noutputs = ["i"]\ninterpolation = "hold"\n'
-    more = 'discard = 0.02\n[uncertainty]\nprofile = ["R"]\nmap = [["R", "L"]]\n'
+    second = '[[experiments]]\ndata = "second.csv"\ninputs = ["u"]\noutputs = ["i"]\ninterpolation = "zoh"\n'
+    more = 'warmup = 0.02\n[uncertainty]\nprofile_likelihood = ["R"]\ncost_map = [["R", "L"]]\n'
     study = STUDY.replace("min = 0.0", "min = 0.0, prior = { mean = 4.0, std = 0.2 }") + second + more
     (folder / "study.toml").write_text(study.replace('"Coil"', '"Two coils"'))
     assert fmuid_("identify", folder / "study.toml", "--no-report", "--set", "parameters.R.start=5.5") == DONE

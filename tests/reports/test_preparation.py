@@ -30,27 +30,27 @@ STUDY = """
 fmu = "{fmu}"
 [[experiments]]
 name = "cut"
-table = "run.csv"
+data = "run.csv"
 inputs = ["u"]
 outputs = {{ i = "current" }}
-interpolation = "hold"
-[experiments.prepare]
-columns = {{ current = "shunt / 50" }}
-from = 0.1
-to = 0.4
+interpolation = "zoh"
+[experiments.preprocess]
+computed_columns = {{ current = "shunt / 50" }}
+start_time = 0.1
+end_time = 0.4
 [[experiments]]
 name = "whole"
-table = "run.csv"
+data = "run.csv"
 inputs = ["u"]
 outputs = ["i"]
-interpolation = "hold"
+interpolation = "zoh"
 [[experiments]]
 name = "mean"
-table = "run.csv"
+data = "run.csv"
 inputs = ["u"]
 outputs = ["i"]
-interpolation = "hold"
-[experiments.prepare]
+interpolation = "zoh"
+[experiments.preprocess]
 detrend = {{ i = "mean" }}
 [parameters]
 R = {{ start = 4.0, min = 0.0 }}
@@ -80,7 +80,7 @@ def rows(table: pd.DataFrame, column: str, stage: str) -> pd.DataFrame:
 def test_only_what_was_changed_or_made_is_kept(study: Study, raw: pd.DataFrame) -> None:
     cut, mean = prepared(study)
     assert (cut.experiment, mean.experiment) == ("cut", "mean")
-    assert cut.words == {"columns": {"current": "shunt / 50"}, "from": 0.1, "to": 0.4}
+    assert cut.words == {"computed_columns": {"current": "shunt / 50"}, "start_time": 0.1, "end_time": 0.4}
     assert set(cut.table["column"]) == {"u", "current"}
     assert set(mean.table["column"]) == {"i"}  # the input is as it was
     assert not len(rows(cut.table, "current", "before"))  # it was made
@@ -100,7 +100,7 @@ def test_pieces_of_a_long_record_are_thinned_and_the_record_is_read_once(
     spike = np.where(np.arange(times.size) == 20_011, 7.0, 0.0)
     pd.DataFrame({"time": times, "u": spike, "i": np.sin(times)}).to_csv(tmp_path / "run.csv", index=False)
     text = STUDY.format(fmu=COIL.as_posix()).split("[[experiments]]\n")
-    one = text[2].replace('name = "whole"', "") + "[experiments.prepare]\npieces = [[0.0, 10.0], [10.0, 40.0]]\n"
+    one = text[2].replace('name = "whole"', "") + "[experiments.preprocess]\nsegments = [[0.0, 10.0], [10.0, 40.0]]\n"
     (tmp_path / "study.toml").write_text(f"{text[0]}[[experiments]]\n{one}{text[3][text[3].index('[param') :]}")
     read = Study.read(tmp_path / "study.toml")
     assert len(read.tables) == 2
@@ -140,14 +140,14 @@ def test_the_pages_of_a_diagnosis_and_of_a_monitoring_draw_it_too(
     coil, test = fmuid.datasets.coil(), fmuid.datasets.faulty_coil()
     run_study(Study.of(coil.study, tmp_path / "coil.toml"), tmp_path / "healthy")
     faults = {"turns": {"fmu": str(test.fmu), "parameters": {"dR": {"nominal": 1.0}}}}
-    known = {"healthy": str(tmp_path / "healthy" / "result.json"), "faults": faults}
-    record = {**test.study["experiments"][0], "prepare": {"from": 0.1}}
+    known = {"baseline": str(tmp_path / "healthy" / "result.json"), "faults": faults}
+    record = {**test.study["experiments"][0], "preprocess": {"start_time": 0.1}}
     words = coil.study | {"experiments": [record], "parameters": {}, "diagnosis": known}
     found = fmuid.run_diagnosis(Study.of(words, tmp_path / "test.toml"), tmp_path / "out")
     assert tmp_path / "out" / "diagnosis-preparation.csv" in found.files
     drawn = {each.name: each for each in part_of_diagnosis(tmp_path / "out").sections}
     assert drawn["prepared"].caption.startswith("The table was cut from 0.1 s.")
-    study = Study.of(words | {"monitoring": {"level": 0.01}}, tmp_path / "test.toml")
+    study = Study.of(words | {"monitoring": {"false_alarm_rate": 0.01}}, tmp_path / "test.toml")
     second = shutil.copy(test.path, tmp_path / "second.csv")
     for tables in ([test.path], [test.path, second]):
         watched = fmuid.run_monitoring(study, tables, tmp_path / "out", append=len(tables) > 1)
@@ -177,7 +177,7 @@ def test_the_pages_of_a_diagnosis_and_of_a_monitoring_draw_it_too(
 
 def test_a_record_that_grows_is_drawn_once_and_thin(tmp_path: Path) -> None:
     coil = fmuid.datasets.coil().study
-    words = coil | {"experiments": [{**coil["experiments"][0], "prepare": {"columns": {"v": "2 * u"}}}]}
+    words = coil | {"experiments": [{**coil["experiments"][0], "preprocess": {"computed_columns": {"v": "2 * u"}}}]}
     (given,) = Study.of(words, tmp_path / "coil.toml").experiments
     times = 1e-3 * np.arange(30_000)
     raw = pd.DataFrame({"time": times, "u": np.sin(times), "i": np.cos(times)})
@@ -222,18 +222,18 @@ def test_the_figure_shows_before_in_grey_and_after(study: Study, raw: pd.DataFra
 
 
 def test_every_word_is_said() -> None:
-    axes = [{"from": ["a", "b", "c"], "to": ["d", "q"], "angle": "t"}]
+    axes = [{"source": ["a", "b", "c"], "target": ["d", "q"], "angle": "t"}]
     words = {
-        "fill": {"u": "hold"},
-        "longest_gap": 0.05,
-        "axes": axes,
-        "low_pass": 60.0,
-        "to": 2.0,
-        "resample": 0.01,
+        "fill_missing": {"u": "zoh"},
+        "max_gap": 0.05,
+        "park": axes,
+        "lowpass_frequency": 60.0,
+        "end_time": 2.0,
+        "resample_interval": 0.01,
         "detrend": "linear",
     }
     assert preparation_words(words) == (
-        "The table was filled over gaps of at most 0.05 s (u: hold), "
+        "The table was filled over gaps of at most 0.05 s (u: zoh), "
         "turned from a, b, c to d, q, low-passed at 60 Hz, without a shift in time, cut to 2 s, "
         "resampled in steps of 0.01 s and detrended (linear)"
     )

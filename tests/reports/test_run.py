@@ -19,9 +19,9 @@ from fmuid.reports import SearchFinished, SearchInterruptedError
 from tests.support.coil_study import STUDY, coil_table, fmuid_, result
 
 PRIOR = STUDY.replace("min = 0.0", "min = 0.0, prior = { mean = 4.0, std = 1.0 }")
-ASKED = '[uncertainty]\nprofile = ["R"]\n'
+ASKED = '[uncertainty]\nprofile_likelihood = ["R"]\n'
 BOUNDED = STUDY.replace("min = 0.0", "min = 0.5, max = 50.0").replace("min = 1e-3", "min = 1e-3, max = 1.0")
-GLOBAL = '[estimator]\nmethod = "global"\nstarts = 6\nseed = 3\n'
+GLOBAL = '[estimation]\nmethod = "multi-start"\nn_starts = 6\nseed = 3\n'
 VOLATILE = {"elapsed_s", "date"}
 
 

@@ -31,7 +31,7 @@ def test_a_result_predicts_by_the_model_that_it_was_made_with() -> None:
 
 def test_so_does_one_of_a_study_and_one_of_a_file(tmp_path: Path) -> None:
     coil = fmuid.datasets.coil()
-    study = fmuid.Study.of(coil.study | {"model": {"fmu": str(coil.fmu), "values": {"i_start": 0.0}}}, tmp_path / "s")
+    study = fmuid.Study.of(coil.study | {"model": {"fmu": str(coil.fmu), "fixed": {"i_start": 0.0}}}, tmp_path / "s")
     findings = fmuid.run_study(study, tmp_path)
     expected = fmuid.predict(coil.fmu, findings.result, coil.experiment).scores[0].rmse
     for result in (findings.result, fmuid.Result.from_json(tmp_path / "result.json")):

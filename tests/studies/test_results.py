@@ -18,10 +18,10 @@ from tests.support.results import result as written
 
 OWN_START = "i_start = { start = 0.0, nominal = 0.1, per_experiment = true }\n"
 MORE = """[[experiments]]
-table = "{0}.csv"
+data = "{0}.csv"
 inputs = ["u"]
 outputs = ["i"]
-interpolation = "hold"
+interpolation = "zoh"
 """
 
 
@@ -56,7 +56,7 @@ def test_a_table_that_is_gone_needs_another_in_its_place(folder: Path) -> None:
     (folder / "first.csv").unlink()
     with pytest.raises(InputError, match=r"first\.csv"):
         study_of(path)
-    assert study_of(path, in_place=folder / "second.csv").experiments[0].table == folder / "second.csv"
+    assert study_of(path, in_place=folder / "second.csv").experiments[0].data == folder / "second.csv"
 
 
 @pytest.mark.parametrize(
@@ -129,7 +129,7 @@ def test_each_part_is_predicted_from_the_others(folder: Path) -> None:
         assert {series.samples for series in fold.result.data} == {600}
     pairs = cross_validate(study, 2)
     assert [len(fold.predictions) for fold in pairs] == [2, 1]
-    alone = Study.read(folder / "study.toml", ['experiments=[{table="first.csv", outputs=["i"], inputs=["u"]}]'])
+    alone = Study.read(folder / "study.toml", ['experiments=[{data="first.csv", outputs=["i"], inputs=["u"]}]'])
     with pytest.raises(InputError, match=r"2 folds of 1 experiments: .*nothing to leave out"):
         cross_validate(alone, 2)
 

@@ -212,7 +212,7 @@ def read_study(path: Path) -> FoundStudy | None:
     if not isinstance(data.get("model"), dict) or not isinstance(data.get("experiments"), list):
         return None
     given, names = data["experiments"], data.get("parameters")
-    tables = tuple(str(each.get("table", "")) for each in given if isinstance(each, dict))
+    tables = tuple(str(each.get("data", "")) for each in given if isinstance(each, dict))
     asks = tuple(word for word in ("diagnosis", "batch") if isinstance(data.get(word), dict))
     title = str(data.get("title") or path.stem)
     return FoundStudy(path, title, "", tables, tuple(names) if isinstance(names, dict) else (), asks)

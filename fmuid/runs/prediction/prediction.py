@@ -100,7 +100,7 @@ def predict_with(
         if name not in taken and name not in again:
             raise InputError(
                 f"{study.path} has the parameter {name!r}, of which the result has no value: have it estimated again "
-                f"on each record (--refit {name}), or hold it at a value under [model.values]"
+                f"on each record (--refit {name}), or hold it at a value under [model.fixed]"
             )
     return predict(study.system, result, experiment, values=study.model.values, free=again, level=level)
 

@@ -64,8 +64,8 @@ def study_of(
     if in_place is not None:
         given = data.get("experiments")
         for experiment in given if isinstance(given, list) else ():  # `Study.of` refuses another type
-            if isinstance(experiment, dict) and not is_file(file.parent / str(experiment.get("table", ""))):
-                experiment["table"] = str(in_place.resolve())
+            if isinstance(experiment, dict) and not is_file(file.parent / str(experiment.get("data", ""))):
+                experiment["data"] = str(in_place.resolve())
     return Study.of(data, file, isolated=isolated)
 
 

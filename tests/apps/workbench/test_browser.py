@@ -343,8 +343,8 @@ def test_an_identification_inside_a_long_simulation_is_cancelled(browser: Any, a
     text = (folder / "study.toml").read_text().split("[parameters]")[0]
     text = (
         text.split("fmu =")[0]
-        + f'fmu = "{fmu.as_posix()}"\nvalues = {{ mode = {int(Mode.SLOW)}, amount = 20000 }}\n'
-        + ('[[experiments]]\ntable = "first.csv"\ninputs = ["u"]\noutputs = { x = "i" }\n')
+        + f'fmu = "{fmu.as_posix()}"\nfixed = {{ mode = {int(Mode.SLOW)}, amount = 20000 }}\n'
+        + ('[[experiments]]\ndata = "first.csv"\ninputs = ["u"]\noutputs = { x = "i" }\n')
     )
     (folder / "slow.toml").write_text(text + "[parameters]\ngain = { start = 1.0 }\n[isolation]\ntime_limit = 600\n")
     open_study(browser, address, "slow.toml")

@@ -62,8 +62,9 @@ def test_a_diagnosis_is_begun_and_a_folder_is_followed(tmp_path: Path) -> None:
     shutil.copy(test.path, tmp_path / "records/one.csv")
     fault = f'[diagnosis.faults.turns]\nfmu = "{test.fmu.as_posix()}"\nparameters = {{ dR = {{ nominal = 1.0 }} }}\n'
     (tmp_path / "faults.toml").write_text(
-        f'[model]\nfmu = "{coil.fmu.as_posix()}"\n[[experiments]]\ntable = "records/one.csv"\ninputs = ["u"]\n'
-        f'outputs = ["i"]\n[diagnosis]\nhealthy = "healthy/result.json"\n{fault}[monitoring]\nlevel = 0.01\n'
+        f'[model]\nfmu = "{coil.fmu.as_posix()}"\n[[experiments]]\ndata = "records/one.csv"\ninputs = ["u"]\n'
+        f'outputs = ["i"]\n[diagnosis]\nbaseline = "healthy/result.json"\n{fault}[monitoring]\n'
+        "false_alarm_rate = 0.01\n"
     )
     study, doc = tmp_path / "faults.toml", Document()
     page = FaultsPage(doc, SimpleNamespace(folder=Folder(tmp_path), jobs=Jobs()), study, "light")

@@ -137,7 +137,7 @@ def test_from_results_to_what_would_help(tmp_path: Path) -> None:
         coil_table(tmp_path / name, 0.0, seed=k)
     path = tmp_path / "study.toml"
     path.write_text(STUDY.replace("[parameters]", "[parameters]\nk = { start = 2.0 }\n"))
-    given = ["experiments.0.table=other.csv", "parameters.R.start=7.5", "parameters.k=3", "title=A b"]
+    given = ["experiments.0.data=other.csv", "parameters.R.start=7.5", "parameters.k=3", "title=A b"]
     given += ["parameters.L.prior={ mean = 0.1, std = 1e-3 }"]
     run = Study.read(path, given)
     for name, std in (("open", None), ("known", 0.1)):
@@ -259,7 +259,7 @@ def test_a_case_leads_to_what_if_with_what_it_was_given_and_found(tmp_path: Path
     (tmp_path / "records").mkdir()
     for k in range(2):
         coil_table(tmp_path / f"records/r{k}.csv", 0.0, seed=k)
-    words = '[batch]\ntables = "records/*.csv"\nvalues = { L = [0.1, 0.2] }\n'
+    words = '[batch]\ndata = "records/*.csv"\nsweep = { L = [0.1, 0.2] }\n'
     (tmp_path / "study.toml").write_text(STUDY + words)
     batch(tmp_path / "out", 3)
     manifest = json.loads((tmp_path / "out/batch.json").read_text())
@@ -276,7 +276,7 @@ def test_a_case_leads_to_what_if_with_what_it_was_given_and_found(tmp_path: Path
     study = Study.read(tmp_path / "study.toml", asked["set"])
     case = CaseList(Study.read(tmp_path / "study.toml"))[2]
     assert case.table is not None
-    assert Path(study.path.parent, study.experiments[0].table).resolve() == case.table.resolve()
+    assert Path(study.path.parent, study.experiments[0].data).resolve() == case.table.resolve()
     assert study.model.values["L"] == case.held["L"]
     assert {name: each.start for name, each in study.parameters.items()} == {"R": 4.02}
     with pytest.raises(fmuid.InputError, match=r"study\.toml has no case 4 any more"):

@@ -161,7 +161,7 @@ def test_the_command_says_what_the_page_shows(page: Page, path: Path) -> None:
 
 
 def test_what_the_address_gave_is_said_once(path: Path) -> None:
-    given = ['parameters."R".start=7', "estimator.max_iterations=9"]
+    given = ['parameters."R".start=7', "estimation.max_iterations=9"]
     page = Page(path, given)
     page.rows["R"].typed.value = "8"
     assert page.page.words("identify")[2:] == ["--set", "parameters.R.start=8", "--set", given[1]]

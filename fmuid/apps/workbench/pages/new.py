@@ -25,8 +25,13 @@ from fmuid.units import TIME_UNITS
 
 GUESSED, NONE = "(guess)", "(none)"
 """What stands for a column that is not said, and for none."""
-LABELS = {"low_pass": "low-pass (Hz)", "from": "from (s)", "to": "to (s)", "resample": "resample (s)"}
-"""Words of ``[experiments.prepare]`` that are asked for, beside detrend; the file has room for all."""
+LABELS = {
+    "lowpass_frequency": "low-pass (Hz)",
+    "start_time": "from (s)",
+    "end_time": "to (s)",
+    "resample_interval": "resample (s)",
+}
+"""Words of ``[experiments.preprocess]`` that are asked for, beside detrend; the file has room for all."""
 ROWS = 5
 """Of a table that are shown."""
 CHARACTERS = 1200
