@@ -16,7 +16,7 @@ from fmuid.display_mixins import PlotMixin
 from fmuid.errors import InputError
 from fmuid.estimation import Result, TerminationReason, optima_table
 from fmuid.files import file_name, write_json, write_table
-from fmuid.identification import CONFIDENCE_LEVEL
+from fmuid.identification import Assessment
 from fmuid.reports.downsampling import evenly
 from fmuid.reports.messages.prior_and_data import reading_words
 from fmuid.reports.messages.residuals import residual_words
@@ -27,7 +27,7 @@ from fmuid.simulation import OutputFit, fit_of
 
 if TYPE_CHECKING:
     from fmuid.data import Experiment
-    from fmuid.identification import CostMap, Posterior, PriorDataComparison, ResidualAnalysis, Uncertainty
+    from fmuid.identification import CostMap, Posterior
     from fmuid.models import System
 
 # Tables that a run may write: those of an earlier run would be taken for this one's.
@@ -91,14 +91,8 @@ class IdentificationRun(PlotMixin):
     result : Result
     fits : tuple of OutputFit
         One an experiment.
-    diagnostics : ResidualAnalysis
-        Of the residuals.
-    reading : PriorDataComparison
-        What prior and data say, and whether they agree.
-    level : float
-        Of intervals.
-    uncertainty : Uncertainty or None
-        Where more than the local covariance was asked for.
+    assessment : Assessment
+        What the result is worth.
     files : tuple of Path
         Those that were written, each once.
     study : mapping or None
@@ -119,10 +113,7 @@ class IdentificationRun(PlotMixin):
 
     result: Result
     fits: tuple[OutputFit, ...]
-    diagnostics: ResidualAnalysis
-    reading: PriorDataComparison
-    level: float = CONFIDENCE_LEVEL
-    uncertainty: Uncertainty | None = None
+    assessment: Assessment
     files: tuple[Path, ...] = ()
     study: Mapping[str, Any] | None = None
     origin: Mapping[str, Any] | None = None
@@ -135,7 +126,7 @@ class IdentificationRun(PlotMixin):
     @property
     def succeeded(self) -> bool:
         """Whether all that was asked for is there and can be trusted."""
-        return self.result.converged and (self.uncertainty is None or self.uncertainty.succeeded)
+        return self.result.converged and self.assessment.succeeded
 
     @property
     def has_prior(self) -> bool:
@@ -150,7 +141,7 @@ class IdentificationRun(PlotMixin):
     @property
     def estimates(self) -> pd.DataFrame:
         """The content of ``estimates.csv``."""
-        return self.result.to_frame(self.level).reset_index()
+        return self.result.to_frame(self.assessment.level).reset_index()
 
     @property
     def optima(self) -> pd.DataFrame:
@@ -170,28 +161,27 @@ class IdentificationRun(PlotMixin):
     def to_json_dict(self) -> dict[str, Any]:
         """Return the content of ``result.json``."""
         content = {"words": [ending(self.result), *self.remarks], **self.result.to_json_dict()}
-        content |= {"level": self.level, "experiments": self._experiments()}
+        content |= {"level": self.assessment.level, "experiments": self._experiments()}
         content |= self.origin or {}
-        content |= {
-            "diagnostics": {
-                "words": list(residual_words(self.diagnostics, self.output_units)),
-                **self.diagnostics.to_json_dict(),
-            },
-            "consistency": {
-                "words": list(reading_words(self.reading, self.output_units)),
-                **self.reading.to_json_dict(),
-            },
-        }
+        residuals, reading = self.assessment.residuals, self.assessment.prior_and_data
+        if residuals is not None:
+            words = list(residual_words(residuals, self.output_units))
+            content["diagnostics"] = {"words": words, **residuals.to_json_dict()}
+        if reading is not None:
+            content["consistency"] = {
+                "words": list(reading_words(reading, self.output_units)),
+                **reading.to_json_dict(),
+            }
         if self.result.optima:
             content["optima"] = [
                 {key: getattr(optimum, key) for key in ("criterion", "hits", "converged", "outcome")}
                 | {"parameters": dict(zip(self.result.names, optimum.theta, strict=True))}
                 for optimum in self.result.optima
             ]
-        if self.uncertainty is not None:
-            said = uncertainty_words(self.uncertainty)
-            content |= self.uncertainty.to_json_dict()
-            content |= {"uncertainty": {"words": list(said), "succeeded": self.uncertainty.succeeded}}
+        if self.assessment.is_explored:
+            said = uncertainty_words(self.assessment)
+            content |= self.assessment.to_json_dict()
+            content |= {"uncertainty": {"words": list(said), "succeeded": self.assessment.succeeded}}
             content["words"] += said
         if self.study is not None:
             content["study"] = {**content.get("study", {}), **self.study}
@@ -204,10 +194,7 @@ class IdentificationRun(PlotMixin):
 
     def maps(self) -> dict[str, CostMap]:
         """Return the maps of the criterion by the names of their files."""
-        if self.uncertainty is None:
-            return {}
-        found = {f"map-{file_name('-'.join(chart.names))}": chart for chart in self.uncertainty.maps}
-        return found | {f"map-{file_name('-'.join(chart.names))}-box": chart for chart in self.uncertainty.box_maps}
+        return {f"map-{file_name('-'.join(chart.names))}": chart for chart in self.assessment.maps}
 
     def tables(self) -> dict[str, pd.DataFrame]:
         """Return the CSV tables by their names."""
@@ -217,20 +204,20 @@ class IdentificationRun(PlotMixin):
             "trace": result.trace,
             "rounds": result.rounds,
             "fit": stacked([fit.experiment for fit in self.fits], result.fit),
-            "diagnostics": self.diagnostics.table,
-            "correlations": self.diagnostics.correlations,
         }
-        if self.has_prior:
-            found["reading"] = self.reading.table
+        checks = self.assessment
+        if checks.residuals is not None:
+            found |= {"diagnostics": checks.residuals.table, "correlations": checks.residuals.correlations}
+        if self.has_prior and checks.prior_and_data is not None:
+            found["reading"] = checks.prior_and_data.table
         if result.optima:
             found["optima"] = self.optima
         if changed := [each.table for each in self.prepared if len(each.table)]:
             found["preparation"] = pd.concat(changed, ignore_index=True)
-        if self.uncertainty is not None:
-            found |= {name: chart.table for name, chart in self.maps().items()}
-            found |= {"profiles": self.uncertainty.profile_table} if self.uncertainty.profiles else {}
-            posterior = self.uncertainty.posterior
-            found |= {"posterior": posterior.table, "walkers": _paths(posterior)} if posterior is not None else {}
+        found |= {name: chart.table for name, chart in self.maps().items()}
+        found |= {"profiles": checks.profile_table} if checks.profiles else {}
+        if (posterior := checks.posterior) is not None:
+            found |= {"posterior": posterior.table, "walkers": _paths(posterior)}
         return found
 
     def write(self, folder: Path) -> list[Path]:

@@ -14,7 +14,7 @@ from fmuid.data import dropouts
 from fmuid.errors import FmuidError, InputError
 from fmuid.estimation import Result
 from fmuid.files import WriteError
-from fmuid.identification import Problem, analyze_residuals, compare_prior_and_data, explore
+from fmuid.identification import AssessmentSettings, Problem, assess
 from fmuid.progress import DataOnlyStep, Event, Progress
 from fmuid.reports.apply import write_estimates
 from fmuid.reports.figure_files import check_format
@@ -161,10 +161,9 @@ class _Run:
                 self.files.append(shown(result).write(self.folder / BASELINE_FILE))
         self._tell(SearchFinished(findings=replace(found, files=tuple(self.files))))
         self._draw()
-        if self.study.uncertainty_settings.any and at_minimum(result):
-            box = bool(result.optima)
-            more = explore(problem, result, self.study.uncertainty_settings, self.progress, box=box)
-            found = replace(found, uncertainty=more)
+        asked = self.study.uncertainty_settings
+        if asked.explores and at_minimum(result):
+            found = replace(found, assessment=assess(problem, result, asked, self.progress, found.assessment))
             self._write(found)
             self._draw()
         return replace(found, files=tuple(dict.fromkeys(self.files)))
@@ -181,19 +180,16 @@ class _Run:
         """Look at residuals, and at what prior and data say."""
         if problem.parameters.prior_whitening.size and result.elapsed_s > QUICK_SECONDS:
             self._tell(DataOnlyStep())
-        study, diagnostics = self.study, analyze_residuals(problem, result)
+        study = self.study
+        asked = AssessmentSettings(
+            study.uncertainty_settings.level,
+            search_data=at_minimum(result),
+            known_variance=study.known_variance | dict(result.given_variance),
+        )
         return IdentificationRun(
             result,
             result_fits(study.system, study.tables, result),
-            diagnostics,
-            compare_prior_and_data(
-                problem,
-                result,
-                search_data=at_minimum(result),
-                healthy=study.known_variance | dict(result.given_variance),
-                diagnostics=diagnostics,
-            ),
-            study.uncertainty_settings.level,
+            assess(problem, result, asked),
             study=None if self.folder is None else origin_of(study, self.folder),
             origin=None if self.folder is None else made_from(study),
             prepared=self.prepared,
@@ -210,7 +206,7 @@ class _Run:
         if self.folder is not None:
             with _kept(self.folder / "result.json", found.to_json_dict):
                 self.files += found.write(self.folder)
-            if found.uncertainty is None:
+            if not found.assessment.is_explored:
                 self.files += write_estimates(self.folder, self.study.system, found.result)
 
     def _save_point(self, result: Result) -> None:

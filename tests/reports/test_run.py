@@ -74,8 +74,7 @@ def test_without_a_folder_nothing_is_written(study: Path) -> None:
     found = fmuid.run_study(fmuid.Study.read(study))
     assert found.succeeded
     assert found.files == ()
-    assert found.uncertainty is not None
-    assert math.isfinite(found.uncertainty.profiles[0].upper)
+    assert math.isfinite(found.assessment.profiles[0].upper)
     assert sorted(study.parent.rglob("*")) == before
     with pytest.raises(fmuid.InputError, match="in a folder"):
         fmuid.run_study(study, figures="png")
@@ -99,7 +98,7 @@ def test_events_come_in_their_order(study: Path, monkeypatch: pytest.MonkeyPatch
     assert steps[-1].values["R"] == pytest.approx(found.result["R"], rel=1e-6)
     (told,) = (event for event in events if isinstance(event, SearchFinished))
     assert told.findings.result is found.result
-    assert told.findings.uncertainty is None
+    assert not told.findings.assessment.is_explored
 
 
 def test_interrupted_after_the_search(study: Path, tmp_path: Path) -> None:
@@ -107,8 +106,7 @@ def test_interrupted_after_the_search(study: Path, tmp_path: Path) -> None:
     found = fmuid.run_study(study, tmp_path / "out", progress=stopping(ProfileStep))
     assert found.result.converged
     assert not found.succeeded
-    assert found.uncertainty is not None
-    assert found.uncertainty.interrupted
+    assert found.assessment.interrupted
     assert result(tmp_path / "out")["converged"] is True
 
 

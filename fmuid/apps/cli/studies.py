@@ -132,7 +132,7 @@ def identify(
             console_result.show_point(error.result)
             console.show_files(error.files)
             return NOT_SUCCEEDED
-        if found.uncertainty is not None:
+        if found.assessment.is_explored:
             console_result.show_uncertainty(found)
         console.show_files(found.files)
         return DONE if found.succeeded else NOT_SUCCEEDED
@@ -159,7 +159,7 @@ def _show_event(display: Display, read: Study, event: Event, /) -> None:
         case SearchFinished():
             display.pause()
             console_result.show_result(event.findings)
-            if read.uncertainty_settings.any and not report.at_minimum(event.findings.result):
+            if read.uncertainty_settings.explores and not report.at_minimum(event.findings.result):
                 console.show_notes(["[uncertainty] is left out: it needs a search that has ended at a minimum"])
         case _ if stopping():
             raise KeyboardInterrupt

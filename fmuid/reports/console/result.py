@@ -27,7 +27,7 @@ from fmuid.reports.messages.uncertainty import posterior_words, uncertainty_word
 
 if TYPE_CHECKING:
     from fmuid.estimation import Result
-    from fmuid.identification import Uncertainty
+    from fmuid.identification import Assessment, PriorDataComparison
     from fmuid.reports.identification_run import IdentificationRun
     from fmuid.simulation import OutputFit
 
@@ -47,14 +47,14 @@ def show_result(found: IdentificationRun) -> None:
         out.print(_optima(out, result))
         show_remarks(_rivals(result))
         out.print()
-    out.print(_filled(_estimates(out, result, found.level)))
-    if found.has_prior:
+    out.print(_filled(_estimates(out, result, found.assessment.level)))
+    if found.has_prior and found.assessment.prior_and_data is not None:
         out.print()
-        out.print(_reading(out, found))
+        out.print(_reading(out, found, found.assessment.prior_and_data))
     show_remarks(found.remarks)
-    show_sentences(
-        [*reading_words(found.reading, found.output_units), *residual_words(found.diagnostics, found.output_units)]
-    )
+    reading, residuals = found.assessment.prior_and_data, found.assessment.residuals
+    if reading is not None and residuals is not None:
+        show_sentences([*reading_words(reading, found.output_units), *residual_words(residuals, found.output_units)])
     show_sentences([f"Fit (NRMSE): {fit_words(fits)}", f"Residual: {_noise(result, fits)}"])
     color = "green" if result.converged else "red"
     out.print(f"[bold {color}]{escape(capitalised(ending(result)))}[/]", soft_wrap=True)
@@ -122,9 +122,8 @@ def _estimates(out: Console, result: Result, level: float) -> dict[str, list[str
     return _narrowed(out, _columns(result, level), ("start", "rel. std", SHIFT, "note"))
 
 
-def _reading(out: Console, found: IdentificationRun) -> Table:
+def _reading(out: Console, found: IdentificationRun, reading: PriorDataComparison) -> Table:
     """Return prior, data and both side by side, how far the prior is, and what moved the data's optimum by how much."""
-    reading = found.reading
     rows = {
         "prior": (reading.prior_mean, reading.prior_std),
         "data alone": (reading.data, reading.data_std),
@@ -207,9 +206,7 @@ def _note(result: Result, name: str, factor: float) -> str:
 
 def show_uncertainty(found: IdentificationRun) -> None:
     """Print the intervals side by side, local, profile and posterior, and what is to be known of them."""
-    there = found.uncertainty
-    if there is None:
-        return
+    there = found.assessment
     out = console()
     if there.profiles or there.posterior is not None:
         out.print()
@@ -221,7 +218,7 @@ def show_uncertainty(found: IdentificationRun) -> None:
         out.print("[bold red]Interrupted: this is what there is[/]")
 
 
-def _intervals(out: Console, found: IdentificationRun, there: Uncertainty) -> Table:
+def _intervals(out: Console, found: IdentificationRun, there: Assessment) -> Table:
     limits, posterior = there.intervals(found.result), there.posterior
     kinds = list(dict.fromkeys(limits.columns.get_level_values(0)))
     columns: dict[str, list[str]] = {"parameter": list(found.result.names)}
@@ -234,7 +231,7 @@ def _intervals(out: Console, found: IdentificationRun, there: Uncertainty) -> Ta
         columns["posterior mean"] = [with_std(mean, std) for mean, std in pairs]
     columns["unit"] = list(map(unit_text, found.unit_of.values()))
     columns = _narrowed(out, columns, ("unit", "posterior mean"))
-    return _filled(columns, title=f"Intervals at {100 * found.level:.4g} %")
+    return _filled(columns, title=f"Intervals at {100 * found.assessment.level:.4g} %")
 
 
 def _interval(lower: float, upper: float, value: float) -> str:
