@@ -99,9 +99,8 @@ class Isolation:
     Examples
     --------
     >>> coil = fmuid.datasets.coil()
-    >>> with fmuid.System(coil.fmu, isolation=fmuid.Isolation(time_limit=10.0)) as system:
-    ...     values = fmuid.Simulator(system, coil.experiment, ["R"])([4.0])
-    >>> values.shape
+    >>> system = fmuid.System(coil.fmu, isolation=fmuid.Isolation(time_limit=10.0))
+    >>> fmuid.Simulator(system, coil.experiment, ["R"])([4.0]).shape
     (200, 1)
     """
 
@@ -121,6 +120,7 @@ AS_OFFERED = Numerics()
 """All defaults."""
 
 
+@dataclass(frozen=True, eq=False, init=False)
 class Component:
     """An FMU in a system, and how it is run there.
 
@@ -137,9 +137,12 @@ class Component:
     'A'
     """
 
+    fmu: FMU
+    numerics: Numerics
+
     def __init__(self, fmu: FMU | str | Path, numerics: Numerics = AS_OFFERED) -> None:
-        self.fmu = fmu if isinstance(fmu, FMU) else FMU(fmu)
-        self.numerics = numerics
+        object.__setattr__(self, "fmu", fmu if isinstance(fmu, FMU) else FMU(fmu))
+        object.__setattr__(self, "numerics", numerics)
         offered = self.fmu.description.interfaces
         if self.kind not in offered:
             raise InputError(f"{self.fmu.path} offers no {self.kind} interface; it offers {', '.join(offered)}")

@@ -19,7 +19,7 @@ from fmuid.data.experiment import Experiment
 from fmuid.errors import FmuidError, InputError, SimulationError
 from fmuid.models.component import Isolation, Numerics
 from fmuid.models.system import System
-from fmuid.simulation.executor import executor_of
+from fmuid.simulation.executor_pool import executor_of
 from fmuid.simulation.isolation.host import FmuHost
 from fmuid.simulation.sensitivities import derivatives_of
 from fmuid.simulation.simulator import Simulator
@@ -136,7 +136,7 @@ def test_a_crash_after_a_simulation_costs_none(folder: Path, where: Where) -> No
     for each in (some, some * [1, 1, 0] + [0, 0, Mode.SEGFAULT]):
         simulator = Simulator(misbehaving_fmu(folder), RECORD, NAMES, values={"where": where}, isolation=Isolation())
         found = simulator.many(each)
-        simulator.system.close()
+        simulator.close()
         assert found.errors == (None,) * len(each)
         assert np.abs(found.outputs - expected(folder, each)).max() < 1e-14
 
@@ -235,7 +235,7 @@ def test_recycling_bounds_the_memory_of_an_fmu_that_leaks(folder: Path, monkeypa
     gc.collect()  # what other tests have left is not counted
     sizes.clear()
     plain(some[:1] * [1.0, 1.0, 0.0])
-    plain.system.close()
+    plain.close()
     assert np.array_equal(simulator(some), expected(folder, some))
     (one, without), *leaked = sizes
     assert [one, *(simulations for simulations, _ in leaked)] == [1] + 6 * [10]

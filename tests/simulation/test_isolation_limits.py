@@ -21,7 +21,7 @@ from fmuid.errors import FmuidError, InputError
 from fmuid.models.component import Isolation
 from fmuid.processes.ends import REFUSED, HostExitError
 from fmuid.processes.limits import Footprint, family
-from fmuid.simulation.executor import executor_of
+from fmuid.simulation.executor_pool import executor_of
 from fmuid.simulation.isolation.host import end_words
 from fmuid.simulation.simulator import Simulator
 from tests.support.isolated import (
@@ -111,7 +111,7 @@ def test_processes_that_are_refused_what_they_need_every_time_do_what_they_can(f
 def test_what_the_system_refuses_this_process_is_one_sentence(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     simulator = Simulator(misbehaving_fmu(folder), RECORD, NAMES, isolation=Isolation())
     simulator([2.0, 0.5, 0.0])
-    simulator.system.close()
+    simulator.close()
     files = psutil.Process().num_fds()
 
     def refuse(*_: object) -> None:
@@ -179,7 +179,7 @@ def test_what_has_left_its_session_ends_too(folder: Path, how: str) -> None:
     escaped = left_behind(simulator, folder, Mode.ESCAPE)
     assert [os.getsid(process.pid) == os.getsid(process.ppid()) for process in escaped] == [False]
     if how == "closed":
-        simulator.system.close()
+        simulator.close()
     else:
         simulator.many([[1.0, 1.0, Mode.ABORT]])
     _, left = psutil.wait_procs(escaped, timeout=600)
