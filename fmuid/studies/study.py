@@ -162,7 +162,7 @@ class Study(HtmlTableMixin):
     def _of(cls, data: dict[str, Any], path: Path, file: str, isolated: bool) -> Study:
         top = SectionLocation(file, path.parent)
         words = StudyFile.read(data, top)
-        isolation = words.isolation.settings()  # checked also where it is not asked for
+        isolation = words.isolation  # checked also where it is not asked for
         model = replace(words.model.settings(), isolation=isolation if isolated else None)
         experiments = named(words.experiments, top)
         known = ParameterReader(top, model.values).read(

@@ -152,7 +152,9 @@ linux = pytest.mark.skipif(sys.platform != "linux", reason="only Linux tells")
 @pytest.mark.parametrize("mode", [Mode.SHARE, Mode.BROOD])
 def test_memory_that_is_shared_or_that_of_children_counts(folder: Path, mode: Mode) -> None:
     words = "its process took more than 300 MB and was stopped"
-    check_costs_only_its_own(misbehaving_fmu(folder), thetas(mode), words, Isolation(time_limit=600.0, memory=300.0))
+    check_costs_only_its_own(
+        misbehaving_fmu(folder), thetas(mode), words, Isolation(time_limit=600.0, memory_limit_mb=300.0)
+    )
 
 
 @pytest.mark.slow
