@@ -6,14 +6,14 @@ A model of the noise taken from the new record would whiten the fault away with 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
 
 from fmuid.array_types import Floats, Indices
 from fmuid.data import Experiment
-from fmuid.estimation import Autoregression, autoregression, innovations_matrix, output_series
+from fmuid.estimation import Autoregression, NoiseModel, OutputSeries, common_process, output_series
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,21 +46,16 @@ class Whitening:
         variances : mapping of str to float, optional
             Of the outputs whose noise is given: they keep their variance, and have the residual's correlation.
         """
-        models = {}
-        outputs = dict.fromkeys(name for experiment, _ in records for name in experiment.output_names)
-        for name in outputs:
-            placed = [_placed(experiment, residual, name) for experiment, residual in records]
-            whole = np.concatenate([np.append(each, np.nan) for each in placed])  # a gap between records
-            found = autoregression(whole, np.isfinite(whole))
-            if variances is not None and name in variances:
-                found = replace(found, variance=variances[name] / found.gain)
-            models[name] = found
-        return cls(models)
+        parts: dict[str, list[tuple[OutputSeries, Floats]]] = {}
+        for experiment, residual in records:
+            for series in output_series([experiment], experiment.output_names):
+                j = experiment.output_names.index(series.output)
+                parts.setdefault(series.output, []).append((series, residual[experiment.counted[:, j], j]))
+        return cls({name: common_process(own, (variances or {}).get(name)) for name, own in parts.items()})
 
     def std(self, output: str) -> float:
         """Return the standard deviation of an output's noise."""
-        model = self.models[output]
-        return float((model.variance * model.gain) ** 0.5)
+        return self.models[output].std
 
     def __call__(self, experiment: Experiment, columns: Floats) -> Floats:
         """Return the innovations of columns (K, n_outputs, m) at the counted samples, in units of their std (n, m).
@@ -72,19 +67,9 @@ class Whitening:
     def of_outputs(self, experiment: Experiment, columns: Floats) -> Iterator[tuple[Indices, Floats]]:
         """Yield the same of one output after the other, with the rows of the record that they belong to."""
         for series in output_series([experiment], experiment.output_names):
-            model = self.models[series.output]
             j = experiment.output_names.index(series.output)
             rows = np.flatnonzero(experiment.counted[:, j])
-            yield rows, innovations_matrix(model, series.places) @ columns[rows, j] / self.std(series.output)
-
-
-def _placed(experiment: Experiment, residual: Floats, name: str) -> Floats:
-    """Return one output's residual on the grid of its samples, NaN between them; empty where it has none."""
-    for series in output_series([experiment], experiment.output_names):
-        if series.output == name:
-            j = experiment.output_names.index(name)
-            return series.on_grid(residual[experiment.counted[:, j], j])
-    return np.zeros(0)
+            yield rows, NoiseModel(series, self.models[series.output]).whiten(columns[rows, j])
 
 
 class Linearized(Protocol):

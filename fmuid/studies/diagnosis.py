@@ -20,7 +20,8 @@ from fmuid.models import System
 from fmuid.studies.arrays import by_element, check_shapes
 from fmuid.studies.model import ModelSection, ParsedModel
 from fmuid.studies.parameters import ParsedParameters, PriorSource
-from fmuid.studies.section import (
+from fmuid.studies.section import StudySection, word
+from fmuid.studies.value_kinds import (
     BY_SHAPE,
     TABLE_TAG,
     VALUE_TAG,
@@ -33,12 +34,10 @@ from fmuid.studies.section import (
     Number,
     Positive,
     Share,
-    StudySection,
     Text,
     Texts,
     ValueKind,
     must_be,
-    word,
 )
 
 if TYPE_CHECKING:
