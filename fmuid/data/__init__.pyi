@@ -19,13 +19,11 @@ from .losses import robust_variance as robust_variance
 from .measured_series import MeasuredSeries as MeasuredSeries
 from .measured_series import measured_series as measured_series
 from .noise import Noise as Noise
-from .noise_levels import NoiseLevels as NoiseLevels
-from .noise_levels import noise_levels as noise_levels
+from .noise import NoiseLevels as NoiseLevels
+from .noise import noise_levels as noise_levels
 from .npz import read_arrays as read_arrays
 from .npz import write_arrays as write_arrays
 from .parameter_estimate import ParameterEstimate as ParameterEstimate
-from .parameters import JointPrior as JointPrior
-from .parameters import Normal as Normal
 from .parameters import Parameter as Parameter
 from .parameters import ParameterSet as ParameterSet
 from .predictors import ArrayMeasurements as ArrayMeasurements
@@ -38,6 +36,8 @@ from .preprocessing import TRENDS as TRENDS
 from .preprocessing import ParkTransform as ParkTransform
 from .preprocessing import Preprocessing as Preprocessing
 from .preprocessing import preprocess as preprocess
+from .priors import JointPrior as JointPrior
+from .priors import Normal as Normal
 from .readers.text import first_lines as first_lines
 from .readers.text import head_length as head_length
 from .signals import concordia_transform as concordia_transform

@@ -8,8 +8,8 @@ from numpy.typing import NDArray
 
 from fmuid import identify
 from fmuid.array_types import Floats
+from fmuid.data import JointPrior, Normal, Parameter
 from fmuid.data.noise import Noise
-from fmuid.data.parameters import JointPrior, Normal, Parameter
 from fmuid.data.predictors import ArrayMeasurements
 from fmuid.errors import InputError, SimulationError
 from fmuid.estimation.cost_function import prepare

@@ -10,8 +10,8 @@ from scipy.optimize import minimize
 from scipy.stats import norm
 
 from fmuid.array_types import Floats
+from fmuid.data import Normal, Parameter
 from fmuid.data.noise import Noise
-from fmuid.data.parameters import Normal, Parameter
 from fmuid.data.predictors import ArrayMeasurements
 from fmuid.estimation import identification
 from fmuid.estimation.identification import identify

@@ -11,8 +11,8 @@ from numpy.typing import ArrayLike
 
 import fmuid
 from fmuid.array_types import Floats
+from fmuid.data import JointPrior, Normal, Parameter
 from fmuid.data.noise import Noise
-from fmuid.data.parameters import JointPrior, Normal, Parameter
 from fmuid.data.predictors import ArrayMeasurements
 from fmuid.errors import InputError
 from fmuid.estimation.covariance import UNDETERMINED_STD, ActiveBound, Identifiability, local_covariance

@@ -11,9 +11,9 @@ import pandas as pd
 import pytest
 
 from fmuid.array_types import Floats
+from fmuid.data import Normal, Parameter
 from fmuid.data.experiment import Experiment
 from fmuid.data.noise import Noise
-from fmuid.data.parameters import Normal, Parameter
 from fmuid.data.predictors import ArrayMeasurements, FunctionPredictor
 from fmuid.errors import InputError
 from fmuid.estimation.identification import identify

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 import pytest
 
+from fmuid.data import Normal, Parameter
 from fmuid.data.noise import Noise
-from fmuid.data.parameters import Normal, Parameter
 from fmuid.data.predictors import ArrayMeasurements, FunctionPredictions
 from fmuid.errors import InputError
 from fmuid.estimation.problem import LeastSquares
