@@ -9,6 +9,8 @@ from .data_file import read_data as read_data
 from .data_file import record_files as record_files
 from .data_file import tables_in as tables_in
 from .experiment import Experiment as Experiment
+from .experiment import MeasuredSeries as MeasuredSeries
+from .experiment import measured_series as measured_series
 from .filters import dropouts as dropouts
 from .filters import missing_rows as missing_rows
 from .interpolation import INTERPOLATIONS as INTERPOLATIONS
@@ -16,8 +18,6 @@ from .losses import LOSSES as LOSSES
 from .losses import Loss as Loss
 from .losses import get_loss as get_loss
 from .losses import robust_variance as robust_variance
-from .measured_series import MeasuredSeries as MeasuredSeries
-from .measured_series import measured_series as measured_series
 from .noise import Noise as Noise
 from .noise import NoiseLevels as NoiseLevels
 from .noise import noise_levels as noise_levels
@@ -26,10 +26,8 @@ from .npz import write_arrays as write_arrays
 from .parameter_estimate import ParameterEstimate as ParameterEstimate
 from .parameters import Parameter as Parameter
 from .parameters import ParameterSet as ParameterSet
-from .predictors import ArrayMeasurements as ArrayMeasurements
 from .predictors import FunctionPredictions as FunctionPredictions
 from .predictors import FunctionPredictor as FunctionPredictor
-from .predictors import Measurements as Measurements
 from .predictors import Predictor as Predictor
 from .preprocessing import FILLS as FILLS
 from .preprocessing import TRENDS as TRENDS

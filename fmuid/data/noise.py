@@ -13,7 +13,6 @@ from fmuid.array_types import Floats, Indices
 from fmuid.data.clock import column_of, missing_column
 from fmuid.data.data_file import UNITS, numeric_column
 from fmuid.data.experiment import Experiment
-from fmuid.data.predictors import Measurements
 from fmuid.errors import InputError
 from fmuid.formatting import nearest
 from fmuid.units import parse_unit
@@ -230,7 +229,7 @@ class NoiseLevels:
         return found
 
 
-def noise_levels(noise: Noise, experiments: Sequence[Measurements], outputs: Sequence[str]) -> NoiseLevels:
+def noise_levels(noise: Noise, experiments: Sequence[Experiment], outputs: Sequence[str]) -> NoiseLevels:
     """Return the noise of all counted samples, experiment by experiment, sample by sample.
 
     Raises
@@ -264,9 +263,7 @@ def noise_levels(noise: Noise, experiments: Sequence[Measurements], outputs: Seq
     return NoiseLevels(np.where(given, share, math.nan), noise.first(outputs), scale, share, pools)
 
 
-def _variances(
-    noise: Noise, experiments: Sequence[Measurements], experiment: Measurements, output: str
-) -> tuple[Any, str]:
+def _variances(noise: Noise, experiments: Sequence[Experiment], experiment: Experiment, output: str) -> tuple[Any, str]:
     """Return the variance of an output's samples in an experiment, of weights their proportions, and the form."""
     own = noise.experiments.get(experiment.name, Noise())
     word, level = own.form(output)
@@ -285,7 +282,7 @@ def _variances(
         return (values**2 if word == "std" else 1.0 / values), word
 
 
-def _spread(experiments: Sequence[Measurements], output: str) -> float:
+def _spread(experiments: Sequence[Experiment], output: str) -> float:
     """Return the standard deviation of the counted samples of an output about their mean."""
     columns = [each.output_names.index(output) for each in experiments]
     parts = [each.output_values[:, j][each.counted[:, j]] for each, j in zip(experiments, columns, strict=True)]
@@ -298,14 +295,14 @@ def _spread(experiments: Sequence[Measurements], output: str) -> float:
     return spread
 
 
-def _samples(experiment: Measurements, output: str, word: str, level: str | tuple[float, ...]) -> Floats:
+def _samples(experiment: Experiment, output: str, word: str, level: str | tuple[float, ...]) -> Floats:
     """Return the standard deviations or weights (K,) of an output's samples."""
     counted = experiment.counted[:, experiment.output_names.index(output)]
     what = f"noise.{word} of output {output!r}"
     if isinstance(level, str):
-        if isinstance(experiment, Experiment) and not experiment.measured:
+        if not experiment.measured:
             return np.full(len(counted), math.nan)
-        values, where = _column(experiment, output, what, level, convert=word == "std")
+        values, where = _column(experiment, output, level, convert=word == "std")
     else:
         values, where = np.array(level), what
         if values.size != len(counted):
@@ -322,10 +319,8 @@ def _samples(experiment: Measurements, output: str, word: str, level: str | tupl
     return np.where(counted, values, 1.0)
 
 
-def _column(experiment: Measurements, output: str, what: str, column: str, *, convert: bool) -> tuple[Floats, str]:
+def _column(experiment: Experiment, output: str, column: str, *, convert: bool) -> tuple[Floats, str]:
     """Return a column of an experiment's table, in the unit of the output's, and what messages call it."""
-    if not isinstance(experiment, Experiment):
-        raise InputError(f"{what} is the column {column!r}, and there is no table: give its values")
     frame, source = experiment.frame, experiment.source
     name = column_of([str(each) for each in frame.columns], column) or column
     if name not in frame.columns:
@@ -360,7 +355,7 @@ def _is_pooled(noise: Noise, output: str, forms: Sequence[str]) -> bool:
 
 
 def _proportions(
-    experiments: Sequence[Measurements], levels: Sequence[Sequence[Any]], outputs: Sequence[str]
+    experiments: Sequence[Experiment], levels: Sequence[Sequence[Any]], outputs: Sequence[str]
 ) -> tuple[Floats, Floats | None]:
     """Return the mean variance of each output (n_outputs,), and the square roots of the samples' shares of it (n,).
 
