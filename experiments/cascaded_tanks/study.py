@@ -17,6 +17,7 @@ import pandas as pd
 import fmuid
 from experiments import pages
 from fmuid.export import export_fmu
+from fmuid.reports.documents import document
 
 HERE = Path(__file__).parent
 
@@ -65,7 +66,7 @@ def table(folder: Path) -> str:
         found = fmuid.run_study(folder / f"{name}.toml", folder / name)
         print(name, fmuid.describe(found.result), found.result.to_frame(), sep="\n")
     compared = fmuid.run_comparison([folder / name for name in MODELS], [folder / "second.csv"])
-    print(compared.table, *compared.words, sep="\n")
+    print(compared.table, *(each.text for each in document(compared).remarks), sep="\n")
     rows = compared.table.set_index("name")
     heads = "| model | k | RMSE of the first record | AIC behind | RMSE of the second record |"
     lines = [heads, "|---|---|---|---|---|"]

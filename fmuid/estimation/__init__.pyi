@@ -35,9 +35,9 @@ from .method import Method as Method
 from .model_sensitivities import SENSITIVITIES as SENSITIVITIES
 from .model_sensitivities import SensitivityMethod as SensitivityMethod
 from .noise.autoregression import Autoregression as Autoregression
-from .noise.autoregression import autoregression as autoregression
 from .noise.model import NoiseModel as NoiseModel
-from .noise.model import innovations_matrix as innovations_matrix
+from .noise.model import common_process as common_process
+from .noise.output_series import OutputSeries as OutputSeries
 from .noise.output_series import output_series as output_series
 from .noise.output_series import table_grid as table_grid
 from .noise.sample_grid import Rows as Rows

@@ -1,8 +1,6 @@
 from .apply import AppliedValue as AppliedValue
 from .apply import apply_result as apply_result
 from .apply import write_estimates as write_estimates
-from .batch_tables import write_overview as write_overview
-from .batch_tables import write_summary as write_summary
 from .comparisons import ComparisonRun as ComparisonRun
 from .comparisons import estimate_rows as estimate_rows
 from .comparisons import run_comparison as run_comparison
@@ -16,7 +14,6 @@ from .figure_files import clear_figures as clear_figures
 from .follow import FollowStatus as FollowStatus
 from .follow import run_following as run_following
 from .identification_run import IdentificationRun as IdentificationRun
-from .messages.batch import summary_words as summary_words
 from .messages.describe import describe as describe
 from .messages.diagnosis import healthy_record_words as healthy_record_words
 from .page.write import draw_simulation as draw_simulation

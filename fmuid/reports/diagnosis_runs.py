@@ -28,7 +28,7 @@ from fmuid.runs import build_monitor, records_of, rule_of
 from fmuid.studies import ExperimentSettings, Study
 
 RESIDUALS_FILE = "diagnosis-residuals.csv"
-"""Residuals of the first experiment, of the healthy model and with the fault."""
+"""Residuals of the first experiment, of the healthy machine and with what is named."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -256,7 +256,7 @@ def _units(study: Study) -> dict[str, str | None]:
 
 
 def _written(folder: Path, study: Study, found: Diagnosis) -> list[Path]:
-    """Write a diagnosis and, where it has them, the residuals without and with the fault that explains most."""
+    """Write a diagnosis and, where something is named, the residuals without and with it."""
     done = prepared(study)
     content = {"verdict": verdict(found), **found.to_json_dict(), **made_from(study)}
     content |= {"units": _units(study), "experiments": said_of(done)}
@@ -264,23 +264,10 @@ def _written(folder: Path, study: Study, found: Diagnosis) -> list[Path]:
     written.append(files.write_table(folder / "diagnosis.csv", found.table))
     written += write_prepared(folder / PREPARED_FILE, (each.table for each in done))
     path = folder / RESIDUALS_FILE
-    best = found[found.named[0]] if found.named else min(found.hypotheses, key=lambda each: each.probability)
-    if found.result is None or best.result is None:
+    if found.residuals is None or not found.evidence.explanations:
         path.unlink(missing_ok=True)
         return written
-    columns = {"time": found.result.fit[0]["time"]}
-    for kind, frame in (("healthy", found.result.fit[0]), ("fault", best.result.fit[0])):
-        for output, unlike in zip(study.tables[0].output_names, residuals_of(frame), strict=True):
-            columns[f"{kind}.{output}"] = unlike
-    return [*written, files.write_table(path, pd.DataFrame(columns))]
-
-
-def residuals_of(frame: pd.DataFrame) -> list[pd.Series[float]]:
-    """Return measured − simulated of each output of a result's fit, whatever its name in this model."""
-    kinds = (
-        [str(name) for name in frame.columns if str(name).startswith(each)] for each in ("measured.", "simulated.")
-    )
-    return [frame[measured] - frame[simulated] for measured, simulated in zip(*kinds, strict=True)]
+    return [*written, files.write_table(path, found.residuals)]
 
 
 def _tell(progress: Progress | None, found: DiagnosisRun | MonitoringRun) -> None:

@@ -44,11 +44,11 @@ def build_monitor(study: Study, rule: Rule) -> Monitor:
         If the study has none, or models and healthy result do not fit together.
     """
     settings = study.fault_search
-    hypotheses = settings.hypotheses(study.system, study.model, study.data)
+    faults = settings.fault_models(study.system, study.model, study.data)
     try:
         return Monitor(
             _healthy(study),
-            hypotheses,
+            faults,
             study.system,
             rule,
             settings.causes,
@@ -97,7 +97,7 @@ def shown_by(study: Study) -> Callable[[Result], StoredBaseline] | None:
     for name, parameter in study.parameters.items():
         if parameter.per_experiment:
             raise InputError(f"{settings.where}: {name} is one per experiment, which does not go with a diagnosis")
-    faults = settings.hypotheses(study.system, study.model, study.data)
+    faults = settings.fault_models(study.system, study.model, study.data)
     variance = study.noise.given_variance()
 
     def shown(result: Result) -> StoredBaseline:

@@ -10,7 +10,7 @@ import pandas as pd
 import pytest
 from bokeh.models import BoxAnnotation, Span
 
-from fmuid.diagnosis.cause_results import CauseScore, ChangeEvidence, EstimatedChange, Explanation
+from fmuid.diagnosis import CauseScore, ChangeEvidence, EstimatedChange, Explanation
 from fmuid.diagnosis.change_detection.unexplained_residual import NOTHING_LEFT
 from fmuid.diagnosis.change_parameters import CauseKind
 from fmuid.diagnosis.monitoring.alarms import Alarm
@@ -18,60 +18,8 @@ from fmuid.files import as_json
 from tests.support.live_figures import diagnosis
 
 
-class Size:
-    """Of a fault, as far as figures look at it."""
-
-    unit, std = "Ohm", 0.1
-
-    def __init__(self, name: str, value: float) -> None:
-        self.name, self.value = name, value
-
-    def interval(self) -> tuple[float, float]:
-        return self.value - 0.2, self.value + 0.2
-
-
-class Fault:
-    """A hypothesis, as far as figures look at it."""
-
-    def __init__(self, name: str, statistic: float, probability: float) -> None:
-        self.name, self.statistic, self.threshold = name, statistic, 6.6
-        self.probability = self.adjusted = probability
-        self.sizes = [Size("dR", 1.0), Size("<b>dL</b>", -0.3)]
-
-
-class Found:
-    """A diagnosis, as far as figures look at it."""
-
-    hypotheses = tuple(Fault(f"f{k}", 0.01 if k == 5 else 2.0 * k, 1.0 / (k + 1)) for k in range(20))
-    named, called, level = ("f19",), ("f18", "f19"), 0.01
-
-
 def marks(plot: Any, kind: type) -> list[Any]:
     return [each for each in plot.center if isinstance(each, kind)]
-
-
-def test_evidence() -> None:
-    """The most significant faults stand in their order, the one named apart; each has its threshold."""
-    plot = diagnosis.evidence(Found())
-    assert plot.y_range.factors == [f"f{k}" for k in range(19, 7, -1)]
-    bars = {
-        name: right
-        for each in plot.renderers
-        if type(each.glyph).__name__ == "HBar"
-        for name, right in zip(each.data_source.data["name"], each.data_source.data["d"], strict=True)
-    }
-    assert bars == {f"f{k}": 2.0 * k for k in range(8, 20)}
-    assert plot.x_range.start == diagnosis.LEAST_STATISTIC
-    assert len({str(each.glyph.fill_color) for each in plot.renderers if type(each.glyph).__name__ == "HBar"}) == 3
-
-
-def test_sizes_show_zero() -> None:
-    """Whether an interval holds it is what is to be seen."""
-    first, *others = diagnosis.sizes(Found())
-    assert len(others) == diagnosis.MAX_FAULTS - 1
-    assert first.y_range.factors == ["<b>dL</b> (Ohm)", "dR (Ohm)"]
-    assert first.x_range.start < -0.5 < 0 < 1.2 < first.x_range.end
-    assert [each.location for each in marks(first, Span)] == [0.0]
 
 
 @pytest.fixture

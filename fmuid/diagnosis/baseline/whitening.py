@@ -6,13 +6,14 @@ A model of the noise taken from the new record would whiten the fault away with 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 
 from fmuid.array_types import Floats, Indices
 from fmuid.data import Experiment
-from fmuid.estimation import Autoregression, autoregression, innovations_matrix, output_series
+from fmuid.estimation import Autoregression, NoiseModel, OutputSeries, common_process, output_series
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,21 +46,16 @@ class Whitening:
         variances : mapping of str to float, optional
             Of the outputs whose noise is given: they keep their variance, and have the residual's correlation.
         """
-        models = {}
-        outputs = dict.fromkeys(name for experiment, _ in records for name in experiment.output_names)
-        for name in outputs:
-            placed = [_placed(experiment, residual, name) for experiment, residual in records]
-            whole = np.concatenate([np.append(each, np.nan) for each in placed])  # a gap between records
-            found = autoregression(whole, np.isfinite(whole))
-            if variances is not None and name in variances:
-                found = replace(found, variance=variances[name] / found.gain)
-            models[name] = found
-        return cls(models)
+        parts: dict[str, list[tuple[OutputSeries, Floats]]] = {}
+        for experiment, residual in records:
+            for series in output_series([experiment], experiment.output_names):
+                j = experiment.output_names.index(series.output)
+                parts.setdefault(series.output, []).append((series, residual[experiment.counted[:, j], j]))
+        return cls({name: common_process(own, (variances or {}).get(name)) for name, own in parts.items()})
 
     def std(self, output: str) -> float:
         """Return the standard deviation of an output's noise."""
-        model = self.models[output]
-        return float((model.variance * model.gain) ** 0.5)
+        return self.models[output].std
 
     def __call__(self, experiment: Experiment, columns: Floats) -> Floats:
         """Return the innovations of columns (K, n_outputs, m) at the counted samples, in units of their std (n, m).
@@ -71,16 +67,47 @@ class Whitening:
     def of_outputs(self, experiment: Experiment, columns: Floats) -> Iterator[tuple[Indices, Floats]]:
         """Yield the same of one output after the other, with the rows of the record that they belong to."""
         for series in output_series([experiment], experiment.output_names):
-            model = self.models[series.output]
             j = experiment.output_names.index(series.output)
             rows = np.flatnonzero(experiment.counted[:, j])
-            yield rows, innovations_matrix(model, series.places) @ columns[rows, j] / self.std(series.output)
+            yield rows, NoiseModel(series, self.models[series.output]).whiten(columns[rows, j])
 
 
-def _placed(experiment: Experiment, residual: Floats, name: str) -> Floats:
-    """Return one output's residual on the grid of its samples, NaN between them; empty where it has none."""
-    for series in output_series([experiment], experiment.output_names):
-        if series.output == name:
-            j = experiment.output_names.index(name)
-            return series.on_grid(residual[experiment.counted[:, j], j])
-    return np.zeros(0)
+class Linearized(Protocol):
+    """A machine over a record, with its derivatives."""
+
+    experiment: Experiment
+
+    def linearise(self, point: Floats) -> tuple[Floats, Floats]:
+        """Return the outputs (K, n_outputs) at a point (N,), and their derivatives (K, n_outputs, N)."""
+        raise NotImplementedError
+
+
+def whitening_of(
+    records: Sequence[Linearized], point: Floats, width: Floats, variances: Mapping[str, float] | None = None
+) -> Whitening:
+    """Return the noise of records, by what is left of them beside all coordinates.
+
+    Parameters
+    ----------
+    records : sequence of LinearizedMachine
+        Over the records.
+    point : (N,) array
+        Where they are linearised.
+    width : (N,) array
+        Standard deviation of what each coordinate may be off from there.
+    variances : mapping of str to float, optional
+        Of outputs whose noise is given.
+    """
+    residuals = []
+    for record in records:
+        outputs, columns = record.linearise(point)
+        experiment = record.experiment
+        rest = np.where(experiment.counted, experiment.output_values - outputs, 0.0)
+        flat = columns[experiment.counted] * width
+        # held by springs of its width in units of the residual itself
+        scale = max(float(np.std(rest[experiment.counted])), np.finfo(float).tiny)
+        stacked = np.vstack([flat / scale, np.eye(flat.shape[1])])
+        target = np.concatenate([rest[experiment.counted] / scale, np.zeros(flat.shape[1])])
+        taken = columns @ (np.linalg.lstsq(stacked, target, rcond=None)[0] * width)
+        residuals.append((experiment, np.where(experiment.counted, rest - taken, 0.0)))
+    return Whitening.of(residuals, variances)

@@ -20,9 +20,9 @@ import numpy as np
 import pandas as pd
 
 from fmuid.data import read_arrays, write_arrays
-from fmuid.diagnosis.cause_results import Explanation
+from fmuid.diagnosis.cause_results import reader
 from fmuid.diagnosis.change_detection.onset_tracker import OnsetTracker
-from fmuid.diagnosis.monitoring.alarms import Alarm, onset_of_json
+from fmuid.diagnosis.monitoring.alarms import Alarm
 from fmuid.diagnosis.monitoring.window_evaluation import MonitorState, WatchedRecord
 from fmuid.errors import InputError
 from fmuid.files import as_json, first_line, is_file, note, with_formulas, without_formulas, write_json
@@ -258,8 +258,8 @@ def _count(given: Any) -> int:
 
 
 def _alarm(data: Mapping[str, Any]) -> Alarm:
-    explanations = tuple(map(Explanation.of_json, data["explanations"]))
-    return Alarm(**{**data, "onset": onset_of_json(data["onset"]), "explanations": explanations, "trend": None})
+    found: Alarm = reader(Alarm).validate_python({**data, "trend": None})
+    return found
 
 
 def _table(path: Path, length: int, count: int, most: int | None) -> pd.DataFrame:

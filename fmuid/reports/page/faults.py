@@ -7,11 +7,11 @@ from typing import Any
 
 import pandas as pd
 
-from fmuid.diagnosis import ChangeEvidence, Diagnosis
+from fmuid.diagnosis import Diagnosis
 from fmuid.errors import InputError
 from fmuid.files import is_file
 from fmuid.reports.interactive import diagnosis
-from fmuid.reports.messages.diagnosis import diagnosis_words, explanation_words, faults_columns
+from fmuid.reports.messages.diagnosis import causes_columns, change_name, diagnosis_words, explanation_words
 from fmuid.reports.page import preparation
 from fmuid.reports.page.contents import read_table
 from fmuid.reports.page.document import Part, Section, table
@@ -21,11 +21,6 @@ from fmuid.reports.page.verdict import ReportStatement
 
 PREPARED_FILE, MONITORED_FILE = "diagnosis-preparation.csv", "monitoring-preparation.csv"
 """What was done with the tables of a diagnosis, and of a monitoring, as in ``preparation.csv``."""
-EVIDENCE = (
-    "Each bar is how much better a fault explains the data than the healthy machine does. Beyond its threshold it is "
-    "significant: without a fault that happens with the false-alarm level."
-)
-SIZES = "Each fault's sizes with their intervals of 95 %. Where one holds zero there is no fault; the one named is red."
 RESIDUAL = (
     "What the healthy model leaves unexplained, and what is left with the fault. With the right fault only noise stays."
 )
@@ -55,16 +50,15 @@ def part_of_diagnosis(folder: Path) -> Part:
     content = read_json(folder / "diagnosis.json")
     units = content.get("units") or {}
     first, *others = diagnosis_words(found)
-    proof = "evidence" if found.evidence is None else "causes"
-    said = [ReportStatement(first, proof), *(ReportStatement(text, "sizes", doubtful=True) for text in others)]
+    said = [ReportStatement(first, "causes"), *(ReportStatement(text, "changes", doubtful=True) for text in others)]
     sections = sections_of(found)
     residuals = folder / "diagnosis-residuals.csv"
     if is_file(residuals):
-        best = found.named[0] if found.named else min(found.hypotheses, key=lambda each: each.probability).name
+        best = " and ".join(change_name(each) for each in found.evidence.explanations[0].changes)
         drawn = [diagnosis.residuals(read_table(residuals), best, units)]
         sections.append(Section("explained", "What the fault explains", RESIDUAL, drawn, 1))
     sections += _prepared(folder / PREPARED_FILE, content, "prepared")
-    return Part("Diagnosis", found.kind, found.kind == "healthy", said, faults_table(found), sections, origin(content))
+    return Part("Diagnosis", found.kind, found.kind == "healthy", said, causes_table(found), sections, origin(content))
 
 
 def _prepared(path: Path, content: dict[str, Any], name: str) -> list[Section]:
@@ -74,32 +68,27 @@ def _prepared(path: Path, content: dict[str, Any], name: str) -> list[Section]:
 
 def sections_of(found: Diagnosis) -> list[Section]:
     """Return the sections of a page on a diagnosis."""
+    evidence = found.evidence
+    odds = table(
+        {
+            "explanation": [explanation_words(each) for each in evidence.explanations],
+            "odds against the best": [f"{each.odds:.2g}" for each in evidence.explanations],
+        },
+        numbers=["odds against the best"],
+    )
+    body = odds if evidence.explanations else ""
     sections = [
-        *([] if found.evidence is None else _causes(found.evidence)),
-        Section("evidence", "What decides", EVIDENCE, [diagnosis.evidence(found)], 1),
-        Section("sizes", "Sizes of the faults", SIZES, diagnosis.sizes(found), 2),
+        Section("causes", "What may be new", CAUSES, [diagnosis.causes(evidence)], 1, body),
+        Section("changes", "How large it is", CHANGES, diagnosis.changes(evidence), 2),
     ]
     return [each for each in sections if each.figures]
 
 
-def _causes(found: ChangeEvidence) -> list[Section]:
-    odds = table(
-        {
-            "explanation": [explanation_words(each) for each in found.explanations],
-            "odds against the best": [f"{each.odds:.2g}" for each in found.explanations],
-        },
-        numbers=["odds against the best"],
-    )
-    body = odds if found.explanations else ""
-    sections = [Section("causes", "What may be new", CAUSES, [diagnosis.causes(found)], 1, body)]
-    return [*sections, Section("changes", "How large it is", CHANGES, diagnosis.changes(found), 2)]
-
-
-def faults_table(found: Diagnosis) -> str:
-    """Return the table of the faults that were looked for, as HTML."""
-    columns = faults_columns(found)
+def causes_table(found: Diagnosis) -> str:
+    """Return the table of the causes that were looked at, as HTML."""
+    columns = causes_columns(found)
     shown = {head: cells for head, cells in columns.items() if any(cells)}
-    return table(shown, numbers=("value", "interval (95 %)", "D", "threshold", "probability"))
+    return table(shown, numbers=("size", "interval (95 %)", "D", "probability"))
 
 
 def part_of_monitoring(folder: Path) -> Part:
