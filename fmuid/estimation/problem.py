@@ -11,11 +11,10 @@ from numpy.typing import ArrayLike
 
 from fmuid.array_types import Floats, numbers
 from fmuid.data import (
-    ArrayMeasurements,
+    Experiment,
     FunctionPredictor,
     JointPrior,
     MeasuredSeries,
-    Measurements,
     Parameter,
     ParameterSet,
     Predictor,
@@ -43,7 +42,7 @@ class LeastSquares:
     predictors : sequence of Predictor
         One an experiment; the thetas that it takes hold its experiment's values of the parameters, in the order of
         `parameters`.
-    experiments : sequence of Measurements
+    experiments : sequence of Experiment
     parameters : mapping of str to Parameter
     noise : Noise, optional
     joint_prior : JointPrior, optional
@@ -104,7 +103,7 @@ class LeastSquares:
     def __init__(
         self,
         predictors: Sequence[Predictor],
-        experiments: Sequence[Measurements],
+        experiments: Sequence[Experiment],
         parameters: Mapping[str, Parameter],
         *,
         noise: Noise | None = None,
@@ -181,7 +180,7 @@ class LeastSquares:
         clock = np.arange(len(values), dtype=np.float64) if times is None else numbers(times, "times")
         if clock.shape != (len(values),):
             raise InputError(f"times must have {len(values)} values, one a sample; its shape is {clock.shape}")
-        table = ArrayMeasurements("experiment", clock, tuple(outputs), values, ~np.isnan(values))
+        table = Experiment.of_arrays("experiment", clock, tuple(outputs), values, ~np.isnan(values))
         predictor = FunctionPredictor(function, values.shape)
         return LeastSquares([predictor], [table], parameters, noise=noise, joint_prior=joint_prior, loss=loss)
 

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from fmuid.array_types import Flags, Floats, Indices
-from fmuid.data import ArrayMeasurements, FunctionPredictions, Noise, Parameter
+from fmuid.data import Experiment, FunctionPredictions, Noise, Parameter
 from fmuid.errors import FmuidError, InputError
 from fmuid.estimation import LeastSquares, Marquardt, WeakForm, second_difference_noise, sobol_points
 from fmuid.identification.measured_states import MeasuredStates, both_ends, states_from_outputs
@@ -168,7 +168,7 @@ def _fitted(problem: Problem, records: list[_WeakRecord], start: Floats) -> Equa
     if not acting.size or size <= acting.size:
         return None
     scaled = _Scaled(records, start, acting, problem.parameters.scale)
-    table = ArrayMeasurements(
+    table = Experiment.of_arrays(
         "windows", np.arange(size, dtype=np.float64), ("r",), np.zeros((size, 1)), np.ones((size, 1), bool)
     )
     given = scaled.parameters(problem.parameters.lower, problem.parameters.upper)

@@ -8,9 +8,9 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from fmuid.data import Parameter
 from fmuid.data.data_file import read_data
 from fmuid.data.experiment import Experiment
-from fmuid.data.parameters import Parameter
 from fmuid.data.predictors import FunctionPredictor
 from fmuid.errors import InputError
 from fmuid.estimation.global_search.search import GlobalSearch

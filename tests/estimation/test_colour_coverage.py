@@ -18,7 +18,7 @@ from scipy import stats
 from scipy.signal import lfilter
 
 from fmuid.array_types import Floats
-from fmuid.data.parameters import Parameter
+from fmuid.data import Parameter
 from fmuid.estimation.identification import identify
 from fmuid.estimation.problem import LeastSquares
 from fmuid.estimation.result import Result

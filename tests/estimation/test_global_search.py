@@ -10,9 +10,9 @@ import pytest
 from scipy.optimize import minimize_scalar
 
 from fmuid.array_types import Floats
+from fmuid.data import Normal, Parameter
 from fmuid.data.data_file import read_data
 from fmuid.data.noise import Noise
-from fmuid.data.parameters import Normal, Parameter
 from fmuid.errors import InputError
 from fmuid.estimation.cost_components import misfits
 from fmuid.estimation.global_search import search as global_search

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from fmuid.array_types import Floats
-from fmuid.data.parameters import Parameter
+from fmuid.data import Parameter
 from fmuid.errors import InputError
 from fmuid.estimation.identification import identify
 from fmuid.estimation.problem import LeastSquares

@@ -8,20 +8,17 @@ from numpy.typing import NDArray
 
 from fmuid import identify
 from fmuid.array_types import Floats
+from fmuid.data import Experiment, JointPrior, Normal, Parameter
 from fmuid.data.noise import Noise
-from fmuid.data.parameters import JointPrior, Normal, Parameter
-from fmuid.data.predictors import ArrayMeasurements
 from fmuid.errors import InputError, SimulationError
 from fmuid.estimation.cost_function import prepare
 from fmuid.estimation.problem import LeastSquares
 from tests.support.problems import TIMES, Fake, simulate
 
 
-def table(
-    name: str = "run", counted: NDArray[np.bool_] | None = None, values: Floats | None = None
-) -> ArrayMeasurements:
+def table(name: str = "run", counted: NDArray[np.bool_] | None = None, values: Floats | None = None) -> Experiment:
     measured = simulate(1.5, 2.0) if values is None else values
-    return ArrayMeasurements(name, TIMES, ("a", "b"), measured, ~np.isnan(measured) if counted is None else counted)
+    return Experiment.of_arrays(name, TIMES, ("a", "b"), measured, ~np.isnan(measured) if counted is None else counted)
 
 
 def two_runs() -> tuple[LeastSquares, list[Fake]]:
@@ -129,7 +126,7 @@ def without_samples() -> LeastSquares:
 
 
 def without_outputs() -> LeastSquares:
-    empty = ArrayMeasurements("run", TIMES, (), np.zeros((50, 0)), np.zeros((50, 0), dtype=np.bool_))
+    empty = Experiment.of_arrays("run", TIMES, (), np.zeros((50, 0)), np.zeros((50, 0), dtype=np.bool_))
     return LeastSquares([Fake()], [empty], {"k": Parameter(1.0)})
 
 

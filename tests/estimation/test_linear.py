@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from fmuid.array_types import Floats
-from fmuid.data.parameters import Parameter
+from fmuid.data import Parameter
 from fmuid.errors import InputError
 from fmuid.estimation.cost_function import prepare
 from fmuid.estimation.identification import identify

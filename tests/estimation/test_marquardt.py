@@ -8,7 +8,7 @@ import pytest
 from scipy.optimize import curve_fit, lsq_linear
 
 from fmuid.array_types import Floats
-from fmuid.data.parameters import Parameter
+from fmuid.data import Parameter
 from fmuid.errors import InputError
 from fmuid.estimation.cost_function import prepare
 from fmuid.estimation.identification import identify, waypoints

@@ -12,7 +12,7 @@ import pytest
 from scipy import stats
 
 from fmuid.array_types import Floats
-from fmuid.data import ArrayMeasurements, Experiment, FunctionPredictor, Noise, Parameter, robust_variance
+from fmuid.data import Experiment, FunctionPredictor, Noise, Parameter, robust_variance
 from fmuid.data.data_file import UNITS
 from fmuid.errors import InputError
 from fmuid.estimation.cost_components import fitted, misfits
@@ -158,7 +158,7 @@ def several(noise: Noise, names: tuple[str, ...] = ("first", "second")) -> Least
     rng, tables = np.random.default_rng(3), []
     for name, std in zip(names, (0.1, 0.5), strict=True):
         y = (PHI @ TRUTH + std * rng.standard_normal(COUNT))[:, None]
-        tables.append(ArrayMeasurements(name, X, ("y",), y, np.ones_like(y, dtype=np.bool_)))
+        tables.append(Experiment.of_arrays(name, X, ("y",), y, np.ones_like(y, dtype=np.bool_)))
     predictor = FunctionPredictor(lambda p: PHI @ p, (COUNT, 1))
     return LeastSquares([predictor, predictor], tables, PARAMETERS, noise=noise)
 
@@ -224,7 +224,7 @@ def test_bad_columns_are_refused() -> None:
         refused(spoiled(value), where.format(found))
     refused(lambda: recorded(Noise(std="sb")), "run.csv: the noise column 'sb'")
     refused(lambda: recorded(Noise(std="time")), "run.csv: the noise column 'time' is in s, and output 'y' in V")
-    refused(lambda: one(Noise(std="sd")), "noise.std of output 'y' is the column 'sd', and there is no table")
+    refused(lambda: one(Noise(std="sd")), "the noise column 'sd' is missing")
     refused(lambda: one(Noise(std=[1.0, 2.0])), "noise.std of output 'y' has 2 values for 60 samples")
 
 

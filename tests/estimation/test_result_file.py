@@ -10,7 +10,7 @@ from scipy import stats
 from scipy.stats import norm
 
 import fmuid
-from fmuid.data.parameters import Normal, Parameter
+from fmuid.data import Normal, Parameter
 from fmuid.errors import InputError
 from fmuid.estimation.identification import identify
 from fmuid.estimation.result import Result

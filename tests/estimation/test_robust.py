@@ -12,9 +12,9 @@ from scipy.optimize import brentq, least_squares
 import fmuid
 from experiments.induction_machine import make_table
 from fmuid.array_types import Floats
+from fmuid.data import Normal, Parameter
 from fmuid.data.losses import LOSSES, NORMAL_SHARE, Loss, robust_variance
 from fmuid.data.noise import Noise
-from fmuid.data.parameters import Normal, Parameter
 from fmuid.errors import InputError
 from fmuid.estimation.cost_function import prepare
 from fmuid.estimation.identification import identify

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 
 from fmuid.array_types import Floats
-from fmuid.data.parameters import Parameter
+from fmuid.data import Parameter
 from fmuid.errors import InputError
 from fmuid.estimation.finite_differences import FiniteDifferences
 from fmuid.estimation.identification import identify

@@ -9,7 +9,7 @@ import pytest
 from scipy import stats
 
 from fmuid.array_types import Floats
-from fmuid.data.parameters import Parameter
+from fmuid.data import Parameter
 from fmuid.estimation.covariance import ActiveBound, Identifiability
 from fmuid.estimation.identification import identify
 from fmuid.estimation.problem import LeastSquares

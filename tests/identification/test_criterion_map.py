@@ -13,8 +13,8 @@ import pytest
 from scipy import stats
 
 from fmuid.array_types import Floats
+from fmuid.data import Normal, Parameter
 from fmuid.data.noise import Noise
-from fmuid.data.parameters import Normal, Parameter
 from fmuid.errors import InputError
 from fmuid.estimation import cost_components as misfit
 from fmuid.estimation.cost_components import misfits, variances

@@ -9,8 +9,8 @@ import pytest
 from scipy import stats
 from scipy.integrate import quad
 
+from fmuid.data import JointPrior, Parameter
 from fmuid.data.noise import Noise
-from fmuid.data.parameters import JointPrior, Parameter
 from fmuid.estimation.problem import LeastSquares
 from fmuid.identification.sampler import log_density, sample_posterior
 from tests.support.posteriors import Array, linear

@@ -10,8 +10,8 @@ import pytest
 from scipy import stats
 
 from fmuid.array_types import Floats
+from fmuid.data import JointPrior, Normal, Parameter
 from fmuid.data.noise import Noise
-from fmuid.data.parameters import JointPrior, Normal, Parameter
 from fmuid.errors import InputError
 from fmuid.estimation.cost_function import prepare
 from fmuid.estimation.identification import identify

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from fmuid.array_types import Floats
+from fmuid.data import Parameter
 from fmuid.data.noise import Noise
-from fmuid.data.parameters import Parameter
 from fmuid.errors import InputError
 from fmuid.estimation.identification import identify
 from fmuid.estimation.problem import LeastSquares

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from fmuid.data.parameters import Parameter
+from fmuid.data import Parameter
 from fmuid.estimation.identification import identify
 from fmuid.estimation.marquardt.outcome import TerminationReason
 from fmuid.estimation.method import Marquardt

@@ -7,8 +7,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from fmuid.array_types import Floats
+from fmuid.data import Parameter, ParameterSet
 from fmuid.data.noise import Noise
-from fmuid.data.parameters import Parameter, ParameterSet
 from fmuid.estimation.global_search.box import Box
 from fmuid.estimation.global_search.search import GlobalSearch, Strategy
 from fmuid.estimation.problem import LeastSquares

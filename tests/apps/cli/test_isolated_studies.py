@@ -17,8 +17,8 @@ from experiments.batches import misbehaviour
 from experiments.batches.campaign import rows
 from fmuid.apps.cli.app import run
 from fmuid.apps.cli.options import DONE, NOT_SUCCEEDED
+from fmuid.data import Parameter
 from fmuid.data.experiment import Experiment
-from fmuid.data.parameters import Parameter
 from fmuid.estimation import GlobalSearch
 from fmuid.estimation.identification import identify
 from fmuid.estimation.problem import LeastSquares

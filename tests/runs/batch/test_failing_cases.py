@@ -15,9 +15,9 @@ import pandas as pd
 import pytest
 from numpy.typing import NDArray
 
+from fmuid.data import Parameter
 from fmuid.data.experiment import Experiment
 from fmuid.data.noise import Noise
-from fmuid.data.parameters import Parameter
 from fmuid.errors import InputError
 from fmuid.estimation import Marquardt
 from fmuid.estimation.identification import identify

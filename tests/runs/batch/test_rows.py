@@ -12,9 +12,9 @@ import pandas as pd
 import pytest
 from numpy.typing import NDArray
 
+from fmuid.data import Parameter
 from fmuid.data.data_file import read_data
 from fmuid.data.experiment import Experiment
-from fmuid.data.parameters import Parameter
 from fmuid.errors import InputError
 from fmuid.estimation.identification import identify
 from fmuid.identification import Problem

@@ -10,8 +10,8 @@ import pandas as pd
 import pytest
 from numpy.typing import NDArray
 
+from fmuid.data import Parameter
 from fmuid.data.experiment import Experiment
-from fmuid.data.parameters import Parameter
 from fmuid.errors import InputError, SimulationError
 from fmuid.estimation import SensitivityMethod
 from fmuid.estimation.identification import identify
