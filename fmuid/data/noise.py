@@ -5,9 +5,10 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
+from annotated_types import Gt
 
 from fmuid.array_types import Floats
 from fmuid.errors import InputError
@@ -16,9 +17,10 @@ from fmuid.formatting import nearest
 # With larger variances, or smaller ones than its inverse, squares of residuals overflow.
 LARGEST_VARIANCE = 1e100
 # Words of which an output has one at most, and those that may name a column or give all samples.
-FORMS, BY_SAMPLE = ("variance", "std", "relative", "weights"), ("std", "weights")
+FORMS, BY_SAMPLE = ("variance", "std", "relative_std", "weights"), ("std", "weights")
 
-Level = float | str | Sequence[float]
+Positive = Annotated[float, Gt(0)]
+Level = Positive | str | Sequence[float]
 """A number, the column of the experiment's table that has one for each row, or all of them, (K,)."""
 
 
@@ -26,31 +28,11 @@ Level = float | str | Sequence[float]
 class Noise:
     """The measurement noise of each output, R_b of (1.37), which is diagonal.
 
-    Each output has its noise by one of `variance`, `std`, `relative` and `weights`, in the units of its table; what
+    Each output has its noise by one of `variance`, `std`, `relative_std` and `weights`, in the units of its table; what
     none of them says is estimated from the residual, and the search repeated until it settles (docs/method.md section
     7). With a robust loss that estimate is robust too: Huber's proposal 2 (`fmuid.data.losses.robust_variance`),
-    because the loss is measured in standard deviations of the noise proper.
-
-    Parameters
-    ----------
-    variance : "estimate", float, or mapping of output to float
-        A number holds for every output.
-    start : float or mapping of output to float, optional
-        Initial variance of the estimation; default: that of the residual at the start of the search.
-    std : float, str, sequence, or mapping of output to such, optional
-        Standard deviations: a number, a column of the table, or one for each sample (K,).
-    relative : float or mapping of output to float, optional
-        The standard deviation as a share of the output's spread, which is the standard deviation of its counted samples
-        about their mean, Σ(y − ȳ)²/K; over all experiments, and of a noise in `experiments` over that one.
-    weights : float, str, sequence, or mapping of output to such, optional
-        A sample of weight w has the variance σ²/w, with one σ² for all outputs that have weights, which is estimated.
-    common : bool or sequence of str
-        Outputs (True: all) that share one estimated variance, the σ̂_b² of (1.61), as if each had the weight 1.
-    period : float, optional
-        After how long, s, the excitation repeats; default: as the inputs show it. Errors of the model that return with
-        it are allowed for in the standard deviations.
-    experiments : mapping of str to Noise
-        What holds in an experiment of that name in place of all this; only the four forms and `period`.
+    because the loss is measured in standard deviations of the noise proper. In Python `std` and `weights` may also be
+    all samples, (K,).
 
     Raises
     ------
@@ -65,17 +47,26 @@ class Noise:
     {'i': 0.0001}
     """
 
-    variance: Literal["estimate"] | float | Mapping[str, float] = "estimate"
-    start: float | Mapping[str, float] | None = None
+    variance: Literal["estimate"] | Positive | Mapping[str, Positive] = "estimate"
+    """of the outputs; or a number for all, or one for each: { output = number }"""
+    initial_variance: Positive | Mapping[str, Positive] | None = None
+    """of [noise] alone: where the estimation of the variance starts; default: from the residual"""
     std: Level | Mapping[str, Level] | None = None
-    relative: float | Mapping[str, float] | None = None
+    """standard deviation: a number, a column of the data with one for each sample, or { output = either }"""
+    relative_std: Positive | Mapping[str, Positive] | None = None
+    """standard deviation as a fraction of the output's spread, the standard deviation of its counted samples: over all
+    experiments, or over the one that says it"""
     weights: Level | Mapping[str, Level] | None = None
-    common: bool | Sequence[str] = False
-    period: float | None = None
-    experiments: Mapping[str, Noise] = field(default_factory=dict)
+    """a sample of weight w has the variance σ²/w, with one σ², estimated, for all outputs that have weights"""
+    shared_variance: bool | Sequence[str] = False
+    """of [noise] alone: outputs that share one estimated variance, a list of names; true: all of them"""
+    excitation_period: Positive | None = None
+    """s after which the excitation repeats, as errors of the model then do; default: what the inputs show"""
+    experiments: Mapping[str, Noise] = field(default_factory=dict, metadata={"key": False})
+    """what holds in an experiment of that name in place of all this; without initial and shared variance"""
 
     def __post_init__(self) -> None:
-        for word in (*FORMS, "start", "period"):
+        for word in (*FORMS, "initial_variance", "excitation_period"):
             given = getattr(self, word)
             if given is None or (word == "variance" and isinstance(given, str) and given == "estimate"):
                 continue
@@ -83,8 +74,8 @@ class Noise:
             found = {output: _checked(word, output, value) for output, value in entries}
             object.__setattr__(self, word, found if isinstance(given, Mapping) else found[""])
         for name, own in self.experiments.items():
-            if own.start is not None or own.common or own.experiments:
-                words = ", ".join((*FORMS, "period"))
+            if own.initial_variance is not None or own.shared_variance or own.experiments:
+                words = ", ".join((*FORMS, "excitation_period"))
                 raise InputError(f"the noise of experiment {name!r} has {words} only: say the rest of all")
 
     def form(self, output: str) -> tuple[str, Any]:
@@ -104,7 +95,7 @@ class Noise:
     def period_in(self, experiment: str) -> float | None:
         """Return after how long, s, the excitation of an experiment repeats, as far as that is said."""
         own = self.experiments.get(experiment)
-        return self.period if own is None or own.period is None else own.period
+        return self.excitation_period if own is None or own.excitation_period is None else own.excitation_period
 
     def among(self, experiments: Sequence[str]) -> Noise:
         """Return the noise of some experiments, by their names."""
@@ -118,7 +109,7 @@ class Noise:
         InputError
             If the noise is said in another form.
         """
-        for word in ("std", "relative", "weights", "common", "period", "experiments"):
+        for word in ("std", "relative_std", "weights", "shared_variance", "excitation_period", "experiments"):
             if getattr(self, word):
                 raise InputError(f"a diagnosis takes the noise as noise.variance alone: leave noise.{word} out")
         return None if isinstance(self.variance, str) else self.variance
@@ -131,9 +122,13 @@ class Noise:
         InputError
             If one is not.
         """
-        for word in (*FORMS, "start", "common"):
+        for word in (*FORMS, "initial_variance", "shared_variance"):
             given = getattr(self, word)
-            names = given if isinstance(given, Mapping) or (word == "common" and not isinstance(given, bool)) else ()
+            names = (
+                given
+                if isinstance(given, Mapping) or (word == "shared_variance" and not isinstance(given, bool))
+                else ()
+            )
             for output in names:
                 if output not in outputs:
                     raise InputError(
@@ -152,7 +147,7 @@ class Noise:
 
     def first(self, outputs: Sequence[str]) -> Floats:
         """Return the variance that each output starts from, NaN where the residual at the start decides."""
-        starts = [_of(self.start, output) for output in outputs]
+        starts = [_of(self.initial_variance, output) for output in outputs]
         return np.array([math.nan if value is None else value for value in starts])
 
 

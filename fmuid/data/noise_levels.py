@@ -108,7 +108,7 @@ def _variances(
         among = [each for each in experiments if output in each.output_names]
     if word == "variance":
         return level, word
-    if word == "relative":
+    if word == "relative_std":
         return (level * _spread(among, output)) ** 2, word
     if not word:
         return 1.0, ""
@@ -174,7 +174,7 @@ def _column(experiment: Measurements, output: str, what: str, column: str, *, co
 
 def _is_given(output: str, forms: Sequence[str]) -> bool:
     """Return whether the variance of an output is given, in all its experiments or none."""
-    found = {form in ("variance", "std", "relative") for form in forms}
+    found = {form in ("variance", "std", "relative_std") for form in forms}
     if len(found) > 1:
         raise InputError(
             f"the noise of output {output!r} is given in one experiment and to be estimated in another: "
@@ -185,9 +185,11 @@ def _is_given(output: str, forms: Sequence[str]) -> bool:
 
 def _is_pooled(noise: Noise, output: str, forms: Sequence[str]) -> bool:
     """Return whether an output has its estimated variance in common with others."""
-    common = noise.common if isinstance(noise.common, bool) else output in noise.common
-    if common and not isinstance(noise.common, bool) and _is_given(output, forms):
-        raise InputError(f"noise.common names output {output!r}, whose noise is given: leave one of the two out")
+    common = noise.shared_variance if isinstance(noise.shared_variance, bool) else output in noise.shared_variance
+    if common and not isinstance(noise.shared_variance, bool) and _is_given(output, forms):
+        raise InputError(
+            f"noise.shared_variance names output {output!r}, whose noise is given: leave one of the two out"
+        )
     return (common or "weights" in forms) and not _is_given(output, forms)
 
 

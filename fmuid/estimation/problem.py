@@ -142,7 +142,7 @@ class LeastSquares:
         self.counts = np.bincount(self.groups, minlength=len(self.output_names))
         self.variance, self.first_variance = self.levels.variance, self.levels.first
         self._check_counts()
-        if noise.period or noise.experiments:
+        if noise.excitation_period or noise.experiments:
             check_periods(self.series, noise, len(parameters))
 
     @staticmethod

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 from pydantic import BeforeValidator, Tag
 
-from fmuid.data import INTERPOLATIONS
+from fmuid.data import INTERPOLATIONS, Noise
 from fmuid.errors import InputError
 from fmuid.estimation import Result
 from fmuid.models import (
@@ -27,8 +27,7 @@ from fmuid.simulation import MOST_STEPS, Value
 from fmuid.studies.arrays import by_element
 from fmuid.studies.parameters import PriorSource, ResultValueSection
 from fmuid.studies.preprocess import PreprocessWords
-from fmuid.studies.section import SectionLocation, StudySection, word
-from fmuid.studies.settings import ExperimentNoiseSection
+from fmuid.studies.section import SectionLocation, Settings, StudySection, word
 from fmuid.studies.value_kinds import (
     BY_SHAPE,
     TABLE_TAG,
@@ -309,9 +308,7 @@ class ExperimentSettings(StudySection):
     fixed: Annotated[Scalars, BeforeValidator(by_element)] = word(
         {}, "FMU variables held at a value, or at rows of them, in this experiment"
     )
-    noise: ExperimentNoiseSection = word(
-        {}, "of this experiment, where it is not as [noise] says", validate_default=True
-    )
+    noise: Annotated[Noise, Settings()] = word(Noise(), "of this experiment, where it is not as [noise] says")
     preprocess: PreprocessWords = word({}, "what is done with the table first", validate_default=True)
     units: Texts = word(
         {}, "of columns whose unit the table does not say and that are not in the FMU's: { variable = unit }"

@@ -281,6 +281,8 @@ def kind_of(type_: Any) -> Any:
         return type_
     origin, inner = get_origin(base), get_args(base)
     if origin in (Union, UnionType):
+        # samples one by one are for Python alone
+        inner = tuple(each for each in inner if get_args(each) != (float,))
         some = [kind_of(each) for each in inner if each is not type(None)]
         return _either(some) if len(some) == len(inner) else _either(some) | None
     if origin is Literal:

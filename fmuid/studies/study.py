@@ -174,7 +174,8 @@ class Study(HtmlTableMixin):
             words.estimation.settings(),
             words.uncertainty.settings(known.names),
         )
-        noise = words.noise.settings({given.name: given.noise for given in experiments})
+        own = {given.name: given.noise for given in experiments if given.noise != Noise()}
+        noise = replace(words.noise, experiments=own)
         estimator.check_loss(search, asked, top)
         estimator.check_observer({key: getattr(words, key) is not None for key in ("diagnosis", "batch")}, top)
         return cls(

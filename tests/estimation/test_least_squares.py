@@ -98,7 +98,7 @@ def test_first_variances() -> None:
     assert variance(Noise()) == pytest.approx(residual)
     assert variance(Noise({"b": 7.0})) == pytest.approx([residual[0], 7.0])
     assert variance(Noise(5.0)) == [5.0, 5.0]
-    assert variance(Noise(start={"a": 3.0})) == pytest.approx([3.0, residual[1]])
+    assert variance(Noise(initial_variance={"a": 3.0})) == pytest.approx([3.0, residual[1]])
 
 
 @pytest.mark.parametrize(

@@ -100,7 +100,9 @@ def test_weights_for_each_sample_leave_one_variance_to_be_estimated() -> None:
     assert result.noise_variance["y"] == pytest.approx(variance * float(np.mean(1.0 / WEIGHTS)))
 
 
-@pytest.mark.parametrize("noise", [Noise(common=True), Noise(common=["u", "v"]), Noise(weights={"u": 1.0, "v": 1.0})])
+@pytest.mark.parametrize(
+    "noise", [Noise(shared_variance=True), Noise(shared_variance=["u", "v"]), Noise(weights={"u": 1.0, "v": 1.0})]
+)
 def test_one_variance_common_to_outputs(noise: Noise) -> None:
     """The criterion (1.61) and its one variance."""
     problem = two(noise)
@@ -126,7 +128,7 @@ def test_weights_of_outputs() -> None:
 
 def test_what_is_common_is_common_to_all_criteria() -> None:
     """Maps and global searches concentrate the variance, the posterior integrates it out: K ln J of all together."""
-    problem, away = two(Noise(common=True)), np.array([[2.0, -1.0], [2.1, -0.8], [1.5, -1.2]])
+    problem, away = two(Noise(shared_variance=True)), np.array([[2.0, -1.0], [2.1, -0.8], [1.5, -1.2]])
     phi, y, _ = rows_of_two(problem)
     squares = np.array([np.sum((y - phi @ each) ** 2) for each in away])
     expected = y.size * np.log(squares / squares[0])
@@ -144,7 +146,7 @@ def test_a_common_variance_is_robust_with_a_robust_loss() -> None:
 
 
 def test_a_share_of_the_spread() -> None:
-    problem = one(Noise(relative=0.02))
+    problem = one(Noise(relative_std=0.02))
     y = problem.experiments[0].output_values[:, 0]
     expected = (0.02 * np.std(y)) ** 2
     assert identify(problem).given_variance["y"] == pytest.approx(expected)
@@ -166,14 +168,14 @@ def several(noise: Noise, names: tuple[str, ...] = ("first", "second")) -> Least
     [
         Noise(std=0.1, experiments={"second": Noise(0.25)}),
         Noise({"y": 0.01}, experiments={"second": Noise(std=[0.5] * COUNT)}),
-        Noise(std=0.1, experiments={"second": Noise(relative=0.25)}),
+        Noise(std=0.1, experiments={"second": Noise(relative_std=0.25)}),
     ],
 )
 def test_noise_of_single_experiments(noise: Noise) -> None:
     problem = several(noise)
     first, second = (each.output_values[:, 0] for each in problem.experiments)
     own = noise.experiments["second"]
-    std = 0.25 * np.std(second) if own.relative else 0.5
+    std = 0.25 * np.std(second) if own.relative_std else 0.5
     weights = np.repeat([100.0, std**-2], COUNT)
     same(identify(problem), *weighted(np.vstack([PHI, PHI]), np.concatenate([first, second]), weights)[:2])
 
@@ -231,20 +233,23 @@ def test_bad_columns_are_refused() -> None:
     [
         (lambda: Noise(std=-1.0), "the noise std must be positive and finite, not -1"),
         (
-            lambda: Noise(relative={"u": np.nan}),
-            "the noise relative of output 'u' must be positive and finite, not nan",
+            lambda: Noise(relative_std={"u": np.nan}),
+            "the noise relative_std of output 'u' must be positive and finite, not nan",
         ),
         (lambda: Noise(weights={"u": 0.0}), "the noise weights of output 'u' must be positive and finite, not 0"),
-        (lambda: Noise(relative="sd"), "the noise relative must be a positive number, not 'sd'"),  # type: ignore[arg-type]
+        (lambda: Noise(relative_std="sd"), "the noise relative_std must be a positive number, not 'sd'"),  # type: ignore[arg-type]
         (lambda: Noise(std={"w": 1.0}), "noise.std names 'w', which is no measured output"),
-        (lambda: Noise(common=["u", "w"]), "noise.common names 'w', which is no measured output"),
+        (lambda: Noise(shared_variance=["u", "w"]), "noise.shared_variance names 'w', which is no measured output"),
         (lambda: Noise(0.1, std={"u": 1.0}), "noise has both variance and std of output 'u': keep one of the two"),
-        (lambda: Noise({"u": 0.1}, common=["u"]), "noise.common names output 'u', whose noise is given"),
+        (
+            lambda: Noise({"u": 0.1}, shared_variance=["u"]),
+            "noise.shared_variance names output 'u', whose noise is given",
+        ),
         (lambda: Noise(weights={"u": 2.0}), "noise.weights are of output 'u' alone and the same for all its samples"),
         (lambda: Noise(experiments={"x": Noise(0.1)}), "noise is given of 'x', which is no experiment"),
         (
-            lambda: Noise(experiments={"x": Noise(start=1.0)}),
-            "the noise of experiment 'x' has variance, std, relative,",
+            lambda: Noise(experiments={"x": Noise(initial_variance=1.0)}),
+            "the noise of experiment 'x' has variance, std, relative_std,",
         ),
         (lambda: Noise(experiments={"experiment": Noise(std={"w": 1.0})}), "noise.std names 'w', which is no measured"),
     ],
@@ -263,7 +268,7 @@ def test_noise_is_given_in_all_experiments_or_none() -> None:
 def test_an_output_that_never_changes_has_no_spread() -> None:
     refused(
         lambda: LeastSquares.from_function(
-            lambda p: p[0] * np.ones(9), np.ones(9), {"a": Parameter(0.5)}, noise=Noise(relative=0.1)
+            lambda p: p[0] * np.ones(9), np.ones(9), {"a": Parameter(0.5)}, noise=Noise(relative_std=0.1)
         ),
         "output 'y' is the same in all samples: a share of its spread is no noise; give noise.std",
     )

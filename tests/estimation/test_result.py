@@ -47,7 +47,7 @@ def test_every_output_gets_its_own_variance() -> None:
 
 def test_the_variances_settle_whatever_their_start() -> None:
     """The repetition of docs/method.md section 7: kept as rounds, one or two of them from any start."""
-    results = [identify(two_output_problem(noise=Noise(start=s))) for s in (1e-8, 1.0, 1e4)]
+    results = [identify(two_output_problem(noise=Noise(initial_variance=s))) for s in (1e-8, 1.0, 1e4)]
     for result in results:
         assert result.converged
         assert len(result.rounds) <= 4
@@ -84,7 +84,7 @@ def test_the_log_likelihood_is_that_of_the_data() -> None:
 
 
 def test_the_log_likelihood_compares_where_the_criterion_does_not() -> None:
-    results = [identify(two_output_problem(noise=Noise(start=start))) for start in (1e-4, 1e4)]
+    results = [identify(two_output_problem(noise=Noise(initial_variance=start))) for start in (1e-4, 1e4)]
     assert results[0].log_likelihood == pytest.approx(results[1].log_likelihood, abs=1e-3)
     content = results[0].to_json_dict()
     assert content["log_likelihood"] == results[0].log_likelihood
