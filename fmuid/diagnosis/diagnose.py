@@ -238,7 +238,7 @@ def _fitted(
         values={**fault.values, **held},
         sensitivity=how.sensitivity,
     )
-    problem.simulate_by(baseline.refinement)  # that of the healthy record, whose estimates are the prior
+    problem = problem.finer(baseline.refinement)  # that of the healthy record, whose estimates are the prior
     bounds = zip(start, searched.values(), strict=True)
     return identify(
         problem,

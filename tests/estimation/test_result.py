@@ -10,16 +10,15 @@ from scipy.optimize import minimize
 from scipy.stats import norm
 
 from fmuid.array_types import Floats
+from fmuid.data import Experiment, Normal, Parameter
 from fmuid.data.noise import Noise
-from fmuid.data.parameters import Normal, Parameter
-from fmuid.data.predictors import ArrayMeasurements
 from fmuid.estimation import identification
-from fmuid.estimation.identification import identify
 from fmuid.estimation.marquardt.linear import linear_least_squares
 from fmuid.estimation.marquardt.outcome import TerminationReason
 from fmuid.estimation.method import Marquardt
 from fmuid.estimation.problem import LeastSquares
 from fmuid.estimation.result import Result
+from fmuid.identification import identify
 from fmuid.progress import Event, SearchStep
 from fmuid.reports.identification_run import at_minimum
 from fmuid.reports.messages.result import ending
@@ -145,7 +144,7 @@ def test_parameters_shared_and_per_experiment() -> None:
         return np.column_stack([1e3 * gain * np.exp(-k * times), 1e-3 * gain * np.sin(k * times)])
 
     tables = [
-        ArrayMeasurements(name, times, ("a", "b"), y, np.ones((50, 2), dtype=np.bool_))
+        Experiment.of_arrays(name, times, ("a", "b"), y, np.ones((50, 2), dtype=np.bool_))
         for name, gain in (("first", 2.0), ("second", 5.0))
         for y in [simulate(1.5, gain) + rng.standard_normal((50, 2)) * [5.0, 1e-5]]
     ]

@@ -8,8 +8,8 @@ from pathlib import Path
 import pytest
 
 import fmuid
+from fmuid.data import Normal, Parameter
 from fmuid.data.noise import Noise
-from fmuid.data.parameters import Normal, Parameter
 from fmuid.errors import InputError
 from fmuid.estimation import GlobalSearch
 from fmuid.estimation.method import Marquardt, Method

@@ -12,6 +12,7 @@ import math
 import time
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -21,8 +22,7 @@ from fmuid.errors import InputError, SimulationError
 from fmuid.estimation import (
     SHIFT_LIMIT,
     AccuracyOutcome,
-    LeastSquares,
-    Marquardt,
+    Evaluator,
     Method,
     Optimum,
     RefinementRefusal,
@@ -38,11 +38,9 @@ from fmuid.estimation import (
     with_shift,
     would_fit_better,
 )
-from fmuid.formatting import nearest
 from fmuid.identification.problem import Problem
-from fmuid.identification.solver_check_region import CheckedRegion, Verdict
 from fmuid.progress import Progress
-from fmuid.simulation import Refinement, is_controlled, is_free, next_refinement, replaces_interface
+from fmuid.simulation import Refinement, how_run, is_controlled, is_free, next_refinement, replaces_interface
 
 ACCURACIES = ("refine", "report", "off")
 """What may be done about the error of the simulation."""
@@ -51,7 +49,7 @@ START_LIMIT = 0.01
 START_TOLERANCE = 1e-6  # which that does not ask more of
 # Where a start fails its steps are divided so often at most: what fails in the sixteenth of a step has other reasons.
 START_DIVISIONS = 2
-# Shifts below this are known to be small from the error at another point of the same cell of a region.
+# Shifts below this are known to be small from the error at another point of the same cell.
 SURE_SHIFT = SHIFT_LIMIT / 3.0
 # Optima whose criterion is higher by less are as good as the best: χ² of one parameter is larger in 5 % of all cases.
 RIVAL_CRITERION = 3.84
@@ -59,62 +57,50 @@ RIVAL_CRITERION = 3.84
 MOST_OPTIMA = 10
 
 
-def identify(
-    problem: LeastSquares,
-    settings: Method | None = None,
-    progress: Progress | None = None,
-    start: ArrayLike | None = None,
-    *,
-    accuracy: str = "refine",
-    region: CheckedRegion | None = None,
-    start_limit: float = START_LIMIT,
-) -> Result:
-    """Identify as `fmuid.identify` does, without remedies.
+class SolverCheckedSearch:
+    """A search whose solver error is checked at the optimum, and which goes on by refinements where it is too large.
 
     Parameters
     ----------
-    problem, settings, progress, start, accuracy, region
-        As there.
+    evaluator : Evaluator
+    method, progress, accuracy
+        As for `fmuid.identify`.
     start_limit : float
         The search goes by model exchange where the outputs at the start differ by more than this share of their spread.
+
+    Attributes
+    ----------
+    evaluator : Evaluator
+        Of the problem as it is simulated now.
     """
-    if accuracy not in ACCURACIES:
-        raise InputError(
-            f"accuracy {accuracy!r} is not known{nearest(str(accuracy), ACCURACIES)}: give {' or '.join(ACCURACIES)}"
-        )
-    method = settings or Marquardt()
-    if accuracy == "off" or not isinstance(problem, Problem):
-        return method.search(problem, progress, start)
-    return _CheckedSearch(problem, method, progress, region, start_limit, switching=accuracy == "refine").run(start)
-
-
-class _CheckedSearch:
-    """One search, what it found so far, and what was done about its simulation."""
 
     def __init__(
         self,
-        problem: Problem,
+        evaluator: Evaluator[Problem],
         method: Method,
         progress: Progress | None,
-        region: CheckedRegion | None = None,
+        accuracy: str,
         start_limit: float = START_LIMIT,
-        *,
-        switching: bool,
     ) -> None:
-        self.problem, self.method, self.progress, self.region = problem, method, progress, region
-        self.start_limit = start_limit
-        self.switching = switching
-        self.clock, self.before = time.perf_counter(), problem.simulations
+        self.origin = self.evaluator = evaluator
+        self.method, self.progress, self.start_limit, self.accuracy = method, progress, start_limit, accuracy
+        self.clock, self.before = time.perf_counter(), evaluator.simulations
         self.switches: list[RefinementStep] = []
         self.refused = self.foreseen = 0
-        self.origin, self.returned = problem.refinement, False
+        self.returned = False
+
+    @property
+    def problem(self) -> Problem:
+        """As it is simulated now."""
+        return self.evaluator.problem
 
     def run(self, start: ArrayLike | None) -> Result:
-        """Compare at the start, search, check."""
-        problem = self.problem
-        if self.switching:
-            self._compare_start(problem.parameters.start if start is None else numbers(start, "start"))
-        first = self.method.search(problem, self.progress, start)
+        """Compare at the start (N,), search, check."""
+        if self.accuracy == "off":
+            return self.method.search(self.evaluator, self.progress, start)
+        if self.accuracy == "refine":
+            self._compare_start(self.problem.parameters.start if start is None else numbers(start, "start"))
+        first = self.method.search(self.evaluator, self.progress, start)
         self.optima = first.optima or (Optimum(first.values, first.criterion, 1, first.outcome, first),)
         self.found = SolverCheck(AccuracyOutcome.INTERRUPTED, np.full(len(first.names), np.nan))
         if first.local is not None and first.outcome is not TerminationReason.INTERRUPTED:
@@ -134,39 +120,34 @@ class _CheckedSearch:
             return
         if at.shape != (len(problem.parameters),):
             return  # which the search will say
-        if not replaces_interface(problem.system, finer):
-            if finer.tolerance is None and self.region is None:
-                self._shorten_steps(at)
-            return
-        if self.region is not None and self.region.one_start:
-            wrong = self.region.start(problem, lambda: self._wrong_start(finer, at, problem.predict(at[None])[0]))
-        else:
-            predicted = problem.predict(at[None])[0]
-            fails = not np.isfinite(predicted).all()
-            wrong = self._wrong_start(finer, at, predicted) if fails or self.region is None else None
-            if wrong is None:  # the search is spared its simulation of the start
-                problem.remember(at, predicted)
-                self.foreseen = 1
-        if wrong is not None:
-            self._switch(finer, *wrong)
+        predicted = self._predict_start(at)
+        if replaces_interface(problem.system, finer):
+            wrong = self._wrong_start(finer, at, predicted)
+            if wrong is not None:
+                self._switch(finer, *wrong)
+        elif finer.tolerance is None and not _is_sound(predicted):
+            self._shorten_steps(finer, at)
 
-    def _shorten_steps(self, at: Floats) -> None:
+    def _predict_start(self, at: Floats) -> Floats:
+        """Return the simulation (n,) of a start, which spares the search its own."""
+        before = self.evaluator.simulations
+        predicted = self.evaluator.predict_start(at[None])[0]
+        self.foreseen = self.evaluator.simulations - before
+        return np.asarray(predicted)
+
+    def _shorten_steps(self, finer: Refinement | None, at: Floats) -> None:
         """Go by shorter steps where there is nothing else and co-simulation fails at a start (N,)."""
-        problem, finer = self.problem, self.problem.next_sure_refinement
-        predicted = problem.predict(at[None])[0]
-        for _ in range(0 if _is_sound(predicted) else START_DIVISIONS):
+        for _ in range(START_DIVISIONS):
             if finer is None:
                 break
-            if _is_sound(problem.predict_by(finer, at)):
+            if _is_sound(self.evaluator.predict_by(finer, at)):
                 self._switch(finer, SwitchCause.START_FAILED, math.nan)
                 return
-            finer = next_refinement(problem.system, finer, surely=True)
-        problem.remember(at, predicted)
-        self.foreseen = 1
+            finer = next_refinement(self.problem.system, finer, surely=True)
 
-    def _wrong_start(self, finer: Refinement, at: Floats, predicted: Floats) -> Verdict:
+    def _wrong_start(self, finer: Refinement, at: Floats, predicted: Floats) -> tuple[SwitchCause, float] | None:
         """Return why the start (N,), simulated as `predicted` (n,), should not be simulated that way."""
-        exact = self.problem.predict_by(replace(finer, tolerance=START_TOLERANCE), at)
+        exact = self.evaluator.predict_by(replace(finer, tolerance=START_TOLERANCE), at, start=True)
         if not np.isfinite(exact).all():
             return None
         if not np.isfinite(predicted).all():
@@ -215,39 +196,36 @@ class _CheckedSearch:
             outcome = AccuracyOutcome.PASSED if exact else AccuracyOutcome.UNCHECKABLE
             return SolverCheck(outcome, np.full(fit.values.size, 0.0 if exact else np.nan))
         controlled = is_controlled(problem.system, problem.refinement)
-        if self.region is not None:
-            found = estimate_solver_error(
-                problem, fit, self.region.error(problem, finer, fit.values), controlled=controlled
-            )
+        error = self.evaluator.error_near(finer, fit.values, fit.std)
+        if error is not None:
+            found = estimate_solver_error(problem, fit, error, controlled=controlled)
             if found.outcome is AccuracyOutcome.UNCHECKABLE or found.change < SHIFT_LIMIT or found.largest < SURE_SHIFT:
-                return replace(found, finer=problem.how_run(finer))
+                return replace(found, finer=self._how_run(finer))
         # to the last bit where the FMU may step as it likes: what the fit has kept is rounded
-        predicted = stack_simulated(problem, fit) if finer.tolerance else problem.predict(fit.values[None])[0]
+        predicted = stack_simulated(problem, fit) if finer.tolerance else self.evaluator.predict(fit.values[None])[0]
         found = estimate_solver_error(
-            problem, fit, problem.predict_by(finer, fit.values) - predicted, controlled=controlled
+            problem, fit, self.evaluator.predict_by(finer, fit.values) - predicted, controlled=controlled
         )
-        found = replace(found, finer=problem.how_run(finer))
+        found = replace(found, finer=self._how_run(finer))
         sure = problem.next_sure_refinement
         if not found.doubtful or sure == finer:
             return found
         if sure is not None:
             inside = estimate_solver_error(
-                problem, fit, problem.predict_by(sure, fit.values) - predicted, controlled=controlled
+                problem, fit, self.evaluator.predict_by(sure, fit.values) - predicted, controlled=controlled
             )
             if inside.doubtful:
-                return replace(inside, finer=problem.how_run(sure))
+                return replace(inside, finer=self._how_run(sure))
         return replace(found, outcome=AccuracyOutcome.COUPLED)
 
     def _go_on(self) -> RefinementRefusal | None:
         """Search on from the optima by the next finer simulation; return why nothing came of it, if so."""
         problem, finer = self.problem, self.problem.next_sure_refinement
-        if not self.switching or not is_free(problem.system):
+        if self.accuracy != "refine" or not is_free(problem.system):
             return RefinementRefusal.ASKED
-        if finer is None or problem.refined(finer).next_sure_refinement is None:
+        if finer is None or next_refinement(problem.system, finer, surely=True) is None:
             return RefinementRefusal.FINEST
-        other = problem.refined(finer)
-        better, spent = self._optima_by(other)
-        problem.count(other)
+        better, spent = self._optima_by(self.evaluator.finer(finer))
         if not better:
             return RefinementRefusal.NO_SEARCH
         # what it is kept from by a bound is no fault of a simulation
@@ -258,10 +236,10 @@ class _CheckedSearch:
         self._switch(finer, SwitchCause.SHIFT, self.found.largest, spent)
         return None
 
-    def _optima_by(self, other: Problem) -> tuple[tuple[Optimum, ...], int]:
+    def _optima_by(self, other: Evaluator[Problem]) -> tuple[tuple[Optimum, ...], int]:
         """Search on from the optima by another simulation; return where that ends, and what it took."""
         fits = [fit for each in self.optima[:MOST_OPTIMA] if (fit := self._searched(other, each.fit)) is not None]
-        found = merge_optima(other, fits) if self.problem.loss is None else _single(fits)
+        found = merge_optima(other.problem, fits) if self.problem.loss is None else _single(fits)
         return found, sum(fit.simulations for fit in fits)
 
     def _return(self) -> None:
@@ -271,18 +249,16 @@ class _CheckedSearch:
             return
         if self.start_limit < START_LIMIT and self.switches[0].size <= START_LIMIT:
             return  # left for a smoother simulation alone, not for another model
-        other = problem.refined(self.origin)
-        error = problem.predict_by(self.origin, best.values) - stack_simulated(problem, best)
-        if would_fit_better(problem, best, other, estimate_solver_error(problem, best, error).shift):
-            found, _ = self._optima_by(other)
+        error = self.origin.predict(best.values[None])[0] - stack_simulated(problem, best)
+        if would_fit_better(problem, best, self.origin, estimate_solver_error(problem, best, error).shift):
+            found, _ = self._optima_by(self.origin)
             if found and fits_worse(problem, best, found[0].fit):
-                problem.simulate_by(self.origin)
+                self.evaluator = self.origin
                 self.optima, self.switches, self.returned = found, [], True
                 self.found = self._check(found[0].fit)
                 self.found = replace(self.found, kept=RefinementRefusal.FITS_BETTER if self.found.doubtful else None)
-        problem.count(other)
 
-    def _searched(self, other: Problem, fit: Result) -> Result | None:
+    def _searched(self, other: Evaluator[Problem], fit: Result) -> Result | None:
         """Go on from a fit by another simulation; None where that comes to no better end."""
         try:
             found = self.method.marquardt.search(other, self.progress, fit.values)
@@ -296,20 +272,26 @@ class _CheckedSearch:
 
     def _switch(self, finer: Refinement, cause: SwitchCause, size: float, simulations: int = 0) -> None:
         """Simulate in a finer way from now on, and note why."""
-        problem = self.problem
-        before, after = (problem.how_run(each) for each in (problem.refinement, finer))
+        before, after = (self._how_run(each) for each in (self.problem.refinement, finer))
         self.switches.append(RefinementStep(cause, size, before, after, simulations))
-        problem.simulate_by(finer)
+        self.evaluator, self.foreseen = self.evaluator.finer(finer), 0
+
+    def _how_run(self, refinement: Refinement) -> dict[str, dict[str, Any]]:
+        """Return how each component is run with a refinement, as far as it is known which are stiff."""
+        try:
+            return self.evaluator.finer(refinement).problem.how_run
+        except InputError:  # an FMU that takes no such steps
+            return {name: dict(vars(run)) for name, run in how_run(self.problem.system, refinement).items()}
 
     # --- the result
 
     def _concluded(self, first: Result) -> Result:
         """Return the best fit with all that was found out about its simulation."""
         problem, best = self.problem, self.optima[0].fit if self.switches or self.refused or self.returned else first
-        spent = problem.simulations - self.before
+        spent = self.evaluator.simulations - self.before
         found = replace(
             self.found,
-            used=problem.how_run(problem.refinement),
+            used=problem.how_run,
             switches=tuple(self.switches),
             refused=self.refused,
             simulations=spent - first.simulations - self.foreseen,
