@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy import linalg
 
-from fmuid.diagnosis.change_detection.information_matrix import ChangePrior, InformationMatrix, ScoreStatistics
+from fmuid.diagnosis.information_matrix import ChangePrior, InformationMatrix, ScoreStatistics
 from fmuid.errors import InputError
 
 UNITS = np.array([1e3, 1.0, 1e-5, 2.0])

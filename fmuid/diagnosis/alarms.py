@@ -4,15 +4,16 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
+import pandas as pd
 from scipy import special
 
 from fmuid.array_types import Floats
 from fmuid.diagnosis.cause_results import Explanation
-from fmuid.diagnosis.change_detection.detection import FALSE_ALARM_LEVEL
-from fmuid.diagnosis.change_detection.onset import OnsetShape
+from fmuid.diagnosis.change_detection import FALSE_ALARM_LEVEL
+from fmuid.diagnosis.onset import OnsetShape
 from fmuid.errors import InputError
 from fmuid.estimation import check_level
 
@@ -216,3 +217,28 @@ def label_of(explanations: tuple[Explanation, ...]) -> str:
     """Return what an alarm is called."""
     each = (" and ".join(dict.fromkeys(c.fault or c.label for c in one.changes)) for one in explanations)
     return " or ".join(dict.fromkeys(each))
+
+
+def with_trend(alarm: Alarm, since: float, table: pd.DataFrame, limits: Mapping[str, float]) -> Alarm:
+    """Return an alarm with the trend of its first size.
+
+    Parameters
+    ----------
+    alarm : Alarm
+    since : float
+        When its onset was at the latest, s of all that was seen.
+    table : DataFrame
+        The rows that are held.
+    limits : mapping of str to float
+        As of the rule.
+    """
+    if not alarm.explanations:
+        return alarm
+    column = alarm.explanations[0].changes[0].label
+    rows = table.loc[: alarm.last]
+    begin = rows["clock"] - (rows["end"] - rows["start"])
+    rows = rows[(begin >= since - 1e-6 * abs(since)).to_numpy(bool)]
+    if rows.empty:
+        return alarm
+    values, stds, clock = (rows[name].to_numpy(np.float64) for name in (column, f"{column}.std", "clock"))
+    return replace(alarm, trend=Trend.of(column, clock, values, stds, limits.get(column, math.nan)))

@@ -11,9 +11,9 @@ import numpy as np
 from scipy import special
 
 from fmuid.array_types import Floats
-from fmuid.diagnosis.change_detection.causes import Cause
-from fmuid.diagnosis.change_detection.detection import CauseFit, MinPDistribution, fit, probability
-from fmuid.diagnosis.change_detection.information_matrix import ScoreStatistics
+from fmuid.diagnosis.causes import Cause
+from fmuid.diagnosis.change_detection import CauseFit, MinPDistribution, fit, probability
+from fmuid.diagnosis.information_matrix import ScoreStatistics
 
 # Causes within these odds of the best one are all named: beyond it evidence is strong (Kass and Raftery, section 3.2)
 ODDS = 20.0

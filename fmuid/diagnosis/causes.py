@@ -1,8 +1,8 @@
-"""All that may differ between two records of a machine: its parameters, its faults, its sensors, its supply.
+"""Causes: all that may differ between two records of a machine, as columns in output space with a prior.
 
-Every sensor has a gain, an offset and a delay, which need no model: they act on the output y as (1 + g) y(t − d) + o.
-Every input has a gain. Each size of a fault is a cause of its own, so that a fault in one of three phases is not three
-at once; a size with its angle is a vector of the plane.
+A cause is a parameter, a size of a fault, a sensor or the supply. Every sensor has a gain, an offset and a delay, which
+need no model: they act on the output y as (1 + g) y(t − d) + o. Every input has a gain. Each size of a fault is a cause
+of its own, so that a fault in one of three phases is not three at once; a size with its angle is a vector of the plane.
 """
 
 from __future__ import annotations
@@ -16,10 +16,55 @@ import numpy as np
 
 from fmuid.array_types import Flags, Floats
 from fmuid.data import Experiment, Parameter
-from fmuid.diagnosis.change_detection.causes import Cause
 from fmuid.diagnosis.faults import Fault
 from fmuid.errors import InputError
 from fmuid.models import System
+
+# What a cause is taken to be worth before anything is measured, where nothing else is said: one record in a hundred.
+USUAL_PROBABILITY = 0.01
+
+
+@dataclass(frozen=True)
+class Cause:
+    """Something that may be new in a record.
+
+    Parameters
+    ----------
+    name : str
+    columns : tuple of int
+        Its coordinates: one, or two for a vector of the plane (a size with its angle).
+    size : float
+        Standard deviation of its size where it is there (slab), in the coordinates' unit.
+    sign : int
+        1 or −1 where its size can only have this sign, 0 where either.
+    probability : float
+        That it is there, before anything is measured.
+    modelled : bool
+        Whether its signature is that of a fault model, which may be wrong; what sensors, supply and the healthy
+        parameters do is known.
+
+    Raises
+    ------
+    InputError
+        If it has no coordinates, its size is not positive, a sign goes with several, or the probability is none.
+    """
+
+    name: str
+    columns: tuple[int, ...]
+    size: float
+    sign: int = 0
+    probability: float = USUAL_PROBABILITY
+    modelled: bool = True
+
+    def __post_init__(self) -> None:
+        if not self.columns:
+            raise InputError(f"the cause {self.name!r} has no coordinate: name at least one")
+        if not (math.isfinite(self.size) and self.size > 0):
+            raise InputError(f"the size of the cause {self.name!r} must be positive and finite, not {self.size!r}")
+        if self.sign not in (-1, 0, 1) or (self.sign and len(self.columns) > 1):
+            raise InputError(f"the sign of the cause {self.name!r} must be 1 or -1 for one coordinate, or 0")
+        if not 0 < self.probability < 1:
+            raise InputError(f"the probability of the cause {self.name!r} must lie between 0 and 1")
 
 
 class CauseKind(Enum):

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from fmuid.diagnosis.change_detection.unexplained_residual import change, lagged, probability, regression
+from fmuid.diagnosis.unexplained_residual import change, lagged, probability, regression
 
 SAMPLES = 300
 

@@ -6,13 +6,12 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from fmuid.diagnosis.change_detection import onset_tracker as watching
-from fmuid.diagnosis.change_detection.causes import Cause
-from fmuid.diagnosis.change_detection.change_transient import ChangeTransient
-from fmuid.diagnosis.change_detection.false_alarms import log_chance, log_limit
-from fmuid.diagnosis.change_detection.information_matrix import ChangePrior
-from fmuid.diagnosis.change_detection.onset import OnsetShape, estimate_onset
-from fmuid.diagnosis.change_detection.onset_tracker import Blocks, OnsetTracker
+from fmuid.diagnosis import onset_tracker as watching
+from fmuid.diagnosis.causes import Cause
+from fmuid.diagnosis.change_detection import log_chance, log_limit
+from fmuid.diagnosis.information_matrix import ChangePrior
+from fmuid.diagnosis.onset import ChangeTransient, OnsetShape, estimate_onset
+from fmuid.diagnosis.onset_tracker import Blocks, OnsetTracker
 
 LENGTH, BLOCKS, WINDOWS = 20, 5, 8
 SAMPLES = LENGTH * BLOCKS * WINDOWS

@@ -1,7 +1,7 @@
 """Monitoring: a long record, or one record after the other, window by window, and an alarm where something is new.
 
 The machine is linearised once over many windows, where it was estimated last; each window adds its information and
-score to those of all onsets (`fmuid.diagnosis.change_detection.onset`), and nothing is fitted twice. What may drift,
+score to those of all onsets (`fmuid.diagnosis.onset`), and nothing is fitted twice. What may drift,
 as a temperature moves a resistance, is another number in each window. There is an alarm where a cause from some window
 on explains more than chance would in any window at the level asked for; then the windows after the onset, with what was
 before as prior, say which cause it is and how large.
@@ -22,23 +22,27 @@ import pandas as pd
 
 from fmuid.blas import single_threaded
 from fmuid.data import Experiment
-from fmuid.diagnosis.baseline.baseline import Baseline
-from fmuid.diagnosis.baseline.stored_baseline import BaselineSource
+from fmuid.diagnosis.alarms import Alarm, RecordTime, Rule, with_trend
+from fmuid.diagnosis.baseline import Baseline, BaselineSource
 from fmuid.diagnosis.baseline_comparator import BaselineComparator
-from fmuid.diagnosis.change_detection.cause_ranking import MODEL_ERROR
-from fmuid.diagnosis.change_detection.information_matrix import ChangePrior
-from fmuid.diagnosis.change_detection.onset_tracker import OnsetTracker
-from fmuid.diagnosis.change_parameters import CauseKind, Causes, ChangeParameterSet
+from fmuid.diagnosis.cause_ranking import MODEL_ERROR
+from fmuid.diagnosis.causes import CauseKind, Causes, ChangeParameterSet
 from fmuid.diagnosis.faults import Fault
-from fmuid.diagnosis.linearisation import LinearizedMachine
-from fmuid.diagnosis.monitoring.alarm_decision import decide_alarm
-from fmuid.diagnosis.monitoring.alarms import Alarm, RecordTime, Rule
-from fmuid.diagnosis.monitoring.monitor_store import STATE_FILE, MonitorStore, Resumed, restored
-from fmuid.diagnosis.monitoring.transient import build_up_of
-from fmuid.diagnosis.monitoring.trends import with_trend
-from fmuid.diagnosis.monitoring.window_evaluation import MonitorReference, MonitorState, WindowEvaluation
-from fmuid.diagnosis.monitoring.window_statistics import WindowSums, summed
-from fmuid.diagnosis.monitoring.windows import GrowingRecord, SkippedWindow, Window, part_of, split_windows
+from fmuid.diagnosis.information_matrix import ChangePrior
+from fmuid.diagnosis.linearized_machine import LinearizedMachine
+from fmuid.diagnosis.monitor_store import STATE_FILE, MonitorStore, Resumed, restored
+from fmuid.diagnosis.onset_tracker import OnsetTracker
+from fmuid.diagnosis.window_evaluation import MonitorReference, MonitorState, WindowEvaluation, decide_alarm
+from fmuid.diagnosis.windows import (
+    GrowingRecord,
+    SkippedWindow,
+    Window,
+    WindowSums,
+    build_up_of,
+    part_of,
+    split_windows,
+    summed,
+)
 from fmuid.errors import InputError, SimulationError
 from fmuid.estimation import Result
 from fmuid.models import FMU, System
@@ -275,8 +279,11 @@ class Monitor:
     @property
     def alarms(self) -> tuple[Alarm, ...]:
         """The alarms, in their order."""
-        table = self.table
-        return tuple(with_trend(each, self._now, table, self.rule.limits) for each in self._now.alarms)
+        table, now = self.table, self._now
+        return tuple(
+            each if each.onset is None else with_trend(each, now.clock(each.onset.last), table, self.rule.limits)
+            for each in now.alarms
+        )
 
     @property
     def windows(self) -> int:

@@ -17,7 +17,7 @@ import numpy as np
 from scipy import special
 
 from fmuid.array_types import Floats
-from fmuid.diagnosis.change_detection.information_matrix import InformationMatrix
+from fmuid.diagnosis.information_matrix import InformationMatrix
 from fmuid.identification import SAME_VARIANCE_RATIO
 
 # The residual may be larger than the noise for other reasons than the causes that are looked for: this share of the

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from scipy import integrate, stats
 
-from fmuid.diagnosis.change_detection.cause_ranking import (
+from fmuid.diagnosis.cause_ranking import (
     _together,
     angle,
     distinguishable_size,
@@ -18,9 +18,9 @@ from fmuid.diagnosis.change_detection.cause_ranking import (
     log_bayes_factor,
     name,
 )
-from fmuid.diagnosis.change_detection.causes import Cause
-from fmuid.diagnosis.change_detection.detection import MinPDistribution, fit
-from fmuid.diagnosis.change_detection.information_matrix import ScoreStatistics
+from fmuid.diagnosis.causes import Cause
+from fmuid.diagnosis.change_detection import MinPDistribution, fit
+from fmuid.diagnosis.information_matrix import ScoreStatistics
 
 INFORMATION = np.array([[4.0, 1.2, 0.3], [1.2, 2.0, -0.5], [0.3, -0.5, 3.0]])
 GIVEN = ScoreStatistics(INFORMATION, np.array([3.0, -0.4, 1.5]))

@@ -15,7 +15,7 @@ import numpy as np
 
 from fmuid.array_types import Floats
 from fmuid.data import Experiment, Parameter
-from fmuid.diagnosis.change_parameters import CauseKind, ChangeParameterSet
+from fmuid.diagnosis.causes import CauseKind, ChangeParameterSet
 from fmuid.diagnosis.faults import Fault
 from fmuid.estimation import parabola_slope
 from fmuid.models import System

@@ -20,10 +20,10 @@ import numpy as np
 import pandas as pd
 
 from fmuid.data import read_arrays, write_arrays
+from fmuid.diagnosis.alarms import Alarm
 from fmuid.diagnosis.cause_results import reader
-from fmuid.diagnosis.change_detection.onset_tracker import OnsetTracker
-from fmuid.diagnosis.monitoring.alarms import Alarm
-from fmuid.diagnosis.monitoring.window_evaluation import MonitorState, WatchedRecord
+from fmuid.diagnosis.onset_tracker import OnsetTracker
+from fmuid.diagnosis.window_evaluation import MonitorState, WatchedRecord
 from fmuid.errors import InputError
 from fmuid.files import as_json, first_line, is_file, note, with_formulas, without_formulas, write_json
 from fmuid.version import __version__

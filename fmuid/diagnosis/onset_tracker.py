@@ -26,10 +26,9 @@ from typing import Any
 import numpy as np
 
 from fmuid.array_types import Flags, Floats, Indices
-from fmuid.diagnosis.change_detection.causes import Cause
-from fmuid.diagnosis.change_detection.change_transient import ChangeTransient
-from fmuid.diagnosis.change_detection.information_matrix import LEAST, ChangePrior, InformationMatrix, ScoreStatistics
-from fmuid.diagnosis.change_detection.onset import OnsetLikelihood, OnsetShape
+from fmuid.diagnosis.causes import Cause
+from fmuid.diagnosis.information_matrix import LEAST, ChangePrior, InformationMatrix, ScoreStatistics
+from fmuid.diagnosis.onset import ChangeTransient, OnsetLikelihood, OnsetShape
 
 # Onsets within windows are kept of so many windows, those at the begin of windows up to so many: every second one of
 # the older half goes then.

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from scipy import optimize, special
 
-from fmuid.diagnosis.change_detection.causes import Cause
-from fmuid.diagnosis.change_detection.detection import MinPDistribution, detectable, fit, probability
-from fmuid.diagnosis.change_detection.information_matrix import ScoreStatistics
+from fmuid.diagnosis.causes import Cause
+from fmuid.diagnosis.change_detection import MinPDistribution, detectable, fit, probability
+from fmuid.diagnosis.information_matrix import ScoreStatistics
 from fmuid.errors import InputError
 
 SIGNED = tuple(Cause(f"c{i}", (i,), 1.0, sign) for i, sign in enumerate((1, -1, 1, 0)))

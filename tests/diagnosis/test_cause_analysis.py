@@ -14,9 +14,9 @@ from scipy import signal
 import fmuid
 from fmuid.apps.cli.app import run
 from fmuid.diagnosis import MODEL_ERROR, CauseKind, Causes, CauseScale, ChangeEvidence
-from fmuid.diagnosis.baseline.whitening import Whitening
-from fmuid.diagnosis.change_parameters import ChangeParameterSet, coordinates_of
-from fmuid.diagnosis.linearisation import LinearizedMachine
+from fmuid.diagnosis.causes import ChangeParameterSet, coordinates_of
+from fmuid.diagnosis.linearized_machine import LinearizedMachine
+from fmuid.diagnosis.prewhitening import Whitening
 from fmuid.errors import InputError
 from fmuid.reports.messages.diagnosis import verdict
 from tests.support.closed_forms import coil_response
