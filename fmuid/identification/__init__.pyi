@@ -13,6 +13,8 @@ from .cost_map import map_cost as map_cost
 from .cost_map import region_rise as region_rise
 from .cost_parabolas import parabolas as parabolas
 from .cost_parabolas import parameters_with_prior_and_data as parameters_with_prior_and_data
+from .identify import identify as identify
+from .identify import identify_by as identify_by
 from .observer import with_observer as with_observer
 from .posterior import LARGEST_R_HAT as LARGEST_R_HAT
 from .posterior import Posterior as Posterior
@@ -47,16 +49,14 @@ from .residual_analysis import ResidualFinding as ResidualFinding
 from .residual_analysis import analyze_residuals as analyze_residuals
 from .residual_series import RESIDUAL_SETTINGS as RESIDUAL_SETTINGS
 from .residual_series import ResidualSeries as ResidualSeries
-from .restarting_search import identify as identify
 from .sampler import sample_posterior as sample_posterior
 from .sensitivity_functions import ExpectedAccuracy as ExpectedAccuracy
 from .sensitivity_functions import SensitivityFunctions as SensitivityFunctions
 from .sensitivity_functions import expected_accuracy as expected_accuracy
 from .sensitivity_functions import rank_excitations as rank_excitations
 from .sensitivity_functions import sensitivity_functions as sensitivity_functions
-from .solver_check_region import CheckedRegion as CheckedRegion
-from .solver_checked_search import ACCURACIES as ACCURACIES
-from .solver_checked_search import RIVAL_CRITERION as RIVAL_CRITERION
+from .solver_check import ACCURACIES as ACCURACIES
+from .solver_check import RIVAL_CRITERION as RIVAL_CRITERION
 from .time_scale import TimeScaleMismatch as TimeScaleMismatch
 from .time_scale import TimeScaleWarning as TimeScaleWarning
 from .time_scale import doubt_of_time as doubt_of_time

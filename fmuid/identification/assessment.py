@@ -260,7 +260,13 @@ class _Exploration:
         progress: Progress | None,
         found: Assessment,
     ) -> None:
-        self.problem, self.result, self.asked, self.progress, self.found = problem, result, asked, progress, found
+        self.problem, self.result, self.asked, self.progress, self.found = (
+            problem.as_in(result),
+            result,
+            asked,
+            progress,
+            found,
+        )
 
     def run(self) -> Assessment:
         try:

@@ -38,10 +38,10 @@ from fmuid.errors import NO_EXPERIMENT, InputError, check_kind
 from fmuid.estimation import Result, check_level
 from fmuid.formatting import nearest
 from fmuid.identification.assessment import CONFIDENCE_LEVEL
+from fmuid.identification.identify import identify
 from fmuid.identification.problem import Problem, refinement_of
 from fmuid.identification.residual_analysis import ResidualAnalysis
 from fmuid.identification.residual_series import examine_outputs
-from fmuid.identification.solver_checked_search import identify
 from fmuid.models import FMU, System
 from fmuid.simulation import OutputFit, Simulator, Value, column_conversion, fit_of, refined
 
@@ -302,8 +302,7 @@ class _Record:
             values={**self.held, **dict(zip(self.names, self.theta.tolist(), strict=True))},
             step_size=self.step_size,
         )
-        problem.simulate_by(self.finer)
-        return identify(problem, accuracy="off")
+        return identify(problem.finer(self.finer), accuracy="off", remedies=False)
 
     def predicted(self, again: Result | None, level: float) -> Prediction:
         """Simulate at the estimates, and what is asked of their scatter."""

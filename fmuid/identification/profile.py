@@ -34,7 +34,7 @@ from fmuid.array_types import Floats
 from fmuid.blas import single_threaded
 from fmuid.errors import InputError
 from fmuid.estimation import ActiveBound, CostFunction, LeastSquares, Result, TerminationReason, check_level
-from fmuid.identification.conditional_optimum import ConditionalOptimum, best_near, best_with, check_result
+from fmuid.identification.conditional_optimum import ConditionalOptimum, best_near, best_with, evaluator_of
 from fmuid.identification.profile_ends import EndKind, ProfileEndNote
 from fmuid.progress import ProfileStep, Progress
 
@@ -167,11 +167,11 @@ def profile_likelihood(
     >>> [profile.name for profile in fmuid.profile_likelihood(problem, result, ["R"])]
     ['R']
     """
-    check_result(problem, result)
+    evaluator = evaluator_of(problem, result)
     check_level(level)
     listed = problem.parameters.names if names is None else names
     chosen = [problem.parameters.index(name) for name in dict.fromkeys(listed)]
-    criterion, origin = best_near(problem, result)
+    criterion, origin = best_near(evaluator, result)
     far, scatter = reach(problem, result), _scatter(problem, result)
     thresholds, bends = result.reaches(level) ** 2 * scatter, result.std / np.sqrt(scatter)
     found: list[Profile] = []

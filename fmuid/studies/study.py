@@ -379,9 +379,7 @@ class Study(HtmlTableMixin):
         SimulationError
             If the simulation fails at the result.
         """
-        problem = self.problem()
-        problem.become(result)
-        return assess(problem, result, self.uncertainty_settings, progress)
+        return assess(self.problem(), result, self.uncertainty_settings, progress)
 
     def simulators(self) -> tuple[Simulator, ...]:
         """Return the simulator of each experiment, as a function of the study's parameters in their order."""

@@ -18,7 +18,6 @@ from scipy import linalg
 from fmuid.array_types import Floats
 from fmuid.data import Experiment, FunctionPredictor, Noise, Parameter
 from fmuid.errors import InputError
-from fmuid.estimation.identification import identify
 from fmuid.estimation.noise.low_frequency import Bins
 from fmuid.estimation.noise.output_series import OutputSeries, period_of
 from fmuid.estimation.noise.periodic_error import (
@@ -33,6 +32,7 @@ from fmuid.estimation.noise.periodic_error import (
 from fmuid.estimation.noise.sandwich import sandwich_of
 from fmuid.estimation.problem import LeastSquares
 from fmuid.estimation.result import Result
+from fmuid.identification import identify
 from fmuid.identification.residual_analysis import analyze_residuals
 from fmuid.reports.messages.residuals import residual_words
 from tests.support.problems import ar1

@@ -16,9 +16,10 @@ from fmuid.data import Experiment, FunctionPredictor, Noise, Parameter, robust_v
 from fmuid.data.data_file import UNITS
 from fmuid.errors import InputError
 from fmuid.estimation.cost_components import fitted, misfits
-from fmuid.estimation.identification import identify
+from fmuid.estimation.evaluator import Evaluator
 from fmuid.estimation.problem import LeastSquares
 from fmuid.estimation.result import Result
+from fmuid.identification import identify
 from fmuid.identification.prior_and_data import compare_prior_and_data
 from fmuid.identification.prior_data_tests import Deviation
 from fmuid.identification.residual_analysis import analyze_residuals
@@ -79,7 +80,9 @@ def test_a_standard_deviation_for_each_sample() -> None:
     density = float(np.sum(stats.norm.logpdf(y, PHI @ values, STD)))
     assert result.log_likelihood == pytest.approx(density, rel=1e-8)
     np.testing.assert_allclose(result.fit[0]["simulated.y"], PHI @ values, rtol=1e-6)
-    np.testing.assert_allclose(fitted(problem, result).squares, misfits(problem, values[None]).squares, rtol=1e-6)
+    np.testing.assert_allclose(
+        fitted(problem, result).squares, misfits(Evaluator(problem), values[None]).squares, rtol=1e-6
+    )
 
 
 def test_residuals_are_examined_by_their_own_standard_deviations() -> None:
@@ -132,15 +135,15 @@ def test_what_is_common_is_common_to_all_criteria() -> None:
     phi, y, _ = rows_of_two(problem)
     squares = np.array([np.sum((y - phi @ each) ** 2) for each in away])
     expected = y.size * np.log(squares / squares[0])
-    found = misfits(problem, away).concentrated(problem)
+    found = misfits(Evaluator(problem), away).concentrated(problem)
     np.testing.assert_allclose(found - found[0], expected, rtol=1e-9)
-    density = log_density(problem)(away)
+    density = log_density(Evaluator(problem))(away)
     np.testing.assert_allclose(density - density[0], -0.5 * expected, rtol=1e-9)
 
 
 def test_a_common_variance_is_robust_with_a_robust_loss() -> None:
     problem = two(Noise(weights={"u": 4.0, "v": 1.0}), loss="huber")
-    residual = problem.measured - problem.predict(TRUTH[None])[0]
+    residual = problem.measured - Evaluator(problem).predict(TRUTH[None])[0]
     common = robust_variance(np.where(problem.groups == 0, 2.0, 1.0) * residual, float(residual.size))
     np.testing.assert_allclose(problem.noise_variances(residual), [common / 4.0, common], rtol=1e-9)
 

@@ -13,12 +13,12 @@ from fmuid.array_types import Floats
 from fmuid.data import Experiment, Normal, Parameter
 from fmuid.data.noise import Noise
 from fmuid.estimation import identification
-from fmuid.estimation.identification import identify
 from fmuid.estimation.marquardt.linear import linear_least_squares
 from fmuid.estimation.marquardt.outcome import TerminationReason
 from fmuid.estimation.method import Marquardt
 from fmuid.estimation.problem import LeastSquares
 from fmuid.estimation.result import Result
+from fmuid.identification import identify
 from fmuid.progress import Event, SearchStep
 from fmuid.reports.identification_run import at_minimum
 from fmuid.reports.messages.result import ending

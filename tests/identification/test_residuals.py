@@ -15,10 +15,10 @@ from fmuid.data import Experiment, Normal, Parameter
 from fmuid.data.noise import Noise
 from fmuid.data.predictors import FunctionPredictor
 from fmuid.errors import InputError
-from fmuid.estimation.identification import identify
 from fmuid.estimation.noise.whiteness_tests import LaggedSeries
 from fmuid.estimation.problem import LeastSquares
 from fmuid.estimation.result import Result
+from fmuid.identification import identify
 from fmuid.identification.residual_analysis import ResidualAnalysis, ResidualDefect, analyze_residuals
 from fmuid.identification.residual_series import ResidualSeries, examine_outputs
 from fmuid.reports.messages.residuals import residual_words
