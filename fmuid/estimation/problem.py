@@ -174,7 +174,7 @@ class LeastSquares:
         """Return this problem as a result of it was simulated."""
         return self
 
-    def measuring(self, experiments: Sequence[Measurements], parameters: Mapping[str, Parameter] | None = None) -> Self:
+    def measuring(self, experiments: Sequence[Experiment], parameters: Mapping[str, Parameter] | None = None) -> Self:
         """Return this problem with other measurements of the same samples, and perhaps other starts."""
         other = copy.copy(self)
         for name in ("_frozen", "layout", "series", "periods", "shown_noise"):

@@ -3,11 +3,6 @@ from .assessment import Assessment as Assessment
 from .assessment import AssessmentSettings as AssessmentSettings
 from .assessment import assess as assess
 from .assessment import better_point as better_point
-from .comparison import IncomparableError as IncomparableError
-from .comparison import LikelihoodRatioTest as LikelihoodRatioTest
-from .comparison import ModelCandidate as ModelCandidate
-from .comparison import ModelComparison as ModelComparison
-from .comparison import compare_models as compare_models
 from .cost_map import CostMap as CostMap
 from .cost_map import map_cost as map_cost
 from .cost_map import region_rise as region_rise
@@ -15,6 +10,11 @@ from .cost_parabolas import parabolas as parabolas
 from .cost_parabolas import parameters_with_prior_and_data as parameters_with_prior_and_data
 from .identify import identify as identify
 from .identify import identify_by as identify_by
+from .model_comparison import IncomparableError as IncomparableError
+from .model_comparison import LikelihoodRatioTest as LikelihoodRatioTest
+from .model_comparison import ModelCandidate as ModelCandidate
+from .model_comparison import ModelComparison as ModelComparison
+from .model_comparison import compare_models as compare_models
 from .observer import with_observer as with_observer
 from .posterior import LARGEST_R_HAT as LARGEST_R_HAT
 from .posterior import Posterior as Posterior
@@ -36,10 +36,10 @@ from .prior_data_tests import VarianceTest as VarianceTest
 from .problem import ModelReference as ModelReference
 from .problem import Problem as Problem
 from .problem import refinement_of as refinement_of
-from .profile import Profile as Profile
-from .profile import profile_likelihood as profile_likelihood
 from .profile_ends import EndKind as EndKind
 from .profile_ends import ProfileEndNote as ProfileEndNote
+from .profile_likelihood import Profile as Profile
+from .profile_likelihood import profile_likelihood as profile_likelihood
 from .residual_analysis import CORRELATIONS as CORRELATIONS
 from .residual_analysis import LEAST_STD_FACTOR as LEAST_STD_FACTOR
 from .residual_analysis import RESIDUAL_LEVEL as RESIDUAL_LEVEL

@@ -219,8 +219,7 @@ def predict(
         check_kind(parameter, Parameter, f"{name!r} is free and must be a fmuid.Parameter(start)")
     system = System.of(model)
     free = {name: replace(each, prior=None, per_experiment=False) for name, each in free.items()}
-    known = estimates_for(result, system, experiment, free)
-    record = _Record(system, result, experiment, {**values, **result.chosen}, known, free, step_size)
+    record = _Record(system, result, experiment, {**values, **result.chosen}, free, step_size)
     again = record.estimate() if free else None
     return record.predicted(again, level)
 
@@ -270,12 +269,12 @@ class _Record:
         result: Result,
         experiment: Experiment,
         values: dict[str, Value],
-        known: dict[str, str],
         free: dict[str, Parameter],
         step_size: float | None,
     ) -> None:
         self.system, self.result, self.experiment, self.free = system, result, experiment, free
         self.step_size = step_size
+        known = estimates_for(result, system, experiment, free)
         self.names = tuple(known)  # of the variables that take an estimate
         self.at = [result.names.index(name) for name in known.values()]
         self.theta = result.values[self.at]

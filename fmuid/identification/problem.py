@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any, Self, cast
 
 from fmuid.array_types import Floats
-from fmuid.data import Experiment, JointPrior, Measurements, Noise, Parameter, ParameterSet
+from fmuid.data import Experiment, JointPrior, Noise, Parameter, ParameterSet
 from fmuid.errors import InputError
 from fmuid.estimation import SENSITIVITIES, LeastSquares, Result
 from fmuid.formatting import nearest
@@ -172,7 +172,7 @@ class Problem(LeastSquares):
         simulators = self._lay_out(experiments, tuple(self.given_parameters), held)
         return self._by(simulators, values=held, refinement=AS_ASKED)
 
-    def measuring(self, experiments: Sequence[Measurements], parameters: Mapping[str, Parameter] | None = None) -> Self:
+    def measuring(self, experiments: Sequence[Experiment], parameters: Mapping[str, Parameter] | None = None) -> Self:
         """Return this problem with other measurements of the same samples, and perhaps other starts.
 
         What has switched to another solver meanwhile is laid out anew, so that no problem depends on another.

@@ -45,7 +45,7 @@ from fmuid.estimation import Evaluator, GlobalSearch, LeastSquares, Result, Term
 from fmuid.identification.conditional_optimum import evaluator_of
 from fmuid.identification.likelihood_scaling import adjustment
 from fmuid.identification.posterior import Posterior, SamplerSettings
-from fmuid.identification.profile import reach
+from fmuid.identification.profile_likelihood import reach
 from fmuid.identification.proposal_archive import Archive
 from fmuid.progress import Progress, SamplingStep
 

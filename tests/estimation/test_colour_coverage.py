@@ -24,7 +24,7 @@ from fmuid.estimation.problem import LeastSquares
 from fmuid.estimation.result import Result
 from fmuid.identification import identify
 from fmuid.identification.posterior import SamplerSettings
-from fmuid.identification.profile import profile_likelihood
+from fmuid.identification.profile_likelihood import profile_likelihood
 from fmuid.identification.sampler import sample_posterior
 from tests.support.problems import ar1
 

@@ -22,7 +22,7 @@ from fmuid.estimation.method import Marquardt
 from fmuid.estimation.problem import LeastSquares
 from fmuid.estimation.result import Result
 from fmuid.identification import identify
-from fmuid.identification.profile import profile_likelihood
+from fmuid.identification.profile_likelihood import profile_likelihood
 from tests.support.paths import FMUS
 
 ROBUST = ["soft_l1", "huber", "cauchy"]

@@ -176,9 +176,8 @@ def profile_likelihood(
     thresholds, bends = result.reaches(level) ** 2 * scatter, result.std / np.sqrt(scatter)
     found: list[Profile] = []
     for k, i in enumerate(chosen):
-        std, threshold = float(result.std[i]), float(thresholds[i])
-        widths = std, float(bends[i]), float(far[i])
-        profiler = _Profiler(criterion, origin, i, widths, level, threshold, progress, k / len(chosen))
+        goal = _Goal(float(result.std[i]), float(bends[i]), float(far[i]), float(thresholds[i]), level)
+        profiler = _Profiler(criterion, origin, i, goal, progress, k / len(chosen))
         found.append(profiler.run())
         if profiler.interrupted:
             break
@@ -206,6 +205,17 @@ def reach(problem: LeastSquares, result: Result) -> Floats:
     )
 
 
+@dataclass(frozen=True)
+class _Goal:
+    """What is known of a profile before it is walked along, as the fields of `Profile`; `far` ends a flat side."""
+
+    std: float
+    bend: float
+    far: float
+    threshold: float
+    level: float
+
+
 @dataclass(eq=False)
 class _Side:
     """One side of a profile: the points in the order in which they were found, the end, and remarks."""
@@ -226,14 +236,12 @@ class _Profiler:
         criterion: CostFunction,
         origin: ConditionalOptimum,
         index: int,
-        widths: tuple[float, float, float],
-        level: float,
-        threshold: float,
+        goal: _Goal,
         progress: Progress | None,
         share: float,
     ) -> None:
         self.criterion, self.origin, self.index = criterion, origin, index
-        (self.std, self.bend, self.far), self.level, self.threshold = widths, level, threshold
+        self.goal, self.threshold = goal, goal.threshold
         self.progress, self.share = progress, share
         self.names = criterion.problem.parameters.names
         self.name = self.names[index]
@@ -256,9 +264,9 @@ class _Profiler:
         return Profile(
             name=self.name,
             value=self._value(self.origin),
-            std=self.std,
-            bend=self.bend,
-            level=self.level,
+            std=self.goal.std,
+            bend=self.goal.bend,
+            level=self.goal.level,
             lower=lower,
             upper=upper,
             minimum=self.origin.criterion,
@@ -280,7 +288,7 @@ class _Profiler:
                 side.end = bound
                 self._remark(side, EndKind.BOUND, here)
                 return
-            if abs(value - self._value(self.origin)) >= self.far:
+            if abs(value - self._value(self.origin)) >= self.goal.far:
                 side.end = direction * math.inf
                 self._remark(side, EndKind.FLAT, here)
                 return
@@ -320,7 +328,8 @@ class _Profiler:
 
     def _first_step(self) -> float:
         wanted = min(
-            math.sqrt(self.threshold) * self.bend / SETTINGS.steps_per_side, SETTINGS.first_step_share * self.magnitude
+            math.sqrt(self.threshold) * self.goal.bend / SETTINGS.steps_per_side,
+            SETTINGS.first_step_share * self.magnitude,
         )
         return max(wanted, SETTINGS.least_step_share * self.magnitude)
 
