@@ -12,7 +12,7 @@ import numpy as np
 import pandas as pd
 
 from fmuid.diagnosis.cause_results import ChangeEvidence, EstimatedChange, reader
-from fmuid.diagnosis.change_detection.unexplained_residual import VarianceRatio
+from fmuid.diagnosis.unexplained_residual import VarianceRatio
 from fmuid.display_mixins import PlotMixin
 from fmuid.errors import InputError
 from fmuid.estimation import Result, SolverCheck

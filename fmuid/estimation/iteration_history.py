@@ -9,7 +9,7 @@ import numpy as np
 import pandas as pd
 
 from fmuid.array_types import Floats
-from fmuid.data import Measurements
+from fmuid.data import Experiment
 from fmuid.estimation.marquardt.settings import Iteration
 
 
@@ -25,7 +25,7 @@ class History:
         Every step of the search, with the number of its round.
     rounds : tuple of mapping
         What each repetition on the noise variances used and found.
-    experiments : tuple of Measurements
+    experiments : tuple of Experiment
     simulated : tuple of (K, n_outputs) arrays
         The outputs of each experiment at the estimate.
     """
@@ -33,7 +33,7 @@ class History:
     names: tuple[str, ...]
     iterations: tuple[tuple[int, Iteration], ...]
     rounds: tuple[Mapping[str, float], ...]
-    experiments: tuple[Measurements, ...]
+    experiments: tuple[Experiment, ...]
     simulated: tuple[Floats, ...]
 
     def after(self, earlier: History) -> History:

@@ -21,6 +21,7 @@ from fmuid.blas import single_threaded
 from fmuid.errors import InputError
 from fmuid.estimation import (
     CostFunction,
+    Evaluator,
     LeastSquares,
     LinearizedProblem,
     Marquardt,
@@ -334,7 +335,7 @@ def _search_data(
     variance = np.array([result.variance[name] for name in problem.output_names])
     state = State(result.values.copy(), local.residual, local.jacobian, fresh=False)
     try:
-        alone = _DataAlone(prepare(problem, result.start).criterion.reweighted(variance))
+        alone = _DataAlone(prepare(Evaluator(problem.as_in(result)), result.start).criterion.reweighted(variance))
         for _ in search(alone, state, Marquardt()):
             pass
         if not state.fresh:

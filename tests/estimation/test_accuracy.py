@@ -21,10 +21,10 @@ from fmuid.estimation import (
     SolverCheck,
     SwitchCause,
     estimate_solver_error,
-    identify,
     with_shift,
 )
 from fmuid.estimation.result_file import content
+from fmuid.identification import identify
 
 TIMES = np.linspace(0.0, 1.0, 60)
 BASIS = np.column_stack([np.ones(60), TIMES, TIMES**2])
@@ -59,8 +59,7 @@ def test_the_shift_of_a_linear_model(prior: bool) -> None:
 def test_the_shift_with_a_robust_loss() -> None:
     one = problem(loss="huber")
     result = identify(one)
-    finer = problem(loss="huber")
-    finer.measured = finer.measured - ERROR
+    finer = problem(loss="huber")._with(measured=one.measured - ERROR)
     moved = identify(finer).values - result.values
     assert estimate_solver_error(one, result, ERROR).shift * result.std == pytest.approx(moved, rel=0.2)
 

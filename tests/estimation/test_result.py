@@ -10,16 +10,15 @@ from scipy.optimize import minimize
 from scipy.stats import norm
 
 from fmuid.array_types import Floats
+from fmuid.data import Experiment, Normal, Parameter
 from fmuid.data.noise import Noise
-from fmuid.data.parameters import Normal, Parameter
-from fmuid.data.predictors import ArrayMeasurements
 from fmuid.estimation import identification
-from fmuid.estimation.identification import identify
 from fmuid.estimation.marquardt.linear import linear_least_squares
 from fmuid.estimation.marquardt.outcome import TerminationReason
 from fmuid.estimation.method import Marquardt
 from fmuid.estimation.problem import LeastSquares
 from fmuid.estimation.result import Result
+from fmuid.identification import identify
 from fmuid.progress import Event, SearchStep
 from fmuid.reports.identification_run import at_minimum
 from fmuid.reports.messages.result import ending
@@ -47,7 +46,7 @@ def test_every_output_gets_its_own_variance() -> None:
 
 def test_the_variances_settle_whatever_their_start() -> None:
     """The repetition of docs/method.md section 7: kept as rounds, one or two of them from any start."""
-    results = [identify(two_output_problem(noise=Noise(start=s))) for s in (1e-8, 1.0, 1e4)]
+    results = [identify(two_output_problem(noise=Noise(initial_variance=s))) for s in (1e-8, 1.0, 1e4)]
     for result in results:
         assert result.converged
         assert len(result.rounds) <= 4
@@ -84,7 +83,7 @@ def test_the_log_likelihood_is_that_of_the_data() -> None:
 
 
 def test_the_log_likelihood_compares_where_the_criterion_does_not() -> None:
-    results = [identify(two_output_problem(noise=Noise(start=start))) for start in (1e-4, 1e4)]
+    results = [identify(two_output_problem(noise=Noise(initial_variance=start))) for start in (1e-4, 1e4)]
     assert results[0].log_likelihood == pytest.approx(results[1].log_likelihood, abs=1e-3)
     content = results[0].to_json_dict()
     assert content["log_likelihood"] == results[0].log_likelihood
@@ -145,7 +144,7 @@ def test_parameters_shared_and_per_experiment() -> None:
         return np.column_stack([1e3 * gain * np.exp(-k * times), 1e-3 * gain * np.sin(k * times)])
 
     tables = [
-        ArrayMeasurements(name, times, ("a", "b"), y, np.ones((50, 2), dtype=np.bool_))
+        Experiment.of_arrays(name, times, ("a", "b"), y, np.ones((50, 2), dtype=np.bool_))
         for name, gain in (("first", 2.0), ("second", 5.0))
         for y in [simulate(1.5, gain) + rng.standard_normal((50, 2)) * [5.0, 1e-5]]
     ]

@@ -13,13 +13,13 @@ from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 
 from fmuid.array_types import Floats
-from fmuid.data.parameters import Parameter
+from fmuid.data import Parameter
 from fmuid.errors import InputError
 from fmuid.estimation.finite_differences import FiniteDifferences
-from fmuid.estimation.identification import identify
 from fmuid.estimation.marquardt.outcome import TerminationReason
 from fmuid.estimation.problem import LeastSquares
 from fmuid.estimation.result import Result
+from fmuid.identification import identify
 from fmuid.reports.apply import apply_result
 from fmuid.reports.messages.result import ending
 from tests.support.paths import FMUS

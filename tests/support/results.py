@@ -9,9 +9,9 @@ from typing import Any
 
 import numpy as np
 
-from fmuid.estimation.identification import identify
 from fmuid.estimation.problem import LeastSquares
 from fmuid.estimation.result import Result
+from fmuid.identification import identify
 
 
 def result(folder: Path, values: dict[str, tuple[float, float | None]], **changes: Any) -> Path:
