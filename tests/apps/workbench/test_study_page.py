@@ -20,7 +20,7 @@ from bokeh.models import Button
 from fmuid.apps.workbench import Folder
 from fmuid.apps.workbench.jobs import Jobs
 from fmuid.apps.workbench.pages.identification_panel import UNCERTAIN
-from fmuid.apps.workbench.pages.latest_only_worker import LatestOnlyWorker
+from fmuid.apps.workbench.pages.live import LatestOnlyWorker
 from fmuid.apps.workbench.pages.sliders import PLACES, reach_of
 from fmuid.apps.workbench.pages.study import StudyPage
 from fmuid.data import Normal, Parameter
