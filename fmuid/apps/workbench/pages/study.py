@@ -20,7 +20,7 @@ from fmuid.apps.workbench.home import address, escaped
 from fmuid.apps.workbench.jobs import Jobs, command_text
 from fmuid.apps.workbench.page_layout import LINE, SHEET, WIDE, argument, arguments, button, dress, words
 from fmuid.apps.workbench.pages.identification_panel import IdentificationPanel
-from fmuid.apps.workbench.pages.latest_only_worker import LatestOnlyWorker
+from fmuid.apps.workbench.pages.live import LatestOnlyWorker
 from fmuid.apps.workbench.pages.remedy_panel import last_of, noise_of
 from fmuid.apps.workbench.pages.sliders import ParameterRow, stacked
 from fmuid.apps.workbench.project_folder import Folder, FoundResult
