@@ -116,15 +116,12 @@ def identification_sections(found: IdentificationRun) -> list[Section]:
     """Return the sections of an identification."""
     result, fits, units, estimates = found.result, found.fits, found.unit_of, found.estimates
     optima = found.optima if result.optima else pd.DataFrame()
-    told = [{"name": each.experiment, "preparation": each.words, "columns": each.units} for each in found.prepared]
-    others = [{"name": fit.experiment} for fit in fits if fit.experiment not in {each["name"] for each in told}]
-    changed = [each.table for each in found.prepared if len(each.table)]
     sections = [
         *([optima_section(result)] if result.optima else []),
         estimates_section(result, found.level),
         *([] if found.uncertainty is None else [interval_section(found.uncertainty, result, found.level)]),
         *fit_sections(fits),
-        *(preprocessing_sections(pd.concat(changed, ignore_index=True), [*told, *others]) if changed else []),
+        *preprocessing_sections(found.prepared, len(fits) > 1),
         residual_section(fits, found.diagnostics.correlations),
         *optimization_sections(result, estimates, optima, found.output_units),
         *(prior_sections(found.reading, units) if found.has_prior else []),

@@ -59,28 +59,24 @@ def preprocessing_charts(table: pd.DataFrame, units: Units | None = None) -> Cha
 
 
 def preprocessing_sections(
-    table: pd.DataFrame, experiments: Sequence[Mapping[str, Any]], key: str = "preparation"
+    prepared: Sequence[PreprocessedTable], several: bool, key: str = "preparation"
 ) -> list[Section]:
-    """Return a section for each experiment whose table was prepared; of more than are drawn, of the first.
+    """Return a section for each experiment whose data file was prepared; of more than are drawn, of the first.
 
     Parameters
     ----------
-    table : DataFrame
-        As for `preprocessing_charts`, with ``experiment``.
-    experiments : sequence of mapping
-        With ``name``, and where they were prepared ``preparation`` and ``columns``.
+    prepared : sequence of PreprocessedTable
+    several : bool
+        Whether there are several experiments, so that each is named.
     key : str
         Of the sections.
     """
     shown: list[Section] = []
-    for each in experiments:
-        rows, words = table[table["experiment"] == each["name"]], each.get("preparation")
-        if not words or not len(rows) or len(shown) == MAX_EXPERIMENTS:
-            continue
-        heading = "What was done with the table first" + (f": {each['name']}" if len(experiments) > 1 else "")
-        caption = f"{preparation_words(words)}." + ("" if shown else f" {CAPTION}")
+    for each in [one for one in prepared if one.words and len(one.table)][:MAX_EXPERIMENTS]:
+        heading = "What was done with the table first" + (f": {each.experiment}" if several else "")
+        caption = f"{preparation_words(each.words)}." + ("" if shown else f" {CAPTION}")
         anchor = key if not shown else f"{key}-{len(shown) + 1}"
-        charts = (preprocessing_charts(rows, each.get("columns")),)
+        charts = (preprocessing_charts(each.table, each.units),)
         shown.append(Section(anchor, heading, caption, charts=charts, beside=1))
     return shown
 

@@ -1,0 +1,180 @@
+"""Causes and faults, drawn: what decides, sizes with intervals, what a fault explains of the residual."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from fmuid.formatting import label
+from fmuid.reports.chart import (
+    MAX_OUTPUTS,
+    MAX_ROWS,
+    Axis,
+    Chart,
+    ChartGrid,
+    Color,
+    Data,
+    Layer,
+    Units,
+    rows_of,
+    short,
+    stacked,
+)
+from fmuid.reports.downsampling import extremes
+from fmuid.reports.topics.diagnosis_phrases import change_name, change_size
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+    from fmuid.diagnosis import ChangeEvidence, Diagnosis, FaultHypothesis
+
+MAX_FAULTS = 12
+"""More hypotheses make a chart nobody reads: the most significant are kept."""
+LEAST_STATISTIC = 0.1
+"""D is drawn logarithmically from here on; less is as good as nothing."""
+
+
+def drawn_faults(found: Diagnosis) -> list[FaultHypothesis]:
+    """Return the hypotheses to draw, in their order: of more than `MAX_FAULTS` the most significant."""
+    likely = sorted(found.hypotheses, key=lambda each: each.probability)[:MAX_FAULTS]
+    return [each for each in found.hypotheses if each in likely]
+
+
+def fault_evidence(found: Diagnosis) -> Chart:
+    """Return by how much each fault lowers the cost, against its threshold; the fault named is red."""
+    kept = drawn_faults(found)
+    names = [each.name for each in kept]
+    named = [each for each in kept if each.name in found.named]
+    called = [each for each in kept if each.name in found.called and each.name not in found.named]
+    others = [each for each in kept if each not in named and each not in called]
+    hover = (("D", "@told{0.000}"), ("threshold", "@threshold{0.000}"), ("probability", "@p{0.0e}"))
+    kinds: tuple[tuple[str, Color, list[FaultHypothesis]], ...] = (
+        ("named", "red", named),
+        ("significant", "blue", called),
+        ("not significant", "grey", others),
+    )
+    layers = []
+    for text, color, mine in kinds:
+        if mine:
+            data = _bars([each.name for each in mine], [each.statistic for each in mine])
+            more = {"threshold": _array([e.threshold for e in mine]), "p": _array([e.adjusted for e in mine])}
+            layers.append(Layer("bars", {**data, **more}, color, label=text, hover=hover))
+    limits: Data = {"x": _array([each.threshold for each in kept]), "y": tuple(names)}
+    text = f"threshold at a false-alarm level of {100 * found.level:g} %"
+    layers.append(Layer("points", limits, "ink", marker="bar", size=22, width=2, label=text))
+    most = max(max(each.statistic, each.threshold) for each in kept)
+    return rows_of(names, _strengths("D, by how much the fault lowers the criterion", most), layers, 110)
+
+
+def cause_evidence(found: ChangeEvidence) -> Chart:
+    """Return what each cause alone lowers the cost by, the likeliest first; what explains the record is red.
+
+    The pointer shows the size, and which other cause has the nearest signature, at which angle.
+    """
+    kept = sorted(found.suspects, key=lambda each: each.probability)[:MAX_FAULTS]
+    names = [change_name(each.change) for each in kept]
+    named = {change_name(change) for each in found.explanations for change in each.changes}
+    numbers = (("D", "@told{0.000}"), ("probability by chance", "@p{0.0e}"))
+    hover = (*numbers, ("size", "@size"), ("nearest signature", "@near"))
+    layers = []
+    kinds: tuple[tuple[str, Color, bool], ...] = (("explains the record", "red", True), ("other causes", "grey", False))
+    for text, color, mine in kinds:
+        here = [(name, each) for name, each in zip(names, kept, strict=True) if (name in named) is mine]
+        if here:
+            data = _bars([name for name, _ in here], [each.statistic for _, each in here])
+            near = [f"{e.rival}, {math.degrees(e.rival_angle):.0f}°" if e.rival else "" for _, e in here]
+            sizes = tuple(change_size(each.change) for _, each in here)
+            more = {"p": _array([each.probability for _, each in here]), "size": sizes, "near": tuple(near)}
+            layers.append(Layer("bars", {**data, **more}, color, label=text, hover=hover))
+    most = max((each.statistic for each in kept), default=1.0)
+    return rows_of(names, _strengths("D, by how much the cause alone lowers the criterion", most), layers, 110)
+
+
+def _bars(names: Sequence[str], statistics: Sequence[float]) -> Data:
+    told = _array(statistics)
+    return {"y": tuple(names), "x": np.maximum(told, LEAST_STATISTIC), "x0": LEAST_STATISTIC, "told": told}
+
+
+def _array(values: Sequence[float]) -> np.ndarray:  # type: ignore[type-arg]
+    return np.array(values, dtype=np.float64)
+
+
+def _strengths(text: str, most: float) -> Axis:
+    return Axis(text, "log", reach=(LEAST_STATISTIC, 2.0 * max(most, 1.0)))
+
+
+def size_charts(found: Diagnosis) -> list[Chart]:
+    """Return the sizes of each fault with their intervals of 95 %, a chart a fault."""
+    charts = []
+    for each in drawn_faults(found):
+        known = [size for size in each.sizes if math.isfinite(size.std)]
+        if known:
+            names = [label(size.name, size.unit) for size in known]
+            ends = [size.interval() for size in known]
+            text, color = f"{each.name}: size, with its interval of 95 %", "red" if each.name in found.named else "grey"
+            charts.append(_intervals(text, names, [size.value for size in known], ends, color))
+    return charts
+
+
+def change_charts(found: ChangeEvidence) -> list[Chart]:
+    """Return the size of each change that explains the record, with its interval of 95 %; shares in percent."""
+    charts = {}
+    for each in (change for one in found.explanations for change in one.changes):
+        name = change_name(each)
+        if name not in charts and math.isfinite(each.std):
+            scale, unit = (100.0, "%") if each.kind.is_share else (1.0, each.unit)
+            low, high = each.interval()
+            text = label("size, with its interval of 95 %", unit)
+            charts[name] = _intervals(text, [name], [scale * each.value], [(scale * low, scale * high)], "red")
+    return list(charts.values())
+
+
+def _intervals(
+    text: str, names: Sequence[str], values: Sequence[float], ends: Sequence[tuple[float, float]], color: str
+) -> Chart:
+    """Return values with their intervals beside zero, a row a name."""
+    low, high = (_array([each[k] for each in ends]) for k in (0, 1))
+    hover = (("size", "@x{0.000000}"), ("interval", "@x0{0.000000} to @x1{0.000000}"))
+    rows, paint = tuple(names), "red" if color == "red" else "grey"
+    layers = (
+        Layer("segments", {"x0": low, "y0": rows, "x1": high, "y1": rows}, paint, width=3),
+        Layer("points", {"x": _array(values), "y": rows, "x0": low, "x1": high}, paint, size=9, hover=hover),
+        Layer("rule", {"x": 0.0}, "ink"),
+    )
+    least, most = min(0.0, float(low.min())), max(0.0, float(high.max()))
+    room = 0.05 * (most - least)
+    return rows_of(list(dict.fromkeys(names)), Axis(text, reach=(least - room, most + room)), layers)
+
+
+def explained_charts(table: pd.DataFrame, fault: str, units: Units) -> ChartGrid:
+    """Return each output's residual without the fault and with it.
+
+    Parameters
+    ----------
+    table : DataFrame
+        Columns ``time``, and ``healthy.`` and ``fault.`` before the name of each output: the residuals of both models.
+    fault : str
+        What it is called.
+    units : mapping of str to str
+        Of the outputs.
+    """
+    outputs = [str(name).removeprefix("healthy.") for name in table.columns if str(name).startswith("healthy.")]
+    drawn = outputs[:MAX_OUTPUTS]
+    columns = table[[f"{kind}.{name}" for name in drawn for kind in ("healthy", "fault")]].to_numpy(np.float64)
+    kept = extremes(columns, MAX_ROWS)
+    times, charts = table["time"].to_numpy(np.float64)[kept], []
+    for k, name in enumerate(drawn):
+        both = columns[:, 2 * k : 2 * k + 2]
+        stds, unit = np.sqrt(np.nanmean(both**2, axis=0)), units.get(name) or ""
+        texts = (f"healthy model, std {stds[0]:.3g} {unit}", f"with {fault}, std {stds[1]:.3g} {unit}")
+        layers = (
+            Layer("line", {"x": times, "y": short(both[kept, 0])}, "grey", width=1, label=texts[0]),
+            Layer("line", {"x": times, "y": short(both[kept, 1])}, "red", width=1, label=texts[1]),
+            Layer("rule", {"y": 0.0}, "ink"),
+        )
+        y = Axis(label(f"residual of {name}", units.get(name)))
+        charts.append(Chart(Axis("time (s)", linked="time"), y, layers, 190))
+    return stacked(charts)
