@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from fmuid.array_types import Floats
+from fmuid.codec import from_json
 from fmuid.estimation import LeastSquares, Marquardt, Result, SolverCheck, merge_optima
 from fmuid.identification import Problem, identify
 from fmuid.progress import Progress
@@ -47,7 +48,7 @@ class FitSolverCheck:
         if data is None:
             return cls()
         shift = [np.nan if each is None else float(each) for each in data["shift"].values()]
-        return cls(tuple(data["shift"]), SolverCheck.of_json(data, np.array(shift)))
+        return cls(tuple(data["shift"]), from_json(SolverCheck, {**data, "shift": np.array(shift)}))
 
 
 @dataclass(frozen=True)

@@ -253,7 +253,7 @@ def test_prior_from_an_earlier_result(folder: Path, capsys: pytest.CaptureFixtur
 def test_what_takes_long_says_what_it_does(
     folder: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("fmuid.reports.run_identification.QUICK_SECONDS", 0.0)
+    monkeypatch.setattr("fmuid.runs.run.QUICK_SECONDS", 0.0)
     assert fmuid_("identify", folder / "study.toml") == DONE
     assert capsys.readouterr().err == ""
     prior = "parameters.R.prior={mean = 4.0, std = 0.1}"

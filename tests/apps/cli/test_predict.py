@@ -9,9 +9,10 @@ from pathlib import Path
 import pandas as pd
 import pytest
 
-import fmuid
 from fmuid.apps.cli.options import DONE, WRONG_INPUT
+from fmuid.reports.messages.prediction import predicted_words
 from tests.support.coil_study import STUDY, coil_table, fmuid_
+from tests.support.running import run_prediction
 
 pytestmark = pytest.mark.usefixtures("blank_figures")
 
@@ -110,9 +111,9 @@ def test_folds(made: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -
 
 
 def test_from_python(made: Path) -> None:
-    found = fmuid.run_prediction(made / "results", [made / "second.csv"], free=["i_start"])
+    found = run_prediction(made / "results", [made / "second.csv"], free=["i_start"])
     assert found.predictions[0].scores[0].ratio == pytest.approx(1.0, abs=0.1)
-    assert any("is predicted with a fit of" in words for words in found.words)
+    assert any("is predicted with a fit of" in words for words in predicted_words(found))
 
 
 @pytest.mark.parametrize(
