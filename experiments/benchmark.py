@@ -296,7 +296,7 @@ def compare_systems() -> None:
             components={name: HERE.parent / "fmus" / model / f"{model}.fmu" for name, model in parts.items()},
             connections=[(source, target, 1.0, 0.0) for source, target in connections],
         )
-        experiment = fmuid.Experiment(frame, {fed: "r"}, {shown: "y"}, interpolation="hold")
+        experiment = fmuid.Experiment(frame, {fed: "r"}, {shown: "y"}, interpolation="zoh")
         simulator = fmuid.Simulator(system, experiment)
         ours, other = alternating(5, partial(simulator, []), by_fmpy, repeat=20)
         apart = difference(simulator([])[:, 0], by_fmpy())
@@ -349,7 +349,7 @@ def compare_starts() -> None:
 def main() -> None:
     """Run all comparisons."""
     (linear,) = fmuid.Study.read(STUDY_FILE).tables
-    study = fmuid.Study.read(STUDY_FILE, ['experiments.0.interpolation="hold"', "noise.variance=0.0462"])
+    study = fmuid.Study.read(STUDY_FILE, ['experiments.0.interpolation="zoh"', "noise.variance=0.0462"])
     (held,) = study.tables
     by_fmpy = fmpy_simulation(held)
     compare_simulations(linear, held, by_fmpy)

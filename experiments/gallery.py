@@ -61,7 +61,7 @@ def landing(folder: Path) -> None:
 
 def _identified(folder: Path) -> None:
     """Draw an identification with its profiles, posterior and map."""
-    asked = ["uncertainty.profile=true", "uncertainty.posterior=true", 'uncertainty.map=[["Rs","Lf"]]']
+    asked = ["uncertainty.profile_likelihood=true", "uncertainty.posterior=true", 'uncertainty.cost_map=[["Rs","Lf"]]']
     study = HERE / "induction_machine" / "study.toml"
     _run("identify", study, folder / "machine", *(word for each in asked for word in ("--set", each)))
     for name in ("fit", "parameters", "criterion", "residuals", "profiles", "posterior", "maps"):
@@ -71,7 +71,7 @@ def _identified(folder: Path) -> None:
 def _diagnosed(folder: Path) -> None:
     """Draw the diagnosis of a coil that has lost turns."""
     _run("identify", COIL / "healthy.toml", folder / "healthy")
-    healthy = f"diagnosis.healthy={folder / 'healthy' / 'result.json'}"
+    healthy = f"diagnosis.baseline={folder / 'healthy' / 'result.json'}"
     _run("diagnose", COIL / "test.toml", folder / "coil", "--set", healthy)
     for drawn in sorted((folder / "coil" / "figures").glob("*.png")):
         _keep(drawn, drawn.stem)

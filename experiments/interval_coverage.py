@@ -103,7 +103,7 @@ def coil() -> Case:
 
     def draw(rng: np.random.Generator) -> fmuid.Experiment:
         table = frame.assign(i=current + std * rng.normal(size=COIL_SAMPLES))
-        return fmuid.Experiment(table, inputs=["u"], outputs=["i"], interpolation="hold")
+        return fmuid.Experiment(table, inputs=["u"], outputs=["i"], interpolation="zoh")
 
     parameters = {"R": fmuid.Parameter(2.0, min=0.0), "L": fmuid.Parameter(0.2, min=1e-6)}
     return Case("coil", fmuid.System.of(FMUS / "Coil" / "Coil.fmu"), truth, parameters, draw)

@@ -167,16 +167,16 @@ title = "Coil on the bench"
 [model]
 fmu = "coil.fmu"
 [[experiments]]
-table = "faulty_coil.csv"
+data = "faulty_coil.csv"
 inputs = ["u"]
 outputs = ["i"]
 [diagnosis]
-healthy = "healthy/result.json"
+baseline = "healthy/result.json"
 [diagnosis.faults.turns]
 fmu = "turns.fmu"
 parameters = { dR = { nominal = 1.0 } }
 [monitoring]
-level = 0.01
+false_alarm_rate = 0.01
 """
 
 
@@ -186,7 +186,7 @@ def coil(folder: Path) -> None:
     folder.mkdir()
     for source, name in ((healthy.fmu, "coil.fmu"), (faulty.fmu, "turns.fmu"), (faulty.path, faulty.path.name)):
         shutil.copy(source, folder / name)
-    fmuid.run_study(fmuid.Study.of(healthy.study, folder / "coil.toml"), folder / "healthy")
+    fmuid.run(fmuid.Study.of(healthy.study, folder / "coil.toml"), folder / "healthy")
     (folder / "faults.toml").write_text(FAULTS)
     table = healthy.table.rename(columns={"u": "U_set (V)", "i": "I_meas (A)"})
     table.assign(time=1e3 * table["time"]).rename(columns={"time": "Time (ms)"}).to_csv(
@@ -200,7 +200,7 @@ def results(folder: Path) -> None:
     fleet = campaign.write_study(folder / "fleet", 40)
     coil(folder / "coil")
     for words in (
-        ("identify", "study_prior.toml", "--set", 'uncertainty.map=[["Rs", "Lm"]]'),
+        ("identify", "study_prior.toml", "--set", 'uncertainty.cost_map=[["Rs", "Lm"]]'),
         ("identify", "study_prior.toml", "--output", "free", "--set", "parameters.Rs.prior.std=1.0"),
         ("batch", str(fleet), "--output", "fleet/out"),
         ("diagnose", "coil/faults.toml"),

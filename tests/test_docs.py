@@ -47,7 +47,7 @@ def study_of(more: str, folder: Path) -> Study:
         shutil.copy(MACHINE / "table.csv", folder / "records" / name)
     data = tomllib.loads((MACHINE / "study.toml").read_text(encoding="utf-8"))
     data["model"]["fmu"] = str((MACHINE / data["model"]["fmu"]).resolve())
-    data["experiments"][0]["table"] = str(MACHINE / "table.csv")
+    data["experiments"][0]["data"] = str(MACHINE / "table.csv")
     return Study.of(data | tomllib.loads(more), folder / "study.toml")
 
 

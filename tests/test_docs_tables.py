@@ -47,7 +47,7 @@ def begun(path: Path, **asked: object) -> Experiment:
 
 def studied(path: Path, words: str = 'outputs = ["i"]\ninputs = ["u"]', more: str = "") -> tuple[Experiment, ...]:
     """Return the records of a study of the coil with the words of one table."""
-    text = f'[model]\nfmu = "{COIL.as_posix()}"\n[[experiments]]\ntable = "{path.name}"\n{words}\n{more}\n'
+    text = f'[model]\nfmu = "{COIL.as_posix()}"\n[[experiments]]\ndata = "{path.name}"\n{words}\n{more}\n'
     (path.parent / "study.toml").write_text(text + "[parameters]\nR = { start = 4.0 }\n")
     return Study.read(path.parent / "study.toml").tables
 
@@ -235,17 +235,17 @@ def _gaps(folder: Path, _: pytest.MonkeyPatch) -> None:
 
 @row("gaps in an input")
 def _gaps_in_an_input(folder: Path, _: pytest.MonkeyPatch) -> None:
-    for length, longest in ((10, ""), (30, "longest_gap = 0.5")):
+    for length, longest in ((10, ""), (30, "max_gap = 0.5")):
         table = PLAIN.copy()
         table.loc[10 : 10 + length, "u"] = np.nan
         path = written(folder, table)
         with pytest.raises(InputError, match=r"the input column 'u' has no value in row 11"):
             studied(path)
-        for word in ("linear", "hold"):
-            (found,) = studied(path, more=f'[experiments.prepare]\nfill = {{ u = "{word}" }}\n{longest}')
+        for word in ("linear", "zoh"):
+            (found,) = studied(path, more=f'[experiments.preprocess]\nfill_missing = {{ u = "{word}" }}\n{longest}')
             same(found)
     with pytest.raises(InputError, match="more than 20 usual steps"):
-        studied(path, more='[experiments.prepare]\nfill = { u = "hold" }')
+        studied(path, more='[experiments.preprocess]\nfill_missing = { u = "zoh" }')
 
 
 @row("rows that are missing, a logger's pause")
@@ -257,7 +257,7 @@ def _missing_rows(folder: Path, _: pytest.MonkeyPatch) -> None:
     path = written(folder, PLAIN.drop(index=range(10, 45)))
     with pytest.raises(InputError, match=r"rows are missing between t = 0\.009 s \(row 10\) and 0\.045 s"):
         studied(path)
-    (found,) = studied(path, more='[experiments.prepare]\nfill = { u = "hold" }\nlongest_gap = 0.036')
+    (found,) = studied(path, more='[experiments.preprocess]\nfill_missing = { u = "zoh" }\nmax_gap = 0.036')
     np.testing.assert_allclose(found.input_values[:, 0], PLAIN["u"])
 
 
@@ -265,35 +265,35 @@ def _missing_rows(folder: Path, _: pytest.MonkeyPatch) -> None:
 def _axes(folder: Path, _: pytest.MonkeyPatch) -> None:
     phases = {f"i{name}": 3.0 * np.cos(50 * T - k * 2 * np.pi / 3) for k, name in enumerate("abc")}
     path = written(folder, PLAIN.assign(**phases, theta=50 * T))
-    axes = 'axes = [{ from = ["ia", "ib", "ic"], to = ["ids", "iqs"], angle = "theta" }]'
-    (found,) = studied(path, 'inputs = ["u"]\noutputs = { i = "ids" }', f"[experiments.prepare]\n{axes}")
+    axes = 'park = [{ source = ["ia", "ib", "ic"], target = ["ids", "iqs"], angle = "theta" }]'
+    (found,) = studied(path, 'inputs = ["u"]\noutputs = { i = "ids" }', f"[experiments.preprocess]\n{axes}")
     np.testing.assert_allclose(found.output_values[:, 0], 3.0 * np.sqrt(1.5))
 
 
 @row("pulses of an encoder, a shunt's voltage")
 def _derived(folder: Path, _: pytest.MonkeyPatch) -> None:
     path = written(folder, PLAIN.assign(pulses=1000.0))
-    derived = '[experiments.prepare]\ncolumns = { x = "pulses * 35.1e-6" }'
+    derived = '[experiments.preprocess]\ncomputed_columns = { x = "pulses * 35.1e-6" }'
     (found,) = studied(path, 'inputs = ["u"]\noutputs = { i = "x" }', derived)
     np.testing.assert_allclose(found.output_values, 0.0351)
 
 
 @row("a transient at the beginning that is not meant")
 def _discard(folder: Path, _: pytest.MonkeyPatch) -> None:
-    (found,) = studied(written(folder), 'inputs = ["u"]\noutputs = ["i"]\ndiscard = 0.02')
+    (found,) = studied(written(folder), 'inputs = ["u"]\noutputs = ["i"]\nwarmup = 0.02')
     assert found.times.size == 100
     assert found.counted.sum() == 80
 
 
 @row("one long record, and two pieces of it are of use")
 def _pieces(folder: Path, _: pytest.MonkeyPatch) -> None:
-    found = studied(written(folder), more="[experiments.prepare]\npieces = [[0.005, 0.02], [0.031, 0.04]]")
+    found = studied(written(folder), more="[experiments.preprocess]\nsegments = [[0.005, 0.02], [0.031, 0.04]]")
     assert [(each.times[0], each.times[-1]) for each in found] == [(0.005, 0.02), (0.031, 0.04)]
 
 
 @row("a digital controller holds the voltage between samples")
 def _held(folder: Path, _: pytest.MonkeyPatch) -> None:
-    for word, at in (("hold", 50), ("hold-previous", 49)):
+    for word, at in (("zoh", 50), ("zoh-next", 49)):
         (found,) = studied(written(folder), f'inputs = ["u"]\noutputs = ["i"]\ninterpolation = "{word}"')
         assert found.held.all()
         assert int(np.flatnonzero(found.input_values[:, 0] == 0)[0]) == at  # from this sample on the input is 0
@@ -302,17 +302,17 @@ def _held(folder: Path, _: pytest.MonkeyPatch) -> None:
 @row("1 MHz, and the machine is a thousand times slower")
 def _slow(folder: Path, _: pytest.MonkeyPatch) -> None:
     path = written(folder, PLAIN.assign(i=np.sin(40 * T) + np.sin(2 * np.pi * 400 * T)))
-    (found,) = studied(path, more="[experiments.prepare]\nlow_pass = 50.0\nresample = 0.01")
+    (found,) = studied(path, more="[experiments.preprocess]\nlowpass_frequency = 50.0\nresample_interval = 0.01")
     assert np.diff(found.times) == pytest.approx(0.01)
     np.testing.assert_allclose(found.output_values[2:-2, 0], np.sin(40 * found.times[2:-2]), atol=0.03)
-    asked = begun(path, prepare={"low_pass": 50.0, "resample": 0.01})
+    asked = begun(path, prepare={"lowpass_frequency": 50.0, "resample_interval": 0.01})
     np.testing.assert_array_equal(asked.output_values, found.output_values)
 
 
 @row("inputs in one file, outputs in another, at other rates")
 def _two_files(folder: Path, _: pytest.MonkeyPatch) -> None:
     table = PLAIN[["time", "u"]].merge(PLAIN[["time", "i"]].iloc[1::7].assign(time=T[1::7] + 5e-4), how="outer")
-    (found,) = studied(written(folder, table), more='prepare = { fill = { u = "hold" } }')
+    (found,) = studied(written(folder, table), more='preprocess = { fill_missing = { u = "zoh" } }')
     counted = np.isfinite(found.output_values[:, 0])
     np.testing.assert_allclose(found.output_values[counted, 0], PLAIN["i"][1::7])
     np.testing.assert_allclose(found.input_values[:, 0], np.where(found.times < 0.05, 12.0, 0.0))
@@ -321,7 +321,7 @@ def _two_files(folder: Path, _: pytest.MonkeyPatch) -> None:
 @row("several records")
 def _several(folder: Path, _: pytest.MonkeyPatch) -> None:
     written(folder, name="b.csv")
-    found = studied(written(folder), more='[[experiments]]\ntable = "b.csv"\ninputs = ["u"]\noutputs = ["i"]')
+    found = studied(written(folder), more='[[experiments]]\ndata = "b.csv"\ninputs = ["u"]\noutputs = ["i"]')
     assert [each.name for each in found] == ["run", "b"]
 
 
@@ -331,5 +331,5 @@ def _hundreds(folder: Path, _: pytest.MonkeyPatch) -> None:
 
     for k in range(30):
         written(folder, name=f"rig{k}.csv")
-    studied(written(folder), more='[batch]\ntables = "rig*.csv"')
+    studied(written(folder), more='[batch]\ndata = "rig*.csv"')
     assert len(CaseList.of(Study.read(folder / "study.toml"))) == 30

@@ -54,7 +54,7 @@ def recorded(offset: float = 0.0, begin: float = 0.0, noise: float = 0.005, scal
     return pd.DataFrame({"time": STEP * np.arange(N), "u": u, "i": i})
 
 
-def experiment(table: pd.DataFrame, interpolation: str = "hold", discard: float = 0.0) -> Experiment:
+def experiment(table: pd.DataFrame, interpolation: str = "zoh", discard: float = 0.0) -> Experiment:
     return Experiment(table, ["u"], ["i"], interpolation=interpolation, discard=discard)
 
 
@@ -122,7 +122,7 @@ def _edges(_: Path, __: pytest.CaptureFixture[str]) -> None:
     left = residual(experiment(table, "linear"))
     assert size(left[edge]) > 3 * size(np.delete(left, [*edge, *(edge - 1), *(edge[:-1] + 1)]))
     late = table.assign(u=table["u"].shift(1, fill_value=0.0))  # a row has the input that led to it
-    for given in (experiment(table), experiment(late, "hold-previous")):
+    for given in (experiment(table), experiment(late, "zoh-next")):
         assert size(residual(given)) < 0.006 < 0.05 < size(residual(experiment(late)))
 
 
@@ -182,7 +182,7 @@ TIMES = np.linspace(0.0, 2.0, 80)
 WAVE = np.sin(9.0 * TIMES) + 0.05 * np.random.default_rng(6).standard_normal(TIMES.size)
 
 
-EVERYWHERE = fmuid.GlobalSearch("multistart", starts=12, seed=1)
+EVERYWHERE = fmuid.GlobalSearch("multi-start", starts=12, seed=1)
 
 
 def wave(start: float, low: float = 0.1, high: float = 40.0) -> LeastSquares:

@@ -23,10 +23,10 @@ STUDY = """
 [model]
 fmu = "{fmu}"
 [[experiments]]
-table = "{table}"
+data = "{table}"
 inputs = ["u"]
 outputs = ["i"]
-interpolation = "hold"
+interpolation = "zoh"
 [parameters]
 R = {{ start = 6.0, min = 0.0 }}
 L = {{ start = 0.05, min = 1e-3 }}

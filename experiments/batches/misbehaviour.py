@@ -38,24 +38,24 @@ EVERYWHERE = -1e300, 1e300
 STUDY = """
 [model]
 fmu = "{fmu}"
-[model.values]
+[model.fixed]
 amount = 1.0
 at = 1.0
 [[experiments]]
-table = "table.csv"
+data = "table.csv"
 inputs = ["u"]
 outputs = ["x"]
-interpolation = "hold"
+interpolation = "zoh"
 [parameters]
 gain = {{ start = 8.0 }}
 T = {{ start = 10.0, min = 1e-3 }}
 [isolation]
 time_limit = {time_limit}
-memory = 400
+memory_limit_mb = 400
 [batch]
-combine = "list"
-noise = {{ draws = {draws}, std = {noise}, truth = {{ gain = {gain}, T = {T}, mode = 0 }} }}
-[batch.values]
+combine = "zip"
+monte_carlo = {{ draws = {draws}, std = {noise}, truth = {{ gain = {gain}, T = {T}, mode = 0 }} }}
+[batch.sweep]
 """
 HELD = ("mode", "where", "bad_from", "bad_to")
 

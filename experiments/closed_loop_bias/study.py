@@ -118,7 +118,7 @@ def simulate(noise: Floats) -> pd.DataFrame:
     frame = pd.DataFrame(
         {"time": times, "reference": reference(), "noise": noise, **dict.fromkeys(outputs.values(), 0.0)}
     )
-    experiment = fmuid.Experiment(frame, inputs, outputs, interpolation="hold")
+    experiment = fmuid.Experiment(frame, inputs, outputs, interpolation="zoh")
     found = fmuid.Simulator(loop(), experiment, values={"coil.R": R, "coil.L": L, **CONTROL})([])
     return frame[["time", "reference"]].assign(**dict(zip(outputs.values(), found.T, strict=True)))
 
@@ -141,7 +141,7 @@ def estimate(record: pd.DataFrame, whole: bool) -> fmuid.Result:
     inputs, outputs = {"u": "u"}, {"i": "measured"}
     if whole:
         inputs, outputs = {"controller.reference": "reference"}, {"sensor.measured": "measured"}
-    experiment = fmuid.Experiment(record, inputs, outputs, interpolation="hold")
+    experiment = fmuid.Experiment(record, inputs, outputs, interpolation="zoh")
     names = [f"coil.{name}" if whole else name for name in NAMES]
     parameters = {name: fmuid.Parameter(value) for name, value in zip(names, TRUTH.tolist(), strict=True)}
     model, values = (loop(), CONTROL) if whole else (coil(), None)

@@ -87,7 +87,7 @@ def record(
         state = current[part][-1] * decay + (1.0 - decay) / resistance * voltage[part][-1]
     seen = sensor.seen(current) + math.sqrt(study.NOISE_VARIANCE) * rng.standard_normal(samples)
     frame = pd.DataFrame({"time": study.STEP * np.arange(samples), "u": voltage, "i": seen})
-    return fmuid.Experiment(frame, ["u"], ["i"], interpolation="hold", discard=TRANSIENT, name=name)
+    return fmuid.Experiment(frame, ["u"], ["i"], interpolation="zoh", discard=TRANSIENT, name=name)
 
 
 @cache

@@ -24,6 +24,7 @@ from scipy.signal import lfilter, max_len_seq
 import fmuid
 from experiments import pages
 from fmuid.array_types import Floats
+from fmuid.codec import as_json
 from fmuid.diagnosis.hypothesis_tests import NullDistribution
 from fmuid.reports.figures.style import AMBER, BLUE, DPI, GREY, INK, WIDTH, style
 
@@ -98,7 +99,7 @@ def models() -> tuple[fmuid.System, fmuid.System]:
 
 def experiment(table: pd.DataFrame) -> fmuid.Experiment:
     """Return a record as an experiment."""
-    return fmuid.Experiment(table, ["u"], ["i"], interpolation="hold")
+    return fmuid.Experiment(table, ["u"], ["i"], interpolation="zoh")
 
 
 def identify(table: pd.DataFrame) -> fmuid.Result:
@@ -309,10 +310,10 @@ def main() -> None:
         table.round(6).to_csv(HERE / f"{name}.csv", index=False, lineterminator="\n")
     healthy = fmuid.Study.read(HERE / "healthy.toml").identify()
     (HERE / "healthy").mkdir(exist_ok=True)
-    content = healthy.to_json_dict()
+    content = as_json(healthy)
     (HERE / "healthy" / "result.json").write_text(json.dumps(content, indent=2, ensure_ascii=False) + "\n", "utf-8")
     single = {
-        number: fmuid.Study.read(HERE / "test.toml", [f"experiments.0.table=test{number}.csv"]).diagnose()
+        number: fmuid.Study.read(HERE / "test.toml", [f"experiments.0.data=test{number}.csv"]).diagnose()
         for number in TESTS
     }
     found = pd.concat(

@@ -29,7 +29,7 @@ SAMPLES = (3.0, 10.0, 30.0, 100.0)
 
 def problem(frame: pd.DataFrame, starts: dict[str, float]) -> fmuid.Problem:
     """Return the drive alone, from the voltage to the position."""
-    experiment = fmuid.Experiment(frame, ["v"], ["q"], interpolation="hold")
+    experiment = fmuid.Experiment(frame, ["v"], ["q"], interpolation="zoh")
     least = {"M": 1.0, "Fv": 0.0, "Fc": 0.0, "offset": -np.inf}
     parameters = {
         name: fmuid.Parameter(start, min=least[name], nominal=1.0 if name == "offset" else None)

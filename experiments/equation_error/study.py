@@ -28,7 +28,7 @@ RATIOS = (1000.0, 100.0, 10.0, 3.0)  # of the powers of the current and its nois
 DRAWS, SEED = 50, 1
 NEAR, FAST = R / L, 10.0 * R / L  # rad/s: the coil's own corner, and a filter ten times as fast
 TIMES = STEP * np.arange(SAMPLES)
-VOLTAGE = fmuid.Term(voltage(), interpolation="hold")
+VOLTAGE = fmuid.Term(voltage(), interpolation="zoh")
 TRUTH = np.array([R, L])
 
 

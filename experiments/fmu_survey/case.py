@@ -77,7 +77,7 @@ class Task:
             frame,
             inputs=list(self.inputs),
             outputs={name: f"y {name}" for name in self.names},
-            interpolation="hold" if kind == "co-simulation" else "linear",
+            interpolation="zoh" if kind == "co-simulation" else "linear",
         )
         choice: dict[str, Any] = {"interface": kind}
         if kind == "model-exchange":

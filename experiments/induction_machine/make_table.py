@@ -129,7 +129,7 @@ def record(times: Array, reference: Array, columns: Mapping[str, str]) -> pd.Dat
     """
     frame = pd.DataFrame({"time": times, "reference": reference, **dict.fromkeys(columns, 0.0)})
     outputs = {variable: column for column, variable in columns.items()}
-    experiment = fmuid.Experiment(frame, {"speed.reference": "reference"}, outputs, interpolation="hold")
+    experiment = fmuid.Experiment(frame, {"speed.reference": "reference"}, outputs, interpolation="zoh")
     step = SAMPLE_TIME / SUBSTEPS
     found = fmuid.Simulator(drive(), experiment, values=VALUES, step_size=step)([])
     return pd.DataFrame({"time": times, **dict(zip(columns, found.T, strict=True))})

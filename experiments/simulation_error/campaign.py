@@ -36,8 +36,8 @@ MOTOR_STEP, MOTOR_TRUTH = 1e-3, {"R": 1.0, "L": 1.0 / 3e3, "K": 0.05, "J": 1e-4}
 FRICTION, MOTOR_NOISE = 1e-5, (0.02, 0.05)
 METHODS: dict[str, Method] = {
     "one start": fmuid.Marquardt(),
-    "multistart": fmuid.GlobalSearch(starts=10),
-    "evolution": fmuid.GlobalSearch(method="evolution"),
+    "multi-start": fmuid.GlobalSearch(starts=10),
+    "differential-evolution": fmuid.GlobalSearch(method="differential-evolution"),
 }
 
 
@@ -76,7 +76,7 @@ def lags(folder: Path) -> Iterator[Case]:
             u = held(rng, 40, 10, 1.0)
             x = responded(np.array([[-LAG_TRUTH, 1.0]]), u, STEP)[:, 0] + LAG_NOISE * rng.standard_normal(u.size)
             frame = pd.DataFrame({"time": STEP * np.arange(u.size), "u": u, "x": x})
-            table = fmuid.Experiment(frame, ["u"], ["x"], interpolation="hold")
+            table = fmuid.Experiment(frame, ["u"], ["x"], interpolation="zoh")
             for method in METHODS.values():
                 start = {"k": fmuid.Parameter(float(rng.uniform(0.3, 6.0)), min=0.01, max=15.0)}
                 yield Case(name, fmuid.Problem(fmu, table, start), method, np.array([LAG_TRUTH]))
@@ -96,7 +96,7 @@ def motors(folder: Path) -> Iterator[Case]:
                 u = held(rng, 100, 15, 5.0)
                 x = responded(rates, u, MOTOR_STEP) + rng.standard_normal((u.size, 2)) * MOTOR_NOISE
                 frame = pd.DataFrame({"time": MOTOR_STEP * np.arange(u.size), "u": u, "i": x[:, 0], "w": x[:, 1]})
-                table = fmuid.Experiment(frame, ["u"], ["i", "w"], interpolation="hold")
+                table = fmuid.Experiment(frame, ["u"], ["i", "w"], interpolation="zoh")
                 start = {
                     name: fmuid.Parameter(value * float(np.exp(rng.uniform(-0.7, 0.7))), min=1e-7)
                     for name, value in MOTOR_TRUTH.items()
@@ -113,7 +113,7 @@ def coils() -> Iterator[Case]:
         words = [f"parameters.R.start={r!r}", f"parameters.L.start={inductance!r}"]
         yield Case("coil, random starts", fmuid.Study.read(study, words).problem(), METHODS["one start"], truth)
     box = [f"parameters.{bound}" for bound in ("R.min=0.1", "R.max=100.0", "L.min=1e-3", "L.max=1.0")]
-    for name in ("multistart", "evolution"):
+    for name in ("multi-start", "differential-evolution"):
         yield Case(f"coil, {name}", fmuid.Study.read(study, box).problem(), METHODS[name], truth)
 
 
@@ -123,7 +123,7 @@ def machines() -> Iterator[Case]:
     yield Case("induction machine", machine.problem(), machine.estimator, None)
     record = os.environ.get("FMUID_EMPS_DATA")
     if record:
-        drive = fmuid.Study.read(EXPERIMENTS / "emps" / "study.toml", [f"experiments.0.table={record}"])
+        drive = fmuid.Study.read(EXPERIMENTS / "emps" / "study.toml", [f"experiments.0.data={record}"])
         yield Case("EMPS", drive.problem(), drive.estimator, None)
 
 

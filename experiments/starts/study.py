@@ -58,7 +58,7 @@ def problem(kind: str, record: Record) -> fmuid.Problem:
         pd.DataFrame({"time": record.times, **inputs, **outputs}),
         {name: f"in_{name}" for name in machine.inputs},
         {name: f"out_{name}" for name in machine.outputs},
-        interpolation="hold",
+        interpolation="zoh",
     )
     start = record.start.tolist()
     parameters = {name: fmuid.Parameter(value, min=0.0) for name, value in zip(machine.parameters, start, strict=True)}

@@ -74,11 +74,11 @@ class Experiment(HtmlTableMixin):
     counted : ndarray of bool (K, n_outputs)
         True where the output is there and `discard` is over.
     held : ndarray of bool (n_inputs,)
-        True where the interpolation is ``"hold"`` or ``"hold-previous"``.
+        True where the interpolation is ``"zoh"`` or ``"zoh-next"``.
     curved : ndarray of bool (n_inputs,)
-        True where it is ``"cubic"``.
+        True where it is ``"pchip"``.
     input_slopes : ndarray (K, n_inputs)
-        Time derivatives at the samples where it is ``"cubic"``, in the units of the table over s, else NaN.
+        Time derivatives at the samples where it is ``"pchip"``, in the units of the table over s, else NaN.
 
     Raises
     ------
@@ -88,7 +88,7 @@ class Experiment(HtmlTableMixin):
     Examples
     --------
     >>> table = pd.DataFrame({"time": [0.0, 0.1, 0.2], "u": [0.0, 12.0, 12.0], "i": [0.0, 0.6, np.nan]})
-    >>> fmuid.Experiment(table, inputs=["u"], outputs=["i"], interpolation="hold")
+    >>> fmuid.Experiment(table, inputs=["u"], outputs=["i"], interpolation="zoh")
     Experiment('experiment', 3 samples, 0 to 0.2 s, u → i)
     """
 
@@ -135,7 +135,7 @@ class Experiment(HtmlTableMixin):
         if inputs and self.measured:
             _check_rows(source, times, inputs, words)
         input_values = as_held(_values(source, frame, times, "input", inputs, inputs), words)
-        curved = np.array([word == "cubic" for word in words], dtype=np.bool_)
+        curved = np.array([word == "pchip" for word in words], dtype=np.bool_)
         derived = {
             "frame": frame,
             "inputs": inputs,
@@ -325,11 +325,11 @@ def _check_rows(source: str, times: Floats, inputs: Mapping[str, str], words: Se
     for row in missing_rows(times)[:1].tolist():
         begin, end = times[row : row + 2]
         how = zip(map(json.dumps, inputs.values()), words, strict=True)
-        fill = ", ".join(f'{name} = "{"hold" if word in HELD else "linear"}"' for name, word in how)
+        fill = ", ".join(f'{name} = "{"zoh" if word in HELD else "linear"}"' for name, word in how)
         raise InputError(
             f"{source}: rows are missing between t = {begin:.9g} s (row {row + 1}) and {end:.9g} s, where most steps "
             f"are {usual_step(times):.3g} s, and with them what drives the model: cut the table there, or fill the "
-            f"gap, prepare = {{ fill = {{ {fill} }}, longest_gap = {end - begin:.9g} }}"
+            f"gap, preprocess = {{ fill_missing = {{ {fill} }}, max_gap = {end - begin:.9g} }}"
         )
 
 
@@ -351,7 +351,8 @@ def _values(
         if bad.size:
             row = bad[0]
             found = "has no value" if np.isnan(values[row, k]) else f"is {values[row, k]}"
-            fill = f'fill the gap, prepare = {{ fill = {{ {json.dumps(column)} = "linear" }} }}, or cut the table there'
+            fill = f'fill_missing = {{ {json.dumps(column)} = "linear" }}'
+            fill = f"fill the gap, preprocess = {{ {fill} }}, or cut the table there"
             remedy = fill if role == "input" else "leave cells without a sample empty"
             raise InputError(
                 f"{source}: the {role} column {column!r} {found} in row {row + 1} (t = {times[row]:.9g} s): {remedy}"

@@ -125,7 +125,7 @@ def _stretches(there: Flags, breaks: Flags) -> list[Indices]:
 def filled(
     times: Floats, values: Floats, how: str, longest: float | None, within: tuple[float, float], called: str
 ) -> Floats:
-    """Return a column (K,) with its gaps filled, on straight lines ("linear") or by the sample before ("hold").
+    """Return a column (K,) with its gaps filled, on straight lines ("linear") or by the sample before ("zoh").
 
     A gap is as long as the time from the sample before it to the one after, or to the end of the record. One that
     cannot be filled stays where it lies outside the times `within`, which are those that are kept.
@@ -197,7 +197,7 @@ def resampled(
     found = values[before] + share[:, None] * (values[after] - values[before])
     for k, word in enumerate(interpolation):
         if word in HELD:
-            found[:, k] = values[before if word == "hold" else after, k]
+            found[:, k] = values[before if word == "zoh" else after, k]
     found[gap] = np.nan
     return at, found
 

@@ -11,17 +11,17 @@ from fmuid.array_types import Flags, Floats
 from fmuid.errors import InputError
 from fmuid.formatting import nearest
 
-INTERPOLATIONS = ("linear", "hold", "hold-previous", "cubic")
+INTERPOLATIONS = ("linear", "zoh", "zoh-next", "pchip")
 """Linear (measured signals); held from each sample to the next (numerical commands); held during the step that ends at
 its sample, as recorders write that note a command after it has acted (the convention of OMSysIdent); or along a smooth
 curve without overshoot (Fritsch and Butland's monotone cubic interpolation)."""
-HELD = ("hold", "hold-previous")
+HELD = ("zoh", "zoh-next")
 """Those that are constant between samples."""
 
 
 def as_held(values: Floats, words: Sequence[str]) -> Floats:
     """Return the samples (K, n) as they hold from each time on: those of the next where they hold before it."""
-    early = [word == "hold-previous" for word in words]
+    early = [word == "zoh-next" for word in words]
     if any(early):
         values = values.copy()
         values[:-1, early] = values[1:, early]
@@ -60,7 +60,7 @@ def slopes(source: str, times: Floats, values: Floats, curved: Flags) -> Floats:
                 )
         if not np.isfinite(slopes[:, curved]).all():
             raise InputError(
-                f'{source}: an input with interpolation = "cubic" changes too fast for double precision: check its '
+                f'{source}: an input with interpolation = "pchip" changes too fast for double precision: check its '
                 'values and the times, or write "linear"'
             )
     return slopes

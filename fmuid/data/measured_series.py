@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
@@ -34,19 +32,6 @@ class MeasuredSeries:
     unit: str
     samples: int
     digest: str
-
-    @classmethod
-    def of_json(cls, data: Mapping[str, Any]) -> MeasuredSeries:
-        """Return a series of a file.
-
-        Raises
-        ------
-        KeyError, TypeError, ValueError
-            If the data are not of one.
-        """
-        return cls(
-            str(data["experiment"]), str(data["output"]), str(data["unit"]), int(data["samples"]), str(data["digest"])
-        )
 
 
 def measured_series(experiment: Measurements) -> tuple[MeasuredSeries, ...]:

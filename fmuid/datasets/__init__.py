@@ -69,7 +69,7 @@ class ExampleRecord:
     @property
     def study(self) -> dict[str, Any]:
         """What a study file says of it: for ``fmuid.Study.of``."""
-        table = {"table": str(self.path), "inputs": list(self.inputs), "outputs": list(self.outputs)}
+        table = {"data": str(self.path), "inputs": list(self.inputs), "outputs": list(self.outputs)}
         parameters = {name: {"start": each.start, "min": each.min} for name, each in self.parameters.items()}
         return {"title": self.name, "model": {"fmu": str(self.fmu)}, "experiments": [table], "parameters": parameters}
 

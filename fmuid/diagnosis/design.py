@@ -270,7 +270,7 @@ def planned_experiment(
     outputs: Sequence[str] | Mapping[str, str],
     *,
     time: str = "time",
-    interpolation: str | Mapping[str, str] = "hold",
+    interpolation: str | Mapping[str, str] = "zoh",
     discard: float = 0.0,
     name: str = "trial",
 ) -> Experiment:

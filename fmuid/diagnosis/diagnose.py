@@ -65,7 +65,7 @@ class DiagnosisSettings:
         Of the fits.
     sensitivity : "finite-difference", "forward" or "fmu"
         As for `fmuid.Problem`.
-    accuracy : "switch", "check" or "off"
+    accuracy : "refine", "report" or "off"
         What is done about the error of the simulation in each fit (`fmuid.identify`).
     causes : Causes
         What is looked at beside the faults where there are healthy records: sensors, supply, drift.
@@ -86,7 +86,7 @@ class DiagnosisSettings:
     level: float = FALSE_ALARM_LEVEL
     search: Marquardt = field(default_factory=Marquardt)
     sensitivity: str = "finite-difference"
-    accuracy: str = "switch"
+    accuracy: str = "refine"
     causes: Causes = field(default_factory=Causes)
     model_error: float = MODEL_ERROR
 

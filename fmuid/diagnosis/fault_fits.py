@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from fmuid.array_types import Floats
+from fmuid.codec import from_json
 from fmuid.estimation import LeastSquares, Marquardt, Result, SolverCheck, merge_optima
 from fmuid.identification import Problem, identify
 from fmuid.progress import Progress
@@ -47,7 +48,7 @@ class FitSolverCheck:
         if data is None:
             return cls()
         shift = [np.nan if each is None else float(each) for each in data["shift"].values()]
-        return cls(tuple(data["shift"]), SolverCheck.of_json(data, np.array(shift)))
+        return cls(tuple(data["shift"]), from_json(SolverCheck, {**data, "shift": np.array(shift)}))
 
 
 @dataclass(frozen=True)
@@ -93,7 +94,7 @@ def fit_both(
     starts : callable
         Returns the starts with the fault from the fit without.
     search : Marquardt
-    accuracy : "switch", "check" or "off"
+    accuracy : "refine", "report" or "off"
         As for `fmuid.identify`.
     """
     healthy = identify(without, search, start=start, accuracy=accuracy, remedies=False)
@@ -102,6 +103,6 @@ def fit_both(
     best = identify(problem, _Starts(found[1:], search), start=found[0], accuracy=accuracy, remedies=False)
     if problem.refinement != without.refinement:
         without.simulate_by(problem.refinement)
-        accuracy = "check" if accuracy == "switch" else accuracy
+        accuracy = "report" if accuracy == "refine" else accuracy
         healthy = identify(without, search, start=healthy.values, accuracy=accuracy, remedies=False)
     return healthy, replace(best, optima=())

@@ -9,6 +9,7 @@ from typing import Any
 
 from scipy import special
 
+from fmuid.codec import from_json
 from fmuid.diagnosis.fault_fits import FitSolverCheck
 from fmuid.diagnosis.hypothesis_tests import NullDistribution
 from fmuid.errors import InputError
@@ -239,8 +240,8 @@ class FaultHypothesis:
                 int(reference["free"]), tuple(reference["weights"]), number(reference["freedom"], math.inf)
             ),
             outcome=TerminationReason(data["outcome"]),
-            undetermined=tuple(map(WeakDirection.of_json, data["undetermined"])),
-            prior_determined=tuple(map(WeakDirection.of_json, data["prior_determined"])),
+            undetermined=tuple(map(_direction, data["undetermined"])),
+            prior_determined=tuple(map(_direction, data["prior_determined"])),
             checked=FitSolverCheck.of_json(data.get("accuracy")),
             **{key: data[key] for key in _PLAIN_KEYS},
         )
@@ -254,3 +255,7 @@ def number(value: float | None, missing: float) -> float:
 def estimates_of(data: Mapping[str, Any]) -> dict[str, Estimate]:
     """Return values and standard deviations of a file."""
     return {name: (number(each["value"], math.nan), number(each["std"], math.inf)) for name, each in data.items()}
+
+
+def _direction(data: Mapping[str, Any]) -> WeakDirection:
+    return from_json(WeakDirection, {**data, "std": "inf" if data["std"] is None else data["std"]})

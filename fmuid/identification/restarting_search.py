@@ -71,7 +71,7 @@ def identify(
     progress: Progress | None = None,
     start: ArrayLike | None = None,
     *,
-    accuracy: str = "switch",
+    accuracy: str = "refine",
     remedies: bool = True,
     region: CheckedRegion | None = None,
 ) -> Result:
@@ -89,7 +89,7 @@ def identify(
         Called with every `fmuid.progress.SearchStep`, and `GlobalStep` of a search of the box.
     start : (N,) array, optional
         Start elsewhere than the parameters say.
-    accuracy : "switch", "check" or "off"
+    accuracy : "refine", "report" or "off"
         Go on by a finer simulation where the error moves an estimate by more than `SHIFT_LIMIT` of its standard
         deviation, if that goes against nothing that was asked for; just say what it does; or do not look. Optima of a
         box that are as good as the best, and that a finer simulation does not bear out, are no optima.
@@ -122,7 +122,7 @@ def identify(
     >>> fmuid.identify(problem)
     Result(converged: R = 3.9989 ± 0.0015, L = 0.100016 ± 0.000050)
     """
-    check_kind(problem, LeastSquares, "what is identified (a study file: fmuid.run_study) must be a fmuid.Problem")
+    check_kind(problem, LeastSquares, "what is identified (a study file: fmuid.run) must be a fmuid.Problem")
     method = settings or Marquardt()
     check_kind(method, Method, "settings must be fmuid.Marquardt() or fmuid.GlobalSearch()")
     if not isinstance(problem, Problem):

@@ -44,7 +44,7 @@ from fmuid.identification.solver_check_region import CheckedRegion, Verdict
 from fmuid.progress import Progress
 from fmuid.simulation import Refinement, is_controlled, is_free, next_refinement, replaces_interface
 
-ACCURACIES = ("switch", "check", "off")
+ACCURACIES = ("refine", "report", "off")
 """What may be done about the error of the simulation."""
 # The search goes by model exchange where the outputs at the start differ by more than this share of their spread.
 START_LIMIT = 0.01
@@ -65,7 +65,7 @@ def identify(
     progress: Progress | None = None,
     start: ArrayLike | None = None,
     *,
-    accuracy: str = "switch",
+    accuracy: str = "refine",
     region: CheckedRegion | None = None,
     start_limit: float = START_LIMIT,
 ) -> Result:
@@ -85,7 +85,7 @@ def identify(
     method = settings or Marquardt()
     if accuracy == "off" or not isinstance(problem, Problem):
         return method.search(problem, progress, start)
-    return _CheckedSearch(problem, method, progress, region, start_limit, switching=accuracy == "switch").run(start)
+    return _CheckedSearch(problem, method, progress, region, start_limit, switching=accuracy == "refine").run(start)
 
 
 class _CheckedSearch:

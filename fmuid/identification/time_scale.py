@@ -106,7 +106,7 @@ def _response(simulator: Simulator, theta: Sequence[float], duration: float) -> 
         pd.DataFrame({"time": record.times[0] + after, **columns}),
         names,
         list(record.output_names),
-        interpolation="hold",
+        interpolation="zoh",
         units=dict(record.units),
         values=record.values,
         measured=False,

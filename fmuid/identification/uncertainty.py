@@ -7,14 +7,14 @@ modules of each are imported when it is asked for.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 import pandas as pd
 
 from fmuid.blas import single_threaded
+from fmuid.codec import Layout
 from fmuid.estimation import LeastSquares, Result, check_level
-from fmuid.files import as_json
 from fmuid.progress import Event, MapStep, Progress
 
 if TYPE_CHECKING:
@@ -88,6 +88,11 @@ class Uncertainty:
     posterior: Posterior | None = None
     interrupted: bool = False
 
+    json_layout: ClassVar = Layout(
+        derived=("succeeded",),
+        types=dict.fromkeys(("CostMap", "Profile", "Posterior"), "fmuid.identification"),
+    )
+
     @property
     def succeeded(self) -> bool:
         """Whether all is done, no better optimum has shown, and the samples of the posterior can be trusted."""
@@ -114,59 +119,6 @@ class Uncertainty:
         return pd.concat([each.table.assign(profiled=each.name) for each in self.profiles], ignore_index=True)[
             ["profiled", *self.profiles[0].table.columns]
         ]
-
-    def to_json_dict(self) -> dict[str, Any]:
-        """Return the entries ``profiles`` and ``posterior`` of ``result.json``; what is not finite is None."""
-        content: dict[str, Any] = {}
-        if self.profiles:
-            content["profiles"] = {
-                each.name: {
-                    "level": each.level,
-                    "lower": each.lower,
-                    "upper": each.upper,
-                    "threshold": each.threshold,
-                    "remarks": [
-                        {"kind": found.kind, "end": "upper" if found.upper else "lower"}
-                        | {key: getattr(found, key) for key in ("value", "rise", "outcome", "other")}
-                        for found in each.remarks
-                    ],
-                    "interrupted": each.interrupted,
-                }
-                for each in self.profiles
-            }
-        if self.posterior is not None:
-            content["posterior"] = _posterior(self.posterior, self.level)
-        plain: dict[str, Any] = as_json(content)
-        return plain
-
-
-def _posterior(found: Posterior, level: float) -> dict[str, Any]:
-    ends = found.intervals(level)
-    columns = {
-        "mean": found.mean,
-        "std": found.std,
-        "lower": ends["lower"],
-        "upper": ends["upper"],
-        "effective_size": found.effective_size,
-        "r_hat": found.r_hat,
-    }
-    return {
-        "converged": found.converged,
-        "doubt": found.doubt,
-        "doubtful": found.doubtful,
-        "interrupted": found.interrupted,
-        "level": level,
-        "parameters": {
-            name: {key: np.asarray(values)[i] for key, values in columns.items()} for i, name in enumerate(found.names)
-        },
-        "covariance": {"names": found.names, "matrix": found.covariance},
-        "steps": len(found.chain),
-        "walkers": found.chain.shape[1],
-        "burn": found.burn,
-        "acceptance": found.acceptance,
-        "simulations": found.simulations,
-        "elapsed_s": found.elapsed_s,
-    }
 
 
 def better_point(chart: CostMap) -> tuple[float, float, float] | None:

@@ -145,7 +145,7 @@ class Component:
             raise InputError(f"{self.fmu.path} offers no {self.kind} interface; it offers {', '.join(offered)}")
         if numerics.integrator is not None and self.kind != "model-exchange":
             raise InputError(
-                f"{self.fmu.path} runs as co-simulation, which has its own integrator; take out integrator = "
+                f"{self.fmu.path} runs as co-simulation, which has its own integrator; take out solver = "
                 f'"{numerics.integrator}", or give interface = "model-exchange"'
             )
 

@@ -6,10 +6,11 @@ from pathlib import Path
 
 import pandas as pd
 
-from fmuid.files import write_json, write_table
+from fmuid import codec
+from fmuid.files import write_table
 from fmuid.reports.messages.batch import failure_words, note, summary_words
-from fmuid.reports.provenance import made_from
-from fmuid.runs import BatchResult, Summary
+from fmuid.runs import BATCH_SCHEMA, BatchOverview, BatchResult, Summary
+from fmuid.runs.provenance import made_from
 from fmuid.studies import Study
 
 TABLES = ("summary", "groups", "failures", "optima")
@@ -47,15 +48,10 @@ def write_overview(summary: Summary, found: BatchResult, study: Study) -> Path:
     InputError
         If the folder of the batch cannot be written to.
     """
-    content = {
-        **made_from(study),
-        "words": summary_words(summary),
-        "statuses": {str(row["status"]): row["cases"] for row in summary.statuses.to_dict("records")},
-        "truth": found.truth,
-        "units": found.units,
-        "given_noise": found.given_noise,
-    }
-    return write_json(found.folder / "summary.json", content)
+    statuses = {str(row["status"]): int(row["cases"]) for row in summary.statuses.to_dict("records")}
+    words, truth, units = tuple(summary_words(summary)), dict(found.truth), dict(found.units)
+    overview = BatchOverview(words, statuses, truth, units, found.given_noise, made_from(study))
+    return codec.write(found.folder / "summary.json", BATCH_SCHEMA, overview)
 
 
 def noted(table: pd.DataFrame) -> pd.DataFrame:

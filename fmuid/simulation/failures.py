@@ -99,15 +99,15 @@ def describe(
         k.TOO_MANY_EVENTS: "there are more than 10000 events between two samples: the model chatters; give it a "
         "hysteresis, or more samples",
         k.TOO_MANY_STEPS: f"integrator {integrator} needs more than most_steps between two samples (it got to "
-        f't = {time:.9g} s with steps of {step:.2g} s); choose integrator = "cvode" or a larger tolerance',
+        f't = {time:.9g} s with steps of {step:.2g} s); choose solver = "cvode" or a larger tolerance',
         k.STEP_TOO_SMALL: f"integrator {integrator} finds no step short enough for its tolerance at t = {time:.9g} s "
         f"(the last one {step:.2g} s; state {state} errs most): the model has a "
-        'discontinuity without an event, or is stiff; choose integrator = "cvode" or a larger tolerance',
+        'discontinuity without an event, or is stiff; choose solver = "cvode" or a larger tolerance',
         k.STATE_NOT_FINITE: f"state {state} or its derivative is not a finite number; {smaller}, or keep the "
         "parameters within bounds where the model has a meaning",
-        k.STIFF: f'integrator rk45 finds the model stiff at t = {time:.9g} s; choose integrator = "cvode"',
+        k.STIFF: f'integrator rk45 finds the model stiff at t = {time:.9g} s; choose solver = "cvode"',
         k.CVODE_FAILED: f"CVODE gives up at t = {time:.9g} s with flag {status}{_CVODE_WORDS.get(status, '')}; "
-        f'{smaller}, or choose integrator = "rk45"',
+        f'{smaller}, or choose solver = "rk45"',
         k.JUMP_UNKNOWN: "an event changes the states or their derivatives, and directional derivatives do not tell "
         "how the sensitivities change",
         k.JUMP_REFUSED: "the sensitivities cannot be carried through an event: the states only touch its threshold, or "

@@ -155,7 +155,7 @@ class Integrator:
 
 def _check(integrator: str, tolerance: float, step_size: float | None) -> None:
     if integrator not in native.METHODS:
-        raise InputError(f'integrator = "{integrator}" is none; choose one of {", ".join(native.METHODS)}')
+        raise InputError(f'solver = "{integrator}" is none; choose one of {", ".join(native.METHODS)}')
     if not 0.0 < tolerance < 1.0:
         raise InputError(f"tolerance = {tolerance:g} must lie between 0 and 1")
     if step_size is not None and not 0.0 < step_size < math.inf:
@@ -174,8 +174,8 @@ def sundials_table() -> ctypes.Structure:
         from fmpy.sundials import libraries
     except Exception as error:  # FMPy lets through what the loader raises: OSError, AttributeError, its own
         raise InputError(
-            f'integrator = "cvode" has no library for this platform ({error}); '
-            'choose integrator = "rk45", or "rk4" with a step_size'
+            f'solver = "cvode" has no library for this platform ({error}); '
+            'choose solver = "rk45", or "rk4" with a step_size'
         ) from error
     return _table_of(libraries)
 

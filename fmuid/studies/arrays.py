@@ -94,10 +94,10 @@ def check_shapes(system: System, data: Mapping[str, Any], where: str) -> None:
 
 def _wholes(data: Mapping[str, Any]) -> Iterator[tuple[str, str, list[Any]]]:
     """Yield what is an array in the tables of values and parameters: the table, the name and the rows."""
-    tables = {"[model.values]": data.get("model", {}).get("values", {}), "values": data.get("values", {})}
+    tables = {"[model.fixed]": data.get("model", {}).get("fixed", {}), "fixed": data.get("fixed", {})}
     tables |= {"parameters": data.get("parameters", {})}
     for k, each in enumerate(data.get("experiments", [])):
-        tables[f"[experiments.values][{k}]"] = each.get("values", {})
+        tables[f"[experiments.fixed][{k}]"] = each.get("fixed", {})
     for table, entries in tables.items():
         yield from ((table, name, rows) for name, each in entries.items() if (rows := _rows(each)) is not None)
 

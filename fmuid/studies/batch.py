@@ -166,18 +166,18 @@ class SpaceFillingSection(StudySection):
     """Values held that fill a box."""
 
     method: Annotated[str, one_of(METHODS)] = word("sobol", "how the points are spread")
-    count: Points = word(..., "how many points")
+    points: Points = word(..., "how many points")
     ranges: Ranges = word(..., "the variables that are held at values, as ranges = { Lm = [0.4, 0.5] }")
 
 
 class MonteCarloSection(StudySection):
     """Monte Carlo: simulate the truth, disturb it, identify."""
 
-    draws: Count = word(..., "how many draws of the noise")
+    realizations: Count = word(..., "how many realizations of the noise")
     std: PositiveOrEach | None = word(
         None, "standard deviation of the white normal noise, or one for each output; default: as [noise] says"
     )
-    truth: Finites = word({}, "values in the simulation of the truth, where they are not those of the case")
+    true_values: Finites = word({}, "values in the simulation of the truth, where they are not those of the case")
 
     def std_of(self, output: str) -> float:
         """Return the standard deviation of an output, in the unit of the table."""
@@ -211,23 +211,23 @@ class MonteCarloSection(StudySection):
 class BatchSettings(StudySection):
     """Many identifications, called cases."""
 
-    tables: Tables = word([], "one identification a record: files, patterns of files, or names and files")
-    starts: Starts | None = word(None, "how many starts are drawn, or the starts themselves by parameter")
-    subsets: Subsets = word([], "the parameters that are free, one set after the other; default: all")
-    values: Annotated[dict[str, Axis], Entries("a table { name = values }")] = word(
+    data: Tables = word([], "one identification a record: files, patterns of files, or names and files")
+    starting_points: Starts | None = word(None, "how many starts are drawn, or the starts themselves by parameter")
+    free_parameters: Subsets = word([], "the parameters that are free, one set after the other; default: all")
+    sweep: Annotated[dict[str, Axis], Entries("a table { name = values }")] = word(
         {}, "variables, and the values at which they are held one after the other"
     )
-    sample: SpaceFillingSection | None = word(None, "values held that fill a box")
-    noise: MonteCarloSection | None = word(None, "Monte Carlo: simulate the truth, disturb it, identify")
-    combine: Annotated[str, one_of(("product", "list"))] = word(
+    space_filling: SpaceFillingSection | None = word(None, "values held that fill a box")
+    monte_carlo: MonteCarloSection | None = word(None, "Monte Carlo: simulate the truth, disturb it, identify")
+    combine: Annotated[str, one_of(("product", "zip"))] = word(
         "product", "each entry of an axis with every entry of the others, or the n-th ones of all together"
     )
     seed: Natural = word(0, "of all that is drawn")
 
     @property
     def swept(self) -> tuple[str, ...]:
-        """The variables that the batch holds at values: those of ``values``, then those of ``sample``."""
-        return (*self.values, *(self.sample.ranges if self.sample is not None else ()))
+        """The variables that the batch holds at values: those of ``sweep``, then those of ``space_filling``."""
+        return (*self.sweep, *(self.space_filling.ranges if self.space_filling is not None else ()))
 
     def records(self) -> dict[str, Path]:
         """Return the tables by the names of their records, in order; none where the study's own serve.
@@ -241,10 +241,10 @@ class BatchSettings(StudySection):
         InputError
             If a pattern matches no file.
         """
-        if isinstance(self.tables, Mapping):
-            return {name: self.place.folder / given for name, given in self.tables.items()}
+        if isinstance(self.data, Mapping):
+            return {name: self.place.folder / given for name, given in self.data.items()}
         found: dict[str, None] = {}
-        for given in self.tables:
+        for given in self.data:
             found |= dict.fromkeys(self._matches(given))
         names: list[str] = []
         for name in _NAMES:
@@ -254,14 +254,14 @@ class BatchSettings(StudySection):
         return {name: self.place.folder / given for name, given in zip(names, found, strict=True)}
 
     def _matches(self, given: str) -> list[str]:
-        """Return the files that a word of ``tables`` means."""
+        """Return the files that a word of ``data`` means."""
         folder = self.place.folder
         if not glob.has_magic(given) or is_file(folder / given):
             return [Path(given).as_posix()]
         matches = glob.glob(given, root_dir=folder, recursive=True)  # noqa: PTH207  # of Path's none is absolute
         files = sorted((Path(each) for each in matches if is_file(folder / each)), key=lambda path: path.parts)
         if not files:
-            raise self.error(f"tables: {show(given)} matches no file in {full(folder)}")
+            raise self.error(f"data: {show(given)} matches no file in {full(folder)}")
         return [path.as_posix() for path in files]
 
     def of(self, parameters: Mapping[str, Parameter], experiments: Sequence[ExperimentSettings], noise: Noise) -> Self:
@@ -273,31 +273,38 @@ class BatchSettings(StudySection):
             If a word does not fit them, or nothing is varied.
         """
         if not self.model_fields_set - {"combine", "seed"}:
-            raise self.error("varies nothing: give at least one of tables, starts, subsets, values, sample and noise")
-        if self.tables and len(experiments) > 1:
             raise self.error(
-                f"has tables, each in place of the study's own, and the study has {len(experiments)} [[experiments]]: "
-                "keep one of them, whose words are those of all tables"
+                "varies nothing: give at least one of data, starting_points, free_parameters, sweep, space_filling and "
+                "monte_carlo"
+            )
+        if self.data and len(experiments) > 1:
+            raise self.error(
+                f"has data, each in place of the study's own, and the study has {len(experiments)} [[experiments]]: "
+                "keep one of them, whose words are those of all files"
             )
         self._check_names(parameters)
-        return self if self.noise is None else self.model_copy(update={"noise": self.noise.of(experiments, noise)})
+        return (
+            self
+            if self.monte_carlo is None
+            else self.model_copy(update={"monte_carlo": self.monte_carlo.of(experiments, noise)})
+        )
 
     def _check_names(self, parameters: Mapping[str, Parameter]) -> None:
         """Check all names of parameters, and that some are left to identify."""
-        for name, values in self.values.items():
+        for name, values in self.sweep.items():
             if name in parameters and any(isinstance(value, bool | str) for value in values):
-                raise self.error(f"values.{name}: a parameter is held at numbers, not at {show(values[0])}")
-            if self.sample is not None and name in self.sample.ranges:
-                raise self.error(f"holds {name!r} both by values and by sample: keep one of the two")
+                raise self.error(f"sweep.{name}: a parameter is held at numbers, not at {show(values[0])}")
+            if self.space_filling is not None and name in self.space_filling.ranges:
+                raise self.error(f"holds {name!r} both by sweep and by space_filling: keep one of the two")
         if parameters and not set(parameters) - set(self.swept):
             raise self.error(
                 "holds all parameters of the study at values, so that none is left to identify: leave one of "
-                f"{', '.join(parameters)} out of values and sample"
+                f"{', '.join(parameters)} out of sweep and space_filling"
             )
-        for subset in self.subsets:
-            self._check_parameters("subsets", subset, parameters)
-        for start in self.starts if isinstance(self.starts, list) else ():
-            self._check_parameters("starts", start, parameters)
+        for subset in self.free_parameters:
+            self._check_parameters("free_parameters", subset, parameters)
+        for start in self.starting_points if isinstance(self.starting_points, list) else ():
+            self._check_parameters("starting_points", start, parameters)
 
     def _check_parameters(self, key: str, names: Iterable[str], parameters: Mapping[str, Parameter]) -> None:
         for name in names:
@@ -307,8 +314,8 @@ class BatchSettings(StudySection):
                 )
             if name in self.swept:
                 raise self.error(
-                    f"{key} names {name!r}, which values or sample hold, so that it is not identified: keep one of the "
-                    "two"
+                    f"{key} names {name!r}, which sweep or space_filling hold, so that it is not identified: keep one "
+                    "of the two"
                 )
 
 

@@ -65,7 +65,7 @@ Factors = Annotated[dict[str, Factor], Entries("a table { parameter = number }")
 class AngleSection(StudySection):
     """A parameter that is an angle."""
 
-    size: Text = word(..., "the parameter that is the size of this fault")
+    magnitude: Text = word(..., "the parameter that is the size of this fault")
     period: Positive = word(2.0 * math.pi, "of the angle")
 
 
@@ -97,10 +97,10 @@ class FaultSection(ModelSection):
     parameters: Annotated[dict[str, FaultParameterSection], BeforeValidator(by_element)] = word(
         {}, "those of the fault, zero where it is not there"
     )
-    angle: Annotated[
+    angles: Annotated[
         Annotated[Names, Tag(VALUE_TAG)] | Annotated[dict[str, AngleSection], Tag(TABLE_TAG)], BY_SHAPE
     ] = word([], 'the parameters that are angles, ["theta0"]; or each with the size that it belongs to')
-    names: Texts = word({}, "what the study calls a variable, and what this model calls it")
+    variable_map: Texts = word({}, "what the study calls a variable, and what this model calls it")
     inputs: Columns = word({}, "inputs that only this model has")
 
     def fault(self) -> ParsedFault:
@@ -113,7 +113,7 @@ class FaultSection(ModelSection):
         """
         own = bool({"fmu", "components"} & self.model_fields_set)
         for key in ModelSection.model_fields:
-            if not own and key in self.model_fields_set and key != "values":
+            if not own and key in self.model_fields_set and key != "fixed":
                 raise self.error(f"has {key} and no model: give fmu or components, or leave {key} out")
         if not self.parameters:
             raise self.error(
@@ -124,32 +124,34 @@ class FaultSection(ModelSection):
             str(self.place),
             replace(self.settings(), values={}, sources=()) if own else None,
             self.held()[0],
-            {name: each.parameter(is_angle=name in self.angle) for name, each in self.parameters.items()},
+            {name: each.parameter(is_angle=name in self.angles) for name, each in self.parameters.items()},
             self._angles(),
-            self.names,
+            self.variable_map,
             self.inputs,
         )
 
     def _angles(self) -> Mapping[str, FaultAngle] | Sequence[str]:
-        if isinstance(self.angle, list):
-            return self.angle
+        if isinstance(self.angles, list):
+            return self.angles
         from fmuid.diagnosis import FaultAngle
 
-        return {name: FaultAngle(each.size, each.period) for name, each in self.angle.items()}
+        return {name: FaultAngle(each.magnitude, each.period) for name, each in self.angles.items()}
 
 
 class CauseRangeSection(StudySection):
     """How far something may be off."""
 
-    normal: Positive = word(..., "standard deviation of what a sound machine may have at all times", 0.03)
-    size: Positive = word(..., "standard deviation of a change that is worth naming", 0.03)
+    healthy_std: Positive = word(..., "standard deviation of what a sound machine may have at all times", 0.03)
+    change_std: Positive = word(..., "standard deviation of a change that is worth naming", 0.03)
 
 
 CAUSES = Causes()
 """What is not said of causes beside the faults."""
 
 RangeOrNone = Annotated[
-    Annotated[Literal[False], ValueKind("false, or a table { normal = number, size = number }"), Tag(VALUE_TAG)]
+    Annotated[
+        Literal[False], ValueKind("false, or a table { healthy_std = number, change_std = number }"), Tag(VALUE_TAG)
+    ]
     | Annotated[CauseRangeSection, Tag(TABLE_TAG)],
     BY_SHAPE,
 ]
@@ -157,27 +159,35 @@ RangeOrNone = Annotated[
 
 def _shown(of: CauseScale | None) -> dict[str, float]:
     assert of is not None  # the defaults leave no cause out
-    return {"normal": of.normal, "size": of.size}
+    return {"healthy_std": of.normal, "change_std": of.size}
 
 
 class CausesSection(StudySection):
     """What may have changed beside the faults, where there are healthy records; false leaves one out."""
 
-    gain: RangeOrNone | None = word(None, f"of each sensor, as a share; default {_shown(CAUSES.gain)}")
-    offset: RangeOrNone | None = word(None, f"of each sensor, in std of its noise; default {_shown(CAUSES.offset)}")
-    delay: RangeOrNone | None = word(None, f"of each sensor, in sampling steps; default {_shown(CAUSES.delay)}")
+    sensor_gain: RangeOrNone | None = word(None, f"of each sensor, as a share; default {_shown(CAUSES.gain)}")
+    sensor_offset: RangeOrNone | None = word(
+        None, f"of each sensor, in std of its noise; default {_shown(CAUSES.offset)}"
+    )
+    sensor_delay: RangeOrNone | None = word(None, f"of each sensor, in sampling steps; default {_shown(CAUSES.delay)}")
     input_gain: RangeOrNone | None = word(None, f"of each input, as a share; default {_shown(CAUSES.input_gain)}")
-    parameter: RangeOrNone | None = word(
-        None, f"drift of each parameter beyond inflate, as a share; default {_shown(CAUSES.parameter)}"
+    parameter_drift: RangeOrNone | None = word(
+        None, f"drift of each parameter beyond std_factor, as a share; default {_shown(CAUSES.parameter)}"
     )
 
     def causes(self) -> Causes:
         """Return the causes that the words describe."""
-        given = {name: getattr(self, name) for name in type(self).model_fields}
+        given = {
+            "gain": self.sensor_gain,
+            "offset": self.sensor_offset,
+            "delay": self.sensor_delay,
+            "input_gain": self.input_gain,
+            "parameter": self.parameter_drift,
+        }
         return replace(
             CAUSES,
             **{
-                name: CauseScale(each.normal, each.size) if isinstance(each, CauseRangeSection) else None
+                name: CauseScale(each.healthy_std, each.change_std) if isinstance(each, CauseRangeSection) else None
                 for name, each in given.items()
                 if each is not None
             },
@@ -187,20 +197,22 @@ class CausesSection(StudySection):
 class DiagnosisSection(StudySection):
     """Which fault, and how large."""
 
-    healthy: File | None = word(
+    baseline: File | None = word(
         None,
         "the result.json of an identification of the healthy machine; without, fmuid identify keeps beside its "
         "result.json what the tables of this study, all of the healthy machine, show of the faults",
         "healthy/result.json",
     )
-    inflate: Annotated[Annotated[Factor, Tag(VALUE_TAG)] | Annotated[Factors, Tag(TABLE_TAG)], BY_SHAPE] = word(
+    std_factor: Annotated[Annotated[Factor, Tag(VALUE_TAG)] | Annotated[Factors, Tag(TABLE_TAG)], BY_SHAPE] = word(
         1.0, "factor on its standard deviations, or one for each parameter: for changes that are no fault"
     )
-    level: Share = word(RULE.level, "probability of a false alarm", RULE.level)
-    records: Files = word([], "tables of the healthy machine: sensors and supply are told from faults by them")
-    trials: dict[str, Files] = word({}, "cause to tables in which it alone is new: they show model_error", {})
+    false_alarm_rate: Share = word(RULE.level, "probability of a false alarm", RULE.level)
+    healthy_data: Files = word([], "tables of the healthy machine: sensors and supply are told from faults by them")
+    known_fault_data: dict[str, Files] = word(
+        {}, "cause to tables in which it alone is new: they show fault_model_error", {}
+    )
     causes: CausesSection | None = word(None, "what may have changed beside the faults")
-    model_error: NotNegative = word(
+    fault_model_error: NotNegative = word(
         MODEL_ERROR, "of a fault model along other signatures, a share of its effect; a quarter of it in its size"
     )
     faults: dict[str, FaultSection] = word({}, "the faults to look for, by their names")
@@ -214,7 +226,7 @@ class DiagnosisSection(StudySection):
             If there is no fault to look for, the healthy result cannot be read, or another word of the study does not
             go with a diagnosis.
         """
-        several = (f"values of {next(iter(known.choices), '')}", bool(known.choices))
+        several = (f"choices of {next(iter(known.choices), '')}", bool(known.choices))
         for said, there in (
             ("[prior]", known.joint_prior is not None),
             (f'loss = "{loss}"', loss != "linear"),
@@ -227,26 +239,26 @@ class DiagnosisSection(StudySection):
         return ParsedDiagnosis(
             str(self.place),
             self._source(model),
-            self.inflate,
-            self.level,
+            self.std_factor,
+            self.false_alarm_rate,
             {name: each.fault() for name, each in self.faults.items()},
-            tuple(self.records),
+            tuple(self.healthy_data),
             CAUSES if self.causes is None else self.causes.causes(),
-            self.model_error,
-            {name: tuple(tables) for name, tables in self.trials.items()},
+            self.fault_model_error,
+            {name: tuple(tables) for name, tables in self.known_fault_data.items()},
         )
 
     def _source(self, model: ParsedModel) -> PriorSource | None:
-        if self.healthy is None:
-            for key in {"records", "trials"} & self.model_fields_set:
-                raise self.error(f"has {key} and no healthy: give the result.json of the healthy machine, too")
+        if self.baseline is None:
+            for key in sorted({"healthy_data", "known_fault_data"} & self.model_fields_set):
+                raise self.error(f"has {key} and no baseline: give the result.json of the healthy machine, too")
             return None
         try:
-            result = Result.from_json(self.healthy)
+            result = Result.from_json(self.baseline)
         except InputError as error:
-            raise self.error(f"healthy: {error}") from None
+            raise self.error(f"baseline: {error}") from None
         names = tuple(name for name in result.names if not of_one_experiment(name) and name not in model.values)
-        return PriorSource(str(self.place), self.healthy, result, names)
+        return PriorSource(str(self.place), self.baseline, result, names)
 
 
 @dataclass(frozen=True, eq=False)
@@ -388,7 +400,9 @@ class ParsedDiagnosis:
         from fmuid.diagnosis import Baseline, StoredBaseline
 
         if self.source is None:
-            raise InputError('there is no healthy machine: give healthy = "healthy/result.json", of its identification')
+            raise InputError(
+                'there is no healthy machine: give baseline = "healthy/result.json", of its identification'
+            )
         records = [read(path) for path in self.records]
         trials = {name: [read(path) for path in paths] for name, paths in self.trials.items()}
         variance = noise.given_variance()

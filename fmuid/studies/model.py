@@ -26,7 +26,7 @@ from fmuid.models import (
 from fmuid.simulation import MOST_STEPS, Value
 from fmuid.studies.arrays import by_element
 from fmuid.studies.parameters import PriorSource, ResultValueSection
-from fmuid.studies.preprocess import PrepareSection
+from fmuid.studies.preprocess import PreprocessWords
 from fmuid.studies.section import (
     BY_SHAPE,
     TABLE_TAG,
@@ -133,10 +133,10 @@ class NumericsSection(StudySection):
 
     interface: Annotated[str, one_of(KINDS)] | None = word(
         None,
-        'which of its two; default: "co-simulation" where the FMU offers it, with the integrator inside the FMU',
+        'which of its two; default: "co-simulation" where the FMU offers it, with the solver inside the FMU',
         "model-exchange",
     )
-    integrator: Annotated[str, one_of(INTEGRATORS)] | None = word(
+    solver: Annotated[str, one_of(INTEGRATORS)] | None = word(
         None,
         f'of model exchange: "rk4" (fixed steps), "rk45" or "cvode" (stiff models); default: "{DEFAULT_INTEGRATOR}", '
         'and "cvode" once that finds the model stiff',
@@ -148,7 +148,7 @@ class NumericsSection(StudySection):
         DEFAULT_TOLERANCE,
     )
     step_size: Positive | None = word(None, "largest step, s; default: from sample to sample", 1e-3)
-    most_steps: Count | None = word(
+    max_solver_steps: Count | None = word(
         None,
         'of "rk45" and "cvode" between two samples: a simulation that needs more fails, and a search goes another way; '
         f"default: {MOST_STEPS}",
@@ -158,7 +158,7 @@ class NumericsSection(StudySection):
     @property
     def numerics(self) -> Numerics:
         """The words as an object."""
-        return Numerics(self.interface, self.integrator, self.tolerance, self.step_size, most_steps=self.most_steps)
+        return Numerics(self.interface, self.solver, self.tolerance, self.step_size, most_steps=self.max_solver_steps)
 
 
 class ComponentSection(NumericsSection):
@@ -166,7 +166,7 @@ class ComponentSection(NumericsSection):
 
     name: Text = word(..., "what its variables are prefixed with")
     fmu: File = word(..., "the path of the FMU")
-    samples: Flag | None = word(
+    discrete_time: Flag | None = word(
         None,
         "whether it acts once a communication step, as a sampled controller does: finer simulations leave its steps as "
         "they are; default: an FMU without continuous states does, of others it is not known",
@@ -176,7 +176,7 @@ class ComponentSection(NumericsSection):
     @property
     def numerics(self) -> Numerics:
         """The words as an object."""
-        return replace(super().numerics, samples=self.samples)
+        return replace(super().numerics, samples=self.discrete_time)
 
 
 class ConnectionSection(StudySection):
@@ -209,15 +209,15 @@ class ModelSection(NumericsSection):
     """The model: one FMU, or several coupled ones."""
 
     fmu: File | None = word(None, "the path of the FMU, or of a system, .ssp")
-    master: Annotated[str, one_of(MASTERS)] = word("jacobi", "in which order several FMUs step")
-    values: Held = word(
+    coupling: Annotated[str, one_of(MASTERS)] = word("jacobi", "in which order several FMUs step")
+    fixed: Held = word(
         {}, 'FMU variables held at a value, or at rows of them, or at an estimate, { result = "drive/result.json" }'
     )
     components: list[ComponentSection] = word(
         [], "several FMUs in place of fmu; their variables are component.variable"
     )
     connections: list[ConnectionSection] = word([], "what feeds what")
-    connectors: Annotated[dict[str, OneOrMore], Entries("a table { name = variables }")] = word(
+    shared_variables: Annotated[dict[str, OneOrMore], Entries("a table { name = variables }")] = word(
         {}, "names of the system's own, and the variables that each of them sets"
     )
 
@@ -234,9 +234,9 @@ class ModelSection(NumericsSection):
             self._components(),
             tuple(each.connection for each in self.connections),
             self.numerics,
-            self.master,
+            self.coupling,
             values,
-            {name: tuple(some) for name, some in self.connectors.items()},
+            {name: tuple(some) for name, some in self.shared_variables.items()},
             sources=sources,
         )
 
@@ -251,7 +251,7 @@ class ModelSection(NumericsSection):
         results: dict[Path, Result] = {}
         values: dict[str, Value] = {}
         taken: dict[Path, list[str]] = {}
-        for name, given in self.values.items():
+        for name, given in self.fixed.items():
             if isinstance(given, ResultValueSection):
                 path = given.result
                 try:
@@ -267,7 +267,7 @@ class ModelSection(NumericsSection):
 
     def _components(self) -> dict[str, tuple[Path, Numerics]]:
         if self.fmu is not None:
-            for key in ("components", "connections", "connectors"):
+            for key in ("components", "connections", "shared_variables"):
                 if key in self.model_fields_set:
                     raise self.error(f"has both 'fmu' (one FMU) and {key} (of several): keep one of the two")
             return {"": (self.fmu, self.numerics)}
@@ -294,11 +294,11 @@ Interpolations = Annotated[dict[str, Interpolation], Entries("a table { input = 
 class ExperimentSettings(StudySection):
     """A table of measurements, with the words of `fmuid.Experiment`; as many as there are."""
 
-    table: File = word(..., "the file of measurements")
-    name: Text = word("", "what messages and figures call it; default: the table's name without suffix")
+    data: File = word(..., "the file of measurements")
+    name: Text = word("", "what messages and figures call it; default: the file's name without suffix")
     time: NameOrPlace = word("time", "the column of time, by its name or its place from 1")
     time_unit: Annotated[str, one_of(TIME_UNITS)] | None = word(
-        None, "unit of the time column; default: what the table says, else s"
+        None, "unit of the time column; default: what the file says, else s"
     )
     sample_rate: Positive | None = word(None, "samples per second, of a table without times")
     sheet: NameOrPlace | None = word(None, "of a spreadsheet, by name or place from 1; default: the first with a table")
@@ -306,15 +306,15 @@ class ExperimentSettings(StudySection):
     outputs: Columns = word(..., "the measured outputs, a list of names")
     interpolation: Annotated[
         Annotated[Interpolation, Tag(VALUE_TAG)] | Annotated[Interpolations, Tag(TABLE_TAG)], BY_SHAPE
-    ] = word("linear", 'between samples; "hold" for commands of a digital controller', "linear")
-    discard: NotNegative = word(0.0, "s of transient at the beginning, simulated but not counted", 0.0)
-    values: Annotated[Scalars, BeforeValidator(by_element)] = word(
+    ] = word("linear", 'between samples; "zoh" for commands of a digital controller', "linear")
+    warmup: NotNegative = word(0.0, "s of transient at the beginning, simulated but not counted", 0.0)
+    fixed: Annotated[Scalars, BeforeValidator(by_element)] = word(
         {}, "FMU variables held at a value, or at rows of them, in this experiment"
     )
     noise: ExperimentNoiseSection = word(
         {}, "of this experiment, where it is not as [noise] says", validate_default=True
     )
-    prepare: PrepareSection = word({}, "what is done with the table first", validate_default=True)
+    preprocess: PreprocessWords = word({}, "what is done with the table first", validate_default=True)
     units: Texts = word(
         {}, "of columns whose unit the table does not say and that are not in the FMU's: { variable = unit }"
     )
@@ -325,7 +325,7 @@ class ExperimentSettings(StudySection):
         return self.experiment(self.read_frame(table, source), source, measured=measured)
 
     def read_frame(self, table: Path, source: str | None = None) -> pd.DataFrame:
-        """Read a table as it is before ``[experiments.prepare]``; messages call it `source`.
+        """Read a table as it is before ``[experiments.preprocess]``; messages call it `source`.
 
         Raises
         ------
@@ -353,8 +353,9 @@ class ExperimentSettings(StudySection):
         given = self.interpolation
         words = given if isinstance(given, dict) else dict.fromkeys(self.inputs, given)
         between = {column: words.get(name, "linear") for name, column in self.inputs.items()}
-        frame = self.prepare.settings().applied(frame, time, source, columns.values(), between)
-        other = {name: getattr(self, name) for name in ("interpolation", "discard", "units", "values", "name")}
+        frame = self.preprocess.settings().applied(frame, time, source, columns.values(), between)
+        other = {name: getattr(self, name) for name in ("interpolation", "units", "name")}
+        other |= {"discard": self.warmup, "values": self.fixed}
         return Experiment(frame, self.inputs, self.outputs, time, **other, measured=measured, source=source)
 
 
@@ -368,16 +369,16 @@ def named(experiments: Sequence[ExperimentSettings], top: SectionLocation) -> tu
     """
     found: dict[str, ExperimentSettings] = {}
     for each in experiments:
-        name = each.name or each.table.stem
+        name = each.name or each.data.stem
         if not each.outputs:
             raise each.error('has no outputs: name those that are measured, outputs = ["..."]')
-        each.prepare.check_fill(each.outputs)
-        pieces = each.prepare.cut_up()
+        each.preprocess.check_fill(each.outputs)
+        pieces = each.preprocess.cut_up()
         for k, piece in enumerate(pieces, start=1):
             called = f"{name} {k}" if len(pieces) > 1 else name
             if called in found:
                 raise each.error(f'is called {called!r} like an earlier one: give it a name of its own, name = "..."')
-            found[called] = each.model_copy(update={"name": called, "prepare": piece})
+            found[called] = each.model_copy(update={"name": called, "preprocess": piece})
     if not found:
         raise top.error("has no experiments: name at least one table with [[experiments]]")
     return tuple(found.values())

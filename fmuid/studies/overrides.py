@@ -24,7 +24,7 @@ def override(data: dict[str, Any], setting: str, file: str) -> None:
     data
         The content of the study file.
     setting
-        ``path=value``. The path is dotted; list entries go by number (``experiments.0.table``); names that contain
+        ``path=value``. The path is dotted; list entries go by number (``experiments.0.data``); names that contain
         dots may be quoted (``parameters."drive.M".start``) and need not be where only one reading is possible. The
         value is TOML, or else a string. A number in place of a parameter, ``parameters.Rs=9.8``, holds it there.
     file
@@ -44,7 +44,7 @@ def override(data: dict[str, Any], setting: str, file: str) -> None:
     one = isinstance(known, dict) and name in known and not (len(segments) > 2 and segments[1] in known)
     if segments[0] == "parameters" and one and type(value) in (int, float):
         del data["parameters"][name]
-        segments = ["model", "values", name]
+        segments = ["model", "fixed", name]
     _assign(data, segments, value, (), StudyFile, f"--set {setting}: {file}")
 
 

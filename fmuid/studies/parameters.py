@@ -45,7 +45,7 @@ class ResultPriorSection(StudySection):
     """A prior that may come from an earlier result."""
 
     result: File | None = word(None, "the result.json of an earlier identification", "healthy/result.json")
-    inflate: Positive = word(1.0, "factor on its standard deviations, for changes to be expected", 10)
+    std_factor: Positive = word(1.0, "factor on its standard deviations, for changes to be expected", 10)
 
     def comes_from_result(self, given: Sequence[str], needed: Sequence[str]) -> bool:
         """Whether it does, and not from numbers in the study, `given`, for which words are `needed`.
@@ -60,8 +60,8 @@ class ResultPriorSection(StudySection):
                 if key in self.model_fields_set:
                     raise self.error(f"has both result and {key}: keep one of the two")
             return True
-        if "inflate" in self.model_fields_set:
-            raise self.error("has inflate, which goes with result: name the result.json, or remove it")
+        if "std_factor" in self.model_fields_set:
+            raise self.error("has std_factor, which goes with result: name the result.json, or remove it")
         for key in needed:
             if key not in self.model_fields_set:
                 raise self.error(f"needs the key {key!r}: {type(self).model_fields[key].description}")
@@ -98,7 +98,7 @@ class ParameterSection(StudySection):
         "where the search begins; of a vector or a matrix, rows of numbers: [[1.0, 0.0], [0.0, 1.0]]",
         json_schema_extra={"type": ["number", "array"]},
     )
-    values: Annotated[list[Scalar], BeforeValidator(as_list)] = word(
+    choices: Annotated[list[Scalar], BeforeValidator(as_list)] = word(
         [],
         "in place of all else, of an Integer, a Boolean or an enumeration: its values, of which each is tried; "
         '"all" that the FMU declares',
@@ -274,8 +274,8 @@ class ParameterReader:
             if prior is not None:
                 raise self.top.error("has a [prior] and no parameters: name those to identify under [parameters]")
             return ParsedParameters({}, None, (), (), {})
-        choices = {name: self._values(name, each) for name, each in words.items() if each.values}
-        parameters = {name: self._parameter(name, each) for name, each in words.items() if not each.values}
+        choices = {name: self._values(name, each) for name, each in words.items() if each.choices}
+        parameters = {name: self._parameter(name, each) for name, each in words.items() if not each.choices}
         alone = self._set(parameters, experiments, None, "parameters")
         if prior is None:
             return ParsedParameters(parameters, None, tuple(self.sources), alone.names, choices)
@@ -292,11 +292,11 @@ class ParameterReader:
             raise InputError(f"{self.top.below(table)}: {error}") from None
 
     def _values(self, name: str, words: ParameterSection) -> tuple[Value, ...] | str:
-        for key in sorted(words.model_fields_set - {"values"}):
-            raise words.error(f"has both values and {key}: a parameter that takes few values has nothing else")
+        for key in sorted(words.model_fields_set - {"choices"}):
+            raise words.error(f"has both choices and {key}: a parameter that takes few values has nothing else")
         if name in self.held:
-            raise words.error(f"is also held at {show(self.held[name])} by [model.values]: keep one of the two")
-        return "all" if words.values == ["all"] else tuple(words.values)
+            raise words.error(f"is also held at {show(self.held[name])} by [model.fixed]: keep one of the two")
+        return "all" if words.choices == ["all"] else tuple(words.choices)
 
     def _parameter(self, name: str, words: ParameterSection) -> Parameter:
         if words.start is None:
@@ -314,7 +314,7 @@ class ParameterReader:
         path, result = self._result(words)
         self._take(words, path, result, [name])
         try:
-            return result.normal(name, inflate=words.inflate)
+            return result.normal(name, inflate=words.std_factor)
         except InputError as error:
             raise InputError(f"{words.place}: {path}: {error}") from None
 
@@ -322,7 +322,7 @@ class ParameterReader:
         for name in words.names or ():
             if name in self.held:
                 raise words.error(
-                    f"names {name!r}, which [model.values] holds at {show(self.held[name])}: a prior is for "
+                    f"names {name!r}, which [model.fixed] holds at {show(self.held[name])}: a prior is for "
                     "parameters to identify, so move it to [parameters] or leave it out here"
                 )
             if name not in names:
@@ -345,7 +345,7 @@ class ParameterReader:
             )
         self._take(words, path, result, shared)
         try:
-            return result.prior(shared, inflate=words.inflate)
+            return result.prior(shared, inflate=words.std_factor)
         except InputError as error:
             raise words.error(f"cannot be taken from {path}: {error}") from None
 

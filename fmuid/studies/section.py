@@ -10,7 +10,7 @@ from __future__ import annotations
 import json
 import math
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from types import UnionType
@@ -99,8 +99,6 @@ class StudySection(BaseModel):
     """One table of a study file; its fields are the keys that it may have."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, strict=True, defer_build=True)
-    retired: ClassVar[Mapping[str, str]] = {}
-    """Keys of earlier versions, and what to do instead."""
     _place: SectionLocation = PrivateAttr(default=SectionLocation("the study", Path()))
 
     @property
@@ -148,8 +146,6 @@ class StudySection(BaseModel):
             raise said_of_table(f"must be a table, not {show(data)}")
         known = {field.alias or name: field for name, field in cls.model_fields.items()}
         for key in data:
-            if key in cls.retired:
-                raise said_of_table(f"has no key {key!r} any more: {cls.retired[key]}")
             if key not in known:
                 near = nearest(key, known) or f"; its keys are {', '.join(known)}"
                 raise said_of_table(f"has no key {key!r}{near}")

@@ -1,11 +1,11 @@
-"""The tables ``[isolation]``, ``[noise]``, ``[estimator]``, ``[uncertainty]`` and ``[monitoring]`` of a study file."""
+"""The tables ``[isolation]``, ``[noise]``, ``[estimation]``, ``[uncertainty]`` and ``[monitoring]`` of a study file."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from pydantic import AfterValidator, BeforeValidator, Field, Tag
 
@@ -51,19 +51,21 @@ Command = Annotated[list[Text], ValueKind('a list of a program and its arguments
 Limits = Annotated[dict[str, Number], Entries("a table { fault.size = number }")]
 
 
-# --- [isolation], [noise], [estimator] --------------------------------------------------
+# --- [isolation], [noise], [estimation] --------------------------------------------------
 
 
 class IsolationSection(StudySection):
     """What FMUs in a process of their own may do."""
 
     time_limit: Positive | None = word(None, "s for one simulation; default: by how long earlier ones took")
-    memory: Positive | None = word(None, "MB; default: an equal share of half the machine's for each core")
-    recycle: Count | None = word(None, "simulations after which a process is replaced; default: only for its memory")
+    memory_limit_mb: Positive | None = word(None, "MB; default: an equal share of half the machine's for each core")
+    max_simulations_per_process: Count | None = word(
+        None, "simulations after which a process is replaced; default: only for its memory"
+    )
 
     def settings(self) -> Isolation:
         """Return the words as an object."""
-        return Isolation(self.time_limit, self.memory, self.recycle)
+        return Isolation(self.time_limit, self.memory_limit_mb, self.max_simulations_per_process)
 
 
 VARIANCES = '"estimate", a number above 0 or a table { output = number }'
@@ -95,110 +97,106 @@ class ExperimentNoiseSection(StudySection):
     std: Levels | None = word(
         None, "standard deviation: a number, a column of the table with one for each sample, or { output = either }"
     )
-    relative: PositiveOrEach | None = word(
+    relative_std: PositiveOrEach | None = word(
         None, "standard deviation as a share of the output's spread (the standard deviation of its counted samples)"
     )
     weights: Levels | None = word(
         None, "a sample of weight w has the variance σ²/w, with one σ², estimated, for all outputs that have weights"
     )
-
-    period: Positive | None = word(
+    excitation_period: Positive | None = word(
         None, "s after which the excitation repeats, as errors of the model then do; default: what the inputs show", 4.0
     )
 
     def forms(self) -> Noise:
         """Return these words as an object."""
-        return Noise(self.variance, std=self.std, relative=self.relative, weights=self.weights, period=self.period)
+        relative, period = self.relative_std, self.excitation_period
+        return Noise(self.variance, std=self.std, relative=relative, weights=self.weights, period=period)
 
 
 class NoiseSection(ExperimentNoiseSection):
     """The noise of the measurements."""
 
-    retired: ClassVar[Mapping[str, str]] = {
-        "coloured": "leave it out, confidence intervals allow for colored noise without it"
-    }
-    start: PositiveOrEach | None = word(
+    initial_variance: PositiveOrEach | None = word(
         None, "where the estimation of the variance starts; default: from the residual", 0.01
     )
-    common: Flag | Names = word(False, "outputs that share one estimated variance, a list of names; true: all of them")
+    shared_variance: Flag | Names = word(
+        False, "outputs that share one estimated variance, a list of names; true: all of them"
+    )
 
     def settings(self, experiments: Mapping[str, ExperimentNoiseSection]) -> Noise:
         """Return the words as an object, with those of single experiments."""
         own = {name: each.forms() for name, each in experiments.items() if each.model_fields_set}
-        return replace(self.forms(), start=self.start, common=self.common, experiments=own)
+        return replace(self.forms(), start=self.initial_variance, common=self.shared_variance, experiments=own)
 
 
-GLOBAL_WORDS = ("starts", "search", "seed")
+METHODS = ("levenberg-marquardt", "multi-start", "differential-evolution")
+SAMPLER = {"max_steps": "steps", "burn_in": "burn"}
 
 
-class EstimationSection(StudySection):
-    """How the parameters are searched for."""
+class EstimationWords(StudySection):
+    """How the parameters are estimated."""
 
-    method: Annotated[str, one_of(("marquardt", "global"), later=("linear",))] = word(
-        "marquardt", '"global" searches all of the bounds first', "marquardt"
+    method: Annotated[str, one_of(METHODS)] = word(
+        METHODS[0],
+        '"multi-start" begins from many points of the bounds, "differential-evolution" searches all of them first; '
+        'default: "multi-start" where there is n_starts',
+        METHODS[0],
     )
-    starts: Count | None = word(
-        None, 'with method = "global": a search from each of so many starts; without it, an evolution', 50
-    )
-    search: Annotated[str, one_of(("multistart", "evolution"))] | None = word(
-        None, 'of method = "global"; default: "multistart" with starts, else "evolution"'
-    )
+    n_starts: Count | None = word(None, "starting points of multi-start, or members of an evolution", 50)
     seed: Natural = word(0, "of the random numbers of a global search")
     loss: Annotated[str, one_of(tuple(LOSSES))] = word(
         "linear", 'with "huber", "soft_l1", "cauchy", outliers in the table pull less than with "linear"', "soft_l1"
     )
-    sensitivity: Annotated[str, one_of(SENSITIVITIES)] = word(
+    jacobian: Annotated[str, one_of(SENSITIVITIES)] = word(
         "finite-difference", "how derivatives by the parameters are found", "finite-difference"
     )
-    accuracy: Annotated[str, one_of(ACCURACIES)] = word(
-        "switch",
+    solver_check: Annotated[str, one_of(ACCURACIES)] = word(
+        "refine",
         "of the simulation: go on by a finer one where its error moves an estimate by more than 0.1 standard "
-        'deviations, just say so ("check"), or do not look ("off")',
-        "switch",
+        'deviations, just say so ("report"), or do not look ("off")',
+        "refine",
     )
-    remedies: bool = word(
+    restarts: bool = word(
         True,
         "other starts are tried where a search cannot begin or end, or its residual is more than three times the noise "
         "that the data show; batches search from the starts that they are given",
     )
-    observer: Positive | None = word(
+    observer_memory: Positive | None = word(
         None,
         "samples (its poles) in which an observer of all states forgets, that corrects them at each sample: for one "
         "FMU that integrates, with model exchange and one output; a fit of predictions then, without check of the "
-        "simulation and remedies",
+        "simulation and restarts",
         3.0,
     )
     max_iterations: Count = word(SEARCH.max_iterations, "steps tried, accepted or not")
-    tolerance: Positive = word(SEARCH.tolerance, "the largest change left for any parameter, relative")
-    first_radius: Positive = word(SEARCH.first_radius, "length of the first step, relative; smaller is more careful")
+    relative_step_tolerance: Positive = word(SEARCH.tolerance, "the largest change left for any parameter, relative")
+    initial_trust_radius: Positive = word(
+        SEARCH.first_radius, "length of the first step, relative; smaller is more careful"
+    )
 
     def settings(self) -> Marquardt | GlobalSearch:
         """Return Marquardt's search, or a search of the whole box that ends in it.
 
-        Who gives ``starts`` wants a search from each of them, and need not say that the method is global and the search
-        "multistart".
+        Who gives ``n_starts`` wants a search from each of them, and need not say that the method is "multi-start".
 
         Raises
         ------
         InputError
-            If words of a global search are given without one, or starts are too few.
+            If keys of a global search are given without one, or starting points are too few.
         """
-        marquardt = Marquardt(self.max_iterations, self.tolerance, self.first_radius)
-        if "method" not in self.model_fields_set and {"starts", "search"} & self.model_fields_set:
-            method = "global"
-        else:
-            method = self.method
-        if method == "marquardt":
-            for key in GLOBAL_WORDS:
+        marquardt = Marquardt(self.max_iterations, self.relative_step_tolerance, self.initial_trust_radius)
+        several = self.n_starts is not None and "method" not in self.model_fields_set
+        method = "multi-start" if several else self.method
+        if method == METHODS[0]:
+            for key in ("n_starts", "seed"):
                 if key in self.model_fields_set:
-                    raise self.error(f'has {key}, which goes with method = "global": choose that, or remove {key}')
+                    raise self.error(f'has {key}, which goes with method = "multi-start": choose that, or remove {key}')
             return marquardt
         from fmuid.estimation import GlobalSearch
 
-        words: dict[str, Any] = {} if self.starts is None else {"starts": self.starts}
-        search = self.search or ("evolution" if self.starts is None else "multistart")
+        words: dict[str, Any] = {} if self.n_starts is None else {"starts": self.n_starts}
         try:
-            return GlobalSearch(search, seed=self.seed, **words, marquardt=marquardt)  # type: ignore[arg-type]
+            return GlobalSearch(method, seed=self.seed, **words, marquardt=marquardt)  # type: ignore[arg-type]
         except InputError as error:
             raise self.error(f"is refused: {error}") from None
 
@@ -210,7 +208,7 @@ class EstimationSection(StudySection):
         InputError
             If it does not.
         """
-        for other, there in (('method = "global"', method.whole_box), ("map", bool(asked.maps))):
+        for other, there in ((f'method = "{self.method}"', method.whole_box), ("cost_map", bool(asked.maps))):
             if there and self.loss != "linear":
                 raise top.error(
                     f'has both loss = "{self.loss}" and {other}, which compares plain sums of squares in this version: '
@@ -225,16 +223,17 @@ class EstimationSection(StudySection):
         InputError
             If something does not.
         """
-        if self.observer is None:
+        if self.observer_memory is None:
             return
-        if self.sensitivity != "finite-difference":
+        if self.jacobian != "finite-difference":
             raise self.error(
-                f'has both observer and sensitivity = "{self.sensitivity}", and derivatives with an observer are '
+                f'has both observer_memory and jacobian = "{self.jacobian}", and derivatives with an observer are '
                 "finite differences: remove one of the two"
             )
         for name in (name for name, there in tables.items() if there):
             raise top.error(
-                f"has both observer in [estimator] and [{name}], which is by output error: remove one of the two"
+                f"has both observer_memory in [estimation] and [{name}], which is by output error: remove one of "
+                "the two"
             )
 
 
@@ -251,7 +250,9 @@ def observed_by(problem: Problem, samples: float | None, path: Path) -> Problem:
     try:
         return with_observer(problem, samples)
     except InputError as error:
-        raise InputError(f"{path}: [estimator] has observer = {samples:g}, but {error}: remove observer") from None
+        raise InputError(
+            f"{path}: [estimation] has observer_memory = {samples:g}, but {error}: remove observer_memory"
+        ) from None
 
 
 # --- [uncertainty] ----------------------------------------------------------------------
@@ -261,8 +262,8 @@ class PosteriorSection(StudySection):
     """How the posterior is sampled."""
 
     walkers: Count | None = word(None, "an even number; default: four a parameter, 16 at least")
-    steps: Count | None = word(None, "the longest chain; it ends as soon as it is long enough")
-    burn: NotNegative | None = word(None, "share of the chain that is left out at its start")
+    max_steps: Count | None = word(None, "the longest chain; it ends as soon as it is long enough")
+    burn_in: NotNegative | None = word(None, "share of the chain that is left out at its start")
     seed: Natural | None = word(None, "of the random numbers")
 
 
@@ -288,19 +289,19 @@ def _different(value: list[list[str]]) -> list[list[str]]:
 class UncertaintySection(StudySection):
     """More than the standard deviations, which are local."""
 
-    level: Share = word(CONFIDENCE_LEVEL, "of all intervals", CONFIDENCE_LEVEL)
-    profile: Annotated[
+    confidence_level: Share = word(CONFIDENCE_LEVEL, "of all intervals", CONFIDENCE_LEVEL)
+    profile_likelihood: Annotated[
         Flag | list[Text], ValueKind('true (all parameters), false or a list of parameters, ["Rs", "Rr"]')
     ] = word(False, 'profile likelihood of all parameters, or of some: ["a", "b"]', True)
     posterior: Annotated[
         PosteriorSection | None, BeforeValidator(_switched, json_schema_input_type=bool | PosteriorSection)
-    ] = word(None, "samples of the posterior; or { steps = 20000, walkers = 32, seed = 0 }", True)
-    map: Annotated[
+    ] = word(None, "samples of the posterior; or { max_steps = 20000, walkers = 32, seed = 0 }", True)
+    cost_map: Annotated[
         list[Pair],
         BeforeValidator(_pairs, json_schema_input_type=Pair | list[Pair]),
         ValueKind(PAIRS),
         AfterValidator(_different),
-    ] = word([], "the criterion over two parameters", [["a", "b"]])
+    ] = word([], "the cost over two parameters", [["a", "b"]])
 
     def settings(self, names: Sequence[str]) -> UncertaintySettings:
         """Return what is asked of a study with these parameters.
@@ -310,13 +311,17 @@ class UncertaintySection(StudySection):
         InputError
             If a parameter is none of them, or the sampler refuses its words.
         """
-        listed = self.profile if isinstance(self.profile, list) else list(names) if self.profile else []
-        for key, given in (("profile", listed), ("map", [name for pair in self.map for name in pair])):
+        asked = self.profile_likelihood
+        listed = asked if isinstance(asked, list) else list(names) if asked else []
+        for key, given in (
+            ("profile_likelihood", listed),
+            ("cost_map", [name for pair in self.cost_map for name in pair]),
+        ):
             for name in given:
                 if name not in names:
                     raise self.error(f"{key} names {name!r}, which is no parameter of this study{nearest(name, names)}")
-        pairs = tuple((first, second) for first, second in self.map)
-        return UncertaintySettings(self.level, tuple(dict.fromkeys(listed)), self._sampling(), pairs)
+        pairs = tuple((first, second) for first, second in self.cost_map)
+        return UncertaintySettings(self.confidence_level, tuple(dict.fromkeys(listed)), self._sampling(), pairs)
 
     def _sampling(self) -> SamplerSettings | None:
         if self.posterior is None:
@@ -324,7 +329,9 @@ class UncertaintySection(StudySection):
         from fmuid.identification import SamplerSettings
 
         try:
-            return SamplerSettings(**self.posterior.model_dump(exclude_unset=True))
+            return SamplerSettings(
+                **{SAMPLER.get(key, key): value for key, value in self.posterior.model_dump(exclude_unset=True).items()}
+            )
         except InputError as error:
             raise self.posterior.error(f"is refused: {error}") from None
 
@@ -335,32 +342,38 @@ class UncertaintySection(StudySection):
 class MonitoringSection(StudySection):
     """The same in windows of long records, one after the other."""
 
-    window: Positive | None = word(None, "length of a window, s; default: each record is one")
-    transient: NotNegative | None = word(None, "simulated before each window, s; default: what the study discards")
-    level: Share | None = word(
+    window_length: Positive | None = word(None, "length of a window, s; default: each record is one")
+    warmup: NotNegative | None = word(None, "simulated before each window, s; default: the warmup of the study")
+    false_alarm_rate: Share | None = word(
         None, "probability of a false alarm in a record, or in the horizon; default: that of [diagnosis]"
     )
-    horizon: Positive | None = word(None, "in which the level holds, s; default: each record")
-    command: Command = word(
+    false_alarm_horizon: Positive | None = word(None, "in which the false_alarm_rate holds, s; default: each record")
+    alarm_command: Command = word(
         [], 'a program and its arguments, run for each line of alarms.jsonl with --follow: ["python", "tell.py"]', []
     )
-    limits: Limits = word({}, 'sizes that must not be reached, as in { "turns.dR" = 0.5 }')
+    size_limits: Limits = word({}, 'sizes that must not be reached, as in { "turns.dR" = 0.5 }')
 
-    def rule(self, discard: float, level: float) -> Rule:
-        """Return the rule of a study with a transient that it discards and a level of its diagnosis.
+    def rule(self, warmup: float, level: float) -> Rule:
+        """Return the rule of a study with this warmup and a level of its diagnosis.
 
         Raises
         ------
         InputError
-            If a record is to be cut and nothing says how long the transient is, or the words do not fit together.
+            If a record is to be cut and nothing says how long the warmup is, or the words do not fit together.
         """
-        if self.transient is None and self.window is not None and not discard:
+        if self.warmup is None and self.window_length is not None and not warmup:
             raise self.error(
-                "needs the key 'transient': the study discards nothing, and windows begin anywhere; say how long the "
+                "needs the key 'warmup': the study has none, and windows begin anywhere; say how long the "
                 "model takes to forget its initial state, 0 for one without states"
             )
-        transient = discard if self.transient is None else self.transient
+        transient = warmup if self.warmup is None else self.warmup
         try:
-            return Rule(self.window, transient, self.level or level, self.horizon, self.limits)
+            return Rule(
+                self.window_length,
+                transient,
+                self.false_alarm_rate or level,
+                self.false_alarm_horizon,
+                self.size_limits,
+            )
         except InputError as error:
             raise InputError(f"{self.place}: {error}") from None

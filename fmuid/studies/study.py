@@ -67,7 +67,7 @@ class Study(HtmlTableMixin):
         What is asked beyond the local covariance.
     sensitivity : "finite-difference", "forward" or "fmu"
         How the derivatives of the outputs by the parameters are found.
-    accuracy : "switch", "check" or "off"
+    accuracy : "refine", "report" or "off"
         What is done about the error of the simulation (`fmuid.identify`).
     remedies : bool
         Whether other starts are tried where the search fails or fits badly.
@@ -102,7 +102,7 @@ class Study(HtmlTableMixin):
     sources: tuple[PriorSource, ...] = ()
     uncertainty_settings: UncertaintySettings = field(default_factory=UncertaintySettings)
     sensitivity: str = "finite-difference"
-    accuracy: str = "switch"
+    accuracy: str = "refine"
     remedies: bool = True
     observer: float | None = None
     diagnosis: ParsedDiagnosis | None = None
@@ -169,7 +169,11 @@ class Study(HtmlTableMixin):
             words.parameters, words.prior, [given.name for given in experiments]
         )
         model = model.choosing(known.choices)
-        estimator, search, asked = words.estimator, words.estimator.settings(), words.uncertainty.settings(known.names)
+        estimator, search, asked = (
+            words.estimation,
+            words.estimation.settings(),
+            words.uncertainty.settings(known.names),
+        )
         noise = words.noise.settings({given.name: given.noise for given in experiments})
         estimator.check_loss(search, asked, top)
         estimator.check_observer({key: getattr(words, key) is not None for key in ("diagnosis", "batch")}, top)
@@ -185,10 +189,10 @@ class Study(HtmlTableMixin):
             known.joint_prior,
             known.sources,
             asked,
-            estimator.sensitivity,
-            estimator.accuracy,
-            estimator.remedies,
-            estimator.observer,
+            estimator.jacobian,
+            estimator.solver_check,
+            estimator.restarts,
+            estimator.observer_memory,
             None if words.diagnosis is None else words.diagnosis.settings(model, estimator.loss, known),
             words.monitoring,
             None if words.batch is None else words.batch.of(known.parameters, experiments, noise),
@@ -201,12 +205,12 @@ class Study(HtmlTableMixin):
         Raises
         ------
         InputError
-            If the tables of ``[batch]`` match no file.
+            If the data of ``[batch]`` match no file.
         """
         faults, tables = ({}, ()) if self.diagnosis is None else (self.diagnosis.faults, self.diagnosis.tables)
         models = [self.model, *(fault.model for fault in faults.values() if fault.model is not None)]
         found = [path for model in models for path, _ in model.components.values()]
-        found += [*(given.table for given in self.experiments), *(each.path for each in self._all_sources), *tables]
+        found += [*(given.data for given in self.experiments), *(each.path for each in self._all_sources), *tables]
         return tuple(dict.fromkeys([*found, *(self.batch.records().values() if self.batch is not None else ())]))
 
     @property
@@ -236,7 +240,7 @@ class Study(HtmlTableMixin):
         InputError
             If a table cannot be read or lacks what the study names.
         """
-        return tuple(each.read_experiment(each.table) for each in self.experiments)
+        return tuple(each.read_experiment(each.data) for each in self.experiments)
 
     def check_parameters(self) -> None:
         """Refuse by an `InputError` a study that names no parameters."""
@@ -329,7 +333,7 @@ class Study(HtmlTableMixin):
         """What ``[diagnosis]`` says; `InputError` where there is none."""
         if self.diagnosis is not None:
             return self.diagnosis
-        remedy = 'give it, with healthy = "healthy/result.json" and the fault models as [diagnosis.faults.<name>]'
+        remedy = 'give it, with baseline = "healthy/result.json" and the fault models as [diagnosis.faults.<name>]'
         raise InputError(f"{self.path} has no [diagnosis]: {remedy}")
 
     def diagnose(self, progress: Progress | None = None) -> Diagnosis:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated
+from typing import Annotated, Self
 
 from pydantic import BeforeValidator
 
@@ -11,9 +11,10 @@ from fmuid.studies.batch import BatchSettings
 from fmuid.studies.diagnosis import DiagnosisSection
 from fmuid.studies.model import ExperimentSettings, ModelSection
 from fmuid.studies.parameters import JointPriorSection, ParameterSection
-from fmuid.studies.section import StudySection, Text, word
+from fmuid.studies.renamed_keys import refuse_renamed
+from fmuid.studies.section import SectionLocation, StudySection, Text, word
 from fmuid.studies.settings import (
-    EstimationSection,
+    EstimationWords,
     IsolationSection,
     MonitoringSection,
     NoiseSection,
@@ -24,6 +25,12 @@ from fmuid.studies.settings import (
 class StudyFile(StudySection):
     """A study: model, experiments, parameters, and what is asked of them."""
 
+    @classmethod
+    def read(cls, data: object, place: SectionLocation) -> Self:
+        """Return the sections of a file; keys with old names are refused by their new ones (`StudySection.read`)."""
+        refuse_renamed(data, place)
+        return super().read(data, place)
+
     title: Text = word("", "what the study is about")
     model: ModelSection = word({}, "the model", validate_default=True)
     experiments: list[ExperimentSettings] = word([], "the measurements")
@@ -32,7 +39,7 @@ class StudyFile(StudySection):
     )
     prior: JointPriorSection | None = word(None, "what is known of several parameters together")
     noise: NoiseSection = word({}, "the noise of the measurements", validate_default=True)
-    estimator: EstimationSection = word({}, "how the parameters are searched for", validate_default=True)
+    estimation: EstimationWords = word({}, "how the parameters are searched for", validate_default=True)
     uncertainty: UncertaintySection = word(
         {}, "more than the standard deviations, which are local", validate_default=True
     )

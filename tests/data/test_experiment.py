@@ -34,7 +34,7 @@ def test_roles_arrays_and_masks() -> None:
         table(),
         inputs=["w", "u"],
         outputs={"position": "y", "speed": "w"},
-        interpolation={"u": "hold"},
+        interpolation={"u": "zoh"},
         discard=0.2,
         units={"position": "mm"},
         name="run1",
@@ -59,7 +59,7 @@ def test_missing_samples_do_not_count() -> None:
 
 
 def test_one_word_of_interpolation_for_all_inputs() -> None:
-    np.testing.assert_array_equal(Experiment(table(), ["u", "w"], interpolation="hold").held, [True, True])
+    np.testing.assert_array_equal(Experiment(table(), ["u", "w"], interpolation="zoh").held, [True, True])
     np.testing.assert_array_equal(Experiment(table(), ["u", "w"]).held, [False, False])
 
 
@@ -129,7 +129,7 @@ def test_the_index_may_be_the_time() -> None:
 def test_read_names_itself_after_the_file(tmp_path: Path) -> None:
     path = tmp_path / "run7.csv"
     table().rename(columns={"time": "t"}).to_csv(path, index=False)
-    run = Experiment.read(path, ["u"], {"position": "y"}, time="t", interpolation="hold", discard=0.1)
+    run = Experiment.read(path, ["u"], {"position": "y"}, time="t", interpolation="zoh", discard=0.1)
     assert (run.name, run.source) == ("run7", str(path))
     assert run.held.tolist() == [True]
     np.testing.assert_array_equal(run.counted[:, 0], [False, False, True, True, True])
@@ -170,9 +170,9 @@ WRONG: list[tuple[dict[str, Any], dict[str, Any], str]] = [
     (
         {},
         {"interpolation": {"u": 1}},
-        'interpolation 1 is not known: write "linear", "hold", "hold-previous" or',
+        'interpolation 1 is not known: write "linear", "zoh", "zoh-next" or',
     ),
-    ({}, {"interpolation": {"U": "hold"}}, r"interpolation names 'U', which is no input \(did you mean 'u'\?\)"),
+    ({}, {"interpolation": {"U": "zoh"}}, r"interpolation names 'U', which is no input \(did you mean 'u'\?\)"),
     ({}, {"discard": -0.1}, r"discard is -0\.1: give a duration in seconds, zero or more"),
     ({}, {"discard": NAN}, "discard is nan"),
     ({}, {"discard": "1"}, "discard is '1'"),

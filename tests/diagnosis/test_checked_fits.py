@@ -34,7 +34,7 @@ def record(
         x[i + 1] = exact[:2, :2] @ x[i] + exact[:2, 2] * u[i]
     x += rng.standard_normal(x.shape) * noise
     frame = pd.DataFrame({"time": STEP * np.arange(u.size), "u": u, "i": x[:, 0], "w": x[:, 1]})
-    return fmuid.Experiment(frame, inputs=["u"], outputs=["i", "w"], interpolation="hold")
+    return fmuid.Experiment(frame, inputs=["u"], outputs=["i", "w"], interpolation="zoh")
 
 
 @pytest.fixture(scope="module")
@@ -50,7 +50,7 @@ def healthy(motor: fmuid.System) -> fmuid.Result:
 
 
 def look(
-    motor: fmuid.System, healthy: fmuid.Result, experiment: fmuid.Experiment, accuracy: str = "switch"
+    motor: fmuid.System, healthy: fmuid.Result, experiment: fmuid.Experiment, accuracy: str = "refine"
 ) -> fmuid.Diagnosis:
     noise = dict(zip("iw", np.square(NOISE).tolist(), strict=True))
     baseline = fmuid.Baseline(healthy, noise_variance=noise, values={**HELD, "F": 0.0})
@@ -80,7 +80,7 @@ def test_a_fault_has_its_size(motor: fmuid.System, healthy: fmuid.Result) -> Non
 
 
 def test_what_is_not_cured_is_said_and_kept(motor: fmuid.System, healthy: fmuid.Result, tmp_path: Path) -> None:
-    found = look(motor, healthy, record(FRICTION, 3), "check")
+    found = look(motor, healthy, record(FRICTION, 3), "report")
     again = fmuid.Diagnosis.from_json(found.to_json(tmp_path / "diagnosis.json"))
     for each in (found, again):
         accuracy = each["friction"].checked.accuracy
@@ -106,7 +106,7 @@ def test_both_fits_are_simulated_alike(motor: fmuid.System) -> None:
     assert not alone.refinement.any
     pair = problem(fault=False), problem(fault=True)
     starts = [np.array([1.0, 1e-4]), np.array([1.0, 0.01])]
-    without, best = fit_both(*pair, np.array([400.0]), lambda _: starts, fmuid.Marquardt(), "switch")
+    without, best = fit_both(*pair, np.array([400.0]), lambda _: starts, fmuid.Marquardt(), "refine")
     assert [each.refinement.tolerance for each in pair] == [1e-9, 1e-9]
     assert without.accuracy is not None
     assert without.accuracy.tolerance == 1e-9

@@ -43,7 +43,7 @@ def current(turns: float = 0.0, **off: float) -> np.ndarray:
 
 def experiment(values: np.ndarray) -> fmuid.Experiment:
     frame = pd.DataFrame({"time": STEP * np.arange(SAMPLES), "u": VOLTAGE, "i": values})
-    return fmuid.Experiment(frame, ["u"], ["i"], interpolation="hold")
+    return fmuid.Experiment(frame, ["u"], ["i"], interpolation="zoh")
 
 
 def noisy(rng: np.random.Generator, colour: float = 0.0, **off: float) -> fmuid.Experiment:
@@ -89,7 +89,7 @@ def test_outputs_and_columns_are_those_of_the_closed_form(
 def test_a_column_that_two_inputs_share_is_scaled_for_one(coil: fmuid.System) -> None:
     """A causes' gain scales a copy: another variable may read the same column."""
     frame = experiment(current()).frame
-    shared = fmuid.Experiment(frame, {"u": "u"}, {"i": "i"}, interpolation="hold")
+    shared = fmuid.Experiment(frame, {"u": "u"}, {"i": "i"}, interpolation="zoh")
     made = coordinates_of(coil, NOMINAL, {}, shared, {"i": NOISE}, Causes())
     LinearizedMachine(coil, {}, NOMINAL, {}, made, shared).linearise(made.healthy)
     assert shared.frame["u"].to_numpy() == pytest.approx(VOLTAGE)
@@ -271,20 +271,26 @@ def test_files_and_words(look: Look, tmp_path: Path) -> None:
 
 
 def coil_study(*words: str, table: str = "test1.csv") -> list[str]:
-    set_ = [f"experiments.0.table={table}", *words]
+    set_ = [f"experiments.0.data={table}", *words]
     return ["diagnose", str(EXPERIMENT / "test.toml"), *(part for word in set_ for part in ("--set", word))]
 
 
 def test_a_study_with_healthy_records(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert run([*coil_study('diagnosis.records=["healthy.csv"]'), "-o", str(tmp_path)]) == 1
+    assert run([*coil_study('diagnosis.healthy_data=["healthy.csv"]'), "-o", str(tmp_path)]) == 1
     said = capsys.readouterr().out
     assert "What may be new beside the healthy records" in said
     assert "the gain of the sensor of i" in said
     assert fmuid.Diagnosis.from_json(tmp_path / "diagnosis.json").named == ("turns",)
-    few = coil_study('diagnosis.records=["healthy.csv"]', "diagnosis.causes.gain=false", "diagnosis.causes.delay=false")
+    few = coil_study(
+        'diagnosis.healthy_data=["healthy.csv"]',
+        "diagnosis.causes.sensor_gain=false",
+        "diagnosis.causes.sensor_delay=false",
+    )
     assert run([*few, "-o", str(tmp_path)]) == 1
     assert "the gain of the sensor of i" not in capsys.readouterr().out
-    trials = coil_study('diagnosis.records=["healthy.csv"]', 'diagnosis.trials={"turns.dR" = ["test4.csv"]}')
+    trials = coil_study(
+        'diagnosis.healthy_data=["healthy.csv"]', 'diagnosis.known_fault_data={"turns.dR" = ["test4.csv"]}'
+    )
     assert run([*trials, "-o", str(tmp_path)]) == 1
     evidence = fmuid.Diagnosis.from_json(tmp_path / "diagnosis.json").evidence
     assert evidence is not None
@@ -296,10 +302,10 @@ def test_a_study_with_healthy_records(tmp_path: Path, capsys: pytest.CaptureFixt
 @pytest.mark.parametrize(
     ("words", "message"),
     [
-        ('diagnosis.records=["nothing.csv"]', "there is no file"),
-        ('diagnosis.records="healthy.csv"', "records must be a list of paths of files"),
-        ("diagnosis.causes.gain=0.3", "gain must be false, or a table"),
-        ("diagnosis.model_error=-1", "model_error must be a number, 0 or above"),
+        ('diagnosis.healthy_data=["nothing.csv"]', "there is no file"),
+        ('diagnosis.healthy_data="healthy.csv"', "healthy_data must be a list of paths of files"),
+        ("diagnosis.causes.sensor_gain=0.3", "sensor_gain must be false, or a table"),
+        ("diagnosis.fault_model_error=-1", "fault_model_error must be a number, 0 or above"),
     ],
 )
 def test_wrong_words(words: str, message: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -14,14 +14,15 @@ import fmuid
 from fmuid.apps.cli.app import run
 from fmuid.diagnosis import BaselineSource
 from fmuid.diagnosis.baseline_comparator import BaselineComparator
-from fmuid.reports import run_following
 from fmuid.reports.messages.diagnosis import UNLIKE, basis_notes
+from fmuid.runs import FollowStatus
 from tests.support.paths import FMUS
+from tests.support.running import run_following, run_monitoring, run_study
 
 COIL = Path(__file__).parents[2] / "experiments" / "coil"
 WORDS: dict[str, Any] = {
     "model": {"fmu": str(FMUS / "Coil/Coil.fmu")},
-    "experiments": [{"table": "healthy.csv", "inputs": ["u"], "outputs": ["i"], "interpolation": "hold"}],
+    "experiments": [{"data": "healthy.csv", "inputs": ["u"], "outputs": ["i"], "interpolation": "zoh"}],
 }
 FAULTS = {
     "turns": {"fmu": str(FMUS / "CoilTurns/CoilTurns.fmu"), "parameters": {"lost": {"nominal": 0.1, "max": 0.9}}},
@@ -35,14 +36,14 @@ def kept(tmp_path_factory: pytest.TempPathFactory) -> Path:
     for name in ("healthy.csv", "test1.csv", "test2.csv"):
         pd.read_csv(COIL / name).head(400).to_csv(folder / name, index=False)
     words = WORDS | {"parameters": {"R": {"start": 3.0}, "L": {"start": 0.2}}, "diagnosis": {"faults": FAULTS}}
-    found = fmuid.run_study(fmuid.Study.of(words, folder / "healthy.toml"), folder / "healthy")
+    found = run_study(fmuid.Study.of(words, folder / "healthy.toml"), folder / "healthy")
     assert folder / "healthy" / "baseline.npz" in found.files
     return folder
 
 
 def asked(folder: Path, **said: Any) -> fmuid.Study:
-    known = {"healthy": "healthy/result.json", "faults": FAULTS, "inflate": {"R": 10.0}}
-    tested = {"experiments": [WORDS["experiments"][0] | {"table": "test1.csv"}], "diagnosis": known | said}
+    known = {"baseline": "healthy/result.json", "faults": FAULTS, "std_factor": {"R": 10.0}}
+    tested = {"experiments": [WORDS["experiments"][0] | {"data": "test1.csv"}], "diagnosis": known | said}
     return fmuid.Study.of(WORDS | tested, folder / "test.toml")
 
 
@@ -56,15 +57,15 @@ def made(study: fmuid.Study) -> BaselineComparator:
 
 
 def test_the_file_says_what_the_records_say(kept: Path) -> None:
-    from_file, records = made(asked(kept)), made(asked(kept, records=["test2.csv"]))
+    from_file, records = made(asked(kept)), made(asked(kept, healthy_data=["test2.csv"]))
     assert (from_file.basis, records.basis) == (BaselineSource.FILE, BaselineSource.OTHER_RECORDS)
-    wider = {"offset": {"normal": 0.5, "size": 1.0}}
+    wider = {"sensor_offset": {"healthy_std": 0.5, "change_std": 1.0}}
     assert (
-        made(asked(kept, causes=wider, records=["healthy.csv"])).basis is BaselineSource.FILE
+        made(asked(kept, causes=wider, healthy_data=["healthy.csv"])).basis is BaselineSource.FILE
     )  # no matter of the healthy one
     shutil.move(kept / "healthy/baseline.npz", kept / "baseline.npz")
-    examined = made(asked(kept, records=["healthy.csv"]))
-    few = made(asked(kept, causes={"gain": False, "delay": False}, records=["healthy.csv"]))
+    examined = made(asked(kept, healthy_data=["healthy.csv"]))
+    few = made(asked(kept, causes={"sensor_gain": False, "sensor_delay": False}, healthy_data=["healthy.csv"]))
     shutil.move(kept / "baseline.npz", kept / "healthy/baseline.npz")
     assert examined.basis is BaselineSource.RECORDS
     assert from_file.healthy.known.mean == pytest.approx(examined.healthy.known.mean, rel=1e-9)
@@ -86,18 +87,16 @@ def test_a_diagnosis_and_a_monitoring_take_it(kept: Path) -> None:
     assert "What the healthy records show is from the baseline.npz beside the healthy result" in fmuid.describe(found)
     again = fmuid.Diagnosis.from_json(found.to_json(kept / "diagnosis.json"))
     assert again.evidence == found.evidence
-    monitor = fmuid.run_monitoring(asked(kept), [kept / "test1.csv"]).monitor
-    assert monitor.basis is BaselineSource.FILE
-    assert "baseline.npz" in fmuid.describe(monitor)
+    assert run_monitoring(asked(kept), [kept / "test1.csv"]).basis is BaselineSource.FILE
 
 
 @pytest.mark.parametrize(
     ("said", "basis"),
     [
         ({"faults": FAULTS | {"other": FAULTS["turns"]}}, BaselineSource.OTHER_MODELS),
-        ({"faults": {"turns": FAULTS["turns"] | {"values": {"i_start": 0.1}}}}, BaselineSource.OTHER_MODELS),
-        ({"model": WORDS["model"] | {"values": {"i_start": 0.1}}}, BaselineSource.OTHER_MODELS),
-        ({"causes": {"gain": False}}, BaselineSource.OTHER_CAUSES),
+        ({"faults": {"turns": FAULTS["turns"] | {"fixed": {"i_start": 0.1}}}}, BaselineSource.OTHER_MODELS),
+        ({"model": WORDS["model"] | {"fixed": {"i_start": 0.1}}}, BaselineSource.OTHER_MODELS),
+        ({"causes": {"sensor_gain": False}}, BaselineSource.OTHER_CAUSES),
         ({"noise": {"variance": {"i": 1e-3}}}, BaselineSource.OTHER_NOISE),
     ],
 )
@@ -107,7 +106,7 @@ def test_a_file_that_does_not_fit(kept: Path, said: dict[str, Any], basis: Basel
     study = asked(kept, **own)
     with pytest.raises(fmuid.InputError, match=f"baseline.npz is of {basis.value} than this study: identify"):
         made(fmuid.Study.of({**study.data, **top}, study.path))
-    study = asked(kept, records=["healthy.csv"], **own)
+    study = asked(kept, healthy_data=["healthy.csv"], **own)
     found = made(fmuid.Study.of({**study.data, **top}, study.path))
     assert found.basis is basis
     assert f"is {UNLIKE[basis]} and was not used" in basis_notes(found.basis)[0]
@@ -115,8 +114,8 @@ def test_a_file_that_does_not_fit(kept: Path, said: dict[str, Any], basis: Basel
 
 def test_wrong_words(kept: Path) -> None:
     for words, message in (
-        ({"records": ["healthy.csv"], "faults": FAULTS}, "has records and no healthy"),
-        ({"faults": FAULTS}, "there is no healthy machine: give healthy"),
+        ({"healthy_data": ["healthy.csv"], "faults": FAULTS}, "has healthy_data and no baseline"),
+        ({"faults": FAULTS}, "there is no healthy machine: give baseline"),
     ):
         with pytest.raises(fmuid.InputError, match=message):
             fmuid.Study.of(WORDS | {"diagnosis": words}, kept / "test.toml").diagnose()
@@ -136,8 +135,9 @@ def test_a_damaged_file_serves_nobody_and_ends_nothing(kept: Path, tmp_path: Pat
     pd.read_csv(folder / "test1.csv").to_parquet(folder / "records" / "a.parquet")
 
     def followed(*names: str) -> fmuid.Monitor:
-        study = asked(folder, records=list(names))
-        return run_following(study, folder / "records", folder / "out", until=lambda at: at.idle).monitor
+        study, seen = asked(folder, healthy_data=list(names)), list[FollowStatus]()
+        run_following(study, folder / "records", folder / "out", until=lambda at: at.idle, show=seen.append)
+        return seen[-1].monitor
 
     assert followed("healthy.csv").basis is BaselineSource.FILE
     path = folder / "healthy/baseline.npz"
@@ -155,8 +155,8 @@ def test_a_damaged_file_serves_nobody_and_ends_nothing(kept: Path, tmp_path: Pat
 def test_a_later_run_without_faults_leaves_no_file(kept: Path, tmp_path: Path) -> None:
     shutil.copytree(kept, tmp_path / "a")
     (tmp_path / "a/healthy.toml").write_text(
-        f'[model]\nfmu = "{WORDS["model"]["fmu"]}"\n[[experiments]]\ntable = "healthy.csv"\ninputs = ["u"]\n'
-        'outputs = ["i"]\ninterpolation = "hold"\n[parameters]\nR = { start = 3.0 }\nL = { start = 0.2 }\n'
+        f'[model]\nfmu = "{WORDS["model"]["fmu"]}"\n[[experiments]]\ndata = "healthy.csv"\ninputs = ["u"]\n'
+        'outputs = ["i"]\ninterpolation = "zoh"\n[parameters]\nR = { start = 3.0 }\nL = { start = 0.2 }\n'
     )
     assert (tmp_path / "a/healthy/baseline.npz").is_file()
     assert run(["identify", str(tmp_path / "a/healthy.toml"), "-o", str(tmp_path / "a/healthy"), "--no-report"]) == 0

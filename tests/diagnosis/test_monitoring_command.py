@@ -18,9 +18,10 @@ from fmuid.apps.cli.app import run
 from fmuid.data.npz import read_arrays, write_arrays
 from fmuid.diagnosis.monitoring.alarms import Rule
 from fmuid.diagnosis.monitoring.window_evaluation import WindowEvaluation
-from fmuid.runs.monitoring import design_of, rule_of
+from fmuid.runs.faults import design_of, rule_of
 from tests.support.coil_records import warming
 from tests.support.interrupting import SIGNALS, command, killing
+from tests.support.running import run_monitoring
 
 # --- alarms -----------------------------------------------------------------------------
 
@@ -50,7 +51,7 @@ def folder(tmp_path: Path) -> Path:
 
 @pytest.mark.slow
 def test_appending_gives_what_one_run_gives(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    words = told(window=1, transient=0.2)
+    words = told(window_length=1, warmup=0.2)
     study, records = str(folder / "study.toml"), folder / "records"
     assert run(["monitor", study, str(records), *words, "--no-report", "-o", str(folder / "whole")]) == 1
     assert (
@@ -63,7 +64,7 @@ def test_appending_gives_what_one_run_gives(folder: Path, capsys: pytest.Capture
     assert run(["monitor", study, str(records), *words, *grown, "--resume"]) == 1
     assert written(folder / "grown") == written(folder / "whole")
     assert (folder / "grown" / "figures" / "timeline.png").stat().st_size > 10_000
-    other = [*told(window=1, transient=0.3), *grown, "--resume"]
+    other = [*told(window_length=1, warmup=0.3), *grown, "--resume"]
     capsys.readouterr()
     assert run(["monitor", study, str(records), *other]) == 2
     assert "another rule" in capsys.readouterr().err
@@ -107,21 +108,21 @@ def written(folder: Path) -> tuple[bytes, dict[str, Any]]:
 def test_from_python_it_is_what_the_command_does(folder: Path) -> None:
     """The same files and verdict; what comes before a record that is wrong is written, and can be gone on with."""
     study, records, mine = folder / "study.toml", folder / "records", folder / "mine"
-    words = ["monitoring.window=1", "monitoring.transient=0.2"]
+    words = ["monitoring.window_length=1", "monitoring.warmup=0.2"]
     theirs = ["--no-report", "-o", str(folder / "theirs")]
-    assert run(["monitor", str(study), str(records), *told(window=1, transient=0.2), *theirs]) == 1
+    assert run(["monitor", str(study), str(records), *told(window_length=1, warmup=0.2), *theirs]) == 1
     read = fmuid.Study.read(study, words)
     (folder / "wrong.csv").write_text("time,nothing\n0,1\n1,1\n", encoding="utf-8")
     with pytest.raises(fmuid.InputError, match="wrong"):
-        fmuid.run_monitoring(read, [records / "day0.csv", folder / "wrong.csv"], mine)
-    found = fmuid.run_monitoring(read, [records], mine, figures="png", append=True)
+        run_monitoring(read, [records / "day0.csv", folder / "wrong.csv"], mine)
+    found = run_monitoring(read, [records], mine, figures="png", append=True)
     assert not found.healthy
     assert {path.name for path in found.files} == {"monitoring.csv", "monitoring.json", "timeline.png"}
     assert written(mine) == written(folder / "theirs")
-    alone = fmuid.run_monitoring(read, [records / "day0.csv"])
+    alone = run_monitoring(read, [records / "day0.csv"])
     assert (alone.healthy, alone.files) == (True, ())
     with pytest.raises(fmuid.InputError, match="in a folder"):
-        fmuid.run_monitoring(read, [records], append=True)
+        run_monitoring(read, [records], append=True)
 
 
 @pytest.mark.parametrize("number", SIGNALS)
@@ -130,7 +131,7 @@ def test_interrupted_inside_a_record(
 ) -> None:
     """The records before it are kept, which is told, and appending examines the whole of it."""
     words: list[str | Path] = [folder / "study.toml", folder / "records"]
-    words += told(window=1, transient=0.2)
+    words += told(window_length=1, warmup=0.2)
 
     def when(seen: WindowEvaluation) -> bool:
         return (seen.now.records[-1].name, seen.sums.window.number) == ("day1", 2)
@@ -151,18 +152,21 @@ def test_interrupted_inside_a_record(
 @pytest.mark.parametrize(
     ("words", "said"),
     [
-        (told(window=0.1, transient=0.2), "[monitoring]: windows of 0.1 s are not longer than the transient of 0.2 s"),
-        (told(window=0.1, transient=0.02), "day0.csv: the transient lasts longer than 0.02 s"),
-        (told(window=1), "[monitoring] needs the key 'transient': the study discards nothing"),
-        (told(window=9, transient=0.2), "shorter than a window of 9 s"),
-        (told(window=-1, transient=0.2), "[monitoring] window must be a number above 0, not -1"),
-        (told(transient=-1), "[monitoring] transient must be a number, 0 or above, not -1"),
-        (told(transient=9), "leaves no window"),
-        (told(horizon=0), "[monitoring] horizon must be a number above 0, not 0"),
-        (told(limits=1), "[monitoring] limits must be a table"),
+        (
+            told(window_length=0.1, warmup=0.2),
+            "[monitoring]: windows of 0.1 s are not longer than the transient of 0.2",
+        ),
+        (told(window_length=0.1, warmup=0.02), "day0.csv: the transient lasts longer than 0.02 s"),
+        (told(window_length=1), "[monitoring] needs the key 'warmup': the study has none"),
+        (told(window_length=9, warmup=0.2), "shorter than a window of 9 s"),
+        (told(window_length=-1, warmup=0.2), "[monitoring] window_length must be a number above 0, not -1"),
+        (told(warmup=-1), "[monitoring] warmup must be a number, 0 or above, not -1"),
+        (told(warmup=9), "leaves no window"),
+        (told(false_alarm_horizon=0), "[monitoring] false_alarm_horizon must be a number above 0, not 0"),
+        (told(size_limits=1), "[monitoring] size_limits must be a table"),
         (told(needed=3), "[monitoring] has no key 'needed'"),
-        (told(level=2), "[monitoring] level must be a number between 0 and 1, not 2"),
-        (told(windows=1), "[monitoring] has no key 'windows' (did you mean 'window'?)"),
+        (told(false_alarm_rate=2), "[monitoring] false_alarm_rate must be a number between 0 and 1, not 2"),
+        (told(windows=1), "[monitoring] has no key 'windows' (did you mean 'window_length'?)"),
         (["--resume"], "no earlier run to append to"),
         (["--set", "noise.variance=0"], "variance"),
     ],
@@ -179,18 +183,19 @@ def test_wrong_words_are_one_sentence(
 def test_the_table_of_a_study(folder: Path) -> None:
     """What the table does not say is as in the rest of the study, and what it says is its own."""
     path = folder / "study.toml"
-    plain = fmuid.Study.read(path, ["experiments.0.discard=0.3", "diagnosis.level=0.05"])
+    plain = fmuid.Study.read(path, ["experiments.0.warmup=0.3", "diagnosis.false_alarm_rate=0.05"])
     assert rule_of(plain) == Rule(None, 0.3, 0.05)
     with path.open("a", encoding="utf-8") as file:
         file.write(
-            '[monitoring]\nwindow = 2\ntransient = 0.5\nlevel = 0.02\nhorizon = 60\nlimits = { "turns.dR" = 1 }\n'
+            "[monitoring]\nwindow_length = 2\nwarmup = 0.5\nfalse_alarm_rate = 0.02\n"
+            'false_alarm_horizon = 60\nsize_limits = { "turns.dR" = 1 }\n'
         )
     assert rule_of(fmuid.Study.read(path)) == Rule(2.0, 0.5, 0.02, 60.0, {"turns.dR": 1.0})
     assert (plain.monitoring.place.file, plain.monitoring.place.keys) == (f"{path} with --set", ("monitoring",))
 
 
 def test_wrong_records_are_one_sentence(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    study, words = str(folder / "study.toml"), told(window=1, transient=0.2)
+    study, words = str(folder / "study.toml"), told(window_length=1, warmup=0.2)
     other = folder / "other.csv"
     warming(2, to=4.0).rename(columns={"u": "v"}).to_csv(other, index=False)
     (folder / "empty").mkdir()
@@ -209,7 +214,7 @@ def test_wrong_records_are_one_sentence(folder: Path, capsys: pytest.CaptureFixt
     # what came before is kept
     assert run(["monitor", study, str(folder / "records" / "day0.csv"), str(other), *words]) == 2
     assert len(pd.read_csv(folder / "results" / "monitoring.csv")) == 4
-    assert run(["monitor", study, str(folder / "records"), *told(window=1, transient=0.02)]) == 2
+    assert run(["monitor", study, str(folder / "records"), *told(window_length=1, warmup=0.02)]) == 2
     assert len(pd.read_csv(folder / "results" / "monitoring.csv")) == 4
 
 

@@ -51,7 +51,7 @@ def recorded(inputs: Floats, output: Floats | None = None) -> Experiment:
     y = np.ones(len(inputs)) if output is None else output
     measured = {f"y{k or ''}": own for k, own in enumerate(y.reshape(len(y), -1).T)}
     frame = pd.DataFrame({"time": STEP * np.arange(len(inputs)), **columns, **measured})
-    return Experiment(frame, list(columns), list(measured), interpolation="hold")
+    return Experiment(frame, list(columns), list(measured), interpolation="zoh")
 
 
 def square(cycles: float = CYCLES) -> Floats:

@@ -43,7 +43,9 @@ def frequencies(found: Result) -> Floats:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("method", "seed"), [("evolution", 0), ("evolution", 1), ("multistart", 0)])
+@pytest.mark.parametrize(
+    ("method", "seed"), [("differential-evolution", 0), ("differential-evolution", 1), ("multi-start", 0)]
+)
 def test_finds_the_best_of_many_optima(method: Strategy, seed: int) -> None:
     """Marquardt's search alone ends in the nearest secondary optimum."""
     minima, squares = dense_minima()
@@ -63,7 +65,7 @@ def test_finds_the_best_of_many_optima(method: Strategy, seed: int) -> None:
 def test_multistart_lists_all_optima_in_order() -> None:
     """The grid's minima and the ends of the box, each once, their criterion being the grid's sums of squares."""
     minima, squares = dense_minima()
-    found = searched(sinusoid(noise=Noise(0.04)), GlobalSearch("multistart", starts=100))
+    found = searched(sinusoid(noise=Noise(0.04)), GlobalSearch("multi-start", starts=100))
     inside = [o for o in found.optima if RANGE[0] < o.theta[0] < RANGE[1]]
     order = np.argsort(squares)
     np.testing.assert_allclose([o.theta[0] for o in inside], minima[order], atol=NEAR)
@@ -91,7 +93,7 @@ def test_evolution_lists_secondary_optima_once() -> None:
 def test_criterion_of_estimated_variance_is_relative_to_the_best() -> None:
     """With σ̂² = J/(K − 1) of the best, its criterion is K − 1 and the others' are in proportion."""
     minima, squares = dense_minima()
-    found = searched(sinusoid(), GlobalSearch("multistart", starts=12))
+    found = searched(sinusoid(), GlobalSearch("multi-start", starts=12))
     first, second = (squares[np.argmin(np.abs(minima - o.theta[0]))] for o in found.optima[:2])
     assert found.optima[0].criterion == pytest.approx(TIMES.size - 1, rel=1e-6)
     assert found.optima[1].criterion == pytest.approx((TIMES.size - 1) * second / first, rel=1e-4)
@@ -99,7 +101,7 @@ def test_criterion_of_estimated_variance_is_relative_to_the_best() -> None:
 
 def test_the_start_takes_part() -> None:
     """One start alone is the parameters' own, and gives what an identification gives."""
-    found = searched(sinusoid(), GlobalSearch("multistart", starts=1))
+    found = searched(sinusoid(), GlobalSearch("multi-start", starts=1))
     alone = identify(sinusoid())
     assert found["w"] == alone["w"]
     assert found.start[0] == 12.0
@@ -110,7 +112,7 @@ def test_prior_decides_between_equal_optima() -> None:
     measured = 4.0 * TIMES + 0.1 * np.random.default_rng(1).normal(size=TIMES.size)
     parameter = Parameter(-1.0, min=-5.0, max=5.0, prior=Normal(2.5, 1.0))
     problem = LeastSquares.from_function(lambda theta: theta**2 * TIMES, measured, {"a": parameter}, noise=Noise(0.01))
-    found = searched(problem, GlobalSearch("multistart", starts=16))
+    found = searched(problem, GlobalSearch("multi-start", starts=16))
     assert len(found.optima) == 2
     right, left = (o.theta[0] for o in found.optima)
     assert (right, left) == pytest.approx((2.0, -2.0), abs=0.05)
@@ -130,7 +132,7 @@ def test_valley_is_one_optimum(method: Strategy) -> None:
     found = searched(problem, GlobalSearch(method, starts=12))
     (optimum,) = found.optima
     assert optimum.hits == found.fits
-    assert optimum.hits >= (12 if method == "multistart" else 1)
+    assert optimum.hits >= (12 if method == "multi-start" else 1)
     assert not optimum.converged
     assert not found.converged
     assert optimum.outcome is TerminationReason.UNDETERMINED
@@ -226,7 +228,7 @@ def test_progress(method: Strategy) -> None:
     problem = sinusoid()
     found = searched(problem, GlobalSearch(method, starts=10), events.append)
     steps = of_search(events)
-    first = "evolution" if method == "evolution" else "spread"
+    first = "evolution" if method == "differential-evolution" else "spread"
     assert [phase for phase, _ in itertools.groupby(s.task for s in steps)] == [first, "fits"]
     for _, phase in itertools.groupby(steps, lambda s: s.task):
         done = [s.done for s in phase]
@@ -241,12 +243,12 @@ def test_progress(method: Strategy) -> None:
 def test_best_fit_is_finished(monkeypatch: pytest.MonkeyPatch) -> None:
     """Fits get few iterations, but what they leave of the best one's way is gone after them."""
     monkeypatch.setattr(global_search, "FIT_ITERATIONS", 1)
-    found = searched(sinusoid(), GlobalSearch("multistart"))
+    found = searched(sinusoid(), GlobalSearch("multi-start"))
     assert found.converged
     assert not all(o.converged for o in found.optima)
     minima, squares = dense_minima()
     assert found["w"] == pytest.approx(minima[np.argmin(squares)], abs=2e-3)
-    limited = searched(sinusoid(), GlobalSearch("multistart", marquardt=Marquardt(max_iterations=1)))
+    limited = searched(sinusoid(), GlobalSearch("multi-start", marquardt=Marquardt(max_iterations=1)))
     assert not limited.converged
 
 
@@ -255,7 +257,7 @@ def test_best_fit_is_finished(monkeypatch: pytest.MonkeyPatch) -> None:
     [
         ({"method": "evolutoin"}, "must be 'evolution' or 'multistart', not 'evolutoin'.*did you mean 'evolution'"),
         ({"starts": 4}, "starts of a global search must be a whole number from 5 on, not 4"),
-        ({"starts": 0, "method": "multistart"}, "starts .* from 1 on, not 0"),
+        ({"starts": 0, "method": "multi-start"}, "starts .* from 1 on, not 0"),
         ({"starts": 5.5}, "starts .* not 5.5"),
         ({"seed": -1}, "seed .* from 0 on, not -1"),
         ({"generations": True}, "generations .* not True"),

@@ -38,7 +38,7 @@ def test_failing_simulations_are_passed_over(method: Strategy) -> None:
     assert np.isfinite([step.criterion for step in steps]).all()
     minima, squares = dense_minima()
     assert found["w"] == pytest.approx(minima[np.argmin(squares)], abs=2e-3)
-    if method == "multistart":
+    if method == "multi-start":
         assert found.fits == 30, "starts that fail are replaced"
 
 
@@ -63,7 +63,7 @@ def test_error_where_no_fit_is_possible() -> None:
         lambda theta: theta[0] * TIMES, TIMES, {"a": Parameter(0.5, min=0.1, max=2.0), "idle": Parameter(1, 0.5, 2)}
     )
     with pytest.raises(InputError, match=r"'idle'.* changes no measured output"):
-        searched(problem, GlobalSearch("multistart", starts=3))
+        searched(problem, GlobalSearch("multi-start", starts=3))
 
 
 def interrupting(calls: int) -> tuple[LeastSquares, list[float]]:
@@ -84,11 +84,11 @@ def interrupting(calls: int) -> tuple[LeastSquares, list[float]]:
 @pytest.mark.parametrize(
     ("method", "calls", "complete", "fitted"),
     [
-        ("evolution", 150, 120, False),
-        ("evolution", 800, 120, True),
-        ("multistart", 48, 40, False),
-        ("multistart", 700, 40, False),
-        ("multistart", 2400, 2300, True),
+        ("differential-evolution", 150, 120, False),
+        ("differential-evolution", 800, 120, True),
+        ("multi-start", 48, 40, False),
+        ("multi-start", 700, 40, False),
+        ("multi-start", 2400, 2300, True),
     ],
 )
 def test_interruption_keeps_what_is_found(method: Strategy, calls: int, complete: int, fitted: bool) -> None:

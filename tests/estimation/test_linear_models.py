@@ -19,7 +19,7 @@ R, L = 4.0, 0.1
 STEP, SAMPLES = 1e-3, 1200
 TIMES = STEP * np.arange(SAMPLES)
 BITS = np.random.default_rng(7).integers(0, 2, SAMPLES // 15) * 2.0 - 1.0
-VOLTAGE = fmuid.Term(np.repeat(BITS, 15), interpolation="hold")
+VOLTAGE = fmuid.Term(np.repeat(BITS, 15), interpolation="zoh")
 
 
 def current(theta: Floats, first: float = 0.0) -> Floats:
@@ -115,7 +115,7 @@ def test_what_cannot_be_estimated(rows: Floats, measured: Floats, names: list[st
 # --- filters
 
 
-@pytest.mark.parametrize("interpolation", ["hold", "linear"])
+@pytest.mark.parametrize("interpolation", ["zoh", "linear"])
 @pytest.mark.parametrize("derivative", [0, 1, 2])
 def test_filters_are_those_of_scipy(interpolation: str, derivative: int) -> None:
     values = np.random.default_rng(2).standard_normal(200)

@@ -23,7 +23,7 @@ def test_tanks_that_overflow(tmp_path: Path) -> None:
     voltage = np.repeat([3.0, 5.0, 0.5, 4.0], 50)
     times = 4.0 * np.arange(voltage.size)
     frame = pd.DataFrame({"time": times, "u": voltage, "y": 0.0, "x1": 0.0})
-    experiment = fmuid.Experiment(frame, ["u"], ["y", "x1"], interpolation="hold")
+    experiment = fmuid.Experiment(frame, ["u"], ["y", "x1"], interpolation="zoh")
     found = fmuid.Simulator(fmu, experiment, values=VALUES)([])
 
     def rates(_: float, x: Floats, u: float) -> list[float]:

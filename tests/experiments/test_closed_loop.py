@@ -51,7 +51,7 @@ def test_the_noise_is_stationary_and_as_correlated_as_it_says() -> None:
 def test_sensitivities_are_those_of_the_model() -> None:
     """Against central differences of the FMU."""
     record = study.simulate(np.zeros(study.SAMPLES))
-    experiment = fmuid.Experiment(record, ["u"], ["i"], interpolation="hold")
+    experiment = fmuid.Experiment(record, ["u"], ["i"], interpolation="zoh")
     simulator = fmuid.Simulator(study.coil(), experiment, study.NAMES)
     found = study.sensitivities(record["u"].to_numpy())
     for k, step in enumerate(1e-4 * np.diag(study.TRUTH)):

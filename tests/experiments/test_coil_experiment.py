@@ -26,7 +26,7 @@ def committed() -> pd.DataFrame:
 @pytest.fixture(scope="module")
 def single() -> dict[int, fmuid.Diagnosis]:
     path = study.HERE / "test.toml"
-    return {n: fmuid.Study.read(path, [f"experiments.0.table=test{n}.csv"]).diagnose() for n in study.TESTS}
+    return {n: fmuid.Study.read(path, [f"experiments.0.data=test{n}.csv"]).diagnose() for n in study.TESTS}
 
 
 def test_the_data_are_the_exact_response_to_a_held_voltage() -> None:

@@ -75,7 +75,7 @@ def drive_record(samples: int = 3000, substeps: int = 20) -> pd.DataFrame:
 
 def test_coupled_drive_and_controller_give_the_parameters_of_a_simulated_record(tmp_path: Path) -> None:
     drive_record().to_csv(tmp_path / "record.csv", index=False)
-    overrides = [f"experiments.0.table={tmp_path / 'record.csv'}", 'model.values."drive.q_start"=0.0']
+    overrides = [f"experiments.0.data={tmp_path / 'record.csv'}", 'model.fixed."drive.q_start"=0.0']
     result = fmuid.Study.read(EMPS, overrides).identify()
     assert result.converged
     assert result.values[:4] == pytest.approx(PUBLISHED, rel=1e-4)
@@ -90,7 +90,7 @@ def emps_record() -> Path | None:
 
 @pytest.mark.skipif(emps_record() is None, reason="the EMPS record is not here; set FMUID_EMPS_DATA to its path")
 def test_recorded_drive() -> None:
-    result = fmuid.Study.read(EMPS, [f"experiments.0.table={emps_record()}"]).identify()
+    result = fmuid.Study.read(EMPS, [f"experiments.0.data={emps_record()}"]).identify()
     assert result.converged
     assert np.abs(result.numerical_shift).max() < 1e-3  # its controller acts as often in the check
     errors = np.abs(result.values[:4] / PUBLISHED - 1)

@@ -39,7 +39,7 @@ def lag_table(noise: float = NOISE, decay: float = float(np.exp(-TRUTH * STEP)),
         x[i + 1] = decay * x[i] + (1.0 - decay) / TRUTH * u[i]
     x += noise * rng.standard_normal(u.size)
     frame = pd.DataFrame({"time": STEP * np.arange(u.size), "u": u, "x": x})
-    return fmuid.Experiment(frame, inputs=["u"], outputs=["x"], interpolation="hold")
+    return fmuid.Experiment(frame, inputs=["u"], outputs=["x"], interpolation="zoh")
 
 
 MOTOR_TRUTH = {"R": 1.0, "L": 1.0 / 3e3, "K": 0.05, "J": 1e-4}
@@ -58,7 +58,7 @@ def motor_table() -> fmuid.Experiment:
         x[i + 1] = exact[:2, :2] @ x[i] + exact[:2, 2] * u[i]
     x += rng.standard_normal(x.shape) * [0.02, 0.05]
     frame = pd.DataFrame({"time": MOTOR_STEP * np.arange(u.size), "u": u, "i": x[:, 0], "w": x[:, 1]})
-    return fmuid.Experiment(frame, inputs=["u"], outputs=["i", "w"], interpolation="hold")
+    return fmuid.Experiment(frame, inputs=["u"], outputs=["i", "w"], interpolation="zoh")
 
 
 def off(result: fmuid.Result, truth: float = TRUTH) -> float:
@@ -185,7 +185,7 @@ def test_what_was_asked_for_is_kept(folder: Path) -> None:
     fmu = stepping_fmu(folder, LAG, exchange=True)
     asked = fmuid.System(fmu, numerics=fmuid.Numerics(interface="co-simulation"))
     by_word = fmuid.identify(fmuid.Problem(asked, lag_table(), START))
-    by_option = fmuid.identify(fmuid.Problem(fmu, lag_table(), START), accuracy="check")
+    by_option = fmuid.identify(fmuid.Problem(fmu, lag_table(), START), accuracy="report")
     for result in (by_word, by_option):
         found = result.accuracy
         assert found is not None
@@ -271,7 +271,7 @@ def test_the_coil_from_random_starts(coil: Callable[[float, float], fmuid.Result
     assert right >= 195
 
 
-BOX = ("parameters.R.min=0.1", "parameters.R.max=100.0", "parameters.L.min=1e-3", "estimator.starts=20")
+BOX = ("parameters.R.min=0.1", "parameters.R.max=100.0", "parameters.L.min=1e-3", "estimation.n_starts=20")
 
 
 def test_an_alias_is_no_optimum() -> None:

@@ -20,6 +20,7 @@ from tests.support.choices import choices_fmu
 from tests.support.fmu_texts import FMI2, write_fmu
 from tests.support.probe_fmu import ProbeMaker
 from tests.support.quick import first
+from tests.support.running import run_prediction, run_study
 from tests.support.stepping import LAG, stepping_fmu
 
 GAIN, N, B = 2.0, 3, True
@@ -40,7 +41,7 @@ def record() -> pd.DataFrame:
 
 @pytest.fixture(scope="module")
 def experiment() -> fmuid.Experiment:
-    return fmuid.Experiment(record(), inputs=["u"], outputs=["x"], interpolation="hold")
+    return fmuid.Experiment(record(), inputs=["u"], outputs=["x"], interpolation="zoh")
 
 
 @pytest.fixture(scope="module")
@@ -157,15 +158,15 @@ STUDY = """
 fmu = "{fmu}"
 
 [[experiments]]
-table = "table.csv"
+data = "table.csv"
 inputs = ["u"]
 outputs = ["x"]
-interpolation = "hold"
+interpolation = "zoh"
 
 [parameters]
 gain = {{ start = 1.0, min = 0.01 }}
-n = {{ values = [1, 2, 3] }}
-b = {{ values = "all" }}
+n = {{ choices = [1, 2, 3] }}
+b = {{ choices = "all" }}
 """
 
 
@@ -177,7 +178,7 @@ def study(tmp_path: Path, fmu: Path) -> Path:
 
 
 def test_a_study(study: Path) -> None:
-    found = fmuid.run_study(study, study.parent / "out")
+    found = run_study(study, study.parent / "out")
     result = found.result
     assert result.chosen == {"n": N, "b": B}
     assert found.fits[0].fit[0] > 95.0
@@ -188,12 +189,12 @@ def test_a_study(study: Path) -> None:
     assert kept.combinations == result.combinations
     words = json.loads((study.parent / "out" / "result.json").read_text())["words"]
     assert any(each.startswith("n = 3, b = true fits best of 6 combinations; the next best, ") for each in words)
-    predicted = fmuid.run_prediction(study.parent / "out", [study.parent / "table.csv"])
+    predicted = run_prediction(study.parent / "out", [study.parent / "table.csv"])
     assert predicted.predictions[0].scores[0].rmse < 2 * NOISE
 
 
 def test_a_batch(study: Path) -> None:
-    batch = '\n[batch]\ntables = "*.csv"\n'
+    batch = '\n[batch]\ndata = "*.csv"\n'
     study.write_text(study.read_text() + batch)
     runner = CaseRunner(fmuid.Study.read(study))
     row = runner(0).row
@@ -205,21 +206,21 @@ def test_a_batch(study: Path) -> None:
 @pytest.mark.parametrize(
     ("words", "told"),
     [
-        ("n = { values = [1, 2], start = 1 }", "has both values and start"),
+        ("n = { choices = [1, 2], start = 1 }", "has both choices and start"),
         ("n = { min = 1 }", "needs the key 'start'"),
-        ("n = { values = [[1]] }", "values"),
+        ("n = { choices = [[1]] }", "choices"),
     ],
 )
 def test_a_study_that_says_it_wrongly(study: Path, words: str, told: str) -> None:
-    study.write_text(study.read_text().replace("n = { values = [1, 2, 3] }", words))
+    study.write_text(study.read_text().replace("n = { choices = [1, 2, 3] }", words))
     with pytest.raises(fmuid.InputError, match=told):
         fmuid.Study.read(study)
 
 
 def test_a_diagnosis_holds_them_at_a_value(study: Path) -> None:
-    diagnosis = "\n[diagnosis]\nhealthy = 'table.csv'\n[diagnosis.faults.a]\nparameters = {}\n"
+    diagnosis = "\n[diagnosis]\nbaseline = 'table.csv'\n[diagnosis.faults.a]\nparameters = {}\n"
     study.write_text(study.read_text() + diagnosis)
-    with pytest.raises(fmuid.InputError, match="does not go with values of n"):
+    with pytest.raises(fmuid.InputError, match="does not go with choices of n"):
         fmuid.Study.read(study)
 
 

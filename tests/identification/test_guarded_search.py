@@ -16,8 +16,8 @@ import fmuid
 from experiments.starts.draws import DC_MOTOR, Record, draw
 from experiments.starts.study import searched
 from fmuid.array_types import Floats
+from fmuid.codec import as_json
 from fmuid.estimation import RestartAttempt, SearchFailure, StartingPointSource
-from fmuid.files import as_json
 from fmuid.identification import restarting_search as guarded_search
 from fmuid.identification.agreement import EndedSearch, is_confirmed
 from fmuid.identification.equation_error_start import POOR, equation_start
@@ -50,7 +50,7 @@ def problem(motor: Path, record: Record, start: Floats | None = None) -> fmuid.P
     given = record.start if start is None else start
     parameters = {n: fmuid.Parameter(s, min=0.0) for n, s in zip(machine.parameters, given.tolist(), strict=True)}
     parameters |= {n: fmuid.Parameter(0.0, nominal=s) for n, s in zip(machine.states, machine.nominal, strict=True)}
-    return fmuid.Problem(motor, fmuid.Experiment(frame, ["u"], names, interpolation="hold"), parameters)
+    return fmuid.Problem(motor, fmuid.Experiment(frame, ["u"], names, interpolation="zoh"), parameters)
 
 
 def fits(result: fmuid.Result, record: Record) -> bool:
@@ -79,7 +79,7 @@ def test_a_motor_from_far_away_is_found_by_its_equations(motor: Path, record: Re
         "where the model's equations hold best at the measured states ended well, which is kept"
     )
     assert said in fmuid.describe(result).replace("Several", "several")
-    data = json.loads(json.dumps(as_json(result.to_json_dict())))
+    data = json.loads(json.dumps(as_json(result)))
     assert [each["remedy"] for each in data["attempts"]] == ["given", "equation_error"]
 
 
@@ -131,7 +131,7 @@ def test_one_word_switches_it_off(motor: Path, record: Record) -> None:
     assert result.attempts == ()
     study = EXPERIMENTS / "coil" / "healthy.toml"
     assert fmuid.Study.read(study).remedies
-    assert not fmuid.Study.read(study, ["estimator.remedies=false"]).remedies
+    assert not fmuid.Study.read(study, ["estimation.restarts=false"]).remedies
 
 
 def test_a_good_start_takes_what_it_took(motor: Path, record: Record) -> None:
@@ -233,7 +233,7 @@ def test_two_searches_that_agree_end_it_however_large_the_residual_is(tmp_path: 
         for _ in range(20):
             x[k + 1] = (x[k + 1] or x[k]) + 1e-3 * (2.0 * u[k] - x[k + 1] ** 3)
     frame = pd.DataFrame({"time": times, "u": u, "x": x + 1e-3 * rng.standard_normal(401)})
-    experiment = fmuid.Experiment(frame, ["u"], ["x"], interpolation="hold")
+    experiment = fmuid.Experiment(frame, ["u"], ["x"], interpolation="zoh")
     parameters = {"a": fmuid.Parameter(3.0, min=0.0), "b": fmuid.Parameter(1.0, min=0.0)}
     result = fmuid.identify(fmuid.Problem(export_text(tmp_path, LAG), experiment, parameters))
     assert result.converged
@@ -245,7 +245,7 @@ def test_two_searches_that_agree_end_it_however_large_the_residual_is(tmp_path: 
     assert said.endswith(
         "; the model does not explain the data, other starts end there too: check the model and its inputs"
     )
-    data = json.loads(json.dumps(as_json(result.to_json_dict())))
+    data = json.loads(json.dumps(as_json(result)))
     assert [each["trouble"] for each in data["attempts"] if each["kept"]] == ["model_error"]
 
 

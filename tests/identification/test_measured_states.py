@@ -51,7 +51,7 @@ def test_the_fluxes_of_a_machine_follow_from_its_currents() -> None:
         frame,
         dict(zip(machine.inputs, "abw", strict=True)),
         dict(zip(machine.outputs, "cd", strict=True)),
-        interpolation="hold",
+        interpolation="zoh",
     )
     given = dict(zip((*machine.parameters, *machine.states), (*truth, *first), strict=True))
     parameters = {name: fmuid.Parameter(float(value), nominal=1.0) for name, value in given.items()}
@@ -87,7 +87,7 @@ def cubic_problem(cubic: Path, a: float, b: float) -> tuple[fmuid.Problem, Float
     noise = 1e-3 * np.random.default_rng(2).standard_normal(401)
     frame = pd.DataFrame({"time": times, "u": u, "y": 2.0 * states[:, 0] + noise})
     parameters = {"a": fmuid.Parameter(a, min=0.0), "b": fmuid.Parameter(b, min=0.0)}
-    return fmuid.Problem(cubic, fmuid.Experiment(frame, ["u"], ["y"], interpolation="hold"), parameters), states
+    return fmuid.Problem(cubic, fmuid.Experiment(frame, ["u"], ["y"], interpolation="zoh"), parameters), states
 
 
 def test_unmeasured_states_with_a_law_that_is_not_linear(cubic: Path) -> None:

@@ -16,12 +16,16 @@ from scipy.linalg import expm
 
 import fmuid
 from fmuid.array_types import Floats
+from fmuid.codec import as_json
 from fmuid.identification import state_correction_start as corrected_start
 from fmuid.identification import with_observer
 from fmuid.identification.observer import observer_gain
 from fmuid.reports.page.verdict import identification_words
+from fmuid.runs import IdentificationRun
 from fmuid.simulation import RightHandSide
 from tests.support.exported import export_text
+from tests.support.results import RESULT
+from tests.support.running import run_study
 
 CART = """model Cart
   parameter Real m = 1;
@@ -59,7 +63,7 @@ def record(stiction: float) -> pd.DataFrame:
 
 
 def problem(cart: Path, stiction: float) -> fmuid.Problem:
-    given = fmuid.Experiment(record(stiction), ["u"], ["q"], interpolation="hold")
+    given = fmuid.Experiment(record(stiction), ["u"], ["q"], interpolation="zoh")
     return fmuid.Problem(cart, given, {"m": fmuid.Parameter(1.0, min=0.1), "d": fmuid.Parameter(1.0, min=0.0)})
 
 
@@ -75,7 +79,7 @@ def test_all_poles_are_where_they_are_asked_for(count: int) -> None:
 def test_between_corrections_cvode_goes_on_with_its_history(cart: Path) -> None:
     """A gain of zero moves nothing: what differs from a simulation without corrections are new beginnings."""
     system = fmuid.System(cart, numerics=fmuid.Numerics(interface="model-exchange", integrator="cvode"))
-    given = fmuid.Experiment(record(0.0), ["u"], ["q"], interpolation="hold")
+    given = fmuid.Experiment(record(0.0), ["u"], ["q"], interpolation="zoh")
     side = RightHandSide.of(fmuid.Simulator(system, given, ["m", "d"]))
     assert side is not None
     theta = np.array([M, D])
@@ -119,12 +123,12 @@ def test_a_right_model_is_found_with_an_observer_too(cart: Path) -> None:
 
 def test_the_result_says_that_it_is_no_output_error(cart: Path, tmp_path: Path) -> None:
     result = fmuid.identify(with_observer(problem(cart, 0.0), 5.0))
-    (tmp_path / "result.json").write_text(json.dumps(result.to_json_dict()), encoding="utf-8")
+    (tmp_path / "result.json").write_text(json.dumps(RESULT | as_json(result)), encoding="utf-8")
     kept = fmuid.Result.from_json(tmp_path / "result.json")
     assert kept.observer == 5.0
     said = "An observer with its poles at 5 samples kept the simulation with the record: this is a fit of predictions"
     assert said in fmuid.describe(kept)
-    assert any(said in each.text and each.doubtful for each in identification_words(kept.to_json_dict(), kept, ()))
+    assert any(said in each.text and each.doubtful for each in identification_words(IdentificationRun(kept)))
     assert "observer" not in fmuid.describe(replace(kept, observer=None))
 
 
@@ -146,7 +150,7 @@ def test_an_error_of_the_model_pulls_output_error_more(cart: Path) -> None:
 def test_an_observer_is_for_one_output_of_one_model(cart: Path) -> None:
     whole = problem(cart, 0.0)
     frame = pd.DataFrame({"time": TIMES, "u": 1.0, "q": 0.0, "w": 0.0})
-    two = fmuid.Experiment(frame, ["u"], {"q": "q", "v": "w"}, interpolation="hold")
+    two = fmuid.Experiment(frame, ["u"], {"q": "q", "v": "w"}, interpolation="zoh")
     with pytest.raises(fmuid.InputError, match="one output"):
         with_observer(fmuid.Problem(cart, two, {"m": fmuid.Parameter(1.0)}))
     with pytest.raises(fmuid.InputError, match="positive number of samples"):
@@ -158,17 +162,17 @@ STUDY = """
 fmu = "{fmu}"
 {model}
 [[experiments]]
-table = "table.csv"
+data = "table.csv"
 inputs = ["u"]
 outputs = {outputs}
-interpolation = "hold"
+interpolation = "zoh"
 
 [parameters]
 m = {{ start = 1.0, min = 0.1 }}
 d = {{ start = 1.0, min = 0.0 }}
 
-[estimator]
-observer = 5
+[estimation]
+observer_memory = 5
 {more}
 """
 
@@ -181,7 +185,7 @@ def study(folder: Path, fmu: Path, *, outputs: str = '["q"]', more: str = "", mo
 def test_a_study_asks_for_an_observer(cart: Path, tmp_path: Path) -> None:
     record(0.3).to_csv(tmp_path / "table.csv", index=False)
     asked = study(tmp_path, cart)
-    found = fmuid.run_study(asked, tmp_path / "out")
+    found = run_study(asked, tmp_path / "out")
     by_hand = fmuid.identify(with_observer(problem(cart, 0.3), 5.0))
     assert found.result.observer == 5.0
     assert found.result.values == pytest.approx(by_hand.values, rel=1e-6)
@@ -194,13 +198,13 @@ def test_a_study_is_told_what_an_observer_cannot(cart: Path, tmp_path: Path) -> 
     with pytest.raises(fmuid.InputError) as refused:
         study(tmp_path, cart, outputs='{ q = "q", v = "w" }').problem()
     assert str(refused.value) == (
-        f"{tmp_path / 'study.toml'}: [estimator] has observer = 5, but an observer is for one output, and "
-        f"{tmp_path / 'table.csv'} has 2: remove observer"
+        f"{tmp_path / 'study.toml'}: [estimation] has observer_memory = 5, but an observer is for one output, and "
+        f"{tmp_path / 'table.csv'} has 2: remove observer_memory"
     )
-    with pytest.raises(fmuid.InputError, match=r'both observer and sensitivity = "forward"'):
-        study(tmp_path, cart, more='sensitivity = "forward"')
-    with pytest.raises(fmuid.InputError, match=r"both observer in \[estimator\] and \[batch\]"):
-        study(tmp_path, cart, more='[batch]\ntables = "*.csv"')
+    with pytest.raises(fmuid.InputError, match=r'both observer_memory and jacobian = "forward"'):
+        study(tmp_path, cart, more='jacobian = "forward"')
+    with pytest.raises(fmuid.InputError, match=r"both observer_memory in \[estimation] and \[batch\]"):
+        study(tmp_path, cart, more='[batch]\ndata = "*.csv"')
 
 
 def test_a_system_of_several_fmus_is_not_observed(cart: Path, tmp_path: Path) -> None:
@@ -209,16 +213,16 @@ def test_a_system_of_several_fmus_is_not_observed(cart: Path, tmp_path: Path) ->
 [model]
 components = [{{ name = "a", fmu = "{cart.as_posix()}" }}, {{ name = "b", fmu = "{cart.as_posix()}" }}]
 [[experiments]]
-table = "table.csv"
+data = "table.csv"
 inputs = {{ "a.u" = "u" }}
 outputs = {{ "a.q" = "q" }}
 [parameters]
 "a.m" = {{ start = 1.0 }}
-[estimator]
-observer = 3
+[estimation]
+observer_memory = 3
 """
     several = fmuid.Study.of(tomllib.loads(text), tmp_path / "study.toml")
     with pytest.raises(
-        fmuid.InputError, match=r"observer = 3, but an observer needs a single FMU that offers model exch"
+        fmuid.InputError, match=r"observer_memory = 3, but an observer needs a single FMU that offers model exch"
     ):
         several.problem()

@@ -61,7 +61,7 @@ def continuous_loop() -> fmuid.Experiment:
 
 def _looped(reference: Floats, x: Floats) -> fmuid.Experiment:
     frame = pd.DataFrame({"time": STEP * np.arange(x.size), "controller.reference": reference, "lag.x": x})
-    return fmuid.Experiment(frame, ["controller.reference"], ["lag.x"], interpolation="hold")
+    return fmuid.Experiment(frame, ["controller.reference"], ["lag.x"], interpolation="zoh")
 
 
 def in_a_loop(folder: Path, table: fmuid.Experiment, order: int, samples: bool | None) -> fmuid.Result:
@@ -126,7 +126,7 @@ def test_sampled_controllers_keep_their_steps() -> None:
     )
     times = 1e-3 * np.arange(400)
     frame = pd.DataFrame({"time": times, "controller.qg": 1e-4 * (1.0 - np.cos(20.0 * times))})
-    table = fmuid.Experiment(frame, ["controller.qg"], ["controller.v"], interpolation="hold", measured=False)
+    table = fmuid.Experiment(frame, ["controller.qg"], ["controller.v"], interpolation="zoh", measured=False)
     plain = fmuid.Simulator(system, table)([])
     finer = fmuid.Simulator(system, table, divisor=4)([])
     faster = fmuid.Simulator(system, table, step_size=2.5e-4)([])

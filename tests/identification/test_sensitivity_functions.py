@@ -22,7 +22,7 @@ TIMES = 1e-3 * np.arange(300)
 
 def excitation(voltage: float | np.ndarray, name: str = "step") -> Experiment:
     frame = pd.DataFrame({"time": TIMES, "u": voltage + 0.0 * TIMES})
-    return Experiment(frame, ["u"], ["i"], interpolation="hold", measured=False, name=name)
+    return Experiment(frame, ["u"], ["i"], interpolation="zoh", measured=False, name=name)
 
 
 def test_a_step_against_its_closed_form() -> None:

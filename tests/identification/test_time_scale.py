@@ -22,7 +22,7 @@ def doubt(step: float, count: int, **values: float) -> tuple[TimeScaleMismatch, 
     t = step * np.arange(count)
     u = np.where(np.arange(count) % 100 < 50, 10.0, 0.0)
     frame = pd.DataFrame({"time": t, "u": u, "i": np.where(u > 0, 2.5, 0.1)})
-    simulator = Simulator(COIL, Experiment(frame, ["u"], ["i"], interpolation="hold"), ["R", "L"], values=values)
+    simulator = Simulator(COIL, Experiment(frame, ["u"], ["i"], interpolation="zoh"), ["R", "L"], values=values)
     found = doubt_of_time(simulator, [R, L])
     return None if found is None else (found.kind, found.time_constant)
 

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from fmuid.array_types import Floats
+from fmuid.codec import as_json
 from fmuid.data.noise import Noise
 from fmuid.data.parameters import Parameter
 from fmuid.errors import InputError
@@ -49,7 +50,7 @@ def test_nothing_is_asked() -> None:
     assert not UncertaintySettings().any
     assert found.succeeded
     assert (found.maps, found.profiles, found.posterior, uncertainty_words(found)) == ((), (), None, ())
-    assert found.to_json_dict() == {}
+    assert as_json(found) == {}
     assert problem.simulations == before
     np.testing.assert_array_equal(found.intervals(result).to_numpy(), result.intervals().to_numpy())
 
@@ -76,7 +77,7 @@ def test_everything_of_a_linear_problem_agrees() -> None:
     (chart,) = found.maps
     assert chart.criterion == pytest.approx(result.criterion)
 
-    content = json.loads(json.dumps(found.to_json_dict(), allow_nan=False))
+    content = json.loads(json.dumps(as_json(found), allow_nan=False))
     assert content["profiles"]["a"]["lower"] == pytest.approx(local[0, 0], rel=1e-4)
     assert content["profiles"]["a"]["level"] == content["posterior"]["level"] == 0.9
     assert content["posterior"]["converged"] is True
@@ -122,7 +123,7 @@ def test_interrupted_keeps_what_there_is(
     assert (len(found.maps), len(found.profiles), found.posterior is not None) == (maps, profiles, sampled)
     if found.posterior is not None:
         assert len(found.posterior.chain) == 150
-    json.dumps(found.to_json_dict(), allow_nan=False)
+    json.dumps(as_json(found), allow_nan=False)
 
 
 def test_samples_that_cannot_be_trusted_are_no_success() -> None:

@@ -83,7 +83,7 @@ def test_curved_loops_in_signals_of_every_size(curved: Path, size: float, kind: 
         numerics=Numerics(kind),
         connections=[("a.y", "b.u"), ("b.y", "a.u")],
     )
-    experiment = Experiment(frame, {"a.d": "d"}, {"a.y": "y"}, interpolation="hold")
+    experiment = Experiment(frame, {"a.d": "d"}, {"a.y": "y"}, interpolation="zoh")
     y = Simulator(system, experiment, ["a.k", "b.g"])([1.0 / size, 0.5])[:, 0]
     expected = 2.0 * d / (1.0 + np.sqrt(1.0 - d / size))
     np.testing.assert_allclose(y, expected, rtol=EXACT, atol=1e-23 * size)  # which is zero
@@ -93,7 +93,7 @@ def test_a_simulation_does_not_depend_on_the_one_before(curved: Path) -> None:
     """What a loop keeps from step to step is forgotten: the bits are the same whatever was simulated before."""
     frame = pd.DataFrame({"time": 1e-3 * np.arange(20), "d": np.sin(np.arange(20.0)), "y": 0.0})
     system = System(components={"a": curved, "b": curved}, connections=[("a.y", "b.u"), ("b.y", "a.u")])
-    simulator = Simulator(system, Experiment(frame, {"a.d": "d"}, {"a.y": "y"}, interpolation="hold"), ["a.k", "b.g"])
+    simulator = Simulator(system, Experiment(frame, {"a.d": "d"}, {"a.y": "y"}, interpolation="zoh"), ["a.k", "b.g"])
     first = simulator([0.5, 0.3])
     simulator([-0.3, 0.8])
     np.testing.assert_array_equal(simulator([0.5, 0.3]), first)
@@ -105,7 +105,7 @@ def test_rounding_of_what_a_loop_does_not_see_is_no_failure(rough: Path) -> None
     d = np.concatenate([1e-17 * np.random.default_rng(1).standard_normal(n), np.exp(-0.2 * np.arange(n)), np.zeros(n)])
     frame = pd.DataFrame({"time": 1e-3 * np.arange(d.size), "d": d, "y": 0.0})
     system = System(components={"a": rough, "b": rough}, connections=[("a.y", "b.u"), ("b.y", "a.u")])
-    experiment = Experiment(frame, {"a.d": "d"}, {"a.y": "y"}, interpolation="hold")
+    experiment = Experiment(frame, {"a.d": "d"}, {"a.y": "y"}, interpolation="zoh")
     simulator = Simulator(system, experiment, ["a.there", "a.back", "b.g"])
     for gain in (1.5, -1.5, 0.99, -100.0):
         rounding = 100 * np.spacing(230.0) * max(1.0, 1.0 / abs(1.0 - gain))
@@ -162,7 +162,7 @@ def test_events_that_cause_each_other_without_end_fail(curved: Path, tmp_path: P
     )
     assert not any(is_loop for _, is_loop in system.exchange_order)
     frame = pd.DataFrame({"time": [0.0, 1.0, 2.0], "d": [0.0, 0.0, 1.0], "y": 0.0})
-    experiment = Experiment(frame, {"a.d": "d"}, {"a.y": "y"}, interpolation="hold")
+    experiment = Experiment(frame, {"a.d": "d"}, {"a.y": "y"}, interpolation="zoh")
     simulator = Simulator(system, experiment, ["b.g"], values={"a.g": 1.0})
     if gain == 0.0:
         assert simulator([gain])[:, 0].tolist() == [0.0, 0.0, 1.0]

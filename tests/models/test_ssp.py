@@ -67,7 +67,7 @@ def test_a_closed_loop_simulates_as_the_same_system_put_together_by_hand(package
     )
     times = np.arange(200) * 1e-3
     frame = pd.DataFrame({"time": times, "r": 0.01 * np.sin(20 * times), "q": 0.0, "v": 0.0})
-    experiment = Experiment(frame, {"controller.qg": "r"}, {"drive.q": "q", "controller.v": "v"}, interpolation="hold")
+    experiment = Experiment(frame, {"controller.qg": "r"}, {"drive.q": "q", "controller.v": "v"}, interpolation="zoh")
     simulated = Simulator(System.read_ssp(path), experiment)([])
     assert np.abs(simulated).max() > 1e-3
     np.testing.assert_array_equal(simulated, Simulator(by_hand, experiment)([]))

@@ -27,7 +27,7 @@ def test_direct_feedthrough_is_passed_on_in_dependency_order(probe: ProbeMaker) 
     system = System(components={"c": path, "a": path, "b": path}, connections=[("b.y", "c.u"), ("a.y", "b.u")])
     assert [connection.source for group, _ in system.exchange_order for connection in group] == [("a", "y"), ("b", "y")]
     frame = pd.DataFrame({"time": [0.0, 1.0], "u": [3.0, 3.0], "y": [0.0, 0.0]})
-    got = Simulator(system, Experiment(frame, {"a.u": "u"}, {"c.y": "y"}, interpolation="hold"))([])
+    got = Simulator(system, Experiment(frame, {"a.u": "u"}, {"c.y": "y"}, interpolation="zoh"))([])
     # after one step of 1 s each x is 3: y_a = 3 + 3, y_b = 3 + 6, y_c = 3 + 9
     assert got[:, 0].tolist() == [3.0, 12.0]
 

@@ -17,7 +17,7 @@ from tests.support.coil_study import COIL, STUDY, coil_table
 
 SPOILT = 'from pathlib import Path\nPath(__file__).with_name("marker").touch()\nraise ImportError("a stranger")\n'
 NAMES = ("bisect.py", "random.py", "numpy.py", "logging.py", "distributed.py")
-BATCH = "[batch]\nnoise = { draws = 3, std = 0.02, truth = { R = 4.0, L = 0.1 } }\n"
+BATCH = "[batch]\nmonte_carlo = { realizations = 3, std = 0.02, true_values = { R = 4.0, L = 0.1 } }\n"
 
 
 @pytest.fixture

@@ -23,7 +23,7 @@ from fmuid.models.description import Unit
 from fmuid.models.ssp.parameter_values import Quantity, read_ssv, write_ssv
 from fmuid.models.start_values import with_starts
 from fmuid.models.system import System
-from fmuid.reports.apply import AppliedValue, apply_result, write_estimates
+from fmuid.runs.apply import AppliedValue, apply_result, write_estimates
 from fmuid.simulation.simulator import Simulator
 from tests.support.fmu_texts import FMI_3
 from tests.support.paths import FMUS

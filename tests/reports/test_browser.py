@@ -30,7 +30,7 @@ def report(tmp_path_factory: pytest.TempPathFactory) -> Path:
     text = STUDY.replace("min = 0.0", "min = 0.0, prior = { mean = 4.0, std = 0.2 }").replace(
         'outputs = ["i"]', f'outputs = ["i"]\nname = "{evil}"'
     )
-    asked = '[uncertainty]\nprofile = ["R"]\nmap = [["R", "L"]]\n'
+    asked = '[uncertainty]\nprofile_likelihood = ["R"]\ncost_map = [["R", "L"]]\n'
     (folder / "study.toml").write_text(text.replace('"Coil"', f'"{evil}"') + asked)
     assert fmuid_("identify", folder / "study.toml") == DONE
     return folder / "results" / "report.html"

@@ -10,11 +10,11 @@ import pandas as pd
 import pytest
 from bokeh.models import BoxAnnotation, Span
 
+from fmuid.codec import as_json
 from fmuid.diagnosis.cause_results import CauseScore, ChangeEvidence, EstimatedChange, Explanation
 from fmuid.diagnosis.change_detection.unexplained_residual import NOTHING_LEFT
 from fmuid.diagnosis.change_parameters import CauseKind
 from fmuid.diagnosis.monitoring.alarms import Alarm
-from fmuid.files import as_json
 from tests.support.live_figures import diagnosis
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import shutil
 from pathlib import Path
 from typing import Any
@@ -12,45 +11,48 @@ import pandas as pd
 import pytest
 
 import fmuid
-from fmuid.reports import run_following
-from fmuid.reports.diagnosis_runs import MonitoredTables
+from fmuid import codec
+from fmuid.diagnosis import BaselineSource
 from fmuid.reports.interactive.style import MAX_ROWS
-from fmuid.reports.page.contents import SavedIdentification
 from fmuid.reports.page.faults import part_of_diagnosis, part_of_monitoring
 from fmuid.reports.page.preparation import preparation_words, sections
-from fmuid.reports.preprocessing import prepared
-from fmuid.reports.run_identification import run_study
+from fmuid.runs import MonitoringRun, read_identification
+from fmuid.runs.faults import MonitoredTables
+from fmuid.runs.folder import MONITORING_SCHEMA
 from fmuid.runs.log_following import follower
+from fmuid.runs.preprocessing import prepared
+from fmuid.runs.provenance import made_now
 from fmuid.studies import ExperimentSettings, Study
 from tests.support.coil_study import COIL, coil_table
 from tests.support.live_figures import preparation
+from tests.support.running import run_diagnosis, run_following, run_monitoring, run_study
 
 STUDY = """
 [model]
 fmu = "{fmu}"
 [[experiments]]
 name = "cut"
-table = "run.csv"
+data = "run.csv"
 inputs = ["u"]
 outputs = {{ i = "current" }}
-interpolation = "hold"
-[experiments.prepare]
-columns = {{ current = "shunt / 50" }}
-from = 0.1
-to = 0.4
+interpolation = "zoh"
+[experiments.preprocess]
+computed_columns = {{ current = "shunt / 50" }}
+start_time = 0.1
+end_time = 0.4
 [[experiments]]
 name = "whole"
-table = "run.csv"
+data = "run.csv"
 inputs = ["u"]
 outputs = ["i"]
-interpolation = "hold"
+interpolation = "zoh"
 [[experiments]]
 name = "mean"
-table = "run.csv"
+data = "run.csv"
 inputs = ["u"]
 outputs = ["i"]
-interpolation = "hold"
-[experiments.prepare]
+interpolation = "zoh"
+[experiments.preprocess]
 detrend = {{ i = "mean" }}
 [parameters]
 R = {{ start = 4.0, min = 0.0 }}
@@ -80,7 +82,7 @@ def rows(table: pd.DataFrame, column: str, stage: str) -> pd.DataFrame:
 def test_only_what_was_changed_or_made_is_kept(study: Study, raw: pd.DataFrame) -> None:
     cut, mean = prepared(study)
     assert (cut.experiment, mean.experiment) == ("cut", "mean")
-    assert cut.words == {"columns": {"current": "shunt / 50"}, "from": 0.1, "to": 0.4}
+    assert cut.words == {"computed_columns": {"current": "shunt / 50"}, "start_time": 0.1, "end_time": 0.4}
     assert set(cut.table["column"]) == {"u", "current"}
     assert set(mean.table["column"]) == {"i"}  # the input is as it was
     assert not len(rows(cut.table, "current", "before"))  # it was made
@@ -100,7 +102,7 @@ def test_pieces_of_a_long_record_are_thinned_and_the_record_is_read_once(
     spike = np.where(np.arange(times.size) == 20_011, 7.0, 0.0)
     pd.DataFrame({"time": times, "u": spike, "i": np.sin(times)}).to_csv(tmp_path / "run.csv", index=False)
     text = STUDY.format(fmu=COIL.as_posix()).split("[[experiments]]\n")
-    one = text[2].replace('name = "whole"', "") + "[experiments.prepare]\npieces = [[0.0, 10.0], [10.0, 40.0]]\n"
+    one = text[2].replace('name = "whole"', "") + "[experiments.preprocess]\nsegments = [[0.0, 10.0], [10.0, 40.0]]\n"
     (tmp_path / "study.toml").write_text(f"{text[0]}[[experiments]]\n{one}{text[3][text[3].index('[param') :]}")
     read = Study.read(tmp_path / "study.toml")
     assert len(read.tables) == 2
@@ -122,8 +124,7 @@ def test_pieces_of_a_long_record_are_thinned_and_the_record_is_read_once(
 def test_the_report_draws_it_and_says_what_was_done(study: Study, tmp_path: Path) -> None:
     found = run_study(study, tmp_path, report=True)
     assert tmp_path / "preparation.csv" in found.files
-    read = SavedIdentification.read(tmp_path)
-    cut, mean = sections(read.tables["preparation"], read.content["experiments"])
+    cut, mean = sections(read_identification(tmp_path).prepared)
     assert (cut.heading, cut.name) == ("What was done with the table first: cut", "preparation")
     assert (mean.heading, mean.name) == ("What was done with the table first: mean", "preparation-2")
     said = "The table was given the columns current = shunt / 50 and cut from 0.1 s to 0.4 s."
@@ -140,17 +141,17 @@ def test_the_pages_of_a_diagnosis_and_of_a_monitoring_draw_it_too(
     coil, test = fmuid.datasets.coil(), fmuid.datasets.faulty_coil()
     run_study(Study.of(coil.study, tmp_path / "coil.toml"), tmp_path / "healthy")
     faults = {"turns": {"fmu": str(test.fmu), "parameters": {"dR": {"nominal": 1.0}}}}
-    known = {"healthy": str(tmp_path / "healthy" / "result.json"), "faults": faults}
-    record = {**test.study["experiments"][0], "prepare": {"from": 0.1}}
+    known = {"baseline": str(tmp_path / "healthy" / "result.json"), "faults": faults}
+    record = {**test.study["experiments"][0], "preprocess": {"start_time": 0.1}}
     words = coil.study | {"experiments": [record], "parameters": {}, "diagnosis": known}
-    found = fmuid.run_diagnosis(Study.of(words, tmp_path / "test.toml"), tmp_path / "out")
+    found = run_diagnosis(Study.of(words, tmp_path / "test.toml"), tmp_path / "out")
     assert tmp_path / "out" / "diagnosis-preparation.csv" in found.files
     drawn = {each.name: each for each in part_of_diagnosis(tmp_path / "out").sections}
     assert drawn["prepared"].caption.startswith("The table was cut from 0.1 s.")
-    study = Study.of(words | {"monitoring": {"level": 0.01}}, tmp_path / "test.toml")
+    study = Study.of(words | {"monitoring": {"false_alarm_rate": 0.01}}, tmp_path / "test.toml")
     second = shutil.copy(test.path, tmp_path / "second.csv")
     for tables in ([test.path], [test.path, second]):
-        watched = fmuid.run_monitoring(study, tables, tmp_path / "out", append=len(tables) > 1)
+        watched = run_monitoring(study, tables, tmp_path / "out", append=len(tables) > 1)
         assert tmp_path / "out" / "monitoring-preparation.csv" in watched.files
     drawn = {each.name: each for each in part_of_monitoring(tmp_path / "out").sections}
     assert drawn["monitored"].caption.startswith("The table was cut from 0.1 s.")
@@ -175,9 +176,22 @@ def test_the_pages_of_a_diagnosis_and_of_a_monitoring_draw_it_too(
     pd.testing.assert_frame_equal(once.drop(columns="experiment"), followed.drop(columns="experiment"))
 
 
+class Silent(fmuid.Monitor):
+    """A monitor that writes nothing."""
+
+    def __init__(self) -> None:
+        pass
+
+    def write(self, *_: Any, **__: Any) -> list[Path]:
+        return []
+
+
+NOTHING = MonitoringRun(pd.DataFrame(), (), fmuid.Rule(), (), {}, (), {}, BaselineSource.RECORDS)
+
+
 def test_a_record_that_grows_is_drawn_once_and_thin(tmp_path: Path) -> None:
     coil = fmuid.datasets.coil().study
-    words = coil | {"experiments": [{**coil["experiments"][0], "prepare": {"columns": {"v": "2 * u"}}}]}
+    words = coil | {"experiments": [{**coil["experiments"][0], "preprocess": {"computed_columns": {"v": "2 * u"}}}]}
     (given,) = Study.of(words, tmp_path / "coil.toml").experiments
     times = 1e-3 * np.arange(30_000)
     raw = pd.DataFrame({"time": times, "u": np.sin(times), "i": np.cos(times)})
@@ -188,22 +202,21 @@ def test_a_record_that_grows_is_drawn_once_and_thin(tmp_path: Path) -> None:
     def add(kept: MonitoredTables, first: int, end: int) -> pd.DataFrame:
         piece = raw.iloc[first:end].reset_index(drop=True)
         kept.add(given.model_copy(update={"name": "log"}).experiment(piece, "log.csv"), piece)
-        (path,) = kept.write()
-        (tmp_path / "monitoring.json").write_text(json.dumps({"experiments": kept.said}))
-        return pd.read_csv(path)
+        codec.write(tmp_path / "monitoring.json", MONITORING_SCHEMA, kept.write(NOTHING, Silent(), made_now()))
+        return pd.read_csv(tmp_path / "monitoring-preparation.csv")
 
     kept = begun(append=False)
     add(kept, 0, 500)
     add(kept, 400, 1000)  # its first rows were there before
     table = add(begun(append=True), 900, 2000)
-    assert [each["name"] for each in kept.said] == ["log"]
+    assert [each.experiment for each in kept.prepared] == ["log"]
     np.testing.assert_allclose(table["time"], times[:2000])
     np.testing.assert_allclose(table["value"], 2 * np.sin(times[:2000]))
     assert set(table["column"] + table["stage"]) == {"vafter"}
     table = add(begun(append=True), 1900, 30_000)
     assert len(table) <= 2 * MAX_ROWS
     np.testing.assert_allclose(table["time"].iloc[[0, -1]], times[[0, -1]])
-    assert begun(append=False).write() == []
+    begun(append=False).write(NOTHING, Silent(), made_now())
     assert not (tmp_path / "monitoring-preparation.csv").exists()
 
 
@@ -222,18 +235,18 @@ def test_the_figure_shows_before_in_grey_and_after(study: Study, raw: pd.DataFra
 
 
 def test_every_word_is_said() -> None:
-    axes = [{"from": ["a", "b", "c"], "to": ["d", "q"], "angle": "t"}]
+    axes = [{"source": ["a", "b", "c"], "target": ["d", "q"], "angle": "t"}]
     words = {
-        "fill": {"u": "hold"},
-        "longest_gap": 0.05,
-        "axes": axes,
-        "low_pass": 60.0,
-        "to": 2.0,
-        "resample": 0.01,
+        "fill_missing": {"u": "zoh"},
+        "max_gap": 0.05,
+        "park": axes,
+        "lowpass_frequency": 60.0,
+        "end_time": 2.0,
+        "resample_interval": 0.01,
         "detrend": "linear",
     }
     assert preparation_words(words) == (
-        "The table was filled over gaps of at most 0.05 s (u: hold), "
+        "The table was filled over gaps of at most 0.05 s (u: zoh), "
         "turned from a, b, c to d, q, low-passed at 60 Hz, without a shift in time, cut to 2 s, "
         "resampled in steps of 0.01 s and detrended (linear)"
     )

@@ -20,7 +20,7 @@ STEP = 0.01
 def words(**more: object) -> ExperimentSettings:
     study = {
         "model": {"fmu": str(fmuid.datasets.coil().fmu)},
-        "experiments": [{"table": str(fmuid.datasets.coil().path), "inputs": ["u"], "outputs": ["i"], **more}],
+        "experiments": [{"data": str(fmuid.datasets.coil().path), "inputs": ["u"], "outputs": ["i"], **more}],
         "parameters": {"R": {"start": 1.0}},
     }
     return fmuid.Study.of(study, "study.toml").experiments[0]
@@ -189,7 +189,7 @@ def test_a_parquet_file_is_taken_when_it_is_whole(
     assert reader.seen("b (2)") == list(range(50))
 
 
-@pytest.mark.parametrize("more", [{"prepare": {"low_pass": 5.0}}, {}])
+@pytest.mark.parametrize("more", [{"preprocess": {"lowpass_frequency": 5.0}}, {}])
 def test_what_is_prepared_as_a_whole_waits_until_it_is(
     log: Path, monkeypatch: pytest.MonkeyPatch, more: dict[str, object]
 ) -> None:

@@ -192,7 +192,7 @@ def test_what_is_printed_before_a_crash_is_there(folder: Path) -> None:
     system = System(
         components={"speaks": fmu, "crashes": fmu}, connections=[("speaks.x", "crashes.u")], isolation=Isolation()
     )
-    record = Experiment(RECORD_FRAME, {"speaks.u": "u"}, {"crashes.x": "x"}, interpolation="hold")
+    record = Experiment(RECORD_FRAME, {"speaks.u": "u"}, {"crashes.x": "x"}, interpolation="zoh")
     values = {"speaks.mode": Mode.SPEAK.value, "crashes.mode": Mode.SEGFAULT.value, "crashes.at": 2.0}
     with pytest.raises(SimulationError, match=r"crashed with SIGSEGV"):
         Simulator(system, record, values=values)([])

@@ -41,7 +41,7 @@ pytestmark = PROCESSES
 def test_a_million_rows_are_those_in_process(folder: Path) -> None:
     times = 1e-3 * np.arange(1_000_000)
     frame = pd.DataFrame({"time": times, "u": np.sign(np.sin(3 * times + 0.1)), "x": 0.0})
-    record = Experiment(frame, ["u"], ["x"], interpolation="hold")
+    record = Experiment(frame, ["u"], ["x"], interpolation="zoh")
     fmu = misbehaving_fmu(folder)
     alone, isolated = (Simulator(fmu, record, NAMES, isolation=each)([2.0, 0.5, 0.0]) for each in (None, Isolation()))
     assert np.array_equal(isolated, alone)
@@ -56,7 +56,7 @@ def test_a_record_longer_than_all_before_has_the_time_of_a_first_one(
     monkeypatch.setattr("fmuid.simulation.isolation.host_manager.LEAST_TIME_LIMIT", 0.2)
     monkeypatch.setattr("fmuid.simulation.isolation.host_manager.SLOWER_FACTOR", 1.0)
     times = 0.1 * np.arange(400)
-    long = Experiment(pd.DataFrame({"time": times, "u": 1.0, "x": 0.0}), ["u"], ["x"], interpolation="hold")
+    long = Experiment(pd.DataFrame({"time": times, "u": 1.0, "x": 0.0}), ["u"], ["x"], interpolation="zoh")
     simulator = Simulator(misbehaving_fmu(folder), RECORD, NAMES, values={"amount": 2.0}, isolation=Isolation())
     simulator([2.0, 0.5, 0.0])
     assert simulator.over(long)([2.0, 0.5, Mode.SLOW])[-1] == pytest.approx(2.0)
@@ -161,7 +161,7 @@ def test_what_fmuid_itself_gives_a_process_does_not_count(folder: Path) -> None:
     """Record and outputs take 56 MB: more than the limit leaves above what the process takes without them."""
     times = 1e-3 * np.arange(1_000_000)
     frame = pd.DataFrame({"time": times, "u": 1.0, "x": 0.0})
-    record = Experiment(frame, ["u"], ["x"], interpolation="hold")
+    record = Experiment(frame, ["u"], ["x"], interpolation="zoh")
     simulator = Simulator(misbehaving_fmu(folder), record, NAMES, isolation=Isolation(threads=1))
     some = [[2.0, 0.5, 0.0]] * 4
     before = simulator(some)

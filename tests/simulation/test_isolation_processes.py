@@ -116,7 +116,7 @@ def test_a_crash_is_seen_although_the_fmu_has_forked(folder: Path) -> None:
     system = System(
         components={"forks": fmu, "crashes": fmu}, connections=[("forks.x", "crashes.u")], isolation=Isolation()
     )
-    record = Experiment(RECORD_FRAME, {"forks.u": "u"}, {"crashes.x": "x"}, interpolation="hold")
+    record = Experiment(RECORD_FRAME, {"forks.u": "u"}, {"crashes.x": "x"}, interpolation="zoh")
     values = {"forks.mode": Mode.SPAWN.value, "crashes.mode": Mode.SEGFAULT.value, "crashes.at": 2.0}
     with pytest.raises(SimulationError, match=r"crashed with SIGSEGV"):
         Simulator(system, record, values=values)([])
@@ -137,7 +137,7 @@ import numpy as np, pandas as pd, fmuid
 fmu, mode, *more = sys.argv[1:]
 times = np.arange(40) * 0.1
 frame = pd.DataFrame({"time": times, "u": np.sign(np.sin(3 * times + 0.1)), "x": 0.0})
-record = fmuid.Experiment(frame, ["u"], ["x"], interpolation="hold")
+record = fmuid.Experiment(frame, ["u"], ["x"], interpolation="zoh")
 simulator = fmuid.Simulator(fmu, record, ["gain", "mode"], isolation=fmuid.Isolation())
 print(simulator([2.0, 0.0])[-1, 0], flush=True)
 simulator(np.tile([2.0, float(mode)], (4, 1)))

@@ -37,7 +37,7 @@ def experiment() -> Experiment:
     for i in range(n - 1):
         x[i + 1] = u[i] / k + (x[i] - u[i] / k) * np.exp(-k * step)
     frame = pd.DataFrame({"time": step * np.arange(n), "u": u, "x": x + 1e-3 * rng.standard_normal(n)})
-    return Experiment(frame, ["u"], ["x"], interpolation="hold")
+    return Experiment(frame, ["u"], ["x"], interpolation="zoh")
 
 
 def test_each_simulation_has_a_new_process(folder: Path, caplog: pytest.LogCaptureFixture) -> None:

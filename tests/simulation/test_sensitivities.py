@@ -101,7 +101,7 @@ def record() -> tuple[Floats, Floats]:
 
 @both_ways
 @every_integrator
-@pytest.mark.parametrize("interpolation", ["hold", "linear"])
+@pytest.mark.parametrize("interpolation", ["zoh", "linear"])
 def test_coil_against_its_closed_form(
     name: str, hidden: bool, interpolation: str, record: tuple[Floats, Floats], folder: Path
 ) -> None:

@@ -53,7 +53,7 @@ def test_what_is_remembered_is_not_simulated_again(monkeypatch: pytest.MonkeyPat
         assert (one == other).all()
 
 
-@pytest.mark.parametrize("interpolation", ["hold", "linear"])
+@pytest.mark.parametrize("interpolation", ["zoh", "linear"])
 def test_coil_on_an_irregular_grid_equals_its_closed_form(interpolation: str) -> None:
     rng = np.random.default_rng(3)
     times = 0.3 + np.cumsum(rng.uniform(1e-4, 2e-3, 500))
@@ -109,7 +109,7 @@ def test_an_fmu_that_cannot_interpolate_gets_linear_inputs_by_midpoints(probe: P
 def test_held_inputs_and_a_step_of_the_inputs(probe: ProbeMaker) -> None:
     times = np.array([0.0, 1.0, 1.0, 2.0])
     u = np.array([1.0, 5.0, 3.0, 0.0])
-    experiment = Experiment(table(times, u=u, x=0 * u, y=0 * u), ["u"], ["x", "y"], interpolation="hold")
+    experiment = Experiment(table(times, u=u, x=0 * u, y=0 * u), ["u"], ["x", "y"], interpolation="zoh")
     got = Simulator(probe(), experiment)([])
     assert got[:, 0].tolist() == [0.0, 1.0, 1.0, 4.0]
     assert got[:, 1].tolist() == [1.0, 6.0, 4.0, 4.0]
@@ -121,7 +121,7 @@ def test_integers_booleans_strings_and_units(probe: ProbeMaker) -> None:
         times, u=[60.0] * 4, n=[1, 2, 3, 4], b=[True, False, True, False], x=0 * times, ten_n=0 * times, not_b=0 * times
     )
     experiment = Experiment(
-        frame, ["n", "u", "b"], ["not_b", "x", "ten_n"], interpolation="hold", units={"u": "rpm", "x": "deg"}
+        frame, ["n", "u", "b"], ["not_b", "x", "ten_n"], interpolation="zoh", units={"u": "rpm", "x": "deg"}
     )
     got = Simulator(probe(), experiment, ["gain"], values={"word": "hello"})([0.5])
     assert got[:, 0].tolist() == [0, 1, 0, 1]
@@ -139,7 +139,7 @@ def test_parameters_may_be_start_values_and_inputs(probe: ProbeMaker) -> None:
 def test_step_size_divides_the_sampling_interval(probe: ProbeMaker) -> None:
     times = np.array([0.0, 1.0])
     system = System(components={"a": probe(), "b": probe()}, connections=[("a.z", "b.u")])
-    experiment = Experiment(table(times, u=[1.0, 1.0], x=[0.0, 0.0]), {"a.u": "u"}, {"b.x": "x"}, interpolation="hold")
+    experiment = Experiment(table(times, u=[1.0, 1.0], x=[0.0, 0.0]), {"a.u": "u"}, {"b.x": "x"}, interpolation="zoh")
     # b integrates a's staircase: sum of k h * h for k < n with n = 1 / h
     for n in (1, 4, 10):
         got = Simulator(system, experiment, step_size=1.0 / n)([])
@@ -150,14 +150,14 @@ def test_rounded_sampling_times_do_not_cost_a_second_substep(probe: ProbeMaker) 
     times = np.float32(np.arange(400) * 1e-3).astype(float)
     system = System(components={"a": probe(), "b": probe()}, connections=[("a.z", "b.u")])
     frame = table(times, u=1 + 0 * times, x=0 * times)
-    experiment = Experiment(frame, {"a.u": "u"}, {"b.x": "x"}, interpolation="hold")
+    experiment = Experiment(frame, {"a.u": "u"}, {"b.x": "x"}, interpolation="zoh")
     by_samples, by_step_size = (Simulator(system, experiment, step_size=size)([]) for size in (None, 1e-3))
     assert np.array_equal(by_samples, by_step_size)
 
 
 def test_a_failed_step_names_fmu_time_parameters_and_message(probe: ProbeMaker) -> None:
     times = np.arange(6.0)
-    experiment = Experiment(table(times, u=1 + 0 * times, x=0 * times), ["u"], ["x"], interpolation="hold")
+    experiment = Experiment(table(times, u=1 + 0 * times, x=0 * times), ["u"], ["x"], interpolation="zoh")
     path = probe()
     simulator = Simulator(path, experiment, ["gain", "fail_at"], values={"word": "ouch"})
     with pytest.raises(SimulationError) as caught:
@@ -186,7 +186,7 @@ def test_failed_initialisation_and_nan_outputs(probe: ProbeMaker) -> None:
 @pytest.mark.parametrize("defines", [("FATAL",), ("NO_RESET",)])
 def test_after_a_fatal_error_or_without_reset_a_new_instance_serves(probe: ProbeMaker, defines: tuple[str]) -> None:
     times = np.arange(4.0)
-    experiment = Experiment(table(times, u=1 + 0 * times, x=0 * times), ["u"], ["x"], interpolation="hold")
+    experiment = Experiment(table(times, u=1 + 0 * times, x=0 * times), ["u"], ["x"], interpolation="zoh")
     simulator = Simulator(probe(*defines), experiment, ["gain", "fail_at"])
     for _ in range(3):
         with pytest.raises(SimulationError):
@@ -199,7 +199,7 @@ def test_an_fmu_whose_reset_keeps_something_is_instantiated_anew_and_the_user_to
     probe: ProbeMaker, caplog: pytest.LogCaptureFixture
 ) -> None:
     times = np.arange(4.0)
-    experiment = Experiment(table(times, u=1 + 0 * times, x=0 * times), ["u"], ["x"], interpolation="hold")
+    experiment = Experiment(table(times, u=1 + 0 * times, x=0 * times), ["u"], ["x"], interpolation="zoh")
     simulator = Simulator(probe("LEAKY_RESET"), experiment, ["gain"])
     for gains in ([[1.0]], [[2.0], [3.0], [4.0]], [[5.0]] * 9):
         assert simulator(gains)[:, :, 0].tolist() == [[0, g, 2 * g, 3 * g] for (g,) in gains]
@@ -210,7 +210,7 @@ def test_an_fmu_that_neither_resets_nor_can_be_replaced_is_simulated_once(
     probe: ProbeMaker, caplog: pytest.LogCaptureFixture
 ) -> None:
     times = np.arange(4.0)
-    experiment = Experiment(table(times, u=1 + 0 * times, x=0 * times), ["u"], ["x"], interpolation="hold")
+    experiment = Experiment(table(times, u=1 + 0 * times, x=0 * times), ["u"], ["x"], interpolation="zoh")
     simulator = Simulator(probe("LEAKY_RESET", canBeInstantiatedOnlyOncePerProcess="true"), experiment, ["gain"])
     assert simulator([2.0])[:, 0].tolist() == [0, 2, 4, 6]
     for _ in range(2):
@@ -221,7 +221,7 @@ def test_an_fmu_that_neither_resets_nor_can_be_replaced_is_simulated_once(
 
 def test_a_binary_without_functions_that_nobody_calls_serves(probe: ProbeMaker) -> None:
     times = np.arange(3.0)
-    experiment = Experiment(table(times, u=1 + 0 * times, x=0 * times), ["u"], ["x"], interpolation="hold")
+    experiment = Experiment(table(times, u=1 + 0 * times, x=0 * times), ["u"], ["x"], interpolation="zoh")
     assert Simulator(probe("INCOMPLETE"), experiment)([])[:, 0].tolist() == [0, 1, 2]
 
 

@@ -32,7 +32,7 @@ def test_states_of_every_size(lag: Path, integrator: str, error: float, size: fl
     frame = pd.DataFrame({"time": step * np.arange(50), "u": u, "x": x})
     simulator = Simulator(
         lag,
-        Experiment(frame, ["u"], ["x"], interpolation="hold"),
+        Experiment(frame, ["u"], ["x"], interpolation="zoh"),
         ["k"],
         interface="model-exchange",
         integrator=integrator,

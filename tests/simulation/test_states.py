@@ -41,7 +41,7 @@ TIMES = np.cumsum(RNG.uniform(0.02, 0.1, 40))
 INPUT = RNG.standard_normal(40)
 
 
-def experiment(outputs: dict[str, Floats], interpolation: str = "hold") -> fmuid.Experiment:
+def experiment(outputs: dict[str, Floats], interpolation: str = "zoh") -> fmuid.Experiment:
     columns = {f"m_{name}": values for name, values in outputs.items()}
     frame = pd.DataFrame({"time": TIMES, "u": INPUT, **columns})
     names = {name: f"m_{name}" for name in outputs}
@@ -59,7 +59,7 @@ def side_of(path: Path, given: fmuid.Experiment, parameters: list[str]) -> Right
     return side
 
 
-@pytest.mark.parametrize("interpolation", ["hold", "linear"])
+@pytest.mark.parametrize("interpolation", ["zoh", "linear"])
 def test_the_right_hand_side_is_that_of_the_equations(oscillator: Path, interpolation: str) -> None:
     """At the two ends of each interval, under the input of the interval; several thetas at once."""
     side = side_of(oscillator, experiment({"y": INPUT}, interpolation), ["k", "d"])
@@ -69,7 +69,7 @@ def test_the_right_hand_side_is_that_of_the_equations(oscillator: Path, interpol
     thetas = np.array([[2.0, 0.3], [5.0, -1.0]])
     slopes, outputs = side(states, thetas)
     u = np.repeat(INPUT, 2)[1:-1].copy()
-    if interpolation == "hold":
+    if interpolation == "zoh":
         u[1::2] = u[::2]
     for theta, dx, y in zip(thetas, slopes, outputs, strict=True):
         assert dx[:, 0] == pytest.approx(states[:, 1], abs=1e-14)
@@ -102,7 +102,7 @@ def test_units_are_those_of_the_table() -> None:
         pd.DataFrame({"time": TIMES, "u": 1e3 * INPUT, "i": INPUT}),
         ["u"],
         ["i"],
-        interpolation="hold",
+        interpolation="zoh",
         units={"u": "mV", "i": "mA"},
     )
     side = side_of(FMUS / "Coil" / "Coil.fmu", given, ["R"])
@@ -118,7 +118,7 @@ def test_without_model_exchange_of_one_fmu_there_is_none() -> None:
     coil = FMUS / "Coil" / "Coil.fmu"
     pair = fmuid.System(components={"a": fmuid.Component(fmuid.FMU(coil)), "b": fmuid.Component(fmuid.FMU(coil))})
     given = fmuid.Experiment(
-        pd.DataFrame({"time": TIMES, "u": INPUT, "i": INPUT}), {"a.u": "u"}, {"b.i": "i"}, interpolation="hold"
+        pd.DataFrame({"time": TIMES, "u": INPUT, "i": INPUT}), {"a.u": "u"}, {"b.i": "i"}, interpolation="zoh"
     )
     assert RightHandSide.of(fmuid.Simulator(pair, given, ["a.R"])) is None
 
@@ -136,7 +136,7 @@ def test_corrections_follow_the_closed_form_of_the_coil() -> None:
     measured = RNG.standard_normal(40)
     measured[[5, 6, 20]] = np.nan
     given = fmuid.Experiment(
-        pd.DataFrame({"time": TIMES, "u": INPUT, "i": measured}), ["u"], ["i"], interpolation="hold"
+        pd.DataFrame({"time": TIMES, "u": INPUT, "i": measured}), ["u"], ["i"], interpolation="zoh"
     )
     found = corrected(FMUS / "Coil" / "Coil.fmu", given, np.array([[0.6]]), np.array([4.0, 0.3]), ["R", "L"])[:, 0]
     i = 0.0
@@ -153,9 +153,9 @@ def test_corrections_are_in_the_units_of_the_fmu() -> None:
     coil = FMUS / "Coil" / "Coil.fmu"
     frame = pd.DataFrame({"time": TIMES, "u": INPUT, "i": INPUT})
     gain, theta = np.array([[0.6]]), np.array([4.0, 0.3])
-    plain = fmuid.Experiment(frame, ["u"], ["i"], interpolation="hold")
+    plain = fmuid.Experiment(frame, ["u"], ["i"], interpolation="zoh")
     milli = frame.assign(i=1e3 * INPUT)
-    other = fmuid.Experiment(milli, ["u"], ["i"], interpolation="hold", units={"i": "mA"})
+    other = fmuid.Experiment(milli, ["u"], ["i"], interpolation="zoh", units={"i": "mA"})
     one = corrected(coil, plain, gain, theta, ["R", "L"])
     assert corrected(coil, other, gain, theta, ["R", "L"]) == pytest.approx(1e3 * one, rel=1e-9)
 
@@ -165,6 +165,6 @@ def test_a_correction_across_a_switch_is_an_event(tmp_path: Path) -> None:
     path = export_text(tmp_path, SWITCH)
     times = np.arange(5) * 0.1
     frame = pd.DataFrame({"time": times, "u": 0.0, "x": [0.9, 0.2, 0.9, 0.2, 0.9]})
-    given = fmuid.Experiment(frame, ["u"], ["x"], interpolation="hold")
+    given = fmuid.Experiment(frame, ["u"], ["x"], interpolation="zoh")
     found = corrected(path, given, np.array([[1.0]]), np.array([1.0]), ["a"])[:, 0]
     assert found == pytest.approx([0.0, 0.8, 0.3, 0.8, 0.3], abs=1e-9)

@@ -22,7 +22,7 @@ STUDY = """
 [model]
 fmu = "{fmu}"
 [[experiments]]
-table = "run.csv"
+data = "run.csv"
 inputs = ["u"]
 outputs = ["i"]
 [parameters]
@@ -128,14 +128,14 @@ def write_record(path: Path, b: Floats) -> None:
 WHOLE = """
 [model]
 fmu = "Arrays.fmu"
-[model.values]
+[model.fixed]
 b = {b}
 [[experiments]]
-table = "run.csv"
+data = "run.csv"
 inputs = ["u"]
 outputs = ["y1", "y2"]
-interpolation = "hold"
-[experiments.values]
+interpolation = "zoh"
+[experiments.fixed]
 s = {s}
 [parameters]
 A = {{ start = {a} }}
@@ -158,13 +158,13 @@ def test_matrices_in_parameters_and_values(linear: Path) -> None:
 @pytest.mark.parametrize(
     ("table", "rows", "said"),
     [
-        ("b", "[1.0]", r"\[model.values\] 'b' has 1 values and 2 in .*: give all, or single ones by .b\[1\]"),
+        ("b", "[1.0]", r"\[model.fixed\] 'b' has 1 values and 2 in .*: give all, or single ones by .b\[1\]"),
         ("b", "[1.0, 2.0, 3.0]", "'b' has 3 values and 2 in"),
         ("b", "[[1.0, 2.0]]", "'b' has 1 x 2 values and 2 in"),
-        ("b", "[1.0, [2.0]]", r"\[model.values\] 'b': the value must be a number, a vector or a matrix with rows"),
+        ("b", "[1.0, [2.0]]", r"\[model.fixed\] 'b': the value must be a number, a vector or a matrix with rows"),
         ("b", "[]", "'b': the value must be a number, a vector or a matrix"),
         ("b", '[1.0, "x"]', r"'b\[2\]' is of type Real and cannot be held at 'x'"),
-        ("s", "[0.4]", r"\[experiments.values\]\[0\] 's' has 1 values and 2 in"),
+        ("s", "[0.4]", r"\[experiments.fixed\]\[0\] 's' has 1 values and 2 in"),
         ("a", "[[-1.5, 1.0]]", "parameters 'A' has 1 x 2 values and 2 x 2 in"),
         ("a", "[-1.5, 1.0, 2.0, 1.0]", "parameters 'A' has 4 values and 2 x 2 in"),
         ("b", "[1.0, 2.0]\nd = [1.0]", "'d' has 1 values and is one number in"),
@@ -178,10 +178,10 @@ def test_arrays_of_another_shape(linear: Path, table: str, rows: str, said: str)
 
 FAULT = """
 [diagnosis]
-healthy = "healthy/result.json"
+baseline = "healthy/result.json"
 [diagnosis.faults.gain]
 fmu = "Arrays.fmu"
-values = { b = [1.0, 2.0] }
+fixed = { b = [1.0, 2.0] }
 parameters = { d = { nominal = 1.0 } }
 """
 

@@ -12,11 +12,12 @@ import pytest
 
 import fmuid
 from fmuid.models import read_description
-from fmuid.models.component import DEFAULT_INTEGRATOR, DEFAULT_TOLERANCE, INTEGRATORS, Numerics
+from fmuid.models.component import DEFAULT_INTEGRATOR, DEFAULT_TOLERANCE, INTEGRATORS
 from fmuid.reports.console.draft import remarks
 from fmuid.studies.init.draft import draft, match_data_files
 from fmuid.studies.init.lines import LINE_LENGTH
 from fmuid.studies.init.parameter_survey import Candidate, ParameterProposal, bounds
+from fmuid.studies.model import NumericsSection
 from tests.support.fmu_texts import FMI2, FMI3, write_fmu
 from tests.support.paths import FMUS
 
@@ -35,15 +36,15 @@ def freed(text: str) -> dict[str, Any]:
 
 def words(text: str) -> dict[str, Any]:
     """Return the commented words of [model]."""
-    section = text[text.index("[model]") : text.index("[model.values]")].replace("# step_size", "step_size")
+    section = text[text.index("[model]") : text.index("[model.fixed]")].replace("# step_size", "step_size")
     return dict(tomllib.loads(re.sub(r"^# (?=\w+ = )", "", section, flags=re.MULTILINE))["model"])
 
 
 @pytest.mark.parametrize(
     ("kind", "expected"),
     [
-        ("exchange", {"integrator", "tolerance", "step_size"}),
-        ("both", {"interface", "integrator", "tolerance", "step_size"}),
+        ("exchange", {"solver", "tolerance", "step_size"}),
+        ("both", {"interface", "solver", "tolerance", "step_size"}),
         ("co-simulation", {"tolerance", "step_size"}),
     ],
 )
@@ -57,8 +58,8 @@ def test_words_on_how_it_runs(kind: str, expected: set[str], tmp_path: Path) -> 
     found = words(said)
     assert found.pop("fmu") == "Model.fmu"
     assert found.keys() == expected
-    fmuid.Component(fmu, Numerics(**found))
-    if "integrator" in expected:
+    fmuid.Component(fmu, NumericsSection(**found).numerics)
+    if "solver" in expected:
         assert all(f'"{name}"' in said for name in INTEGRATORS)
         assert f'default: "{DEFAULT_INTEGRATOR}"' in said
         assert found["tolerance"] == DEFAULT_TOLERANCE

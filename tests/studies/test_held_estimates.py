@@ -23,7 +23,7 @@ DRIVE = FMUS / "PositionDrive/PositionDrive.fmu"
 @pytest.fixture
 def folder(tmp_path: Path) -> Path:
     coil_table(tmp_path / "first.csv", 0.0, seed=1)
-    text = STUDY.replace("[[experiments]]", 'values.L = { result = "result.json" }\n[[experiments]]')
+    text = STUDY.replace("[[experiments]]", 'fixed.L = { result = "result.json" }\n[[experiments]]')
     (tmp_path / "study.toml").write_text("".join(line for line in text.splitlines(True) if not line.startswith("L =")))
     return tmp_path
 
@@ -44,15 +44,13 @@ def test_a_variable_is_held_at_an_estimate(folder: Path) -> None:
 
 def test_what_is_wrong_with_it(folder: Path) -> None:
     of_coil(folder, R=4.0)
-    with pytest.raises(
-        InputError, match=r"\[model.values.L\] takes 'L' from .*, which has no such parameter.*it has R"
-    ):
+    with pytest.raises(InputError, match=r"\[model.fixed.L\] takes 'L' from .*, which has no such parameter.*it has R"):
         Study.read(folder / "study.toml")
     of_coil(folder, R=4.0, l=0.1)
-    study = Study.read(folder / "study.toml", ['model.values.L={result="result.json", name="l"}'])
+    study = Study.read(folder / "study.toml", ['model.fixed.L={result="result.json", name="l"}'])
     assert study.model.values == {"L": 0.1}
     (folder / "result.json").write_text("{}")
-    with pytest.raises(InputError, match=r"\[model.values.L\]: .*result.json does not say"):
+    with pytest.raises(InputError, match=r"\[model.fixed.L\]: .*result.json does not say"):
         Study.read(folder / "study.toml")
     result(folder, {"L": (0.1, 0.01)}, models={"": {"name": "Motor", "digest": "0"}})
     with pytest.raises(InputError, match="is a result of another model, Motor"):
@@ -66,10 +64,10 @@ def test_of_a_component_that_was_identified_alone(tmp_path: Path) -> None:
     data = tomllib.loads(emps.read_text(encoding="utf-8"))
     for each in data["model"]["components"]:
         each["fmu"] = str((emps.parent / each["fmu"]).resolve())
-    data["model"]["values"]["drive.M"] = {"result": "result.json"}
+    data["model"]["fixed"]["drive.M"] = {"result": "result.json"}
     del data["parameters"]["drive.M"]
     (tmp_path / "table.csv").write_text("t,qg,vir\n0,0,0\n1,0,0\n")
-    data["experiments"][0]["table"] = "table.csv"
+    data["experiments"][0]["data"] = "table.csv"
     study = Study.of(data, tmp_path / "study.toml")
     assert study.model.values["drive.M"] == 93.0
     _ = study.notes

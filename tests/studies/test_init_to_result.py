@@ -263,7 +263,7 @@ def test_survey_judges_effects_against_noise_and_inputs_against_offsets(tmp_path
     fmu, uses = export_text(tmp_path, BIASED), {}
     for offset, start in ((0.0, 0.0), (0.4, 0.0), (0.0, 3.0)):
         frame = pd.DataFrame({"time": t, "u": u + offset, "y": y + start * np.exp(-a * t)})
-        found = survey(fmu, [Experiment(frame, ["u"], ["y"], interpolation="hold")])
+        found = survey(fmu, [Experiment(frame, ["u"], ["y"], interpolation="zoh")])
         uses[offset, start] = {each.variable.name: each.use for each in found.candidates}
         assert [uses[offset, start][name] for name in ("a", "b", "c", "drift")] == [
             *[ParameterProposal.FREED] * 3,
@@ -313,7 +313,7 @@ def test_a_length_at_rest_is_no_start_value(tmp_path: Path) -> None:
 
 
 def experiment(table: pd.DataFrame) -> Experiment:
-    return Experiment(table, ["u"], ["i"], interpolation="hold")
+    return Experiment(table, ["u"], ["i"], interpolation="zoh")
 
 
 def test_start_values_are_freed_where_records_begin_elsewhere() -> None:

@@ -26,10 +26,10 @@ def test_overrides(folder: Path) -> None:
             "parameters.dR.prior={mean = 0.5, std = 1}",
             "parameters.R.prior.std=0.5",
             "parameters.L={start = 0.2}",
-            f"experiments.0.table={folder / 'run2.csv'}",
+            f"experiments.0.data={folder / 'run2.csv'}",
             "experiments.1.units.i=kA",
             "experiments.1.inputs=[\"u\"]",
-            "model.values.drive.k=2",
+            "model.fixed.drive.k=2",
             "title=A b",
         ],
     )  # fmt: skip
@@ -39,7 +39,7 @@ def test_overrides(folder: Path) -> None:
         "drive.M": Parameter(90.0, max=100.0),
         "L": Parameter(0.2),
     }
-    assert study.experiments[0].table == folder / "run2.csv"
+    assert study.experiments[0].data == folder / "run2.csv"
     assert study.experiments[1].units == {"i": "kA"}
     assert study.experiments[1].inputs == {"u": "u"}
     assert study.model.values["drive.k"] == 2
@@ -55,7 +55,7 @@ def test_overrides(folder: Path) -> None:
         ("parameters.R.strat=9", "with --set: [parameters.R] has no key 'strat' (did you mean 'start'?)"),
         ("parameters.R.start=nine", 'with --set: [parameters.R] start must be a number, not "nine"'),
         ("parameters.R.start=", 'with --set: [parameters.R] start must be a number, not ""'),
-        ("experiments.2.discard=1", "has no experiments.2: the entries of experiments are numbered 0 to 1"),
+        ("experiments.2.warmup=1", "has no experiments.2: the entries of experiments are numbered 0 to 1"),
         ("experiments.first.discard=1", "has no experiments.first: the entries"),
         ("modle.step_size=1", "the file has no 'modle' (did you mean 'model'?)"),
         ("title.x=1", "has \"Coil\" for title, which has no key 'x'"),
@@ -82,6 +82,6 @@ def test_override_asks_for_quotes_where_two_keys_fit() -> None:
 
 def test_override_begins_tables() -> None:
     data: dict[str, Any] = {}
-    override(data, "estimator.max_iterations=5", "study.toml")
-    override(data, "model.values.L=0.1", "study.toml")
-    assert data == {"estimator": {"max_iterations": 5}, "model": {"values": {"L": 0.1}}}
+    override(data, "estimation.max_iterations=5", "study.toml")
+    override(data, "model.fixed.L=0.1", "study.toml")
+    assert data == {"estimation": {"max_iterations": 5}, "model": {"fixed": {"L": 0.1}}}

@@ -21,11 +21,11 @@ RESISTANCES = {"run1": 4.0, "run2": 4.0, "run3": 5.0}
 STARTS = {"run1": 0.0, "run2": 0.5, "run3": 1.0}
 TABLE = """
 [[experiments]]
-table = "{name}.csv"
+data = "{name}.csv"
 inputs = ["u"]
 outputs = ["i"]
 interpolation = "{interpolation}"
-[experiments.values]
+[experiments.fixed]
 i_start = {start}
 """
 PARAMETERS = """
@@ -48,7 +48,7 @@ def u() -> Floats:
     return np.asarray(np.repeat(np.random.default_rng(3).choice([0.0, 10.0], 15), 20))
 
 
-def study(folder: Path, u: Floats, parameters: str = PARAMETERS, interpolation: str = "hold") -> Study:
+def study(folder: Path, u: Floats, parameters: str = PARAMETERS, interpolation: str = "zoh") -> Study:
     text = f'[model]\nfmu = "{COIL.as_posix()}"\n'
     for name, start in STARTS.items():
         text += TABLE.format(name=name, start=start, interpolation=interpolation)
@@ -66,7 +66,7 @@ def test_values_and_groups(tmp_path: Path, u: Floats) -> None:
 
 def test_the_experiment_s_values_go_before_the_model_s(u: Floats) -> None:
     frame = pd.DataFrame({"time": STEP * np.arange(u.size), "u": u})
-    words = {"interpolation": "hold", "measured": False}
+    words = {"interpolation": "zoh", "measured": False}
     one = Experiment(frame, ["u"], ["i"], values={"i_start": 0.5}, **words)  # type: ignore[arg-type]
     other = Experiment(frame, ["u"], ["i"], values={"R": 5.0}, **words)  # type: ignore[arg-type]
     simulator = Simulator(COIL, one, values={"i_start": 2.0, "R": 4.0, "L": L})
@@ -78,12 +78,12 @@ def test_hold_previous(u: Floats) -> None:
     """A recorder that notes the command of the step that ends: the same as one that notes it a sample earlier."""
     late = np.concatenate([u[:1], u[:-1]])
     frame = pd.DataFrame({"time": STEP * np.arange(u.size), "u": late, "i": current(u, 4.0, 0.0)})
-    experiment = Experiment(frame, ["u"], ["i"], interpolation="hold-previous")
+    experiment = Experiment(frame, ["u"], ["i"], interpolation="zoh-next")
     assert experiment.held.tolist() == [True]
     np.testing.assert_array_equal(experiment.input_values[:-1, 0], u[:-1])
     simulated = Simulator(COIL, experiment, values={"R": 4.0, "L": L})([])
     np.testing.assert_allclose(simulated, experiment.output_values, atol=1e-4)
-    mixed = Experiment(frame.assign(w=late), {"u": "u", "w": "w"}, ["i"], interpolation={"u": "hold-previous"})
+    mixed = Experiment(frame.assign(w=late), {"u": "u", "w": "w"}, ["i"], interpolation={"u": "zoh-next"})
     np.testing.assert_array_equal(mixed.input_values[:, 1], late)
     coarse = preprocess(experiment, resample=20 * STEP)
     np.testing.assert_array_equal(coarse.input_values[:-1, 0], u[:-20:20][: coarse.times.size - 1])
@@ -118,8 +118,8 @@ def test_wrong_groups(tmp_path: Path, u: Floats, groups: str, said: str, capsys:
         ("i_start = 0.5", "L = 0.5", "'L' is both a parameter and held at a value"),
         ("i_start = 0.5", "u = 0.5", "'u' is an input"),
         ("i_start = 0.5", "i_start = [1]", r"'i_start' has 1 values and is one number in"),
-        ("i_start = 0.5", "i_start = { a = 1 }", r"\[experiments.values\] i_start must be a number, true"),
-        ('"hold"', '"hold_previous"', "hold-previous"),
+        ("i_start = 0.5", "i_start = { a = 1 }", r"\[experiments.fixed\] i_start must be a number, true"),
+        ('"zoh"', '"hold_previous"', "zoh-next"),
     ],
 )
 def test_wrong_values(tmp_path: Path, u: Floats, old: str, new: str, said: str) -> None:

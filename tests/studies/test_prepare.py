@@ -1,4 +1,4 @@
-"""``[experiments.prepare]``: a study does with its table what would otherwise be done by hand."""
+"""``[experiments.preprocess]``: a study does with its table what would otherwise be done by hand."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ STUDY = """
 [model]
 fmu = "{fmu}"
 [[experiments]]
-table = "{table}"
+data = "{table}"
 inputs = ["u"]
 outputs = {{ i = "current" }}
 interpolation = "{interpolation}"
-[experiments.prepare]
+[experiments.preprocess]
 {prepare}
 [parameters]
 R = {{ start = 4.0, min = 0.0 }}
@@ -39,7 +39,7 @@ def folder(tmp_path: Path) -> Path:
     return tmp_path
 
 
-def study(folder: Path, prepare: str, table: str = "run.csv", interpolation: str = "hold") -> Study:
+def study(folder: Path, prepare: str, table: str = "run.csv", interpolation: str = "zoh") -> Study:
     text = STUDY.format(fmu=COIL.as_posix(), table=table, prepare=prepare, interpolation=interpolation)
     (folder / "study.toml").write_text(text)
     return Study.read(folder / "study.toml")
@@ -50,13 +50,13 @@ def test_the_same_as_by_hand(folder: Path) -> None:
     by_hand = by_hand[(by_hand["time"] > 0.0995) & (by_hand["time"] < 0.4005)]
     by_hand.to_csv(folder / "cut.csv", index=False)
     expected = study(folder, "", "cut.csv")
-    found = study(folder, 'columns = { current = "(shunt + 3) / 50" }\nfrom = 0.1\nto = 0.4')
+    found = study(folder, 'computed_columns = { current = "(shunt + 3) / 50" }\nstart_time = 0.1\nend_time = 0.4')
     np.testing.assert_array_equal(found.tables[0].times, expected.tables[0].times)
     np.testing.assert_allclose(found.identify().values, expected.identify().values, rtol=1e-6)
 
 
 def test_pieces_are_experiments_of_their_own(folder: Path) -> None:
-    read = study(folder, "pieces = [[0.0, 0.2], [0.3, 0.5]]")
+    read = study(folder, "segments = [[0.0, 0.2], [0.3, 0.5]]")
     assert [each.name for each in read.experiments] == ["run 1", "run 2"]
     assert [float(table.times[-1]) for table in read.tables] == pytest.approx([0.2, 0.5])
     assert float(read.tables[1].times[0]) == pytest.approx(0.3)
@@ -66,7 +66,7 @@ def test_pieces_are_experiments_of_their_own(folder: Path) -> None:
 def test_filtered_and_resampled(folder: Path) -> None:
     """Inputs and outputs go through the same filter, so that the estimates of a linear model stay where they are."""
     plain = study(folder, "").identify()
-    read = study(folder, "low_pass = 60.0\nresample = 0.004", interpolation="linear")
+    read = study(folder, "lowpass_frequency = 60.0\nresample_interval = 0.004", interpolation="linear")
     (table,) = read.tables
     assert np.diff(table.times) == pytest.approx(0.004)
     found = read.identify()
@@ -77,25 +77,34 @@ def test_filtered_and_resampled(folder: Path) -> None:
     ("prepare", "said"),
     [
         (
-            'columns = { current = "shunt +" }',
+            'computed_columns = { current = "shunt +" }',
             r"column 'current': the expression 'shunt \+' cannot be computed",
         ),
-        ('columns = { current = "shnt / 50" }', r"'shnt' is missing \(did you mean 'shunt'"),
-        ("low_pass = 60.0", r"'u' holds between samples \(interpolation = \"hold\"\)"),
-        ("from = 3.0\nto = 1.0", r"\[experiments.prepare\]\S* has from = 3 and to = 1: give the earlier time first"),
-        ("from = 300.0", r"from 300 s leaves 0 samples: the record goes from 0 to"),
-        ("pieces = [[0.0, 0.2], [0.5, 0.3]]", "pieces must be a list of pairs of times"),
-        ("pieces = [[0.0, 0.2, 0.3]]", "pieces must be a list of pairs of times"),
-        ("pieces = [[0.0, 0.2]]\nto = 3.0", "has both pieces and to: keep one of the two"),
-        ("resample = 0", "resample must be a number above 0, not 0"),
-        ('fill = { u = "cubic" }', r'prepare.fill\] u must be "linear" or "hold", not "cubic"'),
-        ('fill = { current = "hold" }', "fills 'current', what was measured of the output 'i': leave it out of fill"),
-        ("longest_gap = 0.1", "has longest_gap and nothing to fill: name the columns"),
-        ('longest_gap = 0\nfill = { u = "hold" }', "longest_gap must be a number above 0, not 0"),
-        ('detrend = "cubic"', 'detrend must be "mean" or "linear"'),
-        ("lowpass = 3.0", r"has no key 'lowpass' \(did you mean 'low_pass'"),
-        ('axes = [{ from = ["u", "i"], to = ["a", "b"], angle = "t" }]', "has from and to of other lengths"),
-        ('axes = [{ from = ["u", "i"], to = ["a", "b", "c"] }]', "must have one of angle and speed"),
+        ('computed_columns = { current = "shnt / 50" }', r"'shnt' is missing \(did you mean 'shunt'"),
+        ("lowpass_frequency = 60.0", r"'u' holds between samples \(interpolation = \"zoh\"\)"),
+        (
+            "start_time = 3.0\nend_time = 1.0",
+            r"\[experiments.preprocess\]\S* has start_time = 3 and end_time = 1: give the earlier time first",
+        ),
+        ("start_time = 300.0", r"from 300 s leaves 0 samples: the record goes from 0 to"),
+        ("segments = [[0.0, 0.2], [0.5, 0.3]]", "segments must be a list of pairs of times"),
+        ("segments = [[0.0, 0.2, 0.3]]", "segments must be a list of pairs of times"),
+        ("segments = [[0.0, 0.2]]\nend_time = 3.0", "has both segments and end_time: keep one of the two"),
+        ("resample_interval = 0", "resample_interval must be a number above 0, not 0"),
+        ('fill_missing = { u = "pchip" }', r'preprocess.fill_missing\] u must be "linear" or "zoh", not "pchip"'),
+        (
+            'fill_missing = { current = "zoh" }',
+            "fills 'current', what was measured of the output 'i': leave it out of fill_missing",
+        ),
+        ("max_gap = 0.1", "has max_gap and nothing to fill: name the columns"),
+        ('max_gap = 0\nfill_missing = { u = "zoh" }', "max_gap must be a number above 0, not 0"),
+        ('detrend = "pchip"', 'detrend must be "mean" or "linear"'),
+        ("lowpass = 3.0", r"has no key 'lowpass' \(did you mean 'lowpass_frequency'"),
+        (
+            'park = [{ source = ["u", "i"], target = ["a", "b"], angle = "t" }]',
+            "has source and target of other lengths",
+        ),
+        ('park = [{ source = ["u", "i"], target = ["a", "b", "c"] }]', "must have one of angle and speed"),
     ],
 )
 def test_what_is_wrong_is_said(folder: Path, prepare: str, said: str, capsys: pytest.CaptureFixture[str]) -> None:
@@ -113,10 +122,10 @@ def test_an_input_with_a_gap_names_the_remedy_which_fills_it(folder: Path) -> No
     table.to_csv(folder / "run.csv", index=False)
     with pytest.raises(InputError) as caught:
         _ = study(folder, "").tables
-    remedy = 'fill = { "u" = "linear" }'
-    assert f"fill the gap, prepare = {{ {remedy} }}, or cut the table there" in str(caught.value)
+    remedy = 'fill_missing = { "u" = "linear" }'
+    assert f"fill the gap, preprocess = {{ {remedy} }}, or cut the table there" in str(caught.value)
     assert np.isfinite(study(folder, remedy).tables[0].input_values).all()
-    filled = study(folder, 'fill = { u = "hold" }\nlongest_gap = 0.01').identify()
+    filled = study(folder, 'fill_missing = { u = "zoh" }\nmax_gap = 0.01').identify()
     np.testing.assert_array_equal(filled.values, whole.values)
 
 
@@ -132,7 +141,7 @@ def test_missing_rows_are_said_and_filled_like_missing_samples(
     with pytest.raises(InputError) as caught:
         _ = study(folder, "").tables
     assert gap in str(caught.value)
-    words = re.search(r"prepare = { (fill = {.*}), (longest_gap = .*) }", str(caught.value))
+    words = re.search(r"preprocess = { (fill_missing = {.*}), (max_gap = .*) }", str(caught.value))
     assert words is not None
     (record,) = study(folder, "\n".join(words.groups())).tables
     np.testing.assert_allclose(record.times, whole, atol=1e-9)

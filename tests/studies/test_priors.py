@@ -23,10 +23,10 @@ COVARIANCE = [[4.0e-4, 1.0e-6], [1.0e-6, 1.0e-8]]
 STUDY = f"""
 [model]
 fmu = "{COIL.as_posix()}"
-[model.values]
+[model.fixed]
 i_start = 0.0
 [[experiments]]
-table = "run.csv"
+data = "run.csv"
 inputs = ["u"]
 outputs = ["i"]
 [parameters]
@@ -83,7 +83,7 @@ def refused(folder: Path, extra: str = "", *, prior_of_r: str = "", when: str = 
 
 
 def test_prior_of_one_parameter_from_a_result(folder: Path) -> None:
-    study = read(folder, prior_of_r='{ result = "healthy.json", inflate = 10 }')
+    study = read(folder, prior_of_r='{ result = "healthy.json", std_factor = 10 }')
     prior = study.parameters["R"].prior
     assert prior is not None
     assert prior.mean == 4.0
@@ -95,7 +95,7 @@ def test_prior_of_one_parameter_from_a_result(folder: Path) -> None:
 
 def test_joint_prior_from_a_result(folder: Path) -> None:
     """By default of all parameters that both have, standard deviations inflated and correlations kept."""
-    joint = read(folder, '[prior]\nresult = "healthy.json"\ninflate = 3').joint_prior
+    joint = read(folder, '[prior]\nresult = "healthy.json"\nstd_factor = 3').joint_prior
     assert joint is not None
     assert joint.names == ("R", "L")
     assert joint.mean.tolist() == [4.0, 0.1]
@@ -125,7 +125,7 @@ def test_given_joint_prior(folder: Path) -> None:
 
 def test_joint_prior_of_a_parameter_per_experiment(folder: Path) -> None:
     extra = 'i_start = { start = 0.0, nominal = 0.1, per_experiment = true }\n[prior]\nnames = ["i_start[run]"]\n'
-    text = STUDY.replace("[model.values]\ni_start = 0.0\n", "") + extra + "mean = [0.0]\ncovariance = [[0.01]]"
+    text = STUDY.replace("[model.fixed]\ni_start = 0.0\n", "") + extra + "mean = [0.0]\ncovariance = [[0.01]]"
     (folder / "study.toml").write_text(text)
     parameters = Study.read(folder / "study.toml").problem().parameters
     assert parameters.prior_std[parameters.index("i_start[run]")] == pytest.approx(0.1)
@@ -140,7 +140,7 @@ def test_known_variance_is_the_given_one_or_that_of_the_earlier_result(folder: P
 
 def test_overrides_begin_priors(folder: Path) -> None:
     read(folder)
-    settings = ['prior.result="healthy.json"', "prior.inflate=2", 'prior.names=["R"]']
+    settings = ['prior.result="healthy.json"', "prior.std_factor=2", 'prior.names=["R"]']
     joint = Study.read(folder / "study.toml", settings).joint_prior
     assert joint is not None
     assert joint.covariance.tolist() == [[pytest.approx(1.6e-3)]]
@@ -203,14 +203,14 @@ JOINT = '[prior]\nnames = ["R", "L"]\nmean = [4.0, 0.1]\ncovariance = '
         (JOINT.replace("[4.0, 0.1]", "[4.0]") + "[[1.0, 0.0], [0.0, 1.0]]", ("2 means",)),
         (JOINT.replace("[4.0, 0.1]", '[4.0, "x"]') + "[[1.0, 0.0], [0.0, 1.0]]", ("[prior] mean must be a list",)),
         (JOINT.replace("[4.0, 0.1]", "[12.0, 0.1]") + "[[1.0, 0.0], [0.0, 1.0]]", ("12 of 'R' lies outside its bo",)),
-        (JOINT.replace('"L"', '"i_start"') + "[[1.0, 0.0], [0.0, 1.0]]", ("'i_start'", "[model.values] holds at 0.0")),
+        (JOINT.replace('"L"', '"i_start"') + "[[1.0, 0.0], [0.0, 1.0]]", ("'i_start'", "[model.fixed] holds at 0.0")),
         (JOINT.replace('"L"', '"R0"') + "[[1.0, 0.0], [0.0, 1.0]]", ("'R0'", "no parameter", "did you mean 'R'")),
         (JOINT.replace('"L"', '"R"') + "[[1.0, 0.0], [0.0, 1.0]]", ("'R' is there twice",)),
         ("[prior]\nmean = [4.0]\ncovariance = [[1.0]]", ("[prior] needs the key 'names'",)),
         ('[prior]\nnames = ["R"]\nmean = [4.0]', ("[prior] needs the key 'covariance'",)),
         ('[prior]\nresult = "healthy.json"\nmean = [4.0]', ("[prior] has both result and mean",)),
-        ('[prior]\nresult = "healthy.json"\ninflate = 0', ("[prior] inflate must be a number above 0, not 0",)),
-        (JOINT + "[[1.0, 0.0], [0.0, 1.0]]\ninflate = 2", ("[prior] has inflate, which goes with result",)),
+        ('[prior]\nresult = "healthy.json"\nstd_factor = 0', ("[prior] std_factor must be a number above 0, not 0",)),
+        (JOINT + "[[1.0, 0.0], [0.0, 1.0]]\nstd_factor = 2", ("[prior] has std_factor, which goes with result",)),
         ('[prior]\nreslt = "healthy.json"', ("[prior] has no key 'reslt' (did you mean 'result'?)",)),
         ('[prior]\nresult = "sick.json"', ("[prior]", "sick.json", "there is no file")),
         ('[prior]\nresult = "run.csv"', ("[prior]", "run.csv is not JSON")),
@@ -228,9 +228,9 @@ def test_joint_prior_refused(folder: Path, extra: str, named: tuple[str, ...]) -
         ("{ mean = 4.0, std = -1.0 }", ("[parameters.R.prior] std must be a number above 0, not -1",)),
         ("{ mean = 40.0, std = 1.0 }", ("[parameters.R]", "mean 40 lies outside the bounds, 0 to 9")),
         ("{ mean = 4.0 }", ("[parameters.R.prior] needs the key 'std'",)),
-        ("{ mean = 4.0, std = 1.0, inflate = 2 }", ("[parameters.R.prior] has inflate, which goes with result",)),
+        ("{ mean = 4.0, std = 1.0, std_factor = 2 }", ("[parameters.R.prior] has std_factor, which goes with result",)),
         ('{ mean = 4.0, result = "healthy.json" }', ("[parameters.R.prior] has both result and mean",)),
-        ('{ result = "healthy.json", inflate = -1 }', ("inflate must be a number above 0, not -1",)),
+        ('{ result = "healthy.json", std_factor = -1 }', ("std_factor must be a number above 0, not -1",)),
         ('{ result = "sick.json" }', ("[parameters.R.prior]", "sick.json", "there is no file")),
     ],
 )  # fmt: skip

@@ -27,11 +27,12 @@ def test_the_page_is_what_the_models_say() -> None:
 def test_the_page_has_what_a_word_takes() -> None:
     lines = reference().splitlines()
     for line in (
-        '| `interpolation` | "linear" or "hold" or "hold-previous" or "cubic" or a table { input = interpolation } | '
-        '`"linear"` | between samples; "hold" for commands of a digital controller |',
+        '| `interpolation` | "linear" or "zoh" or "zoh-next" or "pchip" or a table { input = interpolation } | '
+        '`"linear"` | between samples; "zoh" for commands of a digital controller |',
         "## `[diagnosis.faults.<name>.parameters.<name>]`",
         "| `from` | a text in quotes | must be given | an output |",
-        "| `horizon` | a number above 0 |  | in which the level holds, s; default: each record |",
+        "| `size_limits` | a table { fault.size = number } |  | "
+        'sizes that must not be reached, as in { "turns.dR" = 0.5 } |',
     ):
         assert line in lines
 
@@ -58,31 +59,31 @@ title = "Coil"
 [model]
 fmu = "Coil.fmu"
 [[experiments]]
-table = "run.csv"
+data = "run.csv"
 inputs = { u = "voltage" }
 outputs = ["i"]
-interpolation = { u = "hold" }
+interpolation = { u = "zoh" }
 [parameters]
 R = { start = 4, prior = { mean = 4.1, std = 0.2 } }
 [noise]
 variance = { i = 0.04 }
 [uncertainty]
-profile = ["R"]
-posterior = { steps = 2000 }
-map = ["R", "L"]
+profile_likelihood = ["R"]
+posterior = { max_steps = 2000 }
+cost_map = ["R", "L"]
 [diagnosis]
-healthy = "result.json"
-inflate = { R = inf }
+baseline = "result.json"
+std_factor = { R = inf }
 [diagnosis.faults.turns]
 parameters = { dR = { nominal = 1 } }
-angle = { phi = { size = "dR" } }
+angles = { phi = { magnitude = "dR" } }
 [monitoring]
-window = 1
+window_length = 1
 [batch]
-tables = "*.csv"
-starts = [{ R = 3.0 }]
-values = { L = { from = 0.1, to = 0.2, count = 3 }, on = [true, false] }
-noise = { draws = 10, std = 0.1 }
+data = "*.csv"
+starting_points = [{ R = 3.0 }]
+sweep = { L = { from = 0.1, to = 0.2, count = 3 }, on = [true, false] }
+monte_carlo = { realizations = 10, std = 0.1 }
 """
 
 
@@ -93,11 +94,13 @@ def errors(text: str) -> list[Any]:
 def test_every_shape_of_a_word_is_valid() -> None:
     assert errors(GOOD) == []
     other = (
-        GOOD.replace('{ u = "hold" }', '"hold"')
+        GOOD.replace('{ u = "zoh" }', '"zoh"')
         .replace("{ i = 0.04 }", '"estimate"')
-        .replace("{ steps = 2000 }", "true")
+        .replace("{ max_steps = 2000 }", "true")
     )
-    assert errors(other.replace('["R", "L"]', '[["R", "L"]]').replace('{ phi = { size = "dR" } }', '["phi"]')) == []
+    assert (
+        errors(other.replace('["R", "L"]', '[["R", "L"]]').replace('{ phi = { magnitude = "dR" } }', '["phi"]')) == []
+    )
 
 
 @pytest.mark.parametrize(
@@ -106,15 +109,15 @@ def test_every_shape_of_a_word_is_valid() -> None:
         ("title", "titel"),
         ("start = 4", "strat = 4"),
         ("std = 0.2", "std = -0.2"),
-        ('"hold"', '"held"'),
+        ('"zoh"', '"zohh"'),
         ("0.04", "0"),
-        ('table = "run.csv"', ""),
-        ("steps = 2000", "step = 2000"),
+        ('data = "run.csv"', ""),
+        ("max_steps = 2000", "step = 2000"),
         ('["R", "L"]', '["R"]'),
         ("nominal = 1", "nominal = true"),
-        ('size = "dR"', "period = 1"),
-        ("window = 1", 'window = "1"'),
-        ("draws = 10", "draws = 0.5"),
+        ('magnitude = "dR"', "period = 1"),
+        ("window_length = 1", 'window_length = "1"'),
+        ("realizations = 10", "realizations = 0.5"),
         ("R = 3.0", 'R = "x"'),
         ("count = 3", ""),
     ],

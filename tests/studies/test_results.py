@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 from pathlib import Path
 
@@ -11,17 +10,17 @@ import pytest
 
 from fmuid.errors import InputError
 from fmuid.estimation import Result
-from fmuid.runs import cross_validate, origin_of, predict_with, records_like, study_of
+from fmuid.runs import cross_validate, made_from, predict_with, records_like, study_of
 from fmuid.studies import Study
 from tests.support.coil_study import STUDY, coil_table
 from tests.support.results import result as written
 
 OWN_START = "i_start = { start = 0.0, nominal = 0.1, per_experiment = true }\n"
 MORE = """[[experiments]]
-table = "{0}.csv"
+data = "{0}.csv"
 inputs = ["u"]
 outputs = ["i"]
-interpolation = "hold"
+interpolation = "zoh"
 """
 
 
@@ -36,8 +35,7 @@ def folder(tmp_path: Path) -> Path:
 def kept(study: Study, folder: Path) -> Path:
     """Write a result that keeps its study."""
     folder.mkdir(exist_ok=True)
-    content = json.loads(json.dumps(origin_of(study, folder), allow_nan=False))
-    return written(folder, {"R": (4.0, 0.01), "L": (0.1, 0.001)}, study=content)
+    return written(folder, {"R": (4.0, 0.01), "L": (0.1, 0.001)}, origin=made_from(study, folder=folder))
 
 
 def test_a_result_keeps_its_study(folder: Path) -> None:
@@ -56,7 +54,7 @@ def test_a_table_that_is_gone_needs_another_in_its_place(folder: Path) -> None:
     (folder / "first.csv").unlink()
     with pytest.raises(InputError, match=r"first\.csv"):
         study_of(path)
-    assert study_of(path, in_place=folder / "second.csv").experiments[0].table == folder / "second.csv"
+    assert study_of(path, in_place=folder / "second.csv").experiments[0].data == folder / "second.csv"
 
 
 @pytest.mark.parametrize(
@@ -120,16 +118,15 @@ def test_each_part_is_predicted_from_the_others(folder: Path) -> None:
     text = STUDY + OWN_START + MORE.format("second") + MORE.format("third")
     (folder / "study.toml").write_text(text)
     study = Study.read(folder / "study.toml")
-    folds = cross_validate(study, 3)
-    assert [[each.fit.experiment for each in fold.predictions] for fold in folds] == [["first"], ["second"], ["third"]]
-    for fold in folds:
-        (found,) = fold.predictions
+    folds, predictions = cross_validate(study, 3)
+    assert [fold.left_out for fold in folds] == [("first",), ("second",), ("third",)]
+    for fold, found in zip(folds, predictions, strict=True):
         assert found.scores[0].ratio == pytest.approx(1.0, abs=0.1)
         assert not any(series.experiment == found.fit.experiment for series in fold.result.data)
         assert {series.samples for series in fold.result.data} == {600}
-    pairs = cross_validate(study, 2)
-    assert [len(fold.predictions) for fold in pairs] == [2, 1]
-    alone = Study.read(folder / "study.toml", ['experiments=[{table="first.csv", outputs=["i"], inputs=["u"]}]'])
+    pairs, _ = cross_validate(study, 2)
+    assert [len(fold.left_out) for fold in pairs] == [2, 1]
+    alone = Study.read(folder / "study.toml", ['experiments=[{data="first.csv", outputs=["i"], inputs=["u"]}]'])
     with pytest.raises(InputError, match=r"2 folds of 1 experiments: .*nothing to leave out"):
         cross_validate(alone, 2)
 

@@ -28,11 +28,11 @@ def test_every_key(folder: Path) -> None:
     assert study.model.components == {"": (folder / "sub/Coil.fmu", study.model.numerics)}
     assert study.model.values == {"L": 0.1, "n": 3, "on": True, "word": "fast"}
     first, second = study.experiments
-    assert (first.table, first.name, first.time) == (folder / "run1.csv", "run1", "time")
+    assert (first.data, first.name, first.time) == (folder / "run1.csv", "run1", "time")
     assert (first.inputs, first.outputs) == ({"u": "u"}, {"i": "current"})
-    assert (first.interpolation, first.discard, first.units) == ({"u": "hold"}, 0.05, {"i": "mA"})
+    assert (first.interpolation, first.warmup, first.units) == ({"u": "zoh"}, 0.05, {"i": "mA"})
     assert (second.name, second.time, second.inputs, second.outputs) == ("second", "t", {}, {"i": "i"})
-    assert (second.interpolation, second.discard) == ("linear", 0.0)
+    assert (second.interpolation, second.warmup) == ("linear", 0.0)
     assert study.parameters == {
         "R": Parameter(4.0, min=0.0, prior=Normal(4.1, 0.2)),
         "dR": Parameter(0.0, max=math.inf, nominal=1.0, per_experiment=True),
@@ -42,35 +42,35 @@ def test_every_key(folder: Path) -> None:
 
 def test_estimators(folder: Path) -> None:
     def estimator(words: str) -> Method:
-        return Study.read(write(folder, FULL.replace('method = "marquardt"', words))).estimator
+        return Study.read(write(folder, FULL.replace('method = "levenberg-marquardt"', words))).estimator
 
     assert estimator("max_iterations = 7") == Marquardt(max_iterations=7)
-    assert estimator('method = "global"') == GlobalSearch("evolution")
-    assert estimator("starts = 20\nseed = 4") == GlobalSearch("multistart", 20, 4)
-    assert estimator('search = "multistart"') == GlobalSearch("multistart")
-    assert estimator('search = "evolution"\nstarts = 20\ntolerance = 1e-4') == GlobalSearch(
-        "evolution", 20, marquardt=Marquardt(tolerance=1e-4)
-    )
-    study = Study.read(write(folder, FULL.replace('"marquardt"', '"marquardt"\nloss = "cauchy"')))
+    assert estimator('method = "differential-evolution"') == GlobalSearch("differential-evolution")
+    assert estimator("n_starts = 20\nseed = 4") == GlobalSearch("multi-start", 20, 4)
+    assert estimator('method = "multi-start"') == GlobalSearch("multi-start")
+    assert estimator(
+        'method = "differential-evolution"\nn_starts = 20\nrelative_step_tolerance = 1e-4'
+    ) == GlobalSearch("differential-evolution", 20, marquardt=Marquardt(tolerance=1e-4))
+    study = Study.read(write(folder, FULL.replace('"levenberg-marquardt"', '"levenberg-marquardt"\nloss = "cauchy"')))
     assert (study.loss, study.estimator.marquardt) == ("cauchy", Marquardt())
 
 
 def test_noise(folder: Path) -> None:
-    text = FULL.replace('variance = "estimate"', "variance = { i = 0.04 }\nstart = { i = 1.0 }")
+    text = FULL.replace('variance = "estimate"', "variance = { i = 0.04 }\ninitial_variance = { i = 1.0 }")
     assert Study.read(write(folder, text)).noise == Noise({"i": 0.04}, {"i": 1.0})
-    text = FULL.replace('variance = "estimate"', "start = 2")
+    text = FULL.replace('variance = "estimate"', "initial_variance = 2")
     assert Study.read(write(folder, text)).noise == Noise("estimate", 2.0)
     own = 'outputs = ["i"]\nnoise = { weights = { i = "w" } }'
-    text = FULL.replace('variance = "estimate"', 'common = ["i"]').replace('outputs = ["i"]', own)
+    text = FULL.replace('variance = "estimate"', 'shared_variance = ["i"]').replace('outputs = ["i"]', own)
     assert Study.read(write(folder, text)).noise == Noise(
         common=["i"], experiments={"second": Noise(weights={"i": "w"})}
     )
     for words, noise in (
         ('std = { i = "sd" }', Noise(std={"i": "sd"})),
         ("std = 0.2", Noise(std=0.2)),
-        ("relative = 0.01", Noise(relative=0.01)),
+        ("relative_std = 0.01", Noise(relative=0.01)),
         ('weights = "w"', Noise(weights="w")),
-        ("period = 4.0", Noise(period=4.0)),
+        ("excitation_period = 4.0", Noise(period=4.0)),
     ):
         assert Study.read(write(folder, FULL.replace('variance = "estimate"', words))).noise == noise
 
@@ -80,17 +80,17 @@ def test_uncertainty_words(folder: Path) -> None:
         return Study.read(write(folder, FULL + f"[uncertainty]\n{words}")).uncertainty_settings
 
     assert not Study.read(write(folder)).uncertainty_settings.any
-    assert not asked("profile = false\nposterior = false\nmap = []").any
-    assert asked("profile = true").profile == ("R", "dR[run1]", "dR[second]", "drive.M")
-    assert asked('profile = ["dR[run1]", "R", "R"]').profile == ("dR[run1]", "R")
-    assert asked('level = 0.9\nmap = [["R", "drive.M"], ["R", "dR[run1]"]]') == UncertaintySettings(
+    assert not asked("profile_likelihood = false\nposterior = false\ncost_map = []").any
+    assert asked("profile_likelihood = true").profile == ("R", "dR[run1]", "dR[second]", "drive.M")
+    assert asked('profile_likelihood = ["dR[run1]", "R", "R"]').profile == ("dR[run1]", "R")
+    assert asked('confidence_level = 0.9\ncost_map = [["R", "drive.M"], ["R", "dR[run1]"]]') == UncertaintySettings(
         0.9, maps=(("R", "drive.M"), ("R", "dR[run1]"))
     )
-    assert asked('map = ["R", "drive.M"]').maps == (("R", "drive.M"),)
+    assert asked('cost_map = ["R", "drive.M"]').maps == (("R", "drive.M"),)
     assert asked("posterior = true").posterior == SamplerSettings()
-    assert asked("posterior = { walkers = 32, steps = 2000, burn = 0.5, seed = 3 }").posterior == SamplerSettings(
-        32, 2000, burn=0.5, seed=3
-    )
+    assert asked(
+        "posterior = { walkers = 32, max_steps = 2000, burn_in = 0.5, seed = 3 }"
+    ).posterior == SamplerSettings(32, 2000, burn=0.5, seed=3)
 
 
 def test_components(folder: Path) -> None:
@@ -104,9 +104,9 @@ fmu = "sub/Coil.fmu"
 name = "controller"
 fmu = "sub/Coil.fmu"
 interface = "model-exchange"
-integrator = "rk4"
+solver = "rk4"
 step_size = 1e-2
-[model.connectors]
+[model.shared_variables]
 R = ["drive.R", "controller.R"]
 u = "drive.u"
 [[model.connections]]
@@ -117,7 +117,7 @@ from = "controller.u"
 to = "drive.u"
 factor = 60
 [[experiments]]
-table = "run1.csv"
+data = "run1.csv"
 outputs = ["drive.q"]
 """
     model = Study.read(write(folder, text)).model
@@ -139,7 +139,7 @@ def test_forward_sensitivities_of_a_study(folder: Path) -> None:
     """Model exchange and forward sensitivities are words of the file."""
     text = FULL.replace('interface = "co-simulation"', 'interface = "model-exchange"')
     for word in ("finite-difference", "forward"):
-        study = Study.read(write(folder, text.replace('sensitivity = "finite-difference"', f'sensitivity = "{word}"')))
+        study = Study.read(write(folder, text.replace('jacobian = "finite-difference"', f'jacobian = "{word}"')))
         assert study.sensitivity == word
         assert study.model.numerics.interface == "model-exchange"
 
@@ -147,7 +147,7 @@ def test_forward_sensitivities_of_a_study(folder: Path) -> None:
 def test_uncertainty_of_a_result(tmp_path: Path) -> None:
     """A coil is nearly linear in R: the profile ends where the local interval does; another study refuses it."""
     coil = fmuid.datasets.coil()
-    asked = coil.study | {"uncertainty": {"profile": ["R"]}}
+    asked = coil.study | {"uncertainty": {"profile_likelihood": ["R"]}}
     study = Study.of(asked, tmp_path / "coil.toml")
     result = study.identify()
     (profile,) = study.uncertainty(result).profiles

@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
+import re
+from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 from fmuid.errors import InputError
+from fmuid.studies.renamed_keys import RENAMED_KEYS, RENAMED_VALUES
+from fmuid.studies.schema import reference
 from fmuid.studies.study import Study
 from tests.support.study_files import FULL, write
 
@@ -25,9 +30,9 @@ REFUSED = {
     "key of a quoted parameter": ("start = 95.0", "begin = 95.0", "[parameters.\"drive.M\"] has no key 'begin'"),
     "key of a prior": ("std = 0.2", "sdt = 0.2", "[parameters.R.prior] has no key 'sdt' (did you mean 'std'?)"),
     "no start": ("start = 95.0", "min = 95.0", "[parameters.\"drive.M\"] needs the key 'start'"),
-    "no table": ('table = "run2.csv"', "", "[experiments][1] needs the key 'table'"),
+    "no table": ('data = "run2.csv"', "", "[experiments][1] needs the key 'data'"),
     "no outputs": ('outputs = ["i"]', "outputs = []", "[experiments][1] has no outputs"),
-    "missing table": ("run2.csv", "run3.csv", 'table = "run3.csv": there is no file'),
+    "missing table": ("run2.csv", "run3.csv", 'data = "run3.csv": there is no file'),
     "missing fmu": ("sub/Coil.fmu", "Coil.fmu", 'fmu = "Coil.fmu": there is no file'),
     "text for a number": (
         "step_size = 1e-3",
@@ -36,9 +41,9 @@ REFUSED = {
     ),
     "zero step": ("step_size = 1e-3", "step_size = 0", "[model] step_size must be a number above 0, not 0"),
     "bool for a number": (
-        "discard = 0.05",
-        "discard = true",
-        "[experiments][0] discard must be a number, 0 or above, not true",
+        "warmup = 0.05",
+        "warmup = true",
+        "[experiments][0] warmup must be a number, 0 or above, not true",
     ),
     "nan": ("start = 95.0", "start = nan", "start must be a number, not nan"),
     "number for a text": ('title = "Coil"', "title = 5", "study.toml: title must be a text in quotes, not 5"),
@@ -49,95 +54,101 @@ REFUSED = {
     "date in values": (
         "n = 3",
         "n = 1979-05-27",
-        "[model.values] n must be a number, true, false or a text, not 1979-05-27",
+        "[model.fixed] n must be a number, true, false or a text, not 1979-05-27",
     ),
-    "empty value": ("n = 3", "n = {}", "[model.values.n] needs the key 'result': the result.json of an earlier"),
+    "empty value": ("n = 3", "n = {}", "[model.fixed.n] needs the key 'result': the result.json of an earlier"),
     "interpolation": (
-        'u = "hold"',
-        'u = "holds"',
-        '"hold-previous" or "cubic" (did you mean \'hold\' or \'hold-previous\'?), not "holds"',
+        'u = "zoh"',
+        'u = "zho"',
+        '"zoh-next" or "pchip" (did you mean \'zoh\'?), not "zho"',
     ),
     "interface": (
         'interface = "co-simulation"',
         'interface = "modelexchange"',
         '[model] interface must be "co-simulation" or "model-exchange" (did you mean',
     ),
-    "integrator": (
+    "solver": (
         'interface = "co-simulation"',
-        'integrator = "rk5"',
-        '[model] integrator must be "rk4" or "rk45" or "cvode" (did you mean',
+        'solver = "rk5"',
+        '[model] solver must be "rk4" or "rk45" or "cvode" (did you mean',
     ),
     "tolerance": (
         'interface = "co-simulation"',
         "tolerance = 2",
         "[model] tolerance must be a number between 0 and 1, not 2",
     ),
-    "master": (
+    "coupling": (
         'interface = "co-simulation"',
-        'master = "gauss"',
-        '[model] master must be "jacobi" or "gauss-seidel" (did you mean',
-    ),
-    "method later": (
-        '"marquardt"',
-        '"linear"',
-        '[estimator] method must be "marquardt" or "global" in this version, not "linear"',
+        'coupling = "gauss"',
+        '[model] coupling must be "jacobi" or "gauss-seidel" (did you mean',
     ),
     "method": (
-        '"marquardt"',
+        '"levenberg-marquardt"',
         '"markwart"',
-        '[estimator] method must be "marquardt" or "global" (did you mean \'marquardt\'?)',
+        '[estimation] method must be "levenberg-marquardt" or "multi-start" or "differential-evolution", not',
     ),
-    "words of a global search": (
-        '"marquardt"',
-        '"marquardt"\nseed = 1',
-        '[estimator] has seed, which goes with method = "global": choose that, or remove seed',
+    "keys of a global search": (
+        '"levenberg-marquardt"',
+        '"levenberg-marquardt"\nseed = 1',
+        '[estimation] has seed, which goes with method = "multi-start": choose that, or remove seed',
     ),
-    "search": (
-        '"marquardt"',
-        '"global"\nsearch = "evolve"',
-        '[estimator] search must be "multistart" or "evolution" (did you mean \'evolution\'?)',
+    "n_starts": (
+        '"levenberg-marquardt"',
+        '"multi-start"\nn_starts = 0',
+        "[estimation] n_starts must be a whole number above 0, not 0",
     ),
-    "starts": ('"marquardt"', '"global"\nstarts = 0', "[estimator] starts must be a whole number above 0, not 0"),
     "few starts of an evolution": (
-        '"marquardt"',
-        '"global"\nstarts = 2\nsearch = "evolution"',
-        "[estimator] is refused: starts of a global search must be a whole number from 5 on, not 2",
+        '"levenberg-marquardt"',
+        '"differential-evolution"\nn_starts = 2',
+        "[estimation] is refused: starts of a global search must be a whole number from 5 on, not 2",
     ),
-    "seed": ('"marquardt"', '"global"\nseed = -1', "[estimator] seed must be a whole number, 0 or above, not -1"),
+    "seed": (
+        '"levenberg-marquardt"',
+        '"multi-start"\nseed = -1',
+        "[estimation] seed must be a whole number, 0 or above, not -1",
+    ),
     "loss": (
-        '"marquardt"',
-        '"marquardt"\nloss = "hubr"',
+        '"levenberg-marquardt"',
+        '"levenberg-marquardt"\nloss = "hubr"',
         '"cauchy" (did you mean \'huber\'?), not "hubr"',
     ),
     "loss of a global search": (
-        '"marquardt"',
-        '"global"\nloss = "huber"',
-        'has both loss = "huber" and method = "global", which compares plain sums of squares in this version',
+        '"levenberg-marquardt"',
+        '"multi-start"\nloss = "huber"',
+        'has both loss = "huber" and method = "multi-start", which compares plain sums of squares in this version',
     ),
     "loss on a map": (
-        'sensitivity = "finite-difference"',
-        'loss = "huber"\n[uncertainty]\nmap = ["R", "drive.M"]',
-        'has both loss = "huber" and map, which compares plain sums of squares in this version',
+        'jacobian = "finite-difference"',
+        'loss = "huber"\n[uncertainty]\ncost_map = ["R", "drive.M"]',
+        'has both loss = "huber" and cost_map, which compares plain sums of squares in this version',
     ),
-    "noise start": ('"estimate"', '"estimate"\nstart = 0', "[noise] start must be a number above 0, not 0"),
-    "level": ("[noise]", "[uncertainty]\nlevel = 95\n[noise]", "level must be a number between 0 and 1, not 95"),
+    "noise start": (
+        '"estimate"',
+        '"estimate"\ninitial_variance = 0',
+        "[noise] initial_variance must be a number above 0, not 0",
+    ),
+    "level": (
+        "[noise]",
+        "[uncertainty]\nconfidence_level = 95\n[noise]",
+        "confidence_level must be a number between 0 and 1, not 95",
+    ),
     "profile": (
         "[noise]",
-        '[uncertainty]\nprofile = "R"\n[noise]',
-        "profile must be true (all parameters), false or a",
+        '[uncertainty]\nprofile_likelihood = "R"\n[noise]',
+        "profile_likelihood must be true (all parameters), false or a",
     ),
     "profile of what": (
         "[noise]",
-        '[uncertainty]\nprofile = ["r"]\n[noise]',
-        "[uncertainty] profile names 'r', which is no parameter of this study (did you mean",
+        '[uncertainty]\nprofile_likelihood = ["r"]\n[noise]',
+        "[uncertainty] profile_likelihood names 'r', which is no parameter of this study (did you mean",
     ),
-    "map": ("[noise]", '[uncertainty]\nmap = ["R"]\n[noise]', "map must be a list of pairs of parameters"),
+    "map": ("[noise]", '[uncertainty]\ncost_map = ["R"]\n[noise]', "cost_map must be a list of pairs of parameters"),
     "map of what": (
         "[noise]",
-        '[uncertainty]\nmap = [["R", "dr[second]"]]\n[noise]',
-        "[uncertainty] map names 'dr[second]', which is no parameter of this study (did you mean 'dR[second]'",
+        '[uncertainty]\ncost_map = [["R", "dr[second]"]]\n[noise]',
+        "[uncertainty] cost_map names 'dr[second]', which is no parameter of this study (did you mean 'dR[second]'",
     ),
-    "map of one": ("[noise]", '[uncertainty]\nmap = ["R", "R"]\n[noise]', "('R' is there with itself)"),
+    "map of one": ("[noise]", '[uncertainty]\ncost_map = ["R", "R"]\n[noise]', "('R' is there with itself)"),
     "posterior": (
         "[noise]",
         "[uncertainty]\nposterior = 5\n[noise]",
@@ -146,22 +157,17 @@ REFUSED = {
     "posterior key": (
         "[noise]",
         "[uncertainty]\nposterior = { step = 5 }\n[noise]",
-        "[uncertainty.posterior] has no key 'step' (did you mean 'steps' or",
+        "[uncertainty.posterior] has no key 'step' (did you mean 'max_steps' or",
     ),
     "posterior burn": (
         "[noise]",
-        "[uncertainty]\nposterior = { burn = 500 }\n[noise]",
+        "[uncertainty]\nposterior = { burn_in = 500 }\n[noise]",
         "[uncertainty.posterior] is refused: the setting burn of the sampler must be a share",
-    ),
-    "retired key": (
-        "[noise]",
-        "[noise]\ncoloured = true",
-        "[noise] has no key 'coloured' any more: leave it out, confidence intervals allow for colored noise without it",
     ),
     "uncertainty key": (
         "[noise]",
         "[uncertainty]\nprofiles = true\n[noise]",
-        "[uncertainty] has no key 'profiles' (did you mean 'profile'?)",
+        "[uncertainty] has no key 'profiles' (did you mean 'profile_likelihood'?)",
     ),
     "outside bounds": (
         "start = 4.0, min = 0",
@@ -185,8 +191,8 @@ REFUSED = {
         "[model] needs the key 'fmu', the path of the FMU, or [[model.components]]",
     ),
     "place of a column": (
-        "discard = 0.05",
-        "discard = 0.05\ntime = 0",
+        "warmup = 0.05",
+        "warmup = 0.05\ntime = 0",
         "[experiments][0] time must be a name, or a place from 1, not 0",
     ),
     "syntax": ('title = "Coil"', "title = Coil", "study.toml is not valid TOML: invalid value (at line 2, column 9)"),
@@ -234,3 +240,47 @@ def test_files_that_are_no_study(folder: Path) -> None:
     (folder / "binary.toml").write_bytes(b"\xff\xfe\x00")
     with pytest.raises(InputError, match="not UTF-8 text"):
         Study.read(folder / "binary.toml")
+
+
+def renamed() -> Iterator[tuple[str, Any, str]]:
+    """Yield each old key or value, the content of a study that has it, and what is said of it."""
+
+    def content(path: str, inner: dict[str, Any]) -> dict[str, Any]:
+        for part in reversed(path.split(".") if path else ()):
+            inner = {"a" if part == "*" else part: [inner] if part in ("experiments", "components", "park") else inner}
+        return inner
+
+    for path, keys in RENAMED_KEYS.items():
+        for old, new in keys.items():
+            yield f"{path}.{old}", content(path, {old: 1}), f"{old} is now {new}"
+    for path, keys in RENAMED_VALUES.items():
+        section, _, key = path.rpartition(".")
+        for old, new in keys.items():
+            yield f"{path} {old}", content(section, {"a" if key == "*" else key: old}), f'= "{old}" is now "{new}"'
+
+
+@pytest.mark.parametrize(("data", "said"), [pytest.param(*each[1:], id=each[0]) for each in renamed()])
+def test_renamed_is_refused_by_its_new_name(data: dict[str, Any], said: str) -> None:
+    with pytest.raises(InputError) as refusal:
+        Study.of(data, "study.toml")
+    assert str(refusal.value).startswith("study.toml: ")
+    assert str(refusal.value).endswith(said)
+
+
+def test_new_names_are_keys() -> None:
+    """What a refusal names is a key of that section, or a value that its key takes."""
+    page = reference()
+    for path, keys in RENAMED_KEYS.items():
+        name = path.replace("causes.*", "causes.sensor_gain").replace("*", "<name>")
+        head = re.search(rf"^## `\[+{re.escape(name)}\]+`$" if path else "^## The file$", page, re.MULTILINE)
+        assert head, path
+        section = page[head.end() :].split("\n## ")[0]
+        assert [new for new in keys.values() if f"| `{new}` |" not in section and " " not in new] == []
+
+
+def test_dropped_is_refused(folder: Path) -> None:
+    text = FULL.replace('variance = "estimate"', "coloured = true")
+    with pytest.raises(InputError, match=r"\[noise\] coloured has been dropped, remove it: confidence intervals"):
+        Study.read(write(folder, text))
+    with pytest.raises(InputError, match=r"with --set: \[noise\] coloured has been dropped"):
+        Study.read(write(folder), ["noise.coloured=true"])

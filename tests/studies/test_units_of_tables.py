@@ -14,10 +14,10 @@ STUDY = """
 [model]
 fmu = "{fmu}"
 [[experiments]]
-table = "table.csv"
+data = "table.csv"
 inputs = ["u"]
 outputs = ["i"]
-interpolation = "hold"
+interpolation = "zoh"
 {more}
 [parameters]
 R = {{ start = 3.0, min = 0.0 }}

@@ -21,50 +21,50 @@ TEXT = """
 title = "Coil"
 [model]
 step_size = 1e-3
-connectors = { R = ["a.R", "b.R"] }
-values = { "a.L" = 0.1 }
+shared_variables = { R = ["a.R", "b.R"] }
+fixed = { "a.L" = 0.1 }
 components = [{ name = "a", fmu = "file" }, { name = "b", fmu = "file" }]
 connections = [{ from = "a.i", to = "b.u", factor = 2 }]
 [[experiments]]
-table = "file"
+data = "file"
 inputs = { u = "voltage" }
 outputs = ["i"]
-interpolation = { u = "hold" }
+interpolation = { u = "zoh" }
 units = { i = "mA" }
 [parameters]
-R = { start = 4, per_experiment = true, prior = { result = "file", inflate = 10 } }
+R = { start = 4, per_experiment = true, prior = { result = "file", std_factor = 10 } }
 [prior]
 names = ["R", "L"]
 mean = [1, 2.0]
 covariance = [[1, 0], [0, 1]]
 [noise]
 variance = { i = 0.04 }
-start = 1
-[estimator]
-method = "global"
-starts = 20
+initial_variance = 1
+[estimation]
+method = "multi-start"
+n_starts = 20
 [uncertainty]
-profile = ["R"]
-posterior = { steps = 2000 }
-map = [["R", "L"]]
+profile_likelihood = ["R"]
+posterior = { max_steps = 2000 }
+cost_map = [["R", "L"]]
 [diagnosis]
-healthy = "file"
-inflate = { R = inf }
+baseline = "file"
+std_factor = { R = inf }
 [diagnosis.faults.turns]
 parameters = { dR = { nominal = 1 } }
-angle = { phi = { size = "dR" } }
-names = { R = "a.R" }
+angles = { phi = { magnitude = "dR" } }
+variable_map = { R = "a.R" }
 [monitoring]
-window = 1
+window_length = 1
 [batch]
-tables = ["*.csv"]
-starts = [{ R = 3.0 }]
-subsets = [["R"]]
-values = { L = { from = 0.1, to = 0.2, count = 3 }, on = [true, false] }
-sample = { count = 4, ranges = { L = [1, 2] } }
-noise = { draws = 10, std = { i = 0.1 }, truth = { R = 4 } }
+data = ["*.csv"]
+starting_points = [{ R = 3.0 }]
+free_parameters = [["R"]]
+sweep = { L = { from = 0.1, to = 0.2, count = 3 }, on = [true, false] }
+space_filling = { points = 4, ranges = { L = [1, 2] } }
+monte_carlo = { realizations = 10, std = { i = 0.1 }, true_values = { R = 4 } }
 [isolation]
-memory = 100.0
+memory_limit_mb = 100.0
 """
 ODD: list[Any] = [
     None,

@@ -20,7 +20,7 @@ SOUND = """
 fmu = "Coil.fmu"
 
 [[experiments]]
-table = "run.csv"
+data = "run.csv"
 inputs = ["u"]
 outputs = ["i"]
 
@@ -30,8 +30,8 @@ R = { start = 3.0, min = 0.0, max = 10.0 }
 [noise]
 variance = "estimate"
 
-[estimator]
-method = "marquardt"
+[estimation]
+method = "levenberg-marquardt"
 """
 
 

@@ -25,8 +25,8 @@ from fmuid.studies.study import Study
 from tests.support.coil_study import STUDY, fmuid_
 
 DRAWS = 30
-NOISE = "[batch]\nnoise = {{ draws = {draws}, std = 0.02, truth = {{ R = 4.0, L = 0.1 }} }}\n"
-RECORDS = '[batch]\ntables = "records/*.csv"\nstarts = 2\n'
+NOISE = "[batch]\nmonte_carlo = {{ realizations = {draws}, std = 0.02, true_values = {{ R = 4.0, L = 0.1 }} }}\n"
+RECORDS = '[batch]\ndata = "records/*.csv"\nstarting_points = 2\n'
 
 
 def write(folder: Path, batch: str, **replaced: str) -> Path:

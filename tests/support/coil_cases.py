@@ -33,7 +33,7 @@ def record(seed: int, r: float = R) -> pd.DataFrame:
 def study_of(case_folder: Path, batch: Mapping[str, Any] | None, **tables: Any) -> Study:
     data: dict[str, Any] = {
         "model": {"fmu": str(COIL)},
-        "experiments": [{"table": "table.csv", "inputs": ["u"], "outputs": ["i"], "interpolation": "hold"}],
+        "experiments": [{"data": "table.csv", "inputs": ["u"], "outputs": ["i"], "interpolation": "zoh"}],
         "parameters": {"R": {"start": 3.0, "min": 0.5, "max": 8.0}, "L": {"start": 0.2, "min": 1e-3}},
     }
     return Study.of(data | tables | ({} if batch is None else {"batch": batch}), case_folder / "study.toml")

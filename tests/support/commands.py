@@ -5,10 +5,10 @@ from __future__ import annotations
 SECOND = """
 i_start = { start = 0.0, nominal = 0.1, per_experiment = true }
 [[experiments]]
-table = "second.csv"
+data = "second.csv"
 inputs = ["u"]
 outputs = ["i"]
-interpolation = "hold"
+interpolation = "zoh"
 """
 # Nothing but a search that is given no time.
-HASTY = ["--set", "estimator.max_iterations=1", "--set", "estimator.remedies=false"]
+HASTY = ["--set", "estimation.max_iterations=1", "--set", "estimation.restarts=false"]

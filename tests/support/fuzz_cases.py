@@ -178,8 +178,8 @@ def nested(rng: Random, place: Path) -> None:
 def table(rng: Random, place: Path) -> None:
     """Spoil a table."""
     path = good.spoil_table(rng, place / "in")
-    data = {**good.STUDIES[0], "experiments": [{"table": path.name, "inputs": ["u"], "outputs": ["i"]}]}
-    data["experiments"][0]["interpolation"] = rng.choice(["linear", "hold", "cubic"])
+    data = {**good.STUDIES[0], "experiments": [{"data": path.name, "inputs": ["u"], "outputs": ["i"]}]}
+    data["experiments"][0]["interpolation"] = rng.choice(["linear", "zoh", "pchip"])
     (place / "in" / "study.toml").write_bytes(spoil.toml_file(data))
     way = rng.randrange(3)
     if way == 0:
@@ -240,7 +240,7 @@ def package(rng: Random, place: Path) -> None:
     path.write_bytes(buffer.getvalue())
     data = {
         "model": {"fmu": path.name},
-        "experiments": [{"table": "run.csv", "inputs": {"qg": "u"}, "outputs": {"drive.q": "i"}}],
+        "experiments": [{"data": "run.csv", "inputs": {"qg": "u"}, "outputs": {"drive.q": "i"}}],
         "parameters": {"drive.M": {"start": 90.0}},
     }
     (place / "in" / "study.toml").write_bytes(spoil.toml_file(data))

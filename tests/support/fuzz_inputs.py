@@ -33,22 +33,22 @@ def samples() -> pd.DataFrame:
 
 STUDIES: list[Tree] = [
     {
-        "isolation": {"time_limit": 60.0, "memory": 4.0, "recycle": 100},
+        "isolation": {"time_limit": 60.0, "memory_limit_mb": 4.0, "max_simulations_per_process": 100},
         "title": "A coil",
-        "model": {"fmu": "Coil.fmu", "values": {"L": 0.1}},
-        "experiments": [{"table": "run.csv", "inputs": ["u"], "outputs": ["i"], "discard": 0.002}],
+        "model": {"fmu": "Coil.fmu", "fixed": {"L": 0.1}},
+        "experiments": [{"data": "run.csv", "inputs": ["u"], "outputs": ["i"], "warmup": 0.002}],
         "parameters": {"R": {"start": 3.0, "min": 0.0, "max": 10.0}},
         "noise": {"variance": "estimate"},
-        "estimator": {"method": "marquardt", "max_iterations": 20, "sensitivity": "finite-difference"},
+        "estimation": {"method": "levenberg-marquardt", "max_iterations": 20, "jacobian": "finite-difference"},
     },
     {
-        "model": {"fmu": "Coil.fmu", "interface": "model-exchange", "integrator": "rk45", "tolerance": 1e-6},
+        "model": {"fmu": "Coil.fmu", "interface": "model-exchange", "solver": "rk45", "tolerance": 1e-6},
         "experiments": [
             {
-                **{"name": "first", "table": "run.csv", "time": "time", "inputs": {"u": "u"}, "outputs": {"i": "i"}},
-                **{"interpolation": {"u": "hold"}, "units": {"i": "A"}},
+                **{"name": "first", "data": "run.csv", "time": "time", "inputs": {"u": "u"}, "outputs": {"i": "i"}},
+                **{"interpolation": {"u": "zoh"}, "units": {"i": "A"}},
             },
-            {"table": "again.csv", "inputs": ["u"], "outputs": ["i"], "interpolation": "cubic"},
+            {"data": "again.csv", "inputs": ["u"], "outputs": ["i"], "interpolation": "pchip"},
         ],
         "parameters": {
             "R": {"start": 3.0, "prior": {"mean": 4.0, "std": 0.5}},
@@ -57,8 +57,13 @@ STUDIES: list[Tree] = [
         },
         "prior": {"names": ["R", "L"], "mean": [4.0, 0.1], "covariance": [[1.0, 0.0], [0.0, 0.01]]},
         "noise": {"variance": {"i": 1e-6}},
-        "estimator": {"loss": "huber", "tolerance": 1e-8, "first_radius": 1.0, "sensitivity": "forward"},
-        "uncertainty": {"level": 0.95, "profile": ["R"], "posterior": False, "map": []},
+        "estimation": {
+            "loss": "huber",
+            "relative_step_tolerance": 1e-8,
+            "initial_trust_radius": 1.0,
+            "jacobian": "forward",
+        },
+        "uncertainty": {"confidence_level": 0.95, "profile_likelihood": ["R"], "posterior": False, "cost_map": []},
     },
     {
         "model": {
@@ -67,44 +72,44 @@ STUDIES: list[Tree] = [
                 {"name": "b", "fmu": "Coil.fmu", "interface": "co-simulation"},
             ],
             "connections": [{"from": "a.i", "to": "b.u", "factor": 10.0, "offset": 0.1}],
-            "connectors": {"R": ["a.R", "b.R"]},
-            "master": "gauss-seidel",
+            "shared_variables": {"R": ["a.R", "b.R"]},
+            "coupling": "gauss-seidel",
             "step_size": 1e-3,
         },
-        "experiments": [{"table": "run.csv", "inputs": {"a.u": "u"}, "outputs": {"a.i + b.i": "i"}}],
+        "experiments": [{"data": "run.csv", "inputs": {"a.u": "u"}, "outputs": {"a.i + b.i": "i"}}],
         "parameters": {"R": {"start": 3.0}, "b.L": {"start": 0.2}},
-        "noise": {"variance": 1e-6, "start": 0.1},
-        "estimator": {"method": "global", "search": "multistart", "starts": 2, "seed": 1, "max_iterations": 3},
-        "prior": {"result": "result.json", "inflate": 2.0, "names": ["R"]},
+        "noise": {"variance": 1e-6, "initial_variance": 0.1},
+        "estimation": {"method": "multi-start", "search": "multistart", "n_starts": 2, "seed": 1, "max_iterations": 3},
+        "prior": {"result": "result.json", "std_factor": 2.0, "names": ["R"]},
     },
 ]
 """Studies with all words that do not take long."""
 BATCHES: list[Tree] = [
     {
-        **{name: STUDIES[0][name] for name in ("experiments", "noise", "estimator")},
+        **{name: STUDIES[0][name] for name in ("experiments", "noise", "estimation")},
         "model": {"fmu": "Coil.fmu"},
         "parameters": {"R": {"start": 3.0, "min": 0.0, "max": 10.0}, "i_start": {"start": 0.0, "nominal": 0.1}},
         "batch": {
             "combine": "product",
-            "tables": ["r*.csv", "again.csv"],
-            "starts": [{"R": 2.0}, {"R": 5.0, "i_start": 0.1}],
-            "subsets": [["R"], ["R", "i_start"]],
-            "noise": {"draws": 3, "std": {"i": 1e-3}, "truth": {"R": 4.0}},
+            "data": ["r*.csv", "again.csv"],
+            "starting_points": [{"R": 2.0}, {"R": 5.0, "i_start": 0.1}],
+            "free_parameters": [["R"], ["R", "i_start"]],
+            "monte_carlo": {"realizations": 3, "std": {"i": 1e-3}, "true_values": {"R": 4.0}},
             "seed": 1,
-            "values": {"L": [0.05, 0.1]},
+            "sweep": {"L": [0.05, 0.1]},
         },
     },
     {
-        **{name: STUDIES[0][name] for name in ("model", "experiments", "estimator")},
+        **{name: STUDIES[0][name] for name in ("model", "experiments", "estimation")},
         "parameters": {
             "R": {"start": 3.0, "prior": {"mean": 4.0, "std": 0.5}},
             "i_start": {"start": 0.0, "nominal": 1.0},
         },
         "noise": {"variance": 1e-6},
         "batch": {
-            "starts": 3,
-            "noise": {"draws": 2},
-            "sample": {"method": "sobol", "count": 4, "ranges": {"i_start": [0.0, 0.1]}},
+            "starting_points": 3,
+            "monte_carlo": {"realizations": 2},
+            "space_filling": {"method": "sobol", "points": 4, "ranges": {"i_start": [0.0, 0.1]}},
         },
     },
 ]

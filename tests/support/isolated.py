@@ -27,7 +27,7 @@ NAMES = ("gain", "T", "mode")
 TIMES: Floats = np.linspace(0.0, 3.9, 40)
 U: Floats = np.sign(np.sin(3 * TIMES + 0.1))
 RECORD_FRAME = pd.DataFrame({"time": TIMES, "u": U, "x": 0.0 * TIMES})
-RECORD = Experiment(RECORD_FRAME, ["u"], ["x"], interpolation="hold", name="record")
+RECORD = Experiment(RECORD_FRAME, ["u"], ["x"], interpolation="zoh", name="record")
 PROCESSES = [
     pytest.mark.skipif(sys.platform == "win32", reason="processes of their own need fork"),
     pytest.mark.usefixtures("nothing_said"),

@@ -15,7 +15,7 @@ from fmuid.estimation.problem import LeastSquares
 from fmuid.estimation.result import Result
 from fmuid.progress import Event, GlobalStep, Progress
 
-METHODS: tuple[Strategy, ...] = ("evolution", "multistart")
+METHODS: tuple[Strategy, ...] = ("differential-evolution", "multi-start")
 TIMES = np.linspace(0.0, 1.0, 120)
 FREQUENCY = 37.0
 RANGE = (2.0, 80.0)

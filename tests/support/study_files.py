@@ -12,23 +12,23 @@ fmu = "sub/Coil.fmu"
 interface = "co-simulation"
 step_size = 1e-3
 
-[model.values]
+[model.fixed]
 L = 0.1
 n = 3
 on = true
 word = "fast"
 
 [[experiments]]
-table = "run1.csv"
+data = "run1.csv"
 inputs = ["u"]
 outputs = { i = "current" }
-interpolation = { u = "hold" }
-discard = 0.05
+interpolation = { u = "zoh" }
+warmup = 0.05
 units = { i = "mA" }
 
 [[experiments]]
 name = "second"
-table = "run2.csv"
+data = "run2.csv"
 time = "t"
 outputs = ["i"]
 
@@ -40,9 +40,9 @@ dR = { start = 0.0, nominal = 1.0, max = inf, per_experiment = true }
 [noise]
 variance = "estimate"
 
-[estimator]
-method = "marquardt"
-sensitivity = "finite-difference"
+[estimation]
+method = "levenberg-marquardt"
+jacobian = "finite-difference"
 """
 
 

@@ -63,7 +63,7 @@ def init(
     ] = None,
     preprocess: Annotated[
         list[str] | None,
-        typer.Option(metavar="KEY=VALUE", help="Preprocessing of the data, e.g. low_pass=100; repeatable."),
+        typer.Option(metavar="KEY=VALUE", help="Preprocessing of the data, e.g. lowpass_frequency=100; repeatable."),
     ] = None,
 ) -> int:
     """Write a first study file for an FMU and data; a terminal is asked in doubt."""
@@ -72,7 +72,7 @@ def init(
 
     check_output(output)
     columns = _pairs(map_ or (), "--map", "variable=column", "ids=Id_meas")
-    words = _pairs(preprocess or (), "--preprocess", "key=value", "low_pass=100")
+    words = _pairs(preprocess or (), "--preprocess", "key=value", "lowpass_frequency=100")
     asked = InitOptions(
         parse_column(time),
         time_unit,

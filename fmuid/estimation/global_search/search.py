@@ -25,7 +25,7 @@ from fmuid.estimation.result import Result
 from fmuid.formatting import nearest
 from fmuid.progress import Progress
 
-Strategy = Literal["evolution", "multistart"]
+Strategy = Literal["differential-evolution", "multi-start"]
 
 DEFAULT_STARTS = 50
 # A generation of 50 agrees after 30 to 50 generations on problems of four parameters.
@@ -46,7 +46,7 @@ class GlobalSearch:
 
     Parameters
     ----------
-    method : "evolution" or "multistart"
+    method : "differential-evolution" or "multi-start"
     starts : int
         Points spread over the box: the first generation, which keeps this size (about ten a parameter are usual), or
         the starts of as many fits.
@@ -67,11 +67,11 @@ class GlobalSearch:
     >>> coil = fmuid.datasets.coil()
     >>> box = {name: fmuid.Parameter(each.start, min=1e-3, max=10.0) for name, each in coil.parameters.items()}
     >>> problem = fmuid.Problem(coil.fmu, coil.experiment, box)
-    >>> len(fmuid.identify(problem, fmuid.GlobalSearch("multistart", starts=3)).optima)
+    >>> len(fmuid.identify(problem, fmuid.GlobalSearch("multi-start", starts=3)).optima)
     1
     """
 
-    method: Strategy = "evolution"
+    method: Strategy = "differential-evolution"
     starts: int = DEFAULT_STARTS
     seed: int = 0
     generations: int = MOST_GENERATIONS
@@ -82,7 +82,11 @@ class GlobalSearch:
             known = " or ".join(map(repr, get_args(Strategy)))
             hint = nearest(str(self.method), get_args(Strategy))
             raise InputError(f"the method of a global search must be {known}, not {self.method!r}{hint}")
-        least = {"starts": LEAST_POPULATION if self.method == "evolution" else 1, "seed": 0, "generations": 1}
+        least = {
+            "starts": LEAST_POPULATION if self.method == "differential-evolution" else 1,
+            "seed": 0,
+            "generations": 1,
+        }
         for name, value in least.items():
             given = getattr(self, name)
             if isinstance(given, bool) or not isinstance(given, int) or given < value:
@@ -156,7 +160,7 @@ class _BoxSearch:
         interrupted = False
         try:
             starts, generations = self.settings.starts, self.settings.generations
-            evolved = self.settings.method == "evolution"
+            evolved = self.settings.method == "differential-evolution"
             self._fit(self.explored.evolve(starts, generations) if evolved else self.explored.spread(starts))
             self._finish()
         except KeyboardInterrupt:
@@ -178,7 +182,7 @@ class _BoxSearch:
         error: FmuidError | None = None
         for number, start in enumerate(starts, 1):
             try:
-                if self.settings.method == "evolution" and self._known(start):
+                if self.settings.method == "differential-evolution" and self._known(start):
                     continue
                 self._keep(identify(self.problem, short, start=start))
             except (InputError, SimulationError) as caught:  # a start from which nothing moves, for instance

@@ -71,7 +71,7 @@ def equation_error(
     >>> t = np.arange(0.0, 0.2, 1e-3)
     >>> i = (1.0 - np.exp(-t / 0.025)) / 4.0
     >>> terms = {"R": fmuid.Term(i), "L": fmuid.Term(i, derivative=1)}
-    >>> voltage = fmuid.Term(np.ones_like(t), interpolation="hold")
+    >>> voltage = fmuid.Term(np.ones_like(t), interpolation="zoh")
     >>> fmuid.equation_error(t, voltage, terms, cutoff=40.0).values.round(3)
     array([4. , 0.1])
     """
@@ -120,9 +120,9 @@ def instrumental_variables(
     ...     y = np.zeros(times.size)
     ...     for k in range(times.size - 1):
     ...         y[k + 1] = y[k] + 0.01 * (theta[0] * y[k] + theta[1] * u[k])
-    ...     return {"a": fmuid.Term(y), "b": fmuid.Term(u, interpolation="hold")}
+    ...     return {"a": fmuid.Term(y), "b": fmuid.Term(u, interpolation="zoh")}
     >>> y = simulated([-2.0, 4.0])["a"].values + 0.05 * np.random.default_rng(0).standard_normal(times.size)
-    >>> terms = {"a": fmuid.Term(y), "b": fmuid.Term(u, interpolation="hold")}
+    >>> terms = {"a": fmuid.Term(y), "b": fmuid.Term(u, interpolation="zoh")}
     >>> fmuid.instrumental_variables(times, fmuid.Term(y, derivative=1), terms, simulated, cutoff=10.0).values.round(1)
     array([-2.,  4.])
     """

@@ -27,7 +27,7 @@ from fmuid.array_types import Floats, numbers
 from fmuid.errors import InputError
 from fmuid.formatting import nearest
 
-INTERPOLATIONS = ("linear", "hold")
+INTERPOLATIONS = ("linear", "zoh")
 # Higher derivatives than any record knows: an equation that has one is mistyped.
 MOST_DERIVATIVES = 20
 # What is interpolated over a hole of so many time constants of the filter says nothing of the equation.
@@ -44,7 +44,7 @@ class Term:
         Samples of the signal itself, which may be a product of measured ones; NaN where one is missing.
     derivative : int
         Which derivative of it is meant; 0 is the signal.
-    interpolation : "linear" or "hold"
+    interpolation : "linear" or "zoh"
         Between samples, also missing ones.
 
     Examples
@@ -124,7 +124,7 @@ class StateVariableFilter:
             If a term has not a sample a time, none at all, or a derivative beyond the order.
         """
         signals = np.column_stack([self._filled(term) for term in terms])
-        held = np.array([term.interpolation == "hold" for term in terms])
+        held = np.array([term.interpolation == "zoh" for term in terms])
         m, inner = self.order, np.zeros((self.order + 2, len(terms)))
         states = np.zeros((self.times.size, m + 1, len(terms)))
         states[:, 0] = signals
@@ -160,7 +160,7 @@ class StateVariableFilter:
                 f"a term has no sample from {known[at]:g} to {known[at + 1]:g} s, which is more than "
                 f"{LONGEST_HOLE:g} times the filter's 1/cutoff: leave that part of the record out"
             )
-        if term.interpolation == "hold":
+        if term.interpolation == "zoh":
             return np.asarray(pd.Series(values).ffill().bfill(), dtype=np.float64)
         return np.asarray(np.interp(self.times, self.times[there], values[there]), dtype=np.float64)
 

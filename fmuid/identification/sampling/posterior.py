@@ -5,12 +5,13 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from enum import Enum
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 import pandas as pd
 
 from fmuid.array_types import Floats
+from fmuid.codec import Layout
 from fmuid.errors import InputError
 from fmuid.estimation import WeakDirection, check_level
 
@@ -150,6 +151,20 @@ class Posterior:
     acceptance: float
     simulations: int
     elapsed_s: float
+
+    json_layout: ClassVar = Layout(
+        omitted={"chain", "log_density"}, derived=("converged", "mean", "std", "covariance", "steps", "walkers")
+    )
+
+    @property
+    def steps(self) -> int:
+        """Of each walker, the discarded ones included."""
+        return len(self.chain)
+
+    @property
+    def walkers(self) -> int:
+        """How many there are."""
+        return int(self.chain.shape[1])
 
     @property
     def converged(self) -> bool:

@@ -259,7 +259,7 @@ class _Sampler:
 
     def _other_optima(self) -> list[Result]:
         """Return the optima, other than the estimate, that hold a share of the posterior."""
-        search = GlobalSearch("multistart", starts=SEARCHES, seed=self.settings.seed)
+        search = GlobalSearch("multi-start", starts=SEARCHES, seed=self.settings.seed)
         try:
             search.check(self.problem)
             found = search.search(self.problem, self.progress)

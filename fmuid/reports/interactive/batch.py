@@ -11,7 +11,7 @@ import pandas as pd
 from scipy import special
 
 from fmuid.array_types import Floats
-from fmuid.reports.downsampling import evenly
+from fmuid.data import evenly
 from fmuid.reports.interactive.bokeh_spec import ColumnDataSource, FactorRange, Field
 from fmuid.reports.interactive.rows import rows_of
 from fmuid.reports.interactive.style import (

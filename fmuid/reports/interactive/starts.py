@@ -10,7 +10,7 @@ import numpy.typing as npt
 import pandas as pd
 
 from fmuid.array_types import Flags, Floats
-from fmuid.reports.downsampling import evenly
+from fmuid.data import evenly
 from fmuid.reports.interactive.batch import outside
 from fmuid.reports.interactive.bokeh_spec import ColumnDataSource
 from fmuid.reports.interactive.style import AMBER, BLUE, MAX_DOTS, RED, Panel, Units, named

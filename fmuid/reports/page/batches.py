@@ -13,12 +13,10 @@ from fmuid.formatting import rounded, unit_text
 from fmuid.reports.interactive import batch
 from fmuid.reports.interactive.starts import over_starts
 from fmuid.reports.messages.result import capitalised
-from fmuid.reports.page.contents import read_table
 from fmuid.reports.page.document import Part, Section, table
 from fmuid.reports.page.provenance import origin
-from fmuid.reports.page.saved import read_json
 from fmuid.reports.page.verdict import ReportStatement
-from fmuid.runs import BatchColumns, estimates, is_repetition, read_rows
+from fmuid.runs import BatchColumns, estimates, is_repetition, read_overview, read_rows, read_table
 
 CASES = (
     "Estimates of the cases that converged, with their intervals where there are few; of very many, the fuller a cell, "
@@ -48,13 +46,13 @@ def part(folder: Path) -> Part:
     InputError
         If a file in it cannot be read.
     """
-    content = read_json(folder / "summary.json")
+    found = read_overview(folder)
     tables = {name: read_table(folder / f"{name}.csv") for name in _TABLES if is_file(folder / f"{name}.csv")}
     try:
         frame = read_rows(folder, _wanted)
-        said = [ReportStatement(capitalised(str(text), content["units"]), "distributions") for text in content["words"]]
-        counts = {str(name): int(count) for name, count in content["statuses"].items()}
-        sections = sections_of(frame, tables, content["truth"], content["units"], given_noise=content["given_noise"])
+        truth, units, counts = dict(found.truth), dict(found.units), dict(found.statuses)
+        said = [ReportStatement(capitalised(text, units), "distributions") for text in found.words]
+        sections = sections_of(frame, tables, truth, units, given_noise=found.given_noise)
     except (OSError, KeyError, TypeError, ValueError, AttributeError) as error:
         raise InputError(
             f"{folder} has no whole results of fmuid batch ({error}): run the same command again"
@@ -64,7 +62,7 @@ def part(folder: Path) -> Part:
     shown = [each for each in sections if each.figures]
     rows = {"cases": ", ".join(f"{count} {name}" for name, count in counts.items())}
     head = summary_table(tables["summary"]) if "summary" in tables else ""
-    return Part("Batch", f"{done} of {total}", done == total, said, head, shown, origin(content, rows))
+    return Part("Batch", f"{done} of {total}", done == total, said, head, shown, origin(found.origin, rows))
 
 
 _TABLES = ("summary", "failures")

@@ -66,7 +66,7 @@ class BatchResult(PlotMixin):
 
     Examples
     --------
-    >>> words = fmuid.datasets.coil().study | {"batch": {"noise": {"draws": 3, "std": 0.01}}}
+    >>> words = fmuid.datasets.coil().study | {"batch": {"monte_carlo": {"realizations": 3, "std": 0.01}}}
     >>> found = fmuid.Batch(fmuid.Study.of(words, "coil.toml"), "out", workers=1).run()
     >>> found.frame["status"].tolist()
     ['converged', 'converged', 'converged']
@@ -125,7 +125,7 @@ class Batch(HtmlTableMixin):
 
     Examples
     --------
-    >>> words = fmuid.datasets.coil().study | {"batch": {"noise": {"draws": 3, "std": 0.01}}}
+    >>> words = fmuid.datasets.coil().study | {"batch": {"monte_carlo": {"realizations": 3, "std": 0.01}}}
     >>> fmuid.Batch(fmuid.Study.of(words, "coil.toml"), "out", workers=1).run()
     BatchResult(3 of 3 cases, 'out')
     """

@@ -104,10 +104,10 @@ def _given(prior: JointPrior, known: Mapping[str, float]) -> JointPrior | None:
 def truth_values(study: Study, held: Values) -> dict[str, Value]:
     """Return what noise is drawn around: every parameter, one by one, and what else is not as the study says.
 
-    A value is the one that ``noise.truth`` gives, else the one held, else the parameter's start.
+    A value is the one that ``monte_carlo.true_values`` gives, else the one held, else the parameter's start.
     """
-    drawn = study.batch.noise if study.batch is not None else None
-    given = {} if drawn is None else drawn.truth
+    drawn = study.batch.monte_carlo if study.batch is not None else None
+    given = {} if drawn is None else drawn.true_values
     flat = flat_names(study)
     found: dict[str, Value] = {
         full: given.get(full, given.get(name, held.get(name, study.parameters[name].start)))
@@ -162,7 +162,7 @@ def check_model(study: Study, settings: BatchSettings, subsets: Sequence[Sequenc
         for free in subsets:
             problem = problem_of(study, experiments, free, held, {})
             study.estimator.check(problem)
-        if settings.noise is not None:
+        if settings.monte_carlo is not None:
             truth_simulators(study, experiments, truth_values(study, held))
     except InputError as error:
         raise settings.error(f"does not fit: {error}") from None
@@ -172,4 +172,4 @@ def _unmeasured(given: ExperimentSettings, rows: int) -> Experiment:
     """Return an experiment that is still to be made: inputs at rest, and the names of the outputs."""
     columns = dict.fromkeys(given.inputs.values(), 0.0)
     frame = pd.DataFrame({time_name(given.time): np.arange(rows, dtype=np.float64)} | columns)
-    return given.model_copy(update={"discard": 0.0}).experiment(frame, str(given.table), measured=False)
+    return given.model_copy(update={"warmup": 0.0}).experiment(frame, str(given.data), measured=False)

@@ -1,7 +1,7 @@
 """The cases of a batch, one by one: what each varies, computed from its number alone.
 
-The axes of a batch are, in this order: tables, each variable of values, sample, subsets, starts, draws of the noise. In
-a product the last axis varies fastest; in a list the n-th case has the n-th entry of every axis.
+The axes of a batch are, in this order: data, each variable of sweep, space_filling, free_parameters, starting_points,
+monte_carlo. In a product the last axis varies fastest; in a list the n-th case has the n-th entry of every axis.
 """
 
 from __future__ import annotations
@@ -127,9 +127,9 @@ class CaseList:
         cases = cls(study)
         for name, path in cases._records:
             if not is_file(path):
-                raise cases.settings.error(f"tables: there is no file {full(path)}, the record {name!r}")
+                raise cases.settings.error(f"data: there is no file {full(path)}, the record {name!r}")
         _ = study.notes  # checks that results which priors are taken from are of this model
-        subsets = [cases._subset(entry) for entry in range(len(cases.settings.subsets))] or [cases._free]
+        subsets = [cases._subset(entry) for entry in range(len(cases.settings.free_parameters))] or [cases._free]
         check_model(study, cases.settings, subsets, cases[0].held)
         return cases
 
@@ -158,7 +158,7 @@ class CaseList:
 
     def _entries(self, number: int) -> list[int]:
         """Return the entry of every axis that a case has."""
-        if self.settings.combine == "list":
+        if self.settings.combine == "zip":
             return [number] * len(self._axes)
         found = []
         for axis in reversed(self._axes):
@@ -167,25 +167,27 @@ class CaseList:
         return found[::-1]
 
     def _all_axes(self) -> list[_Axis]:
-        settings, starts = self.settings, self.settings.starts
-        axes = [_Axis("tables", len(self._records), self._put_table)]
-        axes += [_Axis(f"values.{name}", len(some), _putting(name, some)) for name, some in settings.values.items()]
-        if settings.sample is not None:
-            axes.append(_Axis("sample", settings.sample.count, self._putting_sample(settings.sample)))
-        axes.append(_Axis("subsets", len(settings.subsets), self._put_subset))
+        settings, starts = self.settings, self.settings.starting_points
+        axes = [_Axis("data", len(self._records), self._put_table)]
+        axes += [_Axis(f"sweep.{name}", len(some), _putting(name, some)) for name, some in settings.sweep.items()]
+        if settings.space_filling is not None:
+            axes.append(
+                _Axis("space_filling", settings.space_filling.points, self._putting_sample(settings.space_filling))
+            )
+        axes.append(_Axis("free_parameters", len(settings.free_parameters), self._put_subset))
         if starts is not None:
-            axes.append(_Axis("starts", starts if isinstance(starts, int) else len(starts), self._put_starts))
-        if settings.noise is not None:
-            axes.append(_Axis("noise", settings.noise.draws, self._put_draw))
+            axes.append(_Axis("starting_points", starts if isinstance(starts, int) else len(starts), self._put_starts))
+        if settings.monte_carlo is not None:
+            axes.append(_Axis("monte_carlo", settings.monte_carlo.realizations, self._put_draw))
         return [axis for axis in axes if axis.count]
 
     def _length(self) -> int:
         counts = {axis.word: axis.count for axis in self._axes}
-        if self.settings.combine == "list":
+        if self.settings.combine == "zip":
             if len(set(counts.values())) > 1:
                 said = ", ".join(f"{count} of {word}" for word, count in counts.items())
                 raise self.settings.error(
-                    f'has combine = "list" and axes of different lengths ({said}): make them equally long, or combine '
+                    f'has combine = "zip" and axes of different lengths ({said}): make them equally long, or combine '
                     'them as a "product"'
                 )
             return next(iter(counts.values()))
@@ -207,19 +209,19 @@ class CaseList:
         draft.free = self._subset(entry)
 
     def _put_starts(self, draft: _Draft, entry: int) -> None:
-        given = self.settings.starts
+        given = self.settings.starting_points
         draft.starts = given[entry] if isinstance(given, list) else self._start_ranges.draw(self.settings.seed, entry)
 
     def _put_draw(self, draft: _Draft, entry: int) -> None:
         draft.draw = entry
 
     def _subset(self, entry: int) -> tuple[str, ...]:
-        return tuple(name for name in self._free if name in self.settings.subsets[entry])
+        return tuple(name for name in self._free if name in self.settings.free_parameters[entry])
 
     @cached_property
     def _design(self) -> list[list[float]]:
         """The points of the space-filling design."""
-        sample = self.settings.sample
+        sample = self.settings.space_filling
         return [] if sample is None else design(sample, self.settings.seed).tolist()
 
     @cached_property
@@ -233,7 +235,7 @@ class CaseList:
     @cached_property
     def _started(self) -> tuple[str, ...]:
         """The parameters whose start varies."""
-        given = self.settings.starts
+        given = self.settings.starting_points
         named = self._free if isinstance(given, int) else {name for start in given or () for name in start}
         return tuple(name for name in self._free if name in named)
 
@@ -243,8 +245,8 @@ class CaseList:
             *(["table"] if self._records else []),
             *(f"start.{name}" for name in self._started),
             *(f"set.{name}" for name in settings.swept),
-            *(["free"] if settings.subsets else []),
-            *(["draw"] if settings.noise is not None else []),
+            *(["free"] if settings.free_parameters else []),
+            *(["draw"] if settings.monte_carlo is not None else []),
         ]
 
     def _settings_of(self, draft: _Draft) -> dict[str, Value]:
@@ -254,17 +256,17 @@ class CaseList:
             start = draft.starts.get(name, self.study.parameters[name].start)
             found[f"start.{name}"] = start if name in draft.free else math.nan
         found |= {f"set.{name}": value for name, value in draft.held.items()}
-        found |= {"free": " ".join(draft.free)} if self.settings.subsets else {}
+        found |= {"free": " ".join(draft.free)} if self.settings.free_parameters else {}
         return found | ({} if draft.draw is None else {"draw": draft.draw})
 
     def _check_starts(self) -> None:
-        given = self.settings.starts
+        given = self.settings.starting_points
         for number, start in enumerate(given if isinstance(given, list) else ()):
             for name, value in start.items():
                 try:
                     replace(self.study.parameters[name], start=value)
                 except InputError as error:
-                    raise self.settings.error(f"starts[{number}].{name}: {error}") from None
+                    raise self.settings.error(f"starting_points[{number}].{name}: {error}") from None
 
 
 def _putting(name: str, values: Sequence[Value]) -> Callable[[_Draft, int], None]:
@@ -281,11 +283,11 @@ def truth_of(study: Study) -> dict[str, float]:
     of its own for it.
     """
     batch = study.batch
-    if batch is None or batch.noise is None:
+    if batch is None or batch.monte_carlo is None:
         return {}
     truth = truth_values(study, {})
     return {
         flat: float(truth[flat])
         for flat, name in flat_names(study).items()
-        if name not in batch.swept or {flat, name} & set(batch.noise.truth)
+        if name not in batch.swept or {flat, name} & set(batch.monte_carlo.true_values)
     }

@@ -56,9 +56,9 @@ def design(sample: SpaceFillingSection, seed: int) -> Floats:
 
     rng, n = generator(seed, FOR_SAMPLE), len(sample.ranges)
     if sample.method == "sobol":
-        units = qmc.Sobol(n, rng=rng).random_base2(math.ceil(math.log2(sample.count)))[: sample.count]
+        units = qmc.Sobol(n, rng=rng).random_base2(math.ceil(math.log2(sample.points)))[: sample.points]
     else:
-        units = qmc.LatinHypercube(n, rng=rng).random(sample.count)
+        units = qmc.LatinHypercube(n, rng=rng).random(sample.points)
     low, high = np.array(list(sample.ranges.values())).T
     return np.asarray(qmc.scale(units, low, high), dtype=np.float64)
 

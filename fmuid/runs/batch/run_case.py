@@ -21,10 +21,10 @@ import numpy as np
 
 from fmuid.array_types import Floats
 from fmuid.blas import single_threaded
+from fmuid.codec import as_json, from_json
 from fmuid.data import Experiment
 from fmuid.errors import FmuidError
 from fmuid.estimation import JacobianCache, Result, SolverCheck, TerminationReason, WeakDirection, waypoints
-from fmuid.files import as_json
 from fmuid.identification import CheckedRegion, Problem, identify
 from fmuid.runs.batch.case_problem import flat_names, problem_of, truth_simulators, truth_values
 from fmuid.runs.batch.cases import Case, CaseList
@@ -104,7 +104,7 @@ class CaseRunner:
     def __init__(self, study: Study, copies: CopiedFiles | None = None, no_way: Iterable[Hashable] = ()) -> None:
         self.study, self.cases = study, CaseList(study)
         self._copies = copies or CopiedFiles(Path(), {})
-        self._drawn, self._seed = self.cases.settings.noise, self.cases.settings.seed
+        self._drawn, self._seed = self.cases.settings.monte_carlo, self.cases.settings.seed
         self._outputs = tuple(dict.fromkeys(name for given in study.experiments for name in given.outputs))
         self._tables: _BoundedCache[Path | None, tuple[Experiment, ...]] = _BoundedCache()
         self._before: tuple[object, Problem] | None = None  # what the case before had to be simulated, and its problem
@@ -168,7 +168,7 @@ class CaseRunner:
         key = case.table, case.free, tuple(case.held.items())
         like = self._before[1] if self._before and self._before[0] == key else None
         problem = problem_of(self.study, experiments, case.free, case.held, case.starts, like)
-        problem.one_of_many = case.draw is not None and self.cases.settings.starts is None
+        problem.one_of_many = case.draw is not None and self.cases.settings.starting_points is None
         self._before = key, problem
         way = case.record, *key
         if problem.one_of_many and drawn is not None and self._often(drawn) and way not in self.no_way:
@@ -181,7 +181,7 @@ class CaseRunner:
     def _often(self, drawn: MonteCarloSection) -> bool:
         """Whether so many cases differ in their noise alone that a search beforehand pays."""
         study, product = self.study, self.cases.settings.combine == "product"
-        return product and drawn.draws >= MANY_DRAWS and not (study.estimator.whole_box or study.model.choices)
+        return product and drawn.realizations >= MANY_DRAWS and not (study.estimator.whole_box or study.model.choices)
 
     def _way(
         self, way: Hashable, case: Case, drawn: MonteCarloSection, experiments: tuple[Experiment, ...]
@@ -218,12 +218,12 @@ class CaseRunner:
         flat = flat_names(self.study)
         given = [self.study.parameters[flat.get(name, name)] for name in problem.parameters.names]
         scale = np.array([each.nominal or abs(each.start) or 1.0 for each in given])
-        return CheckedRegion(scale, one_start=self.cases.settings.starts is None)
+        return CheckedRegion(scale, one_start=self.cases.settings.starting_points is None)
 
     # --- tables and noise
 
     def _read(self, table: Path | None) -> tuple[Experiment, ...]:
-        return tuple(self._experiment(given, table or given.table) for given in self.study.experiments)
+        return tuple(self._experiment(given, table or given.data) for given in self.study.experiments)
 
     def _experiment(self, given: ExperimentSettings, table: Path) -> Experiment:
         """Read a table; the outputs need not be in it where they are simulated."""
@@ -312,7 +312,7 @@ def directions_text(directions: Sequence[WeakDirection]) -> str:
 
 def directions_of(text: str) -> tuple[WeakDirection, ...]:
     """Return the directions of a row's ``undetermined``."""
-    return tuple(WeakDirection.of_json(each) for each in json.loads(text)) if text else ()
+    return tuple(from_json(WeakDirection, each) for each in json.loads(text)) if text else ()
 
 
 def _accuracy_of(found: SolverCheck | None) -> dict[str, object]:

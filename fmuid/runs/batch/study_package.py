@@ -17,7 +17,7 @@ from fmuid.studies import Study
 from fmuid.version import __version__
 
 # Keys of a study file that name a file.
-FILE_KEYS = ("fmu", "table", "result")
+FILE_KEYS = ("fmu", "data", "result")
 # What a study says beside that no row of a batch depends on.
 NOT_IN_ROWS = ("title", "uncertainty", "diagnosis")
 CHANGES_TOLD = 4
@@ -123,7 +123,7 @@ class BatchStudy:
         self._known = set(study.files())
         data = _renamed({key: value for key, value in study.data.items() if key not in NOT_IN_ROWS}, self._name_of)
         if found:
-            data["batch"]["tables"] = {name: self._records[path] for name, path in found.items()}
+            data["batch"]["data"] = {name: self._records[path] for name, path in found.items()}
         self.digests = {path: _digest(path) for path in (*self._names, *self._records)}
         files = {name: content for path, name in self._names.items() if (content := self._content(path)) is not None}
         originals = {name: str(path) for path, name in (*self._names.items(), *self._records.items())}
@@ -202,8 +202,8 @@ def changes(earlier: Mapping[str, Any], now: Mapping[str, Any]) -> list[str]:
 def _renamed(node: Any, rename: Callable[[str], str], key: str = "") -> Any:
     """Return a part of a study with other names of files."""
     if isinstance(node, Mapping):
-        # [batch.tables] has files by the names of their records
-        return {str(name): _renamed(each, rename, "table" if key == "tables" else name) for name, each in node.items()}
+        # [batch.data] has files by the names of their records
+        return {str(name): _renamed(each, rename, key if key == "data" else name) for name, each in node.items()}
     if isinstance(node, list):
         return [_renamed(value, rename, key) for value in node]
     return rename(node) if isinstance(node, str) and key in FILE_KEYS else node

@@ -102,7 +102,7 @@ class LogFollower:
         files = [] if state is None else state["files"]
         self._files = {each["file"]: Followed(**{**each, "begins": tuple(each["begins"])}) for each in files}
         self._numbers: dict[str, int] = {} if state is None else dict(state["numbers"])  # records of each stem
-        self._by_rows = window is not None and words.prepare.settings().by_rows
+        self._by_rows = window is not None and words.preprocess.settings().by_rows
         self._most = MOST_BYTES
 
     @property
@@ -230,7 +230,7 @@ class LogFollower:
             return None
         if count < 2:
             return None
-        update = {"name": each.record, **({"discard": 0.0} if each.begun else {})}
+        update = {"name": each.record, **({"warmup": 0.0} if each.begun else {})}
         frame = rows.frame.iloc[:count]
         frame.attrs = rows.frame.attrs
         record = self.words.model_copy(update=update).experiment(frame, str(path))

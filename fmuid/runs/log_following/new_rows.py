@@ -123,7 +123,7 @@ class _Lines:
         frame = self._read(self.head + self.reference + self.content[: int(self.ends[count - 1]) if count else 0])
         columns = [time_name(words.time), *words.inputs.values(), *words.outputs.values()]
         for column in columns:
-            if column in frame.columns and not words.prepare.columns:
+            if column in frame.columns and not words.preprocess.computed_columns:
                 numeric_column(frame, column, str(self.path))
         if len(frame) != 1 + np.count_nonzero(there):
             raise InputError(f"{self.path}: its rows are no lines: save it otherwise, or give it when it is whole")

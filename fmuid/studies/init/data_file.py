@@ -49,7 +49,7 @@ class InitOptions:
     columns : mapping of str to str
         Variables of the FMU whose columns are known; an empty text for none.
     prepare : mapping
-        What is done with the tables first, the words of ``[experiments.prepare]``.
+        What is done with the tables first, the words of ``[experiments.preprocess]``.
     units : mapping of str to str
         Of columns, by the variables, where neither the table nor the FMU says them, or the table says another.
     """
@@ -154,9 +154,9 @@ class MatchedDataFile:
     @property
     def interpolation(self) -> str | dict[str, str]:
         """The interpolation of the inputs, as far as they show it; what is low-passed does not hold."""
-        if not self.held or "low_pass" in self.asked.prepare:
+        if not self.held or "lowpass_frequency" in self.asked.prepare:
             return "linear"
-        return "hold" if len(self.held) == len(self.roles("input")) else dict.fromkeys(self.held, "hold")
+        return "zoh" if len(self.held) == len(self.roles("input")) else dict.fromkeys(self.held, "zoh")
 
     @cached_property
     def experiment(self) -> Experiment | None:
@@ -184,16 +184,19 @@ class MatchedDataFile:
         Raises
         ------
         InputError
-            If `InitOptions.prepare` has others than ``[experiments.prepare]``.
+            If `InitOptions.prepare` has others than ``[experiments.preprocess]``.
         """
         from fmuid.studies.model import ExperimentSettings
+        from fmuid.studies.renamed_keys import refuse_renamed
         from fmuid.studies.section import SectionLocation
 
-        words: dict[str, Any] = {"table": str(self.path.absolute()), "name": self.path.stem, "time": self.asked.time}
+        words: dict[str, Any] = {"data": str(self.path.absolute()), "name": self.path.stem, "time": self.asked.time}
         words |= {"inputs": self.roles("input"), "outputs": self.roles("output")}
-        words |= {"interpolation": self.interpolation, "prepare": dict(self.asked.prepare)}
+        words |= {"interpolation": self.interpolation, "preprocess": dict(self.asked.prepare)}
         words |= {"units": dict(self.asked.units)}
-        return ExperimentSettings.read(words, SectionLocation(str(self.path), Path()))
+        place = SectionLocation(str(self.path), Path())
+        refuse_renamed(words, place, "experiments")
+        return ExperimentSettings.read(words, place)
 
     @property
     def missing(self) -> dict[str, int]:

@@ -105,7 +105,7 @@ def draft(fmu: Path, records: Sequence[MatchedDataFile], output: Path) -> Draft:
         f"fmu = {text(relative(fmu, output))}  # paths are relative to this file",
         *numerics(description),
         "",
-        "[model.values]  # parameters held at another value than the FMU's own: name = value",
+        "[model.fixed]  # parameters held at another value than the FMU's own: name = value",
         "",
     ]
     stems = [record.path.stem for record in records]
@@ -162,7 +162,7 @@ def _experiment(record: MatchedDataFile, output: Path, name: str, *, first: bool
     said = {"time_unit": asked.time_unit, "sample_rate": asked.sample_rate, "sheet": asked.sheet}
     return [
         "[[experiments]]" + ("  # repeat this table for further experiments" if first else ""),
-        f"table = {text(relative(record.path, output))}",
+        f"data = {text(relative(record.path, output))}",
         *([f"name = {text(name)}"] if name else []),
         f"time = {text(asked.time)}" + ("  # or what the table calls so: Time (ms), t, timestamp" if first else ""),
         *(f"{word} = {text(value)}" for word, value in said.items() if value is not None),
@@ -170,10 +170,10 @@ def _experiment(record: MatchedDataFile, output: Path, name: str, *, first: bool
         *_role(record, "output"),
         *([f"# columns that are no input or output of the FMU: {listed(record.unused)}"] if record.unused else []),
         *([f"units = {inline(asked.units)}"] if asked.units else []),
-        *([f"prepare = {inline(asked.prepare)}"] if asked.prepare else []),
+        *([f"preprocess = {inline(asked.prepare)}"] if asked.prepare else []),
         *(['# where a column has another name: outputs = { fmu_variable = "column" }'] if first else []),
         _interpolation(record),
-        ExperimentSettings.example_line("discard"),
+        ExperimentSettings.example_line("warmup"),
     ]
 
 
@@ -204,7 +204,7 @@ def _parameters(description: Description, found: Survey, experiments: int) -> li
     """Return the table of parameters: those that are proposed, and all others commented out."""
     lines = [
         "# Start, min, max and unit are the FMU's. Further keys: nominal = 1.0 (size, needed where the start is 0),",
-        '# prior = { mean = 1.0, std = 0.1 } or { result = "healthy/result.json", inflate = 10 },',
+        '# prior = { mean = 1.0, std = 0.1 } or { result = "healthy/result.json", std_factor = 10 },',
         "# per_experiment = true (one value for each experiment).",
     ]
     if found.candidates:

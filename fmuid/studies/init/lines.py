@@ -42,7 +42,7 @@ def skeleton(fmu: FMU) -> str:
         *numerics(description),
         "",
         "[[experiments]]",
-        'table = "table.csv"  # its first column is time, s',
+        'data = "table.csv"  # its first column is time, s',
         role("inputs", {name: name for name in of_tables(description, "input")}),
         role("outputs", {name: name for name in outputs}) + remark,
         "",
@@ -70,21 +70,21 @@ def numerics(description: Description) -> list[str]:
     from fmuid.studies.model import NumericsSection
 
     words = ["interface"] if len(description.interfaces) > 1 else []
-    words += ["integrator"] if "model-exchange" in description.interfaces else []
+    words += ["solver"] if "model-exchange" in description.interfaces else []
     return [NumericsSection.example_line(word) for word in (*words, "tolerance", "step_size")]
 
 
 def rest() -> list[str]:
     """Return what does not depend on FMU and table; the tables that few studies need are commented out."""
     from fmuid.studies.parameters import JointPriorSection
-    from fmuid.studies.settings import EstimationSection, NoiseSection, UncertaintySection
+    from fmuid.studies.settings import EstimationWords, NoiseSection, UncertaintySection
 
     return [
         *_table(JointPriorSection, "prior", asked=False),
         "",
         *_table(NoiseSection, "noise", asked=True),
         "",
-        *_table(EstimationSection, "estimator", asked=True),
+        *_table(EstimationWords, "estimation", asked=True),
         "",
         *_table(UncertaintySection, "uncertainty", asked=False),
     ]

@@ -109,12 +109,12 @@ def test_init_gives_a_study_that_runs(folder: Path, capsys: pytest.CaptureFixtur
     content = tomllib.loads(text)
     assert content["experiments"] == [
         {
-            "table": "first.csv",
+            "data": "first.csv",
             "time": "time",  # which t is too
             "inputs": ["u"],
             "outputs": ["i"],
-            "interpolation": "hold",  # as the voltage shows
-            "discard": 0.0,
+            "interpolation": "zoh",  # as the voltage shows
+            "warmup": 0.0,
         }
     ]
     assert content["parameters"] == {"R": {"start": 4.0, "min": 0.0}, "L": {"start": 0.1, "min": 1e-9}}
@@ -143,14 +143,18 @@ def test_every_line_of_a_draft_is_valid(folder: Path) -> None:
     study.write_text("\n".join(lines))
     read = Study.read(study)
     assert list(read.parameters)[:4] == ["Rs", "Rr", "Lm", "Lf"]
-    assert read.experiments[0].table.resolve() == (folder / "run.csv").resolve()
+    assert read.experiments[0].data.resolve() == (folder / "run.csv").resolve()
 
 
 def test_every_word_that_init_comments_on_is_one(folder: Path) -> None:
     """With all its comments uncommented, what `fmuid init` writes is a study still."""
     assert fmuid_("identify", folder / "study.toml", "--output", folder / "healthy") == DONE
     made = draft(COIL, match_data_files(COIL, [folder / "first.csv"]), folder / "study.toml")
-    text = made.text.replace('"a", "b"', '"R", "L"').replace('"marquardt"', '"global"').replace('"soft_l1"', '"linear"')
+    text = (
+        made.text.replace('"a", "b"', '"R", "L"')
+        .replace('"levenberg-marquardt"', '"multi-start"')
+        .replace('"soft_l1"', '"linear"')
+    )
     words = re.compile(r"^# (?=\[?(?!prior |per_experiment )[a-zA-Z_]+\]?( = |  #))")
     (folder / "study.toml").write_text("\n".join(words.sub("", line) for line in text.splitlines()))
     read = Study.read(folder / "study.toml")

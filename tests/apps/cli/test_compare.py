@@ -9,9 +9,9 @@ import numpy as np
 import pandas as pd
 import pytest
 
-import fmuid
 from fmuid.apps.cli.options import DONE, WRONG_INPUT
 from tests.support.coil_study import STUDY, coil_table, fmuid_
+from tests.support.running import run_prediction
 
 pytestmark = pytest.mark.usefixtures("blank_figures")
 
@@ -22,13 +22,13 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("coil")
     for k, name in enumerate(("first", "second", "third")):
         coil_table(folder / f"{name}.csv", 0.0, seed=k)
-    text = STUDY.replace("[[experiments]]", "[model.values]\n[[experiments]]")
+    text = STUDY.replace("[[experiments]]", "[model.fixed]\n[[experiments]]")
     free_l = next(line for line in text.splitlines() if line.startswith("L ="))
     for name, held in {"both": "", "right": "L = 0.1", "wrong": "L = 0.15"}.items():
         study = text.replace(free_l, "") if held else text
-        (folder / f"{name}.toml").write_text(study.replace("[model.values]", f"[model.values]\n{held}"))
+        (folder / f"{name}.toml").write_text(study.replace("[model.fixed]", f"[model.fixed]\n{held}"))
         assert fmuid_("identify", folder / f"{name}.toml", "-o", folder / name, "--no-isolation") == DONE
-    other = ("--set", "experiments.0.table=second.csv", "-o", folder / "other")
+    other = ("--set", "experiments.0.data=second.csv", "-o", folder / "other")
     assert fmuid_("identify", folder / "both.toml", *other, "--no-isolation") == DONE
     return folder
 
@@ -74,7 +74,7 @@ def test_on_a_common_table(made: Path, tmp_path: Path, capsys: pytest.CaptureFix
     assert "On the common tables" in out
     assert "do as well as each other" in out
     table = rows(tmp_path)
-    (alone,) = fmuid.run_prediction(made / "both", [made / "third.csv"]).predictions
+    (alone,) = run_prediction(made / "both", [made / "third.csv"]).predictions
     assert table["both"]["rmse.i"] == pytest.approx(alone.scores[0].rmse)
     assert 100.0 - table["wrong"]["fit"] > 1.5 * (100.0 - table["both"]["fit"])
     assert "RMSE i (A)" in out

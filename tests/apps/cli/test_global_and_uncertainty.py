@@ -23,7 +23,7 @@ BOUNDED = STUDY.replace("min = 0.0", "min = 0.5, max = 50.0").replace("min = 1e-
 
 def test_global_search(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     study = folder / "study.toml"
-    study.write_text(BOUNDED + '[estimator]\nmethod = "global"\nstarts = 6\nseed = 3\n')
+    study.write_text(BOUNDED + '[estimation]\nmethod = "multi-start"\nn_starts = 6\nseed = 3\n')
     assert fmuid_("identify", study) == DONE
     found = result(folder / "results")
     best = found["optima"][0]
@@ -49,16 +49,16 @@ def test_global_search(folder: Path, capsys: pytest.CaptureFixture[str]) -> None
 
 
 def test_global_search_needs_bounds(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert fmuid_("identify", folder / "study.toml", "--set", "estimator.method=global") == WRONG_INPUT
+    assert fmuid_("identify", folder / "study.toml", "--set", "estimation.method=multi-start") == WRONG_INPUT
     assert "parameter 'R' has no max" in capsys.readouterr().err
 
 
 ASKED = """
 [uncertainty]
-level = 0.9
-profile = true
-posterior = { steps = 400, seed = 5 }
-map = [["R", "L"]]
+confidence_level = 0.9
+profile_likelihood = true
+posterior = { max_steps = 400, seed = 5 }
+cost_map = [["R", "L"]]
 """
 
 
@@ -123,6 +123,6 @@ def test_loss(folder: Path) -> None:
     table.to_csv(folder / "first.csv", index=False)
     away = {}
     for loss in ("linear", "cauchy"):
-        fmuid_("identify", folder / "study.toml", "--set", f"estimator.loss={loss}")
+        fmuid_("identify", folder / "study.toml", "--set", f"estimation.loss={loss}")
         away[loss] = abs(result(folder / "results")["parameters"]["R"]["value"] - R)
     assert away["cauchy"] < 0.1 * away["linear"]

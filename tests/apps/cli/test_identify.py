@@ -144,7 +144,7 @@ def test_undetermined(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     times = np.linspace(0.0, 0.1, 101)
     current = 0.25 + 0.01 * np.random.default_rng(8).normal(size=101)
     pd.DataFrame({"time": times, "u": 1.0, "i": current}).to_csv(folder / "first.csv", index=False)
-    start = ["--set", "model.values.i_start=0.25", "--set", "parameters.R.start=4"]
+    start = ["--set", "model.fixed.i_start=0.25", "--set", "parameters.R.start=4"]
     code = fmuid_("identify", folder / "study.toml", *start)
     assert code in (NOT_SUCCEEDED, WRONG_INPUT)
     assert "L" in "".join(capsys.readouterr())
@@ -188,7 +188,7 @@ def test_interrupted_before_the_search(
 
 def test_failing_simulation(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """What the model cannot simulate at the start ends with one sentence and code 1."""
-    assert fmuid_("identify", folder / "study.toml", "--set", "model.values.i_start=1e308") == NOT_SUCCEEDED
+    assert fmuid_("identify", folder / "study.toml", "--set", "model.fixed.i_start=1e308") == NOT_SUCCEEDED
     sentence = capsys.readouterr().err
     assert sentence.startswith("error: simulation of ")
     assert "Coil.fmu failed at t = 0 s with R = 6, L = 0.05" in sentence
@@ -227,8 +227,8 @@ def test_prior_from_an_earlier_result(folder: Path, capsys: pytest.CaptureFixtur
     healthy = result(folder / "healthy")
     assert healthy["models"][""]["name"] == "Coil"
     capsys.readouterr()
-    study.write_text(STUDY.replace("first", "second") + '[prior]\nresult = "healthy/result.json"\ninflate = 2\n')
-    assert fmuid_("identify", study, "--set", "model.values.i_start=0.2") == DONE
+    study.write_text(STUDY.replace("first", "second") + '[prior]\nresult = "healthy/result.json"\nstd_factor = 2\n')
+    assert fmuid_("identify", study, "--set", "model.fixed.i_start=0.2") == DONE
     found = result(folder / "results")
     for name in ("R", "L"):
         prior, estimate = healthy["parameters"][name], found["parameters"][name]
@@ -253,7 +253,7 @@ def test_prior_from_an_earlier_result(folder: Path, capsys: pytest.CaptureFixtur
 def test_what_takes_long_says_what_it_does(
     folder: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("fmuid.reports.run_identification.QUICK_SECONDS", 0.0)
+    monkeypatch.setattr("fmuid.runs.run.QUICK_SECONDS", 0.0)
     assert fmuid_("identify", folder / "study.toml") == DONE
     assert capsys.readouterr().err == ""
     prior = "parameters.R.prior={mean = 4.0, std = 0.1}"

@@ -23,7 +23,7 @@ from tests.support.interrupting import SIGNALS, command, killing
 
 pytestmark = pytest.mark.usefixtures("blank_figures")
 
-GLOBAL = '[estimator]\nmethod = "global"\n'
+GLOBAL = '[estimation]\nmethod = "differential-evolution"\n'
 ANSWER = "interrupted: saving what has been found (Ctrl-C again ends it without)"
 
 
@@ -53,7 +53,7 @@ def test_a_search(folder: Path, number: int, monkeypatch: pytest.MonkeyPatch, ca
     original = LeastSquares._simulated
     monkeypatch.setattr(progress.Display, "__call__", killing(number, when, shown))
     monkeypatch.setattr(LeastSquares, "_simulated", simulated)
-    (folder / "study.toml").write_text(STUDY.replace("[parameters]", "discard = 0.01\n[parameters]"))
+    (folder / "study.toml").write_text(STUDY.replace("[parameters]", "warmup = 0.01\n[parameters]"))
     assert command("identify", folder / "study.toml") == NOT_SUCCEEDED
     assert capsys.readouterr().err == ANSWER + "\n"
     found = result(folder / "results")
@@ -109,7 +109,7 @@ def test_before_the_search(folder: Path, monkeypatch: pytest.MonkeyPatch, capsys
 def test_what_follows(folder: Path, number: int, monkeypatch: pytest.MonkeyPatch) -> None:
     """Ctrl-C leaves out the search of the data alone; SIGTERM the uncertainty that the study asks for too."""
     text = STUDY.replace("min = 0.0", "min = 0.0, prior = { mean = 4.0, std = 1.0 }")
-    (folder / "study.toml").write_text(text + '[uncertainty]\nprofile = ["L"]\n')
+    (folder / "study.toml").write_text(text + '[uncertainty]\nprofile_likelihood = ["L"]\n')
     monkeypatch.setattr(
         "fmuid.identification.prior_and_data.prepare", killing(number, lambda *_: True, criterion.prepare)
     )

@@ -42,21 +42,21 @@ BAND = {"bad_from": 3.0, "bad_to": 4.2}
 STUDY = """
 [model]
 fmu = "{fmu}"
-[model.values]
+[model.fixed]
 mode = {mode}
 bad_from = {bad_from}
 bad_to = {bad_to}
 [[experiments]]
-table = "table.csv"
+data = "table.csv"
 inputs = ["u"]
 outputs = ["x"]
-interpolation = "hold"
+interpolation = "zoh"
 [parameters]
 gain = {{ start = 8.0 }}
 T = {{ start = 10.0, min = 1e-3 }}
 [isolation]
 time_limit = {limit}
-memory = 400
+memory_limit_mb = 400
 """
 
 
@@ -77,7 +77,7 @@ def write_study(
 def problem(fmu: Path, mode: Mode, isolation: Isolation | None, gain: float = 8.0, T: float = 10.0) -> LeastSquares:
     return Problem(
         System(fmu, isolation=isolation),
-        Experiment(FRAME, ["u"], ["x"], interpolation="hold"),
+        Experiment(FRAME, ["u"], ["x"], interpolation="zoh"),
         {"gain": Parameter(gain, min=0.1, max=20.0), "T": Parameter(T, min=0.05, max=20.0)},
         values={"mode": float(mode), **BAND},
     )
@@ -99,7 +99,7 @@ def test_a_search_goes_round_a_band_where_the_fmu_crashes(fmu: Path, mode: Mode)
 
 @pytest.mark.slow
 def test_a_global_search_goes_round_it_too(fmu: Path) -> None:
-    settings = GlobalSearch("multistart", 6, 1)
+    settings = GlobalSearch("multi-start", 6, 1)
     plain, isolated = problem(fmu, Mode.RETURN_ERROR, None), problem(fmu, Mode.ABORT, Isolation())
     right, found = (settings.search(each) for each in (plain, isolated))
     assert found.converged

@@ -112,7 +112,11 @@ def bench(tmp_path_factory: pytest.TempPathFactory) -> Path:
     for k, name in enumerate(("first.csv", "second.csv")):
         coil_table(folder / name, 0.0, seed=k)
     noise = "[noise]\nvariance = 1e-4\n"
-    texts = {"study": STUDY, "design": STUDY + noise, "batch": STUDY + "[batch.noise]\ndraws = 3\nstd = 0.01\n"}
+    texts = {
+        "study": STUDY,
+        "design": STUDY + noise,
+        "batch": STUDY + "[batch.monte_carlo]\nrealizations = 3\nstd = 0.01\n",
+    }
     for name, text in texts.items():
         (folder / f"{name}.toml").write_text(text)
     assert fmuid_("identify", folder / "study.toml", "--no-report") == DONE
@@ -120,7 +124,7 @@ def bench(tmp_path_factory: pytest.TempPathFactory) -> Path:
     shutil.copytree(coil.HERE / "healthy", folder / "healthy")
     warming(3, to=4.0).to_csv(folder / "test1.csv", index=False)
     text = (coil.HERE / "test.toml").read_text().replace("../../fmus", coil.FMUS.as_posix())
-    (folder / "test.toml").write_text(text + "[monitoring]\nwindow = 1.0\ntransient = 0.2\n")
+    (folder / "test.toml").write_text(text + "[monitoring]\nwindow_length = 1.0\nwarmup = 0.2\n")
     return folder
 
 

@@ -9,9 +9,10 @@ from pathlib import Path
 import pandas as pd
 import pytest
 
-import fmuid
 from fmuid.apps.cli.options import DONE, WRONG_INPUT
+from fmuid.reports.messages.prediction import predicted_words
 from tests.support.coil_study import STUDY, coil_table, fmuid_
+from tests.support.running import run_prediction
 
 pytestmark = pytest.mark.usefixtures("blank_figures")
 
@@ -95,7 +96,7 @@ def test_the_record_of_the_result_is_no_prediction(
 @pytest.mark.usefixtures("drawn_figures")
 def test_folds(made: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     several = [
-        f'{{table="{name}.csv", inputs=["u"], outputs=["i"], interpolation="hold"}}' for name in ("first", "second")
+        f'{{table="{name}.csv", inputs=["u"], outputs=["i"], interpolation="zoh"}}' for name in ("first", "second")
     ]
     with_both = ("--set", f"experiments=[{', '.join(several)}]", "--refit", "i_start")
     code = fmuid_("predict", made / "results", "--folds", "2", *with_both, "-o", tmp_path, "--no-isolation")
@@ -110,9 +111,9 @@ def test_folds(made: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -
 
 
 def test_from_python(made: Path) -> None:
-    found = fmuid.run_prediction(made / "results", [made / "second.csv"], free=["i_start"])
+    found = run_prediction(made / "results", [made / "second.csv"], free=["i_start"])
     assert found.predictions[0].scores[0].ratio == pytest.approx(1.0, abs=0.1)
-    assert any("is predicted with a fit of" in words for words in found.words)
+    assert any("is predicted with a fit of" in words for words in predicted_words(found))
 
 
 @pytest.mark.parametrize(

@@ -92,7 +92,7 @@ def test_what_is_done_first_is_drawn_before_and_after(page: NewPage) -> None:
     np.testing.assert_allclose(
         after.output_values[:, 0], page.records[0].frame["strom"].to_numpy() - mean, rtol=1e-12, atol=1e-12
     )
-    page.prepare["resample"].value = "many"
+    page.prepare["resample_interval"].value = "many"
     assert "role=alert" in page.said.text
     assert page.command.text == ""  # of what is not to be written
 

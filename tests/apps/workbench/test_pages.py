@@ -29,12 +29,11 @@ from fmuid.apps.workbench.pages.results import PLACE, PredictAction, WriteAction
 from fmuid.apps.workbench.project_folder import FoundResult, FoundStudy
 from fmuid.estimation import Result
 from fmuid.progress import EVENTS, BatchStep, Event, GlobalStep, SearchStep, of_line, to_line
-from fmuid.reports import run_study
 from fmuid.reports.console.progress import Display
 from fmuid.reports.page.document import Part, written_parts
 from fmuid.reports.page.fits import fit_sections
 from fmuid.reports.page.write import contents
-from fmuid.runs import CaseList, origin_of
+from fmuid.runs import CaseList, made_from
 from fmuid.runs.batch.study_package import BatchStudy
 from fmuid.simulation import OutputFit
 from fmuid.studies import Study
@@ -42,6 +41,7 @@ from tests.support.begun_batch import batch
 from tests.support.coil_study import COIL, STUDY, coil_table
 from tests.support.isolated import wait_until
 from tests.support.results import result
+from tests.support.running import run_study
 
 PATIENCE = 120.0
 EVENTS_SEEN: tuple[Event, ...] = (
@@ -137,12 +137,12 @@ def test_from_results_to_what_would_help(tmp_path: Path) -> None:
         coil_table(tmp_path / name, 0.0, seed=k)
     path = tmp_path / "study.toml"
     path.write_text(STUDY.replace("[parameters]", "[parameters]\nk = { start = 2.0 }\n"))
-    given = ["experiments.0.table=other.csv", "parameters.R.start=7.5", "parameters.k=3", "title=A b"]
+    given = ["experiments.0.data=other.csv", "parameters.R.start=7.5", "parameters.k=3", "title=A b"]
     given += ["parameters.L.prior={ mean = 0.1, std = 1e-3 }"]
     run = Study.read(path, given)
     for name, std in (("open", None), ("known", 0.1)):
         (tmp_path / name).mkdir()
-        result(tmp_path / name, {"R": (4.0, 0.1), "L": (0.1, std)}, study=origin_of(run, tmp_path / name))
+        result(tmp_path / name, {"R": (4.0, 0.1), "L": (0.1, std)}, origin=made_from(run, folder=tmp_path / name))
     doc = asked_for("open")
     build(doc, bench_of(tmp_path))
     text = "".join(each for each, _ in doc.template_variables["pieces"])
@@ -259,7 +259,7 @@ def test_a_case_leads_to_what_if_with_what_it_was_given_and_found(tmp_path: Path
     (tmp_path / "records").mkdir()
     for k in range(2):
         coil_table(tmp_path / f"records/r{k}.csv", 0.0, seed=k)
-    words = '[batch]\ntables = "records/*.csv"\nvalues = { L = [0.1, 0.2] }\n'
+    words = '[batch]\ndata = "records/*.csv"\nsweep = { L = [0.1, 0.2] }\n'
     (tmp_path / "study.toml").write_text(STUDY + words)
     batch(tmp_path / "out", 3)
     manifest = json.loads((tmp_path / "out/batch.json").read_text())
@@ -276,7 +276,7 @@ def test_a_case_leads_to_what_if_with_what_it_was_given_and_found(tmp_path: Path
     study = Study.read(tmp_path / "study.toml", asked["set"])
     case = CaseList(Study.read(tmp_path / "study.toml"))[2]
     assert case.table is not None
-    assert Path(study.path.parent, study.experiments[0].table).resolve() == case.table.resolve()
+    assert Path(study.path.parent, study.experiments[0].data).resolve() == case.table.resolve()
     assert study.model.values["L"] == case.held["L"]
     assert {name: each.start for name, each in study.parameters.items()} == {"R": 4.02}
     with pytest.raises(fmuid.InputError, match=r"study\.toml has no case 4 any more"):

@@ -26,12 +26,12 @@ from fmuid.apps.workbench.pages.study import StudyPage
 from fmuid.data import Normal, Parameter
 from fmuid.errors import InputError
 from fmuid.estimation import Result
-from fmuid.reports import run_study
 from fmuid.reports.page.identification import CAPTIONS
 from fmuid.simulation import Simulator
 from fmuid.studies import Study
 from tests.support.coil_study import STUDY, coil_table
 from tests.support.results import result
+from tests.support.running import run_study
 
 PATIENCE = 60.0
 
@@ -161,7 +161,7 @@ def test_the_command_says_what_the_page_shows(page: Page, path: Path) -> None:
 
 
 def test_what_the_address_gave_is_said_once(path: Path) -> None:
-    given = ['parameters."R".start=7', "estimator.max_iterations=9"]
+    given = ['parameters."R".start=7', "estimation.max_iterations=9"]
     page = Page(path, given)
     page.rows["R"].typed.value = "8"
     assert page.page.words("identify")[2:] == ["--set", "parameters.R.start=8", "--set", given[1]]

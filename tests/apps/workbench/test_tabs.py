@@ -70,8 +70,8 @@ def test_closed_tab_is_served_no_more(bench: Workbench, caplog: pytest.LogCaptur
 def test_closed_tab_leaves_no_process(tmp_path: Path, isolated: bool, mode: Mode) -> None:
     coil_table(tmp_path / "first.csv", 0.0, seed=1)
     (tmp_path / "study.toml").write_text(
-        f'[model]\nfmu = "{misbehaving_fmu(tmp_path).as_posix()}"\nvalues = {{ mode = {int(mode)}, amount = 300 }}\n'
-        '[[experiments]]\ntable = "first.csv"\ninputs = ["u"]\noutputs = { x = "i" }\n'
+        f'[model]\nfmu = "{misbehaving_fmu(tmp_path).as_posix()}"\nfixed = {{ mode = {int(mode)}, amount = 300 }}\n'
+        '[[experiments]]\ndata = "first.csv"\ninputs = ["u"]\noutputs = { x = "i" }\n'
         "[parameters]\ngain = { start = 1.0 }\n"
     )
     if isolated:

@@ -37,10 +37,10 @@ def same(one: pd.DataFrame, other: pd.DataFrame) -> bool:
 
 
 def test_what_is_known_is_not_simulated_again() -> None:
-    batch = {"noise": {"draws": 12, "std": 0.035, "truth": {"R": 4.0, "L": 0.1}}}
+    batch = {"monte_carlo": {"realizations": 12, "std": 0.035, "true_values": {"R": 4.0, "L": 0.1}}}
     runner = coil(batch)
     found = frame_of(runner, [*range(12)])
-    without = frame_of(coil(batch, 'estimator.accuracy="off"'), [*range(12)])
+    without = frame_of(coil(batch, 'estimation.solver_check="off"'), [*range(12)])
     assert (found["accuracy"] == "passed").all()
     assert found["shift"].max() < 1e-6
     assert 0 < found["checked"].sum() < 6
@@ -56,7 +56,7 @@ def test_what_is_known_is_not_simulated_again() -> None:
 
 def test_cases_simulate_what_they_have_in_common_once(monkeypatch: pytest.MonkeyPatch) -> None:
     """The start, six points beside it that show the noise, and both sides of two parameters."""
-    runner = coil({"noise": {"draws": 12, "std": 0.035}}, 'estimator.accuracy="off"')
+    runner = coil({"monte_carlo": {"realizations": 12, "std": 0.035}}, 'estimation.solver_check="off"')
     runner(0)
     executor, simulated = executor_of(runner.study.system), list[int]()
     run = executor.run
@@ -72,7 +72,7 @@ def test_cases_simulate_what_they_have_in_common_once(monkeypatch: pytest.Monkey
 
 def test_starts_that_fail_or_alias() -> None:
     starts = [{"R": 3.0, "L": 0.2}, {"R": 20.0, "L": 0.01}, {"R": 50.0, "L": 5e-3}]
-    found = frame_of(coil({"starts": starts}), [2, 1, 0])
+    found = frame_of(coil({"starting_points": starts}), [2, 1, 0])
     assert found["value.L"].to_numpy() == pytest.approx(np.full(3, 0.1007), abs=1e-4)
     assert found["finer"].tolist() == [0, 1, 1]
     assert (found["accuracy"] == "passed").all()
@@ -91,9 +91,9 @@ def test_a_simulation_that_is_wrong_for_all(tmp_path: Path) -> None:
         pd.DataFrame({"time": step * np.arange(x.size), "u": u, "x": noisy}).to_csv(tmp_path / f"run{k}.csv")
     data = {
         "model": {"fmu": str(stepping_fmu(tmp_path, LAG, exchange=True))},
-        "experiments": [{"table": "run0.csv", "inputs": ["u"], "outputs": ["x"], "interpolation": "hold"}],
+        "experiments": [{"data": "run0.csv", "inputs": ["u"], "outputs": ["x"], "interpolation": "zoh"}],
         "parameters": {"k": {"start": 0.05, "min": 0.01}},
-        "batch": {"tables": "run*.csv"},
+        "batch": {"data": "run*.csv"},
     }
     study = Study.of(data, tmp_path / "study.toml")
     found = frame_of(CaseRunner(study), [0, 1, 2])
@@ -106,7 +106,7 @@ def test_a_simulation_that_is_wrong_for_all(tmp_path: Path) -> None:
 @pytest.mark.slow
 def test_the_summary_of_a_batch_says_how_many_were_checked(tmp_path: Path) -> None:
     """From its files, of which a summary reads what it needs."""
-    data = dict(Study.read(COIL).data) | {"batch": {"noise": {"draws": 4, "std": 0.035}}}
+    data = dict(Study.read(COIL).data) | {"batch": {"monte_carlo": {"realizations": 4, "std": 0.035}}}
     summary, _ = fmuid.Batch(Study.of(data, COIL), tmp_path / "out").run().summary()
     assert summary.accuracy["passed"] == 4
     assert 1 <= summary.accuracy["checked"] <= 4

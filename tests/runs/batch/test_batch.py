@@ -52,7 +52,7 @@ def test_messages_name_the_users_own_files(fleet: Path, here: Any) -> None:
 @pytest.mark.parametrize("isolated", [False, True])
 def test_messages_name_the_users_own_model(folder: Path, here: Any, isolated: bool) -> None:
     shutil.copy(COIL, folder / "mine.fmu")
-    text = write(folder, "[batch]\nvalues = { L = [0.0, 0.1] }\n").joinpath("study.toml").read_text(encoding="utf-8")
+    text = write(folder, "[batch]\nsweep = { L = [0.0, 0.1] }\n").joinpath("study.toml").read_text(encoding="utf-8")
     (folder / "study.toml").write_text(text.replace(COIL.as_posix(), "mine.fmu"), encoding="utf-8")
     here()
     found = Batch(folder / "study.toml", folder / "out", isolated=isolated).run().frame

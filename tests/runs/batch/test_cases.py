@@ -20,11 +20,11 @@ from tests.support.coil_cases import COIL, STD, record, study_of
 
 def test_product_in_its_documented_order(case_folder: Path) -> None:
     batch = {
-        "noise": {"draws": 3, "std": STD},
-        "starts": [{"R": 2.0}, {"R": 5.0}],
-        "subsets": [["R"], ["L", "R"]],
-        "values": {"i_start": [0.0, 0.1, 0.2]},
-        "tables": "records/*.csv",
+        "monte_carlo": {"realizations": 3, "std": STD},
+        "starting_points": [{"R": 2.0}, {"R": 5.0}],
+        "free_parameters": [["R"], ["L", "R"]],
+        "sweep": {"i_start": [0.0, 0.1, 0.2]},
+        "data": "records/*.csv",
     }
     cases = CaseList.of(study_of(case_folder, batch))
     axes = ["run1", "run10", "run2"], [0.0, 0.1, 0.2], ["R", "R L"], [2.0, 5.0], [0, 1, 2]
@@ -44,10 +44,10 @@ def test_product_in_its_documented_order(case_folder: Path) -> None:
 
 def test_list_goes_through_all_axes_together(case_folder: Path) -> None:
     batch = {
-        "combine": "list",
-        "tables": ["records/run2.csv", "records/*.csv"],
-        "starts": 3,
-        "values": {"i_start": {"from": 0.0, "to": 1.0, "count": 3}},
+        "combine": "zip",
+        "data": ["records/run2.csv", "records/*.csv"],
+        "starting_points": 3,
+        "sweep": {"i_start": {"from": 0.0, "to": 1.0, "count": 3}},
     }
     cases = CaseList.of(study_of(case_folder, batch))
     found = [(case.settings["table"], case.settings["set.i_start"]) for case in cases]
@@ -56,29 +56,37 @@ def test_list_goes_through_all_axes_together(case_folder: Path) -> None:
 
 
 def test_a_product_of_very_many_cases_costs_nothing(case_folder: Path) -> None:
-    batch = {"values": {"i_start": list(range(10000))}, "noise": {"draws": 100_000_000, "std": STD}, "starts": 1000}
+    batch = {
+        "sweep": {"i_start": list(range(10000))},
+        "monte_carlo": {"realizations": 100_000_000, "std": STD},
+        "starting_points": 1000,
+    }
     cases = CaseList.of(study_of(case_folder, batch))
     assert len(cases) == 10**15
     case = cases[10**15 - 10**8 - 1]
     assert (case.held["i_start"], case.draw) == (9999, 10**8 - 1)
     assert case.starts == cases[998 * 10**8].starts
     with pytest.raises(InputError, match="spans 10000000000000000 cases, more than can be run"):
-        CaseList.of(study_of(case_folder, batch | {"starts": 10000}))
+        CaseList.of(study_of(case_folder, batch | {"starting_points": 10000}))
 
 
 def test_drawn_starts_are_those_of_their_seed(case_folder: Path) -> None:
-    both = [case.starts for case in CaseList.of(study_of(case_folder, {"starts": 40, "seed": 5}))]
+    both = [case.starts for case in CaseList.of(study_of(case_folder, {"starting_points": 40, "seed": 5}))]
     for k, starts in enumerate(both):
         units = np.random.default_rng(np.random.SeedSequence([5, 1, k])).random(2)
         # R between its bounds by orders of magnitude, L, which has but one, half of itself from its start
         expected = {"R": math.exp(math.log(0.5) + units[0] * math.log(16)), "L": 0.1 + 0.2 * units[1]}
         assert starts == pytest.approx(expected, rel=1e-12)
     other = CaseList.of(
-        study_of(case_folder, {"starts": 2, "seed": 5, "subsets": [["L"]], "values": {"i_start": [1, 2, 3]}})
+        study_of(
+            case_folder, {"starting_points": 2, "seed": 5, "free_parameters": [["L"]], "sweep": {"i_start": [1, 2, 3]}}
+        )
     )
     assert [case.starts for case in other] == both[:2] * 3
     assert np.isnan([float(case.settings["start.R"]) for case in other]).all()
-    known = study_of(case_folder, {"starts": 400}, prior={"names": ["L"], "mean": [0.1], "covariance": [[1e-4]]})
+    known = study_of(
+        case_folder, {"starting_points": 400}, prior={"names": ["L"], "mean": [0.1], "covariance": [[1e-4]]}
+    )
     drawn = [case.starts["L"] for case in CaseList.of(known)]
     assert 0.07 < min(drawn) < 0.071
     assert 0.129 < max(drawn) < 0.13
@@ -86,8 +94,8 @@ def test_drawn_starts_are_those_of_their_seed(case_folder: Path) -> None:
 
 @pytest.mark.parametrize(("method", "count"), [("sobol", 64), ("sobol", 50), ("latin-hypercube", 50)])
 def test_design_is_that_of_scipy(case_folder: Path, method: str, count: int) -> None:
-    sample = {"method": method, "count": count, "ranges": {"L": [0.05, 0.2], "i_start": [-1.0, 1.0]}}
-    cases = CaseList.of(study_of(case_folder, {"sample": sample, "seed": 3}))
+    sample = {"method": method, "points": count, "ranges": {"L": [0.05, 0.2], "i_start": [-1.0, 1.0]}}
+    cases = CaseList.of(study_of(case_folder, {"space_filling": sample, "seed": 3}))
     rng = np.random.default_rng(np.random.SeedSequence([3, 2]))
     engine = qmc.Sobol(2, rng=rng) if method == "sobol" else qmc.LatinHypercube(2, rng=rng)
     units = engine.random(64 if method == "sobol" else count)[:count]
@@ -100,7 +108,7 @@ def test_design_is_that_of_scipy(case_folder: Path, method: str, count: int) -> 
 
 def test_records_are_called_as_shortly_as_they_can_be_told_apart(case_folder: Path) -> None:
     def names(*tables: str) -> list[str]:
-        settings = study_of(case_folder, {"tables": list(tables)}).batch
+        settings = study_of(case_folder, {"data": list(tables)}).batch
         assert settings is not None
         return list(settings.records())
 
@@ -111,19 +119,19 @@ def test_records_are_called_as_shortly_as_they_can_be_told_apart(case_folder: Pa
     assert names("**/run1.csv", str(case_folder / "table.csv"))[:2] == ["more/run1", "records/run1"]
     record(3).to_parquet(case_folder / "more" / "run1.parquet")
     assert names("more/run1.*") == ["more/run1.csv", "more/run1.parquet"]
-    given = study_of(case_folder, {"tables": {"first": "records/run2.csv"}})
+    given = study_of(case_folder, {"data": {"first": "records/run2.csv"}})
     assert [case.settings for case in CaseList.of(given)] == [{"table": "first"}]
 
 
 def test_a_study_is_its_data_and_names_its_files(case_folder: Path) -> None:
     path = case_folder / "study.toml"
     path.write_text(
-        f'title = "Coils"\n[model]\nfmu = "{COIL.as_posix()}"\n[[experiments]]\ntable = "table.csv"\ninputs = ["u"]\n'
-        'outputs = ["i"]\n[parameters]\nR = { start = 3.0 }\n[batch]\ntables = "records/*.csv"\n'
-        "noise = { draws = 2, std = { i = 0.1 } }\n",
+        f'title = "Coils"\n[model]\nfmu = "{COIL.as_posix()}"\n[[experiments]]\ndata = "table.csv"\ninputs = ["u"]\n'
+        'outputs = ["i"]\n[parameters]\nR = { start = 3.0 }\n[batch]\ndata = "records/*.csv"\n'
+        "monte_carlo = { realizations = 2, std = { i = 0.1 } }\n",
         encoding="utf-8",
     )
-    overrides = ["parameters.R.start=2.5", "batch.noise.draws=7", "batch.values.i_start=[0.0, 1.0]"]
+    overrides = ["parameters.R.start=2.5", "batch.monte_carlo.realizations=7", "batch.sweep.i_start=[0.0, 1.0]"]
     study = Study.read(path, overrides)
     assert Study.of(study.data, path) == study
     assert study.parameters["R"].start == 2.5
@@ -133,5 +141,7 @@ def test_a_study_is_its_data_and_names_its_files(case_folder: Path) -> None:
         case_folder / "table.csv",
         *(case_folder / "records" / f"run{k}.csv" for k in (1, 10, 2)),
     )
-    begun = Study.of(Study.read(path, ["batch.sample.count=4", "batch.sample.ranges.i_start=[0.0, 1.0]"]).data, path)
+    begun = Study.of(
+        Study.read(path, ["batch.space_filling.points=4", "batch.space_filling.ranges.i_start=[0.0, 1.0]"]).data, path
+    )
     assert len(CaseList.of(begun)) == 24

@@ -38,9 +38,9 @@ def test_failing_simulations_are_rows_and_are_counted(case_folder: Path, probe: 
     frame.to_csv(case_folder / "table.csv", index=False)
     study = study_of(
         case_folder,
-        {"values": {"fail_init": [0.0, 1.0]}},
+        {"sweep": {"fail_init": [0.0, 1.0]}},
         model={"fmu": str(probe())},
-        experiments=[{"table": "table.csv", "inputs": ["u"], "outputs": ["x"]}],
+        experiments=[{"data": "table.csv", "inputs": ["u"], "outputs": ["x"]}],
         parameters={"gain": {"start": 1.0}},
     )
     runner = CaseRunner(study)
@@ -77,13 +77,17 @@ def test_what_the_arithmetic_raises_is_a_row(
         raise error
 
     monkeypatch.setattr(Marquardt, "search", fail)
-    row = CaseRunner(study_of(case_folder, {"starts": 1}))(0).row
+    row = CaseRunner(study_of(case_folder, {"starting_points": 1}))(0).row
     assert row["status"] == "failed"
     assert row["message"] == (f"{type(error).__name__}: {error}" if str(error) else "MemoryError")
 
 
 def test_interruptions_and_bugs_pass(case_folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    runner, predict, calls = CaseRunner(study_of(case_folder, {"starts": 1})), LeastSquares.predict, itertools.count()
+    runner, predict, calls = (
+        CaseRunner(study_of(case_folder, {"starting_points": 1})),
+        LeastSquares.predict,
+        itertools.count(),
+    )
 
     def interrupted(self: LeastSquares, thetas: NDArray[np.float64]) -> NDArray[np.float64]:
         if next(calls) == 5:  # when the search is under way, which ends it with a result
@@ -102,7 +106,7 @@ def test_interruptions_and_bugs_pass(case_folder: Path, monkeypatch: pytest.Monk
 
 
 def test_the_log_has_the_warnings_of_its_own_thread(case_folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    log, runner = logging.getLogger("fmuid.fmu"), CaseRunner(study_of(case_folder, {"starts": 1}))
+    log, runner = logging.getLogger("fmuid.fmu"), CaseRunner(study_of(case_folder, {"starting_points": 1}))
 
     def warn(settings: Marquardt, problem: LeastSquares, *_: object) -> Any:
         log.warning("the coil %s", "hums")
@@ -144,49 +148,76 @@ def test_other_measurements_of_an_experiment() -> None:
 # --- refusals
 
 WRONG: list[tuple[dict[str, Any], str]] = [
-    ({}, r"\[batch\] varies nothing: give at least one of tables"),
-    ({"seed": 3, "combine": "list"}, "varies nothing"),
-    ({"stats": 3}, r"has no key 'stats' \(did you mean 'starts'"),
-    ({"combine": "lists", "starts": 2}, r'combine must be "product" or "list" \(did you mean'),
-    ({"starts": 2, "seed": -1}, r"\[batch\] seed must be a whole number, 0 or above, not -1"),
-    ({"starts": 0}, r"starts must be a whole number above 0, or a list of starts, .*, not 0"),
-    ({"starts": []}, "starts must be a whole number above 0, or a list"),
-    ({"starts": [{"R": "x"}]}, "starts must be a table of which each entry is a number"),
-    ({"starts": [{"Q": 1.0}]}, "starts names 'Q', which is no parameter of this study"),
-    ({"starts": [{"R": 9.0}]}, r"starts\[0\].R: start 9 lies outside its bounds, 0.5 to 8"),
-    ({"tables": 3}, 'tables must be a pattern of files, "records/\\*.csv"'),
-    ({"tables": []}, "tables must be a pattern of files"),
-    ({"tables": "nothing/*.csv"}, r'\[batch\] tables: "nothing/\*.csv" matches no file in '),
-    ({"tables": ["records/run9.csv"]}, r"tables: there is no file .*run9.csv, the record 'run9'"),
-    ({"subsets": ["R"]}, "subsets must be a list of different lists of parameters"),
-    ({"subsets": [["R", "L"], ["L", "R"]]}, "subsets must be a list of different lists"),
-    ({"subsets": [["R", "l"]]}, r"subsets names 'l', which is no parameter of this study \(did you mean 'L'"),
-    ({"subsets": [["R"]], "values": {"R": [1.0]}}, "subsets names 'R', which values or sample hold"),
-    ({"starts": [{"R": 2.0}], "values": {"R": [1.0]}}, "starts names 'R', which values or sample hold"),
-    ({"values": {"R": [1.0], "L": [1.0]}}, "holds all parameters of the study at values"),
-    ({"values": {"R": []}}, r"\[batch.values\] R must be a list of values of one type"),
-    ({"values": {"i_start": [1.0, True]}}, "a list of values of one type"),
-    ({"values": {"i_start": [0.1, math.inf]}}, "finite number"),
-    ({"values": {"i_start": {"from": 1.0, "to": 2.0}}}, "with just these three"),
-    ({"values": {"i_start": {"from": 1.0, "to": 1.0, "count": 3}}}, "whose from and to differ"),
-    ({"values": {"R": ["big"]}}, r'values.R: a parameter is held at numbers, not at "big"'),
-    ({"values": {"i_stat": [1.0]}}, r"\[batch\] does not fit: Coil.fmu has no variable 'i_stat' \(did you mean"),
-    ({"values": {"i_start": ["big"]}}, "does not fit: 'i_start' is of type Real and cannot be held at 'big'"),
-    ({"values": {"u": [1.0]}}, "does not fit: 'u' is an input from .*table.csv; it cannot also be given a value"),
-    ({"sample": {"ranges": {"L": [0.1, 0.2]}}}, r"\[batch.sample\] needs the key 'count': how many points"),
-    ({"sample": {"count": 3}}, r"\[batch.sample\] needs the key 'ranges': the variables that are held"),
-    ({"sample": {"count": 10**8, "ranges": {"L": [0.1, 0.2]}}}, "count must be a whole number up to 16777216"),
-    ({"sample": {"count": 3, "ranges": {}}}, "ranges must be a table { variable ="),
-    ({"sample": {"count": 3, "ranges": {"L": [0.2, 0.1]}}}, r"\[batch.sample.ranges\] L must be \[lowest, highest\]"),
-    ({"sample": {"count": 3, "method": "halton", "ranges": {"L": [0.1, 0.2]}}}, 'method must be "sobol" or'),
-    ({"sample": {"count": 3, "ranges": {"L": [0.1, 0.2]}}, "values": {"L": [0.1]}}, "'L' both by values and by sample"),
-    ({"noise": {"std": 0.1}}, r"\[batch.noise\] needs the key 'draws': how many draws"),
-    ({"noise": {"draws": 2}}, r"needs the standard deviation of the noise of 'i': give std = { i = ... }, or its"),
-    ({"noise": {"draws": 2, "std": {"j": 0.1}}}, "std names 'j', which is no measured output"),
-    ({"noise": {"draws": 2, "std": 0}}, "std must be a number above 0"),
-    ({"noise": {"draws": 2, "std": 0.1, "truth": {"Q": 1.0}}}, "does not fit: Coil.fmu has no variable 'Q'"),
-    ({"noise": {"draws": 2, "std": 0.1, "truth": {"R": math.inf}}}, "finite number"),
-    ({"combine": "list", "starts": 2, "values": {"i_start": [1.0]}}, r"\(1 of values.i_start, 2 of starts\)"),
+    ({}, r"\[batch\] varies nothing: give at least one of data"),
+    ({"seed": 3, "combine": "zip"}, "varies nothing"),
+    ({"stats": 3}, r"has no key 'stats' \(did you mean 'starting_points'"),
+    ({"combine": "zipp", "starting_points": 2}, r'combine must be "product" or "zip" \(did you mean'),
+    ({"starting_points": 2, "seed": -1}, r"\[batch\] seed must be a whole number, 0 or above, not -1"),
+    ({"starting_points": 0}, r"starting_points must be a whole number above 0, or a list of starts, .*, not 0"),
+    ({"starting_points": []}, "starting_points must be a whole number above 0, or a list"),
+    ({"starting_points": [{"R": "x"}]}, "starting_points must be a table of which each entry is a number"),
+    ({"starting_points": [{"Q": 1.0}]}, "starting_points names 'Q', which is no parameter of this study"),
+    ({"starting_points": [{"R": 9.0}]}, r"starting_points\[0\].R: start 9 lies outside its bounds, 0.5 to 8"),
+    ({"data": 3}, 'data must be a pattern of files, "records/\\*.csv"'),
+    ({"data": []}, "data must be a pattern of files"),
+    ({"data": "nothing/*.csv"}, r'\[batch] data: "nothing/\*.csv" matches no file in '),
+    ({"data": ["records/run9.csv"]}, r"data: there is no file .*run9.csv, the record 'run9'"),
+    ({"free_parameters": ["R"]}, "free_parameters must be a list of different lists of parameters"),
+    ({"free_parameters": [["R", "L"], ["L", "R"]]}, "free_parameters must be a list of different lists"),
+    (
+        {"free_parameters": [["R", "l"]]},
+        r"free_parameters names 'l', which is no parameter of this study \(did you mean 'L'",
+    ),
+    (
+        {"free_parameters": [["R"]], "sweep": {"R": [1.0]}},
+        "free_parameters names 'R', which sweep or space_filling hold",
+    ),
+    (
+        {"starting_points": [{"R": 2.0}], "sweep": {"R": [1.0]}},
+        "starting_points names 'R', which sweep or space_filling hold",
+    ),
+    ({"sweep": {"R": [1.0], "L": [1.0]}}, "holds all parameters of the study at values"),
+    ({"sweep": {"R": []}}, r"\[batch.sweep\] R must be a list of values of one type"),
+    ({"sweep": {"i_start": [1.0, True]}}, "a list of values of one type"),
+    ({"sweep": {"i_start": [0.1, math.inf]}}, "finite number"),
+    ({"sweep": {"i_start": {"from": 1.0, "to": 2.0}}}, "with just these three"),
+    ({"sweep": {"i_start": {"from": 1.0, "to": 1.0, "count": 3}}}, "whose from and to differ"),
+    ({"sweep": {"R": ["big"]}}, r'sweep.R: a parameter is held at numbers, not at "big"'),
+    ({"sweep": {"i_stat": [1.0]}}, r"\[batch\] does not fit: Coil.fmu has no variable 'i_stat' \(did you mean"),
+    ({"sweep": {"i_start": ["big"]}}, "does not fit: 'i_start' is of type Real and cannot be held at 'big'"),
+    ({"sweep": {"u": [1.0]}}, "does not fit: 'u' is an input from .*table.csv; it cannot also be given a value"),
+    (
+        {"space_filling": {"ranges": {"L": [0.1, 0.2]}}},
+        r"\[batch.space_filling\] needs the key 'points': how many",
+    ),
+    ({"space_filling": {"points": 3}}, r"\[batch.space_filling\] needs the key 'ranges': the variables that are held"),
+    ({"space_filling": {"points": 10**8, "ranges": {"L": [0.1, 0.2]}}}, "points must be a whole number up to 16777216"),
+    ({"space_filling": {"points": 3, "ranges": {}}}, "ranges must be a table { variable ="),
+    (
+        {"space_filling": {"points": 3, "ranges": {"L": [0.2, 0.1]}}},
+        r"\[batch.space_filling.ranges\] L must be \[lowest, highest\]",
+    ),
+    ({"space_filling": {"points": 3, "method": "halton", "ranges": {"L": [0.1, 0.2]}}}, 'method must be "sobol" or'),
+    (
+        {"space_filling": {"points": 3, "ranges": {"L": [0.1, 0.2]}}, "sweep": {"L": [0.1]}},
+        "'L' both by sweep and by space_filling",
+    ),
+    ({"monte_carlo": {"std": 0.1}}, r"\[batch.monte_carlo\] needs the key 'realizations': how many realizations"),
+    (
+        {"monte_carlo": {"realizations": 2}},
+        r"needs the standard deviation of the noise of 'i': give std = { i = ... }, or its",
+    ),
+    ({"monte_carlo": {"realizations": 2, "std": {"j": 0.1}}}, "std names 'j', which is no measured output"),
+    ({"monte_carlo": {"realizations": 2, "std": 0}}, "std must be a number above 0"),
+    (
+        {"monte_carlo": {"realizations": 2, "std": 0.1, "true_values": {"Q": 1.0}}},
+        "does not fit: Coil.fmu has no variable 'Q'",
+    ),
+    ({"monte_carlo": {"realizations": 2, "std": 0.1, "true_values": {"R": math.inf}}}, "finite number"),
+    (
+        {"combine": "zip", "starting_points": 2, "sweep": {"i_start": [1.0]}},
+        r"\(1 of sweep.i_start, 2 of starting_",
+    ),
 ]
 
 
@@ -202,17 +233,17 @@ def test_refusals_of_the_whole_study(case_folder: Path) -> None:
     with pytest.raises(InputError, match=r"has no \[batch\]: give it"):
         CaseList.of(study_of(case_folder, None))
     with pytest.raises(InputError, match="no parameters: name at least one"):
-        CaseList.of(study_of(case_folder, {"starts": 2}, parameters={}))
-    twice = [{"table": f"records/run{k}.csv", "inputs": ["u"], "outputs": ["i"]} for k in (1, 2)]
-    with pytest.raises(InputError, match=r"has tables, each in place of .* the study has 2 \[\[experiments\]\]"):
-        CaseList.of(study_of(case_folder, {"tables": "records/*.csv"}, experiments=twice))
+        CaseList.of(study_of(case_folder, {"starting_points": 2}, parameters={}))
+    twice = [{"data": f"records/run{k}.csv", "inputs": ["u"], "outputs": ["i"]} for k in (1, 2)]
+    with pytest.raises(InputError, match=r"has data, each in place of .* the study has 2 \[\[experiments\]\]"):
+        CaseList.of(study_of(case_folder, {"data": "records/*.csv"}, experiments=twice))
     with pytest.raises(InputError, match="has no parameter 'Q'"):
-        CaseList.of(study_of(case_folder, {"starts": 2}, parameters={"Q": {"start": 1.0}}))
+        CaseList.of(study_of(case_folder, {"starting_points": 2}, parameters={"Q": {"start": 1.0}}))
 
 
 def test_the_noise_of_a_study_is_that_of_its_draws(case_folder: Path) -> None:
-    study = study_of(case_folder, {"noise": {"draws": 2}}, noise={"variance": 0.04})
+    study = study_of(case_folder, {"monte_carlo": {"realizations": 2}}, noise={"variance": 0.04})
     assert study.batch is not None
-    assert study.batch.noise is not None
+    assert study.batch.monte_carlo is not None
     assert study.noise == Noise(0.04)
-    assert study.batch.noise.std == pytest.approx({"i": 0.2})
+    assert study.batch.monte_carlo.std == pytest.approx({"i": 0.2})

@@ -143,7 +143,7 @@ def test_ctrl_c_on_the_command_line(folder: Path, here: Any, capsys: Any) -> Non
     ("change", "told"),
     [
         (lambda f: write(f, NOISE.format(draws=DRAWS), R="7.0"), "parameters.R.start was 6.0"),
-        (lambda f: write(f, NOISE.format(draws=31)), "batch.noise.draws was 30"),
+        (lambda f: write(f, NOISE.format(draws=31)), "batch.monte_carlo.realizations was 30"),
         (lambda f: write(f, NOISE.format(draws=DRAWS) + "seed = 3\n"), "batch.seed was not given"),
         (lambda f: coil_table(f / "first.csv", 0.0, seed=9), "first.csv has another content"),
     ],

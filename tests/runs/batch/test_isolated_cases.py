@@ -29,10 +29,10 @@ def study_of(folder: Path, modes: list[int], **other: Any) -> Study:
     )
     data: dict[str, Any] = {
         "model": {"fmu": str(misbehaving_fmu(folder))},
-        "experiments": [{"table": "table.csv", "inputs": ["u"], "outputs": ["x"]}],
+        "experiments": [{"data": "table.csv", "inputs": ["u"], "outputs": ["x"]}],
         "parameters": {"gain": {"start": 1.2, "min": 0.5, "max": 2.0}},
-        "estimator": {"accuracy": "off"},  # which only the first of like cases would simulate, and print, more for
-        "batch": {"values": {"mode": [float(mode) for mode in modes]}},
+        "estimation": {"solver_check": "off"},  # which only the first of like cases would simulate, and print, more for
+        "batch": {"sweep": {"mode": [float(mode) for mode in modes]}},
     }
     data |= other
     return Study.of(data, folder / "study.toml")
@@ -97,7 +97,7 @@ def test_a_first_draw_that_ends_the_process_costs_the_others_one_process(
 ) -> None:
     """They borrow no derivatives from its search then, whoever runs them."""
     fmu = str(misbehaving_fmu(tmp_path))
-    batch = {"noise": {"draws": 10, "std": 0.01, "truth": {"gain": 1.0, "mode": 0.0}}}
+    batch = {"monte_carlo": {"realizations": 10, "std": 0.01, "true_values": {"gain": 1.0, "mode": 0.0}}}
 
     def draws(mode: Mode, low: float = 5.0, high: float = 6.0) -> Study:
         values = {"mode": float(mode), "where": float(Where.STEP), "bad_from": low, "bad_to": high}

@@ -48,18 +48,18 @@ QUARTER, CASES = 50, 200
 GATED = """
 [model]
 fmu = "{fmu}"
-values = {{ mode = {mode}, where = {where} }}
+fixed = {{ mode = {mode}, where = {where} }}
 [[experiments]]
-table = "first.csv"
+data = "first.csv"
 inputs = ["u"]
 outputs = ["x"]
-interpolation = "hold"
+interpolation = "zoh"
 [parameters]
 gain = {{ start = 1.0, min = 0.0 }}
 T = {{ start = 1.0, min = 1e-3 }}
 [batch]
-values = {{ amount = [1.0, 2.0, 3.0, 4.0] }}
-noise = {{ draws = 50, std = 0.02, truth = {{ gain = 2.0, T = 0.5 }} }}
+sweep = {{ amount = [1.0, 2.0, 3.0, 4.0] }}
+monte_carlo = {{ realizations = 50, std = 0.02, true_values = {{ gain = 2.0, T = 0.5 }} }}
 """
 
 

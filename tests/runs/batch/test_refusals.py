@@ -35,7 +35,7 @@ def test_no_batch(folder: Path, capsys: Any) -> None:
 
 
 def test_empty_pattern(folder: Path, capsys: Any) -> None:
-    write(folder, '[batch]\ntables = "nothing/*.csv"\n')
+    write(folder, '[batch]\ndata = "nothing/*.csv"\n')
     assert '"nothing/*.csv" matches no file' in refused(capsys, folder / "study.toml", "-o", folder / "out")
 
 

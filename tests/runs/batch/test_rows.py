@@ -29,7 +29,10 @@ from tests.support.coil_cases import COIL, STD, TIMES, L, R, bits, current, reco
 
 def monte_carlo(case_folder: Path, draws: int, **more: Any) -> CaseRunner:
     return CaseRunner(
-        study_of(case_folder, {"noise": {"draws": draws, "std": {"i": STD}, "truth": {"R": R, "L": L}}, **more})
+        study_of(
+            case_folder,
+            {"monte_carlo": {"realizations": draws, "std": {"i": STD}, "true_values": {"R": R, "L": L}}, **more},
+        )
     )
 
 
@@ -49,11 +52,13 @@ def test_estimates_of_a_monte_carlo_scatter_as_the_closed_form_says(case_folder:
         assert values.std() == pytest.approx(std, rel=4 / math.sqrt(2 * draws))
         assert frame[f"std.{name}"].median() == pytest.approx(std, rel=0.02)  # wider where slow noise is suspected
     assert frame["noise.i"].mean() == pytest.approx(STD**2, rel=0.05)
-    assert truth_of(study_of(case_folder, {"noise": {"draws": 1, "std": STD, "truth": {"R": R}}})) == {"R": R, "L": 0.2}
+    assert truth_of(
+        study_of(case_folder, {"monte_carlo": {"realizations": 1, "std": STD, "true_values": {"R": R}}})
+    ) == {"R": R, "L": 0.2}
 
 
 def test_rows_have_the_columns_that_the_runner_names(case_folder: Path) -> None:
-    runner = CaseRunner(study_of(case_folder, {"tables": ["records/run1.csv", "records/none.csv"], "starts": 1}))
+    runner = CaseRunner(study_of(case_folder, {"data": ["records/run1.csv", "records/none.csv"], "starting_points": 1}))
     expected = "case table start.R start.L status message undetermined value.R value.L std.R "
     expected += "std.L noise.i fit.i rmse.i criterion iterations simulations rejected accuracy shift finer"
     assert [*runner.columns] == [*expected.split(), *VOLATILE]
@@ -68,11 +73,11 @@ def test_rows_have_the_columns_that_the_runner_names(case_folder: Path) -> None:
 
 
 def test_records_are_identified_as_studies_of_their_own(case_folder: Path) -> None:
-    runner = CaseRunner(study_of(case_folder, {"tables": "records/*.csv"}))
+    runner = CaseRunner(study_of(case_folder, {"data": "records/*.csv"}))
     for k, name in enumerate(("run1", "run10", "run2")):
         row = runner(k).row
         alone = study_of(case_folder, None)
-        table = Experiment.read(case_folder / "records" / f"{name}.csv", ["u"], ["i"], interpolation="hold")
+        table = Experiment.read(case_folder / "records" / f"{name}.csv", ["u"], ["i"], interpolation="zoh")
         result = identify(Problem(alone.system, table, alone.parameters))
         assert (row["table"], row["status"], row["message"]) == (name, "converged", "converged")
         assert [row["value.R"], row["value.L"]] == result.values.tolist()
@@ -82,7 +87,7 @@ def test_records_are_identified_as_studies_of_their_own(case_folder: Path) -> No
 
 
 def test_values_held_and_subsets_are_those_of_a_study_that_says_so(case_folder: Path) -> None:
-    study = study_of(case_folder, {"values": {"L": [0.1, 0.12]}, "starts": [{"R": 2.0}, {"R": 5.0}]})
+    study = study_of(case_folder, {"sweep": {"L": [0.1, 0.12]}, "starting_points": [{"R": 2.0}, {"R": 5.0}]})
     runner = CaseRunner(study)
     for k, (held, start) in enumerate(itertools.product((0.1, 0.12), (2.0, 5.0))):
         row = runner(k).row
@@ -90,7 +95,7 @@ def test_values_held_and_subsets_are_those_of_a_study_that_says_so(case_folder: 
         result = identify(Problem(study.system, study.tables, parameters, values={"L": held}))
         assert (row["value.R"], row["set.L"], row["start.R"]) == (result["R"], held, start)
         assert math.isnan(row["value.L"])  # type: ignore[arg-type]
-    runner = CaseRunner(study_of(case_folder, {"subsets": [["R"], ["R", "L"]]}))
+    runner = CaseRunner(study_of(case_folder, {"free_parameters": [["R"], ["R", "L"]]}))
     alone, both = runner(0).row, runner(1).row
     held_at_start = Problem(study.system, study.tables, {"R": study.parameters["R"]}, values={"L": 0.2})
     assert alone["value.R"] == identify(held_at_start)["R"]
@@ -104,12 +109,16 @@ def disturbed(study: Study, truth: dict[str, float], words: list[int]) -> Experi
     clean = Simulator(study.system, table, tuple(truth))(list(truth.values()))
     noise = np.random.default_rng(np.random.SeedSequence(words)).standard_normal(clean.shape)
     frame = table.frame.assign(i=(clean + STD * noise)[:, 0])
-    return Experiment(frame, ["u"], ["i"], interpolation="hold")
+    return Experiment(frame, ["u"], ["i"], interpolation="zoh")
 
 
 def test_truth_takes_the_values_swept_unless_it_has_its_own(case_folder: Path) -> None:
     for truth in ({"R": R}, {"R": R, "L": 0.1}):
-        batch = {"values": {"L": [0.1, 0.13]}, "noise": {"draws": 2, "std": STD, "truth": truth}, "seed": 9}
+        batch = {
+            "sweep": {"L": [0.1, 0.13]},
+            "monte_carlo": {"realizations": 2, "std": STD, "true_values": truth},
+            "seed": 9,
+        }
         study = study_of(case_folder, batch)
         assert truth_of(study) == truth
         runner = CaseRunner(study)
@@ -123,23 +132,23 @@ def test_truth_takes_the_values_swept_unless_it_has_its_own(case_folder: Path) -
 
 def test_noise_is_common_to_what_it_is_compared_over_and_differs_else(case_folder: Path) -> None:
     def measured(batch: dict[str, Any]) -> list[NDArray[np.float64]]:
-        noise = {"draws": 2, "std": STD, "truth": {"R": R, "L": L}}
-        runner = CaseRunner(study_of(case_folder, {"noise": noise} | batch))
+        noise = {"realizations": 2, "std": STD, "true_values": {"R": R, "L": L}}
+        runner = CaseRunner(study_of(case_folder, {"monte_carlo": noise} | batch))
         problems = [runner.problem(case) for case in runner.cases]
         return [problem.measured - current(R, L) for problem in problems]
 
     plain = measured({})
-    assert all(map(np.array_equal, plain * 4, measured({"starts": 2, "subsets": [["R"], ["R", "L"]]})))
-    swept = measured({"values": {"i_start": [0.0, 1.0]}})
+    assert all(map(np.array_equal, plain * 4, measured({"starting_points": 2, "free_parameters": [["R"], ["R", "L"]]})))
+    swept = measured({"sweep": {"i_start": [0.0, 1.0]}})
     rest = np.exp(-R / L * TIMES)  # what an initial current adds
     assert np.array_equal(swept[0], plain[0])
     assert swept[2] - rest == pytest.approx(plain[0], abs=1e-8)
     assert swept[3] - rest == pytest.approx(plain[1], abs=1e-8)
-    noises = [*plain, *measured({"seed": 1}), *measured({"tables": "records/*.csv"})]
+    noises = [*plain, *measured({"seed": 1}), *measured({"data": "records/*.csv"})]
     assert np.std(noises, axis=1) == pytest.approx(STD, rel=0.3)
     correlation = np.corrcoef(noises) - np.eye(len(noises))
     assert np.abs(correlation).max() < 5 / math.sqrt(TIMES.size)
-    assert np.array_equal(measured({"tables": ["records/run2.csv"]})[1], measured({"tables": "records/*.csv"})[5])
+    assert np.array_equal(measured({"data": ["records/run2.csv"]})[1], measured({"data": "records/*.csv"})[5])
 
 
 def test_noise_needs_no_measurements_and_leaves_missing_ones_out(case_folder: Path) -> None:
@@ -161,7 +170,7 @@ def test_no_measurements_are_made_up_to_check_a_model_with(case_folder: Path, mo
         return checked[-1]
 
     monkeypatch.setattr("fmuid.runs.batch.case_problem.problem_of", watched)
-    CaseList.of(study_of(case_folder, {"subsets": [["R"], ["R", "L"]]}))
+    CaseList.of(study_of(case_folder, {"free_parameters": [["R"], ["R", "L"]]}))
     assert len(checked) == 3
     for problem in checked:
         assert problem.measured.size > len(problem.parameters)
@@ -170,10 +179,10 @@ def test_no_measurements_are_made_up_to_check_a_model_with(case_folder: Path, mo
 
 def test_rows_are_the_same_bit_for_bit_in_any_order(case_folder: Path) -> None:
     batch = {
-        "noise": {"draws": 3, "std": STD, "truth": {"R": R, "L": L}},
-        "tables": "records/*.csv",
-        "subsets": [["R"], ["R", "L"]],
-        "starts": 2,
+        "monte_carlo": {"realizations": 3, "std": STD, "true_values": {"R": R, "L": L}},
+        "data": "records/*.csv",
+        "free_parameters": [["R"], ["R", "L"]],
+        "starting_points": 2,
     }
     model = {"fmu": str(COIL), "interface": "model-exchange"}
     first, second = (CaseRunner(study_of(case_folder, batch, model=model)) for _ in range(2))
@@ -185,7 +194,7 @@ def test_rows_are_the_same_bit_for_bit_in_any_order(case_folder: Path) -> None:
 
 def test_a_stiff_case_does_not_change_the_next(case_folder: Path) -> None:
     model = {"fmu": str(COIL), "interface": "model-exchange"}
-    alone, after = (CaseRunner(study_of(case_folder, {"values": {"L": [1e-8, L]}}, model=model)) for _ in range(2))
+    alone, after = (CaseRunner(study_of(case_folder, {"sweep": {"L": [1e-8, L]}}, model=model)) for _ in range(2))
     stiff = after.problem(after.cases[0])
     stiff.predict(np.array([[R]]))
     assert stiff.models[""]["run"]["stiff"]
@@ -204,23 +213,25 @@ def test_a_row_says_what_is_not_determined(case_folder: Path) -> None:
     found = directions_of(str(row["undetermined"]))
     assert {name for each in found for name in each.names} <= {"R", "L"}
     assert found
-    assert CaseRunner(study_of(case_folder, {"starts": 1, "tables": "records/*.csv"}))(0).row["undetermined"] == ""
+    assert (
+        CaseRunner(study_of(case_folder, {"starting_points": 1, "data": "records/*.csv"}))(0).row["undetermined"] == ""
+    )
 
 
 def test_a_global_search_is_the_study_s_own(case_folder: Path) -> None:
     bounds = {"R": {"start": 3.0, "min": 0.5, "max": 8.0}, "L": {"start": 0.2, "min": 1e-3, "max": 1.0}}
-    words = {"parameters": bounds, "estimator": {"method": "global", "starts": 4, "search": "multistart"}}
-    row = CaseRunner(study_of(case_folder, {"starts": 1}, **words))(0).row
+    words = {"parameters": bounds, "estimation": {"method": "multi-start", "n_starts": 4}}
+    row = CaseRunner(study_of(case_folder, {"starting_points": 1}, **words))(0).row
     assert row["status"] == "converged"
     assert row["value.R"] == pytest.approx(study_of(case_folder, None, **words).identify()["R"], rel=1e-6)
     with pytest.raises(InputError, match="a global search needs a bounded box, and parameter 'L' has no max"):
-        CaseList.of(study_of(case_folder, {"starts": 1}, estimator={"method": "global"}))
+        CaseList.of(study_of(case_folder, {"starting_points": 1}, estimation={"method": "multi-start"}))
 
 
 def test_what_a_joint_prior_says_where_one_of_its_parameters_is_held(case_folder: Path) -> None:
     mean, covariance = np.array([4.2, 0.11]), np.array([[0.04, 0.003], [0.003, 0.0004]])
     prior = {"names": ["R", "L"], "mean": mean.tolist(), "covariance": covariance.tolist()}
-    study = study_of(case_folder, {"values": {"L": [0.15]}}, prior=prior)
+    study = study_of(case_folder, {"sweep": {"L": [0.15]}}, prior=prior)
     parameters = problem_of(study, study.tables, ("R",), {"L": 0.15}, {}).parameters
     thetas = np.array([[3.5], [4.0], [5.0]])
     found = (parameters.prior_residual(thetas) ** 2).sum(axis=1)
@@ -229,21 +240,25 @@ def test_what_a_joint_prior_says_where_one_of_its_parameters_is_held(case_folder
     assert np.diff(found) == pytest.approx(np.diff(expected))
     assert CaseRunner(study)(0).row["status"] == "converged"
     alone = study_of(
-        case_folder, {"values": {"L": [0.15]}}, prior=prior | {"names": ["L"], "mean": [1], "covariance": [[1]]}
+        case_folder, {"sweep": {"L": [0.15]}}, prior=prior | {"names": ["L"], "mean": [1], "covariance": [[1]]}
     )
     assert len(problem_of(alone, alone.tables, ("R",), {"L": 0.15}, {}).parameters.prior_whitening) == 0
 
 
 def test_parameters_per_experiment(case_folder: Path) -> None:
-    tables = [{"table": f"records/run{k}.csv", "inputs": ["u"], "outputs": ["i"]} for k in (1, 2)]
+    tables = [{"data": f"records/run{k}.csv", "inputs": ["u"], "outputs": ["i"]} for k in (1, 2)]
     parameters = {"R": {"start": 3.0, "min": 0.5, "per_experiment": True}, "L": {"start": 0.2, "min": 1e-3}}
-    noise = {"draws": 1, "std": 1e-6, "truth": {"R[run1]": 3.8, "R": 4.4, "L": 0.1}}
-    study = study_of(case_folder, {"noise": noise, "starts": 1}, experiments=tables, parameters=parameters)
+    noise = {"realizations": 1, "std": 1e-6, "true_values": {"R[run1]": 3.8, "R": 4.4, "L": 0.1}}
+    study = study_of(
+        case_folder, {"monte_carlo": noise, "starting_points": 1}, experiments=tables, parameters=parameters
+    )
     assert truth_of(study) == {"R[run1]": 3.8, "R[run2]": 4.4, "L": 0.1}
     row = CaseRunner(study)(0).row
     assert [row[f"value.{name}"] for name in truth_of(study)] == pytest.approx([3.8, 4.4, 0.1], rel=1e-5)
     assert "start.R" in row
-    held = study_of(case_folder, {"noise": noise, "values": {"R": [3.8]}}, experiments=tables, parameters=parameters)
+    held = study_of(
+        case_folder, {"monte_carlo": noise, "sweep": {"R": [3.8]}}, experiments=tables, parameters=parameters
+    )
     assert truth_of(held) == {"R[run1]": 3.8, "R[run2]": 4.4, "L": 0.1}
 
 

@@ -50,7 +50,7 @@ def record(times: Array, **columns: Any) -> pd.DataFrame:
 
 
 @pytest.mark.parametrize("kind", ["co-simulation", "model-exchange"])
-@pytest.mark.parametrize("interpolation", ["hold", "linear"])
+@pytest.mark.parametrize("interpolation", ["zoh", "linear"])
 def test_coil_of_fmi3_equals_its_closed_form(coil3: Path, kind: str, interpolation: str) -> None:
     assert FMU(coil3).description.major_version == 3
     rng = np.random.default_rng(3)
@@ -98,7 +98,7 @@ def test_event_times_of_a_friction_drive(drives: dict[str, Path], fmi: str, nume
     times = np.linspace(0.0, 0.99, 12)
     for force in (-4.0, -7.3, -31.0):
         experiment = Experiment(
-            record(times, F=force, x=0.0, v=0.0, impulse=0.0), ["F"], ["x", "v", "impulse"], interpolation="hold"
+            record(times, F=force, x=0.0, v=0.0, impulse=0.0), ["F"], ["x", "v", "impulse"], interpolation="zoh"
         )
         got = Simulator(System(drives[fmi], numerics=numerics), experiment, ["m", "Fc"])([2.0, 3.0])
         expected = np.array([friction(t, force) for t in times])
@@ -120,7 +120,7 @@ def test_sensitivities_of_the_fmu_serve_the_search(tmp_path: Path) -> None:
     u = np.sign(np.sin(0.13 * np.arange(600)))
     rng = np.random.default_rng(8)
     i = coil_response(times, u, 4.2, 0.09, False) + 0.01 * rng.normal(size=600)
-    experiment = Experiment(record(times, u=u, i=i), ["u"], ["i"], interpolation="hold")
+    experiment = Experiment(record(times, u=u, i=i), ["u"], ["i"], interpolation="zoh")
     parameters = {"R": Parameter(start=6.0, min=0.0), "L": Parameter(start=0.05, min=1e-3)}
     by_fmu = identify(Problem(fmu, experiment, parameters, sensitivity="fmu"))
     by_differences = identify(Problem(fmu, experiment, parameters))

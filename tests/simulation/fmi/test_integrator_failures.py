@@ -119,7 +119,7 @@ def test_every_failure_has_words() -> None:
 @pytest.mark.parametrize(
     ("settings", "message"),
     [
-        ({"integrator": "euler"}, 'integrator = "euler" is none; choose one of rk4, rk45, cvode'),
+        ({"integrator": "euler"}, 'solver = "euler" is none; choose one of rk4, rk45, cvode'),
         ({"tolerance": 0.0}, "tolerance = 0 must lie between 0 and 1"),
         ({"step_size": -1.0}, "step_size = -1 must be a positive number of seconds"),
     ],
@@ -131,7 +131,7 @@ def test_bad_settings(make: Maker, settings: dict[str, Any], message: str) -> No
 
 def test_platform_without_cvode(libraries: Libraries, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "fmpy.sundials", None)
-    with pytest.raises(InputError, match=r'no library for this platform.*choose integrator = "rk45"'):
+    with pytest.raises(InputError, match=r'no library for this platform.*choose solver = "rk45"'):
         Trial(libraries[2], 2, LINEAR, [0.0], [1.0], integrator="cvode")
 
 

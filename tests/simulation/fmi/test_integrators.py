@@ -198,4 +198,4 @@ def test_stiffness_is_found(make: Maker) -> None:
     with pytest.raises(Failure) as failure:
         trial.advance(500.0)
     assert failure.value.args[0] == codes.STIFF
-    assert 'choose integrator = "cvode"' in trial.describe()
+    assert 'choose solver = "cvode"' in trial.describe()

@@ -298,7 +298,7 @@ def test_held_inputs_beside_those_that_go_by_midpoints(tmp_path: Path) -> None:
     rng = np.random.default_rng(5)
     times: Array = np.linspace(0.0, 1.0, 21)
     frame = pd.DataFrame({"time": times, "u": 0.0, "v": rng.normal(size=21), "x": 0.0})
-    experiment = Experiment(frame, ["u", "v"], ["x"], interpolation={"u": "linear", "v": "hold"})
+    experiment = Experiment(frame, ["u", "v"], ["x"], interpolation={"u": "linear", "v": "zoh"})
     got = Simulator(export_text(tmp_path, TWO_INPUTS, fmi="3.0"), experiment, interface="co-simulation")([])[:, 0]
     x = np.zeros(21)
     for k, h in enumerate(np.diff(times)):
@@ -306,7 +306,7 @@ def test_held_inputs_beside_those_that_go_by_midpoints(tmp_path: Path) -> None:
     assert np.abs(got - x).max() < 1e-6
 
 
-@pytest.mark.parametrize(("model", "interpolation"), [("machine", "hold"), ("machine", "linear"), ("failing", "hold")])
+@pytest.mark.parametrize(("model", "interpolation"), [("machine", "zoh"), ("machine", "linear"), ("failing", "zoh")])
 def test_whole_rows_go_through_as_each_sample_does(probe: ProbeMaker, model: str, interpolation: str) -> None:
     """The walk over whole rows against the general one: the same bits, and of failures the same report."""
     rng, times = np.random.default_rng(3), np.array([0.0, 0.1, 0.2, 0.2, 0.3, 0.45])

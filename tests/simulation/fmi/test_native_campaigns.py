@@ -56,7 +56,7 @@ def test_simulations_leave_nothing_behind(name: str, kind: str) -> None:
     columns = {f"in {name}": 0.1 * (k + 1) * np.ones(4) for k, name in enumerate(inputs)}
     frame = pd.DataFrame({"time": np.linspace(0.0, 3e-3, 4), "out": 0.0, **columns})
     experiment = Experiment(
-        frame, {name: f"in {name}" for name in inputs}, dict.fromkeys(outputs[:3], "out"), interpolation="hold"
+        frame, {name: f"in {name}" for name in inputs}, dict.fromkeys(outputs[:3], "out"), interpolation="zoh"
     )
     simulator = Simulator(System(fmu.path, numerics=Numerics(kind)), experiment)
     first = simulator([])

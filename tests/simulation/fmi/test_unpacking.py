@@ -22,7 +22,7 @@ from fmuid.models.fmu import FMU
 from fmuid.models.ssp import parameter_values
 from fmuid.models.ssp.parameter_values import read_ssv
 from fmuid.models.unpacking import file_digest, unpacked
-from fmuid.reports.apply import apply_result
+from fmuid.runs.apply import apply_result
 from tests.support.fmu_texts import FMI2, FMI3, write_fmu
 from tests.support.packing import pack, refusal
 from tests.support.paths import FMUS

@@ -256,9 +256,9 @@ def case_settings(path: Path, number: int, found: pd.Series[Any]) -> list[str]:
     if not 0 <= number < len(cases):
         raise InputError(f"{path} has no case {number} any more")
     case = cases[number]
-    table = [] if case.table is None else [f"experiments.0.table={json.dumps(beside(case.table, path))}"]
+    table = [] if case.table is None else [f"experiments.0.data={json.dumps(beside(case.table, path))}"]
     held = [
-        f'{"parameters" if name in study.parameters else "model.values"}."{name}"={json.dumps(value)}'
+        f'{"parameters" if name in study.parameters else "model.fixed"}."{name}"={json.dumps(value)}'
         for name, value in case.held.items()
     ]
     starts = []

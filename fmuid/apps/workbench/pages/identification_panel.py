@@ -29,8 +29,8 @@ from fmuid.reports.page import identification
 
 SEARCHES = {
     "from here": [],
-    "whole bounds, evolution": ["estimator.method=global", "estimator.search=evolution"],
-    "whole bounds, many starts": ["estimator.method=global", "estimator.search=multistart"],
+    "whole bounds, evolution": ["estimation.method=differential-evolution"],
+    "whole bounds, many starts": ["estimation.method=multi-start"],
 }
 """What the search may be, and what a study says for it."""
 PROFILES, POSTERIOR = "profiles", "posterior"
@@ -96,15 +96,15 @@ class IdentificationPanel:
     def settings(self) -> list[str]:
         """Return what of the study is replaced for the search, and for what follows it."""
         found = list(SEARCHES[self.how.value])
-        found += [f"estimator.starts={int(self.starts.value or STARTS)}"] if self.starts.visible else []
-        found += ["uncertainty.profile=true"] if PROFILES in self.also.value else []
+        found += [f"estimation.n_starts={int(self.starts.value or STARTS)}"] if self.starts.visible else []
+        found += ["uncertainty.profile_likelihood=true"] if PROFILES in self.also.value else []
         found += ["uncertainty.posterior={}"] if POSTERIOR in self.also.value else []
         pairs = [self.pairs[each] for each in self.also.value if each in self.pairs]
         quoted = ", ".join(f'["{first}", "{second}"]' for first, second in pairs)
-        return found + ([f"uncertainty.map=[{quoted}]"] if pairs else [])
+        return found + ([f"uncertainty.cost_map=[{quoted}]"] if pairs else [])
 
     def _asked(self) -> None:
-        self.starts.visible = "multistart" in "".join(SEARCHES[self.how.value])
+        self.starts.visible = "multi-start" in "".join(SEARCHES[self.how.value])
         self.page.note()
 
     # --- a run

@@ -15,18 +15,23 @@ from fmuid.apps.workbench.pages.command_panel import CommandPanel
 from fmuid.apps.workbench.project_folder import Folder, choices, tables
 from fmuid.data import first_lines
 from fmuid.errors import FmuidError, InputError
-from fmuid.reports import prepared_columns
 from fmuid.reports.console.draft import LINK_HEADS, heading, link_cells, remarks
 from fmuid.reports.interactive.live import in_scheme
 from fmuid.reports.interactive.preparation import preparation
 from fmuid.reports.page.document import details, table
+from fmuid.runs import prepared_columns
 from fmuid.studies import InitOptions, MatchedDataFile, match_data_files, parse_column, value_of
 from fmuid.units import TIME_UNITS
 
 GUESSED, NONE = "(guess)", "(none)"
 """What stands for a column that is not said, and for none."""
-LABELS = {"low_pass": "low-pass (Hz)", "from": "from (s)", "to": "to (s)", "resample": "resample (s)"}
-"""Words of ``[experiments.prepare]`` that are asked for, beside detrend; the file has room for all."""
+LABELS = {
+    "lowpass_frequency": "low-pass (Hz)",
+    "start_time": "from (s)",
+    "end_time": "to (s)",
+    "resample_interval": "resample (s)",
+}
+"""Words of ``[experiments.preprocess]`` that are asked for, beside detrend; the file has room for all."""
 ROWS = 5
 """Of a table that are shown."""
 CHARACTERS = 1200

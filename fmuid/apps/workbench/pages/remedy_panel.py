@@ -230,7 +230,7 @@ def _settings(before: Any, after: Any, where: str = "") -> Iterator[str]:
     if isinstance(before, dict) and isinstance(after, dict):
         if not where:  # held, which moves it from the parameters to the values of the model
             held = before.get("parameters", {}).keys() - after.get("parameters", {}).keys()
-            yield from (f"parameters.{_key(name)}={after['model']['values'][name]!r}" for name in sorted(held))
+            yield from (f"parameters.{_key(name)}={after['model']['fixed'][name]!r}" for name in sorted(held))
         for key, value in after.items():
             if before.get(key) != value:
                 yield from _settings(before.get(key), value, f"{where}.{_key(key)}" if where else key)

@@ -1,9 +1,8 @@
-"""What ``[experiments.prepare]`` made of each table: its columns before and after, thinned as figures are."""
+"""What ``[experiments.preprocess]`` made of each table: its columns before and after, thinned as figures are."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -11,39 +10,18 @@ import numpy as np
 import pandas as pd
 
 from fmuid.array_types import Floats
-from fmuid.data import UNITS, column_of, numeric_column, time_name
+from fmuid.data import UNITS, column_of, extremes, numeric_column, time_name
 from fmuid.files import write_table
-from fmuid.reports.downsampling import extremes
-from fmuid.reports.interactive.style import MAX_ROWS
+from fmuid.runs.findings import PreprocessedTable
 
 if TYPE_CHECKING:
     from fmuid.data import Experiment
     from fmuid.studies import ExperimentSettings, Study
 
 BEFORE, AFTER = "before", "after"
-_READ_BY = ("table", "time", "time_unit", "sample_rate", "sheet")
-
-
-@dataclass(frozen=True, eq=False)
-class PreprocessedTable:
-    """What was done with the table of an experiment.
-
-    Attributes
-    ----------
-    experiment : str
-    words : mapping
-        Those of ``[experiments.prepare]`` that are not its defaults.
-    units : dict of str to str
-        Of its columns, where the table says them.
-    table : DataFrame
-        The columns that it changed or made: ``experiment``, ``column``, ``stage`` (before or after), ``time`` (s) and
-        ``value``, about `MAX_ROWS` rows of each at most; a column that it made has nothing before.
-    """
-
-    experiment: str
-    words: Mapping[str, Any]
-    units: Mapping[str, str]
-    table: pd.DataFrame
+# Rows that are kept of a column, as many as a figure can show.
+MAX_ROWS = 4000
+_READ_BY = ("data", "time", "time_unit", "sample_rate", "sheet")
 
 
 def prepared(study: Study) -> tuple[PreprocessedTable, ...]:
@@ -62,14 +40,9 @@ def prepared(study: Study) -> tuple[PreprocessedTable, ...]:
         key = [getattr(given, name) for name in _READ_BY]
         if read is None or read[0] != key:  # pieces of a record follow each other
             read = None  # two records at once may be more than there is room for
-            read = key, given.read_frame(given.table)
+            read = key, given.read_frame(given.data)
         found.append(prepared_table(given, experiment, read[1]))
     return tuple(found)
-
-
-def said_of(done: Iterable[PreprocessedTable]) -> list[dict[str, Any]]:
-    """Return what a JSON file says of what was done with tables."""
-    return [{"name": each.experiment, "preparation": each.words, "columns": each.units} for each in done]
 
 
 def write_prepared(path: Path, tables: Iterable[pd.DataFrame]) -> list[Path]:
@@ -80,8 +53,8 @@ def write_prepared(path: Path, tables: Iterable[pd.DataFrame]) -> list[Path]:
 
 
 def words_of(given: ExperimentSettings) -> dict[str, Any]:
-    """Return the words of ``[experiments.prepare]`` that are not its defaults."""
-    return given.prepare.model_dump(exclude_defaults=True, by_alias=True)
+    """Return the words of ``[experiments.preprocess]`` that are not its defaults."""
+    return given.preprocess.model_dump(exclude_defaults=True, by_alias=True)
 
 
 def prepared_table(given: ExperimentSettings, experiment: Experiment, raw: pd.DataFrame) -> PreprocessedTable:
@@ -111,12 +84,12 @@ def _changes(
     given: ExperimentSettings, experiment: Experiment, raw: pd.DataFrame, *, whole: bool
 ) -> Iterator[pd.DataFrame]:
     time = time_name(given.time)
-    words, after = given.prepare, experiment.frame
+    words, after = given.preprocess, experiment.frame
     names = [
         *experiment.columns.values(),
-        *words.columns,
-        *words.fill,
-        *(name for each in words.axes for name in each.target),
+        *words.computed_columns,
+        *words.fill_missing,
+        *(name for each in words.park for name in each.target),
     ]
     names += list(words.detrend) if isinstance(words.detrend, dict) else []
     there = [[str(each) for each in frame.columns] for frame in (raw, after)]
