@@ -1,11 +1,5 @@
-from .batch_tables import write_overview as write_overview
-from .batch_tables import write_summary as write_summary
+from .documents import describe as describe
 from .figure_files import REPORT_FILE as REPORT_FILE
 from .figure_files import clear_figures as clear_figures
-from .messages.batch import summary_words as summary_words
-from .messages.describe import describe as describe
-from .messages.diagnosis import healthy_record_words as healthy_record_words
-from .page.write import draw_simulation as draw_simulation
-from .page.write import show_results as show_results
-from .page.write import write_report as write_report
 from .publish import run as run
+from .publish import write_report as write_report

@@ -8,7 +8,7 @@ import pandas as pd
 
 from fmuid import codec
 from fmuid.files import write_table
-from fmuid.reports.messages.batch import failure_words, note, summary_words
+from fmuid.reports.topics.batch import failure_words, note, summary_words
 from fmuid.runs import BATCH_SCHEMA, BatchOverview, BatchResult, Summary
 from fmuid.runs.provenance import made_from
 from fmuid.studies import Study

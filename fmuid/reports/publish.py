@@ -94,7 +94,7 @@ def write_figures(folder: Path, sections: Sequence[Section], kind: str) -> list[
 
 # --- runs
 
-AnyFindings: TypeAlias = "Findings | DiagnosisRun | MonitoringRun | PredictionRun | ComparisonRun"
+AnyFindings: TypeAlias = "IdentificationRun | DiagnosisRun | MonitoringRun | PredictionRun | ComparisonRun"
 Command = Literal["identify", "diagnose", "monitor", "predict", "compare"]
 Found = TypeVar("Found", bound="AnyFindings")
 
@@ -110,15 +110,10 @@ def published(found: Found, folder: Path | None, *, report: bool = True, figures
         If a file cannot be written.
     """
     from fmuid.reports.documents import document
-    from fmuid.reports.page.write import show_results
-    from fmuid.runs import ComparisonRun
 
     if folder is None or not found.files:
         return found
-    if isinstance(found, ComparisonRun):
-        drawn = publish(folder, document(found), report=report, figures=figures)
-    else:
-        drawn = show_results(folder, report=report, figures=figures)
+    drawn = publish(folder, document(found), report=report, figures=figures)
     return replace(found, files=tuple(dict.fromkeys((*found.files, *drawn))))
 
 

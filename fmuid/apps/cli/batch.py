@@ -40,8 +40,9 @@ def batch(
     no_report: NoReport = False,
 ) -> int:
     """Run the many identifications of a study's [batch]; the same command resumes them."""
-    from fmuid.reports.console import layout as console
-    from fmuid.reports.console.progress import Display
+    from fmuid.reports.render import console
+    from fmuid.reports.render.progress import Display
+    from fmuid.reports.topics.study_notes import source_notes
     from fmuid.runs import Batch
     from fmuid.studies import Study
 
@@ -55,7 +56,7 @@ def batch(
         resume=resume,
         isolated=not no_isolation,
     )
-    console.note_sources(read)
+    console.show_notes(source_notes(read))
     with answering("saving the finished cases, then ending the workers, then their summary (Ctrl-C leaves it out)"):
         with Display() as display:
             found = job.run(display)
@@ -65,21 +66,23 @@ def batch(
 
 def _show(job: Batch, found: BatchResult, figures: str | None, *, report: bool) -> int:
     """Show and write what a batch has found so far."""
-    from fmuid.reports.console import layout as console
+    from fmuid.reports.render import console
 
     logs = job.dataset.log_count()
     said = [f"{path} was damaged and is removed: its cases are run again" for path in found.lost]
     said += [f"what {logs} cases printed, and warnings, are in {job.dataset.logs}"] if logs else []
     console.show_notes(said)
     if found.finished:
-        from fmuid.reports import write_overview, write_summary
-        from fmuid.reports.console.batch import show_batch
-        from fmuid.reports.page.write import show_results
+        from fmuid.reports.batch_tables import write_overview, write_summary
+        from fmuid.reports.publish import publish
+        from fmuid.reports.topics.batch import batch_document
+        from fmuid.runs import made_from
 
         summary, _ = found.summary()
         written = [*write_summary(summary, job.folder), write_overview(summary, found, job.study)]
-        show_batch(summary)
-        written += show_results(job.folder, report=report, figures=figures)
+        shown = batch_document(found, made_from(job.study))
+        console.show(shown)
+        written += publish(job.folder, shown, report=report, figures=figures)
         console.show_files([*job.dataset.files(), *written])
     if found.interrupted:
         print(

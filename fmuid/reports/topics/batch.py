@@ -309,6 +309,10 @@ def _against_truth(rows: Sequence[Row]) -> Section:
     return Section("truth", "Against the truth", table=table_of(columns, ("unit",)))
 
 
+def _bias(row: Row) -> str:
+    return with_std(row["bias"], row["bias_std"]) if row["bias_std"] > 0 else _short(row["bias"], 3)
+
+
 def _coverage(row: Row) -> str:
     said = f"{100 * row['coverage']:.1f} %"
     if math.isnan(row["coverage_lower"]):

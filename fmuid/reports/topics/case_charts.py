@@ -12,6 +12,7 @@ import pandas as pd
 from scipy import special
 
 from fmuid.array_types import Flags, Floats
+from fmuid.data import evenly
 from fmuid.reports.chart import (
     DENSITY,
     MAX_BARS,
@@ -29,7 +30,6 @@ from fmuid.reports.chart import (
     picked,
     rows_of,
 )
-from fmuid.reports.downsampling import evenly
 from fmuid.runs import INTERVAL_STDS, BatchColumns, data_sets, fit_cost, optimum_numbers
 
 MIN_BINS, MAX_BINS = 8, 60
@@ -113,6 +113,10 @@ def _over_cases(frame: pd.DataFrame, good: pd.DataFrame, name: str, true: float 
             layers.append(Layer("points", marks, color, marker="bar", size=12, width=1, label=text))
     x = Axis("case") if not places else Axis(kind="names", names=tuple(places.values()), turned=0.8)
     return Chart(x, Axis(named(name, units), reach=limits), (*layers, *_truth(true)), 210)
+
+
+def _statuses(status: Any) -> tuple[tuple[str, Color, Flags], ...]:
+    return _two(("failed", "red", status == "failed"), ("not converged", "amber", status == "not converged"))
 
 
 def _two(*kinds: tuple[str, Color, Flags]) -> tuple[tuple[str, Color, Flags], ...]:
@@ -315,8 +319,8 @@ def _means(place: pd.Series[Any], value: Floats, std: Floats, *, number: bool) -
         ends: Data = {"x0": x, "y0": mean - spread, "x1": x, "y1": mean + spread}
         layers.append(Layer("segments", ends, "red", width=6, alpha=0.3, label="± 1.96 spread"))
         for end in (mean - stated, mean + stated):
-            look = {"size": 14.0, "width": 1.6}
-            layers.append(Layer("points", {"x": x, "y": end}, "ink", marker="dash", label="± 1.96 stated std", **look))
+            text = "± 1.96 stated std"
+            layers.append(Layer("points", {"x": x, "y": end}, "ink", marker="dash", size=14, width=1.6, label=text))
     return layers
 
 
@@ -324,9 +328,7 @@ def failure_chart(messages: Sequence[str], statuses: Sequence[str], counts: Floa
     """Return how many cases have no estimate for which reason, the most frequent first."""
     texts = tuple(f"{k + 1}. {each[:LONGEST]}" for k, each in enumerate(messages[:MAX_FAILURES]))
     layers, status = [], np.array(statuses[:MAX_FAILURES])
-    for kind, color, mine in _two(
-        ("failed", "red", status == "failed"), ("not converged", "amber", status == "not converged")
-    ):
+    for kind, color, mine in _statuses(status):
         if mine.any():
             data = picked({"y": texts, "x": counts[:MAX_FAILURES]}, mine)
             layers.append(Layer("bars", data, color, label=kind, hover=(("cases", "@x"),)))

@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from fmuid.array_types import Floats
+from fmuid.data import extremes
 from fmuid.formatting import label
 from fmuid.reports.chart import (
     MAX_OUTPUTS,
@@ -23,7 +25,6 @@ from fmuid.reports.chart import (
     short,
     stacked,
 )
-from fmuid.reports.downsampling import extremes
 from fmuid.reports.topics.diagnosis_phrases import change_name, change_size
 
 if TYPE_CHECKING:
@@ -87,7 +88,7 @@ def cause_evidence(found: ChangeEvidence) -> Chart:
             data = _bars([name for name, _ in here], [each.statistic for _, each in here])
             near = [f"{e.rival}, {math.degrees(e.rival_angle):.0f}°" if e.rival else "" for _, e in here]
             sizes = tuple(change_size(each.change) for _, each in here)
-            more = {"p": _array([each.probability for _, each in here]), "size": sizes, "near": tuple(near)}
+            more: Data = {"p": _array([each.probability for _, each in here]), "size": sizes, "near": tuple(near)}
             layers.append(Layer("bars", {**data, **more}, color, label=text, hover=hover))
     most = max((each.statistic for each in kept), default=1.0)
     return rows_of(names, _strengths("D, by how much the cause alone lowers the criterion", most), layers, 110)
@@ -98,7 +99,7 @@ def _bars(names: Sequence[str], statistics: Sequence[float]) -> Data:
     return {"y": tuple(names), "x": np.maximum(told, LEAST_STATISTIC), "x0": LEAST_STATISTIC, "told": told}
 
 
-def _array(values: Sequence[float]) -> np.ndarray:  # type: ignore[type-arg]
+def _array(values: Sequence[float]) -> Floats:
     return np.array(values, dtype=np.float64)
 
 
@@ -114,7 +115,8 @@ def size_charts(found: Diagnosis) -> list[Chart]:
         if known:
             names = [label(size.name, size.unit) for size in known]
             ends = [size.interval() for size in known]
-            text, color = f"{each.name}: size, with its interval of 95 %", "red" if each.name in found.named else "grey"
+            text = f"{each.name}: size, with its interval of 95 %"
+            color: Color = "red" if each.name in found.named else "grey"
             charts.append(_intervals(text, names, [size.value for size in known], ends, color))
     return charts
 
@@ -133,15 +135,15 @@ def change_charts(found: ChangeEvidence) -> list[Chart]:
 
 
 def _intervals(
-    text: str, names: Sequence[str], values: Sequence[float], ends: Sequence[tuple[float, float]], color: str
+    text: str, names: Sequence[str], values: Sequence[float], ends: Sequence[tuple[float, float]], color: Color
 ) -> Chart:
     """Return values with their intervals beside zero, a row a name."""
     low, high = (_array([each[k] for each in ends]) for k in (0, 1))
     hover = (("size", "@x{0.000000}"), ("interval", "@x0{0.000000} to @x1{0.000000}"))
-    rows, paint = tuple(names), "red" if color == "red" else "grey"
+    rows = tuple(names)
     layers = (
-        Layer("segments", {"x0": low, "y0": rows, "x1": high, "y1": rows}, paint, width=3),
-        Layer("points", {"x": _array(values), "y": rows, "x0": low, "x1": high}, paint, size=9, hover=hover),
+        Layer("segments", {"x0": low, "y0": rows, "x1": high, "y1": rows}, color, width=3),
+        Layer("points", {"x": _array(values), "y": rows, "x0": low, "x1": high}, color, size=9, hover=hover),
         Layer("rule", {"x": 0.0}, "ink"),
     )
     least, most = min(0.0, float(low.min())), max(0.0, float(high.max()))

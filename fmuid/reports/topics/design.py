@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from fmuid.data import extremes
 from fmuid.reports.chart import (
     MAX_EXPERIMENTS,
     MAX_OUTPUTS,
@@ -24,12 +25,13 @@ from fmuid.reports.chart import (
     stacked,
 )
 from fmuid.reports.document import Document, Message, Remark, Section, Table, table_of
-from fmuid.reports.downsampling import extremes
 from fmuid.reports.topics.model_comparison import ranked_bars
 from fmuid.reports.topics.provenance import origin_of
 
 if TYPE_CHECKING:
     import pandas as pd
+
+    from fmuid.runs import Provenance
 
 ENOUGH = 1.1
 """A healthy record is long enough where a longer one lowers the smallest size found by no more than this."""
@@ -64,7 +66,7 @@ class DesignMessage(Message):
 
 
 def design_document(
-    ranked: pd.DataFrame, cost: pd.DataFrame | None = None, origin: Mapping[str, Any] | None = None
+    ranked: pd.DataFrame, cost: pd.DataFrame | None = None, origin: Provenance | None = None
 ) -> Document:
     """Return the document of excitations.
 
@@ -90,9 +92,7 @@ def design_document(
         title = f"Healthy records, in lengths of {names[0]}: the smallest size found"
         sections.append(Section("lengths", title, table=_numbers(cost)))
         said += healthy_record_remarks(cost)
-    return Document(
-        "design", "Design", f"best: {names[0]}", "good", tuple(said), tuple(sections), **origin_of(origin or {})
-    )
+    return Document("design", "Design", f"best: {names[0]}", "good", tuple(said), tuple(sections), **origin_of(origin))
 
 
 def healthy_record_remarks(cost: pd.DataFrame) -> list[Remark]:
@@ -121,7 +121,7 @@ def _cell(value: Any) -> str:
 
 
 def sensitivity_document(
-    tables: Sequence[tuple[str, pd.DataFrame]], units: Units, origin: Mapping[str, Any] | None = None
+    tables: Sequence[tuple[str, pd.DataFrame]], units: Units, origin: Provenance | None = None
 ) -> Document:
     """Return the document of sensitivities.
 
@@ -141,7 +141,7 @@ def sensitivity_document(
         sections.append(Section(key, heading, caption, charts=(sensitivity_charts(rows, units),), beside=1))
     state = f"{len(tables)} experiment{'s' * (len(tables) > 1)}"
     said = (DesignMessage.SENSITIVITIES.said("plain", "sensitivities"),)
-    return Document("sensitivities", "Sensitivities", state, "good", said, tuple(sections), **origin_of(origin or {}))
+    return Document("sensitivities", "Sensitivities", state, "good", said, tuple(sections), **origin_of(origin))
 
 
 def sensitivity_charts(table: pd.DataFrame, units: Units) -> ChartGrid:

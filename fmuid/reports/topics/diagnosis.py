@@ -28,7 +28,7 @@ from fmuid.reports.topics.provenance import origin_of
 
 if TYPE_CHECKING:
     from fmuid.diagnosis import ChangeEvidence, Diagnosis
-    from fmuid.runs import DiagnosisFindings
+    from fmuid.runs import DiagnosisRun
 
 EVIDENCE = (
     "Each bar is how much better a fault explains the data than the healthy machine does. Beyond its threshold it is "
@@ -62,7 +62,7 @@ class DiagnosisMessage(Message):
     )
 
 
-def diagnosis_document(found: DiagnosisFindings) -> Document:
+def diagnosis_document(found: DiagnosisRun) -> Document:
     """Return the document of a diagnosis."""
     result = found.diagnosis
     proof = "evidence" if result.evidence is None else "causes"

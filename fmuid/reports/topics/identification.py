@@ -6,7 +6,6 @@ import math
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
-import numpy as np
 import pandas as pd
 
 from fmuid.formatting import unit_text
@@ -32,7 +31,8 @@ from fmuid.reports.topics.uncertainty import (
 
 if TYPE_CHECKING:
     from fmuid.estimation import Result
-    from fmuid.reports.identification_run import IdentificationRun
+    from fmuid.identification import PriorDataComparison, ResidualAnalysis
+    from fmuid.runs import IdentificationRun
     from fmuid.simulation import OutputFit
 
 _ODD = (Deviation.LARGER, Deviation.SMALLER)
@@ -41,6 +41,7 @@ _ODD = (Deviation.LARGER, Deviation.SMALLER)
 class RunMessage(Message):
     """How models were run, and what is left of the measurements."""
 
+    POINT = ("{point}", "the best point of a search that was interrupted before a fit began from it")
     NOISE = ("Residual: {noise}", "the standard deviation of each output's residual, beside that given")
     RUN = (
         "{model} run as {run}",
@@ -58,13 +59,9 @@ def identification_document(found: IdentificationRun) -> Document:
     good = result.converged and (more is None or more.succeeded)
     state = "converged" if result.converged else result.outcome.value.replace("_", " ")
     tone: Tone = "good" if good else "bad"
-    origin = origin_of({**(found.origin or {}), "study": {**_told(found), **dict(found.study or {})}}, _effort(result))
+    origin = origin_of(found.origin, _effort(result))
     sections = identification_sections(found)
     return Document("identification", "Identification", state, tone, tuple(_remarks(found)), tuple(sections), **origin)
-
-
-def _told(found: IdentificationRun) -> dict[str, object]:
-    return dict((found.origin or {}).get("study") or {})
 
 
 def _effort(result: Result) -> dict[str, str]:
@@ -77,16 +74,13 @@ def _effort(result: Result) -> dict[str, str]:
 def _remarks(found: IdentificationRun) -> list[Remark]:
     """Return the sentences on an identification, the verdict first."""
     result, names, more = found.result, found.result.names, found.uncertainty
-    coloured: Tone = "doubt" if any(each.large for each in found.diagnostics.findings) else "plain"
-    reading = found.reading
-    odd = reading.agreement is not None and reading.agreement.probability < SIGNIFICANCE_LEVEL
-    odd |= any(each.deviation in _ODD for each in reading.variances)
     said = [Remark(capitalised(ending(result), names), "plain" if result.converged else "bad", "criterion")]
+    if found.reading is None or found.diagnostics is None:  # interrupted before anything could be examined
+        point = ", ".join(f"{name} = {result[name]:.6g}" for name in names)
+        return [RunMessage.POINT.said("plain", "", names, point=point), *said]
     said += [*precision_remarks(result), *fit_remarks(found.fits)]
     said += [Remark(dropout_words(*each), "doubt", "fit") for each in found.dropouts.items()]
-    said += result_remarks(result)
-    said += [Remark(text, "doubt" if odd else "plain", "belief") for text in reading_words(reading, found.output_units)]
-    said += [Remark(text, coloured, "residuals") for text in residual_words(found.diagnostics, found.output_units)]
+    said += [*result_remarks(result), *_examined(found, found.reading, found.diagnostics)]
     said.append(RunMessage.NOISE.said("plain", "residuals", noise=_noise(result, found.fits)))
     for component, model in result.models.items():
         run = run_words(SolverConfiguration(**model["run"]))
@@ -99,6 +93,15 @@ def _remarks(found: IdentificationRun) -> list[Remark]:
             said.append(RunMessage.POSTERIOR.said("plain", "posterior", words=posterior_words(more.posterior)))
         said += [RunMessage.INTERRUPTED.said("bad")] if more.interrupted else []
     return said
+
+
+def _examined(found: IdentificationRun, reading: PriorDataComparison, residuals: ResidualAnalysis) -> list[Remark]:
+    """Return what prior and data, and the residuals, show."""
+    coloured: Tone = "doubt" if any(each.large for each in residuals.findings) else "plain"
+    odd = reading.agreement is not None and reading.agreement.probability < SIGNIFICANCE_LEVEL
+    odd |= any(each.deviation in _ODD for each in reading.variances)
+    said = [Remark(text, "doubt" if odd else "plain", "belief") for text in reading_words(reading, found.output_units)]
+    return said + [Remark(text, coloured, "residuals") for text in residual_words(residuals, found.output_units)]
 
 
 def _noise(result: Result, fits: Sequence[OutputFit]) -> str:
@@ -116,32 +119,19 @@ def identification_sections(found: IdentificationRun) -> list[Section]:
     """Return the sections of an identification."""
     result, fits, units, estimates = found.result, found.fits, found.unit_of, found.estimates
     optima = found.optima if result.optima else pd.DataFrame()
+    none = pd.DataFrame(columns=["experiment", "output", "with"])
+    correlations = none if found.diagnostics is None else found.diagnostics.correlations
     sections = [
         *([optima_section(result)] if result.optima else []),
         estimates_section(result, found.level),
         *([] if found.uncertainty is None else [interval_section(found.uncertainty, result, found.level)]),
         *fit_sections(fits),
         *preprocessing_sections(found.prepared, len(fits) > 1),
-        residual_section(fits, found.diagnostics.correlations),
+        *([residual_section(fits, correlations)] if fits else []),
         *optimization_sections(result, estimates, optima, found.output_units),
-        *(prior_sections(found.reading, units) if found.has_prior else []),
+        *(prior_sections(found.reading, units) if found.reading is not None and found.has_prior else []),
         *correlation_sections(result, units, found.level),
         *solver_section(estimates),
         *([] if found.uncertainty is None else uncertainty_sections(found.uncertainty, result, units, optima)),
     ]
     return [each for each in sections if each.charts or each.table]
-
-
-def result_sections(result: Result, fits: Sequence[OutputFit]) -> list[Section]:
-    """Return the sections that a result has by itself."""
-    estimates = result.to_frame().reset_index()
-    units = dict(result.units)
-    known = np.isfinite(result.std).any()
-    return [
-        estimates_section(result),
-        *fit_sections(fits),
-        residual_section(fits, pd.DataFrame(columns=["experiment", "output", "with"])),
-        *optimization_sections(result, estimates, pd.DataFrame(), {}),
-        *(correlation_sections(result, units) if known else []),
-        *solver_section(estimates),
-    ]

@@ -9,11 +9,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from fmuid.array_types import Floats
+from fmuid.data import evenly, extremes
 from fmuid.diagnosis import SOMETHING_ELSE, OnsetShape
 from fmuid.formatting import label, listed, rounded, unit_text, with_std
 from fmuid.reports.chart import MAX_BARS, MAX_DOTS, MAX_OUTPUTS, MAX_ROWS, Axis, Chart, ChartGrid, Data, Layer, stacked
 from fmuid.reports.document import CONSOLE, Document, Remark, Section, Tone, table_of
-from fmuid.reports.downsampling import evenly, extremes
 from fmuid.reports.topics.diagnosis_phrases import basis_notes, explanation_words
 from fmuid.reports.topics.preprocessing import preprocessing_sections
 from fmuid.reports.topics.provenance import origin_of
@@ -22,13 +22,13 @@ if TYPE_CHECKING:
     import pandas as pd
 
     from fmuid.diagnosis import Alarm, Onset, RecordTime, SkippedWindow, Trend
-    from fmuid.runs import MonitoringFindings
+    from fmuid.runs import MonitoringRun
 
 # Of more windows that are left out, the first are named.
 MOST_GAPS = 5
 
 
-def monitoring_words(found: MonitoringFindings) -> str:
+def monitoring_words(found: MonitoringRun) -> str:
     """Return what was found, in a sentence."""
     table, rule, alarms = found.table, found.rule, found.alarms
     if table.empty:
@@ -113,7 +113,7 @@ TIMELINE = (
 )
 
 
-def monitoring_document(found: MonitoringFindings) -> Document:
+def monitoring_document(found: MonitoringRun) -> Document:
     """Return the document of a monitoring."""
     said = [Remark(monitoring_words(found), "plain", "timeline")]
     said += [Remark(text, "doubt") for text in (*basis_notes(found.basis), *gap_words(found.gaps))]
@@ -129,7 +129,7 @@ def monitoring_document(found: MonitoringFindings) -> Document:
     return Document("monitoring", "Monitoring", state, tone, tuple(said), tuple(sections), **origin_of(found.origin))
 
 
-def _alarms_section(found: MonitoringFindings) -> Section:
+def _alarms_section(found: MonitoringRun) -> Section:
     windows, rows = found.table, []
     for alarm in found.alarms:
         since, size = alarm_words(alarm)
@@ -143,7 +143,7 @@ def _alarms_section(found: MonitoringFindings) -> Section:
     return Section("alarms", "Alarms", table=table_of(columns, heads[:4]))
 
 
-def _windows_section(found: MonitoringFindings) -> Section:
+def _windows_section(found: MonitoringRun) -> Section:
     """Return each parameter in the first and in the last window, and what it was in between."""
     numbers, frame, rows, before = ("first", "least", "greatest"), found.table, [], ""
     columns = [(fault, name) for fault, sizes in found.sizes.items() for name in sizes]
@@ -159,7 +159,7 @@ def _windows_section(found: MonitoringFindings) -> Section:
     return Section("windows", "Windows", table=table_of(table, ("parameter", "last", "unit")), shown=CONSOLE)
 
 
-def _timeline(found: MonitoringFindings, fault: str) -> ChartGrid:
+def _timeline(found: MonitoringRun, fault: str) -> ChartGrid:
     """Return the sizes of a fault, the common mode and the residual over the time of all records, with alarms."""
     table = found.table
     clock, borders, text = clock_of(table)

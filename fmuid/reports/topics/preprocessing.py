@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import pandas as pd
 
 from fmuid.formatting import listed
 from fmuid.reports.chart import (
@@ -22,6 +21,11 @@ from fmuid.reports.chart import (
     stacked,
 )
 from fmuid.reports.document import Section
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+    from fmuid.runs import PreprocessedTable
 
 CAPTION = (
     "Grey is what was recorded, blue what the model is driven by and compared with. Columns that stay as they were "

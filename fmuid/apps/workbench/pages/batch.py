@@ -19,13 +19,13 @@ from bokeh.models import ColumnDataSource, DataTable, NumberFormatter, Select, T
 from fmuid.apps.workbench.access_control import SCHEME
 from fmuid.apps.workbench.home import address, escaped
 from fmuid.apps.workbench.page_layout import LINE, SHEET, WIDE, argument, dress, words
+from fmuid.apps.workbench.pages.live import in_scheme
 from fmuid.apps.workbench.pages.results_view import EVERY, side_by_side
 from fmuid.apps.workbench.project_folder import Folder, FoundResult, FoundStudy, beside
+from fmuid.apps.workbench.saved import read_json
 from fmuid.errors import InputError
 from fmuid.files import is_file
-from fmuid.reports.interactive import batch as figures
-from fmuid.reports.interactive.live import in_scheme
-from fmuid.reports.page.saved import read_json
+from fmuid.reports.topics.case_charts import over_cases
 from fmuid.runs import BatchColumns, CaseList, parts_in, read_part
 from fmuid.studies import Study
 
@@ -150,8 +150,8 @@ class BatchPage:
         """Draw the estimates so far."""
         if "status" in self.frame and (self.frame["status"].astype(str) == "converged").any():
             truth = self.manifest.get("truth") or {}
-            plots = [in_scheme(plot, self.scheme) for plot in figures.over_cases(self.frame, truth, self._units())]
-            self.drawn.children = [side_by_side(plots)]
+            charts = over_cases(self.frame, truth, self._units())
+            self.drawn.children = [side_by_side(in_scheme(charts, self.scheme))]
 
     def _units(self) -> Mapping[str, str | None]:
         """Return the units of the estimates, which are there once the batch has ended."""
