@@ -346,6 +346,15 @@ class PredictionRun:
     )
 
     @property
+    def correlations(self) -> pd.DataFrame:
+        """Correlations of residuals with themselves and with inputs, as `ResidualAnalysis.correlations`."""
+        from fmuid.identification import ResidualAnalysis
+
+        return ResidualAnalysis(
+            tuple(one for each in self.predictions for one in each.residuals.series), {}
+        ).correlations
+
+    @property
     def scores(self) -> pd.DataFrame:
         """The content of ``scores.csv``: a row for each output of each record."""
         return pd.DataFrame(

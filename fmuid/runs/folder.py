@@ -348,6 +348,6 @@ def read_table(path: Path) -> pd.DataFrame:
     try:
         names = pd.read_csv(path, nrows=0).columns
         texts = dict.fromkeys(names.intersection(list(_TEXTS)), str)
-        return with_formulas(pd.read_csv(path, converters=texts, float_precision="round_trip"))
+        return with_formulas(pd.read_csv(path, converters=texts))
     except (OSError, ValueError) as error:
         raise InputError(f"{path} cannot be read as a table of results: {error}") from None

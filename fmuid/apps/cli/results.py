@@ -55,10 +55,10 @@ def predict(
     folder = path.parent / "prediction" if output is None else output
     with logged(folder, no_isolation) as isolated:
         from fmuid import files
+        from fmuid.reports import published
         from fmuid.reports.console import layout as console
         from fmuid.reports.console.prediction import show_predictions
         from fmuid.reports.console.progress import Display
-        from fmuid.reports.publish import published
         from fmuid.runs import predicted_by, write_prediction
 
         records = data or []

@@ -114,10 +114,10 @@ def identify(
     """Identify the parameters of a study; write result, tables and a report."""
     folder = folder_of(output, study)
     with opened(study, set_, no_isolation, folder) as read:
+        from fmuid.reports import published
         from fmuid.reports.console import layout as console
         from fmuid.reports.console import result as console_result
         from fmuid.reports.console.progress import Display
-        from fmuid.reports.publish import published
         from fmuid.runs import at_minimum, identified
 
         _warn(read)
@@ -166,10 +166,10 @@ def diagnose(
     """Diagnose the faults that a study names; exit code 1 for a fault."""
     folder = folder_of(output, study)
     with opened(study, set_, no_isolation, folder) as read:
+        from fmuid.reports import published
         from fmuid.reports.console import layout as console
         from fmuid.reports.console.diagnosis import show_diagnosis
         from fmuid.reports.console.progress import Display
-        from fmuid.reports.publish import published
         from fmuid.runs import diagnosed
 
         if read.diagnosis is not None:
@@ -207,10 +207,10 @@ def monitor(
     """Monitor recordings for the faults that a study names; exit code 1 for an alarm."""
     folder = folder_of(output, study)
     with opened(study, set_, no_isolation, folder) as read:
+        from fmuid.reports import published
         from fmuid.reports.console import layout as console
         from fmuid.reports.console.monitoring import show_monitoring
         from fmuid.reports.console.progress import Display
-        from fmuid.reports.publish import published
         from fmuid.runs import monitored
 
         if read.diagnosis is not None:
@@ -233,10 +233,9 @@ def _follow(
     study: Study, data: list[Path], folder: Path, *, resume: bool, figures: FigureFormat | None, report: bool
 ) -> int:
     """Monitor what a logger writes until it is interrupted."""
-    from fmuid.reports import show_results
+    from fmuid.reports import alarm_sentence, show_results
     from fmuid.reports.console.following import FollowingDisplay
     from fmuid.reports.console.layout import show_files
-    from fmuid.reports.messages.monitoring import alarm_sentence
     from fmuid.runs import followed
 
     for word, given in (("several folders", len(data) > 1), ("--resume", resume), ("--figures", bool(figures))):

@@ -32,7 +32,7 @@ from fmuid.reports.topics.uncertainty import (
 
 if TYPE_CHECKING:
     from fmuid.estimation import Result
-    from fmuid.reports.identification_run import IdentificationRun
+    from fmuid.runs import IdentificationRun
     from fmuid.simulation import OutputFit
 
 _ODD = (Deviation.LARGER, Deviation.SMALLER)
@@ -58,13 +58,9 @@ def identification_document(found: IdentificationRun) -> Document:
     good = result.converged and (more is None or more.succeeded)
     state = "converged" if result.converged else result.outcome.value.replace("_", " ")
     tone: Tone = "good" if good else "bad"
-    origin = origin_of({**(found.origin or {}), "study": {**_told(found), **dict(found.study or {})}}, _effort(result))
+    origin = origin_of(found.origin, _effort(result))
     sections = identification_sections(found)
     return Document("identification", "Identification", state, tone, tuple(_remarks(found)), tuple(sections), **origin)
-
-
-def _told(found: IdentificationRun) -> dict[str, object]:
-    return dict((found.origin or {}).get("study") or {})
 
 
 def _effort(result: Result) -> dict[str, str]:
@@ -77,16 +73,19 @@ def _effort(result: Result) -> dict[str, str]:
 def _remarks(found: IdentificationRun) -> list[Remark]:
     """Return the sentences on an identification, the verdict first."""
     result, names, more = found.result, found.result.names, found.uncertainty
-    coloured: Tone = "doubt" if any(each.large for each in found.diagnostics.findings) else "plain"
-    reading = found.reading
-    odd = reading.agreement is not None and reading.agreement.probability < SIGNIFICANCE_LEVEL
-    odd |= any(each.deviation in _ODD for each in reading.variances)
     said = [Remark(capitalised(ending(result), names), "plain" if result.converged else "bad", "criterion")]
     said += [*precision_remarks(result), *fit_remarks(found.fits)]
     said += [Remark(dropout_words(*each), "doubt", "fit") for each in found.dropouts.items()]
     said += result_remarks(result)
-    said += [Remark(text, "doubt" if odd else "plain", "belief") for text in reading_words(reading, found.output_units)]
-    said += [Remark(text, coloured, "residuals") for text in residual_words(found.diagnostics, found.output_units)]
+    if found.reading is not None:
+        reading, agreement = found.reading, found.reading.agreement
+        odd = agreement is not None and agreement.probability < SIGNIFICANCE_LEVEL
+        odd |= any(each.deviation in _ODD for each in reading.variances)
+        tone: Tone = "doubt" if odd else "plain"
+        said += [Remark(text, tone, "belief") for text in reading_words(reading, found.output_units)]
+    if found.diagnostics is not None:
+        tone = "doubt" if any(each.large for each in found.diagnostics.findings) else "plain"
+        said += [Remark(text, tone, "residuals") for text in residual_words(found.diagnostics, found.output_units)]
     said.append(RunMessage.NOISE.said("plain", "residuals", noise=_noise(result, found.fits)))
     for component, model in result.models.items():
         run = run_words(SolverConfiguration(**model["run"]))
@@ -125,9 +124,9 @@ def identification_sections(found: IdentificationRun) -> list[Section]:
         *([] if found.uncertainty is None else [interval_section(found.uncertainty, result, found.level)]),
         *fit_sections(fits),
         *(preprocessing_sections(pd.concat(changed, ignore_index=True), [*told, *others]) if changed else []),
-        residual_section(fits, found.diagnostics.correlations),
+        *([] if found.diagnostics is None else [residual_section(fits, found.diagnostics.correlations)]),
         *optimization_sections(result, estimates, optima, found.output_units),
-        *(prior_sections(found.reading, units) if found.has_prior else []),
+        *(prior_sections(found.reading, units) if found.reading is not None and found.has_prior else []),
         *correlation_sections(result, units, found.level),
         *solver_section(estimates),
         *([] if found.uncertainty is None else uncertainty_sections(found.uncertainty, result, units, optima)),
