@@ -40,7 +40,7 @@ def html(found: object) -> str | None:
     """Return what a notebook shows of a finding, a study, a model or a table, as HTML."""
     match found:
         case IdentificationRun():
-            return _with_words(found.result, estimates_table(found.result, found.result.units, found.level))
+            return _with_words(found.result, estimates_table(found.result, found.result.units, found.assessment.level))
         case Result():
             return _with_words(found, estimates_table(found, found.units))
         case Diagnosis():
@@ -226,9 +226,9 @@ def plots(found: object) -> FigureCollection:
     """
     match found:
         case IdentificationRun():
-            return FigureCollection(
-                identification.sections_of(found), None if found.reading is None else found.reading.table, found.unit_of
-            )
+            checks = found.assessment.prior_and_data
+            reading = None if checks is None else checks.table
+            return FigureCollection(identification.sections_of(found), reading, found.unit_of)
         case Result():
             return FigureCollection(identification.sections_of(_known(found)))
         case Diagnosis():

@@ -121,14 +121,15 @@ def identify(
         from fmuid.runs import at_minimum, identified
 
         _warn(read)
-        found, left_out = None, read.uncertainty_settings.any
+        found, left_out = None, read.uncertainty_settings.explores
         with answering("saving what has been found (Ctrl-C again ends it without)"), Display() as display:
             for each in identified(read, folder, resume=resume, progress=partial(_show_event, display)):
                 display.pause()
                 console_result.show_findings(each)
-                if left_out and each.diagnostics is not None and not at_minimum(each.result):
+                known = each.assessment.residuals is not None
+                if left_out and known and not at_minimum(each.result):
                     console.show_notes(["[uncertainty] is left out: it needs a search that has ended at a minimum"])
-                found = published(each, folder, report=not no_report and each.diagnostics is not None, figures=figures)
+                found = published(each, folder, report=known and not no_report, figures=figures)
         assert found is not None, "a run yields, or raises an error"
         console.show_files(found.files)
         return DONE if found.succeeded else NOT_SUCCEEDED

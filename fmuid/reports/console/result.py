@@ -27,7 +27,7 @@ from fmuid.reports.messages.uncertainty import posterior_words, uncertainty_word
 
 if TYPE_CHECKING:
     from fmuid.estimation import Result
-    from fmuid.identification import PriorDataComparison, Uncertainty
+    from fmuid.identification import Assessment, PriorDataComparison
     from fmuid.runs import IdentificationRun
     from fmuid.simulation import OutputFit
 
@@ -41,12 +41,12 @@ UNLIMITED_WIDTH = 10_000
 
 def show_findings(found: IdentificationRun) -> None:
     """Print what is new in findings: the result, or the uncertainty around it; or the point where a search was left."""
-    if found.diagnostics is None:
+    if found.assessment.residuals is None:
         show_point(found.result)
-    elif found.uncertainty is None:
-        show_result(found)
-    else:
+    elif found.assessment.is_explored:
         show_uncertainty(found)
+    else:
+        show_result(found)
 
 
 def show_result(found: IdentificationRun) -> None:
@@ -57,14 +57,14 @@ def show_result(found: IdentificationRun) -> None:
         out.print(_optima(out, result))
         show_remarks(_rivals(result))
         out.print()
-    out.print(_filled(_estimates(out, result, found.level)))
-    if found.has_prior and found.reading is not None:
+    out.print(_filled(_estimates(out, result, found.assessment.level)))
+    reading, residuals, units = found.assessment.prior_and_data, found.assessment.residuals, found.output_units
+    if found.has_prior and reading is not None:
         out.print()
-        out.print(_reading(out, found.reading, found.unit_of))
+        out.print(_reading(out, reading, found.unit_of))
     show_remarks(finding_remarks(found))
-    units = found.output_units
-    show_sentences([] if found.reading is None else reading_words(found.reading, units))
-    show_sentences([] if found.diagnostics is None else residual_words(found.diagnostics, units))
+    show_sentences([] if reading is None else reading_words(reading, units))
+    show_sentences([] if residuals is None else residual_words(residuals, units))
     show_sentences([f"Fit (NRMSE): {fit_words(fits)}", f"Residual: {_noise(result, fits)}"])
     color = "green" if result.converged else "red"
     out.print(f"[bold {color}]{escape(capitalised(ending(result)))}[/]", soft_wrap=True)
@@ -216,9 +216,7 @@ def _note(result: Result, name: str, factor: float) -> str:
 
 def show_uncertainty(found: IdentificationRun) -> None:
     """Print the intervals side by side, local, profile and posterior, and what is to be known of them."""
-    there = found.uncertainty
-    if there is None:
-        return
+    there = found.assessment
     out = console()
     if there.profiles or there.posterior is not None:
         out.print()
@@ -230,7 +228,7 @@ def show_uncertainty(found: IdentificationRun) -> None:
         out.print("[bold red]Interrupted: this is what there is[/]")
 
 
-def _intervals(out: Console, found: IdentificationRun, there: Uncertainty) -> Table:
+def _intervals(out: Console, found: IdentificationRun, there: Assessment) -> Table:
     limits, posterior = there.intervals(found.result), there.posterior
     kinds = list(dict.fromkeys(limits.columns.get_level_values(0)))
     columns: dict[str, list[str]] = {"parameter": list(found.result.names)}
@@ -243,7 +241,7 @@ def _intervals(out: Console, found: IdentificationRun, there: Uncertainty) -> Ta
         columns["posterior mean"] = [with_std(mean, std) for mean, std in pairs]
     columns["unit"] = list(map(unit_text, found.unit_of.values()))
     columns = _narrowed(out, columns, ("unit", "posterior mean"))
-    return _filled(columns, title=f"Intervals at {100 * found.level:.4g} %")
+    return _filled(columns, title=f"Intervals at {100 * found.assessment.level:.4g} %")
 
 
 def _interval(lower: float, upper: float, value: float) -> str:

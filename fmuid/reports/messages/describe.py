@@ -5,7 +5,7 @@ from __future__ import annotations
 from fmuid.diagnosis import Diagnosis, Monitor
 from fmuid.estimation import Estimator, LinearEstimate, Result
 from fmuid.formatting import with_std
-from fmuid.identification import Posterior, PriorDataComparison, ResidualAnalysis, Uncertainty
+from fmuid.identification import Assessment, Posterior, PriorDataComparison, ResidualAnalysis
 from fmuid.reports.messages.diagnosis import diagnosis_words
 from fmuid.reports.messages.monitoring import monitoring_sentences
 from fmuid.reports.messages.prior_and_data import reading_words
@@ -13,7 +13,7 @@ from fmuid.reports.messages.residuals import residual_words
 from fmuid.reports.messages.result import capitalised, result_words
 from fmuid.reports.messages.uncertainty import posterior_words, uncertainty_words
 
-Found = Result | LinearEstimate | ResidualAnalysis | PriorDataComparison | Uncertainty | Posterior | Diagnosis | Monitor
+Found = Result | LinearEstimate | Assessment | ResidualAnalysis | PriorDataComparison | Posterior | Diagnosis | Monitor
 
 THOUGHTS = {
     Estimator.LEAST_SQUARES: "unbiased where the regressors are free of noise and the residual is white",
@@ -31,8 +31,8 @@ def describe(found: Found) -> str:
 
     Parameters
     ----------
-    found : Result, LinearEstimate, Diagnostics, Reading, Uncertainty, Posterior, Diagnosis or Monitor
-        Of `fmuid.identify`, `fmuid.equation_error` and its like, `fmuid.analyze_residuals`,
+    found : Result, LinearEstimate, Assessment, Diagnostics, Reading, Posterior, Diagnosis or Monitor
+        Of `fmuid.identify`, `fmuid.equation_error` and its like, `fmuid.assess`, `fmuid.analyze_residuals`,
         `fmuid.compare_prior_and_data`, `fmuid.sample_posterior`, `fmuid.diagnose`, or a `fmuid.Monitor`.
 
     Examples
@@ -47,7 +47,7 @@ def describe(found: Found) -> str:
 def _names(found: Found) -> tuple[str, ...]:
     """Return the names with which a sentence on it may begin."""
     match found:
-        case Uncertainty():
+        case Assessment():
             sampled = () if found.posterior is None else found.posterior.names
             return *(each.name for each in found.profiles), *sampled
         case Diagnosis():
@@ -65,8 +65,10 @@ def _sentences(found: Found) -> tuple[str, ...]:
             return residual_words(found)
         case PriorDataComparison():
             return reading_words(found)
-        case Uncertainty():
-            return uncertainty_words(found)
+        case Assessment():
+            said = () if found.prior_and_data is None else reading_words(found.prior_and_data)
+            said += () if found.residuals is None else residual_words(found.residuals)
+            return *said, *uncertainty_words(found)
         case Posterior():
             return (posterior_words(found),)
         case Diagnosis():

@@ -12,16 +12,16 @@ from fmuid.reports.messages.identifiability import direction_words
 from fmuid.reports.messages.result import ENDS
 
 if TYPE_CHECKING:
-    from fmuid.identification import CostMap, Posterior, Profile, ProfileEndNote, Uncertainty
+    from fmuid.identification import Assessment, CostMap, Posterior, Profile, ProfileEndNote
 
 # A chain that is advised is longer than what is foreseen to suffice by this factor.
 STEPS_MARGIN = 1.2
 
 
-def uncertainty_words(found: Uncertainty) -> tuple[str, ...]:
+def uncertainty_words(found: Assessment) -> tuple[str, ...]:
     """Return what is to be known of intervals, maps and samples."""
     said = [line for each in found.profiles for line in profile_words(each)]
-    said += [line for chart in (*found.maps, *found.box_maps) for line in _map_words(chart)]
+    said += [line for chart in found.maps for line in _map_words(chart)]
     if found.posterior is not None and not found.posterior.converged:
         said.append(f"posterior: {posterior_words(found.posterior)}")
     return tuple(said)

@@ -63,14 +63,14 @@ def part(folder: Path) -> Part:
     result = found.result
     state = "converged" if result.converged else result.outcome.value.replace("_", " ")
     end = origin(found.origin, {"search": effort_words(result)})
-    head = estimates_table(result, found.unit_of, found.level)
+    head = estimates_table(result, found.unit_of, found.assessment.level)
     return Part("Identification", state, found.succeeded, identification_words(found), head, sections_of(found), end)
 
 
 def sections_of(found: IdentificationRun) -> list[Section]:
     """Return the sections of a page on an identification."""
     none = pd.DataFrame(columns=CORRELATIONS)
-    correlations = none if found.diagnostics is None else found.diagnostics.correlations
+    correlations = none if found.assessment.residuals is None else found.assessment.residuals.correlations
     sections = [
         *fit_sections("fit", "Measured and simulated", CAPTIONS["fit"], found.fits),
         *preparation.sections(found.prepared),
@@ -130,9 +130,9 @@ def _search(found: IdentificationRun) -> list[Section]:
 
 
 def _belief(found: IdentificationRun) -> list[Section]:
-    if found.reading is None or not found.has_prior:
+    if found.assessment.prior_and_data is None or not found.has_prior:
         return []
-    reading = found.reading.table
+    reading = found.assessment.prior_and_data.table
     parts = estimates.parabolas(reading, units=found.unit_of)
     return [
         Section("belief", "Prior, data, and both", CAPTIONS["belief"], estimates.belief(reading, found.unit_of)),
@@ -144,7 +144,10 @@ def _correlation(found: IdentificationRun) -> list[Section]:
     result = found.result
     if len(result.names) < 2 or not np.isfinite(result.std).any():
         return []
-    figures = [estimates.correlation(result.correlation), *estimates.ellipses(result, found.unit_of, found.level)]
+    figures = [
+        estimates.correlation(result.correlation),
+        *estimates.ellipses(result, found.unit_of, found.assessment.level),
+    ]
     return [Section("correlation", "Correlation of the estimates", CAPTIONS["correlation"], figures)]
 
 
@@ -157,12 +160,12 @@ def _accuracy(found: IdentificationRun) -> list[Section]:
 
 def _uncertainty(found: IdentificationRun) -> list[Section]:
     optima = found.optima if found.result.optima else None
-    maps = [uncertainty.criterion_map(chart, found.unit_of, optima) for chart in found.maps]
+    maps = [uncertainty.criterion_map(chart, found.unit_of, optima) for chart in found.assessment.maps]
     sections = [
         Section("profiles", "Profiles", CAPTIONS["profiles"], _profiles(found), 2),
         Section("maps", "The criterion over two parameters", CAPTIONS["maps"], maps, 2),
     ]
-    posterior = None if found.uncertainty is None else found.uncertainty.posterior
+    posterior = found.assessment.posterior
     if posterior is not None:
         drawn = [uncertainty.corner(posterior.table, found.result, found.unit_of)]
         sections.append(Section("posterior", "Samples of the posterior", CAPTIONS["posterior"], drawn, 1))
@@ -173,7 +176,7 @@ def _uncertainty(found: IdentificationRun) -> list[Section]:
 
 def _profiles(found: IdentificationRun) -> list[object]:
     drawn: list[object] = []
-    for each in () if found.uncertainty is None else found.uncertainty.profiles[:MAX_PARAMETERS]:
+    for each in found.assessment.profiles[:MAX_PARAMETERS]:
         if not len(each.table) or math.isnan(each.threshold):
             continue
         i = found.result.names.index(each.name)

@@ -84,18 +84,24 @@ def identification_words(found: IdentificationRun) -> tuple[ReportStatement, ...
 def _checked(found: IdentificationRun) -> list[ReportStatement]:
     """Return what is said of residuals, of prior and data, and of the uncertainty."""
     said: list[ReportStatement] = []
-    if found.diagnostics is not None:
-        coloured = any(each.large for each in found.diagnostics.findings)
+    if found.assessment.residuals is not None:
+        coloured = any(each.large for each in found.assessment.residuals.findings)
         said += [
             ReportStatement(text, "residuals", coloured)
-            for text in residual_words(found.diagnostics, found.output_units)
+            for text in residual_words(found.assessment.residuals, found.output_units)
         ]
-    if found.reading is not None:
-        agreement = found.reading.agreement
+    if found.assessment.prior_and_data is not None:
+        agreement = found.assessment.prior_and_data.agreement
         odd = agreement is not None and agreement.probability < SIGNIFICANCE_LEVEL
-        odd |= any(each.deviation in (Deviation.LARGER, Deviation.SMALLER) for each in found.reading.variances)
-        said += [ReportStatement(text, "belief", odd) for text in reading_words(found.reading, found.output_units)]
-    words = () if found.uncertainty is None else uncertainty_words(found.uncertainty)
+        odd |= any(
+            each.deviation in (Deviation.LARGER, Deviation.SMALLER)
+            for each in found.assessment.prior_and_data.variances
+        )
+        said += [
+            ReportStatement(text, "belief", odd)
+            for text in reading_words(found.assessment.prior_and_data, found.output_units)
+        ]
+    words = uncertainty_words(found.assessment) if found.assessment.is_explored else ()
     return [
         *said,
         *(ReportStatement(capitalised(text, found.result.names), "profiles", doubtful=True) for text in words),
