@@ -40,6 +40,7 @@ from .identification import Prediction as Prediction
 from .identification import Problem as Problem
 from .identification import SamplerSettings as SamplerSettings
 from .identification import analyze_residuals as analyze_residuals
+from .identification import assess as assess
 from .identification import compare_models as compare_models
 from .identification import compare_prior_and_data as compare_prior_and_data
 from .identification import identify as identify

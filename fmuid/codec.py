@@ -1,4 +1,4 @@
-"""Frozen dataclasses to JSON and back, and their JSON Schema.
+"""Frozen dataclasses to JSON and back.
 
 The fields of a class are the keys of its object, enums are their values, arrays are lists. ``null`` stands for a number
 that is not known, ``"inf"`` for one without limit. A class that is written in another shape says so in a `Layout`.
@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import json
 import math
-import re
 import types
 from collections.abc import Mapping, Sequence
 from collections.abc import Set as AbstractSet
@@ -87,7 +86,7 @@ def as_json(value: Any) -> Any:
 
 
 def _object(value: Any) -> dict[str, Any]:
-    layout = _layout(type(value))
+    layout = layout_of(type(value))
     found: dict[str, Any] = {}
     for name in layout.inlined:
         found |= _object(getattr(value, name))
@@ -209,16 +208,16 @@ def _array(kind: Any, content: Any, place: str) -> Any:
 
 def _instance(kind: Any, content: Any, place: str) -> Any:
     given = content if isinstance(content, dict) else _refuse(place, content, "an object")
-    layout, hints = _layout(kind), _hints(kind)
+    layout, hints = layout_of(kind), hints_of(kind)
     found = {name: _value(hints[name], content, place) for name in layout.inlined}
     elsewhere = layout.elsewhere() - layout.omitted
     for each in fields(kind):
         if each.init and each.name not in elsewhere:
             if each.name in given:
                 found[each.name] = _value(hints[each.name], given[each.name], f"{place}.{each.name}")
-            elif each.name in layout.omitted and get_origin(hints[each.name]) is np.ndarray and _required(each):
+            elif each.name in layout.omitted and get_origin(hints[each.name]) is np.ndarray and is_required(each):
                 found[each.name] = np.empty(0, get_args(get_args(hints[each.name])[1])[0])
-            elif _required(each):
+            elif is_required(each):
                 raise ContentError(f"it has no {f'{place}.{each.name}'.lstrip('.')!r}")
     for key, columns in layout.rows.items():
         found |= _columns(kind, given.get(key), f"{place}.{key}", columns)
@@ -232,7 +231,7 @@ def _instance(kind: Any, content: Any, place: str) -> Any:
 
 def _parts(kind: Any, content: Any, place: str, parts: Mapping[str, str], known: Mapping[str, Any]) -> dict[str, Any]:
     """Return the fields that stand in an object of their own."""
-    hints, default = _hints(kind), {each.name for each in fields(kind) if not _required(each)}
+    hints, default = hints_of(kind), {each.name for each in fields(kind) if not is_required(each)}
     if content is None and default.issuperset(parts.values()):
         return {}
     given = content if isinstance(content, dict) else _refuse(place, content, "an object")
@@ -247,7 +246,7 @@ def _parts(kind: Any, content: Any, place: str, parts: Mapping[str, str], known:
 
 def _columns(kind: Any, content: Any, place: str, columns: Mapping[str, str]) -> dict[str, Any]:
     """Return the fields whose columns stand in rows by name."""
-    layout, hints = _layout(kind), _hints(kind)
+    layout, hints = layout_of(kind), hints_of(kind)
     rows = content if isinstance(content, dict) else _refuse(place, content, "an object")
     found: dict[str, Any] = {layout.names: tuple(rows)}
     for name, row in rows.items():
@@ -266,18 +265,21 @@ def _columns(kind: Any, content: Any, place: str, columns: Mapping[str, str]) ->
     return found
 
 
-def _required(each: Field[Any]) -> bool:
+def is_required(each: Field[Any]) -> bool:
+    """Return whether a field has no default."""
     return each.default is MISSING and each.default_factory is MISSING
 
 
-def _layout(kind: type) -> Layout:
+def layout_of(kind: type) -> Layout:
+    """Return how a class is written."""
     found: Layout = getattr(kind, "json_layout", Layout())
     return found
 
 
 @cache
-def _hints(kind: type) -> dict[str, Any]:
-    names = {name: getattr(import_module(module), name) for name, module in _layout(kind).types.items()}
+def hints_of(kind: type) -> dict[str, Any]:
+    """Return the types of the fields of a class."""
+    names = {name: getattr(import_module(module), name) for name, module in layout_of(kind).types.items()}
     return get_type_hints(kind, localns=names)
 
 
@@ -334,94 +336,3 @@ def decoded(path: Path, content: Mapping[str, Any], kind: type[Item], remedy: st
         raise InputError(f"{path} cannot be right: {error}; {remedy}") from None
     except RecursionError:
         raise InputError(f"{path} cannot be right: it is nested too deeply; {remedy}") from None
-
-
-# --- JSON Schema
-
-
-def schema(kind: type, schema_name: str) -> dict[str, Any]:
-    """Return the JSON Schema of the files of a class, with the texts of docstrings as descriptions."""
-    known: dict[str, Any] = {}
-    root = _schema(kind, known)
-    own = {"schema": {"const": schema_name}}
-    top = known[root["$ref"].rpartition("/")[2]]
-    top["properties"], top["required"] = own | top["properties"], ["schema", *top["required"]]
-    return {"$schema": "https://json-schema.org/draft/2020-12/schema", **root, "$defs": known}
-
-
-def _schema(kind: Any, known: dict[str, Any]) -> dict[str, Any]:
-    origin, arguments = get_origin(kind), get_args(kind)
-    if origin in (Union, types.UnionType):
-        return {"anyOf": [_schema(each, known) for each in arguments]}
-    if origin is Literal:
-        return {"enum": list(arguments)}
-    if origin is np.ndarray:
-        return {"type": "array", "items": {"anyOf": [_NUMBER, {"type": ["array", "integer", "boolean"]}]}}
-    if origin is tuple and arguments[1:] != (...,):
-        return {"type": "array", "prefixItems": [_schema(each, known) for each in arguments]}
-    if origin in (tuple, list, Sequence, frozenset):
-        return {"type": "array", "items": _schema(arguments[0], known)}
-    if origin in (dict, Mapping):
-        return {"type": "object", "additionalProperties": _schema(arguments[1], known)}
-    if is_dataclass(kind) and isinstance(kind, type):
-        if kind.__name__ not in known:
-            known[kind.__name__] = {}  # of a class that has itself as a field
-            known[kind.__name__] = _object_schema(kind, known)
-        return {"$ref": f"#/$defs/{kind.__name__}"}
-    if isinstance(kind, type) and issubclass(kind, Enum):
-        return {"enum": [each.value for each in kind]}
-    return dict(_PLAIN.get(kind, {}))
-
-
-_NUMBER = {"anyOf": [{"type": ["number", "null"]}, {"enum": ["inf", "-inf"]}]}
-_PLAIN: dict[Any, dict[str, Any]] = {
-    float: _NUMBER,
-    int: {"type": "integer"},
-    bool: {"type": "boolean"},
-    str: {"type": "string"},
-    Path: {"type": "string"},
-    type(None): {"type": "null"},
-}
-
-
-def _object_schema(kind: type, known: dict[str, Any]) -> dict[str, Any]:
-    layout, hints, told = _layout(kind), _hints(kind), _descriptions(kind)
-    for name in {*layout.derived, *(name for each in layout.rows.values() for name in each.values())} - set(hints):
-        hints = hints | {name: get_type_hints(getattr(kind, name).fget)["return"]}
-    elsewhere = layout.elsewhere()
-
-    def described(name: str) -> dict[str, Any]:
-        return _schema(hints[name], known) | ({"description": told[name]} if name in told else {})
-
-    def cell(name: str) -> dict[str, Any]:
-        inner = _schema(get_args(hints[name])[-1], known) if get_origin(hints[name]) in (dict, Mapping) else _NUMBER
-        inner = {"type": "string"} if get_origin(hints[name]) is tuple else inner
-        return inner | ({"description": told[name]} if name in told else {})
-
-    own = [each for each in fields(kind) if each.name not in elsewhere]
-    properties = {name: described(name) for name in (*(each.name for each in own), *layout.derived)}
-    inlined = [_object_schema(hints[name], known) for name in layout.inlined]
-    for each in inlined:
-        properties = each["properties"] | properties
-    for key, columns in layout.rows.items():
-        row = {"type": "object", "properties": {column: cell(name) for column, name in columns.items()}}
-        properties[key] = {"type": "object", "additionalProperties": row}
-    for key, parts in layout.parts.items():
-        properties[key] = {"type": "object", "properties": {part: described(name) for part, name in parts.items()}}
-    required = [name for each in inlined for name in each["required"]]
-    required += [*(each.name for each in own if _required(each)), *layout.rows, *layout.parts]
-    summary = (kind.__doc__ or "").split("\n\n")[0]
-    return {"type": "object", "description": " ".join(summary.split()), "properties": properties, "required": required}
-
-
-def _descriptions(kind: type) -> dict[str, str]:
-    """Return what the docstring of a class says of its attributes."""
-    section = re.search(
-        r"(?:Attributes|Parameters)\n\s*-+\n(.*?)(?:\n\s*\n\s*\w+\n\s*---|\Z)", kind.__doc__ or "", re.S
-    )
-    if section is None:
-        return {}
-    entries = re.findall(r"^ {4}(\w[\w, ]*?) : [^\n]*\n((?:(?: {8}[^\n]*)?\n?)*)", section[1] + "\n", re.M)
-    return {
-        name.strip(): " ".join(text.split()) for names, text in entries for name in names.split(",") if text.strip()
-    }

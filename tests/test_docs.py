@@ -23,8 +23,8 @@ from fmuid.estimation.simulation_noise import NOISE_POINTS
 from fmuid.identification.prior_data_tests import SAME_VARIANCE_RATIO
 from fmuid.models.component import DEFAULT_TOLERANCE
 from fmuid.runs.batch.cases import CaseList
-from fmuid.simulation.grid import LINEAR_SUBSTEPS
-from fmuid.simulation.isolation.host_manager import FIRST_TIME_LIMIT, LEAST_TIME_LIMIT, SLOWER_FACTOR
+from fmuid.simulation.isolation.host import FIRST_TIME_LIMIT, LEAST_TIME_LIMIT, SLOWER_FACTOR
+from fmuid.simulation.plan_builder import LINEAR_SUBSTEPS
 from fmuid.studies.study import Study
 
 ROOT = Path(__file__).parents[1]

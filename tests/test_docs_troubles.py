@@ -18,6 +18,7 @@ from scipy.signal import lfilter
 import fmuid
 from fmuid import Experiment, LeastSquares, Normal, Parameter, Problem, Simulator, describe, identify
 from fmuid.array_types import Floats
+from fmuid.data import Preprocessing
 from fmuid.errors import InputError
 from fmuid.reports.console.layout import warn_unfed
 from fmuid.reports.messages.accuracy import passed_words
@@ -154,7 +155,7 @@ def _mean(_: Path, __: pytest.CaptureFixture[str]) -> None:
     assert re.search(
         r"The residual of i has the mean 0\.10\d, 0\.5 of its standard deviation: a sensor's offset", found
     )
-    assert abs(np.mean(residual(fmuid.preprocess(given, detrend="mean"), free, R=4.0))) < 0.05
+    assert abs(np.mean(residual(fmuid.preprocess(given, Preprocessing(detrend="mean")), free, R=4.0))) < 0.05
 
 
 @row("grows with time")
@@ -254,7 +255,7 @@ def _fails(_: Path, __: pytest.CaptureFixture[str]) -> None:
 @row("it takes long")
 def _long(_: Path, __: pytest.CaptureFixture[str]) -> None:
     given = experiment(recorded())
-    fewer = fmuid.preprocess(given, resample=5 * STEP)
+    fewer = fmuid.preprocess(given, Preprocessing(resample=5 * STEP))
     assert fewer.times.size == N // 5
     assert identify(Problem(COIL, fewer, FREE))["R"] == pytest.approx(4.0, abs=0.1)
 

@@ -23,8 +23,8 @@ TEXT = (".csv", ".txt", ".tsv", ".asc", ".dat")
 """Suffixes of delimited text; packed it has .gz or .zip after them."""
 TABLE_SUFFIXES = (*TEXT, ".json", *BINARY)
 """Suffixes of the formats that are read."""
-UNITS, BEGIN = "units", "begin"
-"""What `read_table` leaves in the attributes of a frame: units as the file writes them, and the date of second 0."""
+UNITS, BEGIN, SOURCE = "units", "begin", "source"
+"""Attributes of a frame that was read: units as the file writes them, the date of second 0, its name in messages."""
 
 
 def read_data(
@@ -117,7 +117,7 @@ def read_data(
     frame, begin = with_time(raw, time, time_unit, sample_rate, source)
     numeric_column(frame, time_name(time), source)
     others = set(raw.frame.columns) & set(frame.columns) - {time}
-    frame.attrs = {UNITS: {name: unit for name, unit in raw.units.items() if name in others}}
+    frame.attrs = {UNITS: {name: unit for name, unit in raw.units.items() if name in others}, SOURCE: source}
     if begin is not None:
         frame.attrs[BEGIN] = begin
     return frame

@@ -6,8 +6,8 @@ import copy
 import json
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
-from pathlib import Path
-from typing import Self
+from functools import cached_property
+from typing import Any, Self
 
 import numpy as np
 import numpy.typing as npt
@@ -15,7 +15,7 @@ import pandas as pd
 
 from fmuid.array_types import Flags, Floats
 from fmuid.data.clock import column_of, missing_column
-from fmuid.data.data_file import UNITS, numeric_column, read_data
+from fmuid.data.data_file import SOURCE, UNITS, numeric_column
 from fmuid.data.filters import missing_rows, usual_step
 from fmuid.data.interpolation import HELD, as_held, interpolation_words, slopes
 from fmuid.display_mixins import HtmlTableMixin
@@ -57,14 +57,10 @@ class Experiment(HtmlTableMixin):
     name : str
         Name of the experiment in results.
     source : str
-        Name of the table in messages: its file.
+        Name of the table in messages; default: its file.
 
     Attributes
     ----------
-    columns : dict of str to str
-        FMU variable to column, inputs first.
-    input_names, output_names : tuple of str
-        FMU variables.
     times : ndarray (K,)
         Time, s.
     input_values : ndarray (K, n_inputs)
@@ -73,12 +69,6 @@ class Experiment(HtmlTableMixin):
         In the units of the table, NaN where missing.
     counted : ndarray of bool (K, n_outputs)
         True where the output is there and `discard` is over.
-    held : ndarray of bool (n_inputs,)
-        True where the interpolation is ``"zoh"`` or ``"zoh-next"``.
-    curved : ndarray of bool (n_inputs,)
-        True where it is ``"pchip"``.
-    input_slopes : ndarray (K, n_inputs)
-        Time derivatives at the samples where it is ``"pchip"``, in the units of the table over s, else NaN.
 
     Raises
     ------
@@ -102,17 +92,45 @@ class Experiment(HtmlTableMixin):
     values: Mapping[str, float | int | bool | str] = field(default_factory=dict)
     measured: bool = True
     name: str = "experiment"
-    source: str = "the table"
-    columns: dict[str, str] = field(init=False, repr=False)
-    input_names: tuple[str, ...] = field(init=False, repr=False)
-    output_names: tuple[str, ...] = field(init=False, repr=False)
+    source: str = ""
     times: Floats = field(init=False, repr=False)
     input_values: Floats = field(init=False, repr=False)
     output_values: Floats = field(init=False, repr=False)
     counted: Flags = field(init=False, repr=False)
-    held: Flags = field(init=False, repr=False)
-    curved: Flags = field(init=False, repr=False)
-    input_slopes: Floats = field(init=False, repr=False)
+
+    @cached_property
+    def columns(self) -> dict[str, str]:
+        """FMU variable to column, inputs first."""
+        return _roles(self.source, "inputs", self.inputs) | _roles(self.source, "outputs", self.outputs)
+
+    @cached_property
+    def input_names(self) -> tuple[str, ...]:
+        """FMU variables."""
+        return tuple(self.inputs)
+
+    @cached_property
+    def output_names(self) -> tuple[str, ...]:
+        """FMU variables."""
+        return tuple(self.outputs)
+
+    @cached_property
+    def _words(self) -> list[str]:
+        return interpolation_words(self.source, self.interpolation, _roles(self.source, "inputs", self.inputs))
+
+    @cached_property
+    def held(self) -> Flags:
+        """True where the interpolation is constant between samples, of each input."""
+        return _frozen(np.array([word in HELD for word in self._words], dtype=np.bool_))
+
+    @cached_property
+    def curved(self) -> Flags:
+        """True where the interpolation is ``"pchip"``, of each input."""
+        return _frozen(np.array([word == "pchip" for word in self._words], dtype=np.bool_))
+
+    @cached_property
+    def input_slopes(self) -> Floats:
+        """Time derivatives (K, n_inputs), in the table's units over s, where it is ``"pchip"``, else NaN."""
+        return _frozen(slopes(self.source, self.times, self.input_values, self.curved))
 
     def __repr__(self) -> str:
         span = f"{self.times[0]:g} to {self.times[-1]:g} s"
@@ -120,7 +138,8 @@ class Experiment(HtmlTableMixin):
         return f"Experiment({self.name!r}, {len(self.times)} samples, {span}, {roles})"
 
     def __post_init__(self) -> None:
-        source = self.source
+        attributes = getattr(self.frame, "attrs", {})
+        source = self.source or str(attributes.get(SOURCE, "the table"))
         inputs, outputs = _roles(source, "inputs", self.inputs), _roles(source, "outputs", self.outputs)
         for variable in inputs:
             if variable in outputs:
@@ -135,67 +154,18 @@ class Experiment(HtmlTableMixin):
         if inputs and self.measured:
             _check_rows(source, times, inputs, words)
         input_values = as_held(_values(source, frame, times, "input", inputs, inputs), words)
-        curved = np.array([word == "pchip" for word in words], dtype=np.bool_)
-        derived = {
-            "frame": frame,
-            "inputs": inputs,
-            "outputs": outputs,
-            "units": _units(source, self.units, inputs | outputs, frame.attrs.get(UNITS, {})),
-            "columns": inputs | outputs,
-            "input_names": tuple(inputs),
-            "output_names": tuple(outputs),
-            "times": times,
-            "input_values": input_values,
-            "output_values": output_values,
-            "counted": _counted(source, times, output_values, outputs, there, self.discard),
-            "held": np.array([word in HELD for word in words], dtype=np.bool_),
-            "curved": curved,
-            "input_slopes": slopes(source, times, input_values, curved),
-        }
-        self._set(derived)
-
-    @classmethod
-    def read(
-        cls,
-        path: Path | str,
-        inputs: Sequence[str] | Mapping[str, str] = (),
-        outputs: Sequence[str] | Mapping[str, str] = (),
-        *,
-        time: str = "time",
-        time_unit: str | None = None,
-        sample_rate: float | None = None,
-        sheet: str | int | None = None,
-        interpolation: str | Mapping[str, str] = "linear",
-        discard: float = 0.0,
-        units: Mapping[str, str] | None = None,
-        values: Mapping[str, float | int | bool | str] | None = None,
-        name: str | None = None,
-    ) -> Self:
-        """Read the table from a file; the words are those of the class and of `fmuid.read_data`.
-
-        Parameters
-        ----------
-        path : Path or str
-            The file; it is `source`, and the `name` is its stem unless given.
-
-        Raises
-        ------
-        InputError
-            Where the file cannot be read or the experiment is wrong.
-        """
-        path = Path(path)
-        return cls(
-            read_data(path, time, time_unit=time_unit, sample_rate=sample_rate, sheet=sheet),
-            inputs,
-            outputs,
-            time=time,
-            interpolation=interpolation,
-            discard=discard,
-            units=units or {},
-            values=values or {},
-            name=path.stem if name is None else name,
-            source=str(path),
+        self._set(
+            source=source,
+            frame=frame,
+            inputs=inputs,
+            outputs=outputs,
+            units=_units(source, self.units, inputs | outputs, frame.attrs.get(UNITS, {})),
+            times=times,
+            input_values=input_values,
+            output_values=output_values,
+            counted=_counted(source, times, output_values, outputs, there, self.discard),
         )
+        _ = self.input_slopes  # which may be refused
 
     def with_outputs(self, values: npt.ArrayLike) -> Self:
         """Return the same experiment with other measurements; nothing but them is checked again.
@@ -220,37 +190,21 @@ class Experiment(HtmlTableMixin):
             if taken.count(column) > 1:  # another variable reads this column too, and must go on doing so
                 outputs[variable] = f"{column} as {variable}"
         counted = _counted(self.source, self.times, given, outputs, outputs, self.discard)
-        columns = self.columns | outputs
+        frame = self.frame.assign(**{column: given[:, k] for k, column in enumerate(outputs.values())})
         other = copy.copy(self)
-        derived = {"outputs": outputs, "measured": True, "columns": columns, _LateFrame.BASE: self.frame}
-        other._set(derived | {"output_values": given, "counted": counted})
-        del vars(other)["frame"]
+        vars(other).pop("columns", None)
+        other._set(frame=frame, outputs=outputs, measured=True, output_values=given, counted=counted)
         return other
 
-    def _set(self, fields: Mapping[str, object]) -> None:
+    def _set(self, **fields: object) -> None:
         """Set fields in spite of the frozen class; arrays become read-only."""
         for name, value in fields.items():
-            if isinstance(value, np.ndarray):
-                value.setflags(write=False)
-            object.__setattr__(self, name, value)
+            object.__setattr__(self, name, _frozen(value) if isinstance(value, np.ndarray) else value)
 
 
-class _LateFrame:
-    """The table of an experiment with other measurements, made when it is first asked for: batches never do."""
-
-    BASE = "_frame_before"
-
-    def __get__(self, experiment: Experiment | None, _class: type[Experiment]) -> object:
-        if experiment is None:
-            return self
-        frame = vars(experiment)[self.BASE].copy(deep=False)
-        for k, name in enumerate(experiment.output_names):
-            frame[experiment.columns[name]] = experiment.output_values[:, k]
-        vars(experiment)["frame"] = frame  # where it is found from now on
-        return frame
-
-
-type.__setattr__(Experiment, "frame", _LateFrame())  # not in the class itself: a dataclass would take it for a default
+def _frozen(values: npt.NDArray[Any]) -> npt.NDArray[Any]:
+    values.setflags(write=False)
+    return values
 
 
 def _roles(source: str, word: str, given: Sequence[str] | Mapping[str, str]) -> dict[str, str]:

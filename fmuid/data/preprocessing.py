@@ -52,7 +52,7 @@ class ParkTransform:
     >>> phases = {"ia": [3.0, 3.0], "ib": [-1.5, -1.5], "ic": [-1.5, -1.5]}
     >>> table = pd.DataFrame({"time": [0.0, 0.1], "w": [0.0, 0.0], **phases})
     >>> axes = fmuid.ParkTransform(("ia", "ib", "ic"), ("id", "iq"), speed="w", pole_pairs=2)
-    >>> fmuid.preprocess(table, axes=[axes])["id"].round(3).tolist()
+    >>> fmuid.preprocess(table, fmuid.data.Preprocessing(axes=[axes]))["id"].round(3).tolist()
     [3.674, 3.674]
     """
 
@@ -301,43 +301,14 @@ def _kept(times: Floats, start: float | None, end: float | None) -> tuple[float,
     return (-math.inf if start is None else start - tolerance), (math.inf if end is None else end + tolerance)
 
 
-def preprocess(
-    given: Table,
-    *,
-    columns: Mapping[str, str] | None = None,
-    axes: Sequence[ParkTransform] = (),
-    low_pass: float | None = None,
-    start: float | None = None,
-    end: float | None = None,
-    resample: float | None = None,
-    detrend: str | Mapping[str, str] | None = None,
-    fill: Mapping[str, str] | None = None,
-    longest_gap: float | None = None,
-    time: str = "time",
-) -> Table:
-    """Do with a table, or with that of an experiment, what ``[experiments.preprocess]`` of a study does, in this order.
+def preprocess(given: Table, preparation: Preprocessing, *, time: str = "time") -> Table:
+    """Do with a table, or with that of an experiment, what ``[experiments.preprocess]`` of a study does.
 
     Parameters
     ----------
     given : DataFrame or Experiment
         Of an experiment, inputs and outputs are filtered, resampled and detrended; of a frame, all columns of numbers.
-    columns : mapping of str to str
-        Columns to compute, by expressions such as ``"pulses * 35.1 + vir"``.
-    axes : sequence of ParkTransform
-        Phases to transform to turning axes, or back.
-    low_pass : float
-        Hz: what is faster is taken away, without a shift in time.
-    start, end : float
-        Times between which the table is kept, s.
-    resample : float
-        Step of time, s.
-    detrend : "mean", "linear" or mapping of column to these
-    fill : mapping of column to "linear" or "zoh"
-        Columns whose missing samples are filled, on straight lines or by the sample before; after `columns`, before
-        all else. Those of outputs do not count and need no filling. Rows that are missing for more than 20 steps are
-        put in first.
-    longest_gap : float
-        s: a longer gap is refused; default: 20 usual steps.
+    preparation : Preprocessing
     time : str
         The column of time of a frame, s.
 
@@ -353,15 +324,15 @@ def preprocess(
 
     Examples
     --------
-    >>> import pandas as pd, fmuid
     >>> frame = pd.DataFrame({"time": [0.0, 0.1, 0.2, 0.3], "pulses": [0.0, 2.0, 4.0, 6.0]})
-    >>> fmuid.preprocess(frame, columns={"x": "pulses / 2 + 1"}, start=0.1, resample=0.2)["x"].tolist()
+    >>> how = fmuid.data.Preprocessing({"x": "pulses / 2 + 1"}, start=0.1, resample=0.2)
+    >>> fmuid.preprocess(frame, how)["x"].tolist()
     [2.0, 4.0]
     """
-    how = Preprocessing(columns or {}, axes, low_pass, start, end, resample, detrend, fill or {}, longest_gap)
     if not isinstance(given, Experiment):
-        return how.applied(given, time, "the frame")
+        return preparation.applied(given, time, "the frame")
     driven = {name: given.columns[name] for name in given.input_names}
     words = interpolation_words(given.source, given.interpolation, driven)
     between = dict(zip(driven.values(), words, strict=True))
-    return replace(given, frame=how.applied(given.frame, given.time, given.source, given.columns.values(), between))
+    frame = preparation.applied(given.frame, given.time, given.source, given.columns.values(), between)
+    return replace(given, frame=frame)

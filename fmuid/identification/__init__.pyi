@@ -1,3 +1,8 @@
+from .assessment import CONFIDENCE_LEVEL as CONFIDENCE_LEVEL
+from .assessment import Assessment as Assessment
+from .assessment import AssessmentSettings as AssessmentSettings
+from .assessment import assess as assess
+from .assessment import better_point as better_point
 from .comparison import IncomparableError as IncomparableError
 from .comparison import LikelihoodRatioTest as LikelihoodRatioTest
 from .comparison import ModelCandidate as ModelCandidate
@@ -55,8 +60,3 @@ from .solver_checked_search import RIVAL_CRITERION as RIVAL_CRITERION
 from .time_scale import TimeScaleMismatch as TimeScaleMismatch
 from .time_scale import TimeScaleWarning as TimeScaleWarning
 from .time_scale import doubt_of_time as doubt_of_time
-from .uncertainty import CONFIDENCE_LEVEL as CONFIDENCE_LEVEL
-from .uncertainty import Uncertainty as Uncertainty
-from .uncertainty import UncertaintySettings as UncertaintySettings
-from .uncertainty import better_point as better_point
-from .uncertainty import explore as explore

@@ -16,7 +16,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import ClassVar, Literal
+from typing import ClassVar
 
 import numpy as np
 import pandas as pd
@@ -27,8 +27,6 @@ from fmuid.codec import Layout
 from fmuid.errors import InputError
 from fmuid.estimation import LeastSquares, Result, check_level, misfits, refuse_loss, spans_decades, variances
 from fmuid.identification.conditional_optimum import check_result
-
-Ranges = Mapping[str, tuple[float, float]] | Literal["bounds"]
 
 # Points along each side of a map: an odd number puts the estimate on the grid.
 POINTS = 41
@@ -129,7 +127,7 @@ def map_cost(
     second: str,
     *,
     points: int = POINTS,
-    ranges: Ranges | None = None,
+    ranges: Mapping[str, tuple[float, float]] | None = None,
 ) -> CostMap:
     """Compute the criterion on a grid over two parameters around the estimate.
 
@@ -142,7 +140,7 @@ def map_cost(
         The two parameters.
     points : int
         Along each of them.
-    ranges : "bounds", or mapping of str to (low, high), optional
+    ranges : mapping of str to (low, high), optional
         How far the map reaches. Default: 4 standard deviations to both sides, but not beyond the bounds; for a
         parameter that is not determined the bounds, or its magnitude to both sides where there are none. Ranges that
         are positive and span a decade or more are divided logarithmically.
@@ -150,7 +148,7 @@ def map_cost(
     Raises
     ------
     InputError
-        If a parameter is unknown or has no bounds where they are asked for, a range is empty or leaves the bounds, or
+        If a parameter is unknown, a range is empty or leaves the bounds, or
         the result is not of this problem.
 
     Examples
@@ -168,10 +166,9 @@ def map_cost(
         raise InputError(f"a map needs two different parameters, not {first!r} twice")
     if isinstance(points, bool) or not isinstance(points, int) or points < 2:
         raise InputError(f"the points of a map along each parameter must be a whole number from 2 on, not {points!r}")
-    if isinstance(ranges, Mapping):
-        for name in ranges:
-            parameters.index(name)
-    spans = [_span(problem, result, i, ranges) for i in where]
+    for name in ranges or {}:
+        parameters.index(name)
+    spans = [_span(problem, result, i, ranges or {}) for i in where]
     sides = [np.geomspace(*s, points) if spans_decades(*s) else np.linspace(*s, points) for s in spans]
     thetas = np.tile(result.values, (points * points + 1, 1))  # the last one is the estimate
     thetas[:-1, where] = np.stack(np.meshgrid(*sides, indexing="ij"), axis=-1).reshape(-1, 2)
@@ -190,11 +187,13 @@ def map_cost(
     )
 
 
-def _span(problem: LeastSquares, result: Result, i: int, ranges: Ranges | None) -> tuple[float, float]:
+def _span(
+    problem: LeastSquares, result: Result, i: int, ranges: Mapping[str, tuple[float, float]]
+) -> tuple[float, float]:
     """Return the lowest and the highest value of one parameter on the map."""
     name = problem.parameters.names[i]
     low, high = float(problem.parameters.lower[i]), float(problem.parameters.upper[i])
-    if isinstance(ranges, Mapping) and name in ranges:
+    if name in ranges:
         least, most = map(float, ranges[name])
         if not (low <= least < most <= high and math.isfinite(most - least)):
             raise InputError(
@@ -202,12 +201,9 @@ def _span(problem: LeastSquares, result: Result, i: int, ranges: Ranges | None) 
                 f"{low:g} to {high:g}"
             )
         return least, most
-    bounded = math.isfinite(high - low)
-    if ranges == "bounds" and not bounded:
-        raise InputError(f"a map over the bounds needs min and max of {name!r}; give them, or its range on the map")
     value, std = float(result.values[i]), float(result.std[i])
     usable = 0.0 < std < math.inf
-    if ranges == "bounds" or (bounded and not usable):
+    if math.isfinite(high - low) and not usable:
         return low, high
     reach = SPAN_STDS * std if usable else float(problem.parameters.magnitudes(result.values)[i])
     return max(low, value - reach), min(high, value + reach)

@@ -38,11 +38,11 @@ from fmuid.data import Experiment, Noise, Parameter
 from fmuid.errors import NO_EXPERIMENT, InputError, check_kind
 from fmuid.estimation import Result, check_level
 from fmuid.formatting import nearest
+from fmuid.identification.assessment import CONFIDENCE_LEVEL
 from fmuid.identification.problem import Problem, refinement_of
 from fmuid.identification.residual_analysis import ResidualAnalysis
 from fmuid.identification.residual_series import examine_outputs
 from fmuid.identification.solver_checked_search import identify
-from fmuid.identification.uncertainty import CONFIDENCE_LEVEL
 from fmuid.models import FMU, System
 from fmuid.simulation import OutputFit, Simulator, Value, column_conversion, fit_of, refined
 

@@ -11,10 +11,9 @@ from pathlib import Path, PurePosixPath
 from fmuid.display_mixins import HtmlTableMixin
 from fmuid.errors import InputError, check_kind
 from fmuid.files import is_file
-from fmuid.models.archive import CheckedArchive
+from fmuid.models.archive import CheckedArchive, file_digest, unpacked
 from fmuid.models.description import Description
 from fmuid.models.reading import read_description
-from fmuid.models.unpacking import file_digest, unpacked
 
 _MACHINE = "aarch64" if platform.machine().lower() in ("arm64", "aarch64") else "x86_64"
 _SYSTEM, BINARY_ENDING = {"win32": ("win", ".dll"), "darwin": ("darwin", ".dylib")}.get(sys.platform, ("linux", ".so"))

@@ -13,7 +13,6 @@ from fmuid.models.component import AS_OFFERED, Component, Isolation, Numerics
 from fmuid.models.connections import Connection, exchange_order
 from fmuid.models.description import Variable, unit_conversion
 from fmuid.models.fmu import FMU
-from fmuid.models.instance_lock import in_threads
 from fmuid.models.owner import Owner
 
 MASTERS = ("jacobi", "gauss-seidel")
@@ -257,11 +256,6 @@ class System(Owner):
         """Whether several instances of every component may live in one process."""
         used = [component.fmu.description.interfaces[component.kind] for component in self.components.values()]
         return all(not interface.once_per_process and not interface.needs_execution_tool for interface in used)
-
-    @property
-    def can_run_in_threads(self) -> bool:
-        """Whether several instances of every component may run in one process at once."""
-        return all(in_threads(model.fmu.description, model.kind) for model in self.components.values())
 
     def full_name(self, component: str, name: str) -> str:
         """Return the name of a component's variable in the system."""

@@ -15,13 +15,13 @@ from .ends import KILLED as KILLED
 from .ends import REFUSED as REFUSED
 from .ends import STOPPED as STOPPED
 from .ends import HostExitError as HostExitError
-from .family import ProcessStatus as ProcessStatus
-from .fork_server import CLOSING_LIMIT as CLOSING_LIMIT
-from .fork_server import SERVER as SERVER
+from .host import CLOSING_LIMIT as CLOSING_LIMIT
 from .host import PRINTED_KEPT_BYTES as PRINTED_KEPT_BYTES
+from .host import SERVER as SERVER
 from .host import HostProcess as HostProcess
 from .host import refusals as refusals
 from .keeper import MOST_KILLS as MOST_KILLS
 from .keeper import HostKeeper as HostKeeper
+from .limits import ProcessStatus as ProcessStatus
+from .limits import Watchdog as Watchdog
 from .service import shared_memory as shared_memory
-from .watchdog import Watchdog as Watchdog

@@ -7,8 +7,7 @@ from collections.abc import Callable
 from typing import Any, TypeVar
 
 from fmuid.processes.children import AVAILABLE
-from fmuid.processes.ends import KILLED, HostExitError
-from fmuid.processes.watchdog import Watchdog
+from fmuid.processes.limits import Watchdog
 
 Value = TypeVar("Value")
 
@@ -60,17 +59,7 @@ class IsolatedCaller:
         limit = time_limit or self._time_limit
         with self._lock:
             keeper = self._keeper = self._keeper or self._kept()
-
-            def called() -> Value:
-                found: Value = keeper.host().call(function, *arguments, watchdog=Watchdog(limit))
-                return found
-
-            try:
-                value = called()
-            except HostExitError as end:
-                if end.kind != KILLED:
-                    raise
-                value = called()  # the process may have been ended before this call
+            value: Value = keeper.host().call(function, *arguments, watchdog=Watchdog(limit))
             keeper.replace_outgrown()
             keeper.printed()  # what libraries print about damaged files is nobody's news
             return value

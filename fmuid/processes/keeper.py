@@ -54,7 +54,10 @@ class HostKeeper(Generic[Host]):
             If it comes to an end over them again and again.
         """
         if self._hosts and self._hosts[0].alive:
-            return self._hosts[0]
+            if not self._hosts[0].gone:
+                return self._hosts[0]
+            self._hosts[0].kill()
+            self.bury()
         for attempt in range(MOST_KILLS):
             host = self._make(self._memory)
             try:

@@ -22,9 +22,8 @@ from pathlib import Path
 from typing import NoReturn
 
 from fmuid.processes import cgroup
-from fmuid.processes.channel import TOKEN_BYTES, Channel
-from fmuid.processes.family import adopt_orphans, children
-from fmuid.processes.messages import answer_parts
+from fmuid.processes.channel import TOKEN_BYTES, Channel, answer_parts
+from fmuid.processes.limits import adopt_orphans, children
 from fmuid.processes.service import Service
 
 ORDER_BYTES = 4096  # of an order to the server

@@ -10,8 +10,7 @@ import os
 from operator import attrgetter
 from typing import Any
 
-from fmuid.processes.channel import Channel
-from fmuid.processes.messages import answer_parts, order_of
+from fmuid.processes.channel import Channel, answer_parts, order_of
 
 _shared: list[int] = []  # descriptor of the file that this process shares with the one that gives it orders
 

@@ -8,7 +8,7 @@ from fmuid.diagnosis import Diagnosis, Monitor
 from fmuid.errors import InputError
 from fmuid.estimation import Estimator, LinearEstimate, Result
 from fmuid.formatting import with_std
-from fmuid.identification import Posterior, PriorDataComparison, ResidualAnalysis, Uncertainty
+from fmuid.identification import Assessment, Posterior, PriorDataComparison, ResidualAnalysis
 from fmuid.reports.document import Document, Message, capitalised
 from fmuid.reports.topics.batch import batch_document
 from fmuid.reports.topics.diagnosis import diagnosis_document
@@ -79,7 +79,7 @@ _THOUGHTS = {
     Estimator.EQUATION_ERROR: LinearMessage.EQUATION_ERROR,
     Estimator.INSTRUMENTAL_VARIABLES: LinearMessage.INSTRUMENTAL_VARIABLES,
 }
-Found = Result | LinearEstimate | ResidualAnalysis | PriorDataComparison | Uncertainty | Posterior | Diagnosis | Monitor
+Found = Result | LinearEstimate | Assessment | ResidualAnalysis | PriorDataComparison | Posterior | Diagnosis | Monitor
 
 
 def describe(found: Found) -> str:
@@ -87,8 +87,8 @@ def describe(found: Found) -> str:
 
     Parameters
     ----------
-    found : Result, LinearEstimate, ResidualAnalysis, PriorDataComparison, Uncertainty, Posterior, Diagnosis or Monitor
-        Of `fmuid.identify`, `fmuid.equation_error` and its like, `fmuid.analyze_residuals`,
+    found : Result, LinearEstimate, Assessment, ResidualAnalysis, PriorDataComparison, Posterior, Diagnosis or Monitor
+        Of `fmuid.identify`, `fmuid.equation_error` and its like, `fmuid.assess`, `fmuid.analyze_residuals`,
         `fmuid.compare_prior_and_data`, `fmuid.sample_posterior`, `fmuid.diagnose`, or a `fmuid.Monitor`.
 
     Examples
@@ -99,9 +99,12 @@ def describe(found: Found) -> str:
     """
     names: tuple[str, ...]
     match found:
-        case Uncertainty():
+        case Assessment():
+            said = () if found.prior_and_data is None else reading_words(found.prior_and_data)
+            said += () if found.residuals is None else residual_words(found.residuals)
+            said += uncertainty_words(found)
             sampled = () if found.posterior is None else found.posterior.names
-            said, names = uncertainty_words(found), (*(each.name for each in found.profiles), *sampled)
+            names = (*(each.name for each in found.profiles), *sampled)
         case Diagnosis():
             strain = () if found.strain is None else (found.strain.name,)
             said = (verdict(found), *diagnosis_notes(found))

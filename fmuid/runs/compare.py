@@ -111,7 +111,7 @@ def _names(paths: Sequence[Path]) -> list[str]:
 
 def _candidate(path: Path, name: str) -> ModelCandidate:
     kept = read_identification(path)
-    series = () if kept.diagnostics is None else kept.diagnostics.series
+    series = () if kept.assessment.residuals is None else kept.assessment.residuals.series
     worth = sum(each.samples / max(1.0, np.nan_to_num(each.correlation_samples, nan=1.0)) for each in series)
     dependence = sum(each.samples for each in series) / worth if worth else math.nan
     held = None if kept.origin is None else study_of(path).model.values

@@ -13,18 +13,14 @@ import pandas as pd
 from fmuid.codec import Layout
 from fmuid.display_mixins import PlotMixin
 from fmuid.estimation import Result, TerminationReason, optima_table
-from fmuid.identification import CONFIDENCE_LEVEL
+from fmuid.identification import Assessment
 from fmuid.simulation import OutputFit
 
 if TYPE_CHECKING:
     from fmuid.diagnosis import Alarm, BaselineSource, Diagnosis, Rule, SkippedWindow
     from fmuid.identification import (
-        CostMap,
         ModelComparison,
         Prediction,
-        PriorDataComparison,
-        ResidualAnalysis,
-        Uncertainty,
     )
     from fmuid.studies import SourceWarning
 
@@ -116,14 +112,8 @@ class IdentificationRun(PlotMixin):
     result : Result
     fits : tuple of OutputFit
         One an experiment.
-    diagnostics : ResidualAnalysis or None
-        Of the residuals; None where the search was interrupted before any.
-    reading : PriorDataComparison or None
-        What prior and data say, and whether they agree; None likewise.
-    level : float
-        Of intervals.
-    uncertainty : Uncertainty or None
-        Where more than the local covariance was asked for.
+    assessment : Assessment
+        What the result is worth; of a search that was interrupted before any fit nothing.
     files : tuple of Path
         Those that were written, each once.
     origin : Provenance or None
@@ -142,10 +132,7 @@ class IdentificationRun(PlotMixin):
 
     result: Result
     fits: tuple[OutputFit, ...] = ()
-    diagnostics: ResidualAnalysis | None = None
-    reading: PriorDataComparison | None = None
-    level: float = CONFIDENCE_LEVEL
-    uncertainty: Uncertainty | None = None
+    assessment: Assessment = field(default_factory=Assessment)
     files: tuple[Path, ...] = ()
     origin: Provenance | None = None
     prepared: tuple[PreprocessedTable, ...] = ()
@@ -155,13 +142,7 @@ class IdentificationRun(PlotMixin):
         omitted={"files"},
         inlined={"result"},
         derived=("intervals",),
-        parts={
-            "assessment": {
-                **{"fits": "fits", "residuals": "diagnostics", "prior_and_data": "reading"},
-                "uncertainty": "uncertainty",
-            }
-        },
-        types=dict.fromkeys(("Diagnostics", "Reading", "Uncertainty"), "fmuid.identification"),
+        parts={"fit": {"experiments": "fits"}},
     )
 
     def __repr__(self) -> str:
@@ -170,7 +151,7 @@ class IdentificationRun(PlotMixin):
     @property
     def succeeded(self) -> bool:
         """Whether all that was asked for is there and can be trusted."""
-        return self.result.converged and (self.uncertainty is None or self.uncertainty.succeeded)
+        return self.result.converged and self.assessment.succeeded
 
     @property
     def has_prior(self) -> bool:
@@ -183,8 +164,7 @@ class IdentificationRun(PlotMixin):
 
         NaN where there is none.
         """
-        local = {"local": self.result.intervals(self.level)}
-        table = pd.concat(local, axis=1) if self.uncertainty is None else self.uncertainty.intervals(self.result)
+        table = self.assessment.intervals(self.result)
         return {
             str(kind): {str(name): (float(low), float(high)) for name, low, high in table[kind].itertuples()}
             for kind in dict.fromkeys(table.columns.get_level_values(0))
@@ -193,7 +173,7 @@ class IdentificationRun(PlotMixin):
     @property
     def estimates(self) -> pd.DataFrame:
         """The content of ``estimates.csv``."""
-        return self.result.to_frame(self.level).reset_index()
+        return self.result.to_frame(self.assessment.level).reset_index()
 
     @property
     def optima(self) -> pd.DataFrame:
@@ -209,11 +189,6 @@ class IdentificationRun(PlotMixin):
     def output_units(self) -> dict[str, str | None]:
         """The unit of each output."""
         return {output: unit for fit in self.fits for output, unit in zip(fit.outputs, fit.units, strict=True)}
-
-    @property
-    def maps(self) -> tuple[CostMap, ...]:
-        """All maps of the criterion."""
-        return () if self.uncertainty is None else (*self.uncertainty.maps, *self.uncertainty.box_maps)
 
 
 @dataclass(frozen=True, eq=False)
@@ -344,6 +319,15 @@ class PredictionRun:
     json_layout: ClassVar = Layout(
         omitted={"notes", "files"}, types={"Prediction": "fmuid.identification", "SourceWarning": "fmuid.studies"}
     )
+
+    @property
+    def correlations(self) -> pd.DataFrame:
+        """Correlations of residuals with themselves and with inputs, as `ResidualAnalysis.correlations`."""
+        from fmuid.identification import ResidualAnalysis
+
+        return ResidualAnalysis(
+            tuple(one for each in self.predictions for one in each.residuals.series), {}
+        ).correlations
 
     @property
     def scores(self) -> pd.DataFrame:

@@ -58,26 +58,24 @@ def stacked(names: Sequence[str], frames: Sequence[pd.DataFrame]) -> pd.DataFram
 def tables_of(found: IdentificationRun) -> dict[str, pd.DataFrame]:
     """Return the CSV tables of an identification by their names."""
     tables = {"estimates": found.estimates}
-    if not found.fits or found.diagnostics is None:
+    checks = found.assessment
+    if not found.fits or checks.residuals is None:
         return tables
     frames = [fit.frame() for fit in found.fits]
     tables |= {"trace": found.result.trace, "fit": stacked([fit.experiment for fit in found.fits], frames)}
-    tables["diagnostics"] = found.diagnostics.table
+    tables["diagnostics"] = checks.residuals.table
     if found.result.optima:
         tables["optima"] = found.optima
     if changed := [each.table for each in found.prepared if len(each.table)]:
         tables["preparation"] = pd.concat(changed, ignore_index=True)
-    if found.uncertainty is not None:
-        tables |= {_map_name(chart.names): chart.table for chart in found.uncertainty.maps}
-        tables |= {_map_name(chart.names, "-box"): chart.table for chart in found.uncertainty.box_maps}
-        tables |= {"profiles": found.uncertainty.profile_table} if found.uncertainty.profiles else {}
-        posterior = found.uncertainty.posterior
-        tables |= {} if posterior is None else {"posterior": posterior.table}
+    tables |= {_map_name(chart.names): chart.table for chart in checks.maps}
+    tables |= {"profiles": checks.profile_table} if checks.profiles else {}
+    tables |= {} if checks.posterior is None else {"posterior": checks.posterior.table}
     return tables
 
 
-def _map_name(names: Iterable[str], box: str = "") -> str:
-    return f"map-{file_name('-'.join(names))}{box}"
+def _map_name(names: Iterable[str]) -> str:
+    return f"map-{file_name('-'.join(names))}"
 
 
 def write_identification(folder: Path, found: IdentificationRun) -> list[Path]:
@@ -121,17 +119,16 @@ def read_identification(place: Path) -> IdentificationRun:
 
 def _fill(content: dict[str, Any], folder: Path) -> None:
     """Put what the tables have into the content."""
-    told = content.get("assessment") or {}
-    if (folder / "fit.csv").is_file() and told.get("fits"):
-        _fill_fits(told["fits"], read_table(folder / "fit.csv"))
-    elif told:
-        told["fits"] = []
-    _fill_residuals(told.get("residuals"), told.get("fits", []))
+    fits, checks = (content.get("fit") or {}).get("experiments", []), content.get("assessment") or {}
+    if (folder / "fit.csv").is_file() and fits:
+        _fill_fits(fits, read_table(folder / "fit.csv"))
+    elif fits:
+        content["fit"]["experiments"] = []
+    _fill_residuals(checks.get("residuals"), fits)
     if (folder / "trace.csv").is_file() and content.get("history"):
         content["history"]["iterations"] = _iterations(content, read_table(folder / "trace.csv"))
     content["prepared"] = _with_tables(content.get("prepared", []), folder / "preparation.csv")
-    if told.get("uncertainty"):
-        _fill_uncertainty(told["uncertainty"], folder)
+    _fill_assessment(checks, folder)
 
 
 def _fill_fits(fits: Sequence[dict[str, Any]], whole: pd.DataFrame) -> None:
@@ -166,10 +163,9 @@ def _iterations(content: Mapping[str, Any], trace: pd.DataFrame) -> tuple[tuple[
     )
 
 
-def _fill_uncertainty(content: dict[str, Any], folder: Path) -> None:
-    for key, box in (("maps", ""), ("box_maps", "-box")):
-        for chart in content.get(key, ()):
-            chart["table"] = read_table(folder / f"{_map_name(chart['names'], box)}.csv")
+def _fill_assessment(content: dict[str, Any], folder: Path) -> None:
+    for chart in content.get("maps", ()):
+        chart["table"] = read_table(folder / f"{_map_name(chart['names'])}.csv")
     if content.get("profiles"):
         points = read_table(folder / "profiles.csv")
         for each in content["profiles"]:
@@ -348,6 +344,6 @@ def read_table(path: Path) -> pd.DataFrame:
     try:
         names = pd.read_csv(path, nrows=0).columns
         texts = dict.fromkeys(names.intersection(list(_TEXTS)), str)
-        return with_formulas(pd.read_csv(path, converters=texts, float_precision="round_trip"))
+        return with_formulas(pd.read_csv(path, converters=texts))
     except (OSError, ValueError) as error:
         raise InputError(f"{path} cannot be read as a table of results: {error}") from None

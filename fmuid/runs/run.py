@@ -14,7 +14,7 @@ from fmuid.data import ParameterSet, dropouts
 from fmuid.errors import FmuidError, InputError
 from fmuid.estimation import RESULT_SCHEMA, Result
 from fmuid.files import WriteError
-from fmuid.identification import Problem, analyze_residuals, compare_prior_and_data, explore
+from fmuid.identification import Assessment, AssessmentSettings, Problem, assess
 from fmuid.progress import DataOnlyStep, Progress
 from fmuid.runs.apply import write_estimates
 from fmuid.runs.findings import IdentificationRun, at_minimum
@@ -76,7 +76,8 @@ def identified(
         except KeyboardInterrupt:
             raise SearchInterruptedError from None
         origin = None if folder is None else made_from(study, folder=folder)
-        found = IdentificationRun(result, level=study.uncertainty_settings.level, origin=origin, prepared=done)
+        asked = study.uncertainty_settings
+        found = IdentificationRun(result, assessment=Assessment(asked.level), origin=origin, prepared=done)
         if result.local is not None:
             found = _examined(study, problem, found, progress)
         try:
@@ -86,10 +87,9 @@ def identified(
             yield found
             raise
         yield found
-        if study.uncertainty_settings.any and result.local is not None and at_minimum(result):
-            box = bool(result.optima)
-            more = explore(problem, result, study.uncertainty_settings, progress, box=box)
-            yield _written(study, folder, replace(found, uncertainty=more))
+        if asked.explores and result.local is not None and at_minimum(result):
+            explored = assess(problem, result, asked, progress, found.assessment)
+            yield _written(study, folder, replace(found, assessment=explored))
 
 
 def resumed_start(path: Path, parameters: ParameterSet) -> Floats:
@@ -127,16 +127,13 @@ def _examined(study: Study, problem: Problem, found: IdentificationRun, progress
     result = found.result
     if progress is not None and problem.parameters.prior_whitening.size and result.elapsed_s > QUICK_SECONDS:
         progress(DataOnlyStep())
-    diagnostics = analyze_residuals(problem, result)
-    reading = compare_prior_and_data(
-        problem,
-        result,
+    asked = AssessmentSettings(
+        study.uncertainty_settings.level,
         search_data=at_minimum(result),
-        healthy=study.known_variance | dict(result.given_variance),
-        diagnostics=diagnostics,
+        known_variance=study.known_variance | dict(result.given_variance),
     )
     lost = {each.name: rows for each in study.tables if each.input_names and (rows := dropouts(each.times))}
-    return replace(found, fits=_fits(study, result), diagnostics=diagnostics, reading=reading, dropouts=lost)
+    return replace(found, fits=_fits(study, result), assessment=assess(problem, result, asked), dropouts=lost)
 
 
 def _fits(study: Study, result: Result) -> tuple[OutputFit, ...]:
@@ -151,7 +148,7 @@ def _written(study: Study, folder: Path | None, found: IdentificationRun) -> Ide
         return found
     with _kept(folder / RESULT_FILE, found):
         written = write_identification(folder, found)
-    if found.uncertainty is None:
+    if not found.assessment.is_explored:
         written += write_estimates(folder, study.system, found.result)
     return replace(found, files=tuple(dict.fromkeys((*found.files, *written))))
 

@@ -11,6 +11,7 @@ from typing import Protocol
 from fmuid.array_types import Floats, Indices
 from fmuid.errors import SimulationError
 from fmuid.models import System
+from fmuid.simulation.instance_registry import in_threads
 from fmuid.simulation.simulation_plan import GridSimulation
 
 _log = logging.getLogger("fmuid.fmu")
@@ -57,17 +58,19 @@ def threads() -> int:
 
 
 def _made_for(system: System) -> Executor:
-    in_threads = system.can_run_in_threads
-    limit = threads() if in_threads else 1
+    concurrent = all(in_threads(model.fmu.description, model.kind) for model in system.components.values())
+    limit = threads() if concurrent else 1
     if system.isolation is not None:
         from fmuid.processes import AVAILABLE
 
         if AVAILABLE:
-            from fmuid.simulation.isolation.isolated import IsolatedExecutor  # for Linux and macOS only
-            from fmuid.simulation.isolation.multi_process import MultiProcessExecutor
+            from fmuid.simulation.isolation.isolated_executor import (
+                IsolatedExecutor,  # for Linux and macOS only
+                MultiProcessExecutor,
+            )
 
             processes = min(threads(), system.isolation.threads or threads())
-            if not in_threads and system.can_be_repeated and processes > 1:
+            if not concurrent and system.can_be_repeated and processes > 1:
                 return MultiProcessExecutor(system.components, processes, system.isolation, system.told)
             return IsolatedExecutor(system.components, limit, system.isolation, system.told)
         _log.warning("FMUs run inside fmuid's own process: processes of their own need Linux or macOS")

@@ -2,41 +2,41 @@
 
 from __future__ import annotations
 
-from fmuid.simulation import core_constants as k
+from fmuid.simulation import codes
 
 STATUS_WORDS = ("OK", "Warning", "Discard", "Error", "Fatal", "Pending")
 
 _SAME = {
-    k.DO_STEP: "DoStep",
-    k.RESET: "Reset",
-    k.ENTER_INITIALIZATION: "EnterInitializationMode",
-    k.EXIT_INITIALIZATION: "ExitInitializationMode",
-    k.ENTER_EVENT_MODE: "EnterEventMode",
-    k.SET_TIME: "SetTime",
-    k.SET_STATES: "SetContinuousStates",
-    k.GET_STATES: "GetContinuousStates",
-    k.GET_NOMINALS: "GetNominalsOfContinuousStates",
-    k.GET_INDICATORS: "GetEventIndicators",
-    k.ENTER_CONTINUOUS_TIME_MODE: "EnterContinuousTimeMode",
-    k.COMPLETED_STEP: "CompletedIntegratorStep",
-    k.DIRECTIONAL_DERIVATIVE: "GetDirectionalDerivative",
+    codes.DO_STEP: "DoStep",
+    codes.RESET: "Reset",
+    codes.ENTER_INITIALIZATION: "EnterInitializationMode",
+    codes.EXIT_INITIALIZATION: "ExitInitializationMode",
+    codes.ENTER_EVENT_MODE: "EnterEventMode",
+    codes.SET_TIME: "SetTime",
+    codes.SET_STATES: "SetContinuousStates",
+    codes.GET_STATES: "GetContinuousStates",
+    codes.GET_NOMINALS: "GetNominalsOfContinuousStates",
+    codes.GET_INDICATORS: "GetEventIndicators",
+    codes.ENTER_CONTINUOUS_TIME_MODE: "EnterContinuousTimeMode",
+    codes.COMPLETED_STEP: "CompletedIntegratorStep",
+    codes.DIRECTIONAL_DERIVATIVE: "GetDirectionalDerivative",
 }
 _OWN = {
     2: {
-        k.SET_DERIVATIVES: "SetRealInputDerivatives",
-        k.SETUP: "SetupExperiment",
-        k.UPDATE_DISCRETE_STATES: "NewDiscreteStates",
-        k.GET_DERIVATIVES: "GetDerivatives",
+        codes.SET_DERIVATIVES: "SetRealInputDerivatives",
+        codes.SETUP: "SetupExperiment",
+        codes.UPDATE_DISCRETE_STATES: "NewDiscreteStates",
+        codes.GET_DERIVATIVES: "GetDerivatives",
     },
     3: {
-        k.UPDATE_DISCRETE_STATES: "UpdateDiscreteStates",
-        k.ENTER_STEP_MODE: "EnterStepMode",
-        k.GET_DERIVATIVES: "GetContinuousStateDerivatives",
+        codes.UPDATE_DISCRETE_STATES: "UpdateDiscreteStates",
+        codes.ENTER_STEP_MODE: "EnterStepMode",
+        codes.GET_DERIVATIVES: "GetContinuousStateDerivatives",
     },
 }
 _TYPES = {
-    2: {k.FLOAT64: "Real", k.INT32: "Integer", k.BOOLEAN: "Boolean", k.STRING: "String"},
-    3: dict(enumerate(k.WIRES)),
+    2: {codes.FLOAT64: "Real", codes.INT32: "Integer", codes.BOOLEAN: "Boolean", codes.STRING: "String"},
+    3: dict(enumerate(codes.WIRES)),
 }
 
 # The flags of cvode/cvode.h that an FMU can cause.
@@ -52,9 +52,9 @@ _CVODE_WORDS = {
 
 def function_name(version: int, code: int) -> str | None:
     """Return the FMI function, without prefix, that a code stands for; None if the version has none."""
-    if 0 <= code < 2 * k.N_WIRES:
-        name = _TYPES[version].get(code % k.N_WIRES)
-        return name and ("Set" if code < k.N_WIRES else "Get") + name
+    if 0 <= code < 2 * codes.N_WIRES:
+        name = _TYPES[version].get(code % codes.N_WIRES)
+        return name and ("Set" if code < codes.N_WIRES else "Get") + name
     return _OWN[version].get(code) or _SAME.get(code)
 
 
@@ -88,37 +88,37 @@ def describe(
         return f"fmi{version}{name} returned {status_word(version, status)}{_hint(failure, status)}"
     smaller = "give a smaller step_size" if integrator == "rk4" else "give a step_size or another tolerance"
     return {
-        k.SENSITIVITIES: "the FMU gives no directional derivatives of its outputs",
-        k.ENDED: "the FMU ended the simulation",
-        k.OUT_OF_RANGE: "a value is not within the range of the type of its variable",
-        k.STUCK: f"fmi{version}DoStep returns early again and again without getting on",
-        k.ENDLESS_EVENT: "an event does not come to rest in 100 iterations of its discrete states; the model has to be "
-        "mended",
-        k.ENDLESS_ROUNDS: "events of connected components cause one another without end (20 rounds at one time); give "
-        "one of them a hysteresis or a delay",
-        k.TOO_MANY_EVENTS: "there are more than 10000 events between two samples: the model chatters; give it a "
+        codes.SENSITIVITIES: "the FMU gives no directional derivatives of its outputs",
+        codes.ENDED: "the FMU ended the simulation",
+        codes.OUT_OF_RANGE: "a value is not within the range of the type of its variable",
+        codes.STUCK: f"fmi{version}DoStep returns early again and again without getting on",
+        codes.ENDLESS_EVENT: "an event does not come to rest in 100 iterations of its discrete states; the model has "
+        "to be mended",
+        codes.ENDLESS_ROUNDS: "events of connected components cause one another without end (20 rounds at one time); "
+        "give one of them a hysteresis or a delay",
+        codes.TOO_MANY_EVENTS: "there are more than 10000 events between two samples: the model chatters; give it a "
         "hysteresis, or more samples",
-        k.TOO_MANY_STEPS: f"integrator {integrator} needs more than most_steps between two samples (it got to "
+        codes.TOO_MANY_STEPS: f"integrator {integrator} needs more than most_steps between two samples (it got to "
         f't = {time:.9g} s with steps of {step:.2g} s); choose solver = "cvode" or a larger tolerance',
-        k.STEP_TOO_SMALL: f"integrator {integrator} finds no step short enough for its tolerance at t = {time:.9g} s "
-        f"(the last one {step:.2g} s; state {state} errs most): the model has a "
+        codes.STEP_TOO_SMALL: f"integrator {integrator} finds no step short enough for its tolerance at "
+        f"t = {time:.9g} s (the last one {step:.2g} s; state {state} errs most): the model has a "
         'discontinuity without an event, or is stiff; choose solver = "cvode" or a larger tolerance',
-        k.STATE_NOT_FINITE: f"state {state} or its derivative is not a finite number; {smaller}, or keep the "
+        codes.STATE_NOT_FINITE: f"state {state} or its derivative is not a finite number; {smaller}, or keep the "
         "parameters within bounds where the model has a meaning",
-        k.STIFF: f'integrator rk45 finds the model stiff at t = {time:.9g} s; choose solver = "cvode"',
-        k.CVODE_FAILED: f"CVODE gives up at t = {time:.9g} s with flag {status}{_CVODE_WORDS.get(status, '')}; "
+        codes.STIFF: f'integrator rk45 finds the model stiff at t = {time:.9g} s; choose solver = "cvode"',
+        codes.CVODE_FAILED: f"CVODE gives up at t = {time:.9g} s with flag {status}{_CVODE_WORDS.get(status, '')}; "
         f'{smaller}, or choose solver = "rk45"',
-        k.JUMP_UNKNOWN: "an event changes the states or their derivatives, and directional derivatives do not tell "
+        codes.JUMP_UNKNOWN: "an event changes the states or their derivatives, and directional derivatives do not tell "
         "how the sensitivities change",
-        k.JUMP_REFUSED: "the sensitivities cannot be carried through an event: the states only touch its threshold, or "
-        "it is none for parameters that differ a little",
-        k.CANCELLED: "it was cancelled",
+        codes.JUMP_REFUSED: "the sensitivities cannot be carried through an event: the states only touch its "
+        "threshold, or it is none for parameters that differ a little",
+        codes.CANCELLED: "it was cancelled",
     }[failure]
 
 
 def _hint(failure: int, status: int) -> str:
-    if status != k.DISCARD:
+    if status != codes.DISCARD:
         return ""
-    if failure in (k.SET_STATES, k.GET_DERIVATIVES, k.GET_INDICATORS):
+    if failure in (codes.SET_STATES, codes.GET_DERIVATIVES, codes.GET_INDICATORS):
         return ", however small the step"
-    return " (the FMU cannot go on from here)" if failure == k.DO_STEP else ""
+    return " (the FMU cannot go on from here)" if failure == codes.DO_STEP else ""

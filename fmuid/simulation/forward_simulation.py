@@ -11,14 +11,12 @@ import numpy as np
 from fmuid.array_types import Floats
 from fmuid.data import Experiment
 from fmuid.models import STIFF_INTEGRATOR, Component, Port, System
-from fmuid.simulation import core_constants as codes
+from fmuid.simulation import codes
 from fmuid.simulation.executor import Executor
-from fmuid.simulation.grid import grid_of
-from fmuid.simulation.plan import plan_of, simulation_of
-from fmuid.simulation.plan_builder import outputs_with_sensitivities
+from fmuid.simulation.plan_builder import grid_of, outputs_with_sensitivities, plan_of, simulation_of
 from fmuid.simulation.simulation_plan import GridSimulation, Sensitivities, SimulationPlan, new_reports
+from fmuid.simulation.simulation_task import task_of
 from fmuid.simulation.simulator import Simulator
-from fmuid.simulation.task import task_of
 
 
 @dataclass(frozen=True)

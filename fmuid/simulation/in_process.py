@@ -8,10 +8,11 @@ from concurrent.futures import Future, wait
 
 from fmuid.array_types import Floats, Indices
 from fmuid.errors import SimulationError
-from fmuid.models import STIFF_INTEGRATOR, Component, InstanceLock, Renewal
-from fmuid.simulation import core_constants as codes
+from fmuid.models import STIFF_INTEGRATOR, Component
+from fmuid.simulation import codes
+from fmuid.simulation.instance_registry import InstanceLock, Renewal
 from fmuid.simulation.simulation_plan import GridSimulation, shares
-from fmuid.simulation.simulation_thread import SimulationThread
+from fmuid.simulation.worker import SimulationThread
 
 
 class InProcessExecutor:

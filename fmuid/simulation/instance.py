@@ -10,13 +10,15 @@ import re
 import sys
 import threading
 import weakref
+from collections.abc import Iterator
+from contextlib import contextmanager
 from ctypes import byref, c_char_p, c_int, c_size_t, c_uint8, c_void_p
 from typing import Any
 
 from fmuid.errors import InputError
-from fmuid.models import FMU, InstanceRegistry, residents
-from fmuid.simulation.float_environment import kept
-from fmuid.simulation.native import core
+from fmuid.models import FMU
+from fmuid.simulation.instance_registry import InstanceRegistry, residents
+from fmuid.simulation.native.library import core
 
 _log = logging.getLogger("fmuid.fmu")
 _loading = threading.Lock()  # loading changes the working directory of the whole process
@@ -216,3 +218,15 @@ def warn(instance: Instance, told: set[str]) -> None:
 
 if sys.maxsize <= 2**32:  # pragma: no cover
     raise ImportError("fmuid needs a 64-bit Python: its core is compiled for 64 bits")
+
+
+@contextmanager
+def kept() -> Iterator[None]:
+    """Have the environment of this thread be the same afterwards."""
+    library = core()
+    room = ctypes.create_string_buffer(library.environment_size())
+    library.environment_keep(room)
+    try:
+        yield
+    finally:
+        library.environment_restore(room)

@@ -1,18 +1,31 @@
-"""The calls that the core makes, gathered one after the other, with the signals and references that they need."""
+"""A system over an experiment as a plan: the calls that the core makes, and the grid that it walks."""
 
 from __future__ import annotations
 
 import itertools
 import math
 from collections import defaultdict
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 
-from fmuid.models import Connection, System
-from fmuid.simulation import core_constants as codes
-from fmuid.simulation.core_constants import BOOLEAN, FLOAT64, INT32, UINT8, WIRES
-from fmuid.simulation.simulation_plan import AlgebraicLoop, Operation
-from fmuid.simulation.task import SimulationTask
+import numpy as np
+
+from fmuid.array_types import Floats
+from fmuid.errors import InputError
+from fmuid.models import DEFAULT_TOLERANCE, Connection, System
+from fmuid.simulation import codes
+from fmuid.simulation.codes import BOOLEAN, FLOAT64, INT32, UINT8, WIRES
+from fmuid.simulation.simulation_plan import (
+    MOST_STEPS,
+    AlgebraicLoop,
+    GridSimulation,
+    Integration,
+    Operation,
+    SimulationPlan,
+    TimeGrid,
+)
+from fmuid.simulation.simulation_task import SimulationTask
+from fmuid.simulation.variable_checks import column_conversion
 
 Outputs = tuple[list[int], list[int]]
 """The signals that are summed to outputs, and where among them those of each output begin, and the end."""
@@ -188,3 +201,171 @@ def input_slopes(to: PlanBuilder) -> list[int]:
     for slot in found:
         to.signals[slot] = 0.0
     return list(slots.values())
+
+
+# Substeps of a sampling interval where an input is linear in between but the FMU can only hold it. Each substep
+# holds the value at its middle, an error of second order in the substep: a hundredth of that of one whole step.
+LINEAR_SUBSTEPS = 10
+# Steps that differ by less, relatively, count as equal: sampling times are rounded, often to single precision. A second
+# substep where the table says 1.00002 ms instead of 1 ms would double a sampled controller's rate.
+STEP_TOLERANCE = 1e-3
+
+
+def grid_of(task: SimulationTask) -> TimeGrid:
+    """Return the grid of a task: steps no longer than they may be, else from sample to sample.
+
+    Where inputs are linear in between and their FMU cannot interpolate, `LINEAR_SUBSTEPS` to a sampling interval.
+
+    Raises
+    ------
+    InputError
+        If an FMU cannot step that way.
+    """
+    intervals = np.diff(task.experiment.times)
+    steps = [step for step in task.steps.values() if step is not None]
+    strides = np.ones(len(task.steps), np.intp)
+    curved = {name for name, each in task.targets.items() if task.experiment.curved[each.column]}
+    if steps:
+        smallest = min(steps)
+        substeps = np.ceil(intervals / smallest * (1 - STEP_TOLERANCE))
+        strides[:] = [max(1, round((step or smallest) / smallest)) for step in task.steps.values()]
+    else:
+        coarse = any(
+            mode == codes.BY_MIDPOINT or (mode == codes.BY_DERIVATIVE and name in curved)
+            for name, mode in task.modes.items()
+        )
+        substeps = np.full(intervals.shape, LINEAR_SUBSTEPS if coarse else 1)
+    substeps = np.maximum(substeps, 1).astype(np.intp) * task.divisor
+    strides *= [1 if task.system.integrates(component) else task.divisor for component in task.steps]
+    _check_steps(task, intervals / substeps)
+    inputs, slopes = _converted_inputs(task)
+    return TimeGrid(np.array(task.experiment.times), substeps, strides, inputs, slopes if curved else None)
+
+
+def _check_steps(task: SimulationTask, steps: Floats) -> None:
+    """Refuse unequal steps where an FMU declares that it cannot take them."""
+    taken = steps[steps > 0]
+    if taken.size == 0 or np.ptp(taken) <= STEP_TOLERANCE * taken.max():
+        return
+    for model in task.system.components.values():
+        interface = model.fmu.description.interfaces[model.kind]
+        if model.kind == "co-simulation" and not interface.variable_step:
+            raise InputError(
+                f"{model.fmu.path.name} needs communication steps of one length, and {task.experiment.source} "
+                f"is sampled irregularly ({taken.min():g} s to {taken.max():g} s); resample the table"
+            )
+
+
+def _converted_inputs(task: SimulationTask) -> tuple[Floats, Floats]:
+    """Return the inputs, and their slopes at the samples, in the units of the FMU."""
+    experiment = task.experiment
+    columns = [each.column for each in task.targets.values()]
+    inputs = np.array(experiment.input_values[:, columns], np.float64, order="C")
+    slopes = np.array(experiment.input_slopes[:, columns], np.float64, order="C")
+    for j, each in enumerate(task.targets.values()):
+        name = experiment.input_names[each.column]
+        factor, offset = 1.0, 0.0
+        if name in experiment.units:
+            factor, offset = column_conversion(task.system, name, experiment.units[name])
+        inputs[:, j] = each.factor * (factor * inputs[:, j] + offset) + each.offset
+        slopes[:, j] *= factor * each.factor
+    return inputs, slopes
+
+
+def simulation_of(task: SimulationTask) -> GridSimulation:
+    """Return the run of a task.
+
+    Raises
+    ------
+    InputError
+        If an FMU cannot step that way, or elements of one array vary in different ways.
+    """
+    return GridSimulation(plan_of(task), grid_of(task), task.experiment.output_names)
+
+
+def plan_of(task: SimulationTask, add_outputs: Callable[[PlanBuilder], Outputs] = outputs) -> SimulationPlan:
+    """Return the plan of a task.
+
+    Parameters
+    ----------
+    task : SimulationTask
+    add_outputs : callable, optional
+        Appends what gets the outputs; default: those of the experiment, and nothing else.
+
+    Raises
+    ------
+    InputError
+        If elements of one array vary in different ways.
+    """
+    system, to = task.system, PlanBuilder(task)
+    stages = [0]
+
+    def end_stage() -> None:
+        stages.append(len(to.calls))
+
+    parameter_slots = start_values(to)
+    end_stage()
+    input_slots = to.transfer(list(task.targets), setting=True)
+    end_stage()
+    groups = exchange(to)
+    end_stage()
+    output_slots, output_terms = add_outputs(to)
+    end_stage()
+    slope_slots = input_slopes(to)
+    end_stage()
+    for component in system.components:
+        if system.master == "gauss-seidel":
+            exchange_after(to, component)
+        end_stage()
+    return SimulationPlan(
+        operations=tuple(to.calls),
+        stages=np.array(stages, np.intp),
+        groups=np.array(groups, np.intp).reshape(-1, 2),
+        loops=tuple(to.loops),
+        references=np.array(to.references, np.uint32),
+        signals=np.array(to.signals, np.float64),
+        conversions=np.array(to.conversions, np.float64).reshape(-1, 2),
+        texts=tuple(to.texts),
+        parameter_signals=np.array(parameter_slots, np.intp),
+        input_signals=np.array(input_slots, np.intp),
+        input_modes=np.array(list(task.modes.values()), np.intp),
+        input_curves=_curves(task),
+        derivative_signals=np.array(slope_slots, np.intp),
+        output_signals=np.array(output_slots, np.intp),
+        output_terms=np.array(output_terms, np.intp),
+        integrations=tuple(_integration(task, name) for name in system.components),
+        tolerances=np.array([model.numerics.tolerance or 0.0 for model in system.components.values()]),
+        gauss_seidel=system.master == "gauss-seidel",
+    )
+
+
+def _integration(task: SimulationTask, component: str) -> Integration | None:
+    model, system = task.system.components[component], task.system
+    if model.kind != "model-exchange":
+        return None
+    inputs = [name for name in task.modes if system.split(name)[0] == component]
+    varying = task.polynomial_rows(component)
+    connected = any(connection.target[0] == component for connection in system.connections)
+    return Integration(
+        model.integrator,
+        model.numerics.tolerance or DEFAULT_TOLERANCE,
+        task.step_size or model.numerics.step_size,
+        np.array(list(dict.fromkeys(system.variables[name].reference for name in varying)), np.uint32),
+        np.array([task.start(name) for name in varying], np.float64),
+        # with events, no step goes beyond a sample: a long one may step over what happens inside it
+        autonomous=not inputs and not connected and model.fmu.description.indicators == 0,
+        most_steps=model.numerics.most_steps or MOST_STEPS,
+    )
+
+
+def _curves(task: SimulationTask) -> tuple[tuple[int, int], ...]:
+    """Return for each input which row of which component's polynomials it is."""
+    numbers = {name: i for i, name in enumerate(task.system.components)}
+    found = []
+    for name, mode in task.modes.items():
+        component = task.system.split(name)[0]
+        if mode == codes.BY_STEPPER:
+            found.append((numbers[component], task.polynomial_rows(component).index(name)))
+        else:
+            found.append((-1, -1))
+    return tuple(found)

@@ -12,13 +12,12 @@ from numpy.typing import NDArray
 
 from fmuid.array_types import Floats, Indices
 from fmuid.models import Description
-from fmuid.simulation import core_constants as k
-from fmuid.simulation import native
-from fmuid.simulation.checks import check_arrays, check_plan
+from fmuid.simulation import codes
 from fmuid.simulation.failures import function_name
 from fmuid.simulation.instance import Instance
-from fmuid.simulation.integrator import REQUIRED, Integrator, address, function_table
-from fmuid.simulation.simulation_plan import Operation, SimulationPlan, TimeGrid
+from fmuid.simulation.native.library import COPY_ONE, GET_REALS, GET_SENSITIVITIES, OTHER, SET_REALS, SET_SLOPES, core
+from fmuid.simulation.simulation_plan import Operation, SimulationPlan, TimeGrid, check_arrays, check_plan
+from fmuid.simulation.solver import REQUIRED, Integrator, address, function_table
 
 
 class SimulationLoop:
@@ -43,7 +42,7 @@ class SimulationLoop:
 
     def __init__(self, plan: SimulationPlan, grid: TimeGrid, instances: Sequence[Instance], used: Indices) -> None:
         check_plan(plan, grid, [instance.version for instance in instances])
-        self._core = native.core()
+        self._core = core()
         self._plan_given, self._grid_given, self._instances = plan, grid, instances
         self._cancel = ctypes.c_int32(0)
         self._kept: list[Any] = [used]
@@ -95,7 +94,7 @@ class SimulationLoop:
         n = len(self._instances)
         after_step = (self._core.Range * n)(*stages[5:]) if plan.gauss_seidel else None
         groups = self._groups(plan)
-        by_midpoint = bool((plan.input_modes == k.BY_MIDPOINT).any())
+        by_midpoint = bool((plan.input_modes == codes.BY_MIDPOINT).any())
         return self._core.Plan(
             n_components=n,
             n_signals=len(plan.signals),
@@ -118,8 +117,8 @@ class SimulationLoop:
             input_modes=address(plan.input_modes),
             curves=self._curves(plan),
             # where inputs go by midpoints, those that are held must be among the signals
-            direct_inputs=None if by_midpoint else self._direct(plan, 1, k.FLOAT64, plan.input_signals),
-            direct_outputs=self._direct(plan, 3, k.N_WIRES + k.FLOAT64, plan.output_signals),
+            direct_inputs=None if by_midpoint else self._direct(plan, 1, codes.FLOAT64, plan.input_signals),
+            direct_outputs=self._direct(plan, 3, codes.N_WIRES + codes.FLOAT64, plan.output_signals),
             ones=self._keep(np.ones(len(plan.references) + 1, np.int32)),
             curved=grid.slopes is not None,
             midpoints=by_midpoint,
@@ -163,16 +162,22 @@ class SimulationLoop:
         )
 
     def _operation(self, given: Operation) -> Any:
-        if given.function == k.COPY:
+        if given.function == codes.COPY:
             factor, offset = self._plan_given.conversions[given.n_references]
             return self._core.Operation(
-                kind=native.COPY_ONE, signal=given.signal, source=given.reference, factor=factor, offset=offset
+                kind=COPY_ONE, signal=given.signal, source=given.reference, factor=factor, offset=offset
             )
         instance = self._instances[given.component]
         name = function_name(instance.version, given.function)
-        if given.function != k.SENSITIVITIES and name is not None:
+        if given.function != codes.SENSITIVITIES and name is not None:
             instance.required(name)
-        memory = self._signals if given.wire == k.FLOAT64 else self._strings if given.wire == k.STRING else self._words
+        memory = (
+            self._signals
+            if given.wire == codes.FLOAT64
+            else self._strings
+            if given.wire == codes.STRING
+            else self._words
+        )
         return self._core.Operation(
             kind=_kind(given, instance.version),
             function=given.function,
@@ -235,7 +240,7 @@ class SimulationLoop:
         given = plan.operations[first]
         summed = stage == 3 and len(signals) != len(plan.output_terms) - 1
         in_order = not summed and np.array_equal(signals, given.signal + np.arange(given.n_values))
-        if not in_order or given.function != function or given.when != k.ALWAYS:
+        if not in_order or given.function != function or given.when != codes.ALWAYS:
             return None
         return address(self._operations[first])
 
@@ -245,9 +250,9 @@ class SimulationLoop:
         sloped = [plan.operations[i].signal + np.arange(plan.operations[i].n_values) for i in range(slopes, slopes_end)]
         if sloped:
             in_order = len(sloped) == 1 and np.array_equal(sloped[0], plan.derivative_signals)
-            uniform = in_order and (plan.input_modes == k.BY_DERIVATIVE).all()
+            uniform = in_order and (plan.input_modes == codes.BY_DERIVATIVE).all()
         else:
-            uniform = (plan.input_modes == k.HELD).all()
+            uniform = (plan.input_modes == codes.HELD).all()
         return bool(
             uniform
             and [each.version for each in self._instances] == [2]
@@ -256,22 +261,22 @@ class SimulationLoop:
             and grid.slopes is None
             and (grid.substeps == 1).all()
             and (grid.strides == 1).all()
-            and self._direct(plan, 1, k.FLOAT64, plan.input_signals)
-            and self._direct(plan, 3, k.N_WIRES + k.FLOAT64, plan.output_signals)
+            and self._direct(plan, 1, codes.FLOAT64, plan.input_signals)
+            and self._direct(plan, 3, codes.N_WIRES + codes.FLOAT64, plan.output_signals)
         )
 
 
 def _kind(given: Operation, version: int) -> int:
     """Return whether an operation is one of the usual ones, which the core tells at one glance."""
-    if given.function == k.SENSITIVITIES:
-        return native.GET_SENSITIVITIES
-    if given.function == k.SET_DERIVATIVES:
-        return native.SET_SLOPES
-    if version == 2 and given.when == k.ALWAYS and given.function == k.FLOAT64:
-        return native.SET_REALS
-    if version == 2 and given.function == k.N_WIRES + k.FLOAT64:
-        return native.GET_REALS
-    return native.OTHER
+    if given.function == codes.SENSITIVITIES:
+        return GET_SENSITIVITIES
+    if given.function == codes.SET_DERIVATIVES:
+        return SET_SLOPES
+    if version == 2 and given.when == codes.ALWAYS and given.function == codes.FLOAT64:
+        return SET_REALS
+    if version == 2 and given.function == codes.N_WIRES + codes.FLOAT64:
+        return GET_REALS
+    return OTHER
 
 
 def _functions(instance: Instance) -> Any:

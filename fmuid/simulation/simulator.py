@@ -13,11 +13,11 @@ from fmuid.array_types import Floats, Indices
 from fmuid.data import Experiment
 from fmuid.errors import NO_EXPERIMENT, InputError, SimulationError, check_kind
 from fmuid.models import FMU, Isolation, Numerics, System
-from fmuid.simulation import core_constants as codes
+from fmuid.simulation import codes
 from fmuid.simulation.executor import executor_of
-from fmuid.simulation.plan import simulation_of
+from fmuid.simulation.plan_builder import simulation_of
 from fmuid.simulation.simulation_plan import new_reports
-from fmuid.simulation.task import task_of
+from fmuid.simulation.simulation_task import task_of
 from fmuid.simulation.variable_checks import Value, column_conversion
 
 # What is remembered of simulations takes no more memory than this, bytes.

@@ -12,7 +12,8 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 
-from fmuid.models import DEFAULT_TOLERANCE, Component, Numerics, SolverConfiguration, System, needs_process
+from fmuid.models import DEFAULT_TOLERANCE, Component, Numerics, SolverConfiguration, System
+from fmuid.simulation.instance_registry import needs_process
 from fmuid.simulation.simulator import Simulator
 
 FINE_TOLERANCE = 1e-9

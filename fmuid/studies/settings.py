@@ -14,7 +14,7 @@ from fmuid.diagnosis import Rule
 from fmuid.errors import InputError
 from fmuid.estimation import SENSITIVITIES, Marquardt
 from fmuid.formatting import nearest
-from fmuid.identification import ACCURACIES, CONFIDENCE_LEVEL, Problem, UncertaintySettings, with_observer
+from fmuid.identification import ACCURACIES, CONFIDENCE_LEVEL, AssessmentSettings, Problem, with_observer
 from fmuid.models import Isolation
 from fmuid.studies.section import (
     BY_SHAPE,
@@ -200,7 +200,7 @@ class EstimationWords(StudySection):
         except InputError as error:
             raise self.error(f"is refused: {error}") from None
 
-    def check_loss(self, method: Method, asked: UncertaintySettings, top: SectionLocation) -> None:
+    def check_loss(self, method: Method, asked: AssessmentSettings, top: SectionLocation) -> None:
         """Check that all the rest knows what to do with the loss.
 
         Raises
@@ -303,7 +303,7 @@ class UncertaintySection(StudySection):
         AfterValidator(_different),
     ] = word([], "the cost over two parameters", [["a", "b"]])
 
-    def settings(self, names: Sequence[str]) -> UncertaintySettings:
+    def settings(self, names: Sequence[str]) -> AssessmentSettings:
         """Return what is asked of a study with these parameters.
 
         Raises
@@ -321,7 +321,7 @@ class UncertaintySection(StudySection):
                 if name not in names:
                     raise self.error(f"{key} names {name!r}, which is no parameter of this study{nearest(name, names)}")
         pairs = tuple((first, second) for first, second in self.cost_map)
-        return UncertaintySettings(self.confidence_level, tuple(dict.fromkeys(listed)), self._sampling(), pairs)
+        return AssessmentSettings(self.confidence_level, tuple(dict.fromkeys(listed)), self._sampling(), pairs)
 
     def _sampling(self) -> SamplerSettings | None:
         if self.posterior is None:

@@ -18,7 +18,7 @@ from fmuid.display_mixins import HtmlTableMixin
 from fmuid.errors import InputError
 from fmuid.estimation import Method, Result
 from fmuid.formatting import bounded
-from fmuid.identification import Problem, Uncertainty, UncertaintySettings, explore, identify
+from fmuid.identification import Assessment, AssessmentSettings, Problem, assess, identify
 from fmuid.models import System
 from fmuid.progress import Progress
 from fmuid.simulation import OutputFit, Simulator, fit_of
@@ -63,7 +63,7 @@ class Study(HtmlTableMixin):
         Beside the priors of single parameters.
     sources : tuple of PriorSource
         The earlier results that priors are taken from.
-    uncertainty_settings : UncertaintySettings
+    uncertainty_settings : AssessmentSettings
         What is asked beyond the local covariance.
     sensitivity : "finite-difference", "forward" or "fmu"
         How the derivatives of the outputs by the parameters are found.
@@ -100,7 +100,7 @@ class Study(HtmlTableMixin):
     loss: str = "linear"
     joint_prior: JointPrior | None = None
     sources: tuple[PriorSource, ...] = ()
-    uncertainty_settings: UncertaintySettings = field(default_factory=UncertaintySettings)
+    uncertainty_settings: AssessmentSettings = field(default_factory=AssessmentSettings)
     sensitivity: str = "finite-difference"
     accuracy: str = "refine"
     remedies: bool = True
@@ -362,8 +362,8 @@ class Study(HtmlTableMixin):
         except InputError as error:
             raise InputError(f"{settings.where}: {error}") from None
 
-    def uncertainty(self, result: Result, progress: Progress | None = None) -> Uncertainty:
-        """Do what ``[uncertainty]`` asks for around a result of this study: maps, profiles, posterior.
+    def assess(self, result: Result, progress: Progress | None = None) -> Assessment:
+        """Check a result of this study, with what ``[uncertainty]`` asks for: maps, profiles, posterior.
 
         Parameters
         ----------
@@ -380,7 +380,7 @@ class Study(HtmlTableMixin):
         """
         problem = self.problem()
         problem.become(result)
-        return explore(problem, result, self.uncertainty_settings, progress, box=self.estimator.whole_box)
+        return assess(problem, result, self.uncertainty_settings, progress)
 
     def simulators(self) -> tuple[Simulator, ...]:
         """Return the simulator of each experiment, as a function of the study's parameters in their order."""

@@ -8,6 +8,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from fmuid.data.data_file import read_data
 from fmuid.data.experiment import Experiment
 from fmuid.data.parameters import Parameter
 from fmuid.data.predictors import FunctionPredictor
@@ -126,16 +127,15 @@ def test_the_index_may_be_the_time() -> None:
     np.testing.assert_array_equal(run.times, [1.0, 1.1, 1.2, 1.2, 1.3])
 
 
-def test_read_names_itself_after_the_file(tmp_path: Path) -> None:
+def test_messages_name_the_file(tmp_path: Path) -> None:
     path = tmp_path / "run7.csv"
     table().rename(columns={"time": "t"}).to_csv(path, index=False)
-    run = Experiment.read(path, ["u"], {"position": "y"}, time="t", interpolation="zoh", discard=0.1)
-    assert (run.name, run.source) == ("run7", str(path))
+    run = Experiment(read_data(path, "t"), ["u"], {"position": "y"}, time="t", interpolation="zoh", discard=0.1)
+    assert run.source == str(path)
     assert run.held.tolist() == [True]
     np.testing.assert_array_equal(run.counted[:, 0], [False, False, True, True, True])
-    assert Experiment.read(path, ["u"], time="t", name="cold").name == "cold"
     with pytest.raises(InputError, match=r"run7\.csv: the input column 'v' is missing"):
-        Experiment.read(path, ["v"], time="t")
+        Experiment(read_data(path, "t"), ["v"], time="t")
 
 
 WRONG: list[tuple[dict[str, Any], dict[str, Any], str]] = [

@@ -60,7 +60,7 @@ def test_no_times_but_a_rate(tmp_path: Path) -> None:
     FRAME[["u", "i", "w"]].to_csv(tmp_path / "a.csv", index=False)
     with pytest.raises(InputError, match=r"the time column 'time' is missing \(there is u, i, w\).* sample_rate"):
         read_data(tmp_path / "a.csv")
-    check(Experiment.read(tmp_path / "a.csv", ["u"], ["i", "w"], sample_rate=100.0))
+    check(Experiment(read_data(tmp_path / "a.csv", sample_rate=100.0), ["u"], ["i", "w"]))
     FRAME.to_csv(tmp_path / "b.csv", index=False)
     with pytest.raises(InputError, match="there are a column 'time' and a sample rate"):
         read_data(tmp_path / "b.csv", sample_rate=100.0)

@@ -10,6 +10,7 @@ import pytest
 from scipy.optimize import minimize_scalar
 
 from fmuid.array_types import Floats
+from fmuid.data.data_file import read_data
 from fmuid.data.noise import Noise
 from fmuid.data.parameters import Normal, Parameter
 from fmuid.errors import InputError
@@ -157,7 +158,7 @@ def test_induction_machine_from_a_wide_box() -> None:
     from fmuid.data.experiment import Experiment
 
     table = ROOT / "experiments" / "induction_machine" / "table.csv"
-    experiment = Experiment.read(table, inputs=["uds", "uqs", "w"], outputs=["ids", "iqs"])
+    experiment = Experiment(read_data(table), inputs=["uds", "uqs", "w"], outputs=["ids", "iqs"])
     box = {"Rs": (1.0, 50.0), "Rr": (0.5, 20.0), "Lm": (0.05, 2.0), "Lf": (0.005, 0.5)}
     truth = np.array([9.8, 3.8, 0.436, 0.0762])
     problem = Problem(

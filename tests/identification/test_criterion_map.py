@@ -107,7 +107,7 @@ def test_default_reach() -> None:
 
 def test_chosen_reach() -> None:
     problem = linear(2, min=0.1, max=10.0)
-    bounds, _ = chart_of(problem, ranges="bounds", points=3)
+    bounds, _ = chart_of(problem, ranges={"a": (0.1, 10.0), "b": (0.1, 10.0)}, points=3)
     np.testing.assert_allclose(bounds.grid[0], [0.1, 1.0, 10.0])
     assert bounds.logarithmic == (True, True)
     chosen, result = chart_of(problem, ranges={"b": (1.0, 4.0)}, points=3)
@@ -149,7 +149,6 @@ def test_failures_are_nan() -> None:
         (("a", "d"), {}, "'d' is not a parameter of the problem"),
         (("a", "a"), {}, "two different parameters, not 'a' twice"),
         (("a", "b"), {"points": 1}, "whole number from 2 on, not 1"),
-        (("a", "b"), {"ranges": "bounds"}, "over the bounds needs min and max of 'a'"),
         (("a", "b"), {"ranges": {"b": (2.0, 1.0)}}, "range 2 to 1 of 'b' on the map must rise"),
         (("a", "b"), {"ranges": {"a": (-10.0, 1.0)}}, "range -10 to 1 of 'a' .* within its bounds, -5 to inf"),
         (("a", "b"), {"ranges": {"bb": (1.0, 2.0)}}, "'bb' is not a parameter"),

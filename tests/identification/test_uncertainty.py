@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 from collections.abc import Callable
 
@@ -15,12 +16,13 @@ from fmuid.data.parameters import Parameter
 from fmuid.errors import InputError
 from fmuid.estimation.identification import identify
 from fmuid.estimation.problem import LeastSquares
+from fmuid.identification.assessment import Assessment, AssessmentSettings, assess
+from fmuid.identification.cost_map import map_cost
 from fmuid.identification.sampling.posterior import SamplerSettings
-from fmuid.identification.uncertainty import UncertaintySettings, explore
 from fmuid.progress import Event, ProfileStep, SamplingStep
 from fmuid.reports.messages.uncertainty import uncertainty_words
 
-ALL = UncertaintySettings(0.9, ("a", "b"), SamplerSettings(steps=600, effective_size=600), (("a", "b"),))
+ALL = AssessmentSettings(0.9, ("a", "b"), SamplerSettings(steps=600, effective_size=600), (("a", "b"),))
 
 
 def line() -> LeastSquares:
@@ -46,11 +48,13 @@ def test_nothing_is_asked() -> None:
     problem = line()
     result = identify(problem)
     before = problem.simulations
-    found = explore(problem, result, UncertaintySettings())
-    assert not UncertaintySettings().any
+    found = assess(problem, result, AssessmentSettings())
+    assert not AssessmentSettings().explores
     assert found.succeeded
     assert (found.maps, found.profiles, found.posterior, uncertainty_words(found)) == ((), (), None, ())
-    assert as_json(found) == {}
+    assert found.residuals is not None
+    assert found.prior_and_data is not None
+    assert assess(problem, dataclasses.replace(result, local=None)).residuals is None
     assert problem.simulations == before
     np.testing.assert_array_equal(found.intervals(result).to_numpy(), result.intervals().to_numpy())
 
@@ -59,7 +63,7 @@ def test_everything_of_a_linear_problem_agrees() -> None:
     problem = line()
     result = identify(problem)
     steps: list[Event] = []
-    found = explore(problem, result, ALL, steps.append)
+    found = assess(problem, result, ALL, steps.append)
     assert found.succeeded
     assert not uncertainty_words(found)
     assert list(dict.fromkeys(step.task for step in steps)) == ["uncertainty", "map", "profile", "posterior"]
@@ -88,7 +92,7 @@ def test_everything_of_a_linear_problem_agrees() -> None:
 def test_parameters_that_are_not_profiled_are_left_empty() -> None:
     problem = line()
     result = identify(problem)
-    limits = explore(problem, result, UncertaintySettings(profile=("b",))).intervals(result)
+    limits = assess(problem, result, AssessmentSettings(profile=("b",))).intervals(result)
     assert limits.index.tolist() == ["a", "b"]
     np.testing.assert_array_equal(np.isnan(limits["profile"].to_numpy()), [[True, True], [False, False]])
 
@@ -117,7 +121,7 @@ def test_interrupted_keeps_what_there_is(
     where: Callable[[Event], bool], maps: int, profiles: int, sampled: bool
 ) -> None:
     problem = line()
-    found = explore(problem, identify(problem), ALL, interrupt(where))
+    found = assess(problem, identify(problem), ALL, interrupt(where))
     assert found.interrupted
     assert not found.succeeded
     assert (len(found.maps), len(found.profiles), found.posterior is not None) == (maps, profiles, sampled)
@@ -128,8 +132,8 @@ def test_interrupted_keeps_what_there_is(
 
 def test_samples_that_cannot_be_trusted_are_no_success() -> None:
     problem = line()
-    settings = UncertaintySettings(posterior=SamplerSettings(steps=20))
-    found = explore(problem, identify(problem), settings)
+    settings = AssessmentSettings(posterior=SamplerSettings(steps=20))
+    found = assess(problem, identify(problem), settings)
     assert not found.interrupted
     assert not found.succeeded
     (note,) = uncertainty_words(found)
@@ -141,24 +145,18 @@ def test_a_better_optimum_on_the_map_is_named() -> None:
     problem = two_valleys()
     result = identify(problem)
     assert result["a"] < 0
-    asked = UncertaintySettings(maps=(("a", "b"),))
-    near = explore(problem, result, asked)  # four standard deviations around the estimate
+    asked = AssessmentSettings(maps=(("a", "b"),))
+    near = assess(problem, result, asked)  # four standard deviations around the estimate
     assert near.succeeded
     assert not uncertainty_words(near)
-    far = explore(problem, result, asked, box=True)
-    assert (len(far.maps), len(far.box_maps)) == (1, 1)
+    far = Assessment(maps=(map_cost(problem, result, "a", "b", ranges={"a": (-4.0, 4.0), "b": (-1.0, 1.0)}),))
     (note,) = uncertainty_words(far)
     assert "the criterion over a and b is lower at a = 2, b = 0 than at the estimate" in note
     assert 'method = "global"' in note
     assert not far.succeeded
 
 
-def test_no_map_of_the_box_without_bounds() -> None:
-    problem = line()
-    assert explore(problem, identify(problem), UncertaintySettings(maps=(("a", "b"),)), box=True).box_maps == ()
-
-
 @pytest.mark.parametrize("level", [0.0, 1.0, 1.5, float("nan")])
 def test_level_refused(level: float) -> None:
     with pytest.raises(InputError, match="level of an interval must lie between 0 and 1"):
-        UncertaintySettings(level)
+        AssessmentSettings(level)

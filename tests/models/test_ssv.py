@@ -11,7 +11,7 @@ from fmpy.ssp import ssd as fmpy_ssd
 
 from fmuid.errors import InputError
 from fmuid.models.description import Unit, unit_conversion
-from fmuid.models.ssp.parameter_values import Quantity, mapping_entries, parameter_set, read_ssv, read_xml, write_ssv
+from fmuid.models.ssv import Quantity, mapping_entries, parameter_set, read_ssv, read_xml, write_ssv
 
 KELVIN = Unit("K", (0, 0, 0, 0, 1, 0, 0, 0), 1.0, 0.0, {})
 CELSIUS = Unit("degC", (0, 0, 0, 0, 1, 0, 0, 0), 1.0, 273.15, {})

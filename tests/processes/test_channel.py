@@ -17,8 +17,18 @@ import numpy as np
 import pytest
 
 from fmuid.errors import InputError
-from fmuid.processes.channel import HEADER, MARK, TOKEN_BYTES, Channel
-from fmuid.processes.messages import LARGE_BYTES, GarbledError, answer_of, answer_parts, order_of, order_parts
+from fmuid.processes.channel import (
+    HEADER,
+    LARGE_BYTES,
+    MARK,
+    TOKEN_BYTES,
+    Channel,
+    GarbledError,
+    answer_of,
+    answer_parts,
+    order_of,
+    order_parts,
+)
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="processes of their own need fork")
 TOKEN = bytes(range(TOKEN_BYTES))

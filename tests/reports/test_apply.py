@@ -20,7 +20,7 @@ from fmuid.errors import InputError
 from fmuid.estimation.result import Result
 from fmuid.models import FMU
 from fmuid.models.description import Unit
-from fmuid.models.ssp.parameter_values import Quantity, read_ssv, write_ssv
+from fmuid.models.ssv import Quantity, read_ssv, write_ssv
 from fmuid.models.start_values import with_starts
 from fmuid.models.system import System
 from fmuid.runs.apply import AppliedValue, apply_result, write_estimates

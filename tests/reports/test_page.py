@@ -101,7 +101,7 @@ def test_the_folder_is_read_back_as_it_was_written(results: Path) -> None:
     assert written_fits[1]["fit"][0] == pytest.approx(fit)
     assert written_fits[1]["rmse"][0] == pytest.approx(np.sqrt(np.mean(error**2)))
     assert found.unit_of == {"R": "Ohm", "L": "H"}
-    (chart,) = found.maps
+    (chart,) = found.assessment.maps
     assert chart.names == ("R", "L")
     assert chart.shape == (41, 41)
     assert chart.logarithmic == (False, False)
@@ -109,7 +109,7 @@ def test_the_folder_is_read_back_as_it_was_written(results: Path) -> None:
     assert chart.criterion == chart.table["criterion"].min()
     content = json.loads((results / "result.json").read_text())
     (results / "result.json").write_text(json.dumps(content | {"criterion": 5.0}))  # of other noise variances
-    again = read_identification(results).maps[0].criterion
+    again = read_identification(results).assessment.maps[0].criterion
     (results / "result.json").write_text(json.dumps(content))
     assert again == chart.criterion
     written = json.loads((results / "result.json").read_text())

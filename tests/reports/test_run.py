@@ -76,8 +76,7 @@ def test_without_a_folder_nothing_is_written(study: Path) -> None:
     found = run_study(fmuid.Study.read(study))
     assert found.succeeded
     assert found.files == ()
-    assert found.uncertainty is not None
-    assert math.isfinite(found.uncertainty.profiles[0].upper)
+    assert math.isfinite(found.assessment.profiles[0].upper)
     assert sorted(study.parent.rglob("*")) == before
     with pytest.raises(fmuid.InputError, match="in a folder"):
         fmuid.run(study, figures="png")
@@ -99,8 +98,8 @@ def test_events_come_in_their_order(study: Path, monkeypatch: pytest.MonkeyPatch
     assert steps[-1].values["R"] == pytest.approx(found.result["R"], rel=1e-6)
     first, last = identified(fmuid.Study.read(study))
     assert last.result is first.result
-    assert first.uncertainty is None
-    assert last.uncertainty is not None
+    assert not first.assessment.is_explored
+    assert last.assessment.is_explored
 
 
 def test_interrupted_after_the_search(study: Path, tmp_path: Path) -> None:
@@ -108,8 +107,7 @@ def test_interrupted_after_the_search(study: Path, tmp_path: Path) -> None:
     found = run_study(study, tmp_path / "out", progress=stopping(ProfileStep))
     assert found.result.converged
     assert not found.succeeded
-    assert found.uncertainty is not None
-    assert found.uncertainty.interrupted
+    assert found.assessment.interrupted
     assert result(tmp_path / "out")["converged"] is True
 
 
@@ -136,7 +134,7 @@ def test_a_folder_that_another_run_writes_to(study: Path, tmp_path: Path) -> Non
 def test_interrupted_where_a_point_is_known(study: Path, tmp_path: Path) -> None:
     study.write_text(BOUNDED + GLOBAL)
     found = run_study(study, tmp_path / "out", progress=stopping(GlobalStep))
-    assert found.diagnostics is None
+    assert found.assessment.residuals is None
     written = json.loads((tmp_path / "out/result.json").read_text())
     assert written["parameters"]["R"]["value"] == found.result["R"]
     assert {path.name for path in found.files} == {"result.json", "estimates.csv"}

@@ -153,9 +153,9 @@ def test_a_crash_before_there_is_an_instance_is_one_sentence(folder: Path, how: 
 
 def test_the_default_time_limit_follows_the_simulations_before(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """An FMU that hangs after good simulations, of milliseconds, is stopped after seconds: here half of one."""
-    monkeypatch.setattr("fmuid.simulation.isolation.host_manager.LEAST_TIME_LIMIT", 0.5)
-    monkeypatch.setattr("fmuid.simulation.isolation.host_manager.SLOWER_FACTOR", 1.0)
-    monkeypatch.setattr("fmuid.simulation.isolation.host_manager.FIRST_TIME_LIMIT", 1e6)
+    monkeypatch.setattr("fmuid.simulation.isolation.host.LEAST_TIME_LIMIT", 0.5)
+    monkeypatch.setattr("fmuid.simulation.isolation.host.SLOWER_FACTOR", 1.0)
+    monkeypatch.setattr("fmuid.simulation.isolation.host.FIRST_TIME_LIMIT", 1e6)
     simulator = Simulator(misbehaving_fmu(folder), RECORD, NAMES, isolation=Isolation())
     simulator([1.0, 1.0, 0.0])
     with pytest.raises(SimulationError, match=r"did not end within the default time limit .* and was stopped"):

@@ -14,11 +14,11 @@ import pytest
 
 from fmuid.models.component import Isolation
 from fmuid.processes import HUNG, STOPPED, HostExitError, ProcessStatus
-from fmuid.processes.family import condition_of, family
-from fmuid.processes.fork_server import SERVER
-from fmuid.simulation import core_constants as codes
+from fmuid.processes.host import SERVER
+from fmuid.processes.limits import condition_of, family
+from fmuid.simulation import codes
 from fmuid.simulation.executor import executor_of
-from fmuid.simulation.isolation import orders
+from fmuid.simulation.isolation import server
 from fmuid.simulation.isolation.host import AT_REST_SECONDS, HostWatchdog
 from fmuid.simulation.simulator import Simulator
 from tests.support import spoilt_orders
@@ -71,7 +71,7 @@ def test_a_forged_message_costs_one_simulation(folder: Path) -> None:
 
 def test_an_fmu_that_stops_its_server_costs_none(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Neither simulations now nor those that come afterwards, and no process is left."""
-    monkeypatch.setattr("fmuid.processes.watchdog.STOPPED_SECONDS", 0.2)
+    monkeypatch.setattr("fmuid.processes.limits.STOPPED_SECONDS", 0.2)
     there = {process.pid for process in processes()}
     simulator = Simulator(misbehaving_fmu(folder), RECORD, NAMES, isolation=Isolation(time_limit=600.0, threads=1))
     for seed in (1, 2):
@@ -84,7 +84,7 @@ def test_an_fmu_that_stops_its_server_costs_none(folder: Path, monkeypatch: pyte
 
 @pytest.mark.slow
 def test_an_fmu_that_stops_its_process_costs_one_simulation(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("fmuid.processes.watchdog.STOPPED_SECONDS", 0.2)
+    monkeypatch.setattr("fmuid.processes.limits.STOPPED_SECONDS", 0.2)
     words = "its process was stopped (SIGSTOP) and did not go on"
     check_costs_only_its_own(misbehaving_fmu(folder), thetas(Mode.STOP), words, Isolation(time_limit=600.0))
 
@@ -94,7 +94,7 @@ class Clock:
 
     def __init__(self, monkeypatch: pytest.MonkeyPatch, watchdog: HostWatchdog) -> None:
         self.now, self.computed, self._watchdog = 100.0, 1.0, watchdog
-        monkeypatch.setattr("fmuid.processes.watchdog.time.monotonic", lambda: self.now)
+        monkeypatch.setattr("fmuid.processes.limits.time.monotonic", lambda: self.now)
 
     def end_after(self, seconds: float, status: str, share: float = 0.0) -> HostExitError | None:
         """Return the end that is seen within some seconds of a process that computes for a share of them."""
@@ -109,7 +109,7 @@ class Clock:
 
 def test_a_process_at_rest_that_owes_an_answer_is_ended(monkeypatch: pytest.MonkeyPatch) -> None:
     """A case of a batch calculates for hours between simulations; one that does not even calculate has no end."""
-    monkeypatch.setattr("fmuid.processes.watchdog.wants_processor", lambda _: False)
+    monkeypatch.setattr("fmuid.processes.limits.wants_processor", lambda _: False)
     doing = np.full(4, codes.IDLE)
     clock = Clock(monkeypatch, HostWatchdog(1.0, doing, computes=True))
     assert clock.end_after(3600.0, psutil.STATUS_RUNNING, share=0.05) is None
@@ -130,7 +130,7 @@ def test_a_process_that_is_stopped_for_a_moment_goes_on(monkeypatch: pytest.Monk
 def test_code_that_fails_beside_an_fmu_costs_the_simulation(
     folder: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
-    monkeypatch.setattr(orders, "run", spoilt_orders.run)
+    monkeypatch.setattr(server, "run", spoilt_orders.run)
     simulator = Simulator(misbehaving_fmu(folder), RECORD, NAMES, isolation=Isolation(threads=1))
     some = thetas(Mode.SOUND)
     some[:, 0] = np.minimum(some[:, 0], 2.5)

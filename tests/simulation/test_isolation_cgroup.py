@@ -14,8 +14,8 @@ import pytest
 
 from fmuid.models.component import Isolation
 from fmuid.processes import cgroup
-from fmuid.processes.family import Footprint
-from fmuid.processes.fork_server import SERVER
+from fmuid.processes.host import SERVER
+from fmuid.processes.limits import Footprint
 from fmuid.simulation.isolation.host import FmuHost
 from fmuid.simulation.simulator import Simulator
 from tests.support.isolated import NAMES, RECORD, expected, processes, thetas, wait_until

@@ -20,9 +20,9 @@ from fmuid.data.experiment import Experiment
 from fmuid.errors import FmuidError, InputError
 from fmuid.models.component import Isolation
 from fmuid.processes.ends import REFUSED, HostExitError
-from fmuid.processes.family import Footprint, family
+from fmuid.processes.limits import Footprint, family
 from fmuid.simulation.executor import executor_of
-from fmuid.simulation.isolation.host_exit import end_words
+from fmuid.simulation.isolation.host import end_words
 from fmuid.simulation.simulator import Simulator
 from tests.support.isolated import (
     NAMES,
@@ -53,8 +53,8 @@ def test_a_record_longer_than_all_before_has_the_time_of_a_first_one(
     folder: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """What the short ones took says little about it."""
-    monkeypatch.setattr("fmuid.simulation.isolation.host_manager.LEAST_TIME_LIMIT", 0.2)
-    monkeypatch.setattr("fmuid.simulation.isolation.host_manager.SLOWER_FACTOR", 1.0)
+    monkeypatch.setattr("fmuid.simulation.isolation.host.LEAST_TIME_LIMIT", 0.2)
+    monkeypatch.setattr("fmuid.simulation.isolation.host.SLOWER_FACTOR", 1.0)
     times = 0.1 * np.arange(400)
     long = Experiment(pd.DataFrame({"time": times, "u": 1.0, "x": 0.0}), ["u"], ["x"], interpolation="zoh")
     simulator = Simulator(misbehaving_fmu(folder), RECORD, NAMES, values={"amount": 2.0}, isolation=Isolation())

@@ -25,10 +25,11 @@ from fmuid.data.experiment import Experiment
 from fmuid.errors import FmuidError, SimulationError
 from fmuid.models.component import Isolation
 from fmuid.models.system import System
-from fmuid.processes import MEMORY_KEPT, Child, fork_server
+from fmuid.processes import MEMORY_KEPT, Child
+from fmuid.processes import host as hosts
 from fmuid.processes.channel import Channel, Look
 from fmuid.processes.ends import KILLED, HostExitError
-from fmuid.processes.fork_server import SERVER, ForkServer
+from fmuid.processes.host import SERVER, ForkServer
 from fmuid.simulation.executor import executor_of
 from fmuid.simulation.isolation.host import FmuHost
 from fmuid.simulation.simulator import Simulator
@@ -271,8 +272,8 @@ def test_who_has_the_number_of_a_host_by_now_is_left_alone(how: str) -> None:
 
 def test_a_server_that_ends_as_soon_as_it_begins(monkeypatch: pytest.MonkeyPatch) -> None:
     """One sentence after some starts, not a loop."""
-    monkeypatch.setattr(fork_server, "MOST_STARTS", 2)
-    monkeypatch.setattr(fork_server, "Child", lambda _module, *words, **options: Child("keyword", *words, **options))
+    monkeypatch.setattr(hosts, "MOST_STARTS", 2)
+    monkeypatch.setattr(hosts, "Child", lambda _module, *words, **options: Child("keyword", *words, **options))
     server = ForkServer()
     with pytest.raises(FmuidError, match=r"processes\.server, .* ends again and again .*: have FMUs run inside this"):
         server.fork([], [])

@@ -16,10 +16,9 @@ import pytest
 from fmuid.data.experiment import Experiment
 from fmuid.models.component import Isolation, Numerics
 from fmuid.models.system import System
-from fmuid.processes.family import condition_of
+from fmuid.processes.limits import condition_of
 from fmuid.simulation.executor import executor_of
-from fmuid.simulation.isolation.isolated import IsolatedExecutor
-from fmuid.simulation.isolation.multi_process import MultiProcessExecutor
+from fmuid.simulation.isolation.isolated_executor import IsolatedExecutor, MultiProcessExecutor
 from fmuid.simulation.simulator import Simulator
 from tests.support.isolated import NAMES, PROCESSES, RECORD, closed_form, processes, thetas, wait_until
 from tests.support.misbehaving import Mode, misbehaving_fmu

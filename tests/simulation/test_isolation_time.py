@@ -11,9 +11,8 @@ import psutil
 import pytest
 
 from fmuid.processes.ends import HUNG, HostExitError
-from fmuid.processes.family import ProcessStatus, condition_of, wants_processor
-from fmuid.processes.watchdog import COMPUTED_SHARE, STANDSTILL_SECONDS
-from fmuid.simulation import core_constants as codes
+from fmuid.processes.limits import COMPUTED_SHARE, STANDSTILL_SECONDS, ProcessStatus, condition_of, wants_processor
+from fmuid.simulation import codes
 from fmuid.simulation.isolation.host import HostWatchdog
 from tests.support.isolated import wait_until
 
@@ -28,8 +27,8 @@ class Watched:
 
     def __init__(self, monkeypatch: pytest.MonkeyPatch, wants: bool) -> None:
         self.now = 100.0
-        monkeypatch.setattr("fmuid.processes.watchdog.time.monotonic", lambda: self.now)
-        monkeypatch.setattr("fmuid.processes.watchdog.wants_processor", lambda _: wants)
+        monkeypatch.setattr("fmuid.processes.limits.time.monotonic", lambda: self.now)
+        monkeypatch.setattr("fmuid.processes.limits.wants_processor", lambda _: wants)
         self.watchdog = HostWatchdog(LIMIT, DOING)
         self.passed(0.0, 3.0)
 

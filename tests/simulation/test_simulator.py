@@ -18,8 +18,8 @@ from fmuid.errors import InputError, SimulationError
 from fmuid.models.component import Isolation, Numerics
 from fmuid.models.system import System
 from fmuid.simulation.in_process import InProcessExecutor
-from fmuid.simulation.simulation_thread import SimulationThread
 from fmuid.simulation.simulator import Simulator
+from fmuid.simulation.worker import SimulationThread
 from tests.support.closed_forms import coil_response, park_rates
 from tests.support.hybrid import hybrid_fmu
 from tests.support.paths import FMUS

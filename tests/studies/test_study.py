@@ -13,8 +13,8 @@ from fmuid.data.parameters import Normal, Parameter
 from fmuid.errors import InputError
 from fmuid.estimation import GlobalSearch
 from fmuid.estimation.method import Marquardt, Method
+from fmuid.identification.assessment import AssessmentSettings
 from fmuid.identification.sampling.posterior import SamplerSettings
-from fmuid.identification.uncertainty import UncertaintySettings
 from fmuid.models.component import Numerics
 from fmuid.studies.study import Study
 from fmuid.studies.toml import show
@@ -76,14 +76,14 @@ def test_noise(folder: Path) -> None:
 
 
 def test_uncertainty_words(folder: Path) -> None:
-    def asked(words: str) -> UncertaintySettings:
+    def asked(words: str) -> AssessmentSettings:
         return Study.read(write(folder, FULL + f"[uncertainty]\n{words}")).uncertainty_settings
 
-    assert not Study.read(write(folder)).uncertainty_settings.any
-    assert not asked("profile_likelihood = false\nposterior = false\ncost_map = []").any
+    assert not Study.read(write(folder)).uncertainty_settings.explores
+    assert not asked("profile_likelihood = false\nposterior = false\ncost_map = []").explores
     assert asked("profile_likelihood = true").profile == ("R", "dR[run1]", "dR[second]", "drive.M")
     assert asked('profile_likelihood = ["dR[run1]", "R", "R"]').profile == ("dR[run1]", "R")
-    assert asked('confidence_level = 0.9\ncost_map = [["R", "drive.M"], ["R", "dR[run1]"]]') == UncertaintySettings(
+    assert asked('confidence_level = 0.9\ncost_map = [["R", "drive.M"], ["R", "dR[run1]"]]') == AssessmentSettings(
         0.9, maps=(("R", "drive.M"), ("R", "dR[run1]"))
     )
     assert asked('cost_map = ["R", "drive.M"]').maps == (("R", "drive.M"),)
@@ -150,9 +150,9 @@ def test_uncertainty_of_a_result(tmp_path: Path) -> None:
     asked = coil.study | {"uncertainty": {"profile_likelihood": ["R"]}}
     study = Study.of(asked, tmp_path / "coil.toml")
     result = study.identify()
-    (profile,) = study.uncertainty(result).profiles
+    (profile,) = study.assess(result).profiles
     local = result.intervals(0.95).loc["R"].to_numpy(float)
     assert [profile.lower, profile.upper] == pytest.approx(local, abs=0.005 * (local[1] - local[0]))
     other = Study.of(asked | {"parameters": {"R": {"start": 3.0}}}, tmp_path / "other.toml")
     with pytest.raises(InputError, match="its parameters are R, L, and the problem's are R"):
-        other.uncertainty(result)
+        other.assess(result)

@@ -12,9 +12,9 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.integrate import solve_ivp
 
 from fmuid.simulation.failures import describe
-from fmuid.simulation.integrator import Integrator, function_table
-from fmuid.simulation.native import core
+from fmuid.simulation.native.library import core
 from fmuid.simulation.simulation_plan import Integration
+from fmuid.simulation.solver import Integrator, function_table
 
 # As in probe/hybrid.c.
 BALL, TRIANGLE, ROBERTSON, VAN_DER_POL, LINEAR, CHATTER, STAIRS, DECAY, SWITCH = range(9)

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from fmuid.errors import InputError
-from fmuid.models.unpacking import unpacked
+from fmuid.models.archive import unpacked
 
 
 def pack(path: Path, *entries: tuple[str | zipfile.ZipInfo, bytes], method: int = zipfile.ZIP_DEFLATED) -> Path:

@@ -9,7 +9,7 @@ from typing import Any
 
 from fmuid.progress import Progress
 from fmuid.reports.messages.monitoring import alarm_sentence
-from fmuid.reports.publish import published
+from fmuid.reports.run import published
 from fmuid.runs import (
     DiagnosisRun,
     FollowStatus,

@@ -5,11 +5,11 @@ from __future__ import annotations
 import os
 from pathlib import Path
 
-from fmuid.simulation import native
+from fmuid.simulation.native import library
 
 
 def pytest_configure() -> None:
-    usual = native._path
-    native._path = lambda: Path(os.environ["SANITIZED_CORE"])
-    native.core()  # which is loaded once
-    native._path = usual
+    usual = library._path
+    library._path = lambda: Path(os.environ["SANITIZED_CORE"])
+    library.core()  # which is loaded once
+    library._path = usual

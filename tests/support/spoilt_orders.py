@@ -5,16 +5,16 @@ from __future__ import annotations
 from typing import Any
 
 from fmuid.processes import shared_memory
-from fmuid.simulation.isolation import orders
+from fmuid.simulation.isolation import server
 
-RUN = orders.run
+RUN = server.run
 MOST_GAIN = 2.9
 
 
 def run(*arguments: Any) -> Any:
     """Simulate as ordered; fail where a gain is too large."""
     _, shape, size, _ = arguments
-    _, gains, _ = orders.arrays(shared_memory(size), shape)
+    _, gains, _ = server.arrays(shared_memory(size), shape)
     if (gains[:, 0] > MOST_GAIN).any():
         raise TypeError("'NoneType' object is not callable")
     return RUN(*arguments)

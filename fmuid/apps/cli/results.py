@@ -55,8 +55,8 @@ def predict(
     folder = path.parent / "prediction" if output is None else output
     with logged(folder, no_isolation) as isolated:
         from fmuid import files
+        from fmuid.reports import published
         from fmuid.reports.documents import document
-        from fmuid.reports.publish import published
         from fmuid.reports.render import console
         from fmuid.reports.render.progress import Display
         from fmuid.runs import predicted_by, write_prediction

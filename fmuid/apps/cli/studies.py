@@ -122,21 +122,22 @@ def identify(
     """Identify the parameters of a study; write result, tables and a report."""
     folder = folder_of(output, study)
     with opened(study, set_, no_isolation, folder) as read:
+        from fmuid.reports import published
         from fmuid.reports.documents import document
-        from fmuid.reports.publish import published
         from fmuid.reports.render import console
         from fmuid.reports.render.progress import Display
         from fmuid.runs import at_minimum, identified
 
         _warn(read)
-        found, left_out = None, read.uncertainty_settings.any
+        found, left_out = None, read.uncertainty_settings.explores
         with answering("saving what has been found (Ctrl-C again ends it without)"), Display() as display:
             for each in identified(read, folder, resume=resume, progress=partial(_show_event, display)):
                 display.pause()
                 console.show(document(each), None if found is None else document(found))
-                if left_out and each.diagnostics is not None and not at_minimum(each.result):
+                known = each.assessment.residuals is not None
+                if left_out and known and not at_minimum(each.result):
                     console.show_notes(["[uncertainty] is left out: it needs a search that has ended at a minimum"])
-                found = published(each, folder, report=not no_report and each.diagnostics is not None, figures=figures)
+                found = published(each, folder, report=known and not no_report, figures=figures)
         assert found is not None, "a run yields, or raises an error"
         console.show_files(found.files)
         return DONE if found.succeeded else NOT_SUCCEEDED
@@ -174,8 +175,8 @@ def diagnose(
     """Diagnose the faults that a study names; exit code 1 for a fault."""
     folder = folder_of(output, study)
     with opened(study, set_, no_isolation, folder) as read:
+        from fmuid.reports import published
         from fmuid.reports.documents import document
-        from fmuid.reports.publish import published
         from fmuid.reports.render import console
         from fmuid.reports.render.progress import Display
         from fmuid.reports.topics.study_notes import input_notes, source_notes
@@ -215,8 +216,8 @@ def monitor(
     """Monitor recordings for the faults that a study names; exit code 1 for an alarm."""
     folder = folder_of(output, study)
     with opened(study, set_, no_isolation, folder) as read:
+        from fmuid.reports import published
         from fmuid.reports.documents import document
-        from fmuid.reports.publish import published
         from fmuid.reports.render import console
         from fmuid.reports.render.progress import Display
         from fmuid.reports.topics.study_notes import source_notes

@@ -8,7 +8,8 @@ from dataclasses import dataclass
 from fmuid.errors import InputError
 from fmuid.models.description import Unit, Variable, unit_conversion
 from fmuid.models.ssp.links import Package
-from fmuid.models.ssp.parameter_values import (
+from fmuid.models.ssp.structure import Edge, ElementPath, Node
+from fmuid.models.ssv import (
     Element,
     MappingEntry,
     Quantity,
@@ -17,7 +18,6 @@ from fmuid.models.ssp.parameter_values import (
     parameter_set,
     read_xml,
 )
-from fmuid.models.ssp.structure import Edge, ElementPath, Node
 from fmuid.models.start_values import Value
 
 

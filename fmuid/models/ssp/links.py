@@ -13,8 +13,8 @@ from fmuid.files import is_file
 from fmuid.formatting import nearest
 from fmuid.models.description import DESCRIPTION_FILE, Description, Unit, Variable, unit_conversion
 from fmuid.models.reading import read_description, read_text
-from fmuid.models.ssp.parameter_values import Element, enumerations_of, units_of
 from fmuid.models.ssp.structure import Edge, ElementPath, Node, Tree, read_tree
+from fmuid.models.ssv import Element, enumerations_of, units_of
 from fmuid.models.untrusted_xml import started_elements
 
 

@@ -9,11 +9,11 @@ from pathlib import Path
 
 from fmuid.errors import InputError
 from fmuid.files import is_file
+from fmuid.models.archive import file_digest, unpacked
 from fmuid.models.ssp.bindings import Bindings
 from fmuid.models.ssp.links import ComponentEntry, ConnectedVariable, ConnectionEntry, Package
-from fmuid.models.ssp.parameter_values import children, number, read_xml
+from fmuid.models.ssv import children, number, read_xml
 from fmuid.models.start_values import Value
-from fmuid.models.unpacking import file_digest, unpacked
 
 STRUCTURE_FILE = "SystemStructure.ssd"
 

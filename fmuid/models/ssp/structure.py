@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 from fmuid.errors import InputError
 from fmuid.formatting import nearest
-from fmuid.models.ssp.parameter_values import Element, children, local, transformation, truth
+from fmuid.models.ssv import Element, children, local, transformation, truth
 
 ElementPath = tuple[str, ...]
 """The names of nested elements, from the outermost inwards; the top system is ``()``."""

@@ -52,7 +52,7 @@ def html(found: object) -> str | None:
     """Return what a notebook shows of a finding, a study, a model or a table, as HTML."""
     match found:
         case IdentificationRun():
-            return _with_words(found.result, estimates_table(found.result, found.level))
+            return _with_words(found.result, estimates_table(found.result, found.assessment.level))
         case Result():
             return _with_words(found, estimates_table(found))
         case Diagnosis():
@@ -255,7 +255,8 @@ def plots(found: object) -> FigureCollection:
     """
     match found:
         case IdentificationRun():
-            reading = None if found.reading is None else found.reading.table
+            checks = found.assessment.prior_and_data
+            reading = None if checks is None else checks.table
             return FigureCollection(identification_sections(found), reading, found.unit_of)
         case Result():
             return FigureCollection(identification_sections(_known(found)))

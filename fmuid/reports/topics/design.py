@@ -27,6 +27,7 @@ from fmuid.reports.chart import (
 from fmuid.reports.document import Document, Message, Remark, Section, Table, table_of
 from fmuid.reports.topics.model_comparison import ranked_bars
 from fmuid.reports.topics.provenance import origin_of
+from fmuid.runs import Provenance
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -76,7 +77,7 @@ def design_document(
         A row an excitation, the best first.
     cost : DataFrame, optional
         What the length of the healthy record costs with the best one (`fmuid.Design.cost`).
-    origin : mapping, optional
+    origin : Provenance, optional
         What they were made from.
     """
     names, accuracy = [str(name) for name in ranked["excitation"]], "log_determinant" in ranked
@@ -131,7 +132,7 @@ def sensitivity_document(
         Of each experiment ``time``, and ``output/parameter`` for each pair.
     units : mapping of str to str
         Of the outputs.
-    origin : mapping, optional
+    origin : Provenance, optional
         What they were made from.
     """
     sections = []

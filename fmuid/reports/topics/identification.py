@@ -55,8 +55,7 @@ class RunMessage(Message):
 
 def identification_document(found: IdentificationRun) -> Document:
     """Return the document of an identification."""
-    result, more = found.result, found.uncertainty
-    good = result.converged and (more is None or more.succeeded)
+    result, good = found.result, found.succeeded
     state = "converged" if result.converged else result.outcome.value.replace("_", " ")
     tone: Tone = "good" if good else "bad"
     origin = origin_of(found.origin, _effort(result))
@@ -73,26 +72,25 @@ def _effort(result: Result) -> dict[str, str]:
 
 def _remarks(found: IdentificationRun) -> list[Remark]:
     """Return the sentences on an identification, the verdict first."""
-    result, names, more = found.result, found.result.names, found.uncertainty
+    result, names, checks = found.result, found.result.names, found.assessment
+    reading, residuals = checks.prior_and_data, checks.residuals
     said = [Remark(capitalised(ending(result), names), "plain" if result.converged else "bad", "criterion")]
-    if found.reading is None or found.diagnostics is None:  # interrupted before anything could be examined
+    if reading is None or residuals is None:  # interrupted before anything could be examined
         point = ", ".join(f"{name} = {result[name]:.6g}" for name in names)
         return [RunMessage.POINT.said("plain", "", names, point=point), *said]
     said += [*precision_remarks(result), *fit_remarks(found.fits)]
     said += [Remark(dropout_words(*each), "doubt", "fit") for each in found.dropouts.items()]
-    said += [*result_remarks(result), *_examined(found, found.reading, found.diagnostics)]
+    said += [*result_remarks(result), *_examined(found, reading, residuals)]
     said.append(RunMessage.NOISE.said("plain", "residuals", noise=_noise(result, found.fits)))
     for component, model in result.models.items():
         run = run_words(SolverConfiguration(**model["run"]))
         said.append(RunMessage.RUN.said("plain", "", (), model=component or model["name"], run=run))
     if result.sensitivity is not None:
         said.append(RunMessage.SENSITIVITIES.said(how=sensitivity_words(result.sensitivity)))
-    if more is not None:
-        said += [Remark(capitalised(text, names), "doubt", "profiles") for text in uncertainty_words(more)]
-        if more.posterior is not None and more.posterior.converged:
-            said.append(RunMessage.POSTERIOR.said("plain", "posterior", words=posterior_words(more.posterior)))
-        said += [RunMessage.INTERRUPTED.said("bad")] if more.interrupted else []
-    return said
+    said += [Remark(capitalised(text, names), "doubt", "profiles") for text in uncertainty_words(checks)]
+    if checks.posterior is not None and checks.posterior.converged:
+        said.append(RunMessage.POSTERIOR.said("plain", "posterior", words=posterior_words(checks.posterior)))
+    return said + ([RunMessage.INTERRUPTED.said("bad")] if checks.interrupted else [])
 
 
 def _examined(found: IdentificationRun, reading: PriorDataComparison, residuals: ResidualAnalysis) -> list[Remark]:
@@ -118,20 +116,22 @@ def _noise(result: Result, fits: Sequence[OutputFit]) -> str:
 def identification_sections(found: IdentificationRun) -> list[Section]:
     """Return the sections of an identification."""
     result, fits, units, estimates = found.result, found.fits, found.unit_of, found.estimates
+    checks = found.assessment
+    reading, residuals = checks.prior_and_data, checks.residuals
     optima = found.optima if result.optima else pd.DataFrame()
     none = pd.DataFrame(columns=["experiment", "output", "with"])
-    correlations = none if found.diagnostics is None else found.diagnostics.correlations
+    correlations = none if residuals is None else residuals.correlations
     sections = [
         *([optima_section(result)] if result.optima else []),
-        estimates_section(result, found.level),
-        *([] if found.uncertainty is None else [interval_section(found.uncertainty, result, found.level)]),
+        estimates_section(result, checks.level),
+        *([interval_section(checks, result)] if checks.is_explored else []),
         *fit_sections(fits),
         *preprocessing_sections(found.prepared, len(fits) > 1),
         *([residual_section(fits, correlations)] if fits else []),
         *optimization_sections(result, estimates, optima, found.output_units),
-        *(prior_sections(found.reading, units) if found.reading is not None and found.has_prior else []),
-        *correlation_sections(result, units, found.level),
+        *(prior_sections(reading, units) if reading is not None and found.has_prior else []),
+        *correlation_sections(result, units, checks.level),
         *solver_section(estimates),
-        *([] if found.uncertainty is None else uncertainty_sections(found.uncertainty, result, units, optima)),
+        *(uncertainty_sections(checks, result, units, optima) if checks.is_explored else []),
     ]
     return [each for each in sections if each.charts or each.table]

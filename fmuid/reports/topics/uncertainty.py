@@ -35,16 +35,16 @@ if TYPE_CHECKING:
     import pandas as pd
 
     from fmuid.estimation import Result
-    from fmuid.identification import CostMap, Posterior, Profile, ProfileEndNote, Uncertainty
+    from fmuid.identification import Assessment, CostMap, Posterior, Profile, ProfileEndNote
 
 # A chain that is advised is longer than what is foreseen to suffice by this factor.
 STEPS_MARGIN = 1.2
 
 
-def uncertainty_words(found: Uncertainty) -> tuple[str, ...]:
+def uncertainty_words(found: Assessment) -> tuple[str, ...]:
     """Return what is to be known of intervals, maps and samples."""
     said = [line for each in found.profiles for line in profile_words(each)]
-    said += [line for chart in (*found.maps, *found.box_maps) for line in _map_words(chart)]
+    said += [line for chart in found.maps for line in _map_words(chart)]
     if found.posterior is not None and not found.posterior.converged:
         said.append(f"posterior: {posterior_words(found.posterior)}")
     return tuple(said)
@@ -144,7 +144,7 @@ def _doubt_words(found: Posterior) -> str:
 # --- intervals ------------------------------------------------------------------------------
 
 
-def interval_section(found: Uncertainty, result: Result, level: float) -> Section:
+def interval_section(found: Assessment, result: Result) -> Section:
     """Return the intervals side by side: local, profile and posterior."""
     limits, posterior = found.intervals(result), found.posterior
     columns: dict[str, list[str]] = {"parameter": list(result.names)}
@@ -158,7 +158,7 @@ def interval_section(found: Uncertainty, result: Result, level: float) -> Sectio
         columns["posterior mean"] = [with_std(mean, std) for mean, std in pairs]
     columns["unit"] = [unit_text(result.units.get(name)) for name in result.names]
     table = table_of(columns, columns, ("unit", "posterior mean"))
-    return Section("intervals", f"Intervals at {100 * level:.4g} %", table=table)
+    return Section("intervals", f"Intervals at {100 * found.level:.4g} %", table=table)
 
 
 def _interval(lower: float, upper: float, value: float) -> str:
@@ -208,12 +208,12 @@ MOST_WALKERS, MOST_STEPS = 24, 200
 """Of the paths of a sampling: more cannot be told apart."""
 
 
-def uncertainty_sections(found: Uncertainty, result: Result, units: Units, optima: pd.DataFrame) -> list[Section]:
+def uncertainty_sections(found: Assessment, result: Result, units: Units, optima: pd.DataFrame) -> list[Section]:
     """Return profiles, maps and samples.
 
     Parameters
     ----------
-    found : Uncertainty
+    found : Assessment
     result : Result
     units : mapping of str to str
         Of the parameters.
@@ -222,7 +222,7 @@ def uncertainty_sections(found: Uncertainty, result: Result, units: Units, optim
     """
     known = [each for each in found.profiles if not math.isnan(each.threshold) and len(each.table)][:MAX_PARAMETERS]
     profiles = tuple(_profile(each, result, units) for each in known)
-    maps = tuple(_map(chart, units, optima) for chart in (*found.maps, *found.box_maps))
+    maps = tuple(_map(chart, units, optima) for chart in found.maps)
     sections = [
         Section("profiles", "Profiles", PROFILES, charts=profiles, beside=2),
         Section("maps", "The criterion over two parameters", MAPS, charts=maps, beside=2),

@@ -1,7 +1,7 @@
 """Cases of a batch in a process of their own, identification and FMU together: nothing travels but their rows.
 
 A case that crashes the process, ties it up or fills the memory is run again with the FMU alone in a process of its own
-(`fmuid.simulation.isolation.isolated`), where it is settled which simulation is to blame. Both ways give the same
+(`fmuid.simulation.isolation.isolated_executor`), which settles which simulation is to blame. Both ways give the same
 numbers, bit for bit.
 """
 

@@ -1,1 +1,13 @@
 """FMUs in a process of their own."""
+
+from __future__ import annotations
+
+from fmuid.processes import SERVER
+
+CODE = "fmuid.simulation.in_process"
+"""What processes that run FMUs need to have loaded."""
+
+
+def start_server() -> None:
+    """Start the server of isolated processes; it loads its code while this process loads its own."""
+    SERVER.start(CODE)

@@ -1,10 +1,11 @@
-"""The near side of `orders`: one process that runs FMUs, with its arrays, watched while it works."""
+"""The near side of isolation: one watched process of FMUs, and who keeps it."""
 
 from __future__ import annotations
 
 import contextlib
 import errno
 import logging
+import os
 from collections.abc import Callable, Hashable, Sequence
 from typing import Any, TypeVar
 
@@ -12,9 +13,54 @@ import numpy as np
 
 from fmuid.array_types import Indices
 from fmuid.errors import FmuidError
-from fmuid.processes import CLOSING_LIMIT, FAILED, REFUSED, HostExitError, HostProcess, ProcessStatus, Watchdog
-from fmuid.simulation import core_constants as codes
-from fmuid.simulation.isolation import orders
+from fmuid.models import Isolation
+from fmuid.processes import (
+    CLOSING_LIMIT,
+    EXITED,
+    FAILED,
+    GARBLED,
+    GREW,
+    HUNG,
+    KILLED,
+    REFUSED,
+    STOPPED,
+    HostExitError,
+    HostKeeper,
+    HostProcess,
+    ProcessStatus,
+    Watchdog,
+)
+from fmuid.simulation import codes
+from fmuid.simulation.isolation import server
+
+
+def end_words(end: HostExitError) -> str:
+    """Return an end as a sentence goes on after the simulation.
+
+    Of the limits, only those are named that were given (`HostExitError.number` is 0 otherwise): the others depend on
+    the machine and on what ran before, and the same failure is to read the same.
+    """
+    if end.kind == EXITED:
+        return f"it ended its process with exit code {end.number}"
+    if end.kind == REFUSED:
+        why = f" ({os.strerror(end.number)})" if end.number else ""
+        return f"the system refused its process what it needs to go on{why}"
+    if end.kind == GARBLED:
+        return "it wrote into the connection of its process with fmuid"
+    if end.kind == FAILED:
+        return "code of fmuid failed in its process"
+    if end.kind == STOPPED:
+        return "its process was stopped (SIGSTOP) and did not go on"
+    if end.kind == HUNG:
+        limit = f"{end.number / 1e3:.4g} s" if end.number else "the default time limit (isolation.time_limit)"
+        return f"it did not end within {limit} and was stopped"
+    if end.kind == GREW:
+        limit = f"{end.number} MB" if end.number else "the default share of the memory (isolation.memory)"
+        return f"its process took more than {limit} and was stopped"
+    if end.kind == KILLED:
+        return f"its process was killed again and again with {end.signal_name}, from outside or for want of memory"
+    return f"its process crashed with {end.signal_name}"
+
 
 PREPARATION_LIMIT = 120.0  # s for instantiation and loading code: some FMUs read large files
 AT_REST_SECONDS = 60.0
@@ -30,7 +76,7 @@ class HostWatchdog(Watchdog):
     ----------
     limit : float
         How long it may take until a thread begins with something else, or one more report is done, s.
-    doing : (`orders.DOING_WORDS`,) array of intp
+    doing : (`server.DOING_WORDS`,) array of intp
     reports : (m, codes.REPORT) array, optional
     computes : bool
         Whether it may calculate for any time while no thread simulates.
@@ -71,7 +117,7 @@ class FmuHost(HostProcess):
 
     Attributes
     ----------
-    doing : (`orders.DOING_WORDS`,) array of intp
+    doing : (`server.DOING_WORDS`,) array of intp
         What each of its threads is doing, and how often it has begun.
     simulations : int
         How many it was given.
@@ -83,22 +129,22 @@ class FmuHost(HostProcess):
         super().__init__(modules, memory_limit, told)
         self.simulations = 0
         self.records: dict[int, int] = {}
-        self._show(8 * orders.DOING_WORDS)
+        self._show(8 * server.DOING_WORDS)
 
     def _show(self, size: int) -> None:
-        self.doing: Indices = np.frombuffer(self.share(size), np.intp, orders.DOING_WORDS)
+        self.doing: Indices = np.frombuffer(self.share(size), np.intp, server.DOING_WORDS)
 
     @property
     def states(self) -> Indices:
         """What each of its threads is doing."""
         return self.doing[::2]
 
-    def room(self, shape: tuple[int, int, int, int]) -> tuple[orders.Arrays, int]:
+    def room(self, shape: tuple[int, int, int, int]) -> tuple[server.Arrays, int]:
         """Return reports, thetas and outputs in shared memory that is large enough, and its size."""
-        needed = orders.layout(*shape)[-1]
+        needed = server.layout(*shape)[-1]
         if needed > len(self._memory):
             self._show(needed)
-        return orders.arrays(self._memory, shape), len(self._memory)
+        return server.arrays(self._memory, shape), len(self._memory)
 
     def order(
         self,
@@ -137,5 +183,73 @@ class FmuHost(HostProcess):
         """Let it free its instances and end it."""
         if self.alive:
             with contextlib.suppress(HostExitError):  # it is killed below either way
-                self.order(orders.close, limit=CLOSING_LIMIT)
+                self.order(server.close, limit=CLOSING_LIMIT)
             self.kill()
+
+
+SLOWER_FACTOR = 100.0
+"""How much longer than all before a simulation may take by default."""
+LEAST_TIME_LIMIT = 5.0
+"""The shortest default time limit, s: machines are busy at times."""
+FIRST_TIME_LIMIT = 60.0
+"""The default time limit before any simulation has ended, or one of more steps than all before, s."""
+
+_left: list[str] = []  # what FMUs printed whose keepers are gone
+
+
+class HostManager(HostKeeper[FmuHost]):
+    """Keeps one process for FMUs, which ends with it.
+
+    Parameters
+    ----------
+    settings : Isolation
+    modules : sequence of str
+        What the process needs to have loaded.
+    told : set of str, optional
+        What was logged, and is not to be logged again; default: nothing that it logs is.
+
+    Attributes
+    ----------
+    longest : float
+        Duration of the longest simulation so far, s.
+    """
+
+    def __init__(self, settings: Isolation, modules: Sequence[str], told: set[str] | None = None) -> None:
+        super().__init__(lambda memory: FmuHost(modules, memory, told), settings.memory, _left)
+        self._settings, self.longest = settings, 0.0
+
+    @property
+    def time_limit(self) -> float:
+        """How long a simulation like those before may take, s."""
+        if self._settings.time_limit:
+            return self._settings.time_limit
+        return max(LEAST_TIME_LIMIT, SLOWER_FACTOR * self.longest) if self.longest else FIRST_TIME_LIMIT
+
+    def states_at_end(self) -> Indices:
+        """Part with a process that has come to its end; return what its threads were doing, nothing without one."""
+        host = self.bury()
+        return np.zeros(0, np.intp) if host is None else host.states.copy()
+
+    def replace(self) -> None:
+        """End the process if it has simulated anything; what comes next has a new one."""
+        if self._hosts and self._hosts[0].simulations:
+            super().replace()
+
+    def close(self) -> None:
+        """End the process."""
+        super().replace()
+
+    def replace_outgrown(self) -> None:
+        """End the process after as many simulations as the settings say, or where it has grown."""
+        recycle = self._settings.recycle
+        if self._hosts and recycle is not None and self._hosts[0].simulations >= recycle:
+            self.replace()
+        else:
+            super().replace_outgrown()
+
+
+def left() -> list[str]:
+    """Return and forget what FMUs printed whose keepers are gone."""
+    found = _left[:]
+    _left.clear()
+    return found

@@ -83,7 +83,7 @@ def test_a_case_that_ends_the_process_costs_no_other_of_its_order(
 
 
 def test_cases_that_spoil_the_connection_cost_no_others(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("fmuid.processes.watchdog.STOPPED_SECONDS", 0.2)
+    monkeypatch.setattr("fmuid.processes.limits.STOPPED_SECONDS", 0.2)
     modes: list[int] = [Mode.SOUND, Mode.FORGE, Mode.STOP_PARENT, Mode.SOUND]
     found = IsolatedCases(study_of(tmp_path, modes)).run(range(4))
     assert [outcome.row["status"] == "failed" for outcome in found] == [False, True, False, False]

@@ -12,6 +12,7 @@ import pandas as pd
 import pytest
 from numpy.typing import NDArray
 
+from fmuid.data.data_file import read_data
 from fmuid.data.experiment import Experiment
 from fmuid.data.parameters import Parameter
 from fmuid.errors import InputError
@@ -77,7 +78,7 @@ def test_records_are_identified_as_studies_of_their_own(case_folder: Path) -> No
     for k, name in enumerate(("run1", "run10", "run2")):
         row = runner(k).row
         alone = study_of(case_folder, None)
-        table = Experiment.read(case_folder / "records" / f"{name}.csv", ["u"], ["i"], interpolation="zoh")
+        table = Experiment(read_data(case_folder / "records" / f"{name}.csv"), ["u"], ["i"], interpolation="zoh")
         result = identify(Problem(alone.system, table, alone.parameters))
         assert (row["table"], row["status"], row["message"]) == (name, "converged", "converged")
         assert [row["value.R"], row["value.L"]] == result.values.tolist()

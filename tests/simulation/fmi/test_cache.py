@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from fmuid.errors import InputError
-from fmuid.models.unpacking import unpacked
+from fmuid.models.archive import unpacked
 from tests.support.packing import pack, refusal
 
 pytestmark = pytest.mark.usefixtures("cache")

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from fmuid.models.component import Isolation, Numerics
 from fmuid.models.system import System
-from fmuid.simulation.float_environment import kept
+from fmuid.simulation.instance import kept
 from fmuid.simulation.simulator import Simulator
 from tests.support.isolated import NAMES, RECORD, thetas
 from tests.support.misbehaving import Mode, Where, misbehaving_fmu

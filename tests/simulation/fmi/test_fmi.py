@@ -10,9 +10,9 @@ from pathlib import Path
 import pytest
 
 from fmuid.errors import InputError
+from fmuid.models.archive import file_digest, unpacked
 from fmuid.models.description import Unit, Variable
 from fmuid.models.fmu import FMU
-from fmuid.models.unpacking import file_digest, unpacked
 from fmuid.simulation.instance import Instance
 from tests.support.paths import FMUS
 from tests.support.probe_fmu import ProbeMaker

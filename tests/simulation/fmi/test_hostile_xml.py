@@ -12,7 +12,7 @@ from fmuid.errors import InputError
 from fmuid.models import untrusted_xml as safe_xml
 from fmuid.models.fmu import FMU
 from fmuid.models.ssp.package import read_ssp
-from fmuid.models.ssp.parameter_values import read_ssv
+from fmuid.models.ssv import read_ssv
 from fmuid.models.start_values import with_starts
 from fmuid.simulation.validation import _description
 from tests.support.fmu_texts import FMI2, FMI3, write_fmu

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from fmuid.errors import InputError
-from fmuid.simulation import core_constants as codes
+from fmuid.simulation import codes
 from fmuid.simulation.failures import describe
 from tests.support.integrating import (
     BALL,

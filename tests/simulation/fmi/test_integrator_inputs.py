@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from fmuid.data.experiment import Experiment
 from fmuid.errors import InputError
-from fmuid.simulation import core_constants as codes
+from fmuid.simulation import codes
 from fmuid.simulation.simulator import Simulator
 from tests.support.closed_forms import coil_response
 from tests.support.hybrid import hybrid_fmu

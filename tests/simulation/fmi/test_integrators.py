@@ -14,10 +14,9 @@ from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 from scipy.integrate._ivp.rk import RK45
 
-from fmuid.simulation import Integration
-from fmuid.simulation import core_constants as codes
-from fmuid.simulation.integrator import Integrator, function_table
-from fmuid.simulation.native import core
+from fmuid.simulation import Integration, codes
+from fmuid.simulation.native.library import core
+from fmuid.simulation.solver import Integrator, function_table
 from tests.support.closed_forms import park_rates
 from tests.support.integrating import (
     BACKWARDS,

@@ -19,16 +19,14 @@ from fmuid.errors import InputError, SimulationError
 from fmuid.models.component import Numerics
 from fmuid.models.fmu import FMU
 from fmuid.models.system import System
-from fmuid.simulation import core_constants as codes
-from fmuid.simulation import native
-from fmuid.simulation.checks import check_arrays, check_plan
+from fmuid.simulation import codes
 from fmuid.simulation.instance import Instance
-from fmuid.simulation.native import build
-from fmuid.simulation.plan import simulation_of
+from fmuid.simulation.native import build, library
+from fmuid.simulation.plan_builder import simulation_of
 from fmuid.simulation.simulation_loop import SimulationLoop
-from fmuid.simulation.simulation_plan import GridSimulation, Operation, new_reports
+from fmuid.simulation.simulation_plan import GridSimulation, Operation, check_arrays, check_plan, new_reports
+from fmuid.simulation.simulation_task import task_of
 from fmuid.simulation.simulator import Simulator
-from fmuid.simulation.task import task_of
 from fmuid.version import __version__
 from tests.support.exported import export_text
 from tests.support.hybrid import hybrid_fmu
@@ -59,11 +57,11 @@ def test_it_compiles_without_a_warning(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_changed_sources_are_compiled_anew(copied: Path) -> None:
-    first = native._path()
-    assert native._path() == first
+    first = library._path()
+    assert library._path() == first
     with (copied / "log.c").open("a") as source:
         source.write("/* changed */\n")
-    second = native._path()
+    second = library._path()
     assert second != first
     assert [path.name for path in copied.glob("core-*")] == [second.name]
 
@@ -73,35 +71,35 @@ def test_without_a_compiler_it_is_one_sentence(copied: Path, monkeypatch: pytest
     monkeypatch.setenv("PATH", "")
     monkeypatch.delenv("CC", raising=False)
     with pytest.raises(InputError, match=r"core is not compiled from the sources in .*there is no C compiler: install"):
-        native._path()
+        library._path()
     monkeypatch.setenv("CC", f"{sys.executable} -c 'raise SystemExit(3)'")
     with pytest.raises(InputError, match=r"fails to compile the core"):
-        native._path()
+        library._path()
     assert not list(copied.glob("core-*"))
 
 
 def test_a_missing_library_is_one_sentence(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(build, "HERE", tmp_path)
     with pytest.raises(InputError, match=r"fmuid's compiled core is missing in .*; install fmuid"):
-        native._path()
+        library._path()
 
 
 def test_a_library_of_other_sources_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
-    library = native.core()
-    assert native._difference(library) == ""
+    core = library.core()
+    assert library._difference(core) == ""
     with monkeypatch.context() as patch:
-        patch.setattr(native, "__version__", "0.0.9")
-        assert native._difference(library) == __version__
+        patch.setattr(library, "__version__", "0.0.9")
+        assert library._difference(core) == __version__
     monkeypatch.setattr(codes, "DO_STEP", codes.RESET)
-    assert native._difference(library) == "DO_STEP"
+    assert library._difference(core) == "DO_STEP"
     monkeypatch.undo()
     monkeypatch.setattr(codes, "PROCESS", codes.PROCESS + 1)
-    assert native._difference(library) == "CANCELLED"
+    assert library._difference(core) == "CANCELLED"
 
 
 def test_structures_are_laid_out_as_the_compiler_did() -> None:
     """Read back by C: what the first and the last field of a structure get arrives there."""
-    core = native.core()
+    core = library.core()
     assert ctypes.sizeof(core.Report) == 8 * codes.REPORT
     assert ctypes.sizeof(core.Message) == 4 + 2048
     assert core.Plan.slopes.size == ctypes.sizeof(core.Range) == 16
@@ -116,14 +114,14 @@ def test_structures_are_laid_out_as_the_compiler_did() -> None:
 def test_a_layout_that_ctypes_does_not_know_is_refused(field: str, place: int) -> None:
     class Library:
         def layout(self) -> Any:
-            told = (native._FieldLayout * 3)(
-                native._FieldLayout(b"Made", b"n", b"c_double", 0, 8), native._FieldLayout(b"Made", size=8)
+            told = (library._FieldLayout * 3)(
+                library._FieldLayout(b"Made", b"n", b"c_double", 0, 8), library._FieldLayout(b"Made", size=8)
             )
             setattr(told[0 if field == "offset" else 1], field, place)
             return told
 
     with pytest.raises(InputError, match=r"lays Made out in a way that ctypes does not; install it anew"):
-        native._structures(Library())
+        library._structures(Library())
 
 
 def test_every_compiler_is_told_its_target() -> None:
@@ -349,8 +347,8 @@ def test_what_is_not_whole_rows_does_not_go_by_rows(runs: dict[str, tuple[GridSi
 
 
 def test_messages_are_formatted_and_bounded() -> None:
-    log, text = native.core().Log(), ctypes.c_char_p
-    told = ctypes.cast(native.core().log_open(ctypes.byref(log)), ctypes.POINTER(ctypes.c_void_p))
+    log, text = library.core().Log(), ctypes.c_char_p
+    told = ctypes.cast(library.core().log_open(ctypes.byref(log)), ctypes.POINTER(ctypes.c_void_p))
     say = ctypes.CFUNCTYPE(None, ctypes.c_void_p, text, ctypes.c_int32, text, text)(told[0])
     assert told[4] == ctypes.addressof(log)
     say(ctypes.byref(log), b"name", 1, b"category", b"%s of %d", text(b"seven"), ctypes.c_int(9))

@@ -17,11 +17,10 @@ import pytest
 
 from fmuid.errors import InputError
 from fmuid.models import archive as zipped
-from fmuid.models.archive import CheckedArchive
+from fmuid.models import ssv
+from fmuid.models.archive import CheckedArchive, file_digest, unpacked
 from fmuid.models.fmu import FMU
-from fmuid.models.ssp import parameter_values
-from fmuid.models.ssp.parameter_values import read_ssv
-from fmuid.models.unpacking import file_digest, unpacked
+from fmuid.models.ssv import read_ssv
 from fmuid.runs.apply import apply_result
 from tests.support.fmu_texts import FMI2, FMI3, write_fmu
 from tests.support.packing import pack, refusal
@@ -236,7 +235,7 @@ def test_large_xml(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(CheckedArchive.read, "__defaults__", (100,))
     with pytest.raises(InputError, match=r"'modelDescription\.xml' is larger than"):
         FMU(write_fmu(tmp_path / "a.fmu", FMI2))
-    monkeypatch.setattr(parameter_values, "LARGEST_XML", 100)
+    monkeypatch.setattr(ssv, "LARGEST_XML", 100)
     (tmp_path / "a.ssv").write_bytes(bytes(101))
     with pytest.raises(InputError, match="larger than the 100 bytes"):
         read_ssv(tmp_path / "a.ssv")

@@ -1,4 +1,4 @@
-"""What a process that runs the FMUs of one system is ordered to do.
+"""The far side of isolation: what a process that runs the FMUs of one system is ordered to do.
 
 Thetas, outputs and reports are in memory that both sides share (`layout`).
 """
@@ -13,7 +13,7 @@ import numpy as np
 
 from fmuid.errors import SimulationError
 from fmuid.processes import shared_memory
-from fmuid.simulation.core_constants import REPORT
+from fmuid.simulation.codes import REPORT
 
 if TYPE_CHECKING:
     from fmuid.simulation.in_process import InProcessExecutor
@@ -50,8 +50,8 @@ def arrays(memory: mmap.mmap, shape: tuple[int, int, int, int]) -> Arrays:
 
 def start(components: dict[str, Any], limit: int, renewal: int | None) -> None:
     """Make the system that this process runs (`fmuid.simulation.in_process.InProcessExecutor`)."""
-    from fmuid.models import Renewal
     from fmuid.simulation.in_process import InProcessExecutor
+    from fmuid.simulation.instance_registry import Renewal
 
     _executor[:] = [InProcessExecutor(components, limit, None if renewal is None else Renewal(renewal))]
 
@@ -96,6 +96,6 @@ def close() -> None:
 
 def watch() -> None:
     """Let all threads of this process write what they are doing where the other side sees it."""
-    from fmuid.simulation.simulation_thread import shared_words
+    from fmuid.simulation.worker import shared_words
 
     shared_words.append(np.frombuffer(shared_memory(8 * DOING_WORDS), np.intp, DOING_WORDS))

@@ -11,8 +11,8 @@ FLOAT64, FLOAT32, INT8, UINT8, INT16, UINT16, INT32, UINT32, INT64, UINT64, BOOL
 N_WIRES = len(WIRES)
 
 # What an operation does and what a report names: a setting function for each wire, a getting one for each, other
-# functions of the FMI, and what else there is to do or may go wrong. `fmuid.simulation.native` holds them against the
-# core's.
+# functions of the FMI, and what else there is to do or may go wrong. `fmuid.simulation.native.library` compares them
+# with the core's.
 SET_DERIVATIVES, DO_STEP, RESET, SETUP, ENTER_INITIALIZATION, EXIT_INITIALIZATION = range(24, 30)
 ENTER_EVENT_MODE, UPDATE_DISCRETE_STATES, ENTER_STEP_MODE, SET_TIME, SET_STATES, GET_STATES = range(30, 36)
 GET_NOMINALS, GET_DERIVATIVES, GET_INDICATORS, ENTER_CONTINUOUS_TIME_MODE, COMPLETED_STEP = range(36, 41)

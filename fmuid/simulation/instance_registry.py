@@ -16,11 +16,14 @@ import threading
 import weakref
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import ExitStack, contextmanager
+from enum import IntEnum
 from typing import Protocol
 
+import numpy as np
+
+from fmuid.array_types import Floats
 from fmuid.errors import InputError
-from fmuid.models.description import Description
-from fmuid.models.fmu import FMU
+from fmuid.models import FMU, Component, Description
 
 SAFE_TOOLS = ("fmuid", "Reference FMUs")
 """Beginnings of the generationTool of FMUs that keep everything inside their instances."""
@@ -131,3 +134,41 @@ class InstanceLock:
                         del there.owners[other]
                 there.owners[owner] = kind, threading.get_ident()
             yield
+
+
+# Two simulations with the same parameters may differ by this share of the largest output: an integrator that keeps its
+# last step length is still the same model, and leaves more in a small output beside a large one.
+REPEAT_TOLERANCE = 1e-6
+
+_Key = tuple[tuple[str, str], ...]
+_once: set[_Key] = set()
+
+
+class Renewal(IntEnum):
+    """What brings the FMUs of a system back to their beginning."""
+
+    RESET = 0
+    INSTANCE = 1
+    PROCESS = 2
+
+
+def is_repeated(outputs: Floats, expected: Floats) -> bool:
+    """Return whether outputs repeat those of an earlier simulation with the same parameters."""
+    return np.allclose(outputs, expected, rtol=0.0, atol=REPEAT_TOLERANCE * np.abs(expected).max(initial=0.0))
+
+
+def note_process(components: Iterable[Component]) -> bool:
+    """Note that FMUs need a new process for each simulation; return whether that is news in this process."""
+    key = _key(components)
+    news = key not in _once
+    _once.add(key)
+    return news
+
+
+def needs_process(components: Iterable[Component]) -> bool:
+    """Return whether FMUs are known to need a new process for each simulation."""
+    return bool(_once) and _key(components) in _once
+
+
+def _key(components: Iterable[Component]) -> _Key:
+    return tuple(sorted((model.fmu.digest, model.kind) for model in components))

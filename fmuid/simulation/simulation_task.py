@@ -9,7 +9,7 @@ from typing import NamedTuple
 from fmuid.data import Experiment
 from fmuid.errors import InputError
 from fmuid.models import System
-from fmuid.simulation import core_constants as codes
+from fmuid.simulation import codes
 from fmuid.simulation.variable_checks import Value, check_roles
 
 

@@ -14,21 +14,29 @@ from numpy.typing import NDArray
 
 from fmuid.array_types import Floats
 from fmuid.errors import InputError
-from fmuid.simulation import core_constants as k
-from fmuid.simulation import native
+from fmuid.simulation import codes
+from fmuid.simulation.native.library import METHODS, core
 from fmuid.simulation.simulation_plan import Integration, Sensitivities
 
 NO_REFERENCES: NDArray[np.uint32] = np.zeros(0, np.uint32)
 REQUIRED = (
-    *(k.SET_TIME, k.FLOAT64, k.SET_STATES, k.GET_DERIVATIVES, k.GET_INDICATORS, k.GET_STATES, k.GET_NOMINALS),
-    *(k.ENTER_EVENT_MODE, k.UPDATE_DISCRETE_STATES, k.ENTER_CONTINUOUS_TIME_MODE),
+    *(
+        codes.SET_TIME,
+        codes.FLOAT64,
+        codes.SET_STATES,
+        codes.GET_DERIVATIVES,
+        codes.GET_INDICATORS,
+        codes.GET_STATES,
+        codes.GET_NOMINALS,
+    ),
+    *(codes.ENTER_EVENT_MODE, codes.UPDATE_DISCRETE_STATES, codes.ENTER_CONTINUOUS_TIME_MODE),
 )
 """The functions that model exchange requires."""
 
 
 def function_table(version: int, address_of: Callable[[str], int]) -> ctypes.Structure:
     """Return the core's table of the functions of a binary, by `address_of` their names without prefix."""
-    kind: type[ctypes.Structure] = getattr(native.core(), f"Fmi{version}")
+    kind: type[ctypes.Structure] = getattr(core(), f"Fmi{version}")
     return kind(**{name: address_of(name) for name, *_ in kind._fields_})
 
 
@@ -101,10 +109,10 @@ class Integrator:
         inputs, states, derivatives = (np.ascontiguousarray(values, np.uint32) for values in references)
         known = n_states > 0 and len(states) == len(derivatives) == n_states
         sundials = sundials_table() if given.integrator == "cvode" and n_states else None
-        core = native.core()
+        library = core()
         extension = None if sensitivities is None else self._extension(sensitivities, states, n_states, twins)
         self._kept: list[Any] = [inputs, states, derivatives, list(twins), sensitivities, table, extension, sundials]
-        how = core.Integration(
+        how = library.Integration(
             instance=handle,
             n_states=n_states,
             n_indicators=n_indicators,
@@ -118,19 +126,19 @@ class Integrator:
             largest_step=math.inf if given.step_size is None else given.step_size,
             limit=limit,
             most_steps=given.most_steps,
-            method=native.METHODS[given.integrator],
+            method=METHODS[given.integrator],
             straight=straight,
             follows=given.follows,
             sensitivities=address(extension),
             sundials=address(sundials),
             **{f"fmi{version}": address(table)},
         )
-        made = core.integrator_create(ctypes.byref(how))
+        made = library.integrator_create(ctypes.byref(how))
         if not made:
             raise MemoryError("an integrator cannot allocate its memory")
         self.handle: int = made
-        self._finalizer = weakref.finalize(self, core.integrator_free, made)
-        self.state = core.Integrator.from_address(made)
+        self._finalizer = weakref.finalize(self, library.integrator_free, made)
+        self.state = library.Integrator.from_address(made)
 
     def _extension(
         self, given: Sensitivities, states: NDArray[np.uint32], n: int, twins: Sequence[Integrator]
@@ -142,7 +150,7 @@ class Integrator:
         if not twins:
             knowns[:, :n], knowns[:, n] = states, given.references
         self._arrays = knowns, handles
-        made: ctypes.Structure = native.core().Sensitivities(
+        made: ctypes.Structure = core().Sensitivities(
             count=count,
             magnitudes=address(given.magnitudes),
             initial=address(given.initial),
@@ -154,8 +162,8 @@ class Integrator:
 
 
 def _check(integrator: str, tolerance: float, step_size: float | None) -> None:
-    if integrator not in native.METHODS:
-        raise InputError(f'solver = "{integrator}" is none; choose one of {", ".join(native.METHODS)}')
+    if integrator not in METHODS:
+        raise InputError(f'solver = "{integrator}" is none; choose one of {", ".join(METHODS)}')
     if not 0.0 < tolerance < 1.0:
         raise InputError(f"tolerance = {tolerance:g} must lie between 0 and 1")
     if step_size is not None and not 0.0 < step_size < math.inf:
@@ -187,8 +195,8 @@ def _table_of(libraries: Any) -> ctypes.Structure:
         for name in ("core", "nvecserial", "sunmatrixdense", "sunlinsoldense", "cvode")
     ]
     found = {}
-    for name, _ in native.core().Sundials._fields_:
+    for name, _ in core().Sundials._fields_:
         library = next(each for each in loaded if hasattr(each, name))
         found[name] = ctypes.cast(library[name], ctypes.c_void_p).value
-    made: ctypes.Structure = native.core().Sundials(**found)
+    made: ctypes.Structure = core().Sundials(**found)
     return made

@@ -15,19 +15,18 @@ import math
 import threading
 import weakref
 from collections.abc import Mapping
+from concurrent.futures import Future, ThreadPoolExecutor, wait
 
 import numpy as np
 
 from fmuid.array_types import Floats, Indices
 from fmuid.errors import FmuidError, InputError, SimulationError
-from fmuid.models import STIFF_INTEGRATOR, Component, Isolation, Renewal, is_repeated, needs_process, note_process
+from fmuid.models import STIFF_INTEGRATOR, Component, Isolation
 from fmuid.processes import FAILED, GREW, HUNG, KILLED, MOST_KILLS, HostExitError
-from fmuid.simulation import core_constants as codes
-from fmuid.simulation.isolation import orders
-from fmuid.simulation.isolation.ahead import CODE
-from fmuid.simulation.isolation.host import FmuHost
-from fmuid.simulation.isolation.host_exit import end_words
-from fmuid.simulation.isolation.host_manager import FIRST_TIME_LIMIT, HostManager, left
+from fmuid.simulation import codes
+from fmuid.simulation.instance_registry import Renewal, is_repeated, needs_process, note_process
+from fmuid.simulation.isolation import CODE, server
+from fmuid.simulation.isolation.host import FIRST_TIME_LIMIT, FmuHost, HostManager, end_words, left
 from fmuid.simulation.simulation_plan import GridSimulation, new_reports, shares
 
 STEP_LIMIT = 1e-4
@@ -39,16 +38,7 @@ _living: weakref.WeakSet[IsolatedExecutor] = weakref.WeakSet()
 
 
 class IsolatedExecutor:
-    """Runs one system in a process of its own (as `fmuid.simulation.in_process.InProcessExecutor` does in this one).
-
-    Parameters
-    ----------
-    components : mapping of str to Component
-    limit : int
-        The largest number of simulations at a time.
-    settings : Isolation
-    told : set of str, optional
-        The warnings that were passed on.
+    """Runs one system in a process of its own, at most `limit` simulations at a time.
 
     Attributes
     ----------
@@ -78,10 +68,8 @@ class IsolatedExecutor:
     def run(self, simulation: GridSimulation, thetas: Floats, outputs: Floats, reports: Indices) -> None:
         """Simulate all thetas (m, N); those at which the process comes to an end have a report of `codes.PROCESS`.
 
-        Outputs (m, K, n_outputs) and reports (m, codes.REPORT) are filled in
-        (`fmuid.simulation.simulation_loop.SimulationLoop.run`). Where one of them finds a model stiff, all are run as
-        such, also those that were through before, as in-process: how many go at a time depends on how fast the
-        machine is, and the outputs must not.
+        Where one of them finds a model stiff, all are run as such, also those that were through before, as in-process:
+        how many go at a time depends on how fast the machine is, and the outputs must not.
         """
         found = -1
         while found != self._found_stiff:
@@ -190,7 +178,7 @@ class IsolatedExecutor:
             number = self._tell(host, simulation)
             host.simulations += len(group)
             stiff, longest, renewal = host.order(
-                orders.run, number, shape, size, varying, limit=self._time_limit(simulation), reports=their_reports
+                server.run, number, shape, size, varying, limit=self._time_limit(simulation), reports=their_reports
             )
             self._keeper.longest = max(self._keeper.longest, longest)
             self._renewal = None if renewal is None else Renewal(renewal)
@@ -244,7 +232,7 @@ class IsolatedExecutor:
                 host.simulations += explain
                 words = theta, outputs, report, dict(parameters), explain
                 number = self._tell(host, simulation)
-                return host.order(orders.failure, number, *words, limit=self._time_limit(simulation))
+                return host.order(server.failure, number, *words, limit=self._time_limit(simulation))
             except HostExitError as end:
                 self._keeper.bury()
                 kind, number = end.kind, end.number
@@ -280,7 +268,7 @@ class IsolatedExecutor:
         for _, model in self._models:
             _ = model.fmu.directory  # unpacked here, where what is wrong with it can be said
         self._known.clear()
-        host.order(orders.start, self._components, self._limit, self._renewal, limit=FIRST_TIME_LIMIT)
+        host.order(server.start, self._components, self._limit, self._renewal, limit=FIRST_TIME_LIMIT)
 
     def _tell(self, host: FmuHost, simulation: GridSimulation) -> int:
         """Return the number of a run, which the process knows now."""
@@ -291,7 +279,7 @@ class IsolatedExecutor:
             weakref.finalize(simulation, self._forgotten.append, number).atexit = False
         if number not in self._known:
             forgotten = self._forgotten[:]
-            host.order(orders.know, number, simulation, forgotten, limit=FIRST_TIME_LIMIT)
+            host.order(server.know, number, simulation, forgotten, limit=FIRST_TIME_LIMIT)
             host.records[number] = host.sent
             for each in forgotten:
                 host.records.pop(each, None)
@@ -338,3 +326,82 @@ def printed() -> str:
 
 def _steps(simulation: GridSimulation) -> int:
     return int(simulation.grid.substeps.sum())
+
+
+class MultiProcessExecutor:
+    """Several `IsolatedExecutor` of one simulation at a time, which share what is to be simulated.
+
+    Parameters
+    ----------
+    limit : int
+        The largest number of processes, each under the `settings`.
+
+    Attributes
+    ----------
+    lock : RLock
+        Held by who runs simulations and asks for their failures.
+    """
+
+    def __init__(
+        self, components: Mapping[str, Component], limit: int, settings: Isolation, told: set[str] | None = None
+    ) -> None:
+        told = set() if told is None else told
+        self.lock = threading.RLock()
+        self._parts = [IsolatedExecutor(components, 1, settings, told) for _ in range(limit)]
+        self._threads = ThreadPoolExecutor(limit, "fmuid-process")
+
+    def run(self, simulation: GridSimulation, thetas: Floats, outputs: Floats, reports: Indices) -> None:
+        """Simulate all thetas (m, N) in equal shares; where one finds a model stiff, all are run again as such."""
+        plan = simulation.plan
+        self._run_shares(simulation, thetas, outputs, reports)
+        if simulation.plan is not plan:
+            for part in self._parts:
+                part.forget(simulation)
+            self._run_shares(simulation, thetas, outputs, reports)
+
+    def _run_shares(self, simulation: GridSimulation, thetas: Floats, outputs: Floats, reports: Indices) -> None:
+        count = min(len(self._parts), len(thetas))
+        futures: list[Future[None]] = []
+        try:
+            for part, share in reversed(list(zip(self._parts, shares(len(thetas), count), strict=False))):
+                given = simulation, thetas[share], outputs[share], reports[share]
+                if part is self._parts[0]:  # the caller's own share last: it is worked off at once
+                    part.run(*given)
+                else:
+                    futures.append(self._threads.submit(part.run, *given))
+            for future in futures:
+                future.result()
+        except BaseException:  # also an interruption, which reaches this thread alone
+            self.cancel()
+            wait(futures)
+            raise
+        finally:
+            for part in self._parts:
+                part.cancelled = False
+
+    def failure(
+        self,
+        simulation: GridSimulation,
+        theta: Floats,
+        outputs: Floats,
+        report: Indices,
+        parameters: Mapping[str, float],
+        explain: bool = False,
+    ) -> SimulationError | None:
+        """Return what outputs and report of one simulation say as an error; None where it succeeded."""
+        return self._parts[0].failure(simulation, theta, outputs, report, parameters, explain)
+
+    def printed(self) -> str:
+        """Return and forget what the FMUs printed."""
+        return "".join(part.printed() for part in self._parts)
+
+    def cancel(self) -> None:
+        """Have simulations that other threads run here end, with an error there."""
+        for part in self._parts:
+            part.cancel()
+
+    def close(self) -> None:
+        """End the processes; a later simulation makes new ones."""
+        with self.lock:
+            for part in self._parts:
+                part.close()

@@ -16,10 +16,11 @@ import numpy as np
 
 from fmuid.array_types import Floats, Indices
 from fmuid.errors import InputError, SimulationError
-from fmuid.models import Component, Renewal, is_repeated, needs_process, note_process
-from fmuid.simulation import core_constants as codes
+from fmuid.models import Component
+from fmuid.simulation import codes
 from fmuid.simulation.failures import describe
 from fmuid.simulation.instance import Instance, warn
+from fmuid.simulation.instance_registry import Renewal, is_repeated, needs_process, note_process
 from fmuid.simulation.simulation_loop import SimulationLoop
 from fmuid.simulation.simulation_plan import GridSimulation, new_reports
 

@@ -1,12 +1,13 @@
-"""Uncertainty beyond the local covariance: maps of the criterion, profiles, samples of the posterior.
+"""All checks of a result at one place: residuals, prior and data, profiles, maps, samples of the posterior.
 
-One call computes them all, the quick ones first, and keeps what is complete when the keyboard interrupts it. The
-modules of each are imported when it is asked for.
+What costs no simulation is done at once; the rest as far as it is asked for, the quick ones first. What is complete is
+kept when the keyboard interrupts it. The modules of each are imported when it is asked for.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
@@ -15,6 +16,8 @@ import pandas as pd
 from fmuid.blas import single_threaded
 from fmuid.codec import Layout
 from fmuid.estimation import LeastSquares, Result, check_level
+from fmuid.identification.prior_and_data import PriorDataComparison, compare_prior_and_data
+from fmuid.identification.residual_analysis import ResidualAnalysis, analyze_residuals
 from fmuid.progress import Event, MapStep, Progress
 
 if TYPE_CHECKING:
@@ -29,8 +32,8 @@ LOWER_CRITERION = 0.1
 
 
 @dataclass(frozen=True)
-class UncertaintySettings:
-    """The table ``[uncertainty]`` of a study.
+class AssessmentSettings:
+    """Which checks are asked for: the table ``[uncertainty]`` of a study, and what is known of the noise.
 
     Parameters
     ----------
@@ -42,6 +45,10 @@ class UncertaintySettings:
         How the posterior is sampled, where it is.
     maps : tuple of (str, str)
         Pairs of parameters over which the criterion is mapped.
+    search_data : bool
+        Whether to search the optimum of the data alone, which costs about as much as the identification itself.
+    known_variance : mapping of str to float, optional
+        Known noise variance of each output, of the healthy system; default those given to the problem.
 
     Raises
     ------
@@ -53,37 +60,42 @@ class UncertaintySettings:
     profile: tuple[str, ...] = ()
     posterior: SamplerSettings | None = None
     maps: tuple[tuple[str, str], ...] = ()
+    search_data: bool = False
+    known_variance: Mapping[str, float] | None = None
 
     def __post_init__(self) -> None:
         check_level(self.level)
 
     @property
-    def any(self) -> bool:
-        """Whether anything is asked for."""
+    def explores(self) -> bool:
+        """Whether anything is asked for that has to be simulated around the estimate."""
         return bool(self.profile or self.posterior or self.maps)
 
 
 @dataclass(frozen=True, eq=False)
-class Uncertainty:
-    """The results of `explore`.
+class Assessment:
+    """What a result is worth.
 
     Attributes
     ----------
     level : float
         Of all intervals.
+    residuals : ResidualAnalysis or None
+        None of a result that was read from a file, which has no residuals.
+    prior_and_data : PriorDataComparison or None
+        Likewise.
     maps : tuple of CostMap
         Around the estimate.
-    box_maps : tuple of CostMap
-        Over all of the bounds.
     profiles : tuple of Profile
     posterior : Posterior or None
     interrupted : bool
         Whether the keyboard ended it before all was done.
     """
 
-    level: float
+    level: float = CONFIDENCE_LEVEL
+    residuals: ResidualAnalysis | None = None
+    prior_and_data: PriorDataComparison | None = None
     maps: tuple[CostMap, ...] = ()
-    box_maps: tuple[CostMap, ...] = ()
     profiles: tuple[Profile, ...] = ()
     posterior: Posterior | None = None
     interrupted: bool = False
@@ -94,10 +106,15 @@ class Uncertainty:
     )
 
     @property
+    def is_explored(self) -> bool:
+        """Whether there are maps, profiles or samples, or would be if it had not been interrupted."""
+        return bool(self.maps or self.profiles or self.posterior or self.interrupted)
+
+    @property
     def succeeded(self) -> bool:
         """Whether all is done, no better optimum has shown, and the samples of the posterior can be trusted."""
         ends = [end for each in self.profiles for end in (each.lower, each.upper)]
-        better = bool(np.isnan(ends).any()) or any(better_point(chart) for chart in (*self.maps, *self.box_maps))
+        better = bool(np.isnan(ends).any()) or any(better_point(chart) for chart in self.maps)
         return not self.interrupted and not better and (self.posterior is None or self.posterior.converged)
 
     def intervals(self, result: Result) -> pd.DataFrame:
@@ -130,33 +147,32 @@ def better_point(chart: CostMap) -> tuple[float, float, float] | None:
 
 
 @single_threaded
-def explore(
+def assess(
     problem: LeastSquares,
     result: Result,
-    settings: UncertaintySettings,
+    asked: AssessmentSettings | None = None,
     progress: Progress | None = None,
-    *,
-    box: bool = False,
-) -> Uncertainty:
-    """Compute what the settings ask for around a result.
+    earlier: Assessment | None = None,
+) -> Assessment:
+    """Check a result: its residuals, prior and data, and what else is asked for.
 
     Parameters
     ----------
     problem : LeastSquares
     result : Result
         Of its identification.
-    settings : UncertaintySettings
+    asked : AssessmentSettings, optional
+        Default: what needs no simulation.
     progress : callable, optional
         Called before the first task, before every map, after every point of a profile and every step of the sampler
         (`fmuid.progress`).
-    box : bool
-        Also map the criterion over all of the bounds, for pairs of parameters that have them, as after a search of the
-        whole box.
+    earlier : Assessment, optional
+        Of the same result: its residuals, prior and data are not looked at again.
 
     Returns
     -------
-    Uncertainty
-        Interrupted from the keyboard: the results up to then.
+    Assessment
+        Interrupted from the keyboard: the checks up to then.
 
     Raises
     ------
@@ -164,73 +180,76 @@ def explore(
         If the result is another problem's, or a name is unknown.
     SimulationError
         If the simulation fails at the result.
+
+    Examples
+    --------
+    >>> problem = fmuid.datasets.coil().problem()
+    >>> found = fmuid.assess(problem, fmuid.identify(problem))
+    >>> found.succeeded, len(found.residuals.series)
+    (True, 1)
     """
-    return _Explorer(problem, result, settings, progress, box=box).run()
+    asked = asked or AssessmentSettings()
+    found = Assessment(asked.level)
+    if earlier is not None:
+        found = replace(found, residuals=earlier.residuals, prior_and_data=earlier.prior_and_data)
+    elif result.local is not None:
+        residuals = analyze_residuals(problem, result)
+        reading = compare_prior_and_data(
+            problem, result, search_data=asked.search_data, healthy=asked.known_variance, diagnostics=residuals
+        )
+        found = replace(found, residuals=residuals, prior_and_data=reading)
+    return _Exploration(problem, result, asked, progress, found).run() if asked.explores else found
 
 
-class _Explorer:
-    """Carries out one task after the other and keeps the results."""
+class _Exploration:
+    """Simulates around the estimate, one task after the other, and keeps the results."""
 
     def __init__(
         self,
         problem: LeastSquares,
         result: Result,
-        settings: UncertaintySettings,
+        asked: AssessmentSettings,
         progress: Progress | None,
-        *,
-        box: bool,
+        found: Assessment,
     ) -> None:
-        self.problem, self.result, self.settings, self.progress = problem, result, settings, progress
-        self.box = box
-        self.maps: list[CostMap] = []
-        self.box_maps: list[CostMap] = []
-        self.profiles: tuple[Profile, ...] = ()
-        self.posterior: Posterior | None = None
+        self.problem, self.result, self.asked, self.progress, self.found = problem, result, asked, progress, found
 
-    def run(self) -> Uncertainty:
+    def run(self) -> Assessment:
         try:
             self._tell(Event(task="uncertainty", share=0.0))
-            finished = self._map() and self._profile() and self._sample()
+            self._map()
+            finished = self._profile() and self._sample()
         except KeyboardInterrupt:
             finished = False
-        maps, box_maps = tuple(self.maps), tuple(self.box_maps)
-        level = self.settings.level
-        return Uncertainty(level, maps, box_maps, self.profiles, self.posterior, interrupted=not finished)
+        return replace(self.found, interrupted=not finished)
 
     def _tell(self, event: Event) -> None:
         if self.progress is not None:
             self.progress(event)
 
-    def _map(self) -> bool:
-        for k, (first, second) in enumerate(self.settings.maps):
+    def _map(self) -> None:
+        for k, (first, second) in enumerate(self.asked.maps):
             from fmuid.identification.cost_map import map_cost
 
-            self._tell(MapStep(share=k / len(self.settings.maps), first=first, second=second))
-            self.maps.append(map_cost(self.problem, self.result, first, second))
-            if self.box and self._bounded(first) and self._bounded(second):
-                self.box_maps.append(map_cost(self.problem, self.result, first, second, ranges="bounds"))
-        return True
-
-    def _bounded(self, name: str) -> bool:
-        parameters = self.problem.parameters
-        i = parameters.index(name)
-        return bool(np.isfinite([parameters.lower[i], parameters.upper[i]]).all())
+            self._tell(MapStep(share=k / len(self.asked.maps), first=first, second=second))
+            chart = map_cost(self.problem, self.result, first, second)
+            self.found = replace(self.found, maps=(*self.found.maps, chart))
 
     def _profile(self) -> bool:
-        names = self.settings.profile
+        names = self.asked.profile
         if not names:
             return True
         from fmuid.identification.profile import profile_likelihood
 
-        level = self.settings.level
-        self.profiles = profile_likelihood(self.problem, self.result, names, level=level, progress=self.progress)
-        complete = len(self.profiles) == len(names)
-        return complete and not self.profiles[-1].interrupted
+        done = profile_likelihood(self.problem, self.result, names, level=self.asked.level, progress=self.progress)
+        self.found = replace(self.found, profiles=done)
+        return len(done) == len(names) and not done[-1].interrupted
 
     def _sample(self) -> bool:
-        if self.settings.posterior is None:
+        if self.asked.posterior is None:
             return True
         from fmuid.identification.sampling.sampler import sample_posterior
 
-        self.posterior = sample_posterior(self.problem, self.result, self.settings.posterior, self.progress)
-        return not self.posterior.interrupted
+        drawn = sample_posterior(self.problem, self.result, self.asked.posterior, self.progress)
+        self.found = replace(self.found, posterior=drawn)
+        return not drawn.interrupted

@@ -13,15 +13,14 @@ import numpy as np
 
 from fmuid.array_types import Floats
 from fmuid.models import System
-from fmuid.simulation import core_constants as codes
+from fmuid.simulation import codes
 from fmuid.simulation.executor import executor_of
 from fmuid.simulation.forward_simulation import extended_by, initial_simulation, initial_states, names_of
-from fmuid.simulation.grid import grid_of
-from fmuid.simulation.plan import plan_of
+from fmuid.simulation.plan_builder import grid_of, plan_of
 from fmuid.simulation.simulation_plan import GridSimulation, new_reports
+from fmuid.simulation.simulation_task import task_of
 from fmuid.simulation.simulator import Simulator
 from fmuid.simulation.solver_refinement import by_model_exchange
-from fmuid.simulation.task import task_of
 
 
 class RightHandSide:

@@ -1,0 +1,130 @@
+"""The compiled core: its library loaded, and the structures that it works on.
+
+`core()` returns the library; its structures are attributes of it, such as ``core().Plan``, made as the library says
+that they are laid out. Its sources are beside this file; docs/native-core.md describes them.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import itertools
+import logging
+import threading
+from ctypes import POINTER, Structure, c_char_p, c_double, c_size_t, c_void_p
+from functools import cache
+from pathlib import Path
+from typing import Any, ClassVar
+
+from fmuid.errors import InputError
+from fmuid.simulation import codes
+from fmuid.simulation.native import build
+from fmuid.version import __version__
+
+_log = logging.getLogger("fmuid.simulation")
+_loading = threading.Lock()
+
+SET_REALS, GET_REALS, SET_SLOPES, COPY_ONE, GET_SENSITIVITIES, OTHER = range(6)  # kinds of operations
+METHODS = {"rk4": 0, "rk45": 1, "cvode": 2}
+
+
+class _FieldLayout(Structure):
+    _fields_: ClassVar[list[tuple[str, Any]]] = [
+        *(("structure", c_char_p), ("field", c_char_p), ("type", c_char_p)),
+        *(("offset", c_size_t), ("size", c_size_t)),
+    ]
+
+
+@cache
+def core() -> Any:
+    """Return the library; where it lies beside changed sources, it is compiled first.
+
+    Raises
+    ------
+    InputError
+        If it is missing or of other sources, and cannot be compiled.
+    """
+    with _loading:
+        path = _path()
+        try:
+            library = ctypes.CDLL(str(path))
+        except OSError as error:
+            raise InputError(f"fmuid's compiled core {path} cannot be loaded ({error}); install fmuid anew") from error
+        _declare(library)
+        wrong = _difference(library)
+        if wrong:
+            raise InputError(
+                f"fmuid's compiled core {path} is of another version than fmuid ({wrong}); install it anew"
+            )
+        for name, structure in _structures(library).items():
+            setattr(library, name, structure)
+        return library
+
+
+def _path() -> Path:
+    if not build.sources():
+        found = list(build.HERE.glob("core-*"))
+        if len(found) == 1:
+            return found[0]
+        raise InputError(
+            f"fmuid's compiled core is missing in {build.HERE}; install fmuid from a wheel of this platform"
+        )
+    path = build.HERE / build.library_name()
+    if path.is_file():
+        return path
+    _log.info("compiling the core, which has changed or was not compiled yet")
+    try:
+        return build.build_here()
+    except (build.BuildError, OSError) as error:
+        raise InputError(f"fmuid's core is not compiled from the sources in {build.HERE}, and {error}") from error
+
+
+def _declare(library: Any) -> None:
+    integrator = c_void_p
+    for name, result, arguments in (
+        ("layout", POINTER(_FieldLayout), []),
+        *(("code_names", POINTER(c_char_p), []), ("version", c_char_p, [])),
+        ("simulate", None, [c_void_p, c_void_p, c_size_t, c_void_p, c_void_p, c_void_p, c_void_p]),
+        *(("environment_size", c_size_t, []), ("environment_keep", None, [c_void_p])),
+        *(("environment_restore", None, [c_void_p]), ("log_open", c_void_p, [c_void_p])),
+        ("integrator_create", integrator, [c_void_p]),
+        ("integrator_free", None, [integrator]),
+        *(
+            (f"integrator_{name}", ctypes.c_int, [integrator, c_double])
+            for name in ("begin", "enter_events", "leave_events", "advance")
+        ),
+    ):
+        function = getattr(library, name)
+        function.restype, function.argtypes = result, arguments
+
+
+def _structures(library: Any) -> dict[str, type[Structure]]:
+    """Return the structures as the library has them; what is none of their fields cannot be given to them."""
+    made: dict[str, type[Structure]] = {}
+    fields: list[tuple[str, Any]] = []
+    offsets: list[int] = []
+    places = library.layout()
+    for place in itertools.takewhile(lambda place: place.structure, map(places.__getitem__, itertools.count())):
+        if place.field is not None:
+            kind = made.get(place.type.decode()) or getattr(ctypes, place.type.decode())
+            count = place.size // ctypes.sizeof(kind)
+            fields.append((place.field.decode(), kind if count == 1 else kind * count))
+            offsets.append(place.offset)
+            continue
+        name = place.structure.decode()
+        made[name] = whole = type(name, (Structure,), {"_fields_": fields, "__slots__": ()})
+        if offsets != [getattr(whole, field).offset for field, _ in fields] or ctypes.sizeof(whole) > place.size:
+            raise InputError(f"fmuid's compiled core lays {name} out in a way that ctypes does not; install it anew")
+        fields, offsets = [], []
+    return made
+
+
+def _difference(library: Any) -> str:
+    """Return what the library has otherwise: its version, or the name of a code."""
+    version = library.version().decode()
+    if version != __version__:
+        return str(version)
+    told = library.code_names()
+    names = [name.decode() for name in itertools.takewhile(bool, map(told.__getitem__, itertools.count()))]
+    numbers = [*range(codes.N_WIRES), *range(2 * codes.N_WIRES, codes.PROCESS)]
+    wrong = (name for name, number in zip(names, numbers, strict=False) if getattr(codes, name, None) != number)
+    return next(wrong, "") or ("" if len(names) == len(numbers) else names[-1])
