@@ -13,7 +13,7 @@ from scipy.linalg import expm
 import fmuid
 from fmuid.diagnosis.fault_fits import fit_both
 from fmuid.estimation import AccuracyOutcome, RefinementRefusal
-from fmuid.reports.messages.diagnosis import diagnosis_words
+from fmuid.reports.topics.diagnosis_phrases import diagnosis_notes
 from tests.support.stepping import MOTOR, stepping_fmu
 
 TRUTH = {"R": 1.0, "L": 5e-3, "K": 0.05, "J": 1e-4}
@@ -86,7 +86,7 @@ def test_what_is_not_cured_is_said_and_kept(motor: fmuid.System, healthy: fmuid.
         accuracy = each["friction"].checked.accuracy
         assert accuracy is not None
         assert (accuracy.outcome, accuracy.kept) == (AccuracyOutcome.SHIFTED, RefinementRefusal.ASKED)
-        (said,) = [words for words in diagnosis_words(each) if words.startswith("friction: the error")]
+        (said,) = [words for words in diagnosis_notes(each) if words.startswith("friction: the error")]
         assert f"F by {accuracy.shift[1]:+.2g}" in said
 
 

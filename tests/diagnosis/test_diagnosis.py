@@ -13,7 +13,7 @@ from scipy import optimize, stats
 
 import fmuid
 from fmuid.diagnosis.faults import common_mode
-from fmuid.reports.messages.diagnosis import hypothesis_notes, strain_words, verdict
+from fmuid.reports.topics.diagnosis_phrases import hypothesis_notes, strain_words, verdict
 from tests.support.diagnosis_studies import Look
 from tests.support.plate import (
     COLUMNS,

@@ -18,7 +18,7 @@ from fmuid.diagnosis.baseline.whitening import Whitening
 from fmuid.diagnosis.change_parameters import ChangeParameterSet, coordinates_of
 from fmuid.diagnosis.linearisation import LinearizedMachine
 from fmuid.errors import InputError
-from fmuid.reports.messages.diagnosis import verdict
+from fmuid.reports.topics.diagnosis_phrases import verdict
 from tests.support.closed_forms import coil_response
 from tests.support.paths import FMUS
 

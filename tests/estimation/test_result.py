@@ -22,7 +22,7 @@ from fmuid.estimation.method import Marquardt
 from fmuid.estimation.problem import LeastSquares
 from fmuid.estimation.result import Result
 from fmuid.progress import Event, SearchStep
-from fmuid.reports.messages.result import ending
+from fmuid.reports.topics.termination import ending
 from fmuid.runs.findings import at_minimum
 from tests.support.problems import Fake
 from tests.support.two_outputs import TIMES, two_output_problem, two_outputs

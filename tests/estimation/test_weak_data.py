@@ -21,8 +21,8 @@ from fmuid.estimation.identification import identify
 from fmuid.estimation.marquardt.outcome import TerminationReason
 from fmuid.estimation.problem import LeastSquares
 from fmuid.estimation.result import Result
-from fmuid.reports.messages.identifiability import direction_words
-from fmuid.reports.messages.result import ending
+from fmuid.reports.shared_phrases import direction_words
+from fmuid.reports.topics.termination import ending
 from tests.support.paths import FMUS
 from tests.support.problems import Fake, coil
 from tests.support.results import RESULT

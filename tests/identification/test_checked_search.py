@@ -13,7 +13,7 @@ from scipy.linalg import expm
 import fmuid
 from fmuid.array_types import Floats
 from fmuid.estimation import SHIFT_LIMIT, AccuracyOutcome, RefinementRefusal, SwitchCause
-from fmuid.reports.messages.solver import runs_words
+from fmuid.reports.topics.solver_check import runs_words
 from fmuid.simulation import Refinement
 from tests.support.exported import export_text
 from tests.support.paths import ROOT

@@ -22,7 +22,7 @@ from fmuid.identification import restarting_search as guarded_search
 from fmuid.identification.agreement import EndedSearch, is_confirmed
 from fmuid.identification.equation_error_start import POOR, equation_start
 from fmuid.identification.state_correction_start import corrected_start
-from fmuid.reports.messages.restarts import ENDS, PLACES, attempt_words
+from fmuid.reports.topics.termination import ENDS, PLACES, attempt_words
 from tests.support.exported import export_text
 from tests.support.paths import FMUS
 

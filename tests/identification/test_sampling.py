@@ -17,7 +17,7 @@ from fmuid.identification.sampling.chains import effective_size, r_hat
 from fmuid.identification.sampling.posterior import SamplerSettings, SamplingWarning
 from fmuid.identification.sampling.sampler import sample_posterior
 from fmuid.progress import Event, SamplingStep
-from fmuid.reports.messages.uncertainty import posterior_words
+from fmuid.reports.topics.uncertainty import posterior_words
 from tests.support.posteriors import Array, linear, sampled
 from tests.support.results import identify_white as identify
 

@@ -9,15 +9,18 @@ import pandas as pd
 import pytest
 
 from fmuid.reports.batch_tables import write_summary
-from fmuid.reports.console.batch import show_batch
-from fmuid.reports.figures import matplotlib_renderer as paint
-from fmuid.reports.figures import style as plots
-from fmuid.reports.page import batches
+from fmuid.reports.render.console import show
+from fmuid.reports.render.matplotlib_renderer import printed, save
+from fmuid.reports.topics.batch import batch_sections, summary_document
 from fmuid.runs.batch.statistics import BatchColumns
-from fmuid.runs.batch.summary import summarize
+from fmuid.runs.batch.summary import Summary, summarize
 from tests.support.drawn_batches import TRUTH, UNITS, batch, fail
 
 # --- files and the console
+
+
+def show_summary(summary: Summary) -> None:
+    show(summary_document(summary))
 
 
 def test_files(tmp_path: Path) -> None:
@@ -33,7 +36,7 @@ def test_files(tmp_path: Path) -> None:
 def test_console(capsys: pytest.CaptureFixture[str]) -> None:
     levels = np.repeat([0.4, 0.47], 40)
     frame = batch({"set.M": levels, "draw": np.tile(np.arange(40), 2)}, spread=2.0)
-    show_batch(summarize(fail(frame, [0], ["[bad] at t = 3 s"]), TRUTH, UNITS))
+    show_summary(summarize(fail(frame, [0], ["[bad] at t = 3 s"]), TRUTH, UNITS))
     said = capsys.readouterr().out
     assert max(map(len, said.splitlines())) <= 140
     for words in ("Estimates over the cases", "Against the truth", "By setting, mean ± spread", "[bad] at t = # s"):
@@ -47,19 +50,19 @@ def test_console_says_median_and_least_fit(capsys: pytest.CaptureFixture[str]) -
     output = BatchColumns.of(frame).outputs[0]
     frame[f"fit.{output}"] = np.where(np.arange(40) == 7, np.nan, fits)
     summary = summarize(frame, TRUTH, UNITS)
-    show_batch(summary)
+    show_summary(summary)
     (row,) = summary.fits.to_dict("records")
     assert row == {"output": output, "median": np.nanmedian(frame[f"fit.{output}"]), "least": 90.0, "case": 0}
-    said = f"fit (NRMSE) of {output}: {row['median']:.4g} % in the median, 90 % at least (case 0)"
+    said = f"Fit (NRMSE) of {output}: {row['median']:.4g} % in the median, 90 % at least (case 0)"
     assert said in capsys.readouterr().out
 
 
 def test_console_of_nothing(capsys: pytest.CaptureFixture[str]) -> None:
     frame = batch({"draw": range(2)})
-    show_batch(summarize(frame.iloc[:0], TRUTH))
-    show_batch(summarize(fail(frame, [0, 1], ["no", "no"]), TRUTH))
+    show_summary(summarize(frame.iloc[:0], TRUTH))
+    show_summary(summarize(fail(frame, [0, 1], ["no", "no"]), TRUTH))
     said = capsys.readouterr().out
-    assert "No case has finished" in said
+    assert "no case has finished" in said
     assert "2 cases: 2 failed" in said
 
 
@@ -91,18 +94,19 @@ def test_console_of_nothing(capsys: pytest.CaptureFixture[str]) -> None:
 )
 def test_figures_without_a_warning(frame: pd.DataFrame, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Whatever there is of cases, they are drawn and summarized, and nothing warns."""
-    sections = batches.sections_of(frame, {}, TRUTH, {**UNITS}, given_noise=False)
-    assert sections[0].figures
-    figures = {each.name: paint.printed(each.figures, each.columns) for each in sections if each.figures}
-    assert len(plots.save(figures, tmp_path)) == len(figures)
-    show_batch(summarize(frame, TRUTH, UNITS))
+    sections = batch_sections(frame, summarize(frame, TRUTH, UNITS), TRUTH, {**UNITS}, given_noise=False)
+    assert sections[0].charts
+    figures = {each.key: printed(each.charts, each.beside) for each in sections}
+    assert len(save(figures, tmp_path)) == len(figures)
+    show_summary(summarize(frame, TRUTH, UNITS))
     assert capsys.readouterr().out
 
 
 def test_nothing_to_draw() -> None:
     frame = batch({"draw": range(3)})
     for none in (frame.iloc[:0], fail(frame, [0, 1, 2], ["no"] * 3)):
-        assert not any(each.figures for each in batches.sections_of(none, {}, TRUTH, {}, given_noise=False))
+        keys = {each.key for each in batch_sections(none, summarize(none, TRUTH), TRUTH, {}, given_noise=False)}
+        assert keys <= {"failures"}
 
 
 def test_columns() -> None:

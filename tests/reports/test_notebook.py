@@ -17,7 +17,7 @@ import fmuid
 from fmuid.display_mixins import shown_by
 from fmuid.estimation import Identifiability, TerminationReason, WeakDirection
 from fmuid.formatting import with_std
-from fmuid.reports.notebook import Drawing, plots
+from fmuid.reports.render.notebook import Drawing, plots
 from fmuid.runs.batch.dataset import Dataset
 from fmuid.runs.folder import write_identification
 from tests.support.coil_study import COIL, STUDY, coil_table
@@ -166,14 +166,14 @@ def test_texts_are_short(found: fmuid.IdentificationRun, tmp_path: Path) -> None
 
 
 def test_without_anybody_who_shows_there_is_the_text(found: fmuid.IdentificationRun) -> None:
-    shown_by("fmuid.reports.notebook")
+    shown_by("fmuid.reports.render.notebook")
     from fmuid import display_mixins as displays
 
     displays._by.clear()
     try:
         assert found.result._repr_html_() is None
     finally:
-        shown_by("fmuid.reports.notebook")
+        shown_by("fmuid.reports.render.notebook")
 
 
 def test_what_cannot_be_drawn() -> None:

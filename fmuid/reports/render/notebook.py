@@ -263,7 +263,9 @@ def plots(found: object) -> FigureCollection:
         case Diagnosis():
             return FigureCollection(diagnosis_sections(found))
         case BatchResult():
-            return FigureCollection(batch_sections(found, found.summary()[0]))
+            summary, truth = found.summary()[0], dict(found.truth)
+            sections = batch_sections(found.frame, summary, truth, dict(found.units), given_noise=found.given_noise)
+            return FigureCollection(sections)
     raise InputError(f"a {type(found).__name__} has no figures")
 
 

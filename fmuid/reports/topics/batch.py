@@ -10,6 +10,7 @@ import numpy as np
 
 from fmuid.estimation import AccuracyOutcome
 from fmuid.formatting import fit_text, has_unit, rounded, unit_text, with_std
+from fmuid.reports.chart import Units
 from fmuid.reports.document import CONSOLE, Document, Remark, Section, Table, Tone, capitalised, table_of
 from fmuid.reports.shared_phrases import open_words
 from fmuid.reports.topics.case_charts import (
@@ -226,21 +227,42 @@ def batch_document(found: BatchResult, origin: Provenance | None = None) -> Docu
         What it was made from.
     """
     summary, _ = found.summary()
+    units, given = dict(found.units), found.given_noise
+    sections = batch_sections(found.frame, summary, dict(found.truth), units, given_noise=given)
+    return summary_document(summary, sections, units, origin)
+
+
+def summary_document(
+    summary: Summary, sections: Sequence[Section] = (), units: Units | None = None, origin: Provenance | None = None
+) -> Document:
+    """Return the document of the summary of a batch, with sections on its cases."""
     counts = {str(row["status"]): int(row["cases"]) for row in summary.statuses.to_dict("records")}
     done, total = counts.get("converged", 0), sum(counts.values())
     told = ", ".join(f"{count} {name}" for name, count in counts.items() if count)
     said = [Remark(f"{done} of {total} cases converged", "plain", "failures")]
-    said += [Remark(capitalised(text, found.units), "doubt", "distributions") for text in summary_words(summary)]
-    sections = [*_tables(summary), *batch_sections(found, summary)]
+    said += [Remark(capitalised(text, units or ()), "doubt", "distributions") for text in summary_words(summary)]
     tone: Tone = "good" if done == total else "bad"
-    state = told or "no case has finished"
-    return Document("batch", "Batch", state, tone, tuple(said), tuple(sections), **origin_of(origin, {"cases": told}))
+    state = f"{total} cases: {told}" if told else "no case has finished"
+    shown = (*_tables(summary), *sections)
+    return Document("batch", "Batch", state, tone, tuple(said), shown, **origin_of(origin, {"cases": told}))
 
 
-def batch_sections(found: BatchResult, summary: Summary) -> list[Section]:
-    """Return the sections with charts of a batch."""
-    frame, truth, units, given = found.frame, dict(found.truth), found.units, found.given_noise
-    counted, columns = estimates(frame, given_noise=given), BatchColumns.of(frame)
+def batch_sections(
+    frame: pd.DataFrame, summary: Summary, truth: Mapping[str, float], units: Units, *, given_noise: bool
+) -> list[Section]:
+    """Return the sections with charts of a batch.
+
+    Parameters
+    ----------
+    frame : DataFrame
+        A row a case.
+    summary : Summary
+    truth, units : mapping
+        Of the parameters.
+    given_noise : bool
+        Whether the noise was given, not estimated.
+    """
+    counted, columns = estimates(frame, given_noise=given_noise), BatchColumns.of(frame)
     drawn = tuple(over_cases(frame, truth, units))
     sections = [Section("cases", "Estimates over the cases", CASES, charts=drawn, beside=2)]
     if len(counted) > 1:
@@ -255,7 +277,7 @@ def batch_sections(found: BatchResult, summary: Summary) -> list[Section]:
         heading = f"Over {name.removeprefix('set.')}"
         sections.append(Section(f"over-{k + 1}", heading, SETTING if k == 0 else "", charts=drawn))
     if columns.starts:
-        drawn = tuple(over_starts(frame, truth, units, given_noise=given))
+        drawn = tuple(over_starts(frame, truth, units, given_noise=given_noise))
         sections.append(Section("starts", "Where the searches ended", STARTS, charts=drawn))
     if len(failures := summary.failures):
         messages = [failure_words(row) for row in failures.to_dict("records")]

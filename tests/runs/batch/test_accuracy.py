@@ -10,7 +10,7 @@ import pandas as pd
 import pytest
 
 import fmuid
-from fmuid.reports.messages.batch import summary_words
+from fmuid.reports.topics.batch import summary_words
 from fmuid.runs.batch.run_case import VOLATILE, CaseRunner
 from fmuid.runs.batch.summary import summarize
 from fmuid.simulation import executor_of

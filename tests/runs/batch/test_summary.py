@@ -14,8 +14,8 @@ from scipy import stats
 
 from fmuid.estimation.covariance import Identifiability, WeakDirection
 from fmuid.reports.batch_tables import write_summary
-from fmuid.reports.console.batch import show_batch
-from fmuid.reports.messages.batch import summary_words
+from fmuid.reports.render.console import show
+from fmuid.reports.topics.batch import summary_document, summary_words
 from fmuid.runs.batch.dataset import Dataset
 from fmuid.runs.batch.run_case import directions_of, directions_text
 from fmuid.runs.batch.statistics import EstimateWarning, statistics
@@ -212,7 +212,7 @@ def test_what_is_not_determined_is_told_by_its_names(tmp_path: Path, capsys: pyt
         "stopped at the iteration limit: raise max_iterations or start nearer",
         "undetermined: L is not determined in effect",
     ]
-    show_batch(summary)
+    show(summary_document(summary))
     assert "R and L cannot be told apart" in " ".join(capsys.readouterr().out.split())
     assert directions_of(frame["undetermined"][8]) == tuple(other)
 

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from fmuid.reports.console.batch import show_batch
-from fmuid.reports.messages.batch import summary_words
+from fmuid.reports.render.console import show
+from fmuid.reports.topics.batch import summary_document, summary_words
 from fmuid.runs.batch.statistics import EstimateWarning, estimates, optimum_numbers
 from fmuid.runs.batch.summary import MAX_LEVELS, summarize
 from tests.support.drawn_batches import TRUTH, UNITS, batch, doubts, fail, row, starts
@@ -93,7 +93,7 @@ def test_optima_of_different_settings_have_no_common_values() -> None:
     summary = summarize(starts().rename(columns={"draw": "set.M"}))
     assert summary.optima["cases"].tolist() == [14, 6]
     assert "R" not in summary.optima
-    show_batch(summary)
+    show(summary_document(summary))
 
 
 def test_all_starts_lead_to_one_optimum() -> None:

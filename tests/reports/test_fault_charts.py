@@ -1,21 +1,21 @@
-"""Figures of diagnosis and monitoring: what they show is read back from the data of their glyphs."""
+"""Charts of diagnosis and monitoring: what they show is read back from their layers."""
 
 from __future__ import annotations
 
 import math
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pandas as pd
 import pytest
-from bokeh.models import BoxAnnotation, Span
 
-from fmuid.codec import as_json
 from fmuid.diagnosis.cause_results import CauseScore, ChangeEvidence, EstimatedChange, Explanation
 from fmuid.diagnosis.change_detection.unexplained_residual import NOTHING_LEFT
 from fmuid.diagnosis.change_parameters import CauseKind
 from fmuid.diagnosis.monitoring.alarms import Alarm
-from tests.support.live_figures import diagnosis
+from fmuid.reports.topics import cause_charts, monitoring
+from tests.support.charts import drawn, entries, rules
 
 
 class Size:
@@ -46,32 +46,26 @@ class Found:
     named, called, level = ("f19",), ("f18", "f19"), 0.01
 
 
-def marks(plot: Any, kind: type) -> list[Any]:
-    return [each for each in plot.center if isinstance(each, kind)]
-
-
 def test_evidence() -> None:
     """The most significant faults stand in their order, the one named apart; each has its threshold."""
-    plot = diagnosis.evidence(Found())
-    assert plot.y_range.factors == [f"f{k}" for k in range(19, 7, -1)]
-    bars = {
-        name: right
-        for each in plot.renderers
-        if type(each.glyph).__name__ == "HBar"
-        for name, right in zip(each.data_source.data["name"], each.data_source.data["d"], strict=True)
-    }
+    found: Any = Found()
+    plot = cause_charts.fault_evidence(found)
+    assert plot.y.names == tuple(f"f{k}" for k in range(19, 7, -1))
+    bars = {name: x for each in drawn(plot, "bars") for name, x in zip(each["y"], each["x"], strict=True)}
     assert bars == {f"f{k}": 2.0 * k for k in range(8, 20)}
-    assert plot.x_range.start == diagnosis.LEAST_STATISTIC
-    assert len({str(each.glyph.fill_color) for each in plot.renderers if type(each.glyph).__name__ == "HBar"}) == 3
+    assert plot.x.reach[0] == cause_charts.LEAST_STATISTIC
+    assert entries(plot) == ["named", "significant", "not significant", "threshold at a false-alarm level of 1 %"]
 
 
 def test_sizes_show_zero() -> None:
     """Whether an interval holds it is what is to be seen."""
-    first, *others = diagnosis.sizes(Found())
-    assert len(others) == diagnosis.MAX_FAULTS - 1
-    assert first.y_range.factors == ["<b>dL</b> (Ohm)", "dR (Ohm)"]
-    assert first.x_range.start < -0.5 < 0 < 1.2 < first.x_range.end
-    assert [each.location for each in marks(first, Span)] == [0.0]
+    found: Any = Found()
+    first, *others = cause_charts.size_charts(found)
+    assert len(others) == cause_charts.MAX_FAULTS - 1
+    assert first.y.names == ("<b>dL</b> (Ohm)", "dR (Ohm)")
+    low, high = first.x.reach
+    assert low is not None and high is not None and low < -0.5 < 0 < 1.2 < high
+    assert rules(first, "x") == [0.0]
 
 
 @pytest.fixture
@@ -90,20 +84,20 @@ def news() -> ChangeEvidence:
 
 
 def test_causes_stand_by_their_likelihood_with_the_angle_to_the_nearest(news: ChangeEvidence) -> None:
-    plot = diagnosis.causes(news)
-    assert plot.y_range.factors[::-1] == ["turns (dR)", "the gain of the sensor of i", "an offset of the sensor of i"]
-    red, grey = (each.data_source.data for each in plot.renderers)
-    assert (red["d"], grey["d"]) == ([41.0, 38.0], [diagnosis.LEAST_STATISTIC])
-    assert red["near"] == ["gain(i), 5°", "turns.dR, 5°"]
+    plot = cause_charts.cause_evidence(news)
+    assert plot.y.names[::-1] == ("turns (dR)", "the gain of the sensor of i", "an offset of the sensor of i")
+    red, grey = drawn(plot, "bars")
+    assert (red["x"].tolist(), grey["x"].tolist()) == ([41.0, 38.0], [cause_charts.LEAST_STATISTIC])
+    assert red["near"] == ("gain(i), 5°", "turns.dR, 5°")
     assert red["size"][0] == "0.300 ± 0.050 Ohm"
 
 
 def test_changes_have_their_intervals_in_units_that_are_read(news: ChangeEvidence) -> None:
-    turns, gain = diagnosis.changes(news)
-    assert turns.xaxis.axis_label == "size, with its interval of 95 % (Ohm)"
-    assert gain.xaxis.axis_label == "size, with its interval of 95 % (%)"
-    data = gain.renderers[0].data_source.data
-    assert [*data["value"], *data["low"], *data["high"]] == pytest.approx([-2.0, -3.96, -0.04], abs=1e-3)
+    turns, gain = cause_charts.change_charts(news)
+    assert turns.x.label == "size, with its interval of 95 % (Ohm)"
+    assert gain.x.label == "size, with its interval of 95 % (%)"
+    (data,) = drawn(gain, "points")
+    assert [*data["x"], *data["x0"], *data["x1"]] == pytest.approx([-2.0, -3.96, -0.04], abs=1e-3)
 
 
 def test_residuals_without_and_with_the_fault() -> None:
@@ -111,14 +105,13 @@ def test_residuals_without_and_with_the_fault() -> None:
     table = pd.DataFrame(
         {"time": np.arange(500.0), "healthy.i": rng.normal(0, 2, 500), "fault.i": rng.normal(0, 1, 500)}
     )
-    plot = diagnosis.residuals(table, "turns", {"i": "A"}).children[0][0]
-    assert plot.yaxis.axis_label == "residual of i (A)"
-    without, with_ = (each.data_source.data[each.glyph.y] for each in plot.renderers)
+    (plot,) = cause_charts.explained_charts(table, "turns", {"i": "A"}).charts
+    assert plot.y.label == "residual of i (A)"
+    without, with_ = (each["y"] for each in drawn(plot, "line"))
     np.testing.assert_allclose(without, table["healthy.i"], rtol=1e-6)
     np.testing.assert_allclose(with_, table["fault.i"], rtol=1e-6)
-    said = [item.label["value"] for each in plot.above for item in each.items]
     std = math.sqrt(np.mean(table["fault.i"] ** 2))
-    assert said[1] == f"with turns, std {std:.3g} A"
+    assert entries(plot)[1] == f"with turns, std {std:.3g} A"
 
 
 @pytest.fixture
@@ -131,29 +124,27 @@ def windows() -> pd.DataFrame:
 
 
 def test_time_goes_on_from_record_to_record(windows: pd.DataFrame) -> None:
-    clock, borders, _ = diagnosis.clock_of(windows)
+    clock, borders, _ = monitoring.clock_of(windows)
     np.testing.assert_array_equal(clock, np.arange(1.0, 24.0, 2.0))
     assert borders == [8.0, 16.0]
     one = windows.iloc[:4]
-    assert diagnosis.clock_of(one)[1:] == ([], "time (s)")
+    assert monitoring.clock_of(one)[1:] == ([], "time (s)")
 
 
 def test_timeline(windows: pd.DataFrame) -> None:
-    content = {
-        "sizes": {"turns": ["turns.dR"]},
-        "common": ["R"],
-        "units": {"R": "Ohm", "turns.dR": ""},
-        "alarms": as_json([Alarm("turns", "c", 4.0, 10, 11)]),
-    }
-    figure = diagnosis.timeline(windows, "turns", content)
-    size, common, noise = (plot for plot, *_ in sorted(figure.children, key=lambda child: child[1:]))
-    assert [each.yaxis.axis_label for each in (size, common, noise)] == ["dR", "R (Ohm)", "variance / noise"]
-    _, dots = (each for each in size.renderers if type(each.glyph).__name__ == "Scatter")
-    np.testing.assert_array_equal(dots.data_source.data["t"], [19.0, 21.0])
-    data = common.renderers[0].data_source.data
-    assert math.isnan(data["v1"][0])  # what is not determined is not drawn
-    np.testing.assert_allclose(data["high0"] - data["v0"], 0.196)
-    (band,) = marks(size, BoxAnnotation)
-    assert (band.left, band.right) == (20.0, 24.0)
-    assert (size.x_range.start, size.x_range.end) == (0.0, 24.0)
-    assert sorted(each.location for each in marks(noise, Span)) == [1.0, 8.0, 16.0, 22.0]
+    units = {"R": "Ohm", "turns.dR": ""}
+    alarm = Alarm("turns", "c", 4.0, 10, 11)
+    found: Any = SimpleNamespace(
+        table=windows, sizes={"turns": ("turns.dR",)}, common=("R",), units=units, alarms=(alarm,)
+    )
+    size, common, noise = monitoring._timeline(found, "turns").charts
+    assert [each.y.label for each in (size, common, noise)] == ["dR", "R (Ohm)", "variance / noise"]
+    (dots,) = drawn(size, "points", "significant")
+    np.testing.assert_array_equal(dots["x"], [19.0, 21.0])
+    (bars,), (points,) = drawn(common, "segments"), drawn(common, "points")
+    assert math.isnan(points["y"][0])  # what is not determined is not drawn
+    np.testing.assert_allclose((bars["y1"] - points["y"])[1:], 0.196)
+    (ground,) = drawn(size, "zone")
+    assert (ground["left"].tolist(), ground["right"].tolist()) == ([20.0], [24.0])
+    assert size.x.reach == (0.0, 24.0)
+    assert sorted([*rules(noise), *rules(noise, "x")]) == [1.0, 8.0, 16.0, 22.0]
