@@ -97,7 +97,7 @@ def test_the_folder_is_read_back_as_it_was_written(results: Path) -> None:
     measured, error = second.measured[20:], (second.measured - second.simulated)[20:]
     fit = 100.0 * (1.0 - np.linalg.norm(error) / np.linalg.norm(measured - measured.mean()))
     assert second.fit[0] == pytest.approx(fit)
-    written_fits = json.loads((results / "result.json").read_text())["assessment"]["fits"]
+    written_fits = json.loads((results / "result.json").read_text())["fit"]["experiments"]
     assert written_fits[1]["fit"][0] == pytest.approx(fit)
     assert written_fits[1]["rmse"][0] == pytest.approx(np.sqrt(np.mean(error**2)))
     assert found.unit_of == {"R": "Ohm", "L": "H"}
@@ -115,7 +115,7 @@ def test_the_folder_is_read_back_as_it_was_written(results: Path) -> None:
     written = json.loads((results / "result.json").read_text())
     own = written["parameters"]["R"]
     reach = stats.t.ppf(0.975, own["degrees_of_freedom"]) * own["std"] / own["white_std"]
-    assert written["assessment"]["uncertainty"]["profiles"][0]["threshold"] == pytest.approx(reach**2, rel=1e-6)
+    assert written["assessment"]["profiles"][0]["threshold"] == pytest.approx(reach**2, rel=1e-6)
 
 
 def test_it_says_the_verdict_first_and_links_to_what_proves_it(page: Page) -> None:
@@ -211,7 +211,7 @@ def test_a_million_samples_make_a_page_that_can_be_mailed(results: Path, tmp_pat
     size = 1_000_000
     noise = rng.standard_normal((2, size)).astype(np.float32)
     content = json.loads((folder / "result.json").read_text())
-    content["assessment"]["fits"] = content["assessment"]["fits"][:1]
+    content["fit"]["experiments"] = content["fit"]["experiments"][:1]
     content["assessment"]["residuals"]["series"] = []
     (folder / "result.json").write_text(json.dumps(content))
     columns = {"time": np.arange(size), "measured.i": noise[0].round(2), "simulated.i": noise[1].round(2)}

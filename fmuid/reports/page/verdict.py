@@ -90,17 +90,11 @@ def _checked(found: IdentificationRun) -> list[ReportStatement]:
             ReportStatement(text, "residuals", coloured)
             for text in residual_words(found.assessment.residuals, found.output_units)
         ]
-    if found.assessment.prior_and_data is not None:
-        agreement = found.assessment.prior_and_data.agreement
+    if (reading := found.assessment.prior_and_data) is not None:
+        agreement = reading.agreement
         odd = agreement is not None and agreement.probability < SIGNIFICANCE_LEVEL
-        odd |= any(
-            each.deviation in (Deviation.LARGER, Deviation.SMALLER)
-            for each in found.assessment.prior_and_data.variances
-        )
-        said += [
-            ReportStatement(text, "belief", odd)
-            for text in reading_words(found.assessment.prior_and_data, found.output_units)
-        ]
+        odd |= any(each.deviation in (Deviation.LARGER, Deviation.SMALLER) for each in reading.variances)
+        said += [ReportStatement(text, "belief", odd) for text in reading_words(reading, found.output_units)]
     words = uncertainty_words(found.assessment) if found.assessment.is_explored else ()
     return [
         *said,
