@@ -1,8 +1,5 @@
-from .batch_tables import write_overview as write_overview
-from .batch_tables import write_summary as write_summary
 from .figure_files import REPORT_FILE as REPORT_FILE
 from .figure_files import clear_figures as clear_figures
-from .messages.batch import summary_words as summary_words
 from .messages.describe import describe as describe
 from .messages.diagnosis import healthy_record_words as healthy_record_words
 from .messages.monitoring import alarm_sentence as alarm_sentence

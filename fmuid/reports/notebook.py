@@ -15,15 +15,17 @@ from fmuid.errors import InputError
 from fmuid.estimation import Result
 from fmuid.formatting import unit_text
 from fmuid.models import FMU
-from fmuid.reports.batch_tables import noted
 from fmuid.reports.interactive import estimates
 from fmuid.reports.interactive.style import Units
 from fmuid.reports.messages.describe import describe
-from fmuid.reports.page import batches, faults, identification
-from fmuid.reports.page.batches import summary_table
+from fmuid.reports.page import faults, identification
 from fmuid.reports.page.document import Section, table
-from fmuid.reports.page.faults import faults_table
+from fmuid.reports.page.faults import causes_table
 from fmuid.reports.page.identification import estimates_table
+from fmuid.reports.render import html as render
+from fmuid.reports.render.bokeh_renderer import drawing
+from fmuid.reports.topics.batch import charts_of
+from fmuid.reports.topics.batch_tables import tables_of
 from fmuid.runs import Batch, BatchResult, IdentificationRun
 from fmuid.runs import predict_experiments as predict_experiments
 from fmuid.simulation import OutputFit
@@ -44,7 +46,7 @@ def html(found: object) -> str | None:
         case Result():
             return _with_words(found, estimates_table(found, found.units))
         case Diagnosis():
-            return _with_words(found, faults_table(found))
+            return _with_words(found, causes_table(found))
         case Study():
             return _study(found)
         case FMU():
@@ -55,7 +57,7 @@ def html(found: object) -> str | None:
             return _batch(found)
         case BatchResult():
             head = _heading(f"{found.finished} of {found.total} cases", str(found.folder))
-            return head + summary_table(noted(found.summary()[0].parameters))
+            return head + "".join(render.table(each.table) for each in tables_of(found.summary()[0]))
     return None
 
 
@@ -234,11 +236,11 @@ def plots(found: object) -> FigureCollection:
         case Diagnosis():
             return FigureCollection(faults.sections_of(found))
         case BatchResult():
-            tables = {"summary": found.summary()[0].parameters}
-            truth, units = dict(found.truth), dict[str, str | None](found.units)
-            return FigureCollection(
-                batches.sections_of(found.frame, tables, truth, units, given_noise=found.given_noise)
-            )
+            summary, frame = found.summary()
+            drawn = charts_of(frame, summary, found.truth, found.units, given_noise=found.given_noise)
+            figures = [drawing(each.charts).figures for each in drawn]
+            pairs = zip(drawn, figures, strict=True)
+            return FigureCollection([Section(s.key, s.heading, "", list(f), s.beside) for s, f in pairs])
     raise InputError(f"a {type(found).__name__} has no figures")
 
 

@@ -8,14 +8,12 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from fmuid.reports.batch_tables import write_summary
-from fmuid.reports.console.batch import show_batch
-from fmuid.reports.figures import matplotlib_renderer as paint
-from fmuid.reports.figures import style as plots
-from fmuid.reports.page import batches
+from fmuid.reports.publish import write_figures
+from fmuid.reports.topics.batch import charts_of
+from fmuid.reports.topics.batch_tables import write_tables
 from fmuid.runs.batch.statistics import BatchColumns
 from fmuid.runs.batch.summary import summarize
-from tests.support.drawn_batches import TRUTH, UNITS, batch, fail
+from tests.support.drawn_batches import TRUTH, UNITS, batch, fail, show_batch
 
 # --- files and the console
 
@@ -24,7 +22,7 @@ def test_files(tmp_path: Path) -> None:
     (tmp_path / "groups.csv").write_text("old")
     (tmp_path / "mine.csv").write_text("the user's")
     summary = summarize(fail(batch({"draw": range(40)}), [1], ["no"]), TRUTH, UNITS)
-    assert [path.name for path in write_summary(summary, tmp_path)] == ["summary.csv", "failures.csv"]
+    assert [path.name for path in write_tables(summary, tmp_path)] == ["summary.csv", "failures.csv"]
     assert sorted(path.name for path in tmp_path.iterdir()) == ["failures.csv", "mine.csv", "summary.csv"]
     back = pd.read_csv(tmp_path / "summary.csv", keep_default_na=False, na_values=[""], dtype={"note": str})
     np.testing.assert_array_equal(back["mean"], summary.parameters["mean"])
@@ -38,7 +36,7 @@ def test_console(capsys: pytest.CaptureFixture[str]) -> None:
     assert max(map(len, said.splitlines())) <= 140
     for words in ("Estimates over the cases", "Against the truth", "By setting, mean ± spread", "[bad] at t = # s"):
         assert words in said
-    assert "80 cases: 79 converged, 1 failed" in said
+    assert "80 cases, 79 converged, 1 failed" in said
 
 
 def test_console_says_median_and_least_fit(capsys: pytest.CaptureFixture[str]) -> None:
@@ -50,7 +48,7 @@ def test_console_says_median_and_least_fit(capsys: pytest.CaptureFixture[str]) -
     show_batch(summary)
     (row,) = summary.fits.to_dict("records")
     assert row == {"output": output, "median": np.nanmedian(frame[f"fit.{output}"]), "least": 90.0, "case": 0}
-    said = f"fit (NRMSE) of {output}: {row['median']:.4g} % in the median, 90 % at least (case 0)"
+    said = f"Fit (NRMSE) of {output}: {row['median']:.4g} % in the median, 90 % at least (case 0)"
     assert said in capsys.readouterr().out
 
 
@@ -59,8 +57,8 @@ def test_console_of_nothing(capsys: pytest.CaptureFixture[str]) -> None:
     show_batch(summarize(frame.iloc[:0], TRUTH))
     show_batch(summarize(fail(frame, [0, 1], ["no", "no"]), TRUTH))
     said = capsys.readouterr().out
-    assert "No case has finished" in said
-    assert "2 cases: 2 failed" in said
+    assert "no case has finished" in said
+    assert "2 cases, 2 failed" in said
 
 
 # --- figures
@@ -91,18 +89,19 @@ def test_console_of_nothing(capsys: pytest.CaptureFixture[str]) -> None:
 )
 def test_figures_without_a_warning(frame: pd.DataFrame, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Whatever there is of cases, they are drawn and summarized, and nothing warns."""
-    sections = batches.sections_of(frame, {}, TRUTH, {**UNITS}, given_noise=False)
-    assert sections[0].figures
-    figures = {each.name: paint.printed(each.figures, each.columns) for each in sections if each.figures}
-    assert len(plots.save(figures, tmp_path)) == len(figures)
-    show_batch(summarize(frame, TRUTH, UNITS))
+    summary = summarize(frame, TRUTH, UNITS)
+    sections = charts_of(frame, summary, TRUTH, {**UNITS}, given_noise=False)
+    assert sections
+    assert len(write_figures(tmp_path, sections, "png")) == len(sections)
+    show_batch(summary)
     assert capsys.readouterr().out
 
 
 def test_nothing_to_draw() -> None:
     frame = batch({"draw": range(3)})
     for none in (frame.iloc[:0], fail(frame, [0, 1, 2], ["no"] * 3)):
-        assert not any(each.figures for each in batches.sections_of(none, {}, TRUTH, {}, given_noise=False))
+        keys = [each.key for each in charts_of(none, summarize(none, TRUTH), TRUTH, {}, given_noise=False)]
+        assert keys == (["failures"] if len(none) else [])
 
 
 def test_columns() -> None:

@@ -10,68 +10,16 @@ import pandas as pd
 import pytest
 from bokeh.models import BoxAnnotation, Span
 
-from fmuid.codec import as_json
-from fmuid.diagnosis.cause_results import CauseScore, ChangeEvidence, EstimatedChange, Explanation
+from fmuid.diagnosis import BaselineSource, CauseScore, ChangeEvidence, EstimatedChange, Explanation, Rule
 from fmuid.diagnosis.change_detection.unexplained_residual import NOTHING_LEFT
 from fmuid.diagnosis.change_parameters import CauseKind
 from fmuid.diagnosis.monitoring.alarms import Alarm
+from fmuid.runs import MonitoringRun
 from tests.support.live_figures import diagnosis
-
-
-class Size:
-    """Of a fault, as far as figures look at it."""
-
-    unit, std = "Ohm", 0.1
-
-    def __init__(self, name: str, value: float) -> None:
-        self.name, self.value = name, value
-
-    def interval(self) -> tuple[float, float]:
-        return self.value - 0.2, self.value + 0.2
-
-
-class Fault:
-    """A hypothesis, as far as figures look at it."""
-
-    def __init__(self, name: str, statistic: float, probability: float) -> None:
-        self.name, self.statistic, self.threshold = name, statistic, 6.6
-        self.probability = self.adjusted = probability
-        self.sizes = [Size("dR", 1.0), Size("<b>dL</b>", -0.3)]
-
-
-class Found:
-    """A diagnosis, as far as figures look at it."""
-
-    hypotheses = tuple(Fault(f"f{k}", 0.01 if k == 5 else 2.0 * k, 1.0 / (k + 1)) for k in range(20))
-    named, called, level = ("f19",), ("f18", "f19"), 0.01
 
 
 def marks(plot: Any, kind: type) -> list[Any]:
     return [each for each in plot.center if isinstance(each, kind)]
-
-
-def test_evidence() -> None:
-    """The most significant faults stand in their order, the one named apart; each has its threshold."""
-    plot = diagnosis.evidence(Found())
-    assert plot.y_range.factors == [f"f{k}" for k in range(19, 7, -1)]
-    bars = {
-        name: right
-        for each in plot.renderers
-        if type(each.glyph).__name__ == "HBar"
-        for name, right in zip(each.data_source.data["name"], each.data_source.data["d"], strict=True)
-    }
-    assert bars == {f"f{k}": 2.0 * k for k in range(8, 20)}
-    assert plot.x_range.start == diagnosis.LEAST_STATISTIC
-    assert len({str(each.glyph.fill_color) for each in plot.renderers if type(each.glyph).__name__ == "HBar"}) == 3
-
-
-def test_sizes_show_zero() -> None:
-    """Whether an interval holds it is what is to be seen."""
-    first, *others = diagnosis.sizes(Found())
-    assert len(others) == diagnosis.MAX_FAULTS - 1
-    assert first.y_range.factors == ["<b>dL</b> (Ohm)", "dR (Ohm)"]
-    assert first.x_range.start < -0.5 < 0 < 1.2 < first.x_range.end
-    assert [each.location for each in marks(first, Span)] == [0.0]
 
 
 @pytest.fixture
@@ -139,13 +87,10 @@ def test_time_goes_on_from_record_to_record(windows: pd.DataFrame) -> None:
 
 
 def test_timeline(windows: pd.DataFrame) -> None:
-    content = {
-        "sizes": {"turns": ["turns.dR"]},
-        "common": ["R"],
-        "units": {"R": "Ohm", "turns.dR": ""},
-        "alarms": as_json([Alarm("turns", "c", 4.0, 10, 11)]),
-    }
-    figure = diagnosis.timeline(windows, "turns", content)
+    sizes, units = {"turns": ("turns.dR",)}, {"R": "Ohm", "turns.dR": ""}
+    alarms = (Alarm("turns", "c", 4.0, 10, 11),)
+    found = MonitoringRun(windows, alarms, Rule(), (), sizes, ("R",), units, BaselineSource.RECORDS)
+    figure = diagnosis.timeline(found, "turns")
     size, common, noise = (plot for plot, *_ in sorted(figure.children, key=lambda child: child[1:]))
     assert [each.yaxis.axis_label for each in (size, common, noise)] == ["dR", "R (Ohm)", "variance / noise"]
     _, dots = (each for each in size.renderers if type(each.glyph).__name__ == "Scatter")

@@ -27,6 +27,6 @@ def _live(found: Any) -> Any:
     return found
 
 
-batch, comparison, diagnosis = (_Live(name) for name in ("batch", "comparison", "diagnosis"))
+comparison, diagnosis = (_Live(name) for name in ("comparison", "diagnosis"))
 estimates, fit, preparation = (_Live(name) for name in ("estimates", "fit", "preparation"))
-residuals, search, starts, uncertainty = (_Live(name) for name in ("residuals", "search", "starts", "uncertainty"))
+residuals, search, uncertainty = (_Live(name) for name in ("residuals", "search", "uncertainty"))

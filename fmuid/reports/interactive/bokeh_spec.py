@@ -13,12 +13,15 @@ import gzip
 import itertools
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 from functools import partial, partialmethod
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import pandas as pd
+
+from fmuid.reports.render.bokeh_models import BokehSpec as BokehSpec
+from fmuid.reports.render.bokeh_models import Field as Field
+from fmuid.reports.render.bokeh_models import Value as Value
 
 _NUMBERS = itertools.count(1)
 # Glyphs that are one shape: their looks are plain values; those of others may be columns.
@@ -31,37 +34,6 @@ _SCALES = {"linear": "LinearScale", "log": "LogScale", "categorical": "Categoric
 # Of these tools one stands for all plots of a grid; of others, one switch for all of theirs.
 _SINGLE_TOOLS = ("SaveTool",)
 _FLOATS = (np.dtype(np.float32), np.dtype(np.float64))
-
-
-@dataclass(frozen=True)
-class Field:
-    """A column of a source, by its key, and the colour mapper that it goes through."""
-
-    field: str
-    transform: BokehSpec | None = None
-
-
-@dataclass(frozen=True)
-class Value:
-    """A value where a column could stand."""
-
-    value: object
-
-
-class BokehSpec:
-    """A model by its name in Bokeh; its attributes are what is set of it."""
-
-    __slots__ = ("__dict__", "kind")
-
-    def __init__(self, kind: str, **attributes: Any) -> None:
-        self.kind = kind
-        self.__dict__.update(attributes)
-
-    if TYPE_CHECKING:
-
-        def __getattr__(self, name: str) -> Any: ...
-
-        def __setattr__(self, name: str, value: Any) -> None: ...
 
 
 BasicTicker = partial(BokehSpec, "BasicTicker")

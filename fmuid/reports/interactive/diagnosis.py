@@ -16,7 +16,6 @@ from fmuid.reports.interactive.rows import rows_of
 from fmuid.reports.interactive.style import (
     BLUE,
     GREY,
-    INK,
     MAX_BARS,
     MAX_DOTS,
     MAX_OUTPUTS,
@@ -31,69 +30,13 @@ from fmuid.reports.messages.diagnosis import change_name, change_size
 if TYPE_CHECKING:
     import pandas as pd
 
-    from fmuid.diagnosis import Alarm, ChangeEvidence, Diagnosis, FaultHypothesis
+    from fmuid.diagnosis import Alarm, ChangeEvidence
     from fmuid.runs import MonitoringRun
 
-# More hypotheses than these make a figure nobody reads: the most significant are kept.
+# More causes than these make a figure nobody reads: the most significant are kept.
 MAX_FAULTS = 12
 # D is drawn logarithmically from here on; less is as good as nothing.
 LEAST_STATISTIC = 0.1
-
-
-def shown(found: Diagnosis) -> list[FaultHypothesis]:
-    """Return the hypotheses to draw, in their order: of more than `MAX_FAULTS` the most significant."""
-    likely = sorted(found.hypotheses, key=lambda each: each.probability)[:MAX_FAULTS]
-    return [each for each in found.hypotheses if each in likely]
-
-
-def evidence(found: Diagnosis) -> Any:
-    """Draw by how much each fault lowers the criterion, against its threshold; the fault named is red."""
-    kept = shown(found)
-    names = [each.name for each in kept]
-    most = max(max(each.statistic, each.threshold) for each in kept)
-    plot, bar = rows_of(names, "D, by how much the fault lowers the criterion", head=110, x_axis_type="log")
-    entries = []
-    for text, color, mine in _kinds(found, kept):
-        source = ColumnDataSource(
-            {
-                "name": [each.name for each in mine],
-                "d": [max(each.statistic, LEAST_STATISTIC) for each in mine],
-                "told": [each.statistic for each in mine],
-                "threshold": [each.threshold for each in mine],
-                "p": [each.adjusted for each in mine],
-            }
-        )
-        bars = plot.hbar("name", bar, "d", LEAST_STATISTIC, source=source, fill_color=color, line_color=None)
-        plot.hover(bars, ("D", "@told{0.000}"), ("threshold", "@threshold{0.000}"), ("probability", "@p{0.0e}"))
-        entries.append((text, [bars]))
-    limits = ColumnDataSource({"name": names, "x": [each.threshold for each in kept]})
-    marks = plot.scatter("x", "name", source=limits, marker="dash", angle=math.pi / 2, size=22, line_color=INK)
-    marks.glyph.line_width = 2
-    entries.append((f"threshold at a false-alarm level of {100 * found.level:g} %", [marks]))
-    plot.legend(entries)
-    plot.reach(x=(LEAST_STATISTIC, 2.0 * max(most, 1.0)))
-    return plot
-
-
-def _kinds(found: Diagnosis, kept: list[FaultHypothesis]) -> list[tuple[str, str, list[FaultHypothesis]]]:
-    named = [each for each in kept if each.name in found.named]
-    called = [each for each in kept if each.name in found.called and each.name not in found.named]
-    others = [each for each in kept if each not in named and each not in called]
-    kinds = [("named", RED, named), ("significant", BLUE, called), ("not significant", GREY, others)]
-    return [kind for kind in kinds if kind[2]]
-
-
-def sizes(found: Diagnosis) -> list[Any]:
-    """Draw the sizes of each fault with their intervals of 95 %, a figure a fault."""
-    plots = []
-    for each in shown(found):
-        known = [size for size in each.sizes if math.isfinite(size.std)]
-        if known:
-            names = [label(size.name, size.unit) for size in known]
-            values, ends = [size.value for size in known], [size.interval() for size in known]
-            color = RED if each.name in found.named else GREY
-            plots.append(_intervals(f"{each.name}: size, with its interval of 95 %", names, values, ends, color))
-    return plots
 
 
 def _intervals(text: str, names: list[str], values: list[float], ends: list[tuple[float, float]], color: str) -> Any:

@@ -51,7 +51,7 @@ def _names(found: Found) -> tuple[str, ...]:
             sampled = () if found.posterior is None else found.posterior.names
             return *(each.name for each in found.profiles), *sampled
         case Diagnosis():
-            return *(each.name for each in found.hypotheses), *(() if found.strain is None else (found.strain.name,))
+            return *found.mismatched, *found.nominal
     return tuple(getattr(found, "names", ()))
 
 

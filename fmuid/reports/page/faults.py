@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-from fmuid.diagnosis import Alarm, ChangeEvidence, Diagnosis, Onset
+from fmuid.diagnosis import Alarm, Diagnosis, Onset
 from fmuid.reports.interactive import diagnosis
-from fmuid.reports.messages.diagnosis import diagnosis_words, explanation_words, faults_columns
+from fmuid.reports.messages.diagnosis import causes_columns, change_name, diagnosis_words, explanation_words
 from fmuid.reports.messages.monitoring import monitoring_sentences
 from fmuid.reports.page import preparation
 from fmuid.reports.page.document import Part, Section, table
@@ -15,11 +15,6 @@ from fmuid.reports.page.provenance import origin
 from fmuid.reports.page.verdict import ReportStatement
 from fmuid.runs import MonitoringRun, read_diagnosis, read_monitoring
 
-EVIDENCE = (
-    "Each bar is how much better a fault explains the data than the healthy machine does. Beyond its threshold it is "
-    "significant: without a fault that happens with the false-alarm level."
-)
-SIZES = "Each fault's sizes with their intervals of 95 %. Where one holds zero there is no fault; the one named is red."
 RESIDUAL = (
     "What the healthy model leaves unexplained, and what is left with the fault. With the right fault only noise stays."
 )
@@ -48,46 +43,40 @@ def part_of_diagnosis(folder: Path) -> Part:
     read = read_diagnosis(folder)
     found = read.diagnosis
     first, *others = diagnosis_words(found)
-    proof = "evidence" if found.evidence is None else "causes"
-    said = [ReportStatement(first, proof), *(ReportStatement(text, "sizes", doubtful=True) for text in others)]
+    said = [ReportStatement(first, "causes"), *(ReportStatement(text, "changes", doubtful=True) for text in others)]
     sections = sections_of(found)
-    if read.residuals is not None:
-        best = found.named[0] if found.named else min(found.hypotheses, key=lambda each: each.probability).name
-        drawn = [diagnosis.residuals(read.residuals, best, read.units)]
+    if found.residuals is not None:
+        best = " and ".join(change_name(each) for each in found.evidence.explanations[0].changes)
+        drawn = [diagnosis.residuals(found.residuals, best, read.units)]
         sections.append(Section("explained", "What the fault explains", RESIDUAL, drawn, 1))
     sections += preparation.sections(read.prepared, "prepared")
     healthy = found.kind == "healthy"
-    return Part("Diagnosis", found.kind, healthy, said, faults_table(found), sections, origin(read.origin))
+    return Part("Diagnosis", found.kind, healthy, said, causes_table(found), sections, origin(read.origin))
 
 
 def sections_of(found: Diagnosis) -> list[Section]:
     """Return the sections of a page on a diagnosis."""
+    evidence = found.evidence
+    odds = table(
+        {
+            "explanation": [explanation_words(each) for each in evidence.explanations],
+            "odds against the best": [f"{each.odds:.2g}" for each in evidence.explanations],
+        },
+        numbers=["odds against the best"],
+    )
+    body = odds if evidence.explanations else ""
     sections = [
-        *([] if found.evidence is None else _causes(found.evidence)),
-        Section("evidence", "What decides", EVIDENCE, [diagnosis.evidence(found)], 1),
-        Section("sizes", "Sizes of the faults", SIZES, diagnosis.sizes(found), 2),
+        Section("causes", "What may be new", CAUSES, [diagnosis.causes(evidence)], 1, body),
+        Section("changes", "How large it is", CHANGES, diagnosis.changes(evidence), 2),
     ]
     return [each for each in sections if each.figures]
 
 
-def _causes(found: ChangeEvidence) -> list[Section]:
-    odds = table(
-        {
-            "explanation": [explanation_words(each) for each in found.explanations],
-            "odds against the best": [f"{each.odds:.2g}" for each in found.explanations],
-        },
-        numbers=["odds against the best"],
-    )
-    body = odds if found.explanations else ""
-    sections = [Section("causes", "What may be new", CAUSES, [diagnosis.causes(found)], 1, body)]
-    return [*sections, Section("changes", "How large it is", CHANGES, diagnosis.changes(found), 2)]
-
-
-def faults_table(found: Diagnosis) -> str:
-    """Return the table of the faults that were looked for, as HTML."""
-    columns = faults_columns(found)
+def causes_table(found: Diagnosis) -> str:
+    """Return the table of the causes that were looked at, as HTML."""
+    columns = causes_columns(found)
     shown = {head: cells for head, cells in columns.items() if any(cells)}
-    return table(shown, numbers=("value", "interval (95 %)", "D", "threshold", "probability"))
+    return table(shown, numbers=("size", "interval (95 %)", "D", "probability"))
 
 
 def part_of_monitoring(folder: Path) -> Part:

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from fmuid.simulation import OutputFit
 
 FILES = (
-    *("result.json", "diagnosis.json", "monitoring.json", "summary.json", "prediction.json"),
+    *("result.json", "diagnosis.json", "monitoring.json", "prediction.json"),
     *("design.csv", "sensitivities.csv"),
 )
 """What a folder of results has at least one of."""
@@ -63,6 +63,8 @@ def contents(folder: Path, files: Sequence[str] = FILES) -> tuple[str, list[Part
     if not is_folder(folder):
         raise InputError(f"{folder} is no folder of results")
     there = [name for name in files if is_file(folder / name)]
+    if not there and is_file(folder / DOCUMENT_FILE):
+        return folder.absolute().parent.name, []
     if not there:
         raise InputError(f"{folder} has no {listed(FILES)}: give the folder that a command has written into")
     from fmuid.reports.page.saved import read_json
@@ -119,13 +121,12 @@ def _printed(sections: Sequence[Section], folder: Path, kind: str) -> list[Path]
 
 
 def _part(folder: Path, name: str) -> Part:
-    from fmuid.reports.page import batches, faults, identification, validation
+    from fmuid.reports.page import faults, identification, validation
 
     made = {
         "result.json": identification.part,
         "diagnosis.json": faults.part_of_diagnosis,
         "monitoring.json": faults.part_of_monitoring,
-        "summary.json": batches.part,
         "prediction.json": validation.part_of_prediction,
         "design.csv": validation.part_of_design,
         "sensitivities.csv": validation.part_of_sensitivities,

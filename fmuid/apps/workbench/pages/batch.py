@@ -23,9 +23,10 @@ from fmuid.apps.workbench.pages.results_view import EVERY, side_by_side
 from fmuid.apps.workbench.project_folder import Folder, FoundResult, FoundStudy, beside
 from fmuid.errors import InputError
 from fmuid.files import is_file
-from fmuid.reports.interactive import batch as figures
-from fmuid.reports.interactive.live import in_scheme
 from fmuid.reports.page.saved import read_json
+from fmuid.reports.render.bokeh_models import live
+from fmuid.reports.render.bokeh_renderer import drawing
+from fmuid.reports.topics.case_charts import over_cases
 from fmuid.runs import BatchColumns, CaseList, parts_in, read_part
 from fmuid.studies import Study
 
@@ -150,8 +151,8 @@ class BatchPage:
         """Draw the estimates so far."""
         if "status" in self.frame and (self.frame["status"].astype(str) == "converged").any():
             truth = self.manifest.get("truth") or {}
-            plots = [in_scheme(plot, self.scheme) for plot in figures.over_cases(self.frame, truth, self._units())]
-            self.drawn.children = [side_by_side(plots)]
+            charts = over_cases(self.frame, truth, self._units())
+            self.drawn.children = [side_by_side(live(drawing(charts).figures, dark=self.scheme == "dark"))]
 
     def _units(self) -> Mapping[str, str | None]:
         """Return the units of the estimates, which are there once the batch has ended."""
@@ -243,7 +244,7 @@ def case_settings(path: Path, number: int, found: pd.Series[Any]) -> list[str]:
         The study file.
     number : int
         Of the case.
-    found : OutputSeries
+    found : Series
         Its row.
 
     Raises

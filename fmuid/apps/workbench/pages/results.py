@@ -32,6 +32,8 @@ from fmuid.reports.interactive.live import ZoomedFit, in_scheme
 from fmuid.reports.interactive.style import DARK, MAX_DOTS, MAX_ROWS
 from fmuid.reports.page.document import Part, Section, table, written_parts
 from fmuid.reports.page.write import contents
+from fmuid.reports.render import html
+from fmuid.reports.render.document_json import DOCUMENT_FILE, read_documents
 from fmuid.runs import estimate_rows
 from fmuid.studies import read_toml
 
@@ -53,6 +55,11 @@ def build(doc: Any, bench: Any) -> None:
         parts, helping = _helped(doc, bench, places[0], parts)
         zoomed = [*helping, *zoomed]
     body, drawings = written_parts(parts)
+    if len(places) == 1 and is_file(places[0] / DOCUMENT_FILE):
+        documents = list(read_documents(places[0]).values())
+        more, drawn = html.written(documents)
+        title = next((each.title for each in documents if each.title), title)
+        body, drawings = body + more, [*drawings, *drawn]
     shown = list(zip(body.split(PLACE), [*zoomed, ""], strict=True))
     if len(places) == 1:
         shown = [_elsewhere(folder, places[0]), *shown, *_acts(doc, bench, places[0])]
