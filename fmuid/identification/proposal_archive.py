@@ -1,4 +1,4 @@
-"""Independent proposals for a Markov chain from its own past, in the shape of its samples (`..sampler`).
+"""Independent proposals for a Markov chain from its own past, in the shape of its samples.
 
 A mixture of Student's t distributions, one around each of some hundred earlier samples, with the covariance of that
 sample's nearest neighbours: it follows a posterior that is bent, or in several pieces, which no covariance of the whole

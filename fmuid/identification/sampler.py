@@ -16,7 +16,7 @@ Two kinds of moves take turns, drawn at random at each step: differential evolut
 distances of the walkers and adapts to any shape, and independent draws from the local approximation with heavy tails.
 Where that is good, as it usually is, they make the samples nearly independent; where it is not, they are refused. Then,
 and where there are several optima, draws in the shape of the chain's own past take the place of most of them
-(`fmuid.identification.sampling.proposal_archive`).
+(`fmuid.identification.proposal_archive`).
 
 The walkers set out around the optima at which searches from points all over the box ended, as far as these hold a share
 of the posterior that would show; without a box to search, around the estimate alone.
@@ -33,7 +33,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import emcee
 import numpy as np
@@ -44,10 +44,9 @@ from fmuid.errors import InputError, SimulationError
 from fmuid.estimation import GlobalSearch, LeastSquares, Result, TerminationReason
 from fmuid.identification.conditional_optimum import check_result
 from fmuid.identification.likelihood_scaling import adjustment
+from fmuid.identification.posterior import Posterior, SamplerSettings
 from fmuid.identification.profile import reach
-from fmuid.identification.sampling.chains import effective_size, r_hat
-from fmuid.identification.sampling.posterior import LARGEST_R_HAT, Posterior, SamplerSettings, SamplingWarning
-from fmuid.identification.sampling.proposal_archive import Archive
+from fmuid.identification.proposal_archive import Archive
 from fmuid.progress import Progress, SamplingStep
 
 
@@ -63,8 +62,6 @@ class SamplerNumbers:
     """Steps before convergence is checked first, ..."""
     look_growth: float = 1.3
     """... and the factor by which the chain grows between checks."""
-    least_acceptance: float = 0.05
-    """Walkers with a smaller share of accepted moves are stuck."""
     local_share: float = 0.5
     """Share of proposals from the local approximation, ..."""
     local_freedom: float = 5.0
@@ -236,7 +233,7 @@ class _Sampler:
                         raise KeyboardInterrupt
                 found = self._posterior()
                 self.effective = float(np.min(found.effective_size))
-                if found.converged or self._runaway(found):
+                if found.converged or found.runaway:
                     break
                 look, state = math.ceil(SETTINGS.look_growth * steps), self.sampler.get_last_sample()
                 if found.acceptance < SETTINGS.poor_acceptance or len(self.optima) > 1:
@@ -352,57 +349,30 @@ class _Sampler:
     def _posterior(self) -> Posterior:
         if not self.sampler.iteration:
             raise KeyboardInterrupt
-        chain = self.sampler.get_chain().copy()
-        kept = chain[int(self.settings.burn * len(chain)) :]
-        columns = [kept[:, :, i] for i in range(chain.shape[2])]
-        effective = np.array([effective_size(column) for column in columns])
-        found = Posterior(
-            doubt=None,
-            doubtful="",
+        chain, parameters = self.sampler.get_chain().copy(), self.problem.parameters
+        return Posterior(
+            runaway=self._runaway(chain[-1]),
             interrupted=self.interrupted,
             wanted=self.settings.effective_size,
             undetermined=self.result.undetermined,
             optima=np.array([each.values for each in self.optima]),
-            names=self.problem.parameters.names,
-            lower=self.problem.parameters.lower,
-            upper=self.problem.parameters.upper,
+            names=parameters.names,
+            lower=parameters.lower,
+            upper=parameters.upper,
             chain=chain,
             log_density=self.sampler.get_log_prob().copy(),
-            burn=len(chain) - len(kept),
-            effective_size=effective,
-            autocorrelation_time=len(kept) * self.walkers / effective,
-            r_hat=np.array([r_hat(column) for column in columns]),
+            burn=int(self.settings.burn * len(chain)),
             acceptance=float(np.mean(self.sampler.acceptance_fraction)),
             simulations=self.problem.simulations - self.simulations,
             elapsed_s=time.perf_counter() - self.clock,
         )
-        doubt, doubtful = self._doubt(found)
-        return replace(found, doubt=doubt, doubtful=doubtful)
 
-    def _runaway(self, found: Posterior) -> str:
+    def _runaway(self, thetas: Floats) -> str:
         """Return the name of a parameter that runs away on a side without bound, empty if none does."""
-        parameters = self.problem.parameters
-        beyond = found.chain[-1] - self.estimate
+        parameters, beyond = self.problem.parameters, thetas - self.estimate
         above = np.isinf(parameters.upper) & (beyond > self.far).any(axis=0)
         below = np.isinf(parameters.lower) & (beyond < -self.far).any(axis=0)
-        return next((name for name, gone in zip(found.names, above | below, strict=True) if gone), "")
-
-    def _doubt(self, found: Posterior) -> tuple[SamplingWarning | None, str]:
-        """Return why the samples cannot be trusted yet, and of which parameter; None where they can."""
-        runaway = self._runaway(found)
-        if runaway:
-            return SamplingWarning.RUNAWAY, runaway
-        if np.isnan(found.r_hat).any() or np.isnan(found.effective_size).any():
-            return SamplingWarning.TOO_SHORT, ""
-        if found.acceptance < SETTINGS.least_acceptance:
-            return SamplingWarning.STUCK, ""
-        worst = int(np.argmax(found.r_hat))
-        if found.r_hat[worst] > LARGEST_R_HAT:
-            return SamplingWarning.DISAGREEING, found.names[worst]
-        worst = int(np.argmin(found.effective_size))
-        if found.effective_size[worst] < self.settings.effective_size:
-            return SamplingWarning.TOO_FEW, found.names[worst]
-        return None, ""
+        return next((name for name, gone in zip(parameters.names, above | below, strict=True) if gone), "")
 
 
 def _root(covariance: Floats) -> Floats | None:
