@@ -20,11 +20,11 @@ from scipy.signal import lfilter
 
 import fmuid
 from fmuid.array_types import Floats
-from fmuid.diagnosis.baseline_comparator import whitening_of
+from fmuid.diagnosis.baseline.whitening import whitening_of
 from fmuid.diagnosis.cause_analysis import Examination, examine, healthy_of, shown_by
 from fmuid.diagnosis.change_detection.cause_ranking import CauseSet
+from fmuid.diagnosis.change_detection.unexplained_residual import UNEXPLAINED_SHARE
 from fmuid.diagnosis.change_parameters import DIFFERENCE_STEP, CauseKind, ChangeParameterSet
-from fmuid.diagnosis.hypothesis_tests import UNEXPLAINED_SHARE
 from fmuid.diagnosis.linearisation import LinearizedMachine
 
 LEVEL, SEED = 0.01, 17
@@ -176,7 +176,7 @@ class Campaign:
             self._of(case, at).over(noisy(clean, rng, setting.noise, colour, share))
             for at, clean in enumerate(setting.records(case, rng))
         )
-        whitening = whitening_of([healthy], setting.coordinates)
+        whitening = whitening_of([healthy], setting.coordinates.healthy, setting.coordinates.normal)
         shown = shown_by([healthy], whitening, setting.coordinates)
         known = healthy_of(shown, setting.coordinates, setting.drift)
         return examine([new], known, setting.coordinates, LEVEL)

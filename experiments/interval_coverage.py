@@ -25,9 +25,9 @@ from scipy.stats import binom
 
 import fmuid
 from experiments.induction_machine import make_table
+from fmuid.identification.posterior import SamplerSettings
 from fmuid.identification.profile import profile_likelihood
-from fmuid.identification.sampling.posterior import SamplerSettings
-from fmuid.identification.sampling.sampler import sample_posterior
+from fmuid.identification.sampler import sample_posterior
 
 FMUS = Path(__file__).parents[1] / "fmus"
 METHODS = ("local", "profile", "posterior")

@@ -7,6 +7,7 @@ import types
 from collections.abc import Mapping, Sequence
 from dataclasses import fields, is_dataclass
 from enum import Enum
+from functools import cached_property
 from pathlib import Path
 from typing import Any, Literal, Union, get_args, get_origin, get_type_hints
 
@@ -63,7 +64,7 @@ _PLAIN: dict[Any, dict[str, Any]] = {
 def _object_schema(kind: type, known: dict[str, Any]) -> dict[str, Any]:
     layout, hints, told = layout_of(kind), hints_of(kind), _descriptions(kind)
     for name in {*layout.derived, *(name for each in layout.rows.values() for name in each.values())} - set(hints):
-        hints = hints | {name: get_type_hints(getattr(kind, name).fget)["return"]}
+        hints = hints | {name: get_type_hints(_getter(getattr(kind, name)))["return"]}
     elsewhere = layout.elsewhere()
 
     def described(name: str) -> dict[str, Any]:
@@ -88,6 +89,11 @@ def _object_schema(kind: type, known: dict[str, Any]) -> dict[str, Any]:
     required += [*(each.name for each in own if is_required(each)), *layout.rows, *layout.parts]
     summary = (kind.__doc__ or "").split("\n\n")[0]
     return {"type": "object", "description": " ".join(summary.split()), "properties": properties, "required": required}
+
+
+def _getter(found: Any) -> Any:
+    """Return the function of a property, which may keep its value."""
+    return found.func if isinstance(found, cached_property) else found.fget
 
 
 def _descriptions(kind: type) -> dict[str, str]:

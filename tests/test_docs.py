@@ -14,7 +14,8 @@ from pkgutil import resolve_name
 
 import pytest
 
-from fmuid.diagnosis.hypothesis_tests import STRONG_EVIDENCE, UNEXPLAINED_SHARE
+from fmuid.diagnosis.change_detection.cause_ranking import ODDS
+from fmuid.diagnosis.change_detection.unexplained_residual import UNEXPLAINED_SHARE
 from fmuid.estimation.covariance import UNDETERMINED_STD, WEAK_STD
 from fmuid.estimation.identification import VARIANCE_CHANGE
 from fmuid.estimation.marquardt.search import OFFSET_TOLERANCE
@@ -105,7 +106,7 @@ def test_the_numbers_of_the_method() -> None:
         f"relative tolerance $10^{{{math.log10(DEFAULT_TOLERANCE):.0f}}}$",
         f"until none moves by more than {VARIANCE_CHANGE:.0%}".replace("%", " %"),
         f"a difference of less than {SAME_VARIANCE_RATIO - 1.0:.0%} is not called one".replace("%", " %"),
-        f"those within {STRONG_EVIDENCE:g} of it",
+        f"all within {ODDS:g} : 1 are named",
         f"over up to {WhitenessSettings().tested_lags} lags",
         "divided in ten" if LINEAR_SUBSTEPS == 10 else "",
         "tested at a tenth of the level" if UNEXPLAINED_SHARE == 0.1 else "",

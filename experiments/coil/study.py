@@ -8,7 +8,6 @@ the tables in README.md. The data are the closed form of R i + L di/dt = u for a
 
 from __future__ import annotations
 
-import json
 import math
 import time
 from functools import cache
@@ -24,8 +23,6 @@ from scipy.signal import lfilter, max_len_seq
 import fmuid
 from experiments import pages
 from fmuid.array_types import Floats
-from fmuid.codec import as_json
-from fmuid.diagnosis.hypothesis_tests import NullDistribution
 from fmuid.reports.render.matplotlib_renderer import DPI, WIDTH, style
 from fmuid.reports.render.style import COLORS
 
@@ -149,19 +146,9 @@ def draws(resistance: float, fault: float, count: int, key: int) -> pd.DataFrame
     for _ in range(count):
         healthy = identify(record(R, 0.0, rng))
         found = diagnose(record(resistance, fault, rng), healthy)
-        turns = found["turns"]
-        (size,) = turns.sizes
-        rows.append(
-            (
-                turns.common["R"][0],
-                turns.common["L"][0],
-                size.value,
-                size.std,
-                turns.statistic,
-                bool(found.called),
-                found.kind != "healthy",
-            )
-        )
+        size, common, evidence = found["turns.dR"], found.nominal, found.evidence
+        numbers = (common["R"][0], common["L"][0], size.value, size.std, evidence.suspects[0].statistic)
+        rows.append((*numbers, evidence.alarm, found.kind != "healthy"))
     return pd.DataFrame(rows, columns=["R", "L", "dR", "std", "D", "called", "alarm"])
 
 
@@ -218,7 +205,7 @@ def theory(resistance: float, fault: float) -> Theory:
     noise = covariance @ (columns.T @ columns / NOISE_VARIANCE) @ covariance
     spread = math.sqrt(float(noise[2, 2] + by_healthy @ known @ by_healthy))
     stated = math.sqrt(float(covariance[2, 2]))
-    limit = math.sqrt(NullDistribution(1, freedom=SAMPLES - 2).threshold(LEVEL)) * stated
+    limit = math.sqrt(special.fdtri(1, SAMPLES - 2, 1.0 - LEVEL)) * stated
     above, below = ((fault + bias - limit) / spread, (-limit - fault - bias) / spread)
     return Theory(bias, spread, stated, float(special.ndtr(above) + special.ndtr(below)))
 
@@ -230,12 +217,11 @@ def single_table(found: dict[int, fmuid.Diagnosis]) -> str:
     """Return table 1.1 as Markdown: the truth, the chapter's row and ours for each test."""
     lines = ["| test | | R (Ω) | L (H) | ΔR (Ω) | verdict |", "|---|---|---|---|---|---|"]
     for number, case in TESTS.items():
-        turns = found[number]["turns"]
-        (size,) = turns.sizes
+        size, common = found[number]["turns.dR"], found[number].nominal
         lines.append(f"| {number} | truth | {case.R:g} | {L:g} | {case.fault:g} | |")
         lines.append("| | chapter | {:.3f} | {:.4f} | {:.3f} | |".format(*case.chapter))
-        ours = f"{turns.common['R'][0]:.3f} | {turns.common['L'][0]:.4f} | {size.value:.3f} ± {size.std:.3f}"
-        said = f"{found[number].kind}, D = {turns.statistic:.4g}"
+        ours = f"{common['R'][0]:.3f} | {common['L'][0]:.4f} | {size.value:.3f} ± {size.std:.3f}"
+        said = f"{found[number].kind}, D = {found[number].evidence.suspects[0].statistic:.4g}"
         lines.append(f"| | ours | {ours} | {said} |")
     return "\n".join(lines).replace("-", "−").replace("|−−−", "|---")
 
@@ -313,8 +299,7 @@ def main() -> None:
         table.round(6).to_csv(HERE / f"{name}.csv", index=False, lineterminator="\n")
     healthy = fmuid.Study.read(HERE / "healthy.toml").identify()
     (HERE / "healthy").mkdir(exist_ok=True)
-    content = as_json(healthy)
-    (HERE / "healthy" / "result.json").write_text(json.dumps(content, indent=2, ensure_ascii=False) + "\n", "utf-8")
+    healthy.to_json(HERE / "healthy" / "result.json")
     single = {
         number: fmuid.Study.read(HERE / "test.toml", [f"experiments.0.data=test{number}.csv"]).diagnose()
         for number in TESTS

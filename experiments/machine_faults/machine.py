@@ -155,7 +155,7 @@ def _compiled() -> ctypes.CDLL:
     macros = [f"-D{name}=({value!r})" for name, value in constants.items()]
     with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as folder:
         library = Path(folder) / "machine.so"
-        flags = [*FLAGS, *WARNINGS, "-fPIC", *macros]
+        flags = [*FLAGS, *WARNINGS, "-fvisibility=default", "-fPIC", *macros]
         subprocess.run([*compiler_here(), *flags, str(SOURCE), "-lm", "-o", str(library)], check=True)
         return ctypes.CDLL(str(library))
 

@@ -23,6 +23,7 @@ from experiments import pages
 from experiments.machine_faults import models
 from experiments.machine_faults.machine import BARS, TURNS, bar_angle
 from experiments.machine_faults.make_tables import CASES, add_noise, simulate, table
+from fmuid.diagnosis import EstimatedChange
 from fmuid.reports.render.matplotlib_renderer import DPI, WIDTH, style
 from fmuid.reports.render.style import COLORS
 
@@ -35,24 +36,29 @@ HEALTHY_DRAWS = 50  # of each case without a fault: they show false alarms
 
 
 def verdict(found: fmuid.Diagnosis) -> str:
-    """Return ``none``, ``rotor``, ``stator a`` to ``stator c`` by the largest ratio, or what else it may be."""
+    """Return ``none``, ``rotor``, ``stator a`` to ``stator c``, several joined by "or" or "and", or what else it is."""
     if found.kind in ("fault", "ambiguous"):
-        phase = "abc"[int(np.argmax([size.value for size in found["stator"].sizes]))]
-        return " or ".join(f"stator {phase}" if name == "stator" else name for name in found.named)
+        each = (" and ".join(_short(change) for change in one.changes) for one in found.evidence.explanations)
+        return " or ".join(each)
     return "none" if found.kind == "healthy" else found.kind
+
+
+def _short(change: EstimatedChange) -> str:
+    return "rotor" if change.fault == "rotor" else f"stator {change.variable[-1]}"
 
 
 def row(found: fmuid.Diagnosis) -> dict[str, str | float]:
     """Return what draws.csv has of a diagnosis."""
-    sizes, bars = found["stator"].sizes, found["rotor"]["eta0"]
-    common = found[found.named[0]].common if found.named else found.nominal
+    sizes, bars = {each[-1]: found[f"stator.{each}"] for each in models.RATIOS}, found["rotor.eta0"]
+    statistics = {each.change.label: each.statistic for each in found.evidence.suspects}
     return {
         "verdict": verdict(found),
-        **{f"{each.name}_D": each.statistic for each in found.hypotheses},
-        **{f"turns_{phase}": TURNS * size.value for phase, size in zip("abc", sizes, strict=True)},
-        **{f"std_{phase}": TURNS * size.std for phase, size in zip("abc", sizes, strict=True)},
+        "stator_D": max(value for label, value in statistics.items() if label.startswith("stator")),
+        "rotor_D": statistics["rotor.eta0"],
+        **{f"turns_{phase}": TURNS * size.value for phase, size in sizes.items()},
+        **{f"std_{phase}": TURNS * size.std for phase, size in sizes.items()},
         **{"eta0": bars.value, "std_eta0": bars.std, "theta0": bars.angle_value},
-        **{name: common[name][0] for name in ("Rs", "Rr")},
+        **{name: found.nominal[name][0] for name in ("Rs", "Rr")},
     }
 
 

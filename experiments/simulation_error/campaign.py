@@ -24,6 +24,7 @@ import fmuid
 from experiments import pages
 from fmuid.array_types import Floats
 from fmuid.estimation import AccuracyOutcome, Method
+from fmuid.simulation import close
 from tests.support.stepping import LAG, MOTOR, stepping_fmu
 
 HERE = Path(__file__).parent
@@ -159,7 +160,7 @@ def main() -> None:
         for cases in (lags(Path(folder)), motors(Path(folder)), coils(), machines()):
             for case in cases:
                 rows.setdefault(case.group, []).append(outcome(case))
-                case.problem.system.close()
+                close(case.problem.system)
             print(*rows, sep="; ", flush=True)
     lines = ["| | runs | right | said | wrong | by a finer simulation | more simulations where none was needed |"]
     lines.append("|---|---|---|---|---|---|---|")

@@ -7,6 +7,7 @@ from .cause_results import ChangeEvidence as ChangeEvidence
 from .cause_results import EstimatedChange as EstimatedChange
 from .cause_results import Explanation as Explanation
 from .change_detection.cause_ranking import MODEL_ERROR as MODEL_ERROR
+from .change_detection.detection import FALSE_ALARM_LEVEL as FALSE_ALARM_LEVEL
 from .change_detection.onset import OnsetShape as OnsetShape
 from .change_parameters import CauseKind as CauseKind
 from .change_parameters import Causes as Causes
@@ -16,13 +17,11 @@ from .design import Design as Design
 from .design import planned_experiment as planned_experiment
 from .diagnose import DiagnosisSettings as DiagnosisSettings
 from .diagnose import diagnose as diagnose
+from .diagnosis_result import DIAGNOSIS_SCHEMA as DIAGNOSIS_SCHEMA
+from .diagnosis_result import BaselineDeviation as BaselineDeviation
 from .diagnosis_result import Diagnosis as Diagnosis
 from .faults import Fault as Fault
 from .faults import FaultAngle as FaultAngle
-from .hypothesis import BaselineDeviation as BaselineDeviation
-from .hypothesis import FaultHypothesis as FaultHypothesis
-from .hypothesis import FaultSize as FaultSize
-from .hypothesis_tests import FALSE_ALARM_LEVEL as FALSE_ALARM_LEVEL
 from .monitoring.alarms import SOMETHING_ELSE as SOMETHING_ELSE
 from .monitoring.alarms import Alarm as Alarm
 from .monitoring.alarms import Onset as Onset

@@ -13,9 +13,8 @@ from fmuid.blas import single_threaded
 from fmuid.data import Experiment
 from fmuid.diagnosis.baseline.baseline import Baseline
 from fmuid.diagnosis.baseline.stored_baseline import BaselineSource, MachineDigest, StoredBaseline
-from fmuid.diagnosis.baseline.whitening import Whitening
-from fmuid.diagnosis.cause_analysis import BaselineStatistics, error_of, examine, healthy_of, shown_by
-from fmuid.diagnosis.cause_results import ChangeEvidence
+from fmuid.diagnosis.baseline.whitening import Whitening, whitening_of
+from fmuid.diagnosis.cause_analysis import BaselineStatistics, error_of, healthy_of, shown_by
 from fmuid.diagnosis.change_detection.information_matrix import ChangePrior
 from fmuid.diagnosis.change_parameters import OPEN, Causes, ChangeParameterSet, coordinates_of
 from fmuid.diagnosis.faults import Fault
@@ -92,8 +91,11 @@ class BaselineComparator:
         """
         first = (*baseline.records, *experiments)[0]
         _check(first, [*baseline.records[1:], *experiments], baseline)
-        for fault in faults.values():
-            fault.check_beside([fault.names.get(name, name) for name in baseline.common])
+        for name, fault in faults.items():
+            try:
+                fault.check_beside(baseline.common, [*first.input_names, *first.output_names])
+            except InputError as error:
+                raise InputError(f"fault {name!r}: {error}") from None
         variance = baseline.variance(first.output_names)
         noise = {name: math.sqrt(value) for name, value in variance.items()}
         beside = causes if baseline.beside or planned else NOTHING_BESIDE
@@ -101,7 +103,7 @@ class BaselineComparator:
         drift = _drift(baseline, coordinates)
         if not baseline.beside:
             healthy = BaselineStatistics(_by_result(baseline, coordinates), Whitening.white(variance), drift)
-            return cls(system, baseline, faults, coordinates, healthy)
+            return cls(system, baseline, faults, coordinates, healthy, BaselineSource.RESULT)
         basis, shown = _shown(system, baseline, faults, coordinates, variance, fewer=fewer)
         return cls(system, baseline, faults, coordinates, healthy_of(shown, coordinates, drift), basis, shown)
 
@@ -131,35 +133,6 @@ class BaselineComparator:
     def machine(self, experiment: Experiment) -> LinearizedMachine:
         """Return the machine over a record."""
         return _machine(self.system, self.baseline, self.faults, self.coordinates, experiment)
-
-
-def compare(
-    experiments: Sequence[Experiment],
-    baseline: Baseline,
-    faults: Mapping[str, Fault],
-    system: System,
-    causes: Causes,
-    level: float,
-    model_error: float,
-) -> ChangeEvidence:
-    """Say what is new in records beside the healthy ones of the baseline.
-
-    Parameters
-    ----------
-    experiments, baseline, faults, system, causes
-        As for `BaselineComparator.of`.
-    level, model_error : float
-        As for `fmuid.diagnosis.cause_analysis.examine`.
-
-    Raises
-    ------
-    InputError, SimulationError
-        As `BaselineComparator.of`.
-    """
-    made = BaselineComparator.of(system, baseline, faults, causes, experiments)
-    machines = [made.machine(each) for each in experiments]
-    kappa = made.model_error(model_error, level)
-    return ChangeEvidence.of(examine(machines, made.healthy, made.coordinates, level, kappa), faults, made.basis)
 
 
 @single_threaded
@@ -204,7 +177,7 @@ def _shown(
     elif known is not None and known.path is not None:
         basis = BaselineSource.DAMAGED
     records = [_machine(system, baseline, faults, coordinates, each) for each in baseline.records]
-    whitening = whitening_of(records, coordinates, None if given is None else variance)
+    whitening = whitening_of(records, coordinates.healthy, coordinates.normal, None if given is None else variance)
     return basis, replace(shown_by(records, whitening, coordinates), subject=asked)
 
 
@@ -241,37 +214,9 @@ def _check(first: Experiment, others: Sequence[Experiment], baseline: Baseline) 
     for name, parameter in baseline.common.items():
         if parameter.per_experiment:
             raise InputError(
-                f"the parameter {name!r} is one per experiment, which does not go with healthy records: "
-                "diagnose each experiment by itself"
+                f"the parameter {name!r} is one per experiment, which does not go with a diagnosis: "
+                "diagnose each experiment by itself, with a parameter of its own"
             )
-
-
-def whitening_of(
-    records: Sequence[LinearizedMachine], coordinates: ChangeParameterSet, variances: Mapping[str, float] | None = None
-) -> Whitening:
-    """Return the noise of healthy records, by what is left of them beside all coordinates of sound machines.
-
-    Parameters
-    ----------
-    records : sequence of LinearizedMachine
-        Over the records.
-    coordinates : ChangeParameterSet
-    variances : mapping of str to float, optional
-        Of outputs whose noise is given.
-    """
-    residuals = []
-    for record in records:
-        outputs, columns = record.linearise(coordinates.healthy)
-        experiment = record.experiment
-        rest = np.where(experiment.counted, experiment.output_values - outputs, 0.0)
-        flat = columns[experiment.counted] * coordinates.normal
-        # what a sound machine may have, held by springs of its width in units of the residual itself
-        scale = max(float(np.std(rest[experiment.counted])), np.finfo(float).tiny)
-        stacked = np.vstack([flat / scale, np.eye(flat.shape[1])])
-        target = np.concatenate([rest[experiment.counted] / scale, np.zeros(flat.shape[1])])
-        taken = columns @ (np.linalg.lstsq(stacked, target, rcond=None)[0] * coordinates.normal)
-        residuals.append((experiment, np.where(experiment.counted, rest - taken, 0.0)))
-    return Whitening.of(residuals, variances)
 
 
 def _drift(baseline: Baseline, coordinates: ChangeParameterSet) -> Floats:

@@ -1,6 +1,6 @@
 """What is new in a record beside the healthy machine: all causes by their signatures, linearised where they are.
 
-The healthy records say what the machine, its sensors and its supply are like, with the joint covariance of all of it;
+The baseline says what the machine, its sensors and its supply are like, with the joint covariance of all of it;
 drifts that are no fault widen it; what the new record says beyond that is tested at the level asked for; and the causes
 are weighed against each other. D at the healthy machine is too small for large faults, or their name wrong: the models
 are linearised again at the cause named until the name stays.
@@ -17,11 +17,16 @@ import numpy as np
 from fmuid.array_types import Floats
 from fmuid.data import Experiment
 from fmuid.diagnosis.baseline.stored_baseline import StoredBaseline
-from fmuid.diagnosis.baseline.whitening import Whitening
+from fmuid.diagnosis.baseline.whitening import Whitening, whitening_of
 from fmuid.diagnosis.change_detection.cause_ranking import MODEL_ERROR, CauseRanking, name
 from fmuid.diagnosis.change_detection.causes import Cause
 from fmuid.diagnosis.change_detection.detection import MinPDistribution, fit
-from fmuid.diagnosis.change_detection.information_matrix import ChangePrior, InformationMatrix, ScoreStatistics
+from fmuid.diagnosis.change_detection.information_matrix import (
+    ChangePrior,
+    InformationMatrix,
+    ScoreStatistics,
+    is_determined,
+)
 from fmuid.diagnosis.change_detection.unexplained_residual import (
     NOTHING_LEFT,
     UnexplainedResidual,
@@ -30,16 +35,53 @@ from fmuid.diagnosis.change_detection.unexplained_residual import (
     probability,
     regression,
 )
-from fmuid.diagnosis.change_parameters import ChangeParameterSet
+from fmuid.diagnosis.change_parameters import OPEN, ChangeParameterSet
 from fmuid.diagnosis.linearisation import LinearizedMachine
 from fmuid.errors import SimulationError
 
-# The null estimate and the name are found again at most so often; a name that alternates ends there too.
-NULL_STEPS, NAME_STEPS = 2, 4
-# Sizes that move by less, in standard deviations, have settled.
-SETTLED = 0.1
-# The largest error seen in trials over κ: three standard deviations.
-TOLERATED = 3.0
+
+@dataclass(frozen=True)
+class AnalysisSettings:
+    """Numbers of the analysis.
+
+    Attributes
+    ----------
+    null_steps, name_steps : int
+        Linearisations at the null estimate and at the cause named; a name that alternates ends there too.
+    settled : float
+        Sizes that move by less, in standard deviations, have settled.
+    tolerated : float
+        The largest error seen in trials over κ: three standard deviations.
+    """
+
+    null_steps: int = 2
+    name_steps: int = 4
+    settled: float = 0.1
+    tolerated: float = 3.0
+
+
+SETTINGS = AnalysisSettings()
+
+
+@dataclass(frozen=True, eq=False)
+class Linearization:
+    """What records say, linearised at a point.
+
+    Attributes
+    ----------
+    point : (N,) array
+    said : InformationMatrix
+        On all coordinates, relative to the healthy ones.
+    news : ScoreStatistics
+        What is new of it.
+    causes : tuple of Cause
+        Those that the records determine beside all that may change.
+    """
+
+    point: Floats
+    said: InformationMatrix
+    news: ScoreStatistics
+    causes: tuple[Cause, ...]
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,10 +93,8 @@ class Examination:
     coordinates : ChangeParameterSet
     naming : CauseRanking
         Sizes in the order of each explanation's coordinates.
-    news : ScoreStatistics
-        At the point where the models were linearised last.
-    point : (N,) array
-        That point.
+    at : Linearization
+        Where the models were linearised last.
     model_error : float
         κ by which it was named.
     ratio : float
@@ -66,18 +106,23 @@ class Examination:
         Whether the name stayed when the models were linearised again.
     remainder : UnexplainedResidual
         What no cause explains.
+    estimate : ChangePrior
+        All coordinates, relative to the healthy ones, beside what was named.
+    residuals : pair of (K, n_outputs) array
+        Of the first record, without anything new and with what was named.
     """
 
     coordinates: ChangeParameterSet
     naming: CauseRanking
-    news: ScoreStatistics
-    point: Floats
+    at: Linearization
     model_error: float
     ratio: float
     without: float
     samples: int
-    steady: bool = True
-    remainder: UnexplainedResidual = NOTHING_LEFT
+    steady: bool
+    remainder: UnexplainedResidual
+    estimate: ChangePrior
+    residuals: tuple[Floats, Floats]
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,7 +137,8 @@ class BaselineStatistics:
     drift : (N,) array
         Standard deviation of what may change without being a fault.
     owed : InformationMatrix or None
-        What the residuals of the healthy records owe to the inputs; None without records.
+        What the residuals of the healthy records owe to the inputs. None without records: the noise then has the
+        color of what the new record leaves beside all coordinates.
     """
 
     known: ChangePrior
@@ -155,18 +201,28 @@ def examine(
         If the healthy machine cannot be simulated.
     """
     work = _CauseAnalyzer(machines, healthy, coordinates, level, model_error)
-    point = coordinates.healthy
-    said = work.at(point)
-    for _ in range(NULL_STEPS):
-        point = coordinates.healthy + work.null(ScoreStatistics.of(said, work.known))
-        said = work.at(point)
-    without, samples = work.variance(point)
-    news = ScoreStatistics.of(said, work.known)
-    chance = MinPDistribution.of(news, coordinates.causes)
-    naming = work.named(news, chance)
-    found = Examination(coordinates, naming, news, point, model_error, without, without, samples)
-    found = work.settled(found, chance) if naming.named else found
-    return replace(found, remainder=work.remainder(found))
+    at = work.at(coordinates.healthy)
+    for _ in range(SETTINGS.null_steps):
+        at = work.at(coordinates.healthy + work.null(at.news))
+    chance, null = MinPDistribution.of(at.news, at.causes), at.point
+    naming, steady = work.named(at, chance), True
+    without = ratio = work.variance(null)
+    if naming.named:
+        naming, at, ratio, steady = work.settled(naming, at, chance, ratio)
+    residuals = [_residual(machines[0].experiment, machines[0].outputs(point)) for point in (null, at.point)]
+    return Examination(
+        coordinates,
+        naming,
+        at,
+        model_error,
+        ratio,
+        without,
+        sum(int(np.count_nonzero(each.experiment.counted)) for each in machines),
+        steady,
+        work.remainder(at, naming),
+        work.estimate(at, naming),
+        (residuals[0], residuals[1]),
+    )
 
 
 def error_of(
@@ -194,10 +250,11 @@ def error_of(
     found = examine([trial], healthy, replace(coordinates, causes=(cause,)), level, model_error=0.0)
     if not found.naming.alarm:
         return math.nan
-    plain, own = replace(cause, sign=0), fit(found.news, (cause,)).statistic
+    news = found.at.news
+    plain, own = replace(cause, sign=0), fit(news, (cause,)).statistic
     others = [replace(each, sign=0) for each in coordinates.causes if each is not cause]
-    left = [fit(found.news, (plain, other)).statistic - own - len(other.columns) for other in others]
-    return math.sqrt(max(0.0, *left) / own) / TOLERATED if left else 0.0
+    left = [fit(news, (plain, other)).statistic - own - len(other.columns) for other in others]
+    return math.sqrt(max(0.0, *left) / own) / SETTINGS.tolerated if left else 0.0
 
 
 class _CauseAnalyzer:
@@ -215,64 +272,76 @@ class _CauseAnalyzer:
         self.level, self.model_error = level, model_error
         self.known = healthy.known.drifting(healthy.drift)
 
-    def at(self, point: Floats) -> InformationMatrix:
+    def at(self, point: Floats) -> Linearization:
         """Return what the records say, linearised at a point (N,)."""
-        first, *others = (
-            _information(machine, self.healthy.whitening, point, self.coordinates.healthy) for machine in self.machines
-        )
-        for each in others:
-            first = first + each
-        return first
+        whitening, healthy = self.healthy.whitening, self.coordinates.healthy
+        if self.healthy.owed is None:
+            variances = {name: whitening.std(name) ** 2 for name in whitening.models}
+            whitening = whitening_of(self.machines, point, OPEN * self.coordinates.normal, variances)
+        first, *others = (_information(machine, whitening, point, healthy) for machine in self.machines)
+        said = sum(others, start=first)
+        news = ScoreStatistics.of(said, self.known)
+        causes = (each for each in self.coordinates.causes if is_determined(news, said, each.columns))
+        return Linearization(point, said, news, tuple(causes))
 
     def null(self, news: ScoreStatistics, new: Floats | None = None) -> Floats:
         """Return the estimate of everything beside what is new (N,), relative to the healthy machine."""
         score = news.score if new is None else news.score - news.information @ new
         return np.asarray(self.known.mean + self.known.covariance @ score)
 
-    def named(self, news: ScoreStatistics, chance: MinPDistribution) -> CauseRanking:
-        """Return what is new."""
-        return name(news, self.coordinates.causes, self.level, chance=chance, model_error=self.model_error)
+    def estimate(self, at: Linearization, naming: CauseRanking) -> ChangePrior:
+        """Return the estimate of everything beside what was named, relative to the healthy machine."""
+        new, columns, spread = np.zeros(at.point.size), list[int](), np.zeros((0, 0))
+        if naming.named:
+            columns, spread = naming.named[0].columns, naming.named[0].fit.covariance
+            new[columns] = naming.named[0].fit.sizes
+        shared = self.known.covariance @ at.news.information[:, columns]
+        covariance = self.known.after_also(at.said).covariance
+        return ChangePrior(self.null(at.news, new), covariance + shared @ spread @ shared.T)
 
-    def variance(self, point: Floats) -> tuple[float, int]:
-        """Return the variance of the whitened residual at a point, and the number of samples."""
+    def named(self, at: Linearization, chance: MinPDistribution) -> CauseRanking:
+        """Return what is new."""
+        return name(at.news, at.causes, self.level, chance=chance, model_error=self.model_error)
+
+    def variance(self, point: Floats) -> float:
+        """Return the variance of the residual at a point against that of the noise."""
         squares, samples = 0.0, 0
         for machine in self.machines:
             outputs = machine.outputs(point)
             white = self.healthy.whitening(machine.experiment, _residual(machine.experiment, outputs)[:, :, None])
             squares, samples = squares + float(np.sum(white**2)), samples + white.size
-        return squares / samples, samples
+        return squares / samples
 
-    def remainder(self, found: Examination) -> UnexplainedResidual:
+    def remainder(self, at: Linearization, naming: CauseRanking) -> UnexplainedResidual:
         """Return the change of what the residual owes to the inputs, beside all causes and the models' error."""
         if self.healthy.owed is None:
             return NOTHING_LEFT
-        owed = _owed(self.machines, self.healthy.whitening, found.point)
-        statistic, degrees = change(self.healthy.owed, owed)
-        statistic /= found.naming.temper
+        statistic, degrees = change(self.healthy.owed, _owed(self.machines, self.healthy.whitening, at.point))
+        statistic /= naming.temper
         return UnexplainedResidual(statistic, degrees, probability(statistic, degrees))
 
-    def settled(self, found: Examination, chance: MinPDistribution) -> Examination:
-        """Return the examination where the name stays when the models are linearised at the cause named."""
+    def settled(
+        self, naming: CauseRanking, at: Linearization, chance: MinPDistribution, ratio: float
+    ) -> tuple[CauseRanking, Linearization, float, bool]:
+        """Linearise at the cause named until the name stays: what is named, where, with which variance, and if so."""
         steady = False
-        for _ in range(NAME_STEPS):
-            best = found.naming.named[0]
-            new = np.zeros(len(found.point))
-            new[[i for cause in best.causes for i in cause.columns]] = best.fit.sizes
-            point = self.coordinates.healthy + self.null(found.news, new) + new
+        for _ in range(SETTINGS.name_steps):
+            best = naming.named[0]
+            new = np.zeros(at.point.size)
+            new[best.columns] = best.fit.sizes
             try:
-                news = ScoreStatistics.of(self.at(point), self.known)
-                ratio, _ = self.variance(point)
+                there = self.at(self.coordinates.healthy + self.null(at.news, new) + new)
+                with_ = self.variance(there.point)
             except SimulationError:  # too large a step for the model: what was reached before stays
                 break
-            naming = self.named(news, chance)
-            if not naming.named:  # large at the healthy machine, and none where it was said to be
+            found = self.named(there, chance)
+            if not found.named:  # large at the healthy machine, and none where it was said to be
                 break
-            steady = naming.named[0].names == best.names
-            ended = steady and _moved(naming, best.fit.sizes) < SETTLED
-            found = replace(found, naming=naming, news=news, point=point, ratio=ratio)
-            if ended:
+            steady = found.named[0].names == best.names
+            naming, at, ratio = found, there, with_
+            if steady and _moved(found, best.fit.sizes) < SETTINGS.settled:
                 break
-        return replace(found, steady=steady)
+        return naming, at, ratio, steady
 
 
 def _moved(naming: CauseRanking, sizes: Floats) -> float:

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from typing import Any
+from dataclasses import dataclass, replace
+from typing import Annotated
 
 import numpy as np
+from pydantic import BeforeValidator
 from scipy import special
 
 from fmuid.diagnosis.baseline.stored_baseline import BaselineSource
@@ -16,8 +17,19 @@ from fmuid.diagnosis.change_detection.cause_ranking import angle
 from fmuid.diagnosis.change_detection.causes import Cause
 from fmuid.diagnosis.change_detection.detection import CauseFit, fit, probability
 from fmuid.diagnosis.change_detection.unexplained_residual import UnexplainedResidual
-from fmuid.diagnosis.change_parameters import CauseKind, ChangeParameter, ChangeParameterSet, name_of
+from fmuid.diagnosis.change_parameters import CauseKind, ChangeParameterSet, name_of
 from fmuid.diagnosis.faults import Fault
+from fmuid.estimation import check_level
+
+
+def _instead(missing: float) -> BeforeValidator:
+    """Return what stands for None in a file, where numbers that are not finite are None."""
+    return BeforeValidator(lambda value: missing if value is None else value)
+
+
+Unknown = Annotated[float, _instead(math.nan)]
+Unlimited = Annotated[float, _instead(math.inf)]
+Unbounded = Annotated[float, _instead(-math.inf)]
 
 
 @dataclass(frozen=True)
@@ -30,14 +42,16 @@ class EstimatedChange:
     variable : str
         Parameter, fault parameter, output or input.
     fault : str
-        The hypothesis of a fault parameter, "" otherwise.
+        The fault of a fault parameter, "" otherwise.
     value, std : float
-        Of gains a share, of delays s.
+        Of gains a share, of delays s; the standard deviation is infinite where the record does not determine it.
     unit : str
         "" without.
+    min, max : float
+        Bounds.
     angle : str
         The parameter that locates a fault, "" without.
-    angle_value : float
+    angle_value, angle_std : float
         NaN without.
     """
 
@@ -45,21 +59,35 @@ class EstimatedChange:
     variable: str
     fault: str
     value: float
-    std: float
+    std: Unlimited
     unit: str
+    min: Unbounded = -math.inf
+    max: Unlimited = math.inf
     angle: str = ""
-    angle_value: float = math.nan
+    angle_value: Unknown = math.nan
+    angle_std: Unknown = math.nan
 
     @property
     def label(self) -> str:
         """What it is called in tables: ``turns.dR``, ``gain(i)``, ``R``."""
         return name_of(self.kind, self.variable, self.fault)
 
+    @property
+    def is_determined(self) -> bool:
+        """Whether the record determines it beside all that may change."""
+        return math.isfinite(self.std)
+
     def interval(self, level: float = 0.95) -> tuple[float, float]:
-        """Return the confidence interval; of a size with an angle from 0 on."""
+        """Return the confidence interval, cut at the bounds.
+
+        Raises
+        ------
+        InputError
+            If the level is not between 0 and 1.
+        """
+        check_level(level)
         half = float(special.ndtri(0.5 + level / 2.0)) * self.std
-        low = self.value - half
-        return (max(0.0, low) if self.angle else low), self.value + half
+        return max(self.value - half, self.min), min(self.value + half, self.max)
 
 
 @dataclass(frozen=True)
@@ -84,7 +112,7 @@ class CauseScore:
     statistic: float
     probability: float
     rival: str
-    rival_angle: float
+    rival_angle: Unknown
 
 
 @dataclass(frozen=True)
@@ -101,20 +129,15 @@ class Explanation:
     changes: tuple[EstimatedChange, ...]
     odds: float
 
-    @classmethod
-    def of_json(cls, data: Mapping[str, Any]) -> Explanation:
-        """Return that of a file."""
-        return cls(tuple(_change(each) for each in data["changes"]), float(data["odds"]))
-
     @property
     def faults(self) -> tuple[str, ...]:
-        """The hypotheses among them."""
+        """The faults among them."""
         return tuple(dict.fromkeys(each.fault for each in self.changes if each.fault))
 
 
 @dataclass(frozen=True)
 class ChangeEvidence:
-    """What is new in a record beside the healthy ones.
+    """What is new in a record.
 
     Attributes
     ----------
@@ -136,7 +159,7 @@ class ChangeEvidence:
     steady : bool
         Whether the name stayed when the models were linearised there.
     remainder : UnexplainedResidual
-        What no cause explains.
+        What no cause explains beside healthy records.
     basis : BaselineSource
         Where the healthy machine is from.
     """
@@ -157,13 +180,17 @@ class ChangeEvidence:
     @property
     def explained(self) -> float:
         """How much of what is new the best explanation explains, a share; 0 without an alarm."""
-        statistic = max(each.statistic for each in self.suspects) / self.temper if self.alarm else 0.0
+        if not self.alarm:
+            return 0.0
+        if self.basis is BaselineSource.RESULT:
+            return min(1.0, max(0.0, (self.without - self.ratio) / (self.without - 1.0))) if self.without > 1 else 0.0
+        statistic = max(each.statistic for each in self.suspects) / self.temper
         rest = max(0.0, self.remainder.statistic - self.remainder.degrees)
         return statistic / (statistic + rest) if statistic > 0 else 0.0
 
     @property
     def faults(self) -> tuple[str, ...]:
-        """The hypotheses named, the most likely first."""
+        """The faults named, the most likely first."""
         return tuple(dict.fromkeys(name for each in self.explanations for name in each.faults))
 
     @classmethod
@@ -185,31 +212,6 @@ class ChangeEvidence:
             basis,
         )
 
-    @classmethod
-    def of_json(cls, data: Mapping[str, Any]) -> ChangeEvidence:
-        """Return that of a file.
-
-        Raises
-        ------
-        KeyError, TypeError, ValueError
-            If the data are not of one.
-        """
-        plain = {
-            key: data[key]
-            for key in ("probability", "alarm", "model_error", "temper", "ratio", "without", "samples", "steady")
-        }
-        explanations = tuple(map(Explanation.of_json, data["explanations"]))
-        suspects = tuple(CauseScore(**each | {"change": _change(each["change"])}) for each in data["suspects"])
-        remainder = UnexplainedResidual(**data["remainder"])
-        basis = BaselineSource(data["basis"])
-        return cls(explanations=explanations, suspects=suspects, remainder=remainder, basis=basis, **plain)
-
-
-def _change(data: Mapping[str, Any]) -> EstimatedChange:
-    angle_value = math.nan if data["angle_value"] is None else float(data["angle_value"])
-    std = math.inf if data["std"] is None else float(data["std"])
-    return EstimatedChange(**{**data, "kind": CauseKind(data["kind"]), "angle_value": angle_value, "std": std})
-
 
 def changes(
     causes: Sequence[Cause], found: CauseFit, coordinates: ChangeParameterSet, faults: Mapping[str, Fault]
@@ -217,36 +219,35 @@ def changes(
     """Return causes with their sizes; a vector of the plane is a size with its angle."""
     said, first = [], 0
     for cause in causes:
-        count = len(cause.columns)
-        size = found.sizes[first : first + count]
-        covariance = found.covariance[first : first + count, first : first + count]
-        first += count
-        coordinate = coordinates.each[cause.columns[0]]
-        if count == 1:
-            said.append(_plain(coordinate, float(size[0]), math.sqrt(float(covariance[0, 0]))))
+        at = slice(first, first + len(cause.columns))
+        first = at.stop
+        size, covariance, of = found.sizes[at], found.covariance[at, at], coordinates.each[cause.columns[0]]
+        if len(size) == 1:
+            change = EstimatedChange(
+                of.kind, of.variable, of.fault, float(size[0]), math.sqrt(float(covariance[0, 0])), of.unit
+            )
+            if of.fault:
+                parameter = faults[of.fault].parameters[of.variable]
+                change = replace(change, min=parameter.min, max=parameter.max)
+            said.append(change)
             continue
         length = float(np.hypot(*size))
         along = size / length if length else np.array([1.0, 0.0])
-        said.append(
-            _plain(
-                coordinate,
-                length,
-                math.sqrt(float(along @ covariance @ along)),
-                *faults[coordinate.fault].direction(coordinate.variable, size.tolist()),
-            )
-        )
+        across = np.array([-along[1], along[0]])
+        std, aside = (math.sqrt(float(each @ covariance @ each)) for each in (along, across))
+        name, value, turn = faults[of.fault].direction(of.variable, size.tolist())
+        off = turn * aside / length if length else math.inf
+        change = EstimatedChange(of.kind, of.variable, of.fault, length, std, of.unit, min=0.0)
+        said.append(replace(change, angle=name, angle_value=value, angle_std=off))
     return tuple(said)
 
 
-def _plain(
-    of: ChangeParameter, value: float, std: float, angle_name: str = "", angle_value: float = math.nan
-) -> EstimatedChange:
-    return EstimatedChange(of.kind, of.variable, of.fault, value, std, of.unit, angle_name, angle_value)
-
-
 def _suspect(found: Examination, cause: Cause, faults: Mapping[str, Fault]) -> CauseScore:
-    alone = fit(found.news, (cause,))
+    if cause not in found.at.causes:
+        at, none = found.coordinates.each[cause.columns[0]], math.inf
+        return CauseScore(EstimatedChange(at.kind, at.variable, at.fault, 0.0, none, at.unit), 0.0, 1.0, "", math.nan)
+    alone = fit(found.at.news, (cause,))
     change = changes((cause,), alone, found.coordinates, faults)[0]
-    near = {other.name: angle(found.news, cause, other) for other in found.coordinates.causes if other is not cause}
+    near = {other.name: angle(found.at.news, cause, other) for other in found.at.causes if other is not cause}
     rival = min(near, key=lambda each: near[each], default="")
     return CauseScore(change, alone.statistic, probability(alone.statistic, cause), rival, near.get(rival, math.nan))

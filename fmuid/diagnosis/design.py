@@ -24,12 +24,15 @@ from fmuid.diagnosis.baseline.baseline import Baseline
 from fmuid.diagnosis.baseline_comparator import BaselineComparator
 from fmuid.diagnosis.change_detection.cause_ranking import MODEL_ERROR, angle, distinguishable_size
 from fmuid.diagnosis.change_detection.causes import Cause
-from fmuid.diagnosis.change_detection.detection import MinPDistribution, detectable
-from fmuid.diagnosis.change_detection.information_matrix import ChangePrior, InformationMatrix, ScoreStatistics
-from fmuid.diagnosis.change_detection.onset_tracker import LEAST
+from fmuid.diagnosis.change_detection.detection import FALSE_ALARM_LEVEL, MinPDistribution, detectable
+from fmuid.diagnosis.change_detection.information_matrix import (
+    ChangePrior,
+    InformationMatrix,
+    ScoreStatistics,
+    is_determined,
+)
 from fmuid.diagnosis.change_parameters import CauseKind, Causes
 from fmuid.diagnosis.faults import Fault
-from fmuid.diagnosis.hypothesis_tests import FALSE_ALARM_LEVEL
 from fmuid.errors import InputError
 from fmuid.estimation import Result, check_level
 from fmuid.models import FMU, System
@@ -80,10 +83,10 @@ class Design:
 
     Parameters
     ----------
-    hypotheses : mapping of str to Fault
+    faults : mapping of str to Fault
     baseline : Baseline, Result or path
         As for `fmuid.diagnose`.
-    nominal_model : System, FMU or path
+    model : System, FMU or path
         The healthy machine.
     causes : Causes, optional
         Beside the faults, where the baseline has records or `healthy` is asked for.
@@ -112,9 +115,9 @@ class Design:
 
     def __init__(
         self,
-        hypotheses: Mapping[str, Fault],
+        faults: Mapping[str, Fault],
         baseline: Baseline | Result | str | Path,
-        nominal_model: System | FMU | str | Path,
+        model: System | FMU | str | Path,
         causes: Causes | None = None,
         *,
         false_alarm: float = FALSE_ALARM_LEVEL,
@@ -124,9 +127,9 @@ class Design:
         check_level(false_alarm, "a test")
         if not 0 < miss < 0.5:
             raise InputError(f"the rate of misses must be above 0 and below 0.5, not {miss!r}")
-        if not hypotheses:
+        if not faults:
             raise InputError("there is no fault to look for: give at least one fault model with its parameters")
-        self.faults, self.baseline, self.system = dict(hypotheses), Baseline.of(baseline), System.of(nominal_model)
+        self.faults, self.baseline, self.system = dict(faults), Baseline.of(baseline), System.of(model)
         self.causes, self.model_error = causes or Causes(), model_error
         self.false_alarm, self.miss = false_alarm, miss
 
@@ -189,12 +192,11 @@ class Design:
     ) -> tuple[float, float, float, str, float, float]:
         """Return value, std, share, rival, its angle and the size that is told apart, of one fault."""
         least = [float(np.linalg.eigvalsh(each.part(cause.columns)[0])[0]) for each in (news, sharp)]
-        if not least[0] > LEAST * float(np.diag(said.matrix)[list(cause.columns)].max()):
+        if not is_determined(news, said, cause.columns):
             return math.inf, math.inf, math.nan, "", math.nan, math.inf
         value, std = detectable(news, cause, limit, self.miss), least[0] ** -0.5
         share = 1.0 - least[0] / least[1]
-        own = LEAST * np.diag(said.matrix)
-        others = [c for c in causes if c is not cause and all(news.information[i, i] > own[i] for i in c.columns)]
+        others = [each for each in causes if each is not cause and is_determined(news, said, each.columns)]
         if not others:
             return value, std, share, "", math.nan, value
         angles = [angle(news, cause, other) for other in others]

@@ -1,47 +1,42 @@
-"""What a diagnosis found, in numbers and JSON."""
+"""What a diagnosis found: its verdict, numbers and JSON."""
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import pandas as pd
 
-from fmuid.diagnosis.cause_results import ChangeEvidence
-from fmuid.diagnosis.fault_fits import FitSolverCheck
-from fmuid.diagnosis.hypothesis import BaselineDeviation, Estimate, FaultHypothesis, estimates_of
+from fmuid import codec
+from fmuid.diagnosis.cause_results import ChangeEvidence, EstimatedChange
+from fmuid.diagnosis.change_detection.unexplained_residual import VarianceRatio
 from fmuid.display_mixins import PlotMixin
 from fmuid.errors import InputError
-from fmuid.estimation import Result
-from fmuid.files import as_json, content_of, write_json
+from fmuid.estimation import Result, SolverCheck
 
-# A fault whose model explains less than this share of what exceeds the noise is not what is wrong.
+DIAGNOSIS_SCHEMA = "fmuid/diagnosis/2"
+# A cause whose model explains less than this share of what exceeds the noise is not what is wrong.
 EXPLAINED_SHARE = 0.5
+
+Estimate = tuple[float, float]
+"""Value and standard deviation."""
 
 
 @dataclass(frozen=True)
-class ResidualVarianceTest:
-    """The residual of the most likely model against the noise of the healthy machine.
+class BaselineDeviation:
+    """A nominal parameter that has left what was foreseen.
 
     Attributes
     ----------
-    ratio : float
-        Of the variances.
-    probability : float
-        That noise alone gives as much.
-    larger : bool
-        Whether that is too unlikely.
-    explained : float
-        How much of what exceeds the noise without a fault the fault explains; 0 where none was named.
+    name : str
+    distance : float
+        From the baseline to what the record says, in standard deviations of the two together.
     """
 
-    ratio: float
-    probability: float
-    larger: bool
-    explained: float = 0.0
+    name: str
+    distance: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,133 +47,104 @@ class Diagnosis(PlotMixin):
     ----------
     level : float
         Probability of an alarm where nothing is wrong.
-    hypotheses : tuple of FaultHypothesis
-    called : tuple of str
-        The hypotheses that are significant.
-    named : tuple of str
-        Of these the most likely one, and those that the data do not tell apart from it.
-    unexplained : ResidualVarianceTest
-        Whether the residual is larger than the noise even so.
-    samples : int
-    noise_variance : dict of str to float
+    evidence : ChangeEvidence
+        What is new: all causes, and what is named.
+    unexplained : VarianceRatio
+        Whether the residual is larger than the noise even so, or owes more to the inputs than in healthy records.
     nominal : dict of str to (value, std)
-        The healthy model fitted.
-    ended : bool
-        Whether that fit ended at a minimum.
-    strain : BaselineDeviation or None
-        The nominal parameter that has left what was foreseen.
+        The healthy machine's parameters beside what was named.
+    noise_variance : dict of str to float
+    deviation : BaselineDeviation or None
+        The nominal parameter that has left what was foreseen; where there are healthy records it is a cause.
     version : str
         Of fmuid.
+    accuracy : SolverCheck or None
+        What the error of the simulation does to the fit of the fault named; None without such a fit.
+    fitted : tuple of str
+        The parameters of that fit, in the order of `SolverCheck.shift`.
     result : Result or None
-        The fit of the healthy model; not kept in a file.
-    checked : FitSolverCheck
-        What the error of the simulation does to it.
-    evidence : ChangeEvidence or None
-        What is new beside the healthy records, faults and all other causes; None where there are none. It decides
-        what is named.
+        That fit; not kept in a file.
+    mismatched : tuple of str
+        The faults whose models, without their fault, are not the healthy machine.
+    residuals : DataFrame or None
+        Of the first experiment, ``healthy.`` and ``fault.`` before each output; not kept in a file.
 
     Examples
     --------
     >>> coil, test = fmuid.datasets.coil(), fmuid.datasets.faulty_coil()
     >>> turns = fmuid.Fault(test.fmu, {"dR": test.parameters["dR"]})
     >>> found = fmuid.diagnose(test.experiment, fmuid.identify(coil.problem()), {"turns": turns}, coil.fmu)
-    >>> round(found["turns"]["dR"].value, 2)
+    >>> round(found["turns.dR"].value, 2)
     -0.08
     """
 
     level: float
-    hypotheses: tuple[FaultHypothesis, ...]
-    called: tuple[str, ...]
-    named: tuple[str, ...]
-    unexplained: ResidualVarianceTest
-    samples: int
-    noise_variance: Mapping[str, float]
+    evidence: ChangeEvidence
+    unexplained: VarianceRatio
     nominal: Mapping[str, Estimate]
-    ended: bool
-    strain: BaselineDeviation | None
+    noise_variance: Mapping[str, float]
+    deviation: BaselineDeviation | None
     version: str
+    accuracy: SolverCheck | None = None
+    fitted: tuple[str, ...] = ()
     result: Result | None = None
-    checked: FitSolverCheck = field(default_factory=FitSolverCheck)
-    evidence: ChangeEvidence | None = None
+    mismatched: tuple[str, ...] = ()
+    residuals: pd.DataFrame | None = None
+
+    json_layout: ClassVar = codec.Layout(omitted={"result", "residuals"}, derived=("kind", "named"))
 
     def __repr__(self) -> str:
         return f"Diagnosis({self.kind}{': ' if self.named else ''}{', '.join(self.named)})"
 
-    def __getitem__(self, name: str) -> FaultHypothesis:
-        """Return one hypothesis."""
-        for each in self.hypotheses:
-            if each.name == name:
-                return each
-        raise InputError(f"the diagnosis has no fault {name!r}; it has {', '.join(h.name for h in self.hypotheses)}")
+    def __getitem__(self, name: str) -> EstimatedChange:
+        """Return a change that is named, or what a cause would be alone: ``turns.dR``, ``gain(i)``, ``R``."""
+        found = {each.change.label: each.change for each in self.evidence.suspects}
+        found |= {each.label: each for one in reversed(self.evidence.explanations) for each in one.changes}
+        if name not in found:
+            raise InputError(f"the diagnosis has no cause {name!r}; it has {', '.join(found)}")
+        return found[name]
+
+    @property
+    def named(self) -> tuple[str, ...]:
+        """The faults that are named: the most likely one, and those that the data do not tell apart from it."""
+        return self.evidence.faults
 
     @property
     def kind(self) -> str:
         """What it is.
 
         ``"fault"``, ``"other"`` (a sensor, the supply or a parameter), ``"ambiguous"`` (which one is open),
-        ``"unexplained"``, ``"undecided"`` or ``"healthy"``.
+        ``"unexplained"``, ``"undecided"`` (the record does not determine a fault) or ``"healthy"``.
         """
-        if self.unexplained.larger and self.unexplained.explained < EXPLAINED_SHARE:
+        if self.unexplained.larger and self.evidence.explained < EXPLAINED_SHARE:
             return "unexplained"
-        if self.evidence is not None and self.evidence.alarm:
+        if self.evidence.alarm:
             if len(self.evidence.explanations) > 1:
                 return "ambiguous"
-            return "fault" if self.evidence.faults else "other"
-        if self.evidence is None and self.called:
-            return "fault" if len(self.named) == 1 else "ambiguous"
-        open_ = not self.ended or any(not each.ended or each.undetermined for each in self.hypotheses)
-        return "undecided" if open_ else "healthy"
+            return "fault" if self.named else "other"
+        return "undecided" if self.undetermined else "healthy"
+
+    @property
+    def undetermined(self) -> tuple[str, ...]:
+        """The sizes of faults that the record does not determine beside all that may change."""
+        each = (one.change for one in self.evidence.suspects)
+        return tuple(one.label for one in each if one.fault and not one.is_determined)
 
     @property
     def table(self) -> pd.DataFrame:
-        """One row a size of each hypothesis."""
-        rows = [
-            {
-                "fault": each.name,
-                "parameter": size.name,
-                "value": size.value,
-                "std": size.std,
-                "lower": size.interval()[0],
-                "upper": size.interval()[1],
-                "unit": size.unit,
-                "probability": size.probability,
-                "angle": size.angle,
-                "angle_value": size.angle_value if each.located(size, self.level) else math.nan,
-                "angle_std": size.angle_std if each.located(size, self.level) else math.nan,
-                "D": each.statistic,
-                "threshold": each.threshold,
-                "fault_probability": each.adjusted,
-                "information": each.information,
-                "called": each.name in self.called,
-                "named": each.name in self.named,
-            }
-            for each in self.hypotheses
-            for size in each.sizes
-        ]
+        """One row a cause, with the sizes of the best explanation for those it names."""
+        odds = {each.label: one.odds for one in reversed(self.evidence.explanations) for each in one.changes}
+        rows = []
+        for one in self.evidence.suspects:
+            each = self[one.change.label]
+            row: dict[str, Any] = {"cause": each.label, "kind": each.kind.value, "value": each.value, "std": each.std}
+            row |= dict(zip(("lower", "upper"), each.interval(), strict=True)) | {"unit": each.unit}
+            row |= {"angle": each.angle, "angle_value": each.angle_value, "angle_std": each.angle_std}
+            row |= {"D": one.statistic, "probability": one.probability, "odds": odds.get(each.label, 0.0)}
+            rows.append(row | {"rival": one.rival, "rival_angle": one.rival_angle})
         return pd.DataFrame(rows)
 
     # --- JSON
-
-    def to_json_dict(self) -> dict[str, Any]:
-        """Return the content of ``diagnosis.json``; what is not a finite number is None."""
-        content = {
-            "kind": self.kind,
-            "called": self.called,
-            "named": self.named,
-            "level": self.level,
-            "unexplained": self.unexplained,
-            "samples": self.samples,
-            "noise_variance": dict(self.noise_variance),
-            "nominal": {n: {"value": v, "std": s} for n, (v, s) in self.nominal.items()},
-            "ended": self.ended,
-            "faults": {each.name: each.to_json_dict(self.level) for each in self.hypotheses},
-            "strain": self.strain,
-            "evidence": self.evidence,
-            "accuracy": self.checked.to_json_dict(),
-            "version": self.version,
-        }
-        plain: dict[str, Any] = as_json(content)
-        return plain
 
     def to_json(self, path: str | Path) -> Path:
         """Write ``diagnosis.json`` and return its path.
@@ -188,30 +154,15 @@ class Diagnosis(PlotMixin):
         InputError
             If it cannot be written.
         """
-        return write_json(Path(path), self.to_json_dict())
+        return codec.write(Path(path), DIAGNOSIS_SCHEMA, self)
 
     @classmethod
     def from_json(cls, path: str | Path) -> Diagnosis:
-        """Read a ``diagnosis.json``; the fits, which are not in it, are None.
+        """Read a ``diagnosis.json``; fit and residuals, which are not in it, are None.
 
         Raises
         ------
         InputError
             If the file cannot be read or is no such file.
         """
-        with content_of(Path(path), "the diagnosis.json of a diagnosis", "run fmuid diagnose again") as data:
-            return cls(
-                level=float(data["level"]),
-                hypotheses=tuple(FaultHypothesis.of_json(name, each) for name, each in data["faults"].items()),
-                called=tuple(data["called"]),
-                named=tuple(data["named"]),
-                unexplained=ResidualVarianceTest(**data["unexplained"]),
-                samples=int(data["samples"]),
-                noise_variance=dict(data["noise_variance"]),
-                nominal=estimates_of(data["nominal"]),
-                ended=bool(data["ended"]),
-                strain=None if data["strain"] is None else BaselineDeviation(**data["strain"]),
-                version=str(data["version"]),
-                checked=FitSolverCheck.of_json(data.get("accuracy")),
-                evidence=None if data["evidence"] is None else ChangeEvidence.of_json(data["evidence"]),
-            )
+        return codec.read(Path(path), DIAGNOSIS_SCHEMA, cls, "run fmuid diagnose again")

@@ -7,7 +7,6 @@ without a fault and have no prior.
 
 from __future__ import annotations
 
-import itertools
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -18,10 +17,6 @@ from fmuid.errors import InputError
 from fmuid.estimation import Result
 from fmuid.formatting import nearest, of_one_experiment
 from fmuid.models import FMU, System
-
-# The search begins at so many angles, evenly spread over the period: two are enough where the criterion has one
-# minimum a period, more guard against weak ones.
-ANGLE_STARTS = 4
 
 
 @dataclass(frozen=True)
@@ -162,22 +157,13 @@ class Fault:
         """The angle of each size that has one."""
         return {angle.size: name for name in self.angles if (angle := self.angle(name)) is not None}
 
-    def direction(self, size: str, vector: Sequence[float]) -> tuple[str, float]:
-        """Return the angle of a size, its name and value, from the fault's vector (x, y) in the plane."""
+    def direction(self, size: str, vector: Sequence[float]) -> tuple[str, float, float]:
+        """Return the angle of a size, its name and value, and how far a radian of the vector (x, y) turns it."""
         name = self.located[size]
         angle = self.angle(name)
         assert angle is not None  # `located` has only angles
-        x, y = vector
-        return name, math.atan2(y, x) % (2.0 * math.pi) * angle.period / (2.0 * math.pi)
-
-    @property
-    def constrained(self) -> tuple[str, ...]:
-        """The sizes that have one sign only, those with an angle left out: their vector may point anywhere."""
-        return tuple(
-            name
-            for name in self.sizes
-            if name not in self.located and 0.0 in (self.parameters[name].min, self.parameters[name].max)
-        )
+        (x, y), turn = vector, angle.period / (2.0 * math.pi)
+        return name, math.atan2(y, x) % (2.0 * math.pi) * turn, turn
 
     @property
     def searched(self) -> dict[str, Parameter]:
@@ -194,33 +180,27 @@ class Fault:
         """The values of the parameters without a fault; angles stay where they start."""
         return {name: p.start if name in self.angles else 0.0 for name, p in self.parameters.items()}
 
-    def starts(self) -> list[dict[str, float]]:
-        """Return where the search begins: of sizes without angle their start, of others each of several angles."""
-        fixed = {name: self.parameters[name].start for name in self.sizes}
-        for size in self.located:
-            fixed[size] = _away(self.parameters[size])
-        turns = [k / ANGLE_STARTS for k in range(ANGLE_STARTS)]
-        return [
-            fixed
-            | {
-                name: self.parameters[name].start + share * angle.period
-                for (name, share) in zip(self.angles, chosen, strict=True)
-                if (angle := self.angle(name)) is not None
-            }
-            for chosen in itertools.product(turns, repeat=len(self.angles))
-        ]
+    def check_beside(self, common: Iterable[str], columns: Iterable[str]) -> None:
+        """Check the parameters and names against the healthy machine's.
 
-    def check_beside(self, common: Iterable[str]) -> None:
-        """Check the parameters against the healthy machine's, by the names that they have in this model.
+        Parameters
+        ----------
+        common, columns : iterable of str
+            The healthy machine's parameters, and its inputs and outputs.
 
         Raises
         ------
         InputError
-            If one is both.
+            If a parameter is both, or a name is of nothing that there is.
         """
+        healthy = list(common)
         for name in self.parameters:
-            if name in common:
+            if name in [self.names.get(each, each) for each in healthy]:
                 raise InputError(f"the parameter {name!r} is the fault's and the healthy machine's: it can be only one")
+        known = {*healthy, *columns}
+        for name in self.names:
+            if name not in known:
+                raise InputError(f"names has {name!r}, which is no parameter, input or output of the healthy machine")
 
     def renamed(self, experiment: Experiment) -> Experiment:
         """Return an experiment with the names that its inputs and outputs have in this model."""
@@ -240,14 +220,6 @@ class Fault:
             interpolation=own(words.items()) if isinstance(words, Mapping) else words,
             units=own(experiment.units.items()),
         )
-
-
-def _away(parameter: Parameter) -> float:
-    """Return a size at which an angle means something: the start, or else about the nominal, within the bounds."""
-    nominal = parameter.nominal or 1.0
-    if parameter.start:
-        return parameter.start
-    return min(nominal, 0.5 * parameter.max) if parameter.max > 0 else max(-nominal, 0.5 * parameter.min)
 
 
 def common_mode(

@@ -57,6 +57,7 @@ class LinearizedMachine:
         refinement: Refinement = AS_ASKED,
     ) -> None:
         self.experiment, self.coordinates = experiment, coordinates
+        self._last: tuple[bytes, tuple[Floats, Floats]] | None = None
         self._models = [_Model(system, None, values, nominal, "", coordinates, refinement)]
         self._models += [
             _Model(System.of(fault.model), fault, fault.values, nominal, name, coordinates, refinement)
@@ -66,7 +67,7 @@ class LinearizedMachine:
     def over(self, experiment: Experiment) -> LinearizedMachine:
         """Return the same machine over another record, which takes over what has been made ready to simulate."""
         other = copy(self)
-        other.experiment, other._models = experiment, [model.again() for model in self._models]
+        other.experiment, other._models, other._last = experiment, [model.again() for model in self._models], None
         return other
 
     def linearise(self, point: Floats) -> tuple[Floats, Floats]:
@@ -77,11 +78,13 @@ class LinearizedMachine:
         SimulationError
             If a simulation fails.
         """
-        found = _Sum(self.coordinates, point, self.experiment)
-        there = [model for model in self._models if model.there(point)]
-        for model in self._models:
-            model.add(found, alone=model not in there, several=len(there))
-        return found.sensed()
+        if self._last is None or self._last[0] != point.tobytes():
+            found = _Sum(self.coordinates, point, self.experiment)
+            there = [model for model in self._models if model.there(point)]
+            for model in self._models:
+                model.add(found, alone=model not in there, several=len(there))
+            self._last = point.tobytes(), found.sensed()
+        return self._last[1]
 
     def outputs(self, point: Floats) -> Floats:
         """Return the outputs (K, n_outputs) at a point (N,).
@@ -97,6 +100,18 @@ class LinearizedMachine:
             model.add(found, alone=False, several=len(there), slopes=False)
         return found.sensed()[0]
 
+    def apart_at_zero(self) -> dict[str, Floats]:
+        """Return by how much each fault model without its fault differs from the healthy machine (K, n_outputs).
+
+        Raises
+        ------
+        SimulationError
+            If a simulation fails.
+        """
+        found = _Sum(self.coordinates, self.coordinates.healthy, self.experiment)
+        sound, *faulty = (model.simulate(found, found.point[None])[0] for model in self._models)
+        return {model.name: each - sound for model, each in zip(self._models[1:], faulty, strict=True)}
+
 
 class _Model:
     """The healthy machine, or one fault model, and the coordinates that it has."""
@@ -111,7 +126,7 @@ class _Model:
         coordinates: ChangeParameterSet,
         refinement: Refinement,
     ) -> None:
-        self.fault, self.values = fault, dict(values)
+        self.name, self.fault, self.values = name, fault, dict(values)
         self.system, self.refinement = system, refinement
         names = {} if fault is None else dict(fault.names)
         self.shared = coordinates.of(CauseKind.PARAMETER)
@@ -153,7 +168,7 @@ class _Model:
         for k, (i, (low, high)) in enumerate(zip(wanted, steps, strict=True)):
             points[1 + 2 * k, i] += low
             points[2 + 2 * k, i] += high
-        outputs = self._simulate(found, points)
+        outputs = self.simulate(found, points)
         if weight:
             found.outputs += weight * outputs[0]
         for k, (i, (low, high)) in enumerate(zip(wanted, steps, strict=True)):
@@ -167,7 +182,7 @@ class _Model:
         step = self.coordinates.each[i].step
         points = np.tile(found.point, (2, 1))
         points[:, i] += [-step, step]
-        low, high = (self._simulate(found, point[None])[0] for point in points)
+        low, high = (self.simulate(found, point[None])[0] for point in points)
         found.columns[:, :, i] += weight * (high - low) / (2.0 * step)
 
     def _offsets(self, point: Floats, i: int) -> tuple[float, float]:
@@ -182,7 +197,7 @@ class _Model:
             return -coordinate.step, -2.0 * coordinate.step
         return -coordinate.step, coordinate.step
 
-    def _simulate(self, found: _Sum, points: Floats) -> Floats:
+    def simulate(self, found: _Sum, points: Floats) -> Floats:
         """Return the outputs (m, K, n_outputs) at points that share the gains of the inputs."""
         batch = self._simulator(found.experiment, points[0]).many(np.array([self._theta(point) for point in points]))
         for error in batch.errors:
@@ -212,7 +227,7 @@ class _Model:
         for i in self.own:
             own.setdefault(self.coordinates.each[i].variable, []).append(float(point[i]))
         values = {name: math.hypot(*each) if len(each) > 1 else each[0] for name, each in own.items()}
-        values |= dict(self.fault.direction(size, own[size]) for size in self.fault.located)
+        values |= dict(self.fault.direction(size, own[size])[:2] for size in self.fault.located)
         return theta + [values[name] for name in self.fault.parameters]
 
 

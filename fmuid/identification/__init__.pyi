@@ -14,6 +14,10 @@ from .cost_map import region_rise as region_rise
 from .cost_parabolas import parabolas as parabolas
 from .cost_parabolas import parameters_with_prior_and_data as parameters_with_prior_and_data
 from .observer import with_observer as with_observer
+from .posterior import LARGEST_R_HAT as LARGEST_R_HAT
+from .posterior import Posterior as Posterior
+from .posterior import SamplerSettings as SamplerSettings
+from .posterior import SamplingWarning as SamplingWarning
 from .prediction import OutputScore as OutputScore
 from .prediction import Prediction as Prediction
 from .prediction import estimates_for as estimates_for
@@ -44,11 +48,7 @@ from .residual_analysis import analyze_residuals as analyze_residuals
 from .residual_series import RESIDUAL_SETTINGS as RESIDUAL_SETTINGS
 from .residual_series import ResidualSeries as ResidualSeries
 from .restarting_search import identify as identify
-from .sampling.posterior import LARGEST_R_HAT as LARGEST_R_HAT
-from .sampling.posterior import Posterior as Posterior
-from .sampling.posterior import SamplerSettings as SamplerSettings
-from .sampling.posterior import SamplingWarning as SamplingWarning
-from .sampling.sampler import sample_posterior as sample_posterior
+from .sampler import sample_posterior as sample_posterior
 from .sensitivity_functions import ExpectedAccuracy as ExpectedAccuracy
 from .sensitivity_functions import SensitivityFunctions as SensitivityFunctions
 from .sensitivity_functions import expected_accuracy as expected_accuracy

@@ -22,8 +22,8 @@ from fmuid.progress import Event, MapStep, Progress
 
 if TYPE_CHECKING:
     from fmuid.identification.cost_map import CostMap
+    from fmuid.identification.posterior import Posterior, SamplerSettings
     from fmuid.identification.profile import Profile
-    from fmuid.identification.sampling.posterior import Posterior, SamplerSettings
 
 CONFIDENCE_LEVEL = 0.95
 # A criterion on a map lower than at the estimate by more than this shows another optimum; less may be rounding, or
@@ -248,7 +248,7 @@ class _Exploration:
     def _sample(self) -> bool:
         if self.asked.posterior is None:
             return True
-        from fmuid.identification.sampling.sampler import sample_posterior
+        from fmuid.identification.sampler import sample_posterior
 
         drawn = sample_posterior(self.problem, self.result, self.asked.posterior, self.progress)
         self.found = replace(self.found, posterior=drawn)

@@ -30,10 +30,19 @@ from fmuid.identification.conditional_optimum import check_result
 
 # Points along each side of a map: an odd number puts the estimate on the grid.
 POINTS = 41
-# How far a map reaches from the estimate, in standard deviations.
-SPAN_STDS = 4.0
-# Points of an ellipse, two degrees apart, the last one the first again.
-ELLIPSE_POINTS = 181
+
+
+@dataclass(frozen=True)
+class CostMapSettings:
+    """Numbers of a map."""
+
+    span_stds: float = 4.0
+    """How far a map reaches from the estimate, in standard deviations."""
+    ellipse_points: int = 181
+    """Points of an ellipse, two degrees apart, the last one the first again."""
+
+
+SETTINGS = CostMapSettings()
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,7 +112,7 @@ class CostMap:
         radius = math.sqrt(self.rise(level))
         if not np.isfinite(self.covariance).all():
             return np.empty((0, 2))
-        angles = np.linspace(0.0, 2.0 * np.pi, ELLIPSE_POINTS)
+        angles = np.linspace(0.0, 2.0 * np.pi, SETTINGS.ellipse_points)
         circle = np.stack([np.cos(angles), np.sin(angles)], axis=1)
         values, directions = np.linalg.eigh(self.covariance)  # which may be singular
         root = directions * np.sqrt(np.maximum(values, 0.0))
@@ -205,5 +214,5 @@ def _span(
     usable = 0.0 < std < math.inf
     if math.isfinite(high - low) and not usable:
         return low, high
-    reach = SPAN_STDS * std if usable else float(problem.parameters.magnitudes(result.values)[i])
+    reach = SETTINGS.span_stds * std if usable else float(problem.parameters.magnitudes(result.values)[i])
     return max(low, value - reach), min(high, value + reach)

@@ -38,11 +38,20 @@ from fmuid.estimation import (
 from fmuid.identification.prior_data_tests import PriorDataTest, VarianceTest, agree, known_variances, variance_tests
 from fmuid.identification.residual_analysis import ResidualAnalysis, analyze_residuals
 
-# A barycentre further than this from the estimate, in standard deviations, shows that the model is not linear.
-NONLINEAR_STDS = 0.5
-# An estimate that the prior moved by more than this, in standard deviations, is named; and one whose standard deviation
-# would be larger by this factor without the prior.
-LEAST_MOVE_STDS, RESTING_STD_RATIO = 1.0, 2.0
+
+@dataclass(frozen=True)
+class InfluenceLimits:
+    """What is worth naming of a prior."""
+
+    nonlinear_stds: float = 0.5
+    """A barycentre further than this from the estimate shows that the model is not linear."""
+    least_move_stds: float = 1.0
+    """An estimate is named that the prior moved by more than this, in standard deviations, ..."""
+    resting_std_ratio: float = 2.0
+    """... or whose standard deviation would be larger by this factor without the prior."""
+
+
+SETTINGS = InfluenceLimits()
 
 
 @dataclass(frozen=True)
@@ -191,8 +200,8 @@ class PriorDataComparison:
         found = []
         for i in np.argsort(-np.abs(np.nan_to_num(self.moved)), kind="stable"):
             if self.moved_by[i] and math.isfinite(self.data_std[i]):
-                rests = bool(self.data_std[i] >= RESTING_STD_RATIO * self.combined_std[i])
-                if rests or abs(self.moved[i]) >= LEAST_MOVE_STDS:
+                rests = bool(self.data_std[i] >= SETTINGS.resting_std_ratio * self.combined_std[i])
+                if rests or abs(self.moved[i]) >= SETTINGS.least_move_stds:
                     found.append(PriorInfluence(self.names[i], self.moved_by[i], rests))
         return tuple(found)
 
@@ -201,7 +210,7 @@ class PriorDataComparison:
         """The parameter whose barycentre lies so far from the estimate that the model is not linear, "" for none."""
         off = np.abs(np.nan_to_num(self.nonlinearity))
         i = int(np.argmax(off))
-        return self.names[i] if off[i] >= NONLINEAR_STDS else ""
+        return self.names[i] if off[i] >= SETTINGS.nonlinear_stds else ""
 
 
 @single_threaded

@@ -40,25 +40,38 @@ from fmuid.identification.conditional_optimum import ConditionalOptimum, best_ne
 from fmuid.identification.profile_ends import EndKind, ProfileEndNote
 from fmuid.progress import ProfileStep, Progress
 
-# Approximate number of steps of a side, equal in τ.
-STEPS_PER_SIDE = 4
-# Longest first step, relative to the parameter's magnitude,
-FIRST_STEP_SHARE = 0.5
-# and shortest first step.
-LEAST_STEP_SHARE = 1e-12
-# Where the profile is flatter than expected, each step is at most so many times the one before.
-LARGEST_GROWTH = 2.0
-# A side that has not reached the level at this distance, in magnitudes and standard deviations, is flat.
-FLAT_MAGNITUDES, FLAT_STDS = 1000.0, 10.0
-# Below this share of its level, τ is too small for its slope to be used.
-LEAST_ROOT_SHARE = 0.03
-# Where simulations fail, a step is shortened by this factor, at most so many times.
-STEP_REDUCTION, MOST_REDUCTIONS = 0.25, 4
-# An end is found where τ equals its level to this relative error; one more Newton step then leaves its square.
-END_TOLERANCE = 1e-3
-END_STEPS = 12
-# A criterion lower than the least one by more than this share of the quantile shows a better optimum.
-LOWER_OPTIMUM_SHARE = 0.01
+
+@dataclass(frozen=True)
+class ProfileSettings:
+    """Numbers of the walk along a profile."""
+
+    steps_per_side: int = 4
+    """Approximate number of steps of a side, equal in τ."""
+    first_step_share: float = 0.5
+    """Longest first step, relative to the parameter's magnitude, ..."""
+    least_step_share: float = 1e-12
+    """... and shortest."""
+    largest_growth: float = 2.0
+    """Where the profile is flatter than expected, each step is at most so many times the one before."""
+    flat_magnitudes: float = 1000.0
+    """A side that has not reached the level at this distance, in magnitudes ..."""
+    flat_stds: float = 10.0
+    """... and standard deviations, is flat."""
+    least_root_share: float = 0.03
+    """Below this share of its level, τ is too small for its slope to be used."""
+    step_reduction: float = 0.25
+    """Where simulations fail, a step is shortened by this factor, ..."""
+    most_reductions: int = 4
+    """... at most so many times."""
+    end_tolerance: float = 1e-3
+    """An end is where τ equals its level to this relative error; one more Newton step then leaves its square."""
+    end_steps: int = 12
+    """Steps to an end at most."""
+    lower_optimum_share: float = 0.01
+    """A criterion lower than the least one by more than this share of the quantile shows a better optimum."""
+
+
+SETTINGS = ProfileSettings()
 
 
 @dataclass(frozen=True, eq=False)
@@ -192,7 +205,9 @@ def reach(problem: LeastSquares, result: Result) -> Floats:
     """Return the distance from its estimate up to which each parameter is followed (N,): beyond, it is undetermined."""
     parameters = problem.parameters
     std = np.where(np.isfinite(result.std), result.std, 0.0)
-    return np.maximum(FLAT_MAGNITUDES * np.maximum(np.abs(result.values), parameters.scale), FLAT_STDS * std)
+    return np.maximum(
+        SETTINGS.flat_magnitudes * np.maximum(np.abs(result.values), parameters.scale), SETTINGS.flat_stds * std
+    )
 
 
 @dataclass(eq=False)
@@ -279,7 +294,7 @@ class _Profiler:
                 self._remark(side, EndKind.FAILING, here)
                 return
             self._keep(side, point)
-            if self._rise(point) < -LOWER_OPTIMUM_SHARE * self.threshold:
+            if self._rise(point) < -SETTINGS.lower_optimum_share * self.threshold:
                 side.lost = True
                 self._remark(side, EndKind.LOWER, point)
                 return
@@ -308,25 +323,27 @@ class _Profiler:
             self.progress(step)
 
     def _first_step(self) -> float:
-        wanted = min(math.sqrt(self.threshold) * self.bend / STEPS_PER_SIDE, FIRST_STEP_SHARE * self.magnitude)
-        return max(wanted, LEAST_STEP_SHARE * self.magnitude)
+        wanted = min(
+            math.sqrt(self.threshold) * self.bend / SETTINGS.steps_per_side, SETTINGS.first_step_share * self.magnitude
+        )
+        return max(wanted, SETTINGS.least_step_share * self.magnitude)
 
     def _next_step(self, point: ConditionalOptimum, last: float) -> float:
         """Return the step that raises τ by its share, as its slope says, and not much longer than the last one."""
         slope, level = self._slope(point), math.sqrt(self.threshold)
-        usable = slope > 0 and self._root(point) > LEAST_ROOT_SHARE * level
-        wanted = level / STEPS_PER_SIDE / slope if usable else math.inf
-        return min(max(wanted, STEP_REDUCTION * last), LARGEST_GROWTH * last)
+        usable = slope > 0 and self._root(point) > SETTINGS.least_root_share * level
+        wanted = level / SETTINGS.steps_per_side / slope if usable else math.inf
+        return min(max(wanted, SETTINGS.step_reduction * last), SETTINGS.largest_growth * last)
 
     def _next(self, here: ConditionalOptimum, value: float, step: float, bound: float) -> ConditionalOptimum | None:
         """Return the next point, nearer where simulations fail, None where they all do."""
-        for _ in range(MOST_REDUCTIONS):
+        for _ in range(SETTINGS.most_reductions):
             there = value + step
             there = bound if (there - bound) * step > 0 else there
             point = best_with(self.criterion, self.index, there, here)
             if point is not None:
                 return point
-            step *= STEP_REDUCTION
+            step *= SETTINGS.step_reduction
         return None
 
     # --- its end
@@ -336,9 +353,9 @@ class _Profiler:
         level = math.sqrt(self.threshold)
         low, high = inside, outside
         near = outside
-        for _ in range(END_STEPS):
+        for _ in range(SETTINGS.end_steps):
             value = self._newton(near, level)
-            if abs(self._root(near) - level) <= END_TOLERANCE * level:
+            if abs(self._root(near) - level) <= SETTINGS.end_tolerance * level:
                 return value
             a, b = sorted((self._value(low), self._value(high)))
             if not a < value < b:

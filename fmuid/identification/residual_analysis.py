@@ -33,21 +33,29 @@ from fmuid.identification.residual_series import InputCorrelation, ResidualSerie
 CORRELATIONS = ("experiment", "output", "with", "lag", "time", "correlation", "band")
 # What is found is less likely by chance than this, over all residuals and inputs together ...
 RESIDUAL_LEVEL = 0.01
-# ... and matters: an autocorrelation this large,
-LARGE_AUTOCORRELATION = 0.1
+
+
+@dataclass(frozen=True)
+class FindingLimits:
+    """What matters in a residual."""
+
+    large_autocorrelation: float = 0.1
+    """An autocorrelation this large, ..."""
+    large_correlation: float = 0.1
+    """... a correlation with an input: it explains a hundredth of the residual's variance, ..."""
+    large_offset_stds: float = 0.1
+    """... or a mean in standard deviations."""
+    more_likely: float = 0.5
+    """What returns with each cycle is worth a sentence where it is more likely there than not, ..."""
+    least_returning: float = 0.01
+    """... and has so much of the residual's variance: by chance it has a little."""
+    long_memory: float = 0.2
+    """Noise is slow for a record of which its time constant is more than this share."""
+
+
+SETTINGS = FindingLimits()
 # standard deviations that are wider or narrower than those of white noise by this factor,
 LEAST_STD_FACTOR = 1.25
-# a correlation with an input: it explains a hundredth of the residual's variance,
-LARGE_CORRELATION = 0.1
-# a mean in standard deviations.
-LARGE_OFFSET_STDS = 0.1
-# ... what returns with each cycle of the excitation is worth a sentence where it is more likely there than not.
-MORE_LIKELY = 0.5
-# ... and has so much of the residual's variance: what returns in one output has a little in others by chance.
-LEAST_RETURNING = 0.01
-
-# Noise is slow for a record of which its time constant is more than this share.
-LONG_MEMORY = 0.2
 
 
 class ResidualDefect(Enum):
@@ -107,14 +115,18 @@ def _findings(series: ResidualSeries, outputs: int, inputs: int) -> list[Residua
     if series.whiteness.probability <= level:
         found.append(
             ResidualFinding(
-                ResidualDefect.COLOURED, abs(series.whiteness.strongest[1]) >= LARGE_AUTOCORRELATION, series
+                ResidualDefect.COLOURED, abs(series.whiteness.strongest[1]) >= SETTINGS.large_autocorrelation, series
             )
         )
     if series.mean_probability < level:
-        found.append(ResidualFinding(ResidualDefect.OFFSET, abs(series.mean) > LARGE_OFFSET_STDS * series.std, series))
+        found.append(
+            ResidualFinding(ResidualDefect.OFFSET, abs(series.mean) > SETTINGS.large_offset_stds * series.std, series)
+        )
     for each in series.inputs:
         if each.probability < RESIDUAL_LEVEL / inputs:
-            found.append(ResidualFinding(ResidualDefect.INPUT, abs(each.correlation) > LARGE_CORRELATION, series, each))
+            found.append(
+                ResidualFinding(ResidualDefect.INPUT, abs(each.correlation) > SETTINGS.large_correlation, series, each)
+            )
     if series.normality.probability < level:
         found.append(ResidualFinding(ResidualDefect.SHAPE, series.is_lopsided or series.is_tailed, series))
     return found
@@ -179,7 +191,7 @@ def _slow(noise: ResidualNoise) -> tuple[tuple[LowFrequencyNoiseFinding, ...], t
             slow.append(
                 LowFrequencyNoiseFinding(first.output, names, -first.step / math.log(process.pole), process.slow_share)
             )
-        if constant > LONG_MEMORY * record:
+        if constant > SETTINGS.long_memory * record:
             long.append(LongMemory(first.output, names, min(constant, record), record))
     return tuple(slow), tuple(long)
 
@@ -314,7 +326,7 @@ def analyze_residuals(problem: LeastSquares, result: Result) -> ResidualAnalysis
     shares: dict[tuple[str, str, float], float] = {}
     for found in result.noise.returning:
         for own, share in zip(found.series, found.shares.tolist(), strict=True):
-            if found.probability > MORE_LIKELY and share > LEAST_RETURNING:
+            if found.probability > SETTINGS.more_likely and share > SETTINGS.least_returning:
                 key = (own.output, own.experiment, found.period * own.step)
                 shares[key] = min(shares.get(key, 0.0) + share, 1.0)
     returning = tuple(PeriodicErrorFinding(*key, share) for key, share in shares.items())

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, field, fields
 from pathlib import Path
+from typing import Annotated
+
+from annotated_types import Gt
 
 from fmuid.errors import InputError
 from fmuid.formatting import nearest
@@ -76,21 +79,6 @@ class Isolation:
     A simulation that crashes the process, does not end or takes too much memory fails like any other that fails, and
     the next one is run by a new process. This is no sandbox: an FMU is native code with the rights of its user.
 
-    Parameters
-    ----------
-    time_limit : float, optional
-        How long one simulation may take, s; default: `SLOWER` times the longest so far, at least `LEAST_LIMIT`, and
-        `FIRST_LIMIT` before there was any.
-    memory : float, optional
-        How much memory the process may take with all that it starts, MB; default: an equal share of half the machine's
-        memory for each core. One that grows by more than `GROWTH` while simulations come and go is replaced by a new
-        one.
-    recycle : int, optional
-        After how many simulations the process is replaced by a new one; default: only for its memory.
-    threads : int, optional
-        How many simulations run at a time, in as many processes where the FMU is not safe in threads; default: one for
-        each core.
-
     Raises
     ------
     InputError
@@ -99,28 +87,32 @@ class Isolation:
     Examples
     --------
     >>> coil = fmuid.datasets.coil()
-    >>> with fmuid.System(coil.fmu, isolation=fmuid.Isolation(time_limit=10.0)) as system:
-    ...     values = fmuid.Simulator(system, coil.experiment, ["R"])([4.0])
-    >>> values.shape
+    >>> system = fmuid.System(coil.fmu, isolation=fmuid.Isolation(time_limit=10.0))
+    >>> fmuid.Simulator(system, coil.experiment, ["R"])([4.0]).shape
     (200, 1)
     """
 
-    time_limit: float | None = None
-    memory: float | None = None
-    recycle: int | None = None
-    threads: int | None = None
+    time_limit: Annotated[float, Gt(0)] | None = None
+    """s for one simulation; default: by how long earlier ones took"""
+    memory_limit_mb: Annotated[float, Gt(0)] | None = None
+    """MB, with all that the process starts; default: an equal share of half the machine's for each core"""
+    max_simulations_per_process: Annotated[int, Gt(0)] | None = None
+    """simulations after which a process is replaced; default: only for its memory"""
+    threads: int | None = field(default=None, metadata={"key": False})
+    """simulations at a time, in as many processes where the FMU is not safe in threads; default: one for each core"""
 
     def __post_init__(self) -> None:
-        for field in fields(self):
-            given = getattr(self, field.name)
+        for each in fields(self):
+            given = getattr(self, each.name)
             if given is not None and not 0 < given < float("inf"):
-                raise InputError(f"{field.name} must be a positive number, not {given:g}")
+                raise InputError(f"{each.name} must be a positive number, not {given:g}")
 
 
 AS_OFFERED = Numerics()
 """All defaults."""
 
 
+@dataclass(frozen=True, eq=False, init=False)
 class Component:
     """An FMU in a system, and how it is run there.
 
@@ -137,9 +129,12 @@ class Component:
     'A'
     """
 
+    fmu: FMU
+    numerics: Numerics
+
     def __init__(self, fmu: FMU | str | Path, numerics: Numerics = AS_OFFERED) -> None:
-        self.fmu = fmu if isinstance(fmu, FMU) else FMU(fmu)
-        self.numerics = numerics
+        object.__setattr__(self, "fmu", fmu if isinstance(fmu, FMU) else FMU(fmu))
+        object.__setattr__(self, "numerics", numerics)
         offered = self.fmu.description.interfaces
         if self.kind not in offered:
             raise InputError(f"{self.fmu.path} offers no {self.kind} interface; it offers {', '.join(offered)}")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 
@@ -13,7 +14,6 @@ from fmuid.models.component import AS_OFFERED, Component, Isolation, Numerics
 from fmuid.models.connections import Connection, exchange_order
 from fmuid.models.description import Variable, unit_conversion
 from fmuid.models.fmu import FMU
-from fmuid.models.owner import Owner
 
 MASTERS = ("jacobi", "gauss-seidel")
 
@@ -21,8 +21,9 @@ Port = tuple[str, float, float]
 """A variable connected to a connector of the system, with factor and offset."""
 
 
-class System(Owner):
-    """FMUs coupled through connections; ``with System(...) as system:`` frees their instances at the end.
+@dataclass(frozen=True, eq=False, init=False, repr=False)
+class System:
+    """FMUs coupled through connections. It runs nothing: `fmuid.simulation.executor_pool` knows who does.
 
     Parameters
     ----------
@@ -67,6 +68,15 @@ class System(Owner):
     (System(a, b), 'A')
     """
 
+    components: Mapping[str, Component]
+    connections: tuple[Connection, ...]
+    connectors: Mapping[str, tuple[Port, ...]]
+    exchange_order: tuple[tuple[tuple[Connection, ...], bool], ...]
+    values: Mapping[str, float | int | bool | str]
+    numerics: Numerics
+    master: str
+    isolation: Isolation | None
+
     def __init__(
         self,
         fmu: Component | FMU | str | Path | None = None,
@@ -79,25 +89,27 @@ class System(Owner):
         connectors: Mapping[str, Sequence[Port]] | None = None,
         isolation: Isolation | None = None,
     ) -> None:
-        super().__init__()
         if (fmu is None) == (not components):
             raise InputError("a system needs either one FMU or named components; give exactly one of the two")
         if master not in MASTERS:
             raise InputError(f"master {master!r} is not known{nearest(master, MASTERS)}: give {' or '.join(MASTERS)}")
         given: Mapping[str, Component | FMU | str | Path] = {"": fmu} if fmu is not None else dict(components or {})
-        self.numerics, self.master, self.isolation = numerics, master, isolation
-        self.components = {name: self._component(model, numerics) for name, model in given.items()}
-        for name in self.components:
-            if fmu is None and not name:
-                raise InputError("a component has an empty name; name it")
-        self.connectors = {name: tuple(ports) for name, ports in (connectors or {}).items() if ports}
-        self.connections = tuple(self._connect(*connection) for connection in connections)
+        if fmu is None and "" in given:
+            raise InputError("a component has an empty name; name it")
+
+        def keep(name: str, value: object) -> None:
+            object.__setattr__(self, name, value)
+
+        for name, value in (("numerics", numerics), ("master", master), ("isolation", isolation)):
+            keep(name, value)
+        keep("components", {name: self._component(model, numerics) for name, model in given.items()})
+        keep("connectors", {name: tuple(ports) for name, ports in (connectors or {}).items() if ports})
+        keep("connections", tuple(self._connect(*connection) for connection in connections))
         self._check_fed_once()
         self._check_connectors()
-        self.exchange_order = exchange_order(
-            self.connections, {name: model.fmu.description for name, model in self.components.items()}
-        )
-        self.values = dict(values or {})
+        descriptions = {name: model.fmu.description for name, model in self.components.items()}
+        keep("exchange_order", exchange_order(self.connections, descriptions))
+        keep("values", dict(values or {}))
         for name in self.values:
             self.variable(name)
 
@@ -197,7 +209,7 @@ class System(Owner):
         return not self.connections or any(model.numerics.samples is not None for model in self.components.values())
 
     def run_by(self, numerics: Mapping[str, Numerics]) -> System:
-        """Return this system with some of its components run in another way; it is closed with this one.
+        """Return this system with some of its components run in another way.
 
         Parameters
         ----------
@@ -209,18 +221,13 @@ class System(Owner):
         InputError
             If an FMU has no such interface, or the integrator does not go with the interface.
         """
-
-        def make() -> System:
-            other = copy.copy(self)
-            Owner.__init__(other)
-            other.told = self.told
-            other.components = {
-                name: Component(model.fmu, numerics[name]) if name in numerics else model
-                for name, model in self.components.items()
-            }
-            return other
-
-        return self.variant(("run by", *sorted(numerics.items())), make) if numerics else self
+        components = {
+            name: Component(model.fmu, numerics[name]) if name in numerics else model
+            for name, model in self.components.items()
+        }
+        other = copy.copy(self)
+        object.__setattr__(other, "components", components)
+        return other
 
     def __repr__(self) -> str:
         return f"System({', '.join(self.components)})" if self.name_prefixed else f"System({self.label})"

@@ -10,7 +10,6 @@ from fmuid.estimation import Estimator, LinearEstimate, Result
 from fmuid.formatting import with_std
 from fmuid.identification import Assessment, Posterior, PriorDataComparison, ResidualAnalysis
 from fmuid.reports.document import Document, Message, capitalised
-from fmuid.reports.topics.batch import batch_document
 from fmuid.reports.topics.diagnosis import diagnosis_document
 from fmuid.reports.topics.diagnosis_phrases import basis_notes, diagnosis_notes, verdict
 from fmuid.reports.topics.identification import identification_document
@@ -22,7 +21,6 @@ from fmuid.reports.topics.residual_analysis import residual_words
 from fmuid.reports.topics.termination import result_words
 from fmuid.reports.topics.uncertainty import posterior_words, uncertainty_words
 from fmuid.runs import (
-    BatchResult,
     ComparisonRun,
     DiagnosisRun,
     IdentificationRun,
@@ -49,7 +47,6 @@ document.register(DiagnosisRun, diagnosis_document)
 document.register(MonitoringRun, monitoring_document)
 document.register(PredictionRun, prediction_document)
 document.register(ComparisonRun, comparison_document)
-document.register(BatchResult, batch_document)
 
 
 class LinearMessage(Message):
@@ -106,9 +103,8 @@ def describe(found: Found) -> str:
             sampled = () if found.posterior is None else found.posterior.names
             names = (*(each.name for each in found.profiles), *sampled)
         case Diagnosis():
-            strain = () if found.strain is None else (found.strain.name,)
             said = (verdict(found), *diagnosis_notes(found))
-            names = (*(each.name for each in found.hypotheses), *strain)
+            names = (*found.mismatched, *found.nominal)
         case Monitor():
             said, names = (monitoring_words(findings_of(found)), *basis_notes(found.basis)), ()
         case Result():

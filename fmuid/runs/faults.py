@@ -16,7 +16,6 @@ from fmuid.diagnosis import (
     MISS_PROBABILITY,
     Baseline,
     Design,
-    Diagnosis,
     Monitor,
     Rule,
     StoredBaseline,
@@ -56,11 +55,11 @@ def build_monitor(study: Study, rule: Rule) -> Monitor:
         If the study has none, or models and healthy result do not fit together.
     """
     settings = study.fault_search
-    hypotheses = settings.hypotheses(study.system, study.model, study.data)
+    faults = settings.fault_models(study.system, study.model, study.data)
     try:
         return Monitor(
             _healthy(study),
-            hypotheses,
+            faults,
             study.system,
             rule,
             settings.causes,
@@ -109,7 +108,7 @@ def shown_by(study: Study) -> Callable[[Result], StoredBaseline] | None:
     for name, parameter in study.parameters.items():
         if parameter.per_experiment:
             raise InputError(f"{settings.where}: {name} is one per experiment, which does not go with a diagnosis")
-    faults = settings.hypotheses(study.system, study.model, study.data)
+    faults = settings.fault_models(study.system, study.model, study.data)
     variance = study.noise.given_variance()
 
     def shown(result: Result) -> StoredBaseline:
@@ -183,7 +182,7 @@ def diagnosed(study: Study, folder: Path | None = None, *, progress: Progress | 
     if folder is not None:
         files.make_folder(folder)
     diagnosis = study.diagnose(progress)
-    found = DiagnosisRun(diagnosis, _units(study), _residuals(study, diagnosis))
+    found = DiagnosisRun(diagnosis, _units(study))
     try:
         if folder is not None:
             found = replace(found, prepared=prepared(study), origin=made_from(study))
@@ -314,23 +313,3 @@ class MonitoredTables:
 def _units(study: Study) -> dict[str, str | None]:
     """Return the unit of each output of the study's tables."""
     return {name: each.units.get(name, study.system.unit(name)) for each in study.tables for name in each.output_names}
-
-
-def _residuals(study: Study, found: Diagnosis) -> pd.DataFrame | None:
-    """Return the residuals of the first experiment without and with the fault that explains most."""
-    best = found[found.named[0]] if found.named else min(found.hypotheses, key=lambda each: each.probability)
-    if found.result is None or best.result is None:
-        return None
-    columns = {"time": found.result.fit[0]["time"]}
-    for kind, frame in (("healthy", found.result.fit[0]), ("fault", best.result.fit[0])):
-        for output, unlike in zip(study.tables[0].output_names, residuals_of(frame), strict=True):
-            columns[f"{kind}.{output}"] = unlike
-    return pd.DataFrame(columns)
-
-
-def residuals_of(frame: pd.DataFrame) -> list[pd.Series[float]]:
-    """Return measured − simulated of each output of a result's fit, whatever its name in this model."""
-    kinds = (
-        [str(name) for name in frame.columns if str(name).startswith(each)] for each in ("measured.", "simulated.")
-    )
-    return [frame[measured] - frame[simulated] for measured, simulated in zip(*kinds, strict=True)]

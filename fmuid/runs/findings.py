@@ -200,9 +200,6 @@ class DiagnosisRun:
     diagnosis : Diagnosis
     units : mapping of str to str
         Of each output.
-    residuals : DataFrame or None
-        ``time``, and ``healthy.`` and ``fault.`` of each output: what the healthy model leaves unexplained of the first
-        experiment, and what is left with the fault that explains most; None where no model was fitted.
     prepared : tuple of PreprocessedTable
     origin : Provenance or None
     files : tuple of Path
@@ -211,10 +208,11 @@ class DiagnosisRun:
 
     diagnosis: Diagnosis
     units: Mapping[str, str | None] = field(default_factory=dict)
-    residuals: pd.DataFrame | None = None
     prepared: tuple[PreprocessedTable, ...] = ()
     origin: Provenance | None = None
     files: tuple[Path, ...] = ()
+
+    json_layout: ClassVar = Layout(omitted={"files"}, inlined={"diagnosis"}, types={"Diagnosis": "fmuid.diagnosis"})
 
     @property
     def healthy(self) -> bool:
@@ -416,8 +414,6 @@ class BatchOverview:
 
     Attributes
     ----------
-    words : tuple of str
-        Its summary.
     statuses : mapping of str to int
         How many cases there are of each.
     truth : mapping of str to float
@@ -429,7 +425,6 @@ class BatchOverview:
     origin : Provenance or None
     """
 
-    words: tuple[str, ...]
     statuses: Mapping[str, int]
     truth: Mapping[str, float]
     units: Mapping[str, str | None]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -22,12 +22,10 @@ from fmuid.runs.findings import (
     IdentificationRun,
     MonitoringRun,
     PredictionRun,
-    PreprocessedTable,
-    Provenance,
 )
 
 RESULT_FILE = "result.json"
-DIAGNOSIS_FILE, DIAGNOSIS_SCHEMA = "diagnosis.json", "fmuid/diagnosis/2"
+DIAGNOSIS_FILE = "diagnosis.json"
 MONITORING_FILE, MONITORING_SCHEMA = "monitoring.json", "fmuid/monitoring/2"
 PREDICTION_FILE, PREDICTION_SCHEMA = "prediction.json", "fmuid/prediction/2"
 COMPARISON_FILE, COMPARISON_SCHEMA = "comparison.json", "fmuid/comparison/2"
@@ -189,44 +187,35 @@ def write_diagnosis(folder: Path, found: DiagnosisRun) -> list[Path]:
     InputError
         If a file cannot be written.
     """
-    more = {"units": found.units, "prepared": found.prepared, "origin": found.origin}
-    written = [codec.write(folder / DIAGNOSIS_FILE, DIAGNOSIS_SCHEMA, found.diagnosis.to_json_dict(), **more)]
+    from fmuid.diagnosis import DIAGNOSIS_SCHEMA  # and all that decides
+
+    written = [codec.write(folder / DIAGNOSIS_FILE, DIAGNOSIS_SCHEMA, found)]
     written.append(write_table(folder / "diagnosis.csv", found.diagnosis.table))
     tables = [each.table for each in found.prepared if len(each.table)]
-    for name, parts in (
-        (PREPARED_FILE, tables),
-        (RESIDUALS_FILE, [] if found.residuals is None else [found.residuals]),
-    ):
+    some = found.diagnosis.residuals is not None and found.diagnosis.evidence.explanations
+    residuals = [found.diagnosis.residuals] if some else []
+    for name, parts in ((PREPARED_FILE, tables), (RESIDUALS_FILE, residuals)):
         (folder / name).unlink(missing_ok=True)
         written += [write_table(folder / name, pd.concat(parts, ignore_index=True))] if parts else []
     return written
 
 
 def read_diagnosis(folder: Path) -> DiagnosisRun:
-    """Read what `write_diagnosis` has written; the fits themselves are not kept.
+    """Read what `write_diagnosis` has written; the fit itself is not kept.
 
     Raises
     ------
     InputError
         If a file cannot be read.
     """
+    from fmuid.diagnosis import DIAGNOSIS_SCHEMA
+
     path, again = folder / DIAGNOSIS_FILE, "run fmuid diagnose again"
     content = codec.content_of(path, DIAGNOSIS_SCHEMA, again)
     content["prepared"] = _with_tables(content.get("prepared", []), folder / PREPARED_FILE)
-    kept = codec.decoded(path, content, _DiagnosisFile, again)
-    residuals = read_table(folder / RESIDUALS_FILE) if (folder / RESIDUALS_FILE).is_file() else None
-    from fmuid.diagnosis import Diagnosis
-
-    return DiagnosisRun(Diagnosis.from_json(path), kept.units, residuals, kept.prepared, kept.origin)
-
-
-@dataclass(frozen=True)
-class _DiagnosisFile:
-    """What ``diagnosis.json`` has beside the diagnosis."""
-
-    units: Mapping[str, str | None]
-    prepared: tuple[PreprocessedTable, ...]
-    origin: Provenance | None
+    if (folder / RESIDUALS_FILE).is_file():
+        content["residuals"] = read_table(folder / RESIDUALS_FILE)
+    return codec.decoded(path, content, DiagnosisRun, again)
 
 
 def read_monitoring(folder: Path) -> MonitoringRun:
@@ -322,15 +311,15 @@ def read_comparison(folder: Path) -> ComparisonRun:
     return codec.read(folder / COMPARISON_FILE, COMPARISON_SCHEMA, ComparisonRun, "run fmuid compare again")
 
 
-def read_overview(folder: Path) -> BatchOverview:
-    """Read what a batch says of itself beside its tables.
+def write_overview(folder: Path, found: BatchOverview) -> Path:
+    """Write ``summary.json`` and return its path.
 
     Raises
     ------
     InputError
-        If the file cannot be read.
+        If it cannot be written.
     """
-    return codec.read(folder / OVERVIEW_FILE, BATCH_SCHEMA, BatchOverview, "run the same command again")
+    return codec.write(folder / OVERVIEW_FILE, BATCH_SCHEMA, found)
 
 
 def read_table(path: Path) -> pd.DataFrame:

@@ -4,7 +4,9 @@ from .codes import INT32 as INT32
 from .codes import REPORT as REPORT
 from .codes import UINT8 as UINT8
 from .codes import WIRES as WIRES
-from .executor import executor_of as executor_of
+from .executor_pool import close as close
+from .executor_pool import closing as closing
+from .executor_pool import executor_of as executor_of
 from .failures import describe as describe
 from .instance import Instance as Instance
 from .instance import warn as warn

@@ -12,7 +12,7 @@ from fmuid.array_types import Floats
 from fmuid.data import Experiment
 from fmuid.models import STIFF_INTEGRATOR, Component, Port, System
 from fmuid.simulation import codes
-from fmuid.simulation.executor import Executor
+from fmuid.simulation.executor_pool import Executor, variant_of
 from fmuid.simulation.plan_builder import grid_of, outputs_with_sensitivities, plan_of, simulation_of
 from fmuid.simulation.simulation_plan import GridSimulation, Sensitivities, SimulationPlan, new_reports
 from fmuid.simulation.simulation_task import task_of
@@ -182,7 +182,7 @@ def twin_simulation(simulator: Simulator) -> SensitivitySimulation:
 
 def _twins_of(system: System, count: int, inputs: tuple[str, ...]) -> System:
     """Return the system of a number of twins and the model itself, which all simulators of a system share."""
-    return system.variant(("twins", count, inputs), lambda: _new_twins(system, count, inputs))
+    return variant_of(system, ("twins", count, inputs), lambda: _new_twins(system, count, inputs))
 
 
 def _new_twins(system: System, count: int, inputs: tuple[str, ...]) -> System:

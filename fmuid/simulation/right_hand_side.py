@@ -14,7 +14,7 @@ import numpy as np
 from fmuid.array_types import Floats
 from fmuid.models import System
 from fmuid.simulation import codes
-from fmuid.simulation.executor import executor_of
+from fmuid.simulation.executor_pool import executor_of
 from fmuid.simulation.forward_simulation import extended_by, initial_simulation, initial_states, names_of
 from fmuid.simulation.plan_builder import grid_of, plan_of
 from fmuid.simulation.simulation_plan import GridSimulation, new_reports

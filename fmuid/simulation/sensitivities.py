@@ -10,7 +10,7 @@ import numpy as np
 from fmuid.array_types import Floats
 from fmuid.errors import InputError, SensitivityUnavailableError
 from fmuid.models import DEFAULT_TOLERANCE
-from fmuid.simulation.executor import executor_of
+from fmuid.simulation.executor_pool import executor_of
 from fmuid.simulation.forward_simulation import (
     SensitivityRefusal,
     SensitivitySimulation,

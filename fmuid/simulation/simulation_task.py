@@ -169,7 +169,7 @@ def _known_values(system: System, fed: set[str]) -> dict[str, Value]:
         for component, model in system.components.items()
         for name, value in model.fmu.description.applied.items()
     }
-    return {name: value for name, value in (applied | system.values).items() if name not in fed}
+    return {name: value for name, value in {**applied, **system.values}.items() if name not in fed}
 
 
 def _component_steps(system: System, step_size: float | None) -> dict[str, float | None]:

@@ -14,7 +14,7 @@ from fmuid.data import Experiment
 from fmuid.errors import NO_EXPERIMENT, InputError, SimulationError, check_kind
 from fmuid.models import FMU, Isolation, Numerics, System
 from fmuid.simulation import codes
-from fmuid.simulation.executor import executor_of
+from fmuid.simulation.executor_pool import close, executor_of
 from fmuid.simulation.plan_builder import simulation_of
 from fmuid.simulation.simulation_plan import new_reports
 from fmuid.simulation.simulation_task import task_of
@@ -43,8 +43,8 @@ class Simulations:
 class Simulator:
     """Simulate a model over an experiment: ``simulator(theta)``.
 
-    The instances are kept and shared by all simulators of one `System`, which owns and frees them (`system`); several
-    thetas are spread over several instances in threads where the FMU allows it.
+    The instances are kept and shared by all simulators of one `System`, and freed with the last of them or by `close`;
+    several thetas are spread over several instances in threads where the FMU allows it.
 
     Parameters
     ----------
@@ -241,6 +241,10 @@ class Simulator:
         for j, (factor, offset) in self._conversions.items():
             outputs[:, :, j] = factor * outputs[:, :, j] + offset
         return outputs
+
+    def close(self) -> None:
+        """Free the instances of the system, which all its simulators share; a later simulation makes new ones."""
+        close(self.system)
 
     def over(self, experiment: Experiment) -> Simulator:
         """Return the simulator of another experiment with the same model, parameters and values."""

@@ -182,7 +182,7 @@ def _run(report: SmokeReport, fmu: FMU, kind: str, share: float, target: Path) -
     report.seconds, report.repeated = time.perf_counter() - began, True
     report.differs = not np.allclose(first, second, rtol=0.0, atol=REPEAT_TOLERANCE * np.abs(first).max(initial=0.0))
     begin(Stage.END)
-    simulator.system.close()
+    simulator.close()
 
 
 def observed(description: Description) -> list[str]:

@@ -10,9 +10,11 @@ show what depends on them, and no search goes on by them.
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 from fmuid.models import DEFAULT_TOLERANCE, Component, Numerics, SolverConfiguration, System
+from fmuid.simulation.executor_pool import variant_of
 from fmuid.simulation.instance_registry import needs_process
 from fmuid.simulation.simulator import Simulator
 
@@ -117,7 +119,7 @@ def refined(simulator: Simulator, system: System, refinement: Refinement) -> Sim
         If an FMU cannot step that way.
     """
     if refinement.tolerance is not None:
-        system = system.run_by({name: _exchange(model) for name, model in _exchanged(system).items()})
+        system = _run_by(system, {name: _exchange(model) for name, model in _exchanged(system).items()})
     return simulator.by(system, refinement.divisor, refinement.tolerance)
 
 
@@ -133,7 +135,16 @@ def by_model_exchange(system: System, tolerance: float | None = None) -> System 
     exchanged = _exchanged(system)
     if len(exchanged) < len(system.components):
         return None
-    return system.run_by({name: _exchange(m, tolerance or m.numerics.tolerance) for name, m in exchanged.items()})
+    return _run_by(system, {name: _exchange(m, tolerance or m.numerics.tolerance) for name, m in exchanged.items()})
+
+
+def _run_by(system: System, numerics: Mapping[str, Numerics]) -> System:
+    """Return a system whose components are run in another way; simulators of it share its instances."""
+    return (
+        variant_of(system, ("run by", *sorted(numerics.items())), lambda: system.run_by(numerics))
+        if numerics
+        else system
+    )
 
 
 def how_run(

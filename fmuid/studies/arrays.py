@@ -8,7 +8,7 @@ from typing import Any
 
 from fmuid.errors import InputError
 from fmuid.models import System
-from fmuid.studies.section import said_of_table
+from fmuid.studies.value_kinds import said_of_table
 
 MOST_DIMENSIONS = 8
 """Of an array: what is nested more deeply is none."""

@@ -15,7 +15,9 @@ from fmuid.data import Noise, Parameter
 from fmuid.files import full, is_file
 from fmuid.formatting import nearest
 from fmuid.studies.model import ExperimentSettings
-from fmuid.studies.section import (
+from fmuid.studies.section import StudySection, word
+from fmuid.studies.toml import show
+from fmuid.studies.value_kinds import (
     BY_SHAPE,
     TABLE_TAG,
     VALUE_TAG,
@@ -27,15 +29,12 @@ from fmuid.studies.section import (
     Natural,
     PositiveOrEach,
     Scalar,
-    StudySection,
     Text,
     ValueKind,
     as_list,
     must_be,
     one_of,
-    word,
 )
-from fmuid.studies.toml import show
 
 Value = float | int | bool | str
 

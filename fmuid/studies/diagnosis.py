@@ -20,7 +20,8 @@ from fmuid.models import System
 from fmuid.studies.arrays import by_element, check_shapes
 from fmuid.studies.model import ModelSection, ParsedModel
 from fmuid.studies.parameters import ParsedParameters, PriorSource
-from fmuid.studies.section import (
+from fmuid.studies.section import StudySection, word
+from fmuid.studies.value_kinds import (
     BY_SHAPE,
     TABLE_TAG,
     VALUE_TAG,
@@ -33,12 +34,10 @@ from fmuid.studies.section import (
     Number,
     Positive,
     Share,
-    StudySection,
     Text,
     Texts,
     ValueKind,
     must_be,
-    word,
 )
 
 if TYPE_CHECKING:
@@ -72,8 +71,7 @@ class AngleSection(StudySection):
 class FaultParameterSection(StudySection):
     """A parameter of a fault."""
 
-    start: Number = word(0.0, "where the search begins; zero is the healthy machine")
-    nominal: Positive | None = word(None, "size, needed where the start is 0; of an angle: 1")
+    nominal: Positive | None = word(None, "size that is worth naming; of an angle not needed")
     min: Number = word(-math.inf, "lower bound")
     max: Number = word(math.inf, "upper bound")
 
@@ -86,7 +84,7 @@ class FaultParameterSection(StudySection):
             If its numbers do not fit together.
         """
         try:
-            return Parameter(self.start, self.min, self.max, self.nominal or (1.0 if is_angle else None))
+            return Parameter(0.0, self.min, self.max, self.nominal or (1.0 if is_angle else None))
         except InputError as error:
             raise self.error(f"is refused: {error}") from None
 
@@ -364,7 +362,7 @@ class ParsedDiagnosis:
         path = None if self.source is None else self.source.path.with_name(BASELINE_FILE)
         return path if path is not None and is_file(path) else None
 
-    def hypotheses(self, system: System, model: ParsedModel, data: Mapping[str, Any]) -> dict[str, Fault]:
+    def fault_models(self, system: System, model: ParsedModel, data: Mapping[str, Any]) -> dict[str, Fault]:
         """Return the faults; `system` and `model` are the study's own, `data` the content of its file.
 
         Raises

@@ -27,7 +27,9 @@ from fmuid.simulation import MOST_STEPS, Value
 from fmuid.studies.arrays import by_element
 from fmuid.studies.parameters import PriorSource, ResultValueSection
 from fmuid.studies.preprocess import PreprocessWords
-from fmuid.studies.section import (
+from fmuid.studies.section import SectionLocation, StudySection, word
+from fmuid.studies.settings import ExperimentNoiseSection
+from fmuid.studies.value_kinds import (
     BY_SHAPE,
     TABLE_TAG,
     VALUE_TAG,
@@ -43,16 +45,12 @@ from fmuid.studies.section import (
     Positive,
     Scalar,
     Scalars,
-    SectionLocation,
     Share,
-    StudySection,
     Text,
     Texts,
     as_list,
     one_of,
-    word,
 )
-from fmuid.studies.settings import ExperimentNoiseSection
 from fmuid.units import TIME_UNITS
 
 if TYPE_CHECKING:

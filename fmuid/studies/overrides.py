@@ -9,7 +9,7 @@ from typing import Any
 
 from fmuid.errors import InputError
 from fmuid.formatting import nearest
-from fmuid.studies.section import entries_of, only_tables, table_of
+from fmuid.studies.section import entries_of, keys_of, only_tables, table_of
 from fmuid.studies.study_file import StudyFile
 from fmuid.studies.toml import TomlReadError, parsed, show
 
@@ -123,4 +123,5 @@ def _key(
 def _below(shape: Any, key: str) -> Any:
     """Return the type of what a key of a type leads to, None where it is not known."""
     table = table_of(shape)
-    return entries_of(shape) if table is None else table.types().get(key)
+    known = {} if table is None else keys_of(table)
+    return entries_of(shape) if table is None else known[key].annotation if key in known else None

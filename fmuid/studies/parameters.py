@@ -18,7 +18,9 @@ from fmuid.estimation import Result, TerminationReason
 from fmuid.formatting import nearest
 from fmuid.models import FMU, System
 from fmuid.simulation import Value
-from fmuid.studies.section import (
+from fmuid.studies.section import SectionLocation, StudySection, word
+from fmuid.studies.toml import show
+from fmuid.studies.value_kinds import (
     BY_SHAPE,
     TABLE_TAG,
     VALUE_TAG,
@@ -32,13 +34,9 @@ from fmuid.studies.section import (
     Numbers,
     Positive,
     Scalar,
-    SectionLocation,
-    StudySection,
     Text,
     as_list,
-    word,
 )
-from fmuid.studies.toml import show
 
 
 class ResultPriorSection(StudySection):

@@ -8,7 +8,8 @@ from typing import Annotated
 from pydantic import AfterValidator, Field, Tag
 
 from fmuid.data import FILLS, TRENDS, ParkTransform, Preprocessing
-from fmuid.studies.section import (
+from fmuid.studies.section import StudySection, word
+from fmuid.studies.value_kinds import (
     BY_SHAPE,
     TABLE_TAG,
     VALUE_TAG,
@@ -16,13 +17,11 @@ from fmuid.studies.section import (
     Finite,
     Names,
     Positive,
-    StudySection,
     Text,
     Texts,
     ValueKind,
     must_be,
     one_of,
-    word,
 )
 
 SEGMENTS = "a list of pairs of times, [[0.0, 1.5], [2.0, 3.5]]"

@@ -8,15 +8,17 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Iterator
+from dataclasses import is_dataclass
 from typing import Annotated, Any, get_args, get_origin
 
 from pydantic.fields import FieldInfo
 from pydantic.json_schema import GenerateJsonSchema, JsonSchemaValue
 from pydantic_core import core_schema
 
-from fmuid.studies.section import StudySection, ValueKind, entries_of, table_of
+from fmuid.studies.section import entries_of, keys_of, meaning, summary, table_of
 from fmuid.studies.study_file import StudyFile
 from fmuid.studies.toml import show
+from fmuid.studies.value_kinds import ValueKind
 
 HEAD = """# The words of the study file
 
@@ -46,7 +48,12 @@ def _plain(value: Any) -> Any:
         return value
     said = {key: _plain(item) for key, item in value.items() if not (key == "title" and isinstance(item, str))}
     default = said.get("default", 0)
-    if default is None or default == "" or (isinstance(default, float) and not math.isfinite(default)):
+    if (
+        default is None
+        or default == ""
+        or isinstance(default, dict)
+        or (isinstance(default, float) and not math.isfinite(default))
+    ):
         del said["default"]
     return said
 
@@ -56,24 +63,23 @@ def reference() -> str:
     parts = [HEAD]
     for name, table in _tables(StudyFile, ""):
         rows = [
-            f"| `{field.alias or key}` | {_cell(_kind(field, name))} | {_cell(_default(field))} | "
-            f"{_cell(field.description or '')} |"
-            for key, field in _own_first(table)
+            f"| `{key}` | {_cell(_kind(key, each, name))} | {_cell(_default(each))} | {_cell(meaning(table, key))} |"
+            for key, each in _own_first(table)
         ]
-        head = f"## `{name}`\n\n{table.__doc__}\n" if name else "## The file\n"
+        head = f"## `{name}`\n\n{summary(table)}\n" if name else "## The file\n"
         parts.append("\n".join([head, "| key | value | default | meaning |", "| --- | --- | --- | --- |", *rows, ""]))
     return "\n".join(parts)
 
 
-def _tables(table: type[StudySection], name: str) -> Iterator[tuple[str, type[StudySection]]]:
+def _tables(table: type, name: str) -> Iterator[tuple[str, type]]:
     yield name, table
-    for key, type_ in table.types().items():
-        below = _below(key, type_, name)
+    for key, each in keys_of(table).items():
+        below = _below(key, each.annotation, name)
         if below is not None:
             yield from _tables(below[1], below[0])
 
 
-def _below(key: str, type_: Any, above: str) -> tuple[str, type[StudySection]] | None:
+def _below(key: str, type_: Any, above: str) -> tuple[str, type] | None:
     """Return the table that a key leads to, and its name as it stands in a file."""
     path = f"{above.strip('[]')}.{key}".lstrip(".")
     table = table_of(type_)
@@ -83,13 +89,13 @@ def _below(key: str, type_: Any, above: str) -> tuple[str, type[StudySection]] |
     return None if table is None else (f"[{path}.<name>]", table)
 
 
-def _own_first(table: type[StudySection]) -> list[tuple[str, FieldInfo]]:
+def _own_first(table: type) -> list[tuple[str, FieldInfo]]:
     own = table.__annotations__
-    return sorted(table.model_fields.items(), key=lambda item: item[0] not in own)
+    return sorted(keys_of(table).items(), key=lambda item: item[0] not in own and item[1].alias is None)
 
 
-def _kind(field: FieldInfo, above: str) -> str:
-    below = _below(field.alias or "", field.annotation, above)
+def _kind(key: str, field: FieldInfo, above: str) -> str:
+    below = _below(key, field.annotation, above)
     if below is not None:
         return "a table"
     return " or ".join(
@@ -108,7 +114,8 @@ def _kinds(type_: Any) -> list[str]:
 def _default(field: FieldInfo) -> str:
     if field.is_required():
         return "must be given"
-    return "" if field.default in (None, "", [], {}) else f"`{show(field.default)}`"
+    empty = is_dataclass(field.default) or field.default in (None, "", [], (), {})
+    return "" if empty else f"`{show(field.default)}`"
 
 
 def _cell(text: str) -> str:

@@ -1,56 +1,58 @@
-"""What a study file is described with: tables as pydantic models, kinds of values, and every refusal in one sentence.
+"""Sections of a study file: classes whose fields are its keys, read from TOML, and every refusal in one sentence.
 
-A table is a class of `StudySection`, each of its fields a `word` with kind, default and meaning. Checking, the JSON
-schema, the reference page and the template of ``fmuid init`` all come from there. A sentence names the file, the
-table, the key and what was expected there.
+A section is a settings class, a frozen dataclass beside the code that it is for (`Settings`), or, where the file says
+it otherwise than the code takes it, a `StudySection`. Checking, the JSON schema, the reference page and the template of
+``fmuid init`` all come from there. A sentence names the file, the section, the key and what was expected there.
 """
 
 from __future__ import annotations
 
+import ast
+import inspect
 import json
-import math
 import re
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Mapping, Sequence
+from dataclasses import MISSING, dataclass, field, fields, is_dataclass
+from functools import cache, reduce
+from operator import or_
 from pathlib import Path
+from textwrap import dedent
 from types import UnionType
-from typing import Annotated, Any, ClassVar, Self, Union, get_args, get_origin
+from typing import Annotated, Any, Literal, Self, Union, cast, get_args, get_origin, get_type_hints
 
 from pydantic import (
     AfterValidator,
     BaseModel,
-    BeforeValidator,
     ConfigDict,
-    Discriminator,
     Field,
     GetCoreSchemaHandler,
     PrivateAttr,
     Tag,
     ValidationError,
-    ValidationInfo,
     model_validator,
 )
-from pydantic_core import CoreSchema, PydanticCustomError, core_schema
+from pydantic.fields import FieldInfo
+from pydantic_core import CoreSchema, PydanticUndefined, core_schema
 
 from fmuid.errors import InputError
-from fmuid.files import full, is_file
 from fmuid.formatting import nearest
 from fmuid.studies.toml import show
-
-# What the text of an error follows in its sentence: "[table] key must be", "[table] key", "[table]".
-MUST_BE, KEY, TABLE = "must_be", "key", "table"
-# Where a value may be a table or not, pydantic names the branch it took.
-VALUE_TAG, TABLE_TAG = "<value>", "<table>"
-
-
-def must_be(expected: str) -> PydanticCustomError:
-    """Return the error of a value that is not what is `expected`."""
-    return PydanticCustomError(MUST_BE, "{text}", {"text": expected})
-
-
-def said_of_table(text: str) -> PydanticCustomError:
-    """Return the error whose sentence is a table followed by `text`; to be raised by a check of the whole table."""
-    return PydanticCustomError(TABLE, "{text}", {"text": text})
+from fmuid.studies.value_kinds import (
+    BY_SHAPE,
+    KEY,
+    MUST_BE,
+    TABLE,
+    TABLE_TAG,
+    VALUE_TAG,
+    Entries,
+    Flag,
+    Names,
+    Text,
+    ValueKind,
+    one_of,
+    said_of_table,
+    wrong_finite,
+)
 
 
 @dataclass(frozen=True)
@@ -96,7 +98,7 @@ class SectionLocation:
 
 
 class StudySection(BaseModel):
-    """One table of a study file; its fields are the keys that it may have."""
+    """One section of a study file; its fields are the keys that it may have."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, strict=True, defer_build=True)
     _place: SectionLocation = PrivateAttr(default=SectionLocation("the study", Path()))
@@ -107,12 +109,12 @@ class StudySection(BaseModel):
         return self._place
 
     def error(self, text: str) -> InputError:
-        """Return an error whose sentence is this table followed by `text`."""
+        """Return an error whose sentence is this section followed by `text`."""
         return self._place.error(text)
 
     @classmethod
     def read(cls, data: object, place: SectionLocation) -> Self:
-        """Return the words of a table and of those below it.
+        """Return a section and those below it.
 
         Raises
         ------
@@ -126,33 +128,61 @@ class StudySection(BaseModel):
         _put(read, place)
         return read
 
-    @classmethod
-    def types(cls) -> dict[str, Any]:
-        """Return the type of each key."""
-        return {field.alias or name: field.annotation for name, field in cls.model_fields.items()}
-
-    @classmethod
-    def example_line(cls, key: str) -> str:
-        """Return a line with an example of a key and its meaning, commented out where that is not the default."""
-        field = cls.model_fields[key]
-        (example,) = field.examples or [field.default]
-        return f"{'' if example == field.default else '# '}{key} = {show(example)}  # {field.description}"
-
     @model_validator(mode="before")
     @classmethod
     def _check_keys(cls, data: Any) -> Any:
-        """Check the keys before their values: one that is misspelt explains another that is missing."""
-        if not isinstance(data, dict):
-            raise said_of_table(f"must be a table, not {show(data)}")
-        known = {field.alias or name: field for name, field in cls.model_fields.items()}
-        for key in data:
-            if key not in known:
-                near = nearest(key, known) or f"; its keys are {', '.join(known)}"
-                raise said_of_table(f"has no key {key!r}{near}")
-        for key, asked in known.items():
-            if asked.is_required() and key not in data:
-                raise said_of_table(f"needs the key {key!r}: {asked.description}")
-        return data
+        return checked_keys(cls, keys_of(cls), data)
+
+
+@dataclass(frozen=True)
+class Settings:
+    """The annotation of a settings class that is a section: ``Annotated[Isolation, Settings()]``.
+
+    Each field is a key, but for those whose metadata say ``key=False``.
+    """
+
+    def __get_pydantic_core_schema__(self, source: type, handler: GetCoreSchemaHandler) -> CoreSchema:
+        """Return how the class is read from a table: keys, values, and what it refuses itself."""
+        keys = keys_of(source)
+
+        def made(values: dict[str, Any]) -> Any:
+            try:
+                return source(**values)
+            except InputError as error:
+                raise said_of_table(f"is refused: {error}") from None
+
+        entries = {name: _entry(source, name, each, handler) for name, each in keys.items()}
+        config = core_schema.CoreConfig(strict=True, title=source.__name__)
+        table = core_schema.typed_dict_schema(entries, config=config, extra_behavior="forbid")
+        table["metadata"] = {"pydantic_js_updates": {"description": summary(source)}}
+        check = core_schema.no_info_before_validator_function(lambda data: checked_keys(source, keys, data), table)
+        return core_schema.no_info_after_validator_function(made, check)
+
+
+def _entry(source: type, name: str, key: FieldInfo, handler: GetCoreSchemaHandler) -> core_schema.TypedDictField:
+    schema = handler.generate_schema(key.rebuild_annotation())
+    if not key.is_required():
+        schema = core_schema.with_default_schema(schema, default=key.default)
+
+    def described(found: dict[str, Any]) -> None:
+        found["description"] = meaning(source, name)
+
+    metadata = {"pydantic_js_extra": described}
+    return core_schema.typed_dict_field(schema, required=key.is_required(), metadata=metadata)
+
+
+def checked_keys(table: type, known: Mapping[str, FieldInfo], data: Any) -> Any:
+    """Return a table whose keys are known: one that is misspelt explains another that is missing."""
+    if not isinstance(data, dict):
+        raise said_of_table(f"must be a table, not {show(data)}")
+    for key in data:
+        if key not in known:
+            near = nearest(key, known) or f"; its keys are {', '.join(known)}"
+            raise said_of_table(f"has no key {key!r}{near}")
+    for key, asked in known.items():
+        if asked.is_required() and key not in data:
+            raise said_of_table(f"needs the key {key!r}: {meaning(table, key)}")
+    return data
 
 
 def word(default: Any, meaning: str, example: Any = None, **more: Any) -> Any:
@@ -172,6 +202,46 @@ def word(default: Any, meaning: str, example: Any = None, **more: Any) -> Any:
     return Field(default, description=meaning, examples=None if example is None else [example], **more)
 
 
+# --- what a section says of itself ----------------------------------------------------------
+
+
+@cache
+def keys_of(table: type) -> dict[str, FieldInfo]:
+    """Return the keys of a section, with their types and defaults."""
+    if issubclass(table, StudySection):
+        return {each.alias or name: each for name, each in table.model_fields.items()}
+    hints, found = get_type_hints(table, include_extras=True), {}
+    for each in (each for each in fields(cast(Any, table)) if each.metadata.get("key", True)):
+        default = each.default if each.default_factory is MISSING else each.default_factory()
+        given = PydanticUndefined if default is MISSING else default
+        found[each.name] = FieldInfo.from_annotated_attribute(kind_of(hints[each.name]), given)
+    return found
+
+
+def meaning(table: type, key: str) -> str:
+    """Return what a key of a section is for: its description, or the docstring of the field."""
+    said = keys_of(table)[key].description
+    return said or " ".join(_docstrings(table).get(key, "").split()).rstrip(".")
+
+
+def summary(table: type) -> str:
+    """Return the first paragraph of the docstring of a section."""
+    return " ".join((table.__doc__ or "").partition("\n\n")[0].split())
+
+
+@cache
+def _docstrings(table: type) -> dict[str, str]:
+    """Return the docstrings of the fields of a dataclass."""
+    found: dict[str, str] = {}
+    for each in reversed([each for each in table.__mro__ if is_dataclass(each)]):
+        (tree,) = ast.parse(dedent(inspect.getsource(each))).body
+        assert isinstance(tree, ast.ClassDef)
+        for before, after in zip(tree.body, tree.body[1:], strict=False):
+            if isinstance(before, ast.AnnAssign) and isinstance(after, ast.Expr):
+                found[ast.unparse(before.target)] = ast.literal_eval(after.value)
+    return found
+
+
 def _alternatives(type_: Any) -> list[Any]:
     """Return the types that a value may be of, without what restricts them."""
     if get_origin(type_) is Annotated:
@@ -181,23 +251,76 @@ def _alternatives(type_: Any) -> list[Any]:
     return [type_]
 
 
-def table_of(type_: Any) -> type[StudySection] | None:
-    """Return the table that values of a type may be, or that the entries of their list are."""
+def table_of(type_: Any) -> type | None:
+    """Return the section that values of a type may be, or that the entries of their list are."""
     for each in _alternatives(type_):
-        part = get_args(each)[0] if get_origin(each) is list else each
-        if isinstance(part, type) and issubclass(part, StudySection):
+        part = _alternatives(get_args(each)[0])[0] if get_origin(each) is list else each
+        if isinstance(part, type) and (issubclass(part, StudySection) or is_dataclass(part)):
             return part
     return None
 
 
 def only_tables(type_: Any) -> bool:
-    """Return whether values of a type are tables of `StudySection`, or lists of them, and nothing else."""
-    return all(table_of(each) is not None for each in _alternatives(type_))
+    """Return whether values of a type are sections, or lists of them, and nothing else."""
+    return all(table_of(each) is not None for each in _alternatives(type_) if each is not type(None))
 
 
 def entries_of(type_: Any) -> Any:
     """Return the type of the entries of a table of names, None where values of a type are no such tables."""
     return next((get_args(each)[1] for each in _alternatives(type_) if get_origin(each) is dict), None)
+
+
+def kind_of(type_: Any) -> Any:
+    """Return a type of a settings class as pydantic checks it, with what its values are called.
+
+    What restricts a number, `annotated_types.Gt` and the like, and the type itself say that; where an annotation has a
+    `ValueKind`, that is it.
+    """
+    base, *limits = get_args(type_) if get_origin(type_) is Annotated else (type_,)
+    if any(isinstance(each, ValueKind) for each in limits):
+        return type_
+    origin, inner = get_origin(base), get_args(base)
+    if origin in (Union, UnionType):
+        some = [kind_of(each) for each in inner if each is not type(None)]
+        return _either(some) if len(some) == len(inner) else _either(some) | None
+    if origin is Literal:
+        return Annotated[str, one_of(inner)]
+    if isinstance(origin, type) and issubclass(origin, Mapping):
+        entries: Any = dict.__class_getitem__((str, kind_of(inner[1])))
+        return Annotated[entries, Entries(f"a table {{ name = {'text' if inner[1] is str else 'number'} }}")]
+    if isinstance(origin, type) and issubclass(origin, Sequence):
+        return Annotated[Names, AfterValidator(tuple)] if origin is tuple else Names
+    if base in (int, float):
+        return Annotated[base, *limits, Field(allow_inf_nan=False) if base is float else None, _number(base, limits)]
+    if is_dataclass(base):
+        return type_ if any(isinstance(each, Settings) for each in limits) else Annotated[type_, Settings()]
+    return {bool: Flag, str: Text}.get(base, type_)
+
+
+def _either(parts: list[Any]) -> Any:
+    """Return one of several types: a table, and what is none."""
+    tables = [each for each in parts if get_origin(get_args(each)[0]) is dict]
+    if len(parts) == 1:
+        return parts[0]
+    if tables:
+        plain = _either([each for each in parts if each not in tables])
+        return Annotated[Annotated[plain, Tag(VALUE_TAG)] | Annotated[tables[0], Tag(TABLE_TAG)], BY_SHAPE]
+    names = [next(meta.name for meta in get_args(each) if isinstance(meta, ValueKind)) for each in parts]
+    return Annotated[reduce(or_, parts), ValueKind(" or ".join(names))]
+
+
+def _number(base: type, limits: Sequence[Any]) -> ValueKind:
+    """Return what numbers within limits are called."""
+    noun = "a whole number" if base is int else "a number"
+    low = {name: getattr(each, name) for each in limits for name in ("gt", "ge", "lt") if hasattr(each, name)}
+    if "lt" in low:
+        between = f"between {low['gt']} and {low['lt']}" if "gt" in low else f"from {low['ge']} to below {low['lt']}"
+        return ValueKind(f"{noun} {between}")
+    if "gt" in low:
+        return ValueKind(f"{noun} above {low['gt']}")
+    if "ge" in low:
+        return ValueKind(f"{noun}, {low['ge']} or above")
+    return ValueKind(noun) if base is int else ValueKind("a finite number", wrong_finite)
 
 
 def _put(value: object, place: SectionLocation) -> None:
@@ -224,168 +347,3 @@ def _refusal(error: ValidationError, place: SectionLocation) -> InputError:
         text = f"a list of tables, each begun with [{there.name}]"
     table, key = SectionLocation(place.file, place.folder, there.keys[:-1]), str(there.keys[-1])
     return table.error_of(key, text if kind == KEY else f"must be {text}, not {show(first['input'])}")
-
-
-# --- kinds of values --------------------------------------------------------------------
-
-
-@dataclass(frozen=True)
-class ValueKind:
-    """What values of a type are called; in the annotation of the type, after all that restricts it.
-
-    Attributes
-    ----------
-    name : str
-    of_wrong : callable, optional
-        Gives for a wrong value what was expected, where that depends on it.
-    """
-
-    name: str
-    of_wrong: Callable[[Any], str] | None = None
-    names_keys: ClassVar[bool] = False
-    """Whether an error below a value is left as it is, which names a key and not the value."""
-
-    def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
-        """Return what the type is, with all its errors as one."""
-        return core_schema.no_info_wrap_validator_function(self._checked, handler(source))
-
-    def _checked(self, value: Any, inner: Callable[[Any], Any]) -> Any:
-        try:
-            return inner(value)
-        except ValidationError as error:
-            first = error.errors(include_url=False)[0]
-            if first["type"] in (MUST_BE, KEY) and not first["loc"]:
-                raise PydanticCustomError(first["type"], "{text}", first["ctx"]) from None
-            if self.names_keys and first["loc"]:
-                raise
-            raise must_be(self.name if self.of_wrong is None else self.of_wrong(value)) from None
-
-
-class Entries(ValueKind):
-    """The kind of a table of names whose entries are of one kind; what is wrong with one names it."""
-
-    names_keys: ClassVar[bool] = True
-
-
-@dataclass(frozen=True)
-class Choice(ValueKind):
-    """The kind of a text that is one of some words; `one_of` makes it."""
-
-    words: tuple[str, ...] = ()
-
-    def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
-        """Return the words, with all errors as one."""
-        return core_schema.no_info_wrap_validator_function(self._checked, core_schema.literal_schema(list(self.words)))
-
-
-def one_of(words: Sequence[str], later: Sequence[str] = ()) -> Choice:
-    """Return the kind of a text that is one of `words`; those in `later` are known but not built yet."""
-    listed = " or ".join(f'"{each}"' for each in words)
-
-    def of_wrong(value: Any) -> str:
-        if isinstance(value, str) and value in later:
-            return f"{listed} in this version"
-        return listed + (nearest(value, words) if isinstance(value, str) else "")
-
-    return Choice(listed, of_wrong, tuple(words))
-
-
-def _wrong_finite(value: Any) -> str:
-    return "a finite number" if isinstance(value, float) else "a number"
-
-
-def _not_nan(value: float) -> float:
-    if math.isnan(value):
-        raise must_be("a number")
-    return value
-
-
-ROWS = "a list of rows of numbers, [[4.0, 0.1], [0.1, 2.0]]"
-
-
-def _rows(value: list[list[float]]) -> list[list[float]]:
-    if len({len(row) for row in value}) != 1:
-        raise must_be(ROWS)
-    return value
-
-
-def _once(value: list[str]) -> list[str]:
-    """Check that each name is there once."""
-    for name in value:
-        if value.count(name) > 1:
-            raise must_be(f"a list that names each variable once ({name!r} is there twice)")
-    return value
-
-
-def _columns(value: Any) -> Any:
-    """Return a list of names as a table of names and columns."""
-    if isinstance(value, list) and all(isinstance(item, str) for item in value):
-        return {name: name for name in _once(value)}
-    return value
-
-
-def _named_or_placed(value: str | int) -> str | int:
-    if isinstance(value, bool) or not value or (isinstance(value, int) and value < 1):
-        raise must_be("a name, or a place from 1")
-    return value
-
-
-def as_list(value: Any) -> Any:
-    """Return one text as a list of it, and what else is there as it is."""
-    return [value] if isinstance(value, str) else value
-
-
-def _listed_files(value: Any) -> Any:
-    if not isinstance(value, list):
-        raise must_be("a list of paths of files")
-    return value
-
-
-def existing_file(value: object, info: ValidationInfo) -> Path:
-    """Return the path of a file that must be there, relative to the study file."""
-    if not isinstance(value, str) or not value:
-        raise must_be("a text in quotes")
-    assert isinstance(info.context, SectionLocation)
-    path = info.context.folder / value
-    if not is_file(path):
-        raise PydanticCustomError(KEY, "{text}", {"text": f"= {show(value)}: there is no file {full(path)}"})
-    return path
-
-
-def _shape(value: object) -> str:
-    return TABLE_TAG if isinstance(value, dict) else VALUE_TAG
-
-
-BY_SHAPE = Discriminator(_shape)
-"""Of a value or a table, tagged as `VALUE_TAG` and `TABLE_TAG`."""
-Text = Annotated[str, Field(min_length=1), ValueKind("a text in quotes")]
-Flag = Annotated[bool, ValueKind("true or false")]
-Number = Annotated[float, AfterValidator(_not_nan), ValueKind("a number")]
-Finite = Annotated[float, Field(allow_inf_nan=False), ValueKind("a finite number", _wrong_finite)]
-Positive = Annotated[float, Field(gt=0, allow_inf_nan=False), ValueKind("a number above 0")]
-NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False), ValueKind("a number, 0 or above")]
-Share = Annotated[float, Field(gt=0, lt=1), ValueKind("a number between 0 and 1")]
-Count = Annotated[int, Field(gt=0), ValueKind("a whole number above 0")]
-Natural = Annotated[int, Field(ge=0), ValueKind("a whole number, 0 or above")]
-Scalar = Annotated[bool | int | float | str, ValueKind("a number, true, false or a text")]
-Numbers = Annotated[list[Finite], ValueKind("a list of numbers")]
-Matrix = Annotated[
-    list[Numbers],
-    Field(min_length=1),
-    AfterValidator(_rows),
-    ValueKind(ROWS),
-]
-Names = Annotated[list[Text], Field(min_length=1), ValueKind('a list of names, ["Rs", "Rr"]'), AfterValidator(_once)]
-Columns = Annotated[
-    dict[str, Text],
-    BeforeValidator(_columns, json_schema_input_type=list[str] | dict[str, str]),
-    ValueKind('a list of names, ["u", "w"], or a table { fmu_variable = "column" }'),
-]
-NameOrPlace = Annotated[str | int, AfterValidator(_named_or_placed), ValueKind("a name, or a place from 1")]
-Texts = Annotated[dict[str, Text], Entries("a table { name = text }")]
-Scalars = Annotated[dict[str, Scalar], Entries("a table { name = value }")]
-Finites = Annotated[dict[str, Finite], Entries("a table { name = number }")]
-Positives = Annotated[dict[str, Positive], Entries("a table { name = number }")]
-PositiveOrEach = Annotated[Annotated[Positive, Tag(VALUE_TAG)] | Annotated[Positives, Tag(TABLE_TAG)], BY_SHAPE]
-File = Annotated[Path, BeforeValidator(existing_file, json_schema_input_type=str), ValueKind("the path of a file")]
-Files = Annotated[list[File], BeforeValidator(_listed_files, json_schema_input_type=list[str])]

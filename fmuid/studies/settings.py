@@ -15,8 +15,8 @@ from fmuid.errors import InputError
 from fmuid.estimation import SENSITIVITIES, Marquardt
 from fmuid.formatting import nearest
 from fmuid.identification import ACCURACIES, CONFIDENCE_LEVEL, AssessmentSettings, Problem, with_observer
-from fmuid.models import Isolation
-from fmuid.studies.section import (
+from fmuid.studies.section import SectionLocation, StudySection, word
+from fmuid.studies.value_kinds import (
     BY_SHAPE,
     TABLE_TAG,
     VALUE_TAG,
@@ -30,14 +30,11 @@ from fmuid.studies.section import (
     Positive,
     PositiveOrEach,
     Positives,
-    SectionLocation,
     Share,
-    StudySection,
     Text,
     ValueKind,
     must_be,
     one_of,
-    word,
 )
 
 if TYPE_CHECKING:
@@ -52,20 +49,6 @@ Limits = Annotated[dict[str, Number], Entries("a table { fault.size = number }")
 
 
 # --- [isolation], [noise], [estimation] --------------------------------------------------
-
-
-class IsolationSection(StudySection):
-    """What FMUs in a process of their own may do."""
-
-    time_limit: Positive | None = word(None, "s for one simulation; default: by how long earlier ones took")
-    memory_limit_mb: Positive | None = word(None, "MB; default: an equal share of half the machine's for each core")
-    max_simulations_per_process: Count | None = word(
-        None, "simulations after which a process is replaced; default: only for its memory"
-    )
-
-    def settings(self) -> Isolation:
-        """Return the words as an object."""
-        return Isolation(self.time_limit, self.memory_limit_mb, self.max_simulations_per_process)
 
 
 VARIANCES = '"estimate", a number above 0 or a table { output = number }'

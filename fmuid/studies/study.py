@@ -162,7 +162,7 @@ class Study(HtmlTableMixin):
     def _of(cls, data: dict[str, Any], path: Path, file: str, isolated: bool) -> Study:
         top = SectionLocation(file, path.parent)
         words = StudyFile.read(data, top)
-        isolation = words.isolation.settings()  # checked also where it is not asked for
+        isolation = words.isolation  # checked also where it is not asked for
         model = replace(words.model.settings(), isolation=isolation if isolated else None)
         experiments = named(words.experiments, top)
         known = ParameterReader(top, model.values).read(
@@ -354,11 +354,11 @@ class Study(HtmlTableMixin):
         from fmuid.diagnosis import diagnose  # and all that decides
 
         settings = self.fault_search
-        hypotheses = settings.hypotheses(self.system, self.model, self.data)
+        faults = settings.fault_models(self.system, self.model, self.data)
         how = settings.how(self.estimator.marquardt, self.sensitivity, self.accuracy)
         try:
             healthy = settings.baseline(self.model, self.parameters, self.noise, self.experiments[0].read_experiment)
-            return diagnose(self.tables, healthy, hypotheses, self.system, how, progress)
+            return diagnose(self.tables, healthy, faults, self.system, how, progress)
         except InputError as error:
             raise InputError(f"{settings.where}: {error}") from None
 

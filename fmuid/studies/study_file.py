@@ -6,20 +6,21 @@ from typing import Annotated, Self
 
 from pydantic import BeforeValidator
 
+from fmuid.models import Isolation
 from fmuid.studies.arrays import by_element
 from fmuid.studies.batch import BatchSettings
 from fmuid.studies.diagnosis import DiagnosisSection
 from fmuid.studies.model import ExperimentSettings, ModelSection
 from fmuid.studies.parameters import JointPriorSection, ParameterSection
 from fmuid.studies.renamed_keys import refuse_renamed
-from fmuid.studies.section import SectionLocation, StudySection, Text, word
+from fmuid.studies.section import SectionLocation, Settings, StudySection, word
 from fmuid.studies.settings import (
     EstimationWords,
-    IsolationSection,
     MonitoringSection,
     NoiseSection,
     UncertaintySection,
 )
+from fmuid.studies.value_kinds import Text
 
 
 class StudyFile(StudySection):
@@ -46,4 +47,4 @@ class StudyFile(StudySection):
     diagnosis: DiagnosisSection | None = word(None, "which fault, and how large")
     monitoring: MonitoringSection = word({}, "the same in windows of long records", validate_default=True)
     batch: BatchSettings | None = word(None, "many identifications")
-    isolation: IsolationSection = word({}, "what FMUs in a process of their own may do", validate_default=True)
+    isolation: Annotated[Isolation, Settings()] = word(Isolation(), "what FMUs in a process of their own may do")

@@ -214,7 +214,7 @@ def test_of_a_turned_fault_the_worst_angle_counts(plate: fmuid.System, known: fm
 def test_a_design_of_a_study() -> None:
     study = fmuid.Study.read(coil.HERE / "test.toml")
     (found,) = design_of(study, "turns", false_alarm=0.01, miss=0.05).detectable(study.tables[0])
-    known = study.diagnose()["turns"]["dR"]
+    known = study.diagnose()["turns.dR"]
     assert found.std == pytest.approx(known.std, rel=0.5)  # there with another ΔR and R
     assert found.value == pytest.approx((2.576 + 1.645) * found.std, rel=0.01)
 

@@ -51,7 +51,7 @@ def made(study: fmuid.Study) -> BaselineComparator:
     """Return what a diagnosis compares records with."""
     search = study.diagnosis
     assert search is not None
-    faults = search.hypotheses(study.system, study.model, study.data)
+    faults = search.fault_models(study.system, study.model, study.data)
     baseline = search.baseline(study.model, study.parameters, study.noise, study.experiments[0].read_experiment)
     return BaselineComparator.of(study.system, baseline, faults, search.causes, study.tables)
 

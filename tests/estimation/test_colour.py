@@ -18,7 +18,7 @@ from fmuid.estimation.noise.autoregression import Autoregression, impulse_respon
 from fmuid.estimation.noise.model import NoiseModel
 from fmuid.estimation.noise.output_series import OutputSeries, output_series, table_grid
 from fmuid.estimation.noise.sample_grid import Rows, SampleGrid
-from fmuid.estimation.noise.sandwich import ResidualNoise, sandwich
+from fmuid.estimation.noise.sandwich import ResidualNoise, SandwichSettings, sandwich
 from tests.support.problems import ar1
 
 SLOW, OSCILLATING = np.array([0.8]), np.array([1.6, -0.9])
@@ -255,7 +255,7 @@ def test_what_the_fit_takes_is_given_back(monkeypatch: pytest.MonkeyPatch) -> No
         return np.asarray(stated / true)
 
     whole = ratio()
-    monkeypatch.setattr("fmuid.estimation.noise.sandwich.ROUNDS", 0)
+    monkeypatch.setattr("fmuid.estimation.noise.sandwich.SETTINGS", SandwichSettings(rounds=0))
     assert (whole > 0.6).all()
     assert (whole > 1.2 * ratio()).all()
 
@@ -309,7 +309,7 @@ def test_what_a_fit_hardly_takes_is_not_made_up_for(monkeypatch: pytest.MonkeyPa
     without = sandwich(rows, own).covariance
     assert not calls
     monkeypatch.undo()
-    monkeypatch.setattr("fmuid.estimation.noise.sandwich.SLIGHT", 0.0)
+    monkeypatch.setattr("fmuid.estimation.noise.sandwich.SETTINGS", SandwichSettings(slight=0.0))
     np.testing.assert_allclose(np.diag(without), np.diag(sandwich(rows, own).covariance), rtol=5e-3)
 
 

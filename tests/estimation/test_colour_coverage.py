@@ -22,9 +22,9 @@ from fmuid.data.parameters import Parameter
 from fmuid.estimation.identification import identify
 from fmuid.estimation.problem import LeastSquares
 from fmuid.estimation.result import Result
+from fmuid.identification.posterior import SamplerSettings
 from fmuid.identification.profile import profile_likelihood
-from fmuid.identification.sampling.posterior import SamplerSettings
-from fmuid.identification.sampling.sampler import sample_posterior
+from fmuid.identification.sampler import sample_posterior
 from tests.support.problems import ar1
 
 SEED, STD, LEVEL, TEST = 2026, 0.05, 0.95, 0.01

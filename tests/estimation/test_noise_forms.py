@@ -22,7 +22,7 @@ from fmuid.estimation.result import Result
 from fmuid.identification.prior_and_data import compare_prior_and_data
 from fmuid.identification.prior_data_tests import Deviation
 from fmuid.identification.residual_analysis import analyze_residuals
-from fmuid.identification.sampling.sampler import log_density
+from fmuid.identification.sampler import log_density
 from tests.support.problems import ar1
 
 COUNT = 60

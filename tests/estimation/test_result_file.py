@@ -85,7 +85,7 @@ def test_a_result_as_prior() -> None:
         ("{}", "is of no schema, not 'fmuid/result/2': run fmuid identify again$"),
         ('{"schema": "fmuid/diagnosis/2"}', "is of schema 'fmuid/diagnosis/2', not 'fmuid/result/2'"),
         ("[]", "is of no schema"),
-        ('{"schema": "fmuid/result/2"}', "cannot be right: parameters: the value should be an object, not null"),
+        ('{"schema": "fmuid/result/2"}', "cannot be right: it has no 'outcome'"),
     ],
 )
 def test_files_that_are_no_results(tmp_path: Path, text: str, said: str) -> None:
@@ -113,7 +113,7 @@ def test_damaged_results_are_one_sentence(tmp_path: Path) -> None:
     for key in ("outcome", "noise_variance", "criterion", "iterations", "elapsed_s"):
         assert f"it has no '{key}'" in said({k: v for k, v in whole.items() if k != key})
     for key in whole.keys() - {"schema", "converged", "version"}:
-        assert f"{key}: the value should be" in said(whole | {key: [["of old"]]})
+        assert f"right: {key}" in said(whole | {key: [["of old"]]})
     assert "cannot be right: models." in said(whole | {"models": {"": "of old"}})
     direction = {"names": ["k"], "coefficients": [1.0], "values": [1.0], "magnitudes": [1.0], "std": 1.0}
     assert "it has no 'weak[0].determined'" in said(whole | {"weak": [direction]})

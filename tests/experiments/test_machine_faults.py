@@ -218,7 +218,7 @@ def test_the_study_names_the_phase(known: fmuid.Baseline, tmp_path: Path) -> Non
     (folder / "study.toml").write_text(text.replace("../../fmus", models.FMUS.as_posix()), encoding="utf-8")
     found = fmuid.Study.read(folder / "study.toml").diagnose()
     assert study.verdict(found) == "stator b"
-    assert found["stator"]["fault.eta_b"].value * TURNS == pytest.approx(5.0, abs=3.0)
+    assert found["stator.fault.eta_b"].value * TURNS == pytest.approx(5.0, abs=3.0)
 
 
 def test_tables_of_the_page() -> None:

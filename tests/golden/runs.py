@@ -171,10 +171,10 @@ def batch() -> Numbers:
 def of_diagnosis(found: fmuid.Diagnosis) -> Numbers:
     """Return the numbers of a diagnosis: what is named, how surely, how large."""
     numbers: Numbers = {"text.kind": found.kind, "text.named": " or ".join(found.named)}
-    for each in found.hypotheses:
-        numbers[f"statistic.{each.name}"] = float(each.statistic)
-        for size in each.sizes:
-            numbers |= {f"value.{each.name}.{size.name}": size.value, f"std.{each.name}.{size.name}": size.std}
+    for each in found.evidence.suspects:
+        label = each.change.label
+        numbers |= {f"statistic.{label}": each.statistic, f"probability.{label}": each.probability}
+        numbers |= {f"value.{label}": found[label].value, f"std.{label}": found[label].std}
     return numbers
 
 

@@ -12,7 +12,7 @@ from scipy.integrate import quad
 from fmuid.data.noise import Noise
 from fmuid.data.parameters import JointPrior, Parameter
 from fmuid.estimation.problem import LeastSquares
-from fmuid.identification.sampling.sampler import log_density, sample_posterior
+from fmuid.identification.sampler import log_density, sample_posterior
 from tests.support.posteriors import Array, linear
 from tests.support.results import identify_white as identify
 

@@ -15,8 +15,8 @@ from fmuid.data.noise import Noise
 from fmuid.data.parameters import JointPrior, Normal, Parameter
 from fmuid.errors import InputError
 from fmuid.estimation.problem import LeastSquares
-from fmuid.identification.sampling.posterior import Posterior, SamplerSettings, SamplingWarning
-from fmuid.identification.sampling.sampler import sample_posterior
+from fmuid.identification.posterior import Posterior, SamplerSettings, SamplingWarning
+from fmuid.identification.sampler import sample_posterior
 from fmuid.reports.topics.uncertainty import posterior_words
 from tests.support.posteriors import Array, linear, sampled
 from tests.support.results import identify_white as identify
@@ -244,7 +244,7 @@ def test_samples_as_arviz_takes_them() -> None:
     chain, density = rng.normal(size=(7, 4, 2)), rng.normal(size=(7, 4))
     one = np.ones(2)
     posterior = Posterior(
-        None, "", False, 1, (), np.zeros((1, 2)), ("R", "L"), -one, one, chain, density, 2, one, one, one, 0.5, 28, 0.1
+        "", False, 1, (), np.zeros((1, 2)), ("R", "L"), -one, one, chain, density, 2, 0.5, 28, 0.1
     )  # fmt: skip
     tree = posterior.to_arviz()
     assert dict(tree["posterior"].sizes) == {"chain": 4, "draw": 5}

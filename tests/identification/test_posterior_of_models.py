@@ -12,6 +12,7 @@ from scipy.linalg import expm
 import fmuid
 from fmuid.array_types import Floats
 from fmuid.estimation import AccuracyOutcome
+from fmuid.simulation.executor_pool import closing
 from tests.support.paths import FMUS
 from tests.support.stepping import LAG, stepping_fmu
 
@@ -71,7 +72,7 @@ def in_a_loop(folder: Path, table: fmuid.Experiment, order: int, samples: bool |
         "controller": fmuid.Component(FMUS / "CoilController/CoilController.fmu", fmuid.Numerics(samples=samples)),
     }
     links = [("lag.x", "controller.i"), ("controller.u", "lag.u")]
-    with fmuid.System(components=models, connections=links) as system:
+    with closing(fmuid.System(components=models, connections=links)) as system:
         return fmuid.identify(fmuid.Problem(system, table, {"lag.k": fmuid.Parameter(1.0, min=0.01)}, values=CONTROL))
 
 

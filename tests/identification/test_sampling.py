@@ -13,9 +13,8 @@ from fmuid.data.parameters import Normal, Parameter
 from fmuid.data.predictors import ArrayMeasurements, FunctionPredictions
 from fmuid.errors import InputError
 from fmuid.estimation.problem import LeastSquares
-from fmuid.identification.sampling.chains import effective_size, r_hat
-from fmuid.identification.sampling.posterior import SamplerSettings, SamplingWarning
-from fmuid.identification.sampling.sampler import sample_posterior
+from fmuid.identification.posterior import SamplerSettings, SamplingWarning, effective_size, r_hat
+from fmuid.identification.sampler import sample_posterior
 from fmuid.progress import Event, SamplingStep
 from fmuid.reports.topics.uncertainty import posterior_words
 from tests.support.posteriors import Array, linear, sampled

@@ -18,7 +18,7 @@ from fmuid.estimation.identification import identify
 from fmuid.estimation.problem import LeastSquares
 from fmuid.identification.assessment import Assessment, AssessmentSettings, assess
 from fmuid.identification.cost_map import map_cost
-from fmuid.identification.sampling.posterior import SamplerSettings
+from fmuid.identification.posterior import SamplerSettings
 from fmuid.progress import Event, ProfileStep, SamplingStep
 from fmuid.reports.topics.uncertainty import uncertainty_words
 

@@ -13,7 +13,7 @@ import pytest
 from fmuid.data.experiment import Experiment
 from fmuid.models.component import Numerics
 from fmuid.models.system import System
-from fmuid.simulation.executor import executor_of
+from fmuid.simulation.executor_pool import close, closing, executor_of
 from fmuid.simulation.forward_simulation import twin_simulation
 from fmuid.simulation.simulator import Simulator
 from tests.support.paths import FMUS
@@ -29,13 +29,13 @@ def test_closing_a_system_frees_its_own_instances_only(probe: ProbeMaker) -> Non
     path = probe(maxOutputDerivativeOrder="1", **BEARS_THREADS)  # another file: its library counts its own instances
     kept = Simulator(path, COUNTED)
     assert kept([]).max() == 1
-    with System(path) as system:
+    with closing(System(path)) as system:
         first, second = (Simulator(system, COUNTED) for _ in range(2))
         assert (first([]).max(), second([]).max(), kept([]).max()) == (2, 2, 2)
     assert kept([]).max() == 1
     assert second([]).max() == 2  # anew
-    system.close()
-    system.close()
+    close(system)
+    close(system)
     assert kept([]).max() == 1
 
 
@@ -63,7 +63,7 @@ def test_an_executor_is_made_once_and_closed_with_the_variants() -> None:
     """The twins of forward sensitivities belong to the system whose twins they are."""
     coil = FMUS / "Coil" / "Coil.fmu"
     frame = pd.DataFrame({"time": 0.01 * np.arange(20), "u": 1.0, "i": 0.0})
-    with System(coil, numerics=Numerics("model-exchange")) as system:
+    with closing(System(coil, numerics=Numerics("model-exchange"))) as system:
         simulators = [Simulator(system, Experiment(frame, ["u"], ["i"]), ["R", "L"]) for _ in range(2)]
         runs = [twin_simulation(simulator) for simulator in simulators]
         simulators[0]([4.0, 0.1])
@@ -79,7 +79,7 @@ def test_an_executor_is_made_once_and_closed_with_the_variants() -> None:
 
 def test_what_a_system_owns_is_closed_when_its_block_fails(probe: ProbeMaker) -> None:
     path = probe(maxOutputDerivativeOrder="3", **BEARS_THREADS)
-    with pytest.raises(ZeroDivisionError), System(path) as system:
+    with pytest.raises(ZeroDivisionError), closing(System(path)) as system:
         Simulator(system, COUNTED)([])
         raise ZeroDivisionError
     assert Simulator(path, COUNTED)([]).max() == 1

@@ -8,26 +8,21 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from fmuid.reports.batch_tables import write_summary
-from fmuid.reports.render.console import show
-from fmuid.reports.render.matplotlib_renderer import printed, save
-from fmuid.reports.topics.batch import batch_sections, summary_document
+from fmuid.reports.publish import write_figures
+from fmuid.reports.topics.batch import charts_of
+from fmuid.reports.topics.batch_tables import write_tables
 from fmuid.runs.batch.statistics import BatchColumns
-from fmuid.runs.batch.summary import Summary, summarize
-from tests.support.drawn_batches import TRUTH, UNITS, batch, fail
+from fmuid.runs.batch.summary import summarize
+from tests.support.drawn_batches import TRUTH, UNITS, batch, fail, show_batch
 
 # --- files and the console
-
-
-def show_summary(summary: Summary) -> None:
-    show(summary_document(summary))
 
 
 def test_files(tmp_path: Path) -> None:
     (tmp_path / "groups.csv").write_text("old")
     (tmp_path / "mine.csv").write_text("the user's")
     summary = summarize(fail(batch({"draw": range(40)}), [1], ["no"]), TRUTH, UNITS)
-    assert [path.name for path in write_summary(summary, tmp_path)] == ["summary.csv", "failures.csv"]
+    assert [path.name for path in write_tables(summary, tmp_path)] == ["summary.csv", "failures.csv"]
     assert sorted(path.name for path in tmp_path.iterdir()) == ["failures.csv", "mine.csv", "summary.csv"]
     back = pd.read_csv(tmp_path / "summary.csv", keep_default_na=False, na_values=[""], dtype={"note": str})
     np.testing.assert_array_equal(back["mean"], summary.parameters["mean"])
@@ -36,12 +31,12 @@ def test_files(tmp_path: Path) -> None:
 def test_console(capsys: pytest.CaptureFixture[str]) -> None:
     levels = np.repeat([0.4, 0.47], 40)
     frame = batch({"set.M": levels, "draw": np.tile(np.arange(40), 2)}, spread=2.0)
-    show_summary(summarize(fail(frame, [0], ["[bad] at t = 3 s"]), TRUTH, UNITS))
+    show_batch(summarize(fail(frame, [0], ["[bad] at t = 3 s"]), TRUTH, UNITS))
     said = capsys.readouterr().out
     assert max(map(len, said.splitlines())) <= 140
     for words in ("Estimates over the cases", "Against the truth", "By setting, mean ± spread", "[bad] at t = # s"):
         assert words in said
-    assert "80 cases: 79 converged, 1 failed" in said
+    assert "80 cases, 79 converged, 1 failed" in said
 
 
 def test_console_says_median_and_least_fit(capsys: pytest.CaptureFixture[str]) -> None:
@@ -50,7 +45,7 @@ def test_console_says_median_and_least_fit(capsys: pytest.CaptureFixture[str]) -
     output = BatchColumns.of(frame).outputs[0]
     frame[f"fit.{output}"] = np.where(np.arange(40) == 7, np.nan, fits)
     summary = summarize(frame, TRUTH, UNITS)
-    show_summary(summary)
+    show_batch(summary)
     (row,) = summary.fits.to_dict("records")
     assert row == {"output": output, "median": np.nanmedian(frame[f"fit.{output}"]), "least": 90.0, "case": 0}
     said = f"Fit (NRMSE) of {output}: {row['median']:.4g} % in the median, 90 % at least (case 0)"
@@ -59,11 +54,11 @@ def test_console_says_median_and_least_fit(capsys: pytest.CaptureFixture[str]) -
 
 def test_console_of_nothing(capsys: pytest.CaptureFixture[str]) -> None:
     frame = batch({"draw": range(2)})
-    show_summary(summarize(frame.iloc[:0], TRUTH))
-    show_summary(summarize(fail(frame, [0, 1], ["no", "no"]), TRUTH))
+    show_batch(summarize(frame.iloc[:0], TRUTH))
+    show_batch(summarize(fail(frame, [0, 1], ["no", "no"]), TRUTH))
     said = capsys.readouterr().out
     assert "no case has finished" in said
-    assert "2 cases: 2 failed" in said
+    assert "2 cases, 2 failed" in said
 
 
 # --- figures
@@ -94,19 +89,19 @@ def test_console_of_nothing(capsys: pytest.CaptureFixture[str]) -> None:
 )
 def test_figures_without_a_warning(frame: pd.DataFrame, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Whatever there is of cases, they are drawn and summarized, and nothing warns."""
-    sections = batch_sections(frame, summarize(frame, TRUTH, UNITS), TRUTH, {**UNITS}, given_noise=False)
-    assert sections[0].charts
-    figures = {each.key: printed(each.charts, each.beside) for each in sections}
-    assert len(save(figures, tmp_path)) == len(figures)
-    show_summary(summarize(frame, TRUTH, UNITS))
+    summary = summarize(frame, TRUTH, UNITS)
+    sections = charts_of(frame, summary, TRUTH, {**UNITS}, given_noise=False)
+    assert sections
+    assert len(write_figures(tmp_path, sections, "png")) == len(sections)
+    show_batch(summary)
     assert capsys.readouterr().out
 
 
 def test_nothing_to_draw() -> None:
     frame = batch({"draw": range(3)})
     for none in (frame.iloc[:0], fail(frame, [0, 1, 2], ["no"] * 3)):
-        keys = {each.key for each in batch_sections(none, summarize(none, TRUTH), TRUTH, {}, given_noise=False)}
-        assert keys <= {"failures"}
+        keys = [each.key for each in charts_of(none, summarize(none, TRUTH), TRUTH, {}, given_noise=False)]
+        assert keys == (["failures"] if len(none) else [])
 
 
 def test_columns() -> None:

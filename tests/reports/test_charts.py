@@ -28,7 +28,7 @@ from fmuid.reports.topics import (
     uncertainty,
 )
 from tests.support import records
-from tests.support.charts import drawn, entries, rules
+from tests.support.charts import drawn, legend, places
 
 
 def result(rho: float = 0.6) -> Result:
@@ -84,14 +84,14 @@ def test_fit() -> None:
     np.testing.assert_allclose(rest["y"], given.measured[:, 0] - given.simulated[:, 0], rtol=1e-4, atol=1e-6)
     (grey,) = drawn(upper, "zone")
     assert grey["right"] == given.times[50]
-    assert entries(upper) == ["measured", f"simulated, fit {given.fit[0]:.4g} %"]
+    assert legend(upper) == ["measured", f"simulated, fit {given.fit[0]:.4g} %"]
 
 
 def test_the_band_of_a_prediction() -> None:
     """It lies around the simulated line above, around zero below."""
     given = records.record()
     upper, lower, *_ = fit.fit_charts(given, (np.full(given.simulated.shape, 0.5), 0.9)).charts
-    assert "90 % band" in entries(upper)
+    assert "90 % band" in legend(upper)
     for each, middle in ((upper, given.simulated[:, 0]), (lower, 0.0 * given.simulated[:, 0])):
         (area,) = drawn(each, "band")
         np.testing.assert_allclose(area["y0"], middle - 0.5, atol=1e-6)
@@ -145,7 +145,7 @@ def test_residuals() -> None:
     assert drawn(auto, "zone") == [{"bottom": -0.1, "top": 0.1}]
     assert auto.y.reach[1] is not None
     assert auto.y.reach[1] > 0.5
-    assert entries(crossed) == ["u"]
+    assert legend(crossed) == ["u"]
     assert drawn(crossed, "line")[0]["y"].min() == -0.1
     assert crossed.y.reach == pytest.approx((-0.345, 0.345))  # of what is harmless the scale says so
     assert isinstance(histogram, chart.Chart)
@@ -194,8 +194,8 @@ def test_criterion_and_lambda() -> None:
     np.testing.assert_array_equal(drawn(above, "line")[0]["y"], [900.0, 500.0, 110.0])
     np.testing.assert_array_equal(drawn(above, "line")[1]["y"], [100.0])
     assert [each["y"].tolist() for each in drawn(above, "points", "rejected trial")] == [[700.0]]
-    assert entries(above) == ["accepted", "rejected trial"]
-    assert rules(above, "x") == [4.0]
+    assert legend(above) == ["accepted", "rejected trial"]
+    assert places(above, "x") == [4.0]
     np.testing.assert_array_equal(drawn(below, "line")[0]["y"], [1.0, 1.0])
     assert len(searched(trace.assign(**{"lambda": 0.0}), table)["criterion"]) == 1
 
@@ -211,7 +211,7 @@ def test_rounds_and_optima() -> None:
     (optima,) = charts["optima"]
     assert (optima.x.label, optima.y.label) == ("R (Ohm)", "criterion")
     assert sorted(each["x"].tolist() for each in drawn(optima, "points")) == [[1.0], [2.0], [4.0]]
-    assert entries(optima) == ["optimum", "not converged", "best"]
+    assert legend(optima) == ["optimum", "not converged", "best"]
 
 
 # --- estimates, prior and data
@@ -231,14 +231,14 @@ def test_parabolas_of_prior_data_and_both() -> None:
     assert prior["y"] == pytest.approx(((prior["x"] - 4.2) / 0.2) ** 2)
     assert both["y"] == pytest.approx(prior["y"] + data["y"])
     (alone,) = prior_and_data.parabola_charts(table, ["L"])
-    assert entries(alone) == ["data alone", "both"]
+    assert legend(alone) == ["data alone", "both"]
     with pytest.raises(InputError, match="'Q' is not in the reading"):
         list(prior_and_data.parabola_charts(table, ["Q"]))
     both_, unknown = prior_and_data._beliefs(table, {"R": "Ohm"})
     for line, (centre, width) in zip(drawn(both_, "line"), ((4.2, 0.2), (3.9, 0.1), (mean, std)), strict=True):
         assert line["x"][np.argmax(line["y"])] == pytest.approx(centre)
         assert line["y"].max() == pytest.approx(1.0 / (width * math.sqrt(2 * math.pi)))
-    assert entries(unknown) == ["data alone", "both"]
+    assert legend(unknown) == ["data alone", "both"]
 
 
 def test_correlation_and_ellipses() -> None:
@@ -261,8 +261,8 @@ def test_correlation_and_ellipses() -> None:
     rise = np.einsum("ik,ij,jk->k", away, np.linalg.inv(found.covariance), away)
     np.testing.assert_allclose(rise, -2.0 * math.log(0.05))
     half = 1.959964 * found.std
-    np.testing.assert_allclose(rules(plot, "x"), [4.0 - half[0], 4.0 + half[0]], rtol=1e-6)
-    np.testing.assert_allclose(rules(plot), [0.1 - half[1], 0.1 + half[1]], rtol=1e-6)
+    np.testing.assert_allclose(places(plot, "x"), [4.0 - half[0], 4.0 + half[0]], rtol=1e-6)
+    np.testing.assert_allclose(places(plot), [0.1 - half[1], 0.1 + half[1]], rtol=1e-6)
 
 
 def test_accuracy_marks_shifts_that_spoil_intervals() -> None:
@@ -272,7 +272,7 @@ def test_accuracy_marks_shifts_that_spoil_intervals() -> None:
     assert isinstance(plot, chart.Chart)
     small, large = drawn(plot, "points")
     assert (small["x"].tolist(), large["x"].tolist()) == ([0.02], [-0.5])
-    assert entries(plot) == ["harmless", "larger than a tenth"]
+    assert legend(plot) == ["harmless", "larger than a tenth"]
     assert solver_check.solver_section(table.assign(numerical_shift=np.nan)) == []
 
 
@@ -290,7 +290,7 @@ def test_what_stands_beside_each_other() -> None:
     table = pd.DataFrame({"time": times, **{f"i/p{k}": (k + 1.0) * times for k in range(12)}})
     (lines,) = design.sensitivity_charts(table, {"i": "A"}).charts
     assert lines.y.label == "i (A)"
-    assert entries(lines) == [f"p{k}" for k in range(4, 12)]
+    assert legend(lines) == [f"p{k}" for k in range(4, 12)]
     np.testing.assert_allclose(drawn(lines, "line")[-1]["y"], 12.0 * times, rtol=1e-6)
 
 
@@ -314,7 +314,7 @@ def test_profile() -> None:
     found = profiled(values, 50.0 + ((values - 4.0) / 0.1) ** 2, (3.804, 4.196))
     plot = uncertainty._profile(found, result(), {"R": "Ohm"})
     assert (plot.x.label, plot.y.label) == ("R (Ohm)", "rise of the criterion")
-    assert entries(plot) == ["profile", "local parabola", "95 % level: a rise of 3.84"]
+    assert legend(plot) == ["profile", "local parabola", "95 % level: a rise of 3.84"]
     curve, parabola, border = drawn(plot, "line")
     assert list(border["y"]) == [3.84, 3.84]
     np.testing.assert_allclose(parabola["y"], ((parabola["x"] - 4.0) / 0.1) ** 2)
@@ -356,7 +356,7 @@ def test_map() -> None:
     np.testing.assert_allclose(cells["value"][1:], np.maximum(table["criterion"][1:] - 10.0, 1e-300))
     assert np.isnan(cells["value"][0])
     np.testing.assert_allclose(np.unique(cells["top"] / cells["bottom"]), 2.0)  # equal ratios on a logarithmic axis
-    assert "95 % ellipse" in entries(plot)
+    assert "95 % ellipse" in legend(plot)
     assert [each["x"].tolist() for each in drawn(plot, "points", "other optima found")] == [[3.6]]
 
 

@@ -15,57 +15,7 @@ from fmuid.diagnosis.change_detection.unexplained_residual import NOTHING_LEFT
 from fmuid.diagnosis.change_parameters import CauseKind
 from fmuid.diagnosis.monitoring.alarms import Alarm
 from fmuid.reports.topics import cause_charts, monitoring
-from tests.support.charts import drawn, entries, rules
-
-
-class Size:
-    """Of a fault, as far as figures look at it."""
-
-    unit, std = "Ohm", 0.1
-
-    def __init__(self, name: str, value: float) -> None:
-        self.name, self.value = name, value
-
-    def interval(self) -> tuple[float, float]:
-        return self.value - 0.2, self.value + 0.2
-
-
-class Fault:
-    """A hypothesis, as far as figures look at it."""
-
-    def __init__(self, name: str, statistic: float, probability: float) -> None:
-        self.name, self.statistic, self.threshold = name, statistic, 6.6
-        self.probability = self.adjusted = probability
-        self.sizes = [Size("dR", 1.0), Size("<b>dL</b>", -0.3)]
-
-
-class Found:
-    """A diagnosis, as far as figures look at it."""
-
-    hypotheses = tuple(Fault(f"f{k}", 0.01 if k == 5 else 2.0 * k, 1.0 / (k + 1)) for k in range(20))
-    named, called, level = ("f19",), ("f18", "f19"), 0.01
-
-
-def test_evidence() -> None:
-    """The most significant faults stand in their order, the one named apart; each has its threshold."""
-    found: Any = Found()
-    plot = cause_charts.fault_evidence(found)
-    assert plot.y.names == tuple(f"f{k}" for k in range(19, 7, -1))
-    bars = {name: x for each in drawn(plot, "bars") for name, x in zip(each["y"], each["x"], strict=True)}
-    assert bars == {f"f{k}": 2.0 * k for k in range(8, 20)}
-    assert plot.x.reach[0] == cause_charts.LEAST_STATISTIC
-    assert entries(plot) == ["named", "significant", "not significant", "threshold at a false-alarm level of 1 %"]
-
-
-def test_sizes_show_zero() -> None:
-    """Whether an interval holds it is what is to be seen."""
-    found: Any = Found()
-    first, *others = cause_charts.size_charts(found)
-    assert len(others) == cause_charts.MAX_FAULTS - 1
-    assert first.y.names == ("<b>dL</b> (Ohm)", "dR (Ohm)")
-    low, high = first.x.reach
-    assert low is not None and high is not None and low < -0.5 < 0 < 1.2 < high
-    assert rules(first, "x") == [0.0]
+from tests.support.charts import drawn, legend, places
 
 
 @pytest.fixture
@@ -111,7 +61,7 @@ def test_residuals_without_and_with_the_fault() -> None:
     np.testing.assert_allclose(without, table["healthy.i"], rtol=1e-6)
     np.testing.assert_allclose(with_, table["fault.i"], rtol=1e-6)
     std = math.sqrt(np.mean(table["fault.i"] ** 2))
-    assert entries(plot)[1] == f"with turns, std {std:.3g} A"
+    assert legend(plot)[1] == f"with turns, std {std:.3g} A"
 
 
 @pytest.fixture
@@ -147,4 +97,4 @@ def test_timeline(windows: pd.DataFrame) -> None:
     (ground,) = drawn(size, "zone")
     assert (ground["left"].tolist(), ground["right"].tolist()) == ([20.0], [24.0])
     assert size.x.reach == (0.0, 24.0)
-    assert sorted([*rules(noise), *rules(noise, "x")]) == [1.0, 8.0, 16.0, 22.0]
+    assert sorted([*places(noise), *places(noise, "x")]) == [1.0, 8.0, 16.0, 22.0]

@@ -15,7 +15,7 @@ from fmuid import codec
 from fmuid.diagnosis import BaselineSource
 from fmuid.reports.chart import MAX_ROWS
 from fmuid.reports.documents import document
-from fmuid.reports.topics.preprocessing import preparation_words, preprocessing_charts
+from fmuid.reports.topics.preprocessing import preparation_words, preprocessing_charts, preprocessing_sections
 from fmuid.runs import MonitoringRun, read_diagnosis, read_identification, read_monitoring
 from fmuid.runs.faults import MonitoredTables
 from fmuid.runs.folder import MONITORING_SCHEMA
@@ -125,8 +125,8 @@ def test_the_report_draws_it_and_says_what_was_done(study: Study, tmp_path: Path
     found = run_study(study, tmp_path, report=True)
     assert tmp_path / "preparation.csv" in found.files
     cut, mean = preprocessing_sections(read_identification(tmp_path).prepared, several=True)
-    assert (cut.heading, cut.name) == ("What was done with the table first: cut", "preparation")
-    assert (mean.heading, mean.name) == ("What was done with the table first: mean", "preparation-2")
+    assert (cut.heading, cut.key) == ("What was done with the table first: cut", "preparation")
+    assert (mean.heading, mean.key) == ("What was done with the table first: mean", "preparation-2")
     said = "The table was given the columns current = shunt / 50 and cut from 0.1 s to 0.4 s."
     assert cut.caption.startswith(said)
     assert mean.caption == "The table was detrended (i: mean)."

@@ -19,7 +19,7 @@ from fmuid.data.experiment import Experiment
 from fmuid.errors import FmuidError, InputError, SimulationError
 from fmuid.models.component import Isolation, Numerics
 from fmuid.models.system import System
-from fmuid.simulation.executor import executor_of
+from fmuid.simulation.executor_pool import executor_of
 from fmuid.simulation.isolation.host import FmuHost
 from fmuid.simulation.sensitivities import derivatives_of
 from fmuid.simulation.simulator import Simulator
@@ -88,7 +88,7 @@ def test_a_hang_costs_one_simulation(folder: Path, mode: Mode) -> None:
 @pytest.mark.parametrize(("mode", "amount"), [(Mode.RUNAWAY, 0), (Mode.LEAK, 60)])
 def test_runaway_memory_costs_one_simulation(folder: Path, mode: Mode, amount: float) -> None:
     words = "its process took more than 300 MB and was stopped"
-    isolation = Isolation(time_limit=600.0, memory=300.0)
+    isolation = Isolation(time_limit=600.0, memory_limit_mb=300.0)
     check_costs_only_its_own(misbehaving_fmu(folder), thetas(mode), words, isolation, amount=amount)
 
 
@@ -136,7 +136,7 @@ def test_a_crash_after_a_simulation_costs_none(folder: Path, where: Where) -> No
     for each in (some, some * [1, 1, 0] + [0, 0, Mode.SEGFAULT]):
         simulator = Simulator(misbehaving_fmu(folder), RECORD, NAMES, values={"where": where}, isolation=Isolation())
         found = simulator.many(each)
-        simulator.system.close()
+        simulator.close()
         assert found.errors == (None,) * len(each)
         assert np.abs(found.outputs - expected(folder, each)).max() < 1e-14
 
@@ -162,7 +162,9 @@ def test_the_default_time_limit_follows_the_simulations_before(folder: Path, mon
         simulator([1.0, 1.0, Mode.LOOP])
 
 
-@pytest.mark.parametrize(("word", "value"), [("time_limit", 0.0), ("memory", -1.0), ("recycle", 0)])
+@pytest.mark.parametrize(
+    ("word", "value"), [("time_limit", 0.0), ("memory_limit_mb", -1.0), ("max_simulations_per_process", 0)]
+)
 def test_wrong_settings_are_one_sentence(word: str, value: float) -> None:
     with pytest.raises(InputError, match=word):
         Isolation(**{word: value})  # type: ignore[arg-type]
@@ -222,7 +224,7 @@ def test_recycling_bounds_the_memory_of_an_fmu_that_leaks(folder: Path, monkeypa
     """8 MB a simulation, 60 simulations: a process that is replaced every ten has 80 MB of it before its end."""
     simulator, plain = (
         Simulator(misbehaving_fmu(folder), RECORD, NAMES, values={"amount": 8.0}, isolation=isolation)
-        for isolation in (Isolation(recycle=10, threads=1), Isolation(threads=1))
+        for isolation in (Isolation(max_simulations_per_process=10, threads=1), Isolation(threads=1))
     )
     sizes, close = list[tuple[int, float]](), FmuHost.close
 
@@ -235,7 +237,7 @@ def test_recycling_bounds_the_memory_of_an_fmu_that_leaks(folder: Path, monkeypa
     gc.collect()  # what other tests have left is not counted
     sizes.clear()
     plain(some[:1] * [1.0, 1.0, 0.0])
-    plain.system.close()
+    plain.close()
     assert np.array_equal(simulator(some), expected(folder, some))
     (one, without), *leaked = sizes
     assert [one, *(simulations for simulations, _ in leaked)] == [1] + 6 * [10]
@@ -246,7 +248,7 @@ def test_an_fmu_that_leaks_slowly_is_not_blamed(folder: Path) -> None:
     """No single simulation takes more than the limit; all together they do, and go on in new processes."""
     some = np.tile([2.0, 0.5, Mode.LEAK_ONCE], (60, 1))
     simulator = Simulator(
-        misbehaving_fmu(folder), RECORD, NAMES, values={"amount": 20.0}, isolation=Isolation(memory=400.0)
+        misbehaving_fmu(folder), RECORD, NAMES, values={"amount": 20.0}, isolation=Isolation(memory_limit_mb=400.0)
     )
     assert np.array_equal(simulator(some), expected(folder, some))
 

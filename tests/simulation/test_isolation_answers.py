@@ -17,7 +17,7 @@ from fmuid.processes import HUNG, STOPPED, HostExitError, ProcessStatus
 from fmuid.processes.host import SERVER
 from fmuid.processes.limits import condition_of, family
 from fmuid.simulation import codes
-from fmuid.simulation.executor import executor_of
+from fmuid.simulation.executor_pool import executor_of
 from fmuid.simulation.isolation import server
 from fmuid.simulation.isolation.host import AT_REST_SECONDS, HostWatchdog
 from fmuid.simulation.simulator import Simulator
@@ -77,7 +77,7 @@ def test_an_fmu_that_stops_its_server_costs_none(folder: Path, monkeypatch: pyte
     for seed in (1, 2):
         some = thetas(Mode.STOP_PARENT, seed)
         assert np.array_equal(simulator(some), expected(folder, some))
-    simulator.system.close()
+    simulator.close()
     server = SERVER._process
     assert {process.pid for process in processes()} <= there | {server.pid if server is not None else 0}
 

@@ -116,7 +116,7 @@ def test_what_has_left_its_session_ends_though_the_server_was_killed(folder: Pat
     wait_until(lambda: escaped.ppid() not in there)
     assert members(group) == [escaped.pid]
     if then == "closed":
-        simulator.system.close()
+        simulator.close()
     else:
         assert np.array_equal(simulator(some[:3]), expected(folder, some[:3]))
     _, left = psutil.wait_procs([escaped], timeout=600)

@@ -21,7 +21,7 @@ from fmuid.errors import FmuidError, InputError
 from fmuid.models.component import Isolation
 from fmuid.processes.ends import REFUSED, HostExitError
 from fmuid.processes.limits import Footprint, family
-from fmuid.simulation.executor import executor_of
+from fmuid.simulation.executor_pool import executor_of
 from fmuid.simulation.isolation.host import end_words
 from fmuid.simulation.simulator import Simulator
 from tests.support.isolated import (
@@ -111,7 +111,7 @@ def test_processes_that_are_refused_what_they_need_every_time_do_what_they_can(f
 def test_what_the_system_refuses_this_process_is_one_sentence(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     simulator = Simulator(misbehaving_fmu(folder), RECORD, NAMES, isolation=Isolation())
     simulator([2.0, 0.5, 0.0])
-    simulator.system.close()
+    simulator.close()
     files = psutil.Process().num_fds()
 
     def refuse(*_: object) -> None:
@@ -152,7 +152,9 @@ linux = pytest.mark.skipif(sys.platform != "linux", reason="only Linux tells")
 @pytest.mark.parametrize("mode", [Mode.SHARE, Mode.BROOD])
 def test_memory_that_is_shared_or_that_of_children_counts(folder: Path, mode: Mode) -> None:
     words = "its process took more than 300 MB and was stopped"
-    check_costs_only_its_own(misbehaving_fmu(folder), thetas(mode), words, Isolation(time_limit=600.0, memory=300.0))
+    check_costs_only_its_own(
+        misbehaving_fmu(folder), thetas(mode), words, Isolation(time_limit=600.0, memory_limit_mb=300.0)
+    )
 
 
 @pytest.mark.slow
@@ -179,7 +181,7 @@ def test_what_has_left_its_session_ends_too(folder: Path, how: str) -> None:
     escaped = left_behind(simulator, folder, Mode.ESCAPE)
     assert [os.getsid(process.pid) == os.getsid(process.ppid()) for process in escaped] == [False]
     if how == "closed":
-        simulator.system.close()
+        simulator.close()
     else:
         simulator.many([[1.0, 1.0, Mode.ABORT]])
     _, left = psutil.wait_procs(escaped, timeout=600)

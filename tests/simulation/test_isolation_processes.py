@@ -30,7 +30,7 @@ from fmuid.processes import host as hosts
 from fmuid.processes.channel import Channel, Look
 from fmuid.processes.ends import KILLED, HostExitError
 from fmuid.processes.host import SERVER, ForkServer
-from fmuid.simulation.executor import executor_of
+from fmuid.simulation.executor_pool import executor_of
 from fmuid.simulation.isolation.host import FmuHost
 from fmuid.simulation.simulator import Simulator
 from tests.support.isolated import (
@@ -59,7 +59,7 @@ def test_nothing_is_left_of_closed_systems(folder: Path) -> None:
         for simulator in simulators:
             simulator([2.0, 0.5, 0.0])
         for simulator in simulators[::2]:
-            simulator.system.close()  # the others go with their systems
+            simulator.close()  # the others go with their systems
 
     use()
     gc.collect()
@@ -127,7 +127,7 @@ def test_what_the_fmu_has_forked_ends_with_its_process(folder: Path) -> None:
     simulator = Simulator(misbehaving_fmu(folder), RECORD, NAMES, isolation=Isolation(threads=1))
     spawned = left_behind(simulator, folder, Mode.SPAWN)
     assert spawned
-    simulator.system.close()
+    simulator.close()
     _, left = psutil.wait_procs(spawned, timeout=600)
     assert not left
 

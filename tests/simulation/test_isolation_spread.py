@@ -17,7 +17,7 @@ from fmuid.data.experiment import Experiment
 from fmuid.models.component import Isolation, Numerics
 from fmuid.models.system import System
 from fmuid.processes.limits import condition_of
-from fmuid.simulation.executor import executor_of
+from fmuid.simulation.executor_pool import closing, executor_of
 from fmuid.simulation.isolation.isolated_executor import IsolatedExecutor, MultiProcessExecutor
 from fmuid.simulation.simulator import Simulator
 from tests.support.isolated import NAMES, PROCESSES, RECORD, closed_form, processes, thetas, wait_until
@@ -42,7 +42,7 @@ def hosts_of(system: System) -> set[int]:
 
 def test_it_runs_in_a_process_for_each_core_with_the_same_bits(tmp_path: Path) -> None:
     fmu, some = misbehaving_fmu(tmp_path, token="alone", **OPEN_MODELICA), thetas(Mode.SOUND)
-    with System(fmu, isolation=Isolation()) as system, System(fmu) as alone:
+    with closing(System(fmu, isolation=Isolation())) as system, closing(System(fmu)) as alone:
         found = Simulator(system, RECORD, NAMES)(some)
         assert np.array_equal(found, Simulator(alone, RECORD, NAMES)(some))
         assert np.abs(found[:, :, 0] - closed_form(some)).max() < 1e-14
@@ -71,18 +71,19 @@ def test_what_one_finds_stiff_is_run_again_by_all(kind: str) -> None:
     coil = FMUS / "Coil" / "Coil.fmu"
     system, alone = (System(coil, numerics=Numerics("model-exchange")) for _ in range(2))
     made = MultiProcessExecutor if kind == "spread" else IsolatedExecutor
-    system.executor(lambda each: made(each.components, 3, Isolation()))
-    found = Simulator(system, record, ["R", "L"])(some)
+    simulator: Any = Simulator(system, record, ["R", "L"])
+    executor = simulator._executor = made(system.components, 3, Isolation())
+    found = simulator(some)
     plain = Simulator(alone, record, ["R", "L"])(some[:1])
     assert np.array_equal(found, Simulator(alone, record, ["R", "L"])(some))
     assert not np.array_equal(found[:1], plain)
-    system.close()
+    executor.close()
 
 
 def test_an_interruption_ends_all(tmp_path: Path) -> None:
     """All shares hang, that of this thread and those of the others, for longer than anybody waits."""
     fmu, some = misbehaving_fmu(tmp_path, **OPEN_MODELICA), thetas(Mode.SOUND)
-    with System(fmu, isolation=Isolation(time_limit=600.0)) as system:
+    with closing(System(fmu, isolation=Isolation(time_limit=600.0))) as system:
         simulator = Simulator(system, RECORD, NAMES)
         expected, there = simulator(some), hosts_of(system)
         before = {pid: condition_of(pid).computed for pid in there}

@@ -15,6 +15,7 @@ from fmuid.models import SolverConfiguration
 from fmuid.reports.topics.solver_check import run_words
 from fmuid.reports.topics.validation import check_words
 from fmuid.simulation import Subject, validate
+from fmuid.simulation.executor_pool import closing
 from tests.support.isolated import PROCESSES
 from tests.support.stepping import LAG, stepping_fmu
 
@@ -44,7 +45,7 @@ def test_each_simulation_has_a_new_process(folder: Path, caplog: pytest.LogCaptu
     """Outputs are those of the same FMU without the memory, bit for bit, also where several go at a time."""
     thetas = [[1.0], [2.0], [1.0]]
     expected = Simulator(stepping_fmu(folder, LAG, order=4), experiment(), ["k"])(thetas)
-    with System(stepping_fmu(folder, LAG, order=4, memory=MEMORY), isolation=Isolation()) as system:
+    with closing(System(stepping_fmu(folder, LAG, order=4, memory=MEMORY), isolation=Isolation())) as system:
         simulator = Simulator(system, experiment(), ["k"])
         with caplog.at_level(logging.WARNING, "fmuid.fmu"):
             np.testing.assert_array_equal(simulator(thetas), expected)
@@ -57,7 +58,7 @@ def test_identify_by_new_processes(folder: Path) -> None:
     """The cost never rises over accepted steps, the estimate is that of the FMU without memory, the result says how."""
     found = []
     for memory in (0.0, MEMORY):
-        with System(stepping_fmu(folder, LAG, order=4, memory=memory), isolation=Isolation()) as system:
+        with closing(System(stepping_fmu(folder, LAG, order=4, memory=memory), isolation=Isolation())) as system:
             problem = Problem(system, experiment(), {"k": Parameter(1.0, min=0.1, max=10.0)})
             found.append(identify(problem, accuracy="off", remedies=False))
     plain, result = found
@@ -84,7 +85,7 @@ def test_one_simulation_in_a_process(folder: Path) -> None:
 def test_outputs_at_random_are_refused(folder: Path) -> None:
     """What differs from process to process no process mends."""
     path = stepping_fmu(folder, LAG, order=4, memory=MEMORY, seed="getpid()")
-    with System(path, isolation=Isolation()) as system:
+    with closing(System(path, isolation=Isolation())) as system:
         simulator = Simulator(system, experiment(), ["k"])
         with pytest.raises(InputError, match=r"gives other outputs each time .* also in new processes"):
             simulator([1.0])

@@ -17,7 +17,8 @@ from fmuid.data.experiment import Experiment
 from fmuid.errors import InputError, SimulationError
 from fmuid.models.component import Isolation, Numerics
 from fmuid.models.system import System
-from fmuid.simulation.in_process import InProcessExecutor
+from fmuid.simulation.executor import InProcessExecutor
+from fmuid.simulation.executor_pool import close, closing
 from fmuid.simulation.simulator import Simulator
 from fmuid.simulation.worker import SimulationThread
 from tests.support.closed_forms import coil_response, park_rates
@@ -232,7 +233,7 @@ def test_one_instance_serves_where_the_fmu_allows_no_more(probe: ProbeMaker) -> 
     simulators = [Simulator(system, experiment, ["gain"]) for _ in range(2)]
     for simulator in simulators:
         assert (simulator(np.ones((9, 1))) == 1).all()
-    simulators[0].system.close()
+    simulators[0].close()
     with pytest.raises(InputError, match="only once in a process"):
         simulators[1]([1.0])
 
@@ -245,7 +246,7 @@ def test_instances_are_kept_and_freed(probe: ProbeMaker) -> None:
     simulator(np.ones((8, 1)))
     first = simulator([1.0]).max()
     assert simulator(np.ones((200, 1))).max() == first  # not one more for 200 simulations
-    simulator.system.close()
+    simulator.close()
     assert simulator([1.0]).max() == 1
 
 
@@ -274,12 +275,12 @@ def test_warnings_are_passed_on_once_for_all_threads_and_processes(
     """Two simulations at a time, in threads or in processes of their own; and anew, with other instances."""
     monkeypatch.setenv("OMP_NUM_THREADS", "2")
     experiment = Experiment(table(np.arange(3.0), x=np.zeros(3)), outputs=["x"])
-    with System(probe(canBeInstantiatedOnlyOncePerProcess=once), isolation=isolation) as system:
+    with closing(System(probe(canBeInstantiatedOnlyOncePerProcess=once), isolation=isolation)) as system:
         simulator = Simulator(system, experiment, ["gain"], values={"n": 7, "word": "lucky"})
         with caplog.at_level(logging.WARNING, "fmuid.fmu"):
             simulator(np.ones((20, 1)))
             if isolation is not None or once == "false":  # one that can be instantiated once stays
-                system.close()
+                close(system)
             simulator(np.ones((20, 1)))
     said = [record.getMessage() for record in caplog.records]
     assert sorted(said) == ["Probe: lucky: seven at 0", "Probe: lucky: seven at 1"]

@@ -196,7 +196,7 @@ def test_matrices_of_a_fault(linear: Path) -> None:
     faulty = study.replace("run.csv", "faulty.csv") + FAULT
     (linear / "faulty.toml").write_text(faulty)
     found = Study.read(linear / "faulty.toml").diagnose()
-    assert found.hypotheses[0].sizes[0].value == pytest.approx(0.5, rel=0.05)
+    assert found.evidence.suspects[0].change.value == pytest.approx(0.5, rel=0.05)
     (linear / "wrong.toml").write_text(faulty.replace("{ b = [1.0, 2.0] }", "{ b = [1.0] }"))
     with pytest.raises(InputError, match=r"\[diagnosis.faults.gain\]: values 'b' has 1 values and 2 in"):
         Study.read(linear / "wrong.toml").diagnose()

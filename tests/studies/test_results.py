@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -60,17 +61,33 @@ def test_a_table_that_is_gone_needs_another_in_its_place(folder: Path) -> None:
 @pytest.mark.parametrize(
     ("text", "said"),
     [
-        ("{}", "does not say which fmuid has written it"),
-        ('{"version": "0"}', "does not say by which study it was made: name the study file with --study"),
-        ('{"version": "0", "study": {}}', "has no 'file' in 'study'"),
-        ('{"version": "0", "study": {"file": "study.toml", "content": true}}', "does not say by which study"),
-        ('{"version": "0", "study": {"file": "s.toml", "content": {"experiments": 3}}}', r"s\.toml: .*experiments"),
-        ('{"version": "0", "study": {"file": "s.toml", "content": {"experiments": [3]}}}', r"s\.toml: .*experiments"),
+        ("{}", "is of no schema"),
         ("{", "is not JSON"),
     ],
 )
-def test_a_file_without_a_study_is_refused(folder: Path, text: str, said: str) -> None:
+def test_a_file_that_is_no_result_is_refused(folder: Path, text: str, said: str) -> None:
     (folder / "result.json").write_text(text)
+    with pytest.raises(InputError, match=said):
+        study_of(folder, in_place=folder / "second.csv")
+
+
+@pytest.mark.parametrize(
+    ("origin", "said"),
+    [
+        (None, "does not say by which study it was made: name the study file with --study"),
+        ({"study": None}, "does not say by which study it was made"),
+        ({"study": {}}, r"it has no 'origin\.study\.file'"),
+        ({"study": {"content": True}}, r"origin\.study\.content: the value should be"),
+        ({"study": {"content": {"experiments": 3}}}, r"s\.toml: .*experiments"),
+        ({"study": {"content": {"experiments": [3]}}}, r"s\.toml: .*experiments"),
+    ],
+)
+def test_a_file_without_a_study_is_refused(folder: Path, origin: dict[str, Any] | None, said: str) -> None:
+    if origin is not None:
+        origin |= {"version": "0", "date": ""}
+        if origin["study"]:
+            origin["study"] |= {"file": "s.toml", "digest": "", "text": "", "changed": False}
+    written(folder, {"R": (4.0, 0.01)}, origin=origin)
     with pytest.raises(InputError, match=said):
         study_of(folder, in_place=folder / "second.csv")
 

@@ -14,7 +14,7 @@ from fmuid.errors import InputError
 from fmuid.estimation import GlobalSearch
 from fmuid.estimation.method import Marquardt, Method
 from fmuid.identification.assessment import AssessmentSettings
-from fmuid.identification.sampling.posterior import SamplerSettings
+from fmuid.identification.posterior import SamplerSettings
 from fmuid.models.component import Numerics
 from fmuid.studies.study import Study
 from fmuid.studies.toml import show

@@ -9,7 +9,10 @@ import numpy as np
 import numpy.typing as npt
 import pandas as pd
 
-from fmuid.reports.batch_tables import noted
+from fmuid.reports.document import Document
+from fmuid.reports.render.console import show
+from fmuid.reports.topics.batch import state_of, summary_remarks
+from fmuid.reports.topics.batch_tables import noted, tables_of
 from fmuid.runs.batch.statistics import EstimateWarning
 from fmuid.runs.batch.summary import Summary
 
@@ -44,6 +47,17 @@ def fail(frame: pd.DataFrame, rows: list[int], messages: list[str], status: str 
     frame.loc[rows, estimated] = np.nan
     frame.loc[rows, "status"], frame.loc[rows, "message"] = status, messages
     return frame
+
+
+def show_batch(summary: Summary) -> None:
+    """Print the tables and sentences of a summary."""
+    tone, state = state_of(summary)
+    show(Document("batch", "Batch", state, tone, tuple(summary_remarks(summary)), tuple(tables_of(summary))))
+
+
+def summary_words(summary: Summary) -> list[str]:
+    """Return what the numbers of a batch mean."""
+    return [each.text for each in summary_remarks(summary)]
 
 
 def row(summary: Summary, name: str) -> Mapping[Any, Any]:

@@ -100,7 +100,7 @@ def check_costs_only_its_own(fmu: Path, some: Floats, words: str, isolation: Iso
     values = {"at": 0.95, **given}
     isolated = Simulator(System(fmu, numerics=numerics, isolation=isolation), RECORD, NAMES, values=values)
     found = isolated.many(some)
-    isolated.system.close()
+    isolated.close()
     sound = some * [1.0, 1.0, 0.0]
     alone = Simulator(System(fmu, numerics=numerics), RECORD, NAMES, values=values).many(sound)
     good = [i for i in range(len(some)) if i not in BAD]

@@ -10,8 +10,8 @@ import numpy.typing as npt
 from fmuid.data.parameters import Parameter
 from fmuid.estimation.problem import LeastSquares
 from fmuid.estimation.result import Result
-from fmuid.identification.sampling.posterior import Posterior, SamplerSettings
-from fmuid.identification.sampling.sampler import sample_posterior
+from fmuid.identification.posterior import Posterior, SamplerSettings
+from fmuid.identification.sampler import sample_posterior
 from tests.support.results import identify_white as identify
 
 Array = npt.NDArray[np.float64]

@@ -73,16 +73,15 @@ def _show(job: Batch, found: BatchResult, figures: str | None, *, report: bool) 
     said += [f"what {logs} cases printed, and warnings, are in {job.dataset.logs}"] if logs else []
     console.show_notes(said)
     if found.finished:
-        from fmuid.reports.batch_tables import write_overview, write_summary
         from fmuid.reports.publish import publish
         from fmuid.reports.topics.batch import batch_document
-        from fmuid.runs import made_from
+        from fmuid.reports.topics.batch_tables import write_summary
 
-        summary, _ = found.summary()
-        written = [*write_summary(summary, job.folder), write_overview(summary, found, job.study)]
-        shown = batch_document(found, made_from(job.study))
-        console.show(shown)
-        written += publish(job.folder, shown, report=report, figures=figures)
+        summary, frame = found.summary()
+        written = write_summary(found, summary, job.study)
+        document = batch_document(found, summary, frame, job.study)
+        console.show(document)
+        written += publish(job.folder, document, report=report, figures=figures)
         console.show_files([*job.dataset.files(), *written])
     if found.interrupted:
         print(

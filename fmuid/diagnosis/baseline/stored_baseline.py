@@ -42,6 +42,8 @@ class BaselineSource(Enum):
     OTHER_NOISE = "other noise"
     OTHER_RECORDS = "other records"
     DAMAGED = "damaged"
+    RESULT = "result"
+    """Its result alone: nothing is known of sensors and supply."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Protocol
 
 import numpy as np
 
@@ -84,3 +85,44 @@ def _placed(experiment: Experiment, residual: Floats, name: str) -> Floats:
             j = experiment.output_names.index(name)
             return series.on_grid(residual[experiment.counted[:, j], j])
     return np.zeros(0)
+
+
+class Linearized(Protocol):
+    """A machine over a record, with its derivatives."""
+
+    experiment: Experiment
+
+    def linearise(self, point: Floats) -> tuple[Floats, Floats]:
+        """Return the outputs (K, n_outputs) at a point (N,), and their derivatives (K, n_outputs, N)."""
+        raise NotImplementedError
+
+
+def whitening_of(
+    records: Sequence[Linearized], point: Floats, width: Floats, variances: Mapping[str, float] | None = None
+) -> Whitening:
+    """Return the noise of records, by what is left of them beside all coordinates.
+
+    Parameters
+    ----------
+    records : sequence of LinearizedMachine
+        Over the records.
+    point : (N,) array
+        Where they are linearised.
+    width : (N,) array
+        Standard deviation of what each coordinate may be off from there.
+    variances : mapping of str to float, optional
+        Of outputs whose noise is given.
+    """
+    residuals = []
+    for record in records:
+        outputs, columns = record.linearise(point)
+        experiment = record.experiment
+        rest = np.where(experiment.counted, experiment.output_values - outputs, 0.0)
+        flat = columns[experiment.counted] * width
+        # held by springs of its width in units of the residual itself
+        scale = max(float(np.std(rest[experiment.counted])), np.finfo(float).tiny)
+        stacked = np.vstack([flat / scale, np.eye(flat.shape[1])])
+        target = np.concatenate([rest[experiment.counted] / scale, np.zeros(flat.shape[1])])
+        taken = columns @ (np.linalg.lstsq(stacked, target, rcond=None)[0] * width)
+        residuals.append((experiment, np.where(experiment.counted, rest - taken, 0.0)))
+    return Whitening.of(residuals, variances)

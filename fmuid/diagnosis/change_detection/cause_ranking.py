@@ -52,6 +52,11 @@ class CauseSet:
         """The names of its causes."""
         return tuple(cause.name for cause in self.causes)
 
+    @property
+    def columns(self) -> list[int]:
+        """The coordinates of its causes, in the order of the sizes."""
+        return [i for cause in self.causes for i in cause.columns]
+
 
 @dataclass(frozen=True, eq=False)
 class CauseRanking:
@@ -99,6 +104,8 @@ def name(
     model_error : float
         κ: the fault models' error along any other signature, as a share of their own effect.
     """
+    if not causes:
+        return CauseRanking({}, 1.0, False)
     chance = chance or MinPDistribution.of(news, causes)
     statistics = np.array([fit(news, (cause,)).statistic for cause in causes])
     smallest = min(probability(d, cause) for d, cause in zip(statistics.tolist(), causes, strict=True))

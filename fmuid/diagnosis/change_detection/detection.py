@@ -15,6 +15,8 @@ from fmuid.diagnosis.change_detection.causes import Cause
 from fmuid.diagnosis.change_detection.false_alarms import log_tail
 from fmuid.diagnosis.change_detection.information_matrix import ScoreStatistics
 
+# Of calling a fault where there is none, unless said otherwise: one check in a hundred, the habit of the field.
+FALSE_ALARM_LEVEL = 0.01
 # The distribution of the smallest probability of all causes is counted over so many seeded draws: a level of 1 % to a
 # fourteenth of itself.
 DRAWS, SEED = 20_000, 0

@@ -14,6 +14,9 @@ from fmuid.errors import InputError
 # Model error is told from noise by the scatter of records from this many on: the variance of a t distribution of K − 1
 # degrees of freedom, (K − 1)/(K − 3), is finite from there.
 LEAST_RECORDS = 4
+# Of what a coordinate shows by itself, this share is left where nothing tells it from the others: differences leave
+# about their own error squared.
+LEAST = 1e-9
 
 
 @dataclass(frozen=True, eq=False)
@@ -151,3 +154,10 @@ class ScoreStatistics:
         """Return information and score of some coordinates, the others being as they were known."""
         at = list(columns)
         return self.information[at][:, at], self.score[at]
+
+
+def is_determined(news: ScoreStatistics, said: InformationMatrix, columns: Sequence[int]) -> bool:
+    """Return whether a record says more of some coordinates, beside all that may change, than rounding leaves."""
+    information, _ = news.part(columns)
+    least = LEAST * float(np.diag(said.matrix)[list(columns)].max())
+    return float(np.linalg.eigvalsh(information)[0]) > least

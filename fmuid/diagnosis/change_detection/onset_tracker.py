@@ -28,15 +28,12 @@ import numpy as np
 from fmuid.array_types import Flags, Floats, Indices
 from fmuid.diagnosis.change_detection.causes import Cause
 from fmuid.diagnosis.change_detection.change_transient import ChangeTransient
-from fmuid.diagnosis.change_detection.information_matrix import ChangePrior, InformationMatrix, ScoreStatistics
+from fmuid.diagnosis.change_detection.information_matrix import LEAST, ChangePrior, InformationMatrix, ScoreStatistics
 from fmuid.diagnosis.change_detection.onset import OnsetLikelihood, OnsetShape
 
 # Onsets within windows are kept of so many windows, those at the begin of windows up to so many: every second one of
 # the older half goes then.
 FINE, MOST = 12, 256
-# Of what a coordinate shows by itself, this share is left where nothing tells it from the others: differences leave
-# about their own error squared.
-LEAST = 1e-9
 
 
 @dataclass(frozen=True, eq=False)

@@ -9,6 +9,7 @@ coefficients from the healthy record to the new one counts, so that what the hea
 from __future__ import annotations
 
 import itertools
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -17,7 +18,11 @@ from scipy import special
 
 from fmuid.array_types import Floats
 from fmuid.diagnosis.change_detection.information_matrix import InformationMatrix
+from fmuid.identification import SAME_VARIANCE_RATIO
 
+# The residual may be larger than the noise for other reasons than the causes that are looked for: this share of the
+# level is spent on it, so that the level as a whole is met.
+UNEXPLAINED_SHARE = 0.1
 # Lags of the inputs, in samples; those from each to before the next are one regressor, their sum.
 SPANS = (0, 1, 2, 4, 8, 16, 32)
 # Directions of the regressors with so little information, against the best, say nothing.
@@ -98,3 +103,29 @@ def change(healthy: InformationMatrix, new: InformationMatrix) -> tuple[float, i
 def probability(statistic: float, degrees: int) -> float:
     """Return how likely chance alone changes the coefficients so much."""
     return float(special.chdtrc(degrees, statistic)) if degrees else 1.0
+
+
+@dataclass(frozen=True)
+class VarianceRatio:
+    """The residual against the noise of the healthy machine.
+
+    Attributes
+    ----------
+    ratio : float
+        Of the variances.
+    probability : float
+        That noise alone gives as much.
+    larger : bool
+        Whether that is too unlikely.
+    """
+
+    ratio: float
+    probability: float
+    larger: bool
+
+    @classmethod
+    def of(cls, ratio: float, samples: int, freedom: float, level: float) -> VarianceRatio:
+        """Return the test of a ratio: of χ², or of F where the noise was estimated with `freedom`."""
+        exact = math.isinf(freedom)
+        tail = float(special.chdtrc(samples, samples * ratio) if exact else special.fdtrc(samples, freedom, ratio))
+        return cls(ratio, tail, bool(ratio > SAME_VARIANCE_RATIO and tail < UNEXPLAINED_SHARE * level))

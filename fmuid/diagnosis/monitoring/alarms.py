@@ -5,15 +5,14 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any
 
 import numpy as np
 from scipy import special
 
 from fmuid.array_types import Floats
 from fmuid.diagnosis.cause_results import Explanation
+from fmuid.diagnosis.change_detection.detection import FALSE_ALARM_LEVEL
 from fmuid.diagnosis.change_detection.onset import OnsetShape
-from fmuid.diagnosis.hypothesis_tests import FALSE_ALARM_LEVEL
 from fmuid.errors import InputError
 from fmuid.estimation import check_level
 
@@ -217,11 +216,3 @@ def label_of(explanations: tuple[Explanation, ...]) -> str:
     """Return what an alarm is called."""
     each = (" and ".join(dict.fromkeys(c.fault or c.label for c in one.changes)) for one in explanations)
     return " or ".join(dict.fromkeys(each))
-
-
-def onset_of_json(data: Mapping[str, Any] | None) -> Onset | None:
-    """Return an onset of a file."""
-    if data is None:
-        return None
-    likely, first, last = (RecordTime(**data[name]) for name in ("likely", "first", "last"))
-    return Onset(likely, first, last, OnsetShape(data["shape"]))

@@ -57,8 +57,8 @@ class Monitor:
     ----------
     baseline : Baseline, Result or path
         As for `fmuid.diagnose`.
-    hypotheses : mapping of str to Fault
-    nominal_model : System, FMU or path
+    faults : mapping of str to Fault
+    model : System, FMU or path
         The healthy machine.
     rule : Rule, optional
     causes : Causes, optional
@@ -76,7 +76,7 @@ class Monitor:
     Raises
     ------
     InputError
-        If there is no hypothesis, or the healthy result does not fit the model.
+        If there is no fault, or the healthy result does not fit the model.
 
     Examples
     --------
@@ -91,15 +91,15 @@ class Monitor:
     def __init__(
         self,
         baseline: Baseline | Result | str | Path,
-        hypotheses: Mapping[str, Fault],
-        nominal_model: System | FMU | str | Path,
+        faults: Mapping[str, Fault],
+        model: System | FMU | str | Path,
         rule: Rule | None = None,
         causes: Causes | None = None,
         model_error: float = MODEL_ERROR,
     ) -> None:
-        if not hypotheses:
+        if not faults:
             raise InputError("there is no fault to look for: give at least one fault model with its parameters")
-        self.baseline, self.faults, self.system = Baseline.of(baseline), dict(hypotheses), System.of(nominal_model)
+        self.baseline, self.faults, self.system = Baseline.of(baseline), dict(faults), System.of(model)
         self.rule, self.causes, self.model_error = rule or Rule(), causes or Causes(), model_error
         self.gaps: tuple[SkippedWindow, ...] = ()
         self._journal: MonitorStore | None = None

@@ -19,13 +19,13 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+from fmuid.codec import as_json, from_json
 from fmuid.data import read_arrays, write_arrays
-from fmuid.diagnosis.cause_results import Explanation
 from fmuid.diagnosis.change_detection.onset_tracker import OnsetTracker
-from fmuid.diagnosis.monitoring.alarms import Alarm, onset_of_json
+from fmuid.diagnosis.monitoring.alarms import Alarm
 from fmuid.diagnosis.monitoring.window_evaluation import MonitorState, WatchedRecord
 from fmuid.errors import InputError
-from fmuid.files import as_json, first_line, is_file, note, with_formulas, without_formulas, write_json
+from fmuid.files import first_line, is_file, note, with_formulas, without_formulas, write_json
 from fmuid.version import __version__
 
 TABLE_FILE, FOUND_FILE, STATE_FILE = "monitoring.csv", "monitoring.json", "monitoring.npz"
@@ -258,8 +258,7 @@ def _count(given: Any) -> int:
 
 
 def _alarm(data: Mapping[str, Any]) -> Alarm:
-    explanations = tuple(map(Explanation.of_json, data["explanations"]))
-    return Alarm(**{**data, "onset": onset_of_json(data["onset"]), "explanations": explanations, "trend": None})
+    return from_json(Alarm, {**data, "trend": None})
 
 
 def _table(path: Path, length: int, count: int, most: int | None) -> pd.DataFrame:

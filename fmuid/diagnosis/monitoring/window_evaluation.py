@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-from scipy import special
 
 from fmuid.array_types import Floats
 from fmuid.data import BEGIN, Experiment
@@ -18,15 +17,14 @@ from fmuid.diagnosis.cause_results import Explanation, changes
 from fmuid.diagnosis.change_detection.causes import Cause
 from fmuid.diagnosis.change_detection.detection import fit
 from fmuid.diagnosis.change_detection.false_alarms import log_chances, log_limit
-from fmuid.diagnosis.change_detection.information_matrix import ChangePrior, ScoreStatistics
-from fmuid.diagnosis.change_detection.onset_tracker import LEAST, OnsetTracker, statistics_of
+from fmuid.diagnosis.change_detection.information_matrix import LEAST, ChangePrior, ScoreStatistics
+from fmuid.diagnosis.change_detection.onset_tracker import OnsetTracker, statistics_of
+from fmuid.diagnosis.change_detection.unexplained_residual import VarianceRatio
 from fmuid.diagnosis.change_parameters import DIFFERENCE_STEP, CauseKind
 from fmuid.diagnosis.diagnosis_result import EXPLAINED_SHARE
-from fmuid.diagnosis.hypothesis_tests import UNEXPLAINED_SHARE
 from fmuid.diagnosis.monitoring.alarm_decision import AlarmDecision, decide_alarm
 from fmuid.diagnosis.monitoring.alarms import SOMETHING_ELSE, Alarm, Onset, RecordTime, Rule, label_of
 from fmuid.diagnosis.monitoring.window_statistics import WindowSums
-from fmuid.identification import SAME_VARIANCE_RATIO
 
 # A window is linearised again where its estimate is further away than this: its distance in standard deviations times
 # the largest relative change of a coordinate, which is about the error of the linear model in standard deviations.
@@ -296,11 +294,8 @@ class WindowEvaluation:
     @cached_property
     def unexplained(self) -> bool:
         """Whether the residual is larger than the noise, whatever is named."""
-        ratio, samples = self._ratios[1], self.sums.samples
         freedom = self.against.made.baseline.freedom
-        exact = math.isinf(freedom)
-        tail = special.chdtrc(samples, samples * ratio) if exact else special.fdtrc(samples, freedom, ratio)
-        return bool(ratio > SAME_VARIANCE_RATIO and tail < UNEXPLAINED_SHARE * self.level)
+        return VarianceRatio.of(self._ratios[1], self.sums.samples, freedom, self.level).larger
 
     @property
     def label(self) -> str:

@@ -30,24 +30,36 @@ from scipy import fft
 from fmuid.array_types import Complexes, Flags, Floats
 from fmuid.estimation.noise.low_frequency import slow_noise
 
-# Orders up to 10 log₁₀ n are tried, but not more than a quarter of the samples.
-ORDERS_A_DECADE, ORDERS_SHARE = 10.0, 4
-# An order needs pairs of samples: twice its number and so many more.
-MORE_PAIRS = 4
-# Of fewer samples no colour can be told.
-ENOUGH = 25
-# Kendall: E φ̂ = φ (1 − 2/n) of an autoregression of order 1 whose mean is known.
-BIAS = 2.0
-# An impulse response beyond this is rounding: poles too close to each other and to 1.
-LOUDEST = 1e6
-# The impulse response is followed until it stays below this share of its largest value ...
-NEGLIGIBLE = 1e-4
-# ... to this length, or so many times the length of the record.
-LONGEST, RECORDS = 5000, 2
-# Samples of the impulse response that are found at a time.
-BLOCK = 64
-# Where there is no variance at all.
-LEAST_VARIANCE = 1e-300
+
+@dataclass(frozen=True)
+class AutoregressionSettings:
+    """Numbers of the fit of an autoregression."""
+
+    orders_a_decade: float = 10.0
+    """Orders up to so many log₁₀ n are tried, ..."""
+    samples_an_order: int = 4
+    """... but no more than the samples divided by this."""
+    more_pairs: int = 4
+    """An order needs pairs of samples: twice its number and so many more."""
+    enough: int = 25
+    """Of fewer samples no colour can be told."""
+    bias: float = 2.0
+    """Kendall: E φ̂ = φ (1 − 2/n) of an autoregression of order 1 whose mean is known."""
+    loudest: float = 1e6
+    """An impulse response beyond this is rounding: poles too close to each other and to 1."""
+    negligible: float = 1e-4
+    """The impulse response is followed until it stays below this share of its largest value, ..."""
+    longest: int = 5000
+    """... to this length, ..."""
+    records: int = 2
+    """... or so many times the length of the record."""
+    block: int = 64
+    """Samples of the impulse response that are found at a time."""
+    least_variance: float = 1e-300
+    """Where there is no variance at all."""
+
+
+SETTINGS = AutoregressionSettings()
 
 
 @dataclass(frozen=True, eq=False)
@@ -164,9 +176,11 @@ def _spectrum(coefficients: Floats | Sequence[float], length: int) -> Complexes:
 
 def most_orders(samples: int, length: int) -> int:
     """Return the highest order to try for so many samples on a grid of some length."""
-    if samples < ENOUGH:
+    if samples < SETTINGS.enough:
         return 0
-    return max(0, min(int(ORDERS_A_DECADE * math.log10(samples)), samples // ORDERS_SHARE, length - 1))
+    return max(
+        0, min(int(SETTINGS.orders_a_decade * math.log10(samples)), samples // SETTINGS.samples_an_order, length - 1)
+    )
 
 
 def autoregression(values: Floats, there: Flags) -> Autoregression:
@@ -189,15 +203,15 @@ def fit(columns: Floats, there: Flags, weights: Floats, orders: int) -> Autoregr
         The highest order.
     """
     samples = int(there.sum())
-    variance = max(float(weights @ np.einsum("it,it->i", columns, columns)) / samples, LEAST_VARIANCE)
-    longest = max(LONGEST, RECORDS * there.size)
+    variance = max(float(weights @ np.einsum("it,it->i", columns, columns)) / samples, SETTINGS.least_variance)
+    longest = max(SETTINGS.longest, SETTINGS.records * there.size)
     reflections, scores = _burg(columns, weights, there, orders)
     order, model, response = len(scores), np.zeros(0), np.ones(1)
     while order > 0:
         order = 1 + int(np.argmin(scores[:order]))
         model = _model(reflections[:order], samples)
         response = impulse_response(model, longest)
-        if order == 1 or np.abs(response).max() < LOUDEST:
+        if order == 1 or np.abs(response).max() < SETTINGS.loudest:
             break
         order -= 1
     left = variance * math.prod(1.0 - each**2 for each in reflections[:order])
@@ -212,7 +226,7 @@ def fit(columns: Floats, there: Flags, weights: Floats, orders: int) -> Autoregr
         beneath = slow_noise(columns, weights, there, model)
         if beneath is not None and scores[own] - beneath.gain < best:
             best = scores[own] - beneath.gain
-            memory = min(longest, math.ceil(math.log(NEGLIGIBLE) / math.log(beneath.pole)))
+            memory = min(longest, math.ceil(math.log(SETTINGS.negligible) / math.log(beneath.pole)))
             memory += impulse_response(model, longest).size
             found = Autoregression(model, beneath.variance, samples, memory, beneath.pole, beneath.zero)
     return found
@@ -230,7 +244,7 @@ def _burg(columns: Floats, weights: Floats, there: Flags, orders: int) -> tuple[
         x, y = ahead[:, order:], behind[:, :-order]
         mask = mask[1:] & there[: length - order] if gaps else mask[1:]
         pairs = int(np.count_nonzero(mask)) if gaps else mask.size
-        if pairs < 2 * order + MORE_PAIRS:
+        if pairs < 2 * order + SETTINGS.more_pairs:
             break
         if gaps:
             x *= mask
@@ -263,7 +277,7 @@ def _model(reflections: Sequence[float], samples: int) -> Floats:
     """Return the coefficients of a model by Levinson's recursion, of order 1 without its bias."""
     if len(reflections) == 1:
         most = max(1.0 - 1.0 / samples, abs(reflections[0]))
-        return np.clip(np.array(reflections) * (1.0 + BIAS / samples), -most, most)
+        return np.clip(np.array(reflections) * (1.0 + SETTINGS.bias / samples), -most, most)
     model = np.zeros(0)
     for reflection in reflections:
         model = np.concatenate([model - reflection * model[::-1], [reflection]])
@@ -275,10 +289,12 @@ def impulse_response(coefficients: Floats, longest: int) -> Floats:
     order = coefficients.size
     if order < 2:
         pole = abs(float(coefficients.sum()))
-        length = min(longest, math.ceil(math.log(NEGLIGIBLE) / math.log(pole))) if 0.0 < pole < 1.0 else longest
+        length = (
+            min(longest, math.ceil(math.log(SETTINGS.negligible) / math.log(pole))) if 0.0 < pole < 1.0 else longest
+        )
         return coefficients[0] ** np.arange(max(length, 1)) if pole else np.ones(1)
     # a block of it follows from the p values before, oldest first
-    block = max(BLOCK, order)
+    block = max(SETTINGS.block, order)
     first = np.zeros((block, order), order="F")
     for t in range(order):
         first[t, t:] = coefficients[t:][::-1]
@@ -286,14 +302,14 @@ def impulse_response(coefficients: Floats, longest: int) -> Floats:
     follow = scipy.linalg.lapack.dtbtrs(band, first, uplo="L", diag="U")[0]
     parts, before, loudest = [np.ones(1)], np.concatenate([np.zeros(order - 1), [1.0]]), 1.0
     length = 1
-    while length < longest and loudest < LOUDEST:
+    while length < longest and loudest < SETTINGS.loudest:
         part = follow @ before
         largest = float(np.abs(part).max())
         loudest = max(loudest, largest)
         parts.append(part)
         length += block
-        if largest < NEGLIGIBLE * loudest:
+        if largest < SETTINGS.negligible * loudest:
             break
         before = part[block - order :]
     whole = np.concatenate(parts)[:longest]
-    return whole[: int(np.flatnonzero(np.abs(whole) > NEGLIGIBLE * loudest)[-1]) + 1]
+    return whole[: int(np.flatnonzero(np.abs(whole) > SETTINGS.negligible * loudest)[-1]) + 1]

@@ -27,21 +27,35 @@ from scipy import fft
 
 from fmuid.array_types import Flags, Floats, Indices
 
-# Memories of slow noise, from so many samples to this share of the record, are looked at in doublings.
-SHORTEST, LONGEST_SHARE = 4.0, 0.25
-# They are fitted where the innovations' power is larger there than by chance, by so many standard deviations.
-NOTICED = 1.5
-# Of log n, by which twice the log-likelihood must rise. At 0.5, two to three white records in a hundred would pass for
-# slow ones; at 1, weak slow noise is missed more often, and intervals hold the truth less often by another point.
-ASKED = 0.75
-# Bounds of c.
-LEAST, MOST = 1e-3, 1e6
-# So many of the lowest frequencies stand alone, those above in bins each wider than the one before by this.
-ALONE, WIDER = 64, 1.05
+
+@dataclass(frozen=True)
+class LowFrequencySettings:
+    """Numbers of the search for slow noise."""
+
+    shortest: float = 4.0
+    """Memories of slow noise, from so many samples ..."""
+    longest_share: float = 0.25
+    """... to this share of the record, are looked at in doublings."""
+    noticed: float = 1.5
+    """They are fitted where the power is larger there than by chance, by so many standard deviations."""
+    asked: float = 0.75
+    """Of log n, by which twice the log-likelihood must rise: 0.5 takes 2 to 3 % of white records for slow."""
+    least: float = 1e-3
+    """Bounds of c: below, the rise is nothing, ..."""
+    most: float = 1e6
+    """... beyond, all is slow."""
+    alone: int = 64
+    """So many of the lowest frequencies stand alone, ..."""
+    wider: float = 1.05
+    """... those above in bins each wider than the one before by this."""
+    close: float = 0.03
+    """The search ends at this step in the logarithms of c and of the memory."""
+
+
+SETTINGS = LowFrequencySettings()
 # The search in the logarithms of c and of the memory steps to the best of these neighbours, and halves its step where
 # none is better, from a factor e to this.
 NEIGHBOURS = np.array([[0, 0], [-1, 0], [1, 0], [0, -1], [0, 1], [-1, -1], [-1, 1], [1, -1], [1, 1]], dtype=np.float64)
-CLOSE = 0.03
 
 
 @dataclass(frozen=True)
@@ -96,8 +110,8 @@ class Bins:
     def of(cls, length: int) -> Bins:
         """Return those of a length."""
         size = length // 2 + 1
-        wider = math.ceil(math.log(max(size / ALONE, 1.0)) / math.log(WIDER))
-        edges = np.concatenate([np.arange(ALONE), ALONE * WIDER ** np.arange(wider)])
+        wider = math.ceil(math.log(max(size / SETTINGS.alone, 1.0)) / math.log(SETTINGS.wider))
+        edges = np.concatenate([np.arange(SETTINGS.alone), SETTINGS.alone * SETTINGS.wider ** np.arange(wider)])
         edges = np.unique(edges[edges < size].astype(np.intp))
         each = np.ones(size)
         each[0] = 0.5
@@ -105,7 +119,9 @@ class Bins:
             each[-1] = 0.5
         counts = np.add.reduceat(each, edges)
         cosines = np.cos(2.0 * np.pi / length * np.add.reduceat(np.arange(size) * each, edges) / counts)
-        memories = SHORTEST * 2.0 ** np.arange(max(math.log2(max(LONGEST_SHARE * length / SHORTEST, 0.5)) + 1.0, 0.0))
+        memories = SETTINGS.shortest * 2.0 ** np.arange(
+            max(math.log2(max(SETTINGS.longest_share * length / SETTINGS.shortest, 0.5)) + 1.0, 0.0)
+        )
         shapes = rises(memories, cosines)
         centred = counts * (shapes - (shapes @ counts / counts.sum())[:, None])
         slopes = np.sqrt(np.sum(centred * shapes, axis=1))
@@ -168,7 +184,7 @@ class Spectrum:
             return None
         found = bins.rises @ self.power / level
         best = int(np.argmax(found))
-        if not found[best] * math.sqrt(self.samples / self.length) > NOTICED:
+        if not found[best] * math.sqrt(self.samples / self.length) > SETTINGS.noticed:
             return None
         return np.log([found[best] / bins.slopes[best], bins.memories[best]])
 
@@ -188,10 +204,10 @@ def slow_noise(columns: Floats, weights: Floats, there: Flags, coefficients: Flo
     at = spectrum.start()
     if at is None:
         return None
-    least = np.log([LEAST, SHORTEST / 2.0])
-    most = np.log([MOST, LONGEST_SHARE * spectrum.length])
+    least = np.log([SETTINGS.least, SETTINGS.shortest / 2.0])
+    most = np.log([SETTINGS.most, SETTINGS.longest_share * spectrum.length])
     step, level, height = 1.0, math.nan, math.inf
-    while step > CLOSE:
+    while step > SETTINGS.close:
         near = np.clip(at + step * NEIGHBOURS, least, most)
         levels, heights = spectrum.fitted(near)
         best = int(np.argmin(heights))
@@ -201,7 +217,7 @@ def slow_noise(columns: Floats, weights: Floats, there: Flags, coefficients: Flo
         else:
             step /= 2.0
     flat = 2.0 * float(spectrum.bins.counts.sum()) * spectrum.samples / spectrum.length * math.log(spectrum.level)
-    gain = flat - height - ASKED * math.log(spectrum.samples)
+    gain = flat - height - SETTINGS.asked * math.log(spectrum.samples)
     if not gain > 0.0:
         return None
     rise, memory = np.exp(at).tolist()

@@ -18,19 +18,30 @@ from fmuid.array_types import Floats, Indices
 from fmuid.codec import Layout
 from fmuid.data import Experiment, Measurements
 
-# Times count as equally spaced, with some missing, where so many steps are whole multiples of the usual one ...
-REGULAR_SHARE, REGULAR_TOLERANCE = 0.95, 0.2
-# ... and a longer gap than this is as good as endless.
-LONGEST_GAP = 1000
-# Experiments shorter than this share one noise model with others of the same output and step.
-POOLED = 100
-# Steps in time of two experiments are the same to this.
-SAME_STEP = 1e-3
-# Inputs repeat where they are, after a period, no further from themselves than this share of their standard deviation
-# (measured ones have noise); and were further than the other share in between.
-REPEATED, AWAY = 0.05, 0.5
-# The longest period as a share of the record: nearly two cycles.
-LONGEST = 0.55
+
+@dataclass(frozen=True)
+class SeriesSettings:
+    """Numbers of grids and periods."""
+
+    regular_share: float = 0.95
+    """Times count as equally spaced where so many steps ..."""
+    regular_tolerance: float = 0.2
+    """... are whole multiples of the usual one to this share of it."""
+    longest_gap: int = 1000
+    """A longer gap than this is as good as endless."""
+    pooled: int = 100
+    """Experiments shorter than this share one noise model with others of the same output and step."""
+    same_step: float = 1e-3
+    """Steps in time of two experiments are the same to this."""
+    repeated: float = 0.05
+    """Inputs repeat where they are no further from themselves than this share of their std, as with noise, ..."""
+    away: float = 0.5
+    """... and were further than this in between."""
+    longest: float = 0.55
+    """The longest period as a share of the record: nearly two cycles."""
+
+
+SETTINGS = SeriesSettings()
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,7 +108,7 @@ def output_series(experiments: Sequence[Measurements], outputs: Sequence[str]) -
                 continue
             own, stride, offset = _thinned(places[mine])
             known.setdefault((stride, offset), grids + len(known))
-            alone = len(found) if own.size >= POOLED else -1
+            alone = len(found) if own.size >= SETTINGS.pooled else -1
             pool = pools.setdefault((output, _rounded(stride * step), alone), len(pools))
             found.append(
                 OutputSeries(
@@ -118,7 +129,7 @@ def output_series(experiments: Sequence[Measurements], outputs: Sequence[str]) -
 
 def _rounded(step: float) -> int:
     """Return a number that is the same for steps that are."""
-    return int(np.rint(np.log(max(step, np.finfo(float).tiny)) / SAME_STEP))
+    return int(np.rint(np.log(max(step, np.finfo(float).tiny)) / SETTINGS.same_step))
 
 
 def _thinned(places: Indices) -> tuple[Indices, int, int]:
@@ -152,10 +163,10 @@ def table_grid(times: Floats) -> tuple[Indices, float, bool]:
         return np.arange(times.size), 1.0, times.size < 2
     usual = float(np.median(steps[moving]))
     whole = np.rint(steps[moving] / usual)
-    near = np.abs(steps[moving] / usual - whole) <= REGULAR_TOLERANCE
-    if (whole >= 1).all() and near.mean() >= REGULAR_SHARE:
+    near = np.abs(steps[moving] / usual - whole) <= SETTINGS.regular_tolerance
+    if (whole >= 1).all() and near.mean() >= SETTINGS.regular_share:
         jumps = np.zeros(steps.size, dtype=np.intp)
-        jumps[moving] = np.minimum(whole, LONGEST_GAP)
+        jumps[moving] = np.minimum(whole, SETTINGS.longest_gap)
         return np.concatenate([[0], np.cumsum(jumps)]), usual, True
     return np.arange(times.size), float(times[-1] - times[0]) / max(times.size - 1, 1), False
 
@@ -169,13 +180,13 @@ def period_of(experiment: Measurements) -> float:
     values = values[:, values.any(axis=0)]
     if not regular or places[-1] != len(places) - 1 or not values.size:
         return 0.0
-    longest = int(LONGEST * len(values))
+    longest = int(SETTINGS.longest * len(values))
     away = np.max([_away(column, longest) for column in values.T], axis=0)
-    begun = np.flatnonzero(away > AWAY)
-    again = np.flatnonzero(away[begun[0] :] <= REPEATED) + begun[0] if begun.size else begun
+    begun = np.flatnonzero(away > SETTINGS.away)
+    again = np.flatnonzero(away[begun[0] :] <= SETTINGS.repeated) + begun[0] if begun.size else begun
     if not again.size:
         return 0.0
-    last = again[0] + int(np.argmax(np.append(away[again[0] :], np.inf) > REPEATED))
+    last = again[0] + int(np.argmax(np.append(away[again[0] :], np.inf) > SETTINGS.repeated))
     found = again[0] + int(np.argmin(away[again[0] : last]))
     # where it is least at the very end it may be less beyond
     return found * step if found < longest - 1 else 0.0

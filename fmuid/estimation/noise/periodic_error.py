@@ -42,26 +42,44 @@ from scipy import fft, linalg
 from fmuid.array_types import Complexes, Flags, Floats
 from fmuid.data import Noise
 from fmuid.errors import InputError
-from fmuid.estimation.noise.autoregression import ENOUGH
+from fmuid.estimation.noise.autoregression import SETTINGS as AUTOREGRESSION
 from fmuid.estimation.noise.low_frequency import Bins, rises
 from fmuid.estimation.noise.model import NoiseModel
-from fmuid.estimation.noise.output_series import LONGEST, OutputSeries
+from fmuid.estimation.noise.output_series import SETTINGS as SERIES
+from fmuid.estimation.noise.output_series import OutputSeries
 
-# Periods are whole numbers of samples to this.
-WHOLE = 1e-3
-# The weight of there being nothing that returns, before the data are asked.
-NOTHING = 0.9
-# Memories in samples, from so many to this share of the cycle, ...
-SHORTEST, LONGEST_SHARE = 0.5, 0.5
-# ... and variances, from this share of the noise's least power (of its mean one, where that is more) to so many times
-# all there is, have points this far from each other in their logarithms; so many follow where few variances matter.
-LEAST, WEAKEST, MOST, STEP, FINE = 0.03, 1e-6, 2.0, 0.5 * math.log(2.0), 31
-# Points matter whose log-likelihood is no further below the greatest.
-NEAR = 10.0
-# What returns in two series is correlated where their mean cycles are, by so many standard deviations of chance.
-RELATED = 2.0
-# Directions of which the fit has taken more than this share out of the mean cycle are not in the likelihood.
-TAKEN = 0.01
+
+@dataclass(frozen=True)
+class PeriodicErrorSettings:
+    """Numbers of the search for what returns."""
+
+    whole: float = 1e-3
+    """Periods are whole numbers of samples to this."""
+    nothing: float = 0.9
+    """The weight of there being nothing that returns, before the data are asked."""
+    shortest: float = 0.5
+    """Memories in samples, from so many ..."""
+    longest_share: float = 0.5
+    """... to this share of the cycle, ..."""
+    least: float = 0.03
+    """... and variances, from this share of the noise's least power ..."""
+    weakest: float = 1e-6
+    """... (of its mean one, where that is more) ..."""
+    most: float = 2.0
+    """... to so many times all there is, ..."""
+    step: float = 0.5 * math.log(2.0)
+    """... have points this far from each other in their logarithms; ..."""
+    fine: int = 31
+    """... so many follow where few variances matter."""
+    near: float = 10.0
+    """Points matter whose log-likelihood is no further below the greatest."""
+    related: float = 2.0
+    """What returns in two series is correlated where their mean cycles are, by so many std of chance."""
+    taken: float = 0.01
+    """Directions of which the fit has taken more than this share out of the mean cycle are not in the likelihood."""
+
+
+SETTINGS = PeriodicErrorSettings()
 
 
 @dataclass(frozen=True, eq=False)
@@ -126,16 +144,16 @@ def check_periods(series: Sequence[OutputSeries], noise: Noise, parameters: int)
         period = noise.period_in(each.experiment)
         if period is None:
             continue
-        cycle, least, count = period / each.step, max(ENOUGH, 2 * parameters), int(each.places[-1]) + 1
+        cycle, least, count = period / each.step, max(AUTOREGRESSION.enough, 2 * parameters), int(each.places[-1]) + 1
         named = f"noise.period, {period:g} s, of experiment {each.experiment!r}"
         if not each.regular:
             raise InputError(f"{named}: the samples are not equally spaced; resample the table, or leave it out")
-        if abs(cycle - round(cycle)) > WHOLE or cycle < least:
+        if abs(cycle - round(cycle)) > SETTINGS.whole or cycle < least:
             raise InputError(
                 f"{named} is {cycle:.7g} samples of {each.output!r}, and must be a whole number, {least} at least: "
                 "give the time of several periods that are"
             )
-        if cycle > LONGEST * count:
+        if cycle > SERIES.longest * count:
             raise InputError(f"{named} is {cycle:.7g} of {count} samples: there must be nearly two cycles")
 
 
@@ -166,7 +184,7 @@ class MeanCycle:
         series, model = noise.series, noise.process
         time, residual = period / series.step, rows[series.rows, 0]
         samples, square = round(time), float(residual @ residual) / residual.size
-        if samples < max(ENOUGH, 2 * (rows.shape[1] - 1)) or abs(time - samples) > WHOLE:
+        if samples < max(AUTOREGRESSION.enough, 2 * (rows.shape[1] - 1)) or abs(time - samples) > SETTINGS.whole:
             return None
         if not square * model.variance > 0.0 or np.bincount(series.places % samples, minlength=samples).min() == 0:
             return None
@@ -224,7 +242,7 @@ def _together(folded: Sequence[MeanCycle], alone: Sequence[PeriodicError], innov
     powers += np.array([each.powers for each in alone])
     chance = np.sqrt((powers * counts) @ powers.T)
     squares = cycles.T @ cycles
-    related = np.abs(squares * period / left - noise) > RELATED * chance
+    related = np.abs(squares * period / left - noise) > SETTINGS.related * chance
     found: list[PeriodicError] = []
     for group in np.unique(np.linalg.matrix_power(related.astype(np.float64), len(alone)) > 0.0, axis=0):
         members = np.flatnonzero(group)
@@ -252,7 +270,7 @@ def _floor(folded: Sequence[MeanCycle], weights: Floats, innovations: Floats) ->
 def _taken(values: Floats, scale: float) -> Floats:
     """Return an orthonormal basis of what the fit has taken out of mean cycles, of columns (T, k) times a scale."""
     vectors, sizes, _ = np.linalg.svd(values, full_matrices=False)
-    return np.asarray(vectors[:, sizes**2 > TAKEN * scale])
+    return np.asarray(vectors[:, sizes**2 > SETTINGS.taken * scale])
 
 
 def _summed(columns: Floats, series: OutputSeries, period: int) -> Floats:
@@ -291,9 +309,9 @@ def _weighed(folded: Sequence[MeanCycle], weights: Floats, factors: Floats, inno
     parts = _products(np.column_stack([cycle[:, 0], _taken(cycle[:, 1:], scale)]))
     mean = float(floor @ counts) / period
     cycles = folded[0].series.rows.size / period
-    least, most = max(LEAST * float(floor.min()), WEAKEST * mean), MOST * cycles * mean
-    variances = np.arange(math.log(least), math.log(most), STEP)
-    memories = np.exp(np.arange(math.log(SHORTEST), math.log(LONGEST_SHARE * period), STEP))
+    least, most = max(SETTINGS.least * float(floor.min()), SETTINGS.weakest * mean), SETTINGS.most * cycles * mean
+    variances = np.arange(math.log(least), math.log(most), SETTINGS.step)
+    memories = np.exp(np.arange(math.log(SETTINGS.shortest), math.log(SETTINGS.longest_share * period), SETTINGS.step))
     shapes = np.vstack([rises(memories, bins.cosines), floor])
     shapes *= period / (shapes @ counts)[:, None]
     nothing = float(_likelihoods(floor[None], parts, counts)[0])
@@ -304,16 +322,16 @@ def _weighed(folded: Sequence[MeanCycle], weights: Floats, factors: Floats, inno
 
     powers, logs = heights(variances, shapes)
     total, area = logs.size, 1.0
-    matter = logs.reshape(variances.size, len(shapes)) > logs.max() - NEAR
+    matter = logs.reshape(variances.size, len(shapes)) > logs.max() - SETTINGS.near
     own = variances[matter.any(axis=1)]
-    if own.size < FINE // 2:
-        finer = np.linspace(own[0] - STEP, own[-1] + STEP, FINE)
-        area = (finer[1] - finer[0]) / STEP
+    if own.size < SETTINGS.fine // 2:
+        finer = np.linspace(own[0] - SETTINGS.step, own[-1] + SETTINGS.step, SETTINGS.fine)
+        area = (finer[1] - finer[0]) / SETTINGS.step
         powers, logs = heights(finer, shapes[matter.any(axis=0)])
     top = max(float(logs.max()), 0.0)
-    likely = np.exp(logs - top) * area / total * (1.0 - NOTHING)
-    likely /= likely.sum() + NOTHING * math.exp(-top)
-    kept = likely > np.exp(-NEAR) * likely.max()
+    likely = np.exp(logs - top) * area / total * (1.0 - SETTINGS.nothing)
+    likely /= likely.sum() + SETTINGS.nothing * math.exp(-top)
+    kept = likely > np.exp(-SETTINGS.near) * likely.max()
     powers, likely = powers[kept], likely[kept]
     point = floor * np.expm1(likely @ np.log1p(powers / floor))
     # of what returns the noise model of the whole record has one cycle's share already

@@ -53,17 +53,28 @@ from fmuid.estimation.problem import LeastSquares
 if TYPE_CHECKING:
     from fmuid.estimation.linearized_problem import LinearizedProblem
 
-# Rounds of the correction for what the fit takes away, at most; one for long records, where it is slight, and none
-# where it would take too much memory. They end when a round moves no variance by more than the tolerance.
-ROUNDS, LONG, MOST_VALUES = 4, 50_000, 30_000_000
-SETTLED = 2e-3
-# Of noise that is nearly a random walk what is added may grow without end, or past zero: a round that changes a
-# variance by more than this factor does not count, and is the last.
-RUNAWAY = 100.0
-# Nor is there any where the fit has taken no more than this share of the squares of each output's noise.
-SLIGHT = 2e-3
-# Fewer degrees of freedom than this are no fewer.
-LEAST_FREEDOM = 1.0
+
+@dataclass(frozen=True)
+class SandwichSettings:
+    """Numbers of the rounds of correction for what the fit takes away."""
+
+    rounds: int = 4
+    """At most; ..."""
+    long: int = 50_000
+    """... one round for longer records, where it is slight, ..."""
+    most_values: int = 30_000_000
+    """... and none where it would take too much memory."""
+    settled: float = 2e-3
+    """They end when a round moves no variance by more than this share."""
+    runaway: float = 100.0
+    """A round that changes a variance by this factor, as near a random walk, does not count, and is the last."""
+    slight: float = 2e-3
+    """There is none where the fit has taken no more than this share of the squares of each output's noise."""
+    least_freedom: float = 1.0
+    """Fewer degrees of freedom than this are no fewer."""
+
+
+SETTINGS = SandwichSettings()
 
 
 @dataclass(frozen=True, eq=False)
@@ -162,11 +173,11 @@ def sandwich(rows: Rows, series: Sequence[OutputSeries]) -> SandwichCovariance:
         earlier, models = models, _models(rows, series, parts, pools)
         gram = _taken(parts, models, rows)
         before, spread = spread, np.diag(gram)
-        if done and ((spread > RUNAWAY * before) | (RUNAWAY * spread < before)).any():
+        if done and ((spread > SETTINGS.runaway * before) | (SETTINGS.runaway * spread < before)).any():
             models = earlier
             gram = _taken(parts, models, rows)
             break
-        if done == rounds or (np.abs(spread - before) <= SETTLED * spread).all():
+        if done == rounds or (np.abs(spread - before) <= SETTINGS.settled * spread).all():
             break
         if not done and _slight(float(spread.sum()), models.values()):
             break
@@ -206,7 +217,7 @@ def _with_returning(found: SandwichCovariance, rows: Rows, periods: Mapping[str,
     for each, part in zip(returns, added, strict=True):
         scatter = scatter + each.scatter(columns, spread - np.diag(part))
     with np.errstate(divide="ignore"):
-        freedom = np.clip(2.0 / scatter, LEAST_FREEDOM, found.freedom)
+        freedom = np.clip(2.0 / scatter, SETTINGS.least_freedom, found.freedom)
     return SandwichCovariance(covariance, freedom, noise)
 
 
@@ -224,14 +235,14 @@ def _taken(parts: Sequence[SampleGrid], models: dict[int, Autoregression], rows:
 
 
 def _rounds(rows: Rows) -> int:
-    if rows.columns.size > MOST_VALUES:
+    if rows.columns.size > SETTINGS.most_values:
         return 0
-    return ROUNDS if len(rows.residual) <= LONG else 1
+    return SETTINGS.rounds if len(rows.residual) <= SETTINGS.long else 1
 
 
 def _slight(taken: float, models: Iterable[Autoregression]) -> bool:
     """Return whether the fit, which has taken so much of the sum of squares, has hardly taken any of an output's."""
-    return all(taken <= SLIGHT * each.samples * each.variance * each.gain for each in models)
+    return all(taken <= SETTINGS.slight * each.samples * each.variance * each.gain for each in models)
 
 
 def _models(
@@ -295,4 +306,4 @@ def _freedom(
         scatter += np.einsum("ij,jl,il->i", share, own.scatter(), share) / max(left, np.finfo(float).tiny)
     with np.errstate(divide="ignore"):
         freedom = 2.0 / scatter
-    return np.where(scatter > 0.0, np.maximum(freedom, LEAST_FREEDOM), math.inf)
+    return np.where(scatter > 0.0, np.maximum(freedom, SETTINGS.least_freedom), math.inf)

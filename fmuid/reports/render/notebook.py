@@ -21,7 +21,8 @@ from fmuid.reports.document import Section, Table, table_of
 from fmuid.reports.documents import describe
 from fmuid.reports.render.console import PLAIN_WIDTH, plain_table
 from fmuid.reports.render.html import bokeh_library, embedded, table
-from fmuid.reports.topics.batch import batch_sections, summary_table
+from fmuid.reports.topics.batch import charts_of
+from fmuid.reports.topics.batch_tables import tables_of
 from fmuid.reports.topics.diagnosis import diagnosis_sections
 from fmuid.reports.topics.estimates import estimates_table
 from fmuid.reports.topics.identification import identification_sections
@@ -67,7 +68,7 @@ def html(found: object) -> str | None:
             return _batch(found)
         case BatchResult():
             head = _heading(f"{found.finished} of {found.total} cases", str(found.folder))
-            return head + table(summary_table(found.summary()[0]))
+            return head + "".join(table(each.table) for each in tables_of(found.summary()[0]))
     return None
 
 
@@ -263,9 +264,9 @@ def plots(found: object) -> FigureCollection:
         case Diagnosis():
             return FigureCollection(diagnosis_sections(found))
         case BatchResult():
-            summary, truth = found.summary()[0], dict(found.truth)
-            sections = batch_sections(found.frame, summary, truth, dict(found.units), given_noise=found.given_noise)
-            return FigureCollection(sections)
+            summary, frame = found.summary()
+            drawn = charts_of(frame, summary, found.truth, found.units, given_noise=found.given_noise)
+            return FigureCollection(drawn)
     raise InputError(f"a {type(found).__name__} has no figures")
 
 

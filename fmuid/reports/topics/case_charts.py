@@ -1,9 +1,10 @@
-"""The cases of a batch, drawn: estimates, their spread against the stated one, over settings, over starts, failures."""
+"""Charts of a batch: estimates over cases, distributions, spread, settings, starting points, failures."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -14,14 +15,12 @@ from scipy import special
 from fmuid.array_types import Flags, Floats
 from fmuid.data import evenly
 from fmuid.reports.chart import (
-    DENSITY,
     MAX_BARS,
     MAX_DOTS,
     MAX_PARAMETERS,
     Axis,
     Chart,
     Color,
-    Dash,
     Data,
     Layer,
     Units,
@@ -37,39 +36,32 @@ MIN_BINS, MAX_BINS = 8, 60
 CELLS, PALEST = (90, 45), 0.12
 """Cells of a chart of many estimates, across and up, and how full the one with the fewest is painted."""
 LEAST_COUNTED, LEAST_REPEATED = 30, 3
-"""Fewer estimates than this make no histogram, they are drawn themselves; fewer at a setting have no spread."""
+"""Fewer estimates make no histogram, they are drawn themselves; fewer at a setting have no spread."""
 OUTSIDE_QUARTILES, RARE_SHARE = 6.0, 0.05
-"""Values further than so many quartile distances from the middle half are outside the picture, which says so, if they
-are less than such a share of all."""
+"""Values beyond so many quartile distances are outside the chart, if they are less than such a share of all."""
 MAX_NAMED, LONGEST_LABEL = 25, 24
-"""Tables that are named at the axis, and letters of a name that it has room for."""
-LOOKS: tuple[tuple[Color, Dash], ...] = (("blue", "solid"), ("red", "solid"), ("amber", "solid"), ("grey", "dashed"))
+"""Data files that are named at the axis, and letters of a name that it has room for."""
+LOOKS: tuple[tuple[Color, Any], ...] = (("blue", "solid"), ("red", "solid"), ("amber", "solid"), ("grey", "dashed"))
 """Outlines of different settings in one chart; more cannot be told apart."""
 MAX_FAILURES, LONGEST = 12, 70
-"""Kinds of failures drawn, and how much of their messages."""
+"""Kinds of failures drawn, and letters of their messages."""
 MAX_OPTIMA = 5
-"""Optima of which all is inside the picture."""
+"""Optima of which all is inside the chart."""
 LEAST_EXCESS = 0.01
-"""Fits are drawn logarithmically from here on, in per cent or in units of the cost: less is rounding."""
+"""Lower end of the logarithmic axis of fits, in per cent or in units of the cost: less is rounding."""
 WIDE_RANGE = 100.0
-"""Starts that range over this ratio are shown logarithmically."""
+"""Starting points that range over this ratio are shown on a logarithmic axis."""
+HEIGHT = 220
 
 
 def parameters_of(frame: pd.DataFrame) -> list[str]:
     """Return the parameters that any case has an estimate of, `MAX_PARAMETERS` at most."""
     names = BatchColumns.of(frame).parameters
-    return [name for name in names if np.isfinite(_column(frame, f"value.{name}")).any()][:MAX_PARAMETERS]
-
-
-def _column(frame: pd.DataFrame, name: str) -> Floats:
-    return frame[name].to_numpy(np.float64)
-
-
-# --- over the cases
+    return [name for name in names if np.isfinite(frame[f"value.{name}"].to_numpy(np.float64)).any()][:MAX_PARAMETERS]
 
 
 def over_cases(frame: pd.DataFrame, truth: Mapping[str, float], units: Units) -> list[Chart]:
-    """Return each parameter over the cases that converged, with intervals of 95 % where there are few.
+    """Return a chart per parameter over the cases that converged, with intervals of 95 % where there are few.
 
     Parameters
     ----------
@@ -79,77 +71,70 @@ def over_cases(frame: pd.DataFrame, truth: Mapping[str, float], units: Units) ->
     units : mapping of str to str
     """
     good = frame[frame["status"].to_numpy(str) == "converged"]
-    return [_over_cases(frame, good, name, truth.get(name), units) for name in parameters_of(good)]
+    tables = [_short(each) for each in frame["table"].astype(str)] if "table" in frame else []
+    named_cases = len(set(tables)) == len(frame) <= MAX_NAMED
+    labels = dict(zip(frame["case"], tables, strict=True)) if named_cases else {}
+    across = Axis(kind="names", names=tuple(tables), turned=0.8) if labels else Axis("case")
+    charts = []
+    for name in parameters_of(good):
+        whole = good[f"value.{name}"].to_numpy(np.float64)
+        some = good.iloc[evenly(len(good), MAX_DOTS)]
+        value, std = (some[f"{kind}.{name}"].to_numpy(np.float64) for kind in ("value", "std"))
+        half = INTERVAL_STDS * std if len(some) <= MAX_BARS else np.full(len(some), np.nan)
+        low, high = value - half, value + half
+        limits = limits_of(np.concatenate([whole, low, high]), truth.get(name))
+        places = _places(some["case"].to_numpy(), labels)
+        layers = []
+        missed = np.abs(value - truth.get(name, math.nan)) > half
+        bars: Data = {"x0": places, "y0": low, "x1": places, "y1": high}
+        looks: tuple[tuple[str, Color, Flags], ...]
+        looks = (("interval of 95 %", "blue", ~missed), ("misses the truth", "red", missed))
+        for text, color, mine in looks:
+            if np.isfinite(half[mine]).any():
+                layers.append(Layer("segments", picked(bars, mine), color, alpha=0.5, label=text))
+        label = f"estimate{outside(whole, limits)}"
+        if len(good) > MAX_DOTS:
+            dots = replace(_cells(good["case"].to_numpy(np.float64), whole, limits), label=label)
+        else:
+            size = 6 if len(some) <= MAX_BARS else 3
+            hover = (("case", "@x"), ("value", "@y{0.000000}"), ("std", "@std{0.000000}"))
+            dots = Layer("points", {"x": places, "y": value, "std": std}, size=size, label=label, hover=hover)
+        layers = [*layers, dots, *_lost(frame, labels, limits[0]), *_truth(name, truth)]
+        charts.append(Chart(across, Axis(named(name, units), reach=limits), tuple(layers), 210))
+    return charts
 
 
-def _over_cases(frame: pd.DataFrame, good: pd.DataFrame, name: str, true: float | None, units: Units) -> Chart:
-    some = good.iloc[evenly(len(good), MAX_DOTS)] if len(good) else good
-    places = _places(frame)
-    value, std = _column(some, f"value.{name}"), _column(some, f"std.{name}")
-    half = INTERVAL_STDS * std if len(some) <= MAX_BARS else np.full(len(some), np.nan)
-    whole = _column(good, f"value.{name}")
-    limits = limits_of(np.concatenate([whole, value - half, value + half]), true)
-    estimate = f"estimate{outside(whole, limits)}"
-    if len(good) > MAX_DOTS:
-        layers = [_cells(_column(good, "case"), whole, limits, estimate)]
-    else:
-        hover = (("case", "@x"), ("value", "@y{0.000000}"), ("std", "@std{0.000000}"))
-        data: Data = {"x": _at(some["case"], places), "y": value, "std": std}
-        layers = [Layer("points", data, size=6 if len(some) <= MAX_BARS else 3, label=estimate, hover=hover)]
-    missed = np.abs(value - (math.nan if true is None else true)) > half
-    for text, color, mine in _two(("interval of 95 %", "blue", ~missed), ("misses the truth", "red", missed)):
-        if np.isfinite(half[mine]).any():
-            at = _at(some["case"].to_numpy()[mine], places)
-            ends: Data = {"x0": at, "y0": (value - half)[mine], "x1": at, "y1": (value + half)[mine]}
-            layers.append(Layer("segments", ends, color, width=1, alpha=0.5, label=text))
-    status = frame["status"].to_numpy(str)
-    for text, color, lost in _two(
-        ("failed", "red", status == "failed"), ("not converged", "amber", status == "not converged")
-    ):
-        cases = frame["case"].to_numpy()[lost]
-        cases = cases[evenly(len(cases), MAX_DOTS)] if len(cases) else cases
+def _places(cases: npt.NDArray[Any], labels: Mapping[Any, str]) -> Floats | tuple[str, ...]:
+    return tuple(labels[case] for case in cases) if labels else cases.astype(np.float64)
+
+
+def _lost(frame: pd.DataFrame, labels: Mapping[Any, str], edge: float) -> list[Layer]:
+    """Return marks at the lower edge for cases without an estimate."""
+    layers, status = [], frame["status"].to_numpy(str)
+    kinds: tuple[tuple[str, Color], ...] = (("failed", "red"), ("not converged", "amber"))
+    for text, color in kinds:
+        cases = frame.loc[status == text, "case"].to_numpy()
         if len(cases):
-            marks: Data = {"x": _at(cases, places), "y": np.full(len(cases), limits[0])}
-            layers.append(Layer("points", marks, color, marker="bar", size=12, width=1, label=text))
-    x = Axis("case") if not places else Axis(kind="names", names=tuple(places.values()), turned=0.8)
-    return Chart(x, Axis(named(name, units), reach=limits), (*layers, *_truth(true)), 210)
+            cases = cases[evenly(len(cases), MAX_DOTS)]
+            data: Data = {"x": _places(cases, labels), "y": np.full(len(cases), edge)}
+            layers.append(Layer("points", data, color, size=12, marker="bar", label=text))
+    return layers
 
 
-def _statuses(status: Any) -> tuple[tuple[str, Color, Flags], ...]:
-    return _two(("failed", "red", status == "failed"), ("not converged", "amber", status == "not converged"))
-
-
-def _two(*kinds: tuple[str, Color, Flags]) -> tuple[tuple[str, Color, Flags], ...]:
-    return kinds
-
-
-def _places(frame: pd.DataFrame) -> dict[Any, str]:
-    """Return the tables' names by the cases, where each case has its own and there are few."""
-    tables = list(frame["table"].astype(str)) if "table" in frame else []
-    if not len(set(tables)) == len(frame) <= MAX_NAMED:
-        return {}
-    return {case: _short(text) for case, text in zip(frame["case"], tables, strict=True)}
-
-
-def _at(cases: Any, places: Mapping[Any, str]) -> Floats | tuple[str, ...]:
-    return tuple(places[case] for case in cases) if places else np.asarray(cases, dtype=np.float64)
-
-
-def _short(text: str) -> str:
-    """Return the end of a long name, where the names of files differ."""
-    return text if len(text) <= LONGEST_LABEL else f"…{text[1 - LONGEST_LABEL :]}"
-
-
-def _cells(x: Floats, y: Floats, limits: tuple[float, float], label: str) -> Layer:
+def _cells(x: Floats, y: Floats, limits: tuple[float, float]) -> Layer:
     """Return so many estimates that dots would cover each other as cells: the fuller, the more lie there."""
     inside = (y >= limits[0]) & (y <= limits[1])
     counts, across, up = np.histogram2d(x[inside], y[inside], bins=CELLS, range=[(x.min(), x.max()), limits])
     i, j = np.nonzero(counts)
     count = counts[i, j]
-    sides = {"left": across[i], "right": across[i + 1], "top": up[j + 1], "bottom": up[j], "count": count}
-    data: Data = sides | {"alpha": PALEST + (1.0 - PALEST) * count / count.max()}
+    data: Data = {"left": across[i], "right": across[i + 1], "top": up[j + 1], "bottom": up[j], "count": count}
     hover = (("estimates", "@count"), ("around", "@bottom{0.000000} to @top{0.000000}"))
-    return Layer("cells", data, label=label, hover=hover)
+    return Layer("cells", {**data, "alpha": PALEST + (1.0 - PALEST) * count / count.max()}, hover=hover)
+
+
+def _short(text: str) -> str:
+    """Return the end of a long name, where the names of files differ."""
+    return text if len(text) <= LONGEST_LABEL else f"…{text[1 - LONGEST_LABEL :]}"
 
 
 def limits_of(values: Floats, true: float | None = None) -> tuple[float, float]:
@@ -162,9 +147,10 @@ def limits_of(values: Floats, true: float | None = None) -> tuple[float, float]:
         values = values[near] if far > 0 and np.mean(~near) < RARE_SHARE else values
     if true is not None:
         values = np.append(values, true)
-    if not values.size:
-        return 0.0, 1.0
-    low, high = float(values.min()), float(values.max())
+    return _with_room(float(values.min()), float(values.max())) if values.size else (0.0, 1.0)
+
+
+def _with_room(low: float, high: float) -> tuple[float, float]:
     room = 0.08 * (high - low) or 0.05 * abs(low) or 1.0
     return low - room, high + room
 
@@ -175,15 +161,12 @@ def outside(values: Floats, limits: tuple[float, float]) -> str:
     return f", {count} outside" if count else ""
 
 
-def _truth(true: float | None, side: str = "y", dash: Dash = "solid") -> list[Layer]:
-    return [] if true is None else [Layer("rule", {side: float(true)}, "amber", dash=dash)]
+def _truth(name: str, truth: Mapping[str, float], side: str = "y", dash: Any = "solid") -> list[Layer]:
+    return [Layer("rule", {side: float(truth[name])}, "amber", dash=dash)] if name in truth else []
 
 
-# --- distributions
-
-
-def distributions(found: pd.DataFrame, truth: Mapping[str, float], units: Units, *, repeated: bool) -> Iterator[Chart]:
-    """Yield how the estimates are distributed, and the normal curve that their stated std promises.
+def distributions(found: pd.DataFrame, truth: Mapping[str, float], units: Units, *, repeated: bool) -> list[Chart]:
+    """Return how the estimates are distributed, and the normal curve that their stated std promises.
 
     Parameters
     ----------
@@ -194,31 +177,32 @@ def distributions(found: pd.DataFrame, truth: Mapping[str, float], units: Units,
     repeated : bool
         Whether the cases repeat one experiment: only then is there anything to hold the std against.
     """
-    groups = _groups(found)
+    charts, groups = [], _groups(found)
     for name in parameters_of(found):
-        value, std = _column(found, f"value.{name}"), _column(found, f"std.{name}")
+        value, std = (found[f"{kind}.{name}"].to_numpy(np.float64) for kind in ("value", "std"))
         low, high = limits_of(value, truth.get(name))
         layers = []
         for (text, rows), (color, dash) in zip(groups, LOOKS, strict=False):
             edges, density = _histogram(value[rows], low, high)
-            label = f"{text}{outside(value[rows], (low, high))}"
+            label, few, base = f"{text}{outside(value[rows], (low, high))}", value[rows], np.zeros(len(density))
             if len(rows) < LEAST_COUNTED:
-                few = value[rows]
-                lines: Data = {"x0": few, "y0": 0.0, "x1": few, "y1": np.full(len(rows), density.max())}
-                layers.append(Layer("segments", lines, color, width=1, label=label))
+                lines: Data = {"x0": few, "y0": 0.0 * few, "x1": few, "y1": np.full(len(few), density.max())}
+                layers.append(Layer("segments", lines, color, label=label))
             elif len(groups) == 1:
-                boxes: Data = {"left": edges[:-1], "right": edges[1:], "bottom": 0.0, "top": density}
+                boxes: Data = {"left": edges[:-1], "right": edges[1:], "top": density, "bottom": base}
                 layers.append(Layer("cells", boxes, color, alpha=0.45, edge="white", label=label))
             else:
                 steps: Data = {"x": edges, "y": np.append(density, 0.0)}
                 layers.append(Layer("step", steps, color, width=1.6, dash=dash, label=label))
         stated = math.sqrt(np.nanmean(std**2)) if np.isfinite(std).any() else 0.0
         if repeated and stated > 0:
+            center = float(truth.get(name, float(np.nanmean(value))))
             grid = np.linspace(low, high, 161)
-            curve = normal(grid, float(truth.get(name, float(np.nanmean(value)))), stated)
-            layers.append(Layer("line", {"x": grid, "y": curve}, "ink", width=1.4, label="as the stated std says"))
-        x = Axis(named(name, units), reach=(low, high))
-        yield Chart(x, DENSITY, (*layers, *_truth(truth.get(name), "x")))
+            curve: Data = {"x": grid, "y": normal(grid, center, stated)}
+            layers.append(Layer("line", curve, "ink", width=1.4, label="as the stated std says"))
+        layers += _truth(name, truth, "x")
+        charts.append(Chart(Axis(named(name, units), reach=(low, high)), Axis(shown=False), tuple(layers), HEIGHT))
+    return charts
 
 
 def _groups(found: pd.DataFrame) -> list[tuple[str, Any]]:
@@ -227,17 +211,13 @@ def _groups(found: pd.DataFrame) -> list[tuple[str, Any]]:
     levels = list(found.groupby(names, sort=True).indices.items()) if names else []
     if not 1 < len(levels) <= len(LOOKS):
         return [("estimates", np.arange(len(found)))]
-    texts = []
-    for key, _ in levels:
+    groups = []
+    for key, rows in levels:
         values: Any = key if isinstance(key, tuple) else (key,)
-        pairs = zip(names, values, strict=True)
-        texts.append(
-            ", ".join(
-                f"{name.removeprefix('set.')} = {value:.5g}" if isinstance(value, float) else f"{name} = {value}"
-                for name, value in pairs
-            )
-        )
-    return [(text, rows) for text, (_, rows) in zip(texts, levels, strict=True)]
+        told = [f"{value:.5g}" if isinstance(value, float) else str(value) for value in values]
+        pairs = zip((name.removeprefix("set.") for name in names), told, strict=True)
+        groups.append((", ".join(f"{name} = {value}" for name, value in pairs), rows))
+    return groups
 
 
 def _histogram(values: Floats, low: float, high: float) -> tuple[Floats, Floats]:
@@ -248,24 +228,27 @@ def _histogram(values: Floats, low: float, high: float) -> tuple[Floats, Floats]
     return edges, counts / max(inside.size, 1) / (edges[1] - edges[0])
 
 
-def spread_chart(summary: pd.DataFrame) -> Chart:
-    """Return the spread of each parameter against the std that the estimates state, and what chance makes of 1."""
-    known = summary[np.isfinite(summary["ratio"].astype(float))].iloc[:MAX_PARAMETERS]
-    names, ratio = tuple(map(str, known["parameter"])), _column(known, "ratio")
-    freedom = _column(known, "cases") - 1.0
+def spread(statistics: pd.DataFrame) -> Chart:
+    """Return the spread of each parameter against the std that the estimates state, and what chance makes of 1.
+
+    Parameters
+    ----------
+    statistics : DataFrame
+        `fmuid.runs.Summary.parameters`.
+    """
+    known = statistics[np.isfinite(statistics["ratio"].astype(float))].iloc[:MAX_PARAMETERS]
+    names = tuple(map(str, known["parameter"]))
+    freedom = known["cases"].to_numpy(np.float64) - 1.0
     low, high = (np.sqrt(special.chdtri(freedom, beyond) / freedom) for beyond in (0.975, 0.025))
+    ratio = known["ratio"].to_numpy(np.float64)
+    reach = (0.0, 1.1 * float(max(ratio.max(initial=1.0), high.max(initial=1.0))))
     hover = (("parameter", "@y"), ("spread / stated std", "@x{0.000}"))
-    chance: Data = {"y": names, "x0": low, "x": high}
     layers = (
-        Layer("bars", chance, alpha=0.16, label="95 % of chance, where the std is right"),
+        Layer("bars", {"y": names, "x0": low, "x": high}, alpha=0.16, label="95 % of chance, where the std is right"),
         Layer("points", {"x": ratio, "y": names}, "red", size=9, label="spread / stated std", hover=hover),
-        Layer("rule", {"x": 1.0}, "ink"),
+        Layer("rule", {"x": 1.0}, "ink", dash="dashed"),
     )
-    most = 1.1 * float(max(ratio.max(initial=1.0), high.max(initial=1.0)))
-    return rows_of(names, Axis("spread over the cases / stated std", reach=(0.0, most)), layers)
-
-
-# --- over settings
+    return rows_of(names, Axis("spread over the cases / stated std", reach=reach), layers)
 
 
 def over_setting(found: pd.DataFrame, name: str, truth: Mapping[str, float], units: Units) -> list[Chart]:
@@ -280,66 +263,54 @@ def over_setting(found: pd.DataFrame, name: str, truth: Mapping[str, float], uni
     truth : mapping of str to float
     units : mapping of str to str
     """
-    variable, number = name.removeprefix("set."), found[name].dtype.kind in "fiu"
-    place = found[name] if number else found[name].astype(str)
-    levels = () if number else tuple(sorted(set(place)))
-    x = Axis(named(variable, units)) if number else Axis(variable, "names", levels)
-    some, charts = evenly(len(found), MAX_DOTS), []
-    hover = (("setting", "@x"), ("estimate", "@y{0.000000}"))
+    variable, charts = name.removeprefix("set."), []
+    number = found[name].dtype.kind in "fiu"
+    place = found[name] if number else found[name].astype(str).map(_short)
+    names = () if number else tuple(sorted(set(place)))
+    across = Axis(named(variable, units)) if number else Axis(variable, "names", names, turned=0.8)
+    some = evenly(len(found), MAX_DOTS)
     for parameter in parameters_of(found):
-        value, std = _column(found, f"value.{parameter}"), _column(found, f"std.{parameter}")
+        value, std = (found[f"{kind}.{parameter}"].to_numpy(np.float64) for kind in ("value", "std"))
         limits = limits_of(value, truth.get(parameter))
-        text = f"estimate{outside(value, limits)}"
         if number and len(found) > MAX_DOTS:
-            layers = [_cells(place.to_numpy(np.float64), value, limits, text)]
+            dots = _cells(place.to_numpy(np.float64), value, limits)
         else:
-            data: Data = {"x": _levels(place.to_numpy()[some], number=number), "y": value[some]}
-            layers = [Layer("points", data, size=4, alpha=0.4, label=text, hover=hover)]
-        layers += [*_means(place, value, std, number=number), *_truth(truth.get(parameter))]
-        layers += _truth(truth.get(variable), "x", "dotted") if number else []
-        charts.append(Chart(x, Axis(named(parameter, units), reach=limits), tuple(layers)))
+            x = place.to_numpy(np.float64)[some] if number else tuple(place.iloc[some])
+            hover = (("setting", "@x"), ("estimate", "@y{0.000000}"))
+            dots = Layer("points", {"x": x, "y": value[some]}, size=4, alpha=0.4, hover=hover)
+        layers = [replace(dots, label=f"estimate{outside(value, limits)}"), *_means(place, value, std, number=number)]
+        layers += _truth(parameter, truth) + (_truth(variable, truth, "x", "dotted") if number else [])
+        charts.append(Chart(across, Axis(named(parameter, units), reach=limits), tuple(layers), HEIGHT))
     return charts
-
-
-def _levels(values: Any, *, number: bool) -> Floats | tuple[str, ...]:
-    return np.asarray(values, dtype=np.float64) if number else tuple(map(str, values))
 
 
 def _means(place: pd.Series[Any], value: Floats, std: Floats, *, number: bool) -> list[Layer]:
     """Return the mean at each setting, how far the cases spread around it, and how far they should by their std."""
     groups = pd.DataFrame({"value": value, "variance": std**2}).groupby(place.to_numpy())
-    means, counts = groups["value"].mean(), groups["value"].count()
-    mean, x = means.to_numpy(), _levels(means.index.to_numpy(), number=number)
-    data: Data = {"x": x, "y": mean}
-    layers = [Layer("points", data, "red", size=8, label="mean")]
-    layers += [Layer("line", data, "red", width=1.4, label="mean")] if number else []
-    if counts.min() >= LEAST_REPEATED:
-        spread = INTERVAL_STDS * groups["value"].std(ddof=1).to_numpy()
-        stated = INTERVAL_STDS * np.sqrt(groups["variance"].mean().to_numpy())
-        ends: Data = {"x0": x, "y0": mean - spread, "x1": x, "y1": mean + spread}
-        layers.append(Layer("segments", ends, "red", width=6, alpha=0.3, label="± 1.96 spread"))
-        for end in (mean - stated, mean + stated):
-            text = "± 1.96 stated std"
-            layers.append(Layer("points", {"x": x, "y": end}, "ink", marker="dash", size=14, width=1.6, label=text))
-    return layers
+    mean, counts = groups["value"].mean(), groups["value"].count()
+    if counts.max() < 2:
+        return []
+    x = mean.index.to_numpy(np.float64) if number else tuple(map(str, mean.index))
+    y = mean.to_numpy(np.float64)
+    layers = [Layer("points", {"x": x, "y": y}, "red", size=8, label="mean")]
+    layers += [Layer("line", {"x": x, "y": y}, "red", width=1.4, label="mean")] if number else []
+    if counts.min() < LEAST_REPEATED:
+        return layers
+    half = (INTERVAL_STDS * groups["value"].std(ddof=1)).to_numpy(np.float64)
+    promised = INTERVAL_STDS * np.sqrt(groups["variance"].mean().to_numpy(np.float64))
+    bars: Data = {"x0": x, "y0": y - half, "x1": x, "y1": y + half}
+    layers.append(Layer("segments", bars, "red", width=6, alpha=0.3, label="± 1.96 spread"))
+    ends = [{"x": x, "y": y + side * promised} for side in (-1.0, 1.0)]
+    return [*layers, *(Layer("points", each, "ink", 1.6, size=14, marker="dash", label=STATED) for each in ends)]
 
 
-def failure_chart(messages: Sequence[str], statuses: Sequence[str], counts: Floats) -> Chart:
-    """Return how many cases have no estimate for which reason, the most frequent first."""
-    texts = tuple(f"{k + 1}. {each[:LONGEST]}" for k, each in enumerate(messages[:MAX_FAILURES]))
-    layers, status = [], np.array(statuses[:MAX_FAILURES])
-    for kind, color, mine in _statuses(status):
-        if mine.any():
-            data = picked({"y": texts, "x": counts[:MAX_FAILURES]}, mine)
-            layers.append(Layer("bars", data, color, label=kind, hover=(("cases", "@x"),)))
-    return rows_of(texts, Axis("cases", reach=(0.0, None)), layers)
+STATED = "± 1.96 stated std"
 
 
-# --- over starts
-
-
-def over_starts(frame: pd.DataFrame, truth: Mapping[str, float], units: Units, *, given_noise: bool) -> list[Chart]:
-    """Return where searches from several starts ended: how much worse they fit, in order, and each end over its start.
+def over_starts(
+    frame: pd.DataFrame, truth: Mapping[str, float], units: Units, *, given_noise: bool = False
+) -> list[Chart]:
+    """Return where searches from several starting points ended: how much worse they fit, and each end over its start.
 
     Parameters
     ----------
@@ -354,44 +325,41 @@ def over_starts(frame: pd.DataFrame, truth: Mapping[str, float], units: Units, *
     lost = (frame["status"] != "converged").to_numpy(bool)
     charts = [_waterfall(_excess(frame, columns, given_noise=given_noise), number, lost, given_noise=given_noise)]
     for name in (name for each in columns.starts if (name := each.removeprefix("start.")) in columns.parameters):
-        begin, end = _column(frame, f"start.{name}"), _column(frame, f"value.{name}")
-        limits = _limits(end, INTERVAL_STDS * _column(frame, f"std.{name}"), number)
+        begin, end = (frame[f"{kind}.{name}"].to_numpy(np.float64) for kind in ("start", "value"))
+        limits = _optimum_limits(end, INTERVAL_STDS * frame[f"std.{name}"].to_numpy(np.float64), number)
         wide = np.nanmax(begin) > WIDE_RANGE * np.nanmin(begin) > 0  # NaN where the parameter is not free
-        layers = []
-        for words, color, mine in _kinds(number):
-            layers += _ends(begin[mine], end[mine], color, words + outside(end[mine], limits))
-        astray = lost & np.isfinite(end)
-        layers += _ends(begin[astray], np.clip(end[astray], *limits), "amber", "not converged", cross=True)
         text = named(name, units)
-        x = Axis(f"start of {text}", "log" if wide else "linear")
-        charts.append(Chart(x, Axis(text, reach=limits), (*layers, *_truth(truth.get(name)))))
+        layers = []
+        for mine, color, words in _kinds(number):
+            layers += _points(begin[mine], end[mine], color, words + outside(end[mine], limits))
+        astray = lost & np.isfinite(end)
+        layers += _points(begin[astray], np.clip(end[astray], *limits), "amber", "not converged", "x")
+        layers += _truth(name, truth)
+        across = Axis(f"start of {text}", "log" if wide else "linear")
+        charts.append(Chart(across, Axis(text, reach=limits), tuple(layers), HEIGHT))
     return charts
 
 
-def _kinds(number: npt.NDArray[np.int64]) -> tuple[tuple[str, Color, Flags], ...]:
-    return _two(("another optimum", "red", number > 1), ("best optimum", "blue", number == 1))
+def _kinds(number: npt.NDArray[np.int64]) -> list[tuple[Flags, Color, str]]:
+    return [(number > 1, "red", "another optimum"), (number == 1, "blue", "best optimum")]
 
 
-def _ends(x: Floats, y: Floats, color: Color, label: str, *, cross: bool = False) -> list[Layer]:
-    """Return points; none leave no word in the legend."""
+def _points(x: Floats, y: Floats, color: Color, label: str, marker: Any = "circle") -> list[Layer]:
+    """Return points, none of which leaves no word in the legend."""
     if not x.size:
         return []
     some = evenly(x.size, MAX_DOTS)
-    data, hover = {"x": x[some], "y": y[some]}, (("start", "@x{0.000000}"), ("end", "@y{0.000000}"))
-    if cross:
-        return [Layer("points", data, color, marker="x", size=7, width=1.6, label=label, hover=hover)]
-    return [Layer("points", data, color, size=5, label=label, hover=hover)]
+    hover = (("start", "@x{0.000000}"), ("end", "@y{0.000000}"))
+    size = 7 if marker == "x" else 5
+    return [Layer("points", {"x": x[some], "y": y[some]}, color, 1.6, "solid", 1.0, size, marker, None, label, hover)]
 
 
-def _limits(end: Floats, half: Floats, number: npt.NDArray[np.int64]) -> tuple[float, float]:
+def _optimum_limits(end: Floats, half: Floats, number: npt.NDArray[np.int64]) -> tuple[float, float]:
     """Return limits around the intervals of the best optima, so that differences that mean nothing look small."""
     near = (number > 0) & (number <= MAX_OPTIMA) & np.isfinite(end)
     half = np.where(np.isfinite(half), half, 0.0)
     low, high = float((end - half)[near].min(initial=np.inf)), float((end + half)[near].max(initial=-np.inf))
-    if low > high:
-        return 0.0, 1.0
-    room = 0.08 * (high - low) or 0.05 * abs(low) or 1.0
-    return low - room, high + room
+    return _with_room(low, high) if low <= high else (0.0, 1.0)
 
 
 def _excess(frame: pd.DataFrame, columns: BatchColumns, *, given_noise: bool) -> Floats:
@@ -410,7 +378,29 @@ def _waterfall(excess: Floats, number: npt.NDArray[np.int64], lost: Flags, *, gi
     order = np.argsort(np.where(lost, np.inf, excess), kind="stable")[: int((~lost).sum())]
     x, y = np.arange(1.0, order.size + 1), np.maximum(excess[order] * (1.0 if given_noise else 100.0), LEAST_EXCESS)
     text = "searches, the best first" + (f"; {lost.sum()} did not converge" if lost.any() else "")
-    layers = [each for words, color, mine in _kinds(number[order]) for each in _ends(x[mine], y[mine], color, words)]
+    words = "cost above the best" if given_noise else "residual above the best (%)"
     reach = (0.7 * LEAST_EXCESS, max(100 * LEAST_EXCESS, 1.5 * float(y.max(initial=0.0))))
-    words = "criterion above the best" if given_noise else "residual above the best (%)"
-    return Chart(Axis(text), Axis(words, "log", reach=reach), tuple(layers))
+    layers = [each for mine, color, label in _kinds(number[order]) for each in _points(x[mine], y[mine], color, label)]
+    return Chart(Axis(text), Axis(words, "log", reach=reach), tuple(layers), HEIGHT)
+
+
+def failures(found: pd.DataFrame, messages: list[str]) -> Chart:
+    """Return how many cases have no estimate for which reason.
+
+    Parameters
+    ----------
+    found : DataFrame
+        `fmuid.runs.Summary.failures`, the most frequent first.
+    messages : list of str
+        Of each row.
+    """
+    most = found.iloc[:MAX_FAILURES]
+    texts = tuple(f"{k + 1}. {each[:LONGEST]}" for k, each in enumerate(messages[:MAX_FAILURES]))
+    data: Data = {"y": texts, "x": most["cases"].to_numpy(np.float64)}
+    layers = []
+    kinds: tuple[tuple[str, Color], ...] = (("failed", "red"), ("not converged", "amber"))
+    for status, color in kinds:
+        where = most["status"].astype(str).to_numpy() == status
+        if where.any():
+            layers.append(Layer("bars", picked(data, where), color, hover=(("cases", "@x"),)))
+    return rows_of(texts, Axis("cases", reach=(0.0, None)), layers)

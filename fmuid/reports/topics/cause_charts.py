@@ -30,44 +30,12 @@ from fmuid.reports.topics.diagnosis_phrases import change_name, change_size
 if TYPE_CHECKING:
     import pandas as pd
 
-    from fmuid.diagnosis import ChangeEvidence, Diagnosis, FaultHypothesis
+    from fmuid.diagnosis import ChangeEvidence
 
 MAX_FAULTS = 12
 """More hypotheses make a chart nobody reads: the most significant are kept."""
 LEAST_STATISTIC = 0.1
 """D is drawn logarithmically from here on; less is as good as nothing."""
-
-
-def drawn_faults(found: Diagnosis) -> list[FaultHypothesis]:
-    """Return the hypotheses to draw, in their order: of more than `MAX_FAULTS` the most significant."""
-    likely = sorted(found.hypotheses, key=lambda each: each.probability)[:MAX_FAULTS]
-    return [each for each in found.hypotheses if each in likely]
-
-
-def fault_evidence(found: Diagnosis) -> Chart:
-    """Return by how much each fault lowers the cost, against its threshold; the fault named is red."""
-    kept = drawn_faults(found)
-    names = [each.name for each in kept]
-    named = [each for each in kept if each.name in found.named]
-    called = [each for each in kept if each.name in found.called and each.name not in found.named]
-    others = [each for each in kept if each not in named and each not in called]
-    hover = (("D", "@told{0.000}"), ("threshold", "@threshold{0.000}"), ("probability", "@p{0.0e}"))
-    kinds: tuple[tuple[str, Color, list[FaultHypothesis]], ...] = (
-        ("named", "red", named),
-        ("significant", "blue", called),
-        ("not significant", "grey", others),
-    )
-    layers = []
-    for text, color, mine in kinds:
-        if mine:
-            data = _bars([each.name for each in mine], [each.statistic for each in mine])
-            more = {"threshold": _array([e.threshold for e in mine]), "p": _array([e.adjusted for e in mine])}
-            layers.append(Layer("bars", {**data, **more}, color, label=text, hover=hover))
-    limits: Data = {"x": _array([each.threshold for each in kept]), "y": tuple(names)}
-    text = f"threshold at a false-alarm level of {100 * found.level:g} %"
-    layers.append(Layer("points", limits, "ink", marker="bar", size=22, width=2, label=text))
-    most = max(max(each.statistic, each.threshold) for each in kept)
-    return rows_of(names, _strengths("D, by how much the fault lowers the criterion", most), layers, 110)
 
 
 def cause_evidence(found: ChangeEvidence) -> Chart:
@@ -105,20 +73,6 @@ def _array(values: Sequence[float]) -> Floats:
 
 def _strengths(text: str, most: float) -> Axis:
     return Axis(text, "log", reach=(LEAST_STATISTIC, 2.0 * max(most, 1.0)))
-
-
-def size_charts(found: Diagnosis) -> list[Chart]:
-    """Return the sizes of each fault with their intervals of 95 %, a chart a fault."""
-    charts = []
-    for each in drawn_faults(found):
-        known = [size for size in each.sizes if math.isfinite(size.std)]
-        if known:
-            names = [label(size.name, size.unit) for size in known]
-            ends = [size.interval() for size in known]
-            text = f"{each.name}: size, with its interval of 95 %"
-            color: Color = "red" if each.name in found.named else "grey"
-            charts.append(_intervals(text, names, [size.value for size in known], ends, color))
-    return charts
 
 
 def change_charts(found: ChangeEvidence) -> list[Chart]:

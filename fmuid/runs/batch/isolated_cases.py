@@ -76,7 +76,9 @@ class IsolatedCases:
         self._opened = study.data, study.path, copies
         self._careful = CaseRunner(replace(study, model=replace(study.model, isolation=settings)), copies)
         self._keeper = HostManager(settings, [__name__])
-        self._alone = settings.recycle is not None  # how many simulations a case takes is known afterwards
+        self._alone = (
+            settings.max_simulations_per_process is not None
+        )  # how many simulations a case takes is known afterwards
         self._size = 1  # of the next order
 
     @property

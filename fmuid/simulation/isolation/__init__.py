@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from fmuid.processes import SERVER
 
-CODE = "fmuid.simulation.in_process"
+CODE = "fmuid.simulation.executor"
 """What processes that run FMUs need to have loaded."""
 
 

@@ -55,7 +55,7 @@ def end_words(end: HostExitError) -> str:
         limit = f"{end.number / 1e3:.4g} s" if end.number else "the default time limit (isolation.time_limit)"
         return f"it did not end within {limit} and was stopped"
     if end.kind == GREW:
-        limit = f"{end.number} MB" if end.number else "the default share of the memory (isolation.memory)"
+        limit = f"{end.number} MB" if end.number else "the default share of the memory (isolation.memory_limit_mb)"
         return f"its process took more than {limit} and was stopped"
     if end.kind == KILLED:
         return f"its process was killed again and again with {end.signal_name}, from outside or for want of memory"
@@ -215,7 +215,7 @@ class HostManager(HostKeeper[FmuHost]):
     """
 
     def __init__(self, settings: Isolation, modules: Sequence[str], told: set[str] | None = None) -> None:
-        super().__init__(lambda memory: FmuHost(modules, memory, told), settings.memory, _left)
+        super().__init__(lambda memory: FmuHost(modules, memory, told), settings.memory_limit_mb, _left)
         self._settings, self.longest = settings, 0.0
 
     @property
@@ -241,7 +241,7 @@ class HostManager(HostKeeper[FmuHost]):
 
     def replace_outgrown(self) -> None:
         """End the process after as many simulations as the settings say, or where it has grown."""
-        recycle = self._settings.recycle
+        recycle = self._settings.max_simulations_per_process
         if self._hosts and recycle is not None and self._hosts[0].simulations >= recycle:
             self.replace()
         else:

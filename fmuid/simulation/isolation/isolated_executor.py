@@ -101,7 +101,7 @@ class IsolatedExecutor:
         if self._renewal is None:
             return 1
         # the first ones by themselves, so that what they need is known and not taken for growth
-        before, recycle = self._host().simulations, self._settings.recycle
+        before, recycle = self._host().simulations, self._settings.max_simulations_per_process
         often = 1 if not before else max(1, int(MEASURE_SECONDS / max(self._keeper.longest, 1e-6)))
         return min(largest, self._limit * often, max(1, recycle - before) if recycle else largest)
 
@@ -297,7 +297,7 @@ class IsolatedExecutor:
         self._keeper.strike()
 
     def _write(self, end: HostExitError, indices: Indices, reports: Indices) -> None:
-        limits = {HUNG: self._settings.time_limit, GREW: self._settings.memory}
+        limits = {HUNG: self._settings.time_limit, GREW: self._settings.memory_limit_mb}
         reports[indices, :4] = codes.PROCESS, end.kind, end.number if limits.get(end.kind, 1) else 0, -1
 
     def _give_up_reset(self) -> None:

@@ -16,7 +16,7 @@ from fmuid.processes import shared_memory
 from fmuid.simulation.codes import REPORT
 
 if TYPE_CHECKING:
-    from fmuid.simulation.in_process import InProcessExecutor
+    from fmuid.simulation.executor import InProcessExecutor
     from fmuid.simulation.simulation_plan import GridSimulation
 
 DOING_WORDS = 512
@@ -49,8 +49,8 @@ def arrays(memory: mmap.mmap, shape: tuple[int, int, int, int]) -> Arrays:
 
 
 def start(components: dict[str, Any], limit: int, renewal: int | None) -> None:
-    """Make the system that this process runs (`fmuid.simulation.in_process.InProcessExecutor`)."""
-    from fmuid.simulation.in_process import InProcessExecutor
+    """Make the system that this process runs (`fmuid.simulation.executor.InProcessExecutor`)."""
+    from fmuid.simulation.executor import InProcessExecutor
     from fmuid.simulation.instance_registry import Renewal
 
     _executor[:] = [InProcessExecutor(components, limit, None if renewal is None else Renewal(renewal))]

@@ -12,6 +12,7 @@ from fmuid.files import exists
 from fmuid.formatting import two_digits
 from fmuid.studies.init.data_file import InitOptions, MatchedDataFile
 from fmuid.studies.init.lines import (
+    example,
     free,
     inline,
     listed,
@@ -173,7 +174,7 @@ def _experiment(record: MatchedDataFile, output: Path, name: str, *, first: bool
         *([f"preprocess = {inline(asked.prepare)}"] if asked.prepare else []),
         *(['# where a column has another name: outputs = { fmu_variable = "column" }'] if first else []),
         _interpolation(record),
-        ExperimentSettings.example_line("warmup"),
+        example(ExperimentSettings, "experiments", "warmup"),
     ]
 
 
@@ -183,7 +184,7 @@ def _interpolation(record: MatchedDataFile) -> str:
 
     found = record.interpolation
     if found == "linear":
-        return ExperimentSettings.example_line("interpolation")
+        return example(ExperimentSettings, "experiments", "interpolation")
     said = text(found) if isinstance(found, str) else role("", found).removeprefix(" = ")
     return f'interpolation = {said}  # guessed: over most samples it stays what it was; "linear" for what is measured'
 

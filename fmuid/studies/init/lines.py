@@ -11,10 +11,11 @@ from textwrap import shorten
 from typing import TYPE_CHECKING
 
 from fmuid.studies.init.column_matching import of_tables
+from fmuid.studies.section import keys_of, meaning, summary, table_of
+from fmuid.studies.toml import show
 
 if TYPE_CHECKING:
     from fmuid.models import FMU, Description, Variable
-    from fmuid.studies.section import StudySection
 
 # What an output of an experiment can be.
 OBSERVED = ("output", "local")
@@ -22,6 +23,27 @@ OBSERVED = ("output", "local")
 NAMES_LISTED, PARAMETERS_LISTED = 20, 12
 LINE_LENGTH, REMARK_LENGTH = 110, 80
 _BARE = re.compile(r"[A-Za-z0-9_-]+")
+EXAMPLES: Mapping[str, Mapping[str, object]] = {
+    "model": {"interface": "model-exchange", "solver": "cvode", "tolerance": 1e-7, "step_size": 1e-3},
+    "experiments": {"interpolation": "linear", "warmup": 0.0},
+    "prior": {"names": ["a", "b"], "result": "healthy/result.json", "std_factor": 10},
+    "noise": {"variance": "estimate", "excitation_period": 4.0, "initial_variance": 0.01},
+    "estimation": {
+        "method": "levenberg-marquardt",
+        "n_starts": 50,
+        "loss": "soft_l1",
+        "jacobian": "finite-difference",
+        "solver_check": "refine",
+        "observer_memory": 3.0,
+    },
+    "uncertainty": {
+        "confidence_level": 0.95,
+        "profile_likelihood": True,
+        "posterior": True,
+        "cost_map": [["a", "b"]],
+    },
+}
+"""The keys that a first study file shows, with an example."""
 # Modelica tools write their largest numbers for bounds that are none.
 NO_BOUND = 1e60
 
@@ -66,37 +88,34 @@ def inline(value: object) -> str:
 
 
 def numerics(description: Description) -> list[str]:
-    """Return the words on how the FMU is run, commented out, as far as its interfaces have use for them."""
+    """Return the keys on how the FMU is run, commented out, as far as its interfaces have use for them."""
     from fmuid.studies.model import NumericsSection
 
     words = ["interface"] if len(description.interfaces) > 1 else []
     words += ["solver"] if "model-exchange" in description.interfaces else []
-    return [NumericsSection.example_line(word) for word in (*words, "tolerance", "step_size")]
+    return [example(NumericsSection, "model", word) for word in (*words, "tolerance", "step_size")]
 
 
 def rest() -> list[str]:
-    """Return what does not depend on FMU and table; the tables that few studies need are commented out."""
-    from fmuid.studies.parameters import JointPriorSection
-    from fmuid.studies.settings import EstimationWords, NoiseSection, UncertaintySection
+    """Return what does not depend on FMU and table; the sections that few studies need are commented out."""
+    from fmuid.studies.study_file import StudyFile
 
-    return [
-        *_table(JointPriorSection, "prior", asked=False),
-        "",
-        *_table(NoiseSection, "noise", asked=True),
-        "",
-        *_table(EstimationWords, "estimation", asked=True),
-        "",
-        *_table(UncertaintySection, "uncertainty", asked=False),
-    ]
+    lines: list[str] = []
+    for name, asked in (("prior", False), ("noise", True), ("estimation", True), ("uncertainty", False)):
+        table = table_of(keys_of(StudyFile)[name].annotation)
+        assert table is not None
+        some, about = [example(table, name, key) for key in EXAMPLES[name]], summary(table).rstrip(".")
+        if not asked:
+            some = [f"# {line.removeprefix('# ')}" for line in some]
+        said = f"[{name}]" if asked else f"# [{name}]  # {about[0].lower()}{about[1:]}"
+        lines += [said, *some, ""]
+    return lines[:-1]
 
 
-def _table(table: type[StudySection], name: str, *, asked: bool) -> list[str]:
-    """Return those words of a table that have an example; all commented out where it is not asked for."""
-    lines = [table.example_line(key) for key, field in table.model_fields.items() if field.examples]
-    if asked:
-        return [f"[{name}]", *lines]
-    meaning = (table.__doc__ or "").rstrip(".")
-    return [f"# [{name}]  # {meaning[0].lower()}{meaning[1:]}", *(f"# {line.removeprefix('# ')}" for line in lines)]
+def example(table: type, section: str, key: str) -> str:
+    """Return a line with an example of a key and its meaning, commented out where that is not the default."""
+    value = EXAMPLES[section][key]
+    return f"{'' if value == keys_of(table)[key].default else '# '}{key} = {show(value)}  # {meaning(table, key)}"
 
 
 def role(word: str, columns: Mapping[str, str]) -> str:

@@ -154,12 +154,13 @@ def survey(fmu: Path, experiments: Sequence[Experiment]) -> Survey:
     do not go together: `Survey.failure` says it.
     """
     from fmuid.models import KINDS, Isolation, Numerics, System, read_description
+    from fmuid.simulation import closing
 
     failure, description = "", read_description(fmu)
     # solvers inside FMUs are often too coarse for differences, so model exchange goes first
     for interface in sorted(set(KINDS) & set(description.interfaces), reverse=True):
         try:
-            with System(fmu, numerics=Numerics(interface), isolation=Isolation()) as system:
+            with closing(System(fmu, numerics=Numerics(interface), isolation=Isolation())) as system:
                 return _surveyed(system, description, experiments)
         except (InputError, SimulationError) as error:
             failure = str(error)

@@ -157,7 +157,7 @@ def test_a_command_can_run_the_fmu_in_its_own_process(tmp_path: Path, fmu: Path)
 def test_a_study_is_isolated_where_it_is_asked_to_be(tmp_path: Path, fmu: Path) -> None:
     path = write_study(tmp_path, fmu, Mode.SEGFAULT, **BAND)
     assert Study.read(path).system.isolation is None
-    assert Study.read(path, isolated=True).system.isolation == Isolation(time_limit=600.0, memory=400.0)
+    assert Study.read(path, isolated=True).system.isolation == Isolation(time_limit=600.0, memory_limit_mb=400.0)
     right = identify(problem(fmu, Mode.RETURN_ERROR, None))
     assert Study.read(path, isolated=True).identify().values == pytest.approx(right.values, rel=1e-6)
 

@@ -47,7 +47,7 @@ def test_records_are_predicted(made: Path, tmp_path: Path, capsys: pytest.Captur
     assert content["records"][1]["estimated"]["parameters"]["i_start"]["value"] == pytest.approx(0.2, abs=0.05)
     scores = pd.read_csv(tmp_path / "scores.csv")
     assert list(scores["record"]) == ["second", "third"]
-    assert scores["rmse"].tolist() == [record["outputs"][0]["rmse"] for record in content["records"]]
+    assert scores["rmse"].tolist() == [record["scores"][0]["rmse"] for record in content["predictions"]]
     assert len(pd.read_csv(tmp_path / "prediction.csv")) == 1200
     figures = {path.stem for path in (tmp_path / "figures").iterdir()}
     assert {"prediction", "prediction-2", "residuals"} <= figures
@@ -67,7 +67,7 @@ def test_predict_constant_output_gives_rmse(made: Path, tmp_path: Path, capsys: 
     assert "i in still is predicted with an RMSE of " in out
     assert "(constant as measured: no fit)" in out
     content = json.loads((tmp_path / "out" / "prediction.json").read_text())
-    assert content["records"][0]["outputs"][0]["fit"] is None
+    assert content["predictions"][0]["scores"][0]["fit"] is None
     assert pd.read_csv(tmp_path / "out" / "scores.csv")["fit"].isna().all()
     assert "no fit" in (tmp_path / "out" / "report.html").read_text()
 
@@ -81,10 +81,11 @@ def test_the_record_of_the_result_is_no_prediction(
     assert "the result was made from first: this is no prediction" in error
     content = json.loads((tmp_path / "prediction.json").read_text())
     page = (tmp_path / "report.html").read_text()
-    told = [content["study"]["digest"], *content["files"].values(), content["date"]]
+    origin = content["origin"]
+    told = [origin["study"]["digest"], *origin["files"].values(), origin["date"]]
     assert [each for each in told if each not in page] == []
     identified = json.loads((made / "results" / "result.json").read_text())
-    rmse = json.loads((tmp_path / "prediction.json").read_text())["records"][0]["outputs"][0]["rmse"]
+    rmse = json.loads((tmp_path / "prediction.json").read_text())["predictions"][0]["scores"][0]["rmse"]
     assert rmse**2 == pytest.approx(identified["noise_variance"]["i"] * 598 / 600, rel=1e-3)
     assert "as noise and estimates let expect" in out
     page = (tmp_path / "report.html").read_text(encoding="utf-8")

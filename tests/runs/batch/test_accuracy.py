@@ -10,11 +10,11 @@ import pandas as pd
 import pytest
 
 import fmuid
-from fmuid.reports.topics.batch import summary_words
 from fmuid.runs.batch.run_case import VOLATILE, CaseRunner
 from fmuid.runs.batch.summary import summarize
 from fmuid.simulation import executor_of
 from fmuid.studies.study import Study
+from tests.support.drawn_batches import summary_words
 from tests.support.paths import ROOT
 from tests.support.stepping import LAG, stepping_fmu
 

@@ -13,14 +13,12 @@ import pytest
 from scipy import stats
 
 from fmuid.estimation.covariance import Identifiability, WeakDirection
-from fmuid.reports.batch_tables import write_summary
-from fmuid.reports.render.console import show
-from fmuid.reports.topics.batch import summary_document, summary_words
+from fmuid.reports.topics.batch_tables import write_tables
 from fmuid.runs.batch.dataset import Dataset
 from fmuid.runs.batch.run_case import directions_of, directions_text
 from fmuid.runs.batch.statistics import EstimateWarning, statistics
 from fmuid.runs.batch.summary import condensed, summarize
-from tests.support.drawn_batches import TRUTH, UNITS, batch, doubts, fail, row
+from tests.support.drawn_batches import TRUTH, UNITS, batch, doubts, fail, row, show_batch, summary_words
 
 # --- numbers
 
@@ -149,7 +147,7 @@ def test_tables_that_differ() -> None:
 def test_few_cases() -> None:
     one, seven = (summarize(batch({"draw": range(count)}), TRUTH) for count in (1, 7))
     assert np.isnan(row(one, "R")["spread"])
-    assert summary_words(one) == ["one estimate has no spread: nothing can be said of how sure the stated std are"]
+    assert summary_words(one) == ["One estimate has no spread: nothing can be said of how sure the stated std are"]
     # 1/sqrt(2·6)
     assert summary_words(seven)[0] == "7 cases are few: their spread is itself uncertain by 29 %"
 
@@ -204,7 +202,7 @@ def test_what_is_not_determined_is_told_by_its_names(tmp_path: Path, capsys: pyt
         ((Identifiability.NOT_IN_EFFECT, ("L",)),),
     ]
     assert summary.failures["cases"].tolist() == [2, 2, 1]
-    write_summary(summary, tmp_path)
+    write_tables(summary, tmp_path)
     told = pd.read_csv(tmp_path / "failures.csv")
     assert list(told) == ["status", "message", "cases", "first"]
     assert told["message"].tolist() == [
@@ -212,7 +210,7 @@ def test_what_is_not_determined_is_told_by_its_names(tmp_path: Path, capsys: pyt
         "stopped at the iteration limit: raise max_iterations or start nearer",
         "undetermined: L is not determined in effect",
     ]
-    show(summary_document(summary))
+    show_batch(summary)
     assert "R and L cannot be told apart" in " ".join(capsys.readouterr().out.split())
     assert directions_of(frame["undetermined"][8]) == tuple(other)
 

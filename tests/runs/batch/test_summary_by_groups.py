@@ -4,11 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from fmuid.reports.render.console import show
-from fmuid.reports.topics.batch import summary_document, summary_words
 from fmuid.runs.batch.statistics import EstimateWarning, estimates, optimum_numbers
 from fmuid.runs.batch.summary import MAX_LEVELS, summarize
-from tests.support.drawn_batches import TRUTH, UNITS, batch, doubts, fail, row, starts
+from tests.support.drawn_batches import TRUTH, UNITS, batch, doubts, fail, row, show_batch, starts, summary_words
 
 # --- groups
 
@@ -86,19 +84,19 @@ def test_optima() -> None:
     # σ is twice as large where σ² is four times
     np.testing.assert_allclose(table["residual"], [1.0, 2.0], rtol=1e-12)
     assert table["R"].tolist() == [4.1, 2.0]
-    assert "of 19 searches that converged, 6 ended at another optimum than the best" in summary_words(summary)
+    assert "Of 19 searches that converged, 6 ended at another optimum than the best" in summary_words(summary)
 
 
 def test_optima_of_different_settings_have_no_common_values() -> None:
     summary = summarize(starts().rename(columns={"draw": "set.M"}))
     assert summary.optima["cases"].tolist() == [14, 6]
     assert "R" not in summary.optima
-    show(summary_document(summary))
+    show_batch(summary)
 
 
 def test_all_starts_lead_to_one_optimum() -> None:
     frame = batch({"start.R": np.linspace(1, 9, 5)}, spread=1e-6)
-    assert "all 5 searches that converged ended at the same optimum" in summary_words(summarize(frame))
+    assert "All 5 searches that converged ended at the same optimum" in summary_words(summarize(frame))
 
 
 def test_optima_that_fit_equally_well() -> None:

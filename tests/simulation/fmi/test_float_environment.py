@@ -97,7 +97,7 @@ def test_no_call_of_an_instance_leaves_it_changed(folder: Path, mode: Mode, wher
         simulator = Simulator(misbehaving_fmu(folder), RECORD, NAMES, values={"where": where})
         simulator.many(thetas(mode)[3:4])
         assert behaviour() == before
-        simulator.system.close()
+        simulator.close()
         assert behaviour() == before
 
     in_a_thread(live)
@@ -114,7 +114,7 @@ def test_neither_loading_nor_instantiation_leave_it_changed(folder: Path, mode: 
             simulator = Simulator(fmu, RECORD, NAMES)
             simulator.many(thetas(Mode.SOUND)[:2])
             assert behaviour() == before
-            simulator.system.close()
+            simulator.close()
 
     in_a_thread(live)
 
@@ -124,7 +124,7 @@ def test_the_same_in_a_process_of_its_own(folder: Path) -> None:
     fmu, values = misbehaving_fmu(folder), {"at": 0.95}
     isolated = Simulator(System(fmu, numerics=Numerics(), isolation=Isolation()), RECORD, NAMES, values=values)
     assert np.array_equal(outputs(isolated, some), outputs(Simulator(fmu, RECORD, NAMES, values=values), some))
-    isolated.system.close()
+    isolated.close()
 
 
 def test_the_environment_is_kept_when_it_ends_in_an_error() -> None:

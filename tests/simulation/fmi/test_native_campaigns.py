@@ -65,5 +65,5 @@ def test_simulations_leave_nothing_behind(name: str, kind: str) -> None:
         found = simulator(np.zeros((2000, 0)))
         assert (found == first).all()
         sizes.append(process.memory_info().rss)
-    simulator.system.close()
+    simulator.close()
     assert sizes[-1] - sizes[0] < 2e6

@@ -15,7 +15,7 @@ from fmuid.models.component import Component, Numerics
 from fmuid.models.description import KINDS
 from fmuid.models.fmu import FMU
 from fmuid.models.system import System
-from fmuid.simulation.executor import threads
+from fmuid.simulation.executor_pool import threads
 from fmuid.simulation.instance_registry import in_threads
 from fmuid.simulation.simulator import Simulator
 from tests.support.isolated import NAMES, RECORD, closed_form, thetas
@@ -110,7 +110,7 @@ def test_no_instance_is_freed_while_another_lives(folder: Path) -> None:
     first, second = (Simulator(fmu, RECORD, NAMES) for _ in range(2))
     check(first)
     check(second)
-    first.system.close()
+    first.close()
     check(second)
     check(first)
     del second
@@ -123,7 +123,7 @@ def test_a_fatal_end_of_one_is_not_waited_for(folder: Path) -> None:
     fmu = misbehaving_fmu(folder, token="alone after a fatal one")
     simulator = Simulator(fmu, RECORD, NAMES)
     assert any(simulator.many(thetas(Mode.RETURN_FATAL)).errors)
-    simulator.system.close()
+    simulator.close()
     check(Simulator(fmu, RECORD, NAMES, interface="model-exchange"))
 
 

@@ -19,12 +19,13 @@ from bokeh.models import ColumnDataSource, DataTable, NumberFormatter, Select, T
 from fmuid.apps.workbench.access_control import SCHEME
 from fmuid.apps.workbench.home import address, escaped
 from fmuid.apps.workbench.page_layout import LINE, SHEET, WIDE, argument, dress, words
-from fmuid.apps.workbench.pages.live import in_scheme
 from fmuid.apps.workbench.pages.results_view import EVERY, side_by_side
 from fmuid.apps.workbench.project_folder import Folder, FoundResult, FoundStudy, beside
 from fmuid.apps.workbench.saved import read_json
 from fmuid.errors import InputError
 from fmuid.files import is_file
+from fmuid.reports.render.bokeh_models import live
+from fmuid.reports.render.bokeh_renderer import drawing
 from fmuid.reports.topics.case_charts import over_cases
 from fmuid.runs import BatchColumns, CaseList, parts_in, read_part
 from fmuid.studies import Study
@@ -151,7 +152,7 @@ class BatchPage:
         if "status" in self.frame and (self.frame["status"].astype(str) == "converged").any():
             truth = self.manifest.get("truth") or {}
             charts = over_cases(self.frame, truth, self._units())
-            self.drawn.children = [side_by_side(in_scheme(charts, self.scheme))]
+            self.drawn.children = [side_by_side(live(drawing(charts).figures, dark=self.scheme == "dark"))]
 
     def _units(self) -> Mapping[str, str | None]:
         """Return the units of the estimates, which are there once the batch has ended."""
@@ -243,7 +244,7 @@ def case_settings(path: Path, number: int, found: pd.Series[Any]) -> list[str]:
         The study file.
     number : int
         Of the case.
-    found : OutputSeries
+    found : Series
         Its row.
 
     Raises

@@ -31,7 +31,7 @@ from fmuid.estimation import Result
 from fmuid.files import is_file
 from fmuid.formatting import fit_text, with_unit
 from fmuid.processes import AVAILABLE
-from fmuid.simulation import Simulator, executor_of, fit_of, parameter_units
+from fmuid.simulation import Simulator, close, executor_of, fit_of, parameter_units
 from fmuid.studies import Study
 
 # Of so many states one can go back.
@@ -78,7 +78,7 @@ class StudyPage:
         self.shown = np.full(len(self.rows), np.nan)  # the values whose simulation is shown
         self._undone = [self._state()]
         self._newest: LatestOnlyWorker[Floats] = LatestOnlyWorker(
-            self._simulate, executor_of(study.system).cancel, study.system.close
+            self._simulate, executor_of(study.system).cancel, partial(close, study.system)
         )
         doc.on_session_destroyed(lambda _context: self._newest.close())
         self._make()

@@ -1,30 +1,48 @@
-"""Samples of the posterior, and the settings of the sampler (`fmuid.identification.sampling.sampler`)."""
+"""Samples of the posterior, whether they can be trusted, and the settings of the sampler.
+
+Chains agree, and are long enough, by R-hat and the effective sample size.
+
+References
+----------
+A. Vehtari, A. Gelman, D. Simpson, B. Carpenter, P.-C. Bürkner, "Rank-normalization, folding, and localization: an
+improved R-hat for assessing convergence of MCMC", Bayesian Analysis 16 (2), 2021, whose equations are cited;
+C. J. Geyer, "Practical Markov chain Monte Carlo", Stat. Science 7 (4), 1992.
+"""
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
 from enum import Enum
+from functools import cached_property
 from typing import Any, ClassVar
 
 import numpy as np
 import pandas as pd
+from scipy import special
 
 from fmuid.array_types import Floats
 from fmuid.codec import Layout
 from fmuid.errors import InputError
 from fmuid.estimation import WeakDirection, check_level
 
-# Steps of the longest chain.
-MAX_STEPS = 20_000
-# So many independent samples give means to 2 % and the ends of 95 % intervals to 6 % of a standard deviation.
-EFFECTIVE_SIZE = 2000
-# The share of the chain, at its start, that is not used.
-BURN_SHARE = 0.25
-# An interval that ends at a bound is taken where it is longer than the shortest one by no more than this share.
-LONGER = 0.02
 # Largest R-hat of chains that agree (Vehtari et al., section 4).
 LARGEST_R_HAT = 1.01
+
+
+@dataclass(frozen=True)
+class ChainSettings:
+    """Numbers by which chains are judged."""
+
+    least_length: int = 8
+    """Diagnostics of shorter chains are meaningless."""
+    least_acceptance: float = 0.05
+    """Walkers with a smaller share of accepted moves are stuck."""
+    longer: float = 0.02
+    """An interval that ends at a bound is taken where it is longer than the shortest one by no more than this share."""
+
+
+SETTINGS = ChainSettings()
 
 
 @dataclass(frozen=True)
@@ -38,7 +56,8 @@ class SamplerSettings:
     steps : int
         Of the longest chain; sampling ends earlier when the chain is long enough and converged.
     effective_size : int
-        The effective sample size that every parameter must reach.
+        The effective sample size that every parameter must reach: 2000 give means to 2 % and the ends of 95 %
+        intervals to 6 % of a standard deviation.
     burn : float
         The share of the chain, at its start, that is discarded.
     seed : int
@@ -59,9 +78,9 @@ class SamplerSettings:
     """
 
     walkers: int | None = None
-    steps: int = MAX_STEPS
-    effective_size: int = EFFECTIVE_SIZE
-    burn: float = BURN_SHARE
+    steps: int = 20_000
+    effective_size: int = 2000
+    burn: float = 0.25
     seed: int = 0
 
     def __post_init__(self) -> None:
@@ -100,10 +119,8 @@ class Posterior:
 
     Attributes
     ----------
-    doubt : SamplingWarning or None
-        Why the samples cannot be trusted; None where they can.
-    doubtful : str
-        The parameter that the doubt is about, "" where it is about all of them.
+    runaway : str
+        A parameter that nothing holds, "" where there is none.
     interrupted : bool
         Whether the keyboard ended it.
     wanted : int
@@ -121,20 +138,13 @@ class Posterior:
         Without its constant.
     burn : int
         Number of discarded steps at the start.
-    effective_size : (N,) array
-        Effective sample sizes (`fmuid.identification.sampling.chains.effective_size`).
-    autocorrelation_time : (N,) array
-        Integrated, in samples.
-    r_hat : (N,) array
-        1 where all walkers agree (`fmuid.identification.sampling.chains.r_hat`).
     acceptance : float
         Share of the moves that were accepted.
     simulations : int
     elapsed_s : float
     """
 
-    doubt: SamplingWarning | None
-    doubtful: str
+    runaway: str
     interrupted: bool
     wanted: int
     undetermined: tuple[WeakDirection, ...]
@@ -145,15 +155,16 @@ class Posterior:
     chain: Floats
     log_density: Floats
     burn: int
-    effective_size: Floats
-    autocorrelation_time: Floats
-    r_hat: Floats
     acceptance: float
     simulations: int
     elapsed_s: float
 
     json_layout: ClassVar = Layout(
-        omitted={"chain", "log_density"}, derived=("converged", "mean", "std", "covariance", "steps", "walkers")
+        omitted={"chain", "log_density"},
+        derived=(
+            *("converged", "doubt", "doubtful", "mean", "std", "covariance", "effective_size", "r_hat"),
+            *("steps", "walkers"),
+        ),
     )
 
     @property
@@ -165,6 +176,42 @@ class Posterior:
     def walkers(self) -> int:
         """How many there are."""
         return int(self.chain.shape[1])
+
+    @cached_property
+    def effective_size(self) -> Floats:
+        """Effective sample sizes (N,)."""
+        return np.array([effective_size(column) for column in self.chain[self.burn :].transpose(2, 0, 1)])
+
+    @cached_property
+    def r_hat(self) -> Floats:
+        """R-hat (N,), 1 where all walkers agree."""
+        return np.array([r_hat(column) for column in self.chain[self.burn :].transpose(2, 0, 1)])
+
+    @cached_property
+    def _warning(self) -> tuple[SamplingWarning | None, str]:
+        if self.runaway:
+            return SamplingWarning.RUNAWAY, self.runaway
+        if np.isnan(self.r_hat).any() or np.isnan(self.effective_size).any():
+            return SamplingWarning.TOO_SHORT, ""
+        if self.acceptance < SETTINGS.least_acceptance:
+            return SamplingWarning.STUCK, ""
+        worst = int(np.argmax(self.r_hat))
+        if self.r_hat[worst] > LARGEST_R_HAT:
+            return SamplingWarning.DISAGREEING, self.names[worst]
+        worst = int(np.argmin(self.effective_size))
+        if self.effective_size[worst] < self.wanted:
+            return SamplingWarning.TOO_FEW, self.names[worst]
+        return None, ""
+
+    @property
+    def doubt(self) -> SamplingWarning | None:
+        """Why the samples cannot be trusted; None where they can."""
+        return self._warning[0]
+
+    @property
+    def doubtful(self) -> str:
+        """The parameter that the doubt is about, "" where it is about all of them."""
+        return self._warning[1]
 
     @property
     def converged(self) -> bool:
@@ -227,7 +274,7 @@ class Posterior:
                 "lower": ends["lower"].to_numpy(),
                 "upper": ends["upper"].to_numpy(),
                 "effective_size": self.effective_size,
-                "autocorrelation_time": self.autocorrelation_time,
+                "autocorrelation_time": len(self.samples) / self.effective_size,
                 "r_hat": self.r_hat,
             }
         )
@@ -266,5 +313,69 @@ def _densest(samples: Floats, level: float, lower: float, upper: float) -> tuple
     if math.isfinite(upper):
         found.append((float(samples[samples.size - 1 - reach]), upper))
     length = [b - a for a, b in found]
-    near = [k for k in range(1, len(found)) if length[k] <= (1.0 + LONGER) * length[0]]
+    near = [k for k in range(1, len(found)) if length[k] <= (1.0 + SETTINGS.longer) * length[0]]
     return found[min(near, key=lambda k: length[k], default=0)]
+
+
+def r_hat(draws: Floats) -> float:
+    """Return R-hat of draws (n, chains), rank-normalised, of split chains, the greater of plain and folded ones.
+
+    The spread of all draws over that within chains: 1 where all chains, and their halves, agree. NaN for too few draws
+    or identical ones (eqs 1 to 6 and 14 to 17).
+    """
+    if len(draws) < SETTINGS.least_length:
+        return math.nan
+    split = _split(draws)
+    return max(_ratio(_normalised(split)), _ratio(_normalised(np.abs(split - np.median(split)))))
+
+
+def effective_size(draws: Floats) -> float:
+    """Return the effective sample size of draws (n, chains): the lesser of that of the bulk and that of the tails.
+
+    NaN for too few draws or identical ones (section 4.3 and eqs 10 to 13).
+    """
+    if len(draws) < SETTINGS.least_length:
+        return math.nan
+    split = _split(draws)
+    tails = [(split <= end).astype(np.float64) for end in np.quantile(split, [0.05, 0.95])]
+    return min(_size(part) for part in (_normalised(split), *tails))
+
+
+def _split(draws: Floats) -> Floats:
+    half = len(draws) // 2
+    return np.concatenate([draws[:half], draws[len(draws) - half :]], axis=1)
+
+
+def _normalised(draws: Floats) -> Floats:
+    """Replace draws by the normal quantiles of their ranks (eq 14)."""
+    from scipy.stats import rankdata  # slow to import
+
+    ranks = rankdata(draws).reshape(draws.shape)
+    return np.asarray(special.ndtri((ranks - 0.375) / (draws.size + 0.25)), dtype=np.float64)
+
+
+def _variances(draws: Floats) -> tuple[float, float]:
+    """Return the variance within chains, and that of all draws as estimated from within and between (eqs 1 to 3)."""
+    within = float(draws.var(axis=0, ddof=1).mean())
+    return within, within * (1.0 - 1.0 / len(draws)) + float(draws.mean(axis=0).var(ddof=1))
+
+
+def _ratio(draws: Floats) -> float:
+    within, overall = _variances(draws)
+    return math.sqrt(overall / within) if within > 0 else math.nan
+
+
+def _size(draws: Floats) -> float:
+    """Return the effective size by the autocorrelation of all chains, up to where its pairs are positive (Geyer)."""
+    count = len(draws)
+    within, overall = _variances(draws)
+    if not overall > 0:
+        return math.nan
+    spectrum = np.abs(np.fft.rfft(draws - draws.mean(axis=0), 2 * count, axis=0)) ** 2
+    covariance = np.fft.irfft(spectrum, axis=0)[:count].mean(axis=1) / count
+    correlation = 1.0 - (within - covariance) / overall
+    correlation[0] = 1.0
+    pairs = correlation[: count - count % 2].reshape(-1, 2).sum(axis=1)
+    positive = int(np.argmax(pairs <= 0)) if (pairs <= 0).any() else pairs.size
+    length = -1.0 + 2.0 * float(np.minimum.accumulate(pairs[:positive]).sum())
+    return draws.size / max(length, 1.0 / math.log10(draws.size))

@@ -16,7 +16,7 @@ Two kinds of moves take turns, drawn at random at each step: differential evolut
 distances of the walkers and adapts to any shape, and independent draws from the local approximation with heavy tails.
 Where that is good, as it usually is, they make the samples nearly independent; where it is not, they are refused. Then,
 and where there are several optima, draws in the shape of the chain's own past take the place of most of them
-(`fmuid.identification.sampling.proposal_archive`).
+(`fmuid.identification.proposal_archive`).
 
 The walkers set out around the optima at which searches from points all over the box ended, as far as these hold a share
 of the posterior that would show; without a box to search, around the estimate alone.
@@ -33,7 +33,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass
 
 import emcee
 import numpy as np
@@ -44,34 +44,51 @@ from fmuid.errors import InputError, SimulationError
 from fmuid.estimation import GlobalSearch, LeastSquares, Result, TerminationReason
 from fmuid.identification.conditional_optimum import check_result
 from fmuid.identification.likelihood_scaling import adjustment
+from fmuid.identification.posterior import Posterior, SamplerSettings
 from fmuid.identification.profile import reach
-from fmuid.identification.sampling.chains import effective_size, r_hat
-from fmuid.identification.sampling.posterior import LARGEST_R_HAT, Posterior, SamplerSettings, SamplingWarning
-from fmuid.identification.sampling.proposal_archive import Archive
+from fmuid.identification.proposal_archive import Archive
 from fmuid.progress import Progress, SamplingStep
 
-# Enough walkers for differences in all directions, and for two halves that keep all cores busy.
-LEAST_WALKERS, WALKERS_PER_PARAMETER = 16, 4
-# Steps before convergence is checked first, and the factor by which the chain grows between checks.
-FIRST_LOOK, LOOK_GROWTH = 100, 1.3
-# Walkers with a smaller share of accepted moves are stuck.
-LEAST_ACCEPTANCE = 0.05
-# Share of proposals from the local approximation, a Student t of so many degrees of freedom, and share of the others
-# that are whole differences, which lead from one optimum to another (ter Braak).
-LOCAL_SHARE, LOCAL_FREEDOM, JUMP_SHARE = 0.5, 5.0, 0.1
-# With a smaller share of accepted moves the chain's own past says better where to go, in so many of the moves.
-POOR_ACCEPTANCE, ARCHIVE_SHARE = 0.3, 0.7
-# Searches from points of the box that tell of other optima, and how much less of the posterior, as a logarithm, may lie
-# around one of these. Optima nearer than so many standard deviations of the estimate are its own.
-SEARCHES, LEAST_LOG_SHARE, OWN_STDS = 12, 7.0, 3.0
-# Spread of the walkers' start in a parameter that the data leave open, relative to its magnitude.
-OPEN_SPREAD = 0.01
-# A walker that would start outside the bounds starts inside, within so many standard deviations.
-INSIDE_STDS = 3.0
-# How many times a walker whose simulation fails is moved half way to the estimate.
-MOST_HALVINGS = 40
-# Simulated samples held at a time, 64 MB.
-BATCH_SAMPLES = 8_000_000
+
+@dataclass(frozen=True)
+class SamplerNumbers:
+    """Numbers of the sampler that no user sets."""
+
+    least_walkers: int = 16
+    """Enough walkers for two halves that keep all cores busy, ..."""
+    walkers_per_parameter: int = 4
+    """... and for differences in all directions."""
+    first_look: int = 100
+    """Steps before convergence is checked first, ..."""
+    look_growth: float = 1.3
+    """... and the factor by which the chain grows between checks."""
+    local_share: float = 0.5
+    """Share of proposals from the local approximation, ..."""
+    local_freedom: float = 5.0
+    """... a Student t of so many degrees of freedom, ..."""
+    jump_share: float = 0.1
+    """... and share of the others that are whole differences, from one optimum to another (ter Braak)."""
+    poor_acceptance: float = 0.3
+    """With a smaller share of accepted moves the chain's own past says better where to go, ..."""
+    archive_share: float = 0.7
+    """... in so many of the moves."""
+    searches: int = 12
+    """Searches from points of the box that tell of other optima, ..."""
+    least_log_share: float = 7.0
+    """... around one of which the logarithm of the posterior may be so much less."""
+    own_stds: float = 3.0
+    """Optima nearer than so many standard deviations of the estimate are its own."""
+    open_spread: float = 0.01
+    """Spread of the walkers' start in a parameter that the data leave open, relative to its magnitude."""
+    inside_stds: float = 3.0
+    """A walker that would start outside the bounds starts inside, within so many standard deviations."""
+    most_halvings: int = 40
+    """How many times a walker whose simulation fails is moved half way to the estimate."""
+    batch_samples: int = 8_000_000
+    """Simulated samples held at a time, 64 MB."""
+
+
+SETTINGS = SamplerNumbers()
 
 
 @single_threaded
@@ -133,7 +150,7 @@ def log_density(
     which = (problem.groups[:, None] == np.arange(problem.counts.size)).astype(np.float64)
     given = ~np.isnan(known)
     weights = (1.0 / np.sqrt(np.where(given, known, 1.0)))[problem.groups]
-    batch = max(1, BATCH_SAMPLES // problem.measured.size)
+    batch = max(1, SETTINGS.batch_samples // problem.measured.size)
 
     def sums(thetas: Floats) -> Floats:
         """Return the sum of squares of each output (m, n_outputs), whitened where its variance is known."""
@@ -180,7 +197,7 @@ class _Sampler:
         self.estimate: Floats = np.array(result.values)
         self.clock, self.simulations = time.perf_counter(), problem.simulations
         count = len(problem.parameters)
-        self.walkers = settings.walkers or max(LEAST_WALKERS, WALKERS_PER_PARAMETER * count)
+        self.walkers = settings.walkers or max(SETTINGS.least_walkers, SETTINGS.walkers_per_parameter * count)
         if self.walkers < 2 * count:
             raise InputError(
                 f"{self.walkers} walkers are too few for {count} parameters; the sampler needs at least {2 * count}"
@@ -202,7 +219,7 @@ class _Sampler:
 
     def run(self) -> Posterior:
         """Sample until the chain is good enough, or at its longest."""
-        steps, look = 0, FIRST_LOOK
+        steps, look = 0, SETTINGS.first_look
         try:
             self.optima += self._other_optima()
             state: object = self._start()
@@ -216,10 +233,10 @@ class _Sampler:
                         raise KeyboardInterrupt
                 found = self._posterior()
                 self.effective = float(np.min(found.effective_size))
-                if found.converged or self._runaway(found):
+                if found.converged or found.runaway:
                     break
-                look, state = math.ceil(LOOK_GROWTH * steps), self.sampler.get_last_sample()
-                if found.acceptance < POOR_ACCEPTANCE or len(self.optima) > 1:
+                look, state = math.ceil(SETTINGS.look_growth * steps), self.sampler.get_last_sample()
+                if found.acceptance < SETTINGS.poor_acceptance or len(self.optima) > 1:
                     self.archive = Archive.of(found.samples)
         except KeyboardInterrupt:
             self.interrupted = True
@@ -259,7 +276,7 @@ class _Sampler:
 
     def _other_optima(self) -> list[Result]:
         """Return the optima, other than the estimate, that hold a share of the posterior."""
-        search = GlobalSearch("multi-start", starts=SEARCHES, seed=self.settings.seed)
+        search = GlobalSearch("multi-start", starts=SETTINGS.searches, seed=self.settings.seed)
         try:
             search.check(self.problem)
             found = search.search(self.problem, self.progress)
@@ -267,13 +284,13 @@ class _Sampler:
             return []
         if found.outcome is TerminationReason.INTERRUPTED:
             raise KeyboardInterrupt
-        near = OWN_STDS * self.result.std
+        near = SETTINGS.own_stds * self.result.std
         others = [
             each.fit for each in found.optima if each.converged and (np.abs(each.theta - self.estimate) > near).any()
         ]
         share = [self._log_share(each) for each in (self.result, *others)]
         order = np.argsort([-each for each in share[1:]], kind="stable")[: self.walkers // 4 - 1]
-        return [others[i] for i in order if share[1 + i] > max(share) - LEAST_LOG_SHARE]
+        return [others[i] for i in order if share[1 + i] > max(share) - SETTINGS.least_log_share]
 
     def _log_share(self, optimum: Result) -> float:
         """Return the logarithm of what an optimum holds of the posterior, by the normal approximation."""
@@ -289,14 +306,14 @@ class _Sampler:
     def _around(self, optimum: Result, walkers: int) -> Floats:
         """Return walkers (walkers, N) drawn from the local covariance, inside the bounds, where the model works."""
         parameters, estimate, root = self.problem.parameters, optimum.values, _root(optimum.covariance)
-        spread = np.where(np.isfinite(optimum.std), optimum.std, OPEN_SPREAD * parameters.magnitudes(estimate))
+        spread = np.where(np.isfinite(optimum.std), optimum.std, SETTINGS.open_spread * parameters.magnitudes(estimate))
         draws = self.random.standard_normal((walkers, estimate.size))
         thetas = estimate + (draws * spread if root is None else draws @ root.T)
-        low = np.maximum(parameters.lower, estimate - INSIDE_STDS * spread)
-        high = np.minimum(parameters.upper, estimate + INSIDE_STDS * spread)
+        low = np.maximum(parameters.lower, estimate - SETTINGS.inside_stds * spread)
+        high = np.minimum(parameters.upper, estimate + SETTINGS.inside_stds * spread)
         inside = (thetas >= parameters.lower) & (thetas <= parameters.upper)
         thetas = np.where(inside, thetas, self.random.uniform(low, high, thetas.shape))
-        for _ in range(MOST_HALVINGS):
+        for _ in range(SETTINGS.most_halvings):
             failed = ~np.isfinite(self.density(thetas))
             if not failed.any():
                 break
@@ -304,16 +321,16 @@ class _Sampler:
         return thetas
 
     def _moves(self) -> list[tuple[emcee.moves.Move, float]]:
-        local = LOCAL_SHARE if self.root is not None else 0.0
+        local = SETTINGS.local_share if self.root is not None else 0.0
         moves = [
-            (emcee.moves.DEMove(), (1.0 - local) * (1.0 - JUMP_SHARE)),
-            (emcee.moves.DEMove(gamma0=1.0), (1.0 - local) * JUMP_SHARE),
+            (emcee.moves.DEMove(), (1.0 - local) * (1.0 - SETTINGS.jump_share)),
+            (emcee.moves.DEMove(gamma0=1.0), (1.0 - local) * SETTINGS.jump_share),
         ]
         return [*moves, (emcee.moves.MHMove(self._propose), local)] if local else moves
 
     def _propose(self, thetas: Floats, random: np.random.RandomState) -> tuple[Floats, Floats]:
         """Draw independently of where the walkers are; with the log of the ratio of the densities there and here."""
-        if self.archive is not None and random.uniform() < ARCHIVE_SHARE:
+        if self.archive is not None and random.uniform() < SETTINGS.archive_share:
             return self.archive.propose(thetas, random)
         return self._propose_locally(thetas, random)
 
@@ -322,67 +339,40 @@ class _Sampler:
         assert self.root is not None
         assert self.inverse_root is not None
         draws = random.standard_normal(thetas.shape) / np.sqrt(
-            random.chisquare(LOCAL_FREEDOM, (len(thetas), 1)) / LOCAL_FREEDOM
+            random.chisquare(SETTINGS.local_freedom, (len(thetas), 1)) / SETTINGS.local_freedom
         )
         before = (thetas - self.estimate) @ self.inverse_root.T
-        power = -0.5 * (LOCAL_FREEDOM + thetas.shape[1])
-        here, there = (power * np.log1p(np.sum(z**2, axis=1) / LOCAL_FREEDOM) for z in (before, draws))
+        power = -0.5 * (SETTINGS.local_freedom + thetas.shape[1])
+        here, there = (power * np.log1p(np.sum(z**2, axis=1) / SETTINGS.local_freedom) for z in (before, draws))
         return self.estimate + draws @ self.root.T, here - there
 
     def _posterior(self) -> Posterior:
         if not self.sampler.iteration:
             raise KeyboardInterrupt
-        chain = self.sampler.get_chain().copy()
-        kept = chain[int(self.settings.burn * len(chain)) :]
-        columns = [kept[:, :, i] for i in range(chain.shape[2])]
-        effective = np.array([effective_size(column) for column in columns])
-        found = Posterior(
-            doubt=None,
-            doubtful="",
+        chain, parameters = self.sampler.get_chain().copy(), self.problem.parameters
+        return Posterior(
+            runaway=self._runaway(chain[-1]),
             interrupted=self.interrupted,
             wanted=self.settings.effective_size,
             undetermined=self.result.undetermined,
             optima=np.array([each.values for each in self.optima]),
-            names=self.problem.parameters.names,
-            lower=self.problem.parameters.lower,
-            upper=self.problem.parameters.upper,
+            names=parameters.names,
+            lower=parameters.lower,
+            upper=parameters.upper,
             chain=chain,
             log_density=self.sampler.get_log_prob().copy(),
-            burn=len(chain) - len(kept),
-            effective_size=effective,
-            autocorrelation_time=len(kept) * self.walkers / effective,
-            r_hat=np.array([r_hat(column) for column in columns]),
+            burn=int(self.settings.burn * len(chain)),
             acceptance=float(np.mean(self.sampler.acceptance_fraction)),
             simulations=self.problem.simulations - self.simulations,
             elapsed_s=time.perf_counter() - self.clock,
         )
-        doubt, doubtful = self._doubt(found)
-        return replace(found, doubt=doubt, doubtful=doubtful)
 
-    def _runaway(self, found: Posterior) -> str:
+    def _runaway(self, thetas: Floats) -> str:
         """Return the name of a parameter that runs away on a side without bound, empty if none does."""
-        parameters = self.problem.parameters
-        beyond = found.chain[-1] - self.estimate
+        parameters, beyond = self.problem.parameters, thetas - self.estimate
         above = np.isinf(parameters.upper) & (beyond > self.far).any(axis=0)
         below = np.isinf(parameters.lower) & (beyond < -self.far).any(axis=0)
-        return next((name for name, gone in zip(found.names, above | below, strict=True) if gone), "")
-
-    def _doubt(self, found: Posterior) -> tuple[SamplingWarning | None, str]:
-        """Return why the samples cannot be trusted yet, and of which parameter; None where they can."""
-        runaway = self._runaway(found)
-        if runaway:
-            return SamplingWarning.RUNAWAY, runaway
-        if np.isnan(found.r_hat).any() or np.isnan(found.effective_size).any():
-            return SamplingWarning.TOO_SHORT, ""
-        if found.acceptance < LEAST_ACCEPTANCE:
-            return SamplingWarning.STUCK, ""
-        worst = int(np.argmax(found.r_hat))
-        if found.r_hat[worst] > LARGEST_R_HAT:
-            return SamplingWarning.DISAGREEING, found.names[worst]
-        worst = int(np.argmin(found.effective_size))
-        if found.effective_size[worst] < self.settings.effective_size:
-            return SamplingWarning.TOO_FEW, found.names[worst]
-        return None, ""
+        return next((name for name, gone in zip(parameters.names, above | below, strict=True) if gone), "")
 
 
 def _root(covariance: Floats) -> Floats | None:

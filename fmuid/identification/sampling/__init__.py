@@ -1,1 +1,0 @@
-"""Samples of the posterior: the sampler, its chains, and what they tell."""
