@@ -77,7 +77,7 @@ def test_a_misspelt_property_is_found() -> None:
 
 
 def test_a_grid_has_one_toolbar_that_switches_all_its_plots() -> None:
-    (grid,) = live(drawing([fit.fit_charts(record(outputs=2))]).figures)
+    (grid,) = live(drawing([fit.fit_charts(record(outputs=1))]).figures)
     names: list[Any] = [type(tool).__name__ for tool in grid.toolbar.tools]
     assert names == ["ToolProxy", "ToolProxy", "SaveTool", "ToolProxy", "ToolProxy"]
     assert grid.toolbar.active_drag is grid.toolbar.tools[0]

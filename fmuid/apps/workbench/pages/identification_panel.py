@@ -23,10 +23,10 @@ from fmuid.errors import InputError
 from fmuid.files import is_file
 from fmuid.formatting import of_parameter
 from fmuid.progress import Event, SearchStep
+from fmuid.reports import documents_of
 from fmuid.reports.chart import MAX_PARAMETERS, Axis, Chart, Data, Layer
 from fmuid.reports.render.bokeh_models import live
 from fmuid.reports.render.bokeh_renderer import DrawnCharts, drawing
-from fmuid.reports.render.document_json import read_documents
 
 SEARCHES = {
     "from here": [],
@@ -173,7 +173,7 @@ class IdentificationPanel:
             self.text.text = f"<p>There is no result yet: press Identify.{more}</p>"
             return
         try:
-            document = read_documents(folder)["identification"]
+            document = documents_of(folder)["identification"]
             self.remedies.tell(folder)
         except (InputError, KeyError) as error:
             self.text.text = f"<p class=error>{escaped(error)}</p>"

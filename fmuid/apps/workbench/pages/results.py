@@ -28,9 +28,9 @@ from fmuid.errors import InputError
 from fmuid.estimation import Result
 from fmuid.files import file_name, is_file, replacing
 from fmuid.formatting import label, with_std
+from fmuid.reports import documents_of
 from fmuid.reports.chart import MAX_DOTS, MAX_ROWS, ChartGrid
 from fmuid.reports.document import Document, Section, table_of
-from fmuid.reports.render.document_json import read_documents
 from fmuid.reports.render.html import place_of, written
 from fmuid.reports.render.style import DARK
 from fmuid.reports.topics.fit import fit_sections, worst
@@ -66,7 +66,7 @@ def build(doc: Any, bench: Any) -> None:
 
 def _one(doc: Any, bench: Any, place: Path) -> tuple[str, str, Any, dict[str, str]]:
     """Return title, HTML and figures of the documents of a folder, and what the document follows, by its place."""
-    documents = list(read_documents(place).values())
+    documents = list(documents_of(place).values())
     title = next((each.title for each in documents if each.title), "") or place.parent.name
     live = _zoomed(doc, place, documents)
     body, drawings = written(documents, frozenset(live))

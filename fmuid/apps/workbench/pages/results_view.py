@@ -13,12 +13,15 @@ from fmuid.apps.workbench.page_layout import LINE, SHEET, words
 from fmuid.apps.workbench.pages.live import in_scheme
 from fmuid.errors import InputError
 from fmuid.files import is_file
+from fmuid.reports import documents_of
 from fmuid.reports.document import Document
-from fmuid.reports.render.document_json import DOCUMENT_FILE, read_documents
+from fmuid.reports.render.document_json import DOCUMENT_FILE
 from fmuid.reports.render.html import drawn_sections, section_head, verdict
 
 EVERY = 1000
 """Milliseconds between two looks at the folder."""
+FILES = {"identification": "result.json"}
+"""What a kind of findings is read from, if not from a file of its name."""
 LEAST_WIDTH = 280
 """Of a figure beside others."""
 
@@ -40,7 +43,7 @@ class ResultsView:
     """
 
     def __init__(self, doc: Any, place: Path, scheme: str, kinds: Sequence[str]) -> None:
-        self.path, self.scheme, self.kinds = place / DOCUMENT_FILE, scheme, kinds
+        self.place, self.scheme, self.kinds = place, scheme, kinds
         self._seen: object = None
         self.layout = column([], name="shown", sizing_mode="stretch_width", stylesheets=[SHEET])
         self.look()
@@ -48,11 +51,12 @@ class ResultsView:
 
     def look(self) -> None:
         """Show what has been written since the last look; a file that is not whole yet is looked at again."""
-        seen = self.path.stat().st_mtime_ns if is_file(self.path) else 0
+        names = (DOCUMENT_FILE, *(FILES.get(kind, f"{kind}.json") for kind in self.kinds))
+        seen = [(name, (self.place / name).stat().st_mtime_ns) for name in names if is_file(self.place / name)]
         if seen == self._seen:
             return
         try:
-            found = read_documents(self.path.parent) if seen else {}
+            found = documents_of(self.place) if seen else {}
         except InputError as error:
             if not self.layout.children:
                 self.layout.children = [words("wrong", f"<p class=error>{escaped(error)}</p>")]
