@@ -24,6 +24,7 @@ from .linear_models.estimate import LinearEstimate as LinearEstimate
 from .linear_models.estimate import linear_least_squares as linear_least_squares
 from .linear_models.filters import Term as Term
 from .linearized_problem import LinearizedProblem as LinearizedProblem
+from .local_optimum import Optimum as Optimum
 from .marquardt.jacobian_cache import JacobianCache as JacobianCache
 from .marquardt.outcome import TerminationReason as TerminationReason
 from .marquardt.search import State as State
@@ -55,7 +56,6 @@ from .noise.whiteness_tests import normality as normality
 from .noise.whiteness_tests import whiteness as whiteness
 from .problem import LeastSquares as LeastSquares
 from .result import RESULT_SCHEMA as RESULT_SCHEMA
-from .result import Optimum as Optimum
 from .result import Result as Result
 from .simulation_noise import SimulationNoise as SimulationNoise
 from .solver_check.check import estimate_solver_error as estimate_solver_error

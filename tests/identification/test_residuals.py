@@ -395,8 +395,8 @@ def test_written_and_read() -> None:
     written = json.loads(json.dumps(as_json(found), allow_nan=False))
     assert len(written["findings"]) == len(found.findings)
     assert set(written["widening"]) == {"level", "slow", "fast"}
-    assert [row["output"] for row in written["residuals"]] == found.table["output"].tolist()
-    assert written["residuals"][3]["inputs"][0]["input"] == "u"
-    assert written["residuals"][0]["std"] == found.table["std"][0]
+    assert [row["output"] for row in written["series"]] == found.table["output"].tolist()
+    assert written["series"][3]["inputs"][0]["input"] == "u"
+    assert written["series"][0]["std"] == found.table["std"][0]
     with pytest.raises(InputError, match="identify the study again"):
         analyze_residuals(problem, dataclasses.replace(result, noise=None))
