@@ -16,7 +16,7 @@ from scipy import special
 
 from fmuid import codec
 from fmuid.array_types import Floats
-from fmuid.data import JointPrior, MeasuredSeries, Measurements, Normal, ParameterEstimate, measured_series
+from fmuid.data import Experiment, JointPrior, MeasuredSeries, Normal, ParameterEstimate, measured_series
 from fmuid.display_mixins import MultilineText, PredictMixin, text_of
 from fmuid.errors import InputError
 from fmuid.estimation.covariance import ActiveBound, WeakDirection, check_level
@@ -337,7 +337,7 @@ class Result(PredictMixin):
         }
         return pd.DataFrame(columns, index=pd.Index(self.names, name="parameter"))
 
-    def made_from(self, experiment: Measurements) -> bool:
+    def made_from(self, experiment: Experiment) -> bool:
         """Return whether the measurements of an experiment are among those that this was made from."""
         return set(measured_series(experiment)) <= set(self.data)
 

@@ -16,8 +16,8 @@ import fmuid
 from experiments.coil import study as coil
 from fmuid.apps.cli.app import run
 from fmuid.data.npz import read_arrays, write_arrays
-from fmuid.diagnosis.monitoring.alarms import Rule
-from fmuid.diagnosis.monitoring.window_evaluation import WindowEvaluation
+from fmuid.diagnosis.alarms import Rule
+from fmuid.diagnosis.window_evaluation import WindowEvaluation
 from fmuid.runs.faults import design_of, rule_of
 from tests.support.coil_records import warming
 from tests.support.interrupting import SIGNALS, command, killing

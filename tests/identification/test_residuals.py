@@ -12,15 +12,14 @@ import pytest
 
 from fmuid.array_types import Floats
 from fmuid.codec import as_json
-from fmuid.data.experiment import Experiment
+from fmuid.data import Experiment, Normal, Parameter
 from fmuid.data.noise import Noise
-from fmuid.data.parameters import Normal, Parameter
-from fmuid.data.predictors import ArrayMeasurements, FunctionPredictor
+from fmuid.data.predictors import FunctionPredictor
 from fmuid.errors import InputError
-from fmuid.estimation.identification import identify
 from fmuid.estimation.noise.whiteness_tests import LaggedSeries
 from fmuid.estimation.problem import LeastSquares
 from fmuid.estimation.result import Result
+from fmuid.identification import identify
 from fmuid.identification.residual_analysis import ResidualAnalysis, ResidualDefect, analyze_residuals
 from fmuid.identification.residual_series import ResidualSeries, examine_outputs
 from fmuid.reports.messages.residuals import residual_words
@@ -380,7 +379,7 @@ def test_an_output_that_one_experiment_lacks() -> None:
     y = REGRESSORS @ TRUTH + white(14)
     values = np.column_stack([y, np.full(COUNT, np.nan)])
     tables = [
-        ArrayMeasurements(name, TIMES, ("a", "b"), v, np.isfinite(v))
+        Experiment.of_arrays(name, TIMES, ("a", "b"), v, np.isfinite(v))
         for name, v in (("one", values), ("two", values[:, ::-1]))
     ]
     predictor = FunctionPredictor(lambda theta: np.column_stack([REGRESSORS @ theta] * 2), (COUNT, 2))

@@ -11,9 +11,9 @@ import pytest
 from bokeh.models import BoxAnnotation, Span
 
 from fmuid.diagnosis import BaselineSource, CauseScore, ChangeEvidence, EstimatedChange, Explanation, Rule
-from fmuid.diagnosis.change_detection.unexplained_residual import NOTHING_LEFT
-from fmuid.diagnosis.change_parameters import CauseKind
-from fmuid.diagnosis.monitoring.alarms import Alarm
+from fmuid.diagnosis.alarms import Alarm
+from fmuid.diagnosis.causes import CauseKind
+from fmuid.diagnosis.unexplained_residual import NOTHING_LEFT
 from fmuid.runs import MonitoringRun
 from tests.support.live_figures import diagnosis
 
