@@ -20,12 +20,12 @@ from scipy.signal import lfilter
 
 import fmuid
 from fmuid.array_types import Floats
-from fmuid.diagnosis.baseline.whitening import whitening_of
 from fmuid.diagnosis.cause_analysis import Examination, examine, healthy_of, shown_by
-from fmuid.diagnosis.change_detection.cause_ranking import CauseSet
-from fmuid.diagnosis.change_detection.unexplained_residual import UNEXPLAINED_SHARE
-from fmuid.diagnosis.change_parameters import DIFFERENCE_STEP, CauseKind, ChangeParameterSet
-from fmuid.diagnosis.linearisation import LinearizedMachine
+from fmuid.diagnosis.cause_ranking import CauseSet
+from fmuid.diagnosis.causes import DIFFERENCE_STEP, CauseKind, ChangeParameterSet
+from fmuid.diagnosis.linearized_machine import LinearizedMachine
+from fmuid.diagnosis.prewhitening import whitening_of
+from fmuid.diagnosis.unexplained_residual import UNEXPLAINED_SHARE
 
 LEVEL, SEED = 0.01, 17
 FALSE, FAULTY = 400, 200  # records of a case without and with a fault

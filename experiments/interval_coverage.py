@@ -26,7 +26,7 @@ from scipy.stats import binom
 import fmuid
 from experiments.induction_machine import make_table
 from fmuid.identification.posterior import SamplerSettings
-from fmuid.identification.profile import profile_likelihood
+from fmuid.identification.profile_likelihood import profile_likelihood
 from fmuid.identification.sampler import sample_posterior
 
 FMUS = Path(__file__).parents[1] / "fmus"

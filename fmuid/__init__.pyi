@@ -26,6 +26,7 @@ from .errors import FmuidError as FmuidError
 from .errors import InputError as InputError
 from .errors import ModelicaError as ModelicaError
 from .errors import SimulationError as SimulationError
+from .estimation import Cache as Cache
 from .estimation import GlobalSearch as GlobalSearch
 from .estimation import LeastSquares as LeastSquares
 from .estimation import LinearEstimate as LinearEstimate

@@ -15,6 +15,7 @@ from threadpoolctl import threadpool_info, threadpool_limits
 import fmuid
 from fmuid.array_types import Floats
 from fmuid.blas import ONE_THREAD
+from fmuid.estimation.evaluator import Evaluator
 from fmuid.identification import Problem
 from fmuid.runs.batch.run_case import CaseRunner
 from fmuid.studies import Study
@@ -40,13 +41,13 @@ def two() -> Iterator[None]:
 def seen(monkeypatch: pytest.MonkeyPatch) -> list[set[int]]:
     """The threads that BLAS had at each simulation of several points."""
     found: list[set[int]] = []
-    predict = Problem.predict
+    predict = Evaluator._rows
 
-    def noting(self: Problem, thetas: Floats) -> Floats:
+    def noting(self: Evaluator[Problem], thetas: Floats) -> tuple[Floats, int]:
         found.append(threads())
         return predict(self, thetas)
 
-    monkeypatch.setattr(Problem, "predict", noting)
+    monkeypatch.setattr(Evaluator, "_rows", noting)
     return found
 
 
@@ -58,7 +59,7 @@ def diagnosis(_: Problem, result: fmuid.Result) -> object:
 
 WORK: dict[str, Callable[[Problem, fmuid.Result], object]] = {
     "identify": lambda problem, _: fmuid.identify(problem),
-    "Marquardt": lambda problem, _: fmuid.Marquardt().search(problem),
+    "Marquardt": lambda problem, _: fmuid.Marquardt().search(Evaluator(problem)),
     "profiles": lambda problem, result: fmuid.profile_likelihood(problem, result, ["R"]),
     "sample": lambda problem, result: fmuid.sample_posterior(problem, result, fmuid.SamplerSettings(steps=50, seed=1)),
     "map_criterion": lambda problem, result: fmuid.map_cost(problem, result, "R", "L", points=5),

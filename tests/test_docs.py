@@ -14,8 +14,8 @@ from pkgutil import resolve_name
 
 import pytest
 
-from fmuid.diagnosis.change_detection.cause_ranking import ODDS
-from fmuid.diagnosis.change_detection.unexplained_residual import UNEXPLAINED_SHARE
+from fmuid.diagnosis.cause_ranking import ODDS
+from fmuid.diagnosis.unexplained_residual import UNEXPLAINED_SHARE
 from fmuid.estimation.covariance import UNDETERMINED_STD, WEAK_STD
 from fmuid.estimation.identification import VARIANCE_CHANGE
 from fmuid.estimation.marquardt.search import OFFSET_TOLERANCE

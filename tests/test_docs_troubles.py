@@ -256,7 +256,7 @@ def _fails(_: Path, __: pytest.CaptureFixture[str]) -> None:
 @row("it takes long")
 def _long(_: Path, __: pytest.CaptureFixture[str]) -> None:
     given = experiment(recorded())
-    fewer = fmuid.preprocess(given, Preprocessing(resample=5 * STEP))
+    fewer = fmuid.preprocess(given, Preprocessing(resample_interval=5 * STEP))
     assert fewer.times.size == N // 5
     assert identify(Problem(COIL, fewer, FREE))["R"] == pytest.approx(4.0, abs=0.1)
 

@@ -22,8 +22,8 @@ from experiments import calls, pages
 from experiments.coil import study
 from fmuid.array_types import Floats
 from fmuid.diagnosis import Causes
-from fmuid.diagnosis.change_parameters import coordinates_of
-from fmuid.diagnosis.linearisation import LinearizedMachine
+from fmuid.diagnosis.causes import coordinates_of
+from fmuid.diagnosis.linearized_machine import LinearizedMachine
 
 HERE = Path(__file__).parent
 DRIFT = {"R": 0.5, "L": 0.0013}  # Ω, H: standard deviations of what may change without being a fault

@@ -20,10 +20,10 @@ from experiments import calls, pages
 from experiments.coil import calls as coil
 from experiments.coil import study
 from fmuid.diagnosis import Causes
-from fmuid.diagnosis.change_detection.detection import MinPDistribution, detectable
-from fmuid.diagnosis.change_detection.information_matrix import ChangePrior, InformationMatrix, ScoreStatistics
-from fmuid.diagnosis.change_parameters import coordinates_of
-from fmuid.diagnosis.linearisation import LinearizedMachine
+from fmuid.diagnosis.causes import coordinates_of
+from fmuid.diagnosis.change_detection import MinPDistribution, detectable
+from fmuid.diagnosis.information_matrix import ChangePrior, InformationMatrix, ScoreStatistics
+from fmuid.diagnosis.linearized_machine import LinearizedMachine
 
 HERE = Path(__file__).parent
 SHARES, DRAWS, SEED = (0.02, 0.05, 0.10, 0.25, -0.10), 50, 23

@@ -100,7 +100,7 @@ def estimate(
         name: fmuid.Parameter(value, min=0.0, prior=None if mean is None else fmuid.Normal(mean, std))
         for name, value, mean, std in zip(NAMES, start.tolist(), means, PRIOR_STD.tolist(), strict=True)
     }
-    problem = fmuid.Problem(system(), data, parameters, noise=noise or fmuid.Noise(start=NOISE_VARIANCE))
+    problem = fmuid.Problem(system(), data, parameters, noise=noise or fmuid.Noise(initial_variance=NOISE_VARIANCE))
     result = fmuid.identify(problem, remedies=False)  # the search itself is looked at
     if not result.converged:
         raise RuntimeError(f"from {start}: {fmuid.describe(result)}")
@@ -152,7 +152,7 @@ def repetition(data: fmuid.Experiment) -> pd.DataFrame:
     for (prior, mean), first in product(
         {"the chapter's": PRIOR_MEAN, "wrong by 10 std": WRONG_MEAN}.items(), FIRST_VARIANCES
     ):
-        result = estimate(data, prior_mean=mean, noise=fmuid.Noise(start=first))
+        result = estimate(data, prior_mean=mean, noise=fmuid.Noise(initial_variance=first))
         found = result.rounds[[f"estimated.{name}" for name in OUTPUTS]].to_numpy()
         for searches, values in enumerate(np.vstack([np.full(len(OUTPUTS), first), found])):
             outputs = dict(zip(OUTPUTS, values.tolist(), strict=True))

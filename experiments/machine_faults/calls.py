@@ -26,8 +26,8 @@ from experiments.machine_faults.make_tables import SAMPLE_TIME, WARM, simulate
 from fmuid.array_types import Floats
 from fmuid.data.signals import T23
 from fmuid.diagnosis import Causes
-from fmuid.diagnosis.change_parameters import CauseKind, ChangeParameterSet, coordinates_of
-from fmuid.diagnosis.linearisation import LinearizedMachine
+from fmuid.diagnosis.causes import CauseKind, ChangeParameterSet, coordinates_of
+from fmuid.diagnosis.linearized_machine import LinearizedMachine
 
 HERE = Path(__file__).parent
 STD = 0.175  # A, on each of the two phase currents: as much as on ids and iqs in make_tables.py

@@ -19,10 +19,9 @@ from experiments import pages
 from experiments.machine_faults import calls, models
 from experiments.machine_faults.machine import TURNS
 from fmuid.array_types import Floats
-from fmuid.diagnosis.change_detection.causes import Cause
-from fmuid.diagnosis.change_detection.detection import MinPDistribution, detectable
-from fmuid.diagnosis.change_detection.information_matrix import ChangePrior, InformationMatrix, ScoreStatistics
-from fmuid.diagnosis.change_parameters import CauseKind
+from fmuid.diagnosis.causes import Cause, CauseKind
+from fmuid.diagnosis.change_detection import MinPDistribution, detectable
+from fmuid.diagnosis.information_matrix import ChangePrior, InformationMatrix, ScoreStatistics
 
 HERE = Path(__file__).parent
 LEVEL, MISS = 0.01, 0.1

@@ -19,6 +19,8 @@ import pandas as pd
 import fmuid
 from experiments import pages
 from experiments.starts.draws import MACHINES, Record, draw
+from fmuid.estimation import Evaluator, LeastSquares
+from fmuid.identification import identify_by
 
 HERE = Path(__file__).parent
 FMUS = HERE.parents[1] / "fmus"
@@ -72,12 +74,19 @@ def searched(kind: str, seed: int, least: float, most: float, *, remedies: bool)
     """Search from one draw's start; return what came of it."""
     record = draw(kind, seed, least, most)
     whole, began = problem(kind, record), time.process_time()
+    evaluator = Evaluator[LeastSquares](whole)
     row: dict[str, object] = {"kind": kind, "seed": seed, "far": most, "remedies": remedies}
     try:
-        result = fmuid.identify(whole, remedies=remedies)
+        result = identify_by(evaluator, fmuid.Marquardt(), accuracy="refine", remedies=remedies)
     except fmuid.FmuidError:
         spent = time.process_time() - began
-        return row | {"found": False, "outcome": "error", "simulations": whole.simulations, "cpu_s": spent, "way": ""}
+        return row | {
+            "found": False,
+            "outcome": "error",
+            "simulations": evaluator.simulations,
+            "cpu_s": spent,
+            "way": "",
+        }
     spent = time.process_time() - began
     noise = np.sqrt(np.nanmean((record.measured - record.clean) ** 2, axis=0))
     (fit,) = result.fit

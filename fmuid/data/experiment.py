@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import hashlib
 import json
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -25,6 +26,10 @@ from fmuid.units import unit_in_name
 
 _TIME_TOLERANCE = 1e-9
 """Share of the table's duration by which a sample may come before the end of `discard`: times are rounded decimals."""
+
+
+# Hexadecimal digits: that two different series share them has a probability of 1 in 10^19.
+DIGITS = 16
 
 
 @dataclass(frozen=True, eq=False)
@@ -167,6 +172,17 @@ class Experiment(HtmlTableMixin):
         )
         _ = self.input_slopes  # which may be refused
 
+    @classmethod
+    def of_arrays(cls, name: str, times: Floats, outputs: Sequence[str], values: Floats, counted: Flags) -> Self:
+        """Return measurements without inputs and without a table, unchecked; the arrays are those of the attributes."""
+        made = cls.__new__(cls)
+        frame = pd.DataFrame({"time": times} | dict(zip(outputs, values.T, strict=True)))
+        empty = np.empty((len(times), 0))
+        made._set(frame=frame, inputs={}, outputs=dict(zip(outputs, outputs, strict=True)), time="time", units={})
+        made._set(interpolation="linear", discard=0.0, values={}, measured=True, name=name, source="the table")
+        made._set(times=times, input_values=empty, output_values=values, counted=counted)
+        return made
+
     def with_outputs(self, values: npt.ArrayLike) -> Self:
         """Return the same experiment with other measurements; nothing but them is checked again.
 
@@ -200,6 +216,39 @@ class Experiment(HtmlTableMixin):
         """Set fields in spite of the frozen class; arrays become read-only."""
         for name, value in fields.items():
             object.__setattr__(self, name, _frozen(value) if isinstance(value, np.ndarray) else value)
+
+
+@dataclass(frozen=True)
+class MeasuredSeries:
+    """The samples of one output of one experiment that count.
+
+    Attributes
+    ----------
+    experiment, output : str
+    unit : str
+        Of the samples, "" where it is the model's.
+    samples : int
+    digest : str
+        Of their times and values, as the table has them: equal for equal samples, whatever output they are taken for.
+    """
+
+    experiment: str
+    output: str
+    unit: str
+    samples: int
+    digest: str
+
+
+def measured_series(experiment: Experiment) -> tuple[MeasuredSeries, ...]:
+    """Return the series of an experiment, one an output."""
+    found = []
+    for j, output in enumerate(experiment.output_names):
+        counted = experiment.counted[:, j]
+        samples = np.empty((np.count_nonzero(counted), 2), "<f8")
+        samples[:, 0], samples[:, 1] = experiment.times[counted], experiment.output_values[counted, j]
+        digest = hashlib.sha256(samples.data).hexdigest()[:DIGITS]
+        found.append(MeasuredSeries(experiment.name, output, experiment.units.get(output, ""), len(samples), digest))
+    return tuple(found)
 
 
 def _frozen(values: npt.NDArray[Any]) -> npt.NDArray[Any]:

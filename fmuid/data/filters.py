@@ -99,8 +99,8 @@ def low_passed(times: Floats, values: Floats, frequency: float, source: str) -> 
     rate = 1.0 / usual_step(times)
     if not 0 < frequency < rate / 2:
         raise InputError(
-            f"{source}: low_pass = {frequency:g} Hz must lie below half the sample rate, {rate / 2:g} Hz: give a lower "
-            "frequency, or leave it out"
+            f"{source}: lowpass_frequency = {frequency:g} Hz must lie below half the sample rate, {rate / 2:g} Hz: "
+            "give a lower frequency, or leave it out"
         )
     sections = butter(ORDER, frequency, fs=rate, output="sos")
     reach = 3 * (2 * len(sections) + 1)  # what scipy continues at either end by default
@@ -147,7 +147,7 @@ def filled(
     alone = first | (last if how == "linear" else False)
     needed = (times[gone] >= within[0]) & (times[gone] <= within[1])
     limit, said_so = (
-        (MOST_FILLED * usual_step(times), f"{MOST_FILLED} usual steps") if longest is None else (longest, "longest_gap")
+        (MOST_FILLED * usual_step(times), f"{MOST_FILLED} usual steps") if longest is None else (longest, "max_gap")
     )
     long = ~alone & (length > limit * (1 + SAME))
     for bad in np.flatnonzero((alone | long) & needed)[:1]:
@@ -156,7 +156,7 @@ def filled(
             side = "before" if first[bad] else "after"
             raise InputError(f"{said} and none {side} it to fill it from: cut the table there")
         raise InputError(
-            f"{said}, in a gap of {length[bad]:.6g} s, more than {said_so} = {limit:g} s: make longest_gap longer, or "
+            f"{said}, in a gap of {length[bad]:.6g} s, more than {said_so} = {limit:g} s: make max_gap longer, or "
             "cut the table there"
         )
     share = np.where(length > 0, (times[gone] - times[before]) / np.where(length > 0, length, 1.0), 0.0)
@@ -186,7 +186,7 @@ def resampled(
         )
     count = int((times[-1] - times[0]) / step + SAME) + 1
     if count < 2:
-        raise InputError(f"{source}: resample = {step:g} s is longer than the record: give a shorter step")
+        raise InputError(f"{source}: resample_interval = {step:g} s is longer than the record: give a shorter step")
     at = np.minimum(times[0] + step * np.arange(count), times[-1])
     before = np.searchsorted(times, at + SAME * step, side="right") - 1
     same = np.abs(times[before] - at) <= SAME * step

@@ -1,24 +1,30 @@
-"""The noise of the measurements: given in one of several forms, or to be estimated."""
+"""The noise of the measurements: given in one of several forms or to be estimated, and the level of each sample."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
+from annotated_types import Gt
 
-from fmuid.array_types import Floats
+from fmuid.array_types import Floats, Indices
+from fmuid.data.clock import column_of, missing_column
+from fmuid.data.data_file import UNITS, numeric_column
+from fmuid.data.experiment import Experiment
 from fmuid.errors import InputError
 from fmuid.formatting import nearest
+from fmuid.units import parse_unit
 
 # With larger variances, or smaller ones than its inverse, squares of residuals overflow.
 LARGEST_VARIANCE = 1e100
 # Words of which an output has one at most, and those that may name a column or give all samples.
-FORMS, BY_SAMPLE = ("variance", "std", "relative", "weights"), ("std", "weights")
+FORMS, BY_SAMPLE = ("variance", "std", "relative_std", "weights"), ("std", "weights")
 
-Level = float | str | Sequence[float]
+Positive = Annotated[float, Gt(0)]
+Level = Positive | str | Sequence[float]
 """A number, the column of the experiment's table that has one for each row, or all of them, (K,)."""
 
 
@@ -26,31 +32,11 @@ Level = float | str | Sequence[float]
 class Noise:
     """The measurement noise of each output, R_b of (1.37), which is diagonal.
 
-    Each output has its noise by one of `variance`, `std`, `relative` and `weights`, in the units of its table; what
+    Each output has its noise by one of `variance`, `std`, `relative_std` and `weights`, in the units of its table; what
     none of them says is estimated from the residual, and the search repeated until it settles (docs/method.md section
     7). With a robust loss that estimate is robust too: Huber's proposal 2 (`fmuid.data.losses.robust_variance`),
-    because the loss is measured in standard deviations of the noise proper.
-
-    Parameters
-    ----------
-    variance : "estimate", float, or mapping of output to float
-        A number holds for every output.
-    start : float or mapping of output to float, optional
-        Initial variance of the estimation; default: that of the residual at the start of the search.
-    std : float, str, sequence, or mapping of output to such, optional
-        Standard deviations: a number, a column of the table, or one for each sample (K,).
-    relative : float or mapping of output to float, optional
-        The standard deviation as a share of the output's spread, which is the standard deviation of its counted samples
-        about their mean, Σ(y − ȳ)²/K; over all experiments, and of a noise in `experiments` over that one.
-    weights : float, str, sequence, or mapping of output to such, optional
-        A sample of weight w has the variance σ²/w, with one σ² for all outputs that have weights, which is estimated.
-    common : bool or sequence of str
-        Outputs (True: all) that share one estimated variance, the σ̂_b² of (1.61), as if each had the weight 1.
-    period : float, optional
-        After how long, s, the excitation repeats; default: as the inputs show it. Errors of the model that return with
-        it are allowed for in the standard deviations.
-    experiments : mapping of str to Noise
-        What holds in an experiment of that name in place of all this; only the four forms and `period`.
+    because the loss is measured in standard deviations of the noise proper. In Python `std` and `weights` may also be
+    all samples, (K,).
 
     Raises
     ------
@@ -65,17 +51,26 @@ class Noise:
     {'i': 0.0001}
     """
 
-    variance: Literal["estimate"] | float | Mapping[str, float] = "estimate"
-    start: float | Mapping[str, float] | None = None
+    variance: Literal["estimate"] | Positive | Mapping[str, Positive] = "estimate"
+    """of the outputs; or a number for all, or one for each: { output = number }"""
+    initial_variance: Positive | Mapping[str, Positive] | None = None
+    """of [noise] alone: where the estimation of the variance starts; default: from the residual"""
     std: Level | Mapping[str, Level] | None = None
-    relative: float | Mapping[str, float] | None = None
+    """standard deviation: a number, a column of the data with one for each sample, or { output = either }"""
+    relative_std: Positive | Mapping[str, Positive] | None = None
+    """standard deviation as a fraction of the output's spread, the standard deviation of its counted samples: over all
+    experiments, or over the one that says it"""
     weights: Level | Mapping[str, Level] | None = None
-    common: bool | Sequence[str] = False
-    period: float | None = None
-    experiments: Mapping[str, Noise] = field(default_factory=dict)
+    """a sample of weight w has the variance σ²/w, with one σ², estimated, for all outputs that have weights"""
+    shared_variance: bool | Sequence[str] = False
+    """of [noise] alone: outputs that share one estimated variance, a list of names; true: all of them"""
+    excitation_period: Positive | None = None
+    """s after which the excitation repeats, as errors of the model then do; default: what the inputs show"""
+    experiments: Mapping[str, Noise] = field(default_factory=dict, metadata={"key": False})
+    """what holds in an experiment of that name in place of all this; without initial and shared variance"""
 
     def __post_init__(self) -> None:
-        for word in (*FORMS, "start", "period"):
+        for word in (*FORMS, "initial_variance", "excitation_period"):
             given = getattr(self, word)
             if given is None or (word == "variance" and isinstance(given, str) and given == "estimate"):
                 continue
@@ -83,8 +78,8 @@ class Noise:
             found = {output: _checked(word, output, value) for output, value in entries}
             object.__setattr__(self, word, found if isinstance(given, Mapping) else found[""])
         for name, own in self.experiments.items():
-            if own.start is not None or own.common or own.experiments:
-                words = ", ".join((*FORMS, "period"))
+            if own.initial_variance is not None or own.shared_variance or own.experiments:
+                words = ", ".join((*FORMS, "excitation_period"))
                 raise InputError(f"the noise of experiment {name!r} has {words} only: say the rest of all")
 
     def form(self, output: str) -> tuple[str, Any]:
@@ -104,7 +99,7 @@ class Noise:
     def period_in(self, experiment: str) -> float | None:
         """Return after how long, s, the excitation of an experiment repeats, as far as that is said."""
         own = self.experiments.get(experiment)
-        return self.period if own is None or own.period is None else own.period
+        return self.excitation_period if own is None or own.excitation_period is None else own.excitation_period
 
     def among(self, experiments: Sequence[str]) -> Noise:
         """Return the noise of some experiments, by their names."""
@@ -118,7 +113,7 @@ class Noise:
         InputError
             If the noise is said in another form.
         """
-        for word in ("std", "relative", "weights", "common", "period", "experiments"):
+        for word in ("std", "relative_std", "weights", "shared_variance", "excitation_period", "experiments"):
             if getattr(self, word):
                 raise InputError(f"a diagnosis takes the noise as noise.variance alone: leave noise.{word} out")
         return None if isinstance(self.variance, str) else self.variance
@@ -131,9 +126,13 @@ class Noise:
         InputError
             If one is not.
         """
-        for word in (*FORMS, "start", "common"):
+        for word in (*FORMS, "initial_variance", "shared_variance"):
             given = getattr(self, word)
-            names = given if isinstance(given, Mapping) or (word == "common" and not isinstance(given, bool)) else ()
+            names = (
+                given
+                if isinstance(given, Mapping) or (word == "shared_variance" and not isinstance(given, bool))
+                else ()
+            )
             for output in names:
                 if output not in outputs:
                     raise InputError(
@@ -152,7 +151,7 @@ class Noise:
 
     def first(self, outputs: Sequence[str]) -> Floats:
         """Return the variance that each output starts from, NaN where the residual at the start decides."""
-        starts = [_of(self.start, output) for output in outputs]
+        starts = [_of(self.initial_variance, output) for output in outputs]
         return np.array([math.nan if value is None else value for value in starts])
 
 
@@ -181,3 +180,201 @@ def _checked(word: str, output: str, value: Any) -> Any:
     if not 1.0 / LARGEST_VARIANCE < value ** (2 if word == "std" else 1) < LARGEST_VARIANCE:
         raise InputError(f"the noise {word}{of} is {value:g}, too extreme to calculate with; change the unit")
     return float(value)
+
+
+@dataclass(frozen=True, eq=False)
+class NoiseLevels:
+    """The standard deviation of each counted sample's noise: scale · √variance of its output.
+
+    Attributes
+    ----------
+    variance : (n_outputs,) array
+        The mean variance of the output's samples where it is given, NaN where it is estimated.
+    first : (n_outputs,) array
+        Where its estimation starts, NaN where the residual decides.
+    scale : (n,) array or None
+        Of mean square 1 over each output; None: 1 throughout.
+    share : (n_outputs,) array
+        Estimated variances of one pool are in these proportions.
+    pools : tuple of arrays of int
+        The outputs that have an estimated variance in common.
+    """
+
+    variance: Floats
+    first: Floats
+    scale: Floats | None
+    share: Floats
+    pools: tuple[Indices, ...]
+
+    def pooled(self, sums: Floats, free: Floats | Indices) -> Floats:
+        """Return sums of squares (..., n_outputs) with those of a pool shared out as their common variance has them.
+
+        Parameters
+        ----------
+        sums : (..., n_outputs) array
+        free : (n_outputs,) array
+            How many samples, or degrees of freedom, each output brings: sums over them are the variances.
+        """
+        if not self.pools:
+            return sums
+        found = np.array(sums)
+        for pool in self.pools:
+            common = (sums[..., pool] / self.share[pool]).sum(axis=-1) / free[pool].sum()
+            found[..., pool] = common[..., None] * self.share[pool] * free[pool]
+        return found
+
+
+def noise_levels(noise: Noise, experiments: Sequence[Experiment], outputs: Sequence[str]) -> NoiseLevels:
+    """Return the noise of all counted samples, experiment by experiment, sample by sample.
+
+    Raises
+    ------
+    InputError
+        If a name is unknown, an output has two forms of noise, is given in one experiment and estimated in another, or
+        what is given is not a positive number for each counted sample.
+    """
+    noise.check_names(outputs)
+    names = [each.name for each in experiments]
+    for name, own in noise.experiments.items():
+        if name not in names:
+            raise InputError(f"noise is given of {name!r}, which is no experiment{nearest(name, names)}")
+        own.check_names(experiments[names.index(name)].output_names)
+    forms: dict[str, list[str]] = {}  # of each output in each of its experiments
+    found: list[list[Any]] = []
+    for each in experiments:
+        said = [_variances(noise, experiments, each, output) for output in each.output_names]
+        found.append([level for level, _ in said])
+        for output, (_, word) in zip(each.output_names, said, strict=True):
+            forms.setdefault(output, []).append(word)
+    given = np.array([_is_given(output, forms[output]) for output in outputs])
+    share, scale = _proportions(experiments, found, outputs)
+    pool = np.array([_is_pooled(noise, output, forms[output]) for output in outputs])
+    if pool.sum() == 1 and scale is None and "weights" in forms[alone := outputs[int(np.argmax(pool))]]:
+        raise InputError(
+            f"noise.weights are of output {alone!r} alone and the same for all its samples, which weighs nothing: "
+            "give weights of other outputs, or a column"
+        )
+    pools = (np.flatnonzero(pool),) if pool.sum() > 1 else ()
+    return NoiseLevels(np.where(given, share, math.nan), noise.first(outputs), scale, share, pools)
+
+
+def _variances(noise: Noise, experiments: Sequence[Experiment], experiment: Experiment, output: str) -> tuple[Any, str]:
+    """Return the variance of an output's samples in an experiment, of weights their proportions, and the form."""
+    own = noise.experiments.get(experiment.name, Noise())
+    word, level = own.form(output)
+    among = [experiment]
+    if not word:
+        word, level = noise.form(output)
+        among = [each for each in experiments if output in each.output_names]
+    if word == "variance":
+        return level, word
+    if word == "relative_std":
+        return (level * _spread(among, output)) ** 2, word
+    if not word:
+        return 1.0, ""
+    values = level if isinstance(level, float) else _samples(experiment, output, word, level)
+    with np.errstate(divide="ignore"):
+        return (values**2 if word == "std" else 1.0 / values), word
+
+
+def _spread(experiments: Sequence[Experiment], output: str) -> float:
+    """Return the standard deviation of the counted samples of an output about their mean."""
+    columns = [each.output_names.index(output) for each in experiments]
+    parts = [each.output_values[:, j][each.counted[:, j]] for each, j in zip(experiments, columns, strict=True)]
+    values = np.concatenate(parts)
+    spread = float(np.std(values)) if values.size else math.nan
+    if spread == 0.0:
+        raise InputError(
+            f"output {output!r} is the same in all samples: a share of its spread is no noise; give noise.std"
+        )
+    return spread
+
+
+def _samples(experiment: Experiment, output: str, word: str, level: str | tuple[float, ...]) -> Floats:
+    """Return the standard deviations or weights (K,) of an output's samples."""
+    counted = experiment.counted[:, experiment.output_names.index(output)]
+    what = f"noise.{word} of output {output!r}"
+    if isinstance(level, str):
+        if not experiment.measured:
+            return np.full(len(counted), math.nan)
+        values, where = _column(experiment, output, level, convert=word == "std")
+    else:
+        values, where = np.array(level), what
+        if values.size != len(counted):
+            raise InputError(
+                f"{what} has {values.size} values for {len(counted)} samples of experiment {experiment.name!r}"
+            )
+    bad = np.flatnonzero(counted & ~((values > 0) & np.isfinite(values)))
+    if bad.size:
+        found = "has no value" if np.isnan(values[bad[0]]) else f"is {values[bad[0]]:g}"
+        raise InputError(
+            f"{where} {found} in row {bad[0] + 1} (t = {experiment.times[bad[0]]:.9g} s), where the output counts: "
+            "give a positive number, or leave the output's cell empty"
+        )
+    return np.where(counted, values, 1.0)
+
+
+def _column(experiment: Experiment, output: str, column: str, *, convert: bool) -> tuple[Floats, str]:
+    """Return a column of an experiment's table, in the unit of the output's, and what messages call it."""
+    frame, source = experiment.frame, experiment.source
+    name = column_of([str(each) for each in frame.columns], column) or column
+    if name not in frame.columns:
+        raise InputError(f"{source}: {missing_column('noise', column, frame.columns)}")
+    values = np.array(numeric_column(frame, name, source))
+    mine, its = frame.attrs.get(UNITS, {}).get(name), experiment.units.get(output)
+    if convert and mine and its and mine != its:
+        one, other = parse_unit(mine), parse_unit(its)
+        if one is None or other is None or one.exponents != other.exponents:
+            raise InputError(f"{source}: the noise column {name!r} is in {mine}, and output {output!r} in {its}")
+        values *= one.factor / other.factor
+    return values, f"{source}: the noise column {name!r}"
+
+
+def _is_given(output: str, forms: Sequence[str]) -> bool:
+    """Return whether the variance of an output is given, in all its experiments or none."""
+    found = {form in ("variance", "std", "relative_std") for form in forms}
+    if len(found) > 1:
+        raise InputError(
+            f"the noise of output {output!r} is given in one experiment and to be estimated in another: "
+            "give it in all of them, or weights"
+        )
+    return found.pop()
+
+
+def _is_pooled(noise: Noise, output: str, forms: Sequence[str]) -> bool:
+    """Return whether an output has its estimated variance in common with others."""
+    common = noise.shared_variance if isinstance(noise.shared_variance, bool) else output in noise.shared_variance
+    if common and not isinstance(noise.shared_variance, bool) and _is_given(output, forms):
+        raise InputError(
+            f"noise.shared_variance names output {output!r}, whose noise is given: leave one of the two out"
+        )
+    return (common or "weights" in forms) and not _is_given(output, forms)
+
+
+def _proportions(
+    experiments: Sequence[Experiment], levels: Sequence[Sequence[Any]], outputs: Sequence[str]
+) -> tuple[Floats, Floats | None]:
+    """Return the mean variance of each output (n_outputs,), and the square roots of the samples' shares of it (n,).
+
+    The levels are those of each output of each experiment, a number or one a sample.
+    """
+    pairs = [
+        pair for each, own in zip(experiments, levels, strict=True) for pair in zip(each.output_names, own, strict=True)
+    ]
+    last = dict(pairs)
+    if all(np.ndim(level) == 0 for _, level in pairs) and all(level == last[output] for output, level in pairs):
+        return np.array([last[output] for output in outputs]), None
+    blocks, groups = [], []
+    for each, own in zip(experiments, levels, strict=True):
+        blocks.append(np.stack(np.broadcast_arrays(*own, each.times)[:-1], axis=1)[each.counted])
+        columns = np.array([outputs.index(name) for name in each.output_names], dtype=np.intp)
+        groups.append(np.broadcast_to(columns, each.counted.shape)[each.counted])
+    rows, group = np.concatenate(blocks), np.concatenate(groups)
+    scale, mean = np.ones(rows.size), np.full(len(outputs), math.nan)  # NaN of what is not measured yet
+    for j in range(len(outputs)):
+        own_rows = rows[group == j]
+        if own_rows.size and np.isfinite(own_rows).all():
+            same = bool((own_rows == own_rows[0]).all())
+            mean[j] = own_rows[0] if same else own_rows.mean()
+            scale[group == j] = 1.0 if same else np.sqrt(own_rows / mean[j])
+    return mean, None if (scale == 1.0).all() else scale

@@ -1,15 +1,15 @@
-"""Interfaces between least squares and models: predictors, their predictions, and measurements."""
+"""Interfaces between least squares and models: predictors and their predictions."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from fmuid.array_types import Flags, Floats
+from fmuid.array_types import Floats
 from fmuid.errors import InputError, SimulationError
 
 
@@ -30,46 +30,6 @@ class Predictor(Protocol):
 
     def many(self, thetas: ArrayLike) -> Predictions:
         """Simulate thetas (m, N_i)."""
-
-
-class Measurements(Protocol):
-    """The measurements of one experiment; `fmuid.Experiment` is one."""
-
-    @property
-    def name(self) -> str:
-        """Name of the experiment."""
-
-    @property
-    def times(self) -> Floats:
-        """Sampling times (K,), s."""
-
-    @property
-    def output_names(self) -> tuple[str, ...]:
-        """The measured outputs."""
-
-    @property
-    def output_values(self) -> Floats:
-        """Their samples (K, n_outputs), NaN where missing."""
-
-    @property
-    def counted(self) -> Flags:
-        """Which samples take part in the criterion (K, n_outputs)."""
-
-    @property
-    def units(self) -> Mapping[str, str]:
-        """The units of outputs that are not in the model's."""
-
-
-@dataclass(frozen=True, eq=False)
-class ArrayMeasurements:
-    """Measurements without an FMU behind them; the attributes are those of `Measurements`."""
-
-    name: str
-    times: Floats
-    output_names: tuple[str, ...]
-    output_values: Floats
-    counted: Flags
-    units: Mapping[str, str] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, eq=False)

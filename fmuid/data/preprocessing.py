@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
-from typing import TypeVar
+from dataclasses import dataclass, field, fields, replace
+from typing import Annotated, Literal, TypeVar
 
 import numpy as np
 import pandas as pd
+from annotated_types import Gt
 
 from fmuid.array_types import Floats
 from fmuid.data.clock import column_of, missing_column
@@ -32,78 +33,76 @@ FILLS = ("linear", "zoh")
 class ParkTransform:
     """Three phases as two axes that turn, or the way back (docs/method.md section 8).
 
-    Attributes
-    ----------
-    columns : tuple of str
-        Three phases, which become two axes, or two axes, which become three phases.
-    names : tuple of str
-        The new columns.
-    angle : str or None
-        The column of the electrical angle (rad, or what the table says); without it `speed` is integrated.
-    speed : str or None
-        The column of the speed (rad/s, or what the table says).
-    pole_pairs : float
-        What angle and speed are multiplied by: 1 where they are electrical.
-    start : float
-        The electrical angle where the integration begins, rad.
-
     Examples
     --------
     >>> phases = {"ia": [3.0, 3.0], "ib": [-1.5, -1.5], "ic": [-1.5, -1.5]}
     >>> table = pd.DataFrame({"time": [0.0, 0.1], "w": [0.0, 0.0], **phases})
     >>> axes = fmuid.ParkTransform(("ia", "ib", "ic"), ("id", "iq"), speed="w", pole_pairs=2)
-    >>> fmuid.preprocess(table, fmuid.data.Preprocessing(axes=[axes]))["id"].round(3).tolist()
+    >>> fmuid.preprocess(table, fmuid.data.Preprocessing(park=(axes,)))["id"].round(3).tolist()
     [3.674, 3.674]
     """
 
-    columns: tuple[str, ...]
-    names: tuple[str, ...]
+    source: tuple[str, ...]
+    """three phases, which become two axes, or two axes, which become three phases"""
+    target: tuple[str, ...]
+    """the new columns"""
     angle: str | None = None
+    """the column of the angle, rad or what the data say; default: speed is integrated"""
     speed: str | None = None
-    pole_pairs: float = 1.0
-    start: float = 0.0
+    """the column of the speed, rad/s or what the data say"""
+    pole_pairs: Annotated[float, Gt(0)] = 1.0
+    """what angle or speed are multiplied by; 1 where they are electrical"""
+    initial_angle: float = 0.0
+    """the electrical angle where the integration begins, rad"""
+
+    def __post_init__(self) -> None:
+        if sorted((len(self.source), len(self.target))) != [2, 3]:
+            raise InputError("source and target are of other lengths: name three phases and two axes, either way round")
+        if (self.angle is None) == (self.speed is None):
+            raise InputError(
+                f"the axes {', '.join(self.target)} need an angle or a speed, one of the two: name the column"
+            )
 
 
 @dataclass(frozen=True)
 class Preprocessing:
-    """What is done with a table, in this order.
+    """What is done with the data, in this order."""
 
-    Attributes
-    ----------
-    columns : mapping of str to str
-        New columns, or others in place of what is there, by expressions (`fmuid.data.expressions`), one
-        after the other.
-    axes : sequence of ParkTransform
-    low_pass : float or None
-        Hz: signals without what is faster (`fmuid.data.filters.low_passed`).
-    start, end : float or None
-        Times, s, between which the table is kept.
-    resample : float or None
-        Step of time, s.
-    detrend : "mean", "linear", mapping of str to these, or None
-        What is taken from signals, or from some.
-    fill : mapping of str to "linear" or "zoh"
-        Columns whose missing samples are filled, after `columns` and before `axes`; rows that are missing, too
-        (`fmuid.data.filters.missing_rows`).
-    longest_gap : float or None
-        s: a longer one is not filled; None: 20 usual steps (`fmuid.data.filters.filled`).
-    """
+    computed_columns: Mapping[str, str] = field(default_factory=dict)
+    """columns computed from others, { x = "pulses * 35.1 + vir" }, also in place of what is there"""
+    fill_missing: Mapping[str, Literal["linear", "zoh"]] = field(default_factory=dict)
+    """inputs whose missing samples are filled, { u = "linear" }, or "zoh", the sample before"""
+    max_gap: Annotated[float, Gt(0)] | None = None
+    """s: a longer gap is not filled but refused; default: 20 usual steps"""
+    park: tuple[ParkTransform, ...] = ()
+    """phases transformed to turning axes, or back"""
+    lowpass_frequency: Annotated[float, Gt(0)] | None = None
+    """Hz: inputs and outputs without what is faster, nothing shifted in time"""
+    start_time: float | None = None
+    """s: the data are kept from there"""
+    end_time: float | None = None
+    """s: and up to there"""
+    resample_interval: Annotated[float, Gt(0)] | None = None
+    """step of time, s"""
+    detrend: Literal["mean", "linear"] | Mapping[str, Literal["mean", "linear"]] | None = None
+    """what is taken from inputs and outputs, or from some columns: { column = trend }"""
 
-    columns: Mapping[str, str] = field(default_factory=dict)
-    axes: Sequence[ParkTransform] = ()
-    low_pass: float | None = None
-    start: float | None = None
-    end: float | None = None
-    resample: float | None = None
-    detrend: str | Mapping[str, str] | None = None
-    fill: Mapping[str, str] = field(default_factory=dict)
-    longest_gap: float | None = None
+    def __post_init__(self) -> None:
+        if self.start_time is not None and self.end_time is not None and self.end_time < self.start_time:
+            times = f"start_time = {self.start_time:g} and end_time = {self.end_time:g}"
+            raise InputError(f"{times}: give the earlier time first")
+        if self.max_gap is not None and not self.fill_missing:
+            raise InputError('max_gap without anything to fill: name the columns, fill_missing = { u = "linear" }')
 
     @property
     def by_rows(self) -> bool:
         """Whether each row is made of itself alone, so that a table can be prepared piece by piece."""
-        alone = Preprocessing(self.columns, self.axes)
-        return self == alone and all(each.angle is not None for each in self.axes)
+        return self._asked <= {"computed_columns", "park"} and all(each.angle is not None for each in self.park)
+
+    @property
+    def _asked(self) -> set[str]:
+        """The fields that ask for something."""
+        return {each.name for each in fields(Preprocessing) if getattr(self, each.name) not in (None, {}, ())}
 
     def applied(
         self,
@@ -132,26 +131,26 @@ class Preprocessing:
         InputError
             If something is asked for that the table does not allow.
         """
-        if self == Preprocessing():
+        if not self._asked:
             return frame
         work, between = _Work(frame, time, source), interpolation or {}
-        work.derive(self.columns)
+        work.derive(self.computed_columns)
         work.fill(self)
-        for each in self.axes:
+        for each in self.park:
             work.turn(each)
         names = work.signals(signals)
-        if self.low_pass is not None:
+        if self.lowpass_frequency is not None:
             for column in names:
                 if between.get(column) in HELD:
                     raise InputError(
                         f'{source}: {column!r} holds between samples (interpolation = "zoh") and is low-passed: what '
                         "is filtered does not hold; leave out one of the two"
                     )
-            work.put(names, low_passed(work.times, work.values(names), self.low_pass, source))
-        work.cut(self.start, self.end)
-        if self.resample is not None:
+            work.put(names, low_passed(work.times, work.values(names), self.lowpass_frequency, source))
+        work.cut(self.start_time, self.end_time)
+        if self.resample_interval is not None:
             how = [between.get(column, "linear") for column in names]
-            work.set(*resampled(work.times, work.values(names), how, self.resample, source), names)
+            work.set(*resampled(work.times, work.values(names), how, self.resample_interval, source), names)
         work.detrend(names, self.detrend)
         return work.frame
 
@@ -220,38 +219,37 @@ class _Work:
             self.put([name], np.where(np.isfinite(values), values, np.nan)[:, None])
 
     def fill(self, asked: Preprocessing) -> None:
-        if asked.fill:
-            times, rows = with_missing_rows(self.times, asked.longest_gap or 0.0)
+        if asked.fill_missing:
+            times, rows = with_missing_rows(self.times, asked.max_gap or 0.0)
             self.frame = self.frame.reset_index(drop=True).reindex(rows).reset_index(drop=True)
             self.put([self.time], times[:, None])
-        within = _kept(self.times, asked.start, asked.end)
-        for name, how in asked.fill.items():
+        within = _kept(self.times, asked.start_time, asked.end_time)
+        for name, how in asked.fill_missing.items():
             if how not in FILLS:
-                raise InputError(f'{self.source}: fill = {how!r} is not known: write "linear" or "zoh"')
+                raise InputError(f'{self.source}: fill_missing = {how!r} is not known: write "linear" or "zoh"')
             values, called = self.column(name), f"{self.source}: the column {name!r}"
             found = column_of([str(column) for column in self.frame.columns], name) or name
-            self.put([found], filled(self.times, values, how, asked.longest_gap, within, called)[:, None])
+            self.put([found], filled(self.times, values, how, asked.max_gap, within, called)[:, None])
 
     def turn(self, axes: ParkTransform) -> None:
-        unit = {self.unit(name) for name in axes.columns}
+        unit = {self.unit(name) for name in axes.source}
         if len(unit) > 1:
-            said = ", ".join(f"{name} in {self.unit(name) or 'no unit'}" for name in axes.columns)
+            said = ", ".join(f"{name} in {self.unit(name) or 'no unit'}" for name in axes.source)
             raise InputError(f"{self.source}: {said}: phases and axes that are transformed must have one unit")
-        names = [column_of([str(each) for each in self.frame.columns], name) or name for name in axes.columns]
+        names = [column_of([str(each) for each in self.frame.columns], name) or name for name in axes.source]
         angle = "\0"
         frame = self.frame.assign(**{angle: self._angle(axes)})
-        turned = (park_transform if len(names) == 3 else inverse_park)(frame, names, axes.names, angle)
+        turned = (park_transform if len(names) == 3 else inverse_park)(frame, names, axes.target, angle)
         self.frame = turned.drop(columns=angle)
         if (shared := unit.pop()) is not None:
-            self.units |= dict.fromkeys(axes.names, shared)
+            self.units |= dict.fromkeys(axes.target, shared)
         self._keep_units()
 
     def _angle(self, axes: ParkTransform) -> Floats:
         """Return the electrical angle, rad."""
         if axes.angle is not None:
             return axes.pole_pairs * self._in("rad", axes.angle)
-        if axes.speed is None:
-            raise InputError(f"{self.source}: the axes {', '.join(axes.names)} need an angle or a speed")
+        assert axes.speed is not None
         speed = axes.pole_pairs * self._in("rad/s", axes.speed)
         if not np.isfinite(speed).all():
             row = int(np.flatnonzero(~np.isfinite(speed))[0]) + 1
@@ -259,7 +257,7 @@ class _Work:
                 f"{self.source}: the speed {axes.speed!r} has no value in row {row}: fill it, to integrate it"
             )
         steps = np.diff(self.times) * (speed[1:] + speed[:-1]) / 2
-        return np.asarray(axes.start + np.concatenate([[0.0], np.cumsum(steps)]))
+        return np.asarray(axes.initial_angle + np.concatenate([[0.0], np.cumsum(steps)]))
 
     def _in(self, unit: str, name: str) -> Floats:
         """Return a column in a unit, which is what it is in where the table says nothing."""
@@ -325,7 +323,7 @@ def preprocess(given: Table, preparation: Preprocessing, *, time: str = "time") 
     Examples
     --------
     >>> frame = pd.DataFrame({"time": [0.0, 0.1, 0.2, 0.3], "pulses": [0.0, 2.0, 4.0, 6.0]})
-    >>> how = fmuid.data.Preprocessing({"x": "pulses / 2 + 1"}, start=0.1, resample=0.2)
+    >>> how = fmuid.data.Preprocessing({"x": "pulses / 2 + 1"}, start_time=0.1, resample_interval=0.2)
     >>> fmuid.preprocess(frame, how)["x"].tolist()
     [2.0, 4.0]
     """

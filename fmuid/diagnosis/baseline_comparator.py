@@ -11,14 +11,13 @@ import numpy as np
 from fmuid.array_types import Floats
 from fmuid.blas import single_threaded
 from fmuid.data import Experiment
-from fmuid.diagnosis.baseline.baseline import Baseline
-from fmuid.diagnosis.baseline.stored_baseline import BaselineSource, MachineDigest, StoredBaseline
-from fmuid.diagnosis.baseline.whitening import Whitening, whitening_of
+from fmuid.diagnosis.baseline import Baseline, BaselineSource, MachineDigest, StoredBaseline
 from fmuid.diagnosis.cause_analysis import BaselineStatistics, error_of, healthy_of, shown_by
-from fmuid.diagnosis.change_detection.information_matrix import ChangePrior
-from fmuid.diagnosis.change_parameters import OPEN, Causes, ChangeParameterSet, coordinates_of
+from fmuid.diagnosis.causes import OPEN, Causes, ChangeParameterSet, coordinates_of
 from fmuid.diagnosis.faults import Fault
-from fmuid.diagnosis.linearisation import LinearizedMachine
+from fmuid.diagnosis.information_matrix import ChangePrior
+from fmuid.diagnosis.linearized_machine import LinearizedMachine
+from fmuid.diagnosis.prewhitening import Whitening, whitening_of
 from fmuid.errors import InputError
 from fmuid.formatting import nearest
 from fmuid.models import System

@@ -16,18 +16,19 @@ import numpy as np
 
 from fmuid.array_types import Floats
 from fmuid.data import Experiment
-from fmuid.diagnosis.baseline.stored_baseline import StoredBaseline
-from fmuid.diagnosis.baseline.whitening import Whitening, whitening_of
-from fmuid.diagnosis.change_detection.cause_ranking import MODEL_ERROR, CauseRanking, name
-from fmuid.diagnosis.change_detection.causes import Cause
-from fmuid.diagnosis.change_detection.detection import MinPDistribution, fit
-from fmuid.diagnosis.change_detection.information_matrix import (
+from fmuid.diagnosis.baseline import StoredBaseline
+from fmuid.diagnosis.cause_ranking import MODEL_ERROR, CauseRanking, name
+from fmuid.diagnosis.causes import OPEN, Cause, ChangeParameterSet
+from fmuid.diagnosis.change_detection import MinPDistribution, fit
+from fmuid.diagnosis.information_matrix import (
     ChangePrior,
     InformationMatrix,
     ScoreStatistics,
     is_determined,
 )
-from fmuid.diagnosis.change_detection.unexplained_residual import (
+from fmuid.diagnosis.linearized_machine import LinearizedMachine
+from fmuid.diagnosis.prewhitening import Whitening, whitening_of
+from fmuid.diagnosis.unexplained_residual import (
     NOTHING_LEFT,
     UnexplainedResidual,
     change,
@@ -35,8 +36,6 @@ from fmuid.diagnosis.change_detection.unexplained_residual import (
     probability,
     regression,
 )
-from fmuid.diagnosis.change_parameters import OPEN, ChangeParameterSet
-from fmuid.diagnosis.linearisation import LinearizedMachine
 from fmuid.errors import SimulationError
 
 
@@ -193,7 +192,7 @@ def examine(
     level : float
         Probability of an alarm where nothing is new.
     model_error : float
-        κ (`fmuid.diagnosis.change_detection.cause_ranking`).
+        κ (`fmuid.diagnosis.cause_ranking`).
 
     Raises
     ------

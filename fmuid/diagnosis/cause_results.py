@@ -11,14 +11,13 @@ import numpy as np
 from pydantic import BeforeValidator
 from scipy import special
 
-from fmuid.diagnosis.baseline.stored_baseline import BaselineSource
+from fmuid.diagnosis.baseline import BaselineSource
 from fmuid.diagnosis.cause_analysis import Examination
-from fmuid.diagnosis.change_detection.cause_ranking import angle
-from fmuid.diagnosis.change_detection.causes import Cause
-from fmuid.diagnosis.change_detection.detection import CauseFit, fit, probability
-from fmuid.diagnosis.change_detection.unexplained_residual import UnexplainedResidual
-from fmuid.diagnosis.change_parameters import CauseKind, ChangeParameterSet, name_of
+from fmuid.diagnosis.cause_ranking import angle
+from fmuid.diagnosis.causes import Cause, CauseKind, ChangeParameterSet, name_of
+from fmuid.diagnosis.change_detection import CauseFit, fit, probability
 from fmuid.diagnosis.faults import Fault
+from fmuid.diagnosis.unexplained_residual import UnexplainedResidual
 from fmuid.estimation import check_level
 
 

@@ -20,19 +20,18 @@ import pandas as pd
 
 from fmuid.blas import single_threaded
 from fmuid.data import Experiment
-from fmuid.diagnosis.baseline.baseline import Baseline
+from fmuid.diagnosis.baseline import Baseline
 from fmuid.diagnosis.baseline_comparator import BaselineComparator
-from fmuid.diagnosis.change_detection.cause_ranking import MODEL_ERROR, angle, distinguishable_size
-from fmuid.diagnosis.change_detection.causes import Cause
-from fmuid.diagnosis.change_detection.detection import FALSE_ALARM_LEVEL, MinPDistribution, detectable
-from fmuid.diagnosis.change_detection.information_matrix import (
+from fmuid.diagnosis.cause_ranking import MODEL_ERROR, angle, distinguishable_size
+from fmuid.diagnosis.causes import Cause, CauseKind, Causes
+from fmuid.diagnosis.change_detection import FALSE_ALARM_LEVEL, MinPDistribution, detectable
+from fmuid.diagnosis.faults import Fault
+from fmuid.diagnosis.information_matrix import (
     ChangePrior,
     InformationMatrix,
     ScoreStatistics,
     is_determined,
 )
-from fmuid.diagnosis.change_parameters import CauseKind, Causes
-from fmuid.diagnosis.faults import Fault
 from fmuid.errors import InputError
 from fmuid.estimation import Result, check_level
 from fmuid.models import FMU, System

@@ -20,18 +20,17 @@ from scipy import special
 
 from fmuid.blas import single_threaded
 from fmuid.data import Experiment, Noise, Parameter
-from fmuid.diagnosis.baseline.baseline import Baseline
-from fmuid.diagnosis.baseline.stored_baseline import BaselineSource
+from fmuid.diagnosis.baseline import Baseline, BaselineSource
 from fmuid.diagnosis.baseline_comparator import BaselineComparator
 from fmuid.diagnosis.cause_analysis import Examination, examine
+from fmuid.diagnosis.cause_ranking import MODEL_ERROR, OWN_SHARE
 from fmuid.diagnosis.cause_results import ChangeEvidence, EstimatedChange, Explanation
-from fmuid.diagnosis.change_detection.cause_ranking import MODEL_ERROR, OWN_SHARE
-from fmuid.diagnosis.change_detection.detection import FALSE_ALARM_LEVEL
-from fmuid.diagnosis.change_detection.unexplained_residual import UNEXPLAINED_SHARE, VarianceRatio
-from fmuid.diagnosis.change_parameters import CauseKind, Causes
+from fmuid.diagnosis.causes import CauseKind, Causes
+from fmuid.diagnosis.change_detection import FALSE_ALARM_LEVEL
 from fmuid.diagnosis.diagnosis_result import BaselineDeviation, Diagnosis
 from fmuid.diagnosis.faults import Fault
-from fmuid.diagnosis.linearisation import LinearizedMachine
+from fmuid.diagnosis.linearized_machine import LinearizedMachine
+from fmuid.diagnosis.unexplained_residual import UNEXPLAINED_SHARE, VarianceRatio
 from fmuid.errors import InputError
 from fmuid.estimation import SENSITIVITIES, Marquardt, Result, check_level
 from fmuid.formatting import nearest
@@ -238,7 +237,7 @@ def _fitted(
         values={**fault.values, **held},
         sensitivity=how.sensitivity,
     )
-    problem.simulate_by(baseline.refinement)  # that of the healthy record, whose estimates are the prior
+    problem = problem.finer(baseline.refinement)  # that of the healthy record, whose estimates are the prior
     bounds = zip(start, searched.values(), strict=True)
     return identify(
         problem,

@@ -11,7 +11,7 @@ import pandas as pd
 
 from fmuid import codec
 from fmuid.diagnosis.cause_results import ChangeEvidence, EstimatedChange
-from fmuid.diagnosis.change_detection.unexplained_residual import VarianceRatio
+from fmuid.diagnosis.unexplained_residual import VarianceRatio
 from fmuid.display_mixins import PlotMixin
 from fmuid.errors import InputError
 from fmuid.estimation import Result, SolverCheck

@@ -1,3 +1,4 @@
+from .cache import Cache as Cache
 from .cost_components import misfits as misfits
 from .cost_components import refuse_loss as refuse_loss
 from .cost_components import variances as variances
@@ -8,6 +9,7 @@ from .covariance import Identifiability as Identifiability
 from .covariance import WeakDirection as WeakDirection
 from .covariance import check_level as check_level
 from .covariance import local_covariance as local_covariance
+from .evaluator import Evaluator as Evaluator
 from .finite_differences import SensitivityError as SensitivityError
 from .finite_differences import parabola_slope as parabola_slope
 from .global_search.box import Box as Box
@@ -15,8 +17,7 @@ from .global_search.box import spans_decades as spans_decades
 from .global_search.optima import merge_optima as merge_optima
 from .global_search.optima import optima_table as optima_table
 from .global_search.search import GlobalSearch as GlobalSearch
-from .identification import identify as identify
-from .identification import waypoints as waypoints
+from .identification import estimate as estimate
 from .linear_models.equations import equation_error as equation_error
 from .linear_models.equations import instrumental_variables as instrumental_variables
 from .linear_models.estimate import Estimator as Estimator
@@ -24,7 +25,7 @@ from .linear_models.estimate import LinearEstimate as LinearEstimate
 from .linear_models.estimate import linear_least_squares as linear_least_squares
 from .linear_models.filters import Term as Term
 from .linearized_problem import LinearizedProblem as LinearizedProblem
-from .marquardt.jacobian_cache import JacobianCache as JacobianCache
+from .local_optimum import Optimum as Optimum
 from .marquardt.outcome import TerminationReason as TerminationReason
 from .marquardt.search import State as State
 from .marquardt.search import search as search
@@ -36,9 +37,9 @@ from .method import Method as Method
 from .model_sensitivities import SENSITIVITIES as SENSITIVITIES
 from .model_sensitivities import SensitivityMethod as SensitivityMethod
 from .noise.autoregression import Autoregression as Autoregression
-from .noise.autoregression import autoregression as autoregression
 from .noise.model import NoiseModel as NoiseModel
-from .noise.model import innovations_matrix as innovations_matrix
+from .noise.model import common_process as common_process
+from .noise.output_series import OutputSeries as OutputSeries
 from .noise.output_series import output_series as output_series
 from .noise.output_series import table_grid as table_grid
 from .noise.sample_grid import Rows as Rows
@@ -55,7 +56,6 @@ from .noise.whiteness_tests import normality as normality
 from .noise.whiteness_tests import whiteness as whiteness
 from .problem import LeastSquares as LeastSquares
 from .result import RESULT_SCHEMA as RESULT_SCHEMA
-from .result import Optimum as Optimum
 from .result import Result as Result
 from .simulation_noise import SimulationNoise as SimulationNoise
 from .solver_check.check import estimate_solver_error as estimate_solver_error

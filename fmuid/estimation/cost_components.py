@@ -9,6 +9,7 @@ import numpy as np
 
 from fmuid.array_types import Floats
 from fmuid.errors import InputError
+from fmuid.estimation.evaluator import Evaluator
 from fmuid.estimation.problem import LeastSquares
 from fmuid.estimation.result import Result
 
@@ -50,17 +51,18 @@ class CostComponents:
         return np.asarray(parts.sum(axis=1) + self.prior, dtype=np.float64)
 
 
-def misfits(problem: LeastSquares, thetas: Floats) -> CostComponents:
+def misfits(evaluator: Evaluator[LeastSquares], thetas: Floats) -> CostComponents:
     """Simulate thetas (m, N), as many at a time as memory allows, and sum up the squares of their residuals.
 
     The criterion itself needs no residual afterwards, so that maps and generations of any size fit into memory.
     """
+    problem = evaluator.problem
     problem.check_measured()
     members = np.eye(problem.counts.size)[problem.groups]
     at_a_time = max(LEAST_BATCH, CHUNK_SAMPLES // problem.measured.size)
     squares = np.empty((len(thetas), problem.counts.size))
     for first in range(0, len(thetas), at_a_time):
-        rows = problem.predict(thetas[first : first + at_a_time])
+        rows = evaluator.predict(thetas[first : first + at_a_time])
         with np.errstate(over="ignore", invalid="ignore"):  # too large to be squared is as bad as failed
             squares[first : first + at_a_time] = (rows - problem.measured) ** 2 @ members
     return CostComponents(squares, np.sum(problem.parameters.prior_residual(thetas) ** 2, axis=1))

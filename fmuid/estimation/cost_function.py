@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike
 
 from fmuid.array_types import Flags, Floats
 from fmuid.errors import FmuidError, InputError
+from fmuid.estimation.evaluator import Evaluator
 from fmuid.estimation.finite_differences import FiniteDifferences, SensitivityError
 from fmuid.estimation.inactive_parameters import find_active_point, inactive_parameters
 from fmuid.estimation.model_sensitivities import JacobianProvider, ModelSensitivities
@@ -59,19 +60,20 @@ class CostFunction:
 
     def __init__(
         self,
-        problem: LeastSquares,
+        evaluator: Evaluator[LeastSquares],
         variance: Floats,
         noise: SimulationNoise,
         least_variance: Floats,
         start: Floats,
         derivatives: JacobianProvider | None = None,
     ) -> None:
-        self.problem, self.variance, self.least_variance = problem, variance, least_variance
-        self.lower, self.upper = problem.parameters.lower, problem.parameters.upper
-        self._weights = (1.0 / np.sqrt(variance))[problem.groups]
+        self.evaluator, self.problem = evaluator, evaluator.problem
+        self.variance, self.least_variance = variance, least_variance
+        self.lower, self.upper = self.problem.parameters.lower, self.problem.parameters.upper
+        self._weights = (1.0 / np.sqrt(variance))[self.problem.groups]
         self._level, self._start = noise, start
         self._size = _rms(start * self._weights)
-        rows = noise.outputs[problem.groups] * self._weights
+        rows = noise.outputs[self.problem.groups] * self._weights
         self.noise = _rms(rows)
         self._shrunk: tuple[Floats, float] | None = None  # a residual, and what became of the outputs against the start
         if derivatives is None:
@@ -82,24 +84,25 @@ class CostFunction:
     def _chosen_derivatives(self, noise: Floats) -> JacobianProvider:
         problem, reach = self.problem, self.problem.parameters.reach
         differences = FiniteDifferences(
-            problem.predict,
+            self.evaluator.predict,
             self.lower,
             self.upper,
             reach,
             noise,
             self._size,
             -self._weights,
-            alike=problem.one_of_many,
+            start=self.evaluator.predict_start,
+            alike=self.evaluator.cache.problems > 1,
         )
         if problem.sensitivity == "finite-difference":
             return differences
         return ModelSensitivities(
-            problem.derivatives, differences, reach, noise, -self._weights, problem.refuse_derivatives
+            self.evaluator.derivatives, differences, reach, noise, -self._weights, self.evaluator.refuse_derivatives
         )
 
     def reweighted(self, variance: Floats) -> CostFunction:
         """Return the criterion with other noise variances and the same difference steps."""
-        return CostFunction(self.problem, variance, self._level, self.least_variance, self._start, self._derivatives)
+        return CostFunction(self.evaluator, variance, self._level, self.least_variance, self._start, self._derivatives)
 
     def converted(self, other: CostFunction, residual: Floats, jacobian: Floats) -> tuple[Floats, Floats]:
         """Return residual and Jacobian of this criterion as those of another that differs in its variances only."""
@@ -136,7 +139,7 @@ class CostFunction:
 
     def residuals(self, thetas: Floats) -> Floats:
         """Return the residual (m, n_rows) at thetas (m, N), NaN rows where a simulation failed."""
-        return self.whiten(thetas, self.problem.predict(thetas))
+        return self.whiten(thetas, self.evaluator.predict(thetas))
 
     def whiten(self, thetas: Floats, predictions: Floats) -> Floats:
         """Return the residual (m, n_rows) of simulations already made."""
@@ -167,17 +170,9 @@ class CostFunction:
         return self._completed(self._derivatives.jacobian(theta, base, central=central), residual)
 
     def known_jacobian(self, theta: Floats, residual: Floats) -> Floats | None:
-        """Return the Jacobian (n_rows, N) of a waypoint close to theta, None where there is none."""
-        ways = self.problem.waypoints
-        if ways is None:
-            return None
-        derivatives = ways.near(theta, self.magnitudes(theta))
+        """Return the Jacobian (n_rows, N) at the center of the cell of theta, None where there is none."""
+        derivatives = self.evaluator.jacobian_near(theta)
         return None if derivatives is None else self._completed(derivatives * -self._weights, residual)
-
-    def derivatives(self, theta: Floats, residual: Floats) -> Floats:
-        """Return the derivatives (N, n) of the simulation itself at theta, where the residual is known."""
-        base = self.problem.measured - self.unwhiten(residual)
-        return np.asarray(self._derivatives.jacobian(theta, base, central=False) / -self._weights, dtype=np.float64)
 
     def first_jacobian(self, theta: Floats, base: Floats, residual: Floats) -> tuple[Floats, Flags]:
         """Return the Jacobian at the start, and which parameters act on any output (N,).
@@ -205,7 +200,7 @@ class CostFunction:
         """
         problem, base = self.problem, self.problem.measured - self.unwhiten(residual)
         room = np.minimum(self.upper - theta, theta - self.lower)
-        table = noise_along(problem.predict, theta, base, steps, room)
+        table = noise_along(self.evaluator.predict, theta, base, steps, room)
         if table is None:
             return 0.0, False
         # the prior is left at theta: its rows are smooth
@@ -245,7 +240,7 @@ class CostFunction:
         at = np.array(theta, dtype=np.float64)
         residual = self.residuals(at[None])[0]
         if np.isnan(residual).any():
-            raise _failure(self.problem, at, "evaluate elsewhere")
+            raise _failure(self.evaluator, at, "evaluate elsewhere")
         return Evaluation(residual, self.jacobian(at, residual, central=True))
 
     def _completed(self, derivatives: Floats, residual: Floats) -> Floats:
@@ -284,14 +279,14 @@ class InitializedProblem:
     moved: tuple[str, ...] = ()
 
 
-def prepare(problem: LeastSquares, theta: ArrayLike | None = None) -> InitializedProblem:
+def prepare(evaluator: Evaluator[LeastSquares], theta: ArrayLike | None = None) -> InitializedProblem:
     """Simulate the start, measure the simulation's noise, choose variances and steps, check influence.
 
     Where parameters act on nothing at the start but elsewhere in their box, that is where the search sets out from.
 
     Parameters
     ----------
-    problem : LeastSquares
+    evaluator : Evaluator
     theta : (N,) array, optional
         Start elsewhere than the parameters say.
 
@@ -303,26 +298,26 @@ def prepare(problem: LeastSquares, theta: ArrayLike | None = None) -> Initialize
         If an output has not been measured, theta lies outside the bounds, all simulations around it fail, or a
         parameter without prior has no effect.
     """
+    problem, parameters = evaluator.problem, evaluator.problem.parameters
     problem.check_measured()
-    parameters = problem.parameters
     at = parameters.start if theta is None else np.array(theta, dtype=np.float64)
     _check_inside(problem, at)
-    ready, acting = _prepared(problem, at)
+    ready, acting = _prepared(evaluator, at)
     idle = inactive_parameters(problem, acting)
     if not idle.size:
         return ready
     noise = ready.noise.outputs[problem.groups]
-    there = find_active_point(problem, at, idle, noise, 1.0 / np.sqrt(ready.criterion.variance[problem.groups]))
+    there = find_active_point(evaluator, at, idle, noise, 1.0 / np.sqrt(ready.criterion.variance[problem.groups]))
     names = tuple(parameters.names[i] for i in idle if there[i] != at[i])
-    return replace(_prepared(problem, there)[0], moved=names)
+    return replace(_prepared(evaluator, there)[0], moved=names)
 
 
-def _prepared(problem: LeastSquares, at: Floats) -> tuple[InitializedProblem, Flags]:
+def _prepared(evaluator: Evaluator[LeastSquares], at: Floats) -> tuple[InitializedProblem, Flags]:
     """Return a problem made ready at a theta (N,), and which parameters act there."""
-    parameters = problem.parameters
-    base, noise = problem.noise_near(at)
+    problem, parameters = evaluator.problem, evaluator.problem.parameters
+    base, noise = evaluator.noise_near(at)
     if np.isnan(base).any():
-        raise _failure(problem, at, "start elsewhere")
+        raise _failure(evaluator, at, "start elsewhere")
     least = np.maximum(noise.outputs**2, LEAST_NOISE**2 * problem.output_variances(problem.measured))
     least = np.where(least > 0, least, 1.0)
     from_residual = np.maximum(problem.noise_variances(problem.measured - base), least)
@@ -330,7 +325,7 @@ def _prepared(problem: LeastSquares, at: Floats) -> tuple[InitializedProblem, Fl
     # a robust loss must not take the residual of the start for outliers: it sets out from large variances
     given = problem.variance if problem.loss is None else np.maximum(problem.variance, from_residual)
     variance = np.where(np.isnan(problem.variance), first, given)
-    criterion = CostFunction(problem, variance, noise, least, base)
+    criterion = CostFunction(evaluator, variance, noise, least, base)
     residual = criterion.whiten(at[None], base[None])[0]
     try:
         jacobian, acting = criterion.first_jacobian(at, base, residual)
@@ -339,16 +334,18 @@ def _prepared(problem: LeastSquares, at: Floats) -> tuple[InitializedProblem, Fl
             f"the simulation succeeds at the start, but not with {parameters.names[error.index]!r} moved to either "
             f"side of {at[error.index]:g}; start from where the model is sound, or give bounds"
         ) from None
+    if evaluator.cache.problems > 1:
+        evaluator.scatter = _expected_std(problem, jacobian, variance)
     return InitializedProblem(at, criterion, Evaluation(residual, jacobian), noise), acting
 
 
-def _failure(problem: LeastSquares, theta: Floats, remedy: str) -> FmuidError:
+def _failure(evaluator: Evaluator[LeastSquares], theta: Floats, remedy: str) -> FmuidError:
     """Return why nothing can be simulated at theta."""
-    error = problem.failure(theta)
+    error, names = evaluator.failure(theta), evaluator.problem.parameters.names
     if isinstance(error, FmuidError):
         return error
     why = f"fails ({error})" if error else "gives outputs that are huge or not finite"
-    values = ", ".join(f"{n} = {v:g}" for n, v in zip(problem.parameters.names, theta.tolist(), strict=True))
+    values = ", ".join(f"{n} = {v:g}" for n, v in zip(names, theta.tolist(), strict=True))
     return InputError(f"the simulation with {values} {why}; {remedy}")
 
 
@@ -361,3 +358,12 @@ def _check_inside(problem: LeastSquares, theta: Floats) -> None:
             f"the start {theta[i]:g} of {parameters.names[i]!r} lies outside its bounds, "
             f"{parameters.lower[i]:g} to {parameters.upper[i]:g}"
         )
+
+
+def _expected_std(problem: LeastSquares, jacobian: Floats, variance: Floats) -> Floats:
+    """Return the standard deviations (N,) of the estimates, for a Jacobian with these variances and the noise shown."""
+    rows, unit = jacobian * problem.parameters.scale, problem.parameters.scale
+    rows[: problem.groups.size] *= (np.sqrt(variance) / problem.shown_noise)[problem.groups][:, None]
+    _, values, directions = np.linalg.svd(rows, full_matrices=False)
+    with np.errstate(divide="ignore"):
+        return np.asarray(unit * np.linalg.norm(directions / values[:, None], axis=0))

@@ -91,6 +91,8 @@ class FiniteDifferences:
         take |f‴| = size / magnitude³.
     weights : float or (n,) array
         What the function is multiplied by.
+    start : callable, optional
+        As `predict`, for the first Jacobian; default: the same.
     alike : bool
         Whether the first steps are powers of two, for functions that differ in their weights to have the same ones.
 
@@ -110,8 +112,10 @@ class FiniteDifferences:
         size: float,
         weights: float | Floats = 1.0,
         *,
+        start: Predict | None = None,
         alike: bool = False,
     ) -> None:
+        self._start = start or predict
         self._predict, self._lower, self._upper, self._magnitudes = predict, lower, upper, magnitudes
         # a quarter of the distance of the bounds leaves room for two steps to one side wherever theta is
         self._longest = self._upper / 4.0 - self._lower / 4.0
@@ -164,10 +168,10 @@ class FiniteDifferences:
             If every simulation near theta fails for some parameter.
         """
         if central:
-            steps, (slopes, _) = self._checked_central(theta, base)
+            steps, (slopes, _) = self._checked_central(theta, base, self._predict)
             return np.asarray(slopes / steps[:, None], dtype=np.float64)
         steps = self._absolute(theta, self.forward_steps)
-        distances, values = self._differences(theta, base, steps, FORWARD, np.arange(theta.size))
+        distances, values = self._differences(self._predict, theta, base, steps, FORWARD)
         derivatives = values[:, 0]
         derivatives /= distances
         derivatives *= self._weights
@@ -179,7 +183,7 @@ class FiniteDifferences:
         Parameters whose first difference does not stand out from the noise are tried again with the largest step
         before they count as without influence.
         """
-        steps, (slopes, bends) = self._checked_central(theta, base)
+        steps, (slopes, bends) = self._checked_central(theta, base, self._start)
         floor = INFLUENCE_NOISES * np.maximum(self._noise, np.finfo(float).tiny)
         acting = (np.abs(slopes) > floor).any(axis=1) | (np.abs(bends) > floor).any(axis=1)
         return slopes / steps[:, None], acting
@@ -192,10 +196,10 @@ class FiniteDifferences:
         relative = self._central_error if central else self._forward_error
         return np.asarray(relative / self._magnitudes(theta), dtype=np.float64)
 
-    def _checked_central(self, theta: Floats, base: Floats) -> tuple[Floats, Floats]:
+    def _checked_central(self, theta: Floats, base: Floats, predict: Predict) -> tuple[Floats, Floats]:
         """Return steps (N,) and, weighted, slopes f′h and bends f″h² (2, N, n); those with unfit steps made again."""
         steps = self._absolute(theta, self.central_steps)
-        found = self._central(theta, base, steps, np.arange(theta.size))
+        found = self._central(predict, theta, base, steps)
         slope, bend = _rms(found)
         weak = slope < RESOLVED_NOISES * self._rms
         curved = ~weak & (bend > LARGEST_BEND * slope)
@@ -205,7 +209,7 @@ class FiniteDifferences:
             which &= (other > 2.0 * steps) | (other < 0.5 * steps)
             if which.any():
                 steps = np.where(which, other, steps)
-                found[:, which] = self._central(theta, base, steps, np.flatnonzero(which))
+                found[:, which] = self._central(predict, theta, base, steps, np.flatnonzero(which))
                 slope, bend = _rms(found)
         self._adopt(theta, steps, slope, bend)
         return steps, found
@@ -213,18 +217,27 @@ class FiniteDifferences:
     def _absolute(self, theta: Floats, relative: Floats) -> Floats:
         return np.minimum(relative * self._magnitudes(theta), self._longest)
 
-    def _central(self, theta: Floats, base: Floats, steps: Floats, which: Indices) -> Floats:
+    def _central(
+        self, predict: Predict, theta: Floats, base: Floats, steps: Floats, which: Indices | None = None
+    ) -> Floats:
         """Return, weighted, slopes f′h and bends f″h² (2, k, n) of the parabolas through three points at 0, a and b."""
-        distances, values = self._differences(theta, base, steps, CENTRAL, which)
-        (a, b), h = distances.T, steps[which]
+        distances, values = self._differences(predict, theta, base, steps, CENTRAL, which)
+        (a, b), h = distances.T, steps if which is None else steps[which]
         ratio, unit = b / a, h / a
         factors = np.array([[ratio, -1.0 / ratio], [-2.0 * unit, 2.0 * unit / ratio]]) * (unit / (ratio - 1.0))
         return np.asarray(np.einsum("spk,kpn->skn", factors, values) * self._weights, dtype=np.float64)
 
     def _differences(
-        self, theta: Floats, base: Floats, steps: Floats, patterns: Sequence[tuple[float, ...]], which: Indices
+        self,
+        predict: Predict,
+        theta: Floats,
+        base: Floats,
+        steps: Floats,
+        patterns: Sequence[tuple[float, ...]],
+        which: Indices | None = None,
     ) -> tuple[Floats, Floats]:
         """Simulate points beside theta; return distances (k, p) and differences from base (k, p, n) of k parameters."""
+        which = np.arange(theta.size) if which is None else which
         points = len(patterns[0])
         distances, values = np.empty((which.size, points)), np.empty((which.size, points, base.size))
         tried = np.full(which.size, -1)
@@ -237,7 +250,7 @@ class FiniteDifferences:
                     float(theta[i]), i, float(steps[i]), patterns, tried[k]
                 )
                 distances[k] = thetas[row, :, i] - theta[i]  # as the simulator saw them, after rounding theta + h
-            found = self._predict(thetas.reshape(-1, theta.size)).reshape(waiting.size, points, base.size)
+            found = predict(thetas.reshape(-1, theta.size)).reshape(waiting.size, points, base.size)
             good = usable(found).all(axis=1)
             if waiting.size == which.size:
                 values = found

@@ -15,9 +15,9 @@ from fmuid.data import Loss
 from fmuid.estimation.cost_components import log_likelihood
 from fmuid.estimation.cost_function import CostFunction, prepare
 from fmuid.estimation.covariance import ActiveBound, LocalCovariance, local_covariance
+from fmuid.estimation.evaluator import Evaluator
 from fmuid.estimation.iteration_history import History
 from fmuid.estimation.linearized_problem import LinearizedProblem
-from fmuid.estimation.marquardt.jacobian_cache import JacobianCache
 from fmuid.estimation.marquardt.outcome import TerminationReason
 from fmuid.estimation.marquardt.search import Iteration, MarquardtSettings, State, search
 from fmuid.estimation.noise.sandwich import sandwich_of
@@ -34,22 +34,20 @@ MAX_ROUNDS = 10
 # Where outliers outweigh everything else the mean ψ′ of a robust loss may vanish or be negative, and says nothing of
 # the covariance; it is taken to be this much at least.
 LEAST_CURVATURE = 0.05
-# Memory that the derivatives at waypoints may take, bytes.
-LARGEST_WAYPOINTS = 16_000_000
 
 
 @single_threaded
-def identify(
-    problem: LeastSquares,
+def estimate(
+    evaluator: Evaluator[LeastSquares],
     settings: MarquardtSettings | None = None,
     progress: Progress | None = None,
     start: ArrayLike | None = None,
 ) -> Result:
-    """Identify the parameters of a problem by Marquardt's search alone.
+    """Estimate the parameters of a problem by Marquardt's search alone.
 
     Parameters
     ----------
-    problem, settings, progress, start
+    evaluator, settings, progress, start
         As for `fmuid.identify`.
 
     Raises
@@ -57,18 +55,18 @@ def identify(
     SimulationError, InputError, KeyboardInterrupt
         Likewise.
     """
-    return _Identification(problem, settings or MarquardtSettings(), progress, start).run()
+    return _Identification(evaluator, settings or MarquardtSettings(), progress, start).run()
 
 
-def point_result(problem: LeastSquares, theta: Floats) -> Result:
+def point_result(evaluator: Evaluator[LeastSquares], theta: Floats) -> Result:
     """Return a point of an interrupted search as a result, of which nothing but its values is known.
 
     Parameters
     ----------
-    problem : LeastSquares
+    evaluator : Evaluator
     theta : (N,) array
     """
-    parameters = problem.parameters
+    problem, parameters = evaluator.problem, evaluator.problem.parameters
     covariance = np.full((len(parameters), len(parameters)), np.nan)
     np.fill_diagonal(covariance, np.inf)
     given = np.flatnonzero(~np.isnan(problem.variance))
@@ -98,40 +96,25 @@ def point_result(problem: LeastSquares, theta: Floats) -> Result:
         at_bounds=(),
         version=__version__,
         models=problem.models,
-        sensitivity=problem.used_sensitivity,
+        sensitivity=evaluator.used_sensitivity,
         data=problem.data,
         units=problem.units,
     )
-
-
-@single_threaded
-def waypoints(problem: LeastSquares, settings: MarquardtSettings) -> JacobianCache:
-    """Search, and return the derivatives of the simulation at the points that the search went through.
-
-    Raises
-    ------
-    SimulationError, InputError, SensitivityError, KeyboardInterrupt
-        If the search does not come through.
-    """
-    found = _Identification(problem, settings, None, None)
-    if found.run().outcome is TerminationReason.INTERRUPTED:
-        raise KeyboardInterrupt
-    n = len(problem.parameters)
-    most = LARGEST_WAYPOINTS // (8 * problem.measured.size * n)
-    thetas = np.array([step.theta for _, step in found.trace[1:] if step.accepted][:most]).reshape(-1, n)
-    residuals = found.criterion.residuals(thetas)
-    return JacobianCache(thetas, tuple(map(found.criterion.derivatives, thetas, residuals)))
 
 
 class _Identification:
     """The rounds of one identification and what they leave behind."""
 
     def __init__(
-        self, problem: LeastSquares, settings: MarquardtSettings, progress: Progress | None, start: ArrayLike | None
+        self,
+        evaluator: Evaluator[LeastSquares],
+        settings: MarquardtSettings,
+        progress: Progress | None,
+        start: ArrayLike | None,
     ) -> None:
-        self.problem, self.settings, self.progress = problem, settings, progress
-        self.clock, self.simulations = time.perf_counter(), problem.simulations
-        ready = prepare(problem, start)
+        self.evaluator, self.problem, self.settings, self.progress = evaluator, evaluator.problem, settings, progress
+        self.clock, self.simulations = time.perf_counter(), evaluator.simulations
+        ready = prepare(evaluator, start)
         self.start, self.criterion, self.moved_start = ready.theta, ready.criterion, ready.moved
         self.state = State(ready.theta, ready.evaluation.residual, ready.evaluation.jacobian)
         self.trace: list[tuple[int, Iteration]] = []
@@ -328,7 +311,7 @@ class _Identification:
             ),
             degrees_of_freedom=math.inf if given.all() else float(problem.counts.sum() - self.shares.sum()),
             iterations=state.iterations,
-            simulations=problem.simulations - self.simulations,
+            simulations=self.evaluator.simulations - self.simulations,
             elapsed_s=time.perf_counter() - self.clock,
             undetermined=undetermined,
             weak=() if stalled else local.weak,
@@ -336,7 +319,7 @@ class _Identification:
             at_bounds=at_bounds,
             version=__version__,
             models=problem.models,
-            sensitivity=problem.used_sensitivity,
+            sensitivity=self.evaluator.used_sensitivity,
             moved_start=self.moved_start,
             data=problem.data,
             units=problem.units,
@@ -351,5 +334,5 @@ class _Identification:
         ended = (
             self._outcome is not TerminationReason.INTERRUPTED
         )  # who interrupts a slow search waits for no simulation
-        simulated = tuple(problem.outputs(state.theta, predicted, simulate=ended))
+        simulated = tuple(self.evaluator.outputs(state.theta, predicted, simulate=ended))
         return History(problem.parameters.names, tuple(self.rounds), tuple(self.trace), problem.experiments, simulated)

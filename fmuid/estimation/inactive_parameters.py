@@ -10,6 +10,7 @@ import numpy as np
 
 from fmuid.array_types import Flags, Floats, Indices
 from fmuid.errors import InputError
+from fmuid.estimation.evaluator import Evaluator
 from fmuid.estimation.finite_differences import INFLUENCE_NOISES, LARGEST_STEP
 from fmuid.estimation.problem import LeastSquares
 from fmuid.estimation.simulation_noise import ROUNDING_SHARE, usable
@@ -27,12 +28,14 @@ def inactive_parameters(problem: LeastSquares, acting: Flags) -> Indices:
     return np.flatnonzero(~acting & ~known)
 
 
-def find_active_point(problem: LeastSquares, theta: Floats, idle: Indices, noise: Floats, weights: Floats) -> Floats:
+def find_active_point(
+    evaluator: Evaluator[LeastSquares], theta: Floats, idle: Indices, noise: Floats, weights: Floats
+) -> Floats:
     """Return the best point near theta at which parameters act that do not at theta.
 
     Parameters
     ----------
-    problem : LeastSquares
+    evaluator : Evaluator
     theta : (N,) array
         A point that can be simulated.
     idle : (k,) array of int
@@ -45,15 +48,16 @@ def find_active_point(problem: LeastSquares, theta: Floats, idle: Indices, noise
     InputError
         If one of them acts nowhere.
     """
+    problem = evaluator.problem
     points = _points(problem, theta, idle)
-    values = problem.predict(np.vstack([theta, points]))
+    values = evaluator.predict(np.vstack([theta, points]))
     base, values = values[0], values[1:]
     floor = INFLUENCE_NOISES * np.maximum(noise, ROUNDING_SHARE * np.abs(base))
     with np.errstate(invalid="ignore", over="ignore"):  # what failed is NaN, and not different
         different = usable(np.nan_to_num(values, nan=np.inf)) & (np.abs(values - base) > floor).any(axis=1)
         squares = np.where(different, np.sum(((values - problem.measured) * weights) ** 2, axis=1), np.inf)
     chosen = np.argsort(squares, kind="stable")[: min(BEST_POINTS, int(different.sum()))]
-    acts = _acting(problem, points[chosen], values[chosen], idle, noise)
+    acts = _acting(evaluator, points[chosen], values[chosen], idle, noise)
     moved = points[different] != theta
     alone = moved[moved.sum(axis=1) == 1].any(axis=0)[idle] if len(moved) else np.zeros(idle.size, dtype=np.bool_)
     lost = idle[~(acts.any(axis=0) | alone)]
@@ -103,9 +107,9 @@ def _places(problem: LeastSquares, theta: Floats, i: int) -> Floats:
     return np.asarray(values[values != theta[i]])
 
 
-def _acting(problem: LeastSquares, points: Floats, values: Floats, idle: Indices, noise: Floats) -> Flags:
+def _acting(evaluator: Evaluator[LeastSquares], points: Floats, values: Floats, idle: Indices, noise: Floats) -> Flags:
     """Return which of the idle parameters act at each point (m, k), by moving them by a tenth."""
-    parameters = problem.parameters
+    parameters = evaluator.problem.parameters
     if not len(points):
         return np.zeros((0, idle.size), dtype=np.bool_)
     moved = np.repeat(points[:, None], idle.size, axis=1)
@@ -115,7 +119,7 @@ def _acting(problem: LeastSquares, points: Floats, values: Floats, idle: Indices
         moved[:, k, i] = np.where(
             there <= parameters.upper[i], there, np.maximum(points[:, i] - step, parameters.lower[i])
         )
-    found = problem.predict(moved.reshape(-1, points.shape[1])).reshape(len(points), idle.size, -1)
+    found = evaluator.predict(moved.reshape(-1, points.shape[1])).reshape(len(points), idle.size, -1)
     floor = INFLUENCE_NOISES * np.maximum(noise, ROUNDING_SHARE * np.abs(values))[:, None]
     with np.errstate(invalid="ignore"):
         return np.asarray((np.abs(found - values[:, None]) > floor).any(axis=2))

@@ -11,7 +11,7 @@ import pandas as pd
 
 from fmuid.array_types import Floats
 from fmuid.codec import Layout
-from fmuid.data import Measurements
+from fmuid.data import Experiment
 from fmuid.estimation.marquardt.settings import Iteration
 
 
@@ -27,7 +27,7 @@ class History:
         What each repetition on the noise variances used and found.
     iterations : tuple of (int, Iteration)
         Every step of the search, with the number of its round. Not in ``result.json``, as what follows.
-    experiments : tuple of Measurements
+    experiments : tuple of Experiment
     simulated : tuple of (K, n_outputs) arrays
         The outputs of each experiment at the estimate.
     """
@@ -35,7 +35,7 @@ class History:
     names: tuple[str, ...]
     rounds: tuple[Mapping[str, float], ...]
     iterations: tuple[tuple[int, Iteration], ...] = ()
-    experiments: tuple[Measurements, ...] = ()
+    experiments: tuple[Experiment, ...] = ()
     simulated: tuple[Floats, ...] = ()
 
     json_layout: ClassVar = Layout(omitted={"iterations", "experiments", "simulated"})

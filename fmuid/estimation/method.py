@@ -7,7 +7,8 @@ from typing import Protocol, runtime_checkable
 
 from numpy.typing import ArrayLike
 
-from fmuid.estimation.identification import identify
+from fmuid.estimation.evaluator import Evaluator
+from fmuid.estimation.identification import estimate
 from fmuid.estimation.marquardt.settings import MarquardtSettings
 from fmuid.estimation.problem import LeastSquares
 from fmuid.estimation.result import Result
@@ -35,7 +36,9 @@ class Method(Protocol):
             If it has not.
         """
 
-    def search(self, problem: LeastSquares, progress: Progress | None = None, start: ArrayLike | None = None) -> Result:
+    def search(
+        self, evaluator: Evaluator[LeastSquares], progress: Progress | None = None, start: ArrayLike | None = None
+    ) -> Result:
         """Search, from a start (N,) where one is given: an earlier result makes a search of the box needless.
 
         Returns
@@ -46,7 +49,7 @@ class Method(Protocol):
         Raises
         ------
         InputError, SimulationError, KeyboardInterrupt
-            As `identify`, or as `check`.
+            As `estimate`, or as `check`.
         """
 
 
@@ -89,6 +92,8 @@ class Marquardt(MarquardtSettings):
     def check(self, problem: LeastSquares) -> None:
         """Any problem can be searched."""
 
-    def search(self, problem: LeastSquares, progress: Progress | None = None, start: ArrayLike | None = None) -> Result:
+    def search(
+        self, evaluator: Evaluator[LeastSquares], progress: Progress | None = None, start: ArrayLike | None = None
+    ) -> Result:
         """Search as `fmuid.identify` does."""
-        return identify(problem, self, progress, start)
+        return estimate(evaluator, self, progress, start)

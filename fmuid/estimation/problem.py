@@ -2,20 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+import copy
+import math
+from collections.abc import Callable, Hashable, Mapping, Sequence
 from functools import cached_property
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from fmuid.array_types import Floats, numbers
 from fmuid.data import (
-    ArrayMeasurements,
+    Experiment,
     FunctionPredictor,
     JointPrior,
     MeasuredSeries,
-    Measurements,
     Parameter,
     ParameterSet,
     Predictor,
@@ -26,24 +27,23 @@ from fmuid.data import (
 )
 from fmuid.data import Noise as Noise
 from fmuid.errors import InputError, check_kind
-from fmuid.estimation.marquardt.jacobian_cache import JacobianCache
-from fmuid.estimation.model_sensitivities import SensitivityMethod
 from fmuid.estimation.noise.output_series import OutputSeries, output_series, period_of
 from fmuid.estimation.noise.periodic_error import check_periods
-from fmuid.estimation.simulation_noise import LARGEST_VALUE, SimulationNoise, noise_level
+from fmuid.estimation.simulation_noise import LARGEST_VALUE
+from fmuid.estimation.starting_points.noise_level import second_difference_noise
 
 
 class LeastSquares:
-    """Anything that simulates, experiments and parameters: all that the estimators need, as functions of theta.
+    """Anything that simulates, experiments and parameters; it never changes.
 
-    `fmuid.Problem` is the one whose predictors run FMUs.
+    `fmuid.Problem` is the one whose predictors run FMUs; `fmuid.estimation.Evaluator` simulates it.
 
     Parameters
     ----------
     predictors : sequence of Predictor
         One an experiment; the thetas that it takes hold its experiment's values of the parameters, in the order of
         `parameters`.
-    experiments : sequence of Measurements
+    experiments : sequence of Experiment
     parameters : mapping of str to Parameter
     noise : Noise, optional
     joint_prior : JointPrior, optional
@@ -68,7 +68,7 @@ class LeastSquares:
     measured : (n,) array
         All counted samples, experiment by experiment, sample by sample; NaN of outputs that are names only
         (`check_measured`). Where the noise differs from sample to sample, they are divided by the `scale` of `levels`,
-        as are `predict` and `derivatives`: what is left has noise of one variance for each output.
+        as is what an evaluator simulates: what is left has noise of one variance for each output.
     groups : (n,) array of int
         Which output each of them belongs to.
     counts : (n_outputs,) array of int
@@ -79,12 +79,10 @@ class LeastSquares:
         Where the estimation of the variances starts, NaN where the residual decides.
     loss : Loss or None
         None for the plain sum of squares.
-    one_of_many : bool
-        Whether there are others that differ in their measurements only: all set out by the same simulations then.
-    waypoints : JacobianCache or None
-        Derivatives that were found on the way of another one of many.
-    simulations, failures : int
-        How many simulations of an experiment were made so far, and how many thetas could not be simulated.
+    predictors, derivatives : tuple
+        As given.
+    kept : tuple of (n_i,) arrays of int
+        Which samples of each experiment count, in its flattened outputs.
 
     Raises
     ------
@@ -101,10 +99,14 @@ class LeastSquares:
     array([2.  , 0.99])
     """
 
+    identity: object
+    refinement: Any = None
+    """The solver refinement; functions have none."""
+
     def __init__(
         self,
         predictors: Sequence[Predictor],
-        experiments: Sequence[Measurements],
+        experiments: Sequence[Experiment],
         parameters: Mapping[str, Parameter],
         *,
         noise: Noise | None = None,
@@ -118,32 +120,77 @@ class LeastSquares:
         check_kind(
             noise, (Noise, type(None)), "noise must be a fmuid.Noise", "its variances by the names of the outputs"
         )
+        vars(self).setdefault("identity", object())  # of its predictors; `measuring` keeps it
+        self.given_parameters, self.joint_prior, self.loss_name = parameters, joint_prior, loss
         self.parameters = ParameterSet(parameters, [e.name for e in experiments], joint_prior)
         self.experiments = tuple(experiments)
-        self._predictors = tuple(predictors)
-        self._derivatives = tuple(derivatives)
-        self.sensitivity, self._refusal = sensitivity, ""
+        self.predictors, self.derivatives, self.sensitivity = tuple(predictors), tuple(derivatives), sensitivity
         noise = noise or Noise()
         self.noise, self.loss = noise, get_loss(loss)
-        self.simulations = self.failures = 0
-        self.one_of_many = False
-        self.waypoints: JacobianCache | None = None
-        self._reasons: dict[int, tuple[Floats, Exception | None]] = {}  # of the last failure, by experiment
         self.output_names = tuple(dict.fromkeys(name for e in experiments for name in e.output_names))
         if not self.output_names:
             raise InputError("no outputs are measured; name at least one output to compare with the simulation")
-        self._counted = [np.flatnonzero(e.counted) for e in experiments]
+        self.kept = tuple(np.flatnonzero(e.counted) for e in experiments)
         self.levels = noise_levels(noise, experiments, self.output_names)
         self.measured = self.stacked([e.output_values for e in experiments])
         columns = [np.array([self.output_names.index(n) for n in e.output_names], dtype=np.intp) for e in experiments]
         self.groups = np.concatenate(
-            [np.tile(c, len(e.times))[kept] for e, c, kept in zip(experiments, columns, self._counted, strict=True)]
+            [np.tile(c, len(e.times))[kept] for e, c, kept in zip(experiments, columns, self.kept, strict=True)]
         )
         self.counts = np.bincount(self.groups, minlength=len(self.output_names))
         self.variance, self.first_variance = self.levels.variance, self.levels.first
         self._check_counts()
-        if noise.period or noise.experiments:
+        if noise.excitation_period or noise.experiments:
             check_periods(self.series, noise, len(parameters))
+        self._frozen = True
+
+    def __setattr__(self, name: str, value: object) -> None:
+        if "_frozen" in vars(self):
+            raise AttributeError(f"a problem does not change: {name} is not to be set; make another problem")
+        super().__setattr__(name, value)
+
+    def _with(self, **changed: object) -> Self:
+        """Return this problem with other attributes."""
+        other = copy.copy(self)
+        vars(other).pop("layout", None)
+        vars(other).update(changed)
+        return other
+
+    @cached_property
+    def layout(self) -> Hashable:
+        """Everything but the measurements: problems that have it in common simulate the same."""
+        scale = () if self.levels.scale is None else self.levels.scale.tobytes()
+        return self.identity, *(kept.tobytes() for kept in self.kept), scale, self.parameters.names
+
+    def finer(self, refinement: Any) -> Self:  # noqa: ARG002 - systems have
+        """Return this problem with a solver refinement; functions have none."""
+        return self
+
+    def afresh(self) -> Self:
+        """Return this problem with predictors that have simulated nothing yet."""
+        return self
+
+    def as_in(self, result: Any) -> Self:  # noqa: ARG002 - systems differ
+        """Return this problem as a result of it was simulated."""
+        return self
+
+    def measuring(self, experiments: Sequence[Experiment], parameters: Mapping[str, Parameter] | None = None) -> Self:
+        """Return this problem with other measurements of the same samples, and perhaps other starts."""
+        other = copy.copy(self)
+        for name in ("_frozen", "layout", "series", "periods", "shown_noise"):
+            vars(other).pop(name, None)
+        LeastSquares.__init__(
+            other,
+            self.predictors,
+            experiments,
+            self.given_parameters if parameters is None else parameters,
+            noise=self.noise,
+            joint_prior=self.joint_prior,
+            loss=self.loss_name,
+            sensitivity=self.sensitivity,
+            derivatives=self.derivatives,
+        )
+        return other
 
     @staticmethod
     def from_function(
@@ -181,7 +228,7 @@ class LeastSquares:
         clock = np.arange(len(values), dtype=np.float64) if times is None else numbers(times, "times")
         if clock.shape != (len(values),):
             raise InputError(f"times must have {len(values)} values, one a sample; its shape is {clock.shape}")
-        table = ArrayMeasurements("experiment", clock, tuple(outputs), values, ~np.isnan(values))
+        table = Experiment.of_arrays("experiment", clock, tuple(outputs), values, ~np.isnan(values))
         predictor = FunctionPredictor(function, values.shape)
         return LeastSquares([predictor], [table], parameters, noise=noise, joint_prior=joint_prior, loss=loss)
 
@@ -197,14 +244,29 @@ class LeastSquares:
 
     @property
     def data(self) -> tuple[MeasuredSeries, ...]:
-        """Which measurements there are; of one of many problems nobody asks."""
-        asked = () if self.one_of_many else self.experiments
-        return tuple(series for experiment in asked for series in measured_series(experiment))
+        """Which measurements there are."""
+        return tuple(series for experiment in self.experiments for series in measured_series(experiment))
 
     @cached_property
     def series(self) -> tuple[OutputSeries, ...]:
         """Which counted samples belong to one output of one experiment, and where they stand in time."""
         return output_series(self.experiments, self.output_names)
+
+    @cached_property
+    def shown_noise(self) -> Floats:
+        """The standard deviation of each output's noise (n_outputs,) as second differences of the data show it."""
+        squares, counts = np.zeros((2, self.counts.size))
+        for experiment, tables in zip(self.experiments, self.tables(self.measured), strict=True):
+            for name, values, counted in zip(experiment.output_names, tables.T, experiment.counted.T, strict=True):
+                j, own = self.output_names.index(name), np.where(counted, values, np.nan)
+                size, found = int(counted.sum()), second_difference_noise(experiment.times, own)
+                if math.isfinite(found):
+                    squares[j] += size * found**2
+                    counts[j] += size
+        # what does not move, or in steps, shows no noise at all: rounding of its largest value
+        floor = [1e-9 * float(np.max(np.abs(self.measured[self.groups == j]))) for j in range(counts.size)]
+        with np.errstate(invalid="ignore", divide="ignore"):
+            return np.fmax(np.sqrt(squares / counts), np.maximum(floor, 1e-300))
 
     @cached_property
     def periods(self) -> dict[str, float]:
@@ -239,119 +301,26 @@ class LeastSquares:
 
     def stacked(self, tables: Sequence[Floats]) -> Floats:
         """Return the counted samples (n,) of the outputs (K, n_outputs) of each experiment, as `measured` has them."""
-        rows = np.concatenate([own.ravel()[kept] for own, kept in zip(tables, self._counted, strict=True)])
-        return self._weighed(rows)
+        rows = np.concatenate([own.ravel()[kept] for own, kept in zip(tables, self.kept, strict=True)])
+        return self.scaled(rows)
 
-    def _weighed(self, rows: Floats) -> Floats:
+    def scaled(self, rows: Floats) -> Floats:
         """Return rows (..., n) with noise of one variance for each output."""
         return rows if self.levels.scale is None else rows / self.levels.scale
+
+    def unscaled(self, rows: Floats) -> Floats:
+        """Return rows (..., n) of `scaled` as they were."""
+        return rows if self.levels.scale is None else rows * self.levels.scale
 
     def tables(self, rows: Floats) -> list[Floats]:
         """Return counted samples (n,) where they stand in the tables (K, n_outputs), NaN where none counts."""
         found, last = [], 0
-        for experiment, kept in zip(self.experiments, self._counted, strict=True):
+        for experiment, kept in zip(self.experiments, self.kept, strict=True):
             first, last = last, last + kept.size
             table = np.full(experiment.output_values.shape, np.nan)
             table.ravel()[kept] = rows[first:last]
             found.append(table)
         return found
-
-    def predict(self, thetas: Floats) -> Floats:
-        """Simulate thetas (m, N) and return all counted samples (m, n), NaN rows where a simulation failed.
-
-        The array is the caller's to change.
-        """
-        blocks = []
-        for index, kept in enumerate(self._counted):
-            flat = self._outputs(index, thetas).reshape(len(thetas), -1)
-            blocks.append(flat if kept.size == flat.shape[1] else flat[:, kept])
-        # what failed is NaN throughout; an experiment may have no sample
-        failed = np.any([np.isnan(block[:, :1]).any(axis=1) for block in blocks], axis=0)
-        self.failures += int(failed.sum())
-        stacked = blocks[0] if len(blocks) == 1 else np.concatenate(blocks, axis=1)
-        stacked[failed] = np.nan
-        return self._weighed(stacked)
-
-    def noise_near(self, theta: Floats) -> tuple[Floats, SimulationNoise]:
-        """Return the counted samples (n,) at theta (N,), NaN where it fails, and the noise of the simulation there."""
-        given, groups = self.parameters, self.groups
-        bounds = given.lower, given.upper
-        return noise_level(self.predict, theta, given.magnitudes(theta), *bounds, groups, self.counts.size)
-
-    def derivatives(self, theta: Floats) -> Floats:
-        """Return the derivatives (N, n) of all counted samples by the parameters at theta (N,), from the model.
-
-        Raises
-        ------
-        SensitivityUnavailableError
-            If the model cannot give them there.
-        """
-        blocks = []
-        for index, (kept, derivatives) in enumerate(zip(self._counted, self._derivatives, strict=True)):
-            _, columns = self.parameters.for_experiment(index)
-            self.simulations += 1
-            block = np.zeros((theta.size, kept.size))
-            np.add.at(block, columns, derivatives(theta[columns]).reshape(columns.size, -1)[:, kept])
-            blocks.append(block)
-        return self._weighed(np.concatenate(blocks, axis=1))
-
-    def refuse_derivatives(self, reason: str) -> None:
-        """Note why differences serve in place of the derivatives of the model."""
-        self._refusal = reason
-
-    @property
-    def used_sensitivity(self) -> SensitivityMethod:
-        """How the derivatives were found."""
-        by_differences = any(getattr(each, "by_differences", False) for each in self._derivatives)
-        return SensitivityMethod(self.sensitivity, by_differences, self._refusal)
-
-    def outputs(self, theta: ArrayLike, predicted: Floats | None = None, *, simulate: bool = True) -> list[Floats]:
-        """Simulate one theta (N,) and return every experiment's outputs (K, n_outputs), NaN where failed.
-
-        Parameters
-        ----------
-        theta : (N,) array
-        predicted : (n,) array, optional
-            Its counted samples, as `predict` gave them: experiments all of whose samples count are not simulated again.
-        simulate : bool
-            False: nothing is simulated where `predicted` is given, and samples that do not count are NaN.
-        """
-        thetas = np.array(theta, dtype=np.float64)[None]
-        if predicted is None:
-            return [self._outputs(index, thetas)[0] for index in range(len(self.experiments))]
-        known = self.tables(predicted if self.levels.scale is None else predicted * self.levels.scale)
-        for index, (experiment, kept) in enumerate(zip(self.experiments, self._counted, strict=True)):
-            if simulate and kept.size < experiment.output_values.size:
-                known[index] = self._outputs(index, thetas)[0]
-        return known
-
-    def _outputs(self, index: int, thetas: Floats) -> Floats:
-        _, columns = self.parameters.for_experiment(index)
-        if columns.size == thetas.shape[1] or len(thetas) == 1:
-            self.simulations += len(thetas)
-            return self._simulated(index, thetas[:, columns])
-        # what only other experiments depend on leaves this one as it is
-        own, back = np.unique(thetas[:, columns], axis=0, return_inverse=True)
-        self.simulations += len(own)
-        return self._simulated(index, own)[back.ravel()]
-
-    def _simulated(self, index: int, thetas: Floats) -> Floats:
-        found = self._predictors[index].many(thetas)
-        first = next((i for i, error in enumerate(found.errors) if error is not None), None)
-        if first is not None:  # the one whose reason was asked for
-            self._reasons[index] = thetas[first].copy(), found.errors[first]
-        return found.outputs
-
-    def failure(self, theta: Floats) -> Exception | None:
-        """Return why the simulation at theta (N,) fails, None if it does not."""
-        for index, predictor in enumerate(self._predictors):
-            _, columns = self.parameters.for_experiment(index)
-            known, error = self._reasons.get(index, (None, None))
-            if known is None or not np.array_equal(known, theta[columns]):  # what fails may take its time about it
-                (error,) = predictor.many(theta[None, columns]).errors
-            if error is not None:
-                return error
-        return None
 
     def squares(self, residual: Floats) -> Floats:
         """Return the sum of squares of each output (n_outputs,) of a residual (n,)."""

@@ -16,12 +16,13 @@ from scipy import special
 
 from fmuid import codec
 from fmuid.array_types import Floats
-from fmuid.data import JointPrior, MeasuredSeries, Measurements, Normal, ParameterEstimate, measured_series
+from fmuid.data import Experiment, JointPrior, MeasuredSeries, Normal, ParameterEstimate, measured_series
 from fmuid.display_mixins import MultilineText, PredictMixin, text_of
 from fmuid.errors import InputError
 from fmuid.estimation.covariance import ActiveBound, WeakDirection, check_level
 from fmuid.estimation.iteration_history import History
 from fmuid.estimation.linearized_problem import LinearizedProblem
+from fmuid.estimation.local_optimum import Optimum
 from fmuid.estimation.marquardt.outcome import TerminationReason
 from fmuid.estimation.model_sensitivities import SensitivityMethod
 from fmuid.estimation.noise.sandwich import ResidualNoise
@@ -336,7 +337,7 @@ class Result(PredictMixin):
         }
         return pd.DataFrame(columns, index=pd.Index(self.names, name="parameter"))
 
-    def made_from(self, experiment: Measurements) -> bool:
+    def made_from(self, experiment: Experiment) -> bool:
         """Return whether the measurements of an experiment are among those that this was made from."""
         return set(measured_series(experiment)) <= set(self.data)
 
@@ -403,34 +404,3 @@ class Result(PredictMixin):
         if name not in self.names:
             raise InputError(f"the result has no parameter {name!r}; it has {', '.join(self.names)}")
         return self.names.index(name)
-
-
-@dataclass(frozen=True, eq=False)
-class Optimum:
-    """A point at which searches from other starts ended too, or instead.
-
-    Attributes
-    ----------
-    theta : (N,) array
-    criterion : float
-        J_C (1.37) there; where noise variances are estimated, with those of the best optimum.
-    hits : int
-        How many of the fits ended here.
-    outcome : TerminationReason
-        How the best of these fits ended.
-    fit : Result or None
-        That fit; None where it was read from a file.
-    """
-
-    theta: Floats
-    criterion: float
-    hits: int
-    outcome: TerminationReason
-    fit: Any = field(default=None, repr=False)
-
-    json_layout: ClassVar = codec.Layout(omitted={"fit"}, derived=("converged",))
-
-    @property
-    def converged(self) -> bool:
-        """Whether it is a minimum with every parameter determined."""
-        return self.outcome.converged

@@ -23,7 +23,7 @@ from fmuid.progress import Event, MapStep, Progress
 if TYPE_CHECKING:
     from fmuid.identification.cost_map import CostMap
     from fmuid.identification.posterior import Posterior, SamplerSettings
-    from fmuid.identification.profile import Profile
+    from fmuid.identification.profile_likelihood import Profile
 
 CONFIDENCE_LEVEL = 0.95
 # A criterion on a map lower than at the estimate by more than this shows another optimum; less may be rounding, or
@@ -212,7 +212,13 @@ class _Exploration:
         progress: Progress | None,
         found: Assessment,
     ) -> None:
-        self.problem, self.result, self.asked, self.progress, self.found = problem, result, asked, progress, found
+        self.problem, self.result, self.asked, self.progress, self.found = (
+            problem.as_in(result),
+            result,
+            asked,
+            progress,
+            found,
+        )
 
     def run(self) -> Assessment:
         try:
@@ -239,7 +245,7 @@ class _Exploration:
         names = self.asked.profile
         if not names:
             return True
-        from fmuid.identification.profile import profile_likelihood
+        from fmuid.identification.profile_likelihood import profile_likelihood
 
         done = profile_likelihood(self.problem, self.result, names, level=self.asked.level, progress=self.progress)
         self.found = replace(self.found, profiles=done)

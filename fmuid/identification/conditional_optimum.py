@@ -10,6 +10,7 @@ from fmuid.array_types import Floats
 from fmuid.errors import InputError
 from fmuid.estimation import (
     CostFunction,
+    Evaluator,
     LeastSquares,
     Marquardt,
     Result,
@@ -51,8 +52,8 @@ class ConditionalOptimum:
         return float(self.residual @ self.residual)
 
 
-def check_result(problem: LeastSquares, result: Result) -> None:
-    """Check that a result is one of this problem.
+def evaluator_of(problem: LeastSquares, result: Result) -> Evaluator[LeastSquares]:
+    """Check that a result is one of this problem, and return what simulates it as the result was.
 
     Raises
     ------
@@ -69,12 +70,13 @@ def check_result(problem: LeastSquares, result: Result) -> None:
                 f"the result is of another problem: its {what} are {', '.join(has)}, and the problem's are "
                 f"{', '.join(needs)}; give the result of this problem's identification"
             )
+    return Evaluator(problem.as_in(result))
 
 
-def best_near(problem: LeastSquares, result: Result) -> tuple[CostFunction, ConditionalOptimum]:
+def best_near(evaluator: Evaluator[LeastSquares], result: Result) -> tuple[CostFunction, ConditionalOptimum]:
     """Return the criterion with the result's variances, and its minimum; the result's own may be a hair beside it."""
     # prepared where the search began: what has an effect there may have none left at the estimate, and is then flat
-    ready = prepare(problem, result.start)
+    problem, ready = evaluator.problem, prepare(evaluator, result.start)
     criterion = ready.criterion.reweighted(np.array([result.variance[name] for name in problem.output_names]))
     theta = np.array(result.values)
     at = criterion.evaluate(theta)

@@ -26,7 +26,7 @@ from fmuid.blas import single_threaded
 from fmuid.codec import Layout
 from fmuid.errors import InputError
 from fmuid.estimation import LeastSquares, Result, check_level, misfits, refuse_loss, spans_decades, variances
-from fmuid.identification.conditional_optimum import check_result
+from fmuid.identification.conditional_optimum import evaluator_of
 
 # Points along each side of a map: an odd number puts the estimate on the grid.
 POINTS = 41
@@ -169,7 +169,7 @@ def map_cost(
     """
     refuse_loss(problem, "a map of the criterion")
     parameters = problem.parameters
-    check_result(problem, result)
+    evaluator = evaluator_of(problem, result)
     where = [parameters.index(first), parameters.index(second)]
     if first == second:
         raise InputError(f"a map needs two different parameters, not {first!r} twice")
@@ -181,7 +181,7 @@ def map_cost(
     sides = [np.geomspace(*s, points) if spans_decades(*s) else np.linspace(*s, points) for s in spans]
     thetas = np.tile(result.values, (points * points + 1, 1))  # the last one is the estimate
     thetas[:-1, where] = np.stack(np.meshgrid(*sides, indexing="ij"), axis=-1).reshape(-1, 2)
-    values = misfits(problem, thetas).compound(variances(problem, result))
+    values = misfits(evaluator, thetas).compound(variances(problem, result))
     return CostMap(
         names=(first, second),
         table=pd.DataFrame({first: thetas[:-1, where[0]], second: thetas[:-1, where[1]], "criterion": values[:-1]}),

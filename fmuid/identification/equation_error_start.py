@@ -14,9 +14,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from fmuid.array_types import Flags, Floats, Indices
-from fmuid.data import ArrayMeasurements, FunctionPredictions, Noise, Parameter
+from fmuid.data import Experiment, FunctionPredictions, Noise, Parameter
 from fmuid.errors import FmuidError, InputError
-from fmuid.estimation import LeastSquares, Marquardt, WeakForm, second_difference_noise, sobol_points
+from fmuid.estimation import Evaluator, LeastSquares, Marquardt, WeakForm, second_difference_noise, sobol_points
 from fmuid.identification.measured_states import MeasuredStates, both_ends, states_from_outputs
 from fmuid.identification.problem import Problem
 from fmuid.simulation import RightHandSide
@@ -168,14 +168,15 @@ def _fitted(problem: Problem, records: list[_WeakRecord], start: Floats) -> Equa
     if not acting.size or size <= acting.size:
         return None
     scaled = _Scaled(records, start, acting, problem.parameters.scale)
-    table = ArrayMeasurements(
+    table = Experiment.of_arrays(
         "windows", np.arange(size, dtype=np.float64), ("r",), np.zeros((size, 1)), np.ones((size, 1), bool)
     )
     given = scaled.parameters(problem.parameters.lower, problem.parameters.upper)
-    search = LeastSquares([scaled], [table], given, noise=Noise(1.0))
+    search = Evaluator(LeastSquares([scaled], [table], given, noise=Noise(1.0)))
+    lower, upper = search.problem.parameters.lower, search.problem.parameters.upper
     found = Marquardt(max_iterations=MOST_ITERATIONS).search(search)
     enough = max(0.5 * size * POOR**2, found.criterion / 4.0)
-    for theta in scaled.points(search.parameters.lower, search.parameters.upper):
+    for theta in scaled.points(lower, upper):
         if found.criterion <= enough:
             break
         found = min(found, SECOND.search(search, None, theta), key=lambda each: each.criterion)

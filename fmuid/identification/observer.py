@@ -57,11 +57,8 @@ def with_observer(problem: Problem, samples: float = 3.0) -> Problem:
     if problem.choices:
         raise InputError(f"an observer is for one model, and {next(iter(problem.choices))!r} takes few values: hold it")
     start = problem.parameters.start
-    other = problem.simulated_by(
-        [_observed(problem, index, start, samples) for index in range(len(problem.simulators))]
-    )
-    other.observer = samples
-    return other
+    simulators = [_observed(problem, index, start, samples) for index in range(len(problem.simulators))]
+    return problem.simulated_by(simulators, observer=samples)
 
 
 def _observed(problem: Problem, index: int, start: Floats, samples: float) -> Simulator:

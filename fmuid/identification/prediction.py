@@ -39,10 +39,10 @@ from fmuid.errors import NO_EXPERIMENT, InputError, check_kind
 from fmuid.estimation import Result, check_level
 from fmuid.formatting import nearest
 from fmuid.identification.assessment import CONFIDENCE_LEVEL
+from fmuid.identification.identify import identify
 from fmuid.identification.problem import Problem, refinement_of
 from fmuid.identification.residual_analysis import ResidualAnalysis
 from fmuid.identification.residual_series import examine_outputs
-from fmuid.identification.solver_checked_search import identify
 from fmuid.models import FMU, System
 from fmuid.simulation import OutputFit, Simulator, Value, column_conversion, fit_of, refined
 
@@ -206,8 +206,7 @@ def predict(
         check_kind(parameter, Parameter, f"{name!r} is free and must be a fmuid.Parameter(start)")
     system = System.of(model)
     free = {name: replace(each, prior=None, per_experiment=False) for name, each in free.items()}
-    known = estimates_for(result, system, experiment, free)
-    record = _Record(system, result, experiment, {**values, **result.chosen}, known, free, step_size)
+    record = _Record(system, result, experiment, {**values, **result.chosen}, free, step_size)
     again = record.estimate() if free else None
     return record.predicted(again, level)
 
@@ -257,12 +256,12 @@ class _Record:
         result: Result,
         experiment: Experiment,
         values: dict[str, Value],
-        known: dict[str, str],
         free: dict[str, Parameter],
         step_size: float | None,
     ) -> None:
         self.system, self.result, self.experiment, self.free = system, result, experiment, free
         self.step_size = step_size
+        known = estimates_for(result, system, experiment, free)
         self.names = tuple(known)  # of the variables that take an estimate
         self.at = [result.names.index(name) for name in known.values()]
         self.theta = result.values[self.at]
@@ -289,8 +288,7 @@ class _Record:
             values={**self.held, **dict(zip(self.names, self.theta.tolist(), strict=True))},
             step_size=self.step_size,
         )
-        problem.simulate_by(self.finer)
-        return identify(problem, accuracy="off")
+        return identify(problem.finer(self.finer), accuracy="off", remedies=False)
 
     def predicted(self, again: Result | None, level: float) -> Prediction:
         """Simulate at the estimates, and what is asked of their scatter."""

@@ -22,6 +22,7 @@ from fmuid.codec import Layout
 from fmuid.errors import InputError
 from fmuid.estimation import (
     CostFunction,
+    Evaluator,
     LeastSquares,
     LinearizedProblem,
     Marquardt,
@@ -331,7 +332,7 @@ def _search_data(
     variance = np.array([result.variance[name] for name in problem.output_names])
     state = State(result.values.copy(), local.residual, local.jacobian, fresh=False)
     try:
-        alone = _DataAlone(prepare(problem, result.start).criterion.reweighted(variance))
+        alone = _DataAlone(prepare(Evaluator(problem.as_in(result)), result.start).criterion.reweighted(variance))
         for _ in search(alone, state, Marquardt()):
             pass
         if not state.fresh:

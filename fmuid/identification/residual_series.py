@@ -12,7 +12,7 @@ from scipy import special
 
 from fmuid.array_types import Floats
 from fmuid.codec import Layout
-from fmuid.data import Experiment, Measurements
+from fmuid.data import Experiment
 from fmuid.estimation import (
     CrossCorrelation,
     FitProjection,
@@ -180,7 +180,7 @@ class ResidualSeries:
 
 
 def examine_outputs(
-    experiment: Measurements,
+    experiment: Experiment,
     simulated: Floats,
     models: Sequence[NoiseModel] | None = None,
     taken: FitProjection | None = None,
@@ -190,7 +190,7 @@ def examine_outputs(
 
     Parameters
     ----------
-    experiment : Measurements
+    experiment : Experiment
     simulated : (K, n_outputs) array
     models : sequence of NoiseModel, optional
         The noise of each of them, as the fit has it; default: nothing has been fitted, and the residual tells.
@@ -235,12 +235,12 @@ def _tested(found: ResidualSeries, values: Floats, taken: FitProjection) -> Resi
     )
 
 
-def _related(experiment: Measurements, series: Sequence[ResidualSeries]) -> dict[str, tuple[InputCorrelation, ...]]:
+def _related(experiment: Experiment, series: Sequence[ResidualSeries]) -> dict[str, tuple[InputCorrelation, ...]]:
     """Correlate residuals with each input that moves; return what was found by output.
 
     Residuals that count at the same times, as most do, share what an input was then and before.
     """
-    if not isinstance(experiment, Experiment):
+    if not experiment.input_names:
         return {}
     found: dict[str, list[InputCorrelation]] = {each.output: [] for each in series}
     alike: dict[bytes, list[ResidualSeries]] = {}

@@ -41,11 +41,11 @@ import numpy as np
 from fmuid.array_types import Floats
 from fmuid.blas import single_threaded
 from fmuid.errors import InputError, SimulationError
-from fmuid.estimation import GlobalSearch, LeastSquares, Result, TerminationReason
-from fmuid.identification.conditional_optimum import check_result
+from fmuid.estimation import Evaluator, GlobalSearch, LeastSquares, Result, TerminationReason
+from fmuid.identification.conditional_optimum import evaluator_of
 from fmuid.identification.likelihood_scaling import adjustment
 from fmuid.identification.posterior import Posterior, SamplerSettings
-from fmuid.identification.profile import reach
+from fmuid.identification.profile_likelihood import reach
 from fmuid.identification.proposal_archive import Archive
 from fmuid.progress import Progress, SamplingStep
 
@@ -127,12 +127,11 @@ def sample_posterior(
     >>> posterior.table.shape
     (480, 2)
     """
-    check_result(problem, result)
-    return _Sampler(problem, result, settings or SamplerSettings(), progress).run()
+    return _Sampler(evaluator_of(problem, result), result, settings or SamplerSettings(), progress).run()
 
 
 def log_density(
-    problem: LeastSquares, variance: Floats | None = None, result: Result | None = None
+    evaluator: Evaluator[LeastSquares], variance: Floats | None = None, result: Result | None = None
 ) -> Callable[[Floats], Floats]:
     """Return the log density of the posterior, without its constant, as a function of thetas (m, N) that gives (m,).
 
@@ -140,12 +139,13 @@ def log_density(
 
     Parameters
     ----------
-    problem : LeastSquares
+    evaluator : Evaluator
     variance : (n_outputs,) array, optional
         The noise variances, NaN where they are integrated out; default the problem's own. A robust loss needs them all.
     result : Result, optional
         Of the problem: the data's part is scaled to the colour of the noise that it found. Default: white noise.
     """
+    problem = evaluator.problem
     parameters, known = problem.parameters, problem.variance if variance is None else variance
     which = (problem.groups[:, None] == np.arange(problem.counts.size)).astype(np.float64)
     given = ~np.isnan(known)
@@ -155,7 +155,7 @@ def log_density(
     def sums(thetas: Floats) -> Floats:
         """Return the sum of squares of each output (m, n_outputs), whitened where its variance is known."""
         with np.errstate(over="ignore", invalid="ignore"):  # simulations may explode without failing
-            rows = (problem.measured - problem.predict(thetas)) * weights
+            rows = (problem.measured - evaluator.predict(thetas)) * weights
             rows = (rows if problem.loss is None else problem.loss.root(rows)) ** 2
         # einsum keeps to this thread: BLAS would start its own beside those of the simulations
         return np.asarray(np.einsum("mn,ng->mg", rows, which), dtype=np.float64)
@@ -191,22 +191,23 @@ class _Sampler:
     """One run of the sampler."""
 
     def __init__(
-        self, problem: LeastSquares, result: Result, settings: SamplerSettings, progress: Progress | None
+        self, evaluator: Evaluator[LeastSquares], result: Result, settings: SamplerSettings, progress: Progress | None
     ) -> None:
-        self.problem, self.result, self.settings, self.progress = problem, result, settings, progress
+        self.evaluator, self.problem = evaluator, evaluator.problem
+        self.result, self.settings, self.progress = result, settings, progress
         self.estimate: Floats = np.array(result.values)
-        self.clock, self.simulations = time.perf_counter(), problem.simulations
-        count = len(problem.parameters)
+        self.clock, self.simulations = time.perf_counter(), evaluator.simulations
+        count = len(self.problem.parameters)
         self.walkers = settings.walkers or max(SETTINGS.least_walkers, SETTINGS.walkers_per_parameter * count)
         if self.walkers < 2 * count:
             raise InputError(
                 f"{self.walkers} walkers are too few for {count} parameters; the sampler needs at least {2 * count}"
             )
         self.random = np.random.default_rng(settings.seed)
-        self.far = reach(problem, result)
+        self.far = reach(self.problem, result)
         # a robust loss is no log density, its variances cannot be integrated out: they stay at their estimates
-        robust = np.array([result.variance[name] for name in problem.output_names])
-        self.density = log_density(problem, None if problem.loss is None else robust, result)
+        robust = np.array([result.variance[name] for name in self.problem.output_names])
+        self.density = log_density(evaluator, None if self.problem.loss is None else robust, result)
         self._check_start()
         self.root = _root(result.covariance)
         self.inverse_root = None if self.root is None else np.linalg.inv(self.root)
@@ -266,7 +267,7 @@ class _Sampler:
     def _check_start(self) -> None:
         at = self.density(self.estimate[None])[0]
         if at == -np.inf:
-            raise self.problem.failure(self.estimate) or InputError(
+            raise self.evaluator.failure(self.estimate) or InputError(
                 "the result lies outside the problem's bounds; give the result of this problem's identification"
             )
         if at == np.inf:
@@ -279,7 +280,7 @@ class _Sampler:
         search = GlobalSearch("multi-start", starts=SETTINGS.searches, seed=self.settings.seed)
         try:
             search.check(self.problem)
-            found = search.search(self.problem, self.progress)
+            found = search.search(self.evaluator, self.progress)
         except (InputError, SimulationError):  # no box, or nothing in it can be simulated
             return []
         if found.outcome is TerminationReason.INTERRUPTED:
@@ -363,7 +364,7 @@ class _Sampler:
             log_density=self.sampler.get_log_prob().copy(),
             burn=int(self.settings.burn * len(chain)),
             acceptance=float(np.mean(self.sampler.acceptance_fraction)),
-            simulations=self.problem.simulations - self.simulations,
+            simulations=self.evaluator.simulations - self.simulations,
             elapsed_s=time.perf_counter() - self.clock,
         )
 

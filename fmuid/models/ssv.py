@@ -136,7 +136,7 @@ def _unit_text(unit: Unit) -> str:
     return f"    <ssc:Unit name={quoteattr(unit.name)}><ssc:BaseUnit{base}/></ssc:Unit>"
 
 
-# --- common to SSV, SSM and SSD files
+# --- common to SSV, SSM and SSD files; what is wrong in one is an InputError that names the place
 
 
 def local(element: Element) -> str:
@@ -153,21 +153,7 @@ def children(element: Element | None, *names: str) -> list[Element]:
 
 
 def read_xml(path: Path, root: str, what: str) -> Element:
-    """Read an XML file and check the name of its root element and its version.
-
-    Parameters
-    ----------
-    path : Path
-    root : str
-        Local name of the root element.
-    what : str
-        The expected kind of file, for the message.
-
-    Raises
-    ------
-    InputError
-        If it cannot be read, is not well-formed, or is something else.
-    """
+    """Read an XML file and check the name of its root element and its version."""
     try:
         with path.open("rb") as file:
             text = file.read(LARGEST_XML + 1)
@@ -185,13 +171,7 @@ def read_xml(path: Path, root: str, what: str) -> Element:
 
 
 def number(element: Element, attribute: str, where: str, default: float | None = None) -> float:
-    """Return an attribute as a number.
-
-    Raises
-    ------
-    InputError
-        If it is missing and there is no default, or is not a finite number.
-    """
+    """Return an attribute as a number."""
     text = element.get(attribute)
     if text is None and default is not None:
         return default
@@ -232,21 +212,7 @@ def enumerations_of(root: Element, where: str) -> dict[str, dict[str, int]]:
 def parameter_set(
     root: Element, where: str, enumerations: Mapping[str, Mapping[str, int]] | None = None
 ) -> ParameterValues:
-    """Return the content of a ParameterSet element.
-
-    Parameters
-    ----------
-    root : Element
-    where : str
-        The file, for messages.
-    enumerations : mapping, optional
-        Those that the surrounding SSD file defines.
-
-    Raises
-    ------
-    InputError
-        If a value is missing or not of its type, or a parameter stands there twice.
-    """
+    """Return the content of a ParameterSet element."""
     known = {**(enumerations or {}), **enumerations_of(root, where)}
     values: dict[str, Quantity] = {}
     for parameter in children(root, "Parameters", "Parameter"):
@@ -276,13 +242,7 @@ def _value(element: Element, where: str) -> Value:
 
 
 def whole(element: Element, attribute: str, where: str) -> int:
-    """Return an attribute as an integer.
-
-    Raises
-    ------
-    InputError
-        If it is not one.
-    """
+    """Return an attribute as an integer."""
     try:
         return int(element.get(attribute, ""))
     except ValueError:
@@ -290,13 +250,7 @@ def whole(element: Element, attribute: str, where: str) -> int:
 
 
 def truth(element: Element, attribute: str, where: str) -> bool:
-    """Return an attribute as a Boolean; false if it is missing.
-
-    Raises
-    ------
-    InputError
-        If it is not one.
-    """
+    """Return an attribute as a Boolean; false if it is missing."""
     text = element.get(attribute, "false").strip()
     if text not in ("true", "1", "false", "0"):
         raise InputError(f"{where}: {attribute} of {local(element)} must be true or false, not {text!r}")
@@ -304,13 +258,7 @@ def truth(element: Element, attribute: str, where: str) -> bool:
 
 
 def mapping_entries(root: Element, where: str) -> tuple[MappingEntry, ...]:
-    """Return the content of a ParameterMapping element.
-
-    Raises
-    ------
-    InputError
-        If an entry lacks a name, its transformation cannot be read, or two entries have one target.
-    """
+    """Return the content of a ParameterMapping element."""
     entries: list[MappingEntry] = []
     for element in children(root, "MappingEntry"):
         source, target = element.get("source"), element.get("target", "")
@@ -326,13 +274,7 @@ def mapping_entries(root: Element, where: str) -> tuple[MappingEntry, ...]:
 
 
 def transformation(element: Element, where: str) -> tuple[float, float, dict[Value, Value] | None]:
-    """Return the factor and offset, or the table, by which a connection or mapping changes values (SSP 1.0, 4.5.2).
-
-    Raises
-    ------
-    InputError
-        If it is of an unknown kind or cannot be read.
-    """
+    """Return the factor and offset, or the table, by which a connection or mapping changes values (SSP 1.0, 4.5.2)."""
     for child in element:
         kind = local(child)
         if kind == "LinearTransformation":

@@ -130,33 +130,21 @@ class System:
         InputError
             If the file or an FMU in it cannot be read, or a connection is wrong.
         """
-        from fmuid.models.ssp.package import read_ssp
+        from fmuid.models.ssp import read_ssp
 
         structure = read_ssp(path)
         components = {
-            name: Component(FMU(entry.fmu), numerics.over(Numerics(interface=entry.interface)))
-            for name, entry in structure.components.items()
+            name: Component(FMU(fmu), numerics.over(Numerics(interface=interface)))
+            for name, (fmu, interface) in structure.components.items()
         }
-        inputs = {
-            name: [(f"{port.component}.{port.variable}", port.factor, port.offset) for port in ports]
-            for name, ports in structure.inputs.items()
-        }
-        outputs = {
-            name: [(f"{port.component}.{port.variable}", port.factor, port.offset)]
-            for name, port in structure.outputs.items()
-        }
-        links: list[tuple[str, str] | tuple[str, str, float, float]] = []
-        for link in structure.connections:
-            ends = ".".join(link.source), ".".join(link.target)
-            links.append((*ends, link.factor, link.offset) if link.units_settled else ends)
         try:
             return cls(
                 components=components,
-                connections=links,
+                connections=structure.connections,
                 numerics=numerics,
                 master=master,
                 values=structure.values,
-                connectors=inputs | outputs,
+                connectors=structure.connectors,
                 isolation=isolation,
             )
         except InputError as error:

@@ -263,7 +263,8 @@ class MonitoringRun:
     files: tuple[Path, ...] = ()
 
     json_layout: ClassVar = Layout(
-        omitted={"table", "gaps", "files"}, types=dict.fromkeys(("Alarm", "Rule", "Basis", "Gap"), "fmuid.diagnosis")
+        omitted={"table", "gaps", "files"},
+        types=dict.fromkeys(("Alarm", "Rule", "BaselineSource", "SkippedWindow"), "fmuid.diagnosis"),
     )
 
     @property

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
+from dataclasses import MISSING, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -54,7 +55,17 @@ def write_prepared(path: Path, tables: Iterable[pd.DataFrame]) -> list[Path]:
 
 def words_of(given: ExperimentSettings) -> dict[str, Any]:
     """Return the words of ``[experiments.preprocess]`` that are not its defaults."""
-    return given.preprocess.model_dump(exclude_defaults=True, by_alias=True)
+    return _changed(given.preprocess)
+
+
+def _changed(settings: Any) -> dict[str, Any]:
+    """Return the fields of settings, and of those in a list of them, that are not their defaults."""
+    left: dict[str, Any] = {}
+    for each in fields(settings):
+        default = each.default if each.default_factory is MISSING else each.default_factory()
+        if getattr(settings, each.name) != default:
+            left[each.name] = getattr(settings, each.name)
+    return {name: list(map(_changed, value)) if name == "park" else value for name, value in left.items()}
 
 
 def prepared_table(given: ExperimentSettings, experiment: Experiment, raw: pd.DataFrame) -> PreprocessedTable:

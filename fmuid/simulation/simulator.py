@@ -20,9 +20,6 @@ from fmuid.simulation.simulation_plan import new_reports
 from fmuid.simulation.simulation_task import task_of
 from fmuid.simulation.variable_checks import Value, column_conversion
 
-# What is remembered of simulations takes no more memory than this, bytes.
-MOST_REMEMBERED = 32_000_000
-
 
 @dataclass(frozen=True)
 class Simulations:
@@ -104,8 +101,6 @@ class Simulator:
             raise InputError(f"parameter {sorted(repeated)[0]!r} is given twice")
         self._given, self._divisor = (dict(values or {}), step_size), divisor
         self._tolerance: float | None = None
-        self._remembered: dict[bytes, Floats] = {}
-        self._to_remember = 0
         self._targets = [
             (name, column, factor, offset)
             for column, parameter in enumerate(self.parameters)
@@ -214,27 +209,13 @@ class Simulator:
             )
         if not np.isfinite(given).all():
             raise InputError(f"theta must be finite; one of the values for {self._names} is not")
-        known = self._remembered.get(given.tobytes()) if self._remembered else None
-        if known is not None:
-            return Simulations(known.copy(), (None,) * len(given))
         outputs = np.empty((len(given), self._simulation.grid.times.size, len(self.output_names)))
         reports = new_reports(len(given))
         with self._executor.lock:
             self._executor.run(self._simulation, self.target_values(given), outputs, reports)
             errors = self._explain(given, outputs, reports)
         self.in_table_units(outputs)
-        if self._to_remember and not any(errors):
-            self._remember(given, outputs)
         return Simulations(outputs, errors)
-
-    def remember(self, calls: int) -> None:
-        """Remember the next calls of `many` that succeed: whoever sets out from one point many times repeats them."""
-        self._to_remember = calls
-
-    def _remember(self, thetas: Floats, outputs: Floats) -> None:
-        self._to_remember -= 1
-        if outputs.nbytes + sum(each.nbytes for each in self._remembered.values()) <= MOST_REMEMBERED:
-            self._remembered[thetas.tobytes()] = outputs.copy()
 
     def in_table_units(self, outputs: Floats) -> Floats:
         """Convert what the FMU gives (m, K, n_outputs) to the units of the experiment's columns, in place."""

@@ -7,9 +7,9 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-from pydantic import BeforeValidator, Tag
+from pydantic import AfterValidator, BeforeValidator, Field, Tag
 
-from fmuid.data import INTERPOLATIONS
+from fmuid.data import INTERPOLATIONS, Noise, Preprocessing
 from fmuid.errors import InputError
 from fmuid.estimation import Result
 from fmuid.models import (
@@ -26,9 +26,7 @@ from fmuid.models import (
 from fmuid.simulation import MOST_STEPS, Value
 from fmuid.studies.arrays import by_element
 from fmuid.studies.parameters import PriorSource, ResultValueSection
-from fmuid.studies.preprocess import PreprocessWords
-from fmuid.studies.section import SectionLocation, StudySection, word
-from fmuid.studies.settings import ExperimentNoiseSection
+from fmuid.studies.section import SectionLocation, Settings, StudySection, word
 from fmuid.studies.value_kinds import (
     BY_SHAPE,
     TABLE_TAG,
@@ -37,6 +35,7 @@ from fmuid.studies.value_kinds import (
     Count,
     Entries,
     File,
+    Finite,
     Flag,
     NameOrPlace,
     Names,
@@ -48,7 +47,9 @@ from fmuid.studies.value_kinds import (
     Share,
     Text,
     Texts,
+    ValueKind,
     as_list,
+    must_be,
     one_of,
 )
 from fmuid.units import TIME_UNITS
@@ -285,6 +286,43 @@ class ModelSection(NumericsSection):
 
 # --- [[experiments]] --------------------------------------------------------------------
 
+SEGMENTS = "a list of pairs of times, [[0.0, 1.5], [2.0, 3.5]]"
+
+
+def _forwards(segments: list[list[float]]) -> list[list[float]]:
+    if any(end <= begin for begin, end in segments):
+        raise must_be(f"{SEGMENTS}, each with the earlier time first")
+    return segments
+
+
+Segments = Annotated[
+    list[Annotated[list[Finite], Field(min_length=2, max_length=2)]], ValueKind(SEGMENTS), AfterValidator(_forwards)
+]
+
+
+@dataclass(frozen=True)
+class PreprocessSection(Preprocessing):
+    """What is done with the data first, in this order."""
+
+    segments: Segments = field(default_factory=list)
+    """in place of start_time and end_time: several segments, each an experiment of its own"""
+
+    def split(self) -> list[PreprocessSection]:
+        """Return what is done with the data of each segment.
+
+        Raises
+        ------
+        InputError
+            If there are both segments and one cut.
+        """
+        for key in ("start_time", "end_time") if self.segments else ():
+            if getattr(self, key) is not None:
+                raise InputError(f"has both segments and {key}: keep one of the two")
+        if not self.segments:
+            return [self]
+        return [replace(self, segments=[], start_time=begin, end_time=end) for begin, end in self.segments]
+
+
 Interpolation = Annotated[str, one_of(INTERPOLATIONS)]
 Interpolations = Annotated[dict[str, Interpolation], Entries("a table { input = interpolation }")]
 
@@ -309,10 +347,8 @@ class ExperimentSettings(StudySection):
     fixed: Annotated[Scalars, BeforeValidator(by_element)] = word(
         {}, "FMU variables held at a value, or at rows of them, in this experiment"
     )
-    noise: ExperimentNoiseSection = word(
-        {}, "of this experiment, where it is not as [noise] says", validate_default=True
-    )
-    preprocess: PreprocessWords = word({}, "what is done with the table first", validate_default=True)
+    noise: Annotated[Noise, Settings()] = word(Noise(), "of this experiment, where it is not as [noise] says")
+    preprocess: Annotated[PreprocessSection, Settings()] = word(PreprocessSection(), "what is done with the data first")
     units: Texts = word(
         {}, "of columns whose unit the table does not say and that are not in the FMU's: { variable = unit }"
     )
@@ -351,7 +387,7 @@ class ExperimentSettings(StudySection):
         given = self.interpolation
         words = given if isinstance(given, dict) else dict.fromkeys(self.inputs, given)
         between = {column: words.get(name, "linear") for name, column in self.inputs.items()}
-        frame = self.preprocess.settings().applied(frame, time, source, columns.values(), between)
+        frame = self.preprocess.applied(frame, time, source, columns.values(), between)
         other = {name: getattr(self, name) for name in ("interpolation", "units", "name")}
         other |= {"discard": self.warmup, "values": self.fixed}
         return Experiment(frame, self.inputs, self.outputs, time, **other, measured=measured, source=source)
@@ -370,13 +406,21 @@ def named(experiments: Sequence[ExperimentSettings], top: SectionLocation) -> tu
         name = each.name or each.data.stem
         if not each.outputs:
             raise each.error('has no outputs: name those that are measured, outputs = ["..."]')
-        each.preprocess.check_fill(each.outputs)
-        pieces = each.preprocess.cut_up()
-        for k, piece in enumerate(pieces, start=1):
-            called = f"{name} {k}" if len(pieces) > 1 else name
+        for output, column in each.outputs.items():
+            if column in each.preprocess.fill_missing:
+                raise each.place.below("preprocess").error(
+                    f"fills {column!r}, what was measured of the output {output!r}: leave it out of fill_missing, "
+                    "missing samples of an output do not count"
+                )
+        try:
+            segments = each.preprocess.split()
+        except InputError as error:
+            raise each.place.below("preprocess").error(str(error)) from None
+        for k, segment in enumerate(segments, start=1):
+            called = f"{name} {k}" if len(segments) > 1 else name
             if called in found:
                 raise each.error(f'is called {called!r} like an earlier one: give it a name of its own, name = "..."')
-            found[called] = each.model_copy(update={"name": called, "preprocess": piece})
+            found[called] = each.model_copy(update={"name": called, "preprocess": segment})
     if not found:
         raise top.error("has no experiments: name at least one table with [[experiments]]")
     return tuple(found.values())

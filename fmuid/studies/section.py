@@ -281,15 +281,19 @@ def kind_of(type_: Any) -> Any:
         return type_
     origin, inner = get_origin(base), get_args(base)
     if origin in (Union, UnionType):
-        some = [kind_of(each) for each in inner if each is not type(None)]
-        return _either(some) if len(some) == len(inner) else _either(some) | None
+        # samples one by one are for Python alone
+        inner = tuple(each for each in inner if get_args(each) != (float,))
+        parts = [kind_of(each) for each in inner if each is not type(None)]
+        return _either(parts) if len(parts) == len(inner) else _either(parts) | None
     if origin is Literal:
         return Annotated[str, one_of(inner)]
     if isinstance(origin, type) and issubclass(origin, Mapping):
         entries: Any = dict.__class_getitem__((str, kind_of(inner[1])))
-        return Annotated[entries, Entries(f"a table {{ name = {'text' if inner[1] is str else 'number'} }}")]
+        noun = {str: "text", float: "number"}.get(inner[1], "number" if get_origin(inner[1]) is Annotated else "value")
+        return Annotated[entries, Entries(f"a table {{ name = {noun} }}")]
     if isinstance(origin, type) and issubclass(origin, Sequence):
-        return Annotated[Names, AfterValidator(tuple)] if origin is tuple else Names
+        some: Any = list.__class_getitem__(kind_of(inner[0])) if is_dataclass(inner[0]) else Names
+        return Annotated[some, AfterValidator(tuple)] if origin is tuple else some
     if base in (int, float):
         return Annotated[base, *limits, Field(allow_inf_nan=False) if base is float else None, _number(base, limits)]
     if is_dataclass(base):

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any
 
-from pydantic import AfterValidator, BeforeValidator, Field, Tag
+from pydantic import AfterValidator, BeforeValidator, Field
 
-from fmuid.data import LOSSES, Noise
+from fmuid.data import LOSSES
 from fmuid.diagnosis import Rule
 from fmuid.errors import InputError
 from fmuid.estimation import SENSITIVITIES, Marquardt
@@ -17,19 +16,13 @@ from fmuid.formatting import nearest
 from fmuid.identification import ACCURACIES, CONFIDENCE_LEVEL, AssessmentSettings, Problem, with_observer
 from fmuid.studies.section import SectionLocation, StudySection, word
 from fmuid.studies.value_kinds import (
-    BY_SHAPE,
-    TABLE_TAG,
-    VALUE_TAG,
     Count,
     Entries,
     Flag,
-    Names,
     Natural,
     NotNegative,
     Number,
     Positive,
-    PositiveOrEach,
-    Positives,
     Share,
     Text,
     ValueKind,
@@ -49,67 +42,6 @@ Limits = Annotated[dict[str, Number], Entries("a table { fault.size = number }")
 
 
 # --- [isolation], [noise], [estimation] --------------------------------------------------
-
-
-VARIANCES = '"estimate", a number above 0 or a table { output = number }'
-Variance = Annotated[
-    Literal["estimate"] | Annotated[float, Field(gt=0, allow_inf_nan=False)],
-    ValueKind(VARIANCES, lambda value: VARIANCES if isinstance(value, str) else "a number above 0"),
-]
-
-
-NumberOrColumn = Annotated[
-    Annotated[float, Field(gt=0, allow_inf_nan=False)] | Annotated[str, Field(min_length=1)],
-    ValueKind("a number above 0 or the name of a column"),
-]
-Levels = Annotated[
-    Annotated[NumberOrColumn, Tag(VALUE_TAG)]
-    | Annotated[
-        dict[str, NumberOrColumn], Entries("a table { output = number } or { output = column }"), Tag(TABLE_TAG)
-    ],
-    BY_SHAPE,
-]
-
-
-class ExperimentNoiseSection(StudySection):
-    """The noise of the measurements of one experiment, where it is not that of all."""
-
-    variance: Annotated[Annotated[Variance, Tag(VALUE_TAG)] | Annotated[Positives, Tag(TABLE_TAG)], BY_SHAPE] = word(
-        "estimate", "of the outputs; or a number for all, or one for each: { output = number }", "estimate"
-    )
-    std: Levels | None = word(
-        None, "standard deviation: a number, a column of the table with one for each sample, or { output = either }"
-    )
-    relative_std: PositiveOrEach | None = word(
-        None, "standard deviation as a share of the output's spread (the standard deviation of its counted samples)"
-    )
-    weights: Levels | None = word(
-        None, "a sample of weight w has the variance σ²/w, with one σ², estimated, for all outputs that have weights"
-    )
-    excitation_period: Positive | None = word(
-        None, "s after which the excitation repeats, as errors of the model then do; default: what the inputs show", 4.0
-    )
-
-    def forms(self) -> Noise:
-        """Return these words as an object."""
-        relative, period = self.relative_std, self.excitation_period
-        return Noise(self.variance, std=self.std, relative=relative, weights=self.weights, period=period)
-
-
-class NoiseSection(ExperimentNoiseSection):
-    """The noise of the measurements."""
-
-    initial_variance: PositiveOrEach | None = word(
-        None, "where the estimation of the variance starts; default: from the residual", 0.01
-    )
-    shared_variance: Flag | Names = word(
-        False, "outputs that share one estimated variance, a list of names; true: all of them"
-    )
-
-    def settings(self, experiments: Mapping[str, ExperimentNoiseSection]) -> Noise:
-        """Return the words as an object, with those of single experiments."""
-        own = {name: each.forms() for name, each in experiments.items() if each.model_fields_set}
-        return replace(self.forms(), start=self.initial_variance, common=self.shared_variance, experiments=own)
 
 
 METHODS = ("levenberg-marquardt", "multi-start", "differential-evolution")

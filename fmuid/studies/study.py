@@ -174,7 +174,8 @@ class Study(HtmlTableMixin):
             words.estimation.settings(),
             words.uncertainty.settings(known.names),
         )
-        noise = words.noise.settings({given.name: given.noise for given in experiments})
+        own = {given.name: given.noise for given in experiments if given.noise != Noise()}
+        noise = replace(words.noise, experiments=own)
         estimator.check_loss(search, asked, top)
         estimator.check_observer({key: getattr(words, key) is not None for key in ("diagnosis", "batch")}, top)
         return cls(
@@ -378,9 +379,7 @@ class Study(HtmlTableMixin):
         SimulationError
             If the simulation fails at the result.
         """
-        problem = self.problem()
-        problem.become(result)
-        return assess(problem, result, self.uncertainty_settings, progress)
+        return assess(self.problem(), result, self.uncertainty_settings, progress)
 
     def simulators(self) -> tuple[Simulator, ...]:
         """Return the simulator of each experiment, as a function of the study's parameters in their order."""

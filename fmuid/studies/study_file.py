@@ -6,6 +6,7 @@ from typing import Annotated, Self
 
 from pydantic import BeforeValidator
 
+from fmuid.data import Noise
 from fmuid.models import Isolation
 from fmuid.studies.arrays import by_element
 from fmuid.studies.batch import BatchSettings
@@ -17,7 +18,6 @@ from fmuid.studies.section import SectionLocation, Settings, StudySection, word
 from fmuid.studies.settings import (
     EstimationWords,
     MonitoringSection,
-    NoiseSection,
     UncertaintySection,
 )
 from fmuid.studies.value_kinds import Text
@@ -39,7 +39,7 @@ class StudyFile(StudySection):
         {}, "the parameters to identify"
     )
     prior: JointPriorSection | None = word(None, "what is known of several parameters together")
-    noise: NoiseSection = word({}, "the noise of the measurements", validate_default=True)
+    noise: Annotated[Noise, Settings()] = word(Noise(), "the noise of the measurements")
     estimation: EstimationWords = word({}, "how the parameters are searched for", validate_default=True)
     uncertainty: UncertaintySection = word(
         {}, "more than the standard deviations, which are local", validate_default=True

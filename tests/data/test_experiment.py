@@ -8,13 +8,14 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from fmuid.data import Parameter
 from fmuid.data.data_file import read_data
 from fmuid.data.experiment import Experiment
-from fmuid.data.parameters import Parameter
 from fmuid.data.predictors import FunctionPredictor
 from fmuid.errors import InputError
+from fmuid.estimation.evaluator import Evaluator
 from fmuid.estimation.global_search.search import GlobalSearch
-from fmuid.estimation.identification import identify
+from fmuid.estimation.method import Marquardt
 from fmuid.estimation.problem import LeastSquares
 
 NAN = float("nan")
@@ -82,9 +83,9 @@ def test_outputs_that_are_not_measured_are_names() -> None:
     with pytest.raises(InputError, match="'v'"):
         Experiment(table(), ["v"], ["z"], measured=False)
     problem = LeastSquares([FunctionPredictor(lambda theta: theta, (5, 2))], [run], {"a": Parameter(1.0, 0.0, 2.0)})
-    for search in (identify, GlobalSearch().search):
+    for search in (Marquardt().search, GlobalSearch().search):
         with pytest.raises(InputError, match="output 'z' has not been measured: there is nothing to identify"):
-            search(problem)
+            search(Evaluator(problem))
     found = run.with_outputs(np.column_stack([run.times, run.times]))
     assert found.measured
     np.testing.assert_array_equal(found.frame["z"], run.times)

@@ -3,7 +3,7 @@ import math
 import numpy as np
 import pytest
 
-from fmuid.data.parameters import JointPrior, Normal, Parameter, ParameterSet
+from fmuid.data import JointPrior, Normal, Parameter, ParameterSet
 from fmuid.errors import InputError
 
 

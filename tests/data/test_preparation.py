@@ -82,17 +82,17 @@ def test_refusals_name_the_remedy() -> None:
     with pytest.raises(InputError, match="an expression has 1201 characters: write at most 1000"):
         value("a" + "+a" * 600)
     with pytest.raises(InputError, match="the axes d, q need an angle or a speed"):
-        reduced(frame(a=1.0, b=1.0, c=1.0), axes=[ParkTransform(("a", "b", "c"), ("d", "q"))])
+        reduced(frame(a=1.0, b=1.0, c=1.0), park=(ParkTransform(("a", "b", "c"), ("d", "q")),))
     with pytest.raises(InputError, match=r"^the frame: column 'x': the prepared column 'pulse' is missing"):
-        reduced(frame(pulses=1.0), columns={"x": "pulse * 2"})
+        reduced(frame(pulses=1.0), computed_columns={"x": "pulse * 2"})
 
 
 def test_columns_one_after_the_other() -> None:
-    found = reduced(frame(y=2.0, d=1.0), columns={"e": "d * 3", "y": "y + e * time", "bad": "1 / (d - 1)"})
+    found = reduced(frame(y=2.0, d=1.0), computed_columns={"e": "d * 3", "y": "y + e * time", "bad": "1 / (d - 1)"})
     np.testing.assert_allclose(found["y"], 2.0 + 3.0 * T)
     assert found["bad"].isna().all()  # missing, not infinite
     with pytest.raises(InputError, match="the time 'time' cannot be computed anew"):
-        reduced(frame(y=2.0), columns={"time": "time * 2"})
+        reduced(frame(y=2.0), computed_columns={"time": "time * 2"})
 
 
 # --- filtering ----------------------------------------------------------------------------
@@ -104,7 +104,7 @@ def test_low_pass_halves_at_its_frequency_and_shifts_nothing(frequency: float) -
     gain = 1 / (1 + (np.tan(np.pi * frequency * 1e-3) / np.tan(np.pi * 20e-3)) ** 4)
     assert gain == pytest.approx(0.5) or frequency != 20.0
     x = np.sin(2 * np.pi * frequency * T)
-    found = reduced(frame(x=x, again=x), low_pass=20.0)
+    found = reduced(frame(x=x, again=x), lowpass_frequency=20.0)
     inner = slice(300, -300)
     np.testing.assert_allclose(found["x"][inner], gain * x[inner], atol=1e-6)
     np.testing.assert_array_equal(found["x"], found["again"])
@@ -114,62 +114,62 @@ def test_stretches_between_gaps_are_filtered_by_themselves() -> None:
     x = np.random.default_rng(0).standard_normal(T.size)
     sections = butter(2, 50.0, fs=1000.0, output="sos")
     holed = np.where((T > 0.4) & (T < 0.45), np.nan, x)
-    found = reduced(frame(x=holed), low_pass=50.0)["x"].to_numpy()
+    found = reduced(frame(x=holed), lowpass_frequency=50.0)["x"].to_numpy()
     for part in (slice(0, 401), slice(450, None)):
         np.testing.assert_allclose(found[part], sosfiltfilt(sections, x[part]), atol=1e-12)
     assert np.isnan(found[401:450]).all()
     kept = (T < 0.4) | (T > 0.6)  # a gap in time
-    found = reduced(frame(x=x)[kept], low_pass=50.0)["x"].to_numpy()
+    found = reduced(frame(x=x)[kept], lowpass_frequency=50.0)["x"].to_numpy()
     np.testing.assert_allclose(found[:400], sosfiltfilt(sections, x[:400]), atol=1e-12)
     lonely = np.where((T[700] == T) | (T < 0.5), x, np.nan)
-    assert np.isnan(reduced(frame(x=lonely), low_pass=50.0)["x"][700])
+    assert np.isnan(reduced(frame(x=lonely), lowpass_frequency=50.0)["x"][700])
 
 
 def test_low_pass_is_refused() -> None:
-    with pytest.raises(InputError, match="low_pass = 600 Hz must lie below half the sample rate, 500 Hz"):
-        reduced(frame(x=1.0), low_pass=600.0)
+    with pytest.raises(InputError, match="lowpass_frequency = 600 Hz must lie below half the sample rate, 500 Hz"):
+        reduced(frame(x=1.0), lowpass_frequency=600.0)
     jumpy = frame(x=1.0).assign(time=np.where(T[7] == T, T + 3e-4, T))
     with pytest.raises(InputError, match=r"needs equal steps of time, and after row 7 there is one of 0.0013 s"):
-        reduced(jumpy, low_pass=50.0)
+        reduced(jumpy, lowpass_frequency=50.0)
     held = Experiment(frame(u=1.0, y=1.0), ["u"], ["y"], interpolation="zoh")
     with pytest.raises(InputError, match="'u' holds between samples"):
-        reduced(held, low_pass=50.0)
+        reduced(held, lowpass_frequency=50.0)
 
 
 # --- cutting, resampling, trends ----------------------------------------------------------
 
 
 def test_cut() -> None:
-    found = reduced(frame(x=T), start=0.3, end=0.7)
+    found = reduced(frame(x=T), start_time=0.3, end_time=0.7)
     np.testing.assert_allclose(found["time"], np.linspace(0.3, 0.7, 401))
     with pytest.raises(InputError, match=r"from 2.5 s leaves 0 samples: the record goes from 0 to 1.999 s"):
-        reduced(frame(x=T), start=2.5)
+        reduced(frame(x=T), start_time=2.5)
     with pytest.raises(InputError, match=r"from 0\.1 to 0\.1 s leaves 1 samples"):
-        reduced(frame(x=T), start=0.1, end=0.1)
+        reduced(frame(x=T), start_time=0.1, end_time=0.1)
 
 
 def test_resample() -> None:
     x = 3 * T + 1
     stairs = np.floor(10 * T + 1e-9)
     experiment = Experiment(frame(u=stairs, y=np.where(T == 0.1, np.nan, x)), ["u"], ["y"], interpolation="zoh")
-    found = reduced(experiment, resample=0.0125)
+    found = reduced(experiment, resample_interval=0.0125)
     np.testing.assert_allclose(found.times, np.arange(160) * 0.0125, atol=1e-12)
     np.testing.assert_array_equal(found.input_values[:, 0], np.floor(10 * np.arange(160) * 0.0125 + 1e-6))
     expected = 3 * found.times + 1
     expected[8] = np.nan  # at 0.1 s
     np.testing.assert_allclose(found.output_values[:, 0], expected, atol=1e-9)
-    finer = reduced(frame(x=x), resample=2.5e-4)
+    finer = reduced(frame(x=x), resample_interval=2.5e-4)
     np.testing.assert_allclose(finer["x"], 3 * finer["time"] + 1)
-    gap = reduced(frame(x=x)[(T < 0.4) | (T > 0.6)], resample=0.01)
+    gap = reduced(frame(x=x)[(T < 0.4) | (T > 0.6)], resample_interval=0.01)
     np.testing.assert_array_equal(np.flatnonzero(gap["x"].isna()), np.arange(40, 61))
 
 
 def test_resample_is_refused() -> None:
-    with pytest.raises(InputError, match="resample = 5 s is longer than the record"):
-        reduced(frame(x=1.0), resample=5.0)
+    with pytest.raises(InputError, match="resample_interval = 5 s is longer than the record"):
+        reduced(frame(x=1.0), resample_interval=5.0)
     twice = pd.DataFrame({"time": [0.0, 1.0, 1.0, 2.0], "x": [0.0, 0.0, 1.0, 1.0]})
     with pytest.raises(InputError, match="which of the two samples at t = 1 s"):
-        reduced(twice, resample=0.5)
+        reduced(twice, resample_interval=0.5)
 
 
 def test_detrend() -> None:
@@ -188,14 +188,20 @@ def test_the_order_and_what_is_left_alone() -> None:
     """Computed, filtered, cut, resampled, then freed of the mean; an empty preparation changes nothing."""
     x = np.random.default_rng(1).standard_normal(T.size)
     found = reduced(
-        frame(x=x), columns={"z": "2 * x"}, low_pass=50.0, start=0.5, end=1.5, resample=0.01, detrend={"z": "mean"}
+        frame(x=x),
+        computed_columns={"z": "2 * x"},
+        lowpass_frequency=50.0,
+        start_time=0.5,
+        end_time=1.5,
+        resample_interval=0.01,
+        detrend={"z": "mean"},
     )
     z = sosfiltfilt(butter(2, 50.0, fs=1000.0, output="sos"), 2 * x)[500:1501:10]
     np.testing.assert_allclose(found["z"], z - z.mean(), atol=1e-9)
     given = frame(x=x, word="run")
     given.attrs["units"] = {"x": "mV"}
     assert reduced(given).equals(given)
-    assert reduced(given, resample=0.01).attrs["units"] == {"x": "mV"}
+    assert reduced(given, resample_interval=0.01).attrs["units"] == {"x": "mV"}
 
 
 # --- axes ---------------------------------------------------------------------------------
@@ -212,11 +218,11 @@ def test_axes_by_angle_and_by_speed_of_any_unit() -> None:
     table = frame(**phases(angle), theta=np.degrees(angle), n=speed * 30 / np.pi)
     table.attrs["units"] = {"theta": "deg", "n": "rpm", "ia": "mA", "ib": "mA", "ic": "mA"}
     length = 10 * np.sqrt(1.5)
-    hows: list[dict[str, Any]] = [{"angle": "theta"}, {"speed": "n", "pole_pairs": 2.0, "start": 0.7}]
+    hows: list[dict[str, Any]] = [{"angle": "theta"}, {"speed": "n", "pole_pairs": 2.0, "initial_angle": 0.7}]
     for how in hows:
         axes = ParkTransform(("ia", "ib", "ic"), ("id", "iq"), **how)
         back = ParkTransform(("id", "iq"), ("a", "b", "c"), **how)
-        found = reduced(table, axes=[axes, back])
+        found = reduced(table, park=(axes, back))
         np.testing.assert_allclose(found["id"], length * np.cos(0.3), rtol=1e-4)
         np.testing.assert_allclose(found["iq"], length * np.sin(0.3), rtol=1e-4)
         np.testing.assert_allclose(found[["a", "b", "c"]], table[["ia", "ib", "ic"]], atol=1e-9)
@@ -227,16 +233,16 @@ def test_axes_are_refused() -> None:
     table = frame(**phases(T), n=np.where(T == 0.5, np.nan, 1.0))
     axes = ParkTransform(("ia", "ib", "ic"), ("id", "iq"), speed="n")
     with pytest.raises(InputError, match="the speed 'n' has no value in row 501"):
-        reduced(table, axes=[axes])
+        reduced(table, park=(axes,))
     table.attrs["units"] = {"n": "A", "ia": "A"}
     with pytest.raises(InputError, match="must have one unit"):
-        reduced(table, axes=[axes])
+        reduced(table, park=(axes,))
     table.attrs["units"] = {"n": "A"}
     with pytest.raises(InputError, match="'n' is in A, which does not convert to rad/s"):
-        reduced(table, axes=[axes])
+        reduced(table, park=(axes,))
     del table.attrs["units"]
     with pytest.raises(InputError, match="column 'ix' is missing"):
-        reduced(table, axes=[ParkTransform(("ia", "ib", "ix"), ("id", "iq"), angle="n")])
+        reduced(table, park=(ParkTransform(("ia", "ib", "ix"), ("id", "iq"), angle="n"),))
 
 
 # --- fill ---------------------------------------------------------------------------------
@@ -251,9 +257,9 @@ def gappy() -> pd.DataFrame:
 
 
 def test_gaps_are_filled_on_lines_or_by_the_sample_before() -> None:
-    straight = reduced(gappy(), fill={"u": "linear"}, end=1.9)
+    straight = reduced(gappy(), fill_missing={"u": "linear"}, end_time=1.9)
     np.testing.assert_allclose(straight["u"], 2 * T[:1901], atol=1e-12)
-    held = reduced(gappy(), fill={"u": "zoh"})["u"].to_numpy()
+    held = reduced(gappy(), fill_missing={"u": "zoh"})["u"].to_numpy()
     steps = np.arange(2000)
     steps[100], steps[500:511], steps[1997:] = 99, 499, 1996
     np.testing.assert_array_equal(held, 2 * T[steps])
@@ -262,7 +268,7 @@ def test_gaps_are_filled_on_lines_or_by_the_sample_before() -> None:
 def test_filling_comes_between_columns_and_axes() -> None:
     table = gappy().assign(ia=3.0, ib=-1.5, ic=-1.5)
     axes = ParkTransform(("ia", "ib", "ic"), ("id", "iq"), speed="w")
-    found = reduced(table, columns={"w": "5 * u"}, fill={"w": "zoh"}, axes=[axes])
+    found = reduced(table, computed_columns={"w": "5 * u"}, fill_missing={"w": "zoh"}, park=(axes,))
     assert np.isfinite(found[["w", "id"]]).all(axis=None)
     assert found["u"].isna().sum() == 15  # what is not named stays
 
@@ -270,16 +276,16 @@ def test_filling_comes_between_columns_and_axes() -> None:
 @pytest.mark.parametrize(
     ("how", "said"),
     [
-        ({"longest_gap": 0.003}, "at t = 0.5 s, in a gap of 0.012 s, more than longest_gap = 0.003 s: make"),
+        ({"max_gap": 0.003}, "at t = 0.5 s, in a gap of 0.012 s, more than max_gap = 0.003 s: make"),
         ({}, "the frame: the column 'u' has no value at t = 1.997 s and none after it to fill it from: cut"),
-        ({"fill": {"none": "linear"}}, "the column 'none' has no value at t = 0 s and none before it"),
-        ({"fill": {"u": "pchip"}}, "fill = 'pchip' is not known: write \"linear\" or \"zoh\""),
-        ({"fill": {"v": "zoh"}}, "the prepared column 'v' is missing"),
+        ({"fill_missing": {"none": "linear"}}, "the column 'none' has no value at t = 0 s and none before it"),
+        ({"fill_missing": {"u": "pchip"}}, "fill_missing = 'pchip' is not known: write \"linear\" or \"zoh\""),
+        ({"fill_missing": {"v": "zoh"}}, "the prepared column 'v' is missing"),
     ],
 )  # fmt: skip
 def test_what_cannot_be_filled_is_refused(how: dict[str, Any], said: str) -> None:
     with pytest.raises(InputError) as caught:
-        reduced(gappy().assign(none=np.nan), **({"fill": {"u": "linear"}} | how))
+        reduced(gappy().assign(none=np.nan), **({"fill_missing": {"u": "linear"}} | how))
     assert said in str(caught.value)
 
 
@@ -287,16 +293,16 @@ def test_a_pause_is_not_bridged_unless_its_length_is_said() -> None:
     table = gappy()
     table.loc[600:620, "u"] = np.nan  # from 599 to 621: 22 steps of 1 ms
     with pytest.raises(InputError, match=r"at t = 0.6 s, in a gap of 0.022 s, more than 20 usual steps = 0.02 s: make"):
-        reduced(table, fill={"u": "linear"}, end=1.9)
-    found = reduced(table, fill={"u": "linear"}, longest_gap=0.022, end=1.9)
+        reduced(table, fill_missing={"u": "linear"}, end_time=1.9)
+    found = reduced(table, fill_missing={"u": "linear"}, max_gap=0.022, end_time=1.9)
     np.testing.assert_allclose(found["u"], 2 * T[:1901], atol=1e-12)
 
 
 def test_gaps_outside_what_is_kept_do_not_matter() -> None:
-    found = reduced(gappy(), fill={"u": "linear"}, longest_gap=0.002, end=0.4)
+    found = reduced(gappy(), fill_missing={"u": "linear"}, max_gap=0.002, end_time=0.4)
     np.testing.assert_allclose(found["u"], 2 * T[:401], atol=1e-12)
     with pytest.raises(InputError, match=r"at t = 0\.5 s"):  # the last time that is kept is in the gap
-        reduced(gappy(), fill={"u": "linear"}, longest_gap=0.002, end=0.5)
+        reduced(gappy(), fill_missing={"u": "linear"}, max_gap=0.002, end_time=0.5)
 
 
 # --- rows that are missing ----------------------------------------------------------------
@@ -318,14 +324,14 @@ def test_missing_rows_of_what_drives_a_model_are_refused_as_missing_samples_are(
     assert fmuid.Experiment(table, [], ["i"]).times.size == table.shape[0]  # nothing drives it
     assert fmuid.Experiment(table, ["u"], ["i"], measured=False).times.size == table.shape[0]  # a plan, not a record
     for word, expected in (("linear", 2 * T), ("zoh", np.where((T > 0.5) & (T < 0.7995), 1.0, 2 * T))):
-        whole = reduced(table, fill={"u": word}, longest_gap=0.3)
+        whole = reduced(table, fill_missing={"u": word}, max_gap=0.3)
         np.testing.assert_allclose(whole["time"], T, atol=1e-12)
         np.testing.assert_allclose(whole["u"], expected, atol=1e-12)
         made = fmuid.Experiment(whole, ["u"], ["i"])
         assert int(np.isnan(made.output_values).sum()) == 299  # nobody measured there
     for longest in (None, 0.29):
         with pytest.raises(InputError, match=r"no value at t = 0\.501 s, in a gap of 0\.3 s, more than"):
-            reduced(table, fill={"u": "linear"}, longest_gap=longest)
+            reduced(table, fill_missing={"u": "linear"}, max_gap=longest)
 
 
 @pytest.mark.parametrize(

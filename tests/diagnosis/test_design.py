@@ -14,10 +14,10 @@ from scipy.signal import lfilter
 import fmuid
 from experiments.coil import study as coil
 from fmuid.data.signals import multisine, prbs, step_sequence
-from fmuid.diagnosis.baseline.baseline import Baseline
+from fmuid.diagnosis.alarms import Rule
+from fmuid.diagnosis.baseline import Baseline
 from fmuid.diagnosis.design import Design, planned_experiment
-from fmuid.diagnosis.monitoring.alarms import Rule
-from fmuid.diagnosis.monitoring.monitor import Monitor
+from fmuid.diagnosis.monitor import Monitor
 from fmuid.runs.faults import design_of
 from tests.support.exported import export_text
 from tests.support.plate import COLUMNS, PHASES, PLATE, STD, TRUTH

@@ -115,7 +115,7 @@ def test_the_command_finds_nothing_in_a_sound_machine(study: Path, capsys: pytes
         ("ea = {", "dR = {", "has no 'dR', and the fault no model of its own"),
         ("std_factor = { g = 5, h = 5 }", "std_factor = { g = -5 }", "a number above 0"),
         ("[diagnosis]", '[estimation]\nloss = "huber"\n[diagnosis]', 'does not go with loss = "huber"'),
-        ("[diagnosis]", "[noise]\nrelative_std = 0.1\n[diagnosis]", "leave noise.relative out"),
+        ("[diagnosis]", "[noise]\nrelative_std = 0.1\n[diagnosis]", "leave noise.relative_std out"),
         (STUDY[STUDY.index("[diagnosis.faults.stator]") :], "", "[diagnosis] has no faults"),
         (STUDY[STUDY.index("[diagnosis]") :], "", "has no [diagnosis]"),
     ],

@@ -17,8 +17,8 @@ from experiments.coil import study as coil
 from fmuid.data import BEGIN
 from fmuid.data.npz import read_arrays
 from fmuid.diagnosis import OnsetShape, SkippedWindow
-from fmuid.diagnosis.monitoring.alarms import SOMETHING_ELSE, Rule, Trend
-from fmuid.diagnosis.monitoring.monitor import Monitor
+from fmuid.diagnosis.alarms import SOMETHING_ELSE, Rule, Trend
+from fmuid.diagnosis.monitor import Monitor
 from fmuid.reports.topics.monitoring import gap_words, monitoring_words
 from fmuid.runs.faults import build_monitor, findings_of, rule_of
 from tests.support.coil_records import warming

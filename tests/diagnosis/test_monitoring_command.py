@@ -16,8 +16,8 @@ import fmuid
 from experiments.coil import study as coil
 from fmuid.apps.cli.app import run
 from fmuid.data.npz import read_arrays, write_arrays
-from fmuid.diagnosis.monitoring.alarms import Rule
-from fmuid.diagnosis.monitoring.window_evaluation import WindowEvaluation
+from fmuid.diagnosis.alarms import Rule
+from fmuid.diagnosis.window_evaluation import WindowEvaluation
 from fmuid.runs.faults import design_of, rule_of
 from tests.support.coil_records import warming
 from tests.support.interrupting import SIGNALS, command, killing
@@ -100,8 +100,9 @@ def test_appending_gives_what_one_run_gives(folder: Path, capsys: pytest.Capture
 def written(folder: Path) -> tuple[bytes, dict[str, Any]]:
     """Return the content of the files of a monitoring, but for the date and the order of their origin."""
     content = json.loads((folder / "monitoring.json").read_text(encoding="utf-8"))
-    assert content["files"]
-    return (folder / "monitoring.csv").read_bytes(), content | {"date": ""}
+    assert content["origin"]["files"]
+    content["origin"]["date"] = ""
+    return (folder / "monitoring.csv").read_bytes(), content
 
 
 @pytest.mark.slow

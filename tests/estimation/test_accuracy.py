@@ -22,9 +22,9 @@ from fmuid.estimation import (
     SolverCheck,
     SwitchCause,
     estimate_solver_error,
-    identify,
     with_shift,
 )
+from fmuid.identification import identify
 from tests.support.results import RESULT
 
 TIMES = np.linspace(0.0, 1.0, 60)
@@ -60,8 +60,7 @@ def test_the_shift_of_a_linear_model(prior: bool) -> None:
 def test_the_shift_with_a_robust_loss() -> None:
     one = problem(loss="huber")
     result = identify(one)
-    finer = problem(loss="huber")
-    finer.measured = finer.measured - ERROR
+    finer = problem(loss="huber")._with(measured=one.measured - ERROR)
     moved = identify(finer).values - result.values
     assert estimate_solver_error(one, result, ERROR).shift * result.std == pytest.approx(moved, rel=0.2)
 

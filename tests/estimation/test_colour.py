@@ -12,7 +12,7 @@ from scipy import linalg
 from scipy.signal import lfilter
 
 from fmuid.array_types import Floats
-from fmuid.data import ArrayMeasurements
+from fmuid.data import Experiment
 from fmuid.estimation.noise import autoregression
 from fmuid.estimation.noise.autoregression import Autoregression, impulse_response, most_orders
 from fmuid.estimation.noise.model import NoiseModel
@@ -328,9 +328,9 @@ def test_noise_that_is_nearly_a_random_walk_leaves_no_nonsense() -> None:
     assert (ratio < 5.0).all()  # that of one to two degrees of freedom
 
 
-def table(times: NDArray[Any], counted: NDArray[np.bool_], name: str = "a") -> ArrayMeasurements:
+def table(times: NDArray[Any], counted: NDArray[np.bool_], name: str = "a") -> Experiment:
     outputs = tuple(f"y{i}" for i in range(counted.shape[1]))
-    return ArrayMeasurements(name, times, outputs, np.zeros(counted.shape), counted)
+    return Experiment.of_arrays(name, times, outputs, np.zeros(counted.shape), counted)
 
 
 def test_rows_are_found_on_the_grid_of_each_output() -> None:

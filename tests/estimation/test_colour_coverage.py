@@ -18,12 +18,13 @@ from scipy import stats
 from scipy.signal import lfilter
 
 from fmuid.array_types import Floats
-from fmuid.data.parameters import Parameter
-from fmuid.estimation.identification import identify
+from fmuid.data import Parameter
+from fmuid.estimation.evaluator import Evaluator
 from fmuid.estimation.problem import LeastSquares
 from fmuid.estimation.result import Result
+from fmuid.identification import identify
 from fmuid.identification.posterior import SamplerSettings
-from fmuid.identification.profile import profile_likelihood
+from fmuid.identification.profile_likelihood import profile_likelihood
 from fmuid.identification.sampler import sample_posterior
 from tests.support.problems import ar1
 
@@ -165,7 +166,7 @@ def rise(draw: Draw, result: Result) -> float:
     """Return by how much the criterion is higher at the truth, with the variances of the result."""
     problem = draw.problem
     weights = np.array([result.variance[name] for name in problem.output_names])[problem.groups]
-    misses = problem.measured - problem.predict(np.array([draw.truth, result.values]))
+    misses = problem.measured - Evaluator(problem).predict(np.array([draw.truth, result.values]))
     there, least = np.sum(misses**2 / weights, axis=1)
     return float(there - least)
 

@@ -18,7 +18,6 @@ from scipy import linalg
 from fmuid.array_types import Floats
 from fmuid.data import Experiment, FunctionPredictor, Noise, Parameter
 from fmuid.errors import InputError
-from fmuid.estimation.identification import identify
 from fmuid.estimation.noise.low_frequency import Bins
 from fmuid.estimation.noise.output_series import OutputSeries, period_of
 from fmuid.estimation.noise.periodic_error import (
@@ -33,6 +32,7 @@ from fmuid.estimation.noise.periodic_error import (
 from fmuid.estimation.noise.sandwich import sandwich_of
 from fmuid.estimation.problem import LeastSquares
 from fmuid.estimation.result import Result
+from fmuid.identification import identify
 from fmuid.identification.residual_analysis import analyze_residuals
 from fmuid.reports.topics.residual_analysis import residual_words
 from tests.support.problems import ar1
@@ -103,8 +103,8 @@ def test_a_period_is_said_where_inputs_do_not_show_it() -> None:
         return identify(problem).std
 
     _, shown = fitted(noise)
-    np.testing.assert_allclose(widths(Noise(period=PERIOD * STEP)), shown.std, rtol=1e-6)
-    own = Noise(experiments={"experiment": Noise(period=PERIOD * STEP)})
+    np.testing.assert_allclose(widths(Noise(excitation_period=PERIOD * STEP)), shown.std, rtol=1e-6)
+    own = Noise(experiments={"experiment": Noise(excitation_period=PERIOD * STEP)})
     np.testing.assert_allclose(widths(own), shown.std, rtol=1e-6)
     assert (widths(None) < 0.5 * shown.std).all()
 
@@ -119,14 +119,18 @@ def test_a_period_is_said_where_inputs_do_not_show_it() -> None:
 )
 def test_periods_that_cannot_be_used_are_refused(period: float, said: str) -> None:
     predictor = FunctionPredictor(lambda theta: JACOBIAN @ theta, (COUNT, 1))
-    with pytest.raises(InputError, match=re.escape(f"noise.period, {period:g} s, of experiment 'experiment' {said}")):
-        LeastSquares([predictor], [recorded(square())], PARAMETERS, noise=Noise(period=period))
+    with pytest.raises(
+        InputError, match=re.escape(f"noise.excitation_period, {period:g} s, of experiment 'experiment' {said}")
+    ):
+        LeastSquares([predictor], [recorded(square())], PARAMETERS, noise=Noise(excitation_period=period))
 
 
 def test_a_period_of_unequal_steps_is_refused() -> None:
     times = np.sort(np.random.default_rng(0).uniform(0.0, 30.0, COUNT))
     with pytest.raises(InputError, match="are not equally spaced"):
-        LeastSquares.from_function(lambda p: JACOBIAN @ p, times, PARAMETERS, times=times, noise=Noise(period=4.0))
+        LeastSquares.from_function(
+            lambda p: JACOBIAN @ p, times, PARAMETERS, times=times, noise=Noise(excitation_period=4.0)
+        )
 
 
 @pytest.fixture

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from fmuid.array_types import Floats
-from fmuid.data.parameters import Parameter
+from fmuid.data import Parameter
 from fmuid.errors import InputError
 from fmuid.estimation.global_search.search import GlobalSearch, Strategy
 from fmuid.estimation.marquardt.outcome import TerminationReason

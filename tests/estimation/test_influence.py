@@ -7,11 +7,13 @@ import pytest
 
 from fmuid.array_types import Floats
 from fmuid.codec import as_json
-from fmuid.data.parameters import Parameter
+from fmuid.data import Parameter
 from fmuid.errors import InputError
-from fmuid.estimation.identification import identify
+from fmuid.estimation.evaluator import Evaluator
+from fmuid.estimation.method import Marquardt
 from fmuid.estimation.problem import LeastSquares
 from fmuid.estimation.result import Result
+from fmuid.identification import identify
 
 TIMES = np.arange(0.0, 6.0, 0.01)
 SLIDE = {"m": 0.8, "Fc": 1.0, "d": 0.4}
@@ -80,13 +82,13 @@ def test_what_acts_nowhere_is_refused_and_what_was_tried_is_said() -> None:
     y = noisy(dead_zone(np.array([1.5, 0.7, 0.1])))
     problem = LeastSquares.from_function(dead_zone, y, parameters)
     with pytest.raises(InputError) as caught:
-        identify(problem)
+        Marquardt().search(evaluator := Evaluator(problem))
     assert str(caught.value) == (
         "parameter 'idle' (start 3) changes no measured output at the start, nor at 40 other points of its box; check "
         "that the model uses what is set, start elsewhere, measure an output that depends on it, give a prior, or hold "
         "it at a value"
     )
-    assert problem.simulations < 120
+    assert evaluator.simulations < 120
 
 
 def test_where_simulations_fail_no_influence_is_seen() -> None:

@@ -8,20 +8,18 @@ from numpy.typing import NDArray
 
 from fmuid import identify
 from fmuid.array_types import Floats
+from fmuid.data import Experiment, JointPrior, Normal, Parameter
 from fmuid.data.noise import Noise
-from fmuid.data.parameters import JointPrior, Normal, Parameter
-from fmuid.data.predictors import ArrayMeasurements
 from fmuid.errors import InputError, SimulationError
 from fmuid.estimation.cost_function import prepare
+from fmuid.estimation.evaluator import Evaluator
 from fmuid.estimation.problem import LeastSquares
 from tests.support.problems import TIMES, Fake, simulate
 
 
-def table(
-    name: str = "run", counted: NDArray[np.bool_] | None = None, values: Floats | None = None
-) -> ArrayMeasurements:
+def table(name: str = "run", counted: NDArray[np.bool_] | None = None, values: Floats | None = None) -> Experiment:
     measured = simulate(1.5, 2.0) if values is None else values
-    return ArrayMeasurements(name, TIMES, ("a", "b"), measured, ~np.isnan(measured) if counted is None else counted)
+    return Experiment.of_arrays(name, TIMES, ("a", "b"), measured, ~np.isnan(measured) if counted is None else counted)
 
 
 def two_runs() -> tuple[LeastSquares, list[Fake]]:
@@ -43,7 +41,7 @@ def test_samples_are_stacked_and_whitened_each_with_its_own_sigma() -> None:
     assert problem.parameters.names == ("k", "gain[first]", "gain[second]")
     assert problem.counts.tolist() == [90, 89]
     theta = np.array([1.2, 2.1, 1.9])
-    residual = prepare(problem).criterion.residuals(theta[None])[0]
+    residual = prepare(Evaluator(problem)).criterion.residuals(theta[None])[0]
     sigma = np.array([2.0, 1e-3])
     first = (simulate(1.5, 2.0) - simulate(1.2, 2.1)) / sigma
     second = (simulate(1.5, 2.0) - simulate(1.2, 1.9)) / sigma
@@ -53,7 +51,7 @@ def test_samples_are_stacked_and_whitened_each_with_its_own_sigma() -> None:
 
 def test_evaluation_is_a_pure_function_with_the_derivative_of_the_residual() -> None:
     problem, _ = two_runs()
-    criterion = prepare(problem).criterion
+    criterion = prepare(Evaluator(problem)).criterion
     theta = np.array([1.2, 2.1, 1.9])
     evaluation, again = criterion.evaluate(theta), criterion.evaluate(theta)
     np.testing.assert_array_equal(evaluation.residual, again.residual)
@@ -68,11 +66,12 @@ def test_evaluation_is_a_pure_function_with_the_derivative_of_the_residual() -> 
 
 def test_an_experiment_is_not_simulated_again_for_the_parameters_of_others() -> None:
     problem, fakes = two_runs()
-    prepare(problem)
-    assert problem.simulations == sum(len(thetas) for fake in fakes for thetas in fake.taken)
-    before = problem.simulations
-    problem.predict(np.array([[1.0, 2.0, 3.0], [1.0, 2.0, 4.0], [1.0, 2.5, 3.0]]))
-    assert problem.simulations - before == 4
+    evaluator = Evaluator(problem)
+    prepare(evaluator)
+    assert evaluator.simulations == sum(len(thetas) for fake in fakes for thetas in fake.taken)
+    before = evaluator.simulations
+    evaluator.predict(np.array([[1.0, 2.0, 3.0], [1.0, 2.0, 4.0], [1.0, 2.5, 3.0]]))
+    assert evaluator.simulations - before == 4
     assert fakes[0].taken[-1].tolist() == [[1.0, 2.0], [1.0, 2.5]]
 
 
@@ -80,7 +79,7 @@ def test_prior_rows_follow_the_data() -> None:
     """The compound criterion (1.37), and its rows' derivative −W."""
     parameters = {"k": Parameter(1.0, prior=Normal(1.4, 0.1)), "gain": Parameter(3.0)}
     problem = LeastSquares([Fake()], [table()], parameters, noise=Noise(1.0))
-    evaluation = prepare(problem).criterion.evaluate([1.2, 2.0])
+    evaluation = prepare(Evaluator(problem)).criterion.evaluate([1.2, 2.0])
     assert evaluation.residual[100:] == pytest.approx([2.0])
     assert evaluation.jacobian[100:].tolist() == [[-10.0, 0.0]]
 
@@ -92,13 +91,13 @@ def test_first_variances() -> None:
 
     def variance(noise: Noise) -> list[float]:
         problem = LeastSquares([Fake()], [table()], parameters, noise=noise)
-        return list(prepare(problem).criterion.variance)
+        return list(prepare(Evaluator(problem)).criterion.variance)
 
     residual = np.mean((measured - simulate(1.0, 3.0)) ** 2, axis=0)
     assert variance(Noise()) == pytest.approx(residual)
     assert variance(Noise({"b": 7.0})) == pytest.approx([residual[0], 7.0])
     assert variance(Noise(5.0)) == [5.0, 5.0]
-    assert variance(Noise(start={"a": 3.0})) == pytest.approx([3.0, residual[1]])
+    assert variance(Noise(initial_variance={"a": 3.0})) == pytest.approx([3.0, residual[1]])
 
 
 @pytest.mark.parametrize(
@@ -129,7 +128,7 @@ def without_samples() -> LeastSquares:
 
 
 def without_outputs() -> LeastSquares:
-    empty = ArrayMeasurements("run", TIMES, (), np.zeros((50, 0)), np.zeros((50, 0), dtype=np.bool_))
+    empty = Experiment.of_arrays("run", TIMES, (), np.zeros((50, 0)), np.zeros((50, 0), dtype=np.bool_))
     return LeastSquares([Fake()], [empty], {"k": Parameter(1.0)})
 
 
@@ -174,7 +173,7 @@ def test_impossible_problems(make: Callable[[], LeastSquares], said: str) -> Non
 def test_a_function_of_another_length_is_refused() -> None:
     problem = LeastSquares.from_function(lambda theta: theta[0] * np.ones(4), np.ones(5), {"k": Parameter(1.0)})
     with pytest.raises(InputError, match="must return outputs of shape"):
-        prepare(problem)
+        prepare(Evaluator(problem))
 
 
 def test_a_start_has_a_value_for_each_parameter() -> None:
@@ -187,7 +186,7 @@ def test_a_start_that_cannot_be_simulated_says_why() -> None:
     parameters = {"k": Parameter(-1.0), "gain": Parameter(3.0)}
     problem = LeastSquares([Fake()], [table()], parameters)
     with pytest.raises(SimulationError, match="fmi2DoStep returned fmi2Error"):
-        prepare(problem)
+        prepare(Evaluator(problem))
 
 
 def test_a_start_without_neighbours_that_can_be_simulated() -> None:
@@ -196,7 +195,7 @@ def test_a_start_without_neighbours_that_can_be_simulated() -> None:
 
     problem = LeastSquares.from_function(lonely, np.ones(5), {"k": Parameter(2.0), "gain": Parameter(1.0)})
     with pytest.raises(InputError, match="not with 'k' moved to either side of 2"):
-        prepare(problem)
+        prepare(Evaluator(problem))
 
 
 def test_a_start_outside_the_bounds() -> None:
@@ -204,9 +203,9 @@ def test_a_start_outside_the_bounds() -> None:
         lambda theta: theta[0] * np.ones(5), np.ones(5), {"k": Parameter(2.0, max=3.0)}
     )
     with pytest.raises(InputError, match="the start 4 of 'k' lies outside its bounds"):
-        prepare(problem, [4.0])
+        prepare(Evaluator(problem), [4.0])
     with pytest.raises(InputError, match="must have 1 values"):
-        prepare(problem, [1.0, 2.0])
+        prepare(Evaluator(problem), [1.0, 2.0])
 
 
 def test_parameters_without_influence_are_named_before_the_search() -> None:
@@ -216,22 +215,23 @@ def test_parameters_without_influence_are_named_before_the_search() -> None:
     parameters = {"gain": Parameter(1.0), "idle": Parameter(3.0), "odd": Parameter(0.0, nominal=1.0)}
     problem = LeastSquares.from_function(function, TIMES, parameters)
     with pytest.raises(InputError, match=r"parameters 'idle' \(start 3\), 'odd' \(start 0\) change no measured output"):
-        prepare(problem)
+        prepare(Evaluator(problem))
     del parameters["odd"]
     with pytest.raises(
         InputError, match=r"parameter 'idle' \(start 3\) changes no measured output .* hold it at a value"
     ):
-        prepare(LeastSquares.from_function(function, TIMES, parameters))
+        prepare(Evaluator(LeastSquares.from_function(function, TIMES, parameters)))
 
 
 def test_a_prior_makes_up_for_missing_influence() -> None:
     parameters = {"gain": Parameter(1.0), "idle": Parameter(3.0, prior=Normal(2.5, 0.5))}
-    start = prepare(LeastSquares.from_function(lambda theta: theta[0] * TIMES, 2.0 * TIMES, parameters))
+    start = prepare(Evaluator(LeastSquares.from_function(lambda theta: theta[0] * TIMES, 2.0 * TIMES, parameters)))
     assert start.evaluation.residual[-1] == pytest.approx(-1.0)
 
 
 def test_influence_at_a_start_where_the_derivative_vanishes() -> None:
     """An even function at its centre: the central difference is zero, the outputs still change."""
     parameters = {"gain": Parameter(1.0), "bend": Parameter(0.0, nominal=1.0)}
-    start = prepare(LeastSquares.from_function(lambda theta: theta[0] * TIMES + theta[1] ** 2, 2.0 * TIMES, parameters))
+    problem = LeastSquares.from_function(lambda theta: theta[0] * TIMES + theta[1] ** 2, 2.0 * TIMES, parameters)
+    start = prepare(Evaluator(problem))
     assert np.linalg.norm(start.evaluation.jacobian[:, 1]) < 1e-6 * np.linalg.norm(start.evaluation.jacobian[:, 0])

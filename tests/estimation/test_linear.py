@@ -4,14 +4,15 @@ import numpy as np
 import pytest
 
 from fmuid.array_types import Floats
-from fmuid.data.parameters import Parameter
+from fmuid.data import Parameter
 from fmuid.errors import InputError
 from fmuid.estimation.cost_function import prepare
-from fmuid.estimation.identification import identify
+from fmuid.estimation.evaluator import Evaluator
 from fmuid.estimation.marquardt.linear import linear_least_squares
 from fmuid.estimation.marquardt.search import State, search
 from fmuid.estimation.method import Marquardt
 from fmuid.estimation.problem import LeastSquares
+from fmuid.identification import identify
 
 TRUTH = np.array([1.5, -40.0, 2e-3])
 
@@ -56,7 +57,7 @@ def test_the_search_finds_it_in_two_steps(starts: tuple[float, float, float]) ->
     fit = linear_least_squares(phi, y)
     parameters = {name: Parameter(start) for name, start in zip("abc", starts, strict=True)}
     problem = LeastSquares.from_function(lambda theta: phi @ theta, y, parameters)
-    start = prepare(problem)
+    start = prepare(Evaluator(problem))
     state = State(start.theta, start.evaluation.residual, start.evaluation.jacobian)
     steps = [i for i in search(start.criterion, state, Marquardt(first_radius=1e9)) if i.number]
     assert len(steps) <= 2

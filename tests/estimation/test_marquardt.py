@@ -8,11 +8,10 @@ import pytest
 from scipy.optimize import curve_fit, lsq_linear
 
 from fmuid.array_types import Floats
-from fmuid.data.parameters import Parameter
+from fmuid.data import Parameter
 from fmuid.errors import InputError
 from fmuid.estimation.cost_function import prepare
-from fmuid.estimation.identification import identify, waypoints
-from fmuid.estimation.marquardt.jacobian_cache import JacobianCache
+from fmuid.estimation.evaluator import Evaluator
 from fmuid.estimation.marquardt.outcome import TerminationReason
 from fmuid.estimation.marquardt.search import Iteration, State, search
 from fmuid.estimation.marquardt.step import Step, best_step, triangle
@@ -42,11 +41,12 @@ def measured(std: float = 0.05, seed: int = 2) -> Floats:
 
 def run(
     function: Callable[[Floats], Floats], y: Floats, parameters: list[Parameter], settings: Marquardt | None = None
-) -> tuple[State, list[Iteration], LeastSquares]:
+) -> tuple[State, list[Iteration], Evaluator[LeastSquares]]:
     problem = LeastSquares.from_function(function, y, {f"p{i}": p for i, p in enumerate(parameters)})
-    start = prepare(problem)
+    evaluator = Evaluator(problem)
+    start = prepare(evaluator)
     state = State(start.theta, start.evaluation.residual, start.evaluation.jacobian)
-    return state, list(search(start.criterion, state, settings or Marquardt())), problem
+    return state, list(search(start.criterion, state, settings or Marquardt())), evaluator
 
 
 STARTS = [Parameter(1.0), Parameter(3.0), Parameter(-1.0)]
@@ -54,13 +54,13 @@ STARTS = [Parameter(1.0), Parameter(3.0), Parameter(-1.0)]
 
 def test_same_optimum_as_scipy() -> None:
     y = measured()
-    state, trace, problem = run(decay, y, STARTS)
+    state, trace, evaluator = run(decay, y, STARTS)
     exact, _, _ = run(decay, y, STARTS, Marquardt(tolerance=1e-9))
     reference = curve_fit(model, TIMES, y, TRUTH, jac=jacobian, xtol=1e-15, ftol=1e-15)[0]
     assert state.outcome is TerminationReason.CONVERGED
     np.testing.assert_allclose(state.theta, reference, rtol=3e-6)
     np.testing.assert_allclose(exact.theta, reference, rtol=1e-8)
-    assert problem.simulations < 60
+    assert evaluator.simulations < 60
     accepted = [i.criterion for i in trace if i.accepted]
     assert all(after <= before for before, after in itertools.pairwise(accepted))
     assert [i.number for i in trace] == list(range(len(trace)))
@@ -70,7 +70,7 @@ def test_same_optimum_as_scipy() -> None:
 def test_a_rough_search_ends_earlier_near_the_optimum() -> None:
     y = measured()
     problem = LeastSquares.from_function(decay, y, {f"p{i}": p for i, p in enumerate(STARTS)})
-    start = prepare(problem)
+    start = prepare(Evaluator(problem))
     state = State(start.theta, start.evaluation.residual, start.evaluation.jacobian)
     rough = list(search(start.criterion, state, Marquardt(), rough=True))
     exact, full, _ = run(decay, y, STARTS)
@@ -182,7 +182,7 @@ def test_simulations_that_all_fail_around_a_point_end_the_search() -> None:
         return np.full(TIMES.size, np.nan) if armed else decay(theta)
 
     problem = LeastSquares.from_function(breaking, measured(), {f"p{i}": p for i, p in enumerate(STARTS)})
-    start = prepare(problem)
+    start = prepare(Evaluator(problem))
     state = State(start.theta, start.evaluation.residual, start.evaluation.jacobian)
     steps = search(start.criterion, state, Marquardt())
     next(steps), next(steps)
@@ -195,13 +195,13 @@ def test_simulations_that_all_fail_around_a_point_end_the_search() -> None:
 def test_outputs_that_jump(digits: int) -> None:
     """Rounded outputs: the estimate stays within a fraction of its standard deviation of the smooth one."""
     y = measured()
-    state, _, problem = run(lambda theta: np.round(decay(theta), digits), y, STARTS)
+    state, _, evaluator = run(lambda theta: np.round(decay(theta), digits), y, STARTS)
     smooth, _, _ = run(decay, y, STARTS)
     assert state.outcome is not None
     assert state.outcome.converged
     std = np.sqrt(np.diag(np.linalg.inv(smooth.jacobian.T @ smooth.jacobian)) * np.mean(smooth.residual**2))
     assert (np.abs(state.theta - smooth.theta) < [0.0, 0.0, 0.2, 0.0, 0.003, 0.0, 0.001][digits] * std).all()
-    assert problem.simulations < 120
+    assert evaluator.simulations < 120
 
 
 def test_central_differences_only_where_forward_ones_are_too_coarse() -> None:
@@ -295,24 +295,3 @@ def test_a_good_step_lengthens_the_next() -> None:
     assert radius.value == GROW * 5.0
     assert radius.judge(step, 5.0, 2.0, -4.0, 0.0, moved=True)  # half of what was predicted
     assert radius.value == GROW * 5.0
-
-
-@pytest.mark.parametrize(("wrong", "most"), [(1.0, 0.8), (-3.0, 1.5)])
-def test_derivatives_along_the_way_of_another_search_lead_to_the_same_optimum(wrong: float, most: float) -> None:
-    """Those of a search with other noise spare simulations; even wrong ones change no estimate, nor its covariance."""
-    parameters = {f"p{i}": each for i, each in enumerate(STARTS)}
-
-    def problem(seed: int) -> LeastSquares:
-        return LeastSquares.from_function(decay, measured(seed=seed), parameters)
-
-    alone, other = identify(problem(2)), problem(2)
-    way = waypoints(problem(3), Marquardt())
-    for theta, derivatives in zip(way.thetas, way.derivatives, strict=True):
-        np.testing.assert_allclose(derivatives, jacobian(TIMES, *theta.tolist()).T, rtol=1e-4, atol=1e-5)
-    other.waypoints = JacobianCache(way.thetas, tuple(wrong * each for each in way.derivatives))
-    found = identify(other)
-    assert found.outcome is TerminationReason.CONVERGED
-    assert found.simulations < most * alone.simulations
-    assert (np.abs(found.values - alone.values) < 1e-3 * alone.std).all()
-    np.testing.assert_allclose(found.std, alone.std, rtol=1e-3)
-    assert other.waypoints.near(way.thetas[-1] * (1.0, 1.0, 1.06), np.abs(way.thetas[-1])) is None

@@ -12,13 +12,14 @@ import pytest
 from scipy import stats
 
 from fmuid.array_types import Floats
-from fmuid.data import ArrayMeasurements, Experiment, FunctionPredictor, Noise, Parameter, robust_variance
+from fmuid.data import Experiment, FunctionPredictor, Noise, Parameter, robust_variance
 from fmuid.data.data_file import UNITS
 from fmuid.errors import InputError
 from fmuid.estimation.cost_components import fitted, misfits
-from fmuid.estimation.identification import identify
+from fmuid.estimation.evaluator import Evaluator
 from fmuid.estimation.problem import LeastSquares
 from fmuid.estimation.result import Result
+from fmuid.identification import identify
 from fmuid.identification.prior_and_data import compare_prior_and_data
 from fmuid.identification.prior_data_tests import Deviation
 from fmuid.identification.residual_analysis import analyze_residuals
@@ -79,7 +80,9 @@ def test_a_standard_deviation_for_each_sample() -> None:
     density = float(np.sum(stats.norm.logpdf(y, PHI @ values, STD)))
     assert result.log_likelihood == pytest.approx(density, rel=1e-8)
     np.testing.assert_allclose(result.fit[0]["simulated.y"], PHI @ values, rtol=1e-6)
-    np.testing.assert_allclose(fitted(problem, result).squares, misfits(problem, values[None]).squares, rtol=1e-6)
+    np.testing.assert_allclose(
+        fitted(problem, result).squares, misfits(Evaluator(problem), values[None]).squares, rtol=1e-6
+    )
 
 
 def test_residuals_are_examined_by_their_own_standard_deviations() -> None:
@@ -100,7 +103,9 @@ def test_weights_for_each_sample_leave_one_variance_to_be_estimated() -> None:
     assert result.noise_variance["y"] == pytest.approx(variance * float(np.mean(1.0 / WEIGHTS)))
 
 
-@pytest.mark.parametrize("noise", [Noise(common=True), Noise(common=["u", "v"]), Noise(weights={"u": 1.0, "v": 1.0})])
+@pytest.mark.parametrize(
+    "noise", [Noise(shared_variance=True), Noise(shared_variance=["u", "v"]), Noise(weights={"u": 1.0, "v": 1.0})]
+)
 def test_one_variance_common_to_outputs(noise: Noise) -> None:
     """The criterion (1.61) and its one variance."""
     problem = two(noise)
@@ -126,25 +131,25 @@ def test_weights_of_outputs() -> None:
 
 def test_what_is_common_is_common_to_all_criteria() -> None:
     """Maps and global searches concentrate the variance, the posterior integrates it out: K ln J of all together."""
-    problem, away = two(Noise(common=True)), np.array([[2.0, -1.0], [2.1, -0.8], [1.5, -1.2]])
+    problem, away = two(Noise(shared_variance=True)), np.array([[2.0, -1.0], [2.1, -0.8], [1.5, -1.2]])
     phi, y, _ = rows_of_two(problem)
     squares = np.array([np.sum((y - phi @ each) ** 2) for each in away])
     expected = y.size * np.log(squares / squares[0])
-    found = misfits(problem, away).concentrated(problem)
+    found = misfits(Evaluator(problem), away).concentrated(problem)
     np.testing.assert_allclose(found - found[0], expected, rtol=1e-9)
-    density = log_density(problem)(away)
+    density = log_density(Evaluator(problem))(away)
     np.testing.assert_allclose(density - density[0], -0.5 * expected, rtol=1e-9)
 
 
 def test_a_common_variance_is_robust_with_a_robust_loss() -> None:
     problem = two(Noise(weights={"u": 4.0, "v": 1.0}), loss="huber")
-    residual = problem.measured - problem.predict(TRUTH[None])[0]
+    residual = problem.measured - Evaluator(problem).predict(TRUTH[None])[0]
     common = robust_variance(np.where(problem.groups == 0, 2.0, 1.0) * residual, float(residual.size))
     np.testing.assert_allclose(problem.noise_variances(residual), [common / 4.0, common], rtol=1e-9)
 
 
 def test_a_share_of_the_spread() -> None:
-    problem = one(Noise(relative=0.02))
+    problem = one(Noise(relative_std=0.02))
     y = problem.experiments[0].output_values[:, 0]
     expected = (0.02 * np.std(y)) ** 2
     assert identify(problem).given_variance["y"] == pytest.approx(expected)
@@ -156,7 +161,7 @@ def several(noise: Noise, names: tuple[str, ...] = ("first", "second")) -> Least
     rng, tables = np.random.default_rng(3), []
     for name, std in zip(names, (0.1, 0.5), strict=True):
         y = (PHI @ TRUTH + std * rng.standard_normal(COUNT))[:, None]
-        tables.append(ArrayMeasurements(name, X, ("y",), y, np.ones_like(y, dtype=np.bool_)))
+        tables.append(Experiment.of_arrays(name, X, ("y",), y, np.ones_like(y, dtype=np.bool_)))
     predictor = FunctionPredictor(lambda p: PHI @ p, (COUNT, 1))
     return LeastSquares([predictor, predictor], tables, PARAMETERS, noise=noise)
 
@@ -166,14 +171,14 @@ def several(noise: Noise, names: tuple[str, ...] = ("first", "second")) -> Least
     [
         Noise(std=0.1, experiments={"second": Noise(0.25)}),
         Noise({"y": 0.01}, experiments={"second": Noise(std=[0.5] * COUNT)}),
-        Noise(std=0.1, experiments={"second": Noise(relative=0.25)}),
+        Noise(std=0.1, experiments={"second": Noise(relative_std=0.25)}),
     ],
 )
 def test_noise_of_single_experiments(noise: Noise) -> None:
     problem = several(noise)
     first, second = (each.output_values[:, 0] for each in problem.experiments)
     own = noise.experiments["second"]
-    std = 0.25 * np.std(second) if own.relative else 0.5
+    std = 0.25 * np.std(second) if own.relative_std else 0.5
     weights = np.repeat([100.0, std**-2], COUNT)
     same(identify(problem), *weighted(np.vstack([PHI, PHI]), np.concatenate([first, second]), weights)[:2])
 
@@ -222,7 +227,7 @@ def test_bad_columns_are_refused() -> None:
         refused(spoiled(value), where.format(found))
     refused(lambda: recorded(Noise(std="sb")), "run.csv: the noise column 'sb'")
     refused(lambda: recorded(Noise(std="time")), "run.csv: the noise column 'time' is in s, and output 'y' in V")
-    refused(lambda: one(Noise(std="sd")), "noise.std of output 'y' is the column 'sd', and there is no table")
+    refused(lambda: one(Noise(std="sd")), "the noise column 'sd' is missing")
     refused(lambda: one(Noise(std=[1.0, 2.0])), "noise.std of output 'y' has 2 values for 60 samples")
 
 
@@ -231,20 +236,23 @@ def test_bad_columns_are_refused() -> None:
     [
         (lambda: Noise(std=-1.0), "the noise std must be positive and finite, not -1"),
         (
-            lambda: Noise(relative={"u": np.nan}),
-            "the noise relative of output 'u' must be positive and finite, not nan",
+            lambda: Noise(relative_std={"u": np.nan}),
+            "the noise relative_std of output 'u' must be positive and finite, not nan",
         ),
         (lambda: Noise(weights={"u": 0.0}), "the noise weights of output 'u' must be positive and finite, not 0"),
-        (lambda: Noise(relative="sd"), "the noise relative must be a positive number, not 'sd'"),  # type: ignore[arg-type]
+        (lambda: Noise(relative_std="sd"), "the noise relative_std must be a positive number, not 'sd'"),  # type: ignore[arg-type]
         (lambda: Noise(std={"w": 1.0}), "noise.std names 'w', which is no measured output"),
-        (lambda: Noise(common=["u", "w"]), "noise.common names 'w', which is no measured output"),
+        (lambda: Noise(shared_variance=["u", "w"]), "noise.shared_variance names 'w', which is no measured output"),
         (lambda: Noise(0.1, std={"u": 1.0}), "noise has both variance and std of output 'u': keep one of the two"),
-        (lambda: Noise({"u": 0.1}, common=["u"]), "noise.common names output 'u', whose noise is given"),
+        (
+            lambda: Noise({"u": 0.1}, shared_variance=["u"]),
+            "noise.shared_variance names output 'u', whose noise is given",
+        ),
         (lambda: Noise(weights={"u": 2.0}), "noise.weights are of output 'u' alone and the same for all its samples"),
         (lambda: Noise(experiments={"x": Noise(0.1)}), "noise is given of 'x', which is no experiment"),
         (
-            lambda: Noise(experiments={"x": Noise(start=1.0)}),
-            "the noise of experiment 'x' has variance, std, relative,",
+            lambda: Noise(experiments={"x": Noise(initial_variance=1.0)}),
+            "the noise of experiment 'x' has variance, std, relative_std,",
         ),
         (lambda: Noise(experiments={"experiment": Noise(std={"w": 1.0})}), "noise.std names 'w', which is no measured"),
     ],
@@ -263,7 +271,7 @@ def test_noise_is_given_in_all_experiments_or_none() -> None:
 def test_an_output_that_never_changes_has_no_spread() -> None:
     refused(
         lambda: LeastSquares.from_function(
-            lambda p: p[0] * np.ones(9), np.ones(9), {"a": Parameter(0.5)}, noise=Noise(relative=0.1)
+            lambda p: p[0] * np.ones(9), np.ones(9), {"a": Parameter(0.5)}, noise=Noise(relative_std=0.1)
         ),
         "output 'y' is the same in all samples: a share of its spread is no noise; give noise.std",
     )

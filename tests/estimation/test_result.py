@@ -11,16 +11,15 @@ from scipy.stats import norm
 
 from fmuid.array_types import Floats
 from fmuid.codec import as_json
+from fmuid.data import Experiment, Normal, Parameter
 from fmuid.data.noise import Noise
-from fmuid.data.parameters import Normal, Parameter
-from fmuid.data.predictors import ArrayMeasurements
 from fmuid.estimation import identification
-from fmuid.estimation.identification import identify
 from fmuid.estimation.marquardt.linear import linear_least_squares
 from fmuid.estimation.marquardt.outcome import TerminationReason
 from fmuid.estimation.method import Marquardt
 from fmuid.estimation.problem import LeastSquares
 from fmuid.estimation.result import Result
+from fmuid.identification import identify
 from fmuid.progress import Event, SearchStep
 from fmuid.reports.topics.termination import ending
 from fmuid.runs.findings import at_minimum
@@ -48,7 +47,7 @@ def test_every_output_gets_its_own_variance() -> None:
 
 def test_the_variances_settle_whatever_their_start() -> None:
     """The repetition of docs/method.md section 7: kept as rounds, one or two of them from any start."""
-    results = [identify(two_output_problem(noise=Noise(start=s))) for s in (1e-8, 1.0, 1e4)]
+    results = [identify(two_output_problem(noise=Noise(initial_variance=s))) for s in (1e-8, 1.0, 1e4)]
     for result in results:
         assert result.converged
         assert len(result.rounds) <= 4
@@ -85,7 +84,7 @@ def test_the_log_likelihood_is_that_of_the_data() -> None:
 
 
 def test_the_log_likelihood_compares_where_the_criterion_does_not() -> None:
-    results = [identify(two_output_problem(noise=Noise(start=start))) for start in (1e-4, 1e4)]
+    results = [identify(two_output_problem(noise=Noise(initial_variance=start))) for start in (1e-4, 1e4)]
     assert results[0].log_likelihood == pytest.approx(results[1].log_likelihood, abs=1e-3)
     content = as_json(results[0])
     assert content["log_likelihood"] == results[0].log_likelihood
@@ -146,7 +145,7 @@ def test_parameters_shared_and_per_experiment() -> None:
         return np.column_stack([1e3 * gain * np.exp(-k * times), 1e-3 * gain * np.sin(k * times)])
 
     tables = [
-        ArrayMeasurements(name, times, ("a", "b"), y, np.ones((50, 2), dtype=np.bool_))
+        Experiment.of_arrays(name, times, ("a", "b"), y, np.ones((50, 2), dtype=np.bool_))
         for name, gain in (("first", 2.0), ("second", 5.0))
         for y in [simulate(1.5, gain) + rng.standard_normal((50, 2)) * [5.0, 1e-5]]
     ]

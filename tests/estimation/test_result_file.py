@@ -11,10 +11,10 @@ from scipy.stats import norm
 
 import fmuid
 from fmuid.codec import as_json
-from fmuid.data.parameters import Normal, Parameter
+from fmuid.data import Normal, Parameter
 from fmuid.errors import InputError
-from fmuid.estimation.identification import identify
 from fmuid.estimation.result import Result
+from fmuid.identification import identify
 from tests.support.problems import coil_problem
 from tests.support.results import RESULT
 from tests.support.two_outputs import two_output_problem

@@ -12,16 +12,17 @@ from scipy.optimize import brentq, least_squares
 import fmuid
 from experiments.induction_machine import make_table
 from fmuid.array_types import Floats
+from fmuid.data import Normal, Parameter
 from fmuid.data.losses import LOSSES, NORMAL_SHARE, Loss, robust_variance
 from fmuid.data.noise import Noise
-from fmuid.data.parameters import Normal, Parameter
 from fmuid.errors import InputError
 from fmuid.estimation.cost_function import prepare
-from fmuid.estimation.identification import identify
+from fmuid.estimation.evaluator import Evaluator
 from fmuid.estimation.method import Marquardt
 from fmuid.estimation.problem import LeastSquares
 from fmuid.estimation.result import Result
-from fmuid.identification.profile import profile_likelihood
+from fmuid.identification import identify
+from fmuid.identification.profile_likelihood import profile_likelihood
 from tests.support.paths import FMUS
 
 ROBUST = ["soft_l1", "huber", "cauchy"]
@@ -172,7 +173,7 @@ def test_priors_stay_squares(name: str) -> None:
 def test_the_jacobian_is_that_of_the_rows(name: str) -> None:
     """Of the roots ±√ρ, whose sum of squares has the gradient 2 Σ ψ J."""
     y = contaminated(5)
-    criterion = prepare(LeastSquares.from_function(decay, y, STARTS, loss=name, noise=Noise(1.0))).criterion
+    criterion = prepare(Evaluator(LeastSquares.from_function(decay, y, STARTS, loss=name, noise=Noise(1.0)))).criterion
     at = criterion.evaluate([2.5, 1.0, 0.4])
     f = (y - decay(np.array([2.5, 1.0, 0.4]))) / np.sqrt(criterion.variance[0])
     plain = -decay_jacobian(np.array([2.5, 1.0, 0.4])) / np.sqrt(criterion.variance[0])

@@ -14,13 +14,13 @@ from scipy.integrate import solve_ivp
 
 from fmuid.array_types import Floats
 from fmuid.codec import as_json
-from fmuid.data.parameters import Parameter
+from fmuid.data import Parameter
 from fmuid.errors import InputError
 from fmuid.estimation.finite_differences import FiniteDifferences
-from fmuid.estimation.identification import identify
 from fmuid.estimation.marquardt.outcome import TerminationReason
 from fmuid.estimation.problem import LeastSquares
 from fmuid.estimation.result import Result
+from fmuid.identification import identify
 from fmuid.reports.topics.termination import ending
 from fmuid.runs.apply import apply_result
 from tests.support.paths import FMUS

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from fmuid.data.parameters import Normal, Parameter
+from fmuid.data import Normal, Parameter
 from fmuid.errors import InputError
 from tests.support.sinusoids import box
 

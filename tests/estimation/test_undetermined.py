@@ -10,10 +10,10 @@ from scipy import stats
 
 from fmuid.array_types import Floats
 from fmuid.codec import as_json
-from fmuid.data.parameters import Parameter
+from fmuid.data import Parameter
 from fmuid.estimation.covariance import ActiveBound, Identifiability
-from fmuid.estimation.identification import identify
 from fmuid.estimation.problem import LeastSquares
+from fmuid.identification import identify
 from fmuid.reports.shared_phrases import direction_words
 from fmuid.reports.topics.termination import ending
 from tests.support.problems import coil_problem

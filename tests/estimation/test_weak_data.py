@@ -12,15 +12,14 @@ from numpy.typing import ArrayLike
 import fmuid
 from fmuid.array_types import Floats
 from fmuid.codec import as_json
+from fmuid.data import Experiment, JointPrior, Normal, Parameter
 from fmuid.data.noise import Noise
-from fmuid.data.parameters import JointPrior, Normal, Parameter
-from fmuid.data.predictors import ArrayMeasurements
 from fmuid.errors import InputError
 from fmuid.estimation.covariance import UNDETERMINED_STD, ActiveBound, Identifiability, local_covariance
-from fmuid.estimation.identification import identify
 from fmuid.estimation.marquardt.outcome import TerminationReason
 from fmuid.estimation.problem import LeastSquares
 from fmuid.estimation.result import Result
+from fmuid.identification import identify
 from fmuid.reports.shared_phrases import direction_words
 from fmuid.reports.topics.termination import ending
 from tests.support.paths import FMUS
@@ -329,7 +328,9 @@ def test_one_run_may_need_the_prior_and_another_not() -> None:
     tables = []
     for name, gain, kept in (("first", 2.0, counted), ("second", 5.0, few)):
         y = np.column_stack([1e3 * gain * np.exp(-1.5 * times), 1e-3 * gain * np.sin(1.5 * times)])
-        tables.append(ArrayMeasurements(name, times, ("a", "b"), y + rng.standard_normal((50, 2)) * [2e4, 1e-3], kept))
+        tables.append(
+            Experiment.of_arrays(name, times, ("a", "b"), y + rng.standard_normal((50, 2)) * [2e4, 1e-3], kept)
+        )
     parameters = {
         "k": Parameter(1.0, min=0.0),
         "gain": Parameter(3.0, per_experiment=True, prior=Normal(3.0, 0.3)),

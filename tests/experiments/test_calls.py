@@ -19,9 +19,9 @@ from experiments.machine_faults import calls as machine
 from experiments.machine_faults import detectable, neighbours
 from experiments.machine_faults.machine import TURNS
 from fmuid.diagnosis import ChangeEvidence
-from fmuid.diagnosis.change_detection.causes import Cause
-from fmuid.diagnosis.change_detection.detection import fit
-from fmuid.diagnosis.change_detection.information_matrix import ScoreStatistics
+from fmuid.diagnosis.causes import Cause
+from fmuid.diagnosis.change_detection import fit
+from fmuid.diagnosis.information_matrix import ScoreStatistics
 
 
 def test_a_record_of_the_campaign_is_as_by_itself(tmp_path: Path) -> None:

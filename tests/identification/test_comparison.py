@@ -11,8 +11,8 @@ from scipy import stats
 from fmuid.array_types import Floats
 from fmuid.data import Normal, Parameter
 from fmuid.errors import InputError
-from fmuid.estimation import LeastSquares, Result, identify
-from fmuid.identification import IncomparableError, ModelCandidate, analyze_residuals, compare_models
+from fmuid.estimation import LeastSquares, Result
+from fmuid.identification import IncomparableError, ModelCandidate, analyze_residuals, compare_models, identify
 from tests.support.problems import ar1
 
 TIMES = np.linspace(0.0, 1.0, 400)

@@ -14,12 +14,13 @@ from scipy import stats
 
 from fmuid.array_types import Floats
 from fmuid.codec import as_json
+from fmuid.data import Normal, Parameter
 from fmuid.data.noise import Noise
-from fmuid.data.parameters import Normal, Parameter
 from fmuid.errors import InputError
 from fmuid.estimation import cost_components as misfit
 from fmuid.estimation.cost_components import misfits, variances
 from fmuid.estimation.cost_function import prepare
+from fmuid.estimation.evaluator import Evaluator
 from fmuid.estimation.problem import LeastSquares
 from fmuid.estimation.result import Result
 from fmuid.identification.cost_map import CostMap, map_cost, region_rise
@@ -80,7 +81,7 @@ def test_map_includes_the_prior_and_each_output_has_its_variance() -> None:
     chart, result = chart_of(problem, points=5)
     used = variances(problem, result)
     assert used.tolist() == [0.012, result.noise_variance["y"]]
-    criterion = prepare(problem).criterion.reweighted(used)
+    criterion = prepare(Evaluator(problem)).criterion.reweighted(used)
     rows = criterion.residuals(chart.table[["a", "b"]].to_numpy())
     np.testing.assert_allclose(chart.table["criterion"], np.sum(rows**2, axis=1), rtol=1e-12)
 
@@ -88,10 +89,10 @@ def test_map_includes_the_prior_and_each_output_has_its_variance() -> None:
 def test_batches_do_not_matter(monkeypatch: pytest.MonkeyPatch) -> None:
     problem = linear()
     thetas = np.random.default_rng(0).normal(size=(50, 3))
-    whole = misfits(problem, thetas).squares
+    whole = misfits(Evaluator(problem), thetas).squares
     monkeypatch.setattr(misfit, "CHUNK_SAMPLES", 0)
     monkeypatch.setattr(misfit, "LEAST_BATCH", 7)
-    np.testing.assert_allclose(misfits(problem, thetas).squares, whole, rtol=1e-14)
+    np.testing.assert_allclose(misfits(Evaluator(problem), thetas).squares, whole, rtol=1e-14)
 
 
 def test_default_reach() -> None:
@@ -184,7 +185,7 @@ def test_result_from_a_file(tmp_path: Path) -> None:
 
 
 def squares(problem: LeastSquares, theta: Floats) -> float:
-    return float(np.sum((problem.measured - problem.predict(theta[None])[0]) ** 2))
+    return float(np.sum((problem.measured - Evaluator(problem).predict(theta[None])[0]) ** 2))
 
 
 def test_ellipse_of_known_variance() -> None:

@@ -9,8 +9,9 @@ import pytest
 from scipy import stats
 from scipy.integrate import quad
 
+from fmuid.data import JointPrior, Parameter
 from fmuid.data.noise import Noise
-from fmuid.data.parameters import JointPrior, Parameter
+from fmuid.estimation.evaluator import Evaluator
 from fmuid.estimation.problem import LeastSquares
 from fmuid.identification.sampler import log_density, sample_posterior
 from tests.support.posteriors import Array, linear
@@ -27,7 +28,7 @@ def test_density_of_given_variances() -> None:
     away = thetas - joint.mean
     wanted = -0.5 * np.sum((problem.measured - thetas @ phi.T) ** 2, axis=1) / 0.5
     wanted -= 0.5 * np.einsum("mi,ij,mj->m", away, np.linalg.inv(joint.covariance), away)
-    found = log_density(problem)(thetas)
+    found = log_density(Evaluator(problem))(thetas)
     np.testing.assert_allclose(found - found[0], wanted - wanted[0], rtol=1e-10)
 
 
@@ -56,7 +57,7 @@ def test_density_of_estimated_variances() -> None:
         )
         return math.log(marginal) - 0.5 * float(np.sum((measured[:, 0] - a * times) ** 2)) / 0.04
 
-    found = log_density(problem)(np.array([[2.0, 1.0], [1.9, 1.3], [2.2, 0.2]]))
+    found = log_density(Evaluator(problem))(np.array([[2.0, 1.0], [1.9, 1.3], [2.2, 0.2]]))
     wanted = np.array([direct(2.0, 1.0), direct(1.9, 1.3), direct(2.2, 0.2)])
     np.testing.assert_allclose(found - found[0], wanted - wanted[0], rtol=1e-8, atol=1e-8)
 
@@ -67,12 +68,14 @@ def test_density_of_a_robust_loss() -> None:
     problem, phi = linear(loss="soft_l1")
     thetas = np.array([[2.0, -0.3], [1.0, 0.5]])
     rho = 2.0 * (np.sqrt(1.0 + (problem.measured - thetas @ phi.T) ** 2 / 0.2) - 1.0)
-    np.testing.assert_allclose(log_density(problem, np.array([0.2]))(thetas), -0.5 * rho.sum(axis=1), rtol=1e-12)
+    np.testing.assert_allclose(
+        log_density(Evaluator(problem), np.array([0.2]))(thetas), -0.5 * rho.sum(axis=1), rtol=1e-12
+    )
     result = identify(problem)
     posterior = sample_posterior(problem, result)
     # scaled to how the estimates scatter, of which a robust loss knows as little as of the colour of the noise
     bend = result.local.root @ result.local.root.T if result.local is not None else np.eye(2)
-    whole = log_density(problem, np.array([result.variance["y"]]))
+    whole = log_density(Evaluator(problem), np.array([result.variance["y"]]))
     away = posterior.chain[-1] - result.values
     freedom = 2.0 / float(np.sum(1.0 / result.freedom))
     wider = stats.t.ppf(0.975, result.freedom) / stats.t.ppf(0.975, freedom)
@@ -94,6 +97,6 @@ def test_density_outside_and_where_simulations_fail() -> None:
         return values
 
     problem = LeastSquares.from_function(fragile, [0.0, 1.1, 2.0], {"a": Parameter(1.0, max=3.0)})
-    found = log_density(problem)(np.array([[-0.5], [1.0], [3.0], [3.5]]))
+    found = log_density(Evaluator(problem))(np.array([[-0.5], [1.0], [3.0], [3.5]]))
     assert list(np.isfinite(found)) == [False, True, True, False]
     assert (found[[0, 3]] == -np.inf).all()

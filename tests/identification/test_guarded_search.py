@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -17,11 +18,10 @@ from experiments.starts.draws import DC_MOTOR, Record, draw
 from experiments.starts.study import searched
 from fmuid.array_types import Floats
 from fmuid.codec import as_json
-from fmuid.estimation import RestartAttempt, SearchFailure, StartingPointSource
-from fmuid.identification import restarting_search as guarded_search
-from fmuid.identification.agreement import EndedSearch, is_confirmed
+from fmuid.estimation import Evaluator, RestartAttempt, SearchFailure, StartingPointSource
+from fmuid.identification import starting_points
 from fmuid.identification.equation_error_start import POOR, equation_start
-from fmuid.identification.state_correction_start import corrected_start
+from fmuid.identification.starting_points import EndedSearch, _RestartingSearch, corrected_start, is_confirmed
 from fmuid.reports.topics.termination import ENDS, PLACES, attempt_words
 from tests.support.exported import export_text
 from tests.support.paths import FMUS
@@ -89,7 +89,6 @@ def test_the_equations_give_a_start_and_the_initial_states(motor: Path, record: 
     assert found is not None
     theta = found.theta
     assert 1.0 < found.noise_ratio < POOR
-    assert whole.simulations == 0
     ratios = theta[:6] / record.truth
     assert (ratios > 1 / 3).all()
     assert (ratios < 3).all()
@@ -122,7 +121,7 @@ class Tried:
 def test_of_searches_that_fit_alike_one_that_ended_is_kept(ended: list[tuple[SearchFailure, float]], best: int) -> None:
     """A ball's search that stalled fitted better by 0.01 in −2 ln L, and left estimates without deviations."""
     tried: Any = Tried(*ended)
-    assert guarded_search._RestartingSearch._best(tried).number == best
+    assert _RestartingSearch._best(tried).number == best
 
 
 def test_one_word_switches_it_off(motor: Path, record: Record) -> None:
@@ -188,7 +187,7 @@ def test_a_secondary_optimum_is_left_for_points_of_the_box(curved: Path) -> None
 
 
 def test_a_guess_waits_for_the_others_and_is_gone_on_with(curved: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(guarded_search, "PATIENCE", 1)
+    monkeypatch.setattr(starting_points, "SETTINGS", replace(starting_points.SETTINGS, patience=1))
     result = fmuid.identify(wave(curved, 1.0))
     assert result["b"] == pytest.approx(3.0, abs=0.01)
     *before, last = result.attempts
@@ -286,18 +285,11 @@ def test_where_nothing_helps_the_error_is_that_of_the_start() -> None:
 @pytest.mark.slow
 def test_corrections_give_a_start_too(motor: Path, record: Record) -> None:
     whole = problem(motor, record, record.truth * 2.0)
-    theta = corrected_start(whole, whole.parameters.start)
+    evaluator = Evaluator(whole)
+    theta = corrected_start(evaluator, whole.parameters.start)
     assert theta is not None
-    assert whole.simulations > 0
+    assert evaluator.simulations > 0
     assert np.abs(np.log(theta[:6] / record.truth)).max() < np.log(3.0)
-
-
-@pytest.mark.slow
-def test_the_problem_is_simulated_as_before_after_corrections(motor: Path, record: Record) -> None:
-    whole = problem(motor, record, record.truth)
-    before = whole.predict(whole.parameters.start[None])
-    corrected_start(whole, whole.parameters.start)
-    assert (whole.predict(whole.parameters.start[None]) == before).all()
 
 
 def test_every_attempt_has_words() -> None:
@@ -308,7 +300,7 @@ def test_every_attempt_has_words() -> None:
 def test_the_noise_of_an_output_is_never_zero(curved: Path) -> None:
     frame = pd.DataFrame({"time": np.linspace(0.0, 1.0, 20), "y": np.zeros(20)})
     flat = fmuid.Problem(curved, fmuid.Experiment(frame, [], ["y"]), {"a": fmuid.Parameter(1.0)})
-    assert (guarded_search._noise(flat) > 0.0).all()
+    assert (flat.shown_noise > 0.0).all()
 
 
 def test_no_search_goes_back_to_a_rougher_simulation(motor: Path) -> None:

@@ -105,7 +105,6 @@ def test_far_parameters_of_unmeasured_states_are_found_by_the_equations(cubic: P
     whole, _ = cubic_problem(cubic, 40.0, 0.1)
     found = equation_start(whole, whole.parameters.start)
     assert found is not None
-    assert whole.simulations == 0
     assert found.theta == pytest.approx([2.0, 3.0], rel=0.2)
 
 

@@ -17,8 +17,7 @@ from scipy.linalg import expm
 import fmuid
 from fmuid.array_types import Floats
 from fmuid.codec import as_json
-from fmuid.identification import state_correction_start as corrected_start
-from fmuid.identification import with_observer
+from fmuid.identification import starting_points, with_observer
 from fmuid.identification.observer import observer_gain
 from fmuid.reports.topics.termination import result_remarks
 from fmuid.simulation import RightHandSide
@@ -100,8 +99,9 @@ def test_many_states_are_corrected_at_fewer_samples(cart: Path, monkeypatch: pyt
     monkeypatch.setattr(RightHandSide, "corrected", corrected)
     whole = problem(cart, 0.0)
     for states_per_sample in (20, 1):
-        monkeypatch.setattr(corrected_start, "STATES_PER_SAMPLE", states_per_sample)
-        corrected_start._corrected(whole, 0, whole.parameters.start)
+        settings = replace(starting_points.SETTINGS, states_per_sample=states_per_sample)
+        monkeypatch.setattr(starting_points, "SETTINGS", settings)
+        starting_points._corrected(whole, 0, whole.parameters.start)
     assert gaps == [1, 2]
 
 
@@ -132,8 +132,7 @@ def test_the_result_says_that_it_is_no_output_error(cart: Path, tmp_path: Path) 
 
 
 def test_combinations_are_not_observed(cart: Path) -> None:
-    whole = problem(cart, 0.0)
-    whole.choices = {"mode": (1, 2)}
+    whole = problem(cart, 0.0)._with(choices={"mode": (1, 2)})
     with pytest.raises(fmuid.InputError, match="'mode' takes few values: hold it"):
         with_observer(whole)
 

@@ -11,8 +11,8 @@ import pytest
 from scipy import stats
 
 from experiments.interval_coverage import coverage
+from fmuid.data import JointPrior, Normal, Parameter
 from fmuid.data.noise import Noise
-from fmuid.data.parameters import JointPrior, Normal, Parameter
 from fmuid.errors import InputError
 from fmuid.estimation.problem import LeastSquares
 from fmuid.identification.posterior import Posterior, SamplerSettings, SamplingWarning

@@ -11,17 +11,17 @@ from scipy import stats
 
 from fmuid.array_types import Floats
 from fmuid.codec import as_json
+from fmuid.data import JointPrior, Normal, Parameter
 from fmuid.data.noise import Noise
-from fmuid.data.parameters import JointPrior, Normal, Parameter
 from fmuid.errors import InputError
 from fmuid.estimation.cost_function import prepare
-from fmuid.estimation.identification import identify
+from fmuid.estimation.evaluator import Evaluator
 from fmuid.estimation.marquardt.linear import linear_least_squares
 from fmuid.estimation.noise.autoregression import Autoregression
 from fmuid.estimation.noise.sandwich import ResidualNoise, SandwichCovariance
 from fmuid.estimation.problem import LeastSquares
 from fmuid.estimation.result import Result
-from fmuid.identification import Problem
+from fmuid.identification import Problem, identify
 from fmuid.identification.prior_and_data import (
     ExtrapolationReason,
     PriorDataComparison,
@@ -122,7 +122,7 @@ def test_prior_data_and_combined_of_a_linear_problem(search: bool) -> None:
 
 def kalman(problem: LeastSquares, theta: Floats) -> Floats:
     """One Newton step from θ₀ in the form of (1.49): θ₀ + K (Y* − Ŷ(θ₀)), K = P_C Sᵀ/σ_b²."""
-    criterion = prepare(problem, theta).criterion
+    criterion = prepare(Evaluator(problem), theta).criterion
     at = criterion.evaluate(theta)
     data = problem.measured.size
     sensitivity = -at.jacobian[:data]  # both are divided by σ_b

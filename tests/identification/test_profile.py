@@ -12,14 +12,14 @@ from scipy.optimize import brentq, least_squares
 from scipy.stats import f as f_distribution
 from scipy.stats import norm
 
+from fmuid.data import JointPrior, Normal, Parameter
 from fmuid.data.noise import Noise
-from fmuid.data.parameters import JointPrior, Normal, Parameter
 from fmuid.errors import InputError
 from fmuid.estimation.covariance import ActiveBound
 from fmuid.estimation.problem import LeastSquares
 from fmuid.estimation.result import Result
-from fmuid.identification.profile import Profile, profile_likelihood
 from fmuid.identification.profile_ends import EndKind
+from fmuid.identification.profile_likelihood import Profile, profile_likelihood
 from fmuid.progress import Event, ProfileStep
 from fmuid.reports.topics.uncertainty import profile_words
 from tests.support.results import identify_white as identify

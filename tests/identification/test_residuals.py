@@ -12,15 +12,14 @@ import pytest
 
 from fmuid.array_types import Floats
 from fmuid.codec import as_json
-from fmuid.data.experiment import Experiment
+from fmuid.data import Experiment, Normal, Parameter
 from fmuid.data.noise import Noise
-from fmuid.data.parameters import Normal, Parameter
-from fmuid.data.predictors import ArrayMeasurements, FunctionPredictor
+from fmuid.data.predictors import FunctionPredictor
 from fmuid.errors import InputError
-from fmuid.estimation.identification import identify
 from fmuid.estimation.noise.whiteness_tests import LaggedSeries
 from fmuid.estimation.problem import LeastSquares
 from fmuid.estimation.result import Result
+from fmuid.identification import identify
 from fmuid.identification.residual_analysis import ResidualAnalysis, ResidualDefect, analyze_residuals
 from fmuid.identification.residual_series import ResidualSeries, examine_outputs
 from fmuid.reports.topics.residual_analysis import residual_words
@@ -380,7 +379,7 @@ def test_an_output_that_one_experiment_lacks() -> None:
     y = REGRESSORS @ TRUTH + white(14)
     values = np.column_stack([y, np.full(COUNT, np.nan)])
     tables = [
-        ArrayMeasurements(name, TIMES, ("a", "b"), v, np.isfinite(v))
+        Experiment.of_arrays(name, TIMES, ("a", "b"), v, np.isfinite(v))
         for name, v in (("one", values), ("two", values[:, ::-1]))
     ]
     predictor = FunctionPredictor(lambda theta: np.column_stack([REGRESSORS @ theta] * 2), (COUNT, 2))
@@ -395,8 +394,8 @@ def test_written_and_read() -> None:
     written = json.loads(json.dumps(as_json(found), allow_nan=False))
     assert len(written["findings"]) == len(found.findings)
     assert set(written["widening"]) == {"level", "slow", "fast"}
-    assert [row["output"] for row in written["residuals"]] == found.table["output"].tolist()
-    assert written["residuals"][3]["inputs"][0]["input"] == "u"
-    assert written["residuals"][0]["std"] == found.table["std"][0]
+    assert [row["output"] for row in written["series"]] == found.table["output"].tolist()
+    assert written["series"][3]["inputs"][0]["input"] == "u"
+    assert written["series"][0]["std"] == found.table["std"][0]
     with pytest.raises(InputError, match="identify the study again"):
         analyze_residuals(problem, dataclasses.replace(result, noise=None))

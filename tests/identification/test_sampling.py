@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 import pytest
 
+from fmuid.data import Experiment, Normal, Parameter
 from fmuid.data.noise import Noise
-from fmuid.data.parameters import Normal, Parameter
-from fmuid.data.predictors import ArrayMeasurements, FunctionPredictions
+from fmuid.data.predictors import FunctionPredictions
 from fmuid.errors import InputError
 from fmuid.estimation.problem import LeastSquares
 from fmuid.identification.posterior import SamplerSettings, SamplingWarning, effective_size, r_hat
@@ -34,7 +34,8 @@ def test_ensembles_run_as_batches() -> None:
             return FunctionPredictions((given @ np.ones((2, 5)))[:, :, None], (None,) * len(given))
 
     rng = np.random.default_rng(0)
-    table = ArrayMeasurements("run", np.arange(5.0), ("y",), rng.normal(size=(5, 1)), np.ones((5, 1), dtype=np.bool_))
+    every = np.ones((5, 1), dtype=np.bool_)
+    table = Experiment.of_arrays("run", np.arange(5.0), ("y",), rng.normal(size=(5, 1)), every)
     priors = {name: Parameter(1.0, prior=Normal(0.0, 1.0)) for name in ("a", "b")}
     problem = LeastSquares([Counting()], [table], priors)
     result = identify(problem)

@@ -8,7 +8,7 @@ from scipy import stats
 from scipy.signal import lfilter
 
 from fmuid.array_types import Floats
-from fmuid.data.predictors import ArrayMeasurements
+from fmuid.data import Experiment
 from fmuid.estimation.noise.autoregression import Autoregression
 from fmuid.estimation.noise.model import NoiseModel
 from fmuid.estimation.noise.output_series import OutputSeries
@@ -209,7 +209,7 @@ def test_the_band_is_bartletts_sum() -> None:
 def test_a_mean_is_judged_by_the_independent_samples_it_is_of(share: float) -> None:
     """Of noise with the autocorrelation share^lag, n samples are worth n (1 - share)/(1 + share) in a mean."""
     values = 0.1 + ar1(np.random.default_rng(3), share, 4000)
-    table = ArrayMeasurements("run", np.arange(4000.0), ("y",), values[:, None], np.ones((4000, 1), dtype=np.bool_))
+    table = Experiment.of_arrays("run", np.arange(4000.0), ("y",), values[:, None], np.ones((4000, 1), dtype=np.bool_))
     (series,) = examine_outputs(table, np.zeros((4000, 1)))
     score = values.mean() / values.std() * math.sqrt(4000 * (1.0 - share) / (1.0 + share))
     assert abs(score) > 2.0

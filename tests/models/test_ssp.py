@@ -13,8 +13,7 @@ import pytest
 
 from fmuid.data.experiment import Experiment
 from fmuid.errors import InputError
-from fmuid.models.ssp.links import ConnectedVariable, ConnectionEntry
-from fmuid.models.ssp.package import read_ssp
+from fmuid.models.ssp import read_ssp
 from fmuid.models.system import System
 from fmuid.simulation.simulator import Simulator
 from tests.support.ssp_texts import (
@@ -53,13 +52,11 @@ def test_a_closed_loop_simulates_as_the_same_system_put_together_by_hand(package
         rest=LENGTHS + '<ssd:DefaultExperiment startTime="0.5" stopTime="2"/>',
     )
     structure = read_ssp(path)
-    assert structure.name == "loop"
-    assert {name: entry.fmu.name for name, entry in structure.components.items()} == {
+    assert {name: fmu.name for name, (fmu, _) in structure.components.items()} == {
         "drive": "Drive.fmu", "controller": "Controller.fmu"
     }  # fmt: skip
-    assert structure.components["drive"].fmu.read_bytes() == DRIVE.read_bytes()
-    assert structure.default_experiment == {"start": 0.5, "stop": 2.0}
-    assert structure.inputs == {"reference": (ConnectedVariable("controller", "qg"),)}
+    assert structure.components["drive"][0].read_bytes() == DRIVE.read_bytes()
+    assert structure.connectors == {"reference": [("controller.qg", 1.0, 0.0)]}
     assert structure.values == {}
     by_hand = System(
         components={"drive": DRIVE, "controller": CONTROLLER},
@@ -86,11 +83,9 @@ def test_start_and_end_do_not_tell_the_direction(package: Maker) -> None:
         for joined in ([connection(a, b) for a, b in pairs], [connection(b, a) for a, b in pairs])
     )
     assert forth.connections == back.connections
-    assert set(forth.connections) == {
-        ConnectionEntry(("drive", "q"), ("controller", "q")), ConnectionEntry(("controller", "v"), ("drive", "v"))
-    }  # fmt: skip
-    assert forth.inputs == back.inputs == {"reference": (ConnectedVariable("controller", "qg"),)}
-    assert forth.outputs == back.outputs == {"where": ConnectedVariable("drive", "q")}
+    assert set(forth.connections) == {("drive.q", "controller.q"), ("controller.v", "drive.v")}
+    own = {"reference": [("controller.qg", 1.0, 0.0)], "where": [("drive.q", 1.0, 0.0)]}
+    assert forth.connectors == back.connectors == own
 
 
 def test_nested_systems_are_flattened_and_transformations_composed(package: Maker) -> None:
@@ -109,33 +104,30 @@ def test_nested_systems_are_flattened_and_transformations_composed(package: Make
     structure = read_ssp(path)
     assert set(structure.components) == {"outer.inner.drive", "controller"}
     # 3 (2 q + 1) - 4
-    assert structure.connections == (ConnectionEntry(("outer.inner.drive", "q"), ("controller", "q"), 6.0, -1.0, True),)
-    assert set(structure.inputs["u"]) == {
-        ConnectedVariable("outer.inner.drive", "v", 5.0),
-        ConnectedVariable("controller", "qg"),
-    }
-    assert structure.outputs == {"position": ConnectedVariable("outer.inner.drive", "q", 2.0, 1.0)}
+    assert structure.connections == (("outer.inner.drive.q", "controller.q", 6.0, -1.0),)
+    assert set(structure.connectors["u"]) == {("outer.inner.drive.v", 5.0, 0.0), ("controller.qg", 1.0, 0.0)}
+    assert structure.connectors["position"] == [("outer.inner.drive.q", 2.0, 1.0)]
     assert System.read_ssp(path).connections[0].factor == 6.0
 
 
 @pytest.mark.parametrize(
     ("source", "target", "inside", "suppress", "expected"),
     [
-        ("m", "mm", "", False, (1000.0, 0.0, True)),
-        ("mm", "m", "", False, (0.001, 0.0, True)),
-        ("mm", "", "", False, (0.001, 0.0, True)),  # the controller's variable is in m
-        ("", "mm", "", False, (1000.0, 0.0, True)),  # and so is the drive's
-        ("m", "m", "", False, (1.0, 0.0, True)),
-        ("", "", "", False, (1.0, 0.0, False)),
-        ("", "", "", True, (1.0, 0.0, True)),
-        ("m", "mm", "", True, (1.0, 0.0, True)),
-        ("m", "mm", linear(2.0, 5.0), False, (2000.0, 5.0, True)),  # the transformation follows the conversion
-        ("m", "mm", linear(2.0, 5.0), True, (2.0, 5.0, True)),
-        ("m", "V", linear(2.0), False, (2.0, 0.0, True)),  # a transformation may lead to another dimension
+        ("m", "mm", "", False, (1000.0, 0.0)),
+        ("mm", "m", "", False, (0.001, 0.0)),
+        ("mm", "", "", False, (0.001, 0.0)),  # the controller's variable is in m
+        ("", "mm", "", False, (1000.0, 0.0)),  # and so is the drive's
+        ("m", "m", "", False, (1.0, 0.0)),
+        ("", "", "", False, ()),
+        ("", "", "", True, (1.0, 0.0)),
+        ("m", "mm", "", True, (1.0, 0.0)),
+        ("m", "mm", linear(2.0, 5.0), False, (2000.0, 5.0)),  # the transformation follows the conversion
+        ("m", "mm", linear(2.0, 5.0), True, (2.0, 5.0)),
+        ("m", "V", linear(2.0), False, (2.0, 0.0)),  # a transformation may lead to another dimension
     ],
 )
 def test_units_along_a_connection(
-    package: Maker, source: str, target: str, inside: str, suppress: bool, expected: tuple[float, float, bool]
+    package: Maker, source: str, target: str, inside: str, suppress: bool, expected: tuple[float, ...]
 ) -> None:
     joined = connection("drive.q", "controller.q", inside, suppress)
     structure = read_ssp(package(content(drive(unit=source) + controller(unit=target), joined), rest=LENGTHS))
@@ -150,9 +142,9 @@ def test_units_with_offsets_along_a_chain(package: Maker) -> None:
     )  # fmt: skip
     joined = connection("inner.t", "controller.q")
     scales = units(K=("K", 1.0, 0.0), degF=("K", 5 / 9, 459.67 * 5 / 9))
-    link = read_ssp(package(content(inner + controller(unit="K"), joined), rest=scales)).connections[0]
+    factor, offset = read_ssp(package(content(inner + controller(unit="K"), joined), rest=scales)).connections[0][2:]
     doubled = 2 * (300.0 * 9 / 5 - 459.67)
-    assert link.factor * 300.0 + link.offset == pytest.approx((doubled + 459.67) * 5 / 9, rel=1e-14)
+    assert factor * 300.0 + offset == pytest.approx((doubled + 459.67) * 5 / 9, rel=1e-14)
 
 
 def test_a_connector_without_unit_passes_the_unit_on(package: Maker) -> None:
@@ -163,7 +155,7 @@ def test_a_connector_without_unit_passes_the_unit_on(package: Maker) -> None:
     path = package(
         content(inner + controller(), connection("inner.out", "controller.q")), rest=units(mm=("m", 1e-3, 0.0))
     )
-    assert read_ssp(path).connections[0][2:] == pytest.approx((1e-3, 0.0, True), rel=1e-14)
+    assert read_ssp(path).connections[0][2:] == pytest.approx((1e-3, 0.0), rel=1e-14)
 
 
 def test_a_bus_passes_on_what_is_written_to_it(package: Maker) -> None:
@@ -178,7 +170,7 @@ def test_a_bus_passes_on_what_is_written_to_it(package: Maker) -> None:
     inner = element("System", "inner", "", content(controller() + inside, connection("controller.q", "same.position")))
     joined = connection("drive.q", "bus.position", linear(2.0))
     structure = read_ssp(package(content(drive() + here + inner, joined, dictionary)))
-    assert structure.connections == (ConnectionEntry(("drive", "q"), ("inner.controller", "q"), 2.0, 0.0, True),)
+    assert structure.connections == (("drive.q", "inner.controller.q", 2.0, 0.0),)
 
 
 def test_names_of_elements_may_have_dots_and_sources_escapes(package: Maker) -> None:
@@ -193,7 +185,7 @@ def test_names_of_elements_may_have_dots_and_sources_escapes(package: Maker) -> 
 
 def test_the_interface_that_is_asked_for(package: Maker) -> None:
     path = package(content(drive(implementation="ModelExchange") + drive("second", implementation="CoSimulation")))
-    interfaces = [entry.interface for entry in read_ssp(path).components.values()]
+    interfaces = [interface for _, interface in read_ssp(path).components.values()]
     assert interfaces == ["model-exchange", "co-simulation"]
 
 
@@ -201,7 +193,7 @@ def test_ssp_2_is_read(package: Maker) -> None:
     ports = connector("v", "input", of="Float64") + connector("q", "output", of="Float64")
     part = element("Component", "drive", ports, source="resources/Drive.fmu")
     path = package(content(part, connection("drive.q", "drive.v", linear(-1.0))), version="2.0", check=False)
-    assert read_ssp(path).connections == (ConnectionEntry(("drive", "q"), ("drive", "v"), -1.0, 0.0, True),)
+    assert read_ssp(path).connections == (("drive.q", "drive.v", -1.0, 0.0),)
 
 
 # --- what is refused

@@ -140,8 +140,7 @@ def test_damaged_documents_are_refused_in_one_sentence(tmp_path: Path, seed: int
 
 
 def test_a_folder_without_documents_has_no_report(tmp_path: Path) -> None:
-    with pytest.raises(
-        InputError, match=r"has no document\.json, result\.json, .*: give the folder"):
+    with pytest.raises(InputError, match=r"has no document\.json, result\.json, .*: give the folder"):
         write_report(tmp_path)
     with pytest.raises(InputError, match="is no folder of results"):
         write_report(tmp_path / "nowhere")

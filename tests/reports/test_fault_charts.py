@@ -10,10 +10,10 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from fmuid.diagnosis.alarms import Alarm
 from fmuid.diagnosis.cause_results import CauseScore, ChangeEvidence, EstimatedChange, Explanation
-from fmuid.diagnosis.change_detection.unexplained_residual import NOTHING_LEFT
-from fmuid.diagnosis.change_parameters import CauseKind
-from fmuid.diagnosis.monitoring.alarms import Alarm
+from fmuid.diagnosis.causes import CauseKind
+from fmuid.diagnosis.unexplained_residual import NOTHING_LEFT
 from fmuid.reports.topics import cause_charts, monitoring
 from tests.support.charts import drawn, legend, places
 

@@ -8,13 +8,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from fmuid.data.parameters import Parameter
-from fmuid.estimation.identification import identify
+from fmuid.data import Parameter
 from fmuid.estimation.marquardt.outcome import TerminationReason
 from fmuid.estimation.method import Marquardt
 from fmuid.estimation.problem import LeastSquares
 from fmuid.files import file_name
 from fmuid.formatting import rounded, with_std
+from fmuid.identification import identify
 from fmuid.reports.topics import uncertainty
 from fmuid.reports.topics.termination import ending
 from fmuid.runs.findings import at_minimum

@@ -105,7 +105,7 @@ def test_records_in_files_and_an_alarm_that_ends(plant: Path) -> None:
     said = [(each["event"], each["record"], each["id"]) for each in alarms(plant / "out")]
     assert said[0] == ("raised", "r1", 1)
     state = json.loads((plant / "out" / "monitoring.json").read_text())
-    assert state["windows"] == 9 and state["words"][0].startswith("Fault: turns")
+    assert state["windows"] == 9 and [each["fault"] for each in state["alarms"]] == ["turns"]
     bad = plant / "records" / "s.csv"
     bad.write_text("time,v,i\n0,1,1\n1,1,1\n2,1,1\n3,1,1\n")
     remarks: list[str] = []

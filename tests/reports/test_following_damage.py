@@ -15,9 +15,9 @@ import pytest
 
 from experiments.coil import study as coil
 from fmuid.data.npz import read_arrays, write_arrays
-from fmuid.diagnosis.monitoring import monitor as monitoring
-from fmuid.diagnosis.monitoring.monitor_store import MonitorStore
-from fmuid.diagnosis.monitoring.window_statistics import summed
+from fmuid.diagnosis import monitor as monitoring
+from fmuid.diagnosis.monitor_store import MonitorStore
+from fmuid.diagnosis.windows import summed
 from fmuid.reports import write_report
 from fmuid.runs import follow as following
 from fmuid.runs.log_following import follower

@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from fmuid.identification.comparison import LikelihoodRatioTest
+from fmuid.identification.model_comparison import LikelihoodRatioTest
 from fmuid.reports.topics.model_comparison import comparison_remarks
 
 

@@ -14,8 +14,8 @@ from numpy.typing import ArrayLike
 
 import fmuid
 from fmuid.array_types import Floats
+from fmuid.data import Parameter
 from fmuid.data.experiment import Experiment
-from fmuid.data.parameters import Parameter
 from fmuid.errors import InputError, SensitivityUnavailableError
 from fmuid.estimation import SensitivityMethod
 from fmuid.identification import Problem

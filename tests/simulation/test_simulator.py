@@ -17,7 +17,6 @@ from fmuid.data.experiment import Experiment
 from fmuid.errors import InputError, SimulationError
 from fmuid.models.component import Isolation, Numerics
 from fmuid.models.system import System
-from fmuid.simulation.executor import InProcessExecutor
 from fmuid.simulation.executor_pool import close, closing
 from fmuid.simulation.simulator import Simulator
 from fmuid.simulation.worker import SimulationThread
@@ -32,26 +31,6 @@ INDUCTION = FMUS / "InductionMachine" / "InductionMachine.fmu"
 
 def table(times: NDArray[np.floating[Any]], **columns: object) -> pd.DataFrame:
     return pd.DataFrame({"time": times, **columns})
-
-
-def test_what_is_remembered_is_not_simulated_again(monkeypatch: pytest.MonkeyPatch) -> None:
-    times = np.arange(5.0)
-    simulator = Simulator(COIL, Experiment(table(times, u=1.0, i=0.0), ["u"], ["i"]), ["R", "L"])
-    simulator.remember(2)
-    thetas = [[3.0, 0.05]], [[3.0, 0.05], [4.0, 0.05]], [[5.0, 0.05]]
-    first = [simulator.many(each).outputs.copy() for each in thetas]
-    simulator.many(thetas[0]).outputs[:] = 0.0  # the caller's to change
-    run, simulated = InProcessExecutor.run, []
-
-    def counted(*given: Any) -> None:
-        simulated.append(given)
-        run(*given)
-
-    monkeypatch.setattr(InProcessExecutor, "run", counted)
-    again = [simulator.many(each).outputs for each in thetas]
-    assert len(simulated) == 1  # the third
-    for one, other in zip(first, again, strict=True):
-        assert (one == other).all()
 
 
 @pytest.mark.parametrize("interpolation", ["zoh", "linear"])

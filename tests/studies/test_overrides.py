@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from fmuid.data.parameters import Normal, Parameter
+from fmuid.data import Normal, Parameter
 from fmuid.errors import InputError
 from fmuid.studies.overrides import override
 from fmuid.studies.study import Study

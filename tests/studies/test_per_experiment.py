@@ -85,7 +85,7 @@ def test_hold_previous(u: Floats) -> None:
     np.testing.assert_allclose(simulated, experiment.output_values, atol=1e-4)
     mixed = Experiment(frame.assign(w=late), {"u": "u", "w": "w"}, ["i"], interpolation={"u": "zoh-next"})
     np.testing.assert_array_equal(mixed.input_values[:, 1], late)
-    coarse = preprocess(experiment, Preprocessing(resample=20 * STEP))
+    coarse = preprocess(experiment, Preprocessing(resample_interval=20 * STEP))
     np.testing.assert_array_equal(coarse.input_values[:-1, 0], u[:-20:20][: coarse.times.size - 1])
 
 

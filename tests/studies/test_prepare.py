@@ -84,7 +84,7 @@ def test_filtered_and_resampled(folder: Path) -> None:
         ("lowpass_frequency = 60.0", r"'u' holds between samples \(interpolation = \"zoh\"\)"),
         (
             "start_time = 3.0\nend_time = 1.0",
-            r"\[experiments.preprocess\]\S* has start_time = 3 and end_time = 1: give the earlier time first",
+            r"\[experiments.preprocess\]\S* is refused: start_time = 3 and end_time = 1: give the earlier time first",
         ),
         ("start_time = 300.0", r"from 300 s leaves 0 samples: the record goes from 0 to"),
         ("segments = [[0.0, 0.2], [0.5, 0.3]]", "segments must be a list of pairs of times"),
@@ -96,15 +96,18 @@ def test_filtered_and_resampled(folder: Path) -> None:
             'fill_missing = { current = "zoh" }',
             "fills 'current', what was measured of the output 'i': leave it out of fill_missing",
         ),
-        ("max_gap = 0.1", "has max_gap and nothing to fill: name the columns"),
+        ("max_gap = 0.1", "is refused: max_gap without anything to fill: name the columns"),
         ('max_gap = 0\nfill_missing = { u = "zoh" }', "max_gap must be a number above 0, not 0"),
         ('detrend = "pchip"', 'detrend must be "mean" or "linear"'),
         ("lowpass = 3.0", r"has no key 'lowpass' \(did you mean 'lowpass_frequency'"),
         (
             'park = [{ source = ["u", "i"], target = ["a", "b"], angle = "t" }]',
-            "has source and target of other lengths",
+            "source and target are of other lengths",
         ),
-        ('park = [{ source = ["u", "i"], target = ["a", "b", "c"] }]', "must have one of angle and speed"),
+        (
+            'park = [{ source = ["u", "i"], target = ["a", "b", "c"] }]',
+            "the axes a, b, c need an angle or a speed, one of the two",
+        ),
     ],
 )
 def test_what_is_wrong_is_said(folder: Path, prepare: str, said: str, capsys: pytest.CaptureFixture[str]) -> None:

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from fmuid.data.parameters import Normal
+from fmuid.data import Normal
 from fmuid.errors import InputError
 from fmuid.estimation import TerminationReason
 from fmuid.reports.shared_phrases import source_words

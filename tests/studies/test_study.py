@@ -8,8 +8,8 @@ from pathlib import Path
 import pytest
 
 import fmuid
+from fmuid.data import Normal, Parameter
 from fmuid.data.noise import Noise
-from fmuid.data.parameters import Normal, Parameter
 from fmuid.errors import InputError
 from fmuid.estimation import GlobalSearch
 from fmuid.estimation.method import Marquardt, Method
@@ -63,14 +63,14 @@ def test_noise(folder: Path) -> None:
     own = 'outputs = ["i"]\nnoise = { weights = { i = "w" } }'
     text = FULL.replace('variance = "estimate"', 'shared_variance = ["i"]').replace('outputs = ["i"]', own)
     assert Study.read(write(folder, text)).noise == Noise(
-        common=["i"], experiments={"second": Noise(weights={"i": "w"})}
+        shared_variance=["i"], experiments={"second": Noise(weights={"i": "w"})}
     )
     for words, noise in (
         ('std = { i = "sd" }', Noise(std={"i": "sd"})),
         ("std = 0.2", Noise(std=0.2)),
-        ("relative_std = 0.01", Noise(relative=0.01)),
+        ("relative_std = 0.01", Noise(relative_std=0.01)),
         ('weights = "w"', Noise(weights="w")),
-        ("excitation_period = 4.0", Noise(period=4.0)),
+        ("excitation_period = 4.0", Noise(excitation_period=4.0)),
     ):
         assert Study.read(write(folder, FULL.replace('variance = "estimate"', words))).noise == noise
 

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from fmuid.data.parameters import Parameter
+from fmuid.data import Parameter
 from fmuid.estimation.problem import LeastSquares
 from fmuid.estimation.result import Result
 from fmuid.identification.posterior import Posterior, SamplerSettings

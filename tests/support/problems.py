@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 from scipy.signal import lfilter
 
 from fmuid.array_types import Floats
-from fmuid.data.parameters import Normal, Parameter
+from fmuid.data import Normal, Parameter
 from fmuid.errors import SimulationError
 from fmuid.estimation.problem import LeastSquares
 

@@ -11,9 +11,9 @@ import numpy as np
 
 from fmuid.codec import as_json
 from fmuid.estimation import RESULT_SCHEMA
-from fmuid.estimation.identification import identify
 from fmuid.estimation.problem import LeastSquares
 from fmuid.estimation.result import Result
+from fmuid.identification import identify
 
 RESULT = {"schema": RESULT_SCHEMA}
 

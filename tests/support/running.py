@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from contextlib import closing
+from contextlib import closing, suppress
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +22,7 @@ from fmuid.runs import (
     identified,
     monitored,
     predicted_by,
+    read_monitoring,
 )
 from fmuid.studies import Study
 
@@ -82,12 +83,16 @@ def run_following(
     show: Callable[[FollowStatus], Any] = lambda _: None,
 ) -> MonitoringRun:
     """Monitor what a logger writes until there is enough; return the findings."""
-    with closing(followed(_read(study), Path(place), Path(folder), alarm_sentence)) as looks:
+    watching = None
+    with (
+        suppress(KeyboardInterrupt),
+        closing(followed(_read(study), Path(place), Path(folder), alarm_sentence)) as looks,
+    ):
         for watching in looks:
             show(watching)
             if watching.idle and until(watching):
                 break
-    return findings_of(watching.monitor)
+    return read_monitoring(Path(folder)) if watching is None else findings_of(watching.monitor)
 
 
 def run_prediction(result: str | Path, tables: Sequence[str | Path] = (), **words: Any) -> PredictionRun:

@@ -7,8 +7,9 @@ from collections.abc import Sequence
 import numpy as np
 
 from fmuid.array_types import Floats
+from fmuid.data import Parameter, ParameterSet
 from fmuid.data.noise import Noise
-from fmuid.data.parameters import Parameter, ParameterSet
+from fmuid.estimation.evaluator import Evaluator
 from fmuid.estimation.global_search.box import Box
 from fmuid.estimation.global_search.search import GlobalSearch, Strategy
 from fmuid.estimation.problem import LeastSquares
@@ -44,7 +45,7 @@ def of_search(events: Sequence[Event]) -> list[GlobalStep]:
 
 
 def searched(problem: LeastSquares, settings: GlobalSearch | None = None, progress: Progress | None = None) -> Result:
-    return (settings or GlobalSearch()).search(problem, progress)
+    return (settings or GlobalSearch()).search(Evaluator(problem), progress)
 
 
 # --- the box ----------------------------------------------------------------------------

@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 
 from fmuid.array_types import Floats
-from fmuid.data.parameters import Parameter
+from fmuid.data import Parameter
 from fmuid.estimation.problem import LeastSquares
 
 TIMES = np.linspace(0.0, 3.0, 100)

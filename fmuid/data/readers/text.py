@@ -42,8 +42,6 @@ _SPACES = r"\s+"
 _SEPARATORS = (",", ";", "\t", "|", _SPACES)
 _SPREADSHEET = (b"PK\x03\x04", b"\xd0\xcf\x11\xe0")
 """First bytes of .xlsx, .ods and .zip, and of .xls."""
-_ENCODINGS = (None, "cp1252")
-"""In the order in which they are tried; None is what the first bytes say."""
 _COMMENT = ("#", "%", "//")
 
 
@@ -70,49 +68,34 @@ def read_text(path: Path, source: str) -> RawTable:
         Where the file is no such text, a column is there twice, or a row has too few or too many cells.
     """
     opened = _opener(path, source)
-    for encoding in _ENCODINGS:
-        with suppress(UnicodeDecodeError):  # the next encoding is tried, and then it is refused
-            return _read(opened, source, encoding)
-    raise InputError(f"{source}: the file is no text in UTF-8, UTF-16 or cp1252: save it as UTF-8")
-
-
-def _read(opened: Callable[[], IO[bytes]], source: str, encoding: str | None) -> RawTable:
     with opened() as file:
         start = file.read(_LOOKED_AT)
     if start.startswith(_SPREADSHEET):
         raise InputError(
             f"{source}: the file is a spreadsheet or packed, by its first bytes: name it .xlsx, .ods, .xls or .zip"
         )
-    encoding = encoding or _encoding(start)
-    text = _decoded(start, encoding)
-    if "\0" in text:
-        raise InputError(f"{source}: the file is no text: give a table")
-    if len(start) == _LOOKED_AT:
-        text = text[: text.rfind("\n") + 1] or text
-    layout = _layout(source, text)
-    names, said = named(layout.head.names, layout.head.units)
-    check_once(source, names)
-    return RawTable(_samples(_without_end(opened, encoding, layout), source, layout, encoding, names), said)
+    for encoding, text in _decoded(start):
+        if "\0" in text:
+            raise InputError(f"{source}: the file is no text: give a table")
+        whole = text[: text.rfind("\n") + 1] or text if len(start) == _LOOKED_AT else text
+        layout = _layout(source, whole)
+        names, said = named(layout.head.names, layout.head.units)
+        check_once(source, names)
+        with suppress(UnicodeDecodeError):  # further down: the next encoding is tried
+            return RawTable(_samples(_without_end(opened, encoding, layout), source, layout, encoding, names), said)
+    raise InputError(f"{source}: the file is no text in UTF-8, UTF-16 or cp1252: save it as UTF-8")
 
 
-def _decoded(start: bytes, encoding: str) -> str:
-    return codecs.getincrementaldecoder(encoding)().decode(start, final=len(start) < _LOOKED_AT)
+def _decoded(start: bytes) -> Iterator[tuple[str, str]]:
+    """Yield each encoding that the first bytes of a file can have, and their text."""
+    marked = start.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE))
+    for encoding in ("utf-16" if marked else "utf-8-sig", "cp1252"):
+        with suppress(UnicodeDecodeError):
+            yield encoding, codecs.getincrementaldecoder(encoding)().decode(start, final=len(start) < _LOOKED_AT)
 
 
 def first_lines(path: Path, count: int) -> list[str]:
-    """Return the first lines of a file as `read_text` decodes them.
-
-    Parameters
-    ----------
-    path : Path
-        Plain, or packed with gzip or zip.
-    count : int
-        The largest number of lines.
-
-    Returns
-    -------
-    list of str
-        Empty for a file that is no text.
+    """Return the first lines of a file, plain or packed, at most `count`; none of a file that is no text.
 
     Raises
     ------
@@ -120,12 +103,8 @@ def first_lines(path: Path, count: int) -> list[str]:
         If it cannot be unpacked.
     """
     with _opener(path, str(path))() as file:
-        start = file.read(_LOOKED_AT)
-    for encoding in _ENCODINGS:
-        with suppress(UnicodeDecodeError):
-            text = _decoded(start, encoding or _encoding(start))
-            return [] if "\0" in text else text.splitlines()[:count]
-    return []
+        text = next((text for _, text in _decoded(file.read(_LOOKED_AT))), "\0")
+    return [] if "\0" in text else text.splitlines()[:count]
 
 
 def head_length(start: bytes, source: str) -> int:
@@ -142,10 +121,7 @@ def head_length(start: bytes, source: str) -> int:
     InputError
         If it is no table, or has no row of samples yet.
     """
-    try:
-        text = start.decode("utf-8-sig")
-    except UnicodeDecodeError:
-        text = start.decode("cp1252", errors="replace")
+    text = next((text for _, text in _decoded(start)), "")
     layout = _layout(source, text)
     lines = start.splitlines(keepends=True)
     if not b"".join(lines[layout.line :]).strip():
@@ -175,12 +151,6 @@ def _says_nothing(line: str, layout: _Layout) -> bool:
         return True
     numeric = any(is_number(cell, layout.decimal) for cell in row)
     return len(row) < layout.width and not numeric and not line.lstrip("\"'+- ")[:1].isdigit()
-
-
-def _encoding(start: bytes) -> str:
-    if start.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
-        return "utf-16"
-    return "utf-8-sig"
 
 
 def _opener(path: Path, source: str) -> Callable[[], IO[bytes]]:

@@ -11,6 +11,7 @@ from scipy.spatial import KDTree
 from fmuid.array_types import Floats
 from fmuid.errors import InputError
 from fmuid.estimation.cost_components import CostComponents, misfits
+from fmuid.estimation.evaluator import Evaluator
 from fmuid.estimation.global_search.box import Box
 from fmuid.estimation.problem import LeastSquares
 from fmuid.estimation.starting_points.sobol import sobol_points
@@ -36,18 +37,18 @@ class Exploration:
         The criterion there, +inf where the simulation failed.
     """
 
-    def __init__(self, problem: LeastSquares, seed: int, progress: Progress | None) -> None:
-        self.problem, self.progress = problem, progress
-        self._before = problem.simulations
-        self.box = Box(problem.parameters)
+    def __init__(self, evaluator: Evaluator[LeastSquares], seed: int, progress: Progress | None) -> None:
+        self.evaluator, self.problem, self.progress = evaluator, evaluator.problem, progress
+        self._before = evaluator.simulations
+        self.box = Box(self.problem.parameters)
         self._rng = np.random.default_rng(seed)
-        self.thetas = np.empty((0, len(problem.parameters)))
+        self.thetas = np.empty((0, len(self.problem.parameters)))
         self.values = np.empty(0)
 
     @property
     def simulations(self) -> int:
         """How many simulations the search has made."""
-        return self.problem.simulations - self._before
+        return self.evaluator.simulations - self._before
 
     @property
     def any_succeeded(self) -> bool:
@@ -56,7 +57,7 @@ class Exploration:
 
     def evaluate(self, thetas: Floats) -> Floats:
         """Return the concentrated criterion at thetas (m, N), +inf where the simulation failed, and remember it."""
-        return self.remember(thetas, misfits(self.problem, thetas))
+        return self.remember(thetas, misfits(self.evaluator, thetas))
 
     def remember(self, thetas: Floats, found: CostComponents) -> Floats:
         """Return the concentrated criterion at thetas (m, N) whose misfits are known, and remember it."""
@@ -145,7 +146,7 @@ class Exploration:
 
     def _check_any(self) -> None:
         if not self.any_succeeded:
-            why = self.problem.failure(self.thetas[0])
+            why = self.evaluator.failure(self.thetas[0])
             raise InputError(
                 f"all {len(self.values)} simulations of the global search fail: narrow the bounds to where the model "
                 f"is sound{f' (the first: {why})' if why else ''}"

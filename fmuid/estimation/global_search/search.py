@@ -14,10 +14,11 @@ from fmuid.array_types import Floats
 from fmuid.blas import single_threaded
 from fmuid.errors import FmuidError, InputError, SimulationError
 from fmuid.estimation.cost_components import fitted, refuse_loss
+from fmuid.estimation.evaluator import Evaluator
 from fmuid.estimation.global_search.box import Box
 from fmuid.estimation.global_search.exploration import Exploration
 from fmuid.estimation.global_search.optima import merge_optima
-from fmuid.estimation.identification import identify, point_result
+from fmuid.estimation.identification import estimate, point_result
 from fmuid.estimation.marquardt.outcome import TerminationReason
 from fmuid.estimation.method import Marquardt
 from fmuid.estimation.problem import LeastSquares
@@ -109,13 +110,15 @@ class GlobalSearch:
         Box(problem.parameters)
 
     @single_threaded
-    def search(self, problem: LeastSquares, progress: Progress | None = None, start: ArrayLike | None = None) -> Result:
+    def search(
+        self, evaluator: Evaluator[LeastSquares], progress: Progress | None = None, start: ArrayLike | None = None
+    ) -> Result:
         """Search the box of the bounds for the best optimum, and list the others that were met (`Result.optima`).
 
         Parameters
         ----------
-        problem : LeastSquares
-            Every parameter with finite bounds or a prior. Its own starts take part.
+        evaluator : Evaluator
+            Of a problem with every parameter with finite bounds or a prior. Its own starts take part.
         progress : callable, optional
             Called with a `fmuid.progress.GlobalStep` after each batch of points, generation or fit.
         start : (N,) array, optional
@@ -133,10 +136,10 @@ class GlobalSearch:
             If a parameter has neither bounds nor a prior, all simulations in the box fail, or no fit is possible.
         """
         if start is not None:
-            return self.marquardt.search(problem, progress, start)
-        refuse_loss(problem, "a global search")
+            return self.marquardt.search(evaluator, progress, start)
+        refuse_loss(evaluator.problem, "a global search")
         with np.errstate(over="ignore", invalid="ignore"):  # far from the truth models may explode
-            return _BoxSearch(problem, self, progress).run()
+            return _BoxSearch(evaluator, self, progress).run()
 
 
 @dataclass(frozen=True, eq=False)
@@ -150,10 +153,10 @@ class _Fit:
 class _BoxSearch:
     """One global search and what it knows so far."""
 
-    def __init__(self, problem: LeastSquares, settings: GlobalSearch, progress: Progress | None) -> None:
-        self.problem, self.settings = problem, settings
+    def __init__(self, evaluator: Evaluator[LeastSquares], settings: GlobalSearch, progress: Progress | None) -> None:
+        self.evaluator, self.problem, self.settings = evaluator, evaluator.problem, settings
         self.clock = time.perf_counter()
-        self.explored = Exploration(problem, settings.seed, progress)
+        self.explored = Exploration(evaluator, settings.seed, progress)
         self.fits: list[_Fit] = []
 
     def run(self) -> Result:
@@ -184,7 +187,7 @@ class _BoxSearch:
             try:
                 if self.settings.method == "differential-evolution" and self._known(start):
                     continue
-                self._keep(identify(self.problem, short, start=start))
+                self._keep(estimate(self.evaluator, short, start=start))
             except (InputError, SimulationError) as caught:  # a start from which nothing moves, for instance
                 error = error or caught
             self.explored.report("fits", number, len(starts))
@@ -212,7 +215,7 @@ class _BoxSearch:
         """Go on with the best fit where only its few iterations ended it."""
         best = self._best()
         if best.result.outcome is TerminationReason.ITERATION_LIMIT:
-            self._keep(identify(self.problem, self.settings.marquardt, start=best.result.values))
+            self._keep(estimate(self.evaluator, self.settings.marquardt, start=best.result.values))
             self.fits.remove(best)
 
     def _best(self) -> _Fit:
@@ -234,4 +237,4 @@ class _BoxSearch:
         tried = int(np.argmin(self.explored.values))
         if self.fits and self._best().reached <= self.explored.values[tried]:
             return dataclasses.replace(self._best().result, outcome=TerminationReason.INTERRUPTED)
-        return point_result(self.problem, self.explored.thetas[tried])
+        return point_result(self.evaluator, self.explored.thetas[tried])

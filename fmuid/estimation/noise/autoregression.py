@@ -20,7 +20,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -120,6 +120,15 @@ class Autoregression:
             size = fft.next_fast_len(2 * count, real=True)
             response = fft.irfft(fft.rfft(response, size) * fft.rfft(slow, size), size)[:count]
         return float(response @ response)
+
+    @property
+    def std(self) -> float:
+        """The standard deviation of the process."""
+        return float((self.variance * self.gain) ** 0.5)
+
+    def of_variance(self, variance: float) -> Autoregression:
+        """Return the process of this correlation and a given variance."""
+        return replace(self, variance=variance / self.gain)
 
     @cached_property
     def correlation(self) -> Floats:

@@ -20,6 +20,7 @@ A. V. Vecchia, "Estimation and model identification for continuous spatial proce
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import TYPE_CHECKING
@@ -74,6 +75,10 @@ class NoiseModel:
         """The autocorrelation ρ (m,), from lag 0 to where it has decayed."""
         return self.process.correlation
 
+    def whiten(self, columns: Floats) -> Floats:
+        """Return the innovations of samples (n,) or columns of them (n, m), in units of the noise's std."""
+        return np.asarray(innovations_matrix(self.process, self.series.places) @ columns / self.process.std)
+
     @property
     def time_constant(self) -> float:
         """In how many seconds the slowest part that does not oscillate falls to 1/e."""
@@ -89,6 +94,21 @@ class NoiseModel:
         rest = self.correlation[1:count]
         weights = 1.0 - np.arange(1, rest.size + 1) / count
         return max(1.0 + 2.0 * float(weights @ rest**power), 1.0 / count)
+
+
+def common_process(parts: Sequence[tuple[OutputSeries, Floats]], variance: float | None = None) -> Autoregression:
+    """Return the process that several residuals of one output have in common, none of them fitted.
+
+    Parameters
+    ----------
+    parts : sequence of (OutputSeries, (n,) array)
+    variance : float, optional
+        Of the noise, where it is given: the process keeps the residuals' correlation.
+    """
+    # a gap between records
+    whole = np.concatenate([np.append(series.on_grid(values), np.nan) for series, values in parts])
+    found = autoregression(whole, np.isfinite(whole))
+    return found if variance is None else found.of_variance(variance)
 
 
 def innovations_matrix(model: Autoregression, places: Indices) -> csr_array:

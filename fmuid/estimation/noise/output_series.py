@@ -16,7 +16,7 @@ from scipy import fft
 
 from fmuid.array_types import Floats, Indices
 from fmuid.codec import Layout
-from fmuid.data import Experiment, Measurements
+from fmuid.data import Experiment
 
 
 @dataclass(frozen=True)
@@ -86,12 +86,12 @@ class OutputSeries:
         return grid
 
 
-def output_series(experiments: Sequence[Measurements], outputs: Sequence[str]) -> tuple[OutputSeries, ...]:
+def output_series(experiments: Sequence[Experiment], outputs: Sequence[str]) -> tuple[OutputSeries, ...]:
     """Return the series of all counted samples, experiment by experiment, output by output.
 
     Parameters
     ----------
-    experiments : sequence of Measurements
+    experiments : sequence of Experiment
     outputs : sequence of str
         The problem's outputs.
     """
@@ -171,9 +171,9 @@ def table_grid(times: Floats) -> tuple[Indices, float, bool]:
     return np.arange(times.size), float(times[-1] - times[0]) / max(times.size - 1, 1), False
 
 
-def period_of(experiment: Measurements) -> float:
+def period_of(experiment: Experiment) -> float:
     """Return after how long, s, all inputs of an experiment that move repeat, 0 where they do not."""
-    if not isinstance(experiment, Experiment) or not experiment.input_names:
+    if not experiment.input_names:
         return 0.0
     places, step, regular = table_grid(experiment.times)
     values = experiment.input_values - experiment.input_values.mean(axis=0)

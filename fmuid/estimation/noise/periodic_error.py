@@ -145,7 +145,7 @@ def check_periods(series: Sequence[OutputSeries], noise: Noise, parameters: int)
         if period is None:
             continue
         cycle, least, count = period / each.step, max(AUTOREGRESSION.enough, 2 * parameters), int(each.places[-1]) + 1
-        named = f"noise.period, {period:g} s, of experiment {each.experiment!r}"
+        named = f"noise.excitation_period, {period:g} s, of experiment {each.experiment!r}"
         if not each.regular:
             raise InputError(f"{named}: the samples are not equally spaced; resample the table, or leave it out")
         if abs(cycle - round(cycle)) > SETTINGS.whole or cycle < least:

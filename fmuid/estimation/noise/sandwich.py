@@ -270,10 +270,7 @@ def _as_given(
 ) -> dict[int, Autoregression]:
     """Return models with the correlation found, and the variance 1 where it was given."""
     scaled = rows.given & ~rows.white
-    return {
-        index: replace(model, variance=1.0 / model.gain) if scaled[series[index].group] else model
-        for index, model in models.items()
-    }
+    return {index: model.of_variance(1.0) if scaled[series[index].group] else model for index, model in models.items()}
 
 
 def _joined(blocks: Sequence[tuple[Floats, Flags]], gap: int) -> tuple[Floats, Flags]:

@@ -13,6 +13,7 @@ import numpy as np
 
 from fmuid.array_types import Floats
 from fmuid.estimation.cost_components import fitted, misfits
+from fmuid.estimation.evaluator import Evaluator
 from fmuid.estimation.identification import LEAST_CURVATURE
 from fmuid.estimation.problem import LeastSquares
 from fmuid.estimation.result import Result
@@ -98,7 +99,7 @@ def fits_worse(problem: LeastSquares, result: Result, other: Result) -> bool:
     return misfit_of(problem, result) - misfit_of(problem, other) > CLEARLY_BETTER_CRITERION
 
 
-def would_fit_better(problem: LeastSquares, result: Result, other: LeastSquares, shift: Floats) -> bool:
+def would_fit_better(problem: LeastSquares, result: Result, other: Evaluator[LeastSquares], shift: Floats) -> bool:
     """Return whether another simulation of a problem may fit the data better than a result does.
 
     Parameters
@@ -106,8 +107,8 @@ def would_fit_better(problem: LeastSquares, result: Result, other: LeastSquares,
     problem : LeastSquares
     result : Result
         Its optimum.
-    other : LeastSquares
-        The same problem, simulated in another way; once more for this.
+    other : Evaluator
+        Of the same problem, simulated in another way; once more for this.
     shift : (N,) array
         By which the other simulation moves the estimates, in their standard deviations (`checked`).
     """

@@ -45,7 +45,7 @@ def problem_of(
     starts : mapping of str to float
         Starts in place of the study's.
     like : Problem, optional
-        Of another case with the same inputs, free parameters and held values.
+        Of another case with the same inputs, free parameters and held values, whose simulators serve this one too.
 
     Raises
     ------
@@ -58,6 +58,8 @@ def problem_of(
         name: replace(study.parameters[name], start=starts[name]) if name in starts else study.parameters[name]
         for name in free
     }
+    if like is not None:
+        return like.measuring(experiments, parameters)
     joint = study.joint_prior
     if joint is not None:
         joint = _given(joint, {flat: float(known[name]) for flat, name in flat_names(study).items() if name in known})
@@ -71,7 +73,6 @@ def problem_of(
         loss=study.loss,
         sensitivity=study.sensitivity,
         choices={name: few for name, few in study.model.choices.items() if name not in known},
-        like=like,
     )
 
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import os
 import time
-from collections.abc import Hashable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -28,9 +28,9 @@ ORDER_SECONDS = 0.2
 _runner: list[CaseRunner] = []  # of a process that runs cases
 
 
-def open_cases(data: Mapping[str, Any], path: Path, copies: CopiedFiles | None, no_way: set[Hashable]) -> None:
+def open_cases(data: Mapping[str, Any], path: Path, copies: CopiedFiles | None) -> None:
     """Make this process one that runs the cases of a study."""
-    _runner[:] = [CaseRunner(Study.of(data, path), copies, no_way)]
+    _runner[:] = [CaseRunner(Study.of(data, path), copies)]
 
 
 def run_cases(indices: Sequence[int]) -> tuple[list[tuple[dict[str, object], str]], float]:
@@ -117,4 +117,4 @@ class IsolatedCases:
 
     def _begin(self, host: FmuHost) -> None:
         host.order(watch, limit=FIRST_TIME_LIMIT)
-        host.order(open_cases, *self._opened, self._careful.no_way, limit=FIRST_TIME_LIMIT)
+        host.order(open_cases, *self._opened, limit=FIRST_TIME_LIMIT)

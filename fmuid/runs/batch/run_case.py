@@ -10,7 +10,7 @@ import platform
 import threading
 import time
 from collections import OrderedDict
-from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from datetime import UTC, datetime
@@ -24,9 +24,9 @@ from fmuid.blas import single_threaded
 from fmuid.codec import as_json, from_json
 from fmuid.data import Experiment
 from fmuid.errors import FmuidError
-from fmuid.estimation import JacobianCache, Result, SolverCheck, TerminationReason, WeakDirection, waypoints
-from fmuid.identification import CheckedRegion, Problem, identify
-from fmuid.runs.batch.case_problem import flat_names, problem_of, truth_simulators, truth_values
+from fmuid.estimation import Cache, Evaluator, Result, SolverCheck, TerminationReason, WeakDirection
+from fmuid.identification import Problem, identify_by
+from fmuid.runs.batch.case_problem import problem_of, truth_simulators, truth_values
 from fmuid.runs.batch.cases import Case, CaseList
 from fmuid.runs.batch.random_draws import noise
 from fmuid.runs.batch.study_package import CopiedFiles
@@ -41,13 +41,6 @@ VOLATILE = ("checked", "elapsed_s", "finished", "worker")
 
 SYSTEMS_KEPT = 4
 """Tables, and simulations of the truth, that are kept for the cases that follow."""
-
-AT_START = 3
-"""Calls of a simulator that hardly ever depend on what was measured: the start, the noise of its simulation, and the
-differences of its first derivatives."""
-
-MANY_DRAWS = 10
-"""So many draws of the noise borrow derivatives from the first one's search, which a worker makes beforehand."""
 
 CASE_ERRORS = MemoryError, ArithmeticError, np.linalg.LinAlgError
 """What fails a case, beside errors of this package."""
@@ -83,15 +76,11 @@ class CaseRunner:
         With a ``[batch]``. Its tables may be missing, for which their cases fail.
     copies : CopiedFiles, optional
         Files of the study that are copies and go by the names of the originals in messages.
-    no_way : iterable, optional
-        What another runner's `no_way` has.
 
     Attributes
     ----------
     study : Study
     cases : CaseList
-    no_way : set
-        Of what the draws borrow no derivatives, because simulations fail on the way.
     columns : dict of str to str
         All columns of a row in order, and their types as pandas calls them.
 
@@ -101,7 +90,7 @@ class CaseRunner:
         As `CaseList`, or if an FMU cannot be read.
     """
 
-    def __init__(self, study: Study, copies: CopiedFiles | None = None, no_way: Iterable[Hashable] = ()) -> None:
+    def __init__(self, study: Study, copies: CopiedFiles | None = None) -> None:
         self.study, self.cases = study, CaseList(study)
         self._copies = copies or CopiedFiles(Path(), {})
         self._drawn, self._seed = self.cases.settings.monte_carlo, self.cases.settings.seed
@@ -109,9 +98,7 @@ class CaseRunner:
         self._tables: _BoundedCache[Path | None, tuple[Experiment, ...]] = _BoundedCache()
         self._before: tuple[object, Problem] | None = None  # what the case before had to be simulated, and its problem
         self._truths: _BoundedCache[object, tuple[Floats, ...]] = _BoundedCache()
-        self._ways: _BoundedCache[object, JacobianCache | None] = _BoundedCache()
-        self.no_way = set(no_way)
-        self._regions: _BoundedCache[object, CheckedRegion] = _BoundedCache()
+        self._cache = Cache(problems=self._alike())
         self._worker = f"{platform.node()}:{os.getpid()}"
         self._system = study.system
         for model in self._system.components.values():
@@ -128,8 +115,6 @@ class CaseRunner:
             If that ends the case.
         """
         case, began = self.cases[index], time.perf_counter()
-        if self._before and any(each.stiff for each in self._before[1].laid_out):
-            self._before = None  # they would go on as such, and what a case gives depend on the one before it
         with _warnings_of_this_thread() as warnings:
             found = self._found(case)
         elapsed, printed = time.perf_counter() - began, executor_of(self._system).printed()
@@ -139,15 +124,15 @@ class CaseRunner:
 
     def _found(self, case: Case) -> dict[str, object]:
         """Return the columns that a case finds out, those of values that there are not left out."""
-        problem: Problem | None = None
+        evaluator: Evaluator[Problem] | None = None
         try:
-            problem = self.problem(case)
-            words = self._identify(case, problem)
+            evaluator = Evaluator(self.problem(case), self._cache)
+            words = self._identify(evaluator)
         except FmuidError as error:
             words = _failure(str(error))
         except CASE_ERRORS as error:
             words = _failure(f"{type(error).__name__}: {error}" if str(error) else type(error).__name__)
-        counted = {"simulations": problem.simulations, "rejected": problem.failures} if problem is not None else {}
+        counted = {} if evaluator is None else {"simulations": evaluator.simulations, "rejected": evaluator.failures}
         none = dict.fromkeys(("iterations", "simulations", "rejected", "finer", "checked"), 0)
         return {**none, "accuracy": "", **counted, **words}
 
@@ -168,57 +153,24 @@ class CaseRunner:
         key = case.table, case.free, tuple(case.held.items())
         like = self._before[1] if self._before and self._before[0] == key else None
         problem = problem_of(self.study, experiments, case.free, case.held, case.starts, like)
-        problem.one_of_many = case.draw is not None and self.cases.settings.starting_points is None
         self._before = key, problem
-        way = case.record, *key
-        if problem.one_of_many and drawn is not None and self._often(drawn) and way not in self.no_way:
-            problem.waypoints = self._ways.get(way, lambda: self._way(way, case, drawn, read))
-        if problem.one_of_many and like is None:
-            for each in problem.simulators:
-                each.remember(AT_START)
         return problem
 
-    def _often(self, drawn: MonteCarloSection) -> bool:
-        """Whether so many cases differ in their noise alone that a search beforehand pays."""
-        study, product = self.study, self.cases.settings.combine == "product"
-        return product and drawn.realizations >= MANY_DRAWS and not (study.estimator.whole_box or study.model.choices)
+    def _alike(self) -> int:
+        """Return how many cases differ in their noise alone."""
+        study, settings = self.study, self.cases.settings
+        if self._drawn is None or settings.starting_points is not None or settings.combine != "product":
+            return 1
+        return 1 if study.estimator.whole_box or study.model.choices else self._drawn.realizations
 
-    def _way(
-        self, way: Hashable, case: Case, drawn: MonteCarloSection, experiments: tuple[Experiment, ...]
-    ) -> JacobianCache | None:
-        """Return the derivatives along the way that the first draw takes, whichever draw asks.
-
-        None where a simulation fails on it: in a process of the case's own it might have taken that with it.
-        """
-        try:
-            first = self._disturbed(case, 0, drawn, experiments)
-            problem = problem_of(self.study, first, case.free, case.held, case.starts)
-            found = waypoints(problem, self.study.estimator.marquardt)
-            if not problem.failures:
-                return found
-        except (FmuidError, *CASE_ERRORS):
-            pass  # what it is the cases themselves say
-        self.no_way.add(way)
-        return None
-
-    def _identify(self, case: Case, problem: Problem) -> dict[str, object]:
+    def _identify(self, evaluator: Evaluator[Problem]) -> dict[str, object]:
         """Identify the parameters of a case and return the columns that this fills."""
-        key = case.table, tuple(case.held.items()), tuple(case.free)
-        region = self._regions.get(key, lambda: self._region(problem))
-        before, accuracy = region.checks, self.study.accuracy
-        result = identify(problem, self.study.estimator, accuracy=accuracy, remedies=False, region=region)
+        study = self.study
+        result = identify_by(evaluator, study.estimator, accuracy=study.accuracy, remedies=False)
         if result.outcome is TerminationReason.INTERRUPTED:
             raise KeyboardInterrupt
-        found = result.accuracy
-        own = found is not None and found.simulations > 0
-        return _words_of(result) | _scores(problem, result) | {"checked": int(own or region.checks > before)}
-
-    def _region(self, problem: Problem) -> CheckedRegion:
-        """Return what is to be known of the simulation over the tables of a case and at what it holds."""
-        flat = flat_names(self.study)
-        given = [self.study.parameters[flat.get(name, name)] for name in problem.parameters.names]
-        scale = np.array([each.nominal or abs(each.start) or 1.0 for each in given])
-        return CheckedRegion(scale, one_start=self.cases.settings.starting_points is None)
+        own = result.accuracy is not None and result.accuracy.simulations > 0
+        return _words_of(result) | _scores(evaluator.problem, result) | {"checked": int(own)}
 
     # --- tables and noise
 

@@ -102,7 +102,7 @@ class LogFollower:
         files = [] if state is None else state["files"]
         self._files = {each["file"]: Followed(**{**each, "begins": tuple(each["begins"])}) for each in files}
         self._numbers: dict[str, int] = {} if state is None else dict(state["numbers"])  # records of each stem
-        self._by_rows = window is not None and words.preprocess.settings().by_rows
+        self._by_rows = window is not None and words.preprocess.by_rows
         self._most = MOST_BYTES
 
     @property

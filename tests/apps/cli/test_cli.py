@@ -159,7 +159,7 @@ def test_every_word_that_init_comments_on_is_one(folder: Path) -> None:
     (folder / "study.toml").write_text("\n".join(words.sub("", line) for line in text.splitlines()))
     read = Study.read(folder / "study.toml")
     assert read.joint_prior is not None
-    assert read.noise.start == 0.01
+    assert read.noise.initial_variance == 0.01
     assert read.uncertainty_settings.maps == (("R", "L"),)
 
 

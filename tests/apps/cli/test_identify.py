@@ -37,7 +37,7 @@ def test_identify(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
         assert abs(estimate["value"] - truth) < 4 * estimate["std"]
         assert 0 < estimate["std"] < 0.03 * truth
         assert estimate["start"] == start
-        assert "pull" not in estimate
+        assert estimate["pull"] is None
     assert found["covariance"]["names"] == ["R", "L"]
     diagonal = np.sqrt(np.diag(found["covariance"]["matrix"]))
     np.testing.assert_allclose(diagonal, [found["parameters"][name]["std"] for name in ("R", "L")])

@@ -16,6 +16,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from fmuid.apps.cli.options import DONE, NOT_SUCCEEDED, WRONG_INPUT
 from fmuid.apps.cli.signals import answering, handled, stopping
 from fmuid.estimation import cost_function as criterion
+from fmuid.estimation.evaluator import Evaluator
 from fmuid.estimation.problem import LeastSquares
 from fmuid.reports.render import progress
 from tests.support.coil_study import COIL, STUDY, coil_table, fmuid_, result
@@ -46,13 +47,13 @@ def test_a_search(folder: Path, number: int, monkeypatch: pytest.MonkeyPatch, ca
         after[0] = after[0] or getattr(step, "number", 0) == 2
         return after[0]
 
-    def simulated(self: LeastSquares, *arguments: Any) -> Any:
+    def simulated(self: Evaluator[LeastSquares], *arguments: Any) -> Any:
         simulations.append(after[0])
         return original(self, *arguments)
 
-    original = LeastSquares._simulated
+    original = Evaluator._simulated
     monkeypatch.setattr(progress.Display, "__call__", killing(number, when, shown))
-    monkeypatch.setattr(LeastSquares, "_simulated", simulated)
+    monkeypatch.setattr(Evaluator, "_simulated", simulated)
     (folder / "study.toml").write_text(STUDY.replace("[parameters]", "warmup = 0.01\n[parameters]"))
     assert command("identify", folder / "study.toml") == NOT_SUCCEEDED
     assert capsys.readouterr().err == ANSWER + "\n"
@@ -98,7 +99,7 @@ def test_before_the_search(folder: Path, monkeypatch: pytest.MonkeyPatch, capsys
     assert fmuid_("identify", folder / "study.toml") == DONE
     before = (folder / "results/result.json").read_bytes()
     capsys.readouterr()
-    monkeypatch.setattr(LeastSquares, "predict", killing(signal.SIGTERM, lambda *_: True, LeastSquares.predict))
+    monkeypatch.setattr(Evaluator, "_rows", killing(signal.SIGTERM, lambda *_: True, Evaluator._rows))
     assert command("identify", folder / "study.toml") == NOT_SUCCEEDED
     said = "error: interrupted before anything better than the start was found: nothing is written"
     assert capsys.readouterr().err.splitlines() == [ANSWER, said]

@@ -17,12 +17,13 @@ from experiments.batches import misbehaviour
 from experiments.batches.campaign import rows
 from fmuid.apps.cli.app import run
 from fmuid.apps.cli.options import DONE, NOT_SUCCEEDED
+from fmuid.data import Parameter
 from fmuid.data.experiment import Experiment
-from fmuid.data.parameters import Parameter
 from fmuid.estimation import GlobalSearch
-from fmuid.estimation.identification import identify
+from fmuid.estimation.evaluator import Evaluator
+from fmuid.estimation.method import Marquardt
 from fmuid.estimation.problem import LeastSquares
-from fmuid.identification import Problem
+from fmuid.identification import Problem, identify
 from fmuid.models.component import Isolation
 from fmuid.models.system import System
 from fmuid.runs.batch.batch import Batch
@@ -86,9 +87,9 @@ def problem(fmu: Path, mode: Mode, isolation: Isolation | None, gain: float = 8.
 @pytest.mark.parametrize("mode", first(2, [Mode.SEGFAULT, Mode.GARBLE, Mode.EXIT_0, Mode.STUBBORN]))
 def test_a_search_goes_round_a_band_where_the_fmu_crashes(fmu: Path, mode: Mode) -> None:
     """By the same way, bit for bit, as round a band where it returns fmi2Error in-process."""
-    plain = problem(fmu, Mode.RETURN_ERROR, None)
-    isolated = problem(fmu, mode, Isolation(time_limit=1.0 if mode == Mode.STUBBORN else 600.0))
-    right, found = identify(plain), identify(isolated)
+    plain = Evaluator(problem(fmu, Mode.RETURN_ERROR, None))
+    isolated = Evaluator(problem(fmu, mode, Isolation(time_limit=1.0 if mode == Mode.STUBBORN else 600.0)))
+    right, found = (Marquardt().search(each) for each in (plain, isolated))
     assert found.converged
     assert np.array_equal(found.values, right.values)
     assert np.array_equal(found.std, right.std)
@@ -100,7 +101,8 @@ def test_a_search_goes_round_a_band_where_the_fmu_crashes(fmu: Path, mode: Mode)
 @pytest.mark.slow
 def test_a_global_search_goes_round_it_too(fmu: Path) -> None:
     settings = GlobalSearch("multi-start", 6, 1)
-    plain, isolated = problem(fmu, Mode.RETURN_ERROR, None), problem(fmu, Mode.ABORT, Isolation())
+    plain = Evaluator(problem(fmu, Mode.RETURN_ERROR, None))
+    isolated = Evaluator(problem(fmu, Mode.ABORT, Isolation()))
     right, found = (settings.search(each) for each in (plain, isolated))
     assert found.converged
     assert np.array_equal(found.values, right.values)

@@ -38,13 +38,13 @@ def test_records_are_predicted(made: Path, tmp_path: Path, capsys: pytest.Captur
         assert word in out
     content = json.loads((tmp_path / "prediction.json").read_text())
     names = ("results/result.json", "second.csv", "third.csv")
-    assert {name: hashlib.sha256((made / name).read_bytes()).hexdigest() for name in names}.items() <= content[
-        "files"
-    ].items()
-    assert any(name.endswith("Coil.fmu") for name in content["files"])
-    assert content["study"]["digest"] == hashlib.sha256((made / "study.toml").read_bytes()).hexdigest()
-    assert [record["experiment"] for record in content["records"]] == ["second", "third"]
-    assert content["records"][1]["estimated"]["parameters"]["i_start"]["value"] == pytest.approx(0.2, abs=0.05)
+    origin = content["origin"]
+    digests = {name: hashlib.sha256((made / name).read_bytes()).hexdigest() for name in names}
+    assert digests.items() <= origin["files"].items()
+    assert any(name.endswith("Coil.fmu") for name in origin["files"])
+    assert origin["study"]["digest"] == hashlib.sha256((made / "study.toml").read_bytes()).hexdigest()
+    assert [record["fit"]["experiment"] for record in content["predictions"]] == ["second", "third"]
+    assert content["predictions"][1]["estimated"]["parameters"]["i_start"]["value"] == pytest.approx(0.2, abs=0.05)
     scores = pd.read_csv(tmp_path / "scores.csv")
     assert list(scores["record"]) == ["second", "third"]
     assert scores["rmse"].tolist() == [record["scores"][0]["rmse"] for record in content["predictions"]]

@@ -15,13 +15,14 @@ import pandas as pd
 import pytest
 from numpy.typing import NDArray
 
+from fmuid.data import Parameter
 from fmuid.data.experiment import Experiment
 from fmuid.data.noise import Noise
-from fmuid.data.parameters import Parameter
 from fmuid.errors import InputError
 from fmuid.estimation import Marquardt
-from fmuid.estimation.identification import identify
+from fmuid.estimation.evaluator import Evaluator
 from fmuid.estimation.problem import LeastSquares
+from fmuid.identification import identify
 from fmuid.runs.batch import run_case as case_run
 from fmuid.runs.batch.cases import CaseList
 from fmuid.runs.batch.run_case import CaseRunner
@@ -65,8 +66,9 @@ def test_problems_count_the_points_that_cannot_be_simulated() -> None:
         return np.asarray(np.exp(-theta[0] * TIMES))
 
     problem = LeastSquares.from_function(function, np.exp(-4.0 * TIMES), {"a": Parameter(0.1)})
-    assert identify(problem)["a"] <= 3.0
-    assert problem.failures == failed > 0
+    evaluator = Evaluator(problem)
+    assert Marquardt().search(evaluator)["a"] <= 3.0
+    assert evaluator.failures == failed > 0
 
 
 @pytest.mark.parametrize("error", [MemoryError(), ZeroDivisionError("float division"), np.linalg.LinAlgError("bad")])
@@ -85,17 +87,17 @@ def test_what_the_arithmetic_raises_is_a_row(
 def test_interruptions_and_bugs_pass(case_folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     runner, predict, calls = (
         CaseRunner(study_of(case_folder, {"starting_points": 1})),
-        LeastSquares.predict,
+        Evaluator._rows,
         itertools.count(),
     )
 
-    def interrupted(self: LeastSquares, thetas: NDArray[np.float64]) -> NDArray[np.float64]:
+    def interrupted(self: Evaluator[LeastSquares], thetas: NDArray[np.float64]) -> tuple[NDArray[np.float64], int]:
         if next(calls) == 5:  # when the search is under way, which ends it with a result
             raise KeyboardInterrupt
         return predict(self, thetas)
 
     with monkeypatch.context() as patch:
-        patch.setattr(LeastSquares, "predict", interrupted)
+        patch.setattr(Evaluator, "_rows", interrupted)
         with pytest.raises(KeyboardInterrupt):
             runner(0)
     with monkeypatch.context() as patch:

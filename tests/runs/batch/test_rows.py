@@ -12,15 +12,15 @@ import pandas as pd
 import pytest
 from numpy.typing import NDArray
 
+from fmuid.data import Parameter
 from fmuid.data.data_file import read_data
 from fmuid.data.experiment import Experiment
-from fmuid.data.parameters import Parameter
 from fmuid.errors import InputError
-from fmuid.estimation.identification import identify
-from fmuid.identification import Problem
+from fmuid.estimation.evaluator import Evaluator
+from fmuid.identification import Problem, identify
 from fmuid.runs.batch.case_problem import problem_of
 from fmuid.runs.batch.cases import CaseList, truth_of
-from fmuid.runs.batch.run_case import MANY_DRAWS, VOLATILE, CaseRunner, directions_of
+from fmuid.runs.batch.run_case import VOLATILE, CaseRunner, directions_of
 from fmuid.simulation.simulator import Simulator
 from fmuid.studies.study import Study
 from tests.support.coil_cases import COIL, STD, TIMES, L, R, bits, current, record, study_of
@@ -79,7 +79,7 @@ def test_records_are_identified_as_studies_of_their_own(case_folder: Path) -> No
         row = runner(k).row
         alone = study_of(case_folder, None)
         table = Experiment(read_data(case_folder / "records" / f"{name}.csv"), ["u"], ["i"], interpolation="zoh")
-        result = identify(Problem(alone.system, table, alone.parameters))
+        result = identify(Problem(alone.system, table, alone.parameters), remedies=False)
         assert (row["table"], row["status"], row["message"]) == (name, "converged", "converged")
         assert [row["value.R"], row["value.L"]] == result.values.tolist()
         assert [row["std.R"], row["std.L"]] == result.std.tolist()
@@ -93,15 +93,15 @@ def test_values_held_and_subsets_are_those_of_a_study_that_says_so(case_folder: 
     for k, (held, start) in enumerate(itertools.product((0.1, 0.12), (2.0, 5.0))):
         row = runner(k).row
         parameters = {"R": Parameter(start, min=0.5, max=8.0)}
-        result = identify(Problem(study.system, study.tables, parameters, values={"L": held}))
+        result = identify(Problem(study.system, study.tables, parameters, values={"L": held}), remedies=False)
         assert (row["value.R"], row["set.L"], row["start.R"]) == (result["R"], held, start)
         assert math.isnan(row["value.L"])  # type: ignore[arg-type]
     runner = CaseRunner(study_of(case_folder, {"free_parameters": [["R"], ["R", "L"]]}))
     alone, both = runner(0).row, runner(1).row
     held_at_start = Problem(study.system, study.tables, {"R": study.parameters["R"]}, values={"L": 0.2})
-    assert alone["value.R"] == identify(held_at_start)["R"]
+    assert alone["value.R"] == identify(held_at_start, remedies=False)["R"]
     assert math.isnan(alone["std.L"])  # type: ignore[arg-type]
-    assert both["value.L"] == identify(study.problem())["L"]
+    assert both["value.L"] == identify(study.problem(), remedies=False)["L"]
 
 
 def disturbed(study: Study, truth: dict[str, float], words: list[int]) -> Experiment:
@@ -126,7 +126,7 @@ def test_truth_takes_the_values_swept_unless_it_has_its_own(case_folder: Path) -
         for k, (held, draw) in enumerate(itertools.product((0.1, 0.13), (0, 1))):
             experiment = disturbed(study, {"L": held} | truth, [9, 3, draw, 0])
             parameters = {"R": study.parameters["R"]}
-            result = identify(Problem(study.system, experiment, parameters, values={"L": held}))
+            result = identify(Problem(study.system, experiment, parameters, values={"L": held}), remedies=False)
             # the steps of the first differences are rounded in a batch
             assert runner(k).row["value.R"] == pytest.approx(result.values[0], abs=1e-5 * result.std[0])
 
@@ -197,7 +197,7 @@ def test_a_stiff_case_does_not_change_the_next(case_folder: Path) -> None:
     model = {"fmu": str(COIL), "interface": "model-exchange"}
     alone, after = (CaseRunner(study_of(case_folder, {"sweep": {"L": [1e-8, L]}}, model=model)) for _ in range(2))
     stiff = after.problem(after.cases[0])
-    stiff.predict(np.array([[R]]))
+    Evaluator(stiff).predict(np.array([[R]]))
     assert stiff.models[""]["run"]["stiff"]
     after(0)
     assert bits(after(1).row) == bits(alone(1).row)
@@ -263,13 +263,13 @@ def test_parameters_per_experiment(case_folder: Path) -> None:
     assert truth_of(held) == {"R[run1]": 3.8, "R[run2]": 4.4, "L": 0.1}
 
 
-def test_many_draws_borrow_derivatives_from_the_first_whichever_comes_first(case_folder: Path) -> None:
-    few, many = monte_carlo(case_folder, MANY_DRAWS - 1), monte_carlo(case_folder, MANY_DRAWS)
+def test_many_draws_share_what_they_can_whichever_comes_first(case_folder: Path) -> None:
+    one, many = monte_carlo(case_folder, 1), monte_carlo(case_folder, 60)
     for k in (3, 0):
-        row, fresh = many(k).row, monte_carlo(case_folder, MANY_DRAWS)(k).row
+        row, fresh = many(k).row, monte_carlo(case_folder, 60)(k).row
         assert bits(row) == bits(fresh)
-        found, alone = (pd.Series(each).infer_objects() for each in (row, few(k).row))
-        assert found["simulations"] < alone["simulations"]
-        for name in "RL":
-            assert abs(found[f"value.{name}"] - alone[f"value.{name}"]) < 1e-3 * alone[f"std.{name}"]
-            assert found[f"std.{name}"] == pytest.approx(alone[f"std.{name}"], rel=1e-3)
+    found, alone = (pd.Series(each).infer_objects() for each in (row, one(0).row))
+    assert found["simulations"] < alone["simulations"]
+    for name in "RL":
+        assert abs(found[f"value.{name}"] - alone[f"value.{name}"]) < 0.02 * alone[f"std.{name}"]
+        assert found[f"std.{name}"] == pytest.approx(alone[f"std.{name}"], rel=1e-2)

@@ -10,12 +10,11 @@ import pandas as pd
 import pytest
 from numpy.typing import NDArray
 
+from fmuid.data import Parameter
 from fmuid.data.experiment import Experiment
-from fmuid.data.parameters import Parameter
 from fmuid.errors import InputError, SimulationError
 from fmuid.estimation import SensitivityMethod
-from fmuid.estimation.identification import identify
-from fmuid.identification import Problem
+from fmuid.identification import Problem, identify
 from fmuid.models.component import Component, Numerics
 from fmuid.models.fmu import FMU
 from fmuid.models.system import System

@@ -11,7 +11,7 @@ import pytest
 from fmuid.errors import InputError
 from fmuid.models import untrusted_xml as safe_xml
 from fmuid.models.fmu import FMU
-from fmuid.models.ssp.package import read_ssp
+from fmuid.models.ssp import read_ssp
 from fmuid.models.ssv import read_ssv
 from fmuid.models.start_values import with_starts
 from fmuid.simulation.validation import _description

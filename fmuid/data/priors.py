@@ -1,0 +1,136 @@
+"""Knowledge of parameters from before the measurements: Gaussian priors, of one parameter or of several together."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from fmuid.array_types import Floats
+from fmuid.errors import InputError
+
+# Beyond these limits squares overflow or vanish; no unit of measurement needs such numbers.
+LARGEST_NUMBER, SMALLEST_MAGNITUDE = 1e100, 1e-100
+# Largest relative difference of symmetric entries of a covariance: rounding in a printed file.
+SYMMETRY_TOLERANCE = 1e-6
+
+
+def checked_number(value: object, what: str, *, infinite: bool = False) -> float:
+    """Return what a user gave as a float; an `InputError` says why it is none to calculate with."""
+    if isinstance(value, bool) or not isinstance(value, int | float | np.integer | np.floating):
+        raise InputError(f"{what} must be a number, not {value!r}")
+    number = float(value)
+    if math.isnan(number) or (math.isinf(number) and not infinite):
+        raise InputError(f"{what} must be {'a number' if infinite else 'finite'}, not {number:g}")
+    if abs(number) > LARGEST_NUMBER and not infinite:
+        raise InputError(f"{what} must not exceed {LARGEST_NUMBER:g} in magnitude, not {number:g}; use another unit")
+    return number
+
+
+@dataclass(frozen=True)
+class Normal:
+    """A Gaussian prior of one parameter (1.36), in its own unit.
+
+    Parameters
+    ----------
+    mean : float
+    std : float
+        Standard deviation, greater than zero.
+
+    Raises
+    ------
+    InputError
+        If the mean is not finite or the standard deviation not positive.
+
+    Examples
+    --------
+    >>> fmuid.Parameter(start=3.9, prior=fmuid.Normal(4.0, 0.1)).prior.std
+    0.1
+    """
+
+    mean: float
+    std: float
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "mean", checked_number(self.mean, "the mean of a prior"))
+        object.__setattr__(self, "std", checked_number(self.std, "the std of a prior"))
+        if not self.std >= SMALLEST_MAGNITUDE:
+            raise InputError(
+                f"the std of a prior must be greater than 0, not {self.std:g}; hold a known parameter at its value"
+            )
+
+
+@dataclass(frozen=True, eq=False)
+class JointPrior:
+    """A Gaussian prior of several parameters together, θ₀ and M₀ of (1.36).
+
+    Parameters
+    ----------
+    names : sequence of str
+        Parameters, in the order of `mean` and `covariance`; those per experiment as ``name[experiment]``.
+    mean : (q,) array
+    covariance : (q, q) array
+        Symmetric and positive definite.
+
+    Raises
+    ------
+    InputError
+        If shapes differ, a value is not finite, or the covariance is not symmetric and positive definite.
+
+    Examples
+    --------
+    >>> coil = fmuid.datasets.coil()
+    >>> prior = fmuid.JointPrior(["R", "L"], [4.0, 0.1], [[0.01, 0.0], [0.0, 1e-6]])
+    >>> result = fmuid.identify(fmuid.Problem(coil.fmu, coil.experiment, coil.parameters, joint_prior=prior))
+    >>> result.prior_std.round(6).tolist()
+    [0.1, 0.001]
+    """
+
+    names: tuple[str, ...]
+    mean: Floats
+    covariance: Floats
+
+    def __init__(self, names: Sequence[str], mean: ArrayLike, covariance: ArrayLike) -> None:
+        object.__setattr__(self, "names", tuple(names))
+        object.__setattr__(self, "mean", np.array(mean, dtype=np.float64))
+        object.__setattr__(self, "covariance", np.array(covariance, dtype=np.float64))
+        count = len(self.names)
+        if len(set(self.names)) < count:
+            raise InputError(f"the joint prior names a parameter twice: {', '.join(self.names)}")
+        if self.mean.shape != (count,) or self.covariance.shape != (count, count):
+            raise InputError(
+                f"the joint prior of {', '.join(self.names)} needs {count} means and a {count} x {count} covariance, "
+                f"not shapes {self.mean.shape} and {self.covariance.shape}"
+            )
+        if not (np.isfinite(self.mean).all() and np.isfinite(self.covariance).all()):
+            raise InputError(f"the joint prior of {', '.join(self.names)} has a value that is not finite")
+        for name, variance in zip(self.names, np.diag(self.covariance), strict=True):
+            if variance <= 0:
+                raise InputError(
+                    f"the joint prior's variance of {name!r} must be greater than 0, not {variance:g}; "
+                    "hold a known parameter at its value"
+                )
+        unequal = ~np.isclose(self.covariance, self.covariance.T, rtol=SYMMETRY_TOLERANCE, atol=0.0)
+        if unequal.any():
+            i, j = np.argwhere(unequal)[0]
+            raise InputError(
+                f"the covariance of the joint prior of {', '.join(self.names)} is not symmetric: "
+                f"at row {self.names[i]} and column {self.names[j]} stands {self.covariance[i, j]:g}, "
+                f"at row {self.names[j]} and column {self.names[i]} {self.covariance[j, i]:g}"
+            )
+        self.whitening()
+
+    def whitening(self) -> Floats:
+        """Return W (q, q) with WᵀW = M₀⁻¹, so that W(θ₀ − θ) are the prior's rows of the residual."""
+        std = np.sqrt(np.diag(self.covariance))
+        try:  # on the correlation matrix: variances of very different units must not decide what counts as positive
+            factor = np.linalg.cholesky(self.covariance / np.outer(std, std))
+        except np.linalg.LinAlgError:
+            raise InputError(
+                f"the covariance of the joint prior of {', '.join(self.names)} is not positive definite; "
+                "its correlations contradict each other or are not less than 1 in magnitude"
+            ) from None
+        return np.asarray(np.linalg.solve(factor, np.diag(1.0 / std)), dtype=np.float64)

@@ -1,1 +1,0 @@
-"""The healthy machine, as records are compared with it."""

@@ -1,0 +1,247 @@
+"""Which cause it is: odds between single causes and pairs, and what cannot be told apart from what."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy import special
+
+from fmuid.array_types import Floats
+from fmuid.diagnosis.causes import Cause
+from fmuid.diagnosis.change_detection import CauseFit, MinPDistribution, fit, probability
+from fmuid.diagnosis.information_matrix import ScoreStatistics
+
+# Causes within these odds of the best one are all named: beyond it evidence is strong (Kass and Raftery, section 3.2)
+ODDS = 20.0
+# ... and excluded in this share of records.
+LARGE_PROBABILITY = 0.9
+# How much of its effect a fault model has wrong along any other cause's signature, where no trials tell.
+MODEL_ERROR = 0.05
+# What share of that it has wrong along its own signature, which is its size: 0.04 to 0.4 with shorted turns and broken
+# bars, whose sizes are known (experiments/machine_faults).
+OWN_SHARE = 0.25
+# Pairs whose statistic is so much below the best pair's cannot come within the odds.
+HOPELESS = 30.0
+# Two signatures whose angle has so small a squared sine are one.
+SAME = 1e-9
+
+
+@dataclass(frozen=True, eq=False)
+class CauseSet:
+    """A cause, or two of them, that explains what is new.
+
+    Attributes
+    ----------
+    causes : tuple of Cause
+    odds : float
+        Against the best explanation: 1 for that itself, less for others.
+    fit : CauseFit
+        Sizes and their covariance, in which each cause has the error of the other's model.
+    """
+
+    causes: tuple[Cause, ...]
+    odds: float
+    fit: CauseFit
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The names of its causes."""
+        return tuple(cause.name for cause in self.causes)
+
+    @property
+    def columns(self) -> list[int]:
+        """The coordinates of its causes, in the order of the sizes."""
+        return [i for cause in self.causes for i in cause.columns]
+
+
+@dataclass(frozen=True, eq=False)
+class CauseRanking:
+    """What is new in a record.
+
+    Attributes
+    ----------
+    statistics : dict of str to float
+        D of each cause alone.
+    probability : float
+        That chance makes any cause as likely.
+    alarm : bool
+        Whether that is below the level.
+    named : tuple of CauseSet
+        The best one, and those that the data do not exclude beside it; empty without an alarm.
+    temper : float
+        By which evidence is divided after the alarm: 1 + κ² D of the strongest fault.
+    """
+
+    statistics: dict[str, float]
+    probability: float
+    alarm: bool
+    named: tuple[CauseSet, ...] = ()
+    temper: float = 1.0
+
+
+def name(
+    news: ScoreStatistics,
+    causes: Sequence[Cause],
+    level: float,
+    *,
+    chance: MinPDistribution | None = None,
+    model_error: float = MODEL_ERROR,
+) -> CauseRanking:
+    """Decide whether anything is new, and which cause or pair of causes it is.
+
+    Parameters
+    ----------
+    news : ScoreStatistics
+    causes : sequence of Cause
+    level : float
+        Probability of an alarm where nothing is new; pairs have the same beside single causes.
+    chance : MinPDistribution, optional
+        Of records like this one; drawn where it is not given.
+    model_error : float
+        κ: the fault models' error along any other signature, as a share of their own effect.
+    """
+    if not causes:
+        return CauseRanking({}, 1.0, False)
+    chance = chance or MinPDistribution.of(news, causes)
+    statistics = np.array([fit(news, (cause,)).statistic for cause in causes])
+    smallest = min(probability(d, cause) for d, cause in zip(statistics.tolist(), causes, strict=True))
+    by_name = dict(zip((cause.name for cause in causes), statistics.tolist(), strict=True))
+    adjusted = chance.adjusted(smallest)
+    if smallest > chance.limit(level):
+        return CauseRanking(by_name, adjusted, False)
+    temper, likely = rank_with_model_error(news, causes, level, model_error)
+    return CauseRanking(by_name, adjusted, True, likely, temper)
+
+
+def rank_with_model_error(
+    news: ScoreStatistics, causes: Sequence[Cause], level: float, model_error: float
+) -> tuple[float, tuple[CauseSet, ...]]:
+    """Return what something new is, and by what evidence was divided for the models' error; as for `name`."""
+    alone = {cause: fit(news, (cause,)).statistic for cause in causes}
+    temper = 1.0 + model_error**2 * max((d for cause, d in alone.items() if cause.modelled), default=0.0)
+    sets = _pairs(news, causes, max(alone.values()), temper, level) or [(cause,) for cause in causes]
+    evidence = news.tempered(temper)
+    found = np.array([log_bayes_factor(evidence, each) + sum(math.log(c.probability) for c in each) for each in sets])
+    odds = np.exp(found - found.max())
+    order = [i for i in np.argsort(-odds, kind="stable") if odds[i] * ODDS > 1.0]
+    return temper, tuple(CauseSet(sets[i], float(odds[i]), estimate_sizes(news, sets[i], model_error)) for i in order)
+
+
+def _pairs(
+    news: ScoreStatistics, causes: Sequence[Cause], single: float, temper: float, level: float
+) -> list[tuple[Cause, ...]]:
+    """Return the pairs that may be it, none where the best one explains no more than a single cause does."""
+    pairs = list(itertools.combinations(causes, 2))
+    if not pairs:
+        return []
+    gains = (_together(news, pairs) - single) / temper
+    best = int(np.argmax(gains))
+    more = max(len(cause.columns) for cause in pairs[best])
+    if special.chdtrc(more, max(gains[best], 0.0)) * len(pairs) > level:
+        return []
+    return [pair for pair, gain in zip(pairs, gains, strict=True) if gain > gains[best] - HOPELESS]
+
+
+def _together(news: ScoreStatistics, pairs: Sequence[tuple[Cause, Cause]]) -> Floats:
+    """Return D of pairs: of two single coordinates in closed form, at once."""
+    found = np.array([0.0 if len(a.columns + b.columns) == 2 else fit(news, (a, b)).statistic for a, b in pairs])
+    plain = [k for k, (a, b) in enumerate(pairs) if len(a.columns + b.columns) == 2]
+    i, j = np.array([[cause.columns[0] for cause in pairs[k]] for k in plain], dtype=int).reshape(-1, 2).T
+    signs = np.array([[cause.sign for cause in pairs[k]] for k in plain], dtype=int).reshape(-1, 2).T
+    own, score = np.diag(news.information), news.score
+    mixed, scores = news.information[i, j], np.array([score[i], score[j]])
+    sizes = np.array([own[j] * score[i] - mixed * score[j], own[i] * score[j] - mixed * score[i]])
+    determinant = own[i] * own[j] - mixed**2
+    apart = determinant > SAME * own[i] * own[j]
+    sizes /= np.where(apart, determinant, 1.0)
+    alone = np.where(signs * scores >= 0, scores**2 / np.array([own[i], own[j]]), 0.0).max(axis=0)
+    # where a sign is wrong, that size is zero and the other cause is alone
+    found[plain] = np.where(apart & (signs * sizes >= 0).all(axis=0), (scores * sizes).sum(axis=0), alone)
+    return found
+
+
+def estimate_sizes(news: ScoreStatistics, causes: Sequence[Cause], model_error: float) -> CauseFit:
+    """Return the sizes of a cause or of two, each with what the errors of fault models may add to its variance.
+
+    What κ bounds is what a model leaves when its own size is fitted: it is orthogonal to its own signature and does not
+    move that size. Along the part of another's signature that is orthogonal to it, it has κ √D, which the other size
+    takes for its own. The size itself is wrong by a share of κ.
+    """
+    found = fit(news, causes)
+    first = np.arange(len(found.sizes)) < len(causes[0].columns)
+    information, _ = news.part([i for cause in causes for i in cause.columns])
+    shift, wrong = np.zeros_like(information), np.zeros_like(information)
+    for cause, own in zip(causes, (first, ~first), strict=False):
+        if not cause.modelled:
+            continue
+        sizes = np.where(own, found.sizes, 0.0)
+        wrong += (OWN_SHARE * model_error) ** 2 * np.outer(sizes, sizes)
+        beside = ~own  # empty where a cause is alone
+        mixed = information[np.ix_(beside, own)] @ np.linalg.solve(
+            information[np.ix_(own, own)], information[np.ix_(own, beside)]
+        )
+        shift[np.ix_(beside, beside)] += (
+            model_error**2 * float(sizes @ information @ sizes) * (information[np.ix_(beside, beside)] - mixed)
+        )
+    return replace(found, covariance=found.covariance + found.covariance @ shift @ found.covariance + wrong)
+
+
+def log_bayes_factor(news: ScoreStatistics, causes: Sequence[Cause]) -> float:
+    """Return the logarithm of the Bayes factor of some causes against nothing new.
+
+    Their sizes are N(0, size²), half-normal where the sign is known: ½ hᵀ(F + τ⁻²)⁻¹h − ½ ln|I + τFτ|, and the ratio
+    of the probabilities that all signs are right, after the record and before.
+    """
+    columns = [i for cause in causes for i in cause.columns]
+    slab = np.array([cause.size for cause in causes for _ in cause.columns])
+    information, score = news.part(columns)
+    precision = slab[:, None] * information * slab + np.eye(slab.size)
+    covariance = np.linalg.inv(precision)
+    mean = covariance @ (slab * score)
+    found = 0.5 * float(slab * score @ mean) - 0.5 * float(np.linalg.slogdet(precision)[1])
+    signs = np.array([cause.sign for cause in causes for _ in cause.columns])
+    signed = np.flatnonzero(signs)
+    return found + signed.size * math.log(2.0) + _log_right_signs(mean, covariance, signs, signed)
+
+
+def _log_right_signs(mean: Floats, covariance: Floats, signs: Floats, signed: np.ndarray) -> float:
+    """Return the log-probability that the signed sizes have their signs."""
+    if not signed.size:
+        return 0.0
+    own = (mean * signs)[signed] / np.sqrt(np.diag(covariance)[signed])
+    if signed.size == 1:
+        return float(special.log_ndtr(own[0]))
+    part = covariance[np.ix_(signed, signed)] * np.outer(signs[signed], signs[signed])
+    std = np.sqrt(np.diag(part))
+    from scipy.stats import multivariate_normal  # slow to import
+
+    both = float(multivariate_normal.cdf(own, cov=part / np.outer(std, std)))
+    return math.log(both) if both > 0.0 else float(special.log_ndtr(own).sum())
+
+
+def angle(news: ScoreStatistics, one: Cause, other: Cause) -> float:
+    """Return the smallest angle between the signatures of two causes, beside all that may change, in rad."""
+    roots = [np.linalg.cholesky(news.part(cause.columns)[0]) for cause in (one, other)]
+    between = news.information[np.ix_(list(one.columns), list(other.columns))]
+    cosines = np.linalg.solve(roots[0], np.linalg.solve(roots[1], between.T).T)
+    return float(math.acos(min(1.0, float(np.linalg.svd(cosines, compute_uv=False)[0]))))
+
+
+def distinguishable_size(news: ScoreStatistics, one: Cause, other: Cause, model_error: float = MODEL_ERROR) -> float:
+    """Return the size from which the other cause is excluded by the odds in 90 % of records; infinite if never.
+
+    What tells them apart, D sin²φ, scatters by its root, and both are divided by 1 + κ² D: ½ D sin²φ − z √D sin φ >
+    ln 20 (1 + κ² D), where z is the 90 % point of the normal distribution.
+    """
+    sine = math.sin(angle(news, one, other))
+    z, strong = float(special.ndtri(LARGE_PROBABILITY)), math.log(ODDS)
+    room = 0.5 * sine**2 - strong * model_error**2
+    if room <= 0.0:
+        return math.inf
+    root = (z * sine + math.sqrt((z * sine) ** 2 + 4.0 * room * strong)) / (2.0 * room)
+    information, _ = news.part(one.columns)
+    return root / math.sqrt(float(np.linalg.eigvalsh(information)[0]))

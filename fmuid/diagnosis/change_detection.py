@@ -1,0 +1,234 @@
+"""Is anything new: what causes explain, and from where on that is too much for chance, also as windows come.
+
+References
+----------
+D. Siegmund, E. S. Venkatraman, "Using the generalized likelihood ratio statistic for sequential detection of a
+change-point", Annals of Statistics 23, 1995; P. H. Westfall, S. S. Young, "Resampling-Based Multiple Testing", 1993.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import special
+
+from fmuid.array_types import Floats
+from fmuid.diagnosis.causes import Cause
+from fmuid.diagnosis.information_matrix import ScoreStatistics
+
+# A random walk jumps over a threshold: its factor is exp(−this · step) (Siegmund, "Sequential Analysis", 1985, p. 82).
+OVERSHOOT = 0.583
+
+
+def log_chance(statistics: Floats, cause: Cause) -> Floats:
+    """Return the log probability that a cause explains so much where it is not there."""
+    found = log_tail(statistics, len(cause.columns))
+    return np.where(statistics > 0, found - (math.log(2.0) if cause.sign else 0.0), 0.0)
+
+
+def log_tail(statistics: Floats, degrees: int) -> Floats:
+    """Return the log probability that χ² exceeds statistics, also far out, where the probability itself is 0."""
+    at = np.maximum(statistics, 0.0)
+    if degrees == 1:
+        return np.asarray(special.log_ndtr(-np.sqrt(at)) + math.log(2.0))
+    if degrees == 2:
+        return -at / 2.0
+    with np.errstate(divide="ignore"):
+        tail = np.log(special.chdtrc(degrees, at))
+    half = degrees / 2.0
+    far = -at / 2.0 + (half - 1.0) * np.log(np.maximum(at, 1.0) / 2.0) - special.gammaln(half)
+    return np.where(np.isfinite(tail), tail, far)
+
+
+def log_chances(statistics: Floats, causes: Sequence[Cause]) -> Floats:
+    """Return the same of several causes: of statistics (T, m), one column a cause."""
+    found = np.empty(statistics.shape)
+    kinds = [(len(cause.columns), bool(cause.sign)) for cause in causes]
+    for kind in set(kinds):
+        at = [k for k, other in enumerate(kinds) if other == kind]
+        found[:, at] = log_chance(statistics[:, at], causes[at[0]])
+    return found
+
+
+def log_limit(level: float, causes: Sequence[Cause], windows: int) -> float:
+    """Return the log probability of one onset and one cause below which a window alarms by chance at a level.
+
+    Parameters
+    ----------
+    level : float
+        Probability that this window raises a false alarm, of any cause from any onset.
+    causes : sequence of Cause
+    windows : int
+        Seen up to now, this one included: with the first one there is one onset.
+
+    Notes
+    -----
+    D of an onset is χ²_k. As windows come, D over all onsets rises above b² for the first time at a rate of
+    b² f_k(b²) ∫ x ν²(x) dx a window, x from b/√windows to b (Siegmund and Venkatraman for k = 1), beside the newest
+    onset by itself.
+    """
+    from scipy.optimize import brentq  # slow to import
+
+    def rate(log_p: float) -> float:
+        return sum(_rate(log_p, cause, windows) for cause in causes) - level
+
+    low, high = math.log(level) - 60.0, math.log(level) + math.log(2.0)
+    return float(brentq(rate, low, high, xtol=1e-6)) if rate(high) > 0 else high
+
+
+def _rate(log_p: float, cause: Cause, windows: int) -> float:
+    k = len(cause.columns)
+    p = math.exp(log_p)
+    one_sided = 0.5 if cause.sign else 1.0
+    square = float(special.chdtri(k, min(1.0, p / one_sided)))
+    b = math.sqrt(square)
+    density = math.exp((k / 2 - 1) * math.log(square / 2) - square / 2 - special.gammaln(k / 2)) / 2 if square else 0.0
+    x = np.array([b / math.sqrt(windows), b])
+    # ∫ x exp(−2 · OVERSHOOT · x) dx
+    a = 2.0 * OVERSHOOT
+    integral = -np.exp(-a * x) * (x / a + 1.0 / a**2)
+    return p + one_sided * square * density * float(integral[1] - integral[0])
+
+
+# Of calling a fault where there is none, unless said otherwise: one check in a hundred, the habit of the field.
+FALSE_ALARM_LEVEL = 0.01
+# The distribution of the smallest probability of all causes is counted over so many seeded draws: a level of 1 % to a
+# fourteenth of itself.
+DRAWS, SEED = 20_000, 0
+# Below so many counted draws, the bound m p is closer than the count.
+COUNTED = 100
+
+
+@dataclass(frozen=True, eq=False)
+class CauseFit:
+    """The sizes of a set of causes that explain what is new best.
+
+    Attributes
+    ----------
+    statistic : float
+        D, what they explain: 2 (log-likelihood with them − without).
+    sizes : (k,) array
+        In the order of the causes' coordinates; zero where a sign keeps it there.
+    covariance : (k, k) array
+        Of the sizes, zero where one is kept at zero.
+    """
+
+    statistic: float
+    sizes: Floats
+    covariance: Floats
+
+
+def fit(news: ScoreStatistics, causes: Sequence[Cause]) -> CauseFit:
+    """Return the most likely sizes of some causes together, each with its sign."""
+    columns = [i for cause in causes for i in cause.columns]
+    signs = np.array([cause.sign for cause in causes for _ in cause.columns])
+    information, score = news.part(columns)
+    signed = np.flatnonzero(signs)
+    best = CauseFit(0.0, np.zeros(len(columns)), np.zeros((len(columns), len(columns))))
+    # of a few causes all choices of what stays at zero are tried: the constrained optimum is one of them
+    for count in range(signed.size + 1):
+        for dropped in itertools.combinations(signed.tolist(), count):
+            kept = [i for i in range(len(columns)) if i not in dropped]
+            if not kept:
+                continue
+            try:
+                covariance = np.linalg.inv(information[kept][:, kept])
+            except np.linalg.LinAlgError:  # these causes cannot be told apart; each by itself is tried too
+                continue
+            sizes = covariance @ score[kept]
+            statistic = float(score[kept] @ sizes)
+            if np.all(sizes * signs[kept] >= 0) and statistic > best.statistic:
+                best = _placed(statistic, kept, np.asarray(sizes), np.asarray(covariance), len(columns))
+        if best.statistic > 0 and count == 0:
+            break  # the free optimum has the right signs
+    return best
+
+
+def _placed(statistic: float, kept: Sequence[int], sizes: Floats, covariance: Floats, columns: int) -> CauseFit:
+    """Return a fit with zeros where a size is kept at zero."""
+    if len(kept) == columns:
+        return CauseFit(statistic, sizes, covariance)
+    all_sizes, whole = np.zeros(columns), np.zeros((columns, columns))
+    all_sizes[list(kept)] = sizes
+    whole[np.ix_(kept, kept)] = covariance
+    return CauseFit(statistic, all_sizes, whole)
+
+
+def probability(statistic: float, cause: Cause) -> float:
+    """Return how likely a cause explains so much where it is not there: χ²_k, half of χ²_1 where its sign is known."""
+    if statistic <= 0:
+        return 1.0
+    return float(special.chdtrc(len(cause.columns), statistic)) * (0.5 if cause.sign else 1.0)
+
+
+@dataclass(frozen=True, eq=False)
+class MinPDistribution:
+    """How small the smallest probability of all causes is where nothing is new (min-p of Westfall and Young).
+
+    Attributes
+    ----------
+    smallest : (draws,) array
+        Sorted.
+    causes : int
+    """
+
+    smallest: Floats
+    causes: int
+
+    @classmethod
+    def of(cls, news: ScoreStatistics, causes: Sequence[Cause], draws: int = DRAWS) -> MinPDistribution:
+        """Return that of scores drawn from N(0, F), whose correlations the causes share."""
+        values, vectors = np.linalg.eigh(news.information)
+        normal = np.random.default_rng(SEED).standard_normal((draws, values.size))
+        scores = (normal * np.sqrt(np.maximum(values, 0.0))) @ vectors.T
+        largest: dict[tuple[int, bool], Floats] = {}  # D, of causes with the same law
+        for cause in causes:
+            at = list(cause.columns)
+            information, _ = news.part(at)
+            mine = scores[:, at]
+            statistic = np.einsum("di,ij,dj->d", mine, np.linalg.inv(information), mine)
+            if cause.sign:
+                statistic = np.where(mine[:, 0] * cause.sign > 0, statistic, -1.0)
+            kind = (len(at), bool(cause.sign))
+            largest[kind] = np.maximum(largest.get(kind, -1.0), statistic)
+        found = np.ones(draws)
+        for (degrees, signed), statistic in largest.items():
+            tail = np.exp(log_tail(statistic, degrees)) / (2.0 if signed else 1.0)
+            found = np.where(statistic > 0, np.minimum(found, tail), found)
+        return cls(np.sort(found), len(causes))
+
+    def limit(self, level: float) -> float:
+        """Return what the smallest probability falls below by chance with probability `level`."""
+        return float(np.quantile(self.smallest, level))
+
+    def adjusted(self, smallest: float) -> float:
+        """Return the probability that chance makes any cause as unlikely as this; below the draws' reach, at most."""
+        below = int(np.searchsorted(self.smallest, smallest, side="right"))
+        bound = min(1.0, self.causes * smallest)
+        return min(bound, below / self.smallest.size) if below >= COUNTED else bound
+
+
+def detectable(news: ScoreStatistics, cause: Cause, limit: float, miss: float) -> float:
+    """Return the size of a cause that is called in all but a share `miss` of records, one coordinate.
+
+    Parameters
+    ----------
+    news : ScoreStatistics
+        Of the planned record: its information.
+    cause : Cause
+    limit : float
+        Of the smallest probability (`MinPDistribution.limit`).
+    miss : float
+        Below one half.
+    """
+    information, _ = news.part(cause.columns)
+    std = 1.0 / math.sqrt(float(np.linalg.eigvalsh(information)[0]))  # the direction that shows least
+    if len(cause.columns) > 1:
+        threshold = float(special.chdtri(len(cause.columns), limit))
+        return math.sqrt(float(special.chndtrinc(threshold, len(cause.columns), miss))) * std
+    threshold = -float(special.ndtri(limit if cause.sign else limit / 2.0))
+    return (threshold - float(special.ndtri(miss))) * std

@@ -1,0 +1,352 @@
+"""Watching: the likelihood of all onsets of all causes, brought up to date window by window, as steps and as ramps.
+
+A step of a cause from time t_k on has the columns J_c w(t − t_k), where w says how much of a change shows by then
+(`ChangeTransient`), a ramp J_c (t − t_k)₊. What may drift without being
+a fault is another number in each window and is eliminated there (the marginal likelihood of a window); everything else
+is the same all the time and is estimated over all windows, together with what was known of it. So each onset has three
+sums, its own information, that shared with the coordinates, and its score, to which a new window adds: nothing is
+simulated again and nothing forgotten. The onsets that are kept lie closely in the last windows, and the older the
+further apart, so that their number stays.
+
+References
+----------
+A. S. Willsky, H. L. Jones, "A generalized likelihood ratio approach to the detection and estimation of jumps in linear
+systems", IEEE Trans. Automatic Control 21, 1976; T. L. Lai, "Sequential changepoint detection in quality control and
+dynamical systems", J. Royal Statistical Society B 57, 1995 (which onsets need be kept).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from copy import copy
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from fmuid.array_types import Flags, Floats, Indices
+from fmuid.diagnosis.causes import Cause
+from fmuid.diagnosis.information_matrix import LEAST, ChangePrior, InformationMatrix, ScoreStatistics
+from fmuid.diagnosis.onset import ChangeTransient, OnsetLikelihood, OnsetShape
+
+# Onsets within windows are kept of so many windows, those at the begin of windows up to so many: every second one of
+# the older half goes then.
+FINE, MOST = 12, 256
+
+
+@dataclass(frozen=True, eq=False)
+class Blocks:
+    """What a window says, block by block.
+
+    Attributes
+    ----------
+    edges : (B + 1,) array
+        Where the blocks begin, and where the last one ends, s of all that was seen.
+    matrices : (B, N, N) array
+        Information of each block.
+    scores : (B, N) array
+    """
+
+    edges: Floats
+    matrices: Floats
+    scores: Floats
+
+    @property
+    def whole(self) -> InformationMatrix:
+        """What the window says."""
+        return InformationMatrix(self.matrices.sum(axis=0), self.scores.sum(axis=0))
+
+
+# What the watch has of each onset: its place, the sums of all before its window (information and score), and its own
+# sums as a step and as a ramp (its own information, that shared with the coordinates, and its score), a row each.
+_KEPT = ("clock", "window", "begins", "before", "step", "ramp")
+
+
+class OnsetTracker:
+    """All onsets of a machine that is being watched.
+
+    Parameters
+    ----------
+    known : ChangePrior
+        Before the first window, of all coordinates.
+    drift : (N,) array
+        Standard deviation of what may change without being new, at any time and from window to window.
+
+    Attributes
+    ----------
+    windows : int
+        That were added.
+    end : float
+        Of the last one, s of all that was seen.
+    pinned : (float, float)
+        Onsets in this time are kept, s.
+    build_up : ChangeTransient
+    slow : (N,) array of bool
+        Which coordinates' changes build up so.
+    """
+
+    def __init__(self, known: ChangePrior, drift: Floats) -> None:
+        self.known, self._drift = known.drifting(drift), drift
+        n = drift.size
+        self.build_up, self.slow = ChangeTransient(), np.zeros(n, bool)
+        self._least = np.zeros(n)
+        self.windows, self.end = 0, 0.0
+        self.pinned = (math.inf, -math.inf)
+        self._total, self._score = np.zeros((n, n)), np.zeros(n)
+        sums = np.zeros((0, n * n + n)), *[np.zeros((0, 2 * n * n + n))] * 2
+        places = np.zeros(0), np.zeros(0, int), np.zeros(0, bool)
+        self._of: dict[str, Any] = dict(zip(_KEPT, (*places, *sums), strict=True))
+
+    def copy(self) -> OnsetTracker:
+        """Return a watch that goes on by itself."""
+        other = copy(self)
+        other._of = dict(self._of)  # arrays are replaced, never changed
+        return other
+
+    def building_up(self, build_up: ChangeTransient, slow: Flags) -> OnsetTracker:
+        """Return a watch in whose next windows changes of some coordinates build up so."""
+        other = self.copy()
+        other.build_up, other.slow = build_up, slow
+        return other
+
+    def add(self, window: Blocks) -> None:
+        """Add a window, later than all before."""
+        kept, count = np.flatnonzero(self._kept()), len(window.scores)
+        clock = self._of["clock"][kept]
+        recent = int(np.searchsorted(clock, window.edges[0] - self.build_up.lasts, side="right"))
+        own = _Window(window, self._drift, self.slow, self.build_up, clock[recent:])
+        before = np.append(self._total, self._score)
+        places = (window.edges[:-1], self.windows, np.arange(count) == 0, before, own.steps, own.ramps)
+        for name, new in zip(_KEPT, places, strict=True):
+            self._of[name] = _followed(self._of[name], kept, count, new)
+        self._of["step"][:recent] += own.step
+        self._of["step"][recent : kept.size] += own.recent
+        self._of["ramp"][: kept.size] += own.rising(clock)
+        self._least = self._least + LEAST * np.diag(own.whole)
+        self._total = self._total + own.matrix
+        self._score = self._score + own.score
+        self.windows, self.end = self.windows + 1, float(window.edges[-1])
+
+    def _kept(self) -> Flags:
+        """Return which onsets are kept when a window more is there."""
+        begins, window = self._of["begins"], self._of["window"]
+        clock, (low, high) = self._of["clock"], self.pinned
+        kept = begins | (window > self.windows - FINE) | ((low <= clock) & (clock <= high))
+        at = np.flatnonzero(begins)
+        if at.size + 1 > MOST:
+            # the first one stays: what has been wrong from the begin on
+            kept[at[1 : (at.size + 1) // 2 : 2]] = False
+        return np.asarray(kept)
+
+    def clocks(self) -> Floats:
+        """Return when the onsets that are kept begin (T,), s of all that was seen."""
+        return np.asarray(self._of["clock"])
+
+    # --- what the onsets explain
+
+    def _posterior(self) -> ChangePrior:
+        """Return what is known of the coordinates after all windows if nothing is new."""
+        return self.known.after_also(InformationMatrix(self._total, self._score))
+
+    def _news(self, at: Any, shape: OnsetShape = OnsetShape.STEP) -> tuple[Floats, Floats]:
+        """Return F (T, N, N) and h (T, N) of the onsets at some places, for all coordinates as causes."""
+        after = self._posterior()
+        own, shared, score = _parts(self._of[shape.value][at], self._score.size)
+        mixed = np.swapaxes(shared, 1, 2)
+        information = own - mixed @ after.covariance @ shared + np.diag(self._least)
+        return self._beside_drift(
+            information, score - mixed @ after.mean, 1.0 if shape is OnsetShape.STEP else self.end
+        )
+
+    def _beside_drift(self, information: Floats, score: Floats, rise: float) -> tuple[Floats, Floats]:
+        """Return information and score where what may drift may also have done so at the onset, and stay.
+
+        Parameters
+        ----------
+        rise : float
+            Of a ramp: the time in which it may drift so much, s.
+        """
+        for i in np.flatnonzero(self._drift):
+            shared = information[:, :, i]
+            share = shared / (shared[:, i] + (rise / self._drift[i]) ** 2)[:, None]
+            information = information - share[:, :, None] * shared[:, None]
+            score = score - share * score[:, i, None]
+        return information, score
+
+    def statistics(self, causes: Sequence[Cause]) -> tuple[Floats, Floats]:
+        """Return the begins of windows (T,) and D of each cause as a step from there on (T, m)."""
+        at = np.flatnonzero(self._of["begins"])
+        information, score = self._news(at)
+        clock = self._of["clock"][at]
+        return clock, statistics_of(information, score, causes)
+
+    def onsets(self, causes: Sequence[Cause], shape: OnsetShape) -> list[OnsetLikelihood]:
+        """Return what all onsets of each cause explain."""
+        information, score = self._news(slice(None), shape)
+        clock = self._of["clock"]
+        widths = np.diff(np.append(clock, self.end))
+        found = []
+        for cause in causes:
+            columns = list(cause.columns)
+            own = information[:, columns][:, :, columns]
+            found.append(OnsetLikelihood(cause, shape, clock, widths, own, score[:, columns]))
+        return found
+
+    def news(self, clock: float) -> ScoreStatistics:
+        """Return what is new from an onset on, that nearest to a time, if all causes are steps."""
+        at = int(np.argmin(np.abs(self._of["clock"] - clock)))
+        information, score = self._news([at])
+        return ScoreStatistics(information[0], score[0])
+
+    def apart(self, low: float, high: float) -> tuple[ScoreStatistics, float] | None:
+        """Return what is new in the windows after a time, beside those before another, and where the former begin.
+
+        The windows in between are left out: a cause that comes within them is there in a part of them only. Where no
+        window has begun since, the last one counts as whole if it may be; None where it may not.
+        """
+        clock, begins = self._of["clock"], self._of["begins"]
+        slack = 1e-6 * max(1.0, abs(self.end))
+        late = np.flatnonzero(begins & (clock >= high - slack))
+        early = np.flatnonzero(begins & (clock <= low + slack))
+        if not late.size:
+            late = np.flatnonzero(begins & (clock >= low - slack))[-1:]
+        if not late.size:
+            return None
+        first, last = late[0], early[-1] if early.size else np.flatnonzero(begins)[0]
+        n = self._score.size
+        before = [self._of["before"][k] for k in (last, first)]
+        early_on, until = (InformationMatrix(each[: n * n].reshape(n, n), each[n * n :]) for each in before)
+        after = InformationMatrix(self._total - until.matrix, self._score - until.score)
+        return ScoreStatistics.of(after, self.known.after_also(early_on).drifting(self._drift)), float(clock[first])
+
+    # --- files
+
+    def state(self) -> dict[str, Any]:
+        """Return what `restored` needs, as arrays."""
+        return {
+            **self._of,
+            "total": self._total,
+            "score": self._score,
+            "seen": np.array([self.windows, self.end, *self.pinned]),
+            "least": self._least,
+            "lags": self.build_up.lags,
+            "shown": self.build_up.shown,
+            "slow": self.slow,
+        }
+
+    def restored(self, state: Mapping[str, Any]) -> OnsetTracker:
+        """Return the watch that a state is of; it must be of the same coordinates."""
+        for name, own in self.state().items():
+            free = name in (*_KEPT, "lags", "shown")  # there are as many as there are
+            if state[name].dtype.kind != own.dtype.kind or state[name].shape[free:] != own.shape[free:]:
+                raise ValueError(f"{name!r} is of other coordinates")
+        other = self.copy()
+        other._of = {name: state[name] for name in _KEPT}
+        other._total, other._score, other._least = state["total"], state["score"], state["least"]
+        other.build_up, other.slow = ChangeTransient(state["lags"], state["shown"]), state["slow"]
+        windows, other.end, *pinned = state["seen"].tolist()
+        other.windows, other.pinned = int(windows), (pinned[0], pinned[1])
+        return other
+
+
+def statistics_of(information: Floats, score: Floats, causes: Sequence[Cause]) -> Floats:
+    """Return D of each cause alone (T, m), of information (T, N, N) and score (T, N); 0 where its sign is wrong."""
+    found = np.empty((len(score), len(causes)))
+    single = [k for k, cause in enumerate(causes) if len(cause.columns) == 1]
+    at = [causes[k].columns[0] for k in single]
+    signs = np.array([causes[k].sign for k in single])
+    own, mine = information[:, at, at], score[:, at]
+    known = (own > 0) & (signs * mine >= 0)
+    found[:, single] = np.where(known, mine**2 / np.where(own > 0, own, 1.0), 0.0)
+    for k, cause in enumerate(causes):
+        if k not in single:
+            columns = list(cause.columns)
+            part = information[:, columns][:, :, columns]
+            found[:, k] = OnsetLikelihood(
+                cause, OnsetShape.STEP, score[:, 0], score[:, 0], part, score[:, columns]
+            ).statistics
+    return found
+
+
+class _Window:
+    """A window without what drifts: M = (P⁻² + G)⁻¹ takes it out of all sums.
+
+    Parameters
+    ----------
+    recent : (R,) array
+        Onsets before it whose changes build up in it.
+
+    Attributes
+    ----------
+    whole : (N, N) array
+        Its information.
+    matrix, score : (N, N) and (N,) array
+        Its information and its score, without what drifts.
+    step : (2 N² + N,) array
+        What it adds to the sums of steps that show by now.
+    recent, steps, ramps : (R, 2 N² + N) and (B, 2 N² + N) array
+        What it adds to those of steps a little earlier, and the sums of the onsets at the begins of its blocks.
+    """
+
+    def __init__(self, window: Blocks, drift: Floats, slow: Flags, build_up: ChangeTransient, recent: Floats) -> None:
+        count, n = window.scores.shape
+        self._edges = edges = window.edges
+        flat = np.hstack([window.matrices.reshape(count, n * n), window.scores])
+        middle, at = 0.5 * (edges[1:] + edges[:-1]), np.concatenate([recent, edges[:-1]])
+        late, ramp = middle - edges[0], np.maximum(middle - edges[:-1, None], 0.0)
+        after = (edges[1:] > at[:, None]).astype(np.float64)
+        plain = np.vstack([np.ones((1, count)), late[None], late[None] ** 2, ramp, ramp**2, after]) @ flat
+        matrices, scores = plain[:, : n * n].reshape(-1, n, n), plain[:, n * n :]
+        rise, square, step = slice(3, 3 + count), slice(3 + count, 3 + 2 * count), slice(3 + 2 * count, None)
+        own, shared, score = matrices[step], matrices[step], scores[step]
+        if build_up.lasts and slow.any():
+            part = build_up.shares(at, edges)
+            found = np.vstack([part, part**2]) @ flat
+            mixed, both = found[: at.size, : n * n].reshape(-1, n, n), found[at.size :, : n * n].reshape(-1, n, n)
+            own = np.where(slow[:, None] & slow, both, np.where(slow[:, None] | slow, mixed, own))
+            shared, score = np.where(slow, mixed, shared), np.where(slow, found[: at.size, n * n :], score)
+        self.whole, self._whole_score, self._once = matrices[0], scores[0], matrices[1]
+        taken = np.linalg.inv(np.eye(n) + self.whole * np.outer(drift, drift)) * np.outer(drift, drift)
+        self._taken = 0.5 * (taken + taken.T)
+        sums = self._without(
+            np.concatenate([matrices[:1], matrices[2:3], matrices[square], own]),
+            np.concatenate([matrices[:2], matrices[rise], shared]),
+            np.concatenate([scores[:2], scores[rise], score]),
+        )
+        first = 2 + count + recent.size
+        self.step, self._ramp, self.ramps = sums[0], sums[1], sums[2 : 2 + count]
+        self.recent, self.steps = sums[2 + count : first], sums[first:]
+        _, (self.matrix,), (self.score,) = _parts(sums[:1], n)
+
+    def _without(self, own: Floats, shared: Floats, score: Floats) -> Floats:
+        """Return own and shared information and the score of columns, without what drifts, a row each."""
+        drawn, mixed = self._taken @ shared, np.swapaxes(shared, -1, -2)
+        parts = (own - mixed @ drawn, shared - self.whole @ drawn, score - mixed @ (self._taken @ self._whole_score))
+        return np.hstack([each.reshape(len(score), -1) for each in parts])
+
+    def rising(self, clock: Floats) -> Floats:
+        """Return what the window adds to the sums of ramps that begin before it (T,)."""
+        before = self._edges[0] - clock
+        # of onsets so long before, all is a polynomial of that time
+        mixed = self._once @ self._taken @ self.whole
+        square = mixed.size
+        linear = np.append(2.0 * self._once - mixed - mixed.T, self.step[square:])
+        quadratic = np.append(self.step[:square], np.zeros(self.step.size - square))
+        return np.asarray(
+            np.column_stack([np.ones(clock.size), before, before**2]) @ np.stack([self._ramp, linear, quadratic])
+        )
+
+
+def _parts(sums: Floats, n: int) -> tuple[Floats, Floats, Floats]:
+    """Return what rows of sums are: own and shared information (T, N, N), and scores (T, N)."""
+    own, shared = (sums[:, k * n * n : (k + 1) * n * n].reshape(-1, n, n) for k in range(2))
+    return own, shared, sums[:, 2 * n * n :]
+
+
+def _followed(values: Any, kept: Indices, count: int, new: Any) -> Any:
+    """Return some rows, and then so many others."""
+    found = np.empty((kept.size + count, *values.shape[1:]), values.dtype)
+    np.take(values, kept, axis=0, out=found[: kept.size], mode="clip")  # without a copy in between
+    found[kept.size :] = new
+    return found

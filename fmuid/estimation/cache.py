@@ -1,0 +1,56 @@
+"""Values that problems share by what they depend on, so that nothing depends on which problem came first."""
+
+from __future__ import annotations
+
+from collections import OrderedDict
+from collections.abc import Callable, Hashable
+from typing import TypeVar, cast
+
+import numpy as np
+
+Item = TypeVar("Item")
+
+
+class Cache:
+    """What many problems share: pure functions of their keys; the least recently used go first.
+
+    Shelves: "outputs" of simulations at starting points, by layout and parameters; "jacobian" and "solver error" at the
+    center of a cell of parameter space, by layout and cell.
+
+    Parameters
+    ----------
+    memory : int
+        Bytes that the arrays take at most.
+    problems : int
+        Problems of one layout that will share it (`LeastSquares.layout`): cells are used where they pay for so many.
+
+    Examples
+    --------
+    >>> coil, cache = fmuid.datasets.coil(), fmuid.Cache(problems=20)
+    >>> fmuid.identify(coil.problem(), cache=cache).converged
+    True
+    """
+
+    def __init__(self, memory: int = 256_000_000, problems: int = 1) -> None:
+        self.memory, self.problems = memory, problems
+        self._kept: OrderedDict[tuple[str, Hashable], object] = OrderedDict()
+        self._size = 0
+
+    def get(self, shelf: str, key: Hashable, make: Callable[[], Item]) -> Item:
+        """Return the value of a key, made now if there is none."""
+        place = shelf, key
+        if place in self._kept:
+            self._kept.move_to_end(place)
+            return cast(Item, self._kept[place])
+        value = make()
+        self._kept[place] = value
+        self._size += _bytes(value)
+        while self._size > self.memory and self._kept:
+            self._size -= _bytes(self._kept.popitem(last=False)[1])
+        return value
+
+
+def _bytes(value: object) -> int:
+    if isinstance(value, tuple):
+        return sum(map(_bytes, value))
+    return value.nbytes if isinstance(value, np.ndarray) else 0

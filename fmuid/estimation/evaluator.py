@@ -1,0 +1,291 @@
+"""The simulations of a problem: run, counted, and shared with other problems through a cache."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Hashable
+from dataclasses import dataclass
+from typing import Generic, TypeVar
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from fmuid.array_types import Floats
+from fmuid.errors import InputError, SensitivityUnavailableError
+from fmuid.estimation.cache import Cache
+from fmuid.estimation.model_sensitivities import SensitivityMethod
+from fmuid.estimation.problem import LeastSquares
+from fmuid.estimation.simulation_noise import SimulationNoise, noise_level
+
+AnyProblem = TypeVar("AnyProblem", bound=LeastSquares, covariant=True)
+OtherProblem = TypeVar("OtherProblem", bound=LeastSquares)
+
+
+@dataclass(frozen=True)
+class CellSettings:
+    """Cells of parameter space at whose centers values are shared."""
+
+    jacobian_width: float = 0.1  # relative; a Jacobian this near serves far from the optimum, wider ones cost steps
+    error_width: float = 0.25  # relative; an error that grows with the fourth power is known within a factor of 1.6
+    step: float = 1e-3  # of central differences, relative: small against the cell, large against simulation noise
+    scatter_stds: float = 4.0  # width of the region in which estimates of like problems lie
+    least_uses: float = 3.0  # a cell costs as much as two uses save
+
+
+CELLS = CellSettings()
+
+
+class Evaluator(Generic[AnyProblem]):
+    """Simulates one problem, counts, and notes failures; `finer` ones count together with it.
+
+    Parameters
+    ----------
+    problem : LeastSquares
+    cache : Cache, optional
+        Of values that problems of the same layout share.
+
+    Attributes
+    ----------
+    scatter : (N,) array or None
+        Standard deviations to be expected of the estimates, where the cache is for many problems.
+    """
+
+    def __init__(
+        self,
+        problem: AnyProblem,
+        cache: Cache | None = None,
+        _family: tuple[Counter[str], dict[Hashable, Evaluator[AnyProblem]]] | None = None,
+    ) -> None:
+        self._problem, self.cache = problem, cache or Cache()
+        self._counts, self._by_refinement = _family or (Counter(), {})
+        self._by_refinement[problem.refinement] = self
+        self._reasons: dict[int, tuple[Floats, Exception | None]] = {}  # of the last failure, by experiment
+        self._counted: set[bytes] = set()  # thetas at starting points that were counted
+        self._refusal = ""
+        self.scatter: Floats | None = None
+
+    @property
+    def problem(self) -> AnyProblem:
+        """What is simulated."""
+        return self._problem
+
+    @property
+    def simulations(self) -> int:
+        """How many simulations of an experiment were made so far."""
+        return self._counts["simulations"]
+
+    @property
+    def failures(self) -> int:
+        """How many parameter vectors could not be simulated."""
+        return self._counts["failures"]
+
+    def finer(self, refinement: Hashable) -> Evaluator[AnyProblem]:
+        """Return the evaluator of the problem with a solver refinement, which counts together with this one.
+
+        Raises
+        ------
+        InputError
+            If an FMU cannot step that way.
+        """
+        if refinement not in self._by_refinement:
+            Evaluator(self.problem.finer(refinement), self.cache, (self._counts, self._by_refinement))
+        return self._by_refinement[refinement]
+
+    def of(self, problem: OtherProblem) -> Evaluator[OtherProblem]:
+        """Return the evaluator of another problem, which counts together with this one."""
+        return Evaluator(problem, self.cache, (self._counts, {}))
+
+    # --- simulations
+
+    def predict(self, thetas: Floats) -> Floats:
+        """Simulate thetas (m, N) and return all counted samples (m, n), NaN rows where a simulation failed.
+
+        The array is the caller's to change.
+        """
+        rows, simulations = self._rows(thetas)
+        self._count(rows, simulations)
+        return rows
+
+    def predict_start(self, thetas: Floats) -> Floats:
+        """Simulate at a starting point as `predict` does, once: searches and problems often begin at the same one."""
+        key = thetas.tobytes()
+        rows, simulations = self.cache.get("outputs", (self.problem.layout, key), lambda: self._rows(thetas))
+        if key not in self._counted:
+            self._counted.add(key)
+            self._count(rows, simulations)
+        return rows.copy(order="K")  # sums of another layout differ in their last bits
+
+    def predict_by(self, refinement: Hashable, theta: Floats, *, start: bool = False) -> Floats:
+        """Return the counted samples (n,) of a refined simulation at theta (N,), NaN where it fails.
+
+        At a starting point that problems share it counts as no simulation of this one, whichever comes first.
+        """
+        try:
+            other = self.finer(refinement)
+        except InputError:  # an FMU that takes no such steps
+            return np.full(self.problem.measured.size, np.nan)
+        if start and self.cache.problems > 1:
+            key = other.problem.layout, theta.tobytes()
+            return np.asarray(self.cache.get("outputs", key, lambda: other._rows(theta[None]))[0][0])
+        return np.asarray(other.predict(theta[None])[0])
+
+    def _count(self, rows: Floats, simulations: int) -> None:
+        self._counts["simulations"] += simulations
+        self._counts["failures"] += int(np.isnan(rows[:, 0]).sum())
+
+    def _rows(self, thetas: Floats) -> tuple[Floats, int]:
+        """Return the counted samples (m, n), and how many simulations they took."""
+        problem, blocks, simulations = self.problem, [], 0
+        for index, kept in enumerate(problem.kept):
+            outputs, taken = self._outputs(index, thetas)
+            flat = outputs.reshape(len(thetas), -1)
+            simulations += taken
+            blocks.append(flat if kept.size == flat.shape[1] else flat[:, kept])
+        # what failed is NaN throughout; an experiment may have no sample
+        failed = np.any([np.isnan(block[:, :1]).any(axis=1) for block in blocks], axis=0)
+        stacked = blocks[0] if len(blocks) == 1 else np.concatenate(blocks, axis=1)
+        stacked[failed] = np.nan
+        return problem.scaled(stacked), simulations
+
+    def _outputs(self, index: int, thetas: Floats) -> tuple[Floats, int]:
+        """Return the outputs (m, K, n_outputs) of an experiment, and how many simulations they took."""
+        _, columns = self.problem.parameters.for_experiment(index)
+        if columns.size == thetas.shape[1] or len(thetas) == 1:
+            return self._simulated(index, thetas[:, columns]), len(thetas)
+        # what only other experiments depend on leaves this one as it is
+        own, back = np.unique(thetas[:, columns], axis=0, return_inverse=True)
+        return self._simulated(index, own)[back.ravel()], len(own)
+
+    def _simulated(self, index: int, thetas: Floats) -> Floats:
+        found = self.problem.predictors[index].many(thetas)
+        first = next((i for i, error in enumerate(found.errors) if error is not None), None)
+        if first is not None:  # the one whose reason was asked for
+            self._reasons[index] = thetas[first].copy(), found.errors[first]
+        return found.outputs
+
+    def outputs(self, theta: ArrayLike, predicted: Floats | None = None, *, simulate: bool = True) -> list[Floats]:
+        """Simulate one theta (N,) and return every experiment's outputs (K, n_outputs), NaN where failed.
+
+        Parameters
+        ----------
+        theta : (N,) array
+        predicted : (n,) array, optional
+            Its counted samples, as `predict` gave them: experiments all of whose samples count are not simulated again.
+        simulate : bool
+            False: nothing is simulated where `predicted` is given, and samples that do not count are NaN.
+        """
+        problem, thetas = self.problem, np.array(theta, dtype=np.float64)[None]
+        known = None if predicted is None else problem.tables(problem.unscaled(predicted))
+        found = []
+        for index, (experiment, kept) in enumerate(zip(problem.experiments, problem.kept, strict=True)):
+            if known is None or (simulate and kept.size < experiment.output_values.size):
+                outputs, taken = self._outputs(index, thetas)
+                self._counts["simulations"] += taken
+                found.append(outputs[0])
+            else:
+                found.append(known[index])
+        return found
+
+    def failure(self, theta: Floats) -> Exception | None:
+        """Return why the simulation at theta (N,) fails, None if it does not."""
+        for index, predictor in enumerate(self.problem.predictors):
+            _, columns = self.problem.parameters.for_experiment(index)
+            known, error = self._reasons.get(index, (None, None))
+            if known is None or not np.array_equal(known, theta[columns]):  # what fails may take its time about it
+                (error,) = predictor.many(theta[None, columns]).errors
+            if error is not None:
+                return error
+        return None
+
+    def noise_near(self, theta: Floats) -> tuple[Floats, SimulationNoise]:
+        """Return the counted samples (n,) at a start (N,), NaN where it fails, and the simulation noise there."""
+        given, groups = self.problem.parameters, self.problem.groups
+        bounds = given.lower, given.upper
+        return noise_level(
+            self.predict_start, theta, given.magnitudes(theta), *bounds, groups, self.problem.counts.size
+        )
+
+    # --- derivatives by the model
+
+    def derivatives(self, theta: Floats) -> Floats:
+        """Return the derivatives (N, n) of all counted samples by the parameters at theta (N,), from the model.
+
+        Raises
+        ------
+        SensitivityUnavailableError
+            If the model cannot give them there.
+        """
+        blocks, problem = [], self.problem
+        for index, (kept, derivatives) in enumerate(zip(problem.kept, problem.derivatives, strict=True)):
+            _, columns = problem.parameters.for_experiment(index)
+            self._counts["simulations"] += 1
+            block = np.zeros((theta.size, kept.size))
+            np.add.at(block, columns, derivatives(theta[columns]).reshape(columns.size, -1)[:, kept])
+            blocks.append(block)
+        return problem.scaled(np.concatenate(blocks, axis=1))
+
+    def refuse_derivatives(self, reason: str) -> None:
+        """Note why differences serve in place of the derivatives of the model."""
+        self._refusal = reason
+
+    @property
+    def used_sensitivity(self) -> SensitivityMethod:
+        """How the derivatives were found."""
+        by_differences = any(getattr(each, "by_differences", False) for each in self.problem.derivatives)
+        return SensitivityMethod(self.problem.sensitivity, by_differences, self._refusal)
+
+    # --- cells
+
+    def jacobian_near(self, theta: Floats) -> Floats | None:
+        """Return the derivatives (N, n) at the center of the cell of theta (N,); None where there are none.
+
+        They count as no simulation of this problem, whichever problem comes first.
+        """
+        if self.scatter is None or not self._pays(theta, self.scatter, CELLS.jacobian_width):
+            return None
+        center, key = self._cell(theta, CELLS.jacobian_width)
+        return self.cache.get("jacobian", key, lambda: self._center_jacobian(center))
+
+    def _center_jacobian(self, center: Floats) -> Floats | None:
+        other = Evaluator(self.problem.afresh())
+        if other.problem.derivatives:
+            try:
+                return other.derivatives(center)
+            except SensitivityUnavailableError:
+                return None
+        parameters = self.problem.parameters
+        step = np.diag(CELLS.step * parameters.magnitudes(center))
+        points = np.clip(np.vstack([center + step, center - step]), parameters.lower, parameters.upper)
+        above, below = np.split(other.predict(points), 2)
+        ahead, behind = np.split(points, 2)
+        found = (above - below) / np.diag(ahead - behind)[:, None]
+        return found if np.isfinite(found).all() else None
+
+    def error_near(self, refinement: Hashable, theta: Floats, std: Floats) -> Floats | None:
+        """Return what a refined simulation gives less this one (n,), at the center of the cell of an estimate (N,).
+
+        None where estimates with standard deviations `std` (N,) scatter over too many cells; NaN where one of the two
+        fails. It counts as no simulation of this problem.
+        """
+        if not self._pays(theta, std, CELLS.error_width):
+            return None
+        center, key = self._cell(theta, CELLS.error_width)
+        return self.cache.get("solver error", (refinement, key), lambda: self._center_error(refinement, center))
+
+    def _center_error(self, refinement: Hashable, center: Floats) -> Floats:
+        other = Evaluator(self.problem.afresh())
+        return np.asarray(other.predict_by(refinement, center) - other.predict(center[None])[0])
+
+    def _cell(self, theta: Floats, width: float) -> tuple[Floats, Hashable]:
+        """Return the center (N,) of the cell of theta, and its key."""
+        parameters = self.problem.parameters
+        cell = np.round(np.arcsinh(theta / parameters.scale) / width)
+        center = np.clip(parameters.scale * np.sinh(width * cell), parameters.lower, parameters.upper)
+        return center, (self.problem.layout, cell.tobytes())
+
+    def _pays(self, theta: Floats, std: Floats, width: float) -> bool:
+        """Whether each cell serves often enough, however the problems to come scatter."""
+        reach = width * np.hypot(theta, self.problem.parameters.scale)
+        with np.errstate(over="ignore"):
+            cells = np.prod(1.0 + CELLS.scatter_stds * np.nan_to_num(std, nan=np.inf) / reach)
+        return bool(self.cache.problems >= CELLS.least_uses * cells)

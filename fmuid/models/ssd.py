@@ -1,0 +1,227 @@
+"""A SystemStructure.ssd: elements, connectors, and along which edges values flow (SSP 1.0 and 2.0, 5.3).
+
+A node is a connector of an element, or a signal of a dictionary (a bus). Every node has one incoming edge at most, so
+that the source of a value is found by going back along the edges.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+from fmuid.errors import InputError
+from fmuid.formatting import nearest
+from fmuid.models.ssv import Element, children, local, transformation, truth
+
+ElementPath = tuple[str, ...]
+"""The names of nested elements, from the outermost inwards; the top system is ``()``."""
+
+_INWARD = ("input", "parameter", "structuralParameter")
+_OUTWARD = ("output", "calculatedParameter", "local", "constant")
+_PARAMETERS = ("parameter", "structuralParameter")
+_FMU_TYPE = "application/x-fmu-sharedlibrary"
+_INTERFACES = {"any": None, "CoSimulation": "co-simulation", "ModelExchange": "model-exchange"}
+
+
+class Node(NamedTuple):
+    """A connector of an element, or a signal of a bus."""
+
+    element: ElementPath
+    connector: str
+
+    def __str__(self) -> str:
+        return ".".join([*(name for name in self.element if name), self.connector])
+
+
+class Connector(NamedTuple):
+    """A connector as declared: its kind, its unit or enumeration or None, and whether it is an array."""
+
+    kind: str
+    unit: str | None
+    enumeration: str | None
+    is_array: bool
+
+
+@dataclass(frozen=True)
+class Edge:
+    """A connection from source to target: target = factor · source + offset, the source in the target's unit."""
+
+    source: Node
+    target: Node
+    factor: float
+    offset: float
+    suppress_units: bool
+    label: str
+
+    @property
+    def transforms(self) -> bool:
+        """Whether the connection has a transformation."""
+        return (self.factor, self.offset) != (1.0, 0.0)
+
+
+class StructureTree:
+    """What the file says, by paths of elements.
+
+    `components` have source and interface; a bus maps a reference to a signal dictionary to the path of the dictionary
+    itself; `bindings` stand in order of increasing precedence.
+    """
+
+    def __init__(self, root: Element, where: str) -> None:
+        self.where = where
+        self.components: dict[ElementPath, tuple[str, str | None]] = {}
+        self.systems: set[ElementPath] = set()
+        self.buses: dict[ElementPath, ElementPath] = {}
+        self.dictionaries: set[ElementPath] = set()
+        self.connectors: dict[Node, Connector] = {}
+        self.incoming: dict[Node, Edge] = {}
+        self.bindings: list[tuple[ElementPath, Element]] = []
+        systems = children(root, "System")
+        if len(systems) != 1:
+            raise InputError(f"{where} has {len(systems)} top-level systems instead of one")
+        self._system(systems[0], ())
+
+    def error(self, text: str) -> InputError:
+        """Return an error that names the file."""
+        return InputError(f"{self.where}: {text}")
+
+    def elements_in(self, system: ElementPath) -> list[str]:
+        """Return the names of the elements directly in a system."""
+        everything = (path for some in (self.components, self.systems, self.buses) for path in some)
+        return [path[-1] for path in everything if len(path) == len(system) + 1 and path[:-1] == system]
+
+    def chain_to(self, target: Node) -> list[Edge]:
+        """Return the edges that lead to a node, from the source of its value on; empty if nothing feeds it."""
+        chain: list[Edge] = []
+        node = target
+        while node in self.incoming:
+            edge = self.incoming[node]
+            if edge in chain:
+                raise self.error(f"{edge.label} closes a circle without any component; take it out")
+            chain.append(edge)
+            node = edge.source
+        return chain[::-1]
+
+    def _system(self, xml: Element, path: ElementPath) -> None:
+        self.systems.add(path)
+        self._declare(xml, path)
+        found = children(xml, "SignalDictionaries", "SignalDictionary")
+        self.dictionaries |= {(*path, dictionary.get("name", "")) for dictionary in found}
+        for child in [child for elements in children(xml, "Elements") for child in elements]:
+            name = child.get("name", "")
+            if not name:
+                raise self.error(f"an element of {_system_name(path)} has no name; give it one")
+            if name in self.elements_in(path):
+                raise self.error(f"{_system_name(path)} has two elements {name!r}; rename one")
+            self._element(child, (*path, name))
+        for connection in children(xml, "Connections", "Connection"):
+            self._connect(connection, path)
+        self._note_bindings(xml, path)
+
+    def _element(self, xml: Element, path: ElementPath) -> None:
+        kind = local(xml)
+        if kind == "System":
+            self._system(xml, path)
+        elif kind == "Component":
+            self.components[path] = self._component(xml, ".".join(path))
+            self._declare(xml, path)
+            self._note_bindings(xml, path)
+        elif kind == "SignalDictionaryReference":
+            self.buses[path] = self._bus(xml, path)
+            self._declare(xml, path)
+        else:
+            raise self.error(f"element {'.'.join(path)!r} is a {kind}, which is not supported; use FMUs and systems")
+
+    def _note_bindings(self, xml: Element, path: ElementPath) -> None:
+        self.bindings += [(path, binding) for binding in children(xml, "ParameterBindings", "ParameterBinding")]
+
+    def _component(self, xml: Element, name: str) -> tuple[str, str | None]:
+        kind, asked = xml.get("type", _FMU_TYPE), xml.get("implementation", "any")
+        if kind != _FMU_TYPE:
+            raise self.error(
+                f"component {name!r} is of type {kind}, and only FMUs ({_FMU_TYPE}) are supported; "
+                "put its content into this structure as a nested system"
+            )
+        if asked not in _INTERFACES:
+            raise self.error(f"component {name!r} asks for {asked}, and only {', '.join(_INTERFACES)} are supported")
+        return xml.get("source", ""), _INTERFACES[asked]
+
+    def _bus(self, xml: Element, path: ElementPath) -> ElementPath:
+        """Return the path of the dictionary that a reference names: that of the nearest enclosing system."""
+        name = xml.get("dictionary", "")
+        for depth in range(len(path) - 1, -1, -1):
+            if (*path[:depth], name) in self.dictionaries:
+                return (*path[:depth], "", name)  # no element has an empty name
+        known = [dictionary[-1] for dictionary in self.dictionaries]
+        raise self.error(f"{'.'.join(path)!r} refers to no signal dictionary {name!r}{nearest(name, known)}")
+
+    def _declare(self, xml: Element, path: ElementPath) -> None:
+        for connector in children(xml, "Connectors", "Connector"):
+            unit = next((child.get("unit") for child in connector if child.get("unit")), None)
+            items = next((child.get("name") for child in children(connector, "Enumeration")), None)
+            found = Connector(connector.get("kind", ""), unit, items, bool(children(connector, "Dimension")))
+            self.connectors[Node(path, connector.get("name", ""))] = found
+
+    def _connect(self, xml: Element, system: ElementPath) -> None:
+        ends = [self._end(xml, system, which) for which in ("start", "end")]
+        label = f"connection {ends[0][0]} -> {ends[1][0]}"
+        directed = self._directed(ends, system, label)
+        factor, offset, table = transformation(xml, f"{self.where}: {label}")
+        if table is not None:
+            raise self.error(f"{label} maps values by a table, which is supported for parameters only")
+        source, target = (Node(self.buses.get(node.element, node.element), node.connector) for node in directed)
+        if target in self.incoming:
+            raise self.error(f"{target} is fed twice, by {self.incoming[target].label} and by {label}; keep one")
+        suppress = truth(xml, "suppressUnitConversion", f"{self.where}: {label}")
+        self.incoming[target] = Edge(source, target, factor, offset, suppress, label)
+
+    def _end(self, xml: Element, system: ElementPath, which: str) -> tuple[Node, Connector]:
+        """Return one end of a connection, which must exist."""
+        element, name = xml.get(f"{which}Element"), xml.get(f"{which}Connector", "")
+        path = (*system, element) if element else system
+        there = self.elements_in(system)
+        if element and element not in there:
+            raise self.error(
+                f"a connection names the element {element!r}, which {_system_name(system)} does not have"
+                f"{nearest(element, there)}"
+            )
+        node = Node(path, name)
+        connector = self.connectors.get(node)
+        if connector is None:
+            owner = f"element {element!r}" if element else _system_name(path)
+            known = [node.connector for node in self.connectors if node.element == path]
+            raise self.error(
+                f"a connection names the connector {name!r}, which {owner} does not have{nearest(name, known)}"
+            )
+        if connector.is_array:
+            raise self.error(f"connector {node} is an array, which is not supported; connect its elements one by one")
+        if path not in self.buses and connector.kind not in (*_INWARD, *_OUTWARD):
+            raise self.error(
+                f"connector {node} is of kind {connector.kind!r}, which is not supported; use input or output"
+            )
+        return node, connector
+
+    def _directed(self, ends: list[tuple[Node, Connector]], system: ElementPath, label: str) -> tuple[Node, Node]:
+        """Return (source, target), determined by the kinds of the connectors, not by start and end."""
+        first, second = (self._gives(node, connector, system) for node, connector in ends)
+        if first is None and second is not None:
+            first = not second
+        if first is None or first == second:
+            kinds = " and ".join(f"{node} ({connector.kind})" for node, connector in ends)
+            raise self.error(f"{label} connects {kinds}, between which nothing can flow; connect an output to an input")
+        (source, given), (target, taken) = ends if first else ends[::-1]
+        inner = [node.element != system and node.element not in self.buses for node in (source, target)]
+        to_parameter = inner[1] and taken.kind in _PARAMETERS and given.kind not in _PARAMETERS
+        if to_parameter or (inner == [True, True] and given.kind != "output"):
+            raise self.error(
+                f"{label} leads from {source} ({given.kind}) to {target} ({taken.kind}), which is not supported: "
+                "an input takes an output, and a parameter takes a parameter of the system"
+            )
+        return source, target
+
+    def _gives(self, node: Node, connector: Connector, system: ElementPath) -> bool | None:
+        """Return whether a connector provides a value, seen from inside a system; None for a bus, which does both."""
+        return None if node.element in self.buses else (connector.kind in _INWARD) == (node.element == system)
+
+
+def _system_name(path: ElementPath) -> str:
+    return f"system {'.'.join(path)!r}" if path else "the top system"

@@ -1,0 +1,334 @@
+"""System structures: coupled FMUs, their connections and parameter values from one .ssp file (SSP 1.0 and 2.0)."""
+
+from __future__ import annotations
+
+import zipfile
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path, PurePosixPath
+from typing import NamedTuple
+from urllib.parse import unquote
+
+from fmuid.errors import InputError
+from fmuid.files import is_file
+from fmuid.formatting import nearest
+from fmuid.models.archive import file_digest, unpacked
+from fmuid.models.description import DESCRIPTION_FILE, Description, Unit, Variable, unit_conversion
+from fmuid.models.reading import read_description, read_text
+from fmuid.models.ssd import Edge, ElementPath, Node, StructureTree
+from fmuid.models.ssv import (
+    Element,
+    MappingEntry,
+    Quantity,
+    children,
+    enumerations_of,
+    mapping_entries,
+    parameter_set,
+    read_xml,
+    units_of,
+)
+from fmuid.models.start_values import Value
+from fmuid.models.untrusted_xml import started_elements
+
+STRUCTURE_FILE = "SystemStructure.ssd"
+
+
+@dataclass(frozen=True)
+class SystemStructure:
+    """The content of an .ssp file, nested systems flattened, in the words of `fmuid.System`.
+
+    Attributes
+    ----------
+    components : mapping of str to (Path, str or None)
+        FMU, unpacked from the archive, and interface asked for; one inside nested systems is ``outer.inner``.
+    connections : tuple of (str, str) or (str, str, float, float)
+        Without factor and offset where the structure gives no units: then the FMUs say them.
+    connectors : mapping of str to sequence of (str, float, float)
+        The system's own inputs with the variables that each feeds, and outputs with the variable that feeds each.
+    values : mapping of str to value
+        By ``component.variable``, as set by parameter bindings, in the unit of the variable. Names without a variable
+        are ignored (SSP 1.0, 5.3.1).
+    """
+
+    components: Mapping[str, tuple[Path, str | None]]
+    connections: tuple[tuple[str, str] | tuple[str, str, float, float], ...]
+    connectors: Mapping[str, Sequence[tuple[str, float, float]]]
+    values: Mapping[str, Value]
+
+
+def read_ssp(path: str | Path) -> SystemStructure:
+    """Read a system structure package; it is unpacked into the user's cache.
+
+    Parameters
+    ----------
+    path : path-like
+        The ``.ssp`` file.
+
+    Raises
+    ------
+    InputError
+        If the file is missing or no archive, has no system structure or lacks a file that this names, if a connection
+        or a binding is wrong, if units do not convert, or if something in it is not supported. What only the FMUs
+        know (causalities, types, units that the structure does not state) is not checked here.
+    """
+    path = Path(path)
+    if not is_file(path):
+        raise InputError(f"{path}: there is no such SSP file; check the path")
+    if not zipfile.is_zipfile(path):
+        raise InputError(f"{path} is not an SSP: it is not a zip archive; export the system again")
+    folder = unpacked(path, file_digest(path))
+    if not (folder / STRUCTURE_FILE).is_file():
+        raise InputError(f"{path} is not an SSP: it has no {STRUCTURE_FILE} at its top level")
+    try:
+        root = read_xml(folder / STRUCTURE_FILE, "SystemStructureDescription", "a system structure")
+    except InputError as error:
+        raise InputError(f"{path}: {str(error).replace(str(folder / STRUCTURE_FILE), STRUCTURE_FILE)}") from None
+    package = _Package(path, folder, root)
+    for element, binding in package.tree.bindings:
+        package.bind(element, binding)
+    return SystemStructure(package.components, package.connections(), package.own_connectors(), package.values)
+
+
+class _Package:
+    """An unpacked package: its tree, its FMUs, and the values that bindings set."""
+
+    def __init__(self, path: Path, folder: Path, root: Element) -> None:
+        self.path, self.folder, self.tree = path, folder, StructureTree(root, str(path))
+        self.error = self.tree.error
+        self.units, self.enumerations = units_of(root, str(path)), enumerations_of(root, str(path))
+        self.descriptions: dict[ElementPath, Description] = {}
+        self.components = {
+            ".".join(element): (self._fmu(".".join(element), source), interface)
+            for element, (source, interface) in self.tree.components.items()
+        }
+        if not self.components:
+            raise self.error("the structure has no components; add at least one FMU")
+        self.chains = {node: self.tree.chain_to(node) for node in self.tree.connectors}
+        self.values: dict[str, Value] = {}
+
+    def _file(self, source: str, what: str) -> Path:
+        """Return a file of the archive by its relative URI (SSP 1.0, 5.3.4)."""
+        name = unquote(source)
+        parts = PurePosixPath(name).parts
+        if not name or ":" in name or "#" in source or name.startswith("/") or "\\" in name or ".." in parts:
+            raise self.error(f"{what} has the source {source!r}; only files inside the archive are supported")
+        file = self.folder.joinpath(*parts)
+        if not is_file(file):
+            there = [p.relative_to(self.folder).as_posix() for p in self.folder.rglob("*") if p.is_file()]
+            raise self.error(f"{what} needs the file {name!r}, which the archive does not have{nearest(name, there)}")
+        return file
+
+    def _fmu(self, name: str, source: str) -> Path:
+        """Return the FMU of a component, of an FMI version that may be read."""
+        what = f"component {name!r}"
+        file = self._file(source, what)
+        try:
+            first = next(started_elements(read_text(file), DESCRIPTION_FILE))
+        except (InputError, StopIteration) as error:
+            said = str(error).replace(str(file), source) or "it is empty"
+            raise self.error(f"{what}: {source} is not an FMU with a readable modelDescription.xml: {said}") from None
+        version = first.get("fmiVersion", "")
+        if version.startswith("1"):
+            raise self.error(f"{what} is an FMU of FMI {version}, which is not supported; export it as FMI 2.0 or 3.0")
+        return file
+
+    def _description(self, element: ElementPath) -> Description:
+        """Return the description of an FMU, read when a binding or a unit first needs it."""
+        if element not in self.descriptions:
+            self.descriptions[element] = read_description(self.components[".".join(element)][0])
+        return self.descriptions[element]
+
+    def _variable(self, node: Node) -> Variable | None:
+        """Return the FMU's variable of a component's connector."""
+        known = node.element in self.tree.components
+        return self._description(node.element).variables.get(node.connector) if known else None
+
+    def _stated(self, node: Node) -> str | None:
+        """Return the unit that the structure states for a connector."""
+        connector = self.tree.connectors.get(node)
+        return connector.unit if connector else None
+
+    def _unit(self, node: Node) -> str | None:
+        """Return the unit of a connector: stated, or that of the FMU's variable."""
+        variable = None if self._stated(node) else self._variable(node)
+        return variable.unit if variable else self._stated(node)
+
+    # --- connections
+
+    def connections(self) -> tuple[tuple[str, str] | tuple[str, str, float, float], ...]:
+        """Return the connections between components."""
+        found: list[tuple[str, str] | tuple[str, str, float, float]] = []
+        for node, chain in self.chains.items():
+            if node.element in self.tree.components and self._fed_by_component(node):
+                factor, offset, settled = self._composed(chain)
+                ends = str(chain[0].source), str(node)
+                found.append((*ends, factor, offset) if settled else ends)
+        return tuple(found)
+
+    def own_connectors(self) -> dict[str, list[tuple[str, float, float]]]:
+        """Return the variables connected to the inputs and outputs of the whole system."""
+        found: dict[str, list[tuple[str, float, float]]] = {}
+        for node, connector in self.tree.connectors.items():
+            if node.element == () and connector.kind == "input":
+                fed = [(end, self.chains[end]) for end, _ in self._fed_by(node)]
+            elif node.element == () and connector.kind == "output" and self._fed_by_component(node):
+                fed = [(self.chains[node][0].source, self.chains[node])]
+            else:
+                continue
+            found[node.connector] = [(str(end), *self._composed(chain)[:2]) for end, chain in fed]
+        return found
+
+    def _fed_by_component(self, target: Node) -> bool:
+        """Whether the value of a connector comes from a component, through connections."""
+        chain = self.chains.get(target)
+        return bool(chain and chain[0].source.element in self.tree.components)
+
+    def _fed_by(self, source: Node) -> list[tuple[Node, list[Edge]]]:
+        """Return the components' connectors fed by a system's connector, each with the edges that lead there."""
+        return [
+            (node, chain[i:])
+            for node, chain in self.chains.items()
+            for i, edge in enumerate(chain)
+            if node.element in self.tree.components and edge.source == source
+        ]
+
+    def _composed(self, chain: list[Edge]) -> tuple[float, float, bool]:
+        """Return factor and offset along a chain of connections, and whether they include the conversion of units.
+
+        Where a connector of the chain states a unit or a connection has a transformation, a component's connector that
+        states none has the unit of its variable, and one between components that of what feeds it (SSP, 4.5.1). The
+        transformation of a connection follows the conversion, and stands alone where the units are of different
+        dimensions.
+        """
+        nodes = [chain[0].source, *(edge.target for edge in chain)]
+        known = any(self._stated(node) for node in nodes) or any(edge.transforms for edge in chain)
+        unit = self._unit(nodes[0]) if known else None
+        factor, offset = 1.0, 0.0
+        for edge in chain:
+            end = self._unit(edge.target) if known else None
+            if unit and end and unit != end and not edge.suppress_units:
+                ends = (node.element for node in (nodes[0], nodes[-1]) if node.element in self.tree.components)
+                conversion = self._conversion(unit, end, *(self._description(element).units for element in ends))
+                if conversion is None and not edge.transforms:
+                    raise self.error(f"{edge.label}: the units {unit!r} and {end!r} do not convert into each other")
+                if conversion is not None:
+                    factor, offset = conversion[0] * factor, conversion[0] * offset + conversion[1]
+            factor, offset = edge.factor * factor, edge.factor * offset + edge.offset
+            unit = end if end or edge.suppress_units else unit
+        return factor, offset, known or any(edge.suppress_units for edge in chain)
+
+    def _conversion(self, unit: str, wanted: str, *defined: Mapping[str, Unit]) -> tuple[float, float] | None:
+        """Return factor and offset between units that FMUs define or, above these, the structure."""
+        known = {name: each for units in (*defined, self.units) for name, each in units.items()}
+        return unit_conversion(known.get(unit), known.get(wanted))
+
+    # --- bindings: the variables of FMUs that they set
+
+    def bind(self, element: ElementPath, binding: Element) -> None:
+        """Apply one ParameterBinding to the element that has it."""
+        owner = f"a parameter binding of {'.'.join(element) or 'the top system'}"
+        prefix, mappings = binding.get("prefix", ""), children(binding, "ParameterMapping")
+        entries: list[MappingEntry] = []
+        for mapping in mappings:
+            for root, where in self._contents(mapping, "ParameterMapping", "parameter-mapping", owner, mapping):
+                entries += mapping_entries(root, where)
+        inline = next(iter(children(binding, "ParameterValues")), None)
+        for root, where in self._contents(binding, "ParameterSet", "parameter-set", owner, inline):
+            given = parameter_set(root, where, self.enumerations)
+            values = {prefix + name: quantity for name, quantity in given.values.items()}
+            for entry in entries if mappings else [MappingEntry(name, name) for name in values]:
+                if entry.source in values:
+                    label = f"{where}: parameter {entry.source!r}"
+                    self._assign(element, _Given(entry, values[entry.source], given.units, label))
+
+    def _contents(
+        self, holder: Element, root: str, kind: str, owner: str, inline: Element | None
+    ) -> list[tuple[Element, str]]:
+        """Return the root elements in the file named by `holder` or inside `inline`, with their places in words."""
+        if holder.get("type", f"application/x-ssp-{kind}") != f"application/x-ssp-{kind}":
+            raise self.error(f"{owner} is of type {holder.get('type')}, and only application/x-ssp-{kind} is supported")
+        source = holder.get("source")
+        if not source:
+            found = children(inline, root)
+            if not found:
+                raise self.error(f"{owner} has neither a source nor a {root} in it")
+            return [(each, str(self.path)) for each in found]
+        if holder.get("sourceBase", "SSD") != "SSD":
+            raise self.error(f"{owner} takes {source} from inside a component, which is not supported; put it beside")
+        file = self._file(source, owner)
+        try:
+            return [(read_xml(file, root, f"a {root} file"), f"{self.path}, {source}")]
+        except InputError as error:
+            raise self.error(str(error).replace(str(file), source)) from None
+
+    def _assign(self, element: ElementPath, given: _Given) -> None:
+        """Set a name, as seen from an element, to a value: one variable, or all variables that a connector feeds."""
+        node = self._named(element, given.entry.target)
+        if node is None:
+            return
+        for target, chain in self._fed_by(node) if node.element in self.tree.systems else [(node, [])]:
+            variable = self._variable(target)
+            if variable is None or not variable.settable or self._fed_by_component(target):
+                continue  # the start of what is fed does not matter
+            value = self._transformed(node, target, chain, given)
+            if variable.type == "Integer" and isinstance(value, str):
+                connector = self.tree.connectors.get(target)
+                named = (connector.enumeration if connector else None) or ""
+                value = self.enumerations.get(named, given.quantity.items or {}).get(value, value)
+            self.values[str(target)] = _fitting(value, variable, f"{given.label} for {str(target)!r}")
+
+    def _named(self, element: ElementPath, name: str) -> Node | None:
+        """Return the connector or variable of a hierarchical name seen from an element; None where there is none."""
+        node = Node(element, name)
+        if element in self.tree.components or node in self.tree.connectors:
+            return node
+        inner = [e for e in self.tree.elements_in(element) if name.startswith(f"{e}.")]
+        if not inner:
+            return None
+        longest = max(inner, key=len)  # names of elements may contain dots
+        return self._named((*element, longest), name[len(longest) + 1 :])
+
+    def _transformed(self, node: Node, target: Node, chain: list[Edge], given: _Given) -> Value:
+        """Return the value in the target's unit: converted, then mapped, then transformed by the connections."""
+        entry, value, unit = given.entry, given.quantity.value, given.quantity.unit
+        if entry.table is not None:
+            if value not in entry.table:
+                raise InputError(f"{given.label} is {value!r}, for which its mapping has no entry")
+            value = entry.table[value]
+        if isinstance(value, bool | str):
+            return value
+        steps = [(entry.factor, entry.offset), *([self._composed(chain)[:2]] if chain else [])]
+        wanted = self._unit(node) or self._unit(target)
+        if unit and wanted and unit != wanted and not entry.suppress_units:
+            known = {**self._description(target.element).units, **self.units}
+            conversion = unit_conversion({**known, **given.units}.get(unit), known.get(wanted))
+            if conversion is None:
+                raise InputError(f"{given.label}: the units {unit!r} and {wanted!r} do not convert into each other")
+            steps.insert(0, conversion)
+        for factor, offset in steps:
+            if (factor, offset) != (1.0, 0.0):  # keep integers where there is nothing to transform
+                value = factor * value + offset
+        return value
+
+
+class _Given(NamedTuple):
+    """A value of a binding, its mapping, and the units that its file defines."""
+
+    entry: MappingEntry
+    quantity: Quantity
+    units: Mapping[str, Unit]
+    label: str
+
+
+def _fitting(value: Value, variable: Variable, label: str) -> Value:
+    """Return a value converted to its variable's type."""
+    kind = variable.type
+    if kind == "Real" and isinstance(value, int | float) and not isinstance(value, bool):
+        return float(value)
+    if kind == "Integer" and not isinstance(value, str | bool) and float(value).is_integer():
+        return int(value)
+    if (kind == "Boolean" and isinstance(value, bool)) or (kind == "String" and isinstance(value, str)):
+        return value
+    if kind == "Boolean" and value in (0, 1):
+        return bool(value)
+    raise InputError(f"{label} is {value!r}, which does not fit its type {kind}")

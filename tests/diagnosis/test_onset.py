@@ -1,0 +1,211 @@
+"""Onsets, added window by window, against least squares over all samples; how often the stated set holds the truth."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.signal import lfilter
+
+from fmuid.diagnosis import onset_tracker as watching
+from fmuid.diagnosis.causes import Cause
+from fmuid.diagnosis.change_detection import log_chance, log_limit
+from fmuid.diagnosis.information_matrix import ChangePrior
+from fmuid.diagnosis.onset import ChangeTransient, OnsetShape, estimate_onset
+from fmuid.diagnosis.onset_tracker import Blocks, OnsetTracker
+
+LENGTH, BLOCKS, WINDOWS = 20, 5, 8
+SAMPLES = LENGTH * BLOCKS * WINDOWS
+CAUSE = Cause("step", (1,), 2.0)
+KNOWN = ChangePrior(np.array([0.2, -0.1, 0.0]), np.diag([0.5, 1e-4, 0.3]) + 1e-3)
+DRIFT = np.array([0.0, 0.0, 0.4])
+
+
+def watched(
+    jacobian: np.ndarray, residual: np.ndarray, known: ChangePrior = KNOWN, drift: np.ndarray = DRIFT
+) -> OnsetTracker:
+    """Return a watch that has seen all windows; a block lasts a second."""
+    return fed(OnsetTracker(known, drift), jacobian, residual)
+
+
+def fed(found: OnsetTracker, jacobian: np.ndarray, residual: np.ndarray) -> OnsetTracker:
+    """Return a watch after all windows."""
+    rows = jacobian.reshape(-1, BLOCKS, LENGTH, jacobian.shape[1])
+    rest = residual.reshape(-1, BLOCKS, LENGTH)
+    for k, (own, left) in enumerate(zip(rows, rest, strict=True)):
+        edges = np.arange(BLOCKS + 1.0) + BLOCKS * k
+        found.add(Blocks(edges, np.einsum("bij,bik->bjk", own, own), np.einsum("bij,bi->bj", own, left)))
+    return found
+
+
+def explained(
+    jacobian: np.ndarray, residual: np.ndarray, extra: np.ndarray, drifted: np.ndarray
+) -> tuple[float, float]:
+    """Return D and the size of an extra column by least squares over the samples.
+
+    Beside coordinates with their prior, one that drifts by itself in each window, and that may have drifted for good,
+    from the begin on and as `drifted` says.
+    """
+    known = KNOWN.drifting(DRIFT)
+    root = np.linalg.cholesky(np.linalg.inv(known.covariance)).T
+    window = np.kron(np.eye(WINDOWS), np.ones((LENGTH * BLOCKS, 1))) * jacobian[:, [2]]
+    beside = np.hstack([jacobian, window, drifted[:, None]])
+    springs = np.zeros((3 + WINDOWS + 1, 3 + WINDOWS + 1))
+    springs[:3, :3] = root
+    springs[3:, 3:] = np.eye(WINDOWS + 1) / DRIFT[2]
+    data = np.concatenate([residual, root @ KNOWN.mean, np.zeros(WINDOWS + 1)])
+    without = np.vstack([beside, springs])
+    with_it = np.column_stack([without, np.concatenate([extra, np.zeros(len(springs))])])
+    found, rest = np.linalg.lstsq(with_it, data)[:2]
+    return float(np.linalg.lstsq(without, data)[1][0] - rest[0]), float(found[-1])
+
+
+@pytest.mark.parametrize("shape", OnsetShape)
+@pytest.mark.parametrize("at", [0, 13, 29])
+def test_an_onset_is_a_column_of_least_squares(shape: OnsetShape, at: int) -> None:
+    random = np.random.default_rng(1)
+    jacobian, residual = random.standard_normal((SAMPLES, 3)), random.standard_normal(SAMPLES)
+    (found,) = watched(jacobian, residual).onsets([CAUSE], shape)
+    block = np.repeat(np.arange(BLOCKS * WINDOWS), LENGTH)
+    course, total = (block >= at) * 1.0, 1.0
+    if shape is OnsetShape.RAMP:  # it rises from block to block: the middle of each stands for its samples
+        course, total = course * (block + 0.5 - at), float(BLOCKS * WINDOWS)
+    statistic, size = explained(jacobian, residual, jacobian[:, 1] * course, jacobian[:, 2] * course / total)
+    assert found.clock[at] == at
+    assert found.statistics[at] == pytest.approx(statistic, rel=1e-6)
+    assert found.sizes[at, 0] == pytest.approx(size, rel=1e-6)
+
+
+def test_a_cause_of_one_sign() -> None:
+    random = np.random.default_rng(2)
+    jacobian, residual = random.standard_normal((SAMPLES, 3)), random.standard_normal(SAMPLES)
+    found = watched(jacobian, residual - 3.0 * jacobian[:, 1])
+    assert found.statistics([CAUSE])[1].max() > 1000
+    assert found.statistics([Cause("up", (1,), 2.0, 1)])[1].max() < 50
+
+
+def test_what_persists_of_a_drift_is_no_news() -> None:
+    """Warm for all of the later windows by two of its standard deviations: no evidence for a change of it."""
+    random = np.random.default_rng(3)
+    jacobian = random.standard_normal((SAMPLES, 3))
+    course = (np.arange(SAMPLES) >= SAMPLES // 2) * 2.0 * DRIFT[2]
+    found = watched(jacobian, jacobian[:, 2] * course + random.standard_normal(SAMPLES))
+    assert found.statistics([Cause("warm", (2,), 1.0)])[1].max() < 10.0
+
+
+def test_old_onsets_thin_out_and_those_of_an_alarm_stay(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(watching, "MOST", 8)
+    monkeypatch.setattr(watching, "FINE", 2)
+    found = OnsetTracker(KNOWN, DRIFT)
+    for k in range(100):
+        found.add(
+            Blocks(np.arange(BLOCKS + 1.0) + BLOCKS * k, np.tile(np.eye(3), (BLOCKS, 1, 1)), np.ones((BLOCKS, 3)))
+        )
+        if k == 30:
+            found.pinned = (147.0, 148.0)
+    clock = found.onsets([CAUSE], OnsetShape.STEP)[0].clock
+    assert clock[0] == 0.0
+    assert {147.0, 148.0, 490.0, 491.0, 499.0} <= set(clock.tolist())
+    assert len(clock) <= 9 + 2 * BLOCKS + 2
+
+
+@pytest.mark.slow
+def test_the_set_holds_the_onset_and_the_shape_is_told() -> None:
+    """200 records with a step of known begin: the 95 % set holds it, and no ramp is likelier."""
+    random = np.random.default_rng(4)
+    spread = np.linalg.cholesky(KNOWN.covariance)
+    held, shapes = [], []
+    for _ in range(200):
+        jacobian = random.standard_normal((SAMPLES, 3))
+        begin = int(random.integers(5 * LENGTH, 35 * LENGTH))
+        course = np.tile(KNOWN.mean + spread @ random.standard_normal(3), (SAMPLES, 1))
+        course[begin:, 1] += 0.6
+        residual = np.einsum("ij,ij->i", jacobian, course) + random.standard_normal(SAMPLES)
+        found = watched(jacobian, residual, drift=np.zeros(3))
+        (step,), (ramp,) = (found.onsets([CAUSE], shape) for shape in OnsetShape)
+        when = estimate_onset([step, ramp], found.end)
+        held.append(when.between[0] <= begin / LENGTH <= when.between[1])
+        shapes.append(when.shape is OnsetShape.STEP)
+    assert np.mean(held) >= 0.92
+    assert np.mean(shapes) >= 0.8  # steps near an end look like ramps
+
+
+def lagged(values: np.ndarray, constant: float) -> np.ndarray:
+    """Return the response of a lag of the first order."""
+    decay = np.exp(-1.0 / constant)
+    return np.asarray(lfilter([1.0 - decay], [1.0, -decay], values))
+
+
+LAG = 3.0 * LENGTH  # its time constant, samples
+
+
+@pytest.mark.parametrize("constant", [False, True], ids=["white", "constant"])
+def test_how_a_change_builds_up(constant: bool) -> None:
+    """Of a lag of the first order: 1 − exp(−2t/τ) under white excitation, 1 − exp(−t/τ) under constant excitation."""
+    driven = np.ones(20_000) if constant else np.random.default_rng(7).standard_normal(20_000)
+    left = np.exp(-2.0 * np.arange(1000) / LAG)
+    found = ChangeTransient.of(left, lagged(driven, LAG)[1000:, None], 0.1)
+    rate = (1.0 if constant else 2.0) / (0.1 * LAG)
+    lags = np.array([0.0, 0.5, 1.0, 4.0]) * 0.1 * LAG
+    expected = (lags[1:] - lags[:-1] + np.diff(np.exp(-rate * lags)) / rate) / np.diff(lags)
+    assert found.shares(np.zeros(1), lags)[0] == pytest.approx(expected, abs=0.04)
+    assert found.shares(np.array([-100.0]), lags) == pytest.approx(1.0)
+
+
+def test_nothing_builds_up_where_no_state_is() -> None:
+    assert ChangeTransient.of(np.zeros(50), np.ones((100, 2)), 0.1).lasts == 0.0
+
+
+@pytest.mark.slow
+def test_the_set_holds_the_onset_of_a_machine_with_memory() -> None:
+    """A gain before a lag of three blocks changes: 200 records, by watches that know of it and do not."""
+    random, lead = np.random.default_rng(8), 2000
+    held: list[list[bool]] = [[], []]
+    near: list[list[bool]] = [[], []]
+    widths: list[list[float]] = [[], []]
+    for _ in range(200):
+        driven = random.standard_normal(SAMPLES + lead)
+        course = np.arange(SAMPLES + lead) >= lead + LENGTH * (begin := int(random.integers(10, 30)))
+        column, changed = (lagged(each, LAG)[lead:, None] for each in (driven, driven * course))
+        jacobian = np.hstack([random.standard_normal((SAMPLES, 1)), column / column.std()])
+        residual = 0.6 * changed[:, 0] / column.std() + random.standard_normal(SAMPLES)
+        known = ChangeTransient.of(np.exp(-2.0 * np.arange(400) / LAG), jacobian[:, 1:], 1.0 / LENGTH)
+        for k, build_up in enumerate((known, ChangeTransient())):
+            begun = OnsetTracker(ChangePrior(np.zeros(2), np.diag([0.5, 1e-4])), np.zeros(2))
+            found = fed(begun.building_up(build_up, np.array([False, True])), jacobian, residual)
+            when = estimate_onset([found.onsets([CAUSE], shape)[0] for shape in OnsetShape], found.end)
+            held[k].append(when.between[0] - 1e-9 <= begin <= when.between[1] + 1e-9)
+            near[k].append(abs(when.clock - begin) <= 2)
+            widths[k].append(when.between[1] - when.between[0])
+    assert np.mean(held[0]) >= 0.95 > np.mean(held[1])
+    assert np.mean(near[0]) > np.mean(near[1]) + 0.05
+    assert np.median(widths[0]) <= np.median(widths[1]) + 1.0
+
+
+CAUSES = (Cause("either", (0,), 1.0), Cause("up", (0,), 1.0, 1), Cause("plane", (0, 1), 1.0))
+
+
+@pytest.mark.parametrize("cause", CAUSES, ids=[each.name for each in CAUSES])
+@pytest.mark.parametrize("windows", [1, 30])
+def test_the_level_holds_over_all_onsets_and_looks(cause: Cause, windows: int) -> None:
+    """Random walks that are looked at after each window from each onset on."""
+    level, draws, d = 0.1, 3000, len(cause.columns)
+    steps = np.random.default_rng(6).standard_normal((draws, windows, d))
+    walk = np.concatenate([np.zeros((draws, 1, d)), steps.cumsum(axis=1)], axis=1)
+    alarmed = np.zeros(draws, dtype=bool)
+    for now in range(1, windows + 1):
+        off = (walk[:, [now]] - walk[:, :now]) / np.sqrt(now - np.arange(now))[None, :, None]
+        statistic = np.sum(off**2, axis=2)
+        if cause.sign:
+            statistic = np.where(off[:, :, 0] > 0, statistic, 0.0)
+        limit = log_limit(level / windows, [cause], now)
+        alarmed |= (log_chance(statistic, cause) < limit).any(axis=1)
+    assert alarmed.mean() == pytest.approx(level, abs=0.025)
+
+
+def test_chances_far_out() -> None:
+    """Where the probability itself is 0, its logarithm goes on falling."""
+    for cause in CAUSES:
+        near, far = log_chance(np.array([40.0, 4000.0]), cause)
+        assert near == pytest.approx(-40.0 / 2, abs=4.0)
+        assert far == pytest.approx(-4000.0 / 2, abs=6.0)
+        assert log_chance(np.array([0.0]), cause)[0] == 0.0
