@@ -65,7 +65,7 @@ def results(tmp_path_factory: pytest.TempPathFactory) -> Path:
     for name, seed in (("first", 1), ("second", 2)):
         coil_table(folder / f"{name}.csv", 0.0, seed=seed)
     second = '[[experiments]]\ndata = "second.csv"\ninputs = ["u"]\noutputs = ["i"]\ninterpolation = "zoh"\n'
-    more = 'ignore_before = 0.02\n[uncertainty]\nprofile_likelihood = ["R"]\ncost_map = [["R", "L"]]\n'
+    more = 'warmup = 0.02\n[uncertainty]\nprofile_likelihood = ["R"]\ncost_map = [["R", "L"]]\n'
     study = STUDY.replace("min = 0.0", "min = 0.0, prior = { mean = 4.0, std = 0.2 }") + second + more
     (folder / "study.toml").write_text(study.replace('"Coil"', '"Two coils"'))
     start = next(key for key in ("start", "initial_guess") if f"{key} =" in STUDY)

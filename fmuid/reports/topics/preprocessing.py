@@ -92,20 +92,20 @@ def preparation_words(words: Mapping[str, Any]) -> str:
 
 
 def _done(words: Mapping[str, Any]) -> Iterator[str]:
-    if words.get("columns"):
-        yield f"given the columns {', '.join(f'{name} = {text}' for name, text in words['columns'].items())}"
-    if words.get("fill"):
-        gap = f" of at most {words['longest_gap']:g} s" if words.get("longest_gap") else ""
-        yield f"filled over gaps{gap} ({', '.join(f'{name}: {how}' for name, how in words['fill'].items())})"
-    for each in words.get("axes", ()):
-        yield f"turned from {', '.join(each['from'])} to {', '.join(each['to'])}"
-    if "low_pass" in words:
-        yield f"low-passed at {words['low_pass']:g} Hz, without a shift in time"
-    if "from" in words or "to" in words:
-        ends = [f"{key} {words[key]:g} s" for key in ("from", "to") if key in words]
-        yield f"cut {' '.join(ends)}"
-    if "resample" in words:
-        yield f"resampled in steps of {words['resample']:g} s"
+    if words.get("computed_columns"):
+        yield f"given the columns {', '.join(f'{name} = {text}' for name, text in words['computed_columns'].items())}"
+    if words.get("fill_missing"):
+        gap = f" of at most {words['max_gap']:g} s" if words.get("max_gap") else ""
+        yield f"filled over gaps{gap} ({', '.join(f'{name}: {how}' for name, how in words['fill_missing'].items())})"
+    for each in words.get("park", ()):
+        yield f"turned from {', '.join(each['source'])} to {', '.join(each['target'])}"
+    if "lowpass_frequency" in words:
+        yield f"low-passed at {words['lowpass_frequency']:g} Hz, without a shift in time"
+    ends = {"from": "start_time", "to": "end_time"}
+    if cut := [f"{word} {words[key]:g} s" for word, key in ends.items() if key in words]:
+        yield f"cut {' '.join(cut)}"
+    if "resample_interval" in words:
+        yield f"resampled in steps of {words['resample_interval']:g} s"
     if "detrend" in words:
         given = words["detrend"]
         each = ", ".join(f"{name}: {how}" for name, how in given.items()) if isinstance(given, dict) else given
