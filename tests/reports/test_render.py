@@ -27,7 +27,7 @@ from fmuid.reports.topics.estimates import _matrix
 from fmuid.reports.topics.model_comparison import ranked_bars
 from fmuid.reports.topics.optimization import _criterion
 from fmuid.simulation import OutputFit
-from tests.reports.test_document import every_mark
+from tests.support.charts import every_mark
 from tests.support.records import record, search
 
 T = np.array([1.0, 2.0, 4.0])

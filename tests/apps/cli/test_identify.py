@@ -59,7 +59,7 @@ def test_identify_writes_tables_and_figures(folder: Path) -> None:
     out = folder / "deep/out"
     assert {path.name for path in out.iterdir()} == {
         "result.json", "estimates.csv", "trace.csv", "fit.csv", "diagnostics.csv",
-        "parameters.ssv", "report.html", "figures",
+        "parameters.ssv", "document.json", "report.html", "figures",
     }  # fmt: skip
     figures = {path.name for path in (out / "figures").iterdir()}
     drawn = ("fit", "residuals", "parameters", "criterion", "correlation", "accuracy")

@@ -78,7 +78,8 @@ def test_the_record_of_the_result_is_no_prediction(
 ) -> None:
     assert fmuid_("predict", made / "results", made / "first.csv", "-o", tmp_path, "--no-isolation") == DONE
     out, error = capsys.readouterr()
-    assert "the result was made from first: this is no prediction" in error
+    assert "The result was made from first: this is no prediction" in " ".join(out.split())
+    assert not error
     content = json.loads((tmp_path / "prediction.json").read_text())
     page = (tmp_path / "report.html").read_text()
     origin = content["origin"]
