@@ -395,7 +395,7 @@ class ComparisonRun:
     origin: Provenance | None = None
     files: tuple[Path, ...] = ()
 
-    json_layout: ClassVar = Layout(omitted={"files"}, types={"Comparison": "fmuid.identification"})
+    json_layout: ClassVar = Layout(omitted={"files"}, types={"ModelComparison": "fmuid.identification"})
 
     @property
     def table(self) -> pd.DataFrame:

@@ -13,7 +13,7 @@ import pytest
 import fmuid
 from fmuid import codec, files
 from fmuid.apps.cli.options import DONE
-from fmuid.estimation.problem import LeastSquares
+from fmuid.estimation import Evaluator
 from fmuid.progress import DataOnlyStep, Event, GlobalStep, ProfileStep, Progress, SearchStep
 from fmuid.runs import SearchInterruptedError, identified, read_identification
 from tests.support.coil_study import STUDY, coil_table, fmuid_, result
@@ -115,7 +115,7 @@ def test_interrupted_before_anything_is_known(study: Path, tmp_path: Path, monke
     def interrupt(*_: object, **__: object) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(LeastSquares, "predict", interrupt)
+    monkeypatch.setattr(Evaluator, "predict", interrupt)
     with pytest.raises(SearchInterruptedError, match="nothing is written"):
         run_study(study, tmp_path / "out")
     assert list((tmp_path / "out").iterdir()) == []

@@ -8,6 +8,7 @@ exchange for a token in the first address.
 
 from __future__ import annotations
 
+import contextlib
 import hmac
 import secrets
 from collections.abc import Mapping, Sequence
@@ -16,12 +17,13 @@ from http.cookies import CookieError, SimpleCookie
 from typing import Any
 from urllib.parse import parse_qsl, urlencode
 
+from bokeh.server.connection import ServerConnection
+from bokeh.server.session import ServerSession
 from bokeh.server.tornado import BokehTornado
 from bokeh.server.views.ws import WSHandler
 from tornado.httputil import HTTPHeaders, HTTPServerRequest
 from tornado.web import ErrorHandler, OutputTransform, RequestHandler
-
-from fmuid.apps.workbench.sockets import TabSocket
+from tornado.websocket import WebSocketClosedError
 
 SCHEME = "fmuid-scheme"
 """The cookie, and the argument of a page, that says whether the browser shows dark pages."""
@@ -134,6 +136,46 @@ class LoginHandler(RequestHandler):
         self.set_cookie(*self._given, httponly=True, samesite="Strict")
         rest = [(key, value) for key, value in parse_qsl(self.request.query) if key != "token"]
         self.write(redirecting_page("/" + self.request.path.lstrip("/") + ("?" + urlencode(rest) if rest else "")))
+
+
+class TabSocket(WSHandler):  # type: ignore[misc]
+    """Websocket of a tab.
+
+    A page never comes back to a session whose websocket it has lost (``reconnect_session`` is off), so that the session
+    ends with it. Bokeh keeps it for a while, and handles messages that have arrived before the end without it.
+    """
+
+    connection: ServerConnection | None
+    _session: ServerSession
+
+    @property
+    def is_open(self) -> bool:
+        """Whether messages can still be exchanged."""
+        return self.ws_connection is not None and not self.ws_connection.is_closing()
+
+    async def _async_open(self, token: str) -> None:
+        await super()._async_open(token)
+        assert self.connection is not None
+        self._session = self.connection.session
+        if not self.is_open:  # closed while the session was being made
+            self.on_close()
+
+    async def on_message(self, fragment: str | bytes) -> None:
+        """Handle a message of a tab that is open."""
+        if self.is_open:
+            await super().on_message(fragment)
+
+    async def send_message(self, message: Any) -> None:
+        """Send a message to a tab that is open."""
+        with contextlib.suppress(WebSocketClosedError):
+            await message.send(self)
+
+    def on_close(self) -> None:
+        """End the session."""
+        connection, self.connection = self.connection, None
+        if connection is not None:
+            self._session.request_expiration()
+            self.application.client_lost(connection)
 
 
 _REDIRECTING = (

@@ -1,9 +1,12 @@
-"""The server of the workbench: its addresses, and how it begins and ends."""
+"""The server of the workbench: its addresses, how it begins and ends, and the browser that is started for it."""
 
 from __future__ import annotations
 
+import contextlib
+import tempfile
 import threading
-from collections.abc import Callable
+import webbrowser
+from collections.abc import Callable, Iterator
 from functools import cache, partial
 from pathlib import Path
 from typing import Any
@@ -16,7 +19,7 @@ from tornado.httpserver import HTTPServer
 from tornado.ioloop import IOLoop
 from tornado.netutil import bind_sockets
 
-from fmuid.apps.workbench.access_control import LARGEST_MESSAGE, Guard
+from fmuid.apps.workbench.access_control import LARGEST_MESSAGE, Guard, redirecting_page
 from fmuid.apps.workbench.home import AssetHandler, FileHandler, HomeHandler, escaped
 from fmuid.apps.workbench.jobs import Jobs
 from fmuid.apps.workbench.page_layout import argument, dress
@@ -25,6 +28,7 @@ from fmuid.errors import FmuidError, InputError
 
 _ADDRESSES = ("/study", "/results", "/batch", "/faults", "/new")
 LOCAL = "127.0.0.1"
+_ENTRY = "open.html"
 
 
 class Workbench:
@@ -109,6 +113,49 @@ class Workbench:
         """Have `run` return; from any thread."""
         if self._loop is not None:
             self._loop.add_callback(self._loop.stop)
+
+
+@contextlib.contextmanager
+def entry_file(bench: Workbench) -> Iterator[Path]:
+    """Provide a file that leads to the first page; only its owner can read it.
+
+    Every user of a machine can read the arguments of a browser. They name this file and no secret.
+
+    Parameters
+    ----------
+    bench : Workbench
+
+    Yields
+    ------
+    Path
+        In a folder of its own, removed at the end.
+    """
+    with tempfile.TemporaryDirectory(prefix="fmuid-open-", ignore_cleanup_errors=True) as folder:
+        path = Path(folder, _ENTRY)
+        path.touch(mode=0o600)  # before there is a secret in it
+        path.write_text(redirecting_page(bench.single_use_address()), encoding="utf-8")
+        yield path
+
+
+def start_browser(path: Path, failed: Callable[[], object]) -> threading.Thread:
+    """Open a file in the user's browser; one in the foreground blocks only the thread that is returned.
+
+    Parameters
+    ----------
+    path : Path
+    failed : callable
+        Called in the thread if no browser could be started.
+    """
+
+    def start() -> None:
+        with contextlib.suppress(webbrowser.Error, OSError, ValueError):  # ValueError: quotes in $BROWSER do not close
+            if webbrowser.open(path.as_uri()):
+                return
+        failed()
+
+    thread = threading.Thread(target=start, daemon=True)
+    thread.start()
+    return thread
 
 
 def _build(where: str, workbench: Workbench, doc: Any) -> None:

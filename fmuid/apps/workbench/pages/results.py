@@ -17,7 +17,7 @@ from markupsafe import Markup
 
 from fmuid.apps.workbench.access_control import SCHEME
 from fmuid.apps.workbench.home import address, escaped, file_address
-from fmuid.apps.workbench.jobs import Job, Jobs, command_text
+from fmuid.apps.workbench.jobs import Job, command_text
 from fmuid.apps.workbench.page_layout import LINE, SHEET, WIDE, argument, arguments, dress, words
 from fmuid.apps.workbench.pages.command_panel import CommandPanel
 from fmuid.apps.workbench.pages.live import ZoomedFit
@@ -174,37 +174,13 @@ def _estimate(known: tuple[float, float] | None) -> str:
     return with_std(*known) if math.isfinite(known[1]) else f"{known[0]:.6g}, not determined"
 
 
-class ResultAction:
-    """What is done with a result by commands.
-
-    Parameters
-    ----------
-    doc : Document
-    bench : WorkbenchProtocol
-    place : Path
-        The folder of the result.
-
-    Attributes
-    ----------
-    layout : Bokeh model
-    """
-
-    layout: Any
+class PredictAction:
+    """Prediction of a data file that is chosen or dropped, by ``fmuid predict``."""
 
     def __init__(self, doc: Any, bench: Any, place: Path) -> None:
         self.folder: Folder = bench.folder
         self.place, self.said = place, words("written")
-        self._make(doc, bench.jobs)
-
-    def _make(self, doc: Any, jobs: Jobs) -> None:
-        raise NotImplementedError
-
-
-class PredictAction(ResultAction):
-    """What predicts a table that is chosen or dropped, by ``fmuid predict``."""
-
-    def _make(self, doc: Any, jobs: Jobs) -> None:
-        self.run = CommandPanel(doc, jobs, self.place / "prediction", {"Predict": self.begin}, ended=self._end)
+        self.run = CommandPanel(doc, bench.jobs, self.place / "prediction", {"Predict": self.begin}, ended=self._end)
         known = [self.folder.name(path) for path in tables(self.folder)]
         self.chosen = Select(title="a table of the folder", options=["", *known], value="", name="table")
         self.dropped = FileInput(value="", filename="", title="or drop one here", accept=",".join(TABLES), name="drop")
@@ -251,10 +227,12 @@ class PredictAction(ResultAction):
         self.said.text = f'<p><a href="{link}">The prediction</a></p>' if job.code == 0 else ""
 
 
-class WriteAction(ResultAction):
-    """What writes the report of a result, by ``fmuid report``, and its values into an FMU, by ``fmuid apply``."""
+class WriteAction:
+    """Report of a result, by ``fmuid report``, and an FMU with its values, by ``fmuid apply``."""
 
-    def _make(self, doc: Any, jobs: Jobs) -> None:
+    def __init__(self, doc: Any, bench: Any, place: Path) -> None:
+        self.folder: Folder = bench.folder
+        self.place, self.said = place, words("written")
         acts = {"Write the report": lambda: self.begin(self.reporting)}
         self.fmus = _fmus(self.folder, self.place) if is_file(self.place / "result.json") else {}
         names = list(self.fmus)
@@ -263,7 +241,7 @@ class WriteAction(ResultAction):
         self.command = words("commands")
         if names:
             acts["Apply to the FMU"] = lambda: self.begin(self.applying)
-        self.run = CommandPanel(doc, jobs, self.place, acts, ended=self._end)
+        self.run = CommandPanel(doc, bench.jobs, self.place, acts, ended=self._end)
         parts = [self.fmu, self.run.layout] if names else [self.run.layout]
         self.layout = column(*parts, self.said, self.command, name="writing", sizing_mode="stretch_width")
         self._tell()
