@@ -164,7 +164,7 @@ def diagnose(
         accuracy=None if fitted is None else fitted.accuracy,
         fitted=() if fitted is None else fitted.names,
         result=fitted,
-        residuals=_residuals(listed[0], found),
+        residuals=_residuals(listed[0], found) if evidence.explanations else None,
         mismatched=_mismatched(machines, made),
     )
 

@@ -64,7 +64,7 @@ def diagnosis_document(found: DiagnosisRun) -> Document:
     said.append(DiagnosisMessage.MODEL_ERROR.said(share=100 * result.evidence.model_error))
     said += [Remark(text, "doubt", "changes") for text in diagnosis_notes(result)]
     sections = diagnosis_sections(result)
-    if result.residuals is not None:
+    if result.residuals is not None and result.evidence.explanations:
         best = " and ".join(change_name(each) for each in result.evidence.explanations[0].changes)
         drawn = explained_charts(result.residuals, best, found.units)
         sections.append(Section("explained", "What the fault explains", RESIDUAL, charts=(drawn,), beside=1))
