@@ -16,7 +16,7 @@ from fmuid.data.noise import Noise
 from fmuid.errors import InputError
 from fmuid.estimation.cost_function import prepare
 from fmuid.estimation.evaluator import Evaluator
-from fmuid.estimation.marquardt.linear import linear_least_squares
+from fmuid.estimation.linear import linear_least_squares
 from fmuid.estimation.noise.autoregression import Autoregression
 from fmuid.estimation.noise.sandwich import ResidualNoise, SandwichCovariance
 from fmuid.estimation.problem import LeastSquares

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from fmuid.data import Parameter
-from fmuid.estimation.marquardt.outcome import TerminationReason
 from fmuid.estimation.method import Marquardt
 from fmuid.estimation.problem import LeastSquares
+from fmuid.estimation.search.loop import TerminationReason
 from fmuid.files import file_name
 from fmuid.formatting import rounded, with_std
 from fmuid.identification import identify

@@ -12,7 +12,7 @@ import fmuid
 from fmuid.codec import as_json, from_json
 from fmuid.estimation import AccuracyOutcome, SolverCheck
 from fmuid.estimation.covariance import Identifiability, WeakDirection
-from fmuid.estimation.marquardt.outcome import TerminationReason
+from fmuid.estimation.search.loop import TerminationReason
 from fmuid.identification.prior_and_data import ExtrapolationReason
 from fmuid.models import SolverConfiguration
 from fmuid.reports.messages.accuracy import passed_words

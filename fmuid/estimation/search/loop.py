@@ -1,22 +1,43 @@
-"""What goes into a search for the least sum of squares, and what comes out."""
+"""The loop of every search: frozen states, one after the other, until one has an outcome."""
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, field
+from enum import Enum
 from typing import Protocol
 
 import numpy as np
 
 from fmuid.array_types import Flags, Floats
-from fmuid.errors import InputError
-from fmuid.estimation.marquardt.outcome import TerminationReason
 
-# Most problems need 5 to 20 steps; the most crooked of the NIST reference problems (Bennett5) need several hundred.
-MAX_ITERATIONS = 1000
-# The search ends where no parameter has more than this share of its magnitude left to go: six digits.
-TOLERANCE = 1e-6
-# Length of the first step against the parameters themselves, both measured by D.
-FIRST_RADIUS = 1.0
+
+class TerminationReason(Enum):
+    """How a search ended; the values are what ``result.json`` has as ``outcome``."""
+
+    CONVERGED = "converged"
+    """At a minimum, to the tolerance asked for."""
+    ACCURACY = "accuracy"
+    """At a minimum as far as the accuracy of the simulation lets it be seen."""
+    UNDETERMINED = "undetermined"
+    """At a minimum, or running away, along directions that neither data nor prior determine."""
+    UNSETTLED = "unsettled"
+    """Every search converged, and the noise variances of one still differ from those of the next."""
+    ITERATION_LIMIT = "iteration_limit"
+    """After as many steps as were allowed."""
+    RUNAWAY = "runaway"
+    """With parameters that grew by orders of magnitude while the fit gained nothing by it."""
+    STALLED = "stalled"
+    """Where no step lowers the criterion although its slope says so."""
+    FAILING = "failing"
+    """Where every step that would lower the criterion fails."""
+    INTERRUPTED = "interrupted"
+    """By the keyboard, at the best values so far."""
+
+    @property
+    def converged(self) -> bool:
+        """Whether the point is a minimum, as far as the simulation can tell, that determines every parameter."""
+        return self in (TerminationReason.CONVERGED, TerminationReason.ACCURACY)
 
 
 class ResidualFunction(Protocol):
@@ -48,21 +69,6 @@ class ResidualFunction(Protocol):
 
     def measure_noise(self, theta: Floats, residual: Floats, steps: Floats) -> tuple[float, bool]:
         """Measure the simulation's noise anew, in steps (N,), and use it; return that of ‖residual‖² and if it grew."""
-
-
-@dataclass(frozen=True)
-class MarquardtSettings:
-    """The numbers that a search goes by; `fmuid.Marquardt`, which has them, documents them."""
-
-    max_iterations: int = MAX_ITERATIONS
-    tolerance: float = TOLERANCE
-    first_radius: float = FIRST_RADIUS
-
-    def __post_init__(self) -> None:
-        for name in ("max_iterations", "tolerance", "first_radius"):
-            value = getattr(self, name)
-            if isinstance(value, bool) or not isinstance(value, int | float) or not value > 0:
-                raise InputError(f"the setting {name} of the search must be a positive number, not {value!r}")
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,9 +103,9 @@ class Iteration:
     central: bool
 
 
-@dataclass(eq=False)
+@dataclass(frozen=True, eq=False)
 class State:
-    """What the search knows; it stays valid when the search is interrupted.
+    """What a search knows after a step.
 
     Attributes
     ----------
@@ -118,11 +124,15 @@ class State:
     outcome : TerminationReason or None
         How the search ended, None while it has not.
     borrowed : bool
-        Whether the Jacobian is that of a waypoint close by.
+        Whether the Jacobian is that of a point close by.
     held : (N,) array of bool
         Parameters on a bound that the criterion would push further out.
     reduced : (N+1, N+1) array or None
         The triangle [R q] of the Jacobian in use and a residual; None where it is not known yet.
+    last : Iteration or None
+        The step that led here; None where the search ended without one.
+    memory : object
+        What else the method remembers.
     """
 
     theta: Floats
@@ -136,3 +146,39 @@ class State:
     borrowed: bool = False
     held: Flags = field(default_factory=lambda: np.zeros(0, dtype=np.bool_))
     reduced: Floats | None = None
+    last: Iteration | None = None
+    memory: object = None
+
+
+class Search(Protocol):
+    """A method of search: frozen settings with two functions."""
+
+    def begin(self, function: ResidualFunction, state: State) -> State:
+        """Return the state from which the search sets out: it has residual and Jacobian."""
+
+    def advance(self, function: ResidualFunction, state: State) -> State:
+        """Return the state after one more step, or with an outcome."""
+
+
+def iterate(search: Search, function: ResidualFunction, state: State) -> Iterator[State]:
+    """Search from a state; yield it and all that follow, the last of which has an outcome.
+
+    Parameters
+    ----------
+    search : Search
+    function : ResidualFunction
+    state : State
+        It has residual and Jacobian.
+    """
+    state = search.begin(function, state)
+    yield state
+    while state.outcome is None:
+        state = search.advance(function, state)
+        yield state
+
+
+def last_state(search: Search, function: ResidualFunction, state: State) -> State:
+    """Search from a state to the end, and return what it comes to."""
+    for each in iterate(search, function, state):
+        state = each
+    return state
