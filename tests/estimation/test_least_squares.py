@@ -106,8 +106,8 @@ def test_first_variances() -> None:
         ({"variance": 0.0}, "noise variance must be positive and finite, not 0"),
         ({"variance": {"a": -1.0}}, "noise variance of output 'a' must be positive"),
         ({"variance": "guess"}, 'a positive number or "estimate"'),
-        ({"start": "estimate"}, "noise start must be a positive number"),
-        ({"start": float("inf")}, "positive and finite"),
+        ({"initial_variance": "estimate"}, "noise initial_variance must be a positive number"),
+        ({"initial_variance": float("inf")}, "positive and finite"),
         ({"variance": True}, "must be a positive number"),
     ],
 )
