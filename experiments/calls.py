@@ -22,10 +22,11 @@ import fmuid
 from fmuid.array_types import Floats
 from fmuid.diagnosis.cause_analysis import Examination, examine, healthy_of, shown_by
 from fmuid.diagnosis.cause_ranking import CauseSet
-from fmuid.diagnosis.causes import DIFFERENCE_STEP, CauseKind, ChangeParameterSet
+from fmuid.diagnosis.causes import SETTINGS as CAUSES
+from fmuid.diagnosis.causes import CauseKind, ChangeParameterSet
 from fmuid.diagnosis.linearized_machine import LinearizedMachine
 from fmuid.diagnosis.prewhitening import whitening_of
-from fmuid.diagnosis.unexplained_residual import UNEXPLAINED_SHARE
+from fmuid.diagnosis.unexplained_residual import SETTINGS as UNEXPLAINED_RESIDUAL
 
 LEVEL, SEED = 0.01, 17
 FALSE, FAULTY = 400, 200  # records of a case without and with a fault
@@ -62,7 +63,7 @@ class Shared:
         modelled = (CauseKind.PARAMETER, CauseKind.FAULT)
         self._magnitude = np.array(
             [
-                each.step / DIFFERENCE_STEP if each.kind in modelled else math.inf if each.kind in exact else 1.0
+                each.step / CAUSES.difference_step if each.kind in modelled else math.inf if each.kind in exact else 1.0
                 for each in coordinates.each
             ]
         )
@@ -194,7 +195,7 @@ class Campaign:
         faults = [kinds[name] is CauseKind.FAULT for each in naming.named for name in each.names]
         return {
             "alarm": int(naming.alarm),
-            "else": int(found.remainder.probability < UNEXPLAINED_SHARE * LEVEL),
+            "else": int(found.remainder.probability < UNEXPLAINED_RESIDUAL.level_share * LEVEL),
             "remainder": found.remainder.probability,
             "named": " or ".join(" + ".join(each.names) for each in naming.named),
             "fault": int(bool(faults) and all(faults)),

@@ -186,7 +186,7 @@ def coil(folder: Path) -> None:
     folder.mkdir()
     for source, name in ((healthy.fmu, "coil.fmu"), (faulty.fmu, "turns.fmu"), (faulty.path, faulty.path.name)):
         shutil.copy(source, folder / name)
-    fmuid.run_study(fmuid.Study.of(healthy.study, folder / "coil.toml"), folder / "healthy")
+    fmuid.run(fmuid.Study.of(healthy.study, folder / "coil.toml"), folder / "healthy")
     (folder / "faults.toml").write_text(FAULTS)
     table = healthy.table.rename(columns={"u": "U_set (V)", "i": "I_meas (A)"})
     table.assign(time=1e3 * table["time"]).rename(columns={"time": "Time (ms)"}).to_csv(

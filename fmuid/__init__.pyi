@@ -54,15 +54,11 @@ from .models import Component as Component
 from .models import Isolation as Isolation
 from .models import Numerics as Numerics
 from .models import System as System
-from .reports import IdentificationRun as IdentificationRun
 from .reports import describe as describe
-from .reports import run_comparison as run_comparison
-from .reports import run_diagnosis as run_diagnosis
-from .reports import run_monitoring as run_monitoring
-from .reports import run_prediction as run_prediction
-from .reports import run_study as run_study
+from .reports import run as run
 from .runs import Batch as Batch
 from .runs import BatchResult as BatchResult
+from .runs import IdentificationRun as IdentificationRun
 from .simulation import Simulator as Simulator
 from .simulation import validate as validate
 from .studies import Study as Study

@@ -181,12 +181,12 @@ class WriteError(InputError):
         self.path = path
 
 
-def rescued(name: str, content: Mapping[str, Any]) -> Path | None:
-    """Write a JSON file into a new folder for temporary files; return its path, or None if that fails, too."""
+def rescued(name: str, write: Callable[[Path], Path]) -> Path | None:
+    """Write a file into a new folder for temporary files; return its path, or None if that fails, too."""
     with contextlib.suppress(OSError):
         folder = Path(tempfile.mkdtemp(prefix="fmuid-"))
         with contextlib.suppress(WriteError):
-            return write_json(folder / name, content)
+            return write(folder / name)
         folder.rmdir()
     return None
 

@@ -6,7 +6,7 @@ import io
 import json
 import shutil
 from collections.abc import Callable
-from dataclasses import fields, replace
+from dataclasses import replace
 from pathlib import Path
 from random import Random
 from typing import Any
@@ -16,15 +16,16 @@ import pandas as pd
 import pytest
 
 import fmuid
+from fmuid.codec import as_json
 from fmuid.data import Experiment
 from fmuid.errors import FmuidError
-from fmuid.estimation.saved.schema import RunContent
-from fmuid.models import SolverConfiguration
+from fmuid.runs import read_identification
 from fmuid.runs.batch.dataset import Dataset, read_rows
-from fmuid.runs.monitoring import build_monitor, rule_of
+from fmuid.runs.faults import build_monitor, rule_of
 from tests.support.fuzz_spoil import spoil_tree
 from tests.support.mutations import mutated
 from tests.support.paths import FMUS, ROOT
+from tests.support.running import run_monitoring, run_study
 
 MUTATIONS = 500
 COIL = {
@@ -44,9 +45,9 @@ def sound(tmp_path_factory: pytest.TempPathFactory) -> Path:
     for name in ("healthy.csv", "test1.csv"):
         pd.read_csv(ROOT / "experiments/coil" / name).head(120).to_csv(folder / name, index=False)
     healthy = COIL | {"diagnosis": FAULTS}
-    fmuid.run_study(fmuid.Study.of(healthy, folder / "healthy.toml"), folder / "healthy")
+    run_study(fmuid.Study.of(healthy, folder / "healthy.toml"), folder / "healthy")
     tables = [folder / "healthy.csv", folder / "test1.csv"]
-    fmuid.run_monitoring(asked(folder), tables[:1], folder / "monitoring")
+    run_monitoring(asked(folder), tables[:1], folder / "monitoring")
     rows = Dataset(folder / "batch", BATCH, 40)
     with rows.locked():
         rows.append([{"case": case, "status": "converged", "value.R": 4.0 + case} for case in range(40)])
@@ -87,10 +88,11 @@ def change_arrays(rng: Random, data: bytes) -> bytes:
 
 
 def read_result(folder: Path, _: Experiment) -> None:
+    read_identification(folder / "healthy")
     result = fmuid.Result.from_json(folder / "healthy/result.json")
     assert repr(result)
     assert fmuid.describe(result)
-    result.to_json_dict()
+    as_json(result)
 
 
 def read_baseline(folder: Path, _: Experiment) -> None:
@@ -116,10 +118,6 @@ def read_batch(folder: Path, _: Experiment) -> None:
         with pytest.raises(fmuid.InputError, match="is damaged"):
             read()
     raise fmuid.InputError("is damaged")
-
-
-def test_the_fields_of_runs_are_those_of_how_run() -> None:
-    assert RunContent.__annotations__.keys() == {each.name for each in fields(SolverConfiguration)}
 
 
 Change = Callable[[Random, bytes], bytes]

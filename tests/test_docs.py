@@ -14,8 +14,8 @@ from pkgutil import resolve_name
 
 import pytest
 
-from fmuid.diagnosis.cause_ranking import ODDS
-from fmuid.diagnosis.unexplained_residual import UNEXPLAINED_SHARE
+from fmuid.diagnosis.cause_ranking import SETTINGS as CAUSE_RANKING
+from fmuid.diagnosis.unexplained_residual import SETTINGS as UNEXPLAINED_RESIDUAL
 from fmuid.estimation.covariance import UNDETERMINED_STD, WEAK_STD
 from fmuid.estimation.identification import VARIANCE_CHANGE
 from fmuid.estimation.marquardt.search import OFFSET_TOLERANCE
@@ -106,10 +106,10 @@ def test_the_numbers_of_the_method() -> None:
         f"relative tolerance $10^{{{math.log10(DEFAULT_TOLERANCE):.0f}}}$",
         f"until none moves by more than {VARIANCE_CHANGE:.0%}".replace("%", " %"),
         f"a difference of less than {SAME_VARIANCE_RATIO - 1.0:.0%} is not called one".replace("%", " %"),
-        f"all within {ODDS:g} : 1 are named",
+        f"all within {CAUSE_RANKING.odds:g} : 1 are named",
         f"over up to {WhitenessSettings().tested_lags} lags",
         "divided in ten" if LINEAR_SUBSTEPS == 10 else "",
-        "tested at a tenth of the level" if UNEXPLAINED_SHARE == 0.1 else "",
+        "tested at a tenth of the level" if UNEXPLAINED_RESIDUAL.level_share == 0.1 else "",
     ):
         assert words
         assert words in text

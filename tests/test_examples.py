@@ -16,7 +16,7 @@ import fmuid
 
 NAMES = sorted(set(dir(fmuid)) - {"__version__", "datasets"})
 # They start processes of their own, or do a whole study and more.
-SLOW = {"Batch", "BatchResult", "validate", "run_comparison", "run_diagnosis", "run_monitoring"}
+SLOW = {"Batch", "BatchResult", "validate"}
 
 
 def examples(name: str, found: object) -> list[doctest.DocTest]:

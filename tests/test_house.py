@@ -155,7 +155,7 @@ def test_no_two_classes_share_a_name() -> None:
 
 
 def test_the_listing_shows_the_plan() -> None:
-    assert len(list(PACKAGE.glob("*.py"))) <= 12
+    assert len(list(PACKAGE.glob("*.py"))) <= 13
     for path in PACKAGE.rglob("*.py"):
         assert len(path.read_text(encoding="utf-8").splitlines()) <= 420, f"{path} is long: split it where a seam is"
 

@@ -9,7 +9,7 @@ import pandas as pd
 import pytest
 
 from fmuid import files
-from fmuid.reports.page.contents import read_table
+from fmuid.runs import read_table
 
 FORMULA = "=cmd|'/C calc'!A0"
 

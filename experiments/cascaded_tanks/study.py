@@ -18,6 +18,7 @@ import fmuid
 from experiments import pages
 from fmuid.export import export_fmu
 from fmuid.reports.documents import document
+from fmuid.runs import compared as compare_results
 
 HERE = Path(__file__).parent
 
@@ -63,9 +64,9 @@ def table(folder: Path) -> str:
     """Identify all models, compare them, and return the table of the page."""
     for name, text in MODELS.items():
         (folder / f"{name}.toml").write_text(text, encoding="utf-8")
-        found = fmuid.run_study(folder / f"{name}.toml", folder / name)
+        found = fmuid.run(folder / f"{name}.toml", folder / name)
         print(name, fmuid.describe(found.result), found.result.to_frame(), sep="\n")
-    compared = fmuid.run_comparison([folder / name for name in MODELS], [folder / "second.csv"])
+    compared = compare_results([folder / name for name in MODELS], [folder / "second.csv"])
     print(compared.table, *(each.text for each in document(compared).remarks), sep="\n")
     rows = compared.table.set_index("name")
     heads = "| model | k | RMSE of the first record | AIC behind | RMSE of the second record |"

@@ -14,6 +14,7 @@ import shutil
 import sys
 import tempfile
 import time
+from contextlib import closing
 from pathlib import Path
 
 import numpy as np
@@ -21,10 +22,10 @@ import pandas as pd
 from scipy.signal import lfilter
 
 from experiments.coil import study
-from fmuid.reports import follow as following
-from fmuid.reports import run_following
-from fmuid.reports.follow import FollowStatus
+from fmuid.runs import FollowStatus, followed
+from fmuid.runs import follow as following
 from fmuid.runs.log_following import follower
+from fmuid.studies import Study
 
 STEP, SAMPLES, LOOK = 0.01, 40, 500  # s; samples of a window, windows that come at once
 SHOWN = 1 / 20  # of all windows, after which memory is printed
@@ -84,7 +85,8 @@ def main(windows: int) -> None:
                 return False
             return watching.idle
 
-        run_following(folder / "study.toml", folder / "records", folder / "out", until=ended)
+        with closing(followed(Study.read(folder / "study.toml"), folder / "records", folder / "out")) as looks:
+            any(map(ended, looks))
 
 
 if __name__ == "__main__":

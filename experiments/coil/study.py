@@ -8,7 +8,6 @@ the tables in README.md. The data are the closed form of R i + L di/dt = u for a
 
 from __future__ import annotations
 
-import json
 import math
 import time
 from functools import cache
@@ -297,8 +296,7 @@ def main() -> None:
         table.round(6).to_csv(HERE / f"{name}.csv", index=False, lineterminator="\n")
     healthy = fmuid.Study.read(HERE / "healthy.toml").identify()
     (HERE / "healthy").mkdir(exist_ok=True)
-    content = healthy.to_json_dict()
-    (HERE / "healthy" / "result.json").write_text(json.dumps(content, indent=2, ensure_ascii=False) + "\n", "utf-8")
+    healthy.to_json(HERE / "healthy" / "result.json")
     single = {
         number: fmuid.Study.read(HERE / "test.toml", [f"experiments.0.data=test{number}.csv"]).diagnose()
         for number in TESTS

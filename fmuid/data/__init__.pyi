@@ -8,6 +8,8 @@ from .data_file import numeric_column as numeric_column
 from .data_file import read_data as read_data
 from .data_file import record_files as record_files
 from .data_file import tables_in as tables_in
+from .downsampling import evenly as evenly
+from .downsampling import extremes as extremes
 from .experiment import Experiment as Experiment
 from .experiment import MeasuredSeries as MeasuredSeries
 from .experiment import measured_series as measured_series

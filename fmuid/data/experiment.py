@@ -238,19 +238,6 @@ class MeasuredSeries:
     samples: int
     digest: str
 
-    @classmethod
-    def of_json(cls, data: Mapping[str, Any]) -> MeasuredSeries:
-        """Return a series of a file.
-
-        Raises
-        ------
-        KeyError, TypeError, ValueError
-            If the data are not of one.
-        """
-        return cls(
-            str(data["experiment"]), str(data["output"]), str(data["unit"]), int(data["samples"]), str(data["digest"])
-        )
-
 
 def measured_series(experiment: Experiment) -> tuple[MeasuredSeries, ...]:
     """Return the series of an experiment, one an output."""

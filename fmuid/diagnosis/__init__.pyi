@@ -22,6 +22,7 @@ from .design import Design as Design
 from .design import planned_experiment as planned_experiment
 from .diagnose import DiagnosisSettings as DiagnosisSettings
 from .diagnose import diagnose as diagnose
+from .diagnosis_result import DIAGNOSIS_SCHEMA as DIAGNOSIS_SCHEMA
 from .diagnosis_result import BaselineDeviation as BaselineDeviation
 from .diagnosis_result import Diagnosis as Diagnosis
 from .faults import Fault as Fault

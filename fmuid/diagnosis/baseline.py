@@ -19,7 +19,7 @@ from fmuid.diagnosis.causes import ChangeParameterSet
 from fmuid.diagnosis.faults import Fault, common_mode
 from fmuid.diagnosis.information_matrix import InformationMatrix
 from fmuid.diagnosis.prewhitening import Whitening
-from fmuid.diagnosis.unexplained_residual import SPANS
+from fmuid.diagnosis.unexplained_residual import SETTINGS as UNEXPLAINED_RESIDUAL
 from fmuid.errors import InputError
 from fmuid.estimation import Autoregression, Result
 from fmuid.files import as_json, read_content
@@ -81,7 +81,8 @@ class MachineDigest:
         records: Sequence[Experiment],
     ) -> MachineDigest:
         """Return that of a machine: its model, the values that it is held at, and how finely it is simulated."""
-        models = {"": _digest(_model(machine[0]), machine[1:], SPANS)}  # `owed` has a coefficient for each span
+        # `owed` has a coefficient for each span
+        models = {"": _digest(_model(machine[0]), machine[1:], UNEXPLAINED_RESIDUAL.spans)}
         for name, fault in faults.items():
             said = (list(fault.parameters), fault.names, fault.angles, fault.values, fault.inputs)
             models[name] = _digest(_model(System.of(fault.model)), said)

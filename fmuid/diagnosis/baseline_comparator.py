@@ -13,7 +13,8 @@ from fmuid.blas import single_threaded
 from fmuid.data import Experiment
 from fmuid.diagnosis.baseline import Baseline, BaselineSource, MachineDigest, StoredBaseline
 from fmuid.diagnosis.cause_analysis import BaselineStatistics, error_of, healthy_of, shown_by
-from fmuid.diagnosis.causes import OPEN, Causes, ChangeParameterSet, coordinates_of
+from fmuid.diagnosis.causes import SETTINGS as CAUSES
+from fmuid.diagnosis.causes import Causes, ChangeParameterSet, coordinates_of
 from fmuid.diagnosis.faults import Fault
 from fmuid.diagnosis.information_matrix import ChangePrior
 from fmuid.diagnosis.linearized_machine import LinearizedMachine
@@ -224,7 +225,7 @@ def _drift(baseline: Baseline, coordinates: ChangeParameterSet) -> Floats:
     known = dict(zip(baseline.result.names, baseline.result.std.tolist(), strict=True))
     for i, (name, parameter) in enumerate(baseline.common.items()):
         if parameter.prior is None or name not in known:
-            drift[i] = OPEN * (parameter.nominal or abs(parameter.start) or 1.0)
+            drift[i] = CAUSES.open * (parameter.nominal or abs(parameter.start) or 1.0)
         else:
             drift[i] = math.sqrt(max(0.0, parameter.prior.std**2 - known[name] ** 2))
     return drift

@@ -18,7 +18,8 @@ from fmuid.array_types import Floats
 from fmuid.data import Experiment
 from fmuid.diagnosis.baseline import StoredBaseline
 from fmuid.diagnosis.cause_ranking import MODEL_ERROR, CauseRanking, name
-from fmuid.diagnosis.causes import OPEN, Cause, ChangeParameterSet
+from fmuid.diagnosis.causes import SETTINGS as CAUSES
+from fmuid.diagnosis.causes import Cause, ChangeParameterSet
 from fmuid.diagnosis.change_detection import MinPDistribution, fit
 from fmuid.diagnosis.information_matrix import (
     ChangePrior,
@@ -276,7 +277,7 @@ class _CauseAnalyzer:
         whitening, healthy = self.healthy.whitening, self.coordinates.healthy
         if self.healthy.owed is None:
             variances = {name: whitening.std(name) ** 2 for name in whitening.models}
-            whitening = whitening_of(self.machines, point, OPEN * self.coordinates.normal, variances)
+            whitening = whitening_of(self.machines, point, CAUSES.open * self.coordinates.normal, variances)
         first, *others = (_information(machine, whitening, point, healthy) for machine in self.machines)
         said = sum(others, start=first)
         news = ScoreStatistics.of(said, self.known)

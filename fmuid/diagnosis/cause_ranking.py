@@ -15,19 +15,39 @@ from fmuid.diagnosis.causes import Cause
 from fmuid.diagnosis.change_detection import CauseFit, MinPDistribution, fit, probability
 from fmuid.diagnosis.information_matrix import ScoreStatistics
 
-# Causes within these odds of the best one are all named: beyond it evidence is strong (Kass and Raftery, section 3.2)
-ODDS = 20.0
-# ... and excluded in this share of records.
-LARGE_PROBABILITY = 0.9
+
+@dataclass(frozen=True)
+class RankingSettings:
+    """Numbers of the ranking of causes.
+
+    Attributes
+    ----------
+    odds : float
+        Causes within these odds of the best one are all named: beyond it evidence is strong (Kass and Raftery,
+        section 3.2).
+    excluded : float
+        The share of records in which a rival must be excluded so.
+    own_share : float
+        The share of κ that a fault model has wrong along its own signature, which is its size: 0.04 to 0.4 with
+        shorted turns and broken bars, whose sizes are known (experiments/machine_faults).
+    hopeless : float
+        Pairs whose statistic is so much below the best pair's cannot come within the odds.
+    same : float
+        Signatures with a smaller sin² of their angle are identical.
+    """
+
+    odds: float = 20.0
+    excluded: float = 0.9
+    own_share: float = 0.25
+    hopeless: float = 30.0
+    same: float = 1e-9
+
+
+SETTINGS = RankingSettings()
+
+
 # How much of its effect a fault model has wrong along any other cause's signature, where no trials tell.
 MODEL_ERROR = 0.05
-# What share of that it has wrong along its own signature, which is its size: 0.04 to 0.4 with shorted turns and broken
-# bars, whose sizes are known (experiments/machine_faults).
-OWN_SHARE = 0.25
-# Pairs whose statistic is so much below the best pair's cannot come within the odds.
-HOPELESS = 30.0
-# Two signatures whose angle has so small a squared sine are one.
-SAME = 1e-9
 
 
 @dataclass(frozen=True, eq=False)
@@ -127,7 +147,7 @@ def rank_with_model_error(
     evidence = news.tempered(temper)
     found = np.array([log_bayes_factor(evidence, each) + sum(math.log(c.probability) for c in each) for each in sets])
     odds = np.exp(found - found.max())
-    order = [i for i in np.argsort(-odds, kind="stable") if odds[i] * ODDS > 1.0]
+    order = [i for i in np.argsort(-odds, kind="stable") if odds[i] * SETTINGS.odds > 1.0]
     return temper, tuple(CauseSet(sets[i], float(odds[i]), estimate_sizes(news, sets[i], model_error)) for i in order)
 
 
@@ -143,7 +163,7 @@ def _pairs(
     more = max(len(cause.columns) for cause in pairs[best])
     if special.chdtrc(more, max(gains[best], 0.0)) * len(pairs) > level:
         return []
-    return [pair for pair, gain in zip(pairs, gains, strict=True) if gain > gains[best] - HOPELESS]
+    return [pair for pair, gain in zip(pairs, gains, strict=True) if gain > gains[best] - SETTINGS.hopeless]
 
 
 def _together(news: ScoreStatistics, pairs: Sequence[tuple[Cause, Cause]]) -> Floats:
@@ -156,7 +176,7 @@ def _together(news: ScoreStatistics, pairs: Sequence[tuple[Cause, Cause]]) -> Fl
     mixed, scores = news.information[i, j], np.array([score[i], score[j]])
     sizes = np.array([own[j] * score[i] - mixed * score[j], own[i] * score[j] - mixed * score[i]])
     determinant = own[i] * own[j] - mixed**2
-    apart = determinant > SAME * own[i] * own[j]
+    apart = determinant > SETTINGS.same * own[i] * own[j]
     sizes /= np.where(apart, determinant, 1.0)
     alone = np.where(signs * scores >= 0, scores**2 / np.array([own[i], own[j]]), 0.0).max(axis=0)
     # where a sign is wrong, that size is zero and the other cause is alone
@@ -179,7 +199,7 @@ def estimate_sizes(news: ScoreStatistics, causes: Sequence[Cause], model_error: 
         if not cause.modelled:
             continue
         sizes = np.where(own, found.sizes, 0.0)
-        wrong += (OWN_SHARE * model_error) ** 2 * np.outer(sizes, sizes)
+        wrong += (SETTINGS.own_share * model_error) ** 2 * np.outer(sizes, sizes)
         beside = ~own  # empty where a cause is alone
         mixed = information[np.ix_(beside, own)] @ np.linalg.solve(
             information[np.ix_(own, own)], information[np.ix_(own, beside)]
@@ -238,7 +258,7 @@ def distinguishable_size(news: ScoreStatistics, one: Cause, other: Cause, model_
     ln 20 (1 + κ² D), where z is the 90 % point of the normal distribution.
     """
     sine = math.sin(angle(news, one, other))
-    z, strong = float(special.ndtri(LARGE_PROBABILITY)), math.log(ODDS)
+    z, strong = float(special.ndtri(SETTINGS.excluded)), math.log(SETTINGS.odds)
     room = 0.5 * sine**2 - strong * model_error**2
     if room <= 0.0:
         return math.inf

@@ -5,11 +5,10 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cache
-from typing import Annotated, Any
+from typing import Annotated
 
 import numpy as np
-from pydantic import BeforeValidator, TypeAdapter
+from pydantic import BeforeValidator
 from scipy import special
 
 from fmuid.diagnosis.baseline import BaselineSource
@@ -251,9 +250,3 @@ def _suspect(found: Examination, cause: Cause, faults: Mapping[str, Fault]) -> C
     near = {other.name: angle(found.at.news, cause, other) for other in found.at.causes if other is not cause}
     rival = min(near, key=lambda each: near[each], default="")
     return CauseScore(change, alone.statistic, probability(alone.statistic, cause), rival, near.get(rival, math.nan))
-
-
-@cache
-def reader(kind: type) -> TypeAdapter[Any]:
-    """Return what reads a dataclass of a file."""
-    return TypeAdapter(kind)

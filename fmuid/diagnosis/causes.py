@@ -20,8 +20,31 @@ from fmuid.diagnosis.faults import Fault
 from fmuid.errors import InputError
 from fmuid.models import System
 
-# What a cause is taken to be worth before anything is measured, where nothing else is said: one record in a hundred.
-USUAL_PROBABILITY = 0.01
+
+@dataclass(frozen=True)
+class CauseSettings:
+    """Numbers of causes.
+
+    Attributes
+    ----------
+    probability : float
+        Of a cause before anything is measured, where nothing else is said: one record in a hundred.
+    sound_share : float
+        What a fault's size may be in a sound machine, as a share of its nominal.
+    difference_step : float
+        Derivatives are taken over this share of a coordinate's magnitude.
+    open : float
+        What of a healthy parameter is open before any record, in its magnitudes: so much that any record says
+        more.
+    """
+
+    probability: float = 0.01
+    sound_share: float = 0.1
+    difference_step: float = 1e-3
+    open: float = 1e3
+
+
+SETTINGS = CauseSettings()
 
 
 @dataclass(frozen=True)
@@ -53,7 +76,7 @@ class Cause:
     columns: tuple[int, ...]
     size: float
     sign: int = 0
-    probability: float = USUAL_PROBABILITY
+    probability: float = SETTINGS.probability
     modelled: bool = True
 
     def __post_init__(self) -> None:
@@ -81,10 +104,6 @@ class CauseKind(Enum):
     def is_share(self) -> bool:
         """Whether its size is a share."""
         return self in (CauseKind.GAIN, CauseKind.INPUT_GAIN)
-
-
-# What a fault's size may be in a sound machine, as a share of its nominal.
-SOUND_SHARE = 0.1
 
 
 @dataclass(frozen=True)
@@ -218,12 +237,6 @@ class ChangeParameterSet:
         ]
 
 
-# Derivatives of the healthy machine are taken over this share of a coordinate's magnitude.
-DIFFERENCE_STEP = 1e-3
-# What of a healthy parameter is open before any record, in its magnitudes: so much that any record says more.
-OPEN = 1e3
-
-
 def coordinates_of(
     system: System,
     nominal: Mapping[str, Parameter],
@@ -252,7 +265,11 @@ def coordinates_of(
     for name, parameter in nominal.items():
         magnitude = parameter.nominal or abs(parameter.start) or 1.0
         of = ChangeParameter(
-            CauseKind.PARAMETER, name, system.unit(name) or "", DIFFERENCE_STEP * magnitude, OPEN * magnitude
+            CauseKind.PARAMETER,
+            name,
+            system.unit(name) or "",
+            SETTINGS.difference_step * magnitude,
+            SETTINGS.open * magnitude,
         )
         made.add(of, parameter.start, None if causes.parameter is None else causes.parameter.size * magnitude)
     for name, fault in faults.items():
@@ -270,7 +287,7 @@ def coordinates_of(
     if causes.input_gain is not None:
         for name in experiment.input_names:
             if np.any(experiment.input_values[:, experiment.input_names.index(name)]):
-                of = ChangeParameter(CauseKind.INPUT_GAIN, name, "", DIFFERENCE_STEP, causes.input_gain.normal)
+                of = ChangeParameter(CauseKind.INPUT_GAIN, name, "", SETTINGS.difference_step, causes.input_gain.normal)
                 made.add(of, 0.0, causes.input_gain.size)
     return ChangeParameterSet(tuple(made.each), tuple(made.causes), np.array(made.healthy))
 
@@ -301,7 +318,7 @@ def _add_fault(made: _Made, name: str, fault: Fault) -> None:
         parameter = fault.parameters[size]
         magnitude = parameter.nominal or 1.0
         unit = system.unit(size) or ""
-        step, normal = DIFFERENCE_STEP * magnitude, SOUND_SHARE * magnitude
+        step, normal = SETTINGS.difference_step * magnitude, SETTINGS.sound_share * magnitude
         first = ChangeParameter(CauseKind.FAULT, size, unit, step, normal, name)
         if size in fault.located:
             made.add(

@@ -20,8 +20,31 @@ from fmuid.array_types import Floats
 from fmuid.diagnosis.causes import Cause
 from fmuid.diagnosis.information_matrix import ScoreStatistics
 
-# A random walk jumps over a threshold: its factor is exp(−this · step) (Siegmund, "Sequential Analysis", 1985, p. 82).
-OVERSHOOT = 0.583
+
+@dataclass(frozen=True)
+class DetectionSettings:
+    """Numbers of the tests.
+
+    Attributes
+    ----------
+    overshoot : float
+        A random walk jumps over a threshold: its factor is exp(−this · step) (Siegmund, "Sequential Analysis",
+        1985, p. 82).
+    draws : int
+        Of the smallest probability of all causes: a level of 1 % to a fourteenth of itself.
+    seed : int
+        Of these draws.
+    counted : int
+        Below so many counted draws, the bound m p is closer than the count.
+    """
+
+    overshoot: float = 0.583
+    draws: int = 20_000
+    seed: int = 0
+    counted: int = 100
+
+
+SETTINGS = DetectionSettings()
 
 
 def log_chance(statistics: Floats, cause: Cause) -> Floats:
@@ -88,19 +111,14 @@ def _rate(log_p: float, cause: Cause, windows: int) -> float:
     b = math.sqrt(square)
     density = math.exp((k / 2 - 1) * math.log(square / 2) - square / 2 - special.gammaln(k / 2)) / 2 if square else 0.0
     x = np.array([b / math.sqrt(windows), b])
-    # ∫ x exp(−2 · OVERSHOOT · x) dx
-    a = 2.0 * OVERSHOOT
+    # ∫ x exp(−2 · overshoot · x) dx
+    a = 2.0 * SETTINGS.overshoot
     integral = -np.exp(-a * x) * (x / a + 1.0 / a**2)
     return p + one_sided * square * density * float(integral[1] - integral[0])
 
 
 # Of calling a fault where there is none, unless said otherwise: one check in a hundred, the habit of the field.
 FALSE_ALARM_LEVEL = 0.01
-# The distribution of the smallest probability of all causes is counted over so many seeded draws: a level of 1 % to a
-# fourteenth of itself.
-DRAWS, SEED = 20_000, 0
-# Below so many counted draws, the bound m p is closer than the count.
-COUNTED = 100
 
 
 @dataclass(frozen=True, eq=False)
@@ -180,10 +198,10 @@ class MinPDistribution:
     causes: int
 
     @classmethod
-    def of(cls, news: ScoreStatistics, causes: Sequence[Cause], draws: int = DRAWS) -> MinPDistribution:
+    def of(cls, news: ScoreStatistics, causes: Sequence[Cause], draws: int = SETTINGS.draws) -> MinPDistribution:
         """Return that of scores drawn from N(0, F), whose correlations the causes share."""
         values, vectors = np.linalg.eigh(news.information)
-        normal = np.random.default_rng(SEED).standard_normal((draws, values.size))
+        normal = np.random.default_rng(SETTINGS.seed).standard_normal((draws, values.size))
         scores = (normal * np.sqrt(np.maximum(values, 0.0))) @ vectors.T
         largest: dict[tuple[int, bool], Floats] = {}  # D, of causes with the same law
         for cause in causes:
@@ -209,7 +227,7 @@ class MinPDistribution:
         """Return the probability that chance makes any cause as unlikely as this; below the draws' reach, at most."""
         below = int(np.searchsorted(self.smallest, smallest, side="right"))
         bound = min(1.0, self.causes * smallest)
-        return min(bound, below / self.smallest.size) if below >= COUNTED else bound
+        return min(bound, below / self.smallest.size) if below >= SETTINGS.counted else bound
 
 
 def detectable(news: ScoreStatistics, cause: Cause, limit: float, miss: float) -> float:

@@ -23,14 +23,16 @@ from fmuid.data import Experiment, Noise, Parameter
 from fmuid.diagnosis.baseline import Baseline, BaselineSource
 from fmuid.diagnosis.baseline_comparator import BaselineComparator
 from fmuid.diagnosis.cause_analysis import Examination, examine
-from fmuid.diagnosis.cause_ranking import MODEL_ERROR, OWN_SHARE
+from fmuid.diagnosis.cause_ranking import MODEL_ERROR
+from fmuid.diagnosis.cause_ranking import SETTINGS as CAUSE_RANKING
 from fmuid.diagnosis.cause_results import ChangeEvidence, EstimatedChange, Explanation
 from fmuid.diagnosis.causes import CauseKind, Causes
 from fmuid.diagnosis.change_detection import FALSE_ALARM_LEVEL
 from fmuid.diagnosis.diagnosis_result import BaselineDeviation, Diagnosis
 from fmuid.diagnosis.faults import Fault
 from fmuid.diagnosis.linearized_machine import LinearizedMachine
-from fmuid.diagnosis.unexplained_residual import UNEXPLAINED_SHARE, VarianceRatio
+from fmuid.diagnosis.unexplained_residual import SETTINGS as UNEXPLAINED_RESIDUAL
+from fmuid.diagnosis.unexplained_residual import VarianceRatio
 from fmuid.errors import InputError
 from fmuid.estimation import SENSITIVITIES, Marquardt, Result, check_level
 from fmuid.formatting import nearest
@@ -182,7 +184,7 @@ def _unexplained(evidence: ChangeEvidence, freedom: float, level: float) -> Vari
     if evidence.basis is BaselineSource.RESULT:
         return VarianceRatio.of(evidence.ratio, evidence.samples, freedom, level)
     p = evidence.remainder.probability
-    return VarianceRatio(evidence.ratio, p, p < UNEXPLAINED_SHARE * level)
+    return VarianceRatio(evidence.ratio, p, p < UNEXPLAINED_RESIDUAL.level_share * level)
 
 
 def _deviation(found: Examination) -> BaselineDeviation | None:
@@ -254,7 +256,7 @@ def _refined(change: EstimatedChange, fault: Fault, fitted: Result, kappa: float
     if not (fitted.converged and math.isfinite(std)):
         return change
     value = fitted[change.variable]
-    change = replace(change, value=value, std=math.hypot(std, OWN_SHARE * kappa * value))
+    change = replace(change, value=value, std=math.hypot(std, CAUSE_RANKING.own_share * kappa * value))
     angle = fault.angle(change.angle) if change.angle else None
     if angle is None:
         return change

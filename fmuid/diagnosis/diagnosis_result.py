@@ -2,22 +2,21 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
-import numpy as np
 import pandas as pd
 
-from fmuid.diagnosis.cause_results import ChangeEvidence, EstimatedChange, reader
+from fmuid import codec
+from fmuid.diagnosis.cause_results import ChangeEvidence, EstimatedChange
 from fmuid.diagnosis.unexplained_residual import VarianceRatio
 from fmuid.display_mixins import PlotMixin
 from fmuid.errors import InputError
 from fmuid.estimation import Result, SolverCheck
-from fmuid.files import as_json, content_of, write_json
 
+DIAGNOSIS_SCHEMA = "fmuid/diagnosis/2"
 # A cause whose model explains less than this share of what exceeds the noise is not what is wrong.
 EXPLAINED_SHARE = 0.5
 
@@ -92,6 +91,8 @@ class Diagnosis(PlotMixin):
     mismatched: tuple[str, ...] = ()
     residuals: pd.DataFrame | None = None
 
+    json_layout: ClassVar = codec.Layout(omitted={"result", "residuals"}, derived=("kind", "named"))
+
     def __repr__(self) -> str:
         return f"Diagnosis({self.kind}{': ' if self.named else ''}{', '.join(self.named)})"
 
@@ -145,25 +146,6 @@ class Diagnosis(PlotMixin):
 
     # --- JSON
 
-    def to_json_dict(self) -> dict[str, Any]:
-        """Return the content of ``diagnosis.json``; what is not a finite number is None."""
-        shift = None if self.accuracy is None else dict(zip(self.fitted, self.accuracy.shift.tolist(), strict=True))
-        content = {
-            "kind": self.kind,
-            "named": self.named,
-            "level": self.level,
-            "unexplained": self.unexplained,
-            "noise_variance": dict(self.noise_variance),
-            "nominal": {n: {"value": v, "std": s} for n, (v, s) in self.nominal.items()},
-            "deviation": self.deviation,
-            "mismatched": self.mismatched,
-            "evidence": self.evidence,
-            "accuracy": None if self.accuracy is None else {**vars(self.accuracy), "shift": shift},
-            "version": self.version,
-        }
-        plain: dict[str, Any] = as_json(content)
-        return plain
-
     def to_json(self, path: str | Path) -> Path:
         """Write ``diagnosis.json`` and return its path.
 
@@ -172,7 +154,7 @@ class Diagnosis(PlotMixin):
         InputError
             If it cannot be written.
         """
-        return write_json(Path(path), self.to_json_dict())
+        return codec.write(Path(path), DIAGNOSIS_SCHEMA, self)
 
     @classmethod
     def from_json(cls, path: str | Path) -> Diagnosis:
@@ -183,21 +165,4 @@ class Diagnosis(PlotMixin):
         InputError
             If the file cannot be read or is no such file.
         """
-        with content_of(Path(path), "the diagnosis.json of a diagnosis", "run fmuid diagnose again") as data:
-            accuracy, fitted = data["accuracy"], ()
-            if accuracy is not None:
-                fitted = tuple(accuracy["shift"])
-                shift = [math.nan if each is None else float(each) for each in accuracy["shift"].values()]
-                accuracy = SolverCheck.of_json(accuracy, np.array(shift))
-            return cls(
-                level=float(data["level"]),
-                evidence=reader(ChangeEvidence).validate_python(data["evidence"]),
-                unexplained=reader(VarianceRatio).validate_python(data["unexplained"]),
-                nominal={name: (float(each["value"]), float(each["std"])) for name, each in data["nominal"].items()},
-                noise_variance={name: float(each) for name, each in data["noise_variance"].items()},
-                deviation=None if data["deviation"] is None else BaselineDeviation(**data["deviation"]),
-                version=str(data["version"]),
-                accuracy=accuracy,
-                fitted=fitted,
-                mismatched=tuple(map(str, data["mismatched"])),
-            )
+        return codec.read(Path(path), DIAGNOSIS_SCHEMA, cls, "run fmuid diagnose again")

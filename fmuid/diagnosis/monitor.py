@@ -13,7 +13,7 @@ forgotten and no sample is lost (docs/method.md section 5).
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -48,10 +48,24 @@ from fmuid.estimation import Result
 from fmuid.models import FMU, System
 from fmuid.progress import Progress, WindowStep
 
-# So many samples are linearised at once.
-BATCH_SAMPLES = 32_768
-# A window is linearised again, where it was estimated, at most so often.
-MOST_STEPS = 4
+
+@dataclass(frozen=True)
+class MonitoringSettings:
+    """Numbers of a monitoring.
+
+    Attributes
+    ----------
+    batch_samples : int
+        Linearised at once.
+    most_steps : int
+        A window is linearised again, where it was estimated, at most so often.
+    """
+
+    batch_samples: int = 32_768
+    most_steps: int = 4
+
+
+SETTINGS = MonitoringSettings()
 
 
 class Monitor:
@@ -204,7 +218,7 @@ class Monitor:
             if not grows:
                 self._finish(made, self.rule.window_level(1, self.rule.window or 1.0))
             return []
-        most = max(1, BATCH_SAMPLES * len(windows) // sum(each.stop - each.start for each in windows))
+        most = max(1, SETTINGS.batch_samples * len(windows) // sum(each.stop - each.start for each in windows))
         level = self.rule.window_level(len(every), windows[0].end - windows[0].begin)
         rows: list[dict[str, Any]] = []
         at, length, tries = 0, 1, 0
@@ -218,7 +232,7 @@ class Monitor:
             for each in self._summed(made, record, batch):
                 seen = WindowEvaluation(self._against, self._now, each, level)
                 point = seen.target
-                if (taken or tries < MOST_STEPS) and seen.far:
+                if (taken or tries < SETTINGS.most_steps) and seen.far:
                     break
                 rows.append(seen.row())
                 targets.append(point)

@@ -19,13 +19,13 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+from fmuid.codec import as_json, from_json
 from fmuid.data import read_arrays, write_arrays
 from fmuid.diagnosis.alarms import Alarm
-from fmuid.diagnosis.cause_results import reader
 from fmuid.diagnosis.onset_tracker import OnsetTracker
 from fmuid.diagnosis.window_evaluation import MonitorState, WatchedRecord
 from fmuid.errors import InputError
-from fmuid.files import as_json, first_line, is_file, note, with_formulas, without_formulas, write_json
+from fmuid.files import first_line, is_file, note, with_formulas, without_formulas, write_json
 from fmuid.version import __version__
 
 TABLE_FILE, FOUND_FILE, STATE_FILE = "monitoring.csv", "monitoring.json", "monitoring.npz"
@@ -258,8 +258,7 @@ def _count(given: Any) -> int:
 
 
 def _alarm(data: Mapping[str, Any]) -> Alarm:
-    found: Alarm = reader(Alarm).validate_python({**data, "trend": None})
-    return found
+    return from_json(Alarm, {**data, "trend": None})
 
 
 def _table(path: Path, length: int, count: int, most: int | None) -> pd.DataFrame:

@@ -24,10 +24,33 @@ from scipy import special
 from fmuid.array_types import Floats
 from fmuid.diagnosis.causes import Cause
 
-# Of a difference in the state, what is left when it is over.
-OVER = 0.05
-# So many lags.
-LAGS = 64
+
+@dataclass(frozen=True)
+class OnsetSettings:
+    """Numbers of the dating of onsets.
+
+    Attributes
+    ----------
+    over : float
+        What is left of a difference in the state when it is over.
+    lags : int
+        At which a transient is kept.
+    confidence : float
+        The probability that the true onset lies within the stated set.
+    nothing : float
+        Information of an onset, against that of the most telling one, below which its size is anything.
+    alike : float
+        Onsets whose log evidence differs by less have the same samples after them: the first one is said.
+    """
+
+    over: float = 0.05
+    lags: int = 64
+    confidence: float = 0.95
+    nothing: float = 1e-12
+    alike: float = 1e-9
+
+
+SETTINGS = OnsetSettings()
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,8 +86,8 @@ class ChangeTransient:
         if not envelope[0] > 0 or not power.any():
             return cls()
         ratio = np.sqrt(envelope / envelope[0])
-        end = min(int(np.count_nonzero(ratio > OVER)), ratio.size - 1, len(columns) - 1)
-        rows = np.unique(np.linspace(0, end, LAGS).round().astype(int))
+        end = min(int(np.count_nonzero(ratio > SETTINGS.over)), ratio.size - 1, len(columns) - 1)
+        rows = np.unique(np.linspace(0, end, SETTINGS.lags).round().astype(int))
         pairs = np.array([np.sum(columns[: len(columns) - k] * columns[k:], axis=0) for k in rows])
         alike = np.mean(pairs[:, power > 0] / power[power > 0], axis=1)
         share, lags = np.clip(1.0 - ratio[rows] * alike, 0.0, 1.0), step * rows
@@ -80,14 +103,6 @@ class ChangeTransient:
         late = np.maximum(edges - clock[:, None], 0.0)
         shown = np.interp(late, self.lags, self.shown) + np.maximum(late - self.lasts, 0.0)
         return np.asarray(np.diff(shown, axis=1) / np.diff(edges))
-
-
-# The probability that the true onset lies within the stated set.
-SET = 0.95
-# Information of an onset, against that of the most telling one, below which its size is anything.
-NOTHING = 1e-12
-# Onsets whose log evidence differs by less have the same samples after them: the first one is said.
-ALIKE = 1e-9
 
 
 class OnsetShape(Enum):
@@ -129,7 +144,7 @@ class OnsetLikelihood:
     @property
     def _certain(self) -> Floats:
         """The information, kept from being singular where an onset has seen nothing of its cause yet."""
-        floor = NOTHING * float(np.einsum("tii->t", self.information).max()) + np.finfo(float).tiny
+        floor = SETTINGS.nothing * float(np.einsum("tii->t", self.information).max()) + np.finfo(float).tiny
         return np.asarray(self.information + floor * np.eye(self.score.shape[1]))
 
     @property
@@ -189,14 +204,14 @@ def estimate_onset(onsets: Sequence[OnsetLikelihood], rise: float) -> OnsetEstim
     total = float(weights.sum())
     share = weights.sum(axis=0) / total
     order = np.argsort(-share, kind="stable")
-    within = order[: int(np.searchsorted(np.cumsum(share[order]), SET)) + 1]
+    within = order[: int(np.searchsorted(np.cumsum(share[order]), SETTINGS.confidence)) + 1]
     low, high = within.min(), within.max()
     # between two onsets lies any time
     since = first.clock[low] - (first.widths[low - 1] if low else 0.0)
     return OnsetEstimate(
         first.cause,
         onsets[best].shape,
-        float(first.clock[int(np.argmax(evidence[best] >= evidence[best].max() - ALIKE))]),
+        float(first.clock[int(np.argmax(evidence[best] >= evidence[best].max() - SETTINGS.alike))]),
         (float(since), float(first.clock[high] + first.widths[high])),
         float(evidence.max()) + math.log(total / (len(onsets) * float(first.widths.sum()))),
     )

@@ -30,9 +30,24 @@ from fmuid.diagnosis.causes import Cause
 from fmuid.diagnosis.information_matrix import LEAST, ChangePrior, InformationMatrix, ScoreStatistics
 from fmuid.diagnosis.onset import ChangeTransient, OnsetLikelihood, OnsetShape
 
-# Onsets within windows are kept of so many windows, those at the begin of windows up to so many: every second one of
-# the older half goes then.
-FINE, MOST = 12, 256
+
+@dataclass(frozen=True)
+class TrackerSettings:
+    """Which onsets are kept.
+
+    Attributes
+    ----------
+    fine : int
+        Windows of which onsets within them are kept.
+    most : int
+        Begins of windows that are kept: every second one of the older half goes then.
+    """
+
+    fine: int = 12
+    most: int = 256
+
+
+SETTINGS = TrackerSettings()
 
 
 @dataclass(frozen=True, eq=False)
@@ -132,9 +147,9 @@ class OnsetTracker:
         """Return which onsets are kept when a window more is there."""
         begins, window = self._of["begins"], self._of["window"]
         clock, (low, high) = self._of["clock"], self.pinned
-        kept = begins | (window > self.windows - FINE) | ((low <= clock) & (clock <= high))
+        kept = begins | (window > self.windows - SETTINGS.fine) | ((low <= clock) & (clock <= high))
         at = np.flatnonzero(begins)
-        if at.size + 1 > MOST:
+        if at.size + 1 > SETTINGS.most:
             # the first one stays: what has been wrong from the begin on
             kept[at[1 : (at.size + 1) // 2 : 2]] = False
         return np.asarray(kept)

@@ -20,15 +20,30 @@ from fmuid.array_types import Floats
 from fmuid.diagnosis.information_matrix import InformationMatrix
 from fmuid.identification import SAME_VARIANCE_RATIO
 
-# The residual may be larger than the noise for other reasons than the causes that are looked for: this share of the
-# level is spent on it, so that the level as a whole is met.
-UNEXPLAINED_SHARE = 0.1
-# Lags of the inputs, in samples; those from each to before the next are one regressor, their sum.
-SPANS = (0, 1, 2, 4, 8, 16, 32)
-# Directions of the regressors with so little information, against the best, say nothing.
-NOTHING = 1e-8
-# Columns of the model that go together up to this share span no direction more.
-SPANNED = 1e-12
+
+@dataclass(frozen=True)
+class UnexplainedSettings:
+    """Numbers of the tests of what no cause explains.
+
+    Attributes
+    ----------
+    level_share : float
+        Of the level, spent on what no cause explains, so that the level as a whole is met.
+    spans : tuple of int
+        Lags of the inputs, in samples; those from each to before the next are one regressor, their sum.
+    nothing : float
+        Directions of the regressors with so little information, against the best, say nothing.
+    spanned : float
+        Columns of the model that go together up to this share span no direction more.
+    """
+
+    level_share: float = 0.1
+    spans: tuple[int, ...] = (0, 1, 2, 4, 8, 16, 32)
+    nothing: float = 1e-8
+    spanned: float = 1e-12
+
+
+SETTINGS = UnexplainedSettings()
 
 
 @dataclass(frozen=True)
@@ -53,7 +68,7 @@ class UnexplainedResidual:
 NOTHING_LEFT = UnexplainedResidual(0.0, 0, 1.0)
 
 
-def lagged(inputs: Floats, spans: Sequence[int] = SPANS) -> Floats:
+def lagged(inputs: Floats, spans: Sequence[int] = SETTINGS.spans) -> Floats:
     """Return a constant and the inputs (n, m) before, summed over spans of lags: (n, 1 + (len(spans) - 1) m)."""
     sums = np.vstack([np.zeros((1, inputs.shape[1])), np.cumsum(inputs, axis=0)])
     ends = 1 + np.arange(len(inputs))
@@ -75,7 +90,7 @@ def regression(residual: Floats, regressors: Floats, jacobian: Floats) -> Inform
     """
     norms = np.linalg.norm(jacobian, axis=0)
     basis, values, _ = np.linalg.svd(jacobian / np.where(norms > 0, norms, 1.0), full_matrices=False)
-    spanned = basis[:, values > SPANNED * values.max(initial=0.0)]
+    spanned = basis[:, values > SETTINGS.spanned * values.max(initial=0.0)]
     shared = spanned.T @ regressors
     return InformationMatrix(
         regressors.T @ regressors - shared.T @ shared, regressors.T @ residual - shared.T @ (spanned.T @ residual)
@@ -90,7 +105,7 @@ def change(healthy: InformationMatrix, new: InformationMatrix) -> tuple[float, i
     basis = np.eye(healthy.score.size)
     for matrix in (healthy.matrix + new.matrix, healthy.matrix, new.matrix):
         values, vectors = np.linalg.eigh(basis.T @ matrix @ basis)
-        basis = basis @ vectors[:, values > NOTHING * max(float(values[-1]), np.finfo(float).tiny)]
+        basis = basis @ vectors[:, values > SETTINGS.nothing * max(float(values[-1]), np.finfo(float).tiny)]
         if not basis.size:
             return 0.0, 0
     found, spread = np.zeros(basis.shape[1]), np.zeros((basis.shape[1],) * 2)
@@ -128,4 +143,4 @@ class VarianceRatio:
         """Return the test of a ratio: of χ², or of F where the noise was estimated with `freedom`."""
         exact = math.isinf(freedom)
         tail = float(special.chdtrc(samples, samples * ratio) if exact else special.fdtrc(samples, freedom, ratio))
-        return cls(ratio, tail, bool(ratio > SAME_VARIANCE_RATIO and tail < UNEXPLAINED_SHARE * level))
+        return cls(ratio, tail, bool(ratio > SAME_VARIANCE_RATIO and tail < SETTINGS.level_share * level))

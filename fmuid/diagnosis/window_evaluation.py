@@ -17,7 +17,8 @@ from fmuid.diagnosis.alarms import SOMETHING_ELSE, Alarm, Onset, RecordTime, Rul
 from fmuid.diagnosis.baseline_comparator import BaselineComparator
 from fmuid.diagnosis.cause_ranking import rank_with_model_error
 from fmuid.diagnosis.cause_results import Explanation, changes
-from fmuid.diagnosis.causes import DIFFERENCE_STEP, Cause, CauseKind, ChangeParameterSet
+from fmuid.diagnosis.causes import SETTINGS as CAUSES
+from fmuid.diagnosis.causes import Cause, CauseKind, ChangeParameterSet
 from fmuid.diagnosis.change_detection import fit, log_chances, log_limit
 from fmuid.diagnosis.diagnosis_result import EXPLAINED_SHARE
 from fmuid.diagnosis.faults import Fault
@@ -26,6 +27,30 @@ from fmuid.diagnosis.onset import OnsetEstimate, OnsetShape, estimate_onset
 from fmuid.diagnosis.onset_tracker import OnsetTracker, statistics_of
 from fmuid.diagnosis.unexplained_residual import VarianceRatio
 from fmuid.diagnosis.windows import WindowSums
+
+
+@dataclass(frozen=True)
+class EvaluationSettings:
+    """Numbers of the evaluation of a window.
+
+    Attributes
+    ----------
+    far : float
+        A window is linearised again where its estimate is further away: its distance in standard deviations
+        times the largest relative change of a coordinate, about the error of the linear model in standard
+        deviations.
+    grown : float
+        An alarm is judged again when D has grown by this share.
+    free : float
+        A cause that is named is free: by so many times its own size.
+    """
+
+    far: float = 0.3
+    grown: float = 0.2
+    free: float = 1e3
+
+
+SETTINGS = EvaluationSettings()
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,15 +102,6 @@ def decide_alarm(
     said = tuple(Explanation(changes(each.causes, each.fit, coordinates, faults), each.odds) for each in likely)
     columns = tuple(i for each in likely[0].causes for i in each.columns)
     return AlarmDecision(said, columns, when, since)
-
-
-# A window is linearised again where its estimate is further away than this: its distance in standard deviations times
-# the largest relative change of a coordinate, which is about the error of the linear model in standard deviations.
-FAR = 0.3
-# An alarm is judged again when D has grown by this share.
-GROWN = 0.2
-# A cause that is named is free: by so many times its own size.
-FREE = 1e3
 
 
 @dataclass(frozen=True)
@@ -250,7 +266,7 @@ class MonitorReference:
         exact = {CauseKind.OFFSET, CauseKind.DELAY}
         self.magnitude = np.array(
             [
-                each.step / DIFFERENCE_STEP if each.kind in kinds else math.inf if each.kind in exact else 1.0
+                each.step / CAUSES.difference_step if each.kind in kinds else math.inf if each.kind in exact else 1.0
                 for each in self.coordinates.each
             ]
         )
@@ -269,7 +285,7 @@ class MonitorReference:
         std = np.zeros(self.magnitude.size)
         for cause in self.coordinates.causes:
             at = [i for i in cause.columns if i in columns]
-            std[at] = FREE * cause.size
+            std[at] = SETTINGS.free * cause.size
         return self.known.drifting(std)
 
 
@@ -308,7 +324,7 @@ class WindowEvaluation:
 
     def _judged(self, now: MonitorState) -> MonitorState:
         old = now.judgement
-        if old is not None and math.isfinite(old.since) and self.statistic < (1.0 + GROWN) * now.statistic:
+        if old is not None and math.isfinite(old.since) and self.statistic < (1.0 + SETTINGS.grown) * now.statistic:
             return now
         made = self.against.made
         found = decide_alarm(self.watch, made.coordinates, made.faults, self.level, self.against.model_error)
@@ -330,7 +346,7 @@ class WindowEvaluation:
         """Whether it was linearised too far from there."""
         off = self.target - self.now.point
         distance = math.sqrt(max(0.0, float(off @ self.sums.whole.matrix @ off)))
-        return float(np.max(np.abs(off) / self.against.magnitude)) * distance > FAR
+        return float(np.max(np.abs(off) / self.against.magnitude)) * distance > SETTINGS.far
 
     def taken(self) -> MonitorState:
         """Return how far the monitoring is with it."""

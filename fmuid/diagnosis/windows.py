@@ -18,13 +18,41 @@ from fmuid.data import Experiment
 from fmuid.diagnosis.baseline_comparator import BaselineComparator
 from fmuid.diagnosis.information_matrix import InformationMatrix
 from fmuid.diagnosis.linearized_machine import LinearizedMachine
-from fmuid.diagnosis.onset import OVER, ChangeTransient
+from fmuid.diagnosis.onset import SETTINGS as ONSET
+from fmuid.diagnosis.onset import ChangeTransient
 from fmuid.diagnosis.onset_tracker import Blocks
 from fmuid.diagnosis.prewhitening import Whitening
 from fmuid.errors import InputError
 
-# A window begins with the sample that is nearest, to this share of a sampling interval: times are rounded decimals.
-STEP_TOLERANCE = 1e-3
+
+@dataclass(frozen=True)
+class WindowSettings:
+    """Numbers of windows.
+
+    Attributes
+    ----------
+    step_tolerance : float
+        A window begins with the sample that is nearest, to this share of a sampling interval: times are rounded
+        decimals.
+    most_blocks : int
+        An onset is dated to a block of a window: it has so many at most.
+    block_samples : int
+        Of a block, at least.
+    transient_share : float
+        Simulations from an early and from a late start agree after the transient to this share of the noise's
+        deviation.
+    most_compared : int
+        Windows that have a start of their own.
+    """
+
+    step_tolerance: float = 1e-3
+    most_blocks: int = 20
+    block_samples: int = 20
+    transient_share: float = 0.2
+    most_compared: int = 8
+
+
+SETTINGS = WindowSettings()
 
 
 @dataclass(frozen=True)
@@ -114,7 +142,7 @@ def split_windows(record: Experiment, window: float | None, transient: float, be
     """
     times = record.times
     step = float(np.median(np.diff(times)))
-    slack, last = STEP_TOLERANCE * step, float(times[-1]) + step
+    slack, last = SETTINGS.step_tolerance * step, float(times[-1]) + step
     counted = record.counted & (times >= begun.counts)[:, None]
     before = np.vstack([np.zeros(counted.shape[1]), np.cumsum(counted, axis=0)])
 
@@ -147,10 +175,6 @@ def part_of(whole: Experiment, windows: Sequence[Window], transient: float) -> E
     left = max(whole.discard, transient) if from_begin else float(times[windows[0].start] - times[lead])
     # with all columns: a fault may have inputs that the healthy machine has not
     return replace(whole, frame=whole.frame.iloc[lead : windows[-1].stop], discard=left)
-
-
-# A window is cut into so many blocks at most, each of so many samples at least: an onset is dated to a block.
-MOST_BLOCKS, BLOCK_SAMPLES = 20, 20
 
 
 @dataclass(frozen=True, eq=False)
@@ -224,7 +248,7 @@ def summed(
         span = np.array([window.begin, window.end]) - window.slack
         inside = [np.searchsorted(times, span) for times, _ in white]
         samples = int(sum(high - low for low, high in inside))
-        count = int(np.clip(samples // (BLOCK_SAMPLES * len(white)), 1, MOST_BLOCKS))
+        count = int(np.clip(samples // (SETTINGS.block_samples * len(white)), 1, SETTINGS.most_blocks))
         edges = np.linspace(window.begin, window.end, count + 1)
         grams = np.zeros((count, whole.shape[2], whole.shape[2]))
         for (times, values), (low, high) in zip(white, inside, strict=True):
@@ -233,12 +257,6 @@ def summed(
                 rows = values[first:last]
                 grams[k] += rows.T @ rows
         yield WindowSums(window, edges, grams, samples)
-
-
-# Simulations from an early and from a late start agree after the transient to this share of the noise's deviation.
-TRANSIENT_SHARE = 0.2
-# So many windows have a start of their own.
-MOST_COMPARED = 8
 
 
 def build_up_of(
@@ -272,7 +290,7 @@ def build_up_of(
     SimulationError
         If a simulation fails.
     """
-    compared = windows[: MOST_COMPARED + 1]
+    compared = windows[: SETTINGS.most_compared + 1]
     whole = part_of(record, compared, transient)
     early, columns = made.machine(whole).linearise(point)
     std = np.array([made.healthy.whitening.std(name) for name in record.output_names])
@@ -285,7 +303,7 @@ def build_up_of(
         off = np.abs(outputs - early[rows]) / std
         left.append(np.sum(off**2, axis=1))
         most = off[part.counted].max(initial=0.0)
-        if most > TRANSIENT_SHARE:
+        if most > SETTINGS.transient_share:
             raise InputError(
                 f"{record.source}: the transient lasts longer than {transient:g} s: what a simulation "
                 f"starts from still shows then, by {most:.2g} standard deviations of the noise; "
@@ -300,5 +318,5 @@ def build_up_of(
 
     first = 1 + round(built().lasts / step)
     differs = np.mean([each[:first].sum(axis=(0, 1)) for each in late], axis=0)
-    slow = slow & (differs > OVER**2 * first * np.mean(np.sum(seen**2, axis=1), axis=0))
+    slow = slow & (differs > ONSET.over**2 * first * np.mean(np.sum(seen**2, axis=1), axis=0))
     return built(), slow

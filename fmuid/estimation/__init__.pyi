@@ -25,9 +25,11 @@ from .linear_models.estimate import LinearEstimate as LinearEstimate
 from .linear_models.estimate import linear_least_squares as linear_least_squares
 from .linear_models.filters import Term as Term
 from .linearized_problem import LinearizedProblem as LinearizedProblem
+from .local_optimum import Optimum as Optimum
 from .marquardt.outcome import TerminationReason as TerminationReason
 from .marquardt.search import State as State
 from .marquardt.search import search as search
+from .marquardt.settings import Iteration as Iteration
 from .marquardt.step import best_step as best_step
 from .marquardt.step import triangle as triangle
 from .method import Marquardt as Marquardt
@@ -54,10 +56,8 @@ from .noise.whiteness_tests import normality as normality
 from .noise.whiteness_tests import whiteness as whiteness
 from .predictors import FunctionPredictions as FunctionPredictions
 from .problem import LeastSquares as LeastSquares
-from .result import Optimum as Optimum
+from .result import RESULT_SCHEMA as RESULT_SCHEMA
 from .result import Result as Result
-from .saved.check import check_types as check_types
-from .saved.schema import ResultContent as ResultContent
 from .simulation_noise import SimulationNoise as SimulationNoise
 from .solver_check.check import estimate_solver_error as estimate_solver_error
 from .solver_check.check import fits_worse as fits_worse

@@ -18,10 +18,9 @@ P. J. Huber, "Robust Statistics", Wiley 1981.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import Enum
-from typing import Any
 
 import numpy as np
 
@@ -105,6 +104,10 @@ class WeakDirection:
     values: tuple[float, ...]
     magnitudes: tuple[float, ...]
 
+    def __post_init__(self) -> None:
+        if not len(self.names) == len(self.coefficients) == len(self.values) == len(self.magnitudes) > 0:
+            raise ValueError("a direction has not as many numbers as names")
+
     @classmethod
     def of(
         cls,
@@ -126,24 +129,6 @@ class WeakDirection:
             tuple(theta[main].tolist()),
             tuple(magnitudes[main].tolist()),
         )
-
-    @classmethod
-    def of_json(cls, data: Mapping[str, Any]) -> WeakDirection:
-        """Return a direction of a file.
-
-        Raises
-        ------
-        KeyError, TypeError, ValueError
-            If the data are not of one.
-        """
-        coefficients, values, magnitudes = (
-            tuple(map(float, data[key])) for key in ("coefficients", "values", "magnitudes")
-        )
-        names = tuple(map(str, data["names"]))
-        if not len(names) == len(coefficients) == len(values) == len(magnitudes) > 0:
-            raise ValueError("a direction has not as many numbers as names")
-        std = math.inf if data["std"] is None else float(data["std"])
-        return cls(Identifiability(data["determined"]), names, coefficients, std, values, magnitudes)
 
 
 @dataclass(frozen=True, eq=False)

@@ -335,4 +335,4 @@ class _Identification:
             self._outcome is not TerminationReason.INTERRUPTED
         )  # who interrupts a slow search waits for no simulation
         simulated = tuple(self.evaluator.outputs(state.theta, predicted, simulate=ended))
-        return History(problem.parameters.names, tuple(self.trace), tuple(self.rounds), problem.experiments, simulated)
+        return History(problem.parameters.names, tuple(self.rounds), tuple(self.trace), problem.experiments, simulated)

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from typing import ClassVar
 
 import numpy as np
 import pandas as pd
 
 from fmuid.array_types import Floats
+from fmuid.codec import Layout
 from fmuid.data import Experiment
 from fmuid.estimation.marquardt.settings import Iteration
 
@@ -21,20 +23,22 @@ class History:
     ----------
     names : tuple of str
         The parameters.
-    iterations : tuple of (int, Iteration)
-        Every step of the search, with the number of its round.
     rounds : tuple of mapping
         What each repetition on the noise variances used and found.
+    iterations : tuple of (int, Iteration)
+        Every step of the search, with the number of its round. Not in ``result.json``, as what follows.
     experiments : tuple of Experiment
     simulated : tuple of (K, n_outputs) arrays
         The outputs of each experiment at the estimate.
     """
 
     names: tuple[str, ...]
-    iterations: tuple[tuple[int, Iteration], ...]
     rounds: tuple[Mapping[str, float], ...]
-    experiments: tuple[Experiment, ...]
-    simulated: tuple[Floats, ...]
+    iterations: tuple[tuple[int, Iteration], ...] = ()
+    experiments: tuple[Experiment, ...] = ()
+    simulated: tuple[Floats, ...] = ()
+
+    json_layout: ClassVar = Layout(omitted={"iterations", "experiments", "simulated"})
 
     def after(self, earlier: History) -> History:
         """Return this history as what followed an earlier one."""

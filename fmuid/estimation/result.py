@@ -8,31 +8,36 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import combinations
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 import pandas as pd
 from scipy import special
 
+from fmuid import codec
 from fmuid.array_types import Floats
 from fmuid.data import Experiment, JointPrior, MeasuredSeries, Normal, measured_series
 from fmuid.display_mixins import MultilineText, PredictMixin, text_of
 from fmuid.errors import InputError
-from fmuid.estimation import result_file
 from fmuid.estimation.covariance import ActiveBound, WeakDirection, check_level
 from fmuid.estimation.iteration_history import History
 from fmuid.estimation.linearized_problem import LinearizedProblem
+from fmuid.estimation.local_optimum import Optimum
 from fmuid.estimation.marquardt.outcome import TerminationReason
 from fmuid.estimation.model_sensitivities import SensitivityMethod
 from fmuid.estimation.noise.sandwich import ResidualNoise
 from fmuid.estimation.parameter_estimate import ParameterEstimate
 from fmuid.estimation.solver_check.outcome import SolverCheck
 from fmuid.estimation.starting_points.outcome import CombinationFit, RestartAttempt
+from fmuid.formatting import with_std
 
 # Estimates correlated more strongly than this move together: their intervals must not be read one by one.
 STRONG_CORRELATION = 0.95
 # Handed on as a prior, an estimate keeps its interval of this level.
 PRIOR_LEVEL = 0.95
+# Parameters that a result names where it is printed in a line.
+LINE_PARAMETERS = 8
+RESULT_SCHEMA = "fmuid/result/2"
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,7 +96,7 @@ class Result(PredictMixin):
     history : History or None
         What `trace`, `rounds` and `fit` are made of, which are empty where it was not kept in a file.
     optima : tuple of Optimum
-        Where the whole box was searched, from `fits` points: all that were found, the best first. Not kept in a file.
+        Where the whole box was searched, from `fits` points: all that were found, the best first.
     fits : int or None
     accuracy : SolverCheck or None
         What the error of the simulation does to the estimates, part of `covariance`. None where it was not checked.
@@ -155,6 +160,26 @@ class Result(PredictMixin):
     observer: float | None = None
     made_with: object = field(default=None, repr=False)
 
+    json_layout: ClassVar = codec.Layout(
+        omitted={"local", "noise", "made_with"},
+        derived=("converged",),
+        rows={
+            "parameters": {
+                **{"value": "values", "std": "std", "white_std": "white_std", "degrees_of_freedom": "freedom"},
+                **{"start": "start", "lower": "lower", "upper": "upper", "numerical_shift": "numerical_shift"},
+                **{"prior_mean": "prior_mean", "prior_std": "prior_std", "pull": "pull", "unit": "units"},
+            }
+        },
+        parts={"covariance": {"names": "names", "matrix": "covariance", "white": "white_covariance"}},
+    )
+
+    def __post_init__(self) -> None:
+        count = len(self.names)
+        if any(each.shape != (count, count) for each in (self.covariance, self.white_covariance)):
+            raise ValueError(f"a covariance is not of {count} parameters")
+        if (np.diag(self.covariance) < 0).any():
+            raise ValueError("a variance is negative")
+
     @cached_property
     def trace(self) -> pd.DataFrame:
         """One row an iteration: round, iteration, criterion, lambda, accepted, and each parameter."""
@@ -183,7 +208,11 @@ class Result(PredictMixin):
         """Whether the search converged and every parameter is determined."""
         return self.outcome.converged
 
-    __repr__ = result_file.line
+    def __repr__(self) -> str:
+        pairs = zip(self.names, self.values.tolist(), self.std.tolist(), strict=True)
+        told = [f"{name} = {with_std(value, std)}" for name, value, std in pairs]
+        more = f", {len(told) - LINE_PARAMETERS} more" if len(told) > LINE_PARAMETERS else ""
+        return f"Result({self.outcome.value}: {', '.join(told[:LINE_PARAMETERS])}{more})"
 
     def __str__(self) -> str:
         return str(self.summary())
@@ -353,48 +382,26 @@ class Result(PredictMixin):
         joint = self.prior([name], inflate=inflate)
         return Normal(float(joint.mean[0]), math.sqrt(float(joint.covariance[0, 0])))
 
-    def to_json_dict(self) -> dict[str, Any]:
-        """Return the content of ``result.json``; what is not a finite number is None."""
-        return result_file.content(self)
+    def to_json(self, path: str | Path) -> Path:
+        """Write a ``result.json`` and return its path.
+
+        Raises
+        ------
+        InputError
+            If it cannot be written.
+        """
+        return codec.write(Path(path), RESULT_SCHEMA, self)
 
     @classmethod
     def from_json(cls, path: str | Path) -> Result:
-        """Read a ``result.json``; trace, rounds, fit and local, which are not in it, are empty or None.
+        """Read a ``result.json``; `local` and `noise`, which are not in it, are None, trace and fit are empty.
 
         An `InputError` says that it cannot be read or is not such a result.
         """
-        return cls(**result_file.read(Path(path)), made_with=Path(path).resolve())
+        path = Path(path)
+        return replace(codec.read(path, RESULT_SCHEMA, cls, "run fmuid identify again"), made_with=path.resolve())
 
     def _index(self, name: str) -> int:
         if name not in self.names:
             raise InputError(f"the result has no parameter {name!r}; it has {', '.join(self.names)}")
         return self.names.index(name)
-
-
-@dataclass(frozen=True, eq=False)
-class Optimum:
-    """A point at which searches from other starts ended too, or instead.
-
-    Attributes
-    ----------
-    theta : (N,) array
-    criterion : float
-        J_C (1.37) there; where noise variances are estimated, with those of the best optimum.
-    hits : int
-        How many of the fits ended here.
-    outcome : TerminationReason
-        How the best of these fits ended.
-    fit : Result
-        That fit.
-    """
-
-    theta: Floats
-    criterion: float
-    hits: int
-    outcome: TerminationReason
-    fit: Result = field(repr=False)
-
-    @property
-    def converged(self) -> bool:
-        """Whether it is a minimum with every parameter determined."""
-        return self.outcome.converged

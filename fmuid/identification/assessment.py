@@ -8,14 +8,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 import pandas as pd
 
 from fmuid.blas import single_threaded
+from fmuid.codec import Layout
 from fmuid.estimation import LeastSquares, Result, check_level
-from fmuid.files import as_json
 from fmuid.identification.prior_and_data import PriorDataComparison, compare_prior_and_data
 from fmuid.identification.residual_analysis import ResidualAnalysis, analyze_residuals
 from fmuid.progress import Event, MapStep, Progress
@@ -100,6 +100,11 @@ class Assessment:
     posterior: Posterior | None = None
     interrupted: bool = False
 
+    json_layout: ClassVar = Layout(
+        derived=("succeeded",),
+        types=dict.fromkeys(("CostMap", "Profile", "Posterior"), "fmuid.identification"),
+    )
+
     @property
     def is_explored(self) -> bool:
         """Whether there are maps, profiles or samples, or would be if it had not been interrupted."""
@@ -131,59 +136,6 @@ class Assessment:
         return pd.concat([each.table.assign(profiled=each.name) for each in self.profiles], ignore_index=True)[
             ["profiled", *self.profiles[0].table.columns]
         ]
-
-    def to_json_dict(self) -> dict[str, Any]:
-        """Return the entries ``profiles`` and ``posterior`` of ``result.json``; what is not finite is None."""
-        content: dict[str, Any] = {}
-        if self.profiles:
-            content["profiles"] = {
-                each.name: {
-                    "level": each.level,
-                    "lower": each.lower,
-                    "upper": each.upper,
-                    "threshold": each.threshold,
-                    "remarks": [
-                        {"kind": found.kind, "end": "upper" if found.upper else "lower"}
-                        | {key: getattr(found, key) for key in ("value", "rise", "outcome", "other")}
-                        for found in each.remarks
-                    ],
-                    "interrupted": each.interrupted,
-                }
-                for each in self.profiles
-            }
-        if self.posterior is not None:
-            content["posterior"] = _posterior(self.posterior, self.level)
-        plain: dict[str, Any] = as_json(content)
-        return plain
-
-
-def _posterior(found: Posterior, level: float) -> dict[str, Any]:
-    ends = found.intervals(level)
-    columns = {
-        "mean": found.mean,
-        "std": found.std,
-        "lower": ends["lower"],
-        "upper": ends["upper"],
-        "effective_size": found.effective_size,
-        "r_hat": found.r_hat,
-    }
-    return {
-        "converged": found.converged,
-        "doubt": found.doubt,
-        "doubtful": found.doubtful,
-        "interrupted": found.interrupted,
-        "level": level,
-        "parameters": {
-            name: {key: np.asarray(values)[i] for key, values in columns.items()} for i, name in enumerate(found.names)
-        },
-        "covariance": {"names": found.names, "matrix": found.covariance},
-        "steps": len(found.chain),
-        "walkers": found.chain.shape[1],
-        "burn": found.burn,
-        "acceptance": found.acceptance,
-        "simulations": found.simulations,
-        "elapsed_s": found.elapsed_s,
-    }
 
 
 def better_point(chart: CostMap) -> tuple[float, float, float] | None:

@@ -16,12 +16,14 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 import pandas as pd
 
 from fmuid.array_types import Floats
 from fmuid.blas import single_threaded
+from fmuid.codec import Layout
 from fmuid.errors import InputError
 from fmuid.estimation import LeastSquares, Result, check_level, misfits, refuse_loss, spans_decades, variances
 from fmuid.identification.conditional_optimum import evaluator_of
@@ -79,6 +81,8 @@ class CostMap:
     scale: float
     degrees_of_freedom: float
     held: Mapping[str, float]
+
+    json_layout: ClassVar = Layout(omitted={"table"})
 
     @property
     def grid(self) -> tuple[Floats, Floats, Floats]:

@@ -15,13 +15,14 @@ import math
 from dataclasses import dataclass
 from enum import Enum
 from functools import cached_property
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 import pandas as pd
 from scipy import special
 
 from fmuid.array_types import Floats
+from fmuid.codec import Layout
 from fmuid.errors import InputError
 from fmuid.estimation import WeakDirection, check_level
 
@@ -157,6 +158,24 @@ class Posterior:
     acceptance: float
     simulations: int
     elapsed_s: float
+
+    json_layout: ClassVar = Layout(
+        omitted={"chain", "log_density"},
+        derived=(
+            *("converged", "doubt", "doubtful", "mean", "std", "covariance", "effective_size", "r_hat"),
+            *("steps", "walkers"),
+        ),
+    )
+
+    @property
+    def steps(self) -> int:
+        """Of each walker, the discarded ones included."""
+        return len(self.chain)
+
+    @property
+    def walkers(self) -> int:
+        """How many there are."""
+        return int(self.chain.shape[1])
 
     @cached_property
     def effective_size(self) -> Floats:

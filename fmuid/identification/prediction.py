@@ -25,7 +25,7 @@ import math
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import ClassVar
 
 import numpy as np
 import pandas as pd
@@ -33,6 +33,7 @@ from scipy import special
 
 from fmuid.array_types import Floats
 from fmuid.blas import single_threaded
+from fmuid.codec import Layout
 from fmuid.data import Experiment, Noise, Parameter
 from fmuid.errors import NO_EXPERIMENT, InputError, check_kind
 from fmuid.estimation import Result, check_level
@@ -81,6 +82,8 @@ class OutputScore:
     fit: float
     expected: float
     inside: float
+
+    json_layout: ClassVar = Layout(derived=("ratio",))
 
     @property
     def ratio(self) -> float:
@@ -131,6 +134,8 @@ class Prediction:
     estimated: Result | None
     undetermined: tuple[str, ...]
 
+    json_layout: ClassVar = Layout(omitted={"std", "half_width"})
+
     @property
     def table(self) -> pd.DataFrame:
         """Time (s), and for each output ``measured.``, ``simulated.``, ``std.`` (by the estimates), and the band."""
@@ -145,24 +150,6 @@ class Prediction:
                 f"upper.{output}": simulated + half,
             }
         return pd.DataFrame(columns)
-
-    def to_json_dict(self) -> dict[str, Any]:
-        """Return what ``prediction.json`` has of this record."""
-        again = self.estimated
-        return {
-            "experiment": self.fit.experiment,
-            "level": self.level,
-            "outputs": [{**vars(score), "ratio": score.ratio} for score in self.scores],
-            "undetermined": list(self.undetermined),
-            "estimated": None if again is None else _estimates(again),
-            "residuals": self.residuals.to_json_dict(),
-        }
-
-
-def _estimates(again: Result) -> dict[str, Any]:
-    pairs = zip(again.names, again.values.tolist(), again.std.tolist(), strict=True)
-    values = {name: {"value": value, "std": std} for name, value, std in pairs}
-    return {"outcome": again.outcome, "converged": again.converged, "parameters": values}
 
 
 @single_threaded

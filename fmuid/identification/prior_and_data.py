@@ -11,13 +11,14 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import ClassVar
 
 import numpy as np
 import pandas as pd
 
 from fmuid.array_types import Floats
 from fmuid.blas import single_threaded
+from fmuid.codec import Layout
 from fmuid.errors import InputError
 from fmuid.estimation import (
     CostFunction,
@@ -35,7 +36,6 @@ from fmuid.estimation import (
     sandwich_of,
     search,
 )
-from fmuid.files import as_json
 from fmuid.identification.prior_data_tests import PriorDataTest, VarianceTest, agree, known_variances, variance_tests
 from fmuid.identification.residual_analysis import ResidualAnalysis, analyze_residuals
 
@@ -138,6 +138,16 @@ class PriorDataComparison:
     variances: tuple[VarianceTest, ...]
     obstacle: ExtrapolationReason | None
 
+    json_layout: ClassVar = Layout(
+        rows={
+            "parameters": {
+                **{"prior_mean": "prior_mean", "prior_std": "prior_std", "data": "data", "data_std": "data_std"},
+                **{"combined": "combined", "combined_std": "combined_std", "barycentre": "barycentre", "pull": "pull"},
+                **{"moved": "moved", "moved_by": "moved_by", "conflict": "conflict", "nonlinearity": "nonlinearity"},
+            }
+        }
+    )
+
     @property
     def pull(self) -> Floats:
         """How far each estimate lies from its prior, in prior standard deviations (N,)."""
@@ -202,19 +212,6 @@ class PriorDataComparison:
         off = np.abs(np.nan_to_num(self.nonlinearity))
         i = int(np.argmax(off))
         return self.names[i] if off[i] >= SETTINGS.nonlinear_stds else ""
-
-    def to_json_dict(self) -> dict[str, Any]:
-        """Return ``consistency`` of ``result.json``; what is not a finite number is None."""
-        keys = ("data", "data_std", "moved", "moved_by", "conflict", "barycentre", "nonlinearity")
-        found: dict[str, Any] = as_json(
-            {
-                "searched": self.searched,
-                "parameters": self.table.set_index("parameter")[list(keys)].to_dict("index"),
-                "prior_against_data": self.agreement,
-                "variances": [{**vars(each), "output": each.output or None} for each in self.variances],
-            }
-        )
-        return found
 
 
 @single_threaded

@@ -26,12 +26,14 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from typing import ClassVar
 
 import numpy as np
 import pandas as pd
 
 from fmuid.array_types import Floats
 from fmuid.blas import single_threaded
+from fmuid.codec import Layout
 from fmuid.errors import InputError
 from fmuid.estimation import ActiveBound, CostFunction, LeastSquares, Result, TerminationReason, check_level
 from fmuid.identification.conditional_optimum import ConditionalOptimum, best_near, best_with, evaluator_of
@@ -112,6 +114,8 @@ class Profile:
     remarks: tuple[ProfileEndNote, ...]
     interrupted: bool
     table: pd.DataFrame
+
+    json_layout: ClassVar = Layout(omitted={"table"})
 
     @property
     def values(self) -> Floats:

@@ -19,15 +19,15 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from enum import Enum
-from typing import Any
+from typing import ClassVar
 
 import numpy as np
 import pandas as pd
 
 from fmuid.blas import single_threaded
+from fmuid.codec import Layout
 from fmuid.errors import InputError
 from fmuid.estimation import FitProjection, LeastSquares, NoiseModel, ResidualNoise, Result
-from fmuid.files import as_json
 from fmuid.identification.residual_series import InputCorrelation, ResidualSeries, examine_outputs
 
 CORRELATIONS = ("experiment", "output", "with", "lag", "time", "correlation", "band")
@@ -90,6 +90,23 @@ class ResidualFinding:
     large: bool
     series: ResidualSeries
     input: InputCorrelation | None = None
+
+    json_layout: ClassVar = Layout(omitted={"series", "input"}, derived=("experiment", "output", "input_name"))
+
+    @property
+    def experiment(self) -> str:
+        """Of the residual."""
+        return self.series.experiment
+
+    @property
+    def output(self) -> str:
+        """Of the residual."""
+        return self.series.output
+
+    @property
+    def input_name(self) -> str:
+        """The input that it is correlated with, "" for none."""
+        return "" if self.input is None else self.input.input
 
 
 def _findings(series: ResidualSeries, outputs: int, inputs: int) -> list[ResidualFinding]:
@@ -228,6 +245,8 @@ class ResidualAnalysis:
     returning: tuple[PeriodicErrorFinding, ...] = ()
     long_memory: tuple[LongMemory, ...] = ()
 
+    json_layout: ClassVar = Layout(derived=("findings",))
+
     @property
     def findings(self) -> tuple[ResidualFinding, ...]:
         """All that is unlikely by chance, residual by residual."""
@@ -266,32 +285,6 @@ class ResidualAnalysis:
                 columns = (each.experiment, each.output, name, np.rint(places), times, values, band)
                 parts.append(pd.DataFrame(dict(zip(CORRELATIONS, columns, strict=True))))
         return pd.concat(parts, ignore_index=True) if parts else pd.DataFrame(columns=CORRELATIONS)
-
-    def to_json_dict(self) -> dict[str, Any]:
-        """Return ``diagnostics`` of ``result.json``; what is not a finite number is None."""
-        rows = []
-        for each in self.series:
-            row = {name: value for name, value in each.row().items() if not name.startswith("input")}
-            inputs = self.inputs[
-                (self.inputs["experiment"] == each.experiment) & (self.inputs["output"] == each.output)
-            ]
-            row["inputs"] = inputs.drop(columns=["experiment", "output"]).to_dict("records")
-            rows.append(row)
-        findings = [
-            {
-                "trait": found.trait,
-                "large": found.large,
-                "experiment": found.series.experiment,
-                "output": found.series.output,
-                "input": found.input.input if found.input is not None else None,
-            }
-            for found in self.findings
-        ]
-        off_grid = [list(each) for each in self.off_grid]
-        content = {"findings": findings, "widening": self.widening, "off_grid": off_grid, "slow": self.slow}
-        content |= {"returning": self.returning, "long_memory": self.long_memory}
-        plain: dict[str, Any] = as_json(content | {"residuals": rows})
-        return plain
 
 
 @single_threaded

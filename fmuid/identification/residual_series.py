@@ -5,12 +5,13 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from scipy import special
 
 from fmuid.array_types import Floats
+from fmuid.codec import Layout
 from fmuid.data import Experiment
 from fmuid.estimation import (
     CrossCorrelation,
@@ -110,6 +111,10 @@ class ResidualSeries:
     outliers: int = 0
     inputs: tuple[InputCorrelation, ...] = ()
 
+    json_layout: ClassVar = Layout(
+        omitted={"times", "residual"}, derived=("experiment", "output", "samples", "correlation_samples")
+    )
+
     @property
     def experiment(self) -> str:
         """The name of its experiment."""
@@ -124,6 +129,11 @@ class ResidualSeries:
     def samples(self) -> int:
         """How many samples count."""
         return self.noise.series.rows.size
+
+    @property
+    def correlation_samples(self) -> float:
+        """Integrated correlation time in samples, 1 of white noise; NaN where nothing was tested."""
+        return self.noise.variance_factor() if self.is_tested else math.nan
 
     @property
     def is_tested(self) -> bool:
@@ -144,7 +154,7 @@ class ResidualSeries:
         """Return the line of `ResidualAnalysis.table`."""
         strongest = min(self.inputs, key=lambda each: each.probability, default=None)
         white, normal, unknown = self.whiteness, self.normality, math.nan
-        factor = self.noise.variance_factor() if self.is_tested else unknown
+        factor = self.correlation_samples
         return {
             "experiment": self.experiment,
             "output": self.output,

@@ -1,5 +1,4 @@
 from .archive import CheckedArchive as CheckedArchive
-from .archive import archive_of as archive_of
 from .archive import file_digest as file_digest
 from .archive import unpacked as unpacked
 from .component import DEFAULT_INTEGRATOR as DEFAULT_INTEGRATOR
@@ -13,7 +12,6 @@ from .component import SolverConfiguration as SolverConfiguration
 from .connections import Connection as Connection
 from .description import DESCRIPTION_FILE as DESCRIPTION_FILE
 from .description import KINDS as KINDS
-from .description import SI_BASE_UNITS as SI_BASE_UNITS
 from .description import Description as Description
 from .description import Unit as Unit
 from .description import Variable as Variable
@@ -34,7 +32,5 @@ from .start_values import with_starts as with_starts
 from .system import MASTERS as MASTERS
 from .system import Port as Port
 from .system import System as System
-from .untrusted_xml import LARGEST_XML as LARGEST_XML
 from .untrusted_xml import parse_xml as parse_xml
-from .untrusted_xml import started_elements as started_elements
 from .untrusted_xml import uncollected as uncollected

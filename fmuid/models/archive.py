@@ -18,7 +18,8 @@ import tempfile
 import unicodedata
 import zipfile
 import zlib
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Self
 
@@ -27,20 +28,33 @@ import platformdirs
 from fmuid.errors import InputError
 from fmuid.models.untrusted_xml import LARGEST_XML
 
-LARGEST_TOTAL_GB = 4.0
-"""GB (2³⁰ bytes) that an archive may unpack to: FMUs reach some hundred MB, those with an interpreter in them 2 GB."""
 LARGEST_TOTAL_VARIABLE = "FMUID_LARGEST_ARCHIVE_GB"
-"""The environment variable for another limit; one entry may have half of it."""
-MOST_ENTRIES = 100_000
-"""Entries of an archive: an FMU that carries an interpreter has some ten thousand."""
-LARGEST_DIRECTORY = 16 * 2**20
-"""Bytes of the archive's directory, which is read at once: `MOST_ENTRIES` with names of 120 characters."""
-HIGHEST_RATIO, RATIO_FROM = 200, 64 * 2**20
-"""How many times larger than itself an archive may unpack to, if to more bytes than these: text shrinks to a tenth or a
-thirtieth, a bomb to a thousandth."""
-LONGEST_NAME, LONGEST_PATH = 255, 1000
-"""Bytes in the name of an entry's file or folder, and in all of it: what file systems take, less the cache's path."""
-CHUNK = 2**20
+"""The environment variable for another limit of what an archive may unpack to."""
+
+
+@dataclass(frozen=True)
+class ArchiveLimits:
+    """What an archive may be before it is refused."""
+
+    total_gb: float = 4.0
+    """GB (2³⁰ bytes) that it may unpack to, an entry half of it: FMUs have some 100 MB, with an interpreter 2 GB."""
+    entries: int = 100_000
+    """An FMU that carries an interpreter has some ten thousand."""
+    directory: int = 16 * 2**20
+    """Bytes of its directory, which is read at once: that of as many entries with names of 120 characters."""
+    ratio: int = 200
+    """How many times larger than itself it may unpack to: text shrinks to a thirtieth, a bomb to a thousandth."""
+    ratio_from: int = 64 * 2**20
+    """Bytes that it may unpack to whatever its own size."""
+    name: int = 255
+    """Bytes in the name of a file or folder: what file systems take."""
+    path: int = 1000
+    """Bytes in all of an entry's name, less the cache's path."""
+    chunk: int = 2**20
+    """Bytes that are unpacked at a time."""
+
+
+LIMITS = ArchiveLimits()
 
 _REMEDY = f"; if you trust it, set the environment variable {LARGEST_TOTAL_VARIABLE} to the GB that it may have"
 _METHODS = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
@@ -135,7 +149,7 @@ class CheckedArchive:
         largest, written = self.limit // 2 if largest is None else largest, 0
         try:
             with self._archive.open(entry) as file:
-                while chunk := file.read(CHUNK):
+                while chunk := file.read(LIMITS.chunk):
                     written += len(chunk)
                     self._written += len(chunk)
                     if written > largest:
@@ -158,8 +172,8 @@ class CheckedArchive:
         )
 
     def _check(self) -> None:
-        if len(self.entries) > MOST_ENTRIES:
-            raise InputError(f"it has {len(self.entries)} entries, and at most {MOST_ENTRIES} are unpacked")
+        if len(self.entries) > LIMITS.entries:
+            raise InputError(f"it has {len(self.entries)} entries, and at most {LIMITS.entries} are unpacked")
         there: dict[str, zipfile.ZipInfo] = {}
         folders: dict[str, zipfile.ZipInfo] = {}
         for entry in self.entries:
@@ -190,26 +204,16 @@ class CheckedArchive:
     def _check_total(self, total: int) -> None:
         if total > self.limit:
             raise InputError(f"it unpacks to more than {_size(self.limit)}{_REMEDY}")
-        if total > max(RATIO_FROM, HIGHEST_RATIO * self._size):
-            raise InputError(f"it unpacks to more than {HIGHEST_RATIO} times its own size, as zip bombs do")
-
-
-def archive_of(texts: Mapping[str, bytes]) -> io.BytesIO:
-    """Return an archive of some checked texts, for a reader that must see nothing else."""
-    buffer = io.BytesIO()
-    with zipfile.ZipFile(buffer, "w") as archive:
-        for name, text in texts.items():
-            archive.writestr(name, text)
-    buffer.seek(0)
-    return buffer
+        if total > max(LIMITS.ratio_from, LIMITS.ratio * self._size):
+            raise InputError(f"it unpacks to more than {LIMITS.ratio} times its own size, as zip bombs do")
 
 
 class _Bounded(io.BufferedReader):
     """A file that refuses large reads: `zipfile` reads an archive's directory at once, however large."""
 
     def read(self, size: int | None = -1, /) -> bytes:
-        if size is not None and size > LARGEST_DIRECTORY:
-            raise InputError(f"its directory is larger than {_size(LARGEST_DIRECTORY)}")
+        if size is not None and size > LIMITS.directory:
+            raise InputError(f"its directory is larger than {_size(LIMITS.directory)}")
         return super().read(size)
 
 
@@ -235,9 +239,9 @@ def _check_entry(entry: zipfile.ZipInfo) -> None:
     if STRICT_NAMES and any(part.partition(".")[0].rstrip().upper() in _RESERVED for part in parts):
         raise InputError(f"its entry {shown} has a name that Windows keeps for a device; rename it")
     sizes = [len(part.encode("utf-8", "surrogatepass")) for part in parts]
-    if max(sizes, default=0) > LONGEST_NAME or sum(sizes) + len(sizes) > LONGEST_PATH:
+    if max(sizes, default=0) > LIMITS.name or sum(sizes) + len(sizes) > LIMITS.path:
         raise InputError(
-            f"its entry {shown} has too long a name: {LONGEST_NAME} bytes for a file or folder and {LONGEST_PATH} in "
+            f"its entry {shown} has too long a name: {LIMITS.name} bytes for a file or folder and {LIMITS.path} in "
             "all are possible"
         )
     if entry.flag_bits & 0x41:  # encrypted, by the old or the strong method
@@ -271,7 +275,7 @@ def _size(count: int) -> str:
 def _largest_total() -> int:
     text = os.environ.get(LARGEST_TOTAL_VARIABLE, "")
     try:
-        found = float(text) if text else LARGEST_TOTAL_GB
+        found = float(text) if text else LIMITS.total_gb
         return int(found * 2**30)
     except (ValueError, OverflowError):
         raise InputError(

@@ -3,7 +3,6 @@ from .children import AVAILABLE as AVAILABLE
 from .children import MEMORY_KEPT as MEMORY_KEPT
 from .children import Child as Child
 from .children import python_command as python_command
-from .children import search_path as search_path
 from .children import watch_lifeline as watch_lifeline
 from .ends import CRASHED as CRASHED
 from .ends import EXITED as EXITED
@@ -15,8 +14,7 @@ from .ends import KILLED as KILLED
 from .ends import REFUSED as REFUSED
 from .ends import STOPPED as STOPPED
 from .ends import HostExitError as HostExitError
-from .host import CLOSING_LIMIT as CLOSING_LIMIT
-from .host import PRINTED_KEPT_BYTES as PRINTED_KEPT_BYTES
+from .host import LIMITS as LIMITS
 from .host import SERVER as SERVER
 from .host import HostProcess as HostProcess
 from .host import refusals as refusals

@@ -17,6 +17,7 @@ import tempfile
 import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Any, TypeVar
@@ -30,11 +31,36 @@ from fmuid.processes.children import MEMORY_KEPT, Child
 from fmuid.processes.ends import CRASHED, EXITED, GARBLED, GREW, KILLED, HostExitError
 from fmuid.processes.limits import Footprint, Watchdog, condition_of, family, numbered
 
-CLOSING_LIMIT = 2.0  # s for freeing instances, after which the process is killed: nothing of it is needed any more
-MOST_STARTS = 6  # of the server, which may be killed from outside while it loads
-ENDING_LIMIT = 2.0  # s that a process which has closed its socket may take to end
-ANSWER_LIMIT = 120.0  # s that the server may take for an answer: it may have code to load
-LOOK_SECONDS = 0.1  # between looks whether the server does well while it owes an answer
+
+@dataclass(frozen=True)
+class HostLimits:
+    """Times and sizes of isolated processes and of the server that forks them."""
+
+    closing: float = 2.0
+    """s for freeing instances, after which the process is killed: nothing of it is needed any more."""
+    starts: int = 6
+    """Of the server, which may be killed from outside while it loads."""
+    ending: float = 2.0
+    """s that a process which has closed its socket may take to end."""
+    answer: float = 120.0
+    """s that the server may take for an answer: it may have code to load."""
+    look: float = 0.1
+    """s between looks whether all is well with a process that owes an answer."""
+    growth: float = 256e6
+    """Bytes beyond the size after the first call at which a process is replaced: far above the caches of sound code."""
+    measure: float = 0.25
+    """s between looks at its memory while calls come and go."""
+    printed_kept: int = 1 << 16
+    """Bytes of what it prints that are kept until they are read: a thousand lines."""
+    printed_largest: int = 1 << 20
+    """Bytes that may pile up in the file before it is cut."""
+    relatives: int = 100
+    """Processes below it, also ended ones, for which nobody there waits."""
+
+
+LIMITS = HostLimits()
+
+Value = TypeVar("Value")
 
 
 class ForkServer:
@@ -66,7 +92,7 @@ class ForkServer:
 
     def fork(self, modules: Sequence[str], descriptors: Sequence[int]) -> tuple[int, Path | None]:
         """Return process id and control group of a new host that has loaded the modules and got the descriptors."""
-        for _ in range(MOST_STARTS):
+        for _ in range(LIMITS.starts):
             with self._lock:
                 try:
                     found = self._ask("fork", list(modules), descriptors=descriptors)
@@ -88,7 +114,7 @@ class ForkServer:
             if self._channel is None or self._asking:  # by a collection of garbage in the middle of another question
                 return None
             try:
-                status: int | None = self._ask("wait", pid, ENDING_LIMIT)
+                status: int | None = self._ask("wait", pid, LIMITS.ending)
             except (EOFError, ConnectionError):
                 return None
             return status
@@ -103,7 +129,7 @@ class ForkServer:
         try:
             channel = self.start()
             socket.send_fds(channel, [pickle.dumps(order)], list(descriptors))
-            _, parts = Channel(channel, LOOK_SECONDS).receive(partial(self._look, Watchdog(ANSWER_LIMIT)))
+            _, parts = Channel(channel, LIMITS.look).receive(partial(self._look, Watchdog(LIMITS.answer)))
             return answer_of(parts)
         except GarbledError as error:
             self.stop(0.0)
@@ -122,7 +148,7 @@ class ForkServer:
             self.stop(0.0)
             raise EOFError
 
-    def stop(self, patience: float = CLOSING_LIMIT) -> None:
+    def stop(self, patience: float = LIMITS.closing) -> None:
         """End the server, and with it all hosts."""
         with self._lock:
             if self._channel is not None:
@@ -134,21 +160,6 @@ class ForkServer:
 
 SERVER = ForkServer()
 atexit.register(SERVER.stop)
-
-
-LARGEST_GROWTH = 256e6
-"""Growth of a process beyond its size after its first call at which it is replaced, bytes.
-
-Far above what buffers and caches of sound code take up, far below what a machine of today has for each processor.
-"""
-
-LOOK_SECONDS = 0.1  # between looks whether all is well with a process that works
-PRINTED_KEPT_BYTES = 1 << 16  # of what it prints that are kept until they are read: a thousand lines
-PRINTED_LARGEST_BYTES = 1 << 20  # that may pile up in the file before it is cut
-MOST_RELATIVES = 100  # processes below it, also ended ones, for which nobody there waits
-MEASURE_SECONDS = 0.25  # between looks at its memory while calls come and go
-
-Value = TypeVar("Value")
 
 
 class HostProcess:
@@ -186,7 +197,7 @@ class HostProcess:
                 self.pid, self._group = SERVER.fork(modules, [other.fileno(), self._file, self._printed])
             made.pop_all()
         self._numbered = numbered(self.pid)
-        self._channel, self._footprint = Channel(own, LOOK_SECONDS), Footprint(self.pid, self._group)
+        self._channel, self._footprint = Channel(own, LIMITS.look), Footprint(self.pid, self._group)
         self.sent = 0
 
     def share(self, size: int) -> mmap.mmap:
@@ -250,7 +261,7 @@ class HostProcess:
             raise self.stopped(end)
         if self._footprint.exceeds(self._limit + self.given):
             raise self.stopped(HostExitError(GREW, round(self._limit / 1e6)))
-        if os.fstat(self._printed).st_size > PRINTED_LARGEST_BYTES:
+        if os.fstat(self._printed).st_size > LIMITS.printed_largest:
             self._read_printed()
 
     @property
@@ -261,13 +272,13 @@ class HostProcess:
     def outgrown(self) -> bool:
         """Whether it is to be replaced, because it has grown since the first time that this was asked."""
         now = time.monotonic()
-        if self._baseline and now - self._measured < MEASURE_SECONDS:
+        if self._baseline and now - self._measured < LIMITS.measure:
             return False
         self._measured = now
         if not self._baseline:
             self._baseline = max(1.0, self._footprint.read() - self.given)
-        grown = self._footprint.exceeds(self._baseline + LARGEST_GROWTH + self.given)
-        return grown or len(family(self.pid)) > MOST_RELATIVES
+        grown = self._footprint.exceeds(self._baseline + LIMITS.growth + self.given)
+        return grown or len(family(self.pid)) > LIMITS.relatives
 
     def stopped(self, end: HostExitError) -> HostExitError:
         """Kill it; return how it came to its end."""
@@ -334,10 +345,10 @@ class HostProcess:
         size = os.fstat(self._printed).st_size
         if not size:
             return
-        data = os.pread(self._printed, PRINTED_KEPT_BYTES, 0)
+        data = os.pread(self._printed, LIMITS.printed_kept, 0)
         os.ftruncate(self._printed, 0)
-        lost = "" if size <= PRINTED_KEPT_BYTES else f"\n[{size - PRINTED_KEPT_BYTES} bytes more]\n"
-        room = max(0, PRINTED_KEPT_BYTES - len(self._text))
+        lost = "" if size <= LIMITS.printed_kept else f"\n[{size - LIMITS.printed_kept} bytes more]\n"
+        room = max(0, LIMITS.printed_kept - len(self._text))
         self._text += (data.decode("utf-8", errors="replace") + lost)[:room]
 
     def failure(self, error: Exception) -> Exception:

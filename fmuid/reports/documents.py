@@ -5,9 +5,9 @@ from __future__ import annotations
 from functools import singledispatch
 
 from fmuid.errors import InputError
-from fmuid.reports.comparisons import ComparisonRun
 from fmuid.reports.document import Document
 from fmuid.reports.topics.model_comparison import comparison_document
+from fmuid.runs import ComparisonRun
 
 
 @singledispatch

@@ -12,15 +12,13 @@ import pandas as pd
 from fmuid.data import Experiment
 from fmuid.diagnosis import Diagnosis
 from fmuid.errors import InputError
-from fmuid.estimation import Result, optima_table
+from fmuid.estimation import Result
 from fmuid.formatting import unit_text
 from fmuid.models import FMU
-from fmuid.reports.identification_run import IdentificationRun
 from fmuid.reports.interactive import estimates
 from fmuid.reports.interactive.style import Units
 from fmuid.reports.messages.describe import describe
 from fmuid.reports.page import faults, identification
-from fmuid.reports.page.contents import SavedIdentification
 from fmuid.reports.page.document import Section, table
 from fmuid.reports.page.faults import causes_table
 from fmuid.reports.page.identification import estimates_table
@@ -28,7 +26,7 @@ from fmuid.reports.render import html as render
 from fmuid.reports.render.bokeh_renderer import drawing
 from fmuid.reports.topics.batch import charts_of
 from fmuid.reports.topics.batch_tables import tables_of
-from fmuid.runs import Batch, BatchResult
+from fmuid.runs import Batch, BatchResult, IdentificationRun
 from fmuid.runs import predict_experiments as predict_experiments
 from fmuid.simulation import OutputFit
 from fmuid.studies import Study
@@ -216,7 +214,7 @@ class FigureCollection:
             If what prior and data say is not known here, or not of such a parameter.
         """
         if self._reading is None:
-            raise InputError("what the data alone say is in the findings of fmuid.run_study: draw them")
+            raise InputError("what the data alone say is in the findings of fmuid.run: draw them")
         return Drawing(estimates.parabolas(self._reading, names, self._units), 3)
 
 
@@ -232,7 +230,7 @@ def plots(found: object) -> FigureCollection:
         case IdentificationRun():
             checks = found.assessment.prior_and_data
             reading = None if checks is None else checks.table
-            return FigureCollection(identification.sections_of(SavedIdentification.of(found)), reading, found.unit_of)
+            return FigureCollection(identification.sections_of(found), reading, found.unit_of)
         case Result():
             return FigureCollection(identification.sections_of(_known(found)))
         case Diagnosis():
@@ -246,7 +244,7 @@ def plots(found: object) -> FigureCollection:
     raise InputError(f"a {type(found).__name__} has no figures")
 
 
-def _known(result: Result) -> SavedIdentification:
+def _known(result: Result) -> IdentificationRun:
     """Return what a result knows by itself; units of the outputs are not among that."""
     fits = []
     for k, frame in enumerate(result.fit):
@@ -256,6 +254,4 @@ def _known(result: Result) -> SavedIdentification:
         )
         times, counted = frame["time"].to_numpy(np.float64), np.isfinite(measured)
         fits.append(OutputFit(f"experiment {k + 1}", times, names, (None,) * len(names), measured, simulated, counted))
-    tables = {"estimates": result.to_frame().reset_index(), "trace": result.trace, "rounds": result.rounds}
-    tables |= {"optima": optima_table(result.names, result.optima)} if result.optima else {}
-    return SavedIdentification({}, result, tables, tuple(fits), ())
+    return IdentificationRun(result, tuple(fits))

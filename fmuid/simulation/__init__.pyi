@@ -1,9 +1,3 @@
-from .codes import BOOLEAN as BOOLEAN
-from .codes import FLOAT64 as FLOAT64
-from .codes import INT32 as INT32
-from .codes import REPORT as REPORT
-from .codes import UINT8 as UINT8
-from .codes import WIRES as WIRES
 from .executor_pool import close as close
 from .executor_pool import closing as closing
 from .executor_pool import executor_of as executor_of
@@ -23,16 +17,8 @@ from .output_fit import parameter_units as parameter_units
 from .output_fit import root_mean_square as root_mean_square
 from .right_hand_side import RightHandSide as RightHandSide
 from .sensitivities import derivatives_of as derivatives_of
-from .simulation_loop import SimulationLoop as SimulationLoop
 from .simulation_plan import MOST_STEPS as MOST_STEPS
-from .simulation_plan import AlgebraicLoop as AlgebraicLoop
-from .simulation_plan import GridSimulation as GridSimulation
-from .simulation_plan import Integration as Integration
-from .simulation_plan import Operation as Operation
 from .simulation_plan import Sensitivities as Sensitivities
-from .simulation_plan import SimulationPlan as SimulationPlan
-from .simulation_plan import TimeGrid as TimeGrid
-from .simulation_plan import new_reports as new_reports
 from .simulation_plan import shares as shares
 from .simulator import Simulator as Simulator
 from .smoke_test import Stage as Stage
@@ -54,5 +40,4 @@ from .validation import Validation as Validation
 from .validation import check_binaries as check_binaries
 from .validation import validate as validate
 from .variable_checks import Value as Value
-from .variable_checks import check_roles as check_roles
 from .variable_checks import column_conversion as column_conversion

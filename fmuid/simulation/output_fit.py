@@ -5,12 +5,13 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 import pandas as pd
 
 from fmuid.array_types import Flags, Floats
+from fmuid.codec import Layout
 
 if TYPE_CHECKING:
     from fmuid.data import Experiment
@@ -43,6 +44,10 @@ class OutputFit:
     simulated: Floats
     counted: Flags
 
+    json_layout: ClassVar = Layout(
+        omitted={"times", "measured", "simulated", "counted"}, derived=("counted_from", "fit", "rmse")
+    )
+
     @property
     def fit(self) -> tuple[float, ...]:
         """The fit of each output, % (`nrmse_fit`), over the counted samples."""
@@ -57,6 +62,19 @@ class OutputFit:
     def _counted_pairs(self) -> list[tuple[Floats, Floats]]:
         columns = zip(self.measured.T, self.simulated.T, self.counted.T, strict=True)
         return [(measured[counted], simulated[counted]) for measured, simulated, counted in columns]
+
+    @property
+    def counted_from(self) -> float | None:
+        """The first time that counts, s; None where none does."""
+        counted = self.counted.any(axis=1)
+        return float(self.times[int(counted.argmax())]) if counted.any() else None
+
+    def frame(self) -> pd.DataFrame:
+        """Return the columns ``time``, and ``measured.`` and ``simulated.`` of each output."""
+        columns = {"time": self.times}
+        for j, name in enumerate(self.outputs):
+            columns |= {f"measured.{name}": self.measured[:, j], f"simulated.{name}": self.simulated[:, j]}
+        return pd.DataFrame(columns)
 
     def simulated_frame(self) -> pd.DataFrame:
         """Return the columns ``time`` and each output."""

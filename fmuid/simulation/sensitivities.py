@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -82,13 +83,29 @@ class FmuSensitivities:
         return np.moveaxis(found, 1, 0) * self._factors
 
 
-# One comparison with differences of whole simulations, of parameters changed by this share, shows whether an FMU's
-# directional derivatives know of its parameters: FMI 2.0 does not promise it. They agree where the two differ by less
-# than this share of the change, and by what the integration leaves in an output.
-CHECK_STEP, ALLOWED_ERROR, ROUNDING_SHARE = 1e-3, 0.1, 1e-6
-# Steps of differences, as shares of a parameter: central ones of initial states, one-sided ones of right-hand sides.
-CENTRAL_STEP, TWIN_STEP = 2.0**-17, 2.0**-26
-TWIN_TOLERANCE = 1e-7  # the differences' rounding, which must not make an integrator shorten its steps
+@dataclass(frozen=True)
+class SensitivitySteps:
+    """Steps of differences, as shares of a parameter, and what a check of derivatives allows.
+
+    One comparison with differences of whole simulations shows whether an FMU's directional derivatives know of its
+    parameters: FMI 2.0 does not promise it.
+    """
+
+    check: float = 1e-3
+    """Of differences of whole simulations."""
+    allowed: float = 0.1
+    """Share of the change by which the two may differ, ..."""
+    rounding: float = 1e-6
+    """... and of an output: what the integration leaves in it."""
+    central: float = 2.0**-17
+    """Of initial states."""
+    twin: float = 2.0**-26
+    """Of right-hand sides, one-sided."""
+    twin_tolerance: float = 1e-7
+    """The differences' rounding, which must not make an integrator shorten its steps."""
+
+
+STEPS = SensitivitySteps()
 
 
 class ForwardSensitivities:
@@ -190,7 +207,7 @@ class ForwardSensitivities:
         """Return the derivatives (N, n_states) of the initial states, by central differences of initialisations."""
         if self._initial is None:
             return None
-        steps = np.diag(CENTRAL_STEP * magnitudes)
+        steps = np.diag(STEPS.central * magnitudes)
         changed = np.concatenate([values + steps, values - steps])
         states = initial_states(self._initial, executor_of(self._simulator.system), changed)
         if states is None:
@@ -201,11 +218,11 @@ class ForwardSensitivities:
 
     def _agrees(self, found: Floats, theta: Floats, nominals: Floats) -> bool:
         """Return whether differences of whole simulations say much the same; those that fail say nothing."""
-        steps = CHECK_STEP * np.where(theta != 0.0, np.abs(theta), nominals)
+        steps = STEPS.check * np.where(theta != 0.0, np.abs(theta), nominals)
         outputs = self._simulator.many(np.concatenate([theta[None], theta + np.diag(steps)])).outputs
         change = outputs[1:] - outputs[0]
         error, size = change - found * steps[:, None, None], np.abs(outputs[0]).max(axis=0)
-        return not bool((_rms(error) > ALLOWED_ERROR * _rms(change) + ROUNDING_SHARE * size).any())
+        return not bool((_rms(error) > STEPS.allowed * _rms(change) + STEPS.rounding * size).any())
 
     def _by_twins(self, values: Floats, magnitudes: Floats) -> Floats | SensitivityRefusal:
         if not self._simulator.system.can_be_repeated:
@@ -213,9 +230,9 @@ class ForwardSensitivities:
             return SensitivityRefusal(f"{name} can be instantiated only once, and differences need twins of it")
         if self._twins is None:
             self._twins = twin_simulation(self._simulator)
-        simulation, changed = self._twins, values + TWIN_STEP * magnitudes
+        simulation, changed = self._twins, values + STEPS.twin * magnitudes
         tolerance = self._model.numerics.tolerance or DEFAULT_TOLERANCE
-        simulation.given.magnitudes[:] = magnitudes * min(1.0, tolerance / TWIN_TOLERANCE)
+        simulation.given.magnitudes[:] = magnitudes * min(1.0, tolerance / STEPS.twin_tolerance)
         simulation.given.steps[:] = changed - values
         several = np.tile(values, (values.size + 1, 1))
         np.fill_diagonal(several, changed)

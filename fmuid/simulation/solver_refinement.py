@@ -18,14 +18,23 @@ from fmuid.simulation.executor_pool import variant_of
 from fmuid.simulation.instance_registry import needs_process
 from fmuid.simulation.simulator import Simulator
 
-FINE_TOLERANCE = 1e-9
-"""Of model exchange in place of co-simulation: searches by looser ones take many times the simulations."""
-# What is run with a controlled error is checked by a simulation with so much less of it ...
-FINER = 1e-2
-# ... down to here, where rounding begins.
-FINEST_TOLERANCE = 1e-13
-# What communication steps are divided by from one way to the next, and at most.
-DIVISION, FINEST_DIVISOR = 4, 1024
+
+@dataclass(frozen=True)
+class RefinementSteps:
+    """How much finer one way to simulate is than the one before."""
+
+    tolerance: float = 1e-9
+    """Of model exchange in place of co-simulation: searches by looser ones take many times the simulations."""
+    tighter: float = 1e-2
+    """What is run with a controlled error is checked by a simulation with so much less of it ..."""
+    tightest: float = 1e-13
+    """... down to here, where rounding begins."""
+    division: int = 4
+    """What communication steps are divided by from one way to the next."""
+    most_divided: int = 1024
+
+
+STEPS = RefinementSteps()
 
 
 @dataclass(frozen=True)
@@ -70,11 +79,11 @@ def next_refinement(system: System, than: Refinement = AS_ASKED, *, surely: bool
     tolerance, divisor = than.tolerance, than.divisor
     if exchanged:
         now = tolerance or min(map(_tolerance, exchanged.values()))
-        tolerance = min(FINE_TOLERANCE, FINER * now) if tolerance is None else FINER * now
+        tolerance = min(STEPS.tolerance, STEPS.tighter * now) if tolerance is None else STEPS.tighter * now
     divided = system.sampling_known or not surely
     if divided and (len(system.components) > 1 or not exchanged) and any(map(system.integrates, system.components)):
-        divisor *= DIVISION
-    exhausted = (tolerance is not None and tolerance < FINEST_TOLERANCE) or divisor > FINEST_DIVISOR
+        divisor *= STEPS.division
+    exhausted = (tolerance is not None and tolerance < STEPS.tightest) or divisor > STEPS.most_divided
     found = Refinement(tolerance, divisor)
     return None if exhausted or found == than else found
 
@@ -185,7 +194,7 @@ def _exchanged(system: System) -> dict[str, Component]:
     }
 
 
-def _exchange(model: Component, tolerance: float | None = FINE_TOLERANCE) -> Numerics:
+def _exchange(model: Component, tolerance: float | None = STEPS.tolerance) -> Numerics:
     """Return how a component is run by model exchange: by the integrator asked for, if its error is controlled."""
     asked = model.numerics
     integrator = None if asked.integrator == "rk4" else asked.integrator

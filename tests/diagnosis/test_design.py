@@ -18,7 +18,7 @@ from fmuid.diagnosis.alarms import Rule
 from fmuid.diagnosis.baseline import Baseline
 from fmuid.diagnosis.design import Design, planned_experiment
 from fmuid.diagnosis.monitor import Monitor
-from fmuid.runs.monitoring import design_of
+from fmuid.runs.faults import design_of
 from tests.support.exported import export_text
 from tests.support.plate import COLUMNS, PHASES, PLATE, STD, TRUTH
 from tests.support.plate import record as plate_record

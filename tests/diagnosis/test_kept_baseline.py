@@ -14,9 +14,10 @@ import fmuid
 from fmuid.apps.cli.app import run
 from fmuid.diagnosis import BaselineSource
 from fmuid.diagnosis.baseline_comparator import BaselineComparator
-from fmuid.reports import run_following
 from fmuid.reports.messages.diagnosis import UNLIKE, basis_notes
+from fmuid.runs import FollowStatus
 from tests.support.paths import FMUS
+from tests.support.running import run_following, run_monitoring, run_study
 
 COIL = Path(__file__).parents[2] / "experiments" / "coil"
 WORDS: dict[str, Any] = {
@@ -35,7 +36,7 @@ def kept(tmp_path_factory: pytest.TempPathFactory) -> Path:
     for name in ("healthy.csv", "test1.csv", "test2.csv"):
         pd.read_csv(COIL / name).head(400).to_csv(folder / name, index=False)
     words = WORDS | {"parameters": {"R": {"start": 3.0}, "L": {"start": 0.2}}, "diagnosis": {"faults": FAULTS}}
-    found = fmuid.run_study(fmuid.Study.of(words, folder / "healthy.toml"), folder / "healthy")
+    found = run_study(fmuid.Study.of(words, folder / "healthy.toml"), folder / "healthy")
     assert folder / "healthy" / "baseline.npz" in found.files
     return folder
 
@@ -86,9 +87,7 @@ def test_a_diagnosis_and_a_monitoring_take_it(kept: Path) -> None:
     assert "What the healthy records show is from the baseline.npz beside the healthy result" in fmuid.describe(found)
     again = fmuid.Diagnosis.from_json(found.to_json(kept / "diagnosis.json"))
     assert again.evidence == found.evidence
-    monitor = fmuid.run_monitoring(asked(kept), [kept / "test1.csv"]).monitor
-    assert monitor.basis is BaselineSource.FILE
-    assert "baseline.npz" in fmuid.describe(monitor)
+    assert run_monitoring(asked(kept), [kept / "test1.csv"]).basis is BaselineSource.FILE
 
 
 @pytest.mark.parametrize(
@@ -136,8 +135,9 @@ def test_a_damaged_file_serves_nobody_and_ends_nothing(kept: Path, tmp_path: Pat
     pd.read_csv(folder / "test1.csv").to_parquet(folder / "records" / "a.parquet")
 
     def followed(*names: str) -> fmuid.Monitor:
-        study = asked(folder, healthy_data=list(names))
-        return run_following(study, folder / "records", folder / "out", until=lambda at: at.idle).monitor
+        study, seen = asked(folder, healthy_data=list(names)), list[FollowStatus]()
+        run_following(study, folder / "records", folder / "out", until=lambda at: at.idle, show=seen.append)
+        return seen[-1].monitor
 
     assert followed("healthy.csv").basis is BaselineSource.FILE
     path = folder / "healthy/baseline.npz"

@@ -20,13 +20,18 @@ from fmuid.diagnosis import OnsetShape, SkippedWindow
 from fmuid.diagnosis.alarms import SOMETHING_ELSE, Rule, Trend
 from fmuid.diagnosis.monitor import Monitor
 from fmuid.reports.messages.monitoring import gap_words, monitoring_words
-from fmuid.runs.monitoring import build_monitor, rule_of
+from fmuid.runs.faults import build_monitor, findings_of, rule_of
 from tests.support.coil_records import warming
 from tests.support.exported import export_text
 from tests.support.plate import COLUMNS, PHASES, PLATE, STD, TRUTH, identified
 from tests.support.plate import record as plate_record
 
 RULE = Rule(window=1.0, transient=0.2)
+
+
+def told(found: Monitor) -> str:
+    """Return the verdict of a monitoring."""
+    return monitoring_words(findings_of(found))
 
 
 @pytest.fixture(scope="module")
@@ -57,7 +62,7 @@ def test_a_fault_is_found_soon_and_a_warm_winding_is_none(healthy: fmuid.Result)
     assert table["turns.dR"][30:].mean() == pytest.approx(0.5, abs=0.05)
     truth = coil.R + (5.0 - coil.R) * np.arange(40) / 40
     assert (np.abs(table["R"] - truth) < 4 * table["R.std"]).all()
-    said = monitoring_words(found)
+    said = told(found)
     assert said.startswith("Fault: turns, since 30 s of experiment (95 %: 29.9")
     assert "; alarm at 31 s of experiment; since then turns, dR = 0.5" in said
 
@@ -66,7 +71,7 @@ def test_nothing_is_found_where_nothing_is(healthy: fmuid.Result) -> None:
     found = watch(healthy)
     found.add(coil.experiment(warming(60, to=4.8, seed=2)))
     assert not found.alarms
-    assert monitoring_words(found) == "No alarm in 60 windows, at a level of 1 % for a false one in a record."
+    assert told(found) == "No alarm in 60 windows, at a level of 1 % for a false one in a record."
     assert (found.table["significant"] != "").mean() < 0.06
 
 
@@ -120,7 +125,7 @@ def test_a_size_that_grows_has_a_trend_and_a_limit(healthy: fmuid.Result) -> Non
     likely, early, late = trend.reached
     assert early < (1.0 - 0.6) / 0.05 < late
     assert early < likely < late
-    assert "turns.dR reaches its limit of 1 Ohm in " in monitoring_words(found)
+    assert "turns.dR reaches its limit of 1 Ohm in " in told(found)
 
 
 def test_a_trend_is_a_line_of_least_squares() -> None:
@@ -150,7 +155,7 @@ def test_dates_of_a_table_are_those_of_an_onset(healthy: fmuid.Result) -> None:
     onset = found.alarms[0].onset
     assert onset is not None
     assert abs(pd.Timestamp(onset.likely.date) - pd.Timestamp("2024-05-06 07:08:12")) < pd.Timedelta(seconds=0.1)
-    assert "2024-05-06 07:08:1" in monitoring_words(found)
+    assert "2024-05-06 07:08:1" in told(found)
 
 
 def test_windows_without_voltage_say_nothing(healthy: fmuid.Result) -> None:
@@ -170,7 +175,7 @@ def test_without_prior_it_stays_open(healthy: fmuid.Result) -> None:
     found.add(coil.experiment(warming(4, to=4.0, fails=2)))
     assert not found.alarms
     assert found.undetermined == ("turns",)
-    assert monitoring_words(found) == "Whether there is a fault stays open: no window determines turns."
+    assert told(found) == "Whether there is a fault stays open: no window determines turns."
 
 
 def test_a_gap_is_passed_over(healthy: fmuid.Result) -> None:
@@ -211,7 +216,7 @@ def test_something_else_is_an_alarm_too(healthy: fmuid.Result) -> None:
     found.add(coil.experiment(table))
     assert [alarm.fault for alarm in found.alarms] == [SOMETHING_ELSE]
     assert found.alarms[0].first == 2
-    assert monitoring_words(found).startswith("Something else is wrong: the residual is larger than the noise")
+    assert told(found).startswith("Something else is wrong: the residual is larger than the noise")
 
 
 def test_a_small_fault_is_found_over_many_windows(healthy: fmuid.Result) -> None:

@@ -18,9 +18,10 @@ from fmuid.apps.cli.app import run
 from fmuid.data.npz import read_arrays, write_arrays
 from fmuid.diagnosis.alarms import Rule
 from fmuid.diagnosis.window_evaluation import WindowEvaluation
-from fmuid.runs.monitoring import design_of, rule_of
+from fmuid.runs.faults import design_of, rule_of
 from tests.support.coil_records import warming
 from tests.support.interrupting import SIGNALS, command, killing
+from tests.support.running import run_monitoring
 
 # --- alarms -----------------------------------------------------------------------------
 
@@ -99,8 +100,9 @@ def test_appending_gives_what_one_run_gives(folder: Path, capsys: pytest.Capture
 def written(folder: Path) -> tuple[bytes, dict[str, Any]]:
     """Return the content of the files of a monitoring, but for the date and the order of their origin."""
     content = json.loads((folder / "monitoring.json").read_text(encoding="utf-8"))
-    assert content["files"]
-    return (folder / "monitoring.csv").read_bytes(), content | {"date": ""}
+    assert content["origin"]["files"]
+    content["origin"]["date"] = ""
+    return (folder / "monitoring.csv").read_bytes(), content
 
 
 @pytest.mark.slow
@@ -113,15 +115,15 @@ def test_from_python_it_is_what_the_command_does(folder: Path) -> None:
     read = fmuid.Study.read(study, words)
     (folder / "wrong.csv").write_text("time,nothing\n0,1\n1,1\n", encoding="utf-8")
     with pytest.raises(fmuid.InputError, match="wrong"):
-        fmuid.run_monitoring(read, [records / "day0.csv", folder / "wrong.csv"], mine)
-    found = fmuid.run_monitoring(read, [records], mine, figures="png", append=True)
+        run_monitoring(read, [records / "day0.csv", folder / "wrong.csv"], mine)
+    found = run_monitoring(read, [records], mine, figures="png", append=True)
     assert not found.healthy
     assert {path.name for path in found.files} == {"monitoring.csv", "monitoring.json", "timeline.png"}
     assert written(mine) == written(folder / "theirs")
-    alone = fmuid.run_monitoring(read, [records / "day0.csv"])
+    alone = run_monitoring(read, [records / "day0.csv"])
     assert (alone.healthy, alone.files) == (True, ())
     with pytest.raises(fmuid.InputError, match="in a folder"):
-        fmuid.run_monitoring(read, [records], append=True)
+        run_monitoring(read, [records], append=True)
 
 
 @pytest.mark.parametrize("number", SIGNALS)

@@ -11,7 +11,7 @@ from fmuid.diagnosis.causes import Cause
 from fmuid.diagnosis.change_detection import log_chance, log_limit
 from fmuid.diagnosis.information_matrix import ChangePrior
 from fmuid.diagnosis.onset import ChangeTransient, OnsetShape, estimate_onset
-from fmuid.diagnosis.onset_tracker import Blocks, OnsetTracker
+from fmuid.diagnosis.onset_tracker import Blocks, OnsetTracker, TrackerSettings
 
 LENGTH, BLOCKS, WINDOWS = 20, 5, 8
 SAMPLES = LENGTH * BLOCKS * WINDOWS
@@ -93,8 +93,7 @@ def test_what_persists_of_a_drift_is_no_news() -> None:
 
 
 def test_old_onsets_thin_out_and_those_of_an_alarm_stay(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(watching, "MOST", 8)
-    monkeypatch.setattr(watching, "FINE", 2)
+    monkeypatch.setattr(watching, "SETTINGS", TrackerSettings(fine=2, most=8))
     found = OnsetTracker(KNOWN, DRIFT)
     for k in range(100):
         found.add(

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from fmuid.array_types import Floats
+from fmuid.codec import as_json
 from fmuid.data import Normal, Parameter
 from fmuid.estimation import (
     AccuracyOutcome,
@@ -23,8 +24,8 @@ from fmuid.estimation import (
     estimate_solver_error,
     with_shift,
 )
-from fmuid.estimation.result_file import content
 from fmuid.identification import identify
+from tests.support.results import RESULT
 
 TIMES = np.linspace(0.0, 1.0, 60)
 BASIS = np.column_stack([np.ones(60), TIMES, TIMES**2])
@@ -118,13 +119,13 @@ def test_written_and_read(tmp_path: Path) -> None:
     words = b, c, 12.5, RefinementRefusal.FITS_BETTER, switches, 2, 40, 1e-9, 4
     result = replace(identify(one), accuracy=SolverCheck(AccuracyOutcome.SHIFTED, shift, *words))
     path = tmp_path / "result.json"
-    path.write_text(json.dumps(content(result)), encoding="utf-8")
+    path.write_text(json.dumps(RESULT | as_json(result)), encoding="utf-8")
     written = json.loads(path.read_text(encoding="utf-8"))
     assert [each["numerical_shift"] for each in written["parameters"].values()] == [0.5, None, -2.0]
     read = Result.from_json(path).accuracy
     assert read is not None
     assert np.array_equal(read.shift, shift, equal_nan=True)
-    assert content(Result.from_json(path))["accuracy"] == written["accuracy"]
+    assert as_json(Result.from_json(path))["accuracy"] == written["accuracy"]
     assert (read.outcome, read.kept, read.switches[1]) == (
         AccuracyOutcome.SHIFTED,
         RefinementRefusal.FITS_BETTER,
@@ -133,7 +134,7 @@ def test_written_and_read(tmp_path: Path) -> None:
 
 
 def test_results_without_a_check_are_read(tmp_path: Path) -> None:
-    data = content(identify(problem()))
+    data = as_json(identify(problem()))
     for each in data["parameters"].values():
         del each["numerical_shift"]
     del data["accuracy"]

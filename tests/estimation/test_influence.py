@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from fmuid.array_types import Floats
+from fmuid.codec import as_json
 from fmuid.data import Parameter
 from fmuid.errors import InputError
 from fmuid.estimation.evaluator import Evaluator
@@ -56,7 +57,7 @@ def test_friction_at_rest(bounds: dict[str, Any], start: tuple[float, ...]) -> N
     check(result, list(SLIDE.values()))
     assert "Fc" in result.moved_start
     assert result.start[1] < 4.0
-    assert result.to_json_dict()["moved_start"] == list(result.moved_start)
+    assert as_json(result)["moved_start"] == list(result.moved_start)
 
 
 @pytest.mark.parametrize("bounds", [{}, {"min": 0.0, "max": 10.0}])

@@ -10,6 +10,7 @@ from scipy.optimize import minimize
 from scipy.stats import norm
 
 from fmuid.array_types import Floats
+from fmuid.codec import as_json
 from fmuid.data import Experiment, Normal, Parameter
 from fmuid.data.noise import Noise
 from fmuid.estimation import identification
@@ -20,8 +21,8 @@ from fmuid.estimation.problem import LeastSquares
 from fmuid.estimation.result import Result
 from fmuid.identification import identify
 from fmuid.progress import Event, SearchStep
-from fmuid.reports.identification_run import at_minimum
 from fmuid.reports.messages.result import ending
+from fmuid.runs.findings import at_minimum
 from tests.support.problems import Fake
 from tests.support.two_outputs import TIMES, two_output_problem, two_outputs
 
@@ -85,11 +86,11 @@ def test_the_log_likelihood_is_that_of_the_data() -> None:
 def test_the_log_likelihood_compares_where_the_criterion_does_not() -> None:
     results = [identify(two_output_problem(noise=Noise(initial_variance=start))) for start in (1e-4, 1e4)]
     assert results[0].log_likelihood == pytest.approx(results[1].log_likelihood, abs=1e-3)
-    content = results[0].to_json_dict()
+    content = as_json(results[0])
     assert content["log_likelihood"] == results[0].log_likelihood
     robust = identify(two_output_problem(loss="huber"))
     assert math.isnan(robust.log_likelihood)
-    assert robust.to_json_dict()["log_likelihood"] is None
+    assert as_json(robust)["log_likelihood"] is None
 
 
 def test_given_variances_are_used_as_they_are() -> None:

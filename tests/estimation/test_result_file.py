@@ -10,27 +10,29 @@ from scipy import stats
 from scipy.stats import norm
 
 import fmuid
+from fmuid.codec import as_json
 from fmuid.data import Normal, Parameter
 from fmuid.errors import InputError
 from fmuid.estimation.result import Result
 from fmuid.identification import identify
-from fmuid.version import __version__
 from tests.support.problems import coil_problem
+from tests.support.results import RESULT
 from tests.support.two_outputs import two_output_problem
 
 
 def test_result_json_keeps_the_contract(tmp_path: Path) -> None:
     result = identify(two_output_problem(parameters={"k": Parameter(0.8, prior=Normal(1.4, 0.1))}))
-    data = result.to_json_dict()
+    data = as_json(result)
     keys = {"outcome", "converged", "parameters", "covariance", "noise_variance", "criterion", "iterations"}
     assert keys | {"simulations", "elapsed_s", "version"} <= set(data)
-    keys = {"value", "std", "white_std", "degrees_of_freedom", "start", "min", "max", "numerical_shift"}
-    assert set(data["parameters"]["k"]) == keys | {"prior_mean", "prior_std", "pull"}
-    assert set(data["parameters"]["gain"]) == keys
+    keys = {"value", "std", "white_std", "degrees_of_freedom", "start", "lower", "upper", "numerical_shift"}
+    assert set(data["parameters"]["k"]) == keys | {"prior_mean", "prior_std", "pull", "unit"}
+    assert data["parameters"]["gain"]["prior_mean"] is None
+    assert data["parameters"]["gain"]["upper"] == "inf"
     assert data["covariance"]["names"] == ["k", "gain"]
     assert data["version"] == fmuid.__version__
     path = tmp_path / "result.json"
-    path.write_text(json.dumps(data, allow_nan=False), encoding="utf-8")
+    path.write_text(json.dumps(RESULT | data, allow_nan=False), encoding="utf-8")
     back = Result.from_json(path)
     for name in (
         "values",
@@ -46,14 +48,14 @@ def test_result_json_keeps_the_contract(tmp_path: Path) -> None:
     ):
         np.testing.assert_array_equal(getattr(back, name), getattr(result, name))
     pd.testing.assert_frame_equal(back.intervals(), result.intervals())
-    assert back.to_json_dict() == data
+    assert as_json(back) == data
     assert back.local is None
 
 
 def test_undetermined_results_come_back(tmp_path: Path) -> None:
     result = identify(coil_problem(prior=False))
     path = tmp_path / "result.json"
-    path.write_text(json.dumps(result.to_json_dict(), allow_nan=False), encoding="utf-8")
+    path.write_text(json.dumps(RESULT | as_json(result), allow_nan=False), encoding="utf-8")
     back = Result.from_json(path)
     assert np.isinf(back.std).all()
     assert back.undetermined == result.undetermined
@@ -79,11 +81,11 @@ def test_a_result_as_prior() -> None:
 @pytest.mark.parametrize(
     ("text", "said"),
     [
-        ("{", "not JSON"),
-        ("{}", "does not say which fmuid has written it: give the result.json of .*, or run fmuid identify again$"),
-        ('{"version": 1}', "does not say which fmuid has written it"),
-        ("[]", "does not say which fmuid has written it"),
-        ('{"version": "0.1.0"}', r"which fmuid 0\.1\.0 has written, has no 'parameters', .*: run fmuid identify again"),
+        ("{", r"is not JSON \(.*\): run fmuid identify again$"),
+        ("{}", "is of no schema, not 'fmuid/result/2': run fmuid identify again$"),
+        ('{"schema": "fmuid/diagnosis/2"}', "is of schema 'fmuid/diagnosis/2', not 'fmuid/result/2'"),
+        ("[]", "is of no schema"),
+        ('{"schema": "fmuid/result/2"}', "cannot be right: it has no 'outcome'"),
     ],
 )
 def test_files_that_are_no_results(tmp_path: Path, text: str, said: str) -> None:
@@ -95,32 +97,32 @@ def test_files_that_are_no_results(tmp_path: Path, text: str, said: str) -> None
         Result.from_json(tmp_path / "missing.json")
 
 
-def test_results_of_other_versions_are_one_sentence(tmp_path: Path) -> None:
-    path, whole = tmp_path / "result.json", identify(two_output_problem()).to_json_dict() | {"version": "0.0.9"}
+def test_damaged_results_are_one_sentence(tmp_path: Path) -> None:
+    path, whole = tmp_path / "result.json", RESULT | as_json(identify(two_output_problem()))
 
     def said(content: object) -> str:
         path.write_text(json.dumps(content), encoding="utf-8")
         with pytest.raises(InputError) as caught:
             Result.from_json(path)
         text = str(caught.value)
-        assert text.startswith(f"{path}, which fmuid 0.0.9 has written, ")
-        assert text.endswith("run fmuid identify again") and "\n" not in text
+        assert text.startswith(f"{path} cannot be right: ")
+        assert text.endswith("run fmuid identify again")
+        assert "\n" not in text
         return text
 
-    for key in ("outcome", "parameters", "covariance", "noise_variance", "criterion", "iterations", "elapsed_s"):
-        assert f"has no '{key}', which fmuid {__version__} needs" in said({k: v for k, v in whole.items() if k != key})
-    assert f"has something in 'outcome' that fmuid {__version__} cannot read" in said(whole | {"outcome": "of old"})
-    for key in whole.keys() - {"version", "outcome"}:
-        assert f"cannot be right: {key}: the value should be" in said(whole | {key: "of old"})
-    models = {"": {"name": "Coil", "digest": "1", "run": "co-simulation"}}
-    assert "cannot be right: models..run: the value should be" in said(whole | {"models": models})
+    for key in ("outcome", "noise_variance", "criterion", "iterations", "elapsed_s"):
+        assert f"it has no '{key}'" in said({k: v for k, v in whole.items() if k != key})
+    for key in whole.keys() - {"schema", "converged", "version"}:
+        assert f"right: {key}" in said(whole | {key: [["of old"]]})
+    assert "cannot be right: models." in said(whole | {"models": {"": "of old"}})
     direction = {"names": ["k"], "coefficients": [1.0], "values": [1.0], "magnitudes": [1.0], "std": 1.0}
-    assert "has no 'determined' in 'weak'" in said(whole | {"weak": [direction]})
-    negative = {"names": list(whole["parameters"]), "matrix": np.diag([1.0, -1.0]).tolist()}
-    assert "cannot be right: a variance is negative" in said(whole | {"covariance": negative})
-    assert "the names of parameters and covariance differ" in said(
-        whole | {"covariance": negative | {"names": ["x", "y"]}}
-    )
+    assert "it has no 'weak[0].determined'" in said(whole | {"weak": [direction]})
+    direction |= {"determined": "hidden", "values": []}
+    assert "weak[0]: a direction has not as many numbers as names" in said(whole | {"weak": [direction]})
+    negative = whole["covariance"] | {"matrix": np.diag([1.0, -1.0]).tolist()}
+    assert "a variance is negative" in said(whole | {"covariance": negative})
+    assert "the names differ from those of the rows" in said(whole | {"covariance": negative | {"names": ["x", "y"]}})
+    assert "is not of 2 parameters" in said(whole | {"covariance": whole["covariance"] | {"matrix": [[1.0]]}})
 
 
 def test_the_level_of_an_interval() -> None:

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 
 from fmuid.array_types import Floats
+from fmuid.codec import as_json
 from fmuid.data import Parameter
 from fmuid.errors import InputError
 from fmuid.estimation.finite_differences import FiniteDifferences
@@ -20,9 +21,10 @@ from fmuid.estimation.marquardt.outcome import TerminationReason
 from fmuid.estimation.problem import LeastSquares
 from fmuid.estimation.result import Result
 from fmuid.identification import identify
-from fmuid.reports.apply import apply_result
 from fmuid.reports.messages.result import ending
+from fmuid.runs.apply import apply_result
 from tests.support.paths import FMUS
+from tests.support.results import RESULT
 
 Function = Callable[[Floats], Floats]
 
@@ -174,7 +176,7 @@ def test_a_stalled_search_claims_nothing(stalled: Result, tmp_path: Path) -> Non
     assert stalled.intervals().isna().to_numpy().all()
     assert stalled.undetermined == stalled.weak == ()
     path = tmp_path / "result.json"
-    path.write_text(json.dumps(stalled.to_json_dict(), allow_nan=False))
+    path.write_text(json.dumps(RESULT | as_json(stalled), allow_nan=False))
     again = Result.from_json(path)
     assert again.outcome is TerminationReason.STALLED
     assert np.isnan(again.std).all()
@@ -187,7 +189,7 @@ def test_what_is_as_accurate_as_the_simulation_may_be_applied(tmp_path: Path) ->
     parameters = {"R": Parameter(1.5), "L": Parameter(1.5), "brake": Parameter(0.8)}
     result = identify(LeastSquares.from_function(lambda theta: push(theta, 1e-4), y, parameters))
     assert result.outcome is TerminationReason.ACCURACY
-    content = result.to_json_dict()
+    content = as_json(result)
     assert content["outcome"] == "accuracy"
     assert ending(result).startswith("converged to the accuracy of the simulation: make it more accurate")
     del content["parameters"]["brake"]

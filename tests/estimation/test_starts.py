@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import fmuid
-from fmuid.estimation import RestartAttempt, SearchFailure, StartingPointSource, WeakForm, second_difference_noise
+from fmuid.estimation import WeakForm, second_difference_noise
 from fmuid.estimation.starting_points.weak_form import WINDOW
 
 RNG = np.random.default_rng(0)
@@ -110,10 +110,3 @@ def test_second_differences_of_straight_lines_and_of_nearly_nothing() -> None:
     assert second_difference_noise(TIMES, 3.0 * TIMES) == pytest.approx(0.0, abs=1e-14)
     assert np.isnan(second_difference_noise(TIMES[:4], TIMES[:4]))
     assert np.isnan(second_difference_noise(np.zeros(6), np.arange(6.0)))
-
-
-def test_attempts_survive_a_file() -> None:
-    attempt = RestartAttempt(StartingPointSource.SOBOL, SearchFailure.LARGE_RESIDUAL, 4.5, 12, kept=True)
-    assert RestartAttempt.of_json(
-        {"remedy": "sobol", "trouble": "large_residual", "noise_ratio": 4.5, "simulations": 12, "kept": True}
-    ) == (attempt)

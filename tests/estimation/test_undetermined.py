@@ -9,6 +9,7 @@ import pytest
 from scipy import stats
 
 from fmuid.array_types import Floats
+from fmuid.codec import as_json
 from fmuid.data import Parameter
 from fmuid.estimation.covariance import ActiveBound, Identifiability
 from fmuid.estimation.problem import LeastSquares
@@ -54,7 +55,7 @@ def test_what_cannot_be_told_apart_is_named() -> None:
     assert np.isinf(result.std).all()
     assert result["R"] + result["dR"] == pytest.approx(5.0, abs=0.3)
     assert result["L"] + 0.0494 * result["dR"] == pytest.approx(0.1494, abs=0.01)
-    written = result.to_json_dict()
+    written = as_json(result)
     assert written["parameters"]["R"]["std"] is None
     json.dumps(written, allow_nan=False)
 

@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike
 
 import fmuid
 from fmuid.array_types import Floats
+from fmuid.codec import as_json
 from fmuid.data import Experiment, JointPrior, Normal, Parameter
 from fmuid.data.noise import Noise
 from fmuid.errors import InputError
@@ -23,6 +24,7 @@ from fmuid.reports.messages.identifiability import direction_words
 from fmuid.reports.messages.result import ending
 from tests.support.paths import FMUS
 from tests.support.problems import Fake, coil
+from tests.support.results import RESULT
 
 TIMES = 1e-3 * np.arange(600)
 STEPS = np.repeat(np.random.default_rng(1).choice([-1.0, 1.0], 40), 15)
@@ -107,7 +109,7 @@ def test_a_runaway_is_stopped_and_named() -> None:
     assert (result.std[:2] > UNDETERMINED_STD * np.abs(result.values[:2])).all()
     assert result.iterations < 60
     assert result.trace.loc[result.trace["accepted"], "L"].max() < 1e4
-    json.dumps(result.to_json_dict(), allow_nan=False)
+    json.dumps(RESULT | as_json(result), allow_nan=False)
 
 
 def test_a_bound_holds_a_runaway() -> None:
@@ -378,7 +380,7 @@ def test_a_start_far_from_anything_makes_no_warnings(start: float) -> None:
         assert "changes no measured output" in str(error) or "change no measured output" in str(error)
     else:
         result.intervals()
-        json.dumps(result.to_json_dict(), allow_nan=False)
+        json.dumps(RESULT | as_json(result), allow_nan=False)
 
 
 @pytest.mark.parametrize(

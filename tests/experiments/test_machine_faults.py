@@ -16,7 +16,9 @@ import fmuid
 from experiments import pages
 from experiments.machine_faults import machine, make_tables, models, onsets, study
 from experiments.machine_faults.machine import BARS, COILS, TRUTH, TURNS, Condition
+from fmuid.codec import as_json
 from fmuid.data.signals import T23
+from tests.support.results import RESULT
 
 Array = npt.NDArray[np.floating]
 
@@ -210,7 +212,7 @@ def test_the_study_names_the_phase(known: fmuid.Baseline, tmp_path: Path) -> Non
     make_tables.table("stator_b5").to_csv(folder / "tables" / "stator_b5.csv", index=False)
     (folder / "results" / "healthy").mkdir(parents=True)
     (folder / "results" / "healthy" / "result.json").write_text(
-        json.dumps(known.result.to_json_dict()), encoding="utf-8"
+        json.dumps(RESULT | as_json(known.result)), encoding="utf-8"
     )
     text = study.HERE.joinpath("study.toml").read_text(encoding="utf-8")
     (folder / "study.toml").write_text(text.replace("../../fmus", models.FMUS.as_posix()), encoding="utf-8")

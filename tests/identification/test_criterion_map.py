@@ -13,6 +13,7 @@ import pytest
 from scipy import stats
 
 from fmuid.array_types import Floats
+from fmuid.codec import as_json
 from fmuid.data import Normal, Parameter
 from fmuid.data.noise import Noise
 from fmuid.errors import InputError
@@ -23,6 +24,7 @@ from fmuid.estimation.evaluator import Evaluator
 from fmuid.estimation.problem import LeastSquares
 from fmuid.estimation.result import Result
 from fmuid.identification.cost_map import CostMap, map_cost, region_rise
+from tests.support.results import RESULT
 from tests.support.results import identify_white as identify
 
 TIMES = np.linspace(0.0, 1.0, 40)
@@ -174,7 +176,7 @@ def test_result_from_a_file(tmp_path: Path) -> None:
     problem = linear()
     chart, result = chart_of(problem, points=3)
     path = tmp_path / "result.json"
-    path.write_text(json.dumps(result.to_json_dict()))
+    path.write_text(json.dumps(RESULT | as_json(result)))
     again = map_cost(problem, Result.from_json(path), "a", "b", points=3)
     pd.testing.assert_frame_equal(again.table, chart.table)
 

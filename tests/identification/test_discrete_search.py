@@ -19,6 +19,7 @@ from tests.support.choices import choices_fmu
 from tests.support.fmu_texts import FMI2, write_fmu
 from tests.support.probe_fmu import ProbeMaker
 from tests.support.quick import first
+from tests.support.running import run_prediction, run_study
 from tests.support.stepping import LAG, stepping_fmu
 
 GAIN, N, B = 2.0, 3, True
@@ -175,7 +176,7 @@ def study(tmp_path: Path, fmu: Path) -> Path:
 
 
 def test_a_study(study: Path) -> None:
-    found = fmuid.run_study(study, study.parent / "out")
+    found = run_study(study, study.parent / "out")
     result = found.result
     assert result.chosen == {"n": N, "b": B}
     assert found.fits[0].fit[0] > 95.0
@@ -186,7 +187,7 @@ def test_a_study(study: Path) -> None:
     assert kept.combinations == result.combinations
     words = json.loads((study.parent / "out" / "result.json").read_text())["words"]
     assert any(each.startswith("n = 3, b = true fits best of 6 combinations; the next best, ") for each in words)
-    predicted = fmuid.run_prediction(study.parent / "out", [study.parent / "table.csv"])
+    predicted = run_prediction(study.parent / "out", [study.parent / "table.csv"])
     assert predicted.predictions[0].scores[0].rmse < 2 * NOISE
 
 

@@ -17,8 +17,8 @@ import fmuid
 from experiments.starts.draws import DC_MOTOR, Record, draw
 from experiments.starts.study import searched
 from fmuid.array_types import Floats
+from fmuid.codec import as_json
 from fmuid.estimation import Evaluator, RestartAttempt, SearchFailure, StartingPointSource
-from fmuid.files import as_json
 from fmuid.identification import starting_points
 from fmuid.identification.equation_error_start import POOR, equation_start
 from fmuid.identification.starting_points import EndedSearch, _RestartingSearch, corrected_start, is_confirmed
@@ -79,7 +79,7 @@ def test_a_motor_from_far_away_is_found_by_its_equations(motor: Path, record: Re
         "where the model's equations hold best at the measured states ended well, which is kept"
     )
     assert said in fmuid.describe(result).replace("Several", "several")
-    data = json.loads(json.dumps(as_json(result.to_json_dict())))
+    data = json.loads(json.dumps(as_json(result)))
     assert [each["remedy"] for each in data["attempts"]] == ["given", "equation_error"]
 
 
@@ -244,7 +244,7 @@ def test_two_searches_that_agree_end_it_however_large_the_residual_is(tmp_path: 
     assert said.endswith(
         "; the model does not explain the data, other starts end there too: check the model and its inputs"
     )
-    data = json.loads(json.dumps(as_json(result.to_json_dict())))
+    data = json.loads(json.dumps(as_json(result)))
     assert [each["trouble"] for each in data["attempts"] if each["kept"]] == ["model_error"]
 
 

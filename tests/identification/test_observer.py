@@ -16,11 +16,15 @@ from scipy.linalg import expm
 
 import fmuid
 from fmuid.array_types import Floats
+from fmuid.codec import as_json
 from fmuid.identification import starting_points, with_observer
 from fmuid.identification.observer import observer_gain
 from fmuid.reports.page.verdict import identification_words
+from fmuid.runs import IdentificationRun
 from fmuid.simulation import RightHandSide
 from tests.support.exported import export_text
+from tests.support.results import RESULT
+from tests.support.running import run_study
 
 CART = """model Cart
   parameter Real m = 1;
@@ -119,12 +123,12 @@ def test_a_right_model_is_found_with_an_observer_too(cart: Path) -> None:
 
 def test_the_result_says_that_it_is_no_output_error(cart: Path, tmp_path: Path) -> None:
     result = fmuid.identify(with_observer(problem(cart, 0.0), 5.0))
-    (tmp_path / "result.json").write_text(json.dumps(result.to_json_dict()), encoding="utf-8")
+    (tmp_path / "result.json").write_text(json.dumps(RESULT | as_json(result)), encoding="utf-8")
     kept = fmuid.Result.from_json(tmp_path / "result.json")
     assert kept.observer == 5.0
     said = "An observer with its poles at 5 samples kept the simulation with the record: this is a fit of predictions"
     assert said in fmuid.describe(kept)
-    assert any(said in each.text and each.doubtful for each in identification_words(kept.to_json_dict(), kept, ()))
+    assert any(said in each.text and each.doubtful for each in identification_words(IdentificationRun(kept)))
     assert "observer" not in fmuid.describe(replace(kept, observer=None))
 
 
@@ -180,7 +184,7 @@ def study(folder: Path, fmu: Path, *, outputs: str = '["q"]', more: str = "", mo
 def test_a_study_asks_for_an_observer(cart: Path, tmp_path: Path) -> None:
     record(0.3).to_csv(tmp_path / "table.csv", index=False)
     asked = study(tmp_path, cart)
-    found = fmuid.run_study(asked, tmp_path / "out")
+    found = run_study(asked, tmp_path / "out")
     by_hand = fmuid.identify(with_observer(problem(cart, 0.3), 5.0))
     assert found.result.observer == 5.0
     assert found.result.values == pytest.approx(by_hand.values, rel=1e-6)

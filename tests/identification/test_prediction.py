@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike
 from scipy.signal import lfilter
 
 from fmuid.array_types import Floats
+from fmuid.codec import as_json
 from fmuid.data import Experiment, Parameter
 from fmuid.errors import InputError, SimulationError
 from fmuid.estimation import Result
@@ -157,7 +158,7 @@ def test_what_the_table_and_the_json_have(result: Result) -> None:
     assert list(found.table.columns) == names
     inside = found.table["measured.i"].between(found.table["lower.i"], found.table["upper.i"])
     assert inside.mean() == found.scores[0].inside
-    content: dict[str, Any] = found.to_json_dict()
+    content: dict[str, Any] = as_json(found)
     assert content["outputs"][0]["rmse"] == found.scores[0].rmse
     assert content["estimated"] is None
 

@@ -10,6 +10,7 @@ import pytest
 from scipy import stats
 
 from fmuid.array_types import Floats
+from fmuid.codec import as_json
 from fmuid.data import JointPrior, Normal, Parameter
 from fmuid.data.noise import Noise
 from fmuid.errors import InputError
@@ -247,7 +248,7 @@ def test_data_that_determine_combinations_only() -> None:
     assert reading.agreement.holds
     assert reading.obstacle is None
     assert reading_words(reading)[0].startswith("Prior and data agree")
-    json.dumps(reading.to_json_dict(), allow_nan=False)
+    json.dumps(as_json(reading), allow_nan=False)
 
 
 def test_nothing_in_common() -> None:
@@ -351,7 +352,7 @@ def test_a_search_that_ends_at_a_bound_is_said() -> None:
 def test_written_and_read() -> None:
     problem, result = linear(noisy(np.random.default_rng(10)), joint())
     reading = compare_prior_and_data(problem, result, search_data=True)
-    written = json.loads(json.dumps(reading.to_json_dict(), allow_nan=False))
+    written = json.loads(json.dumps(as_json(reading), allow_nan=False))
     assert written["variances"][0]["deviation"] == reading.variances[0].deviation.value
     assert written["parameters"]["b"]["data"] == reading.data[1]
     assert written["prior_against_data"]["degrees_of_freedom"] == 3

@@ -11,6 +11,7 @@ import pandas as pd
 import pytest
 
 from fmuid.array_types import Floats
+from fmuid.codec import as_json
 from fmuid.data import Experiment, Normal, Parameter
 from fmuid.data.noise import Noise
 from fmuid.errors import InputError
@@ -161,7 +162,7 @@ def test_samples_on_no_grid_are_said() -> None:
     problem = LeastSquares([predictor], [Experiment(frame, outputs=["y"])], {"level": Parameter(1.0)})
     found = analyze_residuals(problem, identify(problem))
     assert found.off_grid == (("experiment", "y"),)
-    assert found.to_json_dict()["off_grid"] == [["experiment", "y"]]
+    assert as_json(found)["off_grid"] == [["experiment", "y"]]
     assert any(line.startswith("The samples of y stand on no grid: ") for line in residual_words(found))
 
 
@@ -176,7 +177,7 @@ def test_slow_noise_is_said_where_the_intervals_allow_for_it(share: float) -> No
     for each in found.slow:
         assert each.time_constant == pytest.approx(0.5, rel=0.5)
         assert each.share == pytest.approx(share, abs=0.08)
-        assert found.to_json_dict()["slow"][0]["output"] == "y"
+        assert as_json(found)["slow"][0]["output"] == "y"
 
 
 @pytest.mark.parametrize("share", [0.0, 0.8, 0.999])
@@ -188,7 +189,7 @@ def test_noise_too_slow_for_its_record_is_said(share: float) -> None:
     for each in found.long_memory:
         assert (each.output, each.experiments) == ("y", ("experiment",))
         assert 2.0 < each.time_constant <= 10.0
-        assert found.to_json_dict()["long_memory"][0]["record"] == pytest.approx(10.0)
+        assert as_json(found)["long_memory"][0]["record"] == pytest.approx(10.0)
 
 
 def test_standard_deviations_that_are_smaller_for_the_colour() -> None:
@@ -390,11 +391,11 @@ def test_an_output_that_one_experiment_lacks() -> None:
 def test_written_and_read() -> None:
     problem, result = several()
     found = analyze_residuals(problem, result)
-    written = json.loads(json.dumps(found.to_json_dict(), allow_nan=False))
+    written = json.loads(json.dumps(as_json(found), allow_nan=False))
     assert len(written["findings"]) == len(found.findings)
     assert set(written["widening"]) == {"level", "slow", "fast"}
-    assert [row["output"] for row in written["residuals"]] == found.table["output"].tolist()
-    assert written["residuals"][3]["inputs"][0]["input"] == "u"
-    assert written["residuals"][0]["std"] == found.table["std"][0]
+    assert [row["output"] for row in written["series"]] == found.table["output"].tolist()
+    assert written["series"][3]["inputs"][0]["input"] == "u"
+    assert written["series"][0]["std"] == found.table["std"][0]
     with pytest.raises(InputError, match="identify the study again"):
         analyze_residuals(problem, dataclasses.replace(result, noise=None))

@@ -6,6 +6,7 @@ from __future__ import annotations
 import zipfile
 from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -142,9 +143,11 @@ def test_units_with_offsets_along_a_chain(package: Maker) -> None:
     )  # fmt: skip
     joined = connection("inner.t", "controller.q")
     scales = units(K=("K", 1.0, 0.0), degF=("K", 5 / 9, 459.67 * 5 / 9))
-    factor, offset = read_ssp(package(content(inner + controller(unit="K"), joined), rest=scales)).connections[0][2:]
+    found: tuple[Any, ...] = read_ssp(package(content(inner + controller(unit="K"), joined), rest=scales)).connections[
+        0
+    ]
     doubled = 2 * (300.0 * 9 / 5 - 459.67)
-    assert factor * 300.0 + offset == pytest.approx((doubled + 459.67) * 5 / 9, rel=1e-14)
+    assert found[2] * 300.0 + found[3] == pytest.approx((doubled + 459.67) * 5 / 9, rel=1e-14)
 
 
 def test_a_connector_without_unit_passes_the_unit_on(package: Maker) -> None:

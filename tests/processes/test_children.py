@@ -12,7 +12,8 @@ import psutil
 import pytest
 
 import fmuid
-from fmuid.processes import Child, python_command, search_path
+from fmuid.processes import Child, python_command
+from fmuid.processes.children import search_path
 from tests.support.coil_study import COIL, STUDY, coil_table
 
 SPOILT = 'from pathlib import Path\nPath(__file__).with_name("marker").touch()\nraise ImportError("a stranger")\n'

@@ -14,10 +14,10 @@ from rich.console import Console
 from rich.text import Text
 
 from fmuid.diagnosis import Alarm
-from fmuid.reports.alarm_log import AlarmLines
 from fmuid.reports.console import following
 from fmuid.reports.console.following import FollowingDisplay
-from fmuid.reports.follow import FollowStatus
+from fmuid.runs.alarm_log import AlarmLines
+from fmuid.runs.follow import FollowStatus
 
 
 def monitor(*alarms: Alarm, windows: int) -> Any:

@@ -10,11 +10,11 @@ import pandas as pd
 import pytest
 from bokeh.models import BoxAnnotation, Span
 
-from fmuid.diagnosis import CauseScore, ChangeEvidence, EstimatedChange, Explanation
+from fmuid.diagnosis import BaselineSource, CauseScore, ChangeEvidence, EstimatedChange, Explanation, Rule
 from fmuid.diagnosis.alarms import Alarm
 from fmuid.diagnosis.causes import CauseKind
 from fmuid.diagnosis.unexplained_residual import NOTHING_LEFT
-from fmuid.files import as_json
+from fmuid.runs import MonitoringRun
 from tests.support.live_figures import diagnosis
 
 
@@ -87,13 +87,10 @@ def test_time_goes_on_from_record_to_record(windows: pd.DataFrame) -> None:
 
 
 def test_timeline(windows: pd.DataFrame) -> None:
-    content = {
-        "sizes": {"turns": ["turns.dR"]},
-        "common": ["R"],
-        "units": {"R": "Ohm", "turns.dR": ""},
-        "alarms": as_json([Alarm("turns", "c", 4.0, 10, 11)]),
-    }
-    figure = diagnosis.timeline(windows, "turns", content)
+    sizes, units = {"turns": ("turns.dR",)}, {"R": "Ohm", "turns.dR": ""}
+    alarms = (Alarm("turns", "c", 4.0, 10, 11),)
+    found = MonitoringRun(windows, alarms, Rule(), (), sizes, ("R",), units, BaselineSource.RECORDS)
+    figure = diagnosis.timeline(found, "turns")
     size, common, noise = (plot for plot, *_ in sorted(figure.children, key=lambda child: child[1:]))
     assert [each.yaxis.axis_label for each in (size, common, noise)] == ["dR", "R (Ohm)", "variance / noise"]
     _, dots = (each for each in size.renderers if type(each.glyph).__name__ == "Scatter")

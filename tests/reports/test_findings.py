@@ -16,8 +16,8 @@ from fmuid.files import file_name
 from fmuid.formatting import rounded, with_std
 from fmuid.identification import identify
 from fmuid.reports.console import result as console_result
-from fmuid.reports.identification_run import at_minimum
 from fmuid.reports.messages.result import ending
+from fmuid.runs.findings import at_minimum
 
 
 @pytest.mark.parametrize(

@@ -20,14 +20,16 @@ import pytest
 import fmuid
 from experiments.coil import study as coil
 from fmuid.apps.cli.app import run
+from fmuid.diagnosis import SkippedWindow
 from fmuid.files import locked
-from fmuid.reports import follow as following
-from fmuid.reports import run_following
 from fmuid.reports.console.following import state
 from fmuid.reports.console.layout import console
-from fmuid.reports.follow import FollowStatus
+from fmuid.reports.messages.monitoring import gap_words
+from fmuid.runs import follow as following
+from fmuid.runs.follow import FollowStatus
 from fmuid.runs.log_following import follower
 from tests.support.coil_records import warming
+from tests.support.running import run_following
 
 TELL = """
 import json, os, sys
@@ -103,11 +105,13 @@ def test_records_in_files_and_an_alarm_that_ends(plant: Path) -> None:
     said = [(each["event"], each["record"], each["id"]) for each in alarms(plant / "out")]
     assert said[0] == ("raised", "r1", 1)
     state = json.loads((plant / "out" / "monitoring.json").read_text())
-    assert state["windows"] == 9 and state["words"][0].startswith("Fault: turns")
+    assert state["windows"] == 9 and [each["fault"] for each in state["alarms"]] == ["turns"]
     bad = plant / "records" / "s.csv"
     bad.write_text("time,v,i\n0,1,1\n1,1,1\n2,1,1\n3,1,1\n")
     remarks: list[str] = []
-    run_following("study.toml", "records", "out", show=lambda watching: remarks.extend(watching.remarks), until=idle)
+    run_following(
+        "study.toml", "records", "out", show=lambda watching: remarks.extend(map(str, watching.remarks)), until=idle
+    )
     assert remarks == [
         f"{Path('records', 's.csv')}: the input column 'u' is missing (there is time, v, i): "
         "name the column that holds it"
@@ -163,7 +167,7 @@ def test_a_command_that_fails_is_said(
     remarks: list[str] = []
 
     study = fmuid.Study.read("study.toml", [f"monitoring.alarm_command={json.dumps(command)}"])
-    run_following(study, "records", "out", show=lambda watching: remarks.extend(watching.remarks), until=idle)
+    run_following(study, "records", "out", show=lambda at: remarks.extend(map(str, at.remarks)), until=idle)
     (remark,) = remarks
     assert said in remark
 
@@ -171,18 +175,20 @@ def test_a_command_that_fails_is_said(
 @pytest.mark.slow
 def test_memory_is_of_the_latest_windows(plant: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(following, "KEPT_ROWS", 5)
-    remarks: list[str] = []
     for k in range(4):
         table = warming(5, to=4.0, seed=k)
         table.loc[table["time"].between(1.9, 3.1), "i"] = math.nan
         table.to_csv(plant / "records" / f"r{k}.csv", index=False)
-        found = run_following(
-            "study.toml", "records", "out", show=lambda each: remarks.extend(each.remarks), until=idle
+        seen: list[FollowStatus] = []
+        run_following("study.toml", "records", "out", show=seen.append, until=idle)
+        monitor = seen[-1].monitor
+        assert monitor.gaps == ()
+        assert (
+            "the windows from 2 s on are left out"
+            in gap_words([each for one in seen for each in one.remarks if isinstance(each, SkippedWindow)])[0]
         )
-        assert found.monitor.gaps == ()
-        assert "the windows from 2 s on are left out" in remarks[k]
-    assert len(found.monitor.table) == 5
-    assert found.monitor.table.index[-1] == 15
+    assert len(monitor.table) == 5
+    assert monitor.table.index[-1] == 15
     assert len(pd.read_csv(plant / "out" / "monitoring.csv")) == 16
 
 

@@ -10,7 +10,7 @@ import pandas as pd
 import pytest
 from bokeh.models import Axis, BoxAnnotation, Legend, Plot, Span
 
-from fmuid.reports.downsampling import evenly, extremes
+from fmuid.data import evenly, extremes
 from fmuid.reports.interactive import style
 from tests.support import records
 from tests.support.live_figures import fit, residuals, search

@@ -10,6 +10,7 @@ import re
 import shutil
 from html.parser import HTMLParser
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -18,10 +19,12 @@ from scipy import stats
 
 import fmuid
 from fmuid.apps.cli.options import DONE, WRONG_INPUT
-from fmuid.reports import IdentificationRun, write_report
-from fmuid.reports.page.contents import SavedIdentification
+from fmuid.files import file_name
+from fmuid.reports import write_report
 from fmuid.reports.page.identification import part
+from fmuid.runs import IdentificationRun, read_identification
 from tests.support.coil_study import STUDY, coil_table, fmuid_, result
+from tests.support.running import run_study
 
 EVIL = '</script><script>alert(1)</script><img src=x onerror=alert(2)> & "quoted" $$x$$'
 # A report is no larger than this, bytes, of few samples and of a million.
@@ -85,7 +88,7 @@ def page(results: Path) -> Page:
 
 
 def test_the_folder_is_read_back_as_it_was_written(results: Path) -> None:
-    found = SavedIdentification.read(results)
+    found = read_identification(results)
     assert [each.experiment for each in found.fits] == ["first", "second"]
     first, second = found.fits
     assert first.units == ("A",)
@@ -94,10 +97,11 @@ def test_the_folder_is_read_back_as_it_was_written(results: Path) -> None:
     measured, error = second.measured[20:], (second.measured - second.simulated)[20:]
     fit = 100.0 * (1.0 - np.linalg.norm(error) / np.linalg.norm(measured - measured.mean()))
     assert second.fit[0] == pytest.approx(fit)
-    assert found.content["experiments"][1]["fit"]["i"] == pytest.approx(fit)
-    assert found.content["experiments"][1]["rmse"]["i"] == pytest.approx(np.sqrt(np.mean(error**2)))
-    assert found.units == {"R": "Ohm", "L": "H"}
-    (chart,) = found.maps
+    written_fits = json.loads((results / "result.json").read_text())["fit"]["experiments"]
+    assert written_fits[1]["fit"][0] == pytest.approx(fit)
+    assert written_fits[1]["rmse"][0] == pytest.approx(np.sqrt(np.mean(error**2)))
+    assert found.unit_of == {"R": "Ohm", "L": "H"}
+    (chart,) = found.assessment.maps
     assert chart.names == ("R", "L")
     assert chart.shape == (41, 41)
     assert chart.logarithmic == (False, False)
@@ -105,13 +109,13 @@ def test_the_folder_is_read_back_as_it_was_written(results: Path) -> None:
     assert chart.criterion == chart.table["criterion"].min()
     content = json.loads((results / "result.json").read_text())
     (results / "result.json").write_text(json.dumps(content | {"criterion": 5.0}))  # of other noise variances
-    again = SavedIdentification.read(results).maps[0].criterion
+    again = read_identification(results).assessment.maps[0].criterion
     (results / "result.json").write_text(json.dumps(content))
     assert again == chart.criterion
     written = json.loads((results / "result.json").read_text())
     own = written["parameters"]["R"]
     reach = stats.t.ppf(0.975, own["degrees_of_freedom"]) * own["std"] / own["white_std"]
-    assert written["profiles"]["R"]["threshold"] == pytest.approx(reach**2, rel=1e-6)
+    assert written["assessment"]["profiles"][0]["threshold"] == pytest.approx(reach**2, rel=1e-6)
 
 
 def test_it_says_the_verdict_first_and_links_to_what_proves_it(page: Page) -> None:
@@ -132,8 +136,9 @@ def test_the_parabolas_of_prior_data_and_both_are_of_parameters_with_a_prior(res
     for path in results.iterdir():
         if path.is_file():
             (tmp_path / path.name).write_bytes(path.read_bytes())
-    reading = pd.read_csv(results / "reading.csv")
-    reading.assign(prior=np.nan, prior_std=np.nan).to_csv(tmp_path / "reading.csv", index=False)
+    content = json.loads((results / "result.json").read_text())
+    content["parameters"]["R"] |= {"prior_mean": None, "prior_std": None}
+    (tmp_path / "result.json").write_text(json.dumps(content))
     assert "parabolas" not in {each.name for each in part(tmp_path).sections}
 
 
@@ -149,7 +154,7 @@ def test_it_says_where_it_comes_from(results: Path, page: Page) -> None:
     assert hashlib.sha256((results.parent / "study.toml").read_bytes()).hexdigest() in page.words
     assert result(results)["models"][""]["digest"] in page.words
     assert fmuid.__version__ in page.words
-    assert result(results)["date"] in page.words
+    assert result(results)["origin"]["date"] in page.words
     assert "values were replaced for this run" in page.words  # by --set
     assert 'title = "Two coils"' in page.words  # the study file itself
 
@@ -172,19 +177,23 @@ def test_names_and_texts_never_become_html(results: Path, tmp_path: Path) -> Non
     fit = pd.read_csv(folder / "fit.csv")
     columns = {f"{kind}.i": f"{kind}.{EVIL}" for kind in ("measured", "simulated")}
     fit.rename(columns=columns).replace({"experiment": {"first": EVIL}}).to_csv(folder / "fit.csv", index=False)
-    for name in ("estimates", "trace", "reading", "correlations", "profiles", "map-R-L"):
+    for name in ("estimates", "trace", "profiles", "map-R-L"):
         table = pd.read_csv(folder / f"{name}.csv")
         table = table.rename(columns={"R": EVIL}).replace({"R": EVIL, "Ohm": EVIL, "i": EVIL, "first": EVIL})
         table.to_csv(folder / f"{name}.csv", index=False)
-    content = json.loads((folder / "result.json").read_text())
-    content["title"] = content["study"]["text"] = content["study"]["file"] = EVIL
-    content["experiments"][0] |= {"name": EVIL}
-    for each in content["experiments"]:
-        each["outputs"] = {EVIL: EVIL}
-    content["parameters"] = {EVIL if name == "R" else name: each for name, each in content["parameters"].items()}
-    content["covariance"]["names"] = list(content["parameters"])
-    content["profiles"] = {EVIL: content["profiles"]["R"]}
-    content["diagnostics"]["words"] = content["consistency"]["words"] = [EVIL]
+    (folder / "map-R-L.csv").rename(folder / f"map-{file_name(f'{EVIL}-L')}.csv")
+    swap = {"R": EVIL, "i": EVIL, "first": EVIL, "Ohm": EVIL, "A": EVIL}
+
+    def swapped(value: Any) -> Any:
+        if isinstance(value, dict):
+            return {swap.get(key, key): swapped(each) for key, each in value.items()}
+        if isinstance(value, list):
+            return [swapped(each) for each in value]
+        return swap.get(value, value) if isinstance(value, str) else value
+
+    content = swapped(json.loads((folder / "result.json").read_text()))
+    origin = content["origin"]
+    origin["title"] = origin["study"]["text"] = origin["study"]["file"] = EVIL
     content["models"][""]["name"] = EVIL
     (folder / "result.json").write_text(json.dumps(content))
     page = Page(write_report(folder))
@@ -202,7 +211,8 @@ def test_a_million_samples_make_a_page_that_can_be_mailed(results: Path, tmp_pat
     size = 1_000_000
     noise = rng.standard_normal((2, size)).astype(np.float32)
     content = json.loads((folder / "result.json").read_text())
-    content["experiments"] = [content["experiments"][0]]
+    content["fit"]["experiments"] = content["fit"]["experiments"][:1]
+    content["assessment"]["residuals"]["series"] = []
     (folder / "result.json").write_text(json.dumps(content))
     columns = {"time": np.arange(size), "measured.i": noise[0].round(2), "simulated.i": noise[1].round(2)}
     pd.DataFrame(columns).to_csv(folder / "fit.csv", index=False)
@@ -237,9 +247,9 @@ def test_the_command_writes_the_report_alone(
 
 def test_what_a_page_shows_of_findings_is_what_they_are(results: Path) -> None:
     """Numbers read back from the files are those of the run."""
-    found = fmuid.run_study(results.parent / "study.toml")
+    found = run_study(results.parent / "study.toml")
     assert isinstance(found, IdentificationRun)
-    read = SavedIdentification.read(results)
+    read = read_identification(results)
     np.testing.assert_allclose(read.result.values, found.result.values, rtol=1e-3)
     assert [each.outputs for each in read.fits] == [each.outputs for each in found.fits]
     np.testing.assert_array_equal(read.fits[1].counted, found.fits[1].counted)

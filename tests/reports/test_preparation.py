@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import shutil
 from pathlib import Path
 from typing import Any
@@ -12,18 +11,21 @@ import pandas as pd
 import pytest
 
 import fmuid
-from fmuid.reports import run_following
-from fmuid.reports.diagnosis_runs import MonitoredTables
+from fmuid import codec
+from fmuid.diagnosis import BaselineSource
 from fmuid.reports.interactive.style import MAX_ROWS
-from fmuid.reports.page.contents import SavedIdentification
 from fmuid.reports.page.faults import part_of_diagnosis, part_of_monitoring
 from fmuid.reports.page.preparation import preparation_words, sections
-from fmuid.reports.preprocessing import prepared
-from fmuid.reports.run_identification import run_study
+from fmuid.runs import MonitoringRun, read_identification
+from fmuid.runs.faults import MonitoredTables
+from fmuid.runs.folder import MONITORING_SCHEMA
 from fmuid.runs.log_following import follower
+from fmuid.runs.preprocessing import prepared
+from fmuid.runs.provenance import made_now
 from fmuid.studies import ExperimentSettings, Study
 from tests.support.coil_study import COIL, coil_table
 from tests.support.live_figures import preparation
+from tests.support.running import run_diagnosis, run_following, run_monitoring, run_study
 
 STUDY = """
 [model]
@@ -122,8 +124,7 @@ def test_pieces_of_a_long_record_are_thinned_and_the_record_is_read_once(
 def test_the_report_draws_it_and_says_what_was_done(study: Study, tmp_path: Path) -> None:
     found = run_study(study, tmp_path, report=True)
     assert tmp_path / "preparation.csv" in found.files
-    read = SavedIdentification.read(tmp_path)
-    cut, mean = sections(read.tables["preparation"], read.content["experiments"])
+    cut, mean = sections(read_identification(tmp_path).prepared)
     assert (cut.heading, cut.name) == ("What was done with the table first: cut", "preparation")
     assert (mean.heading, mean.name) == ("What was done with the table first: mean", "preparation-2")
     said = "The table was given the columns current = shunt / 50 and cut from 0.1 s to 0.4 s."
@@ -143,14 +144,14 @@ def test_the_pages_of_a_diagnosis_and_of_a_monitoring_draw_it_too(
     known = {"baseline": str(tmp_path / "healthy" / "result.json"), "faults": faults}
     record = {**test.study["experiments"][0], "preprocess": {"start_time": 0.1}}
     words = coil.study | {"experiments": [record], "parameters": {}, "diagnosis": known}
-    found = fmuid.run_diagnosis(Study.of(words, tmp_path / "test.toml"), tmp_path / "out")
+    found = run_diagnosis(Study.of(words, tmp_path / "test.toml"), tmp_path / "out")
     assert tmp_path / "out" / "diagnosis-preparation.csv" in found.files
     drawn = {each.name: each for each in part_of_diagnosis(tmp_path / "out").sections}
     assert drawn["prepared"].caption.startswith("The table was cut from 0.1 s.")
     study = Study.of(words | {"monitoring": {"false_alarm_rate": 0.01}}, tmp_path / "test.toml")
     second = shutil.copy(test.path, tmp_path / "second.csv")
     for tables in ([test.path], [test.path, second]):
-        watched = fmuid.run_monitoring(study, tables, tmp_path / "out", append=len(tables) > 1)
+        watched = run_monitoring(study, tables, tmp_path / "out", append=len(tables) > 1)
         assert tmp_path / "out" / "monitoring-preparation.csv" in watched.files
     drawn = {each.name: each for each in part_of_monitoring(tmp_path / "out").sections}
     assert drawn["monitored"].caption.startswith("The table was cut from 0.1 s.")
@@ -175,6 +176,19 @@ def test_the_pages_of_a_diagnosis_and_of_a_monitoring_draw_it_too(
     pd.testing.assert_frame_equal(once.drop(columns="experiment"), followed.drop(columns="experiment"))
 
 
+class Silent(fmuid.Monitor):
+    """A monitor that writes nothing."""
+
+    def __init__(self) -> None:
+        pass
+
+    def write(self, *_: Any, **__: Any) -> list[Path]:
+        return []
+
+
+NOTHING = MonitoringRun(pd.DataFrame(), (), fmuid.Rule(), (), {}, (), {}, BaselineSource.RECORDS)
+
+
 def test_a_record_that_grows_is_drawn_once_and_thin(tmp_path: Path) -> None:
     coil = fmuid.datasets.coil().study
     words = coil | {"experiments": [{**coil["experiments"][0], "preprocess": {"computed_columns": {"v": "2 * u"}}}]}
@@ -188,22 +202,21 @@ def test_a_record_that_grows_is_drawn_once_and_thin(tmp_path: Path) -> None:
     def add(kept: MonitoredTables, first: int, end: int) -> pd.DataFrame:
         piece = raw.iloc[first:end].reset_index(drop=True)
         kept.add(given.model_copy(update={"name": "log"}).experiment(piece, "log.csv"), piece)
-        (path,) = kept.write()
-        (tmp_path / "monitoring.json").write_text(json.dumps({"experiments": kept.said}))
-        return pd.read_csv(path)
+        codec.write(tmp_path / "monitoring.json", MONITORING_SCHEMA, kept.write(NOTHING, Silent(), made_now()))
+        return pd.read_csv(tmp_path / "monitoring-preparation.csv")
 
     kept = begun(append=False)
     add(kept, 0, 500)
     add(kept, 400, 1000)  # its first rows were there before
     table = add(begun(append=True), 900, 2000)
-    assert [each["name"] for each in kept.said] == ["log"]
+    assert [each.experiment for each in kept.prepared] == ["log"]
     np.testing.assert_allclose(table["time"], times[:2000])
     np.testing.assert_allclose(table["value"], 2 * np.sin(times[:2000]))
     assert set(table["column"] + table["stage"]) == {"vafter"}
     table = add(begun(append=True), 1900, 30_000)
     assert len(table) <= 2 * MAX_ROWS
     np.testing.assert_allclose(table["time"].iloc[[0, -1]], times[[0, -1]])
-    assert begun(append=False).write() == []
+    begun(append=False).write(NOTHING, Silent(), made_now())
     assert not (tmp_path / "monitoring-preparation.csv").exists()
 
 

@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 import fmuid
+from fmuid.codec import as_json, from_json
 from fmuid.estimation import AccuracyOutcome, SolverCheck
 from fmuid.estimation.covariance import Identifiability, WeakDirection
 from fmuid.estimation.marquardt.outcome import TerminationReason
-from fmuid.files import as_json
 from fmuid.identification.prior_and_data import ExtrapolationReason
 from fmuid.models import SolverConfiguration
 from fmuid.reports.messages.accuracy import passed_words
@@ -91,7 +91,7 @@ def test_a_sign_that_changed_is_told_where_the_search_came_to_nothing() -> None:
 )
 def test_directions(direction: WeakDirection, said: str) -> None:
     assert direction_words(direction) == said
-    assert WeakDirection.of_json(as_json(direction)) == direction
+    assert from_json(WeakDirection, as_json(direction)) == direction
 
 
 @pytest.mark.parametrize(

@@ -12,6 +12,7 @@ import subprocess
 import sys
 import threading
 import time
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -272,7 +273,7 @@ def test_who_has_the_number_of_a_host_by_now_is_left_alone(how: str) -> None:
 
 def test_a_server_that_ends_as_soon_as_it_begins(monkeypatch: pytest.MonkeyPatch) -> None:
     """One sentence after some starts, not a loop."""
-    monkeypatch.setattr(hosts, "MOST_STARTS", 2)
+    monkeypatch.setattr(hosts, "LIMITS", replace(hosts.LIMITS, starts=2))
     monkeypatch.setattr(hosts, "Child", lambda _module, *words, **options: Child("keyword", *words, **options))
     server = ForkServer()
     with pytest.raises(FmuidError, match=r"processes\.server, .* ends again and again .*: have FMUs run inside this"):

@@ -10,6 +10,9 @@ import numpy as np
 import pytest
 
 import fmuid
+from fmuid.codec import as_json
+from tests.support.results import RESULT
+from tests.support.running import run_study
 
 
 def test_a_result_predicts_by_the_model_that_it_was_made_with() -> None:
@@ -32,7 +35,7 @@ def test_a_result_predicts_by_the_model_that_it_was_made_with() -> None:
 def test_so_does_one_of_a_study_and_one_of_a_file(tmp_path: Path) -> None:
     coil = fmuid.datasets.coil()
     study = fmuid.Study.of(coil.study | {"model": {"fmu": str(coil.fmu), "fixed": {"i_start": 0.0}}}, tmp_path / "s")
-    findings = fmuid.run_study(study, tmp_path)
+    findings = run_study(study, tmp_path)
     expected = fmuid.predict(coil.fmu, findings.result, coil.experiment).scores[0].rmse
     for result in (findings.result, fmuid.Result.from_json(tmp_path / "result.json")):
         assert result.predict(coil.experiment).scores[0].rmse == pytest.approx(expected, rel=1e-6)
@@ -46,6 +49,6 @@ def test_one_that_knows_no_model_asks_for_it(tmp_path: Path) -> None:
     with pytest.raises(fmuid.InputError, match=r"does not know what it was made with: give the model"):
         sent.predict(coil.experiment)
     assert sent.predict(coil.experiment, coil.fmu).fit.outputs == ("i",)
-    (tmp_path / "result.json").write_text(json.dumps(result.to_json_dict()))
+    (tmp_path / "result.json").write_text(json.dumps(RESULT | as_json(result)))
     with pytest.raises(fmuid.InputError, match=r"does not say by which study it was made: .*, or give the model"):
         fmuid.Result.from_json(tmp_path / "result.json").predict(coil.experiment)

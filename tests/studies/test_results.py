@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-import json
 import math
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
 from fmuid.errors import InputError
 from fmuid.estimation import Result
-from fmuid.runs import cross_validate, origin_of, predict_with, records_like, study_of
+from fmuid.runs import cross_validate, made_from, predict_with, records_like, study_of
 from fmuid.studies import Study
 from tests.support.coil_study import STUDY, coil_table
 from tests.support.results import result as written
@@ -36,8 +36,7 @@ def folder(tmp_path: Path) -> Path:
 def kept(study: Study, folder: Path) -> Path:
     """Write a result that keeps its study."""
     folder.mkdir(exist_ok=True)
-    content = json.loads(json.dumps(origin_of(study, folder), allow_nan=False))
-    return written(folder, {"R": (4.0, 0.01), "L": (0.1, 0.001)}, study=content)
+    return written(folder, {"R": (4.0, 0.01), "L": (0.1, 0.001)}, origin=made_from(study, folder=folder))
 
 
 def test_a_result_keeps_its_study(folder: Path) -> None:
@@ -62,17 +61,33 @@ def test_a_table_that_is_gone_needs_another_in_its_place(folder: Path) -> None:
 @pytest.mark.parametrize(
     ("text", "said"),
     [
-        ("{}", "does not say which fmuid has written it"),
-        ('{"version": "0"}', "does not say by which study it was made: name the study file with --study"),
-        ('{"version": "0", "study": {}}', "has no 'file' in 'study'"),
-        ('{"version": "0", "study": {"file": "study.toml", "content": true}}', "does not say by which study"),
-        ('{"version": "0", "study": {"file": "s.toml", "content": {"experiments": 3}}}', r"s\.toml: .*experiments"),
-        ('{"version": "0", "study": {"file": "s.toml", "content": {"experiments": [3]}}}', r"s\.toml: .*experiments"),
+        ("{}", "is of no schema"),
         ("{", "is not JSON"),
     ],
 )
-def test_a_file_without_a_study_is_refused(folder: Path, text: str, said: str) -> None:
+def test_a_file_that_is_no_result_is_refused(folder: Path, text: str, said: str) -> None:
     (folder / "result.json").write_text(text)
+    with pytest.raises(InputError, match=said):
+        study_of(folder, in_place=folder / "second.csv")
+
+
+@pytest.mark.parametrize(
+    ("origin", "said"),
+    [
+        (None, "does not say by which study it was made: name the study file with --study"),
+        ({"study": None}, "does not say by which study it was made"),
+        ({"study": {}}, r"it has no 'origin\.study\.file'"),
+        ({"study": {"content": True}}, r"origin\.study\.content: the value should be"),
+        ({"study": {"content": {"experiments": 3}}}, r"s\.toml: .*experiments"),
+        ({"study": {"content": {"experiments": [3]}}}, r"s\.toml: .*experiments"),
+    ],
+)
+def test_a_file_without_a_study_is_refused(folder: Path, origin: dict[str, Any] | None, said: str) -> None:
+    if origin is not None:
+        origin |= {"version": "0", "date": ""}
+        if origin["study"]:
+            origin["study"] |= {"file": "s.toml", "digest": "", "text": "", "changed": False}
+    written(folder, {"R": (4.0, 0.01)}, origin=origin)
     with pytest.raises(InputError, match=said):
         study_of(folder, in_place=folder / "second.csv")
 
@@ -120,15 +135,14 @@ def test_each_part_is_predicted_from_the_others(folder: Path) -> None:
     text = STUDY + OWN_START + MORE.format("second") + MORE.format("third")
     (folder / "study.toml").write_text(text)
     study = Study.read(folder / "study.toml")
-    folds = cross_validate(study, 3)
-    assert [[each.fit.experiment for each in fold.predictions] for fold in folds] == [["first"], ["second"], ["third"]]
-    for fold in folds:
-        (found,) = fold.predictions
+    folds, predictions = cross_validate(study, 3)
+    assert [fold.left_out for fold in folds] == [("first",), ("second",), ("third",)]
+    for fold, found in zip(folds, predictions, strict=True):
         assert found.scores[0].ratio == pytest.approx(1.0, abs=0.1)
         assert not any(series.experiment == found.fit.experiment for series in fold.result.data)
         assert {series.samples for series in fold.result.data} == {600}
-    pairs = cross_validate(study, 2)
-    assert [len(fold.predictions) for fold in pairs] == [2, 1]
+    pairs, _ = cross_validate(study, 2)
+    assert [len(fold.left_out) for fold in pairs] == [2, 1]
     alone = Study.read(folder / "study.toml", ['experiments=[{data="first.csv", outputs=["i"], inputs=["u"]}]'])
     with pytest.raises(InputError, match=r"2 folds of 1 experiments: .*nothing to leave out"):
         cross_validate(alone, 2)

@@ -13,7 +13,7 @@ from fmuid.apps.cli.options import DONE, Figures, FmuFile, NoIsolation, NoReport
 from fmuid.apps.cli.studies import logged
 
 if TYPE_CHECKING:
-    from fmuid.reports import AppliedValue
+    from fmuid.runs import AppliedValue
     from fmuid.studies import Study
 
 
@@ -55,16 +55,16 @@ def predict(
     folder = path.parent / "prediction" if output is None else output
     with logged(folder, no_isolation) as isolated:
         from fmuid import files
-        from fmuid.reports import run_prediction
+        from fmuid.reports import published
         from fmuid.reports.console import layout as console
         from fmuid.reports.console.prediction import show_predictions
         from fmuid.reports.console.progress import Display
-        from fmuid.reports.page.write import show_results
+        from fmuid.runs import predicted_by, write_prediction
 
         records = data or []
         read = _study(path, study, set_, records, isolated=isolated)
         with Display() as display:
-            found = run_prediction(
+            found = predicted_by(
                 path,
                 records,
                 study=read,
@@ -76,10 +76,10 @@ def predict(
             )
         files.make_folder(folder)
         try:
-            written = found.write(folder)
+            found = write_prediction(folder, found)
         finally:  # what was found is shown also where there is no room for it
             show_predictions(found)
-        console.show_files([*written, *show_results(folder, report=not no_report, figures=figures)])
+        console.show_files(published(found, folder, report=not no_report, figures=figures).files)
         return DONE
 
 
@@ -106,19 +106,19 @@ def compare(
     folder = result_path(results[0]).resolve().parents[1] / "comparison" if output is None else output
     with logged(folder, no_isolation) as isolated:
         from fmuid import files
-        from fmuid.reports import run_comparison
         from fmuid.reports.documents import document
         from fmuid.reports.publish import publish
         from fmuid.reports.render import console
+        from fmuid.runs import compared, write_comparison
 
-        found = run_comparison(results, data or (), free=refit or (), isolated=isolated)
+        found = compared(results, data or (), free=refit or (), isolated=isolated)
         files.make_folder(folder)
         shown = document(found)
         try:
-            written = found.write(folder)
+            found = write_comparison(folder, found)
         finally:
             console.show(shown)
-        console.show_files([*written, *publish(folder, shown, report=not no_report)])
+        console.show_files([*found.files, *publish(folder, shown, report=not no_report)])
         return DONE
 
 
@@ -147,8 +147,8 @@ def apply(
     ] = None,
 ) -> int:
     """Write identified values as the start values of a copy of an FMU."""
-    from fmuid.reports import apply_result
     from fmuid.reports.console import layout as console
+    from fmuid.runs import apply_result
 
     _show_applied(apply_result(result, fmu, output, component))
     console.show_files([output])

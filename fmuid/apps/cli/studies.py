@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager, suppress
+from contextlib import ExitStack, closing, contextmanager, suppress
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -53,14 +53,14 @@ def simulate(
     folder = folder_of(output, study)
     with opened(study, set_, no_isolation, folder) as read:
         from fmuid import files
-        from fmuid.reports import identification_run as report
         from fmuid.reports.console import layout as console
         from fmuid.reports.page.write import draw_simulation
+        from fmuid.runs import stacked
 
         files.make_folder(folder)
         _warn(read)
         fits = read.fits() if result is None else _fits_at(read, result)
-        table = report.stacked([fit.experiment for fit in fits], [fit.simulated_frame() for fit in fits])
+        table = stacked([fit.experiment for fit in fits], [fit.simulated_frame() for fit in fits])
         written = [files.write_table(folder / "simulated.csv", table)]
         console.show_fits(fits)
         written += _sensitivities(read, folder) if sensitivities else []
@@ -82,12 +82,10 @@ def _warn(study: Study) -> None:
 def _sensitivities(study: Study, folder: Path) -> list[Path]:
     """Write the sensitivities of a study, and where they come from."""
     from fmuid.files import write_table
-    from fmuid.reports import identification_run as report
-    from fmuid.reports import write_origin
-    from fmuid.runs import sensitivities_of
+    from fmuid.runs import sensitivities_of, stacked, write_origin
 
     found = sensitivities_of(study)
-    table = report.stacked([each.experiment for each in found], [each.table for each in found])
+    table = stacked([each.experiment for each in found], [each.table for each in found])
     return [write_table(folder / "sensitivities.csv", table), write_origin(folder / "sensitivities.json", study)]
 
 
@@ -116,30 +114,29 @@ def identify(
     """Identify the parameters of a study; write result, tables and a report."""
     folder = folder_of(output, study)
     with opened(study, set_, no_isolation, folder) as read:
-        from fmuid.reports import SearchInterruptedError, run_study
+        from fmuid.reports import published
         from fmuid.reports.console import layout as console
         from fmuid.reports.console import result as console_result
         from fmuid.reports.console.progress import Display
+        from fmuid.runs import at_minimum, identified
 
         _warn(read)
-        try:
-            with answering("saving what has been found (Ctrl-C again ends it without)"), Display() as display:
-                shown = partial(_show_event, display, read)
-                found = run_study(read, folder, figures=figures, report=not no_report, resume=resume, progress=shown)
-        except SearchInterruptedError as error:
-            if error.result is None:
-                raise
-            console_result.show_point(error.result)
-            console.show_files(error.files)
-            return NOT_SUCCEEDED
-        if found.assessment.is_explored:
-            console_result.show_uncertainty(found)
+        found, left_out = None, read.uncertainty_settings.explores
+        with answering("saving what has been found (Ctrl-C again ends it without)"), Display() as display:
+            for each in identified(read, folder, resume=resume, progress=partial(_show_event, display)):
+                display.pause()
+                console_result.show_findings(each)
+                known = each.assessment.residuals is not None
+                if left_out and known and not at_minimum(each.result):
+                    console.show_notes(["[uncertainty] is left out: it needs a search that has ended at a minimum"])
+                found = published(each, folder, report=known and not no_report, figures=figures)
+        assert found is not None, "a run yields, or raises an error"
         console.show_files(found.files)
         return DONE if found.succeeded else NOT_SUCCEEDED
 
 
-def _show_event(display: Display, read: Study, event: Event, /) -> None:
-    """Show how far a run is, and the result once it is there.
+def _show_event(display: Display, event: Event, /) -> None:
+    """Show how far a run is.
 
     Raises
     ------
@@ -147,20 +144,12 @@ def _show_event(display: Display, read: Study, event: Event, /) -> None:
         If SIGTERM or SIGHUP has come, which leaves out what follows too.
     """
     from fmuid.progress import DataOnlyStep
-    from fmuid.reports import SearchFinished
-    from fmuid.reports import identification_run as report
     from fmuid.reports.console import layout as console
-    from fmuid.reports.console import result as console_result
 
     match event:
         case DataOnlyStep():
             display.pause()
             console.show_notes(["searching the optimum of the data alone, for comparison; Ctrl-C leaves it out"])
-        case SearchFinished():
-            display.pause()
-            console_result.show_result(event.findings)
-            if read.uncertainty_settings.explores and not report.at_minimum(event.findings.result):
-                console.show_notes(["[uncertainty] is left out: it needs a search that has ended at a minimum"])
         case _ if stopping():
             raise KeyboardInterrupt
         case _:
@@ -178,17 +167,22 @@ def diagnose(
     """Diagnose the faults that a study names; exit code 1 for a fault."""
     folder = folder_of(output, study)
     with opened(study, set_, no_isolation, folder) as read:
-        from fmuid.reports import run_diagnosis
+        from fmuid.reports import published
         from fmuid.reports.console import layout as console
+        from fmuid.reports.console.diagnosis import show_diagnosis
         from fmuid.reports.console.progress import Display
+        from fmuid.runs import diagnosed
 
         if read.diagnosis is not None:
             console.note_sources(read)
             console.warn_unfed(read.simulators())
+        found = None
         with Display() as display:
-            found = run_diagnosis(
-                read, folder, figures=figures, report=not no_report, progress=partial(_show_judged, display)
-            )
+            for each in diagnosed(read, folder, progress=display):
+                display.pause()
+                show_diagnosis(each.diagnosis)
+                found = published(each, folder, report=not no_report, figures=figures)
+        assert found is not None, "a run yields, or raises an error"
         console.show_files(found.files)
         return DONE if found.healthy else NOT_SUCCEEDED
 
@@ -214,20 +208,24 @@ def monitor(
     """Monitor recordings for the faults that a study names; exit code 1 for an alarm."""
     folder = folder_of(output, study)
     with opened(study, set_, no_isolation, folder) as read:
-        from fmuid.reports import run_monitoring
+        from fmuid.reports import published
         from fmuid.reports.console import layout as console
+        from fmuid.reports.console.monitoring import show_monitoring
         from fmuid.reports.console.progress import Display
+        from fmuid.runs import monitored
 
         if read.diagnosis is not None:
             console.note_sources(read)
         if follow:
             return _follow(read, data, folder, resume=resume, figures=figures, report=not no_report)
         saving = "saving the records examined so far, with which --resume goes on"
+        found = None
         with answering(saving), Display() as display:
-            shown = partial(_show_judged, display)
-            found = run_monitoring(
-                read, data, folder, figures=figures, report=not no_report, append=resume, progress=shown
-            )
+            for each in monitored(read, data, folder, append=resume, progress=display):
+                display.pause()
+                show_monitoring(each)
+                found = published(each, folder, report=not no_report, figures=figures)
+        assert found is not None, "a run yields, or raises an error"
         console.show_files(found.files)
         return DONE if found.healthy else NOT_SUCCEEDED
 
@@ -236,35 +234,26 @@ def _follow(
     study: Study, data: list[Path], folder: Path, *, resume: bool, figures: FigureFormat | None, report: bool
 ) -> int:
     """Monitor what a logger writes until it is interrupted."""
-    from fmuid.reports import run_following
+    from fmuid.reports import alarm_sentence, show_results
     from fmuid.reports.console.following import FollowingDisplay
     from fmuid.reports.console.layout import show_files
+    from fmuid.runs import followed
 
     for word, given in (("several folders", len(data) > 1), ("--resume", resume), ("--figures", bool(figures))):
         if given:
             raise InputError(
                 f"--follow and {word} do not go together: it follows one folder or file, and goes on by itself"
             )
-    with answering("saving where it is; the same command goes on"), FollowingDisplay() as display:
-        found = run_following(study, data[0], folder, report=report, show=display)
-    show_files(found.files)
-    return DONE if found.healthy else NOT_SUCCEEDED
-
-
-def _show_judged(display: Display, event: Event, /) -> None:
-    """Show how far a search for faults is, and what it has found once it is there."""
-    from fmuid.reports import DiagnosisFinished, DiagnosisRun
-    from fmuid.reports.console.diagnosis import show_diagnosis
-    from fmuid.reports.console.monitoring import show_monitoring
-
-    if not isinstance(event, DiagnosisFinished):
-        display(event)
-        return
-    display.pause()
-    if isinstance(event.findings, DiagnosisRun):
-        show_diagnosis(event.findings.diagnosis)
-    else:
-        show_monitoring(event.findings.monitor)
+    watching, looks = None, followed(study, data[0], folder, alarm_sentence)
+    saving = answering("saving where it is; the same command goes on")
+    with saving, FollowingDisplay() as display, suppress(KeyboardInterrupt), closing(looks):
+        for watching in looks:
+            display(watching)
+    if watching is None or not watching.files:
+        return DONE
+    show_files([*watching.files, *show_results(folder, report=report)])
+    monitor = watching.monitor
+    return NOT_SUCCEEDED if monitor.alarms or monitor.undetermined else DONE
 
 
 def design(
@@ -289,10 +278,10 @@ def design(
     folder = folder_of(output, study)
     with opened(study, set_, no_isolation, folder) as read:
         from fmuid import files
-        from fmuid.reports import healthy_record_words, write_origin
+        from fmuid.reports import healthy_record_words
         from fmuid.reports.console import layout as console
         from fmuid.reports.page.write import show_results
-        from fmuid.runs import healthy_record_cost, ranked_excitations
+        from fmuid.runs import healthy_record_cost, ranked_excitations, write_origin
 
         files.make_folder(folder)
         ranked = ranked_excitations(read, data, by=criterion, fault=fault)

@@ -11,7 +11,7 @@ from typing import Any
 
 from fmuid.errors import InputError
 from fmuid.files import full, is_file, is_folder
-from fmuid.reports.page.saved import read_json
+from fmuid.reports.page.saved import read_json, study_of_content
 from fmuid.studies import read_toml
 
 RESULTS = {
@@ -98,7 +98,7 @@ class FoundResult:
             content, error = read_json(path), ""
         except InputError as wrong:
             content, error = {}, str(wrong)
-        given = content.get("study")
+        given = study_of_content(content)
         file = given.get("file") if isinstance(given, dict) else given
         # a search for faults says its study's name alone, as its files are to be passed on
         near = [each / file for each in path.parents[:DEEPEST]] if isinstance(file, str) and file else []

@@ -10,8 +10,9 @@ import pandas as pd
 
 from fmuid.array_types import Floats
 from fmuid.estimation.cost_components import CostComponents, fitted, variances
+from fmuid.estimation.local_optimum import Optimum
 from fmuid.estimation.problem import LeastSquares
-from fmuid.estimation.result import Optimum, Result
+from fmuid.estimation.result import Result
 
 # Optima are one where no parameter differs by more than this share of its standard deviation, or of its magnitude, and
 # the criterion by no more than 0.3². Fits end nearer than that even where large residuals make them converge slowly.

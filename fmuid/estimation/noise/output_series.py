@@ -9,11 +9,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 from scipy import fft
 
 from fmuid.array_types import Floats, Indices
+from fmuid.codec import Layout
 from fmuid.data import Experiment
 
 
@@ -74,6 +76,8 @@ class OutputSeries:
     regular: bool
     grid: int
     pool: int
+
+    json_layout: ClassVar = Layout(omitted={"rows", "places"})
 
     def on_grid(self, values: Floats) -> Floats:
         """Return its samples (n,) on the grid (m,), NaN where one is missing."""

@@ -85,14 +85,6 @@ class RefinementStep:
     after: Runs
     simulations: int = 0
 
-    @classmethod
-    def of_json(cls, data: Mapping[str, Any]) -> RefinementStep:
-        """Return it as ``result.json`` has it."""
-        size = math.nan if data["size"] is None else float(data["size"])
-        return cls(
-            SwitchCause(data["cause"]), size, _runs(data["before"]), _runs(data["after"]), int(data["simulations"])
-        )
-
 
 @dataclass(frozen=True, eq=False)
 class SolverCheck:
@@ -145,24 +137,3 @@ class SolverCheck:
         """The largest shift that is known, standard deviations; NaN where none is."""
         known = np.abs(self.shift[np.isfinite(self.shift)])
         return float(known.max()) if known.size else math.nan
-
-    @classmethod
-    def of_json(cls, data: Mapping[str, Any], shift: Floats) -> SolverCheck:
-        """Return it as ``result.json`` has it, and the shift of each parameter."""
-        return cls(
-            AccuracyOutcome(data["outcome"]),
-            shift,
-            _runs(data["used"]),
-            _runs(data["finer"]),
-            math.nan if data["change"] is None else float(data["change"]),
-            None if data["kept"] is None else RefinementRefusal(data["kept"]),
-            tuple(map(RefinementStep.of_json, data["switches"])),
-            int(data["refused"]),
-            int(data["simulations"]),
-            None if data["tolerance"] is None else float(data["tolerance"]),
-            int(data["divisor"]),
-        )
-
-
-def _runs(data: Any) -> Runs:
-    return {str(component): dict(run) for component, run in data.items()}

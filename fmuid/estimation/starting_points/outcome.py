@@ -6,7 +6,6 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import Enum
-from typing import Any
 
 from fmuid.estimation.marquardt.outcome import TerminationReason
 
@@ -66,24 +65,6 @@ class RestartAttempt:
     simulations: int = 0
     kept: bool = False
 
-    @classmethod
-    def of_json(cls, data: Mapping[str, Any]) -> RestartAttempt:
-        """Return an attempt of a file.
-
-        Raises
-        ------
-        KeyError, TypeError, ValueError
-            If the data are not of one.
-        """
-        noise_ratio = math.nan if data["noise_ratio"] is None else float(data["noise_ratio"])
-        return cls(
-            StartingPointSource(data["remedy"]),
-            SearchFailure(data["trouble"]),
-            noise_ratio,
-            int(data["simulations"]),
-            bool(data["kept"]),
-        )
-
 
 @dataclass(frozen=True)
 class CombinationFit:
@@ -104,16 +85,3 @@ class CombinationFit:
     outcome: TerminationReason | None
     behind: float
     estimates: Mapping[str, float]
-
-    @classmethod
-    def of_json(cls, data: Mapping[str, Any]) -> CombinationFit:
-        """Return a combination of a file.
-
-        Raises
-        ------
-        KeyError, TypeError, ValueError
-            If the data are not of one.
-        """
-        outcome = None if data["outcome"] is None else TerminationReason(data["outcome"])
-        behind = math.inf if data["behind"] is None else float(data["behind"])
-        return cls(dict(data["values"]), outcome, behind, {str(k): float(v) for k, v in data["estimates"].items()})

@@ -15,13 +15,14 @@ from rich.markup import escape
 from rich.table import Table
 from rich.text import Text
 
+from fmuid.diagnosis import SkippedWindow
 from fmuid.formatting import unit_text, with_std
 from fmuid.reports.console.layout import console, show_remarks
-from fmuid.reports.messages.monitoring import alarm_words
+from fmuid.reports.messages.monitoring import alarm_words, gap_words
 
 if TYPE_CHECKING:
     from fmuid.diagnosis import Monitor
-    from fmuid.reports.follow import FollowStatus
+    from fmuid.runs import FollowStatus
 
 # Records that were silent for longer than this, s, are said to be.
 SILENT = 5.0
@@ -55,7 +56,8 @@ class FollowingDisplay:
             when = said["date"][:19].replace("T", " ") or f"{said['time']:.6g} s of {said['record']}"
             text = f"{when}: alarm {said['id']} {said['event']}: {said['words']}"
             self._console.print(f"[{COLOURS[said['event']]}]{escape(text)}[/]", soft_wrap=True)
-        show_remarks(watching.remarks)
+        gaps = [each for each in watching.remarks if isinstance(each, SkippedWindow)]
+        show_remarks([*(each for each in watching.remarks if isinstance(each, str)), *gap_words(gaps)])
         if self._live is None:
             sys.stdout.flush()
         else:

@@ -13,10 +13,10 @@ from fmuid.reports.messages.diagnosis import basis_notes
 from fmuid.reports.messages.monitoring import alarm_words, gap_words, monitoring_words
 
 if TYPE_CHECKING:
-    from fmuid.diagnosis import Monitor
+    from fmuid.runs import MonitoringRun
 
 
-def show_monitoring(found: Monitor) -> None:
+def show_monitoring(found: MonitoringRun) -> None:
     """Print the verdict, the alarms, the last window, and the notes."""
     out = console()
     out.print()
@@ -29,7 +29,7 @@ def show_monitoring(found: Monitor) -> None:
     show_remarks([*basis_notes(found.basis), *gap_words(found.gaps)])
 
 
-def _show_alarms(found: Monitor) -> None:
+def _show_alarms(found: MonitoringRun) -> None:
     numbers = ("alarm (s)", "to (s)", "windows")
     windows, rows = found.table, []
     for alarm in found.alarms[:TERMINAL_ROWS]:
@@ -41,12 +41,12 @@ def _show_alarms(found: Monitor) -> None:
     console().print()
 
 
-def _show_parameters(found: Monitor) -> None:
+def _show_parameters(found: MonitoringRun) -> None:
     """Print each parameter in the first and in the last window, and what it was in between."""
     numbers = ("first", "least", "greatest")
     frame, rows = found.table, []
-    columns = [(name, f"{name}.{size}") for name, fault in found.faults.items() for size in fault.sizes]
-    columns += [("", name) for name in found.baseline.common]
+    columns = [(name, size) for name, sizes in found.sizes.items() for size in sizes]
+    columns += [("", name) for name in found.common]
     before = ""
     for fault, name in columns:
         values, std = frame[name], frame[f"{name}.std"].tolist()

@@ -11,7 +11,7 @@ from fmuid.reports.messages.prediction import fold_words, prediction_words
 from fmuid.reports.messages.result import source_words
 
 if TYPE_CHECKING:
-    from fmuid.reports.predictions import PredictionRun
+    from fmuid.runs import PredictionRun
 
 
 def show_predictions(found: PredictionRun) -> None:

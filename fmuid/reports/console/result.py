@@ -21,14 +21,14 @@ from fmuid.reports.console.layout import PLAIN_WIDTH, TERMINAL_ROWS, console, sh
 from fmuid.reports.messages.accuracy import passed_words, shift_text
 from fmuid.reports.messages.prior_and_data import reading_words
 from fmuid.reports.messages.residuals import residual_words
-from fmuid.reports.messages.result import capitalised, effort_words, ending, fit_words, result_words
+from fmuid.reports.messages.result import capitalised, effort_words, ending, finding_remarks, fit_words, result_words
 from fmuid.reports.messages.solver import run_words, sensitivity_words
 from fmuid.reports.messages.uncertainty import posterior_words, uncertainty_words
 
 if TYPE_CHECKING:
     from fmuid.estimation import Result
     from fmuid.identification import Assessment, PriorDataComparison
-    from fmuid.reports.identification_run import IdentificationRun
+    from fmuid.runs import IdentificationRun
     from fmuid.simulation import OutputFit
 
 SHIFT = "numerical shift"
@@ -37,6 +37,16 @@ SHIFT = "numerical shift"
 SUMMARY_LINES, HEAD_LINES = 25, 2
 # To ask how wide a table would be.
 UNLIMITED_WIDTH = 10_000
+
+
+def show_findings(found: IdentificationRun) -> None:
+    """Print what is new in findings: the result, or the uncertainty around it; or the point where a search was left."""
+    if found.assessment.residuals is None:
+        show_point(found.result)
+    elif found.assessment.is_explored:
+        show_uncertainty(found)
+    else:
+        show_result(found)
 
 
 def show_result(found: IdentificationRun) -> None:
@@ -48,13 +58,13 @@ def show_result(found: IdentificationRun) -> None:
         show_remarks(_rivals(result))
         out.print()
     out.print(_filled(_estimates(out, result, found.assessment.level)))
-    if found.has_prior and found.assessment.prior_and_data is not None:
+    reading, residuals, units = found.assessment.prior_and_data, found.assessment.residuals, found.output_units
+    if found.has_prior and reading is not None:
         out.print()
-        out.print(_reading(out, found, found.assessment.prior_and_data))
-    show_remarks(found.remarks)
-    reading, residuals = found.assessment.prior_and_data, found.assessment.residuals
-    if reading is not None and residuals is not None:
-        show_sentences([*reading_words(reading, found.output_units), *residual_words(residuals, found.output_units)])
+        out.print(_reading(out, reading, found.unit_of))
+    show_remarks(finding_remarks(found))
+    show_sentences([] if reading is None else reading_words(reading, units))
+    show_sentences([] if residuals is None else residual_words(residuals, units))
     show_sentences([f"Fit (NRMSE): {fit_words(fits)}", f"Residual: {_noise(result, fits)}"])
     color = "green" if result.converged else "red"
     out.print(f"[bold {color}]{escape(capitalised(ending(result)))}[/]", soft_wrap=True)
@@ -122,7 +132,7 @@ def _estimates(out: Console, result: Result, level: float) -> dict[str, list[str
     return _narrowed(out, _columns(result, level), ("start", "rel. std", SHIFT, "note"))
 
 
-def _reading(out: Console, found: IdentificationRun, reading: PriorDataComparison) -> Table:
+def _reading(out: Console, reading: PriorDataComparison, units: Mapping[str, str | None]) -> Table:
     """Return prior, data and both side by side, how far the prior is, and what moved the data's optimum by how much."""
     rows = {
         "prior": (reading.prior_mean, reading.prior_std),
@@ -138,7 +148,7 @@ def _reading(out: Console, found: IdentificationRun, reading: PriorDataCompariso
     columns["moved by prior"] = [
         f"{moved:+z.2f} std ({by})" if math.isfinite(moved) and by else "" for moved, by in moves
     ]
-    columns["unit"] = list(map(unit_text, found.unit_of.values()))
+    columns["unit"] = list(map(unit_text, units.values()))
     return _filled(_narrowed(out, columns, ("unit", "moved by prior")), title="Prior and data")
 
 

@@ -8,8 +8,8 @@ import numpy as np
 import pandas as pd
 
 from fmuid.array_types import Floats
+from fmuid.data import extremes
 from fmuid.formatting import label
-from fmuid.reports.downsampling import extremes
 from fmuid.reports.interactive.bokeh_spec import ColumnDataSource, Range1d
 from fmuid.reports.interactive.rows import rows_of
 from fmuid.reports.interactive.style import (

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from fmuid.array_types import Floats
+from fmuid.data import evenly, extremes
 from fmuid.formatting import label
-from fmuid.reports.downsampling import evenly, extremes
 from fmuid.reports.interactive.bokeh_spec import ColumnDataSource, Range1d
 from fmuid.reports.interactive.rows import rows_of
 from fmuid.reports.interactive.style import (
@@ -30,7 +30,8 @@ from fmuid.reports.messages.diagnosis import change_name, change_size
 if TYPE_CHECKING:
     import pandas as pd
 
-    from fmuid.diagnosis import ChangeEvidence
+    from fmuid.diagnosis import Alarm, ChangeEvidence
+    from fmuid.runs import MonitoringRun
 
 # More causes than these make a figure nobody reads: the most significant are kept.
 MAX_FAULTS = 12
@@ -139,21 +140,19 @@ def residuals(table: pd.DataFrame, fault: str, units: Units | None = None) -> An
 # --- monitoring
 
 
-def timeline(table: pd.DataFrame, fault: str, content: Mapping[str, Any]) -> Any:
+def timeline(found: MonitoringRun, fault: str) -> Any:
     """Draw the sizes of a fault, the common mode and the residual over the time of all records, with alarms.
 
     Parameters
     ----------
-    table : DataFrame
-        As in ``monitoring.csv``.
+    found : MonitoringRun
     fault : str
         Of the model.
-    content : mapping
-        Of ``monitoring.json``.
     """
+    table = found.table
     clock, borders, axis = clock_of(table)
-    sized = content["sizes"][fault]
-    ordered = [*sized, *content["common"]][:MAX_OUTPUTS]
+    sized = found.sizes[fault]
+    ordered = [*sized, *found.common][:MAX_OUTPUTS]
     half = 0.5 * float((table["end"] - table["start"]).median())
     columns = {"t": clock, **_estimates(table, ordered)}
     kept = extremes(np.column_stack([columns[key] for key in columns if key not in ("t", "record")]), MAX_ROWS)
@@ -161,7 +160,7 @@ def timeline(table: pd.DataFrame, fault: str, content: Mapping[str, Any]) -> Any
     across = Range1d(float(clock[0]) - half, float(clock[-1]) + half, bounds="auto")
     plots, few = [], len(clock) <= MAX_BARS
     for k, name in enumerate(ordered):
-        plot = Panel(y=label(name.removeprefix(f"{fault}."), content["units"].get(name)), height=170, x_range=across)
+        plot = Panel(y=label(name.removeprefix(f"{fault}."), found.units.get(name)), height=170, x_range=across)
         if few:
             area = plot.segment("t", f"low{k}", "t", f"high{k}", source=source, line_color=BLUE, line_alpha=0.5)
             line = plot.scatter("t", f"v{k}", source=source, size=5, fill_color=BLUE, line_color=None)
@@ -186,7 +185,7 @@ def timeline(table: pd.DataFrame, fault: str, content: Mapping[str, Any]) -> Any
     plots.append(noise)
     for plot in plots:
         plot.xaxis.visible = plot is noise
-        _alarms(plot, clock, half, content["alarms"])
+        _alarms(plot, clock, half, found.alarms)
         for border in borders:
             plot.level(border, color=GREY, vertical=True, dash="dotted")
     return below_each_other(plots)
@@ -223,8 +222,8 @@ def _estimates(table: pd.DataFrame, names: list[str]) -> dict[str, Any]:
     return found
 
 
-def _alarms(plot: Any, clock: Floats, half: float, alarms: list[Mapping[str, Any]]) -> None:
+def _alarms(plot: Any, clock: Floats, half: float, alarms: Sequence[Alarm]) -> None:
     for alarm in alarms:
-        begin, end = float(clock[alarm["first"]] + half), float(clock[alarm["last"]] + half)
+        begin, end = float(clock[alarm.first] + half), float(clock[alarm.last] + half)
         plot.shade(RED, 0.1, left=begin - 2 * half, right=end)
         plot.level(begin, color=RED, vertical=True, dash="dashed")

@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from fmuid.array_types import Floats, Indices
+from fmuid.data import evenly, extremes
 from fmuid.formatting import fit_text, label
 from fmuid.identification import CONFIDENCE_LEVEL
-from fmuid.reports.downsampling import evenly, extremes
 from fmuid.reports.interactive.bokeh_spec import BasicTicker, BokehSpec, ColumnDataSource, CrosshairTool, Range1d, Span
 from fmuid.reports.interactive.style import (
     BLUE,

@@ -16,9 +16,9 @@ import numpy as np
 from bokeh.models import ColumnDataSource, Range1d
 
 from fmuid.array_types import Floats, Indices
+from fmuid.data import evenly, extremes
 from fmuid.formatting import label
 from fmuid.identification import CONFIDENCE_LEVEL
-from fmuid.reports.downsampling import evenly, extremes
 from fmuid.reports.interactive.bokeh_spec import BasicTicker, BokehSpec, live
 from fmuid.reports.interactive.fit import drawn_outputs, fit, shade_uncounted, sources
 from fmuid.reports.interactive.style import AMBER, BLUE, DARK, GREY, MAX_OUTPUTS, RED, Panel, below_each_other

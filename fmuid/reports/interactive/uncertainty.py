@@ -7,11 +7,12 @@ from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import pandas as pd
 from contourpy import LineType, contour_generator
 
 from fmuid.array_types import Floats
+from fmuid.data import evenly
 from fmuid.identification import CONFIDENCE_LEVEL
-from fmuid.reports.downsampling import evenly
 from fmuid.reports.interactive.bokeh_spec import (
     BokehSpec,
     ColorBar,
@@ -39,10 +40,8 @@ from fmuid.reports.interactive.style import (
 )
 
 if TYPE_CHECKING:
-    import pandas as pd
-
     from fmuid.estimation import Result
-    from fmuid.identification import CostMap
+    from fmuid.identification import CostMap, Posterior
 
 # Profiles are drawn up to so many times the rise at which the interval ends.
 HEIGHT = 1.8
@@ -234,13 +233,26 @@ def share_levels(counts: Floats) -> list[float]:
     return [height for k, height in enumerate(heights) if k == 0 or height > heights[k - 1]]
 
 
+# Of the paths of a sampling: more cannot be told apart.
+MOST_WALKERS, MOST_STEPS = 24, 200
+
+
+def paths(posterior: Posterior) -> pd.DataFrame:
+    """Return the steps of some walkers, thinned: more cannot be told apart."""
+    steps = evenly(len(posterior.chain), MOST_STEPS)
+    some = posterior.chain[steps, :MOST_WALKERS].transpose(1, 0, 2)
+    walker, step = np.meshgrid(np.arange(1, len(some) + 1), steps + 1, indexing="ij")
+    first = {"walker": walker.ravel(), "step": step.ravel(), "counted": step.ravel() > posterior.burn}
+    return pd.DataFrame(first | dict(zip(posterior.names, some.reshape(-1, some.shape[2]).T, strict=True)))
+
+
 def walkers(paths: pd.DataFrame, units: Units | None = None) -> list[Any]:
     """Draw every walker's path, a figure a parameter; what lies in the grey part takes no part in the samples.
 
     Parameters
     ----------
     paths : DataFrame
-        As in ``walkers.csv``: ``walker``, ``step``, ``counted``, and a column a parameter.
+        As `paths` returns them: ``walker``, ``step``, ``counted``, and a column a parameter.
     units : mapping of str to str, optional
         Of the parameters.
     """

@@ -74,7 +74,9 @@ def _sentences(found: Found) -> tuple[str, ...]:
         case Diagnosis():
             return diagnosis_words(found)
         case Monitor():
-            return tuple(monitoring_sentences(found))
+            from fmuid.runs import findings_of
+
+            return tuple(monitoring_sentences(findings_of(found)))
 
 
 def _linear_words(estimate: LinearEstimate) -> tuple[str, ...]:

@@ -11,18 +11,19 @@ from fmuid.formatting import listed, with_std
 from fmuid.reports.messages.diagnosis import basis_notes, explanation_words
 
 if TYPE_CHECKING:
-    from fmuid.diagnosis import Alarm, Monitor, Onset, RecordTime, SkippedWindow, Trend
+    from fmuid.diagnosis import Alarm, Onset, RecordTime, SkippedWindow, Trend
+    from fmuid.runs import MonitoringRun
 
 # Of more windows that are left out, the first are named.
 MOST_GAPS = 5
 
 
-def monitoring_sentences(found: Monitor) -> list[str]:
+def monitoring_sentences(found: MonitoringRun) -> list[str]:
     """Return what was found, and where the healthy machine is from."""
     return [monitoring_words(found), *basis_notes(found.basis)]
 
 
-def monitoring_words(found: Monitor) -> str:
+def monitoring_words(found: MonitoringRun) -> str:
     """Return what was found, in a sentence."""
     table, rule, alarms = found.table, found.rule, found.alarms
     if table.empty:

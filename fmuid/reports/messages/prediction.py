@@ -12,6 +12,7 @@ from fmuid.reports.messages.result import CONSTANT, ENDS
 
 if TYPE_CHECKING:
     from fmuid.identification import OutputScore, Prediction
+    from fmuid.runs import PredictionRun
 
 # Residuals that are larger than expected by this factor are an error of the model rather than chance.
 LEAST_RATIO = 1.25
@@ -62,3 +63,9 @@ def fold_words(predictions: Sequence[Prediction]) -> str:
         f"Left out in turn, experiments are predicted up to {two_digits(worst)} times worse than noise and "
         "estimates let expect: what is identified from the others does not carry over to all of them"
     )
+
+
+def predicted_words(found: PredictionRun) -> tuple[str, ...]:
+    """Return what is to be said of predictions, and of a cross-validation."""
+    said = [words for each in found.predictions for words in prediction_words(each)]
+    return tuple([*said, fold_words(found.predictions)] if found.folds else said)

@@ -18,6 +18,7 @@ if TYPE_CHECKING:
 
     from fmuid.estimation import Result
     from fmuid.identification import TimeScaleWarning
+    from fmuid.runs import IdentificationRun
     from fmuid.simulation import OutputFit
     from fmuid.studies import SourceWarning
 
@@ -58,6 +59,11 @@ _FINER = ", or make the simulation more accurate (step_size, tolerance, interfac
 def result_words(result: Result) -> tuple[str, ...]:
     """Return all that is to be said of a result: how it ended first, then what the estimates do not show."""
     return ending(result), *remarks(result)
+
+
+def finding_remarks(found: IdentificationRun) -> tuple[str, ...]:
+    """Return the sentences on tables and estimates that the numbers do not show by themselves."""
+    return *(dropout_words(*each) for each in found.dropouts.items()), *remarks(found.result)
 
 
 def ending(result: Result) -> str:

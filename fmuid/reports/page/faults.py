@@ -2,25 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
-import pandas as pd
-
-from fmuid.diagnosis import Diagnosis
-from fmuid.errors import InputError
-from fmuid.files import is_file
+from fmuid.diagnosis import Alarm, Diagnosis, Onset
 from fmuid.reports.interactive import diagnosis
 from fmuid.reports.messages.diagnosis import causes_columns, change_name, diagnosis_words, explanation_words
+from fmuid.reports.messages.monitoring import monitoring_sentences
 from fmuid.reports.page import preparation
-from fmuid.reports.page.contents import read_table
 from fmuid.reports.page.document import Part, Section, table
 from fmuid.reports.page.provenance import origin
-from fmuid.reports.page.saved import read_json
 from fmuid.reports.page.verdict import ReportStatement
+from fmuid.runs import MonitoringRun, read_diagnosis, read_monitoring
 
-PREPARED_FILE, MONITORED_FILE = "diagnosis-preparation.csv", "monitoring-preparation.csv"
-"""What was done with the tables of a diagnosis, and of a monitoring, as in ``preparation.csv``."""
 RESIDUAL = (
     "What the healthy model leaves unexplained, and what is left with the fault. With the right fault only noise stays."
 )
@@ -46,24 +40,18 @@ def part_of_diagnosis(folder: Path) -> Part:
     InputError
         If a file in it cannot be read.
     """
-    found = Diagnosis.from_json(folder / "diagnosis.json")
-    content = read_json(folder / "diagnosis.json")
-    units = content.get("units") or {}
+    read = read_diagnosis(folder)
+    found = read.diagnosis
     first, *others = diagnosis_words(found)
     said = [ReportStatement(first, "causes"), *(ReportStatement(text, "changes", doubtful=True) for text in others)]
     sections = sections_of(found)
-    residuals = folder / "diagnosis-residuals.csv"
-    if is_file(residuals):
+    if found.residuals is not None:
         best = " and ".join(change_name(each) for each in found.evidence.explanations[0].changes)
-        drawn = [diagnosis.residuals(read_table(residuals), best, units)]
+        drawn = [diagnosis.residuals(found.residuals, best, read.units)]
         sections.append(Section("explained", "What the fault explains", RESIDUAL, drawn, 1))
-    sections += _prepared(folder / PREPARED_FILE, content, "prepared")
-    return Part("Diagnosis", found.kind, found.kind == "healthy", said, causes_table(found), sections, origin(content))
-
-
-def _prepared(path: Path, content: dict[str, Any], name: str) -> list[Section]:
-    """Return the sections on what was done with tables, where it is kept."""
-    return preparation.sections(read_table(path), content.get("experiments", []), name) if is_file(path) else []
+    sections += preparation.sections(read.prepared, "prepared")
+    healthy = found.kind == "healthy"
+    return Part("Diagnosis", found.kind, healthy, said, causes_table(found), sections, origin(read.origin))
 
 
 def sections_of(found: Diagnosis) -> list[Section]:
@@ -99,47 +87,40 @@ def part_of_monitoring(folder: Path) -> Part:
     InputError
         If a file in it cannot be read, or is of an earlier version.
     """
-    content = read_json(folder / "monitoring.json")
-    rows = read_table(folder / "monitoring.csv") if content.get("windows") else pd.DataFrame()
-    try:
-        said = [ReportStatement(text, "timeline") for text in content["words"]]
-        alarms = content["alarms"]
-        drawn = _timelines(rows, content)
-        shown = _alarms(alarms)
-    except (KeyError, TypeError, ValueError, IndexError) as error:
-        raise InputError(f"{folder} has no whole results of fmuid monitor ({error}): monitor again") from None
-    drawn += _prepared(folder / MONITORED_FILE, content, "monitored")
-    state = "alarm" if alarms else "no alarm"
-    return Part("Monitoring", state, not alarms, said, shown, drawn, origin(content))
+    found = read_monitoring(folder)
+    said = [ReportStatement(text, "timeline") for text in monitoring_sentences(found)]
+    drawn = [*_timelines(found), *preparation.sections(found.prepared, "monitored")]
+    state = "alarm" if found.alarms else "no alarm"
+    shown = _alarms(found.alarms)
+    return Part("Monitoring", state, not found.alarms, said, shown, drawn, origin(found.origin))
 
 
-def _timelines(rows: pd.DataFrame, content: dict[str, Any]) -> list[Section]:
+def _timelines(found: MonitoringRun) -> list[Section]:
     sections = []
-    for k, fault in enumerate(content["sizes"]):
+    for k, fault in enumerate(found.sizes):
         name, caption = ("timeline", TIMELINE) if k == 0 else (f"timeline-{k + 1}", "")
-        figures = [diagnosis.timeline(rows, fault, content)] if len(rows) else []
+        figures = [diagnosis.timeline(found, fault)] if len(found.table) else []
         sections.append(Section(name, f"Over time: {fault}", caption, figures, 1))
     return [each for each in sections if each.figures]
 
 
-def _alarms(alarms: list[dict[str, Any]]) -> str:
+def _alarms(alarms: Sequence[Alarm]) -> str:
     if not alarms:
         return ""
     columns = {
-        "alarm": [str(each["fault"]) for each in alarms],
-        "since (s)": [_since(each["onset"]) for each in alarms],
-        "raised in": [str(each["record"]) for each in alarms],
-        "at (s)": [f"{each['time']:g}" for each in alarms],
-        "windows": [str(each["last"] - each["first"] + 1) for each in alarms],
+        "alarm": [each.fault for each in alarms],
+        "since (s)": [_since(each.onset) for each in alarms],
+        "raised in": [each.record for each in alarms],
+        "at (s)": [f"{each.time:g}" for each in alarms],
+        "windows": [str(each.last - each.first + 1) for each in alarms],
     }
     return table(columns, numbers=("at (s)", "windows"))
 
 
-def _since(onset: dict[str, Any] | None) -> str:
+def _since(onset: Onset | None) -> str:
     """Return since when, with the record, and the date where there is one."""
     if onset is None:
         return ""
-    likely = onset["likely"]
-    date = f", {likely['date'][:19].replace('T', ' ')}" if likely["date"] else ""
-    first, last = (f"{onset[end]['time']:.6g}" for end in ("first", "last"))
-    return f"{likely['time']:.6g} ({first} to {last}) of {likely['record']}{date}"
+    likely = onset.likely
+    date = f", {likely.date[:19].replace('T', ' ')}" if likely.date else ""
+    return f"{likely.time:.6g} ({onset.first.time:.6g} to {onset.last.time:.6g}) of {likely.record}{date}"

@@ -16,11 +16,11 @@ from fmuid.reports.interactive.style import MAX_PARAMETERS, Units, named
 from fmuid.reports.messages.accuracy import shift_text
 from fmuid.reports.messages.result import effort_words
 from fmuid.reports.page import preparation
-from fmuid.reports.page.contents import SavedIdentification
 from fmuid.reports.page.document import Part, Section, table
 from fmuid.reports.page.fits import fit_sections, residual_section
 from fmuid.reports.page.provenance import origin
 from fmuid.reports.page.verdict import identification_words
+from fmuid.runs import IdentificationRun, read_identification
 
 CAPTIONS = {
     "fit": "Dots were measured, the line is simulated with the estimates, the residual is below. A good residual is "
@@ -59,24 +59,21 @@ def part(folder: Path) -> Part:
     InputError
         If a file in it cannot be read.
     """
-    found = SavedIdentification.read(folder)
+    found = read_identification(folder)
     result = found.result
-    said = identification_words(found.content, result, found.fits)
     state = "converged" if result.converged else result.outcome.value.replace("_", " ")
-    more = found.content.get("uncertainty") or {}
-    good = result.converged and bool(more.get("succeeded", True))
-    end = origin(found.content, {"search": effort_words(result)})
-    head = estimates_table(result, found.units, found.level)
-    return Part("Identification", state, good, said, head, sections_of(found), end)
+    end = origin(found.origin, {"search": effort_words(result)})
+    head = estimates_table(result, found.unit_of, found.assessment.level)
+    return Part("Identification", state, found.succeeded, identification_words(found), head, sections_of(found), end)
 
 
-def sections_of(found: SavedIdentification) -> list[Section]:
+def sections_of(found: IdentificationRun) -> list[Section]:
     """Return the sections of a page on an identification."""
-    told = found.content.get("experiments", [])
-    correlations = found.tables.get("correlations", pd.DataFrame(columns=CORRELATIONS))
+    none = pd.DataFrame(columns=CORRELATIONS)
+    correlations = none if found.assessment.residuals is None else found.assessment.residuals.correlations
     sections = [
         *fit_sections("fit", "Measured and simulated", CAPTIONS["fit"], found.fits),
-        *(preparation.sections(found.tables["preparation"], told) if "preparation" in found.tables else []),
+        *preparation.sections(found.prepared),
         residual_section(found.fits, correlations),
         *_search(found),
         *_belief(found),
@@ -118,76 +115,74 @@ def estimates_table(result: Result, units: Units, level: float = CONFIDENCE_LEVE
     return table(columns, numbers=[name for name in columns if name not in ("parameter", "unit")])
 
 
-def _search(found: SavedIdentification) -> list[Section]:
-    tables, sections = found.tables, []
-    if "trace" in tables and "estimates" in tables and len(tables["trace"]):
-        drawn = search.parameters(tables["trace"], tables["estimates"])
+def _search(found: IdentificationRun) -> list[Section]:
+    result, sections = found.result, []
+    if len(result.trace):
+        drawn = search.parameters(result.trace, found.estimates)
         sections.append(Section("parameters", "Parameters during the search", CAPTIONS["parameters"], drawn))
-        drawn = search.criterion(tables["trace"])
-        drawn += search.rounds(tables["rounds"], found.output_units) if len(tables.get("rounds", ())) > 1 else []
+        drawn = search.criterion(result.trace)
+        drawn += search.rounds(result.rounds, found.output_units) if len(result.rounds) > 1 else []
         sections.append(Section("criterion", "The criterion during the search", CAPTIONS["criterion"], drawn))
-    if len(tables.get("optima", ())):
-        drawn = search.optima(tables["optima"], found.units)
+    if result.optima:
+        drawn = search.optima(found.optima, found.unit_of)
         sections.append(Section("optima", "Optima found", CAPTIONS["optima"], drawn))
     return sections
 
 
-def _belief(found: SavedIdentification) -> list[Section]:
-    reading = found.tables.get("reading", pd.DataFrame())
-    figures = estimates.belief(reading, found.units) if len(reading) else []
-    parts = estimates.parabolas(reading, units=found.units) if len(reading) else []
+def _belief(found: IdentificationRun) -> list[Section]:
+    if found.assessment.prior_and_data is None or not found.has_prior:
+        return []
+    reading = found.assessment.prior_and_data.table
+    parts = estimates.parabolas(reading, units=found.unit_of)
     return [
-        Section("belief", "Prior, data, and both", CAPTIONS["belief"], figures),
+        Section("belief", "Prior, data, and both", CAPTIONS["belief"], estimates.belief(reading, found.unit_of)),
         Section("parabolas", "The criterion of prior, data, and both", CAPTIONS["parabolas"], parts),
     ]
 
 
-def _correlation(found: SavedIdentification) -> list[Section]:
+def _correlation(found: IdentificationRun) -> list[Section]:
     result = found.result
     if len(result.names) < 2 or not np.isfinite(result.std).any():
         return []
-    figures = [estimates.correlation(result.correlation), *estimates.ellipses(result, found.units, found.level)]
+    figures = [
+        estimates.correlation(result.correlation),
+        *estimates.ellipses(result, found.unit_of, found.assessment.level),
+    ]
     return [Section("correlation", "Correlation of the estimates", CAPTIONS["correlation"], figures)]
 
 
-def _accuracy(found: SavedIdentification) -> list[Section]:
-    table = found.tables.get("estimates", pd.DataFrame())
-    if not len(table) or not np.isfinite(table["numerical_shift"].astype(float)).any():
+def _accuracy(found: IdentificationRun) -> list[Section]:
+    if not np.isfinite(found.result.numerical_shift).any():
         return []
-    return [Section("accuracy", "Error of the simulation", CAPTIONS["accuracy"], [estimates.accuracy(table)], 1)]
+    drawn = [estimates.accuracy(found.estimates)]
+    return [Section("accuracy", "Error of the simulation", CAPTIONS["accuracy"], drawn, 1)]
 
 
-def _uncertainty(found: SavedIdentification) -> list[Section]:
-    tables = found.tables
-    maps = [uncertainty.criterion_map(chart, found.units, tables.get("optima")) for chart in found.maps]
+def _uncertainty(found: IdentificationRun) -> list[Section]:
+    optima = found.optima if found.result.optima else None
+    maps = [uncertainty.criterion_map(chart, found.unit_of, optima) for chart in found.assessment.maps]
     sections = [
         Section("profiles", "Profiles", CAPTIONS["profiles"], _profiles(found), 2),
         Section("maps", "The criterion over two parameters", CAPTIONS["maps"], maps, 2),
     ]
-    if "posterior" in tables:
-        drawn = [uncertainty.corner(tables["posterior"], found.result, found.units)]
+    posterior = found.assessment.posterior
+    if posterior is not None:
+        drawn = [uncertainty.corner(posterior.table, found.result, found.unit_of)]
         sections.append(Section("posterior", "Samples of the posterior", CAPTIONS["posterior"], drawn, 1))
-    if "walkers" in tables:
-        drawn = uncertainty.walkers(tables["walkers"], found.units)
+        drawn = uncertainty.walkers(uncertainty.paths(posterior), found.unit_of)
         sections.append(Section("walkers", "Paths of the sampling", CAPTIONS["walkers"], drawn, 1))
     return sections
 
 
-def _profiles(found: SavedIdentification) -> list[object]:
-    points, given = found.tables.get("profiles", pd.DataFrame()), found.content.get("profiles") or {}
+def _profiles(found: IdentificationRun) -> list[object]:
     drawn: list[object] = []
-    for name, each in list(given.items())[:MAX_PARAMETERS]:
-        rows = points[points["profiled"] == name]
-        if not len(rows) or each.get("threshold") is None:
+    for each in found.assessment.profiles[:MAX_PARAMETERS]:
+        if not len(each.table) or math.isnan(each.threshold):
             continue
-        ends = {"lower": _end(each["lower"], -math.inf), "upper": _end(each["upper"], math.inf)}
-        i = found.result.names.index(name)
+        i = found.result.names.index(each.name)
         estimate = (float(found.result.values[i]), float(found.result.std[i]))
-        curve = rows.rename(columns={name: "value"})[["value", "criterion"]]
-        limits = ends | {"threshold": float(each["threshold"])}
-        drawn.append(uncertainty.profile(curve, limits, estimate, named(name, found.units), float(each["level"])))
+        curve = each.table.rename(columns={each.name: "value"})[["value", "criterion"]]
+        ends = {"lower": -math.inf if math.isnan(each.lower) else each.lower}
+        ends |= {"upper": math.inf if math.isnan(each.upper) else each.upper, "threshold": each.threshold}
+        drawn.append(uncertainty.profile(curve, ends, estimate, named(each.name, found.unit_of), each.level))
     return drawn
-
-
-def _end(value: float | None, open_: float) -> float:
-    return open_ if value is None else float(value)

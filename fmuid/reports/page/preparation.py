@@ -5,12 +5,11 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
-import pandas as pd
-
 from fmuid.formatting import listed
 from fmuid.reports.interactive.preparation import preparation
 from fmuid.reports.interactive.style import MAX_EXPERIMENTS
 from fmuid.reports.page.document import Section
+from fmuid.runs import PreprocessedTable
 
 CAPTION = (
     "Grey is what was recorded, blue what the model is driven by and compared with. Columns that stay as they were "
@@ -19,27 +18,23 @@ CAPTION = (
 """How to read it."""
 
 
-def sections(table: pd.DataFrame, experiments: Sequence[Mapping[str, Any]], name: str = "preparation") -> list[Section]:
+def sections(done: Sequence[PreprocessedTable], name: str = "preparation") -> list[Section]:
     """Return a section for each experiment whose table was prepared; of more than are drawn, of the first.
 
     Parameters
     ----------
-    table : DataFrame
-        As in ``preparation.csv``.
-    experiments : sequence of mapping
-        With ``name``, and where they were prepared ``preparation`` and ``columns``.
+    done : sequence of PreprocessedTable
     name : str
         Of the sections.
     """
     shown: list[Section] = []
-    for each in experiments:
-        rows, words = table[table["experiment"] == each["name"]], each.get("preparation")
-        if not words or not len(rows) or len(shown) == MAX_EXPERIMENTS:
+    for each in done:
+        if not each.words or not len(each.table) or len(shown) == MAX_EXPERIMENTS:
             continue
-        heading = "What was done with the table first" + (f": {each['name']}" if len(experiments) > 1 else "")
-        caption = f"{preparation_words(words)}." + ("" if shown else f" {CAPTION}")
+        heading = "What was done with the table first" + (f": {each.experiment}" if len(done) > 1 else "")
+        caption = f"{preparation_words(each.words)}." + ("" if shown else f" {CAPTION}")
         anchor = name if not shown else f"{name}-{len(shown) + 1}"
-        shown.append(Section(anchor, heading, caption, [preparation(rows, each.get("columns"))], 1))
+        shown.append(Section(anchor, heading, caption, [preparation(each.table, each.units)], 1))
     return shown
 
 

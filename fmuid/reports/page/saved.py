@@ -1,151 +1,36 @@
-"""JSON files that commands have left, with the types that pages and reports read checked."""
+"""JSON files that commands have left, as mappings: for who lists what a folder has."""
 
 from __future__ import annotations
 
 import json
+from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from typing_extensions import TypedDict
-
+from fmuid.codec import from_json
 from fmuid.errors import InputError
-from fmuid.estimation import ResultContent, check_types
+from fmuid.estimation import Result
 from fmuid.files import ContentError
 
-Number = float | None
-"""None stands for a number that is not finite."""
 
-
-class StudyContent(TypedDict, total=False):
-    """The study that a result is of."""
-
-    file: str
-    digest: str
-    text: str
-
-
-class OriginContent(TypedDict, total=False):
-    """Where a result comes from."""
-
-    version: str
-    date: str
-    title: str
-    study: StudyContent | str | None
-    files: dict[str, str | None] | None
-
-
-class ExperimentContent(TypedDict, total=False):
-    """One experiment of a result."""
-
-    name: str
-    outputs: dict[str, str | None]
-    counted_from: Number
-    columns: dict[str, str | None]
-    dropouts: list[float]
-
-
-class FindingContent(TypedDict, total=False):
-    """One finding on the residuals."""
-
-    large: bool
-
-
-class DiagnosticsContent(TypedDict, total=False):
-    """What the residuals show."""
-
-    words: list[str]
-    findings: list[FindingContent]
-
-
-class AgreementContent(TypedDict, total=False):
-    """The test of prior against data."""
-
-    probability: float
-
-
-class VarianceContent(TypedDict, total=False):
-    """A stated noise variance beside that of the residual."""
-
-    deviation: str | None
-
-
-class ConsistencyContent(TypedDict, total=False):
-    """Prior and data."""
-
-    words: list[str]
-    prior_against_data: AgreementContent | None
-    variances: list[VarianceContent]
-
-
-class UncertaintyContent(TypedDict, total=False):
-    """The uncertainty beyond the local covariance."""
-
-    words: list[str]
-    succeeded: bool
-
-
-class ProfileContent(TypedDict, total=False):
-    """The profile of a parameter."""
-
-    level: float
-    lower: Number
-    upper: Number
-    threshold: Number
-
-
-class IdentificationContent(ResultContent, OriginContent, total=False):
-    """A ``result.json``."""
-
-    words: list[str]
-    level: float
-    experiments: list[ExperimentContent]
-    diagnostics: DiagnosticsContent | None
-    consistency: ConsistencyContent | None
-    uncertainty: UncertaintyContent | None
-    profiles: dict[str, ProfileContent] | None
-
-
-class OtherContent(OriginContent, total=False):
-    """What the files of all other commands may have."""
-
-    experiments: list[ExperimentContent]
-    units: dict[str, str | None] | None
-
-
-class BatchContent(TypedDict, total=False):
+@dataclass(frozen=True)
+class BatchManifest:
     """A ``batch.json``, whose study is the content of the study file."""
 
-    fmuid: str
-    study: dict[str, Any]
-    files: dict[str, str | None]
-    cases: int
-    truth: dict[str, float] | None
-    dashboard: str | None
+    fmuid: str = ""
+    study: Mapping[str, Any] | None = None
+    files: Mapping[str, str | None] | None = None
+    cases: int = 0
+    truth: Mapping[str, float] | None = None
+    dashboard: str | None = None
 
 
-class SummaryContent(TypedDict, total=False):
-    """A ``summary.json``."""
-
-    words: list[str]
-    statuses: dict[str, int]
-    truth: dict[str, float]
-    units: dict[str, str | None]
-
-
-_SCHEMAS = {"result.json": IdentificationContent, "batch.json": BatchContent, "summary.json": SummaryContent}
+_KINDS: dict[str, type] = {"result.json": Result, "batch.json": BatchManifest}
 
 
 def read_json(path: Path) -> dict[str, Any]:
     """Return the content of a JSON file that a command has written.
-
-    Parameters
-    ----------
-    path : Path
-        Its name says what it has.
-
-    Returns
-    -------
-    dict
 
     Raises
     ------
@@ -159,7 +44,14 @@ def read_json(path: Path) -> dict[str, Any]:
     if not isinstance(content, dict):
         raise InputError(f"{path} is not what fmuid writes: it is no JSON object")
     try:
-        check_types(content, _SCHEMAS.get(path.name, OtherContent))
+        if path.name in _KINDS:
+            from_json(_KINDS[path.name], content)
     except ContentError as error:
         raise InputError(f"{path}: {error}. Run the command again that has written it.") from None
     return content
+
+
+def study_of_content(content: Mapping[str, Any]) -> Any:
+    """Return what a file says of its study: the study itself of a batch, else where it is; None where nothing."""
+    origin = content.get("origin")
+    return origin.get("study") if isinstance(origin, dict) else content.get("study")

@@ -7,22 +7,24 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pandas as pd
 
-from fmuid.array_types import Floats
-from fmuid.errors import InputError
 from fmuid.files import is_file
 from fmuid.formatting import fit_text, listed, with_unit
+from fmuid.identification import ResidualAnalysis
 from fmuid.reports.interactive import comparison
 from fmuid.reports.interactive.style import MAX_EXPERIMENTS
-from fmuid.reports.messages.prediction import LEAST_RATIO
-from fmuid.reports.page.contents import read_table
+from fmuid.reports.messages.prediction import LEAST_RATIO, predicted_words
 from fmuid.reports.page.document import Part, Section, table
 from fmuid.reports.page.fits import fit_sections, residual_section
 from fmuid.reports.page.provenance import origin
-from fmuid.reports.page.saved import read_json
 from fmuid.reports.page.verdict import ReportStatement
-from fmuid.simulation import OutputFit
+from fmuid.runs import (
+    PredictionRun,
+    read_identification,
+    read_origin,
+    read_prediction,
+    read_table,
+)
 
 PREDICTED = (
     "Dots were measured, the line is simulated with the values of the result; the residual is below. "
@@ -58,52 +60,40 @@ def part_of_prediction(folder: Path) -> Part:
     InputError
         If a file in it cannot be read.
     """
-    content, whole = read_json(folder / "prediction.json"), read_table(folder / "prediction.csv")
-    try:
-        records = content["records"]
-        said = [ReportStatement(str(text), "prediction") for text in content["words"]]
-        scores = [{"record": each["experiment"], **score} for each in records for score in each["outputs"]]
-        found = {str(each["experiment"]): _predicted(each, whole, len(records)) for each in records}
-        seen = [str(each["experiment"]) for each in records if each.get("seen")]
-        rows = _scores(scores)
-    except (KeyError, TypeError, ValueError, IndexError) as error:
-        raise InputError(f"{folder} has no whole results of fmuid predict ({error}): predict again") from None
-    ratios = [score["ratio"] for score in scores if score.get("ratio") is not None]
+    found = read_prediction(folder)
+    said = [ReportStatement(text, "prediction") for text in predicted_words(found)]
+    ratios = [score.ratio for each in found.predictions for score in each.scores if math.isfinite(score.ratio)]
     good = all(ratio <= LEAST_RATIO for ratio in ratios)
-    state = "seen before" if seen else "predicted" if not ratios else "carries over" if good else "worse than expected"
-    if seen:
-        said.append(ReportStatement(f"The result was made from {listed(seen)}: this is no prediction", doubtful=True))
-    fits = [fit for fit, _, _ in found.values()]
-    bands = {name: (half, level) for name, (_, half, level) in found.items()}
+    state = "predicted" if not ratios else "carries over" if good else "worse than expected"
+    state = "seen before" if found.seen else state
+    if found.seen:
+        said.append(
+            ReportStatement(f"The result was made from {listed(found.seen)}: this is no prediction", doubtful=True)
+        )
+    fits = [each.fit for each in found.predictions]
+    bands = {
+        each.fit.experiment: (each.half_width if np.isfinite(each.half_width).any() else None, each.level)
+        for each in found.predictions
+    }
     sections = fit_sections("prediction", "Predicted", PREDICTED, fits, bands)
-    path = folder / "prediction-correlations.csv"
-    sections += [residual_section(fits, read_table(path))] if is_file(path) else []
-    return Part("Prediction", state, good and not seen, said, rows, sections, origin(content))
+    correlations = ResidualAnalysis(
+        tuple(one for each in found.predictions for one in each.residuals.series), {}
+    ).correlations
+    sections.append(residual_section(fits, correlations))
+    good = good and not found.seen
+    return Part("Prediction", state, good, said, _scores(found), sections, origin(found.origin))
 
 
-def _predicted(record: dict[str, Any], whole: pd.DataFrame, count: int) -> tuple[OutputFit, Floats | None, float]:
-    """Return measured and predicted outputs, the half widths of the bands and their level."""
-    rows = whole[whole["experiment"] == record["experiment"]] if count > 1 else whole
-    outputs = [str(name).removeprefix("simulated.") for name in rows.columns if str(name).startswith("simulated.")]
-    units = {score["output"]: score["unit"] or None for score in record["outputs"]}
-    measured, simulated, upper = (
-        rows[[f"{kind}.{name}" for name in outputs]].to_numpy(np.float64) for kind in ("measured", "simulated", "upper")
-    )
-    times, told = rows["time"].to_numpy(np.float64), tuple(units.get(name) for name in outputs)
-    found = OutputFit(record["experiment"], times, tuple(outputs), told, measured, simulated, np.isfinite(measured))
-    half = upper - simulated
-    return found, half if np.isfinite(half).any() else None, float(record["level"])
-
-
-def _scores(scores: list[dict[str, Any]]) -> str:
+def _scores(found: PredictionRun) -> str:
+    pairs = [(each.fit.experiment, score) for each in found.predictions for score in each.scores]
     columns = {
-        "output": [str(each["output"]) for each in scores],
-        "record": [str(each["record"]) for each in scores],
-        "fit": [fit_text(each["fit"]) for each in scores],
-        "RMSE": [with_unit(each["rmse"], each["unit"]) for each in scores],
-        "expected": [_number(each["expected"]) for each in scores],
-        "ratio": [_number(each["ratio"], 3) for each in scores],
-        "in the band": ["" if each["inside"] is None else f"{100 * each['inside']:.3g} %" for each in scores],
+        "output": [score.output for _, score in pairs],
+        "record": [record for record, _ in pairs],
+        "fit": [fit_text(score.fit) for _, score in pairs],
+        "RMSE": [with_unit(score.rmse, score.unit) for _, score in pairs],
+        "expected": [_number(score.expected) for _, score in pairs],
+        "ratio": [_number(score.ratio, 3) for _, score in pairs],
+        "in the band": ["" if math.isnan(score.inside) else f"{100 * score.inside:.3g} %" for _, score in pairs],
     }
     return table(columns, numbers=[name for name in columns if name not in ("output", "record")])
 
@@ -132,7 +122,7 @@ def part_of_design(folder: Path) -> Part:
 
 
 def _origin_beside(path: Path) -> str:
-    return origin(read_json(path)) if is_file(path) else ""
+    return origin(read_origin(path)) if is_file(path) else ""
 
 
 def part_of_sensitivities(folder: Path) -> Part:
@@ -144,8 +134,7 @@ def part_of_sensitivities(folder: Path) -> Part:
         If a file in it cannot be read.
     """
     whole, result = read_table(folder / "sensitivities.csv"), folder / "result.json"
-    known = read_json(result).get("experiments", []) if is_file(result) else []
-    units = {name: unit for each in known for name, unit in each["outputs"].items()}
+    units = read_identification(folder).output_units if is_file(result) else {}
     groups = list(whole.groupby("experiment", sort=False)) if "experiment" in whole else [("", whole)]
     sections = []
     for k, (each, rows) in enumerate(groups[:MAX_EXPERIMENTS]):

@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from fmuid.formatting import fit_text, listed, with_unit
 from fmuid.identification import SIGNIFICANCE_LEVEL, Deviation
 from fmuid.reports.messages.accuracy import accuracy_words, passed_words
+from fmuid.reports.messages.prior_and_data import reading_words
+from fmuid.reports.messages.residuals import residual_words
 from fmuid.reports.messages.result import (
     capitalised,
     dependence_words,
@@ -21,9 +23,11 @@ from fmuid.reports.messages.result import (
     observer_words,
     start_words,
 )
+from fmuid.reports.messages.uncertainty import uncertainty_words
 
 if TYPE_CHECKING:
     from fmuid.estimation import Result
+    from fmuid.runs import IdentificationRun
     from fmuid.simulation import OutputFit
 
 # Of more outputs than this, the sentence on the fit has the least only.
@@ -48,24 +52,13 @@ class ReportStatement:
     doubtful: bool = False
 
 
-def identification_words(
-    content: Mapping[str, Any], result: Result, fits: Sequence[OutputFit]
-) -> tuple[ReportStatement, ...]:
-    """Return what a report of an identification says, the verdict first.
-
-    Parameters
-    ----------
-    content : mapping
-        Of ``result.json``.
-    result : Result
-        Read from it.
-    fits : sequence of OutputFit
-    """
+def identification_words(found: IdentificationRun) -> tuple[ReportStatement, ...]:
+    """Return what a report of an identification says, the verdict first."""
+    result = found.result
     said = [ReportStatement(capitalised(ending(result)), "criterion", not result.converged)]
     said += [ReportStatement(text, "estimates") for text in _precision(result)]
-    said += [ReportStatement(text, "fit") for text in _fit(fits)]
-    lost = {each["name"]: each["dropouts"] for each in content.get("experiments", ()) if "dropouts" in each}
-    said += [ReportStatement(dropout_words(*each), "fit", doubtful=True) for each in lost.items()]
+    said += [ReportStatement(text, "fit") for text in _fit(found.fits)]
+    said += [ReportStatement(dropout_words(*each), "fit", doubtful=True) for each in found.dropouts.items()]
     said += [
         ReportStatement(capitalised(text, result.names), "criterion", doubtful=True) for text in observer_words(result)
     ]
@@ -85,25 +78,28 @@ def identification_words(
         ReportStatement(capitalised(text, result.names), "correlation", doubtful=True)
         for text in dependence_words(result)
     ]
-    return *said, *_saved(content, result)
+    return *said, *_checked(found)
 
 
-def _saved(content: Mapping[str, Any], result: Result) -> list[ReportStatement]:
-    """Return what the file says of residuals, of prior and data, and of the uncertainty."""
-    found, read, more = (content.get(key) or {} for key in ("diagnostics", "consistency", "uncertainty"))
-    coloured = any(each["large"] for each in found.get("findings", ()))
-    agreement = read.get("prior_against_data") or {}
-    odd = agreement.get("probability", 1.0) < SIGNIFICANCE_LEVEL
-    odd |= any(each.get("deviation") in _ODD for each in read.get("variances", ()))
-    said = [ReportStatement(text, "residuals", coloured) for text in found.get("words", ())]
-    said += [ReportStatement(text, "belief", odd) for text in read.get("words", ())]
-    said += [
-        ReportStatement(capitalised(text, result.names), "profiles", doubtful=True) for text in more.get("words", ())
+def _checked(found: IdentificationRun) -> list[ReportStatement]:
+    """Return what is said of residuals, of prior and data, and of the uncertainty."""
+    said: list[ReportStatement] = []
+    if found.assessment.residuals is not None:
+        coloured = any(each.large for each in found.assessment.residuals.findings)
+        said += [
+            ReportStatement(text, "residuals", coloured)
+            for text in residual_words(found.assessment.residuals, found.output_units)
+        ]
+    if (reading := found.assessment.prior_and_data) is not None:
+        agreement = reading.agreement
+        odd = agreement is not None and agreement.probability < SIGNIFICANCE_LEVEL
+        odd |= any(each.deviation in (Deviation.LARGER, Deviation.SMALLER) for each in reading.variances)
+        said += [ReportStatement(text, "belief", odd) for text in reading_words(reading, found.output_units)]
+    words = uncertainty_words(found.assessment) if found.assessment.is_explored else ()
+    return [
+        *said,
+        *(ReportStatement(capitalised(text, found.result.names), "profiles", doubtful=True) for text in words),
     ]
-    return said
-
-
-_ODD = (Deviation.LARGER.value, Deviation.SMALLER.value)
 
 
 def _precision(result: Result) -> list[str]:

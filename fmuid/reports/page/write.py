@@ -71,8 +71,9 @@ def contents(folder: Path, files: Sequence[str] = FILES) -> tuple[str, list[Part
 
     beside = (folder / there[0]).with_suffix(".json")
     first = read_json(beside) if is_file(beside) else {}
-    title = str(first.get("title", "")) or folder.absolute().parent.name
-    return title, [_part(folder, name) for name in there]
+    origin = first.get("origin", first)
+    title = str(origin.get("title", "")) if isinstance(origin, dict) else ""
+    return title or folder.absolute().parent.name, [_part(folder, name) for name in there]
 
 
 def show_results(folder: Path, *, report: bool, figures: str | None = None) -> list[Path]:

@@ -12,11 +12,10 @@ import pandas as pd
 from fmuid.estimation import AccuracyOutcome
 from fmuid.formatting import fit_text, has_unit, rounded
 from fmuid.reports.document import Document, Message, Remark, Section, Tone
-from fmuid.reports.provenance import made_from
 from fmuid.reports.topics import case_charts as charts
 from fmuid.reports.topics.batch_tables import failure_texts, level_text, tables_of
 from fmuid.reports.topics.provenance import origin_of
-from fmuid.runs import BatchColumns, Dependence, EstimateWarning, Summary, estimates, is_repetition
+from fmuid.runs import BatchColumns, Dependence, EstimateWarning, Summary, estimates, is_repetition, made_from
 
 if TYPE_CHECKING:
     from fmuid.runs import BatchResult

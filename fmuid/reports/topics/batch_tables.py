@@ -9,13 +9,12 @@ from typing import TYPE_CHECKING, Any
 
 import pandas as pd
 
-from fmuid.files import write_json, write_table
+from fmuid.files import write_table
 from fmuid.formatting import rounded, unit_text, with_std
 from fmuid.reports.document import Section, table_of
 from fmuid.reports.messages.identifiability import open_words
 from fmuid.reports.messages.result import ENDS
-from fmuid.reports.provenance import made_from
-from fmuid.runs import EstimateWarning, Summary
+from fmuid.runs import BatchOverview, EstimateWarning, Summary, made_from, write_overview
 
 if TYPE_CHECKING:
     from fmuid.runs import BatchResult
@@ -51,14 +50,9 @@ def write_summary(found: BatchResult, summary: Summary, study: Study) -> list[Pa
         If the folder of the batch cannot be written to.
     """
     folder = found.folder
-    content = {
-        **made_from(study),
-        "statuses": {str(row["status"]): row["cases"] for row in summary.statuses.to_dict("records")},
-        "truth": found.truth,
-        "units": found.units,
-        "given_noise": found.given_noise,
-    }
-    return [*write_tables(summary, folder), write_json(folder / "summary.json", content)]
+    statuses = {str(row["status"]): int(row["cases"]) for row in summary.statuses.to_dict("records")}
+    overview = BatchOverview(statuses, dict(found.truth), dict(found.units), found.given_noise, made_from(study))
+    return [*write_tables(summary, folder), write_overview(folder, overview)]
 
 
 def write_tables(summary: Summary, folder: Path) -> list[Path]:

@@ -13,6 +13,7 @@ import pandas as pd
 from scipy import special
 
 from fmuid.array_types import Flags, Floats
+from fmuid.data import evenly
 from fmuid.reports.chart import (
     MAX_BARS,
     MAX_DOTS,
@@ -28,7 +29,6 @@ from fmuid.reports.chart import (
     picked,
     rows_of,
 )
-from fmuid.reports.downsampling import evenly
 from fmuid.runs import INTERVAL_STDS, BatchColumns, data_sets, fit_cost, optimum_numbers
 
 MIN_BINS, MAX_BINS = 8, 60

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from fmuid.data import extremes
 from fmuid.reports.chart import (
     MAX_EXPERIMENTS,
     MAX_OUTPUTS,
@@ -24,9 +25,9 @@ from fmuid.reports.chart import (
     stacked,
 )
 from fmuid.reports.document import Document, Message, Remark, Section, Table, table_of
-from fmuid.reports.downsampling import extremes
 from fmuid.reports.topics.model_comparison import ranked_bars
 from fmuid.reports.topics.provenance import origin_of
+from fmuid.runs import Provenance
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -64,7 +65,7 @@ class DesignMessage(Message):
 
 
 def design_document(
-    ranked: pd.DataFrame, cost: pd.DataFrame | None = None, origin: Mapping[str, Any] | None = None
+    ranked: pd.DataFrame, cost: pd.DataFrame | None = None, origin: Provenance | None = None
 ) -> Document:
     """Return the document of excitations.
 
@@ -74,7 +75,7 @@ def design_document(
         A row an excitation, the best first.
     cost : DataFrame, optional
         What the length of the healthy record costs with the best one (`fmuid.Design.cost`).
-    origin : mapping, optional
+    origin : Provenance, optional
         What they were made from.
     """
     names, accuracy = [str(name) for name in ranked["excitation"]], "log_determinant" in ranked
@@ -90,9 +91,7 @@ def design_document(
         title = f"Healthy records, in lengths of {names[0]}: the smallest size found"
         sections.append(Section("lengths", title, table=_numbers(cost)))
         said += healthy_record_remarks(cost)
-    return Document(
-        "design", "Design", f"best: {names[0]}", "good", tuple(said), tuple(sections), **origin_of(origin or {})
-    )
+    return Document("design", "Design", f"best: {names[0]}", "good", tuple(said), tuple(sections), **origin_of(origin))
 
 
 def healthy_record_remarks(cost: pd.DataFrame) -> list[Remark]:
@@ -121,7 +120,7 @@ def _cell(value: Any) -> str:
 
 
 def sensitivity_document(
-    tables: Sequence[tuple[str, pd.DataFrame]], units: Units, origin: Mapping[str, Any] | None = None
+    tables: Sequence[tuple[str, pd.DataFrame]], units: Units, origin: Provenance | None = None
 ) -> Document:
     """Return the document of sensitivities.
 
@@ -131,7 +130,7 @@ def sensitivity_document(
         Of each experiment ``time``, and ``output/parameter`` for each pair.
     units : mapping of str to str
         Of the outputs.
-    origin : mapping, optional
+    origin : Provenance, optional
         What they were made from.
     """
     sections = []
@@ -141,7 +140,7 @@ def sensitivity_document(
         sections.append(Section(key, heading, caption, charts=(sensitivity_charts(rows, units),), beside=1))
     state = f"{len(tables)} experiment{'s' * (len(tables) > 1)}"
     said = (DesignMessage.SENSITIVITIES.said("plain", "sensitivities"),)
-    return Document("sensitivities", "Sensitivities", state, "good", said, tuple(sections), **origin_of(origin or {}))
+    return Document("sensitivities", "Sensitivities", state, "good", said, tuple(sections), **origin_of(origin))
 
 
 def sensitivity_charts(table: pd.DataFrame, units: Units) -> ChartGrid:

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from fmuid.array_types import Floats
+from fmuid.data import evenly, extremes
 from fmuid.formatting import fit_text, label, with_unit
 from fmuid.reports.chart import (
     MAX_DOTS,
@@ -24,7 +25,6 @@ from fmuid.reports.chart import (
     stacked,
 )
 from fmuid.reports.document import Message, Remark, Section, table_of
-from fmuid.reports.downsampling import evenly, extremes
 
 if TYPE_CHECKING:
     from fmuid.simulation import OutputFit

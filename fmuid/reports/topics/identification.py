@@ -32,7 +32,7 @@ from fmuid.reports.topics.uncertainty import (
 
 if TYPE_CHECKING:
     from fmuid.estimation import Result
-    from fmuid.reports.identification_run import IdentificationRun
+    from fmuid.runs import IdentificationRun
     from fmuid.simulation import OutputFit
 
 _ODD = (Deviation.LARGER, Deviation.SMALLER)
@@ -57,13 +57,9 @@ def identification_document(found: IdentificationRun) -> Document:
     result, good = found.result, found.succeeded
     state = "converged" if result.converged else result.outcome.value.replace("_", " ")
     tone: Tone = "good" if good else "bad"
-    origin = origin_of({**(found.origin or {}), "study": {**_told(found), **dict(found.study or {})}}, _effort(result))
+    origin = origin_of(found.origin, _effort(result))
     sections = identification_sections(found)
     return Document("identification", "Identification", state, tone, tuple(_remarks(found)), tuple(sections), **origin)
-
-
-def _told(found: IdentificationRun) -> dict[str, object]:
-    return dict((found.origin or {}).get("study") or {})
 
 
 def _effort(result: Result) -> dict[str, str]:

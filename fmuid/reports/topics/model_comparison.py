@@ -16,7 +16,7 @@ from fmuid.reports.topics.provenance import origin_of
 
 if TYPE_CHECKING:
     from fmuid.identification import ModelComparison
-    from fmuid.reports.comparisons import ComparisonRun
+    from fmuid.runs import ComparedEstimate, ComparisonRun
 
 ALIKE_AIC, CLEAR_AIC = 2.0, 10.0
 """Criteria of Akaike's that differ by less than the first are as good as each other, by more than the second they tell
@@ -190,28 +190,27 @@ def ranked_bars(names: Sequence[str], values: Floats, text: str) -> Chart:
     return rows_of(names, Axis(text, reach=(0.0, None)), layers)
 
 
-def estimate_charts(rows: Sequence[Mapping[str, Any]]) -> list[Chart]:
+def estimate_charts(rows: Sequence[ComparedEstimate]) -> list[Chart]:
     """Return the estimates that several results have of a parameter in the same unit, with their intervals.
 
     Parameters
     ----------
-    rows : sequence of mapping
-        ``result``, ``parameter``, ``unit``, ``value``, ``lower`` and ``upper``; without a unit it is as the first one
-        that has one says.
+    rows : sequence of ComparedEstimate
+        Without a unit it is as the first one that has one says.
     """
     known: dict[str, str] = {}
     for each in rows:
-        if each["unit"]:
-            known.setdefault(each["parameter"], each["unit"])
-    groups: dict[tuple[str, str], list[Mapping[str, Any]]] = {}
+        if each.unit:
+            known.setdefault(each.parameter, each.unit)
+    groups: dict[tuple[str, str], list[ComparedEstimate]] = {}
     for each in rows:
-        name = each["parameter"]
-        groups.setdefault((name, each["unit"] or known.get(name, "")), []).append(each)
+        name = each.parameter
+        groups.setdefault((name, each.unit or known.get(name, "")), []).append(each)
     charts = []
     for (name, unit), mine in list(groups.items())[:MAX_PARAMETERS]:
         if len(mine) > 1:
-            names = tuple(str(each["result"]) for each in mine)
-            value, low, high = (_finite([each[key] for each in mine]) for key in ("value", "lower", "upper"))
+            names = tuple(str(each.result) for each in mine)
+            value, low, high = (_finite([getattr(each, key) for each in mine]) for key in ("value", "lower", "upper"))
             hover = (("value", "@x{0.000000}"), ("interval", "@x0{0.000000} to @x1{0.000000}"))
             layers = (
                 Layer("segments", {"x0": low, "y0": names, "x1": high, "y1": names}, width=3),

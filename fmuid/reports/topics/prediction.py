@@ -18,7 +18,7 @@ from fmuid.reports.topics.termination import ENDS
 
 if TYPE_CHECKING:
     from fmuid.identification import OutputScore, Prediction
-    from fmuid.reports.predictions import PredictionRun
+    from fmuid.runs import PredictionRun
 
 LEAST_RATIO = 1.25
 """Residuals that are larger than expected by this factor are an error of the model rather than chance."""

@@ -10,6 +10,7 @@ import numpy as np
 from contourpy import LineType, contour_generator
 
 from fmuid.array_types import Floats
+from fmuid.data import evenly
 from fmuid.formatting import rounded, unit_text, with_std
 from fmuid.identification import CONFIDENCE_LEVEL, LARGEST_R_HAT, EndKind, SamplingWarning, better_point
 from fmuid.reports.chart import (
@@ -26,7 +27,6 @@ from fmuid.reports.chart import (
     normal,
 )
 from fmuid.reports.document import Section, table_of
-from fmuid.reports.downsampling import evenly
 from fmuid.reports.shared_phrases import direction_words
 from fmuid.reports.topics.estimates import ellipse
 from fmuid.reports.topics.termination import ENDS

@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from fmuid.models import Isolation
-from fmuid.processes import PRINTED_KEPT_BYTES, HostExitError
+from fmuid.processes import LIMITS, HostExitError
 from fmuid.runs.batch.run_case import CaseOutcome, CaseRunner
 from fmuid.runs.batch.study_package import CopiedFiles
 from fmuid.simulation import FIRST_TIME_LIMIT, FmuHost, HostManager, executor_of, watch
@@ -52,7 +52,7 @@ def _printed_since(position: int) -> tuple[str, int]:
     if size == position:
         return "", size
     position = position if position < size else 0  # the other side has emptied the file
-    return os.pread(1, min(size - position, PRINTED_KEPT_BYTES), position).decode("utf-8", errors="replace"), size
+    return os.pread(1, min(size - position, LIMITS.printed_kept), position).decode("utf-8", errors="replace"), size
 
 
 class IsolatedCases:

@@ -21,10 +21,10 @@ import numpy as np
 
 from fmuid.array_types import Floats
 from fmuid.blas import single_threaded
+from fmuid.codec import as_json, from_json
 from fmuid.data import Experiment
 from fmuid.errors import FmuidError
 from fmuid.estimation import Cache, Evaluator, Result, SolverCheck, TerminationReason, WeakDirection
-from fmuid.files import as_json
 from fmuid.identification import Problem, identify_by
 from fmuid.runs.batch.case_problem import problem_of, truth_simulators, truth_values
 from fmuid.runs.batch.cases import Case, CaseList
@@ -264,7 +264,7 @@ def directions_text(directions: Sequence[WeakDirection]) -> str:
 
 def directions_of(text: str) -> tuple[WeakDirection, ...]:
     """Return the directions of a row's ``undetermined``."""
-    return tuple(WeakDirection.of_json(each) for each in json.loads(text)) if text else ()
+    return tuple(from_json(WeakDirection, each) for each in json.loads(text)) if text else ()
 
 
 def _accuracy_of(found: SolverCheck | None) -> dict[str, object]:

@@ -15,13 +15,13 @@ from fmuid.array_types import Indices
 from fmuid.errors import FmuidError
 from fmuid.models import Isolation
 from fmuid.processes import (
-    CLOSING_LIMIT,
     EXITED,
     FAILED,
     GARBLED,
     GREW,
     HUNG,
     KILLED,
+    LIMITS,
     REFUSED,
     STOPPED,
     HostExitError,
@@ -183,7 +183,7 @@ class FmuHost(HostProcess):
         """Let it free its instances and end it."""
         if self.alive:
             with contextlib.suppress(HostExitError):  # it is killed below either way
-                self.order(server.close, limit=CLOSING_LIMIT)
+                self.order(server.close, limit=LIMITS.closing)
             self.kill()
 
 

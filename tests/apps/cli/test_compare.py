@@ -9,9 +9,9 @@ import numpy as np
 import pandas as pd
 import pytest
 
-import fmuid
 from fmuid.apps.cli.options import DONE, WRONG_INPUT
 from tests.support.coil_study import STUDY, coil_table, fmuid_
+from tests.support.running import run_prediction
 
 pytestmark = pytest.mark.usefixtures("blank_figures")
 
@@ -51,9 +51,9 @@ def test_on_the_same_data(made: Path, tmp_path: Path, capsys: pytest.CaptureFixt
     likelihoods = {
         name: json.loads((made / name / "result.json").read_text())["log_likelihood"] for name in ("both", "right")
     }
-    tests = {test["smaller"]: test for test in content["tests"]}
+    tests = {test["smaller"]: test for test in content["comparison"]["tests"]}
     assert tests["right"]["freed"] == ["L"]
-    twice = 2 * (likelihoods["both"] - likelihoods["right"]) / content["dependence"]
+    twice = 2 * (likelihoods["both"] - likelihoods["right"]) / content["comparison"]["dependence"]
     assert tests["right"]["statistic"] == pytest.approx(twice)
     table = rows(tmp_path)
     assert table["both"]["parameters"] == table["right"]["parameters"] + 1 == 3
@@ -74,7 +74,7 @@ def test_on_a_common_table(made: Path, tmp_path: Path, capsys: pytest.CaptureFix
     assert "On the common tables" in out
     assert "do as well as each other" in out
     table = rows(tmp_path)
-    (alone,) = fmuid.run_prediction(made / "both", [made / "third.csv"]).predictions
+    (alone,) = run_prediction(made / "both", [made / "third.csv"]).predictions
     assert table["both"]["rmse.i"] == pytest.approx(alone.scores[0].rmse)
     assert 100.0 - table["wrong"]["fit"] > 1.5 * (100.0 - table["both"]["fit"])
     assert "RMSE i (A)" in out

@@ -12,7 +12,7 @@ import fmuid
 from experiments.coil import study as coil
 from fmuid.apps.cli.options import DONE, WRONG_INPUT
 from fmuid.reports import healthy_record_words
-from fmuid.runs.monitoring import design_of
+from fmuid.runs.faults import design_of
 from tests.support.coil_study import STUDY, coil_table, fmuid_
 
 pytestmark = pytest.mark.usefixtures("blank_figures")

@@ -37,7 +37,7 @@ def test_identify(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
         assert abs(estimate["value"] - truth) < 4 * estimate["std"]
         assert 0 < estimate["std"] < 0.03 * truth
         assert estimate["start"] == start
-        assert "pull" not in estimate
+        assert estimate["pull"] is None
     assert found["covariance"]["names"] == ["R", "L"]
     diagonal = np.sqrt(np.diag(found["covariance"]["matrix"]))
     np.testing.assert_allclose(diagonal, [found["parameters"][name]["std"] for name in ("R", "L")])
@@ -58,7 +58,7 @@ def test_identify_writes_tables_and_figures(folder: Path) -> None:
     assert fmuid_("identify", folder / "study.toml", "--output", folder / "deep/out", "--figures", "png") == DONE
     out = folder / "deep/out"
     assert {path.name for path in out.iterdir()} == {
-        "result.json", "estimates.csv", "trace.csv", "rounds.csv", "fit.csv", "diagnostics.csv", "correlations.csv",
+        "result.json", "estimates.csv", "trace.csv", "fit.csv", "diagnostics.csv",
         "parameters.ssv", "report.html", "figures",
     }  # fmt: skip
     figures = {path.name for path in (out / "figures").iterdir()}
@@ -237,12 +237,11 @@ def test_prior_from_an_earlier_result(folder: Path, capsys: pytest.CaptureFixtur
         std = 2 * prior["std"] * stats.t.ppf(0.975, prior["degrees_of_freedom"]) / stats.norm.ppf(0.975)
         assert estimate["prior_std"] == pytest.approx(std)
         assert estimate["pull"] == pytest.approx((estimate["value"] - prior["value"]) / std)
-    reading = pd.read_csv(folder / "results/reading.csv")
-    inside = (reading["combined"] - reading["prior"]) * (reading["data"] - reading["combined"])
-    assert reading["parameter"].tolist() == ["R", "L"]
+    reading = pd.DataFrame(found["assessment"]["prior_and_data"]["parameters"]).T
+    inside = (reading["combined"] - reading["prior_mean"]) * (reading["data"] - reading["combined"])
+    assert reading.index.tolist() == ["R", "L"]
     assert (inside >= -1e-12).any()
     assert (reading["combined_std"] < reading["data_std"]).all()
-    assert "consistency" in found
     out, error = capsys.readouterr()
     assert error == ""
     heads = next(line for line in out.splitlines() if "data alone" in line)
@@ -253,7 +252,7 @@ def test_prior_from_an_earlier_result(folder: Path, capsys: pytest.CaptureFixtur
 def test_what_takes_long_says_what_it_does(
     folder: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("fmuid.reports.run_identification.QUICK_SECONDS", 0.0)
+    monkeypatch.setattr("fmuid.runs.run.QUICK_SECONDS", 0.0)
     assert fmuid_("identify", folder / "study.toml") == DONE
     assert capsys.readouterr().err == ""
     prior = "parameters.R.prior={mean = 4.0, std = 0.1}"

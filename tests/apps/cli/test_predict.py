@@ -9,9 +9,10 @@ from pathlib import Path
 import pandas as pd
 import pytest
 
-import fmuid
 from fmuid.apps.cli.options import DONE, WRONG_INPUT
+from fmuid.reports.messages.prediction import predicted_words
 from tests.support.coil_study import STUDY, coil_table, fmuid_
+from tests.support.running import run_prediction
 
 pytestmark = pytest.mark.usefixtures("blank_figures")
 
@@ -37,16 +38,16 @@ def test_records_are_predicted(made: Path, tmp_path: Path, capsys: pytest.Captur
         assert word in out
     content = json.loads((tmp_path / "prediction.json").read_text())
     names = ("results/result.json", "second.csv", "third.csv")
-    assert {name: hashlib.sha256((made / name).read_bytes()).hexdigest() for name in names}.items() <= content[
-        "files"
-    ].items()
-    assert any(name.endswith("Coil.fmu") for name in content["files"])
-    assert content["study"]["digest"] == hashlib.sha256((made / "study.toml").read_bytes()).hexdigest()
-    assert [record["experiment"] for record in content["records"]] == ["second", "third"]
-    assert content["records"][1]["estimated"]["parameters"]["i_start"]["value"] == pytest.approx(0.2, abs=0.05)
+    origin = content["origin"]
+    digests = {name: hashlib.sha256((made / name).read_bytes()).hexdigest() for name in names}
+    assert digests.items() <= origin["files"].items()
+    assert any(name.endswith("Coil.fmu") for name in origin["files"])
+    assert origin["study"]["digest"] == hashlib.sha256((made / "study.toml").read_bytes()).hexdigest()
+    assert [record["fit"]["experiment"] for record in content["predictions"]] == ["second", "third"]
+    assert content["predictions"][1]["estimated"]["parameters"]["i_start"]["value"] == pytest.approx(0.2, abs=0.05)
     scores = pd.read_csv(tmp_path / "scores.csv")
     assert list(scores["record"]) == ["second", "third"]
-    assert scores["rmse"].tolist() == [record["outputs"][0]["rmse"] for record in content["records"]]
+    assert scores["rmse"].tolist() == [record["scores"][0]["rmse"] for record in content["predictions"]]
     assert len(pd.read_csv(tmp_path / "prediction.csv")) == 1200
     figures = {path.stem for path in (tmp_path / "figures").iterdir()}
     assert {"prediction", "prediction-2", "residuals"} <= figures
@@ -66,7 +67,7 @@ def test_predict_constant_output_gives_rmse(made: Path, tmp_path: Path, capsys: 
     assert "i in still is predicted with an RMSE of " in out
     assert "(constant as measured: no fit)" in out
     content = json.loads((tmp_path / "out" / "prediction.json").read_text())
-    assert content["records"][0]["outputs"][0]["fit"] is None
+    assert content["predictions"][0]["scores"][0]["fit"] is None
     assert pd.read_csv(tmp_path / "out" / "scores.csv")["fit"].isna().all()
     assert "no fit" in (tmp_path / "out" / "report.html").read_text()
 
@@ -80,10 +81,11 @@ def test_the_record_of_the_result_is_no_prediction(
     assert "the result was made from first: this is no prediction" in error
     content = json.loads((tmp_path / "prediction.json").read_text())
     page = (tmp_path / "report.html").read_text()
-    told = [content["study"]["digest"], *content["files"].values(), content["date"]]
+    origin = content["origin"]
+    told = [origin["study"]["digest"], *origin["files"].values(), origin["date"]]
     assert [each for each in told if each not in page] == []
     identified = json.loads((made / "results" / "result.json").read_text())
-    rmse = json.loads((tmp_path / "prediction.json").read_text())["records"][0]["outputs"][0]["rmse"]
+    rmse = json.loads((tmp_path / "prediction.json").read_text())["predictions"][0]["scores"][0]["rmse"]
     assert rmse**2 == pytest.approx(identified["noise_variance"]["i"] * 598 / 600, rel=1e-3)
     assert "as noise and estimates let expect" in out
     page = (tmp_path / "report.html").read_text(encoding="utf-8")
@@ -110,9 +112,9 @@ def test_folds(made: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -
 
 
 def test_from_python(made: Path) -> None:
-    found = fmuid.run_prediction(made / "results", [made / "second.csv"], free=["i_start"])
+    found = run_prediction(made / "results", [made / "second.csv"], free=["i_start"])
     assert found.predictions[0].scores[0].ratio == pytest.approx(1.0, abs=0.1)
-    assert any("is predicted with a fit of" in words for words in found.words)
+    assert any("is predicted with a fit of" in words for words in predicted_words(found))
 
 
 @pytest.mark.parametrize(

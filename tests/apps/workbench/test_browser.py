@@ -16,7 +16,7 @@ from tornado.netutil import bind_sockets
 
 from fmuid.apps.workbench import Folder, Workbench, entry_file
 from fmuid.processes import AVAILABLE
-from fmuid.runs import origin_of
+from fmuid.runs import made_from
 from fmuid.studies import Study
 from tests.support.begun_batch import batch
 from tests.support.browser import PATIENCE, chromium
@@ -318,8 +318,8 @@ def test_the_keyboard_reaches_all_of_each_page(browser: Any, address: str, folde
 
 def test_from_not_determined_to_excitations_and_a_prior(browser: Any, address: str, folder: Path) -> None:
     (folder / "old").mkdir()
-    study = origin_of(Study.read(folder / "study.toml", ["parameters.R.start=5"]), folder / "old")
-    result(folder / "old", {"R": (4.0, 0.1), "L": (0.1, None)}, study=study)
+    study = made_from(Study.read(folder / "study.toml", ["parameters.R.start=5"]), folder=folder / "old")
+    result(folder / "old", {"R": (4.0, 0.1), "L": (0.1, None)}, origin=study)
     browser.get(address)
     base = address.split("?")[0]
     browser.get(f"{base}results?file=old")

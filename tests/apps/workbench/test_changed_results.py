@@ -21,12 +21,12 @@ from fmuid.apps.workbench.pages import results as results_page
 from fmuid.apps.workbench.pages.batch import BatchPage
 from fmuid.apps.workbench.pages.study import StudyPage
 from fmuid.errors import FmuidError
-from fmuid.reports import run_study
 from fmuid.studies import Study
 from tests.support.begun_batch import batch, write_part
 from tests.support.changed_types import with_changed_type
 from tests.support.coil_study import STUDY, coil_table
 from tests.support.results import result
+from tests.support.running import run_study
 
 SEEDS = 65
 FILES = ("results/result.json", "out/batch.json")

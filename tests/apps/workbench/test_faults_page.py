@@ -18,10 +18,10 @@ from fmuid.apps.workbench.jobs import Jobs
 from fmuid.apps.workbench.pages.faults import FaultsPage
 from fmuid.apps.workbench.pages.results_view import ResultsView
 from fmuid.errors import InputError
-from fmuid.reports import run_diagnosis, run_monitoring
 from fmuid.studies import Study
 from tests.support.coil_study import STUDY, coil_table
 from tests.support.results import result
+from tests.support.running import run_diagnosis, run_monitoring, run_study
 
 PATIENCE = 120.0
 
@@ -57,7 +57,7 @@ def test_a_study_without_faults_is_refused(tmp_path: Path) -> None:
 @pytest.mark.slow
 def test_a_diagnosis_is_begun_and_a_folder_is_followed(tmp_path: Path) -> None:
     coil, test = fmuid.datasets.coil(), fmuid.datasets.faulty_coil()
-    fmuid.run_study(Study.of(coil.study, tmp_path / "coil.toml"), tmp_path / "healthy")
+    run_study(Study.of(coil.study, tmp_path / "coil.toml"), tmp_path / "healthy")
     (tmp_path / "records").mkdir()
     shutil.copy(test.path, tmp_path / "records/one.csv")
     fault = f'[diagnosis.faults.turns]\nfmu = "{test.fmu.as_posix()}"\nparameters = {{ dR = {{ nominal = 1.0 }} }}\n'

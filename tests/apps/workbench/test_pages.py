@@ -29,12 +29,11 @@ from fmuid.apps.workbench.pages.results import PLACE, PredictAction, WriteAction
 from fmuid.apps.workbench.project_folder import FoundResult, FoundStudy
 from fmuid.estimation import Result
 from fmuid.progress import EVENTS, BatchStep, Event, GlobalStep, SearchStep, of_line, to_line
-from fmuid.reports import run_study
 from fmuid.reports.console.progress import Display
 from fmuid.reports.page.document import Part, written_parts
 from fmuid.reports.page.fits import fit_sections
 from fmuid.reports.page.write import contents
-from fmuid.runs import CaseList, origin_of
+from fmuid.runs import CaseList, made_from
 from fmuid.runs.batch.study_package import BatchStudy
 from fmuid.simulation import OutputFit
 from fmuid.studies import Study
@@ -42,6 +41,7 @@ from tests.support.begun_batch import batch
 from tests.support.coil_study import COIL, STUDY, coil_table
 from tests.support.isolated import wait_until
 from tests.support.results import result
+from tests.support.running import run_study
 
 PATIENCE = 120.0
 EVENTS_SEEN: tuple[Event, ...] = (
@@ -142,7 +142,7 @@ def test_from_results_to_what_would_help(tmp_path: Path) -> None:
     run = Study.read(path, given)
     for name, std in (("open", None), ("known", 0.1)):
         (tmp_path / name).mkdir()
-        result(tmp_path / name, {"R": (4.0, 0.1), "L": (0.1, std)}, study=origin_of(run, tmp_path / name))
+        result(tmp_path / name, {"R": (4.0, 0.1), "L": (0.1, std)}, origin=made_from(run, folder=tmp_path / name))
     doc = asked_for("open")
     build(doc, bench_of(tmp_path))
     text = "".join(each for each, _ in doc.template_variables["pieces"])

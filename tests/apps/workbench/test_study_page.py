@@ -26,12 +26,12 @@ from fmuid.apps.workbench.pages.study import StudyPage
 from fmuid.data import Normal, Parameter
 from fmuid.errors import InputError
 from fmuid.estimation import Result
-from fmuid.reports import run_study
 from fmuid.reports.page.identification import CAPTIONS
 from fmuid.simulation import Simulator
 from fmuid.studies import Study
 from tests.support.coil_study import STUDY, coil_table
 from tests.support.results import result
+from tests.support.running import run_study
 
 PATIENCE = 60.0
 

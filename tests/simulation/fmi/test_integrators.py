@@ -14,8 +14,9 @@ from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 from scipy.integrate._ivp.rk import RK45
 
-from fmuid.simulation import Integration, codes
+from fmuid.simulation import codes
 from fmuid.simulation.native.library import core
+from fmuid.simulation.simulation_plan import Integration
 from fmuid.simulation.solver import Integrator, function_table
 from tests.support.closed_forms import park_rates
 from tests.support.integrating import (

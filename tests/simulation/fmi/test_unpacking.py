@@ -11,6 +11,7 @@ import warnings
 import zipfile
 import zlib
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -21,7 +22,7 @@ from fmuid.models import ssv
 from fmuid.models.archive import CheckedArchive, file_digest, unpacked
 from fmuid.models.fmu import FMU
 from fmuid.models.ssv import read_ssv
-from fmuid.reports.apply import apply_result
+from fmuid.runs.apply import apply_result
 from tests.support.fmu_texts import FMI2, FMI3, write_fmu
 from tests.support.packing import pack, refusal
 from tests.support.paths import FMUS
@@ -167,9 +168,9 @@ def test_usual_names_are_unpacked(tmp_path: Path) -> None:
 
 
 def test_a_bomb_is_refused_by_its_ratio(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(zipped, "RATIO_FROM", 2**20)
+    monkeypatch.setattr(zipped, "LIMITS", replace(zipped.LIMITS, ratio_from=2**20))
     path = pack(tmp_path / "a.fmu", ("zeros", bytes(3 * 2**20)))
-    assert path.stat().st_size * zipped.HIGHEST_RATIO < 3 * 2**20
+    assert path.stat().st_size * zipped.LIMITS.ratio < 3 * 2**20
     assert "200 times its own size" in refusal(path)
 
 
@@ -185,7 +186,7 @@ def test_a_bomb_that_understates_its_size_is_damaged(tmp_path: Path) -> None:
 def test_what_is_read_is_counted(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Whatever the headers say: here they are right, and ignored."""
     monkeypatch.setenv(zipped.LARGEST_TOTAL_VARIABLE, str(3 / 1024))
-    monkeypatch.setattr(zipped, "CHUNK", 2**10)
+    monkeypatch.setattr(zipped, "LIMITS", replace(zipped.LIMITS, chunk=2**10))
     path = pack(tmp_path / "a.fmu", *((f"{k}", os.urandom(2**20)) for k in range(4)), method=zipfile.ZIP_STORED)
     with monkeypatch.context() as patched:
         patched.setattr(CheckedArchive, "_check", lambda _: None)
@@ -212,12 +213,12 @@ def test_a_limit_that_is_no_number(tmp_path: Path, monkeypatch: pytest.MonkeyPat
 
 
 def test_too_many_entries(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(zipped, "MOST_ENTRIES", 10)
+    monkeypatch.setattr(zipped, "LIMITS", replace(zipped.LIMITS, entries=10))
     assert "has 11 entries" in refusal(pack(tmp_path / "a.fmu", *((str(k), b"") for k in range(11))))
 
 
 def test_a_directory_that_would_fill_the_memory(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(zipped, "LARGEST_DIRECTORY", 1000)
+    monkeypatch.setattr(zipped, "LIMITS", replace(zipped.LIMITS, directory=1000))
     assert "its directory is larger" in refusal(pack(tmp_path / "a.fmu", *((str(k), b"") for k in range(30))))
 
 

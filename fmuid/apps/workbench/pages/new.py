@@ -15,11 +15,11 @@ from fmuid.apps.workbench.pages.command_panel import CommandPanel
 from fmuid.apps.workbench.project_folder import Folder, choices, tables
 from fmuid.data import first_lines
 from fmuid.errors import FmuidError, InputError
-from fmuid.reports import prepared_columns
 from fmuid.reports.console.draft import LINK_HEADS, heading, link_cells, remarks
 from fmuid.reports.interactive.live import in_scheme
 from fmuid.reports.interactive.preparation import preparation
 from fmuid.reports.page.document import details, table
+from fmuid.runs import prepared_columns
 from fmuid.studies import InitOptions, MatchedDataFile, match_data_files, parse_column, value_of
 from fmuid.units import TIME_UNITS
 

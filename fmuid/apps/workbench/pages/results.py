@@ -27,7 +27,6 @@ from fmuid.errors import InputError
 from fmuid.estimation import Result
 from fmuid.files import file_name, is_file, replacing
 from fmuid.formatting import label, with_std
-from fmuid.reports import estimate_rows
 from fmuid.reports.interactive import comparison
 from fmuid.reports.interactive.live import ZoomedFit, in_scheme
 from fmuid.reports.interactive.style import DARK, MAX_DOTS, MAX_ROWS
@@ -35,6 +34,7 @@ from fmuid.reports.page.document import Part, Section, table, written_parts
 from fmuid.reports.page.write import contents
 from fmuid.reports.render import html
 from fmuid.reports.render.document_json import DOCUMENT_FILE, read_documents
+from fmuid.runs import estimate_rows
 from fmuid.studies import read_toml
 
 # Where a figure that the document follows stands in the text of a page.

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import MISSING, dataclass, fields
+from collections.abc import Iterable, Iterator
+from dataclasses import MISSING, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -11,39 +11,18 @@ import numpy as np
 import pandas as pd
 
 from fmuid.array_types import Floats
-from fmuid.data import UNITS, column_of, numeric_column, time_name
+from fmuid.data import UNITS, column_of, extremes, numeric_column, time_name
 from fmuid.files import write_table
-from fmuid.reports.downsampling import extremes
-from fmuid.reports.interactive.style import MAX_ROWS
+from fmuid.runs.findings import PreprocessedTable
 
 if TYPE_CHECKING:
     from fmuid.data import Experiment
     from fmuid.studies import ExperimentSettings, Study
 
 BEFORE, AFTER = "before", "after"
+# Rows that are kept of a column, as many as a figure can show.
+MAX_ROWS = 4000
 _READ_BY = ("data", "time", "time_unit", "sample_rate", "sheet")
-
-
-@dataclass(frozen=True, eq=False)
-class PreprocessedTable:
-    """What was done with the table of an experiment.
-
-    Attributes
-    ----------
-    experiment : str
-    words : mapping
-        Those of ``[experiments.preprocess]`` that are not its defaults.
-    units : dict of str to str
-        Of its columns, where the table says them.
-    table : DataFrame
-        The columns that it changed or made: ``experiment``, ``column``, ``stage`` (before or after), ``time`` (s) and
-        ``value``, about `MAX_ROWS` rows of each at most; a column that it made has nothing before.
-    """
-
-    experiment: str
-    words: Mapping[str, Any]
-    units: Mapping[str, str]
-    table: pd.DataFrame
 
 
 def prepared(study: Study) -> tuple[PreprocessedTable, ...]:
@@ -65,11 +44,6 @@ def prepared(study: Study) -> tuple[PreprocessedTable, ...]:
             read = key, given.read_frame(given.data)
         found.append(prepared_table(given, experiment, read[1]))
     return tuple(found)
-
-
-def said_of(done: Iterable[PreprocessedTable]) -> list[dict[str, Any]]:
-    """Return what a JSON file says of what was done with tables."""
-    return [{"name": each.experiment, "preparation": each.words, "columns": each.units} for each in done]
 
 
 def write_prepared(path: Path, tables: Iterable[pd.DataFrame]) -> list[Path]:

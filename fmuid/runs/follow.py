@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import contextlib
 import hashlib
 import json
 import os
 import time
-from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass
+from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from subprocess import PIPE, STDOUT, TimeoutExpired
 from subprocess import run as run_program
@@ -16,15 +15,23 @@ from subprocess import run as run_program
 import numpy as np
 
 from fmuid import files
-from fmuid.diagnosis import ALARMS_FILE, FOUND_FILE, STATE_FILE, TABLE_FILE, DamagedStateError, Monitor, damage_of
+from fmuid.diagnosis import (
+    ALARMS_FILE,
+    FOUND_FILE,
+    STATE_FILE,
+    TABLE_FILE,
+    Alarm,
+    DamagedStateError,
+    Monitor,
+    SkippedWindow,
+    damage_of,
+)
 from fmuid.errors import FmuidError, InputError
-from fmuid.reports.alarm_log import AlarmLines
-from fmuid.reports.diagnosis_runs import MonitoredTables, MonitoringRun
-from fmuid.reports.messages.monitoring import gap_words, monitoring_sentences
-from fmuid.reports.page.faults import MONITORED_FILE
-from fmuid.reports.page.write import show_results
-from fmuid.reports.provenance import made_from, made_now
-from fmuid.runs import LogFollower, RecordUpdate, build_monitor, rule_of
+from fmuid.runs.alarm_log import AlarmLines
+from fmuid.runs.faults import MonitoredTables, build_monitor, findings_of, rule_of
+from fmuid.runs.folder import MONITORED_FILE
+from fmuid.runs.log_following.follower import LogFollower, RecordUpdate
+from fmuid.runs.provenance import made_from, made_now
 from fmuid.studies import Study
 
 # It is looked so often for what is new, s.
@@ -48,70 +55,68 @@ class FollowStatus:
     Attributes
     ----------
     monitor : Monitor
-    remarks, lines : tuple of str
-        Sentences on files and commands, and lines of ``alarms.jsonl``, since the last time.
+    remarks : tuple of str or Gap
+        On files and commands, and windows that are left out, since the last time.
+    lines : tuple of str
+        Of ``alarms.jsonl``, likewise.
     idle : bool
         Whether everything there is has been examined.
+    files : tuple of Path
+        Those that were written.
     """
 
     monitor: Monitor
-    remarks: tuple[str, ...]
+    remarks: tuple[str | SkippedWindow, ...]
     lines: tuple[str, ...]
     idle: bool
+    files: tuple[Path, ...] = ()
 
 
-def run_following(
-    study: Study | str | Path,
-    place: str | Path,
-    folder: str | Path,
-    *,
-    report: bool = False,
-    show: Callable[[FollowStatus], None] | None = None,
-    until: Callable[[FollowStatus], bool] | None = None,
-) -> MonitoringRun:
-    """Monitor the records of a folder, or of a file that grows, as they come in, until Ctrl-C.
+def followed(
+    study: Study,
+    place: Path,
+    folder: Path,
+    say: Callable[[Alarm, Mapping[str, str]], str] | None = None,
+) -> Generator[FollowStatus, None, None]:
+    """Monitor the records of a folder, or of a file that grows, as they come in: yield after each look.
 
-    ``fmuid monitor --follow`` is this. It goes on where an earlier run into the same folder was, however that ended.
+    It goes on where an earlier run into the same folder was, however that ended. Who has enough closes the generator:
+    what is found by then is written. A break in the midst of a window leaves that out; it is done again then.
 
     Parameters
     ----------
-    study : Study or path
-    place : path
+    study : Study
+    place : Path
         What a logger fills.
-    folder : path
-        Where the files go: those of `run_monitoring`, and ``alarms.jsonl``.
-    report : bool
-        Whether to write ``report.html`` at the end.
-    show : callable, optional
-        Called with a `FollowStatus` after each look.
-    until : callable, optional
-        Whether to end, asked after each look.
+    folder : Path
+        Where the files go: those of `monitored`, and ``alarms.jsonl``.
+    say : callable, optional
+        Makes the sentence of an alarm and the units of its columns, for ``alarms.jsonl`` and the user's command.
 
     Raises
     ------
     InputError
         If study and models do not fit together, there is no such place, or the folder is of another run or in use.
     """
-    study, target = study if isinstance(study, Study) else Study.read(study), Path(folder)
-    with files.locked(target, "monitoring"):
-        running = _Running(study, Path(place), target)
-        with contextlib.suppress(KeyboardInterrupt):
-            running.run(show, until)
-        running.write()  # unless the break was in the midst of something: that is done again then
-        written = [target / name for name in running.written]
-        shown = show_results(target, report=report) if written else []
-        return MonitoringRun(running.monitor, (*written, *shown))
+    with files.locked(folder, "monitoring"):
+        running = _Running(study, place, folder, say)
+        try:
+            yield from running.run()
+        finally:
+            running.write()
 
 
 class _Running:
     """A monitoring in operation."""
 
-    def __init__(self, study: Study, place: Path, folder: Path) -> None:
-        self.study, self.place, self.folder, self.origin = study, place, folder, made_from(study)
+    def __init__(
+        self, study: Study, place: Path, folder: Path, say: Callable[[Alarm, Mapping[str, str]], str] | None
+    ) -> None:
+        self.study, self.place, self.folder, self.origin, self.say = study, place, folder, made_from(study), say
         self.key = _key(study)
         self.lines: list[str] = []
-        self.remarks: list[str] = []
-        self.written: Sequence[str] = ()
+        self.remarks: list[str | SkippedWindow] = []
+        self.written: tuple[Path, ...] = ()
         self.sound, self.changed = True, False
         self._next = 0.0
         try:
@@ -135,7 +140,7 @@ class _Running:
             )
         with damage_of(state):
             self.follower = LogFollower(given, self.place, rule.window, rule.transient, beside.get("followed"))
-            self.alarms = AlarmLines(**beside.get("alarms", {"study": self.study.title}))
+            self.alarms = AlarmLines(**beside.get("alarms", {"study": self.study.title}), say=self.say)
             self.waiting = [str(line) for line in beside.get("waiting", [])]  # of which the command was not told
         try:
             self.tables = MonitoredTables(self.folder, given, append=bool(self.monitor.windows))
@@ -152,19 +157,17 @@ class _Running:
         self.sound, self.changed = True, False
         self._resume()
 
-    def run(self, show: Callable[[FollowStatus], None] | None, until: Callable[[FollowStatus], bool] | None) -> None:
+    def run(self) -> Iterator[FollowStatus]:
         self.tell()
         while True:
             try:
-                self._look(show)
+                yield from self._look()
             except DamagedStateError as error:  # which shows only when the first record comes
                 self._begin_anew(error)
-            watching = self._shown(show, idle=True)
-            if until is not None and until(watching):
-                return
+            yield self._watching(idle=True)
             time.sleep(EVERY)
 
-    def _look(self, show: Callable[[FollowStatus], None] | None) -> None:
+    def _look(self) -> Iterator[FollowStatus]:
         """Examine what is new."""
         for found in self.follower.look():
             if isinstance(found, RecordUpdate):
@@ -172,16 +175,14 @@ class _Running:
             else:
                 self.remarks.append(found.text)
             if self.lines or time.monotonic() >= self._next:
-                self._shown(show, idle=False)
+                yield self._watching(idle=False)
 
-    def _shown(self, show: Callable[[FollowStatus], None] | None, *, idle: bool) -> FollowStatus:
+    def _watching(self, *, idle: bool) -> FollowStatus:
         lines = tuple(self.lines)
         self.write()
         self.tell()
-        watching = FollowStatus(self.monitor, tuple(self.remarks), lines, idle)
+        watching = FollowStatus(self.monitor, tuple(self.remarks), lines, idle, self.written)
         self.remarks = []
-        if show is not None:
-            show(watching)
         return watching
 
     def examine(self, piece: RecordUpdate) -> None:
@@ -201,7 +202,7 @@ class _Running:
                 self.follower.refused(piece)
                 known = isinstance(error, InputError)  # which names the record
                 self.remarks.append(str(error) if known else f"{piece.record.source}: {error}")
-        self.remarks += gap_words(self.monitor.gaps[told:])
+        self.remarks += self.monitor.gaps[told:]
         self.lines += self.alarms.new(self.monitor)
         self.sound = self.changed = True
 
@@ -221,12 +222,11 @@ class _Running:
         beside = {
             "key": self.key,
             "followed": self.follower.state,
-            "alarms": asdict(self.alarms),
+            "alarms": self.alarms.state,
             "waiting": self.waiting,
         }
-        also = self.origin | made_now() | {"words": monitoring_sentences(self.monitor), "experiments": self.tables.said}
-        prepared = self.tables.write()
-        self.written = [path.name for path in (*prepared, *self.monitor.write(self.folder, also, lines, beside))]
+        origin = replace(self.origin, date=made_now().date)
+        self.written = self.tables.write(findings_of(self.monitor), self.monitor, origin, lines, beside).files
         self.changed = False
 
     def tell(self) -> None:
@@ -268,7 +268,7 @@ def _key(study: Study) -> str:
 def _told(command: Sequence[str], line: str, folder: Path) -> list[str]:
     """Run a command with a line on its standard input; return what went wrong."""
     said = json.loads(line)
-    known = {f"FMUID_{key.upper()}": str(said[key]) for key in TOLD}
+    known = {f"FMUID_{key.upper()}": str(said.get(key, "")) for key in TOLD}
     try:
         done = run_program(
             list(command), input=line + "\n", env=os.environ | known | {"FMUID_FOLDER": str(folder)}, check=False,

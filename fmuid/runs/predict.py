@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
 from fmuid.data import Experiment, Parameter, record_files
@@ -13,25 +13,11 @@ from fmuid.formatting import nearest
 from fmuid.identification import CONFIDENCE_LEVEL, ModelReference, Prediction, estimates_for, predict, refinement_of
 from fmuid.models import FMU, System
 from fmuid.progress import Progress
-from fmuid.runs.prediction.result_study import study_of
+from fmuid.runs.findings import Fold, PredictionRun
+from fmuid.runs.provenance import made_from
+from fmuid.runs.result_study import result_path, study_of
 from fmuid.simulation import OutputFit, Simulator, Value, fit_of, refined
 from fmuid.studies import ExperimentSettings, PriorSource, SourceWarning, Study
-
-
-@dataclass(frozen=True, eq=False)
-class Fold:
-    """One part of a cross-validation.
-
-    Attributes
-    ----------
-    result : Result
-        Made from the experiments of the other parts.
-    predictions : tuple of Prediction
-        Of the experiments of this one.
-    """
-
-    result: Result
-    predictions: tuple[Prediction, ...]
 
 
 def records_like(study: Study, paths: Sequence[Path], like: str | None = None) -> tuple[Experiment, ...]:
@@ -192,7 +178,7 @@ def cross_validate(
     free: Sequence[str] = (),
     level: float = CONFIDENCE_LEVEL,
     progress: Progress | None = None,
-) -> tuple[Fold, ...]:
+) -> tuple[tuple[Fold, ...], tuple[Prediction, ...]]:
     """Identify the parameters from all experiments but those of one part, and predict those; part after part.
 
     Parameters
@@ -220,15 +206,15 @@ def cross_validate(
             + ("; a study of one experiment has nothing to leave out" if len(experiments) == 1 else "")
         )
     again = dict.fromkeys([*(name for name, p in study.parameters.items() if p.per_experiment), *free])
-    found = []
+    found, predictions = [], dict[str, Prediction]()
     for part in range(folds):
         left_out = experiments[part::folds]
         kept = tuple(each for each in experiments if each not in left_out)
         result = study.search(study.problem(kept), progress)
-        found.append(
-            Fold(result, tuple(predict_with(study, result, each, free=tuple(again), level=level) for each in left_out))
-        )
-    return tuple(found)
+        found.append(Fold(result, tuple(each.name for each in left_out)))
+        for each in left_out:
+            predictions[each.name] = predict_with(study, result, each, free=tuple(again), level=level)
+    return tuple(found), tuple(predictions[each.name] for each in experiments)
 
 
 def notes_of(study: Study, path: Path, result: Result) -> list[SourceWarning]:
@@ -244,3 +230,62 @@ def notes_of(study: Study, path: Path, result: Result) -> list[SourceWarning]:
     for name in names:
         study.system.variable(name, "parameter")
     return PriorSource(str(study.path), path, result, names).compare(study.system)
+
+
+def predicted_by(
+    result: Path | str,
+    tables: Sequence[Path | str] = (),
+    *,
+    study: Study | None = None,
+    free: Sequence[str] = (),
+    like: str | None = None,
+    folds: int | None = None,
+    level: float = CONFIDENCE_LEVEL,
+    progress: Progress | None = None,
+) -> PredictionRun:
+    """Predict records that a result was not made from, or each part of its own study's from the others.
+
+    Parameters
+    ----------
+    result : path
+        A ``result.json``, or the folder that has it.
+    tables : sequence of path
+        Records, and folders of records.
+    study : Study, optional
+        Whose model and words for tables serve; default: the one that the result was made by.
+    free : sequence of str
+        Variables that are estimated again on each record, such as initial states.
+    like : str, optional
+        The experiment of the study whose words the records are read with; default: the first one.
+    folds : int, optional
+        Instead of tables: into how many parts the study's experiments are divided, each predicted from the others.
+    level : float
+        Of the bands.
+    progress : callable, optional
+        Called with every step of searches.
+
+    Raises
+    ------
+    InputError
+        If there are neither tables nor folds or both, or result, study and records do not fit together.
+    SimulationError
+        If a simulation fails.
+    """
+    if (folds is None) == (not tables):
+        raise InputError(
+            "name the tables to predict, or give --folds to predict each experiment of the study from the others"
+            if folds is None
+            else "with --folds the experiments of the study are predicted: leave the tables out"
+        )
+    path = result_path(Path(result))
+    estimates = Result.from_json(path)
+    study = study or study_of(path, in_place=Path(tables[0]) if tables else None)
+    notes = tuple(notes_of(study, path, estimates))
+    if folds is not None:
+        parts, predictions = cross_validate(study, folds, free=free, level=level, progress=progress)
+        return PredictionRun(predictions, parts, notes, origin=made_from(study, [path]))
+    paths = [Path(table) for table in tables]
+    records = records_like(study, paths, like)
+    seen = tuple(each.name for each in records if estimates.made_from(each))
+    predictions = tuple(predict_with(study, estimates, each, free=free, level=level) for each in records)
+    return PredictionRun(predictions, (), notes, seen, made_from(study, [path, *record_files(paths)]))

@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from fmuid.files import as_json
-from fmuid.reports.messages.monitoring import alarm_sentence
+from fmuid.codec import as_json
 
 if TYPE_CHECKING:
     from fmuid.diagnosis import Alarm, Monitor
@@ -34,12 +33,20 @@ class AlarmLines:
         The row of the table with which the last one began, -1 before any.
     fault : str
         What it is called, "" once it has ended.
+    say : callable, optional
+        Makes the sentence of a line, of the alarm and the units of its columns.
     """
 
     study: str
     count: int = 0
     first: int = -1
     fault: str = ""
+    say: Callable[[Alarm, Mapping[str, str]], str] | None = field(default=None, repr=False)
+
+    @property
+    def state(self) -> dict[str, Any]:
+        """What another run needs to go on."""
+        return {"study": self.study, "count": self.count, "first": self.first, "fault": self.fault}
 
     def new(self, monitor: Monitor) -> list[str]:
         """Return the lines that are new, after windows were examined."""
@@ -91,7 +98,7 @@ class AlarmLines:
             ],
             "onset": alarm.onset,
             "trend": alarm.trend,
-            "words": alarm_sentence(alarm, monitor.units),
+            **({} if self.say is None else {"words": self.say(alarm, monitor.units)}),
             "study": self.study,
             "written": datetime.now(UTC).isoformat(timespec="seconds"),
         }

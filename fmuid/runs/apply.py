@@ -27,7 +27,6 @@ from fmuid.models import (
     with_starts,
     write_ssv,
 )
-from fmuid.reports.messages.result import ending
 
 ESTIMATES_FILE = "parameters.ssv"
 
@@ -162,7 +161,7 @@ def _read(path: Path, model: str, component: str | None) -> tuple[dict[str, _Est
             "identify again"
         )
     if not result.converged:
-        raise InputError(f"{path} has not converged: {ending(result)}; continue with fmuid identify --resume")
+        raise InputError(f"{path} has not converged ({result.outcome.value}): continue with fmuid identify --resume")
     return found, {}
 
 

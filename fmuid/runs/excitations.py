@@ -11,7 +11,7 @@ import pandas as pd
 from fmuid.data import Experiment, record_files
 from fmuid.errors import InputError
 from fmuid.identification import SensitivityFunctions, expected_accuracy, rank_excitations, sensitivity_functions
-from fmuid.runs.monitoring import design_of
+from fmuid.runs.faults import design_of
 from fmuid.studies import Study
 
 

@@ -1,0 +1,338 @@
+"""Frozen dataclasses to JSON and back.
+
+The fields of a class are the keys of its object, enums are their values, arrays are lists. ``null`` stands for a number
+that is not known, ``"inf"`` for one without limit. A class that is written in another shape says so in a `Layout`.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import types
+from collections.abc import Mapping, Sequence
+from collections.abc import Set as AbstractSet
+from dataclasses import MISSING, Field, dataclass, field, fields, is_dataclass
+from enum import Enum
+from functools import cache
+from importlib import import_module
+from pathlib import Path
+from typing import Any, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
+
+import numpy as np
+
+from fmuid.errors import InputError
+from fmuid.files import ContentError, replacing
+from fmuid.formatting import bounded
+
+Item = TypeVar("Item")
+_UNLIMITED = {"inf": math.inf, "-inf": -math.inf}
+_PLACE_SHOWN = 100  # characters
+
+
+@dataclass(frozen=True)
+class Layout:
+    """How a class is written, where not field by field. It stands in the class as ``json_layout``.
+
+    Attributes
+    ----------
+    omitted : set of str
+        Fields that are not written. A reader may put them into the content, as from a table beside the file; else they
+        have their defaults, and arrays without one are empty.
+    inlined : set of str
+        Fields whose keys stand among those of the class itself.
+    derived : tuple of str
+        Properties that are written for other readers, and not read.
+    names : str
+        The field with the names of the rows.
+    rows : mapping of str to mapping
+        Keys whose object has a row for each name: columns by fields, properties, or mappings by name.
+    parts : mapping of str to mapping
+        Keys whose object has other fields by new names.
+    types : mapping of str to str
+        Names in annotations that are not imported, and the modules that have them.
+    """
+
+    omitted: AbstractSet[str] = frozenset()
+    inlined: AbstractSet[str] = frozenset()
+    derived: tuple[str, ...] = ()
+    names: str = "names"
+    rows: Mapping[str, Mapping[str, str]] = field(default_factory=dict)
+    parts: Mapping[str, Mapping[str, str]] = field(default_factory=dict)
+    types: Mapping[str, str] = field(default_factory=dict)
+
+    def elsewhere(self) -> set[str]:
+        """Return the fields that are no keys of their own."""
+        placed = {name for each in (*self.rows.values(), *self.parts.values()) for name in each.values()}
+        return {*self.omitted, *self.inlined, *placed, *([self.names] if self.rows else [])}
+
+
+def as_json(value: Any) -> Any:
+    """Return a value as JSON has it: dataclasses, enums, arrays, mappings and numbers at all depths."""
+    if isinstance(value, Enum):
+        return value.value
+    if isinstance(value, bool | int | str) or value is None:
+        return value
+    if isinstance(value, float):
+        return float(value) if math.isfinite(value) else None if math.isnan(value) else "inf" if value > 0 else "-inf"
+    if isinstance(value, np.ndarray | np.generic):
+        return as_json(value.tolist())
+    if isinstance(value, Mapping):
+        return {str(as_json(key)): as_json(each) for key, each in value.items()}
+    if isinstance(value, Path):
+        return str(value)
+    if is_dataclass(value):
+        return _object(value)
+    return [as_json(each) for each in value]
+
+
+def _object(value: Any) -> dict[str, Any]:
+    layout = layout_of(type(value))
+    found: dict[str, Any] = {}
+    for name in layout.inlined:
+        found |= _object(getattr(value, name))
+    elsewhere = layout.elsewhere()
+    for key, columns in layout.rows.items():
+        whole = {column: getattr(value, name) for column, name in columns.items()}
+        found[key] = {
+            name: {column: as_json(_cell(values, name, i)) for column, values in whole.items()}
+            for i, name in enumerate(getattr(value, layout.names))
+        }
+    for key, parts in layout.parts.items():
+        found[key] = {part: as_json(getattr(value, name)) for part, name in parts.items()}
+    for name in (*layout.derived, *(each.name for each in fields(value))):
+        if name not in elsewhere:
+            found[name] = as_json(getattr(value, name))
+    return found
+
+
+def _cell(values: Any, name: str, i: int) -> Any:
+    return values.get(name) if isinstance(values, Mapping) else values[i]
+
+
+def from_json(kind: type[Item], content: Any) -> Item:
+    """Return the value that `as_json` wrote.
+
+    Raises
+    ------
+    ContentError
+        If the content is of another type at some place, or contradicts itself; names the place.
+    """
+    found: Item = _value(kind, content, "")
+    return found
+
+
+def _value(kind: Any, content: Any, place: str) -> Any:
+    origin, arguments = get_origin(kind), get_args(kind)
+    if kind is Any or kind is object or _is_made(content):
+        return content
+    if origin in (Union, types.UnionType):
+        return _first(arguments, content, place)
+    if origin is Literal:
+        return content if content in arguments else _refuse(place, content, f"one of {', '.join(map(str, arguments))}")
+    if origin is np.ndarray:
+        return _array(get_args(arguments[1])[0], content, place)
+    if origin in (tuple, list, Sequence, frozenset):
+        return _sequence(origin, arguments, content, place)
+    if origin in (dict, Mapping):
+        given = content if isinstance(content, dict) else _refuse(place, content, "an object")
+        pairs = ((_value(arguments[0], key, place), key) for key in given)
+        return {name: _value(arguments[1], given[key], f"{place}.{key}") for name, key in pairs}
+    if is_dataclass(kind):
+        return _instance(kind, content, place)
+    if isinstance(kind, type) and issubclass(kind, Enum):
+        known = [each.value for each in kind]
+        return kind(content) if content in known else _refuse(place, content, f"one of {', '.join(map(str, known))}")
+    return _scalar(kind, content, place)
+
+
+def _is_made(content: Any) -> bool:
+    """Return whether a reader has put this here, from a table beside the file: JSON has no such values."""
+    return isinstance(content, np.ndarray | tuple) or type(content).__name__ == "DataFrame"
+
+
+def _scalar(kind: Any, content: Any, place: str) -> Any:
+    if kind is float:
+        if isinstance(content, str) and content in _UNLIMITED:
+            return _UNLIMITED[content]
+        if content is None:
+            return math.nan
+        if isinstance(content, bool) or not isinstance(content, int | float) or abs(content) > np.finfo(float).max:
+            return _refuse(place, content, "a number")
+        return float(content)
+    if kind is Path:
+        return Path(content) if isinstance(content, str) else _refuse(place, content, "a path")
+    if kind is type(None):
+        return None if content is None else _refuse(place, content, "null")
+    wanted = {int: "a whole number", str: "a text", bool: "true or false"}[kind]
+    fits = isinstance(content, kind) and (kind is bool or not isinstance(content, bool))
+    return content if fits else _refuse(place, content, wanted)
+
+
+def _first(kinds: Sequence[Any], content: Any, place: str) -> Any:
+    """Return a value of the first kind that fits; whole numbers are tried before others."""
+    if content is None and type(None) in kinds:
+        return None
+    kinds = sorted((each for each in kinds if each is not type(None)), key=lambda each: (each is float, each is str))
+    for each in kinds[:-1]:
+        try:
+            return _value(each, content, place)
+        except ContentError:
+            continue
+    return _value(kinds[-1], content, place)
+
+
+def _sequence(origin: Any, arguments: tuple[Any, ...], content: Any, place: str) -> Any:
+    given = content if isinstance(content, list) else _refuse(place, content, "a list")
+    if origin is tuple and arguments[1:] != (...,):
+        if len(given) != len(arguments):
+            _refuse(place, content, f"a list of {len(arguments)}")
+        return tuple(
+            _value(kind, each, f"{place}[{i}]") for i, (kind, each) in enumerate(zip(arguments, given, strict=True))
+        )
+    each = (_value(arguments[0], one, f"{place}[{i}]") for i, one in enumerate(given))
+    return frozenset(each) if origin is frozenset else list(each) if origin is list else tuple(each)
+
+
+def _array(kind: Any, content: Any, place: str) -> Any:
+    def plain(one: Any) -> Any:
+        return [plain(each) for each in one] if isinstance(one, list) else _value(inner, one, place)
+
+    inner = {"f": float, "i": int, "b": bool}[np.dtype(kind).kind]
+    try:
+        return np.array(plain(content if isinstance(content, list) else _refuse(place, content, "a list")), dtype=kind)
+    except ValueError as error:
+        if isinstance(error, ContentError):
+            raise
+        return _refuse(place, content, "rows of one length")
+
+
+def _instance(kind: Any, content: Any, place: str) -> Any:
+    given = content if isinstance(content, dict) else _refuse(place, content, "an object")
+    layout, hints = layout_of(kind), hints_of(kind)
+    found = {name: _value(hints[name], content, place) for name in layout.inlined}
+    elsewhere = layout.elsewhere() - layout.omitted
+    for each in fields(kind):
+        if each.init and each.name not in elsewhere:
+            if each.name in given:
+                found[each.name] = _value(hints[each.name], given[each.name], f"{place}.{each.name}")
+            elif each.name in layout.omitted and get_origin(hints[each.name]) is np.ndarray and is_required(each):
+                found[each.name] = np.empty(0, get_args(get_args(hints[each.name])[1])[0])
+            elif is_required(each):
+                raise ContentError(f"it has no {f'{place}.{each.name}'.lstrip('.')!r}")
+    for key, columns in layout.rows.items():
+        found |= _columns(kind, given.get(key), f"{place}.{key}", columns)
+    for key, parts in layout.parts.items():
+        found |= _parts(kind, given.get(key), f"{place}.{key}", parts, found)
+    try:
+        return kind(**found)
+    except (InputError, ValueError) as error:
+        raise ContentError(f"{place.lstrip('.')}: {error}".removeprefix(": ")) from None
+
+
+def _parts(kind: Any, content: Any, place: str, parts: Mapping[str, str], known: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the fields that stand in an object of their own."""
+    hints, default = hints_of(kind), {each.name for each in fields(kind) if not is_required(each)}
+    if content is None and default.issuperset(parts.values()):
+        return {}
+    given = content if isinstance(content, dict) else _refuse(place, content, "an object")
+    found: dict[str, Any] = {}
+    for part, name in parts.items():
+        if part in given or name not in default:
+            found[name] = _value(hints[name], given.get(part), f"{place}.{part}")
+        if name in known and known[name] != found[name]:
+            raise ContentError(f"{place.lstrip('.')}: the {part} differ from those of the rows")
+    return found
+
+
+def _columns(kind: Any, content: Any, place: str, columns: Mapping[str, str]) -> dict[str, Any]:
+    """Return the fields whose columns stand in rows by name."""
+    layout, hints = layout_of(kind), hints_of(kind)
+    rows = content if isinstance(content, dict) else _refuse(place, content, "an object")
+    found: dict[str, Any] = {layout.names: tuple(rows)}
+    for name, row in rows.items():
+        if not isinstance(row, dict):
+            _refuse(f"{place}.{name}", row, "an object")
+    for column, field_name in columns.items():
+        if field_name not in hints:
+            continue  # a property
+        if get_origin(hints[field_name]) in (dict, Mapping):
+            inner = get_args(hints[field_name])[1]
+            there = {name: row[column] for name, row in rows.items() if row.get(column) is not None}
+            found[field_name] = {name: _value(inner, each, f"{place}.{name}.{column}") for name, each in there.items()}
+        else:
+            cells = [_value(float, row.get(column), f"{place}.{name}.{column}") for name, row in rows.items()]
+            found[field_name] = np.array(cells, dtype=np.float64)
+    return found
+
+
+def is_required(each: Field[Any]) -> bool:
+    """Return whether a field has no default."""
+    return each.default is MISSING and each.default_factory is MISSING
+
+
+def layout_of(kind: type) -> Layout:
+    """Return how a class is written."""
+    found: Layout = getattr(kind, "json_layout", Layout())
+    return found
+
+
+@cache
+def hints_of(kind: type) -> dict[str, Any]:
+    """Return the types of the fields of a class."""
+    names = {name: getattr(import_module(module), name) for name, module in layout_of(kind).types.items()}
+    return get_type_hints(kind, localns=names)
+
+
+def _refuse(place: str, content: Any, wanted: str) -> Any:
+    shown = bounded(place.lstrip(".") or "it", _PLACE_SHOWN)
+    raise ContentError(f"{shown}: the value should be {wanted}, not {bounded(json.dumps(content), 60)}")
+
+
+def write(path: Path, schema_name: str, content: Any, **more: Any) -> Path:
+    """Write a JSON file whose first key names its schema; return its path.
+
+    Raises
+    ------
+    WriteError
+        If nothing can be written there.
+    """
+    whole = {"schema": schema_name, **as_json(content), **as_json(more)}
+    with replacing(path) as draft:
+        draft.write_text(json.dumps(whole, indent=2, ensure_ascii=False, allow_nan=False) + "\n", encoding="utf-8")
+    return path
+
+
+def read(path: Path, schema_name: str, kind: type[Item], remedy: str) -> Item:
+    """Return what a JSON file holds.
+
+    Raises
+    ------
+    InputError
+        If it cannot be read, is something else, of another version, or damaged; one sentence, with the remedy.
+    """
+    return decoded(path, content_of(path, schema_name, remedy), kind, remedy)
+
+
+def content_of(path: Path, schema_name: str, remedy: str) -> dict[str, Any]:
+    """Return the object of a JSON file of a schema; errors as those of `read`."""
+    try:
+        content = json.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise InputError(f"{path} cannot be read: {error.strerror or error}") from None
+    except (ValueError, RecursionError) as error:
+        raise InputError(f"{path} is not JSON ({bounded(str(error), _PLACE_SHOWN)}): {remedy}") from None
+    given = content.get("schema") if isinstance(content, dict) else None
+    if given != schema_name:
+        of = f"of schema {bounded(str(given), 60)!r}" if given else "of no schema"
+        raise InputError(f"{path} is {of}, not {schema_name!r}: {remedy}")
+    return dict(content)
+
+
+def decoded(path: Path, content: Mapping[str, Any], kind: type[Item], remedy: str) -> Item:
+    """Return the value that the content of a file is of; errors as those of `read`."""
+    try:
+        return from_json(kind, content)
+    except ContentError as error:
+        raise InputError(f"{path} cannot be right: {error}; {remedy}") from None
+    except RecursionError:
+        raise InputError(f"{path} cannot be right: it is nested too deeply; {remedy}") from None

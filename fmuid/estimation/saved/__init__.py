@@ -1,1 +1,0 @@
-"""Files of results: the types of their values."""

@@ -1,0 +1,148 @@
+"""A study run and reported: the findings of a command, their files, page and figures."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal, TypeAlias, TypeVar
+
+from fmuid.errors import InputError
+from fmuid.reports.figure_files import check_format
+
+if TYPE_CHECKING:
+    from fmuid.progress import Progress
+    from fmuid.runs import ComparisonRun, DiagnosisRun, IdentificationRun, MonitoringRun, PredictionRun
+    from fmuid.studies import Study
+
+AnyFindings: TypeAlias = "IdentificationRun | DiagnosisRun | MonitoringRun | PredictionRun | ComparisonRun"
+Command = Literal["identify", "diagnose", "monitor", "predict", "compare"]
+Found = TypeVar("Found", bound="AnyFindings")
+
+
+def published(found: Found, folder: Path | None, *, report: bool = True, figures: str | None = None) -> Found:
+    """Write the report of a folder and its figures for print; return the findings with these files, too.
+
+    Nothing is done where the findings were not written.
+
+    Raises
+    ------
+    InputError
+        If a file cannot be written.
+    """
+    from fmuid.reports.documents import document
+    from fmuid.reports.page.write import show_results
+    from fmuid.reports.publish import publish
+    from fmuid.runs import ComparisonRun
+
+    if folder is None or not found.files:
+        return found
+    if isinstance(found, ComparisonRun):
+        drawn = publish(folder, document(found), report=report, figures=figures)
+    else:
+        drawn = show_results(folder, report=report, figures=figures)
+    return replace(found, files=tuple(dict.fromkeys((*found.files, *drawn))))
+
+
+def run(
+    study: Study | str | Path | Sequence[str | Path],
+    output: str | Path | None = None,
+    *,
+    command: Command = "identify",
+    tables: Sequence[str | Path] = (),
+    report: bool = True,
+    figures: str | None = None,
+    progress: Progress | None = None,
+) -> Any:
+    """Do what a command does with a study: identify, diagnose, monitor, predict or compare; write and report it.
+
+    Parameters
+    ----------
+    study : Study or path
+        For ``predict`` a result, a ``result.json`` or its folder; for ``compare`` a sequence of them.
+    output : path, optional
+        Folder of the files, made where needed; files of an earlier run are replaced. Nothing is written without one.
+    command : str
+    tables : sequence of path
+        Records, and folders of records: those to monitor or predict, or on which results are compared.
+    report : bool
+        Whether to write ``report.html`` into the folder.
+    figures : str, optional
+        ``png``, ``svg`` or ``pdf``: draw figures for print, into ``figures/`` of the folder.
+    progress : callable, optional
+        Called with every step (`fmuid.progress`).
+
+    Returns
+    -------
+    Findings, DiagnosisRun, MonitoringRun, PredictionRun or ComparisonRun
+        The last ones. Interrupted from the keyboard: what was found until then.
+
+    Raises
+    ------
+    InputError
+        If study, models and tables do not fit together, there are figures without a folder, or nothing can be written.
+    SimulationError
+        If a simulation fails where it must not.
+
+    Examples
+    --------
+    >>> study = fmuid.Study.of(fmuid.datasets.coil().study, "coil.toml")
+    >>> found = fmuid.run(study, "results")
+    >>> sorted(path.name for path in found.files)[:2]
+    ['diagnostics.csv', 'estimates.csv']
+    >>> fmuid.run("results", command="predict", tables=[fmuid.datasets.coil().path]).scores["output"].tolist()
+    ['i']
+    """
+    check_format(figures)
+    folder = None if output is None else Path(output)
+    if folder is None and figures:
+        raise InputError("figures are in a folder: say in which one")
+    found = None
+    for each in _findings(study, folder, command, tables, progress):
+        found = published(each, folder, report=report, figures=figures)
+    assert found is not None, "a run yields, or raises an error"
+    return found
+
+
+def _findings(
+    given: Study | str | Path | Sequence[str | Path],
+    folder: Path | None,
+    command: Command,
+    tables: Sequence[str | Path],
+    progress: Progress | None,
+) -> Iterator[AnyFindings]:
+    """Yield the findings of a command."""
+    from fmuid.runs import (
+        compared,
+        diagnosed,
+        identified,
+        monitored,
+        predicted_by,
+        write_comparison,
+        write_prediction,
+    )
+    from fmuid.studies import Study
+
+    if command == "compare":
+        if isinstance(given, Study | str | Path):
+            raise InputError("results are compared: give a sequence of result.json files, or of their folders")
+        compared_ = compared(given, tables)
+        yield compared_ if folder is None else write_comparison(folder, compared_)
+        return
+    if not isinstance(given, Study | str | Path):
+        raise InputError(f"{command} takes one study, not several")
+    if command == "predict":
+        if isinstance(given, Study):
+            raise InputError("a result predicts: give its result.json, or its folder")
+        found = predicted_by(given, tables, progress=progress)
+        yield found if folder is None else write_prediction(folder, found)
+        return
+    study = given if isinstance(given, Study) else Study.read(given)
+    if command == "identify":
+        yield from identified(study, folder, progress=progress)
+    elif command == "diagnose":
+        yield from diagnosed(study, folder, progress=progress)
+    elif command == "monitor":
+        yield from monitored(study, tables, folder, progress=progress)
+    else:
+        raise InputError(f"there is no command {command!r}; choose identify, diagnose, monitor, predict or compare")

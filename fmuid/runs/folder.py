@@ -1,0 +1,338 @@
+"""A folder of results, written and read: JSON by the classes of the findings, long tables as CSV."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from fmuid import codec
+from fmuid.errors import InputError
+from fmuid.estimation import RESULT_SCHEMA, Iteration, Result
+from fmuid.files import file_name, is_folder, with_formulas, write_table
+from fmuid.runs.findings import (
+    BatchOverview,
+    ComparisonRun,
+    DiagnosisRun,
+    IdentificationRun,
+    MonitoringRun,
+    PredictionRun,
+)
+
+RESULT_FILE = "result.json"
+DIAGNOSIS_FILE = "diagnosis.json"
+MONITORING_FILE, MONITORING_SCHEMA = "monitoring.json", "fmuid/monitoring/2"
+PREDICTION_FILE, PREDICTION_SCHEMA = "prediction.json", "fmuid/prediction/2"
+COMPARISON_FILE, COMPARISON_SCHEMA = "comparison.json", "fmuid/comparison/2"
+OVERVIEW_FILE, BATCH_SCHEMA = "summary.json", "fmuid/batch/2"
+PREPARED_FILE, MONITORED_FILE = "diagnosis-preparation.csv", "monitoring-preparation.csv"
+"""What was done with the tables of a diagnosis, and of a monitoring, as in ``preparation.csv``."""
+RESIDUALS_FILE = "diagnosis-residuals.csv"
+"""Residuals of the first experiment, of the healthy model and with the fault."""
+# Tables of an identification: those of an earlier run would be taken for this one's.
+_TABLES = ("trace", "fit", "diagnostics", "optima", "preparation", "profiles", "posterior", "map-*")
+# Columns of texts, which pandas would take for numbers or missing values where they look like it.
+_TEXTS = (
+    *("parameter", "unit", "experiment", "output", "with", "moved_by", "profiled", "column"),
+    *("record", "significant", "alarm"),
+)
+_AGAIN = "run fmuid identify again"
+
+
+def stacked(names: Sequence[str], frames: Sequence[pd.DataFrame]) -> pd.DataFrame:
+    """Return the experiments' frames below each other, after a column ``experiment`` where there are several."""
+    if len(frames) == 1:
+        return frames[0]
+    marked = [frame.assign(experiment=name) for name, frame in zip(names, frames, strict=True)]
+    together = pd.concat(marked, ignore_index=True)
+    return together[["experiment", *together.columns.drop("experiment")]]
+
+
+def tables_of(found: IdentificationRun) -> dict[str, pd.DataFrame]:
+    """Return the CSV tables of an identification by their names."""
+    tables = {"estimates": found.estimates}
+    checks = found.assessment
+    if not found.fits or checks.residuals is None:
+        return tables
+    frames = [fit.frame() for fit in found.fits]
+    tables |= {"trace": found.result.trace, "fit": stacked([fit.experiment for fit in found.fits], frames)}
+    tables["diagnostics"] = checks.residuals.table
+    if found.result.optima:
+        tables["optima"] = found.optima
+    if changed := [each.table for each in found.prepared if len(each.table)]:
+        tables["preparation"] = pd.concat(changed, ignore_index=True)
+    tables |= {_map_name(chart.names): chart.table for chart in checks.maps}
+    tables |= {"profiles": checks.profile_table} if checks.profiles else {}
+    tables |= {} if checks.posterior is None else {"posterior": checks.posterior.table}
+    return tables
+
+
+def _map_name(names: Iterable[str]) -> str:
+    return f"map-{file_name('-'.join(names))}"
+
+
+def write_identification(folder: Path, found: IdentificationRun) -> list[Path]:
+    """Write ``result.json`` and the tables of an identification, and return their paths; those of an earlier run go.
+
+    Raises
+    ------
+    InputError
+        If a file cannot be written.
+    """
+    written = [codec.write(folder / RESULT_FILE, RESULT_SCHEMA, found)]
+    written += [write_table(folder / f"{name}.csv", frame) for name, frame in tables_of(found).items()]
+    for old in (old for name in _TABLES for old in folder.glob(f"{name}.csv")):
+        if old not in written:
+            old.unlink()
+    return written
+
+
+def read_identification(place: Path) -> IdentificationRun:
+    """Read what `write_identification` has written: a folder, or its ``result.json``, of which tables may be missing.
+
+    Of a search its trace, of the residuals their numbers, and of a sampling the samples come back; not the problem made
+    linear, nor the samples before the burn-in has ended.
+
+    Raises
+    ------
+    InputError
+        If a file cannot be read, or they do not belong together.
+    """
+    path = place / RESULT_FILE if is_folder(place) else place
+    folder = path.parent
+    content = codec.content_of(path, RESULT_SCHEMA, _AGAIN)
+    codec.decoded(path, content, Result, _AGAIN)  # its own errors first
+    try:
+        _fill(content, folder)
+    except (KeyError, IndexError, TypeError, ValueError, AttributeError) as error:
+        raise InputError(f"{folder} has tables that do not go with its {RESULT_FILE} ({error}); {_AGAIN}") from None
+    found = codec.decoded(path, content, IdentificationRun, _AGAIN)
+    return replace(found, result=replace(found.result, made_with=path.resolve()))
+
+
+def _fill(content: dict[str, Any], folder: Path) -> None:
+    """Put what the tables have into the content."""
+    fits, checks = (content.get("fit") or {}).get("experiments", []), content.get("assessment") or {}
+    if (folder / "fit.csv").is_file() and fits:
+        _fill_fits(fits, read_table(folder / "fit.csv"))
+    elif fits:
+        content["fit"]["experiments"] = []
+    _fill_residuals(checks.get("residuals"), fits)
+    if (folder / "trace.csv").is_file() and content.get("history"):
+        content["history"]["iterations"] = _iterations(content, read_table(folder / "trace.csv"))
+    content["prepared"] = _with_tables(content.get("prepared", []), folder / "preparation.csv")
+    _fill_assessment(checks, folder)
+
+
+def _fill_fits(fits: Sequence[dict[str, Any]], whole: pd.DataFrame) -> None:
+    parts = [whole[whole["experiment"] == each["experiment"]] for each in fits] if len(fits) > 1 else [whole]
+    for each, part in zip(fits, parts, strict=True):
+        each["times"] = part["time"].to_numpy(np.float64)
+        for kind in ("measured", "simulated"):
+            each[kind] = part[[f"{kind}.{name}" for name in each["outputs"]]].to_numpy(np.float64)
+        first = math.inf if each["counted_from"] is None else each["counted_from"]
+        each["counted"] = np.isfinite(each["measured"]) & (each["times"] >= first)[:, np.newaxis]
+
+
+def _fill_residuals(diagnostics: Mapping[str, Any] | None, fits: Sequence[Mapping[str, Any]]) -> None:
+    """Put the samples of each residual into what a file says of residuals, as far as the fits have them."""
+    for series in (diagnostics or {}).get("series", ()):
+        own = series["noise"]["series"]
+        own["rows"] = own["places"] = np.arange(series["samples"])
+        fit = next((each for each in fits if each["experiment"] == own["experiment"] and "times" in each), None)
+        if fit is not None:
+            j = fit["outputs"].index(own["output"])
+            counted = fit["counted"][:, j]
+            residual = np.where(counted, fit["measured"][:, j] - fit["simulated"][:, j], np.nan)
+            series["times"], series["residual"] = fit["times"], residual
+
+
+def _iterations(content: Mapping[str, Any], trace: pd.DataFrame) -> tuple[tuple[int, Iteration], ...]:
+    thetas = trace[list(content["history"]["names"])].to_numpy(np.float64)
+    columns = [trace[name].tolist() for name in ("round", "iteration", "criterion", "lambda", "accepted")]
+    return tuple(
+        (int(number), Iteration(int(k), criterion, damping, bool(accepted), theta, math.nan, math.nan, False))
+        for number, k, criterion, damping, accepted, theta in zip(*columns, thetas, strict=True)
+    )
+
+
+def _fill_assessment(content: dict[str, Any], folder: Path) -> None:
+    for chart in content.get("maps", ()):
+        chart["table"] = read_table(folder / f"{_map_name(chart['names'])}.csv")
+    if content.get("profiles"):
+        points = read_table(folder / "profiles.csv")
+        for each in content["profiles"]:
+            own = points[points["profiled"] == each["name"]]
+            each["table"] = own.drop(columns="profiled").reset_index(drop=True)
+    if content.get("posterior"):
+        samples, found = read_table(folder / "posterior.csv").to_numpy(np.float64), content["posterior"]
+        chain = np.full((found["steps"], found["walkers"], samples.shape[1]), np.nan)
+        chain[found["burn"] :] = samples.reshape(-1, *chain.shape[1:])
+        found["chain"], found["log_density"] = chain, np.full(chain.shape[:2], np.nan)
+
+
+# --- other commands
+
+
+def write_diagnosis(folder: Path, found: DiagnosisRun) -> list[Path]:
+    """Write ``diagnosis.json`` and the tables of a diagnosis, and return their paths.
+
+    Raises
+    ------
+    InputError
+        If a file cannot be written.
+    """
+    from fmuid.diagnosis import DIAGNOSIS_SCHEMA  # and all that decides
+
+    written = [codec.write(folder / DIAGNOSIS_FILE, DIAGNOSIS_SCHEMA, found)]
+    written.append(write_table(folder / "diagnosis.csv", found.diagnosis.table))
+    tables = [each.table for each in found.prepared if len(each.table)]
+    some = found.diagnosis.residuals is not None and found.diagnosis.evidence.explanations
+    residuals = [found.diagnosis.residuals] if some else []
+    for name, parts in ((PREPARED_FILE, tables), (RESIDUALS_FILE, residuals)):
+        (folder / name).unlink(missing_ok=True)
+        written += [write_table(folder / name, pd.concat(parts, ignore_index=True))] if parts else []
+    return written
+
+
+def read_diagnosis(folder: Path) -> DiagnosisRun:
+    """Read what `write_diagnosis` has written; the fit itself is not kept.
+
+    Raises
+    ------
+    InputError
+        If a file cannot be read.
+    """
+    from fmuid.diagnosis import DIAGNOSIS_SCHEMA
+
+    path, again = folder / DIAGNOSIS_FILE, "run fmuid diagnose again"
+    content = codec.content_of(path, DIAGNOSIS_SCHEMA, again)
+    content["prepared"] = _with_tables(content.get("prepared", []), folder / PREPARED_FILE)
+    if (folder / RESIDUALS_FILE).is_file():
+        content["residuals"] = read_table(folder / RESIDUALS_FILE)
+    return codec.decoded(path, content, DiagnosisRun, again)
+
+
+def read_monitoring(folder: Path) -> MonitoringRun:
+    """Read what a monitoring has left.
+
+    Raises
+    ------
+    InputError
+        If a file cannot be read.
+    """
+    path, again = folder / MONITORING_FILE, "run fmuid monitor again"
+    content = codec.content_of(path, MONITORING_SCHEMA, again)
+    content["prepared"] = _with_tables(content.get("prepared", []), folder / MONITORED_FILE)
+    content["table"] = read_table(folder / "monitoring.csv") if content.get("windows") else pd.DataFrame()
+    return codec.decoded(path, content, MonitoringRun, again)
+
+
+def _with_tables(prepared: Any, path: Path) -> Any:
+    """Put the columns of prepared tables into what a JSON file says of them."""
+    if not path.is_file() or not isinstance(prepared, list):
+        return prepared
+    table = read_table(path)
+    return [{**each, "table": table[table["experiment"] == each.get("experiment")]} for each in prepared]
+
+
+def write_prediction(folder: Path, found: PredictionRun) -> PredictionRun:
+    """Write ``prediction.json`` and the tables of records and scores; return the findings with their files.
+
+    Raises
+    ------
+    InputError
+        If a file cannot be written.
+    """
+    table = stacked([each.fit.experiment for each in found.predictions], [each.table for each in found.predictions])
+    written = (
+        codec.write(folder / PREDICTION_FILE, PREDICTION_SCHEMA, found),
+        write_table(folder / "prediction.csv", table),
+        write_table(folder / "scores.csv", found.scores),
+    )
+    return replace(found, files=written)
+
+
+def read_prediction(folder: Path) -> PredictionRun:
+    """Read what `write_prediction` has written.
+
+    Raises
+    ------
+    InputError
+        If a file cannot be read, or they do not belong together.
+    """
+    path, again = folder / PREDICTION_FILE, "run fmuid predict again"
+    content = codec.content_of(path, PREDICTION_SCHEMA, again)
+    table = read_table(folder / "prediction.csv")
+    try:
+        fits = [each["fit"] for each in content["predictions"]]
+        _fill_fits(fits, table)
+        for each in content["predictions"]:
+            fit = each["fit"]
+            rows = table[table["experiment"] == fit["experiment"]] if len(fits) > 1 else table
+            upper, std = (
+                rows[[f"{kind}.{name}" for name in fit["outputs"]]].to_numpy(np.float64) for kind in ("upper", "std")
+            )
+            each["std"], each["half_width"] = std, upper - fit["simulated"]
+            _fill_residuals(each["residuals"], [fit])
+    except (KeyError, IndexError, TypeError, ValueError, AttributeError) as error:
+        raise InputError(f"{folder} has tables that do not go with its {path.name} ({error}); {again}") from None
+    return codec.decoded(path, content, PredictionRun, again)
+
+
+def write_comparison(folder: Path, found: ComparisonRun) -> ComparisonRun:
+    """Write ``comparison.json`` and ``comparison.csv``; return the findings with their files.
+
+    Raises
+    ------
+    InputError
+        If a file cannot be written.
+    """
+    written = (
+        codec.write(folder / COMPARISON_FILE, COMPARISON_SCHEMA, found),
+        write_table(folder / "comparison.csv", found.table),
+    )
+    return replace(found, files=written)
+
+
+def read_comparison(folder: Path) -> ComparisonRun:
+    """Read what `write_comparison` has written.
+
+    Raises
+    ------
+    InputError
+        If the file cannot be read.
+    """
+    return codec.read(folder / COMPARISON_FILE, COMPARISON_SCHEMA, ComparisonRun, "run fmuid compare again")
+
+
+def write_overview(folder: Path, found: BatchOverview) -> Path:
+    """Write ``summary.json`` and return its path.
+
+    Raises
+    ------
+    InputError
+        If it cannot be written.
+    """
+    return codec.write(folder / OVERVIEW_FILE, BATCH_SCHEMA, found)
+
+
+def read_table(path: Path) -> pd.DataFrame:
+    """Return a CSV table that fmuid wrote.
+
+    Raises
+    ------
+    InputError
+        If it cannot be read.
+    """
+    try:
+        names = pd.read_csv(path, nrows=0).columns
+        texts = dict.fromkeys(names.intersection(list(_TEXTS)), str)
+        return with_formulas(pd.read_csv(path, converters=texts))
+    except (OSError, ValueError) as error:
+        raise InputError(f"{path} cannot be read as a table of results: {error}") from None

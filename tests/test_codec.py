@@ -1,0 +1,180 @@
+"""Values to JSON and back: bit for bit, and one sentence for what does not fit."""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import dataclass, field
+from enum import Enum
+from pathlib import Path
+from typing import Any, ClassVar
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from fmuid.array_types import Floats
+from fmuid.codec import Layout, as_json, from_json, read, write
+from fmuid.diagnosis import Alarm, Diagnosis
+from fmuid.errors import InputError
+from fmuid.estimation import RestartAttempt, Result, SolverCheck, WeakDirection
+from fmuid.files import ContentError
+from fmuid.identification import Assessment
+from fmuid.runs import ComparisonRun, DiagnosisRun, IdentificationRun, MonitoringRun, PredictionRun
+from fmuid.runs.result_schema import schema
+
+
+class Color(Enum):
+    """Something that is one of few."""
+
+    RED = "red"
+    BLUE = "blue"
+
+
+@dataclass(frozen=True)
+class Inner:
+    """Something inside.
+
+    Attributes
+    ----------
+    text : str
+        What it says.
+    limit : float or None
+    """
+
+    text: str
+    limit: float
+    pair: tuple[int, bool]
+    colors: tuple[Color, ...] = ()
+    maybe: int | None = None
+    value: float | int | bool | str = 0
+
+
+@dataclass(frozen=True, eq=False)
+class Outer:
+    """Something with rows by name."""
+
+    names: tuple[str, ...]
+    values: Floats
+    matrix: Floats
+    units: dict[str, str]
+    inner: Inner
+    many: dict[str, Inner]
+    path: Path
+    left_out: object = field(default=None, repr=False)
+
+    json_layout: ClassVar = Layout(
+        omitted={"left_out"},
+        derived=("total",),
+        rows={"rows": {"value": "values", "unit": "units"}},
+        parts={"whole": {"names": "names", "matrix": "matrix"}},
+    )
+
+    @property
+    def total(self) -> float:
+        """The sum."""
+        return float(np.sum(self.values))
+
+
+NUMBERS = st.floats()
+TEXTS = st.text(st.characters(codec="utf-8"), max_size=5)
+WORDS = TEXTS.filter(lambda text: text not in ("inf", "-inf"))
+VALUES = st.one_of(st.integers(), st.booleans(), WORDS, st.floats(allow_nan=False, allow_infinity=False))
+INNERS = st.builds(
+    Inner,
+    TEXTS,
+    NUMBERS,
+    st.tuples(st.integers(), st.booleans()),
+    st.lists(st.sampled_from(Color)).map(tuple),
+    st.none() | st.integers(),
+    VALUES,
+)
+
+
+@st.composite
+def outers(draw: st.DrawFn) -> Outer:
+    names = tuple(draw(st.lists(TEXTS, min_size=1, max_size=3, unique=True)))
+    count = len(names)
+    values = np.array(draw(st.lists(NUMBERS, min_size=count, max_size=count)))
+    matrix = np.array(draw(st.lists(NUMBERS, min_size=count**2, max_size=count**2))).reshape(count, count)
+    units = {name: draw(TEXTS) for name in names if draw(st.booleans())}
+    return Outer(names, values, matrix, units, draw(INNERS), draw(st.dictionaries(TEXTS, INNERS)), Path("a/b"))
+
+
+def same(one: Any, other: Any) -> bool:
+    """Whether two values are equal to the last bit, and of the same types; one NaN is as good as another."""
+    if isinstance(one, float):
+        return type(other) is float and (repr(one) == repr(other))
+    if isinstance(one, np.ndarray):
+        return bool(np.array_equal(one, other, equal_nan=True)) and one.dtype == other.dtype
+    if isinstance(one, dict):
+        return one.keys() == other.keys() and all(same(one[key], other[key]) for key in one)
+    if isinstance(one, tuple):
+        return len(one) == len(other) and all(map(same, one, other))
+    if hasattr(one, "__dataclass_fields__"):
+        return all(same(getattr(one, name), getattr(other, name)) for name in one.__dataclass_fields__)
+    return type(one) is type(other) and bool(one == other)
+
+
+@given(outers())
+def test_a_value_comes_back_to_the_last_bit(value: Outer) -> None:
+    text = json.dumps(as_json(value), allow_nan=False)
+    assert same(from_json(Outer, json.loads(text)), value)
+
+
+def spoilt(content: Any, way: list[int]) -> Any:
+    """Return a content with something else at the end of a way into it."""
+    if isinstance(content, dict) and content and way:
+        key = sorted(content)[way[0] % len(content)]
+        return {**content, key: spoilt(content[key], way[1:])}
+    if isinstance(content, list) and content and way:
+        k = way[0] % len(content)
+        return [*content[:k], spoilt(content[k], way[1:]), *content[k + 1 :]]
+    return ["of old", {"x": 1e400}, None, [[]], -1, "inf"][len(way) % 6]
+
+
+@given(outers(), st.lists(st.integers(0, 9), max_size=6))
+def test_what_does_not_fit_is_told_or_read(value: Outer, way: list[int]) -> None:
+    try:
+        found = from_json(Outer, spoilt(as_json(value), way))
+    except ContentError as error:
+        assert "\n" not in str(error)
+    else:
+        assert isinstance(found, Outer)
+
+
+def test_files_say_their_schema(tmp_path: Path) -> None:
+    inner = Inner("a", math.inf, (1, True))
+    path = write(tmp_path / "one.json", "test/1", inner)
+    assert json.loads(path.read_text()) == {"schema": "test/1", **as_json(inner)}
+    assert read(path, "test/1", Inner, "write it again") == inner
+    with pytest.raises(InputError, match=r"one\.json is of schema 'test/1', not 'test/2': write it again"):
+        read(path, "test/2", Inner, "write it again")
+    path.write_text('{"schema": "test/1", "text": 3}')
+    with pytest.raises(InputError, match=r"cannot be right: text: the value should be a text, not 3; write it again"):
+        read(path, "test/1", Inner, "write it again")
+    path.write_text("[" * 100_000)
+    with pytest.raises(InputError, match=r"one\.json is not JSON"):
+        read(path, "test/1", Inner, "write it again")
+
+
+def test_the_schema_describes_the_fields() -> None:
+    found = schema(Outer, "test/1")
+    own, inner = found["$defs"]["Outer"], found["$defs"]["Inner"]
+    assert own["properties"]["schema"] == {"const": "test/1"}
+    assert {"rows", "whole", "inner", "total"} <= own["properties"].keys()
+    assert "left_out" not in own["properties"]
+    assert inner["properties"]["text"] == {"type": "string", "description": "What it says."}
+    assert inner["description"] == "Something inside."
+    assert "colors" not in inner["required"]
+
+
+FILES = (Result, IdentificationRun, DiagnosisRun, MonitoringRun, PredictionRun, ComparisonRun)
+
+
+@pytest.mark.parametrize("kind", [*FILES, Diagnosis, Assessment, Alarm, RestartAttempt, SolverCheck, WeakDirection])
+def test_every_file_has_a_schema(kind: type) -> None:
+    found = schema(kind, "test/1")
+    json.dumps(found, allow_nan=False)
+    assert found["$defs"][kind.__name__]["properties"]
