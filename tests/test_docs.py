@@ -18,8 +18,8 @@ from fmuid.diagnosis.cause_ranking import SETTINGS as CAUSE_RANKING
 from fmuid.diagnosis.unexplained_residual import SETTINGS as UNEXPLAINED_RESIDUAL
 from fmuid.estimation.covariance import UNDETERMINED_STD, WEAK_STD
 from fmuid.estimation.identification import VARIANCE_CHANGE
-from fmuid.estimation.marquardt.search import OFFSET_TOLERANCE
 from fmuid.estimation.noise.whiteness_tests import WhitenessSettings
+from fmuid.estimation.search.stopping import STOPPING
 from fmuid.estimation.simulation_noise import NOISE_POINTS
 from fmuid.identification.prior_data_tests import SAME_VARIANCE_RATIO
 from fmuid.models.component import DEFAULT_TOLERANCE
@@ -99,7 +99,7 @@ def test_links_lead_somewhere(page: Path) -> None:
 def test_the_numbers_of_the_method() -> None:
     text = " ".join(METHOD.split())
     for words in (
-        f"still gain is less than $10^{{{math.log10(OFFSET_TOLERANCE):.0f}}}$ of the parameters' standard deviations",
+        f"still gain is less than $10^{{{math.log10(STOPPING.offset):.0f}}}$ of the parameters' standard deviations",
         f"a table of differences at {('six', 'seven', 'eight')[NOISE_POINTS - 6]} neighbouring points",
         f"Beyond {WEAK_STD:.0%} the direction is called weak".replace("%", " %"),
         f"beyond {UNDETERMINED_STD:.0%} not determined in effect".replace("%", " %"),

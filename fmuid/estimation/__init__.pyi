@@ -26,12 +26,6 @@ from .linear_models.estimate import linear_least_squares as linear_least_squares
 from .linear_models.filters import Term as Term
 from .linearized_problem import LinearizedProblem as LinearizedProblem
 from .local_optimum import Optimum as Optimum
-from .marquardt.outcome import TerminationReason as TerminationReason
-from .marquardt.search import State as State
-from .marquardt.search import search as search
-from .marquardt.settings import Iteration as Iteration
-from .marquardt.step import best_step as best_step
-from .marquardt.step import triangle as triangle
 from .method import Marquardt as Marquardt
 from .method import Method as Method
 from .model_sensitivities import SENSITIVITIES as SENSITIVITIES
@@ -58,6 +52,13 @@ from .predictors import FunctionPredictions as FunctionPredictions
 from .problem import LeastSquares as LeastSquares
 from .result import RESULT_SCHEMA as RESULT_SCHEMA
 from .result import Result as Result
+from .search.loop import Iteration as Iteration
+from .search.loop import State as State
+from .search.loop import TerminationReason as TerminationReason
+from .search.loop import last_state as last_state
+from .search.marquardt import Descent as Descent
+from .search.trust_region import best_step as best_step
+from .search.trust_region import triangle as triangle
 from .simulation_noise import SimulationNoise as SimulationNoise
 from .solver_check.check import estimate_solver_error as estimate_solver_error
 from .solver_check.check import fits_worse as fits_worse

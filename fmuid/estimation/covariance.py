@@ -26,7 +26,7 @@ import numpy as np
 
 from fmuid.array_types import Flags, Floats
 from fmuid.errors import InputError
-from fmuid.estimation.marquardt.step import triangle
+from fmuid.estimation.search.trust_region import triangle
 
 # A direction whose standard deviation exceeds this share of the parameters' magnitudes is hardly determined ...
 WEAK_STD = 1.0

@@ -18,11 +18,11 @@ from fmuid.estimation.covariance import ActiveBound, LocalCovariance, local_cova
 from fmuid.estimation.evaluator import Evaluator
 from fmuid.estimation.iteration_history import History
 from fmuid.estimation.linearized_problem import LinearizedProblem
-from fmuid.estimation.marquardt.outcome import TerminationReason
-from fmuid.estimation.marquardt.search import Iteration, MarquardtSettings, State, search
 from fmuid.estimation.noise.sandwich import sandwich_of
 from fmuid.estimation.problem import LeastSquares
 from fmuid.estimation.result import Result
+from fmuid.estimation.search.loop import Iteration, State, TerminationReason, iterate
+from fmuid.estimation.search.marquardt import Descent, MarquardtSettings
 from fmuid.progress import Progress, SearchStep
 from fmuid.version import __version__
 
@@ -131,10 +131,10 @@ class _Identification:
                     break
                 self._reweight()
         except KeyboardInterrupt:
-            self.state.outcome = TerminationReason.INTERRUPTED
+            self.state = replace(self.state, outcome=TerminationReason.INTERRUPTED)
             self._end_round(len(self.rounds) + 1)
         if self._outcome.converged and not settled:
-            self.state.outcome = TerminationReason.UNSETTLED
+            self.state = replace(self.state, outcome=TerminationReason.UNSETTLED)
         return self._result()
 
     @property
@@ -142,11 +142,14 @@ class _Identification:
         return self.state.outcome or TerminationReason.INTERRUPTED
 
     def _search(self, number: int, rough: bool) -> None:
-        known = self.criterion.known_jacobian
-        for iteration in search(self.criterion, self.state, self.settings, rough=rough, known=known):
-            self.trace.append((number, iteration))
+        search = Descent(self.settings, rough, self.criterion.known_jacobian)
+        for state in iterate(search, self.criterion, self.state):
+            self.state = state
+            if state.last is None:
+                continue
+            self.trace.append((number, state.last))
             if self.progress is not None:
-                self.progress(self._step(iteration))
+                self.progress(self._step(state.last))
         self._end_round(number)
 
     def _step(self, iteration: Iteration) -> SearchStep:

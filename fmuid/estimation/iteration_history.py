@@ -12,7 +12,7 @@ import pandas as pd
 from fmuid.array_types import Floats
 from fmuid.codec import Layout
 from fmuid.data import Experiment
-from fmuid.estimation.marquardt.settings import Iteration
+from fmuid.estimation.search.loop import Iteration
 
 
 @dataclass(frozen=True, eq=False)

@@ -15,7 +15,7 @@ import numpy as np
 
 from fmuid.array_types import Floats
 from fmuid.estimation.covariance import LocalCovariance
-from fmuid.estimation.marquardt.step import triangle
+from fmuid.estimation.search.trust_region import triangle
 
 
 @dataclass(frozen=True, eq=False)

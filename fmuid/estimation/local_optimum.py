@@ -7,7 +7,7 @@ from typing import Any, ClassVar
 
 from fmuid import codec
 from fmuid.array_types import Floats
-from fmuid.estimation.marquardt.outcome import TerminationReason
+from fmuid.estimation.search.loop import TerminationReason
 
 
 @dataclass(frozen=True, eq=False)

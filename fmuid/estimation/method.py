@@ -9,9 +9,9 @@ from numpy.typing import ArrayLike
 
 from fmuid.estimation.evaluator import Evaluator
 from fmuid.estimation.identification import estimate
-from fmuid.estimation.marquardt.settings import MarquardtSettings
 from fmuid.estimation.problem import LeastSquares
 from fmuid.estimation.result import Result
+from fmuid.estimation.search.marquardt import MarquardtSettings
 from fmuid.progress import Progress
 
 

@@ -23,10 +23,10 @@ from fmuid.estimation.covariance import ActiveBound, WeakDirection, check_level
 from fmuid.estimation.iteration_history import History
 from fmuid.estimation.linearized_problem import LinearizedProblem
 from fmuid.estimation.local_optimum import Optimum
-from fmuid.estimation.marquardt.outcome import TerminationReason
 from fmuid.estimation.model_sensitivities import SensitivityMethod
 from fmuid.estimation.noise.sandwich import ResidualNoise
 from fmuid.estimation.parameter_estimate import ParameterEstimate
+from fmuid.estimation.search.loop import TerminationReason
 from fmuid.estimation.solver_check.outcome import SolverCheck
 from fmuid.estimation.starting_points.outcome import CombinationFit, RestartAttempt
 from fmuid.formatting import with_std

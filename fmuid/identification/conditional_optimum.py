@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -10,6 +10,7 @@ from fmuid.array_types import Floats
 from fmuid.errors import InputError
 from fmuid.estimation import (
     CostFunction,
+    Descent,
     Evaluator,
     LeastSquares,
     Marquardt,
@@ -18,8 +19,8 @@ from fmuid.estimation import (
     State,
     TerminationReason,
     best_step,
+    last_state,
     prepare,
-    search,
     triangle,
 )
 
@@ -80,12 +81,11 @@ def best_near(evaluator: Evaluator[LeastSquares], result: Result) -> tuple[CostF
     criterion = ready.criterion.reweighted(np.array([result.variance[name] for name in problem.output_names]))
     theta = np.array(result.values)
     at = criterion.evaluate(theta)
-    state = State(theta, at.residual, at.jacobian)
-    for _ in search(criterion, state, Marquardt()):
-        pass
+    state = last_state(Descent(Marquardt()), criterion, State(theta, at.residual, at.jacobian))
+    jacobian = state.jacobian
     if not state.fresh:
-        state.jacobian = criterion.jacobian(state.theta, state.residual, central=True)
-    return criterion, ConditionalOptimum(state.theta, state.residual, state.jacobian)
+        jacobian = criterion.jacobian(state.theta, state.residual, central=True)
+    return criterion, ConditionalOptimum(state.theta, state.residual, jacobian)
 
 
 class FixedParameterResidual:
@@ -168,11 +168,10 @@ def best_with(
     state = State(others, residual, inner, fresh=False)
     try:
         if rest.others.size:
-            for _ in search(rest, state, Marquardt()):
-                pass
+            state = last_state(Descent(Marquardt()), rest, state)
         else:
             rest.jacobian(others, residual, central=True)
-            state.outcome = TerminationReason.CONVERGED
+            state = replace(state, outcome=TerminationReason.CONVERGED)
     except SensitivityError:  # as where it cannot be simulated: the profile has a gap here
         return None
     if state.outcome is None or state.outcome is TerminationReason.FAILING or rest.whole_jacobian is None:

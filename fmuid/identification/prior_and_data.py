@@ -22,6 +22,7 @@ from fmuid.codec import Layout
 from fmuid.errors import InputError
 from fmuid.estimation import (
     CostFunction,
+    Descent,
     Evaluator,
     LeastSquares,
     LinearizedProblem,
@@ -31,10 +32,10 @@ from fmuid.estimation import (
     State,
     TerminationReason,
     WeakDirection,
+    last_state,
     local_covariance,
     prepare,
     sandwich_of,
-    search,
 )
 from fmuid.identification.prior_data_tests import PriorDataTest, VarianceTest, agree, known_variances, variance_tests
 from fmuid.identification.residual_analysis import ResidualAnalysis, analyze_residuals
@@ -333,14 +334,13 @@ def _search_data(
     state = State(result.values.copy(), local.residual, local.jacobian, fresh=False)
     try:
         alone = _DataAlone(prepare(Evaluator(problem.as_in(result)), result.start).criterion.reweighted(variance))
-        for _ in search(alone, state, Marquardt()):
-            pass
+        state = last_state(Descent(Marquardt()), alone, state)
         if not state.fresh:
-            state.jacobian = alone.jacobian(state.theta, state.residual, central=True)
+            state = replace(state, jacobian=alone.jacobian(state.theta, state.residual, central=True))
     except SensitivityError:
-        state.outcome = TerminationReason.FAILING
+        state = replace(state, outcome=TerminationReason.FAILING)
     except KeyboardInterrupt:
-        state.outcome = TerminationReason.INTERRUPTED
+        state = replace(state, outcome=TerminationReason.INTERRUPTED)
     if state.outcome is None or not state.outcome.converged:
         return ExtrapolationReason(outcome=state.outcome)
     held = [result.names[i] for i in np.flatnonzero(state.held)]

@@ -19,10 +19,10 @@ from fmuid.estimation.evaluator import Evaluator
 from fmuid.estimation.global_search import search as global_search
 from fmuid.estimation.global_search.optima import optima_table
 from fmuid.estimation.global_search.search import GlobalSearch, Strategy
-from fmuid.estimation.marquardt.outcome import TerminationReason
 from fmuid.estimation.method import Marquardt
 from fmuid.estimation.problem import LeastSquares
 from fmuid.estimation.result import Result
+from fmuid.estimation.search.loop import TerminationReason
 from fmuid.identification import Problem, identify
 from fmuid.progress import Event
 from tests.support.paths import ROOT
@@ -256,7 +256,7 @@ def test_best_fit_is_finished(monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.mark.parametrize(
     ("settings", "match"),
     [
-        ({"method": "evolutoin"}, "must be 'evolution' or 'multistart', not 'evolutoin'.*did you mean 'evolution'"),
+        ({"method": "evolutoin"}, "must be 'differential-evolution' or 'multi-start', not 'evolutoin'"),
         ({"starts": 4}, "starts of a global search must be a whole number from 5 on, not 4"),
         ({"starts": 0, "method": "multi-start"}, "starts .* from 1 on, not 0"),
         ({"starts": 5.5}, "starts .* not 5.5"),

@@ -9,10 +9,10 @@ from fmuid.array_types import Floats
 from fmuid.data import Parameter
 from fmuid.errors import InputError
 from fmuid.estimation.global_search.search import GlobalSearch, Strategy
-from fmuid.estimation.marquardt.outcome import TerminationReason
 from fmuid.estimation.problem import LeastSquares
+from fmuid.estimation.search.loop import TerminationReason
 from fmuid.progress import Event
-from fmuid.reports.messages.result import ending
+from fmuid.reports.topics.termination import ending
 from tests.support.sinusoids import METHODS, RANGE, TIMES, dense_minima, of_search, searched, sinusoid
 
 # --- failing simulations ----------------------------------------------------------------

@@ -8,10 +8,11 @@ from fmuid.data import Parameter
 from fmuid.errors import InputError
 from fmuid.estimation.cost_function import prepare
 from fmuid.estimation.evaluator import Evaluator
-from fmuid.estimation.marquardt.linear import linear_least_squares
-from fmuid.estimation.marquardt.search import State, search
+from fmuid.estimation.linear import linear_least_squares
 from fmuid.estimation.method import Marquardt
 from fmuid.estimation.problem import LeastSquares
+from fmuid.estimation.search.loop import State, iterate
+from fmuid.estimation.search.marquardt import Descent
 from fmuid.identification import identify
 
 TRUTH = np.array([1.5, -40.0, 2e-3])
@@ -59,7 +60,8 @@ def test_the_search_finds_it_in_two_steps(starts: tuple[float, float, float]) ->
     problem = LeastSquares.from_function(lambda theta: phi @ theta, y, parameters)
     start = prepare(Evaluator(problem))
     state = State(start.theta, start.evaluation.residual, start.evaluation.jacobian)
-    steps = [i for i in search(start.criterion, state, Marquardt(first_radius=1e9)) if i.number]
+    states = list(iterate(Descent(Marquardt(first_radius=1e9)), start.criterion, state))
+    state, steps = states[-1], [each.last for each in states if each.last is not None and each.last.number]
     assert len(steps) <= 2
     assert all(step.accepted for step in steps)
     np.testing.assert_allclose(state.theta, fit.theta, rtol=1e-6)

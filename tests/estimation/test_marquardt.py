@@ -12,12 +12,11 @@ from fmuid.data import Parameter
 from fmuid.errors import InputError
 from fmuid.estimation.cost_function import prepare
 from fmuid.estimation.evaluator import Evaluator
-from fmuid.estimation.marquardt.outcome import TerminationReason
-from fmuid.estimation.marquardt.search import Iteration, State, search
-from fmuid.estimation.marquardt.step import Step, best_step, triangle
-from fmuid.estimation.marquardt.trust_region import GROW, SHRINK_LEAST, SHRINK_MOST, TrustRegion
 from fmuid.estimation.method import Marquardt
 from fmuid.estimation.problem import LeastSquares
+from fmuid.estimation.search.loop import Iteration, State, TerminationReason, iterate
+from fmuid.estimation.search.marquardt import Descent
+from fmuid.estimation.search.trust_region import REGION, Step, TrustRegion, best_step, triangle
 
 TIMES = np.linspace(0.0, 3.0, 120)
 TRUTH = np.array([3.0, 1.2, 0.5])
@@ -46,7 +45,8 @@ def run(
     evaluator = Evaluator(problem)
     start = prepare(evaluator)
     state = State(start.theta, start.evaluation.residual, start.evaluation.jacobian)
-    return state, list(search(start.criterion, state, settings or Marquardt())), evaluator
+    states = list(iterate(Descent(settings or Marquardt()), start.criterion, state))
+    return states[-1], [each.last for each in states if each.last is not None], evaluator
 
 
 STARTS = [Parameter(1.0), Parameter(3.0), Parameter(-1.0)]
@@ -72,7 +72,8 @@ def test_a_rough_search_ends_earlier_near_the_optimum() -> None:
     problem = LeastSquares.from_function(decay, y, {f"p{i}": p for i, p in enumerate(STARTS)})
     start = prepare(Evaluator(problem))
     state = State(start.theta, start.evaluation.residual, start.evaluation.jacobian)
-    rough = list(search(start.criterion, state, Marquardt(), rough=True))
+    states = list(iterate(Descent(Marquardt(), rough=True), start.criterion, state))
+    state, rough = states[-1], [each.last for each in states if each.last is not None]
     exact, full, _ = run(decay, y, STARTS)
     assert len(rough) < len(full)
     std = np.sqrt(np.diag(np.linalg.inv(exact.jacobian.T @ exact.jacobian)) * np.mean(exact.residual**2))
@@ -184,10 +185,12 @@ def test_simulations_that_all_fail_around_a_point_end_the_search() -> None:
     problem = LeastSquares.from_function(breaking, measured(), {f"p{i}": p for i, p in enumerate(STARTS)})
     start = prepare(Evaluator(problem))
     state = State(start.theta, start.evaluation.residual, start.evaluation.jacobian)
-    steps = search(start.criterion, state, Marquardt())
-    next(steps), next(steps)
+    states = iterate(Descent(Marquardt()), start.criterion, state)
+    next(states), next(states)
     armed = True
-    assert len(list(steps)) < 20
+    left = list(states)
+    assert len(left) < 20
+    state = left[-1]
     assert state.outcome is TerminationReason.FAILING
 
 
@@ -277,21 +280,23 @@ def test_bad_settings(words: dict[str, object]) -> None:
     [
         (-1.0, -2.0, 0.25),  # 1 - 2t + 4t² rises by 2 and has its least value at a quarter of the step
         (-1.0, -0.5, 0.4),
-        (-1.0, -30.0, SHRINK_MOST),  # at 1/32: not as short at once
-        (-1.0, 0.2, SHRINK_LEAST),  # at 0.56
-        (0.5, -0.2, SHRINK_LEAST),  # bends downwards: it has none
+        (-1.0, -30.0, REGION.shrink_most),  # at 1/32: not as short at once
+        (-1.0, 0.2, REGION.shrink_least),  # at 0.56
+        (0.5, -0.2, REGION.shrink_least),  # bends downwards: it has none
     ],
 )
 def test_a_poor_step_is_shortened_to_the_least_value_of_its_parabola(slope: float, fall: float, share: float) -> None:
     """J(t) = J(0) + 2 slope t + bend t² along the step, with J(0) - J(1) = fall."""
-    step, radius = Step(np.ones(2), 1.0, 4.0, np.zeros(2, np.bool_)), TrustRegion(8.0)
-    radius.judge(step, 5.0, fall, slope, 0.0, moved=True)
+    step, radius = Step(np.ones(2), 1.0, 4.0, np.zeros(2, np.bool_)), TrustRegion.of(8.0)
+    radius, _ = radius.judged(step, 5.0, fall, slope, 0.0, moved=True)
     assert radius.value == pytest.approx(share * 5.0)
 
 
 def test_a_good_step_lengthens_the_next() -> None:
-    step, radius = Step(np.ones(2), 1.0, 4.0, np.zeros(2, np.bool_)), TrustRegion(8.0)
-    assert radius.judge(step, 5.0, 3.9, -4.0, 0.0, moved=True)
-    assert radius.value == GROW * 5.0
-    assert radius.judge(step, 5.0, 2.0, -4.0, 0.0, moved=True)  # half of what was predicted
-    assert radius.value == GROW * 5.0
+    step, radius = Step(np.ones(2), 1.0, 4.0, np.zeros(2, np.bool_)), TrustRegion.of(8.0)
+    radius, good = radius.judged(step, 5.0, 3.9, -4.0, 0.0, moved=True)
+    assert good
+    assert radius.value == REGION.grow * 5.0
+    radius, good = radius.judged(step, 5.0, 2.0, -4.0, 0.0, moved=True)  # half of what was predicted
+    assert good
+    assert radius.value == REGION.grow * 5.0

@@ -14,14 +14,14 @@ from fmuid.codec import as_json
 from fmuid.data import Experiment, Normal, Parameter
 from fmuid.data.noise import Noise
 from fmuid.estimation import identification
-from fmuid.estimation.marquardt.linear import linear_least_squares
-from fmuid.estimation.marquardt.outcome import TerminationReason
+from fmuid.estimation.linear import linear_least_squares
 from fmuid.estimation.method import Marquardt
 from fmuid.estimation.problem import LeastSquares
 from fmuid.estimation.result import Result
+from fmuid.estimation.search.loop import TerminationReason
 from fmuid.identification import identify
 from fmuid.progress import Event, SearchStep
-from fmuid.reports.messages.result import ending
+from fmuid.reports.topics.termination import ending
 from fmuid.runs.findings import at_minimum
 from tests.support.problems import Fake
 from tests.support.two_outputs import TIMES, two_output_problem, two_outputs

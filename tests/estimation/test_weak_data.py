@@ -16,12 +16,12 @@ from fmuid.data import Experiment, JointPrior, Normal, Parameter
 from fmuid.data.noise import Noise
 from fmuid.errors import InputError
 from fmuid.estimation.covariance import UNDETERMINED_STD, ActiveBound, Identifiability, local_covariance
-from fmuid.estimation.marquardt.outcome import TerminationReason
 from fmuid.estimation.problem import LeastSquares
 from fmuid.estimation.result import Result
+from fmuid.estimation.search.loop import TerminationReason
 from fmuid.identification import identify
-from fmuid.reports.messages.identifiability import direction_words
-from fmuid.reports.messages.result import ending
+from fmuid.reports.shared_phrases import direction_words
+from fmuid.reports.topics.termination import ending
 from tests.support.paths import FMUS
 from tests.support.problems import Fake, coil
 from tests.support.results import RESULT

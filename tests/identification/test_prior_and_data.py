@@ -16,7 +16,7 @@ from fmuid.data.noise import Noise
 from fmuid.errors import InputError
 from fmuid.estimation.cost_function import prepare
 from fmuid.estimation.evaluator import Evaluator
-from fmuid.estimation.marquardt.linear import linear_least_squares
+from fmuid.estimation.linear import linear_least_squares
 from fmuid.estimation.noise.autoregression import Autoregression
 from fmuid.estimation.noise.sandwich import ResidualNoise, SandwichCovariance
 from fmuid.estimation.problem import LeastSquares
@@ -30,7 +30,7 @@ from fmuid.identification.prior_and_data import (
 )
 from fmuid.identification.prior_data_tests import Deviation
 from fmuid.identification.residual_analysis import ResidualAnalysis, analyze_residuals
-from fmuid.reports.messages.prior_and_data import reading_words
+from fmuid.reports.topics.prior_and_data import reading_words
 from fmuid.studies.study import Study
 from tests.support.paths import ROOT
 from tests.support.problems import ar1, coil_problem

@@ -19,10 +19,10 @@ from fmuid.estimation.global_search.box import Box
 from fmuid.estimation.global_search.exploration import Exploration
 from fmuid.estimation.global_search.optima import merge_optima
 from fmuid.estimation.identification import estimate, point_result
-from fmuid.estimation.marquardt.outcome import TerminationReason
 from fmuid.estimation.method import Marquardt
 from fmuid.estimation.problem import LeastSquares
 from fmuid.estimation.result import Result
+from fmuid.estimation.search.loop import TerminationReason
 from fmuid.formatting import nearest
 from fmuid.progress import Progress
 

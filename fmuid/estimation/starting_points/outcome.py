@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import Enum
 
-from fmuid.estimation.marquardt.outcome import TerminationReason
+from fmuid.estimation.search.loop import TerminationReason
 
 
 class StartingPointSource(Enum):

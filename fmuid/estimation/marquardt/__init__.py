@@ -1,1 +1,0 @@
-"""Marquardt's method (1.16), on orthogonal reflections."""

@@ -1,0 +1,274 @@
+"""What runs shows how far it is: live on a terminal; elsewhere a line an iteration, or a line a tenth of long work."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import math
+import os
+import sys
+import time
+from collections.abc import Mapping
+from datetime import timedelta
+from pathlib import Path
+from types import TracebackType
+from typing import TYPE_CHECKING, Self
+
+from rich.console import Group, RenderableType
+from rich.live import Live
+from rich.markup import escape
+from rich.progress_bar import ProgressBar
+from rich.spinner import Spinner
+from rich.table import Table
+from rich.text import Text
+
+from fmuid.diagnosis import SkippedWindow
+from fmuid.formatting import unit_text, with_std
+from fmuid.progress import (
+    EVENTS,
+    BatchStep,
+    Event,
+    FaultStep,
+    GlobalStep,
+    MapStep,
+    ProfileStep,
+    SamplingStep,
+    SearchStep,
+    WindowStep,
+    to_line,
+)
+from fmuid.reports.document import Remark
+from fmuid.reports.render.console import console, show_remarks
+from fmuid.reports.topics.monitoring import alarm_words, gap_words
+
+if TYPE_CHECKING:
+    from fmuid.diagnosis import Monitor
+    from fmuid.runs import FollowStatus
+
+# More parameters than these would push the first lines off the terminal.
+LIVE_ROWS = 20
+LINE_VALUES = 6
+"""Values on a plain line; of more parameters only the first ones fit."""
+
+KEEPS = "Ctrl-C ends it and keeps what there is"
+
+
+class Display:
+    """Shows how far long work is; used as a context and called with each event (`fmuid.progress.Progress`)."""
+
+    # Off a terminal, a line each time so many of these parts of a task are done, or of a batch so often, s.
+    PARTS, EVERY = 10, 10.0
+
+    def __init__(self) -> None:
+        self._terminal = sys.stdout.isatty()
+        self._live: Live | None = None
+        self._starts: Mapping[str, float] = {}
+        self._best: Mapping[str, float] = {}
+        self._said: tuple[str, int] | None = None
+        self._next = time.monotonic() + self.EVERY
+        self._told = os.environ.get(EVENTS)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
+    ) -> None:
+        self.pause()
+
+    def pause(self) -> None:
+        """Take the live display away until the next event, so that something else can be printed."""
+        if self._live is not None:
+            self._live.stop()
+            self._live = None
+
+    def __call__(self, event: Event, /) -> None:
+        """Show an event."""
+        if self._told:
+            with contextlib.suppress(OSError), Path(self._told).open("a", encoding="utf-8") as file:
+                file.write(to_line(event))  # a full disk ends no search
+        if isinstance(event, SearchStep):
+            self._starts = event.values if event.number == 0 else self._starts
+            self._best = event.values if event.accepted else self._best
+        if not self._terminal:
+            if self._due(event):
+                print(_line(event), flush=True)
+            return
+        if self._live is None:
+            self._live = Live(console=console(), refresh_per_second=8, transient=True)
+            self._live.start()
+        self._live.update(self._drawn(event), refresh=isinstance(event, SearchStep))
+
+    def _due(self, event: Event) -> bool:
+        """Whether an event is worth a line of a file."""
+        if isinstance(event, BatchStep):
+            if time.monotonic() < self._next:
+                return False
+            self._next = time.monotonic() + self.EVERY
+        elif isinstance(event, GlobalStep | MapStep | ProfileStep | SamplingStep):
+            part = int(event.share * self.PARTS)
+            if self._said == (event.task, part):
+                return False
+            self._said = (event.task, part)
+        return isinstance(event, SearchStep | GlobalStep | MapStep | ProfileStep | SamplingStep | BatchStep)
+
+    def _drawn(self, event: Event) -> RenderableType:
+        """Return what is shown live."""
+        if isinstance(event, SearchStep):
+            return Group(Text(_head(event)), self._values())
+        bar = Table.grid(padding=(0, 2))
+        if isinstance(event, BatchStep):
+            bar.add_row(ProgressBar(event.total, event.done, width=30), event_words(event))
+            return Group(bar, Text(f"{KEEPS}; the same command goes on", style="dim"))
+        if math.isnan(event.share) or isinstance(event, FaultStep | WindowStep):
+            return Spinner("dots", escape(event_words(event)))
+        bar.add_row(event.task, ProgressBar(1.0, event.share, width=30), escape(event_words(event)))
+        return Group(bar, Text(KEEPS, style="dim"))
+
+    def _values(self) -> Table:
+        """Return the parameters of the best step so far beside their starts."""
+        table = Table.grid(padding=(0, 3))
+        for name, value in list(self._best.items())[:LIVE_ROWS]:
+            start = self._starts.get(name, math.nan)
+            table.add_row(f"  {escape(name)}", f"{value:.6g}", f"[dim]start {start:.6g}[/]")
+        if len(self._best) > LIVE_ROWS:
+            table.add_row(f"  [dim]and {len(self._best) - LIVE_ROWS} more[/]")
+        return table
+
+
+def _line(event: Event) -> str:
+    """Return an event as a line of a file."""
+    if isinstance(event, SearchStep):
+        more = "  ..." if len(event.values) > LINE_VALUES else ""
+        return f"{_head(event)}  {_listed(event.values)}{more}"
+    if isinstance(event, BatchStep):
+        return event_words(event)
+    return f"{event.task:<10} {100 * event.share:3.0f} %  {event_words(event)}"
+
+
+def _head(step: SearchStep) -> str:
+    renewed = math.isnan(step.damping) and step.number > 0
+    what = "noise variances renewed" if renewed else f"iteration {step.number}"
+    damping = "" if math.isnan(step.damping) else f"{step.damping:.3g}"
+    fate = "" if step.accepted else "rejected"
+    return f"{what:<23}  criterion {step.criterion:<11.6g}  λ {damping:<9} {fate:<8}"
+
+
+def _listed(values: Mapping[str, float]) -> str:
+    return "  ".join(f"{name} {value:.5g}" for name, value in list(values.items())[:LINE_VALUES])
+
+
+def event_words(event: Event) -> str:
+    """Return in words where a task stands."""
+    match event:
+        case GlobalStep():
+            best = _listed(event.values)
+            return f"{event.done} of {event.total}, {event.simulations} simulations, best: {best}"
+        case MapStep():
+            return f"criterion over {event.first} and {event.second}"
+        case ProfileStep():
+            rise = f"criterion risen by {event.rise:.3g} of {event.threshold:.3g}"
+            return f"{event.name} = {event.value:.6g}: {rise}"
+        case SamplingStep() if not math.isnan(event.effective_size):
+            worth = f"worth {event.effective_size:.0f} of {event.wanted} independent samples"
+            return f"step {event.step}, {worth}"
+        case SamplingStep():
+            return f"step {event.step}"
+        case FaultStep():
+            return f"fitting {event.fault or 'the healthy machine'}"
+        case WindowStep():
+            return f"{event.record}: window {event.number + 1} of {event.total}"
+        case BatchStep():
+            return _batch(event)
+        case _:
+            return event.task
+
+
+def _batch(step: BatchStep) -> str:
+    words = [f"{step.done} of {step.total} cases"]
+    words += [f"{step.failed} failed"] if step.failed else []
+    if step.done < step.total:
+        if not step.threads:
+            words.append("waiting for workers")
+        elif math.isfinite(step.left):
+            left = timedelta(seconds=math.ceil(step.left)) if step.left < timedelta.max.total_seconds() else "ages"
+            words.append(f"{step.rate:.3g} a second, {left} left")
+    return ", ".join(words)
+
+
+# --- fmuid monitor --follow -----------------------------------------------------------------
+
+# Records that were silent for longer than this, s, are said to be.
+SILENT = 5.0
+COLOURS = {"raised": "bold red", "changed": "red", "ended": "green"}
+
+
+class FollowingDisplay:
+    """Shows how far a monitoring in operation is; used as a context and called after each look."""
+
+    def __init__(self) -> None:
+        self._console = console()
+        self._live: Live | None = None
+        self._windows, self._since = -1, 0.0
+
+    def __enter__(self) -> Self:
+        if sys.stdout.isatty():
+            self._live = Live(console=self._console, refresh_per_second=4, transient=True)
+            self._live.start()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
+    ) -> None:
+        if self._live is not None:
+            self._live.stop()
+
+    def __call__(self, watching: FollowStatus) -> None:
+        """Print what is new, and show where it stands."""
+        for line in watching.lines:
+            said = json.loads(line)
+            when = said["date"][:19].replace("T", " ") or f"{said['time']:.6g} s of {said['record']}"
+            text = f"{when}: alarm {said['id']} {said['event']}: {said['words']}"
+            self._console.print(f"[{COLOURS[said['event']]}]{escape(text)}[/]", soft_wrap=True)
+        gaps = [each for each in watching.remarks if isinstance(each, SkippedWindow)]
+        told = [*(each for each in watching.remarks if isinstance(each, str)), *gap_words(gaps)]
+        show_remarks(Remark(each, "doubt") for each in told)
+        if self._live is None:
+            sys.stdout.flush()
+        else:
+            if watching.monitor.windows != self._windows:
+                self._windows, self._since = watching.monitor.windows, time.monotonic()
+            silent = time.monotonic() - self._since
+            hint = Text("Ctrl-C ends it; the same command goes on", style="dim")
+            self._live.update(Group(state(watching, silent), hint))
+
+
+def state(watching: FollowStatus, silent: float) -> Table:
+    """Return where it stands: the last window, what it shows, whether there is an alarm, and since when."""
+    found = watching.monitor
+    table = Table.grid(padding=(0, 3))
+    if not found.windows:
+        table.add_row("waiting for records")
+        return table
+    row = found.table.iloc[-1]
+    at = found.moment(str(row["record"]), float(row["end"]))
+    when = f"{row['record']}, {row['end']:.6g} s" + (f", {at.date[:19].replace('T', ' ')}" if at.date else "")
+    table.add_row("examined", f"{found.windows} windows, up to {escape(when)}{'' if watching.idle else ' ...'}")
+    if watching.idle and silent >= SILENT:
+        table.add_row("", f"[yellow]no new window for {silent:.0f} s[/]")
+    table.add_row("now", f"[bold red]ALARM: {escape(row['alarm'])}[/]" if row["alarm"] else "[green]no alarm[/]")
+    if row["alarm"] and found.alarms[-1].onset is not None:
+        since, sizes = alarm_words(found.alarms[-1])
+        table.add_row("since", escape(since))
+        table.add_row("how large", escape(sizes))
+    table.add_row("last window", "")
+    for name in _columns(found):
+        std = float(row[f"{name}.std"])
+        size = with_std(float(row[name]), std) if math.isfinite(std) else "not determined"
+        table.add_row(escape(f"  {name}"), f"{size} {escape(unit_text(found.units.get(name)))}")
+    return table
+
+
+def _columns(found: Monitor) -> list[str]:
+    sizes = [f"{name}.{size}" for name, fault in found.faults.items() for size in fault.sizes]
+    return [*sizes, *found.baseline.common]
