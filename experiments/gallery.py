@@ -12,7 +12,9 @@ from PIL import Image
 
 import fmuid
 from fmuid.formatting import with_std
-from fmuid.reports.figures.style import AMBER, BLUE, GREY, INK
+from fmuid.reports.render.style import COLORS
+
+AMBER, BLUE, GREY, INK = (COLORS["amber"], COLORS["blue"], COLORS["grey"], COLORS["ink"])
 
 HERE = Path(__file__).parent
 PICTURES = HERE.parent / "docs" / "pictures"

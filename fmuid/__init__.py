@@ -8,5 +8,5 @@ import lazy_loader
 
 from fmuid.display_mixins import shown_by
 
-shown_by("fmuid.reports.notebook")  # imported when a notebook first shows something
+shown_by("fmuid.reports.render.notebook")  # imported when a notebook first shows something
 __getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

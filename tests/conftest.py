@@ -78,7 +78,7 @@ def blank_figures(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatc
     if "drawn_figures" not in request.fixturenames:
         monkeypatch.setattr("matplotlib.figure.Figure.get_layout_engine", lambda _: None)
         monkeypatch.setattr("matplotlib.backends.backend_agg.FigureCanvasAgg.draw", lambda self: self.get_renderer())
-        monkeypatch.setattr("fmuid.reports.page.write.write_report", blank_report)
+        monkeypatch.setattr("fmuid.reports.publish.write_report", blank_report)
 
 
 def blank_report(folder: Path) -> Path:

@@ -20,8 +20,9 @@ from fmuid import Experiment, LeastSquares, Normal, Parameter, Problem, Simulato
 from fmuid.array_types import Floats
 from fmuid.data import Preprocessing
 from fmuid.errors import InputError
-from fmuid.reports.console.layout import warn_unfed
-from fmuid.reports.messages.accuracy import passed_words
+from fmuid.reports.render.console import show_notes
+from fmuid.reports.topics.solver_check import passed_words
+from fmuid.reports.topics.study_notes import input_notes
 from fmuid.simulation.instance import _missing_library
 from tests.support.coil_study import COIL
 from tests.support.docs_rows import rows
@@ -173,7 +174,7 @@ def _unfed(_: Path, capsys: pytest.CaptureFixture[str]) -> None:
     given = Experiment(recorded(), [], ["i"], source="run.csv")
     simulator = Simulator(COIL, given)
     np.testing.assert_array_equal(simulator([]), 0.0)  # the residual is all of the signal
-    warn_unfed([simulator])  # as `fmuid simulate` does
+    show_notes(input_notes([simulator]))  # as `fmuid simulate` does
     assert "run.csv feeds no u: kept at the start value" in capsys.readouterr().err
 
 

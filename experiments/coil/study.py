@@ -23,7 +23,10 @@ from scipy.signal import lfilter, max_len_seq
 import fmuid
 from experiments import pages
 from fmuid.array_types import Floats
-from fmuid.reports.figures.style import AMBER, BLUE, DPI, GREY, INK, WIDTH, style
+from fmuid.reports.render.matplotlib_renderer import DPI, WIDTH, style
+from fmuid.reports.render.style import COLORS
+
+AMBER, BLUE, GREY, INK = (COLORS["amber"], COLORS["blue"], COLORS["grey"], COLORS["ink"])
 
 HERE = Path(__file__).parent
 FMUS = HERE.parents[1] / "fmus"

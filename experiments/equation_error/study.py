@@ -21,7 +21,10 @@ import fmuid
 from experiments import pages
 from experiments.coil.study import SAMPLES, STEP, L, R, current, experiment, models, voltage
 from fmuid.array_types import Floats
-from fmuid.reports.figures.style import AMBER, BLUE, DPI, GREY, INK, WIDTH, style
+from fmuid.reports.render.matplotlib_renderer import DPI, WIDTH, style
+from fmuid.reports.render.style import COLORS
+
+AMBER, BLUE, GREY, INK = (COLORS["amber"], COLORS["blue"], COLORS["grey"], COLORS["ink"])
 
 HERE = Path(__file__).parent
 RATIOS = (1000.0, 100.0, 10.0, 3.0)  # of the powers of the current and its noise

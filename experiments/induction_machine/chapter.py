@@ -29,7 +29,10 @@ from experiments import pages
 from experiments.induction_machine import make_table
 from fmuid.array_types import Floats
 from fmuid.formatting import with_std
-from fmuid.reports.figures.style import AMBER, BLUE, DPI, GREY, INK, WIDTH, style
+from fmuid.reports.render.matplotlib_renderer import DPI, WIDTH, style
+from fmuid.reports.render.style import COLORS
+
+AMBER, BLUE, GREY, INK = (COLORS["amber"], COLORS["blue"], COLORS["grey"], COLORS["ink"])
 
 HERE = Path(__file__).parent
 MODEL = HERE.parents[1] / "fmus" / "InductionMachine" / "InductionMachine.fmu"

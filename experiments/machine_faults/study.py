@@ -24,7 +24,10 @@ from experiments.machine_faults import models
 from experiments.machine_faults.machine import BARS, TURNS, bar_angle
 from experiments.machine_faults.make_tables import CASES, add_noise, simulate, table
 from fmuid.diagnosis import EstimatedChange
-from fmuid.reports.figures.style import AMBER, BLUE, DPI, INK, WIDTH, style
+from fmuid.reports.render.matplotlib_renderer import DPI, WIDTH, style
+from fmuid.reports.render.style import COLORS
+
+AMBER, BLUE, INK = (COLORS["amber"], COLORS["blue"], COLORS["ink"])
 
 HERE = Path(__file__).parent
 

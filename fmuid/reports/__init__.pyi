@@ -1,10 +1,7 @@
+from .documents import describe as describe
 from .figure_files import REPORT_FILE as REPORT_FILE
 from .figure_files import clear_figures as clear_figures
-from .messages.describe import describe as describe
-from .messages.diagnosis import healthy_record_words as healthy_record_words
-from .messages.monitoring import alarm_sentence as alarm_sentence
-from .page.write import draw_simulation as draw_simulation
-from .page.write import show_results as show_results
-from .page.write import write_report as write_report
+from .publish import documents_of as documents_of
+from .publish import write_report as write_report
 from .run import published as published
 from .run import run as run

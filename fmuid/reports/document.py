@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from enum import Enum
 from typing import Any, ClassVar, Literal
 
@@ -150,9 +150,9 @@ class Document:
         """Return the section of a key."""
         return next(each for each in self.sections if each.key == key)
 
-    def with_sections(self, *more: Section) -> Document:
-        """Return it with further sections."""
-        return replace(self, sections=(*self.sections, *more))
+    def sections_of(self, keys: Iterable[str]) -> list[Section]:
+        """Return the sections of these keys that there are."""
+        return [each for each in self.sections if each.key in keys]
 
 
 def table_of(columns: Mapping[str, Iterable[str]], words: Iterable[str] = (), ranks: Iterable[str] = ()) -> Table:

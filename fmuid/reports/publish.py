@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from fmuid.errors import InputError
-from fmuid.files import is_folder, replacing
+from fmuid.files import is_file, is_folder, replacing
+from fmuid.formatting import listed
 from fmuid.reports.document import Document, Section
 from fmuid.reports.figure_files import REPORT_FILE, clear_figures
-from fmuid.reports.render.document_json import read_documents, write_document
+from fmuid.reports.render.document_json import DOCUMENT_FILE, read_documents, write_document
 
 
 def publish(folder: Path, document: Document, *, report: bool, figures: str | None = None) -> list[Path]:
@@ -59,12 +60,40 @@ def write_report(folder: str | Path) -> Path:
     folder = Path(folder)
     if not is_folder(folder):
         raise InputError(f"{folder} is no folder of results")
-    documents = list(read_documents(folder).values())
+    documents = list(documents_of(folder).values())
     title = next((each.title for each in documents if each.title), "") or folder.absolute().parent.name
     path = folder / REPORT_FILE
     with replacing(path) as draft:
         draft.write_text(page(title, documents), encoding="utf-8")
     return path
+
+
+def documents_of(folder: Path) -> dict[str, Document]:
+    """Return the documents of a folder by their kind: those written there, else those of the results it has.
+
+    Raises
+    ------
+    InputError
+        If the folder has no results, or a file in it cannot be read.
+    """
+    if is_file(folder / DOCUMENT_FILE):
+        return read_documents(folder)
+    from fmuid import runs
+    from fmuid.reports.documents import document
+
+    readers: dict[str, Callable[[Path], object]] = {
+        "result.json": runs.read_identification,
+        "diagnosis.json": runs.read_diagnosis,
+        "monitoring.json": runs.read_monitoring,
+        "prediction.json": runs.read_prediction,
+        "comparison.json": runs.read_comparison,
+    }
+    found = [document(read(folder)) for name, read in readers.items() if is_file(folder / name)]
+    if not found:
+        raise InputError(
+            f"{folder} has no {listed([DOCUMENT_FILE, *readers])}: give the folder that a command has written into"
+        )
+    return {each.kind: each for each in found}
 
 
 def write_figures(folder: Path, sections: Sequence[Section], kind: str) -> list[Path]:

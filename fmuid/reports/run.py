@@ -31,16 +31,11 @@ def published(found: Found, folder: Path | None, *, report: bool = True, figures
         If a file cannot be written.
     """
     from fmuid.reports.documents import document
-    from fmuid.reports.page.write import show_results
     from fmuid.reports.publish import publish
-    from fmuid.runs import ComparisonRun
 
     if folder is None or not found.files:
         return found
-    if isinstance(found, ComparisonRun):
-        drawn = publish(folder, document(found), report=report, figures=figures)
-    else:
-        drawn = show_results(folder, report=report, figures=figures)
+    drawn = publish(folder, document(found), report=report, figures=figures)
     return replace(found, files=tuple(dict.fromkeys((*found.files, *drawn))))
 
 

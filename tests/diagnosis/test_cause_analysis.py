@@ -18,7 +18,7 @@ from fmuid.diagnosis.causes import ChangeParameterSet, coordinates_of
 from fmuid.diagnosis.linearized_machine import LinearizedMachine
 from fmuid.diagnosis.prewhitening import Whitening
 from fmuid.errors import InputError
-from fmuid.reports.messages.diagnosis import verdict
+from fmuid.reports.topics.diagnosis_phrases import verdict
 from tests.support.closed_forms import coil_response
 from tests.support.paths import FMUS
 

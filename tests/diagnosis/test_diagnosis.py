@@ -16,7 +16,7 @@ from fmuid.codec import as_json
 from fmuid.diagnosis import MODEL_ERROR, CauseScore
 from fmuid.diagnosis.faults import common_mode
 from fmuid.models import System
-from fmuid.reports.messages.diagnosis import deviation_words, diagnosis_words, verdict
+from fmuid.reports.topics.diagnosis_phrases import deviation_words, diagnosis_notes, verdict
 from tests.support.diagnosis_studies import Look
 from tests.support.plate import (
     COLUMNS,
@@ -203,7 +203,7 @@ def test_a_model_that_is_not_the_healthy_one_at_zero_fault_is_noted(look: Look, 
     wrong = fmuid.Fault(plate, {"ea": fmuid.Parameter(0.0, nominal=0.01)}, values={"eb": 0.1})
     found = look(record(np.random.default_rng(13)), faults={"wrong": wrong})
     assert found.mismatched == ("wrong",)
-    assert any("without its fault this model is not the healthy machine" in note for note in diagnosis_words(found))
+    assert any("without its fault this model is not the healthy machine" in note for note in diagnosis_notes(found))
 
 
 def test_the_colour_of_the_residual_counts(look: Look, plate: fmuid.System) -> None:
@@ -226,7 +226,7 @@ def test_a_file_keeps_the_diagnosis(look: Look, tmp_path: Path) -> None:
     found = look(record(np.random.default_rng(15), size=0.08, angle=1.0))
     read = fmuid.Diagnosis.from_json(found.to_json(tmp_path / "diagnosis.json"))
     assert as_json(read) == as_json(found)
-    assert diagnosis_words(read) == diagnosis_words(found)
+    assert diagnosis_notes(read) == diagnosis_notes(found)
     assert read.evidence == found.evidence
     assert read.table.equals(found.table)
     with pytest.raises(fmuid.InputError, match=r"has no cause 'rotor.angle'; it has stator.ea, "):

@@ -19,7 +19,7 @@ from fmuid.data.npz import read_arrays
 from fmuid.diagnosis import OnsetShape, SkippedWindow
 from fmuid.diagnosis.alarms import SOMETHING_ELSE, Rule, Trend
 from fmuid.diagnosis.monitor import Monitor
-from fmuid.reports.messages.monitoring import gap_words, monitoring_words
+from fmuid.reports.topics.monitoring import gap_words, monitoring_words
 from fmuid.runs.faults import build_monitor, findings_of, rule_of
 from tests.support.coil_records import warming
 from tests.support.exported import export_text

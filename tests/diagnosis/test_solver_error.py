@@ -12,7 +12,7 @@ from scipy.linalg import expm
 
 import fmuid
 from fmuid.estimation import AccuracyOutcome, RefinementRefusal
-from fmuid.reports.messages.diagnosis import diagnosis_words
+from fmuid.reports.topics.diagnosis_phrases import diagnosis_notes
 from tests.support.stepping import MOTOR, stepping_fmu
 
 TRUTH = {"R": 1.0, "L": 5e-3, "K": 0.05, "J": 1e-4}
@@ -85,7 +85,7 @@ def test_what_is_not_cured_is_said_and_kept(motor: fmuid.System, healthy: fmuid.
         assert each.named == ("friction",)
         assert each.accuracy is not None
         assert (each.accuracy.outcome, each.accuracy.kept) == (AccuracyOutcome.SHIFTED, RefinementRefusal.ASKED)
-        assert any(f"F by {each.accuracy.shift[1]:+.2g}" in words for words in diagnosis_words(each))
+        assert any(f"F by {each.accuracy.shift[1]:+.2g}" in words for words in diagnosis_notes(each))
 
 
 def test_windows_are_simulated_as_the_healthy_record_was(motor: fmuid.System, healthy: fmuid.Result) -> None:

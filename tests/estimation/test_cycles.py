@@ -34,7 +34,7 @@ from fmuid.estimation.problem import LeastSquares
 from fmuid.estimation.result import Result
 from fmuid.identification import identify
 from fmuid.identification.residual_analysis import analyze_residuals
-from fmuid.reports.messages.residuals import residual_words
+from fmuid.reports.topics.residual_analysis import residual_words
 from tests.support.problems import ar1
 
 STEP, PERIOD, CYCLES = 0.032, 125, 8

@@ -12,7 +12,7 @@ from fmuid.estimation.global_search.search import GlobalSearch, Strategy
 from fmuid.estimation.problem import LeastSquares
 from fmuid.estimation.search.loop import TerminationReason
 from fmuid.progress import Event
-from fmuid.reports.messages.result import ending
+from fmuid.reports.topics.termination import ending
 from tests.support.sinusoids import METHODS, RANGE, TIMES, dense_minima, of_search, searched, sinusoid
 
 # --- failing simulations ----------------------------------------------------------------

@@ -21,7 +21,7 @@ from fmuid.estimation.result import Result
 from fmuid.estimation.search.loop import TerminationReason
 from fmuid.identification import identify
 from fmuid.progress import Event, SearchStep
-from fmuid.reports.messages.result import ending
+from fmuid.reports.topics.termination import ending
 from fmuid.runs.findings import at_minimum
 from tests.support.problems import Fake
 from tests.support.two_outputs import TIMES, two_output_problem, two_outputs

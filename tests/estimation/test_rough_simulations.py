@@ -21,7 +21,7 @@ from fmuid.estimation.problem import LeastSquares
 from fmuid.estimation.result import Result
 from fmuid.estimation.search.loop import TerminationReason
 from fmuid.identification import identify
-from fmuid.reports.messages.result import ending
+from fmuid.reports.topics.termination import ending
 from fmuid.runs.apply import apply_result
 from tests.support.paths import FMUS
 from tests.support.results import RESULT

@@ -14,8 +14,8 @@ from fmuid.data import Parameter
 from fmuid.estimation.covariance import ActiveBound, Identifiability
 from fmuid.estimation.problem import LeastSquares
 from fmuid.identification import identify
-from fmuid.reports.messages.identifiability import direction_words
-from fmuid.reports.messages.result import ending
+from fmuid.reports.shared_phrases import direction_words
+from fmuid.reports.topics.termination import ending
 from tests.support.problems import coil_problem
 from tests.support.two_outputs import TIMES, two_output_problem
 

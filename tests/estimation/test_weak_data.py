@@ -20,8 +20,8 @@ from fmuid.estimation.problem import LeastSquares
 from fmuid.estimation.result import Result
 from fmuid.estimation.search.loop import TerminationReason
 from fmuid.identification import identify
-from fmuid.reports.messages.identifiability import direction_words
-from fmuid.reports.messages.result import ending
+from fmuid.reports.shared_phrases import direction_words
+from fmuid.reports.topics.termination import ending
 from tests.support.paths import FMUS
 from tests.support.problems import Fake, coil
 from tests.support.results import RESULT

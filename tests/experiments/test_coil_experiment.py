@@ -13,7 +13,7 @@ from scipy.linalg import expm
 import fmuid
 from experiments import pages
 from experiments.coil import study
-from fmuid.reports.messages.diagnosis import verdict
+from fmuid.reports.topics.diagnosis_phrases import verdict
 
 README = (study.HERE / "README.md").read_text(encoding="utf-8")
 

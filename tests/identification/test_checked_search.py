@@ -14,7 +14,7 @@ import fmuid
 from fmuid.array_types import Floats
 from fmuid.estimation import SHIFT_LIMIT, AccuracyOutcome, RefinementRefusal, SwitchCause
 from fmuid.identification import refinement_of
-from fmuid.reports.messages.solver import runs_words
+from fmuid.reports.topics.solver_check import runs_words
 from fmuid.simulation import Refinement
 from tests.support.exported import export_text
 from tests.support.paths import ROOT

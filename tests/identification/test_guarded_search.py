@@ -22,7 +22,7 @@ from fmuid.estimation import Evaluator, RestartAttempt, SearchFailure, StartingP
 from fmuid.identification import starting_points
 from fmuid.identification.equation_error_start import POOR, equation_start
 from fmuid.identification.starting_points import EndedSearch, _RestartingSearch, corrected_start, is_confirmed
-from fmuid.reports.messages.restarts import ENDS, PLACES, attempt_words
+from fmuid.reports.topics.termination import ENDS, PLACES, attempt_words
 from tests.support.exported import export_text
 from tests.support.paths import FMUS
 

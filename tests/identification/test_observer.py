@@ -19,8 +19,7 @@ from fmuid.array_types import Floats
 from fmuid.codec import as_json
 from fmuid.identification import starting_points, with_observer
 from fmuid.identification.observer import observer_gain
-from fmuid.reports.page.verdict import identification_words
-from fmuid.runs import IdentificationRun
+from fmuid.reports.topics.termination import result_remarks
 from fmuid.simulation import RightHandSide
 from tests.support.exported import export_text
 from tests.support.results import RESULT
@@ -128,7 +127,7 @@ def test_the_result_says_that_it_is_no_output_error(cart: Path, tmp_path: Path) 
     assert kept.observer == 5.0
     said = "An observer with its poles at 5 samples kept the simulation with the record: this is a fit of predictions"
     assert said in fmuid.describe(kept)
-    assert any(said in each.text and each.doubtful for each in identification_words(IdentificationRun(kept)))
+    assert any(said in each.text and each.tone == "doubt" for each in result_remarks(kept))
     assert "observer" not in fmuid.describe(replace(kept, observer=None))
 
 

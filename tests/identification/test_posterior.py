@@ -17,7 +17,7 @@ from fmuid.errors import InputError
 from fmuid.estimation.problem import LeastSquares
 from fmuid.identification.posterior import Posterior, SamplerSettings, SamplingWarning
 from fmuid.identification.sampler import sample_posterior
-from fmuid.reports.messages.uncertainty import posterior_words
+from fmuid.reports.topics.uncertainty import posterior_words
 from tests.support.posteriors import Array, linear, sampled
 from tests.support.results import identify_white as identify
 

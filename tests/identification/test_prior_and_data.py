@@ -30,7 +30,7 @@ from fmuid.identification.prior_and_data import (
 )
 from fmuid.identification.prior_data_tests import Deviation
 from fmuid.identification.residual_analysis import ResidualAnalysis, analyze_residuals
-from fmuid.reports.messages.prior_and_data import reading_words
+from fmuid.reports.topics.prior_and_data import reading_words
 from fmuid.studies.study import Study
 from tests.support.paths import ROOT
 from tests.support.problems import ar1, coil_problem

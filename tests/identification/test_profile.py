@@ -21,7 +21,7 @@ from fmuid.estimation.result import Result
 from fmuid.identification.profile_ends import EndKind
 from fmuid.identification.profile_likelihood import Profile, profile_likelihood
 from fmuid.progress import Event, ProfileStep
-from fmuid.reports.messages.uncertainty import profile_words
+from fmuid.reports.topics.uncertainty import profile_words
 from tests.support.results import identify_white as identify
 
 Array = npt.NDArray[np.float64]

@@ -22,7 +22,7 @@ from fmuid.estimation.result import Result
 from fmuid.identification import identify
 from fmuid.identification.residual_analysis import ResidualAnalysis, ResidualDefect, analyze_residuals
 from fmuid.identification.residual_series import ResidualSeries, examine_outputs
-from fmuid.reports.messages.residuals import residual_words
+from fmuid.reports.topics.residual_analysis import residual_words
 from tests.support.problems import ar1
 
 COUNT = 1000

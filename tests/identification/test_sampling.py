@@ -16,7 +16,7 @@ from fmuid.estimation.problem import LeastSquares
 from fmuid.identification.posterior import SamplerSettings, SamplingWarning, effective_size, r_hat
 from fmuid.identification.sampler import sample_posterior
 from fmuid.progress import Event, SamplingStep
-from fmuid.reports.messages.uncertainty import posterior_words
+from fmuid.reports.topics.uncertainty import posterior_words
 from tests.support.posteriors import Array, linear, sampled
 from tests.support.results import identify_white as identify
 

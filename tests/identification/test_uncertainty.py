@@ -20,7 +20,7 @@ from fmuid.identification.assessment import Assessment, AssessmentSettings, asse
 from fmuid.identification.cost_map import map_cost
 from fmuid.identification.posterior import SamplerSettings
 from fmuid.progress import Event, ProfileStep, SamplingStep
-from fmuid.reports.messages.uncertainty import uncertainty_words
+from fmuid.reports.topics.uncertainty import uncertainty_words
 
 ALL = AssessmentSettings(0.9, ("a", "b"), SamplerSettings(steps=600, effective_size=600), (("a", "b"),))
 

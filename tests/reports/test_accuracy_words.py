@@ -10,7 +10,7 @@ import pytest
 
 import fmuid
 from fmuid.estimation import AccuracyOutcome, RefinementRefusal, RefinementStep, SolverCheck, SwitchCause
-from fmuid.reports.messages.accuracy import KEPT, accuracy_words, passed_words, shift_text
+from fmuid.reports.topics.solver_check import KEPT, accuracy_words, passed_words, shift_text
 from tests.support.paths import ROOT
 
 STUDY = ROOT / "experiments" / "coil" / "healthy.toml"

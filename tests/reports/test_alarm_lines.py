@@ -14,8 +14,8 @@ from rich.console import Console
 from rich.text import Text
 
 from fmuid.diagnosis import Alarm
-from fmuid.reports.console import following
-from fmuid.reports.console.following import FollowingDisplay
+from fmuid.reports.render import progress as following
+from fmuid.reports.render.progress import FollowingDisplay
 from fmuid.runs.alarm_log import AlarmLines
 from fmuid.runs.follow import FollowStatus
 

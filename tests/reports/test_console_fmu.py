@@ -18,9 +18,10 @@ from fmuid.errors import InputError
 from fmuid.formatting import bounded
 from fmuid.models.description import Variable
 from fmuid.models.fmu_summary import FmuSummary, facts, lines
-from fmuid.reports.console import fmu as console_fmu
-from fmuid.reports.console.layout import TERMINAL_ROWS, console, show_notes, table_of, table_of_rows
-from fmuid.reports.messages.solver import capability_words, run_words
+from fmuid.reports.document import table_of
+from fmuid.reports.render.console import TERMINAL_ROWS, console, rich_table, show_notes
+from fmuid.reports.topics import models as console_fmu
+from fmuid.reports.topics.solver_check import capability_words, run_words
 from fmuid.studies import skeleton
 from tests.support.fmu_texts import FMI2, FMI3, write_fmu
 from tests.support.paths import FMUS
@@ -262,7 +263,9 @@ def test_plain_tables_are_those_of_rich() -> None:
     heads, right = ["name", "start", "description"], ["start"]
     rows = [["R", "1.5", "resistance"], ["温度", "273.15", "äöü [b]x[/b]"], ["a_longer_name", "", "é"]]
     out = io.StringIO()
-    table = table_of_rows("", heads, rows, right)
+    columns = {head: [row[k] for row in rows] for k, head in enumerate(heads)}
+    words = [head for head in heads if head not in right]
+    table = rich_table(table_of(columns, words), "", console())
     Console(file=out, width=200).print(table)
     expected = [line.rstrip() for line in out.getvalue().splitlines()]
     assert [
@@ -271,7 +274,8 @@ def test_plain_tables_are_those_of_rich() -> None:
 
 
 def test_a_title_longer_than_its_table_stays_on_one_line() -> None:
-    table = table_of("Measured against simulated", {"output": ["i"], "samples": ["10"]})
+    given = table_of({"output": ["i"], "samples": ["10"]}, ["samples"])
+    table = rich_table(given, "Measured against simulated", console())
     out = Console(file=io.StringIO(), width=80)
     out.print(table)
     assert isinstance(out.file, io.StringIO)

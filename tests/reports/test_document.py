@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import math
 from dataclasses import replace
 from pathlib import Path
 from random import Random
@@ -13,44 +12,21 @@ import numpy as np
 import pytest
 
 from fmuid.errors import InputError
-from fmuid.reports.chart import Axis, Chart, ChartGrid, Layer, Shades, rows_of, stacked
+from fmuid.reports.chart import Axis, Chart, ChartGrid, Layer
 from fmuid.reports.document import Column, Document, Message, Remark, Section, table_of
 from fmuid.reports.publish import publish, write_report
 from fmuid.reports.render import console
 from fmuid.reports.render.bokeh_models import live, written
 from fmuid.reports.render.bokeh_renderer import drawing
 from fmuid.reports.render.document_json import DOCUMENT_FILE, read_documents, write_document
+from tests.support.charts import EVIL, every_mark
 from tests.support.fuzz_spoil import spoil_tree
 
-EVIL = '</script><script>alert(1)</script><img src=x onerror=alert(2)> & "quoted" $$x$$'
 T = np.linspace(0.0, 1.0, 5)
 
 
 class Said(Message):
     KNOWN = ("{name} is known to {share:.2g} %", "its standard deviation is small", "nothing")
-
-
-def every_mark() -> ChartGrid:
-    across = Axis("t (s)", reach=(0.0, 1.0), linked="t")
-    layers = [
-        Layer("line", {"x": T, "y": T**2, "z": T}, label="line", hover=(("at", "@x{0.0} s"), ("z", "@z"))),
-        Layer("points", {"x": T, "y": np.array([1.0, math.nan, 2.0, math.inf, 3.0]), "size": 4 + T}, "red"),
-        Layer("points", {"x": T, "y": T}, "amber", marker="bar", label="bars"),
-        Layer("band", {"x": T, "y0": T - 1, "y1": T + 1}, alpha=0.2),
-        Layer("segments", {"x0": T, "y0": 0.0, "x1": T, "y1": T}, dash="dashed"),
-        Layer("step", {"x": T, "y": T}),
-        Layer("patch", {"x": T, "y": T}, alpha=0.1),
-        Layer("cells", {"left": T, "right": T + 0.1, "bottom": T, "top": T + 0.1, "alpha": T}),
-        Layer("rule", {"y": 0.0}, "ink"),
-        Layer("zone", {"left": 0.1, "right": 0.2}, "grey", alpha=0.2),
-    ]
-    names = ("R", EVIL)
-    value, shades = np.array([0.5, math.nan]), Shades("diverging", -1.0, 1.0)
-    texts: dict[str, Any] = {"x": ("R", "L"), "y": ("L", "L"), "text": ("0.5", "?"), "value": value}
-    matrix = [Layer("cells", texts, shades=shades), Layer("text", texts)]
-    axes = (Axis(kind="names", names=("R", "L")), Axis(kind="names", names=("L", "R")))
-    bars = rows_of(names, Axis("D", kind="log"), [Layer("bars", {"y": names, "x": T[1:3], "x0": 0.1}, label="D")])
-    return stacked([Chart(across, Axis("y"), tuple(layers), crosshair=True), bars, Chart(*axes, tuple(matrix))])
 
 
 def document(**more: Any) -> Document:
@@ -140,7 +116,7 @@ def test_damaged_documents_are_refused_in_one_sentence(tmp_path: Path, seed: int
 
 
 def test_a_folder_without_documents_has_no_report(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match=r"has no document\.json: give the folder that a command has written into"):
+    with pytest.raises(InputError, match=r"has no document\.json, result\.json, .*: give the folder"):
         write_report(tmp_path)
     with pytest.raises(InputError, match="is no folder of results"):
         write_report(tmp_path / "nowhere")

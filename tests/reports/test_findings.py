@@ -15,8 +15,8 @@ from fmuid.estimation.search.loop import TerminationReason
 from fmuid.files import file_name
 from fmuid.formatting import rounded, with_std
 from fmuid.identification import identify
-from fmuid.reports.console import result as console_result
-from fmuid.reports.messages.result import ending
+from fmuid.reports.topics import uncertainty
+from fmuid.reports.topics.termination import ending
 from fmuid.runs.findings import at_minimum
 
 
@@ -52,7 +52,7 @@ def test_rounded_without_deviation() -> None:
     ],
 )
 def test_interval(ends: tuple[float, float], shown: str) -> None:
-    assert console_result._interval(*ends, value=0.04) == shown
+    assert uncertainty._interval(*ends, value=0.04) == shown
 
 
 def test_file_name() -> None:

@@ -22,9 +22,9 @@ from experiments.coil import study as coil
 from fmuid.apps.cli.app import run
 from fmuid.diagnosis import SkippedWindow
 from fmuid.files import locked
-from fmuid.reports.console.following import state
-from fmuid.reports.console.layout import console
-from fmuid.reports.messages.monitoring import gap_words
+from fmuid.reports.render.console import console
+from fmuid.reports.render.progress import state
+from fmuid.reports.topics.monitoring import gap_words
 from fmuid.runs import follow as following
 from fmuid.runs.follow import FollowStatus
 from fmuid.runs.log_following import follower

@@ -17,7 +17,7 @@ import fmuid
 from fmuid.display_mixins import shown_by
 from fmuid.estimation import Identifiability, TerminationReason, WeakDirection
 from fmuid.formatting import with_std
-from fmuid.reports.notebook import Drawing, plots
+from fmuid.reports.render.notebook import Drawing, plots
 from fmuid.runs.batch.dataset import Dataset
 from fmuid.runs.folder import write_identification
 from tests.support.coil_study import COIL, STUDY, coil_table
@@ -60,14 +60,14 @@ def test_a_notebook_with_five_figures_can_be_kept(found: fmuid.IdentificationRun
 
 
 def test_a_result_draws_itself_without_its_findings(found: fmuid.IdentificationRun) -> None:
-    assert [len(found.result.plot.residuals().models), len(found.plot.residuals().models)] == [1, 3]
-    assert len(found.result.plot.fit().models) == len(found.result.plot.accuracy().models) == 1
+    assert [len(found.result.plot.residuals().charts), len(found.plot.residuals().charts)] == [1, 3]
+    assert len(found.result.plot.fit().charts) == len(found.result.plot.accuracy().charts) == 1
     assert dir(found.result.plot) == ["accuracy", "correlation", "criterion", "fit", "parameters", "residuals"]
     with pytest.raises(fmuid.InputError, match=r"fmuid\.run"):
         found.result.plot.parabolas("R")
     with pytest.raises(AttributeError, match="nothing to draw as 'optima': there is accuracy, correlation, criterion"):
         found.result.plot.optima()
-    assert len(found.plot.parabolas("L").models) == 1
+    assert len(found.plot.parabolas("L").charts) == 1
 
 
 def test_tables(found: fmuid.IdentificationRun, tmp_path: Path) -> None:
@@ -166,14 +166,14 @@ def test_texts_are_short(found: fmuid.IdentificationRun, tmp_path: Path) -> None
 
 
 def test_without_anybody_who_shows_there_is_the_text(found: fmuid.IdentificationRun) -> None:
-    shown_by("fmuid.reports.notebook")
+    shown_by("fmuid.reports.render.notebook")
     from fmuid import display_mixins as displays
 
     displays._by.clear()
     try:
         assert found.result._repr_html_() is None
     finally:
-        shown_by("fmuid.reports.notebook")
+        shown_by("fmuid.reports.render.notebook")
 
 
 def test_what_cannot_be_drawn() -> None:

@@ -6,10 +6,19 @@ import math
 from types import SimpleNamespace
 from typing import Any
 
+import numpy as np
 import pytest
 
 from fmuid.estimation import TerminationReason
-from fmuid.reports.messages.prediction import fold_words, prediction_words
+from fmuid.reports.topics.prediction import fold_remark, prediction_remarks
+
+
+def fold_text(predictions: list[Any]) -> str:
+    return fold_remark(predictions).text
+
+
+def prediction_texts(found: Any) -> list[str]:
+    return [each.text for each in prediction_remarks(found)]
 
 
 def prediction(ratio: float, **more: Any) -> Any:
@@ -23,7 +32,7 @@ def prediction(ratio: float, **more: Any) -> Any:
 
 @pytest.fixture(autouse=True)
 def no_residuals(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("fmuid.reports.messages.prediction.residual_words", lambda *_: ())
+    monkeypatch.setattr("fmuid.reports.topics.prediction.residual_words", lambda *_: ())
 
 
 @pytest.mark.parametrize(
@@ -35,20 +44,24 @@ def no_residuals(monkeypatch: pytest.MonkeyPatch) -> None:
     ],
 )
 def test_how_good_a_prediction_is(ratio: float, said: str) -> None:
-    (words,) = prediction_words(prediction(ratio))
+    (words,) = prediction_texts(prediction(ratio))
     assert words.startswith("i in run is predicted with a fit of 93.5 % (RMSE 0.2 A)")
     assert said in words
     assert ("or the machine has changed" in words) == (ratio == 2.0)
 
 
 def test_what_a_prediction_leaves_open() -> None:
-    again = SimpleNamespace(converged=False, names=("i_start",), outcome=TerminationReason.ITERATION_LIMIT)
-    _, open_, estimated = prediction_words(prediction(1.0, undetermined=("R", "dR"), estimated=again))
+    value = np.array([0.1])
+    again = SimpleNamespace(
+        converged=False, names=("i_start",), values=value, std=value, outcome=TerminationReason.ITERATION_LIMIT
+    )
+    _, open_, values, estimated = prediction_texts(prediction(1.0, undetermined=("R", "dR"), estimated=again))
     assert open_ == "The result leaves R and dR undetermined: the band is that of the noise alone"
+    assert values == "Estimated again on run: i_start = 0.10 ± 0.10"
     assert estimated.startswith("Estimated again on this record, i_start: ")
 
 
 def test_what_leaving_out_each_experiment_says() -> None:
-    assert fold_words([prediction(math.nan)]) == "Nothing says how large the residuals should be"
-    assert fold_words([prediction(0.9), prediction(1.1)]).endswith("as noise and estimates let expect (1.1 times)")
-    assert "predicted up to 3.5 times worse than" in fold_words([prediction(0.9), prediction(3.5)])
+    assert fold_text([prediction(math.nan)]) == "Nothing says how large the residuals should be"
+    assert fold_text([prediction(0.9), prediction(1.1)]).endswith("as noise and estimates let expect (1.1 times)")
+    assert "predicted up to 3.5 times worse than" in fold_text([prediction(0.9), prediction(3.5)])

@@ -13,18 +13,18 @@ import pytest
 import fmuid
 from fmuid import codec
 from fmuid.diagnosis import BaselineSource
-from fmuid.reports.interactive.style import MAX_ROWS
-from fmuid.reports.page.faults import part_of_diagnosis, part_of_monitoring
-from fmuid.reports.page.preparation import preparation_words, sections
-from fmuid.runs import MonitoringRun, read_identification
+from fmuid.reports.chart import MAX_ROWS
+from fmuid.reports.documents import document
+from fmuid.reports.topics.preprocessing import preparation_words, preprocessing_charts, preprocessing_sections
+from fmuid.runs import MonitoringRun, read_diagnosis, read_identification, read_monitoring
 from fmuid.runs.faults import MonitoredTables
 from fmuid.runs.folder import MONITORING_SCHEMA
 from fmuid.runs.log_following import follower
 from fmuid.runs.preprocessing import prepared
 from fmuid.runs.provenance import made_now
 from fmuid.studies import ExperimentSettings, Study
+from tests.support.charts import drawn
 from tests.support.coil_study import COIL, coil_table
-from tests.support.live_figures import preparation
 from tests.support.running import run_diagnosis, run_following, run_monitoring, run_study
 
 STUDY = """
@@ -124,9 +124,9 @@ def test_pieces_of_a_long_record_are_thinned_and_the_record_is_read_once(
 def test_the_report_draws_it_and_says_what_was_done(study: Study, tmp_path: Path) -> None:
     found = run_study(study, tmp_path, report=True)
     assert tmp_path / "preparation.csv" in found.files
-    cut, mean = sections(read_identification(tmp_path).prepared)
-    assert (cut.heading, cut.name) == ("What was done with the table first: cut", "preparation")
-    assert (mean.heading, mean.name) == ("What was done with the table first: mean", "preparation-2")
+    cut, mean = preprocessing_sections(read_identification(tmp_path).prepared, several=True)
+    assert (cut.heading, cut.key) == ("What was done with the table first: cut", "preparation")
+    assert (mean.heading, mean.key) == ("What was done with the table first: mean", "preparation-2")
     said = "The table was given the columns current = shunt / 50 and cut from 0.1 s to 0.4 s."
     assert cut.caption.startswith(said)
     assert mean.caption == "The table was detrended (i: mean)."
@@ -146,16 +146,16 @@ def test_the_pages_of_a_diagnosis_and_of_a_monitoring_draw_it_too(
     words = coil.study | {"experiments": [record], "parameters": {}, "diagnosis": known}
     found = run_diagnosis(Study.of(words, tmp_path / "test.toml"), tmp_path / "out")
     assert tmp_path / "out" / "diagnosis-preparation.csv" in found.files
-    drawn = {each.name: each for each in part_of_diagnosis(tmp_path / "out").sections}
-    assert drawn["prepared"].caption.startswith("The table was cut from 0.1 s.")
+    shown = {each.key: each for each in document(read_diagnosis(tmp_path / "out")).sections}
+    assert shown["prepared"].caption.startswith("The table was cut from 0.1 s.")
     study = Study.of(words | {"monitoring": {"false_alarm_rate": 0.01}}, tmp_path / "test.toml")
     second = shutil.copy(test.path, tmp_path / "second.csv")
     for tables in ([test.path], [test.path, second]):
         watched = run_monitoring(study, tables, tmp_path / "out", append=len(tables) > 1)
         assert tmp_path / "out" / "monitoring-preparation.csv" in watched.files
-    drawn = {each.name: each for each in part_of_monitoring(tmp_path / "out").sections}
-    assert drawn["monitored"].caption.startswith("The table was cut from 0.1 s.")
-    assert drawn["monitored-2"].heading.endswith("second")
+    shown = {each.key: each for each in document(read_monitoring(tmp_path / "out")).sections}
+    assert shown["monitored"].caption.startswith("The table was cut from 0.1 s.")
+    assert shown["monitored-2"].heading.endswith("second")
     monkeypatch.setattr(follower, "SETTLED", 0.0)
     read, original = list[Path](), ExperimentSettings.read_frame
 
@@ -169,9 +169,9 @@ def test_the_pages_of_a_diagnosis_and_of_a_monitoring_draw_it_too(
         shutil.copy(test.path, tmp_path / "records" / f"{name}.csv")
         run_following(study, tmp_path / "records", tmp_path / "follow", until=lambda watching: watching.idle)
     assert [path.stem for path in read if path.parent.name == "records"] == ["faulty-coil", "second"]  # each once
-    drawn = {each.name: each for each in part_of_monitoring(tmp_path / "follow").sections}
-    assert drawn["monitored"].caption.startswith("The table was cut from 0.1 s.")
-    assert drawn["monitored-2"].heading.endswith("second")
+    shown = {each.key: each for each in document(read_monitoring(tmp_path / "follow")).sections}
+    assert shown["monitored"].caption.startswith("The table was cut from 0.1 s.")
+    assert shown["monitored-2"].heading.endswith("second")
     once, followed = (pd.read_csv(tmp_path / name / "monitoring-preparation.csv") for name in ("out", "follow"))
     pd.testing.assert_frame_equal(once.drop(columns="experiment"), followed.drop(columns="experiment"))
 
@@ -222,16 +222,15 @@ def test_a_record_that_grows_is_drawn_once_and_thin(tmp_path: Path) -> None:
 
 def test_the_figure_shows_before_in_grey_and_after(study: Study, raw: pd.DataFrame) -> None:
     cut, _ = prepared(study)
-    grid = preparation.preparation(cut.table, {"u": "V"})
-    u, current = [plot for plot, *_ in sorted(grid.children, key=lambda child: child[1:])]
-    assert u.yaxis.axis_label == "u (V)"
-    assert [len(plot.renderers) for plot in (u, current)] == [2, 1]
-    before, after = u.renderers
-    np.testing.assert_array_equal(before.data_source.data["t"], raw["time"])
-    assert (after.data_source.data["t"][0], after.data_source.data["t"][-1]) == pytest.approx((0.1, 0.4))
-    assert before.glyph.line_color == "#6e7781"
-    assert u.x_range is current.x_range
-    assert (u.xaxis.visible, current.xaxis.visible) == (False, True)
+    u, current = preprocessing_charts(cut.table, {"u": "V"}).charts
+    assert u.y.label == "u (V)"
+    assert [len(each.layers) for each in (u, current)] == [2, 1]
+    (before,), (after,) = drawn(u, "line", "as recorded"), drawn(u, "line", "as used")
+    np.testing.assert_array_equal(before["x"], raw["time"])
+    assert (after["x"][0], after["x"][-1]) == pytest.approx((0.1, 0.4))
+    assert u.layers[0].color == "grey"
+    assert u.x.linked == current.x.linked
+    assert (u.x.shown, current.x.shown) == (False, True)
 
 
 def test_every_word_is_said() -> None:

@@ -8,7 +8,7 @@ import sys
 import pytest
 
 from fmuid.progress import Event, FaultStep, GlobalStep, MapStep, ProfileStep, SamplingStep, SearchStep, WindowStep
-from fmuid.reports.console.progress import Display
+from fmuid.reports.render.progress import Display
 
 STEP = SearchStep(number=3, criterion=12.5, damping=0.1, accepted=True, values={"R": 4.25, "L": 0.1})
 EVENTS = [

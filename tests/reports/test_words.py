@@ -15,10 +15,11 @@ from fmuid.estimation.covariance import Identifiability, WeakDirection
 from fmuid.estimation.search.loop import TerminationReason
 from fmuid.identification.prior_and_data import ExtrapolationReason
 from fmuid.models import SolverConfiguration
-from fmuid.reports.messages.accuracy import passed_words
-from fmuid.reports.messages.identifiability import direction_words
-from fmuid.reports.messages.prior_and_data import obstacle_words
-from fmuid.reports.messages.result import ENDS, capitalised, ending, remarks
+from fmuid.reports.document import capitalised
+from fmuid.reports.shared_phrases import direction_words
+from fmuid.reports.topics.prior_and_data import obstacle_words
+from fmuid.reports.topics.solver_check import passed_words
+from fmuid.reports.topics.termination import ENDS, ending, remarks
 
 TIMES = np.linspace(0.0, 1.0, 60)
 

@@ -12,8 +12,8 @@ import pytest
 from fmuid import Experiment, Isolation, Parameter, Problem, Simulator, System, identify
 from fmuid.errors import InputError
 from fmuid.models import SolverConfiguration
-from fmuid.reports.messages.solver import run_words
-from fmuid.reports.messages.validation import check_words
+from fmuid.reports.topics.solver_check import run_words
+from fmuid.reports.topics.validation import check_words
 from fmuid.simulation import Subject, validate
 from fmuid.simulation.executor_pool import closing
 from tests.support.isolated import PROCESSES

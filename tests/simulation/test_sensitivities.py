@@ -21,7 +21,7 @@ from fmuid.estimation import SensitivityMethod
 from fmuid.identification import Problem
 from fmuid.models.component import Numerics
 from fmuid.models.system import System
-from fmuid.reports.messages.solver import sensitivity_words
+from fmuid.reports.topics.solver_check import sensitivity_words
 from fmuid.simulation.sensitivities import ForwardSensitivities, derivatives_of
 from fmuid.simulation.simulator import Simulator
 from tests.support.closed_forms import ball, coil_response

@@ -15,7 +15,7 @@ import pytest
 import fmuid
 from fmuid.apps.cli.app import run
 from fmuid.apps.cli.options import DONE, NOT_SUCCEEDED, WRONG_INPUT
-from fmuid.reports.messages.validation import check_words
+from fmuid.reports.topics.validation import check_words
 from fmuid.simulation import smoke_test as smoke
 from fmuid.simulation import validation
 from fmuid.simulation.native.build import compiler_here

@@ -13,7 +13,7 @@ import pytest
 import fmuid
 from fmuid.models import read_description
 from fmuid.models.component import DEFAULT_INTEGRATOR, DEFAULT_TOLERANCE, INTEGRATORS
-from fmuid.reports.console.draft import remarks
+from fmuid.reports.topics.init import remarks
 from fmuid.studies.init.draft import draft, match_data_files
 from fmuid.studies.init.lines import LINE_LENGTH
 from fmuid.studies.init.parameter_survey import Candidate, ParameterProposal, bounds

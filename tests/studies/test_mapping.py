@@ -10,7 +10,7 @@ import pytest
 from fmuid.apps.cli.options import DONE, NOT_SUCCEEDED, WRONG_INPUT
 from fmuid.errors import InputError
 from fmuid.models import read_description
-from fmuid.reports.console import draft as console_draft
+from fmuid.reports.topics import init as console_draft
 from fmuid.studies import InitOptions, Reason, Study, match_data_files
 from fmuid.studies.init.column_matching import guess
 from tests.support.coil_study import COIL, coil_table, fmuid_

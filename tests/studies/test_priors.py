@@ -13,7 +13,7 @@ import pytest
 from fmuid.data import Normal
 from fmuid.errors import InputError
 from fmuid.estimation import TerminationReason
-from fmuid.reports.messages.result import source_words
+from fmuid.reports.shared_phrases import source_words
 from fmuid.studies import SourceIssue
 from fmuid.studies.study import Study
 from tests.support.paths import FMUS

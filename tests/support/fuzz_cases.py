@@ -123,8 +123,8 @@ def fast(monkeypatch: pytest.MonkeyPatch) -> None:
             assert len(name) < 250
         return [folder / f"{name}.{kind}" for name in figures]
 
-    monkeypatch.setattr("fmuid.reports.figures.style.save", save)
-    monkeypatch.setattr("fmuid.reports.page.document._document", lambda figures: ({}, [], [""] * len(figures)))
+    monkeypatch.setattr("fmuid.reports.render.matplotlib_renderer.save", save)
+    monkeypatch.setattr("fmuid.reports.render.html.embedded", lambda figures: ({}, [], [""] * len(figures)))
     read = Study.read
     monkeypatch.setattr(Study, "read", lambda path, overrides=(), **_: read(path, overrides))
 

@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import Any
 
 from fmuid.progress import Progress
-from fmuid.reports.messages.monitoring import alarm_sentence
 from fmuid.reports.run import published
+from fmuid.reports.topics.monitoring import alarm_sentence
 from fmuid.runs import (
     DiagnosisRun,
     FollowStatus,

@@ -40,8 +40,9 @@ def batch(
     no_report: NoReport = False,
 ) -> int:
     """Run the many identifications of a study's [batch]; the same command resumes them."""
-    from fmuid.reports.console import layout as console
-    from fmuid.reports.console.progress import Display
+    from fmuid.reports.render import console
+    from fmuid.reports.render.progress import Display
+    from fmuid.reports.topics.study_notes import source_notes
     from fmuid.runs import Batch
     from fmuid.studies import Study
 
@@ -55,7 +56,7 @@ def batch(
         resume=resume,
         isolated=not no_isolation,
     )
-    console.note_sources(read)
+    console.show_notes(source_notes(read))
     with answering("saving the finished cases, then ending the workers, then their summary (Ctrl-C leaves it out)"):
         with Display() as display:
             found = job.run(display)
@@ -65,7 +66,7 @@ def batch(
 
 def _show(job: Batch, found: BatchResult, figures: str | None, *, report: bool) -> int:
     """Show and write what a batch has found so far."""
-    from fmuid.reports.console import layout as console
+    from fmuid.reports.render import console
 
     logs = job.dataset.log_count()
     said = [f"{path} was damaged and is removed: its cases are run again" for path in found.lost]
@@ -73,14 +74,13 @@ def _show(job: Batch, found: BatchResult, figures: str | None, *, report: bool) 
     console.show_notes(said)
     if found.finished:
         from fmuid.reports.publish import publish
-        from fmuid.reports.render.console import show
         from fmuid.reports.topics.batch import batch_document
         from fmuid.reports.topics.batch_tables import write_summary
 
         summary, frame = found.summary()
         written = write_summary(found, summary, job.study)
         document = batch_document(found, summary, frame, job.study)
-        show(document)
+        console.show(document)
         written += publish(job.folder, document, report=report, figures=figures)
         console.show_files([*job.dataset.files(), *written])
     if found.interrupted:

@@ -15,7 +15,7 @@ from fmuid.apps.cli.options import DONE, NOT_SUCCEEDED, FmuFile
 def info(fmu: FmuFile) -> int:
     """Show parameters, inputs, outputs and units of an FMU, with a first study."""
     from fmuid.models import FMU, facts, uncollected
-    from fmuid.reports.console.fmu import show_facts
+    from fmuid.reports.topics.models import show_facts
 
     with uncollected():
         show_facts(facts(FMU(fmu)))
@@ -25,7 +25,7 @@ def info(fmu: FmuFile) -> int:
 def validate(fmu: FmuFile) -> int:
     """Check an FMU: description, binaries, and a short simulation of each interface."""
     from fmuid.models import FMU
-    from fmuid.reports.console.fmu import show_binaries, show_validation
+    from fmuid.reports.topics.models import show_binaries, show_validation
     from fmuid.simulation import check_binaries, validate
 
     model = FMU(fmu)
@@ -67,7 +67,7 @@ def init(
     ] = None,
 ) -> int:
     """Write a first study file for an FMU and data; a terminal is asked in doubt."""
-    from fmuid.reports.console.draft import asked_about, show_draft
+    from fmuid.reports.topics.init import asked_about, show_draft
     from fmuid.studies import InitOptions, check_output, draft, match_data_files, parse_column, value_of, write_draft
 
     check_output(output)
@@ -139,12 +139,13 @@ def export(
     """Export a Modelica model as an FMU (needs the extra 'export')."""
     from fmuid.errors import ModelicaWarning
     from fmuid.export import export_fmu
-    from fmuid.reports.console import layout as console
+    from fmuid.reports.document import Remark
+    from fmuid.reports.render import console
 
     names = [name.strip() for name in sensitivities.split(",")] if sensitivities else []
     with warnings.catch_warnings(record=True) as remarks:
         warnings.simplefilter("always", ModelicaWarning)
         fmu = export_fmu(model, output, fmi=fmi, sensitivities="all" if names == ["all"] else names)
-    console.show_remarks(str(each.message) for each in remarks)
+    console.show_remarks(Remark(str(each.message), "doubt") for each in remarks)
     console.show_files([fmu])
     return DONE

@@ -56,9 +56,9 @@ def predict(
     with logged(folder, no_isolation) as isolated:
         from fmuid import files
         from fmuid.reports import published
-        from fmuid.reports.console import layout as console
-        from fmuid.reports.console.prediction import show_predictions
-        from fmuid.reports.console.progress import Display
+        from fmuid.reports.documents import document
+        from fmuid.reports.render import console
+        from fmuid.reports.render.progress import Display
         from fmuid.runs import predicted_by, write_prediction
 
         records = data or []
@@ -78,7 +78,7 @@ def predict(
         try:
             found = write_prediction(folder, found)
         finally:  # what was found is shown also where there is no room for it
-            show_predictions(found)
+            console.show(document(found))
         console.show_files(published(found, folder, report=not no_report, figures=figures).files)
         return DONE
 
@@ -128,8 +128,8 @@ def report(
     ],
 ) -> int:
     """Write report.html of a results folder, one page that loads nothing."""
-    from fmuid.reports.console import layout as console
-    from fmuid.reports.page.write import write_report
+    from fmuid.reports.publish import write_report
+    from fmuid.reports.render import console
 
     console.show_files([write_report(results)])
     return DONE
@@ -147,7 +147,7 @@ def apply(
     ] = None,
 ) -> int:
     """Write identified values as the start values of a copy of an FMU."""
-    from fmuid.reports.console import layout as console
+    from fmuid.reports.render import console
     from fmuid.runs import apply_result
 
     _show_applied(apply_result(result, fmu, output, component))
@@ -157,9 +157,9 @@ def apply(
 
 def _show_applied(applied: Sequence[AppliedValue]) -> None:
     from fmuid.formatting import rounded, unit_text
-    from fmuid.reports.console import layout as console
+    from fmuid.reports.document import Section, table_of
+    from fmuid.reports.render import console
 
-    numbers = ("old start", "new start", "std")
     rows = []
     for each in applied:
         old, known = each.old, math.isfinite(each.std)
@@ -167,8 +167,9 @@ def _show_applied(applied: Sequence[AppliedValue]) -> None:
         cells = ["" if old is None else f"{old:.6g}" if isinstance(old, float) else str(old), new]
         cells += [rounded(each.std, each.std) if known else "", unit_text(each.unit)]
         rows.append((each.variable, *cells))
-    heads = ("variable", *numbers, "unit")
-    console.console().print(console.table_of_rows("Start values", heads, rows, right=numbers))
+    heads = ("variable", "old start", "new start", "std", "unit")
+    columns = {head: [row[k] for row in rows] for k, head in enumerate(heads)}
+    console.show_section(Section("starts", "Start values", table=table_of(columns, ("unit",))))
 
 
 def _study(result: Path, study: Path | None, set_: list[str] | None, data: list[Path], *, isolated: bool) -> Study:

@@ -28,7 +28,8 @@ from fmuid.files import is_folder, noted, replacing
 
 if TYPE_CHECKING:
     from fmuid.progress import Event
-    from fmuid.reports.console.progress import Display
+    from fmuid.reports.document import Document
+    from fmuid.reports.render.progress import Display
     from fmuid.simulation import OutputFit
     from fmuid.studies import Study
 
@@ -53,8 +54,9 @@ def simulate(
     folder = folder_of(output, study)
     with opened(study, set_, no_isolation, folder) as read:
         from fmuid import files
-        from fmuid.reports.console import layout as console
-        from fmuid.reports.page.write import draw_simulation
+        from fmuid.reports.publish import publish, write_figures
+        from fmuid.reports.render import console
+        from fmuid.reports.topics.fit import fit_sections, scores_section
         from fmuid.runs import stacked
 
         files.make_folder(folder)
@@ -62,31 +64,37 @@ def simulate(
         fits = read.fits() if result is None else _fits_at(read, result)
         table = stacked([fit.experiment for fit in fits], [fit.simulated_frame() for fit in fits])
         written = [files.write_table(folder / "simulated.csv", table)]
-        console.show_fits(fits)
-        written += _sensitivities(read, folder) if sensitivities else []
-        written += draw_simulation(folder, fits, figures, sensitivities=sensitivities)
-        console.show_files(written)
+        console.show_section(scores_section(fits))
+        sections = fit_sections(fits, caption="")
+        if sensitivities:
+            more, shown = _sensitivities(read, folder)
+            written += [*more, *publish(folder, shown, report=False)]
+            sections += shown.sections
+        console.show_files([*written, *write_figures(folder, sections, figures)])
         return DONE
 
 
 def _warn(study: Study) -> None:
     """Say where priors come from, which inputs nothing feeds, and that times may be in another unit."""
-    from fmuid.reports.console import layout as console
+    from fmuid.reports.render import console
+    from fmuid.reports.topics.study_notes import input_notes, source_notes, time_notes
 
     simulators = study.simulators()
-    console.note_sources(study)
-    console.warn_unfed(simulators)
-    console.warn_of_time(study, simulators)
+    console.show_notes([*source_notes(study), *input_notes(simulators), *time_notes(study, simulators)])
 
 
-def _sensitivities(study: Study, folder: Path) -> list[Path]:
-    """Write the sensitivities of a study, and where they come from."""
+def _sensitivities(study: Study, folder: Path) -> tuple[list[Path], Document]:
+    """Write the sensitivities of a study, and where they come from; return the files and the document."""
     from fmuid.files import write_table
-    from fmuid.runs import sensitivities_of, stacked, write_origin
+    from fmuid.reports.topics.design import sensitivity_document
+    from fmuid.runs import made_from, sensitivities_of, stacked, write_origin
 
     found = sensitivities_of(study)
     table = stacked([each.experiment for each in found], [each.table for each in found])
-    return [write_table(folder / "sensitivities.csv", table), write_origin(folder / "sensitivities.json", study)]
+    units = {name: each.units.get(name, study.system.unit(name)) for each in study.tables for name in each.output_names}
+    shown = sensitivity_document([(each.experiment, each.table) for each in found], units, made_from(study))
+    files = [write_table(folder / "sensitivities.csv", table), write_origin(folder / "sensitivities.json", study)]
+    return files, shown
 
 
 def _fits_at(study: Study, result: Path) -> tuple[OutputFit, ...]:
@@ -115,9 +123,9 @@ def identify(
     folder = folder_of(output, study)
     with opened(study, set_, no_isolation, folder) as read:
         from fmuid.reports import published
-        from fmuid.reports.console import layout as console
-        from fmuid.reports.console import result as console_result
-        from fmuid.reports.console.progress import Display
+        from fmuid.reports.documents import document
+        from fmuid.reports.render import console
+        from fmuid.reports.render.progress import Display
         from fmuid.runs import at_minimum, identified
 
         _warn(read)
@@ -125,7 +133,7 @@ def identify(
         with answering("saving what has been found (Ctrl-C again ends it without)"), Display() as display:
             for each in identified(read, folder, resume=resume, progress=partial(_show_event, display)):
                 display.pause()
-                console_result.show_findings(each)
+                console.show(document(each), None if found is None else document(found))
                 known = each.assessment.residuals is not None
                 if left_out and known and not at_minimum(each.result):
                     console.show_notes(["[uncertainty] is left out: it needs a search that has ended at a minimum"])
@@ -144,7 +152,7 @@ def _show_event(display: Display, event: Event, /) -> None:
         If SIGTERM or SIGHUP has come, which leaves out what follows too.
     """
     from fmuid.progress import DataOnlyStep
-    from fmuid.reports.console import layout as console
+    from fmuid.reports.render import console
 
     match event:
         case DataOnlyStep():
@@ -168,19 +176,19 @@ def diagnose(
     folder = folder_of(output, study)
     with opened(study, set_, no_isolation, folder) as read:
         from fmuid.reports import published
-        from fmuid.reports.console import layout as console
-        from fmuid.reports.console.diagnosis import show_diagnosis
-        from fmuid.reports.console.progress import Display
+        from fmuid.reports.documents import document
+        from fmuid.reports.render import console
+        from fmuid.reports.render.progress import Display
+        from fmuid.reports.topics.study_notes import input_notes, source_notes
         from fmuid.runs import diagnosed
 
         if read.diagnosis is not None:
-            console.note_sources(read)
-            console.warn_unfed(read.simulators())
+            console.show_notes([*source_notes(read), *input_notes(read.simulators())])
         found = None
         with Display() as display:
             for each in diagnosed(read, folder, progress=display):
                 display.pause()
-                show_diagnosis(each.diagnosis)
+                console.show(document(each))
                 found = published(each, folder, report=not no_report, figures=figures)
         assert found is not None, "a run yields, or raises an error"
         console.show_files(found.files)
@@ -209,13 +217,14 @@ def monitor(
     folder = folder_of(output, study)
     with opened(study, set_, no_isolation, folder) as read:
         from fmuid.reports import published
-        from fmuid.reports.console import layout as console
-        from fmuid.reports.console.monitoring import show_monitoring
-        from fmuid.reports.console.progress import Display
+        from fmuid.reports.documents import document
+        from fmuid.reports.render import console
+        from fmuid.reports.render.progress import Display
+        from fmuid.reports.topics.study_notes import source_notes
         from fmuid.runs import monitored
 
         if read.diagnosis is not None:
-            console.note_sources(read)
+            console.show_notes(source_notes(read))
         if follow:
             return _follow(read, data, folder, resume=resume, figures=figures, report=not no_report)
         saving = "saving the records examined so far, with which --resume goes on"
@@ -223,7 +232,7 @@ def monitor(
         with answering(saving), Display() as display:
             for each in monitored(read, data, folder, append=resume, progress=display):
                 display.pause()
-                show_monitoring(each)
+                console.show(document(each))
                 found = published(each, folder, report=not no_report, figures=figures)
         assert found is not None, "a run yields, or raises an error"
         console.show_files(found.files)
@@ -234,10 +243,12 @@ def _follow(
     study: Study, data: list[Path], folder: Path, *, resume: bool, figures: FigureFormat | None, report: bool
 ) -> int:
     """Monitor what a logger writes until it is interrupted."""
-    from fmuid.reports import alarm_sentence, show_results
-    from fmuid.reports.console.following import FollowingDisplay
-    from fmuid.reports.console.layout import show_files
-    from fmuid.runs import followed
+    from fmuid.reports.documents import document
+    from fmuid.reports.publish import publish
+    from fmuid.reports.render.console import show_files
+    from fmuid.reports.render.progress import FollowingDisplay
+    from fmuid.reports.topics.monitoring import alarm_sentence
+    from fmuid.runs import findings_of, followed
 
     for word, given in (("several folders", len(data) > 1), ("--resume", resume), ("--figures", bool(figures))):
         if given:
@@ -251,8 +262,8 @@ def _follow(
             display(watching)
     if watching is None or not watching.files:
         return DONE
-    show_files([*watching.files, *show_results(folder, report=report)])
     monitor = watching.monitor
+    show_files([*watching.files, *publish(folder, document(findings_of(monitor)), report=report)])
     return NOT_SUCCEEDED if monitor.alarms or monitor.undetermined else DONE
 
 
@@ -278,21 +289,19 @@ def design(
     folder = folder_of(output, study)
     with opened(study, set_, no_isolation, folder) as read:
         from fmuid import files
-        from fmuid.reports import healthy_record_words
-        from fmuid.reports.console import layout as console
-        from fmuid.reports.page.write import show_results
-        from fmuid.runs import healthy_record_cost, ranked_excitations, write_origin
+        from fmuid.reports.publish import publish
+        from fmuid.reports.render import console
+        from fmuid.reports.topics.design import design_document
+        from fmuid.runs import healthy_record_cost, made_from, ranked_excitations, write_origin
 
         files.make_folder(folder)
         ranked = ranked_excitations(read, data, by=criterion, fault=fault)
         written = [files.write_table(folder / "design.csv", ranked), write_origin(folder / "design.json", read, data)]
-        console.show_frame("Excitations, the best first", ranked)
-        if fault is not None:
-            best = str(ranked["excitation"].iloc[0])
-            cost = healthy_record_cost(read, data, fault, best)
-            console.show_frame(f"Healthy records, in lengths of {best}: the smallest size found", cost)
-            console.show_remarks(healthy_record_words(cost))
-        console.show_files([*written, *show_results(folder, report=not no_report)])
+        best = str(ranked["excitation"].iloc[0])
+        cost = None if fault is None else healthy_record_cost(read, data, fault, best)
+        shown = design_document(ranked, cost, made_from(read, data))
+        console.show(shown)
+        console.show_files([*written, *publish(folder, shown, report=not no_report)])
         return DONE
 
 
@@ -315,7 +324,7 @@ def workbench(
     if AVAILABLE:
         start_server()  # it loads its code while this process loads its own
     from fmuid.apps.workbench import Folder, Workbench, entry_file, start_browser
-    from fmuid.reports.console.layout import show_notes
+    from fmuid.reports.render.console import show_notes
 
     study = None if is_folder(target) else target
     if study is not None and not study.is_file():
@@ -356,7 +365,7 @@ def logged(folder: Path, no_isolation: bool) -> Iterator[bool]:
         with telling_files():
             yield not no_isolation
         return
-    from fmuid.reports.console.layout import show_notes
+    from fmuid.reports.render.console import show_notes
     from fmuid.simulation import start_server
 
     start_server()  # it loads its code while this process loads its own
@@ -378,7 +387,7 @@ def telling_files() -> Iterator[None]:
             yield
         except (Exception, KeyboardInterrupt):
             if written:
-                from fmuid.reports.console.layout import show_files
+                from fmuid.reports.render.console import show_files
 
                 show_files(dict.fromkeys(written))
             raise

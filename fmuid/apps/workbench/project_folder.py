@@ -9,9 +9,9 @@ from itertools import islice
 from pathlib import Path
 from typing import Any
 
+from fmuid.apps.workbench.saved import read_json, study_of_content
 from fmuid.errors import InputError
 from fmuid.files import full, is_file, is_folder
-from fmuid.reports.page.saved import read_json, study_of_content
 from fmuid.studies import read_toml
 
 RESULTS = {

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import io
 import sys
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +15,7 @@ from rich.table import Table as RichTable
 from rich.text import Text
 
 from fmuid.formatting import visible
-from fmuid.reports.document import Document, Remark, Section, Table
+from fmuid.reports.document import Column, Document, Remark, Section, Table
 
 # Into a file or a pipe, where nobody can widen the window: what a README shows without scrolling.
 PLAIN_WIDTH = 110
@@ -38,13 +38,15 @@ def console() -> Console:
     return _Console(highlight=False, width=None if sys.stdout.isatty() else PLAIN_WIDTH)
 
 
-def show(document: Document) -> None:
-    """Print the tables of a document, its sentences and how it ended."""
+def show(document: Document, before: Document | None = None) -> None:
+    """Print the tables of a document, its sentences and how it ended; not again what was shown `before`."""
     out = console()
-    for section in document.sections:
+    keys = set() if before is None else {each.key for each in before.sections}
+    said = set() if before is None else {each.text for each in before.remarks}
+    for section in (each for each in document.sections if each.key not in keys):
         show_section(section, out)
     out.print()
-    show_remarks(document.remarks)
+    show_remarks(each for each in document.remarks if each.text not in said)
     color = TONES[document.tone]
     out.print(f"[bold {color}]{escape(document.heading)}: {escape(document.state)}[/]", soft_wrap=True)
 
@@ -65,21 +67,24 @@ def show_remarks(remarks: Iterable[Remark]) -> None:
         console().print(f"{mark}{escape(each.text)}", soft_wrap=True)
 
 
-def rich_table(columns: Table, title: str, out: Console) -> RichTable:
-    """Return a table with a rule below the heads, no frame, no column without any cell, and what there is room for."""
+def rich_table(columns: Table, title: str, out: Console, styles: Mapping[str, str] | None = None) -> RichTable:
+    """Return a table with a rule below the heads, no frame, no column without any cell, and what there is room for.
+
+    Cells of `styles` are painted so.
+    """
     shown = [each for each in columns if any(each.cells)]
     hidden = 0
     if out.is_terminal and shown and len(shown[0].cells) > TERMINAL_ROWS:
         hidden = len(shown[0].cells) - TERMINAL_ROWS
     unlimited = out.options.update(max_width=UNLIMITED_WIDTH)
     for rank in sorted({each.rank for each in shown if each.rank}, reverse=True):
-        if Measurement.get(out, unlimited, _table(shown, title, hidden)).maximum <= out.width:
+        if Measurement.get(out, unlimited, _table(shown, title, hidden, {})).maximum <= out.width:
             break
         shown = [each for each in shown if each.rank != rank]
-    return _table(shown, title, hidden)
+    return _table(shown, title, hidden, styles or {})
 
 
-def _table(columns: Iterable[Any], title: str, hidden: int) -> RichTable:
+def _table(columns: Iterable[Column], title: str, hidden: int, styles: Mapping[str, str]) -> RichTable:
     from rich import box
 
     made = RichTable(
@@ -98,7 +103,7 @@ def _table(columns: Iterable[Any], title: str, hidden: int) -> RichTable:
         made.add_column(escape(each.head), justify="right" if each.number else "left", overflow="fold")
     rows = list(zip(*(each.cells for each in shown), strict=True))
     for cells in rows[: len(rows) - hidden]:
-        made.add_row(*map(escape, cells))
+        made.add_row(*(Text(cell, style=styles[cell]) if cell in styles else escape(cell) for cell in cells))
     return made
 
 

@@ -55,15 +55,16 @@ def written(documents: Sequence[Document], live: frozenset[str] = frozenset()) -
     ----------
     documents : sequence of Document
     live : frozenset of str
-        Keys of sections whose charts a server draws: `PLACE` stands for them.
+        Keys of sections whose charts a server draws: `place_of` stands for them.
     """
     drawings: list[tuple[Any, Any]] = []
     body = "".join(_document(each, drawings, live, several=len(documents) > 1) for each in documents)
     return body, drawings
 
 
-PLACE = "<!-- figure -->"
-"""Where a figure stands that a server draws."""
+def place_of(key: str) -> str:
+    """Return what stands where a server draws the figures of a section."""
+    return f"<!-- figure {key} -->"
 
 
 def text(words: object) -> str:
@@ -141,7 +142,7 @@ def _sentence(said: Remark, here: set[str]) -> str:
 
 def _section(section: Section, drawings: list[Any], live: frozenset[str]) -> str:
     if section.key in live:
-        cells = PLACE
+        cells = place_of(section.key)
     else:
         content, places, divisions = embedded(section.charts)
         drawings.append((content, places))

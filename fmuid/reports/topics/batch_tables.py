@@ -12,8 +12,8 @@ import pandas as pd
 from fmuid.files import write_table
 from fmuid.formatting import rounded, unit_text, with_std
 from fmuid.reports.document import Section, table_of
-from fmuid.reports.messages.identifiability import open_words
-from fmuid.reports.messages.result import ENDS
+from fmuid.reports.shared_phrases import open_words
+from fmuid.reports.topics.termination import ENDS
 from fmuid.runs import BatchOverview, EstimateWarning, Summary, made_from, write_overview
 
 if TYPE_CHECKING:

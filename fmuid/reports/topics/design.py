@@ -32,6 +32,8 @@ from fmuid.runs import Provenance
 if TYPE_CHECKING:
     import pandas as pd
 
+    from fmuid.runs import Provenance
+
 ENOUGH = 1.1
 """A healthy record is long enough where a longer one lowers the smallest size found by no more than this."""
 WORST = "The shorter, the better: the largest of the parameters' relative standard deviations, the best excitation red."

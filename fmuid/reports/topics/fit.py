@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -183,7 +183,7 @@ def fit_charts(fit: OutputFit, band: Band | None = None, rows: slice = slice(Non
     thin, dots = times[kept], times[some] if some is not kept else times[kept]
     dots = thin if some is kept else dots
     across = Axis("time (s)", reach=(float(times[0]), float(times[-1])), linked="time", ticks=8)
-    grey = _uncounted(fit, rows)
+    grey = uncounted(fit, rows)
     charts = []
     for k, j in enumerate(outputs):
         line, rest = (short(each[kept, k]) for each in (simulated, residual))
@@ -216,7 +216,7 @@ def fit_charts(fit: OutputFit, band: Band | None = None, rows: slice = slice(Non
     return replace(stacked(charts), live=of)
 
 
-def _uncounted(fit: Any, rows: slice) -> list[Layer]:
+def uncounted(fit: OutputFit, rows: slice = slice(None)) -> list[Layer]:
     """Return the grey part of what does not count at the beginning of a record."""
     counted = np.asarray(fit.counted[rows].any(axis=1))
     if not counted.any() or counted[0]:

@@ -6,7 +6,6 @@ import math
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
-import numpy as np
 import pandas as pd
 
 from fmuid.formatting import unit_text
@@ -32,6 +31,7 @@ from fmuid.reports.topics.uncertainty import (
 
 if TYPE_CHECKING:
     from fmuid.estimation import Result
+    from fmuid.identification import PriorDataComparison, ResidualAnalysis
     from fmuid.runs import IdentificationRun
     from fmuid.simulation import OutputFit
 
@@ -41,6 +41,7 @@ _ODD = (Deviation.LARGER, Deviation.SMALLER)
 class RunMessage(Message):
     """How models were run, and what is left of the measurements."""
 
+    POINT = ("{point}", "the best point of a search that was interrupted before a fit began from it")
     NOISE = ("Residual: {noise}", "the standard deviation of each output's residual, beside that given")
     RUN = (
         "{model} run as {run}",
@@ -72,18 +73,14 @@ def _effort(result: Result) -> dict[str, str]:
 def _remarks(found: IdentificationRun) -> list[Remark]:
     """Return the sentences on an identification, the verdict first."""
     result, names, checks = found.result, found.result.names, found.assessment
+    reading, residuals = checks.prior_and_data, checks.residuals
     said = [Remark(capitalised(ending(result), names), "plain" if result.converged else "bad", "criterion")]
+    if reading is None or residuals is None:  # interrupted before anything could be examined
+        point = ", ".join(f"{name} = {result[name]:.6g}" for name in names)
+        return [RunMessage.POINT.said("plain", "", names, point=point), *said]
     said += [*precision_remarks(result), *fit_remarks(found.fits)]
     said += [Remark(dropout_words(*each), "doubt", "fit") for each in found.dropouts.items()]
-    said += result_remarks(result)
-    if (reading := checks.prior_and_data) is not None:
-        odd = reading.agreement is not None and reading.agreement.probability < SIGNIFICANCE_LEVEL
-        odd |= any(each.deviation in _ODD for each in reading.variances)
-        words = reading_words(reading, found.output_units)
-        said += [Remark(text, "doubt" if odd else "plain", "belief") for text in words]
-    if (residuals := checks.residuals) is not None:
-        coloured: Tone = "doubt" if any(each.large for each in residuals.findings) else "plain"
-        said += [Remark(text, coloured, "residuals") for text in residual_words(residuals, found.output_units)]
+    said += [*result_remarks(result), *_examined(found, reading, residuals)]
     said.append(RunMessage.NOISE.said("plain", "residuals", noise=_noise(result, found.fits)))
     for component, model in result.models.items():
         run = run_words(SolverConfiguration(**model["run"]))
@@ -94,6 +91,15 @@ def _remarks(found: IdentificationRun) -> list[Remark]:
     if checks.posterior is not None and checks.posterior.converged:
         said.append(RunMessage.POSTERIOR.said("plain", "posterior", words=posterior_words(checks.posterior)))
     return said + ([RunMessage.INTERRUPTED.said("bad")] if checks.interrupted else [])
+
+
+def _examined(found: IdentificationRun, reading: PriorDataComparison, residuals: ResidualAnalysis) -> list[Remark]:
+    """Return what prior and data, and the residuals, show."""
+    coloured: Tone = "doubt" if any(each.large for each in residuals.findings) else "plain"
+    odd = reading.agreement is not None and reading.agreement.probability < SIGNIFICANCE_LEVEL
+    odd |= any(each.deviation in _ODD for each in reading.variances)
+    said = [Remark(text, "doubt" if odd else "plain", "belief") for text in reading_words(reading, found.output_units)]
+    return said + [Remark(text, coloured, "residuals") for text in residual_words(residuals, found.output_units)]
 
 
 def _noise(result: Result, fits: Sequence[OutputFit]) -> str:
@@ -113,35 +119,19 @@ def identification_sections(found: IdentificationRun) -> list[Section]:
     checks = found.assessment
     reading, residuals = checks.prior_and_data, checks.residuals
     optima = found.optima if result.optima else pd.DataFrame()
-    told = [{"name": each.experiment, "preparation": each.words, "columns": each.units} for each in found.prepared]
-    others = [{"name": fit.experiment} for fit in fits if fit.experiment not in {each["name"] for each in told}]
-    changed = [each.table for each in found.prepared if len(each.table)]
+    none = pd.DataFrame(columns=["experiment", "output", "with"])
+    correlations = none if residuals is None else residuals.correlations
     sections = [
         *([optima_section(result)] if result.optima else []),
         estimates_section(result, checks.level),
         *([interval_section(checks, result)] if checks.is_explored else []),
         *fit_sections(fits),
-        *(preprocessing_sections(pd.concat(changed, ignore_index=True), [*told, *others]) if changed else []),
-        *([] if residuals is None else [residual_section(fits, residuals.correlations)]),
+        *preprocessing_sections(found.prepared, len(fits) > 1),
+        *([residual_section(fits, correlations)] if fits else []),
         *optimization_sections(result, estimates, optima, found.output_units),
-        *(prior_sections(reading, units) if found.has_prior and reading is not None else []),
+        *(prior_sections(reading, units) if reading is not None and found.has_prior else []),
         *correlation_sections(result, units, checks.level),
         *solver_section(estimates),
         *(uncertainty_sections(checks, result, units, optima) if checks.is_explored else []),
     ]
     return [each for each in sections if each.charts or each.table]
-
-
-def result_sections(result: Result, fits: Sequence[OutputFit]) -> list[Section]:
-    """Return the sections that a result has by itself."""
-    estimates = result.to_frame().reset_index()
-    units = dict(result.units)
-    known = np.isfinite(result.std).any()
-    return [
-        estimates_section(result),
-        *fit_sections(fits),
-        residual_section(fits, pd.DataFrame(columns=["experiment", "output", "with"])),
-        *optimization_sections(result, estimates, pd.DataFrame(), {}),
-        *(correlation_sections(result, units) if known else []),
-        *solver_section(estimates),
-    ]

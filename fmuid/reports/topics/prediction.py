@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from fmuid.formatting import fit_text, listed, two_digits, unit_text, with_std, with_unit
+from fmuid.identification import ResidualAnalysis
 from fmuid.reports.document import Document, Message, Remark, Section, Table, Tone, table_of
 from fmuid.reports.shared_phrases import source_words
 from fmuid.reports.topics.fit import CONSTANT, Band, fit_sections
@@ -80,18 +81,23 @@ def prediction_document(found: PredictionRun) -> Document:
     said += [PredictionMessage.SEEN.said("doubt", names=listed(found.seen))] if seen else []
     said += [each for prediction in predictions for each in prediction_remarks(prediction)]
     said += [fold_remark(predictions)] if found.folds else []
+    series = tuple(one for each in predictions for one in each.residuals.series)
+    sections = (
+        Section("scores", "Predicted against measured", table=_scores(predictions)),
+        *prediction_fits(found),
+        residual_section([each.fit for each in predictions], ResidualAnalysis(series, {}).correlations),
+    )
+    return Document("prediction", "Prediction", state, tone, tuple(said), sections, **origin_of(found.origin))
+
+
+def prediction_fits(found: PredictionRun) -> list[Section]:
+    """Return a section a data file: measured and predicted outputs with their band."""
     bands: dict[str, Band] = {}
-    for each in predictions:
+    for each in found.predictions:
         half = _half_width(each)
         if np.isfinite(half).any():
             bands[each.fit.experiment] = half, each.level
-    fits = [each.fit for each in predictions]
-    sections = (
-        Section("scores", "Predicted against measured", table=_scores(predictions)),
-        *fit_sections(fits, "Predicted", CAPTION, bands, "prediction"),
-        residual_section(fits, found.correlations),
-    )
-    return Document("prediction", "Prediction", state, tone, tuple(said), sections, **origin_of(found.origin))
+    return fit_sections([each.fit for each in found.predictions], "Predicted", CAPTION, bands, "prediction")
 
 
 def _half_width(found: Prediction) -> np.ndarray:

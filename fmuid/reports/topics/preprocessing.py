@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import pandas as pd
 
 from fmuid.formatting import listed
 from fmuid.reports.chart import (
@@ -22,6 +21,11 @@ from fmuid.reports.chart import (
     stacked,
 )
 from fmuid.reports.document import Section
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+    from fmuid.runs import PreprocessedTable
 
 CAPTION = (
     "Grey is what was recorded, blue what the model is driven by and compared with. Columns that stay as they were "
@@ -59,28 +63,24 @@ def preprocessing_charts(table: pd.DataFrame, units: Units | None = None) -> Cha
 
 
 def preprocessing_sections(
-    table: pd.DataFrame, experiments: Sequence[Mapping[str, Any]], key: str = "preparation"
+    prepared: Sequence[PreprocessedTable], several: bool, key: str = "preparation"
 ) -> list[Section]:
-    """Return a section for each experiment whose table was prepared; of more than are drawn, of the first.
+    """Return a section for each experiment whose data file was prepared; of more than are drawn, of the first.
 
     Parameters
     ----------
-    table : DataFrame
-        As for `preprocessing_charts`, with ``experiment``.
-    experiments : sequence of mapping
-        With ``name``, and where they were prepared ``preparation`` and ``columns``.
+    prepared : sequence of PreprocessedTable
+    several : bool
+        Whether there are several experiments, so that each is named.
     key : str
         Of the sections.
     """
     shown: list[Section] = []
-    for each in experiments:
-        rows, words = table[table["experiment"] == each["name"]], each.get("preparation")
-        if not words or not len(rows) or len(shown) == MAX_EXPERIMENTS:
-            continue
-        heading = "What was done with the table first" + (f": {each['name']}" if len(experiments) > 1 else "")
-        caption = f"{preparation_words(words)}." + ("" if shown else f" {CAPTION}")
+    for each in [one for one in prepared if one.words and len(one.table)][:MAX_EXPERIMENTS]:
+        heading = "What was done with the table first" + (f": {each.experiment}" if several else "")
+        caption = f"{preparation_words(each.words)}." + ("" if shown else f" {CAPTION}")
         anchor = key if not shown else f"{key}-{len(shown) + 1}"
-        charts = (preprocessing_charts(rows, each.get("columns")),)
+        charts = (preprocessing_charts(each.table, each.units),)
         shown.append(Section(anchor, heading, caption, charts=charts, beside=1))
     return shown
 
@@ -92,20 +92,20 @@ def preparation_words(words: Mapping[str, Any]) -> str:
 
 
 def _done(words: Mapping[str, Any]) -> Iterator[str]:
-    if words.get("columns"):
-        yield f"given the columns {', '.join(f'{name} = {text}' for name, text in words['columns'].items())}"
-    if words.get("fill"):
-        gap = f" of at most {words['longest_gap']:g} s" if words.get("longest_gap") else ""
-        yield f"filled over gaps{gap} ({', '.join(f'{name}: {how}' for name, how in words['fill'].items())})"
-    for each in words.get("axes", ()):
-        yield f"turned from {', '.join(each['from'])} to {', '.join(each['to'])}"
-    if "low_pass" in words:
-        yield f"low-passed at {words['low_pass']:g} Hz, without a shift in time"
-    if "from" in words or "to" in words:
-        ends = [f"{key} {words[key]:g} s" for key in ("from", "to") if key in words]
-        yield f"cut {' '.join(ends)}"
-    if "resample" in words:
-        yield f"resampled in steps of {words['resample']:g} s"
+    if words.get("computed_columns"):
+        yield f"given the columns {', '.join(f'{name} = {text}' for name, text in words['computed_columns'].items())}"
+    if words.get("fill_missing"):
+        gap = f" of at most {words['max_gap']:g} s" if words.get("max_gap") else ""
+        yield f"filled over gaps{gap} ({', '.join(f'{name}: {how}' for name, how in words['fill_missing'].items())})"
+    for each in words.get("park", ()):
+        yield f"turned from {', '.join(each['source'])} to {', '.join(each['target'])}"
+    if "lowpass_frequency" in words:
+        yield f"low-passed at {words['lowpass_frequency']:g} Hz, without a shift in time"
+    ends = {"from": "start_time", "to": "end_time"}
+    if cut := [f"{word} {words[key]:g} s" for word, key in ends.items() if key in words]:
+        yield f"cut {' '.join(cut)}"
+    if "resample_interval" in words:
+        yield f"resampled in steps of {words['resample_interval']:g} s"
     if "detrend" in words:
         given = words["detrend"]
         each = ", ".join(f"{name}: {how}" for name, how in given.items()) if isinstance(given, dict) else given

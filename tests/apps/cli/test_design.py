@@ -11,7 +11,7 @@ import pytest
 import fmuid
 from experiments.coil import study as coil
 from fmuid.apps.cli.options import DONE, WRONG_INPUT
-from fmuid.reports import healthy_record_words
+from fmuid.reports.topics.design import healthy_record_remarks
 from fmuid.runs.faults import design_of
 from tests.support.coil_study import STUDY, coil_table, fmuid_
 
@@ -54,7 +54,7 @@ def test_what_healthy_records_cost_the_best_excitation(folder: Path, capsys: pyt
 
 def test_the_length_of_a_healthy_record_that_is_enough_is_said() -> None:
     cost = pd.DataFrame({"healthy": [1.0, 3.0, 10.0], "a": 1.0, "a.times": [1.4, 1.2, 1.05], "b": np.inf})
-    found = healthy_record_words(cost.assign(**{"b.times": np.nan}))
+    found = [each.text for each in healthy_record_remarks(cost.assign(**{"b.times": np.nan}))]
     assert found[0].endswith("is 1.4 times that with an endless one; with one 10 times as long, 1.05 times")
     assert found[1] == "b: this excitation does not show it, however long the healthy record is"
 

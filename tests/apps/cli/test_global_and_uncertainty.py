@@ -10,7 +10,7 @@ import pytest
 from experiments.batches.campaign import R
 from fmuid.apps.cli.options import DONE, NOT_SUCCEEDED, WRONG_INPUT
 from fmuid.progress import Event
-from fmuid.reports.console import progress
+from fmuid.reports.render import progress
 from fmuid.studies.study import Study
 from tests.support.coil_study import STUDY, fmuid_, result
 from tests.support.commands import HASTY

@@ -16,7 +16,7 @@ import fmuid
 from experiments.batches.campaign import NOISE, L, R, coil_current
 from fmuid.apps.cli.options import DONE, NOT_SUCCEEDED, WRONG_INPUT
 from fmuid.progress import Event, SearchStep
-from fmuid.reports.console import progress
+from fmuid.reports.render import progress
 from fmuid.studies.study import Study
 from tests.support.coil_study import STUDY, fmuid_, result
 from tests.support.commands import HASTY, SECOND
@@ -59,7 +59,7 @@ def test_identify_writes_tables_and_figures(folder: Path) -> None:
     out = folder / "deep/out"
     assert {path.name for path in out.iterdir()} == {
         "result.json", "estimates.csv", "trace.csv", "fit.csv", "diagnostics.csv",
-        "parameters.ssv", "report.html", "figures",
+        "parameters.ssv", "document.json", "report.html", "figures",
     }  # fmt: skip
     figures = {path.name for path in (out / "figures").iterdir()}
     drawn = ("fit", "residuals", "parameters", "criterion", "correlation", "accuracy")

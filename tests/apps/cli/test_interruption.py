@@ -18,7 +18,7 @@ from fmuid.apps.cli.signals import answering, handled, stopping
 from fmuid.estimation import cost_function as criterion
 from fmuid.estimation.evaluator import Evaluator
 from fmuid.estimation.problem import LeastSquares
-from fmuid.reports.console import progress
+from fmuid.reports.render import progress
 from tests.support.coil_study import COIL, STUDY, coil_table, fmuid_, result
 from tests.support.interrupting import SIGNALS, command, killing
 

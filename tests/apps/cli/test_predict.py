@@ -10,7 +10,7 @@ import pandas as pd
 import pytest
 
 from fmuid.apps.cli.options import DONE, WRONG_INPUT
-from fmuid.reports.messages.prediction import predicted_words
+from fmuid.reports.documents import document
 from tests.support.coil_study import STUDY, coil_table, fmuid_
 from tests.support.running import run_prediction
 
@@ -78,7 +78,8 @@ def test_the_record_of_the_result_is_no_prediction(
 ) -> None:
     assert fmuid_("predict", made / "results", made / "first.csv", "-o", tmp_path, "--no-isolation") == DONE
     out, error = capsys.readouterr()
-    assert "the result was made from first: this is no prediction" in error
+    assert "The result was made from first: this is no prediction" in " ".join(out.split())
+    assert not error
     content = json.loads((tmp_path / "prediction.json").read_text())
     page = (tmp_path / "report.html").read_text()
     origin = content["origin"]
@@ -114,7 +115,7 @@ def test_folds(made: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -
 def test_from_python(made: Path) -> None:
     found = run_prediction(made / "results", [made / "second.csv"], free=["i_start"])
     assert found.predictions[0].scores[0].ratio == pytest.approx(1.0, abs=0.1)
-    assert any("is predicted with a fit of" in words for words in predicted_words(found))
+    assert any("is predicted with a fit of" in words for words in (each.text for each in document(found).remarks))
 
 
 @pytest.mark.parametrize(

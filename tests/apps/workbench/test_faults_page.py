@@ -31,7 +31,7 @@ def text(shown: ResultsView) -> str:
 
 
 def test_what_is_written_is_shown_at_the_next_look(tmp_path: Path) -> None:
-    shown = ResultsView(Document(), tmp_path, "light", ("result.json",))
+    shown = ResultsView(Document(), tmp_path, "light", ("identification",))
     assert "no result yet" in text(shown)
     result(tmp_path, {"R": (4.0, 0.1)})
     shown.look()

@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 from bokeh.document import Document
 from bokeh.events import ButtonClick
-from bokeh.models import Button, ColumnDataSource, FileInput, Range1d
+from bokeh.models import Button, ColumnDataSource, FileInput
 
 import fmuid
 from fmuid.apps.cli.options import DONE, WRONG_INPUT
@@ -24,15 +24,15 @@ from fmuid.apps.workbench import Folder
 from fmuid.apps.workbench.home import _results, _studies
 from fmuid.apps.workbench.jobs import Jobs
 from fmuid.apps.workbench.pages.batch import BatchPage, case_settings
+from fmuid.apps.workbench.pages.live import ZoomedFit
 from fmuid.apps.workbench.pages.remedy_panel import UndeterminedResult
-from fmuid.apps.workbench.pages.results import PLACE, PredictAction, WriteAction, _compared, _zoomed, build
+from fmuid.apps.workbench.pages.results import PredictAction, WriteAction, _compared, build
 from fmuid.apps.workbench.project_folder import FoundResult, FoundStudy
 from fmuid.estimation import Result
 from fmuid.progress import EVENTS, BatchStep, Event, GlobalStep, SearchStep, of_line, to_line
-from fmuid.reports.console.progress import Display
-from fmuid.reports.page.document import Part, written_parts
-from fmuid.reports.page.fits import fit_sections
-from fmuid.reports.page.write import contents
+from fmuid.reports.render.document_json import read_documents
+from fmuid.reports.render.progress import Display
+from fmuid.reports.topics.fit import fit_charts
 from fmuid.runs import CaseList, made_from
 from fmuid.runs.batch.study_package import BatchStudy
 from fmuid.simulation import OutputFit
@@ -121,15 +121,13 @@ def test_results_stand_side_by_side(tmp_path: Path) -> None:
         rest = {"std": 0.1, "start": 1.0, "degrees_of_freedom": "inf", "lower": "-inf", "upper": "inf"}
         whole = {key: rest | each for key, each in parameters.items()}
         result(tmp_path / name, {key: (each["value"], 0.1) for key, each in parameters.items()}, parameters=whole)
-    _, (part,) = _compared(Folder(tmp_path), [tmp_path / "first", tmp_path / "second"])
-    rows = [re.findall(r"<t[hd][^>]*>([^<]*)<", row) for row in part.table.split("<tr>")[2:]]
+    body, ((_, (drawn,)),) = _compared(Folder(tmp_path), [tmp_path / "first", tmp_path / "second"])
+    table = body.partition("</table>")[0]
+    rows = [re.findall(r"<t[hd][^>]*>([^<]*)<", row) for row in table.split("<tr>")[2:]]
     assert rows[0] == ["R (Ohm)", "4.00 ± 0.10", "4.50 ± 0.10"]
     assert rows[1:] == [["L (H)", "2.00 ± 0.10", ""], ["k", "1.00 ± 0.10", ""], ["L (mH)", "", "2000.00 ± 0.10"]]
-    assert "fmuid compare first second" in part.table
-    (of_r,) = part.sections[0].figures  # nothing stands beside what only one has, nor beside another unit
-    (drawn,) = {renderer.data_source for renderer in of_r.renderers}
-    np.testing.assert_allclose(drawn.data["value"], [4.0, 4.5])
-    np.testing.assert_allclose(drawn.data["upper"] - drawn.data["value"], 0.196, rtol=1e-3)
+    assert "fmuid compare first second" in body
+    assert len(drawn["roots"]) == 1  # nothing stands beside what only one has, nor beside another unit
 
 
 def test_from_results_to_what_would_help(tmp_path: Path) -> None:
@@ -162,9 +160,9 @@ def test_from_results_to_what_would_help(tmp_path: Path) -> None:
     assert [(name, each.start) for name, each in design.parameters.items()] == [("R", 4.0), ("L", 0.05)]
     build(doc := asked_for("known"), bench_of(tmp_path))
     assert "designing" not in {each.name for each in doc.roots}
-    _, (part,) = _compared(Folder(tmp_path), [tmp_path / "open", tmp_path / "known"])
-    assert part.table.count("Hold L") == 1
-    assert 'href="/results?file=open#remedies"' in part.table
+    body, _ = _compared(Folder(tmp_path), [tmp_path / "open", tmp_path / "known"])
+    assert body.count("Hold L") == 1
+    assert 'href="/results?file=open#remedies"' in body
     path.unlink()
     assert UndeterminedResult(Folder(tmp_path), tmp_path / "open").names == []
 
@@ -186,36 +184,36 @@ def test_figures_of_results_have_places_on_their_page(tmp_path: Path) -> None:
         assert all(f'id="{place}"' in body for place in places)
 
 
-def test_a_long_fit_is_thinned_anew_where_one_looks(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_long_fit_is_thinned_anew_where_one_looks() -> None:
     times, rng = np.linspace(0.0, 10.0, 50_001), np.random.default_rng(1)
     simulated = np.sin(times)[:, None]
     half, counted = np.full_like(simulated, 0.3), np.ones_like(simulated, dtype=bool)
     measured = simulated + rng.normal(0.0, 0.1, simulated.shape)
     record = OutputFit("first", times, ("i",), ("A",), measured, simulated, counted)
-    short = OutputFit("second", times[:600], ("i",), ("A",), measured[:600], simulated[:600], counted[:600])
-    doc, due = Document(), list[Any]()
-    monkeypatch.setattr(doc, "add_next_tick_callback", due.append)
-    sections = fit_sections("fit", "Fit", "", (record, short), {"first": (half, 0.95)})
-    (part,), names = _zoomed(doc, [Part("", "", True, [], "", sections)])
-    assert names == [root.name for root in doc.roots] == ["fit"]
-    assert written_parts([part])[0].count(PLACE) == len(names)
-    assert part.sections[1] is sections[1]  # all of its samples are there
-    (across,) = doc.select({"type": Range1d})
-    lines, dots = sorted(doc.select({"type": ColumnDataSource}), key=lambda source: "s0" not in source.data)
-    assert len(lines.data["t"]) < 5000
+    due = list[Any]()
+    zoomed = ZoomedFit(due.append, times, fit_charts(record, (half, 0.95)), "light")
+    across = zoomed.window.across
+
+    def shown() -> dict[str, dict[str, Any]]:
+        return {each.mark: dict(each.data) for each in zoomed.grid.charts[0].layers}
+
+    assert len(shown()["line"]["x"]) < 5000
     across.update(start=2.0, end=2.1)
     assert len(due) == 1  # once for both ends
     due.pop()()
     rows = slice(9999, 10_501)  # one more at the beginning
-    for source in (lines, dots):
-        np.testing.assert_array_equal(source.data["t"], times[rows])
-        np.testing.assert_allclose(source.data["m0"], measured[rows, 0], rtol=1e-6)
-    np.testing.assert_allclose(lines.data["r0"], (measured - simulated)[rows, 0], rtol=1e-5, atol=1e-7)
-    np.testing.assert_allclose(lines.data["b0"], (simulated + half)[rows, 0], rtol=1e-6)
+    line, dots, band = shown()["line"], shown()["points"], shown()["band"]
+    for each in (line, dots):
+        np.testing.assert_array_equal(each["x"], times[rows])
+    np.testing.assert_allclose(dots["y"], measured[rows, 0], rtol=1e-6)
+    np.testing.assert_allclose(line["r"], (measured - simulated)[rows, 0], rtol=1e-5, atol=1e-7)
+    np.testing.assert_allclose(band["y1"], (simulated + half)[rows, 0], rtol=1e-6)
+    sources = zoomed.figure.select({"type": ColumnDataSource})
+    assert any(len(source.data["c0"]) == 502 for source in sources if "c0" in source.data)  # they are exchanged
     across.update(start=0.0, end=10.0)
     due.pop()()
-    assert lines.data["t"][[0, -1]].tolist() == [0.0, 10.0]
-    assert len(lines.data["t"]) < 5000
+    assert shown()["line"]["x"][[0, -1]].tolist() == [0.0, 10.0]
+    assert len(shown()["line"]["x"]) < 5000
 
 
 def test_a_page_of_no_results_says_where_they_are_chosen(tmp_path: Path) -> None:
@@ -362,6 +360,7 @@ def test_a_dropped_table_is_predicted(tmp_path: Path) -> None:
     assert (tmp_path / "results/prediction/dropped/third.csv").is_file()
     assert "Done" in page.run.state.text
     assert "The prediction" in page.said.text
-    _, (part,) = contents(tmp_path / "results/prediction")
-    assert "third" in part.table
-    assert [each.name for each in part.sections] == ["prediction", "residuals"]
+    (part,) = read_documents(tmp_path / "results/prediction").values()
+    scores, *drawn = part.sections
+    assert "third" in scores.table[0].cells
+    assert [each.key for each in drawn] == ["prediction", "residuals"]

@@ -19,14 +19,12 @@ from bokeh.models import Button
 
 from fmuid.apps.workbench import Folder
 from fmuid.apps.workbench.jobs import Jobs
-from fmuid.apps.workbench.pages.identification_panel import UNCERTAIN
-from fmuid.apps.workbench.pages.live import LatestOnlyWorker
+from fmuid.apps.workbench.pages.latest_only_worker import LatestOnlyWorker
 from fmuid.apps.workbench.pages.sliders import PLACES, reach_of
 from fmuid.apps.workbench.pages.study import StudyPage
 from fmuid.data import Normal, Parameter
 from fmuid.errors import InputError
 from fmuid.estimation import Result
-from fmuid.reports.page.identification import CAPTIONS
 from fmuid.simulation import Simulator
 from fmuid.studies import Study
 from tests.support.coil_study import STUDY, coil_table
@@ -67,6 +65,10 @@ class Page:
             while self.due:
                 self.due.pop(0).callback()
             time.sleep(0.001)
+
+    def layer(self, label: str) -> dict[str, Any]:
+        """Return the data of a layer of the first chart."""
+        return next(dict(each.data) for each in self.page.live.grid.charts[0].layers if each.label == label)
 
     def shown(self) -> np.ndarray[Any, Any]:
         return self.page.live.record.simulated[:, 0]
@@ -111,11 +113,10 @@ def test_a_slider_simulates_and_draws(page: Page, path: Path) -> None:
     assert row.typed.value == f"{row.value:.6g}"
     expected = simulated(path, row.value, page.rows["L"].value)
     np.testing.assert_allclose(page.shown(), expected, rtol=1e-12)
-    drawn, times = page.page.live.lines.data["s0"], page.page.live.lines.data["t"]
+    line = page.layer("simulated")
+    drawn, times = line["y"], line["x"]
     np.testing.assert_allclose(drawn, np.interp(times, page.page.live.record.times, expected), rtol=1e-5, atol=1e-6)
-    np.testing.assert_allclose(
-        page.page.live.lines.data["r0"], page.page.live.record.measured[:, 0] - expected, rtol=1e-4, atol=1e-6
-    )
+    np.testing.assert_allclose(line["r"], page.page.live.record.measured[:, 0] - expected, rtol=1e-4, atol=1e-6)
 
 
 def test_the_lines_stay_in_the_ranges(page: Page) -> None:
@@ -198,10 +199,6 @@ def test_what_is_asked_for_besides_is_what_a_study_says(page: Page, path: Path) 
     assert page.page.words("identify") == ["identify", "study.toml"]
 
 
-def test_what_is_shown_besides_are_parts_of_the_report() -> None:
-    assert set(UNCERTAIN) <= CAPTIONS.keys()
-
-
 def test_from_not_determined_to_the_remedy(page: Page, path: Path, tmp_path: Path) -> None:
     remedies = page.page.identifying.remedies
     result(tmp_path, {"R": (4.0, 0.1), "L": (0.1, None)})
@@ -236,7 +233,7 @@ def test_the_last_result_is_shown_behind(path: Path, tmp_path: Path) -> None:
     assert found.converged
     page = Page(tmp_path / "study.toml")
     values = dict(zip(found.names, found.values.tolist(), strict=True))
-    ghost = page.page.live.ghosts.data["g0"]
+    ghost = page.layer("last optimum")["y"]
     np.testing.assert_allclose(ghost, simulated(path, values["R"], values["L"])[: len(ghost)], rtol=1e-5, atol=1e-6)
     assert "from the optimum" in page.page.scores.text
     page.page.put({"R": values["R"] + 3 * found.std[found.names.index("R")]})
@@ -267,9 +264,9 @@ def test_zooming_shows_more_of_less(page: Page) -> None:
     live, times = page.page.live, page.page.live.record.times
     live.across.update(start=float(times[100]), end=float(times[200]))
     page.settle()
-    assert live.lines.data["t"][0] == times[99]
-    assert live.lines.data["t"][-1] == times[200]
-    assert live.dots.data["t"][0] == times[99]
+    assert page.layer("simulated")["x"][0] == times[99]
+    assert page.layer("simulated")["x"][-1] == times[200]
+    assert page.layer("measured")["x"][0] == times[99]
 
 
 def test_only_the_newest_is_done() -> None:

@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 
 from fmuid.progress import BatchStep
-from fmuid.reports.console.progress import Display
+from fmuid.reports.render.progress import Display
 from fmuid.runs.batch.batch import Batch
 from fmuid.runs.batch.run_case import CaseRunner
 from tests.support.coil_batches import (

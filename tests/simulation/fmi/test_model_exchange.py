@@ -16,7 +16,7 @@ from fmuid.data.experiment import Experiment
 from fmuid.errors import InputError, SimulationError
 from fmuid.models.component import Component, Numerics
 from fmuid.models.system import System
-from fmuid.reports.messages.solver import run_words
+from fmuid.reports.topics.solver_check import run_words
 from fmuid.simulation.simulator import Simulator
 from tests.support.closed_forms import coil_response
 from tests.support.paths import FMUS

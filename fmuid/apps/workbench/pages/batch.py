@@ -21,9 +21,9 @@ from fmuid.apps.workbench.home import address, escaped
 from fmuid.apps.workbench.page_layout import LINE, SHEET, WIDE, argument, dress, words
 from fmuid.apps.workbench.pages.results_view import EVERY, side_by_side
 from fmuid.apps.workbench.project_folder import Folder, FoundResult, FoundStudy, beside
+from fmuid.apps.workbench.saved import read_json
 from fmuid.errors import InputError
 from fmuid.files import is_file
-from fmuid.reports.page.saved import read_json
 from fmuid.reports.render.bokeh_models import live
 from fmuid.reports.render.bokeh_renderer import drawing
 from fmuid.reports.topics.case_charts import over_cases

@@ -13,7 +13,7 @@ from fmuid.apps.workbench.home import escaped
 from fmuid.apps.workbench.jobs import Job, Jobs, command_text
 from fmuid.apps.workbench.page_layout import LINE, button, words
 from fmuid.progress import Event, SearchStep
-from fmuid.reports.console.progress import event_words
+from fmuid.reports.render.progress import event_words
 
 EVERY = 150
 """Milliseconds between two looks at a command that runs."""

@@ -17,7 +17,7 @@ from fmuid.apps.workbench.pages.results_view import ResultsView
 from fmuid.apps.workbench.project_folder import Folder, beside, read_study, tables
 from fmuid.errors import InputError
 
-KINDS = ("monitoring.json", "diagnosis.json")
+KINDS = ("monitoring", "diagnosis")
 
 
 def build(doc: Any, bench: Any) -> None:

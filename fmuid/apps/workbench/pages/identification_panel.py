@@ -7,8 +7,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from itertools import combinations
 from pathlib import Path
-from typing import Any
 
+import numpy as np
 from bokeh.layouts import column
 from bokeh.models import ColumnDataSource, Select, Spinner
 
@@ -23,9 +23,10 @@ from fmuid.errors import InputError
 from fmuid.files import is_file
 from fmuid.formatting import of_parameter
 from fmuid.progress import Event, SearchStep
-from fmuid.reports.interactive.live import in_scheme
-from fmuid.reports.interactive.style import BLUE, MAX_PARAMETERS, RED, Panel
-from fmuid.reports.page import identification
+from fmuid.reports import documents_of
+from fmuid.reports.chart import MAX_PARAMETERS, Axis, Chart, Data, Layer
+from fmuid.reports.render.bokeh_models import live
+from fmuid.reports.render.bokeh_renderer import DrawnCharts, drawing
 
 SEARCHES = {
     "from here": [],
@@ -69,8 +70,10 @@ class IdentificationPanel:
             each.on_change("value", lambda _attr, _old, _new: self._asked())
         self.controls = column(self.how, self.starts, self.also, self.run.layout, sizing_mode="stretch_width")
         self.names = names[: MAX_PARAMETERS - 1]
-        self.trace = ColumnDataSource({"k": [], "c": [], **{f"v{i}": [] for i in range(len(self.names))}}, name="trace")
-        self.refused = ColumnDataSource({"k": [], "c": []})
+        self.trace: dict[str, list[float]] = {key: [] for key in ("k", "c", *(f"v{i}" for i in range(len(self.names))))}
+        self.refused: dict[str, list[float]] = {"x": [], "y": []}
+        self.drawn: DrawnCharts | None = None
+        self.shown: list[Chart] = []
         self.hint = words("hint", "<p>Press Identify to see the search go on here.</p>")
         self.search = column(self.hint, **WIDE)
         self.text, self.remedies, self.more = words("found"), RemedyPanel(page), column([], **WIDE)
@@ -79,17 +82,29 @@ class IdentificationPanel:
             self._follow()
         self._tell_result()
 
-    def _figures(self, searched: Mapping[str, float]) -> Any:
-        plots, free = [], [each for each in enumerate(self.names) if math.isfinite(_of(searched, each[1]))]
-        for key, text in [("c", "criterion"), *((f"v{i}", self.page.rows[i].text) for i, _ in free)]:
-            plot = Panel(x="iteration", y=text, height=190, y_axis_type="log" if key == "c" else "linear")
-            plot.line("k", key, source=self.trace, line_color=BLUE, line_width=1.8)
-            plot.scatter("k", key, source=self.trace, size=5, fill_color=BLUE, line_color=None)
-            if key == "c":
-                plot.scatter("k", "c", source=self.refused, marker="x", size=8, line_color=RED)
-            plot.whole()
-            plots.append(in_scheme(plot, self.page.scheme))
-        return side_by_side(plots)
+    def _charts(self) -> list[Chart]:
+        """Return the cost and the parameters over the iterations so far."""
+        columns = {key: np.array(values, dtype=np.float64) for key, values in self.trace.items()}
+        away: Data = {key: np.array(values, dtype=np.float64) for key, values in self.refused.items()}
+        free = [i for i, name in enumerate(self.names) if np.isfinite(columns[f"v{i}"]).any() and name]
+        charts = []
+        for key, text in [("c", "criterion"), *((f"v{i}", self.page.rows[i].text) for i in free)]:
+            data: Data = {"x": columns["k"], "y": columns[key]}
+            layers = [Layer("line", data), Layer("points", data, size=5)]
+            layers += [Layer("points", away, "red", marker="x", size=8)] if key == "c" else []
+            y = Axis(text, "log" if key == "c" else "linear")
+            charts.append(Chart(Axis("iteration", whole=True), y, tuple(layers), 190))
+        return charts
+
+    def _draw(self) -> None:
+        """Show the iterations so far."""
+        charts = self._charts()
+        if self.drawn is None or len(charts) != len(self.shown):
+            self.drawn = drawing(charts, source=ColumnDataSource)
+            self.search.children = [side_by_side(live(self.drawn.figures, dark=self.page.scheme == "dark"))]
+        else:
+            self.drawn.refill(charts, self.shown)
+        self.shown = charts
 
     # --- what is asked for
 
@@ -119,8 +134,10 @@ class IdentificationPanel:
         self._clear()
 
     def _clear(self) -> None:
-        empty: dict[str, list[float]] = {key: [] for key in self.trace.data}
-        self.trace.data, self.refused.data = empty, {"k": [], "c": []}
+        for columns in (self.trace, self.refused):
+            for each in columns.values():
+                each.clear()
+        self.drawn = None
         self.hint.text = "<p>The search begins …</p>"
         self.search.children = [self.hint]
 
@@ -128,19 +145,18 @@ class IdentificationPanel:
         """Draw the steps of the search, and move the sliders with them."""
         steps = [each for each in events if isinstance(each, SearchStep)]
         taken = [each for each in steps if each.accepted]
-        if taken:
-            columns: dict[str, list[float]] = {"k": [each.number for each in taken]}
-            columns["c"] = [each.criterion for each in taken]
-            for i, name in enumerate(self.names):
-                columns[f"v{i}"] = [_of(each.values, name) for each in taken]
-            self.trace.stream(columns)
-            last = taken[-1].values
-            if self.hint in self.search.children:  # empty figures have no ranges
-                self.search.children = [self._figures(last)]
-            self.page.put({name: _of(last, name) for name in self.names if math.isfinite(_of(last, name))}, note=False)
+        for each in taken:
+            values = [_of(each.values, name) for name in self.names]
+            for column_, value in zip(self.trace.values(), [each.number, each.criterion, *values], strict=True):
+                column_.append(value)
         away = [each for each in steps if not each.accepted and math.isfinite(each.criterion)]
-        if away:
-            self.refused.stream({"k": [each.number for each in away], "c": [each.criterion for each in away]})
+        self.refused["x"] += [each.number for each in away]
+        self.refused["y"] += [each.criterion for each in away]
+        if self.trace["k"] and steps:
+            self._draw()
+        if taken:
+            last = taken[-1].values
+            self.page.put({name: _of(last, name) for name in self.names if math.isfinite(_of(last, name))}, note=False)
 
     def _end(self, job: Job) -> None:
         self.page.show_result(self.page.results, move=job.code == 0)
@@ -157,13 +173,13 @@ class IdentificationPanel:
             self.text.text = f"<p>There is no result yet: press Identify.{more}</p>"
             return
         try:
-            part = identification.part(folder)
+            document = documents_of(folder)["identification"]
             self.remedies.tell(folder)
-        except InputError as error:
+        except (InputError, KeyError) as error:
             self.text.text = f"<p class=error>{escaped(error)}</p>"
             return
         said, *drawn = models(
-            [replace(part, sections=[each for each in part.sections if each.name in UNCERTAIN])],
+            [replace(document, sections=tuple(document.sections_of(UNCERTAIN)))],
             self.page.scheme,
         )
         links = ""

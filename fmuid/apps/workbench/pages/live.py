@@ -1,62 +1,227 @@
-"""Work in a thread of which only the newest matters."""
+"""Fits that are drawn anew while somebody looks: of another simulation, within a frame, or another stretch of time.
+
+Only what changes is painted: the simulated line and its residual lie on Bokeh's overlay, above the measured dots, the
+axes and the line of the last optimum, which are painted anew when the ranges change. Ranges are those of the server,
+which moves them when a line leaves them.
+"""
 
 from __future__ import annotations
 
-import threading
-from collections.abc import Callable
-from typing import Generic, TypeVar
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from typing import Any
 
-Asked = TypeVar("Asked")
+import numpy as np
+from bokeh.models import ColumnDataSource, Range1d
+
+from fmuid.array_types import Floats
+from fmuid.data import evenly, extremes
+from fmuid.formatting import label
+from fmuid.reports.chart import MAX_OUTPUTS, Axis, Chart, ChartGrid, Figure, Layer, short, stacked
+from fmuid.reports.render.bokeh_models import live
+from fmuid.reports.render.bokeh_renderer import drawing
+from fmuid.reports.topics.fit import uncounted
+from fmuid.simulation import OutputFit
+
+# Rows of lines and dots: so many are painted within a frame on a machine without a graphics card.
+ROWS, DOTS = 1600, 700
+# An upper figure whose lines fill less than this of its height is drawn anew, with so much room around.
+LEAST_FILLED, ROOM = 0.35, 0.12
+Later = Callable[[Callable[[], None]], object]
+"""What has a callable called in a moment, as ``add_next_tick_callback`` of a document."""
 
 
-class LatestOnlyWorker(Generic[Asked]):
-    """Does what it was asked for last: what is asked for while it works replaces what waits.
+def in_scheme(figures: Sequence[Figure], scheme: str) -> list[Any]:
+    """Return Bokeh's own models of charts, in the colors of a page of this scheme, "light" or "dark"."""
+    return live(drawing(figures).figures, dark=scheme == "dark")
+
+
+class TimeRange:
+    """The stretch of time that is looked at.
 
     Parameters
     ----------
-    work : callable
-        Called in the thread with what was asked for; it raises nothing.
-    interrupt : callable, optional
-        Called in another thread to have `work` return early.
-    release : callable, optional
-        Called in the thread at its end.
+    times : (K,) array
+        Of the record, s.
+    later : Later
+    redraw : callable
+        Called when another stretch is looked at, once for both of its ends.
+
+    Attributes
+    ----------
+    across : Range1d
     """
 
-    def __init__(
-        self,
-        work: Callable[[Asked], object],
-        interrupt: Callable[[], object] = lambda: None,
-        release: Callable[[], object] = lambda: None,
-    ) -> None:
-        self._work, self._interrupt, self._release = work, interrupt, release
-        self._waiting, self._is_working, self._closed = list[Asked](), False, False
-        self._changed = threading.Condition()
-        self._thread = threading.Thread(target=self._run, daemon=True)
-        self._thread.start()
+    def __init__(self, times: Floats, later: Later, redraw: Callable[[], None]) -> None:
+        self._times, self._later, self._redraw, self._due = times, later, redraw, False
+        self.across = Range1d(float(times[0]), float(times[-1]), bounds="auto")
+        for end in ("start", "end"):
+            self.across.on_change(end, lambda _attr, _old, _new: self._moved())
 
-    def ask(self, what: Asked) -> None:
-        """Have something done as soon as what is being done is."""
-        with self._changed:
-            self._waiting[:] = [what]
-            self._changed.notify()
+    @property
+    def rows(self) -> slice:
+        """The rows of it, and one more at each end."""
+        first, last = np.searchsorted(self._times, [self.across.start, self.across.end])
+        return slice(max(0, int(first) - 1), min(len(self._times), int(last) + 1))
 
-    def close(self) -> None:
-        """End the work and the thread."""
-        with self._changed:
-            self._closed = True
-            self._changed.notify()
-            if self._is_working:
-                self._interrupt()
+    def _moved(self) -> None:
+        if not self._due:
+            self._due = True
+            self._later(self._draw)
 
-    def _run(self) -> None:
-        while (what := self._next()) is not None:
-            self._work(what[0])
-        self._release()
+    def _draw(self) -> None:
+        self._due = False
+        self._redraw()
 
-    def _next(self) -> tuple[Asked] | None:
-        """Wait for what is asked for next; None at the end."""
-        with self._changed:
-            self._is_working = False
-            self._changed.wait_for(lambda: self._waiting or self._closed)
-            self._is_working = not self._closed
-            return None if self._closed else (self._waiting.pop(),)
+
+class ZoomedFit:
+    """Charts of a fit, thinned anew for each stretch of time that is looked at.
+
+    Parameters
+    ----------
+    later : Later
+    times : (K,) array
+        Of the record, s.
+    grid : ChartGrid
+        That can be thinned anew.
+    scheme : "light" or "dark"
+
+    Attributes
+    ----------
+    figure : Bokeh model
+    grid : ChartGrid
+        As it is shown.
+    """
+
+    def __init__(self, later: Later, times: Floats, grid: ChartGrid, scheme: str) -> None:
+        self._of, self.grid = grid.live, grid
+        self.window = TimeRange(times, later, self._draw)
+        self._drawing = drawing([grid], {"time": self.window.across}, ColumnDataSource)
+        (self.figure,) = live(self._drawing.figures, dark=scheme == "dark")
+
+    def _draw(self) -> None:
+        assert self._of is not None, "charts of a fit can be thinned anew"
+        new = self._of(self.window.across.start, self.window.across.end)
+        self._drawing.refill([new], [self.grid])
+        self.grid = new
+
+
+class LiveFit:
+    """Charts of one experiment, and what to put into them.
+
+    Parameters
+    ----------
+    record : OutputFit
+        What is shown at first.
+    later : Later
+    scheme : "light" or "dark"
+
+    Attributes
+    ----------
+    figure : Bokeh model
+    grid : ChartGrid
+        As it is shown.
+    """
+
+    def __init__(self, record: OutputFit, later: Later, scheme: str) -> None:
+        self.record, self._ghost = record, np.full_like(record.simulated, np.nan)
+        self.outputs = range(min(len(record.outputs), MAX_OUTPUTS))
+        self.stretch = TimeRange(record.times, later, lambda: self.draw(self.record.simulated))
+        self.across = self.stretch.across
+        self._shown: tuple[float, float] | None = None
+        self._still: tuple[Floats, Floats, Floats, Floats] | None = None
+        self.uppers = [Range1d(0.0, 1.0) for _ in self.outputs]
+        self.lowers = [Range1d(-1.0, 1.0) for _ in self.outputs]
+        self.grid = self._grid()
+        ranges = {"time": self.across}
+        for j in self.outputs:
+            ranges |= {f"upper {j}": self.uppers[j], f"lower {j}": self.lowers[j]}
+        self._drawing = drawing([self.grid], ranges, ColumnDataSource)
+        (self.figure,) = live(self._drawing.figures, dark=scheme == "dark")
+        self.draw(record.simulated)
+
+    # --- what is shown
+
+    def draw(self, simulated: Floats) -> None:
+        """Show another simulation (K, n_outputs)."""
+        self.record = replace(self.record, simulated=simulated)
+        new = self._grid()
+        self._drawing.refill([new], [self.grid])
+        self.grid = new
+        rows = self.stretch.rows
+        shown, measured = simulated[rows], self.record.measured[rows]
+        with np.errstate(invalid="ignore", over="ignore"):
+            for j in self.outputs:
+                self._reach(j, shown[:, j], measured[:, j], measured[:, j] - shown[:, j])
+
+    def haunt(self, simulated: Floats | None) -> None:
+        """Show the simulation (K, n_outputs) of the last optimum behind, or nothing."""
+        self._ghost = np.full_like(self.record.simulated, np.nan) if simulated is None else simulated
+        self._shown = None
+        self.draw(self.record.simulated)
+
+    def _kept(self, rows: slice) -> tuple[Floats, Floats, Floats, Floats]:
+        """Return what stays while a parameter is dragged: times and measured dots, times and the last optimum."""
+        if self._still is None or (rows.start, rows.stop) != self._shown:
+            times, count = self.record.times[rows], len(self.outputs)
+            some, ghost = evenly(len(times), DOTS), self._ghost[rows, :count]
+            kept = extremes(ghost, ROWS)
+            dots = short(np.ascontiguousarray(self.record.measured[rows, :count][some].T))
+            self._still = times[some], dots, times[kept], short(np.ascontiguousarray(ghost[kept].T))
+            self._columns = [list(dots), list(self._still[3])]
+            self._shown = rows.start, rows.stop
+        return self._still
+
+    def _grid(self) -> ChartGrid:
+        """Return the charts of the stretch that is looked at."""
+        rows, count = self.stretch.rows, len(self.outputs)
+        t_dots, _, t_ghost, _ = self._kept(rows)
+        shown, measured = self.record.simulated[rows, :count], self.record.measured[rows, :count]
+        with np.errstate(invalid="ignore", over="ignore"):
+            residual = measured - shown
+            some = extremes(np.hstack([shown, residual]), ROWS)
+        thin, grey = self.record.times[rows][some], uncounted(self.record)
+        across = Axis("time (s)", linked="time", ticks=8)
+        size, charts = 3 if len(self.record.times) > DOTS else 5, []
+        hover = (("time", "@x{0.0000} s"), ("simulated", "@y{0.00000}"), ("residual", "@r{0.00000}"))
+        for j in self.outputs:
+            line, rest = short(shown[some, j]), short(residual[some, j])
+            last = j == self.outputs[-1]
+            dots, ghost = (columns[j] for columns in self._columns)
+            upper = (
+                *grey,
+                Layer("points", {"x": t_dots, "y": dots}, "grey", alpha=0.6, size=size, label="measured"),
+                Layer("line", {"x": thin, "y": line, "r": rest}, label="simulated", hover=hover, above=True),
+                Layer("line", {"x": t_ghost, "y": ghost}, "amber", width=1.6, dash="dashed", label="last optimum"),
+            )
+            error = Layer("line", {"x": thin, "y": rest, "s": line}, "red", width=0.9, above=True)
+            text, unit = self.record.outputs[j], self.record.units[j]
+            charts.append(Chart(across, Axis(label(text, unit), linked=f"upper {j}"), upper, 230, crosshair=True))
+            y = Axis(label("residual", unit), ticks=3, linked=f"lower {j}")
+            lower = (*grey, error, Layer("rule", {"y": 0.0}, "ink"))
+            charts.append(Chart(across, y, lower, 140 if last else 110, crosshair=True))
+        return stacked(charts)
+
+    def _reach(self, j: int, simulated: Floats, measured: Floats, residual: Floats) -> None:
+        """Move the ranges of an output where lines leave them, or hardly fill them."""
+        known = np.concatenate([simulated, measured])
+        known = known[np.isfinite(known)]
+        if not known.size:
+            return
+        low, high = float(known.min()), float(known.max())
+        upper, span = self.uppers[j], (high - low) or abs(high) or 1.0
+        if low < upper.start or high > upper.end or span < LEAST_FILLED * (upper.end - upper.start):
+            upper.update(start=low - ROOM * span, end=high + ROOM * span)
+        left = residual[np.isfinite(residual)]
+        most = float(np.abs(left).max()) if left.size else 0.0
+        lower = self.lowers[j]
+        if most and math.isfinite(most) and not 0.25 * lower.end < most < lower.end:
+            end = _round_up(1.05 * most)
+            lower.update(start=-end, end=end)
+
+
+def _round_up(value: float) -> float:
+    """Return the next of 1, 2, 5 times a power of ten."""
+    power = 10.0 ** math.floor(math.log10(value))
+    return next(each * power for each in (1.0, 2.0, 5.0, 10.0) if each * power >= value)

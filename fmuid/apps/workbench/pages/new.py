@@ -12,13 +12,14 @@ from fmuid.apps.workbench.home import address, escaped
 from fmuid.apps.workbench.jobs import Job, command_text
 from fmuid.apps.workbench.page_layout import LINE, SHEET, WIDE, argument, dress, several, words
 from fmuid.apps.workbench.pages.command_panel import CommandPanel
+from fmuid.apps.workbench.pages.live import in_scheme
 from fmuid.apps.workbench.project_folder import Folder, choices, tables
 from fmuid.data import first_lines
 from fmuid.errors import FmuidError, InputError
-from fmuid.reports.console.draft import LINK_HEADS, heading, link_cells, remarks
-from fmuid.reports.interactive.live import in_scheme
-from fmuid.reports.interactive.preparation import preparation
-from fmuid.reports.page.document import details, table
+from fmuid.reports.document import table_of
+from fmuid.reports.render.html import details, table
+from fmuid.reports.topics.init import LINK_HEADS, heading, link_cells, remarks
+from fmuid.reports.topics.preprocessing import preprocessing_charts
 from fmuid.runs import prepared_columns
 from fmuid.studies import InitOptions, MatchedDataFile, match_data_files, parse_column, value_of
 from fmuid.units import TIME_UNITS
@@ -158,7 +159,7 @@ class NewPage:
     def _figure(self, record: MatchedDataFile) -> Any:
         assert record.experiment is not None
         drawn = prepared_columns(record.settings, record.experiment, record.frame, whole=True)
-        return in_scheme(preparation(drawn, record.frame.attrs.get("units", {})), self.scheme)
+        return in_scheme([preprocessing_charts(drawn, record.frame.attrs.get("units", {}))], self.scheme)[0]
 
     # --- writing
 
@@ -186,14 +187,13 @@ def _typed(title: str, value: str, name: str) -> TextInput:
 def _record(record: MatchedDataFile, folder: Folder) -> str:
     """Return what a table has and what it is taken for, as HTML."""
     links = [link_cells(link) for link in record.links]
-    taken = table({head: [cells[k] for cells in links] for k, head in enumerate(LINK_HEADS)})
+    taken = table(table_of({head: [cells[k] for cells in links] for k, head in enumerate(LINK_HEADS)}, LINK_HEADS))
     first = record.frame.head(ROWS)
-    read = table(
-        {
-            str(name): [f"{each:.6g}" if isinstance(each, float) else str(each) for each in first[name]]
-            for name in [record.time, *record.columns]
-        }
-    )
+    columns = {
+        str(name): [f"{each:.6g}" if isinstance(each, float) else str(each) for each in first[name]]
+        for name in [record.time, *record.columns]
+    }
+    read = table(table_of(columns, columns))
     file = "\n".join(first_lines(record.path, 2 * ROWS))[:CHARACTERS]
     file = details("The beginning of the file", file) if file else ""
     said = "".join(f"<li>{escaped(each)}</li>" for each in remarks(record))

@@ -6,12 +6,11 @@ import base64
 import binascii
 import json
 import math
+import re
 from collections.abc import Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import pandas as pd
 from bokeh.layouts import column, row
 from bokeh.models import FileInput, Select
 from markupsafe import Markup
@@ -21,24 +20,25 @@ from fmuid.apps.workbench.home import address, escaped, file_address
 from fmuid.apps.workbench.jobs import Job, command_text
 from fmuid.apps.workbench.page_layout import LINE, SHEET, WIDE, argument, arguments, dress, words
 from fmuid.apps.workbench.pages.command_panel import CommandPanel
+from fmuid.apps.workbench.pages.live import ZoomedFit
 from fmuid.apps.workbench.pages.remedy_panel import ExcitationComparison, UndeterminedResult
 from fmuid.apps.workbench.project_folder import TABLES, Folder, FoundResult, choices, tables
+from fmuid.array_types import Floats
 from fmuid.errors import InputError
 from fmuid.estimation import Result
 from fmuid.files import file_name, is_file, replacing
 from fmuid.formatting import label, with_std
-from fmuid.reports.interactive import comparison
-from fmuid.reports.interactive.live import ZoomedFit, in_scheme
-from fmuid.reports.interactive.style import DARK, MAX_DOTS, MAX_ROWS
-from fmuid.reports.page.document import Part, Section, table, written_parts
-from fmuid.reports.page.write import contents
-from fmuid.reports.render import html
-from fmuid.reports.render.document_json import DOCUMENT_FILE, read_documents
-from fmuid.runs import estimate_rows
+from fmuid.reports import documents_of
+from fmuid.reports.chart import MAX_DOTS, MAX_ROWS, ChartGrid
+from fmuid.reports.document import Document, Section, table_of
+from fmuid.reports.render.html import place_of, written
+from fmuid.reports.render.style import DARK
+from fmuid.reports.topics.fit import fit_sections, worst
+from fmuid.reports.topics.model_comparison import estimate_charts
+from fmuid.reports.topics.prediction import prediction_fits
+from fmuid.runs import estimate_rows, read_identification, read_prediction
 from fmuid.studies import read_toml
 
-# Where a figure that the document follows stands in the text of a page.
-PLACE = "<!-- figure -->"
 # The place of what would help.
 REMEDIES = "remedies"
 
@@ -49,18 +49,12 @@ def build(doc: Any, bench: Any) -> None:
     places = [folder.path(name) for name in dict.fromkeys(arguments(doc, "file"))]
     if not places:
         raise InputError("choose results on the first page")
-    title, parts = contents(places[0]) if len(places) == 1 else _compared(folder, places)
-    parts, zoomed = _zoomed(doc, parts)
-    if len(places) == 1:
-        parts, helping = _helped(doc, bench, places[0], parts)
-        zoomed = [*helping, *zoomed]
-    body, drawings = written_parts(parts)
-    if len(places) == 1 and is_file(places[0] / DOCUMENT_FILE):
-        documents = list(read_documents(places[0]).values())
-        more, drawn = html.written(documents)
-        title = next((each.title for each in documents if each.title), title)
-        body, drawings = body + more, [*drawings, *drawn]
-    shown = list(zip(body.split(PLACE), [*zoomed, ""], strict=True))
+    if len(places) > 1:
+        title, body, drawings, live = "Results side by side", *_compared(folder, places), dict[str, str]()
+    else:
+        title, body, drawings, live = _one(doc, bench, places[0])
+    pieces = re.split(f"({'|'.join(map(re.escape, live))})", body) if live else [body]
+    shown = [(text, live.get(place, "")) for text, place in zip(pieces[::2], [*pieces[1::2], ""], strict=True)]
     if len(places) == 1:
         shown = [_elsewhere(folder, places[0]), *shown, *_acts(doc, bench, places[0])]
     # the others as in a report: models of a server would take it seconds, in which it answers nobody
@@ -68,6 +62,23 @@ def build(doc: Any, bench: Any) -> None:
     figures = json.dumps({"drawings": drawings, "colors": colors})  # in this order: what is referred to comes before
     doc.template_variables["figures"] = Markup(figures.replace("<", "\\u003c"))
     dress(doc, title, shown, "bokeh-widgets")
+
+
+def _one(doc: Any, bench: Any, place: Path) -> tuple[str, str, Any, dict[str, str]]:
+    """Return title, HTML and figures of the documents of a folder, and what the document follows, by its place."""
+    documents = list(documents_of(place).values())
+    title = next((each.title for each in documents if each.title), "") or place.parent.name
+    live = _zoomed(doc, place, documents)
+    body, drawings = written(documents, frozenset(live))
+    names = {place_of(key): key for key in live}
+    open_ = UndeterminedResult(bench.folder, place)
+    if open_.names:
+        layout = ExcitationComparison(doc, bench, open_.study, place, lambda: open_.designing).layout
+        doc.add_root(layout)
+        names[place_of(REMEDIES)] = layout.name
+        more = f"<h3 id={REMEDIES}>What would help</h3>{open_.links()}{place_of(REMEDIES)}</section>"
+        body = body.replace("</section>", more, 1)  # after the verdict
+    return title, body, drawings, names
 
 
 def _elsewhere(folder: Folder, place: Path) -> tuple[str, str]:
@@ -93,37 +104,32 @@ def _acts(doc: Any, bench: Any, place: Path) -> list[tuple[str, str]]:
     return [each for piece in pieces for each in (piece, ("</section>", ""))]
 
 
-def _helped(doc: Any, bench: Any, place: Path, parts: Sequence[Part]) -> tuple[list[Part], list[str]]:
-    """Have a verdict that not all is determined be followed by what would help; return parts, and names of places."""
-    open_ = UndeterminedResult(bench.folder, place)
-    if not open_.names:
-        return list(parts), []
-    layout = ExcitationComparison(doc, bench, open_.study, place, lambda: open_.designing).layout
-    doc.add_root(layout)
-    more = f"<h3 id={REMEDIES}>What would help</h3>{open_.links()}{PLACE}"
-    return [replace(parts[0], table=parts[0].table + more), *parts[1:]], [layout.name]
-
-
-def _zoomed(doc: Any, parts: Sequence[Part]) -> tuple[list[Part], list[str]]:
-    """Have the document follow fits with more samples than can be seen; return parts with places for them, and names.
+def _zoomed(doc: Any, place: Path, documents: Sequence[Document]) -> list[str]:
+    """Have the document follow fits with more samples than can be seen; return the keys of their sections.
 
     Such a figure is thinned anew for the stretch of time that is looked at.
     """
-    names: list[str] = []
+    found: list[tuple[Section, Floats]] = []
+    for each in documents:
+        if each.kind == "identification":
+            fits = read_identification(place).fits
+            found += zip(fit_sections(fits), (fit.times for fit in worst(fits)), strict=True)
+        elif each.kind == "prediction":
+            predicted = read_prediction(place)
+            fits = tuple(one.fit for one in predicted.predictions)
+            found += zip(prediction_fits(predicted), (fit.times for fit in worst(fits)), strict=True)
+    keys = []
+    for section, times in found:
+        (grid,) = section.charts
+        if len(times) > min(MAX_ROWS, MAX_DOTS) and isinstance(grid, ChartGrid):
+            figure = ZoomedFit(doc.add_next_tick_callback, times, grid, argument(doc, SCHEME)).figure
+            doc.add_root(column(figure, name=section.key, **WIDE))
+            keys.append(section.key)
+    return keys
 
-    def placed(section: Section) -> Section:
-        if not section.fit or len(section.fit[0].times) <= min(MAX_ROWS, MAX_DOTS):
-            return section
-        figure = ZoomedFit(doc.add_next_tick_callback, *section.fit).figure
-        doc.add_root(column(in_scheme(figure, argument(doc, SCHEME)), name=section.name, **WIDE))
-        names.append(section.name)
-        return replace(section, figures=(), body=section.body + PLACE)
 
-    return [replace(part, sections=[placed(each) for each in part.sections]) for part in parts], names
-
-
-def _compared(folder: Folder, places: Sequence[Path]) -> tuple[str, list[Part]]:
-    """Return the title and the part of a page that shows results side by side."""
+def _compared(folder: Folder, places: Sequence[Path]) -> tuple[str, Any]:
+    """Return HTML and figures of results side by side."""
     results, wrong = dict[str, Result](), ""
     for place in places:
         try:
@@ -131,7 +137,7 @@ def _compared(folder: Folder, places: Sequence[Path]) -> tuple[str, list[Part]]:
         except InputError as error:
             wrong += f"<p class=error>{escaped(error)}</p>"
     if not results:
-        return "Results side by side", [Part("Side by side", "cannot be read", False, [], wrong, [])]
+        return written([Document("compared", "Side by side", "cannot be read", "bad")])[0] + wrong, []
     units = {name: unit for each in results.values() for name, unit in each.units.items()}
     labels = {  # of a result that says no unit as others have it; those in another unit are in another row
         key: [label(name, each.units.get(name, units.get(name))) for name in each.names]
@@ -142,13 +148,17 @@ def _compared(folder: Folder, places: Sequence[Path]) -> tuple[str, list[Part]]:
     for key, result in results.items():
         known = dict(zip(labels[key], zip(result.values.tolist(), result.std.tolist(), strict=True), strict=True))
         columns[key] = [_estimate(known.get(name)) for name in names]
-    rows = pd.DataFrame([each for key, result in results.items() for each in estimate_rows(key, result)])
-    sections = [Section("estimates", "Estimates and their 95 % intervals", "", comparison.estimates(rows), 2)]
-    part = Part("Side by side", f"{len(results)} results", True, [], table(columns, numbers=list(results)), sections)
+    charts = estimate_charts([each for key, result in results.items() for each in estimate_rows(key, result)])
+    sections = (
+        Section("values", "", table=table_of(columns)),
+        Section("estimates", "Estimates and their 95 % intervals", charts=tuple(charts), beside=2),
+    )
+    document = Document("compared", "Side by side", f"{len(results)} results", "good", (), sections)
     words = command_text(["compare", *results])
-    note = f"<h3>Which of them the data prefer says</h3><pre>{escaped(words)}</pre>"
+    note = f"{wrong}<h3>Which of them the data prefer says</h3><pre>{escaped(words)}</pre>"
     note += "".join(f"<h3>{escaped(folder.name(place))}</h3>{_onward(folder, place)}" for place in places)
-    return "Results side by side", [replace(part, table=wrong + part.table + note)]
+    body, drawings = written([document])
+    return body.replace("</section>", f"{note}</section>", 1), drawings
 
 
 def _onward(folder: Folder, place: Path) -> str:

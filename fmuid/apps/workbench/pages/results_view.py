@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -11,20 +10,24 @@ from bokeh.layouts import column, row
 
 from fmuid.apps.workbench.home import escaped
 from fmuid.apps.workbench.page_layout import LINE, SHEET, words
+from fmuid.apps.workbench.pages.live import in_scheme
 from fmuid.errors import InputError
 from fmuid.files import is_file
-from fmuid.reports.interactive.live import in_scheme
-from fmuid.reports.page.document import Part, text, written_parts
-from fmuid.reports.page.write import FILES, contents
+from fmuid.reports import documents_of
+from fmuid.reports.document import Document
+from fmuid.reports.render.document_json import DOCUMENT_FILE
+from fmuid.reports.render.html import drawn_sections, section_head, verdict
 
 EVERY = 1000
 """Milliseconds between two looks at the folder."""
+FILES = {"identification": "result.json"}
+"""What a kind of findings is read from, if not from a file of its name."""
 LEAST_WIDTH = 280
 """Of a figure beside others."""
 
 
 class ResultsView:
-    """The report of a folder, as long as somebody looks at it.
+    """The documents of a folder, as long as somebody looks at it.
 
     Parameters
     ----------
@@ -32,14 +35,14 @@ class ResultsView:
     place : Path
     scheme : "light" or "dark"
     kinds : sequence of str
-        The files of `FILES` that it shows.
+        The documents that it shows.
 
     Attributes
     ----------
     layout : Bokeh model
     """
 
-    def __init__(self, doc: Any, place: Path, scheme: str, kinds: Sequence[str] = FILES) -> None:
+    def __init__(self, doc: Any, place: Path, scheme: str, kinds: Sequence[str]) -> None:
         self.place, self.scheme, self.kinds = place, scheme, kinds
         self._seen: object = None
         self.layout = column([], name="shown", sizing_mode="stretch_width", stylesheets=[SHEET])
@@ -47,34 +50,31 @@ class ResultsView:
         doc.add_periodic_callback(self.look, EVERY)
 
     def look(self) -> None:
-        """Show what has been written since the last look; files that do not go together yet are looked at again."""
-        there = [name for name in self.kinds if is_file(self.place / name)]
-        seen = [(name, (self.place / name).stat().st_mtime_ns) for name in there]
+        """Show what has been written since the last look; a file that is not whole yet is looked at again."""
+        names = (DOCUMENT_FILE, *(FILES.get(kind, f"{kind}.json") for kind in self.kinds))
+        seen = [(name, (self.place / name).stat().st_mtime_ns) for name in names if is_file(self.place / name)]
         if seen == self._seen:
             return
-        if not there:
-            self.layout.children = [words("nothing", "<p>There is no result yet.</p>")]
-            self._seen = seen
-            return
         try:
-            _, parts = contents(self.place, there)
+            found = documents_of(self.place) if seen else {}
         except InputError as error:
             if not self.layout.children:
                 self.layout.children = [words("wrong", f"<p class=error>{escaped(error)}</p>")]
             return
-        self.layout.children = models(parts, self.scheme)
+        shown = [each for kind, each in found.items() if kind in self.kinds]
+        nothing = [words("nothing", "<p>There is no result yet.</p>")]
+        self.layout.children = models(shown, self.scheme) if shown else nothing
         self._seen = seen
 
 
-def models(parts: Iterable[Part], scheme: str) -> list[Any]:
-    """Return what parts of a report say, below each other: words and figures."""
+def models(documents: Iterable[Document], scheme: str) -> list[Any]:
+    """Return what documents say, below each other: words and figures."""
     found = []
-    for part in parts:
-        found.append(words("verdict", written_parts([replace(part, sections=())])[0]))
-        for each in part.sections:
-            caption = f"<p class=caption>{text(each.caption)}</p>" if each.caption else ""
-            found.append(words(each.name, f"<h3>{text(each.heading)}</h3>{caption}{each.body}"))
-            found.append(side_by_side([in_scheme(figure, scheme) for figure in each.figures]))
+    for document in documents:
+        found.append(words("verdict", verdict(document)))
+        for each in drawn_sections(document):
+            found.append(words(each.key, section_head(each)))
+            found.append(side_by_side(in_scheme(each.charts, scheme)))
     return found
 
 

@@ -20,7 +20,8 @@ from fmuid.apps.workbench.home import address, escaped
 from fmuid.apps.workbench.jobs import Jobs, command_text
 from fmuid.apps.workbench.page_layout import LINE, SHEET, WIDE, argument, arguments, button, dress, words
 from fmuid.apps.workbench.pages.identification_panel import IdentificationPanel
-from fmuid.apps.workbench.pages.live import LatestOnlyWorker
+from fmuid.apps.workbench.pages.latest_only_worker import LatestOnlyWorker
+from fmuid.apps.workbench.pages.live import LiveFit
 from fmuid.apps.workbench.pages.remedy_panel import last_of, noise_of
 from fmuid.apps.workbench.pages.sliders import ParameterRow, stacked
 from fmuid.apps.workbench.project_folder import Folder, FoundResult
@@ -30,7 +31,6 @@ from fmuid.estimation import Result
 from fmuid.files import is_file
 from fmuid.formatting import fit_text, with_unit
 from fmuid.processes import AVAILABLE
-from fmuid.reports.interactive.live import LiveFit, in_scheme
 from fmuid.simulation import Simulator, close, executor_of, fit_of, parameter_units
 from fmuid.studies import Study
 
@@ -111,12 +111,12 @@ class StudyPage:
         self.experiment.stylesheets = [SHEET]
         self.experiment.on_change("value", lambda _attr, _old, _new: self._choose(names.index(self.experiment.value)))
         self.live = self._drawing()
-        self.fit = column(in_scheme(self.live.figure, self.scheme), name="fit", **WIDE)
+        self.fit = column(self.live.figure, name="fit", **WIDE)
 
     def _drawing(self) -> LiveFit:
         nothing = np.full((len(self.simulator.experiment.times), len(self.simulator.output_names)), np.nan)
         record = fit_of(self.study.system, self.simulator.experiment, nothing)
-        return LiveFit(record, self.doc.add_next_tick_callback)
+        return LiveFit(record, self.doc.add_next_tick_callback, self.scheme)
 
     def _lay_out(self) -> None:
         buttons = row(
@@ -224,7 +224,7 @@ class StudyPage:
     def _choose(self, number: int) -> None:
         self.simulator = self.simulators[number]
         self.live = self._drawing()
-        self.fit.children = [in_scheme(self.live.figure, self.scheme)]
+        self.fit.children = [self.live.figure]
         self._haunt()
         self.ask()
 

@@ -7,20 +7,10 @@ from typing import TYPE_CHECKING
 
 from fmuid.diagnosis import BaselineSource
 from fmuid.formatting import has_unit, listed, rounded, with_std
-from fmuid.reports.messages.accuracy import accuracy_words
+from fmuid.reports.topics.solver_check import accuracy_words
 
 if TYPE_CHECKING:
-    import pandas as pd
-
     from fmuid.diagnosis import BaselineDeviation, Diagnosis, EstimatedChange, Explanation
-
-# A healthy record is long enough where a longer one lowers the smallest size found by no more than this.
-ENOUGH = 1.1
-
-
-def diagnosis_words(found: Diagnosis) -> tuple[str, ...]:
-    """Return all that is to be said of a diagnosis: the verdict first, then what is to be known of it."""
-    return verdict(found), *diagnosis_notes(found)
 
 
 def diagnosis_notes(found: Diagnosis) -> tuple[str, ...]:
@@ -163,28 +153,6 @@ def deviation_words(deviation: BaselineDeviation | None) -> list[str]:
 def chance(probability: float) -> str:
     """Return a probability to two digits."""
     return f"{probability:.2g}" if probability > 1e-300 else "below 1e-300"
-
-
-def healthy_record_words(cost: pd.DataFrame) -> list[str]:
-    """Return what the length of the healthy record costs, a sentence for each size.
-
-    Parameters
-    ----------
-    cost : pandas.DataFrame
-        Of `fmuid.Design.cost`, the first length being that of the test.
-    """
-    said, lengths = [], cost["healthy"]
-    for column in [str(each) for each in cost if str(each).endswith(".times")]:
-        name, times = column.removesuffix(".times"), cost[column]
-        if not times.notna().all():
-            said.append(f"{name}: this excitation does not show it, however long the healthy record is")
-            continue
-        enough = next((k for k in range(1, len(times)) if times.iloc[k] <= ENOUGH), len(times) - 1)
-        said.append(
-            f"{name}: with a healthy record as long as the test the smallest size found is {times.iloc[0]:.3g} times "
-            f"that with an endless one; with one {lengths.iloc[enough]:g} times as long, {times.iloc[enough]:.3g} times"
-        )
-    return said
 
 
 def causes_columns(found: Diagnosis) -> dict[str, list[str]]:

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import html as markup
+import json
 from collections.abc import Callable, Sequence
-from typing import Any
+from textwrap import wrap
+from typing import TYPE_CHECKING
 
 import numpy as np
-import pandas as pd
 
 from fmuid.data import Experiment
 from fmuid.diagnosis import Diagnosis
@@ -15,22 +16,32 @@ from fmuid.errors import InputError
 from fmuid.estimation import Result
 from fmuid.formatting import unit_text
 from fmuid.models import FMU
-from fmuid.reports.interactive import estimates
-from fmuid.reports.interactive.style import Units
-from fmuid.reports.messages.describe import describe
-from fmuid.reports.page import faults, identification
-from fmuid.reports.page.document import Section, table
-from fmuid.reports.page.faults import causes_table
-from fmuid.reports.page.identification import estimates_table
-from fmuid.reports.render import html as render
-from fmuid.reports.render.bokeh_renderer import drawing
+from fmuid.reports.chart import Figure, Units
+from fmuid.reports.document import Section, Table, table_of
+from fmuid.reports.documents import describe
+from fmuid.reports.render.console import PLAIN_WIDTH, plain_table
+from fmuid.reports.render.html import bokeh_library, embedded, table
 from fmuid.reports.topics.batch import charts_of
 from fmuid.reports.topics.batch_tables import tables_of
+from fmuid.reports.topics.diagnosis import diagnosis_sections
+from fmuid.reports.topics.estimates import estimates_table
+from fmuid.reports.topics.identification import identification_sections
+from fmuid.reports.topics.prior_and_data import parabola_charts
 from fmuid.runs import Batch, BatchResult, IdentificationRun
 from fmuid.runs import predict_experiments as predict_experiments
 from fmuid.simulation import OutputFit
 from fmuid.studies import Study
 
+if TYPE_CHECKING:
+    import pandas as pd
+
+SUMMARY_LINES, HEAD_LINES = 25, 2
+"""Lines that a result takes where it is printed, those of the table's head among them."""
+DRAW = """(function draw(left) {
+  if (typeof Bokeh !== "undefined") Bokeh.embed.embed_items(%s, %s);
+  else if (left > 0) setTimeout(draw, 20, left - 1);
+})(250);"""
+"""What draws figures once the library is there, which another cell may bring."""
 # Rows of a table; a notebook is no place for ten thousand variables.
 MAX_ROWS = 25
 
@@ -42,11 +53,11 @@ def html(found: object) -> str | None:
     """Return what a notebook shows of a finding, a study, a model or a table, as HTML."""
     match found:
         case IdentificationRun():
-            return _with_words(found.result, estimates_table(found.result, found.result.units, found.assessment.level))
+            return _with_words(found.result, estimates_table(found.result, found.assessment.level))
         case Result():
-            return _with_words(found, estimates_table(found, found.units))
+            return _with_words(found, estimates_table(found))
         case Diagnosis():
-            return _with_words(found, causes_table(found))
+            return _with_words(found, diagnosis_sections(found)[0].table)
         case Study():
             return _study(found)
         case FMU():
@@ -57,21 +68,33 @@ def html(found: object) -> str | None:
             return _batch(found)
         case BatchResult():
             head = _heading(f"{found.finished} of {found.total} cases", str(found.folder))
-            return head + "".join(render.table(each.table) for each in tables_of(found.summary()[0]))
+            return head + "".join(table(each.table) for each in tables_of(found.summary()[0]))
     return None
 
 
 def text(found: object) -> str:
     """Return what is printed of a finding."""
-    from fmuid.reports.console.result import summary
-
-    return summary(found) if isinstance(found, Result) else repr(found)
+    return _summary(found) if isinstance(found, Result) else repr(found)
 
 
-def _with_words(found: Result | Diagnosis, rows: str) -> str:
+def _summary(result: Result) -> str:
+    """Return the table of estimates, of many the first ones, and the sentences on them, in `SUMMARY_LINES` at most."""
+    said = [line for words in describe(result).split("\n") for line in wrap(words, PLAIN_WIDTH)]
+    room = SUMMARY_LINES - HEAD_LINES
+    rows, hidden = len(result.names), 0
+    if rows + 1 + len(said) > room:
+        shown = max(room - 2 - len(said), room // 2)
+        rows, hidden = min(rows, shown), max(0, rows - shown)
+        left = room - rows - 1 - (hidden > 0)
+        said = said if len(said) <= left else [*said[: left - 1], "… fmuid.describe(result) says the rest"]
+    lines = plain_table(estimates_table(result), rows)
+    return "\n".join([*lines, *([f"… {hidden} more"] if hidden else []), "", *said])
+
+
+def _with_words(found: Result | Diagnosis, rows: Table) -> str:
     first, *others = describe(found).split("\n")
     said = "".join(f"<li>{markup.escape(text)}</li>" for text in others)
-    return f"<p><b>{markup.escape(first)}</b></p>{rows}<ul>{said}</ul>"
+    return f"<p><b>{markup.escape(first)}</b></p>{table(rows)}<ul>{said}</ul>"
 
 
 def _heading(name: str, words: str = "") -> str:
@@ -88,7 +111,7 @@ def _study(study: Study) -> str:
     tables = ", ".join(
         f"{each.name} ({', '.join(each.inputs)} → {', '.join(each.outputs)})" for each in study.experiments
     )
-    return _heading(study.title, tables) + table(columns, numbers=("start", "bounds"))
+    return _heading(study.title, tables) + table(table_of(columns))
 
 
 def _batch(found: Batch) -> str:
@@ -98,7 +121,9 @@ def _batch(found: Batch) -> str:
     columns = {"varies": list(cases.columns)}
     for head, end in zip(("from", "to"), ends, strict=True):
         columns[head] = [str(end[name]) for name in cases.columns]
-    return _heading(f"{len(cases) - found.pending.size} of {len(cases)} cases done", str(found.folder)) + table(columns)
+    return _heading(f"{len(cases) - found.pending.size} of {len(cases)} cases done", str(found.folder)) + table(
+        table_of(columns, columns)
+    )
 
 
 def _fmu(fmu: FMU) -> str:
@@ -112,7 +137,9 @@ def _fmu(fmu: FMU) -> str:
         "unit": [unit_text(each.unit) for each in shown[:MAX_ROWS]],
     }
     more = f", {len(shown) - MAX_ROWS} more" if len(shown) > MAX_ROWS else ""
-    return _heading(fmu.name, f"FMI {fmu.description.fmi_version}{more}") + table(columns, numbers=("start",))
+    return _heading(fmu.name, f"FMI {fmu.description.fmi_version}{more}") + table(
+        table_of(columns, ("causality", "unit"))
+    )
 
 
 def _experiment(given: Experiment) -> str:
@@ -123,7 +150,9 @@ def _experiment(given: Experiment) -> str:
         "role": ["input"] * len(given.input_names) + ["output"] * len(given.output_names),
         "unit": [unit_text(given.units.get(name)) for name in names],
     }
-    return _heading(given.name, f"{len(times)} samples, {times[0]:g} to {times[-1]:g} s") + table(columns)
+    return _heading(given.name, f"{len(times)} samples, {times[0]:g} to {times[-1]:g} s") + table(
+        table_of(columns, columns)
+    )
 
 
 # --- figures
@@ -134,8 +163,7 @@ class Drawing:
 
     Attributes
     ----------
-    models : sequence
-        Of Bokeh.
+    charts : sequence of Chart or ChartGrid
     columns : int
         So many stand beside each other where there is room.
     """
@@ -143,21 +171,21 @@ class Drawing:
     _library_in: list[str] = []  # noqa: RUF012  # the cell that carries the library of the notebook
     """One figure of a notebook carries the library, 1.3 MB; run again, it carries it again."""
 
-    def __init__(self, models: Sequence[Any], columns: int = 1) -> None:
-        self.models, self.columns = models, columns
+    def __init__(self, charts: Sequence[Figure], columns: int = 1) -> None:
+        self.charts, self.columns = charts, columns
 
     def __repr__(self) -> str:
-        return f"Drawing of {len(self.models)} figures"
+        return f"Drawing of {len(self.charts)} figures"
 
     def _repr_html_(self) -> str:
         """Return the figures, with the library where no cell before has it."""
-        from fmuid.reports.page.document import drawn
-
-        library, script, places = drawn(self.models)
+        content, where, places = embedded(self.charts)
+        texts = (json.dumps(each, separators=(",", ":")).replace("<", "\\u003c") for each in (content, where))
+        script = DRAW % tuple(texts)
         cell = _cell()
         if not self._library_in or (cell and self._library_in == [cell]):
             self._library_in[:] = [cell]
-            script = f"{library}\n{script}"
+            script = f"{bokeh_library()}\n{script}"
         script = script.replace("</script", "<\\/script")
         width = 100 // self.columns - 1
         cells = "".join(f'<div style="flex:1 1 {width}%;min-width:260px">{place}</div>' for place in places)
@@ -191,19 +219,19 @@ class FigureCollection:
     def __init__(
         self, sections: Sequence[Section], reading: pd.DataFrame | None = None, units: Units | None = None
     ) -> None:
-        self._sections = [each for each in sections if each.figures]
+        self._sections = [each for each in sections if each.charts]
         self._reading, self._units = reading, units
 
     def __dir__(self) -> list[str]:
         """Return what can be drawn."""
-        return [each.name for each in self._sections if each.name.isidentifier()]
+        return [each.key for each in self._sections if each.key.isidentifier()]
 
     def __getattr__(self, name: str) -> Callable[[], Drawing]:
         """Return what draws a part, of several experiments all of it."""
-        shown = [each for each in self._sections if each.name.split("-")[0] == name]
+        shown = [each for each in self._sections if each.key.split("-")[0] == name]
         if not shown:
             raise AttributeError(f"there is nothing to draw as {name!r}: there is {', '.join(dir(self))}")
-        return lambda: Drawing([figure for each in shown for figure in each.figures], shown[0].columns)
+        return lambda: Drawing([chart for each in shown for chart in each.charts], shown[0].beside)
 
     def parabolas(self, *names: str) -> Drawing:
         """Draw the criterion of prior, data and both over parameters, default all with a prior.
@@ -215,7 +243,7 @@ class FigureCollection:
         """
         if self._reading is None:
             raise InputError("what the data alone say is in the findings of fmuid.run: draw them")
-        return Drawing(estimates.parabolas(self._reading, names, self._units), 3)
+        return Drawing(list(parabola_charts(self._reading, names, self._units)), 3)
 
 
 def plots(found: object) -> FigureCollection:
@@ -230,17 +258,15 @@ def plots(found: object) -> FigureCollection:
         case IdentificationRun():
             checks = found.assessment.prior_and_data
             reading = None if checks is None else checks.table
-            return FigureCollection(identification.sections_of(found), reading, found.unit_of)
+            return FigureCollection(identification_sections(found), reading, found.unit_of)
         case Result():
-            return FigureCollection(identification.sections_of(_known(found)))
+            return FigureCollection(identification_sections(_known(found)))
         case Diagnosis():
-            return FigureCollection(faults.sections_of(found))
+            return FigureCollection(diagnosis_sections(found))
         case BatchResult():
             summary, frame = found.summary()
             drawn = charts_of(frame, summary, found.truth, found.units, given_noise=found.given_noise)
-            figures = [drawing(each.charts).figures for each in drawn]
-            pairs = zip(drawn, figures, strict=True)
-            return FigureCollection([Section(s.key, s.heading, "", list(f), s.beside) for s, f in pairs])
+            return FigureCollection(drawn)
     raise InputError(f"a {type(found).__name__} has no figures")
 
 

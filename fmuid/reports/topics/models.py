@@ -11,12 +11,12 @@ from rich.cells import cell_len
 from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
-from rich.text import Text
 
 from fmuid.formatting import bounded, unit_text
 from fmuid.models import Description, FmuSummary, Variable, VariableRow, lines
-from fmuid.reports.console.layout import TERMINAL_ROWS, console, show_notes, table_of
-from fmuid.reports.messages.solver import capability_words, run_words
+from fmuid.reports.document import table_of
+from fmuid.reports.render.console import TERMINAL_ROWS, console, rich_table, show_notes
+from fmuid.reports.topics.solver_check import capability_words, run_words
 from fmuid.studies import skeleton
 
 if TYPE_CHECKING:
@@ -34,6 +34,9 @@ COLUMN_GAP = 3
 NAME_LENGTH, TEXT_LENGTH = 200, 1000
 # Into a pipe, where lines are searched: one line a variable, however long.
 PIPE_WIDTH = 1000
+
+RESULTS = {"ok": "green", "warning": "yellow", "failed": "bold red"}
+"""How results of checks are painted."""
 
 Column = Callable[[Variable], str]
 """What a column of a table says of a variable."""
@@ -127,7 +130,8 @@ def _show_variables(out: Console, title: str, variables: Sequence[Variable], mor
         widths = [max(map(len, [head, *texts])) for head, texts in zip(heads, cells, strict=True)]
         room = max(out.width - sum(widths[:-1]) - COLUMN_GAP * (len(widths) - 1), SHORT_DESCRIPTION)
         cells[-1] = [shorten(text, room, placeholder="…") for text in cells[-1]]
-        _print_titled(out, title, table_of("", dict(zip(heads, cells, strict=True)), right))
+        words = [head for head in heads if head not in right]
+        _print_titled(out, title, rich_table(table_of(dict(zip(heads, cells, strict=True)), words), "", out))
     else:
         out.print(f"\n[bold]{title}[/]")
         out.file.writelines(_plain_table(heads, cells, right))
@@ -216,7 +220,8 @@ def _show_units(out: Console, found: FmuSummary) -> None:
     if not others:
         return
     instead = [_text(", ".join(names)) for names in others.values()]
-    table = table_of("", {"unit": list(map(_name, others)), "instead": instead})
+    columns = {"unit": list(map(_name, others)), "instead": instead}
+    table = rich_table(table_of(columns, columns), "", out)
     _print_titled(out, "Units that a table may have instead", table)
 
 
@@ -231,7 +236,7 @@ def _print_titled(out: Console, title: str, table: Table) -> None:
 
 def show_binaries(checks: Sequence[Check]) -> None:
     """Print before a validation which binaries are missing, and what is simulated."""
-    from fmuid.reports.messages.validation import check_words
+    from fmuid.reports.topics.validation import check_words
     from fmuid.simulation import TIME_LIMIT
 
     notes = dict.fromkeys(text for check in checks if check.result == "failed" for text in check_words(check))
@@ -242,27 +247,21 @@ def show_binaries(checks: Sequence[Check]) -> None:
 
 def show_validation(found: Validation) -> None:
     """Print the checks of an FMU, and a sentence that sums them up."""
-    from fmuid.reports.messages.validation import check_words  # and with it all that simulates
+    from fmuid.reports.topics.validation import check_words  # and with it all that simulates
 
     out = console()
-    results, remarked = list[Text](), list[str]()
-    styles = {"ok": "green", "warning": "yellow", "failed": "bold red"}
+    remarked = []
     for check in found.checks:
         said = check_words(check)
         remarks = said
         if out.is_terminal:
             remarks = [shorten(text, REMARK_LENGTH, placeholder=" …") for text in said[:TERMINAL_REMARKS]]
         more = len(said) - len(remarks)
-        text = "\n".join([*remarks, *([f"and {more} more; all of them: fmuid validate FMU | less"] if more else [])])
-        style = styles.get(check.result, "dim")
-        results.append(Text(check.result, style=style))
-        remarked.append(text)
-    columns: dict[str, Sequence[str | Text]] = {
-        "check": [each.name for each in found.checks],
-        "result": results,
-        "remark": remarked,
-    }
-    out.print(table_of(str(found.path.name), columns))
+        remarked.append(
+            "\n".join([*remarks, *([f"and {more} more; all of them: fmuid validate FMU | less"] if more else [])])
+        )
+    columns = {"check": [e.name for e in found.checks], "result": [e.result for e in found.checks], "remark": remarked}
+    out.print(rich_table(table_of(columns, columns), str(found.path.name), out, RESULTS))
     failed, warned = found.count("failed"), found.count("warning")
     verdict = f"{failed} of {len(found.checks)} checks failed" if failed else "no problems found"
     out.print(f"\n{verdict}" + (f", {warned} with warnings" if warned else ""))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 
 from rich.markup import escape
@@ -11,8 +11,9 @@ from rich.prompt import Prompt
 
 from fmuid.errors import InputError
 from fmuid.formatting import two_digits, unit_text
-from fmuid.reports.console.layout import TERMINAL_ROWS, console, show_remarks, table_of_rows
-from fmuid.reports.messages.result import dropout_words, size_words, time_words
+from fmuid.reports.document import Remark, table_of
+from fmuid.reports.render.console import console, rich_table, show_remarks
+from fmuid.reports.shared_phrases import dropout_words, size_words, time_words
 from fmuid.studies import SHOWN_CHANGE, Candidate, ColumnMatch, Draft, MatchedDataFile, Reason, proposal
 
 REASONS: Mapping[Reason, str] = {
@@ -30,10 +31,16 @@ QUESTION = "Is this right? Enter to go on, or variable=column to change it (vari
 def show_record(record: MatchedDataFile) -> None:
     """Print which columns are which variables, and what is wrong with the table."""
     out = console()
-    out.print(table_of_rows(escape(heading(record, str(record.path))), LINK_HEADS, map(link_cells, record.links)))
+    cells = [link_cells(link) for link in record.links]
+    columns = {head: [row[k] for row in cells] for k, head in enumerate(LINK_HEADS)}
+    out.print(rich_table(table_of(columns, columns), heading(record, str(record.path)), out))
     if record.unused:
         out.print(f"columns that are no input or output: {escape(', '.join(record.unused))}", soft_wrap=True)
-    show_remarks(remarks(record))
+    _warn(remarks(record))
+
+
+def _warn(sentences: Iterable[str]) -> None:
+    show_remarks(Remark(each, "doubt") for each in sentences)
 
 
 def heading(record: MatchedDataFile, name: str) -> str:
@@ -113,7 +120,7 @@ def asked_about(record: MatchedDataFile) -> MatchedDataFile:
             show_record(changed)
             record = changed
         except InputError as error:
-            show_remarks([str(error)])
+            _warn([str(error)])
     return record
 
 
@@ -122,13 +129,14 @@ def show_draft(made: Draft, output: Path) -> None:
     found, out = made.survey, console()
     if found.candidates:
         heads = ["parameter", "start", "unit", f"{100 * SHOWN_CHANGE:g} % change", "proposed"]
-        shown = found.candidates if not on_terminal() else found.candidates[:TERMINAL_ROWS]
         title = "What the parameters change of the outputs' spread"
-        out.print(table_of_rows(title, heads, map(_proposed, shown), right=heads[1:4:2]))
-    show_remarks(time_words(each) for each in found.doubts)
-    show_remarks(size_words(*each) for each in found.sizes)
+        rows = [_proposed(each) for each in found.candidates]
+        columns = {head: [row[k] for row in rows] for k, head in enumerate(heads)}
+        out.print(rich_table(table_of(columns, ("unit", "proposed")), title, out))
+    _warn(time_words(each) for each in found.doubts)
+    _warn(size_words(*each) for each in found.sizes)
     if found.failure:
-        show_remarks([f"nothing is known of the parameters: {found.failure}"])
+        _warn([f"nothing is known of the parameters: {found.failure}"])
     text = "free the parameters to identify in it, under \\[parameters]."
     if made.runs:
         text = f"fmuid identify {escape(str(output))}"

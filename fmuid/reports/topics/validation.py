@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 import signal
 
-from fmuid.reports.messages.solver import run_words
+from fmuid.reports.topics.solver_check import run_words
 from fmuid.simulation import Binary, Check, InterfaceTest, Stage, Subject, Tool
 
 _DOING = {

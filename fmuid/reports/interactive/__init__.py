@@ -1,1 +1,0 @@
-"""Figures for browser, report and notebook: data in, a Bokeh model out."""

@@ -1,1 +1,0 @@
-"""``report.html``: what is in a folder of results, on one page."""

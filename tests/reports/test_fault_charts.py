@@ -1,0 +1,100 @@
+"""Charts of diagnosis and monitoring: what they show is read back from their layers."""
+
+from __future__ import annotations
+
+import math
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from fmuid.diagnosis.alarms import Alarm
+from fmuid.diagnosis.cause_results import CauseScore, ChangeEvidence, EstimatedChange, Explanation
+from fmuid.diagnosis.causes import CauseKind
+from fmuid.diagnosis.unexplained_residual import NOTHING_LEFT
+from fmuid.reports.topics import cause_charts, monitoring
+from tests.support.charts import drawn, legend, places
+
+
+@pytest.fixture
+def news() -> ChangeEvidence:
+    """Evidence of lost turns, beside which a gain of the sensor is not excluded."""
+    turns = EstimatedChange(CauseKind("fault"), "dR", "turns", 0.3, 0.05, "Ohm")
+    gain = EstimatedChange(CauseKind("gain"), "i", "", -0.02, 0.01, "")
+    still = EstimatedChange(CauseKind("offset"), "i", "", 0.0, 0.1, "A")
+    suspects = (
+        CauseScore(still, 0.01, 0.9, "gain(i)", 1.5),
+        CauseScore(turns, 41.0, 1e-9, "gain(i)", math.radians(5.0)),
+        CauseScore(gain, 38.0, 1e-8, "turns.dR", math.radians(5.0)),
+    )
+    explanations = (Explanation((turns,), 1.0), Explanation((gain,), 0.2))
+    return ChangeEvidence(1e-9, True, explanations, suspects, 0.05, 1.0, 1.0, 3.0, 600, True, NOTHING_LEFT)
+
+
+def test_causes_stand_by_their_likelihood_with_the_angle_to_the_nearest(news: ChangeEvidence) -> None:
+    plot = cause_charts.cause_evidence(news)
+    assert plot.y.names[::-1] == ("turns (dR)", "the gain of the sensor of i", "an offset of the sensor of i")
+    red, grey = drawn(plot, "bars")
+    assert (red["x"].tolist(), grey["x"].tolist()) == ([41.0, 38.0], [cause_charts.LEAST_STATISTIC])
+    assert red["near"] == ("gain(i), 5°", "turns.dR, 5°")
+    assert red["size"][0] == "0.300 ± 0.050 Ohm"
+
+
+def test_changes_have_their_intervals_in_units_that_are_read(news: ChangeEvidence) -> None:
+    turns, gain = cause_charts.change_charts(news)
+    assert turns.x.label == "size, with its interval of 95 % (Ohm)"
+    assert gain.x.label == "size, with its interval of 95 % (%)"
+    (data,) = drawn(gain, "points")
+    assert [*data["x"], *data["x0"], *data["x1"]] == pytest.approx([-2.0, -3.96, -0.04], abs=1e-3)
+
+
+def test_residuals_without_and_with_the_fault() -> None:
+    rng = np.random.default_rng(1)
+    table = pd.DataFrame(
+        {"time": np.arange(500.0), "healthy.i": rng.normal(0, 2, 500), "fault.i": rng.normal(0, 1, 500)}
+    )
+    (plot,) = cause_charts.explained_charts(table, "turns", {"i": "A"}).charts
+    assert plot.y.label == "residual of i (A)"
+    without, with_ = (each["y"] for each in drawn(plot, "line"))
+    np.testing.assert_allclose(without, table["healthy.i"], rtol=1e-6)
+    np.testing.assert_allclose(with_, table["fault.i"], rtol=1e-6)
+    std = math.sqrt(np.mean(table["fault.i"] ** 2))
+    assert legend(plot)[1] == f"with turns, std {std:.3g} A"
+
+
+@pytest.fixture
+def windows() -> pd.DataFrame:
+    """Windows of 2 s in three records, in each of which the time begins anew."""
+    count, start = 12, np.tile([0.0, 2.0, 4.0, 6.0], 3)
+    columns = {"start": start, "end": start + 2.0, "record": np.repeat(["a", "b", "c"], 4), "variance_ratio": 1.0}
+    sizes = {"turns.dR": np.arange(12.0), "turns.dR.std": 0.1, "R": 4.0, "R.std": [math.inf] + [0.1] * 11}
+    return pd.DataFrame(columns | sizes | {"significant": [""] * 9 + ["turns", "turns", "other"]}, range(count))
+
+
+def test_time_goes_on_from_record_to_record(windows: pd.DataFrame) -> None:
+    clock, borders, _ = monitoring.clock_of(windows)
+    np.testing.assert_array_equal(clock, np.arange(1.0, 24.0, 2.0))
+    assert borders == [8.0, 16.0]
+    one = windows.iloc[:4]
+    assert monitoring.clock_of(one)[1:] == ([], "time (s)")
+
+
+def test_timeline(windows: pd.DataFrame) -> None:
+    units = {"R": "Ohm", "turns.dR": ""}
+    alarm = Alarm("turns", "c", 4.0, 10, 11)
+    found: Any = SimpleNamespace(
+        table=windows, sizes={"turns": ("turns.dR",)}, common=("R",), units=units, alarms=(alarm,)
+    )
+    size, common, noise = monitoring._timeline(found, "turns").charts
+    assert [each.y.label for each in (size, common, noise)] == ["dR", "R (Ohm)", "variance / noise"]
+    (dots,) = drawn(size, "points", "significant")
+    np.testing.assert_array_equal(dots["x"], [19.0, 21.0])
+    (bars,), (points,) = drawn(common, "segments"), drawn(common, "points")
+    assert math.isnan(points["y"][0])  # what is not determined is not drawn
+    np.testing.assert_allclose((bars["y1"] - points["y"])[1:], 0.196)
+    (ground,) = drawn(size, "zone")
+    assert (ground["left"].tolist(), ground["right"].tolist()) == ([20.0], [24.0])
+    assert size.x.reach == (0.0, 24.0)
+    assert sorted([*places(noise), *places(noise, "x")]) == [1.0, 8.0, 16.0, 22.0]

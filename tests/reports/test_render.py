@@ -1,0 +1,233 @@
+"""Charts on screen and in print: what Bokeh's library reads and what matplotlib paints is what the layers say."""
+
+from __future__ import annotations
+
+import json
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import pytest
+from bokeh.core.property.vectorization import Field, Value
+from bokeh.document import Document
+from bokeh.model import Model
+from matplotlib.colors import to_hex
+from matplotlib.figure import Figure
+
+from fmuid.reports.chart import Axis, Chart, Layer, Shades, rows_of
+from fmuid.reports.figure_files import FORMATS, KINDS, clear_figures
+from fmuid.reports.render import matplotlib_renderer as paint
+from fmuid.reports.render.bokeh_models import BokehSpec, live, written
+from fmuid.reports.render.bokeh_renderer import drawing
+from fmuid.reports.render.style import BLUE_RED, COLORS
+from fmuid.reports.topics import fit
+from fmuid.reports.topics.estimates import _matrix
+from fmuid.reports.topics.model_comparison import ranked_bars
+from fmuid.reports.topics.optimization import _criterion
+from fmuid.simulation import OutputFit
+from tests.support.charts import every_mark
+from tests.support.records import record, search
+
+T = np.array([1.0, 2.0, 4.0])
+
+
+# --- for a browser
+
+
+def plain(value: Any, numbers: dict[str, int]) -> Any:
+    """Return a model with every property that it has, defaults too, models numbered as they come."""
+    match value:
+        case Model():
+            if value.id in numbers:
+                return numbers[value.id]
+            numbers[value.id] = len(numbers)
+            told = {name: plain(each, numbers) for name, each in sorted(value.properties_with_values().items())}
+            return [type(value).__name__, told]
+        case Field(field=field, transform=transform):
+            return [field, plain(transform, numbers)] if isinstance(transform, Model) else field
+        case Value(value=inner):
+            return inner
+        case dict():
+            return {key: plain(each, numbers) for key, each in value.items()}
+        case list() | tuple() | np.ndarray() | pd.Series():
+            return [plain(each, numbers) for each in value]
+    return repr(float(value)) if isinstance(value, int | float | np.number) else value
+
+
+def test_bokeh_reads_what_is_written() -> None:
+    """Its own models, made of the JSON and made of the charts, are alike in every property."""
+    given = drawing([every_mark(), fit.fit_charts(record(outputs=1))]).figures
+    roots, ids = written(given)
+    made = Document()
+    empty = made.to_json(deferred=False)
+    read = Document.from_json(json.loads(json.dumps({**empty, "roots": roots}, allow_nan=False)))
+    for each in live(given):
+        made.add_root(each)
+    assert [root.id for root in read.roots] == ids
+    for one, other in zip(read.roots, made.roots, strict=True):
+        assert plain(one, {}) == plain(other, {})
+    assert not set(written(given)[1]) & set(ids)  # in a notebook two drawings are in one document
+
+
+def test_a_misspelt_property_is_found() -> None:
+    with pytest.raises(AttributeError, match="axis_labl"):
+        live([BokehSpec("LinearAxis", axis_labl="x")])
+
+
+def test_a_grid_has_one_toolbar_that_switches_all_its_plots() -> None:
+    (grid,) = live(drawing([fit.fit_charts(record(outputs=1))]).figures)
+    names: list[Any] = [type(tool).__name__ for tool in grid.toolbar.tools]
+    assert names == ["ToolProxy", "ToolProxy", "SaveTool", "ToolProxy", "ToolProxy"]
+    assert grid.toolbar.active_drag is grid.toolbar.tools[0]
+    assert all(plot.toolbar_location is None for plot, *_ in grid.children)
+    assert len({id(plot.x_range) for plot, *_ in grid.children}) == 1
+
+
+def test_names_never_become_columns_or_formats() -> None:
+    """Nor mathematics, for which the library would ask a host."""
+    name = "@{t}$$x$${{safe}}<b>"
+    data: dict[str, Any] = {"y": (name,), "x": T[:1]}
+    layers = [Layer("bars", data, label=name, hover=(("", "@y"), ("value", "@x{0.0}")))]
+    (plot,) = live(drawing([rows_of((name,), Axis(name), layers)]).figures)
+    assert plot.below[0].axis_label.text == name
+    tips = str([getattr(tool, "tooltips", "") for tool in plot.toolbar.tools])
+    assert name not in tips
+    assert all(name not in renderer.data_source.data for renderer in plot.renderers)
+
+
+def test_a_dark_page_has_the_twins_of_the_colors() -> None:
+    chart = Chart(Axis("x"), Axis("y"), (Layer("line", {"x": T, "y": T}, label="a"),))
+    (light,), (dark,) = (live(drawing([chart]).figures, dark=each) for each in (False, True))
+    assert light.renderers[0].glyph.line_color == COLORS["blue"]
+    assert dark.renderers[0].glyph.line_color != COLORS["blue"]
+
+
+# --- for print
+
+
+def axes_of(figure: Figure) -> list[Any]:
+    """Return all axes of a figure, those of its parts too."""
+    return [axes for part in figure.subfigs for axes in part.axes]
+
+
+def painted(chart: Chart) -> Any:
+    """Return the axes of one chart."""
+    (axes,) = axes_of(paint.printed([chart], 1))
+    return axes
+
+
+def test_every_mark_is_where_its_columns_say() -> None:
+    y = np.array([3.0, np.nan, 5.0])
+    layers = (
+        Layer("line", {"x": T, "y": y}, width=2.0, dash="dashed"),
+        Layer("points", {"x": T, "y": y}, "red", size=4),
+        Layer("segments", {"x0": T, "y0": T, "x1": y, "y1": y}, "grey"),
+        Layer("band", {"x": T, "y0": T - 1, "y1": T + 1}, alpha=0.2),
+        Layer("cells", {"left": T, "right": T + 1, "bottom": 0.0, "top": y}, "red", alpha=0.5),
+    )
+    axes = painted(Chart(Axis("t (s)"), Axis("y (A)"), layers))
+    (line,) = axes.get_lines()
+    np.testing.assert_array_equal(line.get_xydata(), np.column_stack([T, y]))
+    assert to_hex(line.get_color()) == COLORS["blue"]
+    dots, segments, area, boxes = axes.collections
+    np.testing.assert_array_equal(np.ma.getdata(dots.get_offsets())[[0, 2]], [[1, 3], [4, 5]])
+    assert [each.tolist() for each in segments.get_segments()] == [[[1, 1], [3, 3]], [[4, 4], [5, 5]]]
+    assert area.get_datalim(axes.transData).bounds == (1, 0, 3, 5)
+    np.testing.assert_array_equal(boxes.get_paths()[0].vertices[:4], [[1, 0], [2, 0], [2, 3], [1, 3]])
+    assert (axes.get_xlabel(), axes.get_ylabel()) == ("t (s)", "y (A)")
+
+
+def test_rows_of_names_with_bars() -> None:
+    axes = painted(ranked_bars(["a", "b"], np.array([1.0, 3.0]), "error"))
+    assert [text.get_text() for text in axes.get_yticklabels()] == ["b", "a"]  # from below
+    best, other = (each.get_paths()[0].get_extents() for each in axes.collections)
+    assert [best.x1, other.x1] == [1.0, 3.0]
+    assert best.y0 > other.y1
+    long = painted(ranked_bars(["a name too long for a telephone", "b"], np.array([1.0, 3.0]), "error"))
+    assert sorted(text.get_text() for text in long.texts) == ["a name too long for a telephone", "b"]
+
+
+def test_scales_rules_and_legends() -> None:
+    trace, _ = search()
+    criterion, damping = map(painted, _criterion(trace))
+    assert [axes.get_yscale() for axes in (criterion, damping)] == ["log", "log"]
+    assert [text.get_text() for text in criterion.get_legend().get_texts()] == ["accepted", "rejected trial"]
+    assert [float(line.get_xdata()[0]) for line in criterion.get_lines() if line.get_linestyle() == "--"] == [4.0]
+    unit = np.array([0.0, 1.0])
+    layers = (Layer("line", {"x": unit, "y": unit}, label="a $name$"), Layer("rule", {"y": 100.0}))
+    axes = painted(Chart(Axis(), Axis(), layers))
+    assert axes.get_ylim()[1] < 1.2  # a line beyond what is drawn does not move it
+    assert axes.get_legend().get_texts()[0].get_text() == r"a \$name\$"  # no mathematics
+
+
+def test_shades_are_those_of_the_page() -> None:
+    """The diagonal of the correlation is the last color, what is not known is grey."""
+    matrix = pd.DataFrame([[1.0, np.nan], [np.nan, 1.0]], index=["a", "b"], columns=["a", "b"])
+    (cells,) = painted(_matrix(matrix)).collections
+    assert {to_hex(color) for color in cells.get_facecolor()} == {BLUE_RED[-1], "#bbbbbb"}
+    value = np.array([1.0, math.nan, 100.0])
+    shades = Shades("blues", 1.0, 100.0, log=True, title="rise")
+    data = {"left": T, "right": T + 1, "bottom": T, "top": T + 1, "value": value}
+    figure = paint.printed([Chart(Axis(), Axis(), (Layer("cells", data, shades=shades),))], 1)
+    axes, bar = axes_of(figure)
+    low, missing, high = (to_hex(color) for color in axes.collections[0].get_facecolor())
+    assert (low, missing, high) == ("#08306b", "#ffffff", "#f7fbff")
+    assert bar.get_ylabel() == "rise"
+
+
+def test_a_fit_and_its_zoom() -> None:
+    """Beside each other, the residual below each output; the zoom has the rows of the stretch alone."""
+    given = record(samples=2000)
+    (section,) = fit.fit_sections([given])
+    assert section.zoom is not None
+    figure = paint.printed([*section.charts, section.zoom], 2, "run")
+    axes, rows = axes_of(figure), fit.zoomed(given)
+    assert len(axes) == 2 * 4
+    assert axes[4].get_xlim() == (given.times[rows.start], given.times[rows.stop - 1])
+    assert figure.get_suptitle() == "run"
+
+
+def test_zoom_finds_the_step_and_ignores_what_does_not_count() -> None:
+    times = np.arange(2000.0)
+    simulated = np.where(times > 1200, 1 - np.exp(-(times - 1200) / 20), 0.0)[:, None]
+    given = OutputFit("run", times, ("y",), (None,), simulated, simulated, np.ones((2000, 1), bool))
+    found = fit.zoomed(given)
+    assert found.start <= 1201 < found.stop
+    assert found.stop - found.start == fit.ZOOM_SAMPLES
+    short = OutputFit("run", times[:50], ("y",), (None,), simulated[:50], simulated[:50], np.ones((50, 1), bool))
+    assert fit.zoomed(short) == slice(0, 50)
+    spikes, counted = np.zeros((2000, 1)), np.ones((2000, 1), bool)
+    spikes[10], spikes[1500], counted[:100] = 100.0, 1.0, False
+    found = fit.zoomed(OutputFit("run", times, ("y",), (None,), spikes, spikes, counted))
+    assert found.start <= 1500 < found.stop
+
+
+def test_figures_replace_those_of_an_earlier_run(tmp_path: Path) -> None:
+    for kind in KINDS:
+        for form in FORMATS:
+            (tmp_path / f"{kind}-2.{form}").write_text("old")
+    (tmp_path / "mine.png").write_text("the user's")
+    clear_figures(tmp_path)
+    paths = paint.save({"fit": paint.printed([fit.fit_charts(record())], 1)}, tmp_path)
+    assert [path.name for path in paths] == ["fit.png"]
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["fit.png", "mine.png"]
+    assert all(path.read_bytes().startswith(b"\x89PNG") for path in paths)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("kind", "head"), [("svg", b"<?xml"), ("pdf", b"%PDF")])
+def test_figures_for_print_are_the_same_file_each_time(tmp_path: Path, kind: str, head: bytes) -> None:
+    grid = fit.fit_charts(record())
+    once, again = (paint.save({"fit": paint.printed([grid], 1)}, tmp_path / n, kind)[0] for n in "ab")
+    assert once.name == f"fit.{kind}"
+    assert once.read_bytes().startswith(head)
+    assert once.read_bytes() == again.read_bytes()
+
+
+def test_the_least_that_an_experiment_can_have(tmp_path: Path) -> None:
+    """Two samples are drawn without warnings."""
+    values = np.ones((2, 1))
+    tiny = OutputFit("tiny", np.array([0.0, 1.0]), ("y",), (None,), values, 0 * values, np.ones((2, 1), bool))
+    assert len(paint.save({"fit": paint.printed([fit.fit_charts(tiny)], 2)}, tmp_path)) == 1

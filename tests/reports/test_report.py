@@ -1,0 +1,142 @@
+"""The report: what it says of an identification, and that a browser runs nothing but its own scripts."""
+
+from __future__ import annotations
+
+import base64
+import gzip
+import hashlib
+import re
+import shutil
+from html.parser import HTMLParser
+from pathlib import Path
+
+import pytest
+
+import fmuid
+from fmuid.apps.cli.options import DONE, WRONG_INPUT
+from fmuid.reports.chart import ChartGrid
+from fmuid.reports.render.document_json import DOCUMENT_FILE, read_documents
+from tests.support.coil_study import STUDY, coil_table, fmuid_, result
+
+# A report is no larger than this, bytes.
+SMALL = 700_000
+
+
+class Page(HTMLParser):
+    """What a browser sees of a page: tags, attributes, anchors, text, scripts."""
+
+    def __init__(self, path: Path) -> None:
+        super().__init__()
+        self.tags: list[tuple[str, dict[str, str | None]]] = []
+        self.scripts: list[str] = []
+        self.words = ""
+        self._open = ""
+        self.feed(path.read_text(encoding="utf-8"))
+        library, _, own = self.scripts
+        self.scripts = [gzip.decompress(base64.b64decode(library)).decode(), own]
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.tags.append((tag, dict(attrs)))
+        self._open = tag
+        if tag == "script":
+            self.scripts.append("")
+
+    def handle_endtag(self, _: str) -> None:
+        self._open = ""
+
+    def handle_data(self, data: str) -> None:
+        if self._open == "script":
+            self.scripts[-1] += data
+        elif self._open != "style":
+            self.words += data
+
+    def values(self, name: str) -> list[str]:
+        return [value for _, attributes in self.tags if (value := attributes.get(name))]
+
+    @property
+    def policy(self) -> str:
+        return next(value for value in self.values("content") if "default-src" in value)
+
+
+@pytest.fixture(scope="module")
+def results(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The results of a study with a prior, two experiments, a profile and a map."""
+    folder = tmp_path_factory.mktemp("results")
+    for name, seed in (("first", 1), ("second", 2)):
+        coil_table(folder / f"{name}.csv", 0.0, seed=seed)
+    second = '[[experiments]]\ndata = "second.csv"\ninputs = ["u"]\noutputs = ["i"]\ninterpolation = "zoh"\n'
+    more = 'warmup = 0.02\n[uncertainty]\nprofile_likelihood = ["R"]\ncost_map = [["R", "L"]]\n'
+    study = STUDY.replace("min = 0.0", "min = 0.0, prior = { mean = 4.0, std = 0.2 }") + second + more
+    (folder / "study.toml").write_text(study.replace('"Coil"', '"Two coils"'))
+    start = next(key for key in ("start", "initial_guess") if f"{key} =" in STUDY)
+    assert fmuid_("identify", folder / "study.toml", "--set", f"parameters.R.{start}=5.5") == DONE
+    return folder / "results"
+
+
+@pytest.fixture(scope="module")
+def page(results: Path) -> Page:
+    return Page(results / "report.html")
+
+
+def test_it_says_the_verdict_first_and_links_to_what_proves_it(page: Page) -> None:
+    words = page.words
+    assert "Two coils" in words
+    assert words.index("Converged.") < words.index("95 % interval") < words.index("Measured and simulated: first")
+    assert re.search(r"2 parameters are known to between .* % \(.\) and .* % \(.\), one standard deviation", words)
+    anchors, links = page.values("id"), [link for link in page.values("href") if link.startswith("#")]
+    assert set(links) <= {f"#{anchor}" for anchor in anchors}
+    assert {"#fit", "#residuals", "#belief", "#criterion", "#accuracy"} <= set(links)
+    assert {"fit", "fit-2", "correlation", "profiles", "maps"} <= set(anchors)
+
+
+def test_the_table_has_value_interval_prior_and_shift(results: Path, page: Page) -> None:
+    found = result(results)["parameters"]["R"]
+    for text in ("4.00 ± 0.20", "numerical shift", "Ohm", f"± {found['std']:.2g}", "5.5"):
+        assert text in page.words, text
+
+
+def test_it_says_where_it_comes_from(results: Path, page: Page) -> None:
+    given = (results.parent / "first.csv").read_bytes()
+    assert hashlib.sha256(given).hexdigest() in page.words
+    assert hashlib.sha256((results.parent / "study.toml").read_bytes()).hexdigest() in page.words
+    assert fmuid.__version__ in page.words
+    assert "values were replaced for this run" in page.words  # by --set
+    assert 'title = "Two coils"' in page.words  # the study file itself
+
+
+def test_a_browser_runs_its_scripts_and_nothing_else(results: Path, page: Page) -> None:
+    """The policy names the scripts by their digests, so that none that comes in by a name would run; and no host."""
+    digests = {base64.b64encode(hashlib.sha256(each.encode()).digest()).decode() for each in page.scripts}
+    assert set(re.findall(r"'sha256-([^']+)'", page.policy)) == digests
+    assert len(digests) == 2
+    assert page.policy.startswith("default-src 'none'; script-src 'sha256-")
+    assert not {tag for tag, _ in page.tags} & {"link", "img", "iframe", "object", "form"}
+    assert not page.values("src")
+    assert all(link.startswith("#") for link in page.values("href"))
+    assert (results / "report.html").stat().st_size < SMALL
+
+
+def test_the_parabolas_are_of_parameters_with_a_prior(results: Path) -> None:
+    (chart,) = read_documents(results)["identification"].section("parabolas").charts
+    assert not isinstance(chart, ChartGrid)
+    assert chart.x.label == "R (Ohm)"  # L has none
+
+
+def test_the_command_writes_the_same_report_again(
+    results: Path, page: Page, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder = shutil.copytree(results, tmp_path / "alone")
+    (folder / "report.html").unlink()
+    assert fmuid_("report", folder) == DONE
+    assert "report.html" in capsys.readouterr().out
+    assert Page(folder / "report.html").words.split() == page.words.split()
+    for spoilt in ("[]", "{}", "{", '{"documents": {"a": 1}, "arrays": []}'):
+        (folder / DOCUMENT_FILE).write_text(spoilt)
+        assert fmuid_("report", folder) == WRONG_INPUT
+        assert "document.json is not what fmuid writes" in capsys.readouterr().err
+    (folder / DOCUMENT_FILE).unlink()
+    assert fmuid_("report", folder) == DONE  # of the results themselves
+    assert "Two coils" in Page(folder / "report.html").words
+    capsys.readouterr()
+    assert fmuid_("report", tmp_path / "nowhere") == WRONG_INPUT
+    assert "is no folder of results" in capsys.readouterr().err
