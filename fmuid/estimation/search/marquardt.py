@@ -108,12 +108,10 @@ class Descent:
         """Return the state from which the search sets out: it has residual and Jacobian."""
         square, magnitudes = _square(state.residual), function.magnitudes(state.theta)
         none = np.zeros(state.theta.size)
-        empty = none, none, none
-        region, stagnation = TrustRegion(0.0, 0.0), Stagnation.at(square)
-        memory = _Memory(square, none, none, empty, 0.0, region, Way(), stagnation, magnitudes, square)
+        how = TrustRegion(0.0, 0.0), Way(), Stagnation.at(square), magnitudes, square
+        memory = _Memory(square, none, none, (none, none, none), 0.0, *how)
         state = _linearized(function, replace(state, memory=memory))
-        memory = _of(state)
-        region = TrustRegion.of(self.settings.first_radius * _length(memory, magnitudes))
+        region = TrustRegion.of(self.settings.first_radius * _length(_of(state), magnitudes))
         state = _with(state, region=region, renewal="" if state.fresh else "at once")
         return replace(state, last=_record(function, state, state.theta, square, math.nan, accepted=True))
 
@@ -224,8 +222,7 @@ class Descent:
         # columns that were noise are no measure
         state = _with(state, lengths=np.zeros(state.theta.size), region=memory.region.reopened(fully=False))
         state = self._renewed(function, state, central=True)
-        memory = _of(state)
-        first = self.settings.first_radius * _length(memory, function.magnitudes(state.theta))
+        first = self.settings.first_radius * _length(_of(state), function.magnitudes(state.theta))
         return _with(state, region=TrustRegion.of(first), stagnation=Stagnation.at(memory.square))
 
     # --- the end
