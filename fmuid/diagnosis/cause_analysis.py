@@ -76,12 +76,15 @@ class Linearization:
         What is new of it.
     causes : tuple of Cause
         Those that the records determine beside all that may change.
+    whitening : Whitening
+        By which the records were made white.
     """
 
     point: Floats
     said: InformationMatrix
     news: ScoreStatistics
     causes: tuple[Cause, ...]
+    whitening: Whitening
 
 
 @dataclass(frozen=True, eq=False)
@@ -282,7 +285,7 @@ class _CauseAnalyzer:
         said = sum(others, start=first)
         news = ScoreStatistics.of(said, self.known)
         causes = (each for each in self.coordinates.causes if is_determined(news, said, each.columns))
-        return Linearization(point, said, news, tuple(causes))
+        return Linearization(point, said, news, tuple(causes), whitening)
 
     def null(self, news: ScoreStatistics, new: Floats | None = None) -> Floats:
         """Return the estimate of everything beside what is new (N,), relative to the healthy machine."""

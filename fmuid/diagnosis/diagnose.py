@@ -153,7 +153,7 @@ def diagnose(
     return Diagnosis(
         level=how.level,
         evidence=evidence,
-        unexplained=_unexplained(evidence, made.baseline.freedom, how.level),
+        unexplained=_unexplained(evidence, found, made.baseline.freedom, how.level),
         nominal={
             name: (float(made.coordinates.healthy[i] + nominal.mean[i]), math.sqrt(max(0.0, nominal.covariance[i, i])))
             for i, name in enumerate(made.baseline.common)
@@ -179,10 +179,12 @@ def _mismatched(machines: Sequence[LinearizedMachine], made: BaselineComparator)
     return tuple(name for name, value in squares.items() if value > SAME_CRITERION)
 
 
-def _unexplained(evidence: ChangeEvidence, freedom: float, level: float) -> VarianceRatio:
+def _unexplained(evidence: ChangeEvidence, found: Examination, freedom: float, level: float) -> VarianceRatio:
     """Test the residual: its variance, or with healthy records whether it owes more to the inputs than theirs."""
     if evidence.basis is BaselineSource.RESULT:
-        return VarianceRatio.of(evidence.ratio, evidence.samples, freedom, level)
+        noise = found.at.whitening
+        share = sum(map(noise.independent_share, noise.models)) / len(noise.models)
+        return VarianceRatio.of(evidence.ratio, share * evidence.samples, share * freedom, level)
     p = evidence.remainder.probability
     return VarianceRatio(evidence.ratio, p, p < UNEXPLAINED_RESIDUAL.level_share * level)
 

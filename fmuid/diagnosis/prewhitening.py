@@ -15,6 +15,9 @@ from fmuid.array_types import Floats, Indices
 from fmuid.data import Experiment
 from fmuid.estimation import Autoregression, NoiseModel, OutputSeries, common_process, output_series
 
+# Samples over which a noise's correlations are summed.
+SPECTRUM_LENGTH = 4096
+
 
 @dataclass(frozen=True, eq=False)
 class Whitening:
@@ -56,6 +59,11 @@ class Whitening:
     def std(self, output: str) -> float:
         """Return the standard deviation of an output's noise."""
         return self.models[output].std
+
+    def independent_share(self, output: str) -> float:
+        """Return how many independent samples one of an output is worth for its variance, 1/Σρ² (Bartlett)."""
+        power = np.abs(self.models[output].transfer(SPECTRUM_LENGTH)) ** 2
+        return float(np.mean(power) ** 2 / np.mean(power**2))
 
     def __call__(self, experiment: Experiment, columns: Floats) -> Floats:
         """Return the innovations of columns (K, n_outputs, m) at the counted samples, in units of their std (n, m).

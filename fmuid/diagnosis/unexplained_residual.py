@@ -139,8 +139,8 @@ class VarianceRatio:
     larger: bool
 
     @classmethod
-    def of(cls, ratio: float, samples: int, freedom: float, level: float) -> VarianceRatio:
-        """Return the test of a ratio: of χ², or of F where the noise was estimated with `freedom`."""
+    def of(cls, ratio: float, samples: float, freedom: float, level: float) -> VarianceRatio:
+        """Test a ratio over independent samples: χ², or F where the noise was estimated with `freedom`."""
         exact = math.isinf(freedom)
         tail = float(special.chdtrc(samples, samples * ratio) if exact else special.fdtrc(samples, freedom, ratio))
         return cls(ratio, tail, bool(ratio > SAME_VARIANCE_RATIO and tail < SETTINGS.level_share * level))

@@ -10,8 +10,8 @@ import pytest
 
 from fmuid.data import Experiment, Normal, Parameter
 from fmuid.data.noise import Noise
-from fmuid.data.predictors import FunctionPredictions
 from fmuid.errors import InputError
+from fmuid.estimation.predictors import FunctionPredictions
 from fmuid.estimation.problem import LeastSquares
 from fmuid.identification.posterior import SamplerSettings, SamplingWarning, effective_size, r_hat
 from fmuid.identification.sampler import sample_posterior
