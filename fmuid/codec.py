@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import json
 import math
+import sys
 import types
 from collections.abc import Mapping, Sequence
 from collections.abc import Set as AbstractSet
@@ -37,7 +38,7 @@ class Layout:
     ----------
     omitted : set of str
         Fields that are not written. A reader may put them into the content, as from a table beside the file; else they
-        have their defaults, and arrays without one are empty.
+        have their defaults; arrays and tables without one are empty.
     inlined : set of str
         Fields whose keys stand among those of the class itself.
     derived : tuple of str
@@ -156,7 +157,7 @@ def _scalar(kind: Any, content: Any, place: str) -> Any:
             return _UNLIMITED[content]
         if content is None:
             return math.nan
-        if isinstance(content, bool) or not isinstance(content, int | float) or abs(content) > np.finfo(float).max:
+        if isinstance(content, bool) or not isinstance(content, int | float) or abs(content) > sys.float_info.max:
             return _refuse(place, content, "a number")
         return float(content)
     if kind is Path:
@@ -215,8 +216,8 @@ def _instance(kind: Any, content: Any, place: str) -> Any:
         if each.init and each.name not in elsewhere:
             if each.name in given:
                 found[each.name] = _value(hints[each.name], given[each.name], f"{place}.{each.name}")
-            elif each.name in layout.omitted and get_origin(hints[each.name]) is np.ndarray and is_required(each):
-                found[each.name] = np.empty(0, get_args(get_args(hints[each.name])[1])[0])
+            elif each.name in layout.omitted and is_required(each):
+                found[each.name] = _empty(hints[each.name])
             elif is_required(each):
                 raise ContentError(f"it has no {f'{place}.{each.name}'.lstrip('.')!r}")
     for key, columns in layout.rows.items():
@@ -227,6 +228,11 @@ def _instance(kind: Any, content: Any, place: str) -> Any:
         return kind(**found)
     except (InputError, ValueError) as error:
         raise ContentError(f"{place.lstrip('.')}: {error}".removeprefix(": ")) from None
+
+
+def _empty(kind: Any) -> Any:
+    """Return an array or a table without rows."""
+    return np.empty(0, get_args(get_args(kind)[1])[0]) if get_origin(kind) is np.ndarray else kind()
 
 
 def _parts(kind: Any, content: Any, place: str, parts: Mapping[str, str], known: Mapping[str, Any]) -> dict[str, Any]:

@@ -61,7 +61,9 @@ WORK: dict[str, Callable[[Problem, fmuid.Result], object]] = {
     "identify": lambda problem, _: fmuid.identify(problem),
     "Marquardt": lambda problem, _: fmuid.Marquardt().search(Evaluator(problem)),
     "profiles": lambda problem, result: fmuid.profile_likelihood(problem, result, ["R"]),
-    "sample": lambda problem, result: fmuid.sample_posterior(problem, result, fmuid.SamplerSettings(steps=50, seed=1)),
+    "sample": lambda problem, result: fmuid.sample_posterior(
+        problem, result, fmuid.SamplerSettings(max_steps=50, seed=1)
+    ),
     "map_criterion": lambda problem, result: fmuid.map_cost(problem, result, "R", "L", points=5),
     "diagnose": diagnosis,
 }

@@ -9,11 +9,14 @@ from enum import Enum
 from pathlib import Path
 from typing import Any, ClassVar
 
+import jsonschema
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+import fmuid
+from fmuid.apps.cli.app import run
 from fmuid.array_types import Floats
 from fmuid.codec import Layout, as_json, from_json, read, write
 from fmuid.diagnosis import Alarm, Diagnosis
@@ -178,3 +181,19 @@ def test_every_file_has_a_schema(kind: type) -> None:
     found = schema(kind, "test/1")
     json.dumps(found, allow_nan=False)
     assert found["$defs"][kind.__name__]["properties"]
+
+
+def test_the_command_prints_the_schema_of_a_result(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """What a run writes is as the schema says."""
+    monkeypatch.chdir(tmp_path)
+    assert run(["schema", "result"]) == 0
+    validator = jsonschema.Draft202012Validator(json.loads(capsys.readouterr().out))
+    validator.check_schema(validator.schema)
+    fmuid.run(fmuid.Study.of(fmuid.datasets.coil().study, "coil.toml"), "results", report=False)
+    content = json.loads((tmp_path / "results/result.json").read_text())
+    validator.validate(content)
+    with pytest.raises(jsonschema.ValidationError):
+        validator.validate(content | {"outcome": "well"})
+    assert run(["schema", "batch"]) == 2

@@ -31,7 +31,7 @@ interpolation = "zoh"
 R = {{ start = 6.0, min = 0.0 }}
 L = {{ start = 0.05, min = 1e-3 }}
 """
-DRAWS = "noise = {{ draws = {draws}, std = 0.02, truth = {{ R = 4.0, L = 0.1 }} }}\n"
+DRAWS = "monte_carlo = {{ realizations = {draws}, std = 0.02, true_values = {{ R = 4.0, L = 0.1 }} }}\n"
 FLEET = 'tables = "records/*.csv"\nstarts = {starts}\n'
 
 

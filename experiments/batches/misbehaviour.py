@@ -54,7 +54,7 @@ time_limit = {time_limit}
 memory_limit_mb = 400
 [batch]
 combine = "zip"
-monte_carlo = {{ draws = {draws}, std = {noise}, truth = {{ gain = {gain}, T = {T}, mode = 0 }} }}
+monte_carlo = {{ realizations = {draws}, std = {noise}, true_values = {{ gain = {gain}, T = {T}, mode = 0 }} }}
 [batch.sweep]
 """
 HELD = ("mode", "where", "bad_from", "bad_to")

@@ -37,7 +37,7 @@ Rr = {{ start = 1.9, min = 0.0 }}
 Lm = {{ start = 0.654, min = 1e-3 }}
 Lf = {{ start = 0.0381, min = 1e-4 }}
 [batch]
-monte_carlo = {{ draws = {draws}, std = 0.2, truth = {{ Rs = 9.81, Rr = 3.83, Lm = 0.436, Lf = 0.0762 }} }}
+monte_carlo = {{ realizations = {draws}, std = 0.2, true_values = {{ Rs = 9.81, Rr = 3.83, Lm = 0.436, Lf = 0.0762 }} }}
 """
 LOOP_CASES = 200
 LINES = 10

@@ -25,12 +25,8 @@ from .noise import NoiseLevels as NoiseLevels
 from .noise import noise_levels as noise_levels
 from .npz import read_arrays as read_arrays
 from .npz import write_arrays as write_arrays
-from .parameter_estimate import ParameterEstimate as ParameterEstimate
 from .parameters import Parameter as Parameter
 from .parameters import ParameterSet as ParameterSet
-from .predictors import FunctionPredictions as FunctionPredictions
-from .predictors import FunctionPredictor as FunctionPredictor
-from .predictors import Predictor as Predictor
 from .preprocessing import FILLS as FILLS
 from .preprocessing import TRENDS as TRENDS
 from .preprocessing import ParkTransform as ParkTransform

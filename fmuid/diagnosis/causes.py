@@ -11,8 +11,10 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import Enum
+from typing import Annotated
 
 import numpy as np
+from annotated_types import Gt
 
 from fmuid.array_types import Flags, Floats
 from fmuid.data import Experiment, Parameter
@@ -110,52 +112,38 @@ class CauseKind(Enum):
 class CauseScale:
     """How far something may be off.
 
-    Parameters
-    ----------
-    normal : float
-        Standard deviation of what a sound machine may have at all times.
-    size : float
-        Standard deviation of a change that is worth naming.
-
     Raises
     ------
     InputError
         If one of them is not positive.
     """
 
-    normal: float
-    size: float
+    healthy_std: Annotated[float, Gt(0)]
+    """standard deviation of what a sound machine may have at all times"""
+    change_std: Annotated[float, Gt(0)]
+    """standard deviation of a change that is worth naming"""
 
     def __post_init__(self) -> None:
-        for value in (self.normal, self.size):
+        for value in (self.healthy_std, self.change_std):
             if not (math.isfinite(value) and value > 0):
                 raise InputError(f"what is normal and what is worth naming must be positive, not {value!r}")
 
 
 @dataclass(frozen=True)
 class Causes:
-    """The causes beside the faults that a diagnosis takes into account; None leaves one out.
+    """What may have changed beside the faults, where there are healthy records; None, or false, leaves one out."""
 
-    Parameters
-    ----------
-    gain : CauseScale or None
-        Of each sensor, as a share of the reading.
-    offset : CauseScale or None
-        Of each sensor, in standard deviations of its noise.
-    delay : CauseScale or None
-        Of each sensor, in sampling steps.
-    input_gain : CauseScale or None
-        Of each input, as a share: a supply whose phases differ.
-    parameter : CauseScale or None
-        Drift of each healthy parameter beyond what `inflate` foresees, as a share of its value; what is normal is
-        known from the healthy record.
-    """
-
-    gain: CauseScale | None = field(default_factory=lambda: CauseScale(0.03, 0.03))
-    offset: CauseScale | None = field(default_factory=lambda: CauseScale(0.5, 0.5))
-    delay: CauseScale | None = field(default_factory=lambda: CauseScale(0.2, 0.2))
+    sensor_gain: CauseScale | None = field(default_factory=lambda: CauseScale(0.03, 0.03))
+    """of each sensor, as a fraction of the reading"""
+    sensor_offset: CauseScale | None = field(default_factory=lambda: CauseScale(0.5, 0.5))
+    """of each sensor, in standard deviations of its noise"""
+    sensor_delay: CauseScale | None = field(default_factory=lambda: CauseScale(0.2, 0.2))
+    """of each sensor, in sampling intervals"""
     input_gain: CauseScale | None = field(default_factory=lambda: CauseScale(0.02, 0.02))
-    parameter: CauseScale | None = field(default_factory=lambda: CauseScale(1.0, 0.1))
+    """of each input, as a fraction: a supply whose phases differ"""
+    parameter_drift: CauseScale | None = field(default_factory=lambda: CauseScale(1.0, 0.1))
+    """of each parameter beyond std_factor, as a fraction of its value; what is normal is known from the healthy
+    record"""
 
 
 def name_of(kind: CauseKind, variable: str, fault: str) -> str:
@@ -271,24 +259,33 @@ def coordinates_of(
             SETTINGS.difference_step * magnitude,
             SETTINGS.open * magnitude,
         )
-        made.add(of, parameter.start, None if causes.parameter is None else causes.parameter.size * magnitude)
+        made.add(
+            of,
+            parameter.start,
+            None if causes.parameter_drift is None else causes.parameter_drift.change_std * magnitude,
+        )
     for name, fault in faults.items():
         _add_fault(made, name, fault)
     step = float(np.median(np.diff(experiment.times))) or 1.0
     for output in experiment.output_names:
         unit = system.unit(output) or "" if "+" not in output else ""
         for kind, range_, scale, own in (
-            (CauseKind.GAIN, causes.gain, 1.0, ""),
-            (CauseKind.OFFSET, causes.offset, noise[output], unit),
-            (CauseKind.DELAY, causes.delay, step, "s"),
+            (CauseKind.GAIN, causes.sensor_gain, 1.0, ""),
+            (CauseKind.OFFSET, causes.sensor_offset, noise[output], unit),
+            (CauseKind.DELAY, causes.sensor_delay, step, "s"),
         ):
             if range_ is not None:
-                made.add(ChangeParameter(kind, output, own, math.nan, range_.normal * scale), 0.0, range_.size * scale)
+                made.add(
+                    ChangeParameter(kind, output, own, math.nan, range_.healthy_std * scale),
+                    0.0,
+                    range_.change_std * scale,
+                )
     if causes.input_gain is not None:
         for name in experiment.input_names:
             if np.any(experiment.input_values[:, experiment.input_names.index(name)]):
-                of = ChangeParameter(CauseKind.INPUT_GAIN, name, "", SETTINGS.difference_step, causes.input_gain.normal)
-                made.add(of, 0.0, causes.input_gain.size)
+                healthy = causes.input_gain.healthy_std
+                of = ChangeParameter(CauseKind.INPUT_GAIN, name, "", SETTINGS.difference_step, healthy)
+                made.add(of, 0.0, causes.input_gain.change_std)
     return ChangeParameterSet(tuple(made.each), tuple(made.causes), np.array(made.healthy))
 
 

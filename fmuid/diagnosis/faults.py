@@ -11,6 +11,9 @@ import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Annotated
+
+from annotated_types import Gt
 
 from fmuid.data import Experiment, Normal, Parameter
 from fmuid.errors import InputError
@@ -23,13 +26,6 @@ from fmuid.models import FMU, System
 class FaultAngle:
     """A circular fault parameter, which locates a fault and means nothing without it.
 
-    Parameters
-    ----------
-    size : str
-        The fault parameter that is the size of this fault.
-    period : float
-        After which the angle is the same, in the unit of the FMU variable; default 2π.
-
     Raises
     ------
     InputError
@@ -38,11 +34,13 @@ class FaultAngle:
     Examples
     --------
     >>> fmuid.FaultAngle("size", period=2 * np.pi / 3)
-    FaultAngle(size='size', period=2.0943951023931953)
+    FaultAngle(magnitude='size', period=2.0943951023931953)
     """
 
-    size: str
-    period: float = 2.0 * math.pi
+    magnitude: str
+    """the fault parameter that is the size of this fault"""
+    period: Annotated[float, Gt(0)] = 2.0 * math.pi
+    """after which the angle is the same, in the unit of the FMU variable"""
 
     def __post_init__(self) -> None:
         if not (math.isfinite(self.period) and self.period > 0):
@@ -134,12 +132,12 @@ class Fault:
                 angle = FaultAngle(sizes[0], width) if math.isfinite(width) else FaultAngle(sizes[0])
             else:
                 raise InputError(f"the angle {name!r} may belong to {' or '.join(sizes) or 'no size'}: name its size")
-            if angle.size not in sizes:
+            if angle.magnitude not in sizes:
                 raise InputError(
-                    f"the size {angle.size!r} of the angle {name!r} is no size{nearest(angle.size, sizes)}"
+                    f"the size {angle.magnitude!r} of the angle {name!r} is no size{nearest(angle.magnitude, sizes)}"
                 )
-            if angle.size in (other.size for other in found.values()):
-                raise InputError(f"the size {angle.size!r} has two angles: one locates it")
+            if angle.magnitude in (other.magnitude for other in found.values()):
+                raise InputError(f"the size {angle.magnitude!r} has two angles: one locates it")
             found[name] = angle
         return found
 
@@ -155,7 +153,7 @@ class Fault:
     @property
     def located(self) -> dict[str, str]:
         """The angle of each size that has one."""
-        return {angle.size: name for name in self.angles if (angle := self.angle(name)) is not None}
+        return {angle.magnitude: name for name in self.angles if (angle := self.angle(name)) is not None}
 
     def direction(self, size: str, vector: Sequence[float]) -> tuple[str, float, float]:
         """Return the angle of a size, its name and value, and how far a radian of the vector (x, y) turns it."""

@@ -48,6 +48,7 @@ from .noise.whiteness_tests import NormalityTest as NormalityTest
 from .noise.whiteness_tests import WhitenessTest as WhitenessTest
 from .noise.whiteness_tests import normality as normality
 from .noise.whiteness_tests import whiteness as whiteness
+from .predictors import FunctionPredictions as FunctionPredictions
 from .problem import LeastSquares as LeastSquares
 from .result import RESULT_SCHEMA as RESULT_SCHEMA
 from .result import Result as Result

@@ -14,12 +14,10 @@ from numpy.typing import ArrayLike
 from fmuid.array_types import Floats, numbers
 from fmuid.data import (
     Experiment,
-    FunctionPredictor,
     JointPrior,
     MeasuredSeries,
     Parameter,
     ParameterSet,
-    Predictor,
     get_loss,
     measured_series,
     noise_levels,
@@ -29,6 +27,7 @@ from fmuid.data import Noise as Noise
 from fmuid.errors import InputError, check_kind
 from fmuid.estimation.noise.output_series import OutputSeries, output_series, period_of
 from fmuid.estimation.noise.periodic_error import check_periods
+from fmuid.estimation.predictors import FunctionPredictor, Predictor
 from fmuid.estimation.simulation_noise import LARGEST_VALUE
 from fmuid.estimation.starting_points.noise_level import second_difference_noise
 

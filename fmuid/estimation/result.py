@@ -16,7 +16,7 @@ from scipy import special
 
 from fmuid import codec
 from fmuid.array_types import Floats
-from fmuid.data import Experiment, JointPrior, MeasuredSeries, Normal, ParameterEstimate, measured_series
+from fmuid.data import Experiment, JointPrior, MeasuredSeries, Normal, measured_series
 from fmuid.display_mixins import MultilineText, PredictMixin, text_of
 from fmuid.errors import InputError
 from fmuid.estimation.covariance import ActiveBound, WeakDirection, check_level
@@ -25,6 +25,7 @@ from fmuid.estimation.linearized_problem import LinearizedProblem
 from fmuid.estimation.local_optimum import Optimum
 from fmuid.estimation.model_sensitivities import SensitivityMethod
 from fmuid.estimation.noise.sandwich import ResidualNoise
+from fmuid.estimation.parameter_estimate import ParameterEstimate
 from fmuid.estimation.search.loop import TerminationReason
 from fmuid.estimation.solver_check.outcome import SolverCheck
 from fmuid.estimation.starting_points.outcome import CombinationFit, RestartAttempt

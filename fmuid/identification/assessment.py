@@ -6,7 +6,7 @@ kept when the keyboard interrupts it. The modules of each are imported when it i
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, ClassVar
 
@@ -198,64 +198,40 @@ def assess(
             problem, result, search_data=asked.search_data, healthy=asked.known_variance, diagnostics=residuals
         )
         found = replace(found, residuals=residuals, prior_and_data=reading)
-    return _Exploration(problem, result, asked, progress, found).run() if asked.explores else found
+    try:
+        for explored in _explored(problem, result, asked, progress or (lambda _: None), found):
+            found = explored
+    except KeyboardInterrupt:
+        return replace(found, interrupted=True)
+    return found
 
 
-class _Exploration:
-    """Simulates around the estimate, one task after the other, and keeps the results."""
+def _explored(
+    problem: LeastSquares, result: Result, asked: AssessmentSettings, progress: Progress, found: Assessment
+) -> Iterator[Assessment]:
+    """Simulate around the estimate, and yield what is found after each task; a task broken off ends it."""
+    if not asked.explores:
+        return
+    problem = problem.as_in(result)
+    progress(Event(task="uncertainty", share=0.0))
+    for k, (first, second) in enumerate(asked.maps):
+        from fmuid.identification.cost_map import map_cost
 
-    def __init__(
-        self,
-        problem: LeastSquares,
-        result: Result,
-        asked: AssessmentSettings,
-        progress: Progress | None,
-        found: Assessment,
-    ) -> None:
-        self.problem, self.result, self.asked, self.progress, self.found = (
-            problem.as_in(result),
-            result,
-            asked,
-            progress,
-            found,
-        )
-
-    def run(self) -> Assessment:
-        try:
-            self._tell(Event(task="uncertainty", share=0.0))
-            self._map()
-            finished = self._profile() and self._sample()
-        except KeyboardInterrupt:
-            finished = False
-        return replace(self.found, interrupted=not finished)
-
-    def _tell(self, event: Event) -> None:
-        if self.progress is not None:
-            self.progress(event)
-
-    def _map(self) -> None:
-        for k, (first, second) in enumerate(self.asked.maps):
-            from fmuid.identification.cost_map import map_cost
-
-            self._tell(MapStep(share=k / len(self.asked.maps), first=first, second=second))
-            chart = map_cost(self.problem, self.result, first, second)
-            self.found = replace(self.found, maps=(*self.found.maps, chart))
-
-    def _profile(self) -> bool:
-        names = self.asked.profile
-        if not names:
-            return True
+        progress(MapStep(share=k / len(asked.maps), first=first, second=second))
+        found = replace(found, maps=(*found.maps, map_cost(problem, result, first, second)))
+        yield found
+    if asked.profile:
         from fmuid.identification.profile_likelihood import profile_likelihood
 
-        done = profile_likelihood(self.problem, self.result, names, level=self.asked.level, progress=self.progress)
-        self.found = replace(self.found, profiles=done)
-        return len(done) == len(names) and not done[-1].interrupted
-
-    def _sample(self) -> bool:
-        if self.asked.posterior is None:
-            return True
+        profiles = profile_likelihood(problem, result, asked.profile, level=asked.level, progress=progress)
+        found = replace(found, profiles=profiles)
+        yield found
+        if len(profiles) < len(asked.profile) or profiles[-1].interrupted:
+            raise KeyboardInterrupt
+    if asked.posterior is not None:
         from fmuid.identification.sampler import sample_posterior
 
-        drawn = sample_posterior(self.problem, self.result, self.asked.posterior, self.progress)
-        self.found = replace(self.found, posterior=drawn)
-        return not drawn.interrupted
+        posterior = sample_posterior(problem, result, asked.posterior, progress)
+        yield replace(found, posterior=posterior)
+        if posterior.interrupted:
+            raise KeyboardInterrupt

@@ -14,9 +14,17 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from fmuid.array_types import Flags, Floats, Indices
-from fmuid.data import Experiment, FunctionPredictions, Noise, Parameter
+from fmuid.data import Experiment, Noise, Parameter
 from fmuid.errors import FmuidError, InputError
-from fmuid.estimation import Evaluator, LeastSquares, Marquardt, WeakForm, second_difference_noise, sobol_points
+from fmuid.estimation import (
+    Evaluator,
+    FunctionPredictions,
+    LeastSquares,
+    Marquardt,
+    WeakForm,
+    second_difference_noise,
+    sobol_points,
+)
 from fmuid.identification.measured_states import MeasuredStates, both_ends, states_from_outputs
 from fmuid.identification.problem import Problem
 from fmuid.simulation import RightHandSide

@@ -12,13 +12,14 @@ C. J. Geyer, "Practical Markov chain Monte Carlo", Stat. Science 7 (4), 1992.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from enum import Enum
 from functools import cached_property
-from typing import Any, ClassVar
+from typing import Annotated, Any, ClassVar
 
 import numpy as np
 import pandas as pd
+from annotated_types import Ge, Gt, Lt
 from scipy import special
 
 from fmuid.array_types import Floats
@@ -49,20 +50,6 @@ SETTINGS = ChainSettings()
 class SamplerSettings:
     """Settings of the sampler.
 
-    Parameters
-    ----------
-    walkers : int, optional
-        An even number, at least twice the number of parameters; default four a parameter, 16 at least.
-    steps : int
-        Of the longest chain; sampling ends earlier when the chain is long enough and converged.
-    effective_size : int
-        The effective sample size that every parameter must reach: 2000 give means to 2 % and the ends of 95 %
-        intervals to 6 % of a standard deviation.
-    burn : float
-        The share of the chain, at its start, that is discarded.
-    seed : int
-        Of the random numbers: the same seed gives the same samples.
-
     Raises
     ------
     InputError
@@ -72,19 +59,25 @@ class SamplerSettings:
     --------
     >>> problem = fmuid.datasets.coil().problem()
     >>> result = fmuid.identify(problem)
-    >>> settings = fmuid.SamplerSettings(walkers=8, steps=40, effective_size=10)
+    >>> settings = fmuid.SamplerSettings(walkers=8, max_steps=40, effective_size=10)
     >>> fmuid.sample_posterior(problem, result, settings).chain.shape
     (40, 8, 2)
     """
 
-    walkers: int | None = None
-    steps: int = 20_000
-    effective_size: int = 2000
-    burn: float = 0.25
-    seed: int = 0
+    walkers: Annotated[int, Gt(0)] | None = None
+    """an even number, at least twice the number of parameters; default: four a parameter, 16 at least"""
+    max_steps: Annotated[int, Gt(0)] = 20_000
+    """of the longest chain; it ends as soon as it is long enough and converged"""
+    # 2000 give means to 2 % and the ends of 95 % intervals to 6 % of a standard deviation
+    effective_size: int = field(default=2000, metadata={"key": False})
+    """the effective sample size that every parameter must reach"""
+    burn_in: Annotated[float, Ge(0), Lt(1)] = 0.25
+    """fraction of the chain, at its start, that is left out"""
+    seed: Annotated[int, Ge(0)] = 0
+    """of the random numbers: the same seed gives the same samples"""
 
     def __post_init__(self) -> None:
-        for name, least in (("walkers", 4), ("steps", 10), ("effective_size", 1), ("seed", 0)):
+        for name, least in (("walkers", 4), ("max_steps", 10), ("effective_size", 1), ("seed", 0)):
             value = getattr(self, name)
             if name == "walkers" and value is None:
                 continue
@@ -94,8 +87,9 @@ class SamplerSettings:
                 )
         if self.walkers is not None and self.walkers % 2:
             raise InputError(f"the setting walkers of the sampler must be even, not {self.walkers}")
-        if isinstance(self.burn, bool) or not isinstance(self.burn, int | float) or not 0.0 <= self.burn < 1.0:
-            raise InputError(f"the setting burn of the sampler must be a share from 0 to below 1, not {self.burn!r}")
+        if isinstance(self.burn_in, bool) or not isinstance(self.burn_in, int | float) or not 0.0 <= self.burn_in < 1:
+            said = f"must be a fraction from 0 to below 1, not {self.burn_in!r}"
+            raise InputError(f"the setting burn_in of the sampler {said}")
 
 
 class SamplingWarning(Enum):

@@ -123,7 +123,7 @@ def sample_posterior(
     --------
     >>> problem = fmuid.datasets.coil().problem()
     >>> result = fmuid.identify(problem)
-    >>> posterior = fmuid.sample_posterior(problem, result, fmuid.SamplerSettings(steps=40, effective_size=10))
+    >>> posterior = fmuid.sample_posterior(problem, result, fmuid.SamplerSettings(max_steps=40, effective_size=10))
     >>> posterior.table.shape
     (480, 2)
     """
@@ -224,8 +224,8 @@ class _Sampler:
         try:
             self.optima += self._other_optima()
             state: object = self._start()
-            while steps < self.settings.steps:
-                look = min(look, self.settings.steps)
+            while steps < self.settings.max_steps:
+                look = min(look, self.settings.max_steps)
                 # emcee's check of the start is left out: it takes strongly correlated parameters for dependent walkers
                 for _ in self.sampler.sample(state, iterations=look - steps, skip_initial_state_check=True):
                     steps += 1
@@ -257,7 +257,7 @@ class _Sampler:
             wanted = self.settings.effective_size
             step = SamplingStep(
                 step=steps,
-                steps=self.settings.steps,
+                steps=self.settings.max_steps,
                 effective_size=self.effective,
                 wanted=wanted,
                 acceptance=acceptance,
@@ -362,7 +362,7 @@ class _Sampler:
             upper=parameters.upper,
             chain=chain,
             log_density=self.sampler.get_log_prob().copy(),
-            burn=int(self.settings.burn * len(chain)),
+            burn=int(self.settings.burn_in * len(chain)),
             acceptance=float(np.mean(self.sampler.acceptance_fraction)),
             simulations=self.evaluator.simulations - self.simulations,
             elapsed_s=time.perf_counter() - self.clock,

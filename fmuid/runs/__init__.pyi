@@ -73,6 +73,7 @@ from .preprocessing import prepared_columns as prepared_columns
 from .provenance import made_from as made_from
 from .provenance import read_origin as read_origin
 from .provenance import write_origin as write_origin
+from .result_schema import result_schema_text as result_schema_text
 from .result_study import result_path as result_path
 from .result_study import study_of as study_of
 from .run import SearchInterruptedError as SearchInterruptedError

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 import types
 from collections.abc import Mapping, Sequence
@@ -14,6 +15,13 @@ from typing import Any, Literal, Union, get_args, get_origin, get_type_hints
 import numpy as np
 
 from fmuid.codec import hints_of, is_required, layout_of
+from fmuid.estimation import RESULT_SCHEMA
+from fmuid.runs.findings import IdentificationRun
+
+
+def result_schema_text() -> str:
+    """Return the JSON Schema of a ``result.json`` as text."""
+    return json.dumps(schema(IdentificationRun, RESULT_SCHEMA), indent=2, ensure_ascii=False)
 
 
 def schema(kind: type, schema_name: str) -> dict[str, Any]:

@@ -66,7 +66,12 @@ def status_word(version: int, status: int) -> str:
 
 
 def describe(
-    failure: int, status: int, version: int, integrator: str = "", state: str = "", time: float = 0.0, step: float = 0.0
+    failure: int,
+    status: int,
+    version: int,
+    integrator: str = "",
+    state: str = "",
+    reached: tuple[float, float] = (0.0, 0.0),
 ) -> str:
     """Return a failure in words, with the remedy where there is one.
 
@@ -80,12 +85,13 @@ def describe(
         Of model exchange; empty for co-simulation.
     state : str
         Name of the state to blame.
-    time, step : float
-        That the integrator had reached, and the step that it tried last, s.
+    reached : (float, float)
+        The time that the integrator had reached, and the step that it tried last, s.
     """
     name = function_name(version, failure)
     if name is not None:
         return f"fmi{version}{name} returned {status_word(version, status)}{_hint(failure, status)}"
+    time, step = reached
     smaller = "give a smaller step_size" if integrator == "rk4" else "give a step_size or another tolerance"
     return {
         codes.SENSITIVITIES: "the FMU gives no directional derivatives of its outputs",

@@ -238,7 +238,7 @@ class SimulationThread:
         state = description.states[bad % count] if bad >= 0 and count else "of the model"
         state += f" (its sensitivity to parameter {bad // count})" if count and bad >= count else ""
         integrator = integration.integrator if integration else ""
-        return describe(failure, status, description.major_version, integrator, state, time, step)
+        return describe(failure, status, description.major_version, integrator, state, (time, step))
 
     def close(self, fatal: bool = False) -> None:
         """Free the instances; after a fatal error they are left alone."""

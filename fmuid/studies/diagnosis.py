@@ -6,12 +6,12 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any
 
 from pydantic import AfterValidator, BeforeValidator, Tag
 
 from fmuid.data import Experiment, Noise, Parameter
-from fmuid.diagnosis import MODEL_ERROR, Causes, CauseScale, Rule
+from fmuid.diagnosis import MODEL_ERROR, Causes, FaultAngle, Rule
 from fmuid.errors import InputError
 from fmuid.estimation import Marquardt, Result
 from fmuid.files import is_file
@@ -20,7 +20,7 @@ from fmuid.models import System
 from fmuid.studies.arrays import by_element, check_shapes
 from fmuid.studies.model import ModelSection, ParsedModel
 from fmuid.studies.parameters import ParsedParameters, PriorSource
-from fmuid.studies.section import StudySection, word
+from fmuid.studies.section import Settings, StudySection, word
 from fmuid.studies.value_kinds import (
     BY_SHAPE,
     TABLE_TAG,
@@ -34,14 +34,13 @@ from fmuid.studies.value_kinds import (
     Number,
     Positive,
     Share,
-    Text,
     Texts,
     ValueKind,
     must_be,
 )
 
 if TYPE_CHECKING:
-    from fmuid.diagnosis import Baseline, DiagnosisSettings, Fault, FaultAngle
+    from fmuid.diagnosis import Baseline, DiagnosisSettings, Fault
 
 BASELINE_FILE = "baseline.npz"
 """Beside the ``result.json`` of a healthy study with faults: what its tables show."""
@@ -59,13 +58,6 @@ def _factor(value: float) -> float:
 FACTOR = "a number above 0, inf for no prior"
 Factor = Annotated[float, AfterValidator(_factor), ValueKind(FACTOR)]
 Factors = Annotated[dict[str, Factor], Entries("a table { parameter = number }")]
-
-
-class AngleSection(StudySection):
-    """A parameter that is an angle."""
-
-    magnitude: Text = word(..., "the parameter that is the size of this fault")
-    period: Positive = word(2.0 * math.pi, "of the angle")
 
 
 class FaultParameterSection(StudySection):
@@ -89,15 +81,18 @@ class FaultParameterSection(StudySection):
             raise self.error(f"is refused: {error}") from None
 
 
+Angles = Annotated[dict[str, Annotated[FaultAngle, Settings()]], Tag(TABLE_TAG)]
+
+
 class FaultSection(ModelSection):
     """A fault to look for: a model of it, or parameters of the study's own model."""
 
     parameters: Annotated[dict[str, FaultParameterSection], BeforeValidator(by_element)] = word(
         {}, "those of the fault, zero where it is not there"
     )
-    angles: Annotated[
-        Annotated[Names, Tag(VALUE_TAG)] | Annotated[dict[str, AngleSection], Tag(TABLE_TAG)], BY_SHAPE
-    ] = word([], 'the parameters that are angles, ["theta0"]; or each with the size that it belongs to')
+    angles: Annotated[Annotated[Names, Tag(VALUE_TAG)] | Angles, BY_SHAPE] = word(
+        [], 'the parameters that are angles, ["theta0"]; or each with the size that it belongs to'
+    )
     variable_map: Texts = word({}, "what the study calls a variable, and what this model calls it")
     inputs: Columns = word({}, "inputs that only this model has")
 
@@ -123,72 +118,9 @@ class FaultSection(ModelSection):
             replace(self.settings(), values={}, sources=()) if own else None,
             self.held()[0],
             {name: each.parameter(is_angle=name in self.angles) for name, each in self.parameters.items()},
-            self._angles(),
+            self.angles,
             self.variable_map,
             self.inputs,
-        )
-
-    def _angles(self) -> Mapping[str, FaultAngle] | Sequence[str]:
-        if isinstance(self.angles, list):
-            return self.angles
-        from fmuid.diagnosis import FaultAngle
-
-        return {name: FaultAngle(each.magnitude, each.period) for name, each in self.angles.items()}
-
-
-class CauseRangeSection(StudySection):
-    """How far something may be off."""
-
-    healthy_std: Positive = word(..., "standard deviation of what a sound machine may have at all times", 0.03)
-    change_std: Positive = word(..., "standard deviation of a change that is worth naming", 0.03)
-
-
-CAUSES = Causes()
-"""What is not said of causes beside the faults."""
-
-RangeOrNone = Annotated[
-    Annotated[
-        Literal[False], ValueKind("false, or a table { healthy_std = number, change_std = number }"), Tag(VALUE_TAG)
-    ]
-    | Annotated[CauseRangeSection, Tag(TABLE_TAG)],
-    BY_SHAPE,
-]
-
-
-def _shown(of: CauseScale | None) -> dict[str, float]:
-    assert of is not None  # the defaults leave no cause out
-    return {"healthy_std": of.normal, "change_std": of.size}
-
-
-class CausesSection(StudySection):
-    """What may have changed beside the faults, where there are healthy records; false leaves one out."""
-
-    sensor_gain: RangeOrNone | None = word(None, f"of each sensor, as a share; default {_shown(CAUSES.gain)}")
-    sensor_offset: RangeOrNone | None = word(
-        None, f"of each sensor, in std of its noise; default {_shown(CAUSES.offset)}"
-    )
-    sensor_delay: RangeOrNone | None = word(None, f"of each sensor, in sampling steps; default {_shown(CAUSES.delay)}")
-    input_gain: RangeOrNone | None = word(None, f"of each input, as a share; default {_shown(CAUSES.input_gain)}")
-    parameter_drift: RangeOrNone | None = word(
-        None, f"drift of each parameter beyond std_factor, as a share; default {_shown(CAUSES.parameter)}"
-    )
-
-    def causes(self) -> Causes:
-        """Return the causes that the words describe."""
-        given = {
-            "gain": self.sensor_gain,
-            "offset": self.sensor_offset,
-            "delay": self.sensor_delay,
-            "input_gain": self.input_gain,
-            "parameter": self.parameter_drift,
-        }
-        return replace(
-            CAUSES,
-            **{
-                name: CauseScale(each.healthy_std, each.change_std) if isinstance(each, CauseRangeSection) else None
-                for name, each in given.items()
-                if each is not None
-            },
         )
 
 
@@ -209,7 +141,7 @@ class DiagnosisSection(StudySection):
     known_fault_data: dict[str, Files] = word(
         {}, "cause to tables in which it alone is new: they show fault_model_error", {}
     )
-    causes: CausesSection | None = word(None, "what may have changed beside the faults")
+    causes: Annotated[Causes, Settings()] = word(Causes(), "what may have changed beside the faults")
     fault_model_error: NotNegative = word(
         MODEL_ERROR, "of a fault model along other signatures, a share of its effect; a quarter of it in its size"
     )
@@ -241,7 +173,7 @@ class DiagnosisSection(StudySection):
             self.false_alarm_rate,
             {name: each.fault() for name, each in self.faults.items()},
             tuple(self.healthy_data),
-            CAUSES if self.causes is None else self.causes.causes(),
+            self.causes,
             self.fault_model_error,
             {name: tuple(tables) for name, tables in self.known_fault_data.items()},
         )
@@ -346,7 +278,7 @@ class ParsedDiagnosis:
     level: float
     faults: Mapping[str, ParsedFault]
     records: tuple[Path, ...] = ()
-    causes: Causes = CAUSES
+    causes: Causes = field(default_factory=Causes)
     model_error: float = MODEL_ERROR
     trials: Mapping[str, tuple[Path, ...]] = field(default_factory=dict)
 

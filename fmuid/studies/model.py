@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-from pydantic import AfterValidator, BeforeValidator, Field, Tag
+from pydantic import BeforeValidator, Tag
 
 from fmuid.data import INTERPOLATIONS, Noise, Preprocessing
 from fmuid.errors import InputError
@@ -35,7 +35,6 @@ from fmuid.studies.value_kinds import (
     Count,
     Entries,
     File,
-    Finite,
     Flag,
     NameOrPlace,
     Names,
@@ -44,12 +43,11 @@ from fmuid.studies.value_kinds import (
     Positive,
     Scalar,
     Scalars,
+    Segments,
     Share,
     Text,
     Texts,
-    ValueKind,
     as_list,
-    must_be,
     one_of,
 )
 from fmuid.units import TIME_UNITS
@@ -285,19 +283,6 @@ class ModelSection(NumericsSection):
 
 
 # --- [[experiments]] --------------------------------------------------------------------
-
-SEGMENTS = "a list of pairs of times, [[0.0, 1.5], [2.0, 3.5]]"
-
-
-def _forwards(segments: list[list[float]]) -> list[list[float]]:
-    if any(end <= begin for begin, end in segments):
-        raise must_be(f"{SEGMENTS}, each with the earlier time first")
-    return segments
-
-
-Segments = Annotated[
-    list[Annotated[list[Finite], Field(min_length=2, max_length=2)]], ValueKind(SEGMENTS), AfterValidator(_forwards)
-]
 
 
 @dataclass(frozen=True)

@@ -114,8 +114,10 @@ def _kinds(type_: Any) -> list[str]:
 def _default(field: FieldInfo) -> str:
     if field.is_required():
         return "must be given"
-    empty = is_dataclass(field.default) or field.default in (None, "", [], (), {})
-    return "" if empty else f"`{show(field.default)}`"
+    default: Any = field.default
+    if is_dataclass(default) and any(each.is_required() for each in keys_of(default.__class__).values()):
+        return f"`{{ {', '.join(f'{key} = {show(value)}' for key, value in vars(default).items())} }}`"
+    return "" if is_dataclass(default) or default in (None, "", [], (), {}) else f"`{show(default)}`"
 
 
 def _cell(text: str) -> str:

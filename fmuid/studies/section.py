@@ -23,6 +23,7 @@ from typing import Annotated, Any, Literal, Self, Union, cast, get_args, get_ori
 from pydantic import (
     AfterValidator,
     BaseModel,
+    BeforeValidator,
     ConfigDict,
     Field,
     GetCoreSchemaHandler,
@@ -141,8 +142,10 @@ class Settings:
     Each field is a key, but for those whose metadata say ``key=False``.
     """
 
-    def __get_pydantic_core_schema__(self, source: type, handler: GetCoreSchemaHandler) -> CoreSchema:
-        """Return how the class is read from a table: keys, values, and what it refuses itself."""
+    def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
+        """Return how the class, or the class or None, is read: keys, values, and what it refuses itself."""
+        if not isinstance(source, type):
+            return handler.generate_schema(kind_of(source))
         keys = keys_of(source)
 
         def made(values: dict[str, Any]) -> Any:
@@ -284,6 +287,9 @@ def kind_of(type_: Any) -> Any:
         # samples one by one are for Python alone
         inner = tuple(each for each in inner if get_args(each) != (float,))
         parts = [kind_of(each) for each in inner if each is not type(None)]
+        if is_dataclass(inner[0]) and len(parts) == 1:
+            switched = BeforeValidator(_switched, json_schema_input_type=bool | parts[0])
+            return Annotated[parts[0] | None, switched]
         return _either(parts) if len(parts) == len(inner) else _either(parts) | None
     if origin is Literal:
         return Annotated[str, one_of(inner)]
@@ -299,6 +305,11 @@ def kind_of(type_: Any) -> Any:
     if is_dataclass(base):
         return type_ if any(isinstance(each, Settings) for each in limits) else Annotated[type_, Settings()]
     return {bool: Flag, str: Text}.get(base, type_)
+
+
+def _switched(value: Any) -> Any:
+    """Return a section that may be missing: false is none of it, true all its defaults."""
+    return value if not isinstance(value, bool) else {} if value else None
 
 
 def _either(parts: list[Any]) -> Any:

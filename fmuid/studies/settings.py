@@ -13,8 +13,15 @@ from fmuid.diagnosis import Rule
 from fmuid.errors import InputError
 from fmuid.estimation import SENSITIVITIES, Marquardt
 from fmuid.formatting import nearest
-from fmuid.identification import ACCURACIES, CONFIDENCE_LEVEL, AssessmentSettings, Problem, with_observer
-from fmuid.studies.section import SectionLocation, StudySection, word
+from fmuid.identification import (
+    ACCURACIES,
+    CONFIDENCE_LEVEL,
+    AssessmentSettings,
+    Problem,
+    SamplerSettings,
+    with_observer,
+)
+from fmuid.studies.section import SectionLocation, Settings, StudySection, word
 from fmuid.studies.value_kinds import (
     Count,
     Entries,
@@ -32,7 +39,6 @@ from fmuid.studies.value_kinds import (
 
 if TYPE_CHECKING:
     from fmuid.estimation import GlobalSearch, Method
-    from fmuid.identification import SamplerSettings
 
 SEARCH = Marquardt()
 """What is not said of Marquardt's search."""
@@ -45,7 +51,6 @@ Limits = Annotated[dict[str, Number], Entries("a table { fault.size = number }")
 
 
 METHODS = ("levenberg-marquardt", "multi-start", "differential-evolution")
-SAMPLER = {"max_steps": "steps", "burn_in": "burn"}
 
 
 class EstimationWords(StudySection):
@@ -173,19 +178,6 @@ def observed_by(problem: Problem, samples: float | None, path: Path) -> Problem:
 # --- [uncertainty] ----------------------------------------------------------------------
 
 
-class PosteriorSection(StudySection):
-    """How the posterior is sampled."""
-
-    walkers: Count | None = word(None, "an even number; default: four a parameter, 16 at least")
-    max_steps: Count | None = word(None, "the longest chain; it ends as soon as it is long enough")
-    burn_in: NotNegative | None = word(None, "share of the chain that is left out at its start")
-    seed: Natural | None = word(None, "of the random numbers")
-
-
-def _switched(value: Any) -> Any:
-    return value if not isinstance(value, bool) else {} if value else None
-
-
 Pair = Annotated[list[Text], Field(min_length=2, max_length=2)]
 PAIRS = 'a list of pairs of parameters, [["Rs", "Lf"]]'
 
@@ -208,9 +200,9 @@ class UncertaintySection(StudySection):
     profile_likelihood: Annotated[
         Flag | list[Text], ValueKind('true (all parameters), false or a list of parameters, ["Rs", "Rr"]')
     ] = word(False, 'profile likelihood of all parameters, or of some: ["a", "b"]', True)
-    posterior: Annotated[
-        PosteriorSection | None, BeforeValidator(_switched, json_schema_input_type=bool | PosteriorSection)
-    ] = word(None, "samples of the posterior; or { max_steps = 20000, walkers = 32, seed = 0 }", True)
+    posterior: Annotated[SamplerSettings | None, Settings()] = word(
+        None, "samples of the posterior; or { max_steps = 20000, walkers = 32, seed = 0 }"
+    )
     cost_map: Annotated[
         list[Pair],
         BeforeValidator(_pairs, json_schema_input_type=Pair | list[Pair]),
@@ -236,19 +228,7 @@ class UncertaintySection(StudySection):
                 if name not in names:
                     raise self.error(f"{key} names {name!r}, which is no parameter of this study{nearest(name, names)}")
         pairs = tuple((first, second) for first, second in self.cost_map)
-        return AssessmentSettings(self.confidence_level, tuple(dict.fromkeys(listed)), self._sampling(), pairs)
-
-    def _sampling(self) -> SamplerSettings | None:
-        if self.posterior is None:
-            return None
-        from fmuid.identification import SamplerSettings
-
-        try:
-            return SamplerSettings(
-                **{SAMPLER.get(key, key): value for key, value in self.posterior.model_dump(exclude_unset=True).items()}
-            )
-        except InputError as error:
-            raise self.posterior.error(f"is refused: {error}") from None
+        return AssessmentSettings(self.confidence_level, tuple(dict.fromkeys(listed)), self.posterior, pairs)
 
 
 # --- [monitoring] -----------------------------------------------------------------------

@@ -199,3 +199,15 @@ Positives = Annotated[dict[str, Positive], Entries("a table { name = number }")]
 PositiveOrEach = Annotated[Annotated[Positive, Tag(VALUE_TAG)] | Annotated[Positives, Tag(TABLE_TAG)], BY_SHAPE]
 File = Annotated[Path, BeforeValidator(existing_file, json_schema_input_type=str), ValueKind("the path of a file")]
 Files = Annotated[list[File], BeforeValidator(_listed_files, json_schema_input_type=list[str])]
+SEGMENTS = "a list of pairs of times, [[0.0, 1.5], [2.0, 3.5]]"
+
+
+def _forwards(segments: list[list[float]]) -> list[list[float]]:
+    if any(end <= begin for begin, end in segments):
+        raise must_be(f"{SEGMENTS}, each with the earlier time first")
+    return segments
+
+
+Segments = Annotated[
+    list[Annotated[list[Finite], Field(min_length=2, max_length=2)]], ValueKind(SEGMENTS), AfterValidator(_forwards)
+]

@@ -11,11 +11,11 @@ import pytest
 from fmuid.data import Parameter
 from fmuid.data.data_file import read_data
 from fmuid.data.experiment import Experiment
-from fmuid.data.predictors import FunctionPredictor
 from fmuid.errors import InputError
 from fmuid.estimation.evaluator import Evaluator
 from fmuid.estimation.global_search.search import GlobalSearch
 from fmuid.estimation.method import Marquardt
+from fmuid.estimation.predictors import FunctionPredictor
 from fmuid.estimation.problem import LeastSquares
 
 NAN = float("nan")

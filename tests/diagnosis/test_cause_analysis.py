@@ -295,7 +295,7 @@ def test_a_study_with_healthy_records(tmp_path: Path, capsys: pytest.CaptureFixt
     [
         ('diagnosis.healthy_data=["nothing.csv"]', "there is no file"),
         ('diagnosis.healthy_data="healthy.csv"', "healthy_data must be a list of paths of files"),
-        ("diagnosis.causes.sensor_gain=0.3", "sensor_gain must be false, or a table"),
+        ("diagnosis.causes.sensor_gain=0.3", "sensor_gain] must be a table, not 0.3"),
         ("diagnosis.fault_model_error=-1", "fault_model_error must be a number, 0 or above"),
     ],
 )

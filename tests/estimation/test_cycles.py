@@ -16,7 +16,7 @@ import pytest
 from scipy import linalg
 
 from fmuid.array_types import Floats
-from fmuid.data import Experiment, FunctionPredictor, Noise, Parameter
+from fmuid.data import Experiment, Noise, Parameter
 from fmuid.errors import InputError
 from fmuid.estimation.noise.low_frequency import Bins
 from fmuid.estimation.noise.output_series import OutputSeries, period_of
@@ -30,6 +30,7 @@ from fmuid.estimation.noise.periodic_error import (
     _summed,
 )
 from fmuid.estimation.noise.sandwich import sandwich_of
+from fmuid.estimation.predictors import FunctionPredictor
 from fmuid.estimation.problem import LeastSquares
 from fmuid.estimation.result import Result
 from fmuid.identification import identify

@@ -12,11 +12,12 @@ import pytest
 from scipy import stats
 
 from fmuid.array_types import Floats
-from fmuid.data import Experiment, FunctionPredictor, Noise, Parameter, robust_variance
+from fmuid.data import Experiment, Noise, Parameter, robust_variance
 from fmuid.data.data_file import UNITS
 from fmuid.errors import InputError
 from fmuid.estimation.cost_components import fitted, misfits
 from fmuid.estimation.evaluator import Evaluator
+from fmuid.estimation.predictors import FunctionPredictor
 from fmuid.estimation.problem import LeastSquares
 from fmuid.estimation.result import Result
 from fmuid.identification import identify

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -14,6 +13,7 @@ import pytest
 import fmuid
 from fmuid.estimation import Evaluator, TerminationReason
 from fmuid.identification.discrete_parameters import MOST_COMBINATIONS, choices_of
+from fmuid.reports.topics.termination import result_words
 from fmuid.runs.batch.run_case import CaseRunner
 from tests.support.choices import choices_fmu
 from tests.support.fmu_texts import FMI2, write_fmu
@@ -185,7 +185,7 @@ def test_a_study(study: Path) -> None:
     assert '<ssv:Boolean value="true"' in ssv
     kept = fmuid.Result.from_json(study.parent / "out" / "result.json")
     assert kept.combinations == result.combinations
-    words = json.loads((study.parent / "out" / "result.json").read_text())["words"]
+    words = result_words(result)
     assert any(each.startswith("n = 3, b = true fits best of 6 combinations; the next best, ") for each in words)
     predicted = run_prediction(study.parent / "out", [study.parent / "table.csv"])
     assert predicted.predictions[0].scores[0].rmse < 2 * NOISE

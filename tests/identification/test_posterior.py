@@ -135,7 +135,7 @@ def test_intervals_of_highest_density(
 ) -> None:
     samples = np.random.default_rng(6).permutation(distribution.ppf((np.arange(20_000) + 0.5) / 20_000))
     upper = 0.0 if expected[1] == 0.0 else math.inf
-    posterior, _ = sampled(linear()[0], steps=10)
+    posterior, _ = sampled(linear()[0], max_steps=10)
     one = replace(
         posterior,
         names=("x",),
@@ -254,6 +254,6 @@ def test_samples_as_arviz_takes_them() -> None:
 
 def test_samples_without_arviz(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "arviz_base", None)
-    posterior, _ = sampled(linear()[0], steps=20, effective_size=1)
+    posterior, _ = sampled(linear()[0], max_steps=20, effective_size=1)
     with pytest.raises(InputError, match=r"pip install 'fmuid\[arviz\]'"):
         posterior.to_arviz()

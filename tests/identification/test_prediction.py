@@ -159,7 +159,7 @@ def test_what_the_table_and_the_json_have(result: Result) -> None:
     inside = found.table["measured.i"].between(found.table["lower.i"], found.table["upper.i"])
     assert inside.mean() == found.scores[0].inside
     content: dict[str, Any] = as_json(found)
-    assert content["outputs"][0]["rmse"] == found.scores[0].rmse
+    assert content["scores"][0]["rmse"] == found.scores[0].rmse
     assert content["estimated"] is None
 
 

@@ -355,7 +355,7 @@ def test_written_and_read() -> None:
     written = json.loads(json.dumps(as_json(reading), allow_nan=False))
     assert written["variances"][0]["deviation"] == reading.variances[0].deviation.value
     assert written["parameters"]["b"]["data"] == reading.data[1]
-    assert written["prior_against_data"]["degrees_of_freedom"] == 3
+    assert written["agreement"]["degrees_of_freedom"] == 3
     assert written["variances"][0]["output"] == "y"
     table = reading.table
     assert table["parameter"].tolist() == list(NAMES)

@@ -14,9 +14,9 @@ from fmuid.array_types import Floats
 from fmuid.codec import as_json
 from fmuid.data import Experiment, Normal, Parameter
 from fmuid.data.noise import Noise
-from fmuid.data.predictors import FunctionPredictor
 from fmuid.errors import InputError
 from fmuid.estimation.noise.whiteness_tests import LaggedSeries
+from fmuid.estimation.predictors import FunctionPredictor
 from fmuid.estimation.problem import LeastSquares
 from fmuid.estimation.result import Result
 from fmuid.identification import identify

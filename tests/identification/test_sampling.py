@@ -10,8 +10,8 @@ import pytest
 
 from fmuid.data import Experiment, Normal, Parameter
 from fmuid.data.noise import Noise
-from fmuid.data.predictors import FunctionPredictions
 from fmuid.errors import InputError
+from fmuid.estimation.predictors import FunctionPredictions
 from fmuid.estimation.problem import LeastSquares
 from fmuid.identification.posterior import SamplerSettings, SamplingWarning, effective_size, r_hat
 from fmuid.identification.sampler import sample_posterior
@@ -40,14 +40,14 @@ def test_ensembles_run_as_batches() -> None:
     problem = LeastSquares([Counting()], [table], priors)
     result = identify(problem)
     sizes.clear()
-    posterior = sample_posterior(problem, result, SamplerSettings(walkers=20, steps=200))
+    posterior = sample_posterior(problem, result, SamplerSettings(walkers=20, max_steps=200))
     assert set(sizes[-len(posterior.chain) :]) <= {10, 20}
     assert posterior.simulations == sum(sizes)
 
 
 def test_same_seed_same_samples() -> None:
     problem, _ = linear()
-    first, second, other = (sampled(problem, steps=50, seed=seed)[0].chain for seed in (1, 1, 2))
+    first, second, other = (sampled(problem, max_steps=50, seed=seed)[0].chain for seed in (1, 1, 2))
     np.testing.assert_array_equal(first, second)
     assert not np.array_equal(first, other)
 
@@ -72,10 +72,10 @@ def test_a_single_parameter_that_fails_nearby() -> None:
 @pytest.mark.slow
 def test_too_few_steps_are_not_trusted() -> None:
     problem, _ = linear()
-    posterior, _ = sampled(problem, steps=12)
+    posterior, _ = sampled(problem, max_steps=12)
     assert not posterior.converged
     assert "raise steps" in posterior_words(posterior)
-    few, _ = sampled(problem, steps=900, effective_size=1_000_000)
+    few, _ = sampled(problem, max_steps=900, effective_size=1_000_000)
     assert few.doubt is SamplingWarning.TOO_FEW
     assert "independent ones instead of 1000000: raise steps to about" in posterior_words(few)
 
@@ -143,9 +143,9 @@ def test_tables() -> None:
     [
         ({"walkers": 3}, "walkers of the sampler must be a whole number from 4 on, not 3"),
         ({"walkers": 9}, "walkers of the sampler must be even, not 9"),
-        ({"steps": 0}, "steps of the sampler must be a whole number from 10 on, not 0"),
+        ({"max_steps": 0}, "max_steps of the sampler must be a whole number from 10 on, not 0"),
         ({"effective_size": 1.5}, "effective_size of the sampler must be a whole number from 1 on, not 1.5"),
-        ({"burn": 1.0}, "burn of the sampler must be a share from 0 to below 1, not 1.0"),
+        ({"burn_in": 1.0}, "burn_in of the sampler must be a fraction from 0 to below 1, not 1.0"),
         ({"seed": -1}, "seed of the sampler must be a whole number from 0 on, not -1"),
     ],
 )
@@ -164,7 +164,7 @@ def test_wrong_use() -> None:
     with pytest.raises(InputError, match="the result is of another problem: its parameters are a, b"):
         sample_posterior(wide, result)
     with pytest.raises(InputError, match="level of an interval"):
-        sampled(problem, steps=20)[0].intervals(1.0)
+        sampled(problem, max_steps=20)[0].intervals(1.0)
     exact = LeastSquares.from_function(
         lambda theta: theta[0] * np.arange(4.0), 2.0 * np.arange(4.0), {"a": Parameter(2.0)}
     )

@@ -22,7 +22,7 @@ from fmuid.identification.posterior import SamplerSettings
 from fmuid.progress import Event, ProfileStep, SamplingStep
 from fmuid.reports.topics.uncertainty import uncertainty_words
 
-ALL = AssessmentSettings(0.9, ("a", "b"), SamplerSettings(steps=600, effective_size=600), (("a", "b"),))
+ALL = AssessmentSettings(0.9, ("a", "b"), SamplerSettings(max_steps=600, effective_size=600), (("a", "b"),))
 
 
 def line() -> LeastSquares:
@@ -130,7 +130,7 @@ def test_interrupted_keeps_what_there_is(
 
 def test_samples_that_cannot_be_trusted_are_no_success() -> None:
     problem = line()
-    settings = AssessmentSettings(posterior=SamplerSettings(steps=20))
+    settings = AssessmentSettings(posterior=SamplerSettings(max_steps=20))
     found = assess(problem, identify(problem), settings)
     assert not found.interrupted
     assert not found.succeeded

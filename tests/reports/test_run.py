@@ -137,7 +137,7 @@ def test_interrupted_where_a_point_is_known(study: Path, tmp_path: Path) -> None
     assert found.assessment.residuals is None
     written = json.loads((tmp_path / "out/result.json").read_text())
     assert written["parameters"]["R"]["value"] == found.result["R"]
-    assert {path.name for path in found.files} == {"result.json", "estimates.csv"}
+    assert {path.name for path in found.files} == {"result.json", "estimates.csv", "document.json"}
     assert codec.as_json(read_identification(tmp_path / "out")) == codec.as_json(found)
 
 

@@ -37,7 +37,7 @@ def test_whatever_is_found_is_described() -> None:
     assert fmuid.describe(result) == "Converged"
     assert fmuid.describe(diagnostics).startswith("Neighbouring samples of the residual look correlated")
     assert fmuid.describe(fmuid.compare_prior_and_data(problem, result)).startswith("Prior and data agree")
-    assert "raise steps" in fmuid.describe(fmuid.sample_posterior(problem, result, fmuid.SamplerSettings(steps=20)))
+    assert "raise steps" in fmuid.describe(fmuid.sample_posterior(problem, result, fmuid.SamplerSettings(max_steps=20)))
 
 
 @pytest.mark.parametrize("outcome", TerminationReason)

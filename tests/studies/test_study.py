@@ -90,7 +90,7 @@ def test_uncertainty_words(folder: Path) -> None:
     assert asked("posterior = true").posterior == SamplerSettings()
     assert asked(
         "posterior = { walkers = 32, max_steps = 2000, burn_in = 0.5, seed = 3 }"
-    ).posterior == SamplerSettings(32, 2000, burn=0.5, seed=3)
+    ).posterior == SamplerSettings(32, 2000, burn_in=0.5, seed=3)
 
 
 def test_components(folder: Path) -> None:

@@ -162,7 +162,7 @@ REFUSED = {
     "posterior burn": (
         "[noise]",
         "[uncertainty]\nposterior = { burn_in = 500 }\n[noise]",
-        "[uncertainty.posterior] is refused: the setting burn of the sampler must be a share",
+        "[uncertainty.posterior] burn_in must be a number from 0 to below 1, not 500",
     ),
     "uncertainty key": (
         "[noise]",

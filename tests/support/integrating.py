@@ -91,7 +91,7 @@ class Trial:
     def describe(self, states: tuple[str, ...] = ()) -> str:
         state, report = self.memory.state, self.memory.state.report
         name = states[report.state] if 0 <= report.state < len(states) else ""
-        return describe(report.failure, report.status, 2, self.integrator, name, state.step_end, state.next_step)
+        return describe(report.failure, report.status, 2, self.integrator, name, (state.step_end, state.next_step))
 
     def advance(self, t: float) -> NDArray[np.float64]:
         """Return the states that the FMU holds at t."""

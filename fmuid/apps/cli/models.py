@@ -102,8 +102,21 @@ def _pairs(given: Sequence[str], option: str, form: str, example: str) -> dict[s
     return found
 
 
-def schema() -> int:
-    """Print the JSON schema of study files, for editors."""
+def schema(
+    of: Annotated[
+        str, typer.Argument(metavar="[FILE]", help="'study', or 'result': result.json.", show_default=False)
+    ] = "study",
+) -> int:
+    """Print the JSON schema of study files, for editors, or of a result.json."""
+    if of == "result":
+        from fmuid.runs import result_schema_text
+
+        print(result_schema_text())
+        return DONE
+    if of != "study":
+        from fmuid.errors import InputError
+
+        raise InputError(f"there is no schema of {of!r}: give 'study' or 'result'")
     from fmuid.studies import schema_text
 
     print(schema_text())

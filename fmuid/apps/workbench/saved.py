@@ -10,8 +10,8 @@ from typing import Any
 
 from fmuid.codec import from_json
 from fmuid.errors import InputError
-from fmuid.estimation import Result
 from fmuid.files import ContentError
+from fmuid.runs import IdentificationRun
 
 
 @dataclass(frozen=True)
@@ -26,7 +26,7 @@ class BatchManifest:
     dashboard: str | None = None
 
 
-_KINDS: dict[str, type] = {"result.json": Result, "batch.json": BatchManifest}
+_KINDS: dict[str, type] = {"result.json": IdentificationRun, "batch.json": BatchManifest}
 
 
 def read_json(path: Path) -> dict[str, Any]:

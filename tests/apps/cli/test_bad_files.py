@@ -64,9 +64,11 @@ def test_names_that_no_file_has(coil_folder: Path, capsys: pytest.CaptureFixture
         assert name in refused(capsys, *command)
 
 
-RESULT = """{"outcome": "converged", "converged": true,
-"parameters": {"R": {"value": 4.0, "std": 0.1, "start": 3.0}},
-"covariance": {"names": ["R"], "matrix": [[0.01]]}, "noise_variance": {"i": 1e-6}, "criterion": 1.0, "iterations": 1,
+RESULT = """{"schema": "fmuid/result/2", "outcome": "converged", "converged": true,
+"parameters": {"R": {"value": 4.0, "std": 0.1, "start": 3.0, "lower": "-inf", "upper": "inf"}},
+"covariance": {"names": ["R"], "matrix": [[0.01]], "white": [[0.01]]}, "noise_variance": {"i": 1e-6},
+"given_variance": {}, "criterion": 1.0, "log_likelihood": null, "degrees_of_freedom": "inf", "iterations": 1,
+"undetermined": [], "weak": [], "prior_determined": [], "at_bounds": [],
 "simulations": 2, "elapsed_s": 0.1, "version": "0"}"""
 
 

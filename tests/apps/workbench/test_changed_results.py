@@ -115,7 +115,7 @@ def test_all_pages_show_changed_types(identified: Path, tmp_path: Path, file: st
 
 @pytest.mark.parametrize(
     ("key", "value"),
-    [("parameters", [1]), ("experiments", {"name": 1}), ("study", {"file": 1, "digest": []}), ("diagnostics", "good")],
+    [("parameters", [1]), ("fit", {"experiments": {"name": 1}}), ("origin", {"version": 1}), ("assessment", "good")],
 )
 def test_pages_name_the_value(identified: Path, tmp_path: Path, key: str, value: object) -> None:
     shutil.copytree(identified, tmp_path / "work")

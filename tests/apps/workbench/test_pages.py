@@ -118,7 +118,8 @@ def test_results_stand_side_by_side(tmp_path: Path) -> None:
     }
     for name, parameters in told.items():
         (tmp_path / name).mkdir()
-        whole = {key: {"std": 0.1, "start": 1.0} | each for key, each in parameters.items()}
+        rest = {"std": 0.1, "start": 1.0, "degrees_of_freedom": "inf", "lower": "-inf", "upper": "inf"}
+        whole = {key: rest | each for key, each in parameters.items()}
         result(tmp_path / name, {key: (each["value"], 0.1) for key, each in parameters.items()}, parameters=whole)
     body, ((_, (drawn,)),) = _compared(Folder(tmp_path), [tmp_path / "first", tmp_path / "second"])
     table = body.partition("</table>")[0]

@@ -103,7 +103,7 @@ def test_every_failure_has_words() -> None:
             said = (
                 ""
                 if code in spoken_elsewhere
-                else describe(code, 2, 3 if code == codes.ENTER_STEP_MODE else 2, integrator, "phi", 0.5, 1e-9)
+                else describe(code, 2, 3 if code == codes.ENTER_STEP_MODE else 2, integrator, "phi", (0.5, 1e-9))
             )
             assert code in spoken_elsewhere or len(said) > 15
             assert "\n" not in said
@@ -111,8 +111,8 @@ def test_every_failure_has_words() -> None:
     assert describe(codes.GET_DERIVATIVES, 9, 3) == "fmi3GetContinuousStateDerivatives returned the illegal status 9"
     assert describe(codes.FLOAT64, 4, 2) == "fmi2SetReal returned fmi2Fatal"
     assert describe(codes.N_WIRES + codes.UINT8, 3, 3) == "fmi3GetUInt8 returned fmi3Error"
-    assert "state phi" in describe(codes.STATE_NOT_FINITE, 0, 2, "rk45", "phi", 0.5, 1e-9)
-    small = describe(codes.STEP_TOO_SMALL, 0, 2, "rk45", "phi", 0.5, 1e-9)
+    assert "state phi" in describe(codes.STATE_NOT_FINITE, 0, 2, "rk45", "phi", (0.5, 1e-9))
+    small = describe(codes.STEP_TOO_SMALL, 0, 2, "rk45", "phi", (0.5, 1e-9))
     assert "at t = 0.5 s (the last one 1e-09 s; state phi errs most)" in small
 
 

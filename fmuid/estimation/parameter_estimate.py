@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from fmuid.data.priors import Normal
+from fmuid.data import Normal
 from fmuid.formatting import has_unit, with_std
 
 
