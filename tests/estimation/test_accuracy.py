@@ -134,7 +134,7 @@ def test_written_and_read(tmp_path: Path) -> None:
 
 
 def test_results_without_a_check_are_read(tmp_path: Path) -> None:
-    data = as_json(identify(problem()))
+    data = RESULT | as_json(identify(problem()))
     for each in data["parameters"].values():
         del each["numerical_shift"]
     del data["accuracy"]

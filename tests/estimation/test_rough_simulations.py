@@ -180,7 +180,7 @@ def test_a_stalled_search_claims_nothing(stalled: Result, tmp_path: Path) -> Non
     again = Result.from_json(path)
     assert again.outcome is TerminationReason.STALLED
     assert np.isnan(again.std).all()
-    with pytest.raises(InputError, match="has not converged: stalled"):
+    with pytest.raises(InputError, match=r"has not converged \(stalled\): continue with fmuid identify --resume$"):
         apply_result(path, FMUS / "Coil" / "Coil.fmu", tmp_path / "new.fmu")
 
 
@@ -189,11 +189,11 @@ def test_what_is_as_accurate_as_the_simulation_may_be_applied(tmp_path: Path) ->
     parameters = {"R": Parameter(1.5), "L": Parameter(1.5), "brake": Parameter(0.8)}
     result = identify(LeastSquares.from_function(lambda theta: push(theta, 1e-4), y, parameters))
     assert result.outcome is TerminationReason.ACCURACY
-    content = as_json(result)
+    content = RESULT | as_json(result)
     assert content["outcome"] == "accuracy"
     assert ending(result).startswith("converged to the accuracy of the simulation: make it more accurate")
     del content["parameters"]["brake"]
-    content["covariance"] = {"names": ["R", "L"], "matrix": np.eye(2).tolist()}
+    content["covariance"] = {"names": ["R", "L"], "matrix": np.eye(2).tolist(), "white": np.eye(2).tolist()}
     path = tmp_path / "result.json"
     path.write_text(json.dumps(content))
     applied = apply_result(path, FMUS / "Coil" / "Coil.fmu", tmp_path / "new.fmu")

@@ -50,7 +50,9 @@ def test_what_is_wrong_with_it(folder: Path) -> None:
     study = Study.read(folder / "study.toml", ['model.fixed.L={result="result.json", name="l"}'])
     assert study.model.values == {"L": 0.1}
     (folder / "result.json").write_text("{}")
-    with pytest.raises(InputError, match=r"\[model.fixed.L\]: .*result.json does not say"):
+    with pytest.raises(
+        InputError, match=r"\[model.fixed.L\]: .*result.json is of no schema.*: run fmuid identify again$"
+    ):
         Study.read(folder / "study.toml")
     result(folder, {"L": (0.1, 0.01)}, models={"": {"name": "Motor", "digest": "0"}})
     with pytest.raises(InputError, match="is a result of another model, Motor"):

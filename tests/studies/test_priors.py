@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -17,9 +18,11 @@ from fmuid.reports.shared_phrases import source_words
 from fmuid.studies import SourceIssue
 from fmuid.studies.study import Study
 from tests.support.paths import FMUS
+from tests.support.results import result
 
 COIL = FMUS / "Coil/Coil.fmu"
 COVARIANCE = [[4.0e-4, 1.0e-6], [1.0e-6, 1.0e-8]]
+ESTIMATES: dict[str, tuple[float, float | None]] = {"R": (4.0, 0.02), "L": (0.1, 1e-4)}
 STUDY = f"""
 [model]
 fmu = "{COIL.as_posix()}"
@@ -45,20 +48,13 @@ def folder(tmp_path: Path) -> Path:
 
 def earlier(folder: Path, **changes: Any) -> None:
     """Write a result of the coil, with some of its entries changed."""
-    content: dict[str, Any] = {
-        "outcome": "converged",
-        "converged": True,
-        "parameters": {"R": {"value": 4.0, "std": 0.02, "start": 5.0}, "L": {"value": 0.1, "std": 1e-4, "start": 0.1}},
-        "covariance": {"names": ["R", "L"], "matrix": COVARIANCE},
-        "noise_variance": {"i": 1.6e-3},
-        "criterion": 10.0,
-        "iterations": 3,
-        "simulations": 9,
-        "elapsed_s": 0.1,
-        "version": "0.1.0",
-        "models": {"": {"name": "Coil", "digest": "0" * 64}},
-    }
-    (folder / "healthy.json").write_text(json.dumps(content | changes))
+    content = {"covariance": covariance(), "noise_variance": {"i": 1.6e-3}} | changes
+    result(folder, ESTIMATES, **content).replace(folder / "healthy.json")
+
+
+def covariance(matrix: object = COVARIANCE, names: Sequence[str] = ("R", "L")) -> dict[str, object]:
+    """Return a covariance as it stands in a result."""
+    return {"names": names, "matrix": matrix, "white": matrix}
 
 
 def read(folder: Path, extra: str = "", *, prior_of_r: str = "") -> Study:
@@ -106,9 +102,8 @@ def test_joint_prior_from_a_result(folder: Path) -> None:
 
 
 def test_joint_prior_of_the_parameters_that_both_have(folder: Path) -> None:
-    result = json.loads((folder / "healthy.json").read_text())
-    parameters = {"dR" if name == "R" else name: value for name, value in result["parameters"].items()}
-    earlier(folder, parameters=parameters, covariance={"names": ["dR", "L"], "matrix": COVARIANCE})
+    rows = json.loads((folder / "healthy.json").read_text())["parameters"]
+    earlier(folder, parameters={"dR": rows["R"], "L": rows["L"]}, covariance=covariance(names=["dR", "L"]))
     joint = read(folder, '[prior]\nresult = "healthy.json"').joint_prior
     assert joint is not None
     assert joint.names == ("L",)
@@ -165,7 +160,7 @@ def test_another_build_is_noted(folder: Path) -> None:
 
 
 def test_result_without_model_and_result_that_failed_are_noted(folder: Path) -> None:
-    earlier(folder, models={}, outcome="iteration_limit", converged=False)
+    earlier(folder, models={}, outcome="iteration_limit")
     failed, unknown = read(folder, '[prior]\nresult = "healthy.json"').notes
     assert (failed.doubt, failed.outcome) == (SourceIssue.DID_NOT_SUCCEED, TerminationReason.ITERATION_LIMIT)
     assert "did not succeed: iteration_limit" in source_words(failed)
@@ -245,18 +240,15 @@ def test_both_a_single_and_a_joint_prior(folder: Path) -> None:
 
 
 def test_result_outside_the_bounds(folder: Path) -> None:
-    parameters = {"R": {"value": 14.0, "std": 0.02, "start": 5.0}, "L": {"value": 0.1, "std": 1e-4, "start": 0.1}}
-    earlier(folder, parameters=parameters)
+    rows = json.loads((folder / "healthy.json").read_text())["parameters"]
+    earlier(folder, parameters={"R": rows["R"] | {"value": 14.0}, "L": rows["L"]})
     assert "14 of 'R' lies outside its bounds" in refused(folder, '[prior]\nresult = "healthy.json"')
     assert "mean 14 lies outside the bounds" in refused(folder, prior_of_r='{ result = "healthy.json" }')
 
 
 def test_result_without_the_parameter(folder: Path) -> None:
-    earlier(
-        folder,
-        parameters={"Rs": {"value": 14.0, "std": 0.02, "start": 5.0}, "Ls": {"value": 0.1, "std": 1e-4, "start": 0.1}},
-        covariance={"names": ["Rs", "Ls"], "matrix": COVARIANCE},
-    )
+    rows = json.loads((folder / "healthy.json").read_text())["parameters"]
+    earlier(folder, parameters={"Rs": rows["R"], "Ls": rows["L"]}, covariance=covariance(names=["Rs", "Ls"]))
     single = refused(folder, prior_of_r='{ result = "healthy.json" }')
     assert "takes 'R' from" in single
     assert "it has Rs, Ls" in single
@@ -266,8 +258,9 @@ def test_result_without_the_parameter(folder: Path) -> None:
     assert "takes 'L' from" in refused(folder, '[prior]\nresult = "healthy.json"\nnames = ["L"]')
 
 
-def test_result_that_does_not_determine_the_parameter(folder: Path) -> None:
-    earlier(folder, covariance={"names": ["R", "L"], "matrix": [[None, None], [None, 1e-8]]})
+@pytest.mark.parametrize("unknown", ["inf", None])
+def test_result_that_does_not_determine_the_parameter(folder: Path, unknown: str | None) -> None:
+    earlier(folder, covariance=covariance([[unknown, None], [None, 1e-8]]))
     for case in (
         {"extra": '[prior]\nresult = "healthy.json"'},
         {"prior_of_r": '{ result = "healthy.json" }'},
@@ -278,20 +271,22 @@ def test_result_that_does_not_determine_the_parameter(folder: Path) -> None:
 
 
 def test_result_with_zero_variance(folder: Path) -> None:
-    earlier(folder, covariance={"names": ["R", "L"], "matrix": [[0.0, 0.0], [0.0, 1e-8]]})
+    earlier(folder, covariance=covariance([[0.0, 0.0], [0.0, 1e-8]]))
     single = refused(folder, prior_of_r='{ result = "healthy.json" }')
     for sentence in (single, refused(folder, '[prior]\nresult = "healthy.json"')):
         assert "healthy.json" in sentence
         assert "variance of 'R' must be greater than 0, not 0" in sentence
 
 
-@pytest.mark.parametrize("content", ["{}", "[]", "nothing", '{"parameters": {}}', ""])
+@pytest.mark.parametrize(
+    "content", ["{}", "[]", "nothing", '{"parameters": {}}', "", '{"schema": "fmuid/result/2", "outcome": "converged"}']
+)
 def test_broken_result(folder: Path, content: str) -> None:
     (folder / "healthy.json").write_text(content)
     for case in ({"extra": '[prior]\nresult = "healthy.json"'}, {"prior_of_r": '{ result = "healthy.json" }'}):
         sentence = refused(folder, **case)
         assert "healthy.json" in sentence
-        assert "give the result.json of an identification" in sentence
+        assert sentence.endswith("run fmuid identify again")
 
 
 def test_prior_without_parameters(folder: Path) -> None:
