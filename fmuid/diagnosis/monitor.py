@@ -1,10 +1,9 @@
 """Monitoring: a long record, or one record after the other, window by window, and an alarm where something is new.
 
 The machine is linearised once over many windows, where it was estimated last; each window adds its information and
-score to those of all onsets (`fmuid.diagnosis.onset`), and nothing is fitted twice. What may drift,
-as a temperature moves a resistance, is another number in each window. There is an alarm where a cause from some window
-on explains more than chance would in any window at the level asked for; then the windows after the onset, with what was
-before as prior, say which cause it is and how large.
+score to those of all onsets (`fmuid.diagnosis.onset`), and nothing is fitted twice. What may drift, as a temperature
+moves a resistance, is another number in each window. An alarm is raised where a cause explains more than chance at
+the level asked for; the windows after the onset, with what was before as prior, name the cause and its size.
 
 Each window is simulated from a little earlier on, longer than a transient, so that its unknown initial state is
 forgotten and no sample is lost (docs/method.md section 5).
@@ -22,6 +21,7 @@ import pandas as pd
 
 from fmuid.blas import single_threaded
 from fmuid.data import Experiment
+from fmuid.diagnosis.alarm_decision import decide_alarm
 from fmuid.diagnosis.alarms import Alarm, RecordTime, Rule, with_trend
 from fmuid.diagnosis.baseline import Baseline, BaselineSource
 from fmuid.diagnosis.baseline_comparator import BaselineComparator
@@ -32,7 +32,7 @@ from fmuid.diagnosis.information_matrix import ChangePrior
 from fmuid.diagnosis.linearized_machine import LinearizedMachine
 from fmuid.diagnosis.monitor_store import STATE_FILE, MonitorStore, Resumed, restored
 from fmuid.diagnosis.onset_tracker import OnsetTracker
-from fmuid.diagnosis.window_evaluation import MonitorReference, MonitorState, WindowEvaluation, decide_alarm
+from fmuid.diagnosis.window_evaluation import MonitorReference, MonitorState, WindowEvaluation
 from fmuid.diagnosis.windows import (
     GrowingRecord,
     SkippedWindow,
@@ -51,15 +51,7 @@ from fmuid.progress import Progress, WindowStep
 
 @dataclass(frozen=True)
 class MonitoringSettings:
-    """Numbers of a monitoring.
-
-    Attributes
-    ----------
-    batch_samples : int
-        Linearised at once.
-    most_steps : int
-        A window is linearised again, where it was estimated, at most so often.
-    """
+    """Numbers of a monitoring: samples linearized at once, and repetitions of a window's linearization at most."""
 
     batch_samples: int = 32_768
     most_steps: int = 4

@@ -1,9 +1,8 @@
-"""How far a monitoring is, what one more window makes of it, and what an alarm says: which cause, since when."""
+"""How far a monitoring is, and what one more window makes of it."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 from typing import Any
@@ -13,17 +12,15 @@ import pandas as pd
 
 from fmuid.array_types import Floats
 from fmuid.data import BEGIN, Experiment
+from fmuid.diagnosis.alarm_decision import AlarmDecision, decide_alarm
 from fmuid.diagnosis.alarms import SOMETHING_ELSE, Alarm, Onset, RecordTime, Rule, label_of
 from fmuid.diagnosis.baseline_comparator import BaselineComparator
-from fmuid.diagnosis.cause_ranking import rank_with_model_error
 from fmuid.diagnosis.cause_results import Explanation, changes
 from fmuid.diagnosis.causes import SETTINGS as CAUSES
-from fmuid.diagnosis.causes import Cause, CauseKind, ChangeParameterSet
+from fmuid.diagnosis.causes import Cause, CauseKind
 from fmuid.diagnosis.change_detection import fit, log_chances, log_limit
 from fmuid.diagnosis.diagnosis_result import EXPLAINED_SHARE
-from fmuid.diagnosis.faults import Fault
 from fmuid.diagnosis.information_matrix import LEAST, ChangePrior, ScoreStatistics
-from fmuid.diagnosis.onset import OnsetEstimate, OnsetShape, estimate_onset
 from fmuid.diagnosis.onset_tracker import OnsetTracker, statistics_of
 from fmuid.diagnosis.unexplained_residual import VarianceRatio
 from fmuid.diagnosis.windows import WindowSums
@@ -51,57 +48,6 @@ class EvaluationSettings:
 
 
 SETTINGS = EvaluationSettings()
-
-
-@dataclass(frozen=True, eq=False)
-class AlarmDecision:
-    """What is new.
-
-    Attributes
-    ----------
-    explanations : tuple of Explanation
-        The best one first.
-    columns : tuple of int
-        The coordinates of the best one.
-    when : OnsetEstimate
-        Of its first cause.
-    since : float
-        From when on whole windows have it, s of all that was seen; infinite where none has yet.
-    """
-
-    explanations: tuple[Explanation, ...]
-    columns: tuple[int, ...]
-    when: OnsetEstimate
-    since: float
-
-
-def decide_alarm(
-    watch: OnsetTracker, coordinates: ChangeParameterSet, faults: Mapping[str, Fault], level: float, model_error: float
-) -> AlarmDecision:
-    """Say what is new, once there is an alarm.
-
-    Parameters
-    ----------
-    watch : OnsetTracker
-    coordinates : ChangeParameterSet
-    faults : mapping of str to Fault
-    level, model_error : float
-        As for `fmuid.diagnosis.cause_ranking.name`.
-    """
-    causes = coordinates.causes
-    every = zip(*(watch.onsets(causes, shape) for shape in OnsetShape), strict=True)
-    dates = [estimate_onset(each, watch.end) for each in every]
-    when = max(dates, key=lambda each: each.log_evidence + math.log(each.cause.probability))
-    for _ in range(2):  # the name may be another one than that by which it was dated
-        apart = watch.apart(*when.between)
-        news, since = (watch.news(when.clock), math.inf) if apart is None else apart
-        _, likely = rank_with_model_error(news, causes, level, model_error)
-        if when.cause in likely[0].causes:
-            break
-        when = next(each for each in dates if each.cause is likely[0].causes[0])
-    said = tuple(Explanation(changes(each.causes, each.fit, coordinates, faults), each.odds) for each in likely)
-    columns = tuple(i for each in likely[0].causes for i in each.columns)
-    return AlarmDecision(said, columns, when, since)
 
 
 @dataclass(frozen=True)

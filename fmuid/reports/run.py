@@ -84,7 +84,7 @@ def run(
     >>> study = fmuid.Study.of(fmuid.datasets.coil().study, "coil.toml")
     >>> found = fmuid.run(study, "results")
     >>> sorted(path.name for path in found.files)[:2]
-    ['diagnostics.csv', 'estimates.csv']
+    ['diagnostics.csv', 'document.json']
     >>> fmuid.run("results", command="predict", tables=[fmuid.datasets.coil().path]).scores["output"].tolist()
     ['i']
     """

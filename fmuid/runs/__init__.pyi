@@ -18,6 +18,7 @@ from .batch.statistics import fit_cost as fit_cost
 from .batch.statistics import is_repetition as is_repetition
 from .batch.statistics import optimum_numbers as optimum_numbers
 from .batch.study_package import NOT_IN_ROWS as NOT_IN_ROWS
+from .batch.summary import BatchOverview as BatchOverview
 from .batch.summary import Dependence as Dependence
 from .batch.summary import Summary as Summary
 from .batch.summary import summarize as summarize
@@ -34,7 +35,6 @@ from .faults import monitored as monitored
 from .faults import records_of as records_of
 from .faults import rule_of as rule_of
 from .faults import shown_by as shown_by
-from .findings import BatchOverview as BatchOverview
 from .findings import CommonTables as CommonTables
 from .findings import ComparedEstimate as ComparedEstimate
 from .findings import ComparisonRun as ComparisonRun

@@ -407,27 +407,3 @@ class ComparisonRun:
             rows[name] = rows.get(name, {"name": name}) | {f"rmse.{key}": rmse for key, rmse in found.rmse.items()}
             rows[name]["fit"] = found.fit
         return pd.DataFrame(rows.values())
-
-
-@dataclass(frozen=True)
-class BatchOverview:
-    """What the tables of a batch do not say.
-
-    Attributes
-    ----------
-    statuses : mapping of str to int
-        How many cases there are of each.
-    truth : mapping of str to float
-        True values of parameters that are known.
-    units : mapping of str to str
-        Of the parameters.
-    given_noise : bool
-        Whether the noise was given, not estimated.
-    origin : Provenance or None
-    """
-
-    statuses: Mapping[str, int]
-    truth: Mapping[str, float]
-    units: Mapping[str, str | None]
-    given_noise: bool
-    origin: Provenance | None = None

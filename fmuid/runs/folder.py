@@ -15,8 +15,8 @@ from fmuid import codec
 from fmuid.errors import InputError
 from fmuid.estimation import RESULT_SCHEMA, Iteration, Result
 from fmuid.files import file_name, is_folder, with_formulas, write_table
+from fmuid.runs.batch.summary import BatchOverview
 from fmuid.runs.findings import (
-    BatchOverview,
     ComparisonRun,
     DiagnosisRun,
     IdentificationRun,

@@ -22,7 +22,7 @@ from fmuid.estimation import Evaluator, RestartAttempt, SearchFailure, StartingP
 from fmuid.identification import starting_points
 from fmuid.identification.equation_error_start import POOR, equation_start
 from fmuid.identification.starting_points import EndedSearch, _RestartingSearch, corrected_start, is_confirmed
-from fmuid.reports.topics.termination import ENDS, PLACES, attempt_words
+from fmuid.reports.topics.termination import PLACES, TROUBLES, attempt_words
 from tests.support.exported import export_text
 from tests.support.paths import FMUS
 
@@ -294,7 +294,7 @@ def test_corrections_give_a_start_too(motor: Path, record: Record) -> None:
 
 def test_every_attempt_has_words() -> None:
     assert set(PLACES) == set(StartingPointSource)
-    assert set(ENDS) == set(SearchFailure)
+    assert set(TROUBLES) == set(SearchFailure)
 
 
 def test_the_noise_of_an_output_is_never_zero(curved: Path) -> None:

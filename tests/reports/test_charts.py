@@ -25,8 +25,8 @@ from fmuid.reports.topics import (
     prior_and_data,
     residual_analysis,
     solver_check,
-    uncertainty,
 )
+from fmuid.reports.topics import uncertainty_charts as uncertainty
 from tests.support import records
 from tests.support.charts import drawn, legend, places
 

@@ -22,12 +22,8 @@ from fmuid.reports.topics.provenance import origin_of
 from fmuid.reports.topics.residual_analysis import residual_section, residual_words
 from fmuid.reports.topics.solver_check import run_words, sensitivity_words, solver_section
 from fmuid.reports.topics.termination import effort_words, ending, result_remarks
-from fmuid.reports.topics.uncertainty import (
-    interval_section,
-    posterior_words,
-    uncertainty_sections,
-    uncertainty_words,
-)
+from fmuid.reports.topics.uncertainty import interval_section, posterior_words, uncertainty_words
+from fmuid.reports.topics.uncertainty_charts import uncertainty_sections
 
 if TYPE_CHECKING:
     from fmuid.estimation import Result

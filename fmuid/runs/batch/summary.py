@@ -24,6 +24,7 @@ from fmuid.runs.batch.statistics import (
     optimum_numbers,
     statistics,
 )
+from fmuid.runs.findings import Provenance
 
 # A setting with more levels than this is no heading of a group; nor are there more groups than that.
 MAX_LEVELS, MAX_GROUPS = 20, 100
@@ -74,6 +75,30 @@ class Dependence:
     at_low: Mapping[str, Any]
     at_high: Mapping[str, Any]
     stated_std: float
+
+
+@dataclass(frozen=True)
+class BatchOverview:
+    """What the tables of a batch do not say.
+
+    Attributes
+    ----------
+    statuses : mapping of str to int
+        How many cases there are of each.
+    truth : mapping of str to float
+        True values of parameters that are known.
+    units : mapping of str to str
+        Of the parameters.
+    given_noise : bool
+        Whether the noise was given, not estimated.
+    origin : Provenance or None
+    """
+
+    statuses: Mapping[str, int]
+    truth: Mapping[str, float]
+    units: Mapping[str, str | None]
+    given_noise: bool
+    origin: Provenance | None = None
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,0 +1,317 @@
+"""Charts of uncertainty: profiles, cost maps, samples of the posterior."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from contourpy import LineType, contour_generator
+
+from fmuid.array_types import Floats
+from fmuid.data import evenly
+from fmuid.identification import CONFIDENCE_LEVEL
+from fmuid.reports.chart import (
+    DENSITY,
+    MAX_PARAMETERS,
+    Axis,
+    Chart,
+    ChartGrid,
+    Data,
+    Layer,
+    Shades,
+    Units,
+    named,
+    normal,
+)
+from fmuid.reports.document import Section
+from fmuid.reports.topics.estimates import ellipse
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+    from fmuid.estimation import Result
+    from fmuid.identification import Assessment, CostMap, Posterior, Profile
+
+PROFILES = "Where the curve leaves the dashed parabola, the ± std are not the whole truth; the band is the interval."
+MAPS = (
+    "The darker, the better the fit. Where the dashed line leaves the ellipse, the local covariance is not the "
+    "whole truth."
+)
+POSTERIOR = "Contours hold 68 % and 95 % of the samples; red is the local approximation."
+WALKERS = (
+    "A line a walker; what lies in the grey part takes no part in the samples. Paths that wander off "
+    "together, or walkers that stay where they are, show that there is no convergence."
+)
+HEIGHT = 1.8
+"""Profiles are drawn up to so many times the rise at which the interval ends."""
+MAX_CORNER = 6
+"""More parameters than these make panels that nobody can read."""
+SHARES = (0.95, 0.68)
+"""Shares of the samples inside the contours, those of two and one standard deviations in one dimension."""
+BINS, SMOOTHING = 32, 1.2
+"""Bins of a histogram of samples, and the width in bins of the Gaussian that smooths those of a pair."""
+SHOWN_QUANTILES = (0.0005, 0.9995)
+MAX_SAMPLES = 800
+"""Samples drawn as dots behind the contours."""
+FLOOR_SHARE, TOP_PERCENTILE = 0.01, 98.0
+"""Below a hundredth of what the confidence region allows, the cost is as good as at its minimum, and what few points
+exceed looks all the same."""
+APART, MAX_HELD = 0.01, 4
+"""Optima closer to the estimate than this share of the map are the same; so many parameters that are held are named."""
+MOST_WALKERS, MOST_STEPS = 24, 200
+"""Of the paths of a sampling: more cannot be told apart."""
+
+
+def uncertainty_sections(found: Assessment, result: Result, units: Units, optima: pd.DataFrame) -> list[Section]:
+    """Return profiles, maps and samples.
+
+    Parameters
+    ----------
+    found : Assessment
+    result : Result
+    units : mapping of str to str
+        Of the parameters.
+    optima : DataFrame
+        The optima that a search of the whole box has found.
+    """
+    known = [each for each in found.profiles if not math.isnan(each.threshold) and len(each.table)][:MAX_PARAMETERS]
+    profiles = tuple(_profile(each, result, units) for each in known)
+    maps = tuple(_map(chart, units, optima) for chart in found.maps)
+    sections = [
+        Section("profiles", "Profiles", PROFILES, charts=profiles, beside=2),
+        Section("maps", "The criterion over two parameters", MAPS, charts=maps, beside=2),
+    ]
+    if found.posterior is not None:
+        corner, paths = _corner(found.posterior.table, result, units), tuple(_walkers(found.posterior, units))
+        sections.append(Section("posterior", "Samples of the posterior", POSTERIOR, charts=(corner,), beside=1))
+        sections.append(Section("walkers", "Paths of the sampling", WALKERS, charts=paths, beside=1))
+    return sections
+
+
+def _profile(found: Profile, result: Result, units: Units) -> Chart:
+    """Return the rise of the cost over a parameter, the others following; the local parabola beside it."""
+    i = result.names.index(found.name)
+    value, std, threshold = float(result.values[i]), float(result.std[i]), found.threshold
+    places = found.table[found.name].to_numpy(np.float64)
+    rise = found.table["criterion"].to_numpy(np.float64) - float(found.table["criterion"].min())
+    low, high = _window(places, (found.lower, found.upper), value)
+    layers = []
+    if not (math.isnan(found.lower) or math.isnan(found.upper)):
+        layers.append(Layer("zone", {"left": max(found.lower, low), "right": min(found.upper, high)}, alpha=0.12))
+    x, y = _curve(places, rise, value)
+    hover = (("value", "@x{0.000000}"), ("rise", "@y{0.000}"))
+    layers.append(Layer("line", {"x": x, "y": y}, label="profile"))
+    layers.append(Layer("points", {"x": places, "y": rise}, size=5, label="profile", hover=hover))
+    if math.isfinite(std) and std > 0:
+        grid = np.linspace(low, high, 161)
+        parabola: Data = {"x": grid, "y": ((grid - value) / std) ** 2}
+        layers.append(Layer("line", parabola, "grey", width=1, dash="dashed", label="local parabola"))
+    reached = f"{100 * found.level:.4g} % level: a rise of {threshold:.3g}"
+    layers.append(
+        Layer("line", {"x": np.array([low, high]), "y": np.full(2, threshold)}, "red", width=1, label=reached)
+    )
+    reach = (-0.04 * HEIGHT * threshold, HEIGHT * threshold)
+    axes = Axis(named(found.name, units), reach=(low, high)), Axis("rise of the criterion", reach=reach)
+    return Chart(*axes, tuple(layers), 240)
+
+
+def _window(places: Floats, ends: tuple[float, float], value: float) -> tuple[float, float]:
+    """Return the interval and some room; on a side without an end what was computed."""
+    known = [abs(end - value) for end in ends if math.isfinite(end) and end != value]
+    room = 0.35 * max(known) if known else 0.0
+    low = ends[0] - room if math.isfinite(ends[0]) else float(places[0])
+    high = ends[1] + room if math.isfinite(ends[1]) else float(places[-1])
+    return (low, high) if low < high else (value - 1.0, value + 1.0)
+
+
+def _curve(values: Floats, rise: Floats, centre: float) -> tuple[Floats, Floats]:
+    """Return a smooth line through the points: the signed root of the rise is nearly straight."""
+    if values.size < 2:
+        return values, rise
+    from scipy.interpolate import PchipInterpolator  # slow to import
+
+    root = np.sign(values - centre) * np.sqrt(np.maximum(rise, 0.0))
+    grid = np.unique(np.concatenate([np.linspace(values[0], values[-1], 161), values]))
+    return grid, np.asarray(PchipInterpolator(values, root)(grid) ** 2)
+
+
+def _corner(samples: pd.DataFrame, result: Result, units: Units) -> ChartGrid:
+    """Return the samples of every parameter and of every pair of them.
+
+    Contours hold 68 % and 95 % of the samples; the dashed ellipses, at the same shares, and the curves on the diagonal
+    are those of the local covariance.
+    """
+    names = [str(name) for name in samples.columns][:MAX_CORNER]
+    values = samples[names].to_numpy(np.float64)
+    ranges = [_range(values[:, i]) for i in range(len(names))]
+    rows: list[tuple[Chart | None, ...]] = []
+    for i, name in enumerate(names):
+        row: list[Chart | None] = [None] * len(names)
+        for j in range(i + 1):
+            bottom, left = i == len(names) - 1, j == 0 and i > 0
+            x = Axis(
+                named(names[j], units), reach=ranges[j], linked=f"posterior {j}", shown=bottom, ticks=3, turned=0.6
+            )
+            if i == j:
+                y, layers = DENSITY, _single(values[:, i], result, name, ranges[i])
+            else:
+                y = Axis(named(name, units), reach=ranges[i], linked=f"posterior {i}", shown=left, ticks=4, grid=True)
+                layers = _pair(values[:, [j, i]], result, (names[j], name), (ranges[j], ranges[i]))
+            row[j] = Chart(x, y, tuple(layers), 190 if bottom else 160)
+        rows.append(tuple(row))
+    return ChartGrid(tuple(rows))
+
+
+def _range(samples: Floats) -> tuple[float, float]:
+    low, high = np.quantile(samples, SHOWN_QUANTILES)
+    room = 0.04 * (high - low) or 0.05 * abs(low) or 1.0
+    return float(low - room), float(high + room)
+
+
+def _single(samples: Floats, result: Result, name: str, across: tuple[float, float]) -> list[Layer]:
+    edges = np.linspace(*across, BINS + 1)
+    density, _ = np.histogram(samples, bins=edges, density=True)
+    boxes: Data = {"left": edges[:-1], "right": edges[1:], "bottom": 0.0, "top": density}
+    layers = [
+        Layer("cells", boxes, alpha=0.4),
+        Layer("rule", {"x": np.quantile(samples, [0.025, 0.975])}, dash="dashed"),
+    ]
+    if name in result.names:
+        mean, std = float(result[name]), float(result.std[result.names.index(name)])
+        if math.isfinite(std) and std > 0:
+            grid = np.linspace(edges[0], edges[-1], 121)
+            layers.append(Layer("line", {"x": grid, "y": normal(grid, mean, std)}, "red", width=1.3))
+    return layers
+
+
+def _pair(
+    samples: Floats, result: Result, names: tuple[str, str], sides: tuple[tuple[float, float], tuple[float, float]]
+) -> list[Layer]:
+    from scipy.ndimage import gaussian_filter  # slow to import
+
+    some = samples[evenly(len(samples), MAX_SAMPLES)]
+    layers = [Layer("points", {"x": some[:, 0], "y": some[:, 1]}, size=2, alpha=0.35)]
+    counts, first, second = np.histogram2d(samples[:, 0], samples[:, 1], bins=BINS, range=sides)
+    smooth = gaussian_filter(counts.T, SMOOTHING)
+    middles = [0.5 * (edges[1:] + edges[:-1]) for edges in (first, second)]
+    heights = share_levels(smooth)
+    if len(heights) > 1:
+        layers += [Layer("line", each, width=1.3) for each in _contours(middles, smooth, heights)]
+    if not set(names) <= set(result.names):
+        return layers
+    where = [result.names.index(name) for name in names]
+    block = result.covariance[np.ix_(where, where)]
+    if np.isfinite(block).all():
+        for share in SHARES:
+            x, y = ellipse(result.values[where], block, math.sqrt(-2.0 * math.log(1.0 - share)))
+            layers.append(Layer("line", {"x": x, "y": y}, "red", dash="dashed", width=1))
+    return layers
+
+
+def _contours(sides: Sequence[Floats], heights: Floats, levels: Sequence[float]) -> list[dict[str, Floats]]:
+    """Return lines of equal height, one a level; where a height is NaN there is none."""
+    found = contour_generator(sides[0], sides[1], np.ma.masked_invalid(heights), line_type=LineType.ChunkCombinedNan)
+    parts: list[Any] = [found.lines(height)[0][0] for height in levels]
+    return [{"x": points[:, 0].copy(), "y": points[:, 1].copy()} for points in parts if points is not None]
+
+
+def share_levels(counts: Floats) -> list[float]:
+    """Return the heights above which the shares `SHARES` of all counts lie, the largest share first."""
+    ordered = np.sort(counts.ravel())[::-1]
+    total = np.cumsum(ordered)
+    heights = [float(ordered[np.searchsorted(total, share * total[-1])]) for share in SHARES]
+    return [height for k, height in enumerate(heights) if k == 0 or height > heights[k - 1]]
+
+
+def _walkers(posterior: Posterior, units: Units) -> Iterator[Chart]:
+    """Yield the paths of some walkers, thinned; what lies in the grey part takes no part in the samples."""
+    steps = evenly(len(posterior.chain), MOST_STEPS)
+    paths = posterior.chain[steps, :MOST_WALKERS]  # (steps, walkers, parameters)
+    gap = np.full((1, paths.shape[1]), np.nan)  # between the lines
+    across = np.vstack([np.repeat((steps + 1.0)[:, None], paths.shape[1], axis=1), gap]).T.ravel()
+    early = steps[steps + 1 <= posterior.burn] + 1
+    grey = [Layer("zone", {"right": float(early.max())}, "grey", alpha=0.18)] if early.size else []
+    for k, name in enumerate(posterior.names[:MAX_PARAMETERS]):
+        values = np.vstack([paths[:, :, k], gap]).T.ravel()
+        line = Layer("line", {"x": across, "y": values}, width=0.7, alpha=0.35)
+        yield Chart(Axis("step"), Axis(named(name, units)), (line, *grey), 150)
+
+
+def _map(chart: CostMap, units: Units, optima: pd.DataFrame) -> Chart:
+    """Return by how much the cost exceeds its minimum over two parameters, the estimate and its ellipse.
+
+    The dashed line is where the section itself has risen by as much as the border of the confidence region allows:
+    where it leaves the ellipse, the local covariance is not the whole truth. Without color: the simulation failed. Of
+    the optima those on the map are drawn; the other parameters have their own values there, so that the colors around
+    them need not show a minimum.
+    """
+    first, second, values = chart.grid
+    excess = values - np.nanmin(values, initial=chart.criterion)
+    rise = chart.rise(CONFIDENCE_LEVEL)
+    known = excess[np.isfinite(excess) & (excess > 0)]
+    low = max(FLOOR_SHARE * rise, float(known.min(initial=FLOOR_SHARE * rise)))
+    high = max(float(np.percentile(known, TOP_PERCENTILE)) if known.size else 0.0, 2.0 * low)
+    shades = Shades("blues", low, high, log=True, title="criterion above its minimum")
+    hover = (("point", "@x{0.000000}, @y{0.000000}"), ("above the minimum", "@value{0.000}"))
+    layers = [Layer("cells", _cells(chart, excess), shades=shades, hover=hover)]
+    border = chart.ellipse(CONFIDENCE_LEVEL)
+    if len(border):
+        text = f"{100 * CONFIDENCE_LEVEL:g} % ellipse"
+        layers.append(Layer("line", {"x": border[:, 0], "y": border[:, 1]}, "red", label=text))
+    if np.nanmin(excess, initial=rise) < rise < np.nanmax(excess, initial=0.0):
+        held = "".join(f", {name} = {value:.4g}" for name, value in list(chart.held.items())[:MAX_HELD])
+        text = f"criterion raised by {rise:.3g}{held}"
+        for each in _contours((first, second), excess.T, [rise]):
+            layers.append(Layer("line", each, "red", dash="dashed", width=1.6, label=text))
+    estimate: Data = {"x": chart.estimate[:1], "y": chart.estimate[1:]}
+    layers.append(Layer("points", estimate, "amber", size=9, edge="ink", label="estimate"))
+    places = _others(chart, optima)
+    if len(places):
+        more: Data = {"x": places[:, 0], "y": places[:, 1]}
+        layers.append(Layer("points", more, "white", size=9, edge="ink", label="other optima found"))
+    x, y = (
+        Axis(named(name, units), "log" if log else "linear", reach=_ends(middles, logarithmic=log))
+        for name, log, middles in zip(chart.names, chart.logarithmic, (first, second), strict=True)
+    )
+    return Chart(x, y, tuple(layers), 420)
+
+
+def _others(chart: CostMap, optima: pd.DataFrame) -> Floats:
+    """Return the optima on the map (n, 2) that are not the estimate."""
+    if not len(optima):
+        return np.empty((0, 2))
+    (low, *_, high), (bottom, *_, top), _ = chart.grid
+    places = optima[list(chart.names)].to_numpy(np.float64)
+    inside = ((places >= (low, bottom)) & (places <= (high, top))).all(axis=1)
+    apart = (np.abs(places - chart.estimate) > APART * np.array([high - low, top - bottom])).any(axis=1)
+    return np.asarray(places[inside & apart])
+
+
+def _cells(chart: CostMap, excess: Floats) -> Data:
+    first, second, _ = chart.grid
+    x, y = (_edges(each, logarithmic=log) for each, log in zip((first, second), chart.logarithmic, strict=True))
+    shape = excess.shape
+    columns = {
+        "left": np.broadcast_to(x[:-1, None], shape),
+        "right": np.broadcast_to(x[1:, None], shape),
+        "bottom": np.broadcast_to(y[None, :-1], shape),
+        "top": np.broadcast_to(y[None, 1:], shape),
+        "x": np.broadcast_to(first[:, None], shape),
+        "y": np.broadcast_to(second[None, :], shape),
+    }
+    floor = np.where(np.isnan(excess), np.nan, np.maximum(excess, 1e-300))
+    return {key: values.ravel() for key, values in columns.items()} | {"value": floor.ravel()}
+
+
+def _edges(middles: Floats, *, logarithmic: bool) -> Floats:
+    at = np.log(middles) if logarithmic else middles
+    inner = 0.5 * (at[1:] + at[:-1])
+    edges = np.concatenate([[1.5 * at[0] - 0.5 * at[1]], inner, [1.5 * at[-1] - 0.5 * at[-2]]])
+    return np.exp(edges) if logarithmic else edges
+
+
+def _ends(middles: Floats, *, logarithmic: bool) -> tuple[float, float]:
+    edges = _edges(middles, logarithmic=logarithmic)
+    return float(edges[0]), float(edges[-1])
