@@ -22,6 +22,7 @@ import pandas as pd
 from scipy.signal import lfilter
 
 from experiments.coil import study
+from fmuid.reports.topics.monitoring import alarm_sentence
 from fmuid.runs import FollowStatus, followed
 from fmuid.runs import follow as following
 from fmuid.runs.log_following import follower
@@ -85,7 +86,9 @@ def main(windows: int) -> None:
                 return False
             return watching.idle
 
-        with closing(followed(Study.read(folder / "study.toml"), folder / "records", folder / "out")) as looks:
+        with closing(
+            followed(Study.read(folder / "study.toml"), folder / "records", folder / "out", alarm_sentence)
+        ) as looks:
             any(map(ended, looks))
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from datetime import UTC, datetime
 from typing import TYPE_CHECKING, Any
 
@@ -27,21 +27,21 @@ class AlarmLines:
     ----------
     study : str
         Its title.
+    say : callable
+        Makes the sentence of a line, of the alarm and the units of its columns.
     count : int
         Of the alarms so far, the last of which has this number.
     first : int
         The row of the table with which the last one began, -1 before any.
     fault : str
         What it is called, "" once it has ended.
-    say : callable, optional
-        Makes the sentence of a line, of the alarm and the units of its columns.
     """
 
     study: str
+    say: Callable[[Alarm, Mapping[str, str]], str]
     count: int = 0
     first: int = -1
     fault: str = ""
-    say: Callable[[Alarm, Mapping[str, str]], str] | None = field(default=None, repr=False)
 
     @property
     def state(self) -> dict[str, Any]:
@@ -98,7 +98,7 @@ class AlarmLines:
             ],
             "onset": alarm.onset,
             "trend": alarm.trend,
-            **({} if self.say is None else {"words": self.say(alarm, monitor.units)}),
+            "words": self.say(alarm, monitor.units),
             "study": self.study,
             "written": datetime.now(UTC).isoformat(timespec="seconds"),
         }

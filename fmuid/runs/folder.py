@@ -13,7 +13,7 @@ import pandas as pd
 
 from fmuid import codec
 from fmuid.errors import InputError
-from fmuid.estimation import RESULT_SCHEMA, Iteration, Result
+from fmuid.estimation import RESULT_SCHEMA, Iteration
 from fmuid.files import file_name, is_folder, with_formulas, write_table
 from fmuid.runs.batch.summary import BatchOverview
 from fmuid.runs.findings import (
@@ -106,7 +106,7 @@ def read_identification(place: Path) -> IdentificationRun:
     path = place / RESULT_FILE if is_folder(place) else place
     folder = path.parent
     content = codec.content_of(path, RESULT_SCHEMA, _AGAIN)
-    codec.decoded(path, content, Result, _AGAIN)  # its own errors first
+    codec.decoded(path, content, IdentificationRun, _AGAIN)  # its own errors first
     try:
         _fill(content, folder)
     except (KeyError, IndexError, TypeError, ValueError, AttributeError) as error:

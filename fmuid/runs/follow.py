@@ -76,7 +76,7 @@ def followed(
     study: Study,
     place: Path,
     folder: Path,
-    say: Callable[[Alarm, Mapping[str, str]], str] | None = None,
+    say: Callable[[Alarm, Mapping[str, str]], str],
 ) -> Generator[FollowStatus, None, None]:
     """Monitor the records of a folder, or of a file that grows, as they come in: yield after each look.
 
@@ -90,7 +90,7 @@ def followed(
         What a logger fills.
     folder : Path
         Where the files go: those of `monitored`, and ``alarms.jsonl``.
-    say : callable, optional
+    say : callable
         Makes the sentence of an alarm and the units of its columns, for ``alarms.jsonl`` and the user's command.
 
     Raises
@@ -109,9 +109,7 @@ def followed(
 class _Running:
     """A monitoring in operation."""
 
-    def __init__(
-        self, study: Study, place: Path, folder: Path, say: Callable[[Alarm, Mapping[str, str]], str] | None
-    ) -> None:
+    def __init__(self, study: Study, place: Path, folder: Path, say: Callable[[Alarm, Mapping[str, str]], str]) -> None:
         self.study, self.place, self.folder, self.origin, self.say = study, place, folder, made_from(study), say
         self.key = _key(study)
         self.lines: list[str] = []

@@ -16,6 +16,7 @@ from rich.text import Text
 from fmuid.diagnosis import Alarm
 from fmuid.reports.render import progress as following
 from fmuid.reports.render.progress import FollowingDisplay
+from fmuid.reports.topics.monitoring import alarm_sentence
 from fmuid.runs.alarm_log import AlarmLines
 from fmuid.runs.follow import FollowStatus
 
@@ -39,7 +40,7 @@ def alarm(fault: str, first: int, last: int) -> Alarm:
 
 
 def test_an_alarm_is_told_when_it_is_raised_called_otherwise_and_ended() -> None:
-    lines, told = AlarmLines("Rig"), []
+    lines, told = AlarmLines("Rig", alarm_sentence), []
     for found in (
         monitor(windows=0),
         monitor(windows=1),
@@ -68,7 +69,7 @@ def test_the_console_says_each_line_once(monkeypatch: pytest.MonkeyPatch, termin
     monkeypatch.setattr(following, "console", lambda: Console(file=out, width=100, force_terminal=terminal))
     monkeypatch.setattr(sys.stdout, "isatty", lambda: terminal, raising=False)
     found = monitor(alarm("turns", 1, 1), windows=2)
-    lines = tuple(AlarmLines("Rig").new(found))
+    lines = tuple(AlarmLines("Rig", alarm_sentence).new(found))
     with FollowingDisplay() as display:
         display(FollowStatus(found, (), lines, idle=True))
         display(FollowStatus(monitor(windows=0), (), (), idle=True))

@@ -11,6 +11,7 @@ from experiments.batches.campaign import R
 from fmuid.apps.cli.options import DONE, NOT_SUCCEEDED, WRONG_INPUT
 from fmuid.progress import Event
 from fmuid.reports.render import progress
+from fmuid.runs import read_identification
 from fmuid.studies.study import Study
 from tests.support.coil_study import STUDY, fmuid_, result
 from tests.support.commands import HASTY
@@ -26,10 +27,10 @@ def test_global_search(folder: Path, capsys: pytest.CaptureFixture[str]) -> None
     study.write_text(BOUNDED + '[estimation]\nmethod = "multi-start"\nn_starts = 6\nseed = 3\n')
     assert fmuid_("identify", study) == DONE
     found = result(folder / "results")
-    best = found["optima"][0]
+    best = dict(zip(found["parameters"], found["optima"][0]["theta"], strict=True))
     assert sum(optimum["hits"] for optimum in found["optima"]) == 6
-    assert best["parameters"]["R"] == pytest.approx(R, rel=0.05)
-    assert found["parameters"]["R"]["value"] == best["parameters"]["R"]
+    assert best["R"] == pytest.approx(R, rel=0.05)
+    assert found["parameters"]["R"]["value"] == best["R"]
     table = pd.read_csv(folder / "results/optima.csv")
     assert list(table.columns) == ["criterion", "hits", "converged", "R", "L"]
     assert len(table) == len(found["optima"])
@@ -44,7 +45,7 @@ def test_global_search(folder: Path, capsys: pytest.CaptureFixture[str]) -> None
     assert fmuid_("identify", study, "--resume") == DONE
     again = result(folder / "results")
     assert again["parameters"]["R"]["start"] == found["parameters"]["R"]["value"]
-    assert "optima" not in again
+    assert not again["optima"]
     assert not (folder / "results/optima.csv").exists()
 
 
@@ -67,17 +68,20 @@ def test_uncertainty(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (folder / "study.toml").write_text(STUDY + ASKED)
     code = fmuid_("identify", folder / "study.toml", "--figures", "svg")
     out, results = capsys.readouterr().out, folder / "results"
-    found = result(results)
-    assert code == (DONE if found["posterior"]["converged"] else NOT_SUCCEEDED)
+    found = read_identification(results).assessment
+    assert found.posterior is not None
+    assert code == (DONE if found.posterior.converged else NOT_SUCCEEDED)
     assert {"profiles.csv", "posterior.csv", "map-R-L.csv"} <= {path.name for path in results.iterdir()}
     figures = {path.name for path in (results / "figures").iterdir()}
     assert {"parameters.svg", "profiles.svg", "posterior.svg", "walkers.svg", "maps.svg"} <= figures
     estimates = pd.read_csv(results / "estimates.csv").set_index("parameter")
+    for profile in found.profiles:
+        assert profile.lower == pytest.approx(estimates["lower"][profile.name], rel=0.01)
+    sampled = found.posterior.intervals(0.9)
     for name in ("R", "L"):
-        assert found["profiles"][name]["lower"] == pytest.approx(estimates["lower"][name], rel=0.01)
-        assert found["posterior"]["parameters"][name]["upper"] == pytest.approx(estimates["upper"][name], rel=0.01)
+        assert sampled["upper"][name] == pytest.approx(estimates["upper"][name], rel=0.01)
     samples = pd.read_csv(results / "posterior.csv")
-    assert samples["R"].mean() == pytest.approx(found["posterior"]["parameters"]["R"]["mean"])
+    assert samples["R"].mean() == pytest.approx(found.posterior.mean[0])
     assert len(pd.read_csv(results / "map-R-L.csv")) == 41**2
     assert {"profile", "posterior", "map"} <= {line.split()[0] for line in out.splitlines() if line.strip()}
     assert "Intervals at 90 %" in out
@@ -96,7 +100,8 @@ def test_uncertainty_interrupted(
 
     def interrupt(_: progress.Display, event: Event) -> None:
         if event.task == "posterior":
-            assert "profiles" not in result(folder / "results")  # the result was written before the long work
+            early = result(folder / "results")  # written before the long work
+            assert not early["assessment"]["profiles"]
             raise KeyboardInterrupt
 
     monkeypatch.setattr(progress.Display, "__call__", interrupt)
@@ -104,7 +109,7 @@ def test_uncertainty_interrupted(
     assert fmuid_("identify", folder / "study.toml") == NOT_SUCCEEDED
     found = result(folder / "results")
     assert found["converged"] is True
-    assert list(found["profiles"]) == ["R", "L"]
+    assert [each["name"] for each in found["assessment"]["profiles"]] == ["R", "L"]
     assert (folder / "results/profiles.csv").is_file()
     assert "Interrupted: this is what there is" in capsys.readouterr().out
 
@@ -113,7 +118,7 @@ def test_uncertainty_needs_a_minimum(folder: Path, capsys: pytest.CaptureFixture
     (folder / "study.toml").write_text(STUDY + ASKED)
     assert fmuid_("identify", folder / "study.toml", *HASTY) == NOT_SUCCEEDED
     assert "[uncertainty] is left out" in capsys.readouterr().err
-    assert "profiles" not in result(folder / "results")
+    assert not result(folder / "results")["assessment"]["profiles"]
 
 
 def test_loss(folder: Path) -> None:

@@ -127,7 +127,13 @@ def test_pages_name_the_value(identified: Path, tmp_path: Path, key: str, value:
     with pytest.raises(FmuidError, match=key):
         page_of_results(tmp_path / "work", "results")
     assert "4.25 ± 0.10" in page_of_results(tmp_path / "work", "sound", "results")
-    assert "class=error" in page_of_the_study(tmp_path / "work")
+    said = page_of_the_study(tmp_path / "work")
+    assert ("class=error" in said) == (key == "parameters")
+    assert "converged" in said or key == "parameters"  # as the run has left it
+    (tmp_path / "work/results/document.json").unlink()
+    said = page_of_the_study(tmp_path / "work")
+    assert said.startswith("<p class=error>")
+    assert f"result.json cannot be right: {key}" in said
 
 
 @pytest.mark.parametrize(
