@@ -54,20 +54,20 @@ class LinearMessage(Message):
 
     LEAST_SQUARES = (
         "unbiased where the regressors are free of noise and the residual is white",
-        "`fmuid.linear_least_squares`",
+        "of estimates by `fmuid.linear_least_squares`",
     )
     EQUATION_ERROR = (
         "noise in measured terms biases these values, which their standard deviations do not show: a start for "
         "identify, not a result",
-        "`fmuid.equation_error`",
+        "of estimates by `fmuid.equation_error`",
     )
     INSTRUMENTAL_VARIABLES = (
         "free of the bias by noise in measured terms, as far as the model is right",
-        "`fmuid.instrumental_variables`",
+        "of estimates by `fmuid.instrumental_variables`",
     )
     UNSETTLED = (
         "the instruments had not settled after {rounds} rounds: give a start nearer by",
-        "`fmuid.instrumental_variables`",
+        "of estimates by `fmuid.instrumental_variables`",
     )
 
 

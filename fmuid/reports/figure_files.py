@@ -11,8 +11,8 @@ FORMATS = ("png", "svg", "pdf")
 REPORT_FILE = "report.html"
 # What the figures of a run are called, before a hyphen where there are several of a kind.
 KINDS = """
-fit preparation prepared residuals parameters criterion optima belief parabolas correlation accuracy profiles maps
-posterior walkers causes changes evidence sizes explained timeline cases distributions spread over starts failures
+fit preparation prepared monitored residuals parameters criterion optima belief parabolas correlation accuracy profiles
+maps posterior walkers causes changes evidence sizes explained timeline cases distributions spread over starts failures
 prediction criteria errors estimates excitations sensitivities
 """.split()  # noqa: SIM905  # as a list a line each
 

@@ -150,7 +150,7 @@ def test_a_better_optimum_on_the_map_is_named() -> None:
     far = Assessment(maps=(map_cost(problem, result, "a", "b", ranges={"a": (-4.0, 4.0), "b": (-1.0, 1.0)}),))
     (note,) = uncertainty_words(far)
     assert "the criterion over a and b is lower at a = 2, b = 0 than at the estimate" in note
-    assert 'method = "global"' in note
+    assert 'method = "multi-start"' in note
     assert not far.succeeded
 
 

@@ -48,50 +48,102 @@ class BatchMessage(Message):
 
     LEFT_OUT = (
         "{done} of {total} cases converged, {others} and are left out of what follows",
-        "cases without an estimate",
+        "`failures` has the reasons of the cases without an estimate",
     )
     BEST_OF_STARTS = (
         "searches from several starts share a data set: of each of the {sets} data sets the one that fits best is "
         "counted",
+        "starts are no draws",
     )
-    FIT = ("fit (NRMSE) of {output}: {median} in the median, {least} at least (case {case})",)
-    ONE = ("one estimate has no spread: nothing can be said of how sure the stated std are",)
-    FEW = ("{count} cases are few: their spread is itself uncertain by {share:.0f} %",)
+    FIT = (
+        "fit (NRMSE) of {output}: {median} in the median, {least} at least (case {case})",
+        "of the cases that converged",
+        "look at the case with the least",
+    )
+    ONE = (
+        "one estimate has no spread: nothing can be said of how sure the stated std are",
+        "a batch of a single estimate",
+        "draw more",
+    )
+    FEW = (
+        "{count} cases are few: their spread is itself uncertain by {share:.0f} %",
+        "the spread is a rough number",
+        "draw more",
+    )
     STD_TOO_SMALL = (
         "{name}: varies {ratio:.3g} times as much {among} ({spread}) as its stated std ({stated}): {why}",
-        "intervals are too narrow",
+        "from case to case: the noise is not what it is taken for, or the problem is far from linear; from table to "
+        "table: machines or operating points may differ, too",
     )
-    STD_TOO_LARGE = ("{name}: varies less ({spread}) than its stated std says ({stated}): that is too large",)
-    BIASED = ("{name}: biased by {size}, {share:.2g} times its stated std", "estimates are beside the truth")
-    COVERAGE = ("{name}: the 95 % intervals hold the truth in {held:.3g} % ({low:.3g} to {high:.3g} %)",)
-    WIDE = ("{name} varies {times:.2g} times its stated std over what is set",)
+    STD_TOO_LARGE = (
+        "{name}: varies less ({spread}) than its stated std says ({stated}): that is too large",
+        "the noise is less than stated, or was drawn without what the real one has",
+    )
+    BIASED = (
+        "{name}: biased by {size}, {share:.2g} times its stated std",
+        "the mean misses the truth that is known",
+    )
+    COVERAGE = (
+        "{name}: the 95 % intervals hold the truth in {held:.3g} % ({low:.3g} to {high:.3g} %)",
+        "counted, with the interval of such a count",
+    )
+    WIDE = (
+        "{name} varies {times:.2g} times its stated std over what is set",
+        "the settings matter more than the noise",
+    )
     DEPENDS = (
         "{name} depends on what is set: its mean goes from {low} to {high}{times}",
-        "the fixed value decides about the estimate",
+        "the settings matter more than the noise",
     )
-    IN_GROUPS = ("{name}: {what} in {count} of {groups} groups",)
-    ONE_OPTIMUM = ("all {total} searches that converged ended at the same optimum{of}",)
+    IN_GROUPS = (
+        "{name}: {what} in {count} of {groups} groups",
+        "its stated std is too small or too large, or the mean misses the truth, in so many groups of the cases",
+    )
+    ONE_OPTIMUM = (
+        "all {total} searches that converged ended at the same optimum{of}",
+        "the start does not decide where a search ends",
+    )
     OTHER_OPTIMA = (
         "of {total} searches that converged, {others} ended at another optimum than the best",
-        "the initial guess decides where a search ends",
+        "the start decides where a search ends",
     )
     RIVALS = (
         "optima with different values fit equally well: the data do not tell which is true; give bounds or priors",
-        "local optima of the same cost",
+        "one number would hide the others",
         "give bounds or priors",
     )
     CHECKED = (
         "the error of the simulation was looked at in {total} cases, in {checked} by new simulations: the others lie "
         "where it was known",
+        "see [the error of the simulation](#the-error-of-the-simulation)",
     )
-    FINER = ("{count} of them were searched by a finer simulation",)
-    SHIFTED = ("{count} of them are shifted by that error, which their std include",)
-    UNKNOWN = ("{count} of them may be shifted by that error: not all their std are known",)
+    FINER = (
+        "{count} of them were searched by a finer simulation",
+        "the one of the study was too coarse there",
+    )
+    SHIFTED = (
+        "{count} of them are shifted by that error, which their std include",
+        "it is larger than a tenth of a standard deviation",
+        "give a smaller step, or model exchange",
+    )
+    UNKNOWN = (
+        "{count} of them may be shifted by that error: not all their std are known",
+        "there is nothing to compare it with",
+        "look at what is undetermined first",
+    )
     COUPLED = (
         "{count} of them depend on how often the FMUs exchange values: give samples = true or false for the components",
+        "controllers that act at each sample are other plants at another step",
     )
-    UNCHECKABLE = ("{count} of them cannot be checked: nothing finer is offered, or it gives the same to the last bit",)
-    CHECK_FAILED = ("{count} of them could not be checked: the finer simulation fails",)
+    UNCHECKABLE = (
+        "{count} of them cannot be checked: nothing finer is offered, or it gives the same to the last bit",
+        "nothing is known of that error",
+        "export the FMU for model exchange, too",
+    )
+    CHECK_FAILED = (
+        "{count} of them could not be checked: the finer simulation fails",
+        "nothing is known of that error",
+    )
 
 
 IN_GROUPS = {

@@ -56,14 +56,18 @@ class DesignMessage(Message):
     SHOWS = ("{excitation} shows faults from this share of their magnitude on: {worst:.3g} %", "smaller is better")
     BLIND = (
         "{size}: this excitation does not show it, however long the healthy record is",
-        "the fault does not act on the outputs, or just as something else that may change: another excitation",
+        "the fault does not act on the outputs, or just as something else that may change",
+        "another excitation",
     )
     LENGTH = (
         "{size}: with a healthy record as long as the test the smallest size found is {times:.3g} times that with an "
         "endless one; with one {length:g} times as long, {longer:.3g} times",
         "errors of the healthy machine look like a fault; from the second length on a longer one gains 10 % at most",
     )
-    SENSITIVITIES = ("What relative changes of the parameters do to the outputs at their starts",)
+    SENSITIVITIES = (
+        "What relative changes of the parameters do to the outputs at their starts",
+        "small: hardly determined; alike: hardly told apart",
+    )
 
 
 def design_document(

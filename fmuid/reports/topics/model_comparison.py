@@ -40,8 +40,12 @@ class ComparisonMessage(Message):
     APART = ("{reason}", "likelihoods are of the same data alone")
     ALIKE = (
         "The data do not tell {names} apart (Akaike's criterion differs by less than {limit:g}): prefer the simplest",
+        "they explain the record alike",
     )
-    BEST = ("{best} is the best, not clearly, by Akaike's criterion: {second} is {behind:.3g} behind",)
+    BEST = (
+        "{best} is the best, not clearly, by Akaike's criterion: {second} is {behind:.3g} behind",
+        "less than ten behind is not clear",
+    )
     CLEARLY_BEST = (
         "{best} is clearly the best by Akaike's criterion: {second} is {behind:.3g} behind",
         "ten and more behind is clear",
@@ -67,6 +71,7 @@ class ComparisonMessage(Message):
     )
     PRIORS = (
         "Priors cost {names} likelihood: a criterion with priors is too large",
+        "likelihoods are of the data alone",
         "do not compare by criteria; by a common table",
     )
     NO_FIT = (

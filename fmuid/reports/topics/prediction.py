@@ -33,7 +33,11 @@ CAPTION = (
 class PredictionMessage(Message):
     """How good predictions are."""
 
-    SEEN = ("The result was made from {names}: this is no prediction", "give a file that it has not seen")
+    SEEN = (
+        "The result was made from {names}: this is no prediction",
+        "the fit says nothing of other records",
+        "give a file that it has not seen",
+    )
     SOURCE = ("{words}", "see earlier results")
     OPEN = (
         "{score}; the result was not made from such an output, so nothing says how large the residual should be",
@@ -52,10 +56,10 @@ class PredictionMessage(Message):
         "The result leaves {names} undetermined: the band is that of the noise alone",
         "it is too narrow",
     )
-    AGAIN = ("Estimated again on {record}: {values}", "what `--free` names, on this record")
+    AGAIN = ("Estimated again on {record}: {values}", "what `--refit` names, on this record")
     AGAIN_ENDED = (
         "Estimated again on this record, {names}: {end}",
-        "the search for what `--free` names did not end well",
+        "the search for what `--refit` names did not end well",
     )
     FOLDS_OPEN = ("Nothing says how large the residuals should be", "cross-validation of an output that is new")
     FOLDS = (

@@ -74,7 +74,7 @@ def _map_words(chart: CostMap) -> list[str]:
     (first, second), (x, y, by) = chart.names, better
     return [
         f"the criterion over {first} and {second} is lower at {first} = {x:.6g}, {second} = {y:.6g} than at the "
-        f'estimate, by {by:.3g}: there is a better optimum; start there, or search with method = "global"'
+        f'estimate, by {by:.3g}: there is a better optimum; start there, or search with method = "multi-start"'
     ]
 
 
