@@ -1,0 +1,100 @@
+"""How large the house is: lines, fields, arguments, numbers that are constants of a module. Limits only go down."""
+
+from __future__ import annotations
+
+import ast
+from collections.abc import Iterator
+from pathlib import Path
+
+import fmuid
+
+PACKAGE = Path(fmuid.__file__).parent
+MAX_LINES = 63_600
+"""Lines of Python, the exporter included; the plan has 41,700."""
+MAX_CONSTANTS = 313
+"""Numbers that capitals of a module stand for; those of an algorithm belong to its settings. The plan has 150."""
+MAX_FIELDS, MAX_ARGUMENTS = 15, 6
+MANY_FIELDS = {
+    "estimation.result.Result",
+    "estimation.search.stopping.StoppingSettings",
+    "export.explicit_model.ExplicitModel",
+    "identification.sampler.SamplerNumbers",
+    "models.description.Variable",
+    "simulation.simulation_plan.SimulationPlan",
+    "studies.study.Study",
+}
+"""Classes with more fields that are still to be divided."""
+MANY_ARGUMENTS = {
+    "data.signals.multisine",
+    "data.signals.prbs",
+    "diagnosis.baseline_comparator.of",
+    "diagnosis.design.__init__",
+    "diagnosis.design._size",
+    "diagnosis.design.planned_experiment",
+    "diagnosis.linearized_machine.__init__",
+    "estimation.covariance.local_covariance",
+    "estimation.finite_differences.__init__",
+    "estimation.linear_models.equations.instrumental_variables",
+    "estimation.parameter_estimate.__new__",
+    "estimation.problem.__init__",
+    "estimation.problem.from_function",
+    "estimation.search.trust_region.best_step",
+    "estimation.simulation_noise.noise_level",
+    "identification.identify.identify",
+    "identification.prediction.predict",
+    "identification.problem.__init__",
+    "models.system.__init__",
+    "reports.run.run",
+    "runs.batch.batch.__init__",
+    "runs.predict.predicted_by",
+    "simulation.simulator.__init__",
+    "simulation.solver.__init__",
+}
+"""Functions with more arguments that are still to be divided."""
+
+
+def files() -> Iterator[tuple[str, str]]:
+    """Yield module and text of each file."""
+    for path in sorted(PACKAGE.rglob("*.py")):
+        yield ".".join(path.relative_to(PACKAGE).with_suffix("").parts), path.read_text(encoding="utf-8")
+
+
+def test_lines() -> None:
+    assert sum(text.count("\n") for _, text in files()) <= MAX_LINES
+
+
+def test_constants_are_few() -> None:
+    found = [f"{module}.{name}" for module, text in files() for name in numbers(ast.parse(text))]
+    assert len(found) <= MAX_CONSTANTS, found
+
+
+def numbers(tree: ast.Module) -> Iterator[str]:
+    """Yield the capitals that stand for a number."""
+    for node in tree.body:
+        targets = node.targets if isinstance(node, ast.Assign) else [getattr(node, "target", None)]
+        value = getattr(node, "value", None)
+        value = value.operand if isinstance(value, ast.UnaryOp) else value
+        number = isinstance(value, ast.Constant) and type(value.value) in (int, float)
+        if number or isinstance(value, ast.BinOp):
+            yield from (each.id for each in targets if isinstance(each, ast.Name) and each.id.lstrip("_").isupper())
+
+
+def test_numbers_are_seen() -> None:
+    """What is counted: numbers, also negative and computed ones, not texts, tuples or names in lower case."""
+    text = "A = 1\n_B: float = -2.0\nC = 2**20\nD = 'd'\nE = (1, 2)\nf = 3\nG = True\n"
+    assert list(numbers(ast.parse(text))) == ["A", "_B", "C"]
+
+
+def test_fields_and_arguments_are_few() -> None:
+    fields, arguments = set(), set()
+    for module, text in files():
+        for node in ast.walk(ast.parse(text)):
+            if isinstance(node, ast.ClassDef):
+                count = sum(isinstance(each, ast.AnnAssign) for each in node.body)
+                fields |= {f"{module}.{node.name}"} if count > MAX_FIELDS else set()
+            if isinstance(node, ast.FunctionDef) and not module.startswith("apps.cli"):  # commands have their options
+                names = [each.arg for each in (*node.args.posonlyargs, *node.args.args, *node.args.kwonlyargs)]
+                count = len([name for name in names if name not in ("self", "cls")])
+                arguments |= {f"{module}.{node.name}"} if count > MAX_ARGUMENTS else set()
+    assert fields == MANY_FIELDS
+    assert arguments == MANY_ARGUMENTS
