@@ -1,7 +1,6 @@
 from .clock import column_of as column_of
 from .clock import time_name as time_name
 from .data_file import BEGIN as BEGIN
-from .data_file import TABLE_SUFFIXES as TABLE_SUFFIXES
 from .data_file import TEXT as TEXT
 from .data_file import UNITS as UNITS
 from .data_file import numeric_column as numeric_column
@@ -21,14 +20,11 @@ from .losses import Loss as Loss
 from .losses import get_loss as get_loss
 from .losses import robust_variance as robust_variance
 from .noise import Noise as Noise
-from .noise import NoiseLevels as NoiseLevels
 from .noise import noise_levels as noise_levels
 from .npz import read_arrays as read_arrays
 from .npz import write_arrays as write_arrays
 from .parameters import Parameter as Parameter
 from .parameters import ParameterSet as ParameterSet
-from .preprocessing import FILLS as FILLS
-from .preprocessing import TRENDS as TRENDS
 from .preprocessing import ParkTransform as ParkTransform
 from .preprocessing import Preprocessing as Preprocessing
 from .preprocessing import preprocess as preprocess

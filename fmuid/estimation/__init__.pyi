@@ -12,12 +12,10 @@ from .covariance import local_covariance as local_covariance
 from .evaluator import Evaluator as Evaluator
 from .finite_differences import SensitivityError as SensitivityError
 from .finite_differences import parabola_slope as parabola_slope
-from .global_search.box import Box as Box
 from .global_search.box import spans_decades as spans_decades
 from .global_search.optima import merge_optima as merge_optima
 from .global_search.optima import optima_table as optima_table
 from .global_search.search import GlobalSearch as GlobalSearch
-from .identification import estimate as estimate
 from .linear_models.equations import equation_error as equation_error
 from .linear_models.equations import instrumental_variables as instrumental_variables
 from .linear_models.estimate import Estimator as Estimator
@@ -35,11 +33,7 @@ from .noise.model import NoiseModel as NoiseModel
 from .noise.model import common_process as common_process
 from .noise.output_series import OutputSeries as OutputSeries
 from .noise.output_series import output_series as output_series
-from .noise.output_series import table_grid as table_grid
-from .noise.sample_grid import Rows as Rows
 from .noise.sandwich import ResidualNoise as ResidualNoise
-from .noise.sandwich import SandwichCovariance as SandwichCovariance
-from .noise.sandwich import sandwich as sandwich
 from .noise.sandwich import sandwich_of as sandwich_of
 from .noise.whiteness_tests import CrossCorrelation as CrossCorrelation
 from .noise.whiteness_tests import FitProjection as FitProjection
@@ -59,10 +53,8 @@ from .search.loop import last_state as last_state
 from .search.marquardt import Descent as Descent
 from .search.trust_region import best_step as best_step
 from .search.trust_region import triangle as triangle
-from .simulation_noise import SimulationNoise as SimulationNoise
 from .solver_check.check import estimate_solver_error as estimate_solver_error
 from .solver_check.check import fits_worse as fits_worse
-from .solver_check.check import misfit_of as misfit_of
 from .solver_check.check import stack_simulated as stack_simulated
 from .solver_check.check import with_shift as with_shift
 from .solver_check.check import would_fit_better as would_fit_better

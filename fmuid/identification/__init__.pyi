@@ -11,7 +11,6 @@ from .cost_parabolas import parameters_with_prior_and_data as parameters_with_pr
 from .identify import identify as identify
 from .identify import identify_by as identify_by
 from .model_comparison import IncomparableError as IncomparableError
-from .model_comparison import LikelihoodRatioTest as LikelihoodRatioTest
 from .model_comparison import ModelCandidate as ModelCandidate
 from .model_comparison import ModelComparison as ModelComparison
 from .model_comparison import compare_models as compare_models
@@ -32,7 +31,6 @@ from .prior_data_tests import SAME_VARIANCE_RATIO as SAME_VARIANCE_RATIO
 from .prior_data_tests import SIGNIFICANCE_LEVEL as SIGNIFICANCE_LEVEL
 from .prior_data_tests import Deviation as Deviation
 from .prior_data_tests import PriorDataTest as PriorDataTest
-from .prior_data_tests import VarianceTest as VarianceTest
 from .problem import ModelReference as ModelReference
 from .problem import Problem as Problem
 from .problem import refinement_of as refinement_of
@@ -40,7 +38,6 @@ from .profile_ends import EndKind as EndKind
 from .profile_ends import ProfileEndNote as ProfileEndNote
 from .profile_likelihood import Profile as Profile
 from .profile_likelihood import profile_likelihood as profile_likelihood
-from .residual_analysis import CORRELATIONS as CORRELATIONS
 from .residual_analysis import LEAST_STD_FACTOR as LEAST_STD_FACTOR
 from .residual_analysis import RESIDUAL_LEVEL as RESIDUAL_LEVEL
 from .residual_analysis import ResidualAnalysis as ResidualAnalysis
@@ -50,7 +47,6 @@ from .residual_analysis import analyze_residuals as analyze_residuals
 from .residual_series import RESIDUAL_SETTINGS as RESIDUAL_SETTINGS
 from .residual_series import ResidualSeries as ResidualSeries
 from .sampler import sample_posterior as sample_posterior
-from .sensitivity_functions import ExpectedAccuracy as ExpectedAccuracy
 from .sensitivity_functions import SensitivityFunctions as SensitivityFunctions
 from .sensitivity_functions import expected_accuracy as expected_accuracy
 from .sensitivity_functions import rank_excitations as rank_excitations

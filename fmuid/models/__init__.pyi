@@ -1,6 +1,5 @@
 from .archive import CheckedArchive as CheckedArchive
 from .archive import file_digest as file_digest
-from .archive import unpacked as unpacked
 from .component import DEFAULT_INTEGRATOR as DEFAULT_INTEGRATOR
 from .component import DEFAULT_TOLERANCE as DEFAULT_TOLERANCE
 from .component import INTEGRATORS as INTEGRATORS
@@ -17,13 +16,11 @@ from .description import Unit as Unit
 from .description import Variable as Variable
 from .description import unit_conversion as unit_conversion
 from .fmu import FMU as FMU
-from .fmu import PLATFORMS as PLATFORMS
 from .fmu_summary import FmuSummary as FmuSummary
 from .fmu_summary import VariableRow as VariableRow
 from .fmu_summary import facts as facts
 from .fmu_summary import lines as lines
 from .reading import read_description as read_description
-from .reading import read_text as read_text
 from .ssv import Quantity as Quantity
 from .ssv import read_ssv as read_ssv
 from .ssv import write_ssv as write_ssv

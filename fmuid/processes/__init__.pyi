@@ -17,7 +17,6 @@ from .ends import HostExitError as HostExitError
 from .host import LIMITS as LIMITS
 from .host import SERVER as SERVER
 from .host import HostProcess as HostProcess
-from .host import refusals as refusals
 from .keeper import MOST_KILLS as MOST_KILLS
 from .keeper import HostKeeper as HostKeeper
 from .limits import ProcessStatus as ProcessStatus

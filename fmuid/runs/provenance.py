@@ -49,11 +49,6 @@ def made_now(title: str = "", study: StudySource | None = None, files: Mapping[s
     return Provenance(__version__, datetime.now(UTC).isoformat(timespec="seconds"), title, study, files or {})
 
 
-def read_origin(path: Path) -> Provenance:
-    """Read what `write_origin` has written; errors as those of `fmuid.codec.read`."""
-    return codec.read(path, PROVENANCE_SCHEMA, Provenance, "run the command again")
-
-
 def write_origin(path: Path, study: Study, also: Iterable[Path] = ()) -> Path:
     """Write where a table beside it comes from, which has no other JSON file, and return the path.
 

@@ -1,9 +1,6 @@
 from .executor_pool import close as close
 from .executor_pool import closing as closing
 from .executor_pool import executor_of as executor_of
-from .failures import describe as describe
-from .instance import Instance as Instance
-from .instance import warn as warn
 from .isolation import start_server as start_server
 from .isolation.host import FIRST_TIME_LIMIT as FIRST_TIME_LIMIT
 from .isolation.host import FmuHost as FmuHost
@@ -18,8 +15,6 @@ from .output_fit import root_mean_square as root_mean_square
 from .right_hand_side import RightHandSide as RightHandSide
 from .sensitivities import derivatives_of as derivatives_of
 from .simulation_plan import MOST_STEPS as MOST_STEPS
-from .simulation_plan import Sensitivities as Sensitivities
-from .simulation_plan import shares as shares
 from .simulator import Simulator as Simulator
 from .smoke_test import Stage as Stage
 from .solver_refinement import AS_ASKED as AS_ASKED

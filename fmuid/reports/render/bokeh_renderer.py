@@ -23,8 +23,6 @@ from fmuid.reports.render.style import (
     LINE,
     MISSING,
     NAME_SIZE,
-    ON_PALE,
-    ON_STRONG,
     palette,
 )
 
@@ -406,8 +404,3 @@ def _annotations(layer: Layer) -> list[BokehSpec]:
         for side, places in layer.data.items()
         for place in np.atleast_1d(np.asarray(places, np.float64))
     ]
-
-
-def inks(strong: Sequence[bool]) -> tuple[str, ...]:
-    """Return the colors of texts on cells of strong colors, and on pale ones."""
-    return tuple(ON_STRONG if each else ON_PALE for each in strong)
