@@ -14,10 +14,11 @@ from fmuid.apps.cli.app import app
 HEAD = """# The commands
 
 `fmuid COMMAND --help` says the same. Exit codes: 0 done; 1 ran but did not succeed, such as not converged or a fault
-found; 2 wrong input. Results, iterations and what is to be said of a result go to the standard output: tables first, then
-sentences, `note:` before those that are doubtful, and at the end the verdict in a word and the files that were written.
-Notes on a study, warnings and progress go to the standard error.
-`--version` prints the version.
+found; 2 wrong input. `--version` prints the version.
+
+Results and iterations go to the standard output: tables first, then sentences, `note:` before those that are doubtful,
+and at the end the verdict in a word and the files that were written. Notes on a study, warnings and progress go to the
+standard error.
 """
 
 

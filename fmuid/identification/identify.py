@@ -93,7 +93,7 @@ def identify(
     >>> fmuid.identify(problem)
     Result(converged: R = 3.9989 ± 0.0015, L = 0.100016 ± 0.000050)
     """
-    check_kind(problem, LeastSquares, "what is identified (a study file: fmuid.run_study) must be a fmuid.Problem")
+    check_kind(problem, LeastSquares, "what is identified (a study file: fmuid.run) must be a fmuid.Problem")
     method = settings or Marquardt()
     check_kind(method, Method, "settings must be fmuid.Marquardt() or fmuid.GlobalSearch()")
     if accuracy not in ACCURACIES:
