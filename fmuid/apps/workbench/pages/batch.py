@@ -150,7 +150,7 @@ class BatchPage:
     def _draw(self) -> None:
         """Draw the estimates so far."""
         if "status" in self.frame and (self.frame["status"].astype(str) == "converged").any():
-            truth = self.manifest.get("truth") or {}
+            truth = {name: value for name, value in (self.manifest.get("truth") or {}).items() if value is not None}
             charts = over_cases(self.frame, truth, self._units())
             self.drawn.children = [side_by_side(live(drawing(charts).figures, dark=self.scheme == "dark"))]
 
