@@ -17,7 +17,7 @@ from enum import Enum
 from functools import cache
 from importlib import import_module
 from pathlib import Path
-from typing import Any, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
+from typing import Any, Literal, TypeVar, Union, get_args, get_origin, get_type_hints, is_typeddict
 
 import numpy as np
 
@@ -138,6 +138,8 @@ def _value(kind: Any, content: Any, place: str) -> Any:
         given = content if isinstance(content, dict) else _refuse(place, content, "an object")
         pairs = ((_value(arguments[0], key, place), key) for key in given)
         return {name: _value(arguments[1], given[key], f"{place}.{key}") for name, key in pairs}
+    if is_typeddict(kind):
+        return _keys(kind, content, place)
     if is_dataclass(kind):
         return _instance(kind, content, place)
     if isinstance(kind, type) and issubclass(kind, Enum):
@@ -192,6 +194,17 @@ def _sequence(origin: Any, arguments: tuple[Any, ...], content: Any, place: str)
         )
     each = (_value(arguments[0], one, f"{place}[{i}]") for i, one in enumerate(given))
     return frozenset(each) if origin is frozenset else list(each) if origin is list else tuple(each)
+
+
+def _keys(kind: Any, content: Any, place: str) -> dict[str, Any]:
+    """Return a dictionary of certain keys and no others."""
+    given = content if isinstance(content, dict) else _refuse(place, content, "an object")
+    hints = hints_of(kind)
+    for name in sorted(kind.__required_keys__ - given.keys()):
+        raise ContentError(f"it has no {f'{place}.{name}'.lstrip('.')!r}")
+    for name in sorted(given.keys() - hints.keys()):
+        raise ContentError(f"it has {bounded(f'{place}.{name}'.lstrip('.'), _PLACE_SHOWN)!r}, which is no key there")
+    return {name: _value(hints[name], each, f"{place}.{name}") for name, each in given.items()}
 
 
 def _array(kind: Any, content: Any, place: str) -> Any:

@@ -62,8 +62,10 @@ from .solver_check.outcome import SHIFT_LIMIT as SHIFT_LIMIT
 from .solver_check.outcome import AccuracyOutcome as AccuracyOutcome
 from .solver_check.outcome import RefinementRefusal as RefinementRefusal
 from .solver_check.outcome import RefinementStep as RefinementStep
+from .solver_check.outcome import RunFields as RunFields
 from .solver_check.outcome import SolverCheck as SolverCheck
 from .solver_check.outcome import SwitchCause as SwitchCause
+from .solver_check.outcome import UsedModel as UsedModel
 from .starting_points.noise_level import second_difference_noise as second_difference_noise
 from .starting_points.outcome import MAX_NOISE_RATIO as MAX_NOISE_RATIO
 from .starting_points.outcome import CombinationFit as CombinationFit

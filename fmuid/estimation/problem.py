@@ -29,6 +29,7 @@ from fmuid.estimation.noise.output_series import OutputSeries, output_series, pe
 from fmuid.estimation.noise.periodic_error import check_periods
 from fmuid.estimation.predictors import FunctionPredictor, Predictor
 from fmuid.estimation.simulation_noise import LARGEST_VALUE
+from fmuid.estimation.solver_check.outcome import UsedModel
 from fmuid.estimation.starting_points.noise_level import second_difference_noise
 
 
@@ -232,7 +233,7 @@ class LeastSquares:
         return LeastSquares([predictor], [table], parameters, noise=noise, joint_prior=joint_prior, loss=loss)
 
     @property
-    def models(self) -> dict[str, dict[str, Any]]:
+    def models(self) -> dict[str, UsedModel]:
         """``name``, ``digest`` and ``run`` (how it is run) of each FMU by its component; none here."""
         return {}
 

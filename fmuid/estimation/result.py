@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import combinations
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import numpy as np
 import pandas as pd
@@ -27,7 +27,7 @@ from fmuid.estimation.model_sensitivities import SensitivityMethod
 from fmuid.estimation.noise.sandwich import ResidualNoise
 from fmuid.estimation.parameter_estimate import ParameterEstimate
 from fmuid.estimation.search.loop import TerminationReason
-from fmuid.estimation.solver_check.outcome import SolverCheck
+from fmuid.estimation.solver_check.outcome import SolverCheck, UsedModel
 from fmuid.estimation.starting_points.outcome import CombinationFit, RestartAttempt
 from fmuid.formatting import with_std
 
@@ -144,7 +144,7 @@ class Result(PredictMixin):
     prior_determined: tuple[WeakDirection, ...]
     at_bounds: tuple[ActiveBound, ...]
     version: str
-    models: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
+    models: Mapping[str, UsedModel] = field(default_factory=dict)
     sensitivity: SensitivityMethod | None = None
     moved_start: tuple[str, ...] = ()
     local: LinearizedProblem | None = None
@@ -177,7 +177,7 @@ class Result(PredictMixin):
         count = len(self.names)
         if any(each.shape != (count, count) for each in (self.covariance, self.white_covariance)):
             raise ValueError(f"a covariance is not of {count} parameters")
-        if (np.diag(self.covariance) < 0).any():
+        if any((np.diag(each) < 0).any() for each in (self.covariance, self.white_covariance)):
             raise ValueError("a variance is negative")
 
     @cached_property

@@ -12,7 +12,7 @@ from typing import Any, Self, cast
 from fmuid.array_types import Floats
 from fmuid.data import Experiment, JointPrior, Noise, Parameter, ParameterSet
 from fmuid.errors import InputError
-from fmuid.estimation import SENSITIVITIES, LeastSquares, Result
+from fmuid.estimation import SENSITIVITIES, LeastSquares, Result, RunFields, UsedModel
 from fmuid.formatting import nearest
 from fmuid.identification.discrete_parameters import Given, choices_of
 from fmuid.models import FMU, System
@@ -242,7 +242,7 @@ class Problem(LeastSquares):
         return ModelReference(self.system, self.values, self.given_parameters, self.step_size)
 
     @property
-    def models(self) -> dict[str, dict[str, Any]]:
+    def models(self) -> dict[str, UsedModel]:
         """``name``, ``digest`` and ``run`` (a `fmuid.models.SolverConfiguration`) of each component's FMU."""
         run = self.how_run
         return {
@@ -257,10 +257,12 @@ class Problem(LeastSquares):
         return {name: unit for name, unit in zip(names, parameter_units(self.system, names), strict=True) if unit}
 
     @property
-    def how_run(self) -> dict[str, dict[str, Any]]:
+    def how_run(self) -> dict[str, RunFields]:
         """How each component is run (a `fmuid.models.SolverConfiguration`), as far as it is known which are stiff."""
         stiff = frozenset[str]().union(*(each.stiff for each in self.simulators))
-        return {name: dict(vars(run)) for name, run in how_run(self.system, self.refinement, stiff).items()}
+        return {
+            name: cast(RunFields, dict(vars(run))) for name, run in how_run(self.system, self.refinement, stiff).items()
+        }
 
     @property
     def simulators(self) -> tuple[Simulator, ...]:

@@ -12,7 +12,7 @@ import math
 import time
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any
+from typing import cast
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -28,6 +28,7 @@ from fmuid.estimation import (
     RefinementRefusal,
     RefinementStep,
     Result,
+    RunFields,
     SolverCheck,
     SwitchCause,
     TerminationReason,
@@ -276,12 +277,14 @@ class SolverCheckedSearch:
         self.switches.append(RefinementStep(cause, size, before, after, simulations))
         self.evaluator, self.foreseen = self.evaluator.finer(finer), 0
 
-    def _how_run(self, refinement: Refinement) -> dict[str, dict[str, Any]]:
+    def _how_run(self, refinement: Refinement) -> dict[str, RunFields]:
         """Return how each component is run with a refinement, as far as it is known which are stiff."""
         try:
             return self.evaluator.finer(refinement).problem.how_run
         except InputError:  # an FMU that takes no such steps
-            return {name: dict(vars(run)) for name, run in how_run(self.problem.system, refinement).items()}
+            return {
+                name: cast(RunFields, dict(vars(run))) for name, run in how_run(self.problem.system, refinement).items()
+            }
 
     # --- the result
 

@@ -151,7 +151,8 @@ def _read(path: Path, model: str, component: str | None) -> tuple[dict[str, _Est
     result = Result.from_json(path)
     estimates = dict(zip(result.names, map(_Estimate, result.values.tolist(), result.std.tolist()), strict=True))
     found = _of_component(path, estimates, component, tuple(result.models))
-    identified = result.models.get(component or "", {}).get("name", model)
+    used = result.models.get(component or "")
+    identified = model if used is None else used["name"]
     if identified != model:
         raise InputError(f"{path} is a result for the model {identified}, and the FMU is {model}; give its own FMU")
     lost = [name for name, estimate in found.items() if math.isinf(estimate.std)]

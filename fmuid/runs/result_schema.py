@@ -10,7 +10,7 @@ from dataclasses import fields, is_dataclass
 from enum import Enum
 from functools import cached_property
 from pathlib import Path
-from typing import Any, Literal, Union, get_args, get_origin, get_type_hints
+from typing import Any, Literal, Union, get_args, get_origin, get_type_hints, is_typeddict
 
 import numpy as np
 
@@ -48,6 +48,9 @@ def _schema(kind: Any, known: dict[str, Any]) -> dict[str, Any]:
         return {"type": "array", "items": _schema(arguments[0], known)}
     if origin in (dict, Mapping):
         return {"type": "object", "additionalProperties": _schema(arguments[1], known)}
+    if is_typeddict(kind):
+        properties = {name: _schema(each, known) for name, each in hints_of(kind).items()}
+        return {"type": "object", "properties": properties, "required": sorted(kind.__required_keys__)}
     if is_dataclass(kind) and isinstance(kind, type):
         if kind.__name__ not in known:
             known[kind.__name__] = {}  # of a class that has itself as a field

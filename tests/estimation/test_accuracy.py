@@ -19,6 +19,7 @@ from fmuid.estimation import (
     RefinementRefusal,
     RefinementStep,
     Result,
+    RunFields,
     SolverCheck,
     SwitchCause,
     estimate_solver_error,
@@ -109,8 +110,21 @@ def test_the_shift_is_part_of_the_covariance() -> None:
 
 def test_written_and_read(tmp_path: Path) -> None:
     one = problem()
-    run = {"fmi_version": "2.0", "interface": "model-exchange", "integrator": "rk45", "stiff": False, "step_size": None}
-    a, b, c = ({"": run | {"tolerance": each}} for each in (1e-5, 1e-7, 1e-9))
+    a, b, c = (
+        {
+            "": RunFields(
+                fmi_version="2.0",
+                interface="model-exchange",
+                integrator="rk45",
+                stiff=False,
+                tolerance=tolerance,
+                step_size=None,
+                divisor=1,
+                new_processes=False,
+            )
+        }
+        for tolerance in (1e-5, 1e-7, 1e-9)
+    )
     switches = (
         RefinementStep(SwitchCause.START_FAILED, math.nan, a, b),
         RefinementStep(SwitchCause.SHIFT, 3.0, b, c, 17),

@@ -115,6 +115,10 @@ def test_damaged_results_are_one_sentence(tmp_path: Path) -> None:
     for key in whole.keys() - {"schema", "converged", "version"}:
         assert f"right: {key}" in said(whole | {key: [["of old"]]})
     assert "cannot be right: models." in said(whole | {"models": {"": "of old"}})
+    assert "it has no 'models..digest'" in said(whole | {"models": {"": {"name": "Coil"}}})
+    coil = {"name": "Coil", "digest": "0"}
+    assert "it has no 'models..run.divisor'" in said(whole | {"models": {"": coil | {"run": {"stiff": False}}}})
+    assert "it has 'models..steps', which is no key there" in said(whole | {"models": {"": coil | {"steps": 1}}})
     direction = {"names": ["k"], "coefficients": [1.0], "values": [1.0], "magnitudes": [1.0], "std": 1.0}
     assert "it has no 'weak[0].determined'" in said(whole | {"weak": [direction]})
     direction |= {"determined": "hidden", "values": []}

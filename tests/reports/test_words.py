@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import math
 from dataclasses import asdict, replace
+from typing import cast
 
 import numpy as np
 import pytest
 
 import fmuid
 from fmuid.codec import as_json, from_json
-from fmuid.estimation import AccuracyOutcome, SolverCheck
+from fmuid.estimation import AccuracyOutcome, RunFields, SolverCheck
 from fmuid.estimation.covariance import Identifiability, WeakDirection
 from fmuid.estimation.search.loop import TerminationReason
 from fmuid.identification.prior_and_data import ExtrapolationReason
@@ -140,6 +141,6 @@ def test_a_name_at_the_beginning_of_a_sentence_is_kept_as_it_is(words: str, said
     ],
 )
 def test_a_check_without_standard_deviations_tells_what_it_changes(shift: list[float], said: str) -> None:
-    finer = {"": asdict(SolverConfiguration("2.0", "co-simulation", None, False, None, None, 4))}
+    finer = {"": cast(RunFields, asdict(SolverConfiguration("2.0", "co-simulation", None, False, None, None, 4)))}
     found = SolverCheck(AccuracyOutcome.PASSED, np.array(shift), finer, finer, change=0.02)
     assert passed_words(found) == f"simulation checked by FMI 2.0 co-simulation, each step divided by 4: {said}"

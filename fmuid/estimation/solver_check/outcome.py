@@ -6,17 +6,42 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import Enum
-from typing import Any
+from typing import TypedDict
 
 import numpy as np
 
 from fmuid.array_types import Floats
 
-Runs = Mapping[str, Mapping[str, Any]]
-"""How each component of a model is run."""
-
 SHIFT_LIMIT = 0.1
 """Standard deviations that estimates may be moved by: 95 % intervals then hold the truth in 94.9 % of all cases."""
+
+
+class RunFields(TypedDict):
+    """How an FMU is run: the fields of a `fmuid.models.SolverConfiguration`."""
+
+    fmi_version: str
+    interface: str
+    integrator: str | None
+    stiff: bool
+    tolerance: float | None
+    step_size: float | None
+    divisor: int
+    new_processes: bool
+
+
+class _NamedModel(TypedDict):
+    name: str
+    digest: str
+
+
+class UsedModel(_NamedModel, total=False):
+    """Which FMU a result was made with, and how it was run."""
+
+    run: RunFields
+
+
+Runs = Mapping[str, RunFields]
+"""How each component of a model is run."""
 
 
 class AccuracyOutcome(Enum):

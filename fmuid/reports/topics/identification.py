@@ -79,8 +79,9 @@ def _remarks(found: IdentificationRun) -> list[Remark]:
     said += [*result_remarks(result), *_examined(found, reading, residuals)]
     said.append(RunMessage.NOISE.said("plain", "residuals", noise=_noise(result, found.fits)))
     for component, model in result.models.items():
-        run = run_words(SolverConfiguration(**model["run"]))
-        said.append(RunMessage.RUN.said("plain", "", (), model=component or model["name"], run=run))
+        if "run" in model:
+            run = run_words(SolverConfiguration(**model["run"]))
+            said.append(RunMessage.RUN.said("plain", "", (), model=component or model["name"], run=run))
     if result.sensitivity is not None:
         said.append(RunMessage.SENSITIVITIES.said(how=sensitivity_words(result.sensitivity)))
     said += [Remark(capitalised(text, names), "doubt", "profiles") for text in uncertainty_words(checks)]

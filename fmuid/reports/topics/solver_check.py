@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -17,7 +17,7 @@ from fmuid.reports.document import Section
 if TYPE_CHECKING:
     import pandas as pd
 
-    from fmuid.estimation import RefinementStep, SensitivityMethod, SolverCheck
+    from fmuid.estimation import RefinementStep, RunFields, SensitivityMethod, SolverCheck
 
 # Attributes of <CoSimulation>, <ModelExchange> and <ScheduledExecution> in words (FMI 2.0.4, sections 3.3.1 and 4.3.1;
 # FMI 3.0.2, section 2.4.8). The versions of the standard spell some names differently.
@@ -69,7 +69,7 @@ def run_words(run: SolverConfiguration) -> str:
     return words + (", in a new process for each simulation" if run.new_processes else "")
 
 
-def runs_words(runs: Mapping[str, Mapping[str, Any]]) -> str:
+def runs_words(runs: Mapping[str, RunFields]) -> str:
     """Return how each component of a model is run, from the fields of its `SolverConfiguration`."""
     told = {name: run_words(SolverConfiguration(**run)) for name, run in runs.items()}
     return "; ".join(f"{name}: {words}" if name else words for name, words in told.items())
