@@ -53,7 +53,7 @@ class Experiment(HtmlTableMixin):
     discard : float
         Duration from the first time on that is simulated but not counted, s (1.32).
     units : mapping of str to str
-        FMU variable to the unit of its column, where it is neither the FMU's nor what the table says (`fmuid.read_data`).
+        FMU variable to the unit of its column, where neither the FMU nor the table (`fmuid.read_data`) says it.
     values : mapping of str to float, int, bool or str
         FMU variables held at a value in this experiment.
     measured : bool
