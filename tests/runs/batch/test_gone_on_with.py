@@ -117,8 +117,8 @@ def test_full_disk(folder: Path, here: Any, monkeypatch: pytest.MonkeyPatch, cap
     same(pd.read_parquet(folder / "out" / "cases"), expected(folder))
     out, error = capsys.readouterr()
     assert error == ""
-    assert "30 cases: 30 converged" in " ".join(out.split())
-    told = json.loads((folder / "out" / "summary.json").read_text())
+    assert "Batch: 30 cases, 30 converged" in " ".join(out.split())
+    told = json.loads((folder / "out" / "summary.json").read_text())["origin"]
     digests = [hashlib.sha256((folder / name).read_bytes()).hexdigest() for name in ("study.toml", "first.csv")]
     assert [told["study"]["digest"], told["files"]["first.csv"]] == digests
     assert told["date"].startswith("20")
