@@ -36,7 +36,7 @@ def kinds() -> Iterator[type[Message]]:
     """Yield all classes of messages."""
     for module in walk_packages(reports.__path__, "fmuid.reports."):
         import_module(module.name)
-    yield from Message.__subclasses__()
+    yield from (each for each in Message.__subclasses__() if each.__module__.startswith("fmuid."))
 
 
 def table(kind: type[Message]) -> str:
