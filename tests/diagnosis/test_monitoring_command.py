@@ -118,7 +118,7 @@ def test_from_python_it_is_what_the_command_does(folder: Path) -> None:
         run_monitoring(read, [records / "day0.csv", folder / "wrong.csv"], mine)
     found = run_monitoring(read, [records], mine, figures="png", append=True)
     assert not found.healthy
-    assert {path.name for path in found.files} == {"monitoring.csv", "monitoring.json", "timeline.png"}
+    assert {path.name for path in found.files} == {"document.json", "monitoring.csv", "monitoring.json", "timeline.png"}
     assert written(mine) == written(folder / "theirs")
     alone = run_monitoring(read, [records / "day0.csv"])
     assert (alone.healthy, alone.files) == (True, ())

@@ -198,5 +198,5 @@ def test_matrices_of_a_fault(linear: Path) -> None:
     found = Study.read(linear / "faulty.toml").diagnose()
     assert found.evidence.suspects[0].change.value == pytest.approx(0.5, rel=0.05)
     (linear / "wrong.toml").write_text(faulty.replace("{ b = [1.0, 2.0] }", "{ b = [1.0] }"))
-    with pytest.raises(InputError, match=r"\[diagnosis.faults.gain\]: values 'b' has 1 values and 2 in"):
+    with pytest.raises(InputError, match=r"\[diagnosis.faults.gain\]: fixed 'b' has 1 values and 2 in"):
         Study.read(linear / "wrong.toml").diagnose()

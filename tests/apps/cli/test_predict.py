@@ -98,7 +98,7 @@ def test_the_record_of_the_result_is_no_prediction(
 @pytest.mark.usefixtures("drawn_figures")
 def test_folds(made: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     several = [
-        f'{{table="{name}.csv", inputs=["u"], outputs=["i"], interpolation="zoh"}}' for name in ("first", "second")
+        f'{{data="{name}.csv", inputs=["u"], outputs=["i"], interpolation="zoh"}}' for name in ("first", "second")
     ]
     with_both = ("--set", f"experiments=[{', '.join(several)}]", "--refit", "i_start")
     code = fmuid_("predict", made / "results", "--folds", "2", *with_both, "-o", tmp_path, "--no-isolation")

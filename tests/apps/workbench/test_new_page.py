@@ -101,7 +101,7 @@ def test_what_is_done_first_is_drawn_before_and_after(page: NewPage) -> None:
 def test_the_study_is_written_by_the_command_that_is_shown(page: NewPage, tmp_path: Path) -> None:
     page.tables.value = ["bench.csv"]
     page.maps["u"].value, page.maps["i"].value = "U_soll", "strom"
-    page.prepare["to"].value = "0.5"
+    page.prepare["end_time"].value = "0.5"
     page.output.value = "../evil.toml"
     page.write()
     assert "is a .toml file of this folder" in page.run.state.text

@@ -61,7 +61,7 @@ def test_what_several_cases_of_an_order_print_is_told_apart(tmp_path: Path, monk
     found = cases.run(range(5))
     assert sizes == [1, 4]
     assert [bool(outcome.log) for outcome in found] == [False, False, True, False, True]
-    assert found[2].log == found[4].log
+    assert set(found[2].log.splitlines()) == set(found[4].log.splitlines())
     plain = CaseRunner(study)
     for k in (0, 1, 3):
         assert found[k].row["value.gain"] == plain(k).row["value.gain"]
@@ -92,16 +92,16 @@ def test_cases_that_spoil_the_connection_cost_no_others(tmp_path: Path, monkeypa
 
 
 @pytest.mark.slow
-def test_a_first_draw_that_ends_the_process_costs_the_others_one_process(
+def test_a_first_draw_that_ends_the_process_costs_the_others_nothing(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """They borrow no derivatives from its search then, whoever runs them."""
+    """A case asks nothing of another one, whoever runs it."""
     fmu = str(misbehaving_fmu(tmp_path))
     batch = {"monte_carlo": {"realizations": 10, "std": 0.01, "true_values": {"gain": 1.0, "mode": 0.0}}}
 
     def draws(mode: Mode, low: float = 5.0, high: float = 6.0) -> Study:
         values = {"mode": float(mode), "where": float(Where.STEP), "bad_from": low, "bad_to": high}
-        return study_of(tmp_path, [], model={"fmu": fmu, "values": values}, batch=batch)
+        return study_of(tmp_path, [], model={"fmu": fmu, "fixed": values}, batch=batch)
 
     gain = float(str(CaseRunner(draws(Mode.SOUND))(0).row["value.gain"]))
     cases = IsolatedCases(draws(Mode.SEGFAULT, gain - 1e-4, gain + 1e-4))
@@ -115,6 +115,6 @@ def test_a_first_draw_that_ends_the_process_costs_the_others_one_process(
 
     monkeypatch.setattr(cases, "_begin", counted)
     found = [cases.run([k])[0] for k in (1, 2, 3)]
-    assert len(begun) == 2
+    assert len(begun) == 1
     assert [bits(outcome.row) for outcome in found] == [bits(plain(k).row) for k in (1, 2, 3)]
     assert {outcome.row["status"] for outcome in found} == {"converged"}
