@@ -35,7 +35,7 @@ include_patterns = [
 ]
 nitpicky = True
 # Types in docstrings are words for people; what is called by its public name, fmuid.Name, must have its page.
-nitpick_ignore_regex = [(r"py:.*", r"(?!fmuid\.\w+$).*"), ("py:obj", "fmuid.progress")]
+nitpick_ignore_regex = [(r"py:.*", r"(?!fmuid\.\w+$).*"), ("py:obj", "fmuid.events")]
 
 myst_enable_extensions = ["attrs_inline", "colon_fence", "dollarmath"]
 myst_fence_as_directive = ["math"]

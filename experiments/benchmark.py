@@ -185,7 +185,7 @@ def compare_fits(study: fmuid.Study, experiment: fmuid.Experiment, by_fmpy: Call
     reference = fit_with_scipy()
     result = fmuid.identify(problem)
     ours, other = alternating(4, partial(fmuid.identify, problem), fit_with_scipy, repeat=10)
-    print(f"fit: fmuid {1e3 * ours:.1f} ms ({result.simulations} simulations), ", end="")
+    print(f"fit: fmuid {1e3 * ours:.1f} ms ({result.history.simulations} simulations), ", end="")
     print(f"scipy least_squares(method='lm') over FMPy {other:.2f} s: {other / ours:.0f} times as fast")
     apart = np.abs((result.values - reference.x) / result.std).max()
     print(f"     the two optima are {apart:.0e} standard deviations apart")

@@ -20,12 +20,10 @@ from scipy.signal import lfilter
 
 import fmuid
 from fmuid.array_types import Floats
-from fmuid.diagnosis.cause_analysis import Examination, examine, healthy_of, shown_by
+from fmuid.diagnosis.cause_analysis import BaselineStatistics, Examination, examine, shown_by, whitening_of
 from fmuid.diagnosis.cause_ranking import CauseSet
-from fmuid.diagnosis.causes import SETTINGS as CAUSES
 from fmuid.diagnosis.causes import CauseKind, ChangeParameterSet
 from fmuid.diagnosis.linearized_machine import LinearizedMachine
-from fmuid.diagnosis.prewhitening import whitening_of
 from fmuid.diagnosis.unexplained_residual import SETTINGS as UNEXPLAINED_RESIDUAL
 
 LEVEL, SEED = 0.01, 17
@@ -59,14 +57,7 @@ class Shared:
     def __init__(self, machine: Linearised, coordinates: ChangeParameterSet, noise: float) -> None:
         self.experiment, self._machine, self._noise = machine.experiment, machine, noise
         self._anchors: list[tuple[Floats, Floats, Floats, Floats]] = []
-        exact = (CauseKind.OFFSET, CauseKind.DELAY)
-        modelled = (CauseKind.PARAMETER, CauseKind.FAULT)
-        self._magnitude = np.array(
-            [
-                each.step / CAUSES.difference_step if each.kind in modelled else math.inf if each.kind in exact else 1.0
-                for each in coordinates.each
-            ]
-        )
+        self._magnitude = coordinates.magnitude
 
     def over(self, experiment: fmuid.Experiment) -> LinearizedMachine:
         """Return the same over another record with the same inputs."""
@@ -179,7 +170,7 @@ class Campaign:
         )
         whitening = whitening_of([healthy], setting.coordinates.healthy, setting.coordinates.normal)
         shown = shown_by([healthy], whitening, setting.coordinates)
-        known = healthy_of(shown, setting.coordinates, setting.drift)
+        known = BaselineStatistics.of(shown, setting.coordinates, setting.drift)
         return examine([new], known, setting.coordinates, LEVEL)
 
     def _of(self, case: str, new: int) -> Shared:
@@ -195,8 +186,8 @@ class Campaign:
         faults = [kinds[name] is CauseKind.FAULT for each in naming.named for name in each.names]
         return {
             "alarm": int(naming.alarm),
-            "else": int(found.remainder.probability < UNEXPLAINED_RESIDUAL.level_share * LEVEL),
-            "remainder": found.remainder.probability,
+            "else": int(found.evidence.remainder.probability < UNEXPLAINED_RESIDUAL.level_share * LEVEL),
+            "remainder": found.evidence.remainder.probability,
             "named": " or ".join(" + ".join(each.names) for each in naming.named),
             "fault": int(bool(faults) and all(faults)),
             "D": max(naming.statistics.values()),

@@ -38,7 +38,7 @@ def landing(folder: Path) -> None:
     problem = record.problem()
     result = fmuid.identify(problem)
     simulator = fmuid.Simulator(record.fmu, record.experiment, parameters=list(record.parameters))
-    start, found = simulator([result.start, result.values])
+    start, found = simulator([result.estimates.start, result.values])
     figure = Figure(figsize=(9.2, 3.4), dpi=110, layout="constrained")
     left, right = figure.subplots(1, 2, width_ratios=(3, 2))
     times = record.table["time"]

@@ -63,7 +63,7 @@ class Case:
     parameters: Mapping[str, fmuid.Parameter]
     draw: Callable[[np.random.Generator], fmuid.Experiment]
 
-    def problem(self, seed: int) -> fmuid.LeastSquares:
+    def problem(self, seed: int) -> fmuid.estimation.LeastSquares:
         """Return the problem of one draw."""
         return fmuid.Problem(self.model, self.draw(np.random.default_rng(seed)), self.parameters)
 
@@ -125,7 +125,7 @@ def covered(case: str, level: float, sampling: SamplerSettings, seed: int) -> ND
     result = fmuid.identify(problem)
     posterior = sample_posterior(problem, result, sampling)
     if not (result.converged and posterior.converged):
-        raise RuntimeError(f"{case}, draw {seed}: {fmuid.describe(result)}; {fmuid.describe(posterior)}")
+        raise RuntimeError(f"{case}, draw {seed}: {fmuid.Document.of(result)}; {fmuid.Document.of(posterior)}")
     ends = [
         result.intervals(level).to_numpy(),
         np.array([(p.lower, p.upper) for p in profile_likelihood(problem, result, level=level)]),

@@ -1,12 +1,20 @@
-"""Identify the physical parameters of models packaged as FMUs from tables of measurements.
+"""Identify the physical parameters of FMUs from measured data.
 
-Everything public is here (`__init__.pyi` lists it); what a name needs is imported when the name is first used, so that
-``import fmuid`` is fast. Each package below has a face of the same kind.
+`__init__.pyi` lists the public names. Each is imported at its first use, which keeps ``import fmuid`` fast.
 """
+
+from typing import Any
 
 import lazy_loader
 
-from fmuid.display_mixins import shown_by
+from fmuid.display_mixins import set_renderer
 
-shown_by("fmuid.reports.render.notebook")  # imported when a notebook first shows something
+
+def _renderer() -> Any:
+    from fmuid.reports.render import notebook  # imported when something is first shown
+
+    return notebook
+
+
+set_renderer(_renderer)
 __getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -1,4 +1,4 @@
-"""The types of arrays, named once."""
+"""Array types."""
 
 from __future__ import annotations
 
@@ -9,20 +9,13 @@ from fmuid.errors import InputError
 from fmuid.formatting import bounded
 
 Floats = NDArray[np.float64]
-"""An array of double precision."""
-
 Complexes = NDArray[np.complex128]
-"""An array of complex numbers of double precision."""
-
 Indices = NDArray[np.intp]
-"""An array of indices."""
-
 Flags = NDArray[np.bool_]
-"""An array of truth values."""
 
 
 def numbers(given: ArrayLike, what: str) -> Floats:
-    """Return what a user gave as a new array, of any shape; an `InputError` says what must be numbers and are none."""
+    """Return a user's numbers as a new array; raise `InputError` for others."""
     try:
         return np.array(given, dtype=np.float64)
     except (TypeError, ValueError):

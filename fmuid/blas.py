@@ -1,4 +1,4 @@
-"""Linear algebra in one thread: thousands of small products, each of which threads only hold up."""
+"""Linear algebra in one thread: threads slow down small products."""
 
 from __future__ import annotations
 
@@ -16,21 +16,24 @@ Found = TypeVar("Found")
 
 @cache
 def _libraries() -> ThreadpoolController:
-    """Return what controls the threads of all BLAS libraries; NumPy and SciPy bring one each."""
+    """Return the controller of all BLAS libraries; NumPy and SciPy bring one each."""
     from threadpoolctl import ThreadpoolController
 
     return ThreadpoolController()
 
 
 def _let_go() -> None:
-    """Let any thread change the limit next: threadpoolctl has OpenBLAS obey the one that changed it last alone."""
+    """Let any thread change the limit next.
+
+    Otherwise OpenBLAS obeys only the thread that changed it last.
+    """
     from threadpoolctl import OpenBLASController
 
     OpenBLASController.clear_controlling_thread()
 
 
 class _OneThread:
-    """Keeps BLAS to one thread while it is entered, by however many threads, and gives it back its own."""
+    """Context that limits BLAS to one thread, shared by all threads."""
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
@@ -53,14 +56,13 @@ class _OneThread:
 
 
 ONE_THREAD = _OneThread()
-"""A context in which BLAS has one thread: results depend neither on the machine's cores nor on what else they do.
+"""Context with one thread of BLAS, for results that do not depend on the machine.
 
-The number of threads belongs to the whole process: it is limited from the first entry to the last exit.
-"""
+The limit is that of the process, from the first entry to the last exit."""
 
 
 def single_threaded(function: Callable[Given, Found]) -> Callable[Given, Found]:
-    """Have a function run with one thread of BLAS (`ONE_THREAD`)."""
+    """Decorate a function to run with one thread of BLAS (`ONE_THREAD`)."""
 
     @wraps(function)
     def inside(*given: Given.args, **words: Given.kwargs) -> Found:

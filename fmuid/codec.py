@@ -1,7 +1,7 @@
 """Frozen dataclasses to JSON and back.
 
-The fields of a class are the keys of its object, enums are their values, arrays are lists. ``null`` stands for a number
-that is not known, ``"inf"`` for one without limit. A class that is written in another shape says so in a `Layout`.
+Fields are keys, enums are their values, arrays are lists. ``null`` is an unknown number, ``"inf"`` an unlimited one.
+A class with another form has a `Layout`.
 """
 
 from __future__ import annotations
@@ -32,25 +32,12 @@ _PLACE_SHOWN = 100  # characters
 
 @dataclass(frozen=True)
 class Layout:
-    """How a class is written, where not field by field. It stands in the class as ``json_layout``.
+    """Form of a class in JSON, as its attribute ``json_layout``.
 
-    Attributes
-    ----------
-    omitted : set of str
-        Fields that are not written. A reader may put them into the content, as from a table beside the file; else they
-        have their defaults; arrays and tables without one are empty.
-    inlined : set of str
-        Fields whose keys stand among those of the class itself.
-    derived : tuple of str
-        Properties that are written for other readers, and not read.
-    names : str
-        The field with the names of the rows.
-    rows : mapping of str to mapping
-        Keys whose object has a row for each name: columns by fields, properties, or mappings by name.
-    parts : mapping of str to mapping
-        Keys whose object has other fields by new names.
-    types : mapping of str to str
-        Names in annotations that are not imported, and the modules that have them.
+    Fields `omitted` are not written: a reader may set them; otherwise they have defaults or are empty. Keys of fields
+    `inlined` stand among those of the class. Properties `derived` are written, not read. `rows` are keys with a row per
+    name of field `names`: column to field, property or mapping. `parts` are keys with other fields by new names.
+    `types` are modules of names in annotations that are not imported.
     """
 
     omitted: AbstractSet[str] = frozenset()
@@ -62,13 +49,13 @@ class Layout:
     types: Mapping[str, str] = field(default_factory=dict)
 
     def elsewhere(self) -> set[str]:
-        """Return the fields that are no keys of their own."""
+        """Return the fields without a key of their own."""
         placed = {name for each in (*self.rows.values(), *self.parts.values()) for name in each.values()}
         return {*self.omitted, *self.inlined, *placed, *([self.names] if self.rows else [])}
 
 
 def as_json(value: Any) -> Any:
-    """Return a value as JSON has it: dataclasses, enums, arrays, mappings and numbers at all depths."""
+    """Return a value for JSON, at all depths."""
     if isinstance(value, Enum):
         return value.value
     if isinstance(value, bool | int | str) or value is None:
@@ -95,7 +82,10 @@ def _object(value: Any) -> dict[str, Any]:
     for key, columns in layout.rows.items():
         whole = {column: getattr(value, name) for column, name in columns.items()}
         found[key] = {
-            name: {column: as_json(_cell(values, name, i)) for column, values in whole.items()}
+            name: {
+                column: as_json(values.get(name) if isinstance(values, Mapping) else values[i])
+                for column, values in whole.items()
+            }
             for i, name in enumerate(getattr(value, layout.names))
         }
     for key, parts in layout.parts.items():
@@ -106,17 +96,10 @@ def _object(value: Any) -> dict[str, Any]:
     return found
 
 
-def _cell(values: Any, name: str, i: int) -> Any:
-    return values.get(name) if isinstance(values, Mapping) else values[i]
-
-
 def from_json(kind: type[Item], content: Any) -> Item:
-    """Return the value that `as_json` wrote.
+    """Return the value of `as_json`.
 
-    Raises
-    ------
-    ContentError
-        If the content is of another type at some place, or contradicts itself; names the place.
+    Raises `ContentError`, with the place, for another type or a contradiction.
     """
     found: Item = _value(kind, content, "")
     return found
@@ -135,7 +118,7 @@ def _value(kind: Any, content: Any, place: str) -> Any:
     if origin in (tuple, list, Sequence, frozenset):
         return _sequence(origin, arguments, content, place)
     if origin in (dict, Mapping):
-        given = content if isinstance(content, dict) else _refuse(place, content, "an object")
+        given = _object_of(content, place)
         pairs = ((_value(arguments[0], key, place), key) for key in given)
         return {name: _value(arguments[1], given[key], f"{place}.{key}") for name, key in pairs}
     if is_typeddict(kind):
@@ -149,7 +132,7 @@ def _value(kind: Any, content: Any, place: str) -> Any:
 
 
 def _is_made(content: Any) -> bool:
-    """Return whether a reader has put this here, from a table beside the file: JSON has no such values."""
+    """Return whether a reader put this here: JSON has no such values."""
     return isinstance(content, np.ndarray | tuple) or type(content).__name__ == "DataFrame"
 
 
@@ -172,7 +155,7 @@ def _scalar(kind: Any, content: Any, place: str) -> Any:
 
 
 def _first(kinds: Sequence[Any], content: Any, place: str) -> Any:
-    """Return a value of the first kind that fits; whole numbers are tried before others."""
+    """Return a value of the first kind that fits; integers come first."""
     if content is None and type(None) in kinds:
         return None
     kinds = sorted((each for each in kinds if each is not type(None)), key=lambda each: (each is float, each is str))
@@ -197,11 +180,11 @@ def _sequence(origin: Any, arguments: tuple[Any, ...], content: Any, place: str)
 
 
 def _keys(kind: Any, content: Any, place: str) -> dict[str, Any]:
-    """Return a dictionary of certain keys and no others."""
-    given = content if isinstance(content, dict) else _refuse(place, content, "an object")
+    """Return a dictionary with exactly the keys of a TypedDict."""
+    given = _object_of(content, place)
     hints = hints_of(kind)
     for name in sorted(kind.__required_keys__ - given.keys()):
-        raise ContentError(f"it has no {f'{place}.{name}'.lstrip('.')!r}")
+        _miss(place, name)
     for name in sorted(given.keys() - hints.keys()):
         raise ContentError(f"it has {bounded(f'{place}.{name}'.lstrip('.'), _PLACE_SHOWN)!r}, which is no key there")
     return {name: _value(hints[name], each, f"{place}.{name}") for name, each in given.items()}
@@ -221,7 +204,7 @@ def _array(kind: Any, content: Any, place: str) -> Any:
 
 
 def _instance(kind: Any, content: Any, place: str) -> Any:
-    given = content if isinstance(content, dict) else _refuse(place, content, "an object")
+    given = _object_of(content, place)
     layout, hints = layout_of(kind), hints_of(kind)
     found = {name: _value(hints[name], content, place) for name in layout.inlined}
     elsewhere = layout.elsewhere() - layout.omitted
@@ -232,7 +215,7 @@ def _instance(kind: Any, content: Any, place: str) -> Any:
             elif each.name in layout.omitted and is_required(each):
                 found[each.name] = _empty(hints[each.name])
             elif is_required(each):
-                raise ContentError(f"it has no {f'{place}.{each.name}'.lstrip('.')!r}")
+                _miss(place, each.name)
     for key, columns in layout.rows.items():
         found |= _columns(kind, given.get(key), f"{place}.{key}", columns)
     for key, parts in layout.parts.items():
@@ -244,16 +227,16 @@ def _instance(kind: Any, content: Any, place: str) -> Any:
 
 
 def _empty(kind: Any) -> Any:
-    """Return an array or a table without rows."""
+    """Return an array or table without rows."""
     return np.empty(0, get_args(get_args(kind)[1])[0]) if get_origin(kind) is np.ndarray else kind()
 
 
 def _parts(kind: Any, content: Any, place: str, parts: Mapping[str, str], known: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the fields that stand in an object of their own."""
+    """Return the fields of an object of their own."""
     hints, default = hints_of(kind), {each.name for each in fields(kind) if not is_required(each)}
     if content is None and default.issuperset(parts.values()):
         return {}
-    given = content if isinstance(content, dict) else _refuse(place, content, "an object")
+    given = _object_of(content, place)
     found: dict[str, Any] = {}
     for part, name in parts.items():
         if part in given or name not in default:
@@ -264,13 +247,12 @@ def _parts(kind: Any, content: Any, place: str, parts: Mapping[str, str], known:
 
 
 def _columns(kind: Any, content: Any, place: str, columns: Mapping[str, str]) -> dict[str, Any]:
-    """Return the fields whose columns stand in rows by name."""
+    """Return the fields whose values stand in rows by name."""
     layout, hints = layout_of(kind), hints_of(kind)
-    rows = content if isinstance(content, dict) else _refuse(place, content, "an object")
+    rows = _object_of(content, place)
     found: dict[str, Any] = {layout.names: tuple(rows)}
     for name, row in rows.items():
-        if not isinstance(row, dict):
-            _refuse(f"{place}.{name}", row, "an object")
+        _object_of(row, f"{place}.{name}")
     for column, field_name in columns.items():
         if field_name not in hints:
             continue  # a property
@@ -290,7 +272,7 @@ def is_required(each: Field[Any]) -> bool:
 
 
 def layout_of(kind: type) -> Layout:
-    """Return how a class is written."""
+    """Return the layout of a class."""
     found: Layout = getattr(kind, "json_layout", Layout())
     return found
 
@@ -302,38 +284,41 @@ def hints_of(kind: type) -> dict[str, Any]:
     return get_type_hints(kind, localns=names)
 
 
+def _miss(place: str, name: str) -> None:
+    raise ContentError(f"it has no {f'{place}.{name}'.lstrip('.')!r}")
+
+
+def _object_of(content: Any, place: str) -> dict[str, Any]:
+    return content if isinstance(content, dict) else _refuse(place, content, "an object")
+
+
 def _refuse(place: str, content: Any, wanted: str) -> Any:
     shown = bounded(place.lstrip(".") or "it", _PLACE_SHOWN)
     raise ContentError(f"{shown}: the value should be {wanted}, not {bounded(json.dumps(content), 60)}")
 
 
 def write(path: Path, schema_name: str, content: Any, **more: Any) -> Path:
-    """Write a JSON file whose first key names its schema; return its path.
+    """Write a JSON file whose first key names its schema; return its path."""
+    return write_object(path, {"schema": schema_name, **as_json(content), **as_json(more)})
 
-    Raises
-    ------
-    WriteError
-        If nothing can be written there.
-    """
-    whole = {"schema": schema_name, **as_json(content), **as_json(more)}
+
+def write_object(path: Path, content: Mapping[str, Any]) -> Path:
+    """Write a JSON file of values of `as_json`; return its path."""
     with replacing(path) as draft:
-        draft.write_text(json.dumps(whole, indent=2, ensure_ascii=False, allow_nan=False) + "\n", encoding="utf-8")
+        draft.write_text(json.dumps(content, indent=2, ensure_ascii=False, allow_nan=False) + "\n", encoding="utf-8")
     return path
 
 
 def read(path: Path, schema_name: str, kind: type[Item], remedy: str) -> Item:
-    """Return what a JSON file holds.
+    """Return the content of a JSON file as a class.
 
-    Raises
-    ------
-    InputError
-        If it cannot be read, is something else, of another version, or damaged; one sentence, with the remedy.
+    Raises `InputError` with the remedy for a file that is unreadable, damaged or of another schema.
     """
     return decoded(path, content_of(path, schema_name, remedy), kind, remedy)
 
 
 def content_of(path: Path, schema_name: str, remedy: str) -> dict[str, Any]:
-    """Return the object of a JSON file of a schema; errors as those of `read`."""
+    """Return the object of a JSON file; errors as in `read`."""
     try:
         content = json.loads(path.read_text(encoding="utf-8"))
     except OSError as error:
@@ -348,7 +333,7 @@ def content_of(path: Path, schema_name: str, remedy: str) -> dict[str, Any]:
 
 
 def decoded(path: Path, content: Mapping[str, Any], kind: type[Item], remedy: str) -> Item:
-    """Return the value that the content of a file is of; errors as those of `read`."""
+    """Return the value of a file's content; errors as in `read`."""
     try:
         return from_json(kind, content)
     except ContentError as error:

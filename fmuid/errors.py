@@ -1,4 +1,4 @@
-"""The errors that fmuid raises: few kinds, each one clear sentence, each carrying its data."""
+"""Errors of fmuid: few kinds, one sentence each, with their data."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from collections.abc import Iterable, Mapping
 
 
 class FmuidError(Exception):
-    """Base of all errors that fmuid raises on purpose; its text is one sentence for the user.
+    """Base of fmuid's errors; the text is one sentence.
 
     Examples
     --------
@@ -20,9 +20,9 @@ class FmuidError(Exception):
 
 
 class InputError(FmuidError):
-    """Something the user gave is wrong: a file, a key, a variable (exit code 2 on the command line).
+    """Wrong input: a file, a key or a variable (exit code 2).
 
-    The message names what is wrong, where, and the remedy.
+    The message names the error, its place and the remedy.
 
     Examples
     --------
@@ -35,11 +35,11 @@ class InputError(FmuidError):
 
 
 NO_EXPERIMENT = "an experiment must be a fmuid.Experiment(table, inputs, outputs)"
-"""What `check_kind` says of something else."""
+"""Message of `check_kind` for other types."""
 
 
 def check_kind(given: object, kind: type | tuple[type, ...], what: str, remedy: str = "") -> None:
-    """Check that what a user gave is of a kind: an `InputError` with what it must be, and the remedy, if it is not."""
+    """Check the type of a user's value; raise `InputError` with the remedy."""
     if not isinstance(given, kind):
         name = type(given).__name__
         article = "an" if name[0].lower() in "aeiou" else "a"
@@ -47,16 +47,16 @@ def check_kind(given: object, kind: type | tuple[type, ...], what: str, remedy: 
 
 
 class ModelicaError(InputError):
-    """A Modelica construct outside the exported subset.
+    """Modelica construct outside the exported subset.
 
     Attributes
     ----------
     file, line, construct
-        Where it stands and what it is.
+        Place and name of the construct.
 
     Examples
     --------
-    >>> print(fmuid.ModelicaError("Motor.mo", 3, "an algorithm section"))
+    >>> print(fmuid.errors.ModelicaError("Motor.mo", 3, "an algorithm section"))
     Motor.mo:3: an algorithm section
     """
 
@@ -66,13 +66,7 @@ class ModelicaError(InputError):
 
 
 class ModelicaWarning(UserWarning):
-    """Something in a Modelica model that is probably not meant; it is exported all the same.
-
-    Attributes
-    ----------
-    file, line, remark
-        Where it stands and what it is.
-    """
+    """Probable mistake in a Modelica model that is exported, with its place."""
 
     def __init__(self, file: str, line: int, remark: str) -> None:
         super().__init__(f"{file}:{line}: {remark}")
@@ -80,20 +74,20 @@ class ModelicaWarning(UserWarning):
 
 
 class SimulationError(FmuidError):
-    """A simulation did not succeed (exit code 1 on the command line).
+    """Failed simulation (exit code 1).
 
     Attributes
     ----------
     fmu : str
-        The FMU (or the component and its FMU) that failed.
+        The FMU, or its component and the FMU.
     time : float
-        Simulation time of the failing call, s; not a number where that is not known.
+        Simulation time of the failing call, s; NaN if unknown.
     parameters : dict of str to float
-        The parameter values of the failing simulation.
+        Parameter values of the simulation.
     call : str
-        The FMI function and the status it returned.
+        FMI function and its status.
     messages : tuple of str
-        What the FMU itself logged during the simulation.
+        Log of the FMU.
 
     Examples
     --------
@@ -120,4 +114,4 @@ class SimulationError(FmuidError):
 
 
 class SensitivityUnavailableError(FmuidError):
-    """The model cannot give its derivatives here; the text says why."""
+    """The model has no derivatives here, for a reason in the text."""

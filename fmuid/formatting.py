@@ -1,7 +1,7 @@
-"""Text for people: numbers rounded to their standard deviation, units, lists, similar names.
+"""Text for people: numbers rounded to their σ, units, lists, similar names.
 
-Part of what is printed comes from untrusted files. A terminal executes control characters, and characters that are
-invisible or change the direction of writing make a name look like another one (CWE-150, CVE-2021-42574).
+Some text comes from untrusted files: terminals execute control characters, and invisible characters disguise names
+(CWE-150, CVE-2021-42574).
 """
 
 from __future__ import annotations
@@ -22,12 +22,12 @@ _ELEMENT = re.compile(r".+\[\d+(,\d+)*\]")
 
 
 def of_one_experiment(name: str) -> bool:
-    """Return whether a parameter's name is that of a single experiment, ``R[cold]``, and no element's, ``A[1,2]``."""
+    """Return whether a parameter belongs to one experiment: ``R[cold]``, not ``A[1,2]``."""
     return name.endswith("]") and _ELEMENT.fullmatch(name) is None
 
 
 def of_parameter(name: str, parameter: str) -> bool:
-    """Return whether a name is a parameter's, or that of one of a single experiment, ``R[cold]`` of ``R``."""
+    """Return whether a name is a parameter's, or as ``R[cold]`` of ``R``."""
     return name == parameter or name.startswith(f"{parameter}[")
 
 
@@ -37,7 +37,7 @@ def visible(text: str) -> str:
 
 
 def bounded(text: str, length: int) -> str:
-    """Return a text in one line, without invisible characters, cut to `length` characters."""
+    """Return a text in one visible line, cut to `length` characters."""
     if len(text) <= length and text.isprintable():
         return text
     line = " ".join(visible(text[: 2 * length]).split())
@@ -45,7 +45,7 @@ def bounded(text: str, length: int) -> str:
 
 
 def nearest(name: str, known: Iterable[str]) -> str:
-    """Return `` (did you mean 'a' or 'b'?)``, or an empty text where no known name is similar."""
+    """Return `` (did you mean 'a' or 'b'?)``, or nothing."""
     names = list(known)
     found = difflib.get_close_matches(name, names, cutoff=0.5)
     if not found:
@@ -60,30 +60,30 @@ def listed(words: Sequence[str]) -> str:
 
 
 def rounded(value: float, std: float) -> str:
-    """Return `value` rounded to the second significant digit of its standard deviation, to six digits without one."""
+    """Return a value to two digits of σ, or six digits."""
     if not (math.isfinite(std) and std > 0 and math.isfinite(value)):
         return f"{value:.6g}"
     decimals = 1 - math.floor(math.log10(std))
     if -3 < decimals < 10:
         return f"{value:.{max(0, decimals)}f}"
-    size = max(abs(value), std)  # else too many zeros to read
+    size = max(abs(value), std)  # otherwise too many zeros
     kept = round(value, decimals)
     return f"{kept:.{max(1, math.floor(math.log10(size)) + decimals)}e}" if kept else "0"
 
 
 def with_std(value: float, std: float) -> str:
-    """Return ``value ± std`` with two significant digits of the standard deviation, or `value` alone without one."""
+    """Return ``value ± std``, or the value alone without σ."""
     shown = rounded(value, std)
     return f"{shown} ± {rounded(std, std)}" if math.isfinite(std) and std > 0 else shown
 
 
 def has_unit(unit: str | None) -> bool:
-    """Return whether a unit is to be written: it is neither missing nor "1", FMI's unit of dimensionless variables."""
+    """Return whether a unit is written: not missing, and not FMI's "1"."""
     return unit not in (None, "", "1")
 
 
 def unit_text(unit: str | None) -> str:
-    """Return the unit as it is written in a cell of a table: nothing where there is none."""
+    """Return the unit for a cell of a table."""
     return unit if unit is not None and has_unit(unit) else ""
 
 
@@ -93,15 +93,15 @@ def with_unit(value: float, unit: str | None) -> str:
 
 
 def two_digits(value: float) -> str:
-    """Return a number with two digits, without an exponent below a million: 180, not 1.8e+02."""
+    """Return a number to two digits, without exponent below a million."""
     return f"{value:.0f}" if 99.5 <= abs(value) < 1e6 else f"{value:.2g}"
 
 
 def fit_text(fit: float | None) -> str:
-    """Return a fit in %, a dash where it has no meaning."""
+    """Return a fit in %, or a dash for NaN."""
     return "–" if fit is None or math.isnan(fit) else f"{fit:.4g} %"
 
 
 def label(name: str, unit: str | None) -> str:
-    """Return the label of an axis or a column: name and unit."""
+    """Return the label of an axis or column: name and unit."""
     return f"{name} ({unit})" if has_unit(unit) else name

@@ -17,7 +17,7 @@ from fmuid.array_types import Floats
 from fmuid.blas import ONE_THREAD
 from fmuid.estimation.evaluator import Evaluator
 from fmuid.identification import Problem
-from fmuid.runs.batch.run_case import CaseRunner
+from fmuid.runs.batch.case import CaseRunner
 from fmuid.studies import Study
 from tests.support.coil_batches import NOISE, write
 from tests.support.coil_study import coil_table
@@ -62,7 +62,7 @@ WORK: dict[str, Callable[[Problem, fmuid.Result], object]] = {
     "Marquardt": lambda problem, _: fmuid.Marquardt().search(Evaluator(problem)),
     "profiles": lambda problem, result: fmuid.profile_likelihood(problem, result, ["R"]),
     "sample": lambda problem, result: fmuid.sample_posterior(
-        problem, result, fmuid.SamplerSettings(max_steps=50, seed=1)
+        problem, result, fmuid.identification.SamplerSettings(max_steps=50, seed=1)
     ),
     "map_criterion": lambda problem, result: fmuid.map_cost(problem, result, "R", "L", points=5),
     "diagnose": diagnosis,

@@ -9,46 +9,28 @@ from pathlib import Path
 import fmuid
 
 PACKAGE = Path(fmuid.__file__).parent
-MAX_LINES = 63_600
+MAX_LINES = 54_700
 """Lines of Python, the exporter included; the plan has 41,700."""
-MAX_CONSTANTS = 313
+MAX_CONSTANTS = 309
 """Numbers that capitals of a module stand for; those of an algorithm belong to its settings. The plan has 150."""
 MAX_FIELDS, MAX_ARGUMENTS = 15, 6
 MANY_FIELDS = {
-    "estimation.result.Result",
     "estimation.search.stopping.StoppingSettings",
     "export.explicit_model.ExplicitModel",
-    "identification.sampler.SamplerNumbers",
-    "models.description.Variable",
-    "simulation.simulation_plan.SimulationPlan",
-    "studies.study.Study",
 }
 """Classes with more fields that are still to be divided."""
 MANY_ARGUMENTS = {
     "data.signals.multisine",
     "data.signals.prbs",
-    "diagnosis.baseline_comparator.of",
-    "diagnosis.design.__init__",
-    "diagnosis.design._size",
-    "diagnosis.design.planned_experiment",
-    "diagnosis.linearized_machine.__init__",
     "estimation.covariance.local_covariance",
-    "estimation.finite_differences.__init__",
-    "estimation.linear_models.equations.instrumental_variables",
-    "estimation.parameter_estimate.__new__",
+    "estimation.equation_error.instrumental_variables",
     "estimation.problem.__init__",
     "estimation.problem.from_function",
-    "estimation.search.trust_region.best_step",
-    "estimation.simulation_noise.noise_level",
     "identification.identify.identify",
-    "identification.prediction.predict",
     "identification.problem.__init__",
     "models.system.__init__",
     "reports.run.run",
-    "runs.batch.batch.__init__",
-    "runs.predict.predicted_by",
     "simulation.simulator.__init__",
-    "simulation.solver.__init__",
 }
 """Functions with more arguments that are still to be divided."""
 

@@ -20,7 +20,7 @@ from fmuid.codec import as_json
 from fmuid.data import Experiment
 from fmuid.errors import FmuidError
 from fmuid.runs import read_identification
-from fmuid.runs.batch.dataset import Dataset, read_rows
+from fmuid.runs.batch.dataset import Dataset, read_part
 from fmuid.runs.faults import build_monitor, rule_of
 from tests.support.fuzz_spoil import spoil_tree
 from tests.support.mutations import mutated
@@ -91,7 +91,7 @@ def read_result(folder: Path, _: Experiment) -> None:
     read_identification(folder / "healthy")
     result = fmuid.Result.from_json(folder / "healthy/result.json")
     assert repr(result)
-    assert fmuid.describe(result)
+    assert str(fmuid.Document.of(result))
     as_json(result)
 
 
@@ -113,7 +113,7 @@ def read_batch(folder: Path, _: Experiment) -> None:
         rows.read,
         rows.finished,
         lambda: list(rows.stream(["value.R"])),
-        lambda: read_rows(rows.folder, bool),
+        lambda: [read_part(path) for path in rows.parts()],
     ):
         with pytest.raises(fmuid.InputError, match="is damaged"):
             read()

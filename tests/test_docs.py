@@ -17,13 +17,13 @@ import pytest
 from fmuid.diagnosis.cause_ranking import SETTINGS as CAUSE_RANKING
 from fmuid.diagnosis.unexplained_residual import SETTINGS as UNEXPLAINED_RESIDUAL
 from fmuid.estimation.covariance import UNDETERMINED_STD, WEAK_STD
-from fmuid.estimation.identification import VARIANCE_CHANGE
+from fmuid.estimation.estimate import VARIANCE_CHANGE
 from fmuid.estimation.noise.whiteness_tests import WhitenessSettings
 from fmuid.estimation.search.stopping import STOPPING
 from fmuid.estimation.simulation_noise import NOISE_POINTS
 from fmuid.identification.prior_data_tests import SAME_VARIANCE_RATIO
 from fmuid.models.component import DEFAULT_TOLERANCE
-from fmuid.runs.batch.cases import CaseList
+from fmuid.runs.batch.case_list import CaseList
 from fmuid.simulation.isolation.host import FIRST_TIME_LIMIT, LEAST_TIME_LIMIT, SLOWER_FACTOR
 from fmuid.simulation.plan_builder import LINEAR_SUBSTEPS
 from fmuid.studies.study import Study
@@ -134,10 +134,7 @@ CITATION = re.compile(rf"\(({NUMBER}(?:(?:–|, ){NUMBER})*)\)")
 NAMED = {
     r"[Cc]ompound criterion(?: J_C)?": {"1.37", "1.38", "1.57", "1.68"},
     r"prior rows W\(θ₀ − θ\) of": {"1.37"},
-    r"sensitivity system": {"1.26"},
     r"Marquardt's (?:search for the least sum of squares|steps)": {"1.16"},
-    r"linear algebra": {"1.16"},
-    r"local (?:covariance|standard deviation)": {"1.31"},
     r"natural equations": {"1.58"},
 }
 

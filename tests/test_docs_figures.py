@@ -6,7 +6,7 @@ import ast
 import re
 from pathlib import Path
 
-from fmuid.reports.figure_files import KINDS
+from fmuid.reports.publish import KINDS
 from tests.support.docs_rows import rows
 from tests.support.paths import ROOT
 

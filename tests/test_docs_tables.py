@@ -84,7 +84,7 @@ def _needs(folder: Path, monkeypatch: pytest.MonkeyPatch, name: str, module: str
     assert {"u", "i", "w"} <= set(fmuid.read_data(folder / name).columns)
     with monkeypatch.context() as without:
         without.setitem(sys.modules, module, None)
-        without.setattr("fmuid.processes.caller.AVAILABLE", False)  # read in this process
+        without.setattr("fmuid.processes.keeper.AVAILABLE", False)  # read in this process
         with pytest.raises(InputError, match=rf'which is not installed: pip install "fmuid\[{extra}\]"'):
             fmuid.read_data(folder / name)
 
@@ -327,7 +327,7 @@ def _several(folder: Path, _: pytest.MonkeyPatch) -> None:
 
 @row("hundreds of records, each a machine of its own")
 def _hundreds(folder: Path, _: pytest.MonkeyPatch) -> None:
-    from fmuid.runs.batch.cases import CaseList
+    from fmuid.runs.batch.case_list import CaseList
 
     for k in range(30):
         written(folder, name=f"rig{k}.csv")

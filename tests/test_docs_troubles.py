@@ -16,10 +16,11 @@ import pytest
 from scipy.signal import lfilter
 
 import fmuid
-from fmuid import Experiment, LeastSquares, Normal, Parameter, Problem, Simulator, describe, identify
+from fmuid import Document, Experiment, Normal, Parameter, Problem, Simulator, identify
 from fmuid.array_types import Floats
 from fmuid.data import Preprocessing
 from fmuid.errors import InputError
+from fmuid.estimation import LeastSquares
 from fmuid.reports.render.console import show_notes
 from fmuid.reports.topics.solver_check import passed_words
 from fmuid.reports.topics.study_notes import input_notes
@@ -56,13 +57,13 @@ def recorded(offset: float = 0.0, begin: float = 0.0, noise: float = 0.005, scal
     return pd.DataFrame({"time": STEP * np.arange(N), "u": u, "i": i})
 
 
-def experiment(table: pd.DataFrame, interpolation: str = "zoh", discard: float = 0.0) -> Experiment:
-    return Experiment(table, ["u"], ["i"], interpolation=interpolation, discard=discard)
+def experiment(table: pd.DataFrame, interpolation: str = "zoh", warmup: float = 0.0) -> Experiment:
+    return Experiment(table, ["u"], ["i"], interpolation=interpolation, warmup=warmup)
 
 
 def residual(given: Experiment, free: Mapping[str, Parameter] = FREE, **held: float) -> Floats:
     """Return what the best fit leaves of the counted samples."""
-    result = identify(Problem(COIL, given, free, values=held), accuracy="off", remedies=False)
+    result = identify(Problem(COIL, given, free, values=held), solver_check="off", restart=False)
     left = given.output_values[:, 0] - Simulator(COIL, given, list(free), values=held)(result.values)[:, 0]
     return np.asarray(left[given.counted[:, 0]])
 
@@ -135,7 +136,7 @@ def _dies_out(_: Path, __: pytest.CaptureFixture[str]) -> None:
     assert np.abs(left[:3]).max() > 20 * size(left[N // 2 :])
     free = FREE | {"i_start": Parameter(0.0, nominal=1.0)}
     assert size(residual(experiment(table), free)) < 0.006
-    assert size(residual(experiment(table, discard=0.3))) < 0.006
+    assert size(residual(experiment(table, warmup=0.3))) < 0.006
 
 
 @row("is a copy of the signal, smaller")
@@ -152,11 +153,11 @@ def _mean(_: Path, __: pytest.CaptureFixture[str]) -> None:
     free = {"L": FREE["L"], "i_start": Parameter(0.0, nominal=1.0)}
     given = experiment(recorded(offset=0.1, noise=0.2))
     problem = Problem(COIL, given, free, values={"R": 4.0})
-    found = describe(fmuid.analyze_residuals(problem, identify(problem, accuracy="off", remedies=False)))
+    found = str(Document.of(fmuid.analyze_residuals(problem, identify(problem, solver_check="off", restart=False))))
     assert re.search(
         r"The residual of i has the mean 0\.10\d, 0\.5 of its standard deviation: a sensor's offset", found
     )
-    assert abs(np.mean(residual(fmuid.preprocess(given, Preprocessing(detrend="mean")), free, R=4.0))) < 0.05
+    assert abs(np.mean(residual(fmuid.data.preprocess(given, Preprocessing(detrend="mean")), free, R=4.0))) < 0.05
 
 
 @row("grows with time")
@@ -203,7 +204,7 @@ def _wrong_optimum(_: Path, __: pytest.CaptureFixture[str]) -> None:
 @row("another start gives other values")
 def _other_start(_: Path, __: pytest.CaptureFixture[str]) -> None:
     assert abs(identify(wave(20.0))["w"] - identify(wave(8.0))["w"]) > 3.0
-    optima = identify(wave(20.0), EVERYWHERE).optima
+    optima = identify(wave(20.0), EVERYWHERE).history.optima
     assert len(optima) > 1
     assert optima[0].theta[0] == pytest.approx(9.0, abs=0.05)
 
@@ -219,7 +220,7 @@ def both(prior: Normal | None = None, held: bool = False) -> fmuid.Result:
 
 @row("`cannot be told apart`")
 def _apart(_: Path, __: pytest.CaptureFixture[str]) -> None:
-    assert "a and b cannot be told apart: only a + b is determined" in describe(both())
+    assert "a and b cannot be told apart: only a + b is determined" in str(Document.of(both()))
     assert np.isinf(both().std).all()
     assert (both(Normal(1.0, 0.05)).std < 0.1).all()
     assert both(held=True)["a"] == pytest.approx(1.0, abs=0.05)
@@ -233,7 +234,7 @@ def _weak(_: Path, __: pytest.CaptureFixture[str]) -> None:
         free = {"gain": Parameter(0.8), "bend": Parameter(0.1, prior=prior)}
         return identify(LeastSquares.from_function(lambda x: x[0] * TIMES + x[1] * TIMES**3 / 9, measured, free))
 
-    assert "end is hardly determined: its standard deviation" in describe(found(None))
+    assert "end is hardly determined: its standard deviation" in str(Document.of(found(None)))
     assert found(Normal(0.0, 0.05)).std[1] < 0.06 < found(None).std[1]
 
 
@@ -256,7 +257,7 @@ def _fails(_: Path, __: pytest.CaptureFixture[str]) -> None:
 @row("it takes long")
 def _long(_: Path, __: pytest.CaptureFixture[str]) -> None:
     given = experiment(recorded())
-    fewer = fmuid.preprocess(given, Preprocessing(resample_interval=5 * STEP))
+    fewer = fmuid.data.preprocess(given, Preprocessing(resample_interval=5 * STEP))
     assert fewer.times.size == N // 5
     assert identify(Problem(COIL, fewer, FREE))["R"] == pytest.approx(4.0, abs=0.1)
 
@@ -295,4 +296,4 @@ def _white(_: Path, __: pytest.CaptureFixture[str]) -> None:
     table = recorded(noise=0.0)
     result = identify(Problem(COIL, experiment(table.assign(i=table["i"] + slow)), FREE))
     frame = result.to_frame()
-    assert (frame["std"] > 1.5 * frame["white_std"]).all()
+    assert (frame["std"] > 1.5 * frame["std_white_noise"]).all()

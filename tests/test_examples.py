@@ -6,7 +6,9 @@ They may take `fmuid`, `np` and `pd` for granted, and run in a folder of their o
 from __future__ import annotations
 
 import doctest
+import inspect
 from pathlib import Path
+from types import ModuleType
 
 import numpy as np
 import pandas as pd
@@ -14,7 +16,7 @@ import pytest
 
 import fmuid
 
-NAMES = sorted(set(dir(fmuid)) - {"__version__", "datasets"})
+NAMES = sorted(name for name in set(dir(fmuid)) - {"__version__"} if not inspect.ismodule(getattr(fmuid, name)))
 # They start processes of their own, or do a whole study and more.
 SLOW = {"Batch", "BatchResult", "validate"}
 
@@ -35,9 +37,28 @@ def test_examples(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) ->
     run(examples(name, getattr(fmuid, name)), tmp_path, monkeypatch)
 
 
-@pytest.mark.parametrize("name", fmuid.datasets.__all__)
-def test_examples_of_the_records(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    found = examples(name, getattr(fmuid.datasets, name))
+SIGNALS = [name for name, each in inspect.getmembers(fmuid.signals, inspect.isfunction)
+           if each.__module__ == fmuid.signals.__name__ and not name.startswith("_")]  # fmt: skip
+NAMESPACES = [
+    *((fmuid.datasets, name) for name in fmuid.datasets.__all__),
+    *((fmuid.signals, name) for name in SIGNALS),
+    *((fmuid.data, name) for name in ("ParkTransform", "preprocess")),
+    *((fmuid.diagnosis, name) for name in ("DiagnosisSettings", "FaultAngle", "planned_experiment")),
+    *((fmuid.estimation, name) for name in ("LeastSquares", "LinearEstimate", "Term", "equation_error")),
+    *((fmuid.estimation, name) for name in ("instrumental_variables", "linear_least_squares")),
+    *((fmuid.identification, name) for name in ("ModelCandidate", "Prediction", "SamplerSettings")),
+    *((fmuid.runs, name) for name in ("BatchResult", "IdentificationRun")),
+]
+
+
+@pytest.mark.parametrize(
+    ("namespace", "name"),
+    [pytest.param(*each, marks=pytest.mark.slow) if each[1] in SLOW else each for each in NAMESPACES],
+)
+def test_examples_of_namespaces(
+    namespace: ModuleType, name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    found = examples(name, getattr(namespace, name))
     assert found
     run(found, tmp_path, monkeypatch)
 

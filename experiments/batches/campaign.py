@@ -13,7 +13,7 @@ import numpy.typing as npt
 import pandas as pd
 import psutil
 
-from fmuid.runs.batch.run_case import VOLATILE
+from fmuid.runs.batch.case import VOLATILE
 
 FMUS = Path(__file__).parents[2] / "fmus"
 R, L, STEP, SAMPLES, NOISE = 4.0, 0.1, 1e-3, 300, 0.02

@@ -23,7 +23,7 @@ import pandas as pd
 
 from experiments.batches.campaign import family, left_over, rows
 from fmuid.runs.batch.batch import Batch
-from fmuid.runs.batch.run_case import VOLATILE, CaseRunner
+from fmuid.runs.batch.case import VOLATILE, CaseRunner
 from fmuid.studies.study import Study
 from tests.support.misbehaving import Mode, Where, misbehaving_fmu
 

@@ -55,7 +55,7 @@ def write_study(folder: Path, draws: int) -> Path:
 LOOP = """
 import time
 from pathlib import Path
-from fmuid.runs.batch.run_case import CaseRunner
+from fmuid.runs.batch.case import CaseRunner
 from fmuid.studies.study import Study
 runner = CaseRunner(Study.read(Path({study!r}), isolated={isolated}))
 runner(0)

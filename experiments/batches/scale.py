@@ -50,7 +50,7 @@ KINDS = ("driver", "keeper", "workers", "servers", "hosts")
 LOOP = """
 import json, time
 from pathlib import Path
-from fmuid.runs.batch.run_case import CaseRunner
+from fmuid.runs.batch.case import CaseRunner
 from fmuid.studies.study import Study
 runner = CaseRunner(Study.read(Path({study!r}), isolated=False))
 runner(0)

@@ -65,7 +65,7 @@ def table(folder: Path) -> str:
     for name, text in MODELS.items():
         (folder / f"{name}.toml").write_text(text, encoding="utf-8")
         found = fmuid.run(folder / f"{name}.toml", folder / name)
-        print(name, fmuid.describe(found.result), found.result.to_frame(), sep="\n")
+        print(name, fmuid.Document.of(found.result), found.result.to_frame(), sep="\n")
     compared = compare_results([folder / name for name in MODELS], [folder / "second.csv"])
     print(compared.table, *(each.text for each in document(compared).remarks), sep="\n")
     rows = compared.table.set_index("name")
@@ -73,8 +73,8 @@ def table(folder: Path) -> str:
     lines = [heads, "|---|---|---|---|---|"]
     for name in MODELS:
         result = fmuid.Result.from_json(folder / name / "result.json")
-        count = result.data[0].samples
-        first = (result.noise_variance["y"] * result.degrees_of_freedom / count) ** 0.5
+        count = result.setup.data[0].samples
+        first = (result.fit.noise_variance["y"] * result.fit.degrees_of_freedom / count) ** 0.5
         row = rows.loc[name]
         numbers = f"{row['parameters']:.0f} | {first:.3f} V | {row['behind']:.0f} | {row['rmse.y']:.3f} V"
         lines.append(f"| {name} | {numbers} |")

@@ -151,7 +151,7 @@ def estimate(record: pd.DataFrame, whole: bool) -> fmuid.Result:
     problem = fmuid.Problem(model, experiment, parameters, values=values)
     result = fmuid.identify(problem)
     if not result.converged:
-        raise RuntimeError(f"the search did not converge: {fmuid.describe(result)}")
+        raise RuntimeError(f"the search did not converge: {fmuid.Document.of(result)}")
     return result
 
 

@@ -153,7 +153,7 @@ def setting(beside: Causes | None = None) -> calls.Setting:
 
     def machine(case: str, new: bool) -> LinearizedMachine:
         record = clean(CASES[case].new if new else CASES[case].always)
-        return LinearizedMachine(coil, {}, nominal, {"turns": turns}, coordinates, record)
+        return LinearizedMachine(coil, {}, coordinates, record)
 
     return calls.Setting(
         coordinates, drift, STD, machine, records, truth, lambda case: CASES[case].colour, lambda case: CASES[case].slow

@@ -25,7 +25,7 @@ from experiments.coil import study
 from fmuid.reports.topics.monitoring import alarm_sentence
 from fmuid.runs import FollowStatus, followed
 from fmuid.runs import follow as following
-from fmuid.runs.log_following import follower
+from fmuid.runs import log_follower as follower
 from fmuid.studies import Study
 
 STEP, SAMPLES, LOOK = 0.01, 40, 500  # s; samples of a window, windows that come at once

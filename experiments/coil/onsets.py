@@ -87,7 +87,7 @@ def record(
         state = current[part][-1] * decay + (1.0 - decay) / resistance * voltage[part][-1]
     seen = sensor.seen(current) + math.sqrt(study.NOISE_VARIANCE) * rng.standard_normal(samples)
     frame = pd.DataFrame({"time": study.STEP * np.arange(samples), "u": voltage, "i": seen})
-    return fmuid.Experiment(frame, ["u"], ["i"], interpolation="zoh", discard=TRANSIENT, name=name)
+    return fmuid.Experiment(frame, ["u"], ["i"], interpolation="zoh", warmup=TRANSIENT, name=name)
 
 
 @cache
@@ -105,7 +105,10 @@ def drawn(name: str, draw: int) -> dict[str, float | str]:
     seen_by = sensor(rng) if case.drawn else SOUND
     healthy = [record(Case(0.0), math.inf, rng, "healthy", sensor=seen_by)] if case.beside else []
     # what an identification of it would give: the truth with the errors that it states
-    known = replace(first, values=np.array([study.R, study.L]) + first.std * rng.standard_normal(2))
+    known = replace(
+        first,
+        estimates=replace(first.estimates, values=np.array([study.R, study.L]) + first.std * rng.standard_normal(2)),
+    )
     inflate = {"R": math.hypot(1.0, DRIFT_R / float(known.std[known.names.index("R")]))}
     turns = fmuid.Fault(faulty, {"dR": fmuid.Parameter(0.0, nominal=0.5)}, values={"tau": known["L"] / known["R"]})
     baseline = fmuid.Baseline(known, inflate, records=healthy)

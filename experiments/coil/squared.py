@@ -50,7 +50,7 @@ def setting(kind: str) -> calls.Setting:
     drift[:2] = coil.DRIFT["R"], coil.DRIFT["L"]
 
     def machine(case: str, new: bool) -> LinearizedMachine:
-        return LinearizedMachine(system, {}, known, faults, coordinates, record(float(case) if new else 0.0))
+        return LinearizedMachine(system, {}, coordinates, record(float(case) if new else 0.0))
 
     def truth(case: str) -> dict[str, float]:
         return {f"turns.{name}": float(case) * (1.0 if kind == "exact" else -study.R)}
@@ -72,7 +72,7 @@ def counted() -> pd.DataFrame:
                 mine = [each for each in found.naming.named if each.names == (f"turns.{name}",)]
                 size, std = (mine[0].fit.sizes[0], mine[0].fit.covariance[0, 0] ** 0.5) if mine else (math.nan,) * 2
                 first = " + ".join(found.naming.named[0].names) if found.naming.named else ""
-                values = (100 * size / unit, 100 * std / abs(unit), found.ratio)
+                values = (100 * size / unit, 100 * std / abs(unit), found.evidence.ratio)
                 rows.append((kind, 100 * share, k, first, *values))
     return pd.DataFrame(rows, columns=["model", "lost", "record", "first", "size", "std", "ratio"])
 

@@ -113,7 +113,7 @@ def identify(table: pd.DataFrame) -> fmuid.Result:
     parameters = {"R": fmuid.Parameter(3.0, min=0.0), "L": fmuid.Parameter(0.2, min=1e-4)}
     result = fmuid.identify(fmuid.Problem(models()[0], experiment(table), parameters))
     if not result.converged:
-        raise RuntimeError(f"the search did not converge: {fmuid.describe(result)}")
+        raise RuntimeError(f"the search did not converge: {fmuid.Document.of(result)}")
     return result
 
 
@@ -129,7 +129,7 @@ def diagnose(
         fmuid.Baseline(healthy, INFLATE if inflate is None else inflate),
         {"turns": turns},
         coil,
-        fmuid.DiagnosisSettings(LEVEL),
+        fmuid.diagnosis.DiagnosisSettings(LEVEL),
     )
 
 

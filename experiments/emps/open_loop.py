@@ -42,8 +42,8 @@ def problem(frame: pd.DataFrame, starts: dict[str, float]) -> fmuid.Problem:
 def line(name: str, result: fmuid.Result) -> str:
     """Return a row of the table: estimates, how far they are from the published values, simulations, residual."""
     cells = [f"{result[each]:.4g} ({100.0 * (result[each] / value - 1.0):+.1f} %)" for each, value in PUBLISHED.items()]
-    residual = 1e6 * float(np.sqrt(result.noise_variance["q"]))
-    return f"| {name} | {' | '.join(cells)} | {residual:.3g} | {result.simulations} |"
+    residual = 1e6 * float(np.sqrt(result.fit.noise_variance["q"]))
+    return f"| {name} | {' | '.join(cells)} | {residual:.3g} | {result.history.simulations} |"
 
 
 def main() -> None:
@@ -60,7 +60,7 @@ def main() -> None:
         result = fmuid.identify(with_observer(problem(frame, STARTS), samples))
         rows.append(line(f"{samples:g} ms", result))
         starts = dict(zip(result.names, result.values.tolist(), strict=True))
-    rows.append(line("none: output error", fmuid.identify(problem(frame, starts), remedies=False)))
+    rows.append(line("none: output error", fmuid.identify(problem(frame, starts), restart=False)))
     print("\n".join(rows))
     pages.rewrite(HERE, {"open_loop": "\n".join(rows)})
 

@@ -31,13 +31,13 @@ RATIOS = (1000.0, 100.0, 10.0, 3.0)  # of the powers of the current and its nois
 DRAWS, SEED = 50, 1
 NEAR, FAST = R / L, 10.0 * R / L  # rad/s: the coil's own corner, and a filter ten times as fast
 TIMES = STEP * np.arange(SAMPLES)
-VOLTAGE = fmuid.Term(voltage(), interpolation="zoh")
+VOLTAGE = fmuid.estimation.Term(voltage(), interpolation="zoh")
 TRUTH = np.array([R, L])
 
 
-def terms(i: Floats) -> dict[str, fmuid.Term]:
+def terms(i: Floats) -> dict[str, fmuid.estimation.Term]:
     """Return what stands behind R and L in R i + L di/dt = u."""
-    return {"R": fmuid.Term(i), "L": fmuid.Term(i, derivative=1)}
+    return {"R": fmuid.estimation.Term(i), "L": fmuid.estimation.Term(i, derivative=1)}
 
 
 def of_difference(a: float, b: float) -> Floats:
@@ -49,19 +49,19 @@ def of_difference(a: float, b: float) -> Floats:
 def difference(i: Floats) -> Floats:
     """Return R and L by least squares of the difference equation."""
     rows = np.column_stack([i[:-1], voltage()[:-1]])
-    a, b = fmuid.linear_least_squares(rows, i[1:], ["a", "b"]).values.tolist()
+    a, b = fmuid.estimation.linear_least_squares(rows, i[1:], ["a", "b"]).values.tolist()
     return of_difference(a, b)
 
 
 def filtered(cutoff: float) -> Callable[[Floats], Floats]:
     """Return the estimator by least squares of the filtered equation."""
-    return lambda i: fmuid.equation_error(TIMES, VOLTAGE, terms(i), cutoff=cutoff).values
+    return lambda i: fmuid.estimation.equation_error(TIMES, VOLTAGE, terms(i), cutoff=cutoff).values
 
 
 def instruments(cutoff: float) -> Callable[[Floats], Floats]:
     """Return the estimator by instruments, simulated by the closed form."""
     return lambda i: (
-        fmuid.instrumental_variables(
+        fmuid.estimation.instrumental_variables(
             TIMES, VOLTAGE, terms(i), lambda theta: terms(current(*theta.tolist())), cutoff=cutoff
         ).values
     )
@@ -69,12 +69,12 @@ def instruments(cutoff: float) -> Callable[[Floats], Floats]:
 
 def output_error(i: Floats) -> Floats:
     """Return R and L by output error of the FMU, from the filtered equation's."""
-    start = fmuid.equation_error(TIMES, VOLTAGE, terms(i), cutoff=NEAR)
+    start = fmuid.estimation.equation_error(TIMES, VOLTAGE, terms(i), cutoff=NEAR)
     parameters = {name: fmuid.Parameter(start[name], min=1e-4) for name in start.names}
     record = experiment(pd.DataFrame({"time": TIMES, "u": voltage(), "i": i}))
     result = fmuid.identify(fmuid.Problem(models()[0], record, parameters))
     if not result.converged:
-        raise RuntimeError(f"the search did not converge: {fmuid.describe(result)}")
+        raise RuntimeError(f"the search did not converge: {fmuid.Document.of(result)}")
     return result.values
 
 

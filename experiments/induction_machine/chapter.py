@@ -101,9 +101,9 @@ def estimate(
         for name, value, mean, std in zip(NAMES, start.tolist(), means, PRIOR_STD.tolist(), strict=True)
     }
     problem = fmuid.Problem(system(), data, parameters, noise=noise or fmuid.Noise(initial_variance=NOISE_VARIANCE))
-    result = fmuid.identify(problem, remedies=False)  # the search itself is looked at
+    result = fmuid.identify(problem, restart=False)  # the search itself is looked at
     if not result.converged:
-        raise RuntimeError(f"from {start}: {fmuid.describe(result)}")
+        raise RuntimeError(f"from {start}: {fmuid.Document.of(result)}")
     return result
 
 
@@ -124,7 +124,7 @@ def iterations(data: fmuid.Experiment) -> pd.DataFrame:
     for name, start in starts:
         row: dict[str, Any] = {"starts": name, **dict(zip(NAMES, start.tolist(), strict=True))}
         for kind, result in pair(data, start).items():
-            row |= {f"iterations {kind}": result.iterations, f"simulations {kind}": result.simulations}
+            row |= {f"iterations {kind}": result.history.iterations, f"simulations {kind}": result.history.simulations}
         rows.append(row)
     return pd.DataFrame(rows)
 
@@ -153,7 +153,7 @@ def repetition(data: fmuid.Experiment) -> pd.DataFrame:
         {"the chapter's": PRIOR_MEAN, "wrong by 10 std": WRONG_MEAN}.items(), FIRST_VARIANCES
     ):
         result = estimate(data, prior_mean=mean, noise=fmuid.Noise(initial_variance=first))
-        found = result.rounds[[f"estimated.{name}" for name in OUTPUTS]].to_numpy()
+        found = pd.DataFrame(result.history.rounds)[[f"estimated.{name}" for name in OUTPUTS]].to_numpy()
         for searches, values in enumerate(np.vstack([np.full(len(OUTPUTS), first), found])):
             outputs = dict(zip(OUTPUTS, values.tolist(), strict=True))
             rows.append({"prior": prior, "first": first, "searches": searches, **outputs, "both": float(values.mean())})
@@ -234,7 +234,7 @@ def _search_end(inset: Axes, found: Mapping[str, fmuid.Result], index: int) -> N
         taken = result.trace[result.trace["accepted"].astype(bool)]
         errors = (taken[NAMES[index]] - TRUTH[index]) / PRIOR_STD[index]
         inset.plot(taken["iteration"], errors, color=COLOURS[kind], marker="o", ms=2.6, lw=1)
-    last = max(result.iterations for result in found.values())
+    last = max(result.history.iterations for result in found.values())
     inset.set_xlim(last - 3.3, last + 0.3)
     inset.set_ylim(-3.2, 3.2)
     inset.set_yticks([-2, 0, 2], ["−2 std", "truth", "+2 std"])

@@ -203,13 +203,13 @@ def setting() -> calls.Setting:
     nominal = {name: fmuid.Parameter(value) for name, value in TRUTH.items()}
     faults = dict(models.faults())
     ratios = {name: fmuid.Parameter(0.0, min=0.0, nominal=0.01) for name in models.RATIOS}
-    faults["stator"] = fmuid.Fault(models.stator(), ratios, faults["stator"].names, inputs={"theta": "theta"})
+    faults["stator"] = fmuid.Fault(models.stator(), ratios, faults["stator"].variable_map, inputs={"theta": "theta"})
     sound, noise = clean(Off()), dict.fromkeys(SENSORS, STD)
     coordinates = coordinates_of(models.healthy_machine(), nominal, faults, sound, noise, Causes())
     turning = rotating(sound.frame)
     own = Causes(None, None, None, None)
     inner = coordinates_of(models.healthy_machine(), nominal, faults, turning, dict.fromkeys(models.OUTPUTS, STD), own)
-    machine = LinearizedMachine(models.healthy_machine(), {}, nominal, faults, inner, turning)
+    machine = LinearizedMachine(models.healthy_machine(), {}, inner, turning)
     drift = np.zeros(len(coordinates.each))
     for name, std in DRIFT.items():
         drift[[each.name for each in coordinates.each].index(name)] = std

@@ -192,7 +192,7 @@ def run(
 
     Parameters
     ----------
-    condition : ProcessStatus
+    condition : Condition
     references : (K,) array
         Mechanical speed wanted, rad/s, held from sample to sample.
     sample_time : float

@@ -40,7 +40,7 @@ def shown() -> str:
             searched = nominal | sizes | {"theta0": ANGLE}
             found = fmuid.identify(fmuid.Problem(fmuid.System(models.path(model)), record, searched, values=held))
             said = ", ".join(f"{size} = {found[size]:.3f}" for size in sizes)
-            left = np.mean(list(found.noise_variance.values())) / NOISE_VARIANCE
+            left = np.mean(list(found.fit.noise_variance.values())) / NOISE_VARIANCE
             lines.append(f"| {bars} | {name} | {said} | {found['theta0']:.2f} | {left:.3f} |")
     return "\n".join(lines)
 

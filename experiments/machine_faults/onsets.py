@@ -40,7 +40,7 @@ def record(turns: int, phase: int, begin: int, rng: np.random.Generator, samples
     found = run(Condition(phase=phase), references, SAMPLE_TIME, SUBSTEPS, shorted if turns else None)
     frame = pd.DataFrame(found, columns=["uds", "uqs", "w", "theta", "ids", "iqs"])
     frame.insert(0, "time", SAMPLE_TIME * np.arange(samples))
-    return fmuid.Experiment(add_noise(frame, rng), models.INPUTS, models.OUTPUTS, discard=RULE.transient, name="new")
+    return fmuid.Experiment(add_noise(frame, rng), models.INPUTS, models.OUTPUTS, warmup=RULE.transient, name="new")
 
 
 @cache
@@ -54,7 +54,10 @@ def healthy() -> fmuid.Result:
 def watched(new: fmuid.Experiment, rng: np.random.Generator) -> fmuid.Monitor:
     """Return the monitoring of a record."""
     first = healthy()
-    known = replace(first, values=first.values + first.std * rng.standard_normal(first.values.size))
+    known = replace(
+        first,
+        estimates=replace(first.estimates, values=first.values + first.std * rng.standard_normal(first.values.size)),
+    )
     baseline = fmuid.Baseline(known, models.INFLATION)
     monitor = fmuid.Monitor(baseline, models.faults(), models.healthy_machine(), RULE)
     monitor.add(new)

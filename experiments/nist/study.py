@@ -122,7 +122,7 @@ def solve(name: str, reference: Reference, start: int) -> fmuid.Result:
         with np.errstate(all="ignore"):  # what is not finite counts as a simulation that failed
             return MODELS[name](b, reference.x)
 
-    return fmuid.identify(fmuid.LeastSquares.from_function(predicted, reference.y, parameters))
+    return fmuid.identify(fmuid.estimation.LeastSquares.from_function(predicted, reference.y, parameters))
 
 
 def digits(found: Floats, certified: Floats) -> float:
@@ -157,7 +157,7 @@ def table(folder: Path) -> str:
         reference = read(folder, name)
         found = [solve(name, reference, start) for start in (0, 1)]
         ours = [digits(each.values, reference.certified) for each in found]
-        spread = [digits(each.white_std, reference.std) for each in found]
+        spread = [digits(each.estimates.std_white_noise, reference.std) for each in found]
         theirs = [scipy_digits(name, reference, start) for start in (0, 1)]
         counts += [sum(each >= DIGITS for each in ours), sum(each >= DIGITS for each in theirs)]
         said = ", ".join(dict.fromkeys(each.outcome.value.replace("_", " ") for each in found))

@@ -149,7 +149,7 @@ def outcome(case: Case) -> tuple[str, bool, int]:
     found, said = result.accuracy, verdict(case, result)
     assert found is not None
     if said == "wrong":
-        print(case.group, result.values, result.std, fmuid.describe(result), sep="\n")
+        print(case.group, result.values, result.std, fmuid.Document.of(result), sep="\n")
     return said, bool(found.switches), found.simulations
 
 

@@ -77,7 +77,7 @@ def searched(kind: str, seed: int, least: float, most: float, *, remedies: bool)
     evaluator = Evaluator[LeastSquares](whole)
     row: dict[str, object] = {"kind": kind, "seed": seed, "far": most, "remedies": remedies}
     try:
-        result = identify_by(evaluator, fmuid.Marquardt(), accuracy="refine", remedies=remedies)
+        result = identify_by(evaluator, fmuid.Marquardt(), solver_check="refine", restart=remedies)
     except fmuid.FmuidError:
         spent = time.process_time() - began
         return row | {
@@ -89,14 +89,14 @@ def searched(kind: str, seed: int, least: float, most: float, *, remedies: bool)
         }
     spent = time.process_time() - began
     noise = np.sqrt(np.nanmean((record.measured - record.clean) ** 2, axis=0))
-    (fit,) = result.fit
+    (fit,) = result.fit.frames
     outputs = MACHINES[kind].outputs
     left = [np.sqrt(np.nanmean((fit[f"measured.{name}"] - fit[f"simulated.{name}"]) ** 2)) for name in outputs]
-    way = next((each.remedy.value for each in result.attempts if each.kept), "given")
+    way = next((each.remedy.value for each in result.history.restarts if each.kept), "given")
     return row | {
         "found": bool((np.array(left) < FOUND * noise).all()),
         "outcome": result.outcome.value,
-        "simulations": result.simulations,
+        "simulations": result.history.simulations,
         "cpu_s": spent,
         "way": way,
     }

@@ -1,4 +1,4 @@
-"""Measurements and what is known: tables as experiments, parameters with priors, noise, losses, excitations."""
+"""Data files, experiments, parameters with priors, noise, losses, excitations."""
 
 import lazy_loader
 

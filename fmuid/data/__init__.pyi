@@ -1,3 +1,4 @@
+from . import signals as signals
 from .clock import column_of as column_of
 from .clock import time_name as time_name
 from .data_file import BEGIN as BEGIN
@@ -7,12 +8,12 @@ from .data_file import numeric_column as numeric_column
 from .data_file import read_data as read_data
 from .data_file import record_files as record_files
 from .data_file import tables_in as tables_in
-from .downsampling import evenly as evenly
-from .downsampling import extremes as extremes
 from .experiment import Experiment as Experiment
 from .experiment import MeasuredSeries as MeasuredSeries
 from .experiment import measured_series as measured_series
 from .filters import dropouts as dropouts
+from .filters import evenly as evenly
+from .filters import extremes as extremes
 from .filters import missing_rows as missing_rows
 from .interpolation import INTERPOLATIONS as INTERPOLATIONS
 from .losses import LOSSES as LOSSES
@@ -32,8 +33,3 @@ from .priors import JointPrior as JointPrior
 from .priors import Normal as Normal
 from .readers.text import first_lines as first_lines
 from .readers.text import head_length as head_length
-from .signals import concordia_transform as concordia_transform
-from .signals import multisine as multisine
-from .signals import park_transform as park_transform
-from .signals import prbs as prbs
-from .signals import step_sequence as step_sequence

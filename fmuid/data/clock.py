@@ -1,10 +1,10 @@
-"""The time of a table: which column it is, in which unit, and dates as seconds."""
+"""Time columns: their name, unit and dates, converted to seconds."""
 
 from __future__ import annotations
 
 import itertools
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from contextlib import suppress
 from typing import Any, Literal
 
@@ -30,39 +30,14 @@ _HOUR, _DAY = 3600.0, 86_400.0
 
 
 def time_name(time: str | int) -> str:
-    """Return the name that the time column has in the end: its own, ``time`` where it is given by its place."""
+    """Return the final name of the time column."""
     return time if isinstance(time, str) else "time"
 
 
 def with_time(
     raw: RawTable, time: str | int, unit: str | None, sample_rate: float | None, source: str
 ) -> tuple[pd.DataFrame, pd.Timestamp | None]:
-    """Return a table with its time in s in the column `time` (``time`` where that is given by its place).
-
-    Parameters
-    ----------
-    raw : RawTable
-    time : str or int
-        The column's name, with its unit or without, or its place from 1. Where there is no column ``time``, the one is
-        taken that is called so in other words (``t``, ``Time``, ``time_ms``, ``timestamp``).
-    unit : str, optional
-        Unit of the column; default: what the table says (``Time (ms)``, ``time_ms``), else s.
-    sample_rate : float, optional
-        Samples per second, of a table without times: they begin at 0.
-    source : str
-        What the table is called in messages.
-
-    Returns
-    -------
-    frame : DataFrame
-    begin : Timestamp or None
-        The date of second 0, where the column holds dates: they are counted from the first.
-
-    Raises
-    ------
-    InputError
-        If there is no such column, or it holds no times.
-    """
+    """Return a table with its time in s, and the date of second 0."""
     name = time_name(time)
     if sample_rate is not None:
         if name in raw.frame.columns:
@@ -88,7 +63,7 @@ def with_time(
 
 
 def _are_times(values: Any, source: str) -> bool:
-    """Return whether a column without a name has dates, or numbers that rise otherwise than those of rows."""
+    """Return whether an unnamed column holds dates, or numbers other than row numbers."""
     try:
         numbers, begin = _as_numbers(values, "", source)
         steps = np.diff(np.asarray(numbers, dtype=np.float64))
@@ -98,12 +73,11 @@ def _are_times(values: Any, source: str) -> bool:
 
 
 def _scaled(values: Any, factor: float) -> Any:
-    """Return times in s; by division where that rounds less: 3 ms are 0.003 s."""
+    """Return times in s, by division where it rounds less: 3 ms are 0.003 s."""
     return values / round(1 / factor) if factor < 1 else values * factor
 
 
 def _column(raw: RawTable, time: str | int, source: str) -> str:
-    """Return the column of time."""
     names = [str(name) for name in raw.frame.columns]
     if isinstance(time, int):
         if not 1 <= time <= len(names):
@@ -132,16 +106,14 @@ def _column(raw: RawTable, time: str | int, source: str) -> str:
     raise InputError(f"{source}: {missing_column('time', time, names)}, or give the sample_rate")
 
 
-def column_of(names: Sequence[str], wanted: str) -> str | None:
-    """Return the column of a name, which may be written with its unit as in the header; None where there is none."""
-    if wanted in names:
-        return wanted
-    bare = split_header(wanted)[0]
-    return bare if bare in names else None
+def column_of(columns: Iterable[object], wanted: str) -> str | None:
+    """Return the column of a name, with or without its unit; None if missing."""
+    names = [str(each) for each in columns]
+    return next((each for each in (wanted, split_header(wanted)[0]) if each in names), None)
 
 
 def missing_column(role: str, column: str, known: Iterable[object]) -> str:
-    """Return the part of a sentence that says that a column is missing, with the nearest names or all of them."""
+    """Return the sentence part on a missing column, with near names."""
     names = [str(name) or "(no name)" for name in known]
     listed = ", ".join(names[:_LISTED_NAMES]) + (", …" if len(names) > _LISTED_NAMES else "")
     found = nearest(column, names) or f" (there is {listed or 'nothing numeric'})"
@@ -149,13 +121,13 @@ def missing_column(role: str, column: str, known: Iterable[object]) -> str:
 
 
 def _bare(name: str) -> str:
-    """Return a name without a unit at its end: ``time_ms`` is ``time``."""
+    """Return a name without a unit suffix: ``time_ms`` is ``time``."""
     found = _WITH_SUFFIX.fullmatch(name)
     return found[1] if found else name
 
 
 def _unit_said(raw: RawTable, column: str) -> str | None:
-    """Return the unit of time that the table says, None where it says none."""
+    """Return the time unit stated by the table, if any."""
     said = raw.units.get(column)
     if said in SECONDS:
         return str(said)
@@ -164,10 +136,7 @@ def _unit_said(raw: RawTable, column: str) -> str | None:
 
 
 def _since_1970(values: Any, unit: str | None) -> Literal["s", "ms", "us", "ns"] | None:
-    """Return the unit of times that are dates of this century, counted from 1970 on; None where they are none.
-
-    A thousand times more than such a date in one unit is one in the next.
-    """
+    """Return the unit of epoch times of this century, None for other times."""
     first = values.iloc[0] if pd.api.types.is_numeric_dtype(values.dtype) and len(values) else 0
     units: tuple[Literal["s", "ms", "us", "ns"], ...] = ("s", "ms", "us", "ns")
     possible = [each for each in units if unit is None or SECONDS[unit] == SECONDS[each]]
@@ -175,7 +144,7 @@ def _since_1970(values: Any, unit: str | None) -> Literal["s", "ms", "us", "ns"]
 
 
 def _as_numbers(series: pd.Series[Any], column: str, source: str) -> tuple[Any, pd.Timestamp | None]:
-    """Return dates and times of the day as seconds from the first, and what else there is as it is."""
+    """Return dates and times of day in s from the first, and all else unchanged."""
     if pd.api.types.is_timedelta64_dtype(series.dtype):
         return series.dt.total_seconds(), None
     if pd.api.types.is_datetime64_any_dtype(series.dtype):
@@ -201,7 +170,7 @@ def _seconds(dates: pd.Series[Any]) -> tuple[Any, pd.Timestamp]:
 
 
 def _check_clock(dates: pd.Series[Any], seconds: Floats, column: str, source: str) -> None:
-    """Refuse dates without an offset that go back by an hour once: sorted, two hours would be mixed."""
+    """Refuse dates without an offset that go back by one hour once."""
     steps = np.diff(seconds)
     back = np.flatnonzero(steps < 0)
     if back.size == 1 and 0 <= steps[back[0]] + _HOUR <= 2 * np.median(steps):
@@ -213,7 +182,7 @@ def _check_clock(dates: pd.Series[Any], seconds: Floats, column: str, source: st
 
 
 def _dates(texts: pd.Series[Any], column: str, source: str) -> pd.Series[Any] | None:
-    """Return the dates that texts are, None where they are none."""
+    """Return texts as dates, None if they are none."""
     with suppress(ValueError, TypeError):  # the other orders are tried below
         return pd.to_datetime(texts, format="ISO8601")
     with suppress(ValueError, TypeError):  # offsets that change where the clock is put forward or back

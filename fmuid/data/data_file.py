@@ -1,4 +1,4 @@
-"""Tables of measurements: read from files of many formats, with their time in seconds and their units."""
+"""Data files of many formats as frames, with time in seconds and units."""
 
 from __future__ import annotations
 
@@ -36,50 +36,46 @@ def read_data(
     sheet: str | int | None = None,
     source: str | None = None,
 ) -> pd.DataFrame:
-    """Read a table of measurements.
+    """Read a data file.
 
-    - Text (``.csv``, ``.txt``, ``.tsv``, ``.asc``, ``.dat``; packed as ``.gz`` or ``.zip``) in UTF-8, UTF-16 or cp1252,
-      separated by commas, semicolons, tabs, bars or spaces, with decimal points or commas. What stands above the header
-      is left out. Empty cells and ``-`` are missing samples; a row with fewer cells than there are names is refused.
+    The suffix says the format:
+
+    - Text (``.csv``, ``.txt``, ``.tsv``, ``.asc``, ``.dat``; packed as ``.gz`` or ``.zip``) in UTF-8, UTF-16 or cp1252.
+      Commas, semicolons, tabs, bars or spaces separate cells. Decimals have points or commas. Lines above the header
+      are skipped. Empty cells and ``-`` are missing samples.
     - ``.parquet``, ``.feather``, ``.json``: a named index becomes a column.
-    - ``.xlsx``, ``.xls``, ``.ods``: the first sheet with a table (``pip install "fmuid[excel]"``).
-    - ``.mat`` of MATLAB (all versions; ``fmuid[hdf]`` for 7.3): the numeric vectors of the most common length, also in
-      structures, and matrices whose columns a cell array names.
-    - ``.mat`` of OpenModelica and Dymola (results): every variable becomes a column.
+    - ``.xlsx``, ``.xls``, ``.ods`` (``pip install "fmuid[excel]"``).
+    - ``.mat`` of MATLAB (``fmuid[hdf]`` for version 7.3): vectors of the most common length, also in structures, and
+      matrices with named columns.
+    - ``.mat`` of OpenModelica and Dymola (results): each variable becomes a column.
     - ``.h5``, ``.hdf5`` (``fmuid[hdf]``), ``.tdms`` (``fmuid[tdms]``), ``.mf4``, ``.mdf`` (``fmuid[mdf]``).
 
-    Headers such as ``w (rpm)`` and ``ids [mA]`` give names and units; so do a row of units below the header, and what
-    the formats of data loggers say. The units are in the frame's attributes, ``frame.attrs["units"]``, and an
-    `Experiment` of the frame takes them from there.
+    Headers such as ``w (rpm)``, a row of units below them and the format itself give units: ``frame.attrs["units"]``.
 
     Parameters
     ----------
     path : Path or str
-        The file; its suffix says the format.
+        Data file.
     time : str or int
-        Name of the time column, or its place from 1. ``"time"`` also stands for ``Time``, ``t``, ``time_ms``,
-        ``Time (ms)``, ``timestamp`` and the like, where there is one of them only.
+        Name of the time column, or its place from 1. ``"time"`` also stands for ``t``, ``Time (ms)`` and the like.
     time_unit : str, optional
-        Its unit: s, ms, us, ns, min, h or d; default: what the table says, else s. Durations that pandas has written
-        into a spreadsheet as numbers, which are days, need it.
+        s, ms, us, ns, min, h or d. Default: the unit in the file, else s.
     sample_rate : float, optional
-        Samples per second, of a table without times.
+        Samples per second of a file without times.
     sheet : str or int, optional
-        Of a spreadsheet, or a frame of pandas in an HDF5 file, by its name or its place from 1; default: the first
-        sheet with a table, or the only frame.
+        Sheet of a spreadsheet or frame of an HDF5 file, by name or place from 1. Default: the first with a table.
     source : str, optional
-        What the table is called in messages; default: its path.
+        Name in messages. Default: the path.
 
     Returns
     -------
     pandas.DataFrame
-        One row a sample, with the time in s in a column of the name asked for. Dates are counted from the first, which
-        is in ``frame.attrs["begin"]``. The other columns may hold anything: an `Experiment` checks those that it uses.
+        One row per sample, time in s. Dates count from the first, ``frame.attrs["begin"]``.
 
     Raises
     ------
     InputError
-        Where the file is missing, unreadable, empty, of an unknown format, or has no times.
+        If the file is missing, unreadable, empty, of an unknown format, or has no times.
 
     Examples
     --------
@@ -136,7 +132,7 @@ def _read_json(path: Path, source: str) -> RawTable:
 
 
 def _raw_table(found: FileColumns, source: str) -> RawTable:
-    """Return columns of a binary file as a table, with the names and units that their headers say."""
+    """Return columns of a binary file as a table with names and units."""
     names, units = named(found.headers, found.below) if found.units_in_headers else ([*found.headers], {})
     check_once(source, names)
     columns: dict[str, Any] = {}
@@ -156,27 +152,12 @@ def _in_zone(dates: np.ndarray[Any, Any], zone: str, source: str) -> Any:
 
 
 def numeric_column(frame: pd.DataFrame, column: str, source: str) -> Floats:
-    """Return a column as float64, NaN where it is missing.
-
-    Parameters
-    ----------
-    frame : pandas.DataFrame
-        The table.
-    column : str
-        A name in it, there once.
-    source : str
-        File name, for messages.
-
-    Returns
-    -------
-    ndarray (K,)
-        Booleans become 0 and 1; nullable and Arrow types are accepted.
+    """Return a column as float64 (K,), NaN where a sample is missing; booleans become 0 and 1.
 
     Raises
     ------
     InputError
-        Where a cell holds text or anything else that is no real number; names the first such row (counted from 1,
-        without the header).
+        If a cell is no real number; rows count from 1, without the header.
     """
     series = frame[column]
     kind = series.dtype
@@ -199,7 +180,7 @@ def numeric_column(frame: pd.DataFrame, column: str, source: str) -> Floats:
 
 
 def _first_text(series: pd.Series[Any]) -> tuple[int, str]:
-    """Return row (from 1) and text of the first cell that is no number (of the first cell, if all are)."""
+    """Return row (from 1) and text of the first non-numeric cell."""
     there = [pd.api.types.is_list_like(cell) or not pd.isna(cell) for cell in series]
     cells = [(row, cell) for row, (cell, given) in enumerate(zip(series, there, strict=True), start=1) if given]
     texts = [(row, str(cell)) for row, cell in cells if isinstance(cell, str | complex)]
@@ -212,17 +193,17 @@ def _first_text(series: pd.Series[Any]) -> tuple[int, str]:
 
 
 def tables_in(folder: Path) -> list[Path]:
-    """Return the files in a folder that can be tables, in the order of their names."""
+    """Return the data files of a folder, sorted by name."""
     return sorted(path for path in folder.iterdir() if path.suffix.lower() in TABLE_SUFFIXES)
 
 
 def record_files(paths: Sequence[Path]) -> list[Path]:
-    """Return tables, and those in folders in the order of their names.
+    """Return data files, with folders replaced by their data files.
 
     Raises
     ------
     InputError
-        If a folder has none, one is given twice, or two are of one name.
+        If a folder has none, a file is given twice, or two have one name.
     """
     found: list[Path] = []
     for path in paths:

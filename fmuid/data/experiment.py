@@ -1,4 +1,4 @@
-"""An experiment: a table of measurements, and the roles of its columns in the model."""
+"""Experiments: data files with the roles of their columns."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from fmuid.formatting import nearest
 from fmuid.units import unit_in_name
 
 _TIME_TOLERANCE = 1e-9
-"""Share of the table's duration by which a sample may come before the end of `discard`: times are rounded decimals."""
+"""Share of the table's duration by which a sample may come before the end of `warmup`: times are rounded decimals."""
 
 
 # Hexadecimal digits: that two different series share them has a probability of 1 in 10^19.
@@ -34,51 +34,48 @@ DIGITS = 16
 
 @dataclass(frozen=True, eq=False)
 class Experiment(HtmlTableMixin):
-    """A table with roles: columns that drive the model, and columns that it must reproduce.
+    """Measured data with roles: model inputs and measured outputs.
 
-    Checked on construction. The table is copied, and the arrays are read-only. Rows are counted from 1 in messages,
-    without the header.
+    Checked and copied on construction; arrays are read-only. Messages count rows from 1, without the header.
 
     Parameters
     ----------
     frame : pandas.DataFrame
-        One row per sample, K >= 2 rows. An index with the name of the time column is used as that column.
+        One row per sample, K >= 2 rows; the index may be the time.
     inputs, outputs : sequence of str, or mapping of str to str
-        FMU variables; a mapping gives the columns that have other names. Inputs must be finite throughout. Outputs
-        may have NaN, which are samples that do not count. Without outputs the experiment can only be simulated.
+        FMU variables, or FMU variables to columns. Inputs are finite; outputs may have missing samples (NaN).
     time : str
-        The time column, s: finite, never decreasing. A time twice is a step. No rows may be missing for 20 steps.
+        Time column, s, never decreasing. A time given twice is a step. No 20 rows in a row may be missing.
     interpolation : str or mapping of str to str
-        A word of `fmuid.data.interpolation` (docs/method.md section 5), for all inputs or for each; others are linear.
-    discard : float
-        Duration from the first time on that is simulated but not counted, s (1.32).
+        Interpolation of all inputs or of each (docs/method.md section 5).
+    warmup : float
+        Initial time that is simulated but not scored, s (1.32).
     units : mapping of str to str
-        FMU variable to the unit of its column, where neither the FMU nor the table (`fmuid.read_data`) says it.
+        FMU variable to the unit of its column, where neither FMU nor data file has it.
     values : mapping of str to float, int, bool or str
-        FMU variables held at a value in this experiment.
+        FMU variables held at a value.
     measured : bool
-        Whether the outputs are there. If not, as for an experiment that is still to be made, they are names only: one
-        without a column counts at every time after `discard`, and its values are NaN.
+        False: outputs without a column count at all times, with NaN as value.
     name : str
-        Name of the experiment in results.
+        Name in results.
     source : str
-        Name of the table in messages; default: its file.
+        Name of the data in messages. Default: their file.
 
     Attributes
     ----------
     times : ndarray (K,)
         Time, s.
     input_values : ndarray (K, n_inputs)
-        In the units of the table; where an input holds, from each sample on.
+        In the units of the data; with zero-order hold from each sample on.
     output_values : ndarray (K, n_outputs)
-        In the units of the table, NaN where missing.
+        In the units of the data, NaN where missing.
     counted : ndarray of bool (K, n_outputs)
-        True where the output is there and `discard` is over.
+        Scored samples.
 
     Raises
     ------
     InputError
-        If any of this is wrong; one sentence with table, column, row, time and remedy.
+        If an argument or a sample is wrong.
 
     Examples
     --------
@@ -92,7 +89,7 @@ class Experiment(HtmlTableMixin):
     outputs: Sequence[str] | Mapping[str, str] = ()
     time: str = "time"
     interpolation: str | Mapping[str, str] = "linear"
-    discard: float = 0.0
+    warmup: float = 0.0
     units: Mapping[str, str] = field(default_factory=dict)
     values: Mapping[str, float | int | bool | str] = field(default_factory=dict)
     measured: bool = True
@@ -124,17 +121,17 @@ class Experiment(HtmlTableMixin):
 
     @cached_property
     def held(self) -> Flags:
-        """True where the interpolation is constant between samples, of each input."""
+        """Inputs with zero-order hold (n_inputs,)."""
         return _frozen(np.array([word in HELD for word in self._words], dtype=np.bool_))
 
     @cached_property
     def curved(self) -> Flags:
-        """True where the interpolation is ``"pchip"``, of each input."""
+        """Inputs with interpolation ``"pchip"`` (n_inputs,)."""
         return _frozen(np.array([word == "pchip" for word in self._words], dtype=np.bool_))
 
     @cached_property
     def input_slopes(self) -> Floats:
-        """Time derivatives (K, n_inputs), in the table's units over s, where it is ``"pchip"``, else NaN."""
+        """Slopes (K, n_inputs) of ``"pchip"`` inputs, in units of the data over s; else NaN."""
         return _frozen(slopes(self.source, self.times, self.input_values, self.curved))
 
     def __repr__(self) -> str:
@@ -150,9 +147,15 @@ class Experiment(HtmlTableMixin):
             if variable in outputs:
                 raise InputError(f"{source}: {variable!r} is both an input and an output: give it one role")
         frame = _frame(source, self.frame, self.time)
-        inputs, outputs = _resolved(frame, inputs), _resolved(frame, outputs)
+        inputs, outputs = (
+            {variable: column_of(frame.columns, column) or column for variable, column in roles.items()}
+            for roles in (inputs, outputs)
+        )
         there = outputs if self.measured else {name: c for name, c in outputs.items() if c in frame.columns}
-        _check_columns(source, frame, {"time": [self.time], "input": inputs.values(), "output": there.values()})
+        for role, columns in {"time": [self.time], "input": inputs.values(), "output": there.values()}.items():
+            for column in columns:
+                if column not in frame.columns:
+                    raise InputError(f"{source}: {missing_column(role, column, frame.columns)}")
         times = _times(source, frame, self.time)
         output_values = _values(source, frame, times, "output", outputs, there)
         words = interpolation_words(source, self.interpolation, inputs)
@@ -168,33 +171,33 @@ class Experiment(HtmlTableMixin):
             times=times,
             input_values=input_values,
             output_values=output_values,
-            counted=_counted(source, times, output_values, outputs, there, self.discard),
+            counted=_counted(source, times, output_values, outputs, there, self.warmup),
         )
         _ = self.input_slopes  # which may be refused
 
     @classmethod
     def of_arrays(cls, name: str, times: Floats, outputs: Sequence[str], values: Floats, counted: Flags) -> Self:
-        """Return measurements without inputs and without a table, unchecked; the arrays are those of the attributes."""
+        """Return unchecked measurements without inputs; arrays as the attributes."""
         made = cls.__new__(cls)
         frame = pd.DataFrame({"time": times} | dict(zip(outputs, values.T, strict=True)))
         empty = np.empty((len(times), 0))
         made._set(frame=frame, inputs={}, outputs=dict(zip(outputs, outputs, strict=True)), time="time", units={})
-        made._set(interpolation="linear", discard=0.0, values={}, measured=True, name=name, source="the table")
+        made._set(interpolation="linear", warmup=0.0, values={}, measured=True, name=name, source="the table")
         made._set(times=times, input_values=empty, output_values=values, counted=counted)
         return made
 
     def with_outputs(self, values: npt.ArrayLike) -> Self:
-        """Return the same experiment with other measurements; nothing but them is checked again.
+        """Return the experiment with other measurements.
 
         Parameters
         ----------
         values : (K, n_outputs) array
-            In the units of the table, NaN where there is no sample.
+            In the units of the data, NaN where missing.
 
         Raises
         ------
         InputError
-            If the shape is another one, a value is infinite, or an output has no sample that counts.
+            If the shape differs, a value is infinite, or an output has no scored sample.
         """
         given = np.array(values, dtype=np.float64, order="C")
         if given.shape != self.output_values.shape or np.isinf(given).any():
@@ -205,7 +208,7 @@ class Experiment(HtmlTableMixin):
         for variable, column in outputs.items():
             if taken.count(column) > 1:  # another variable reads this column too, and must go on doing so
                 outputs[variable] = f"{column} as {variable}"
-        counted = _counted(self.source, self.times, given, outputs, outputs, self.discard)
+        counted = _counted(self.source, self.times, given, outputs, outputs, self.warmup)
         frame = self.frame.assign(**{column: given[:, k] for k, column in enumerate(outputs.values())})
         other = copy.copy(self)
         vars(other).pop("columns", None)
@@ -213,7 +216,7 @@ class Experiment(HtmlTableMixin):
         return other
 
     def _set(self, **fields: object) -> None:
-        """Set fields in spite of the frozen class; arrays become read-only."""
+        """Set fields of the frozen class; arrays become read-only."""
         for name, value in fields.items():
             object.__setattr__(self, name, _frozen(value) if isinstance(value, np.ndarray) else value)
 
@@ -257,7 +260,7 @@ def _frozen(values: npt.NDArray[Any]) -> npt.NDArray[Any]:
 
 
 def _roles(source: str, word: str, given: Sequence[str] | Mapping[str, str]) -> dict[str, str]:
-    """Return FMU variable to column, from a list of names or a mapping."""
+    """Return FMU variables to columns."""
     if isinstance(given, str) or not isinstance(given, Iterable):
         raise InputError(f'{source}: {word} is {given!r}: give a list of names, such as ["u", "w"]')
     pairs = list(given.items()) if isinstance(given, Mapping) else [(name, name) for name in given]
@@ -272,7 +275,7 @@ def _roles(source: str, word: str, given: Sequence[str] | Mapping[str, str]) -> 
 
 
 def _frame(source: str, given: pd.DataFrame, time: str) -> pd.DataFrame:
-    """Return a copy of the frame with the time as a column, each column being there once."""
+    """Return a copy of the frame with the time as a column."""
     if not isinstance(given, pd.DataFrame):
         raise InputError(f"{source} is of type {type(given).__name__}: give a pandas DataFrame")
     frame = given.copy()
@@ -284,21 +287,8 @@ def _frame(source: str, given: pd.DataFrame, time: str) -> pd.DataFrame:
     return frame
 
 
-def _resolved(frame: pd.DataFrame, roles: Mapping[str, str]) -> dict[str, str]:
-    """Return the roles with the columns as the frame has them, which may be named with the units of their headers."""
-    names = [str(name) for name in frame.columns]
-    return {variable: column_of(names, column) or column for variable, column in roles.items()}
-
-
-def _check_columns(source: str, frame: pd.DataFrame, roles: Mapping[str, Iterable[str]]) -> None:
-    for role, columns in roles.items():
-        for column in columns:
-            if column not in frame.columns:
-                raise InputError(f"{source}: {missing_column(role, column, frame.columns)}")
-
-
 def _times(source: str, frame: pd.DataFrame, time: str) -> Floats:
-    """Return the time column: finite, never decreasing, no time more than twice."""
+    """Return the checked time column."""
     times = np.array(numeric_column(frame, time, source))
     column = f"{source}: the time column {time!r}"
     bad = np.flatnonzero(~np.isfinite(times))
@@ -324,7 +314,7 @@ def _times(source: str, frame: pd.DataFrame, time: str) -> Floats:
 
 
 def _check_rows(source: str, times: Floats, inputs: Mapping[str, str], words: Sequence[str]) -> None:
-    """Check that no rows are missing for long, in which nobody knows what drives the model."""
+    """Refuse long gaps of rows: inputs are unknown there."""
     for row in missing_rows(times)[:1].tolist():
         begin, end = times[row : row + 2]
         how = zip(map(json.dumps, inputs.values()), words, strict=True)
@@ -337,14 +327,9 @@ def _check_rows(source: str, times: Floats, inputs: Mapping[str, str], words: Se
 
 
 def _values(
-    source: str,
-    frame: pd.DataFrame,
-    times: Floats,
-    role: str,
-    columns: Mapping[str, str],
-    there: Mapping[str, str],
+    source: str, frame: pd.DataFrame, times: Floats, role: str, columns: Mapping[str, str], there: Mapping[str, str]
 ) -> Floats:
-    """Return the columns of a role side by side, NaN where one is not there; an input is finite, an output or NaN."""
+    """Return columns (K, n); NaN where absent."""
     values = np.full((times.size, len(columns)), np.nan)
     for k, (variable, column) in enumerate(columns.items()):
         if variable not in there:
@@ -364,26 +349,21 @@ def _values(
 
 
 def _counted(
-    source: str,
-    times: Floats,
-    values: Floats,
-    outputs: Mapping[str, str],
-    measured: Mapping[str, str],
-    discard: float,
+    source: str, times: Floats, values: Floats, outputs: Mapping[str, str], measured: Mapping[str, str], warmup: float
 ) -> Flags:
-    """Return where an output sample counts, everywhere of those not measured; every output must have one that does."""
-    if isinstance(discard, bool) or not isinstance(discard, int | float) or not 0 <= discard < np.inf:
-        raise InputError(f"{source}: discard is {discard!r}: give a duration in seconds, zero or more")
+    """Return scored samples; each output must have one."""
+    if isinstance(warmup, bool) or not isinstance(warmup, int | float) or not 0 <= warmup < np.inf:
+        raise InputError(f"{source}: warmup is {warmup!r}: give a duration in seconds, zero or more")
     there = ~np.isnan(values) | np.array([name not in measured for name in outputs], dtype=np.bool_)
-    late = times >= times[0] + discard - _TIME_TOLERANCE * (times[-1] - times[0])
+    late = times >= times[0] + warmup - _TIME_TOLERANCE * (times[-1] - times[0])
     counted: Flags = there & late[:, np.newaxis]
     for k, column in enumerate(outputs.values()):
         if not there[:, k].any():
             raise InputError(f"{source}: the output column {column!r} has no sample: remove it from the outputs")
         if not counted[:, k].any():
             raise InputError(
-                f"{source}: discard = {discard:.9g} s leaves no sample of the output column {column!r}, "
-                f"whose last is at t = {times[there[:, k]][-1]:.9g} s: make discard shorter"
+                f"{source}: warmup = {warmup:.9g} s leaves no sample of the output column {column!r}, "
+                f"whose last is at t = {times[there[:, k]][-1]:.9g} s: make warmup shorter"
             )
     return counted
 
@@ -391,7 +371,7 @@ def _counted(
 def _units(
     source: str, given: Mapping[str, str], columns: Mapping[str, str], said: Mapping[str, str]
 ) -> dict[str, str]:
-    """Return the units, each of a variable that has a role: those given, else those that the table says."""
+    """Return units by variable, given ones first."""
     for variable, unit in given.items():
         if variable not in columns:
             raise InputError(

@@ -1,4 +1,4 @@
-"""Columns computed from others: arithmetic and a few functions, read from a text without running it as Python."""
+"""Columns computed by expressions, without running them as Python."""
 
 from __future__ import annotations
 
@@ -36,28 +36,7 @@ _OPERATORS: Mapping[type[ast.AST], Callable[..., Any]] = {
 
 
 def evaluate(text: str, column: Callable[[str], Floats], count: int) -> Floats:
-    """Return what an expression of columns is, such as ``pulses * 35.1 + vir`` or ``"motor speed" / 2``.
-
-    Parameters
-    ----------
-    text : str
-        Numbers, names of columns (in quotes where they are no plain names), ``+ - * / ** %``, parentheses, ``pi`` and
-        the functions of `FUNCTIONS`. Nothing of it is run as Python.
-    column : callable
-        Returns a column (K,) by its name, or raises `InputError`.
-    count : int
-        K, for an expression without columns.
-
-    Returns
-    -------
-    ndarray (K,)
-        Not finite where a division by zero or the like makes it so.
-
-    Raises
-    ------
-    InputError
-        If it is no such expression, or a column is not there.
-    """
+    """Return an expression of columns as (K,), not finite after a division by zero."""
     if len(text) > LONGEST:
         raise InputError(f"an expression has {len(text)} characters: write at most {LONGEST}")
     try:

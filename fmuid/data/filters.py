@@ -1,7 +1,8 @@
-"""Signals filtered without a shift in time, resampled, and freed of their trend; missing samples stay missing."""
+"""Zero-phase filters, resampling, gaps, trends and thinning; missing samples stay missing."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
 import numpy as np
@@ -27,16 +28,15 @@ SAME = 1e-6
 
 
 def usual_step(times: Floats) -> float:
-    """Return the median of the steps of time that are none of a jump at one time, s."""
+    """Return the median step of time, s."""
     steps = np.diff(times)
     return float(np.median(steps[steps > 0])) if (steps > 0).any() else 0.0
 
 
 def missing_rows(times: Floats, most: float = MOST_FILLED) -> Indices:
-    """Return the rows (from 0) after which rows are missing, by default for longer than a dropout.
+    """Return the rows (from 0) after which more than `most` samples are missing.
 
-    A record that is sampled in equal steps on both sides of one that is longer than `most` of them lacks rows there;
-    where such steps are many, or follow each other, that is how it was sampled.
+    A gap lies between equal steps. Frequent or adjacent long steps are the sampling itself.
     """
     steps = np.diff(times)
     usual = usual_step(times)
@@ -46,15 +46,12 @@ def missing_rows(times: Floats, most: float = MOST_FILLED) -> Indices:
 
 
 def dropouts(times: Floats) -> tuple[float, ...]:
-    """Return where rows are missing that inputs go on over as between any two samples: the times before, s."""
+    """Return the times, s, after which samples are missing."""
     return tuple(times[missing_rows(times, GAP)].tolist())
 
 
 def with_missing_rows(times: Floats, longest: float) -> tuple[Floats, Indices]:
-    """Return times where none are missing, and the rows they are of, -1 for those put in.
-
-    A gap of more than `longest`, s, gets one row in place of all: it will not be filled.
-    """
+    """Return times with missing ones inserted, and their rows (-1: inserted)."""
     usual, after = usual_step(times), missing_rows(times)
     lengths = times[after + 1] - times[after]
     counts = [round(each / usual) - 1 if each <= longest * (1 + SAME) else 1 for each in lengths.tolist()]
@@ -64,13 +61,7 @@ def with_missing_rows(times: Floats, longest: float) -> tuple[Floats, Indices]:
 
 
 def check_equal_steps(times: Floats, word: str, source: str) -> None:
-    """Check that the steps of time are equal but for gaps.
-
-    Raises
-    ------
-    InputError
-        If they are not; the sentence names the first that differs.
-    """
+    """Refuse unequal steps of time other than gaps."""
     steps, usual = np.diff(times), usual_step(times)
     odd = np.flatnonzero((np.abs(steps - usual) > EQUAL * usual) & (steps <= GAP * usual))
     if usual <= 0 or odd.size:
@@ -82,17 +73,7 @@ def check_equal_steps(times: Floats, word: str, source: str) -> None:
 
 
 def low_passed(times: Floats, values: Floats, frequency: float, source: str) -> Floats:
-    """Return columns (K, n) without what is faster than a frequency, Hz; each by itself, from gap to gap.
-
-    A Butterworth filter of order 2 is run forwards and backwards (`scipy.signal.sosfiltfilt`): nothing is shifted in
-    time, and at the frequency itself half the amplitude is left. A stretch of fewer than four samples between gaps
-    becomes missing.
-
-    Raises
-    ------
-    InputError
-        If the steps of time are not equal, or too long for the frequency.
-    """
+    """Return columns (K, n), low-passed at a frequency, Hz, from gap to gap."""
     from scipy.signal import butter, sosfiltfilt
 
     check_equal_steps(times, "low_pass", source)
@@ -125,17 +106,7 @@ def _stretches(there: Flags, breaks: Flags) -> list[Indices]:
 def filled(
     times: Floats, values: Floats, how: str, longest: float | None, within: tuple[float, float], called: str
 ) -> Floats:
-    """Return a column (K,) with its gaps filled, on straight lines ("linear") or by the sample before ("zoh").
-
-    A gap is as long as the time from the sample before it to the one after, or to the end of the record. One that
-    cannot be filled stays where it lies outside the times `within`, which are those that are kept.
-
-    Raises
-    ------
-    InputError
-        If a gap is longer than `longest`, s (None: `MOST_FILLED` usual steps), or there is no sample to fill it from;
-        the sentence names its time.
-    """
+    """Return a column (K,) with gaps filled ("linear" or "zoh"), none longer than `longest`, s."""
     there, gone = np.flatnonzero(np.isfinite(values)), np.flatnonzero(~np.isfinite(values))
     if not gone.size:
         return values
@@ -169,15 +140,7 @@ def filled(
 def resampled(
     times: Floats, values: Floats, interpolation: Sequence[str], step: float, source: str
 ) -> tuple[Floats, Floats]:
-    """Return times in equal steps, s, and columns (K, n) there: on straight lines, or as they hold.
-
-    Nothing is made up where samples are missing: a time beside a missing sample, or in a gap, has none.
-
-    Raises
-    ------
-    InputError
-        If the step is longer than the record, or a time is there twice.
-    """
+    """Return times in equal steps, s, and columns (K, n) there; NaN in gaps."""
     twice = np.flatnonzero(np.diff(times) == 0)
     if twice.size:
         raise InputError(
@@ -203,7 +166,7 @@ def resampled(
 
 
 def detrended(times: Floats, values: Floats, degree: int) -> Floats:
-    """Return columns (K, n) less their mean (degree 0) or straight line (1), by least squares over what is there."""
+    """Return columns (K, n) without mean (degree 0) or straight line (1)."""
     found = values.copy()
     for k in range(values.shape[1]):
         there = np.isfinite(values[:, k])
@@ -211,3 +174,37 @@ def detrended(times: Floats, values: Floats, degree: int) -> Floats:
             centred = times - times[there].mean()
             found[:, k] -= np.polyval(np.polyfit(centred[there], values[there, k], degree), centred)
     return found
+
+
+def extremes(columns: Floats, count: int) -> Indices:
+    """Return the rows that draw the same lines: extremes of each stretch.
+
+    Parameters
+    ----------
+    columns : (K, m) array
+        Lines over one abscissa; NaN in gaps.
+    count : int
+        Approximate number of rows.
+    """
+    samples, lines = columns.shape
+    if samples <= count:
+        return np.arange(samples)
+    size = math.ceil(samples / max(1, count // (2 * lines)))
+    whole = samples // size * size
+    blocks = columns[:whole].reshape(-1, size, lines)
+    first = np.arange(0, whole, size)[:, None]
+    found = [*(first + each for each in _ends(blocks)), *(whole + each for each in _ends(columns[None, whole:]))]
+    return np.unique(np.concatenate([[0, samples - 1], *(each.ravel() for each in found)]))
+
+
+def _ends(blocks: Floats) -> tuple[Indices, ...]:
+    """Return where each block (n, size, m) has its minimum and maximum, (n, m) each."""
+    if not blocks.shape[1]:
+        return ()
+    missing = np.isnan(blocks)
+    return np.where(missing, np.inf, blocks).argmin(axis=1), np.where(missing, -np.inf, blocks).argmax(axis=1)
+
+
+def evenly(samples: int, count: int) -> Indices:
+    """Return at most `count` evenly spaced rows, first and last included."""
+    return np.unique(np.linspace(0, samples - 1, min(samples, count)).round().astype(np.intp))

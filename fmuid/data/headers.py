@@ -1,4 +1,4 @@
-"""Where a table begins among rows of cells, and what its headers say: names and units."""
+"""Headers of data files: first row, names and units."""
 
 from __future__ import annotations
 
@@ -39,18 +39,9 @@ _GROUPED = re.compile(rf"\s*[+-]?\d{{1,3}}(?:([.,{_SPACES}])\d{{3}})(?:\1\d{{3}}
 
 @dataclass(frozen=True)
 class RawTable:
-    """A table as its file has it.
+    """Data file before its times are known.
 
-    Attributes
-    ----------
-    frame : pandas.DataFrame
-        Its columns, without what their headers say of units.
-    units : dict of str to str
-        Columns whose unit the file says, as it is written there.
-    time : str, optional
-        The column that the format itself knows for the time.
-    days : frozenset of str
-        Columns of numbers that pandas may have written of durations, in days.
+    `units` are as written, `time` is the format's own time column, `days` are columns that may be pandas durations.
     """
 
     frame: pd.DataFrame
@@ -61,17 +52,7 @@ class RawTable:
 
 @dataclass(frozen=True)
 class TableHeader:
-    """Where the table is among the rows.
-
-    Attributes
-    ----------
-    names : tuple of str
-        The cells of the header.
-    units : tuple of str
-        The cells of the row of units below it, empty without one.
-    first : int
-        Index of the first row of samples.
-    """
+    """Cells of the header and of the row of units, and the first row of samples."""
 
     names: tuple[str, ...]
     units: tuple[str, ...]
@@ -79,7 +60,7 @@ class TableHeader:
 
 
 def split_header(header: str) -> tuple[str, str | None]:
-    """Return name and unit in a header such as ``w (rpm)`` or ``ids [mA]``; ``der(y)`` and ``x[1,2]`` are names."""
+    """Return name and unit of a header: ``w (rpm)``, ``ids [mA]``, but not ``der(y)``."""
     found = _WITH_UNIT.fullmatch(header.strip())
     if found is None:
         return header.strip(), None
@@ -90,7 +71,7 @@ def split_header(header: str) -> tuple[str, str | None]:
 
 
 def is_unit(text: str) -> bool:
-    """Return whether a text is a unit that is known."""
+    """Return whether a text is a known unit."""
     text = text.strip()
     # rows of samples are asked too where decimals are not those of the table
     number = text != "1" and (is_number(text) or is_number(text, ","))
@@ -98,10 +79,7 @@ def is_unit(text: str) -> bool:
 
 
 def named(headers: Sequence[str], units: Sequence[str] = ()) -> tuple[list[str], dict[str, str]]:
-    """Return the columns' names and the units of those that have one.
-
-    Where two columns differ in their units only, both keep their whole header as name.
-    """
+    """Return the names and units of columns; names that differ in the unit only keep it."""
     split = [split_header(header) for header in headers]
     bare = [name for name, _ in split]
     names = [
@@ -113,13 +91,7 @@ def named(headers: Sequence[str], units: Sequence[str] = ()) -> tuple[list[str],
 
 
 def check_once(source: str, names: Sequence[str]) -> None:
-    """Refuse a table in which two columns are of one name.
-
-    Raises
-    ------
-    InputError
-        The sentence names the column.
-    """
+    """Refuse columns of one name."""
     for name in names:
         if names.count(name) > 1:
             called = f"the column {name!r} is there twice" if name else "two columns have no name"
@@ -127,11 +99,7 @@ def check_once(source: str, names: Sequence[str]) -> None:
 
 
 def find_head(rows: Sequence[Sequence[Cell]], decimal: str = ".") -> TableHeader | None:
-    """Return where the table begins: below the header from which the most rows of its length with numbers follow.
-
-    Between header and samples there may be one row of units, and rows of text; what is above is left out. None where
-    no row of text is followed by one of the same length with a number.
-    """
+    """Return the header above the most rows of its length with numbers, if any."""
     numeric = [any(is_number(cell, decimal) for cell in row) for row in rows]
     begins = [
         k
@@ -165,10 +133,7 @@ def is_number(cell: Cell, decimal: str = ".") -> bool:
 
 
 def numbers_of(cells: Iterable[str], decimal: str) -> list[float] | None:
-    """Return texts as numbers, also with D in exponents and with marks between thousands; None where one is none.
-
-    Marks that could be decimal ones count only where another cell of the column shows which they are: 1,069.9.
-    """
+    """Return texts as numbers, also 1D3 and 1,069.9; None if one is no number."""
     found, marks = [], set()
     clear = False
     for cell in cells:

@@ -1,4 +1,4 @@
-"""How inputs go between their samples."""
+"""Inputs between their samples."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ HELD = ("zoh", "zoh-next")
 
 
 def as_held(values: Floats, words: Sequence[str]) -> Floats:
-    """Return the samples (K, n) as they hold from each time on: those of the next where they hold before it."""
+    """Return samples (K, n) as held from each time on."""
     early = [word == "zoh-next" for word in words]
     if any(early):
         values = values.copy()
@@ -46,7 +46,7 @@ def interpolation_words(source: str, given: str | Mapping[str, str], inputs: Map
 
 
 def slopes(source: str, times: Floats, values: Floats, curved: Flags) -> Floats:
-    """Return the slopes of monotone cubic curves through the samples; none goes across a step (a time given twice)."""
+    """Return slopes (K, n) of the monotone cubic curves, not across steps."""
     slopes = np.full(values.shape, np.nan)
     if curved.any():
         from scipy.interpolate import PchipInterpolator

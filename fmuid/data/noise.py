@@ -1,4 +1,4 @@
-"""The noise of the measurements: given in one of several forms or to be estimated, and the level of each sample."""
+"""Measurement noise: given or estimated, per output and sample."""
 
 from __future__ import annotations
 
@@ -30,13 +30,11 @@ Level = Positive | str | Sequence[float]
 
 @dataclass(frozen=True)
 class Noise:
-    """The measurement noise of each output, R_b of (1.37), which is diagonal.
+    """Measurement noise of each output, R_b of (1.37), diagonal.
 
-    Each output has its noise by one of `variance`, `std`, `relative_std` and `weights`, in the units of its table; what
-    none of them says is estimated from the residual, and the search repeated until it settles (docs/method.md section
-    7). With a robust loss that estimate is robust too: Huber's proposal 2 (`fmuid.data.losses.robust_variance`),
-    because the loss is measured in standard deviations of the noise proper. In Python `std` and `weights` may also be
-    all samples, (K,).
+    Per output, give one of `variance`, `std`, `relative_std` and `weights`, in units of the data. Without them, the
+    variance is estimated from the residual (docs/method.md section 7), with a robust loss by `robust_variance`. In
+    Python, `std` and `weights` may also hold all samples, (K,).
 
     Raises
     ------
@@ -47,7 +45,7 @@ class Noise:
     --------
     >>> coil = fmuid.datasets.coil()
     >>> problem = fmuid.Problem(coil.fmu, coil.experiment, coil.parameters, noise=fmuid.Noise(variance={"i": 1e-4}))
-    >>> fmuid.identify(problem).given_variance
+    >>> fmuid.identify(problem).fit.given_variance
     {'i': 0.0001}
     """
 
@@ -83,12 +81,12 @@ class Noise:
                 raise InputError(f"the noise of experiment {name!r} has {words} only: say the rest of all")
 
     def form(self, output: str) -> tuple[str, Any]:
-        """Return which of the four forms says the noise of an output, and what it says; "" where none does.
+        """Return the form of noise of an output and its value; "" and None if not given.
 
         Raises
         ------
         InputError
-            If two of them do.
+            If two forms are given.
         """
         found = [(word, _of(getattr(self, word), output)) for word in FORMS]
         said = [(word, level) for word, level in found if level is not None]
@@ -97,21 +95,21 @@ class Noise:
         return said[0] if said else ("", None)
 
     def period_in(self, experiment: str) -> float | None:
-        """Return after how long, s, the excitation of an experiment repeats, as far as that is said."""
+        """Return the given excitation period of an experiment, s."""
         own = self.experiments.get(experiment)
         return self.excitation_period if own is None or own.excitation_period is None else own.excitation_period
 
     def among(self, experiments: Sequence[str]) -> Noise:
-        """Return the noise of some experiments, by their names."""
+        """Return the noise of some experiments, by name."""
         return replace(self, experiments={name: own for name, own in self.experiments.items() if name in experiments})
 
     def given_variance(self) -> float | Mapping[str, float] | None:
-        """Return `variance` where there is nothing else, None where it is estimated.
+        """Return the given variance, None if it is estimated.
 
         Raises
         ------
         InputError
-            If the noise is said in another form.
+            If another form of noise is given.
         """
         for word in ("std", "relative_std", "weights", "shared_variance", "excitation_period", "experiments"):
             if getattr(self, word):
@@ -119,7 +117,7 @@ class Noise:
         return None if isinstance(self.variance, str) else self.variance
 
     def check_names(self, outputs: Sequence[str]) -> None:
-        """Check that all names are those of measured outputs.
+        """Check that all names are measured outputs.
 
         Raises
         ------
@@ -128,19 +126,14 @@ class Noise:
         """
         for word in (*FORMS, "initial_variance", "shared_variance"):
             given = getattr(self, word)
-            names = (
-                given
-                if isinstance(given, Mapping) or (word == "shared_variance" and not isinstance(given, bool))
-                else ()
-            )
-            for output in names:
+            listed = word == "shared_variance" and not isinstance(given, bool)
+            for output in given if listed or isinstance(given, Mapping) else ():
                 if output not in outputs:
-                    raise InputError(
-                        f"noise.{word} names {output!r}, which is no measured output{nearest(output, outputs)}"
-                    )
+                    near = nearest(output, outputs)
+                    raise InputError(f"noise.{word} names {output!r}, which is no measured output{near}")
 
     def known(self, outputs: Sequence[str]) -> Floats:
-        """Return the variance of each output that is given as a number, NaN of the others."""
+        """Return the variance of each output that is given as a number, else NaN."""
         self.check_names(outputs)
         found = np.full(len(outputs), math.nan)
         for j, output in enumerate(outputs):
@@ -150,20 +143,20 @@ class Noise:
         return found
 
     def first(self, outputs: Sequence[str]) -> Floats:
-        """Return the variance that each output starts from, NaN where the residual at the start decides."""
+        """Return the initial variance of each output, NaN if not given."""
         starts = [_of(self.initial_variance, output) for output in outputs]
         return np.array([math.nan if value is None else value for value in starts])
 
 
 def _of(given: Any, output: str) -> Any:
-    """Return what a word says of an output, None where nothing."""
+    """Return the value of a key for an output, if any."""
     if isinstance(given, Mapping):
         return given.get(output)
     return None if isinstance(given, str) and given == "estimate" else given
 
 
 def _checked(word: str, output: str, value: Any) -> Any:
-    """Return a number as a float, samples as a tuple, a column as it is."""
+    """Return a checked number as float, samples as tuple, a column unchanged."""
     of = f" of output {output!r}" if output else ""
     if word in BY_SAMPLE and isinstance(value, str):
         return value
@@ -184,20 +177,10 @@ def _checked(word: str, output: str, value: Any) -> Any:
 
 @dataclass(frozen=True, eq=False)
 class NoiseLevels:
-    """The standard deviation of each counted sample's noise: scale · √variance of its output.
+    """Standard deviation of each scored sample: scale · √variance of its output.
 
-    Attributes
-    ----------
-    variance : (n_outputs,) array
-        The mean variance of the output's samples where it is given, NaN where it is estimated.
-    first : (n_outputs,) array
-        Where its estimation starts, NaN where the residual decides.
-    scale : (n,) array or None
-        Of mean square 1 over each output; None: 1 throughout.
-    share : (n_outputs,) array
-        Estimated variances of one pool are in these proportions.
-    pools : tuple of arrays of int
-        The outputs that have an estimated variance in common.
+    `variance` and `first` (n_outputs,) are given and initial variances, else NaN. `scale` (n,) has mean square 1 over
+    each output; None is 1 throughout. `pools` are outputs with one variance, in the proportions `share` (n_outputs,).
     """
 
     variance: Floats
@@ -207,14 +190,7 @@ class NoiseLevels:
     pools: tuple[Indices, ...]
 
     def pooled(self, sums: Floats, free: Floats | Indices) -> Floats:
-        """Return sums of squares (..., n_outputs) with those of a pool shared out as their common variance has them.
-
-        Parameters
-        ----------
-        sums : (..., n_outputs) array
-        free : (n_outputs,) array
-            How many samples, or degrees of freedom, each output brings: sums over them are the variances.
-        """
+        """Return sums of squares (..., n_outputs), shared out in each pool; `free` are degrees of freedom."""
         if not self.pools:
             return sums
         found = np.array(sums)
@@ -225,13 +201,12 @@ class NoiseLevels:
 
 
 def noise_levels(noise: Noise, experiments: Sequence[Experiment], outputs: Sequence[str]) -> NoiseLevels:
-    """Return the noise of all counted samples, experiment by experiment, sample by sample.
+    """Return the noise of all scored samples.
 
     Raises
     ------
     InputError
-        If a name is unknown, an output has two forms of noise, is given in one experiment and estimated in another, or
-        what is given is not a positive number for each counted sample.
+        If a name is unknown, forms of noise conflict, or a level is not positive.
     """
     noise.check_names(outputs)
     names = [each.name for each in experiments]
@@ -259,7 +234,7 @@ def noise_levels(noise: Noise, experiments: Sequence[Experiment], outputs: Seque
 
 
 def _variances(noise: Noise, experiments: Sequence[Experiment], experiment: Experiment, output: str) -> tuple[Any, str]:
-    """Return the variance of an output's samples in an experiment, of weights their proportions, and the form."""
+    """Return variances (weights: their inverse) of an output in an experiment, and the form."""
     own = noise.experiments.get(experiment.name, Noise())
     word, level = own.form(output)
     among = [experiment]
@@ -278,7 +253,7 @@ def _variances(noise: Noise, experiments: Sequence[Experiment], experiment: Expe
 
 
 def _spread(experiments: Sequence[Experiment], output: str) -> float:
-    """Return the standard deviation of the counted samples of an output about their mean."""
+    """Return the standard deviation of an output's scored samples."""
     columns = [each.output_names.index(output) for each in experiments]
     parts = [each.output_values[:, j][each.counted[:, j]] for each, j in zip(experiments, columns, strict=True)]
     values = np.concatenate(parts)
@@ -291,7 +266,7 @@ def _spread(experiments: Sequence[Experiment], output: str) -> float:
 
 
 def _samples(experiment: Experiment, output: str, word: str, level: str | tuple[float, ...]) -> Floats:
-    """Return the standard deviations or weights (K,) of an output's samples."""
+    """Return standard deviations or weights (K,) of an output."""
     counted = experiment.counted[:, experiment.output_names.index(output)]
     what = f"noise.{word} of output {output!r}"
     if isinstance(level, str):
@@ -315,9 +290,9 @@ def _samples(experiment: Experiment, output: str, word: str, level: str | tuple[
 
 
 def _column(experiment: Experiment, output: str, column: str, *, convert: bool) -> tuple[Floats, str]:
-    """Return a column of an experiment's table, in the unit of the output's, and what messages call it."""
+    """Return a noise column in the unit of the output, and its name in messages."""
     frame, source = experiment.frame, experiment.source
-    name = column_of([str(each) for each in frame.columns], column) or column
+    name = column_of(frame.columns, column) or column
     if name not in frame.columns:
         raise InputError(f"{source}: {missing_column('noise', column, frame.columns)}")
     values = np.array(numeric_column(frame, name, source))
@@ -331,7 +306,6 @@ def _column(experiment: Experiment, output: str, column: str, *, convert: bool) 
 
 
 def _is_given(output: str, forms: Sequence[str]) -> bool:
-    """Return whether the variance of an output is given, in all its experiments or none."""
     found = {form in ("variance", "std", "relative_std") for form in forms}
     if len(found) > 1:
         raise InputError(
@@ -342,7 +316,6 @@ def _is_given(output: str, forms: Sequence[str]) -> bool:
 
 
 def _is_pooled(noise: Noise, output: str, forms: Sequence[str]) -> bool:
-    """Return whether an output has its estimated variance in common with others."""
     common = noise.shared_variance if isinstance(noise.shared_variance, bool) else output in noise.shared_variance
     if common and not isinstance(noise.shared_variance, bool) and _is_given(output, forms):
         raise InputError(
@@ -354,10 +327,7 @@ def _is_pooled(noise: Noise, output: str, forms: Sequence[str]) -> bool:
 def _proportions(
     experiments: Sequence[Experiment], levels: Sequence[Sequence[Any]], outputs: Sequence[str]
 ) -> tuple[Floats, Floats | None]:
-    """Return the mean variance of each output (n_outputs,), and the square roots of the samples' shares of it (n,).
-
-    The levels are those of each output of each experiment, a number or one a sample.
-    """
+    """Return the mean variance of each output, and √shares (n,) of the samples (None: 1)."""
     pairs = [
         pair for each, own in zip(experiments, levels, strict=True) for pair in zip(each.output_names, own, strict=True)
     ]

@@ -1,4 +1,4 @@
-"""Files of arrays that fmuid writes and reads: ``.npz`` with a digest of what they hold."""
+"""``.npz`` files of arrays, with a digest."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from fmuid.files import ContentError, first_line, replacing
 
 
 def write_arrays(path: Path, arrays: Mapping[str, Any]) -> Path:
-    """Write arrays as a ``.npz`` file with a digest of them, which reaches the disk; return its path."""
+    """Write arrays durably as ``.npz`` with a digest; return the path."""
     with replacing(path) as draft, draft.open("wb") as file:
         np.savez(file, digest=np.frombuffer(_digest_of(arrays), np.uint8), **arrays)
         file.flush()
@@ -25,12 +25,12 @@ def write_arrays(path: Path, arrays: Mapping[str, Any]) -> Path:
 
 
 def read_arrays(path: Path) -> dict[str, Any]:
-    """Read the arrays of a ``.npz`` file that `write_arrays` has written, in the reader process.
+    """Read the arrays of `write_arrays`, in the reader process.
 
     Raises
     ------
     ValueError
-        If it cannot be read, is not what was written, or the process is lost over it.
+        If the file is unreadable or damaged, or the process is lost.
     """
     return call_reader(_arrays, path)
 

@@ -1,4 +1,4 @@
-"""The parameters to estimate: names, initial guesses, bounds, and magnitudes for scaling."""
+"""Parameters to estimate: initial guesses, bounds, scales."""
 
 from __future__ import annotations
 
@@ -21,27 +21,25 @@ LEAST_MAGNITUDE = 1e-3
 
 @dataclass(frozen=True)
 class Parameter:
-    """One parameter to estimate.
+    """Parameter to estimate.
 
     Parameters
     ----------
     start : float
-        Where the search starts, in the unit of the FMU variable.
+        Initial guess, in the unit of the FMU variable.
     min, max : float
-        Bounds; the search never simulates outside them.
+        Bounds, never exceeded by a simulation.
     nominal : float, optional
-        Its magnitude, used for scaling; needed where the start is zero, default the magnitude of `start`.
+        Scale. Default: the magnitude of `start`; needed if that is zero.
     prior : Normal, optional
-        Knowledge from before the experiment.
+        Prior knowledge.
     per_experiment : bool or mapping of str to sequence of str
-        One value for each experiment (``name[experiment]``) instead of one shared by all; or one for each group of
-        experiments (``name[group]``), which are named.
+        One value per experiment (``name[experiment]``), or per named group of experiments (``name[group]``).
 
     Raises
     ------
     InputError
-        If the start lies outside the bounds, the bounds are empty, the prior's mean lies outside them, or a
-        zero start has no nominal.
+        If bounds are empty, exclude start or prior mean, or a zero start has no nominal.
 
     Examples
     --------
@@ -57,12 +55,12 @@ class Parameter:
     per_experiment: bool | Mapping[str, Sequence[str]] = False
 
     def name_in(self, experiment: str, name: str) -> str:
-        """Return what the parameter called `name` is called of an experiment.
+        """Return the name of parameter `name` in an experiment.
 
         Raises
         ------
         InputError
-            If the experiment is in no group, or in two.
+            If no group, or more than one, has the experiment.
         """
         if isinstance(self.per_experiment, bool):
             return f"{name}[{experiment}]" if self.per_experiment else name
@@ -106,31 +104,32 @@ class Parameter:
 
 
 class ParameterSet:
-    """All parameters of a problem as one vector theta (N,).
+    """All parameters of a problem as one vector θ (N,).
 
     Parameters
     ----------
     parameters : mapping of str to Parameter
         By FMU variable.
     experiments : sequence of str
-        Names of the experiments; those of parameters per experiment become ``name[experiment]``.
+        Names of the experiments.
     joint_prior : JointPrior, optional
+        Prior of several parameters.
 
     Attributes
     ----------
     names : tuple of str
+        ``name``, or ``name[experiment]``.
     start, lower, upper, scale : (N,) arrays
-        `scale` is the nominal magnitude, the magnitude of `start` by default.
+        Initial guess, bounds, nominal magnitudes.
     prior_mean, prior_std : (N,) arrays
-        NaN where there is no prior.
+        NaN without a prior.
     prior_whitening : (q, N) array
-        W of the prior rows W(θ₀ − θ) of (1.37), q = 0 without priors.
+        W of the prior rows W(θ₀ − θ) of (1.37).
 
     Raises
     ------
     InputError
-        If there are no parameters, two experiments share a name that parameters need, or the joint prior names
-        an unknown parameter or one that has a prior of its own.
+        If there are no parameters, experiments share a name, or the joint prior does not fit.
     """
 
     def __init__(
@@ -174,36 +173,30 @@ class ParameterSet:
         return len(self.names)
 
     def for_experiment(self, index: int) -> tuple[tuple[str, ...], Indices]:
-        """Return the FMU variables of experiment number `index`, and the indices of their values in theta."""
+        """Return FMU variables of experiment `index`, and where their values are in θ."""
         return self._variables, self._columns[index]
 
     def within(self, lower: Floats, upper: Floats) -> ParameterSet:
-        """Return these parameters within other bounds (N,) too."""
+        """Return these parameters within tighter bounds (N,)."""
         other = copy.copy(self)
         other.lower, other.upper = _frozen(np.maximum(self.lower, lower)), _frozen(np.minimum(self.upper, upper))
         return other
 
     def magnitudes(self, theta: Floats) -> Floats:
-        """Return how large each parameter is at theta, for steps and scaling: |θ|, but not less than its nominal.
-
-        Without a nominal a thousandth of the start is the least, so that a value crossing zero keeps a scale.
-        """
+        """Return the scale at θ: |θ|, at least the nominal or 1/1000 of the start."""
         return np.maximum(np.abs(theta), self._least)
 
     def reach(self, theta: Floats) -> Floats:
-        """Return the scale of difference steps: |θ|, but not less than the nominal or the start.
-
-        Because of noise, steps need a certain length also where a parameter passes near zero.
-        """
+        """Return the scale of difference steps: |θ|, at least nominal or start."""
         return np.maximum(np.abs(theta), self.scale)
 
     def index(self, name: str) -> int:
-        """Return the index of `name` in theta.
+        """Return the index of `name` in θ.
 
         Raises
         ------
         InputError
-            If there is no such parameter.
+            If it is unknown.
         """
         if name not in self.names:
             raise InputError(f"{name!r} is not a parameter of the problem{nearest(name, self.names)}")
@@ -240,7 +233,7 @@ class ParameterSet:
         self.prior_whitening = _frozen(np.array(rows).reshape(-1, count))
 
     def prior_residual(self, thetas: Floats) -> Floats:
-        """Return the prior rows W(θ₀ − θ) of (1.37), (m, q) for thetas (m, N)."""
+        """Return the prior rows W(θ₀ − θ) of (1.37): (m, q) for thetas (m, N)."""
         away = np.where(np.isnan(self.prior_mean), 0.0, self.prior_mean - thetas)
         return np.asarray(away @ self.prior_whitening.T, dtype=np.float64)
 

@@ -1,4 +1,4 @@
-"""What is done with a table before it is an experiment, in one order."""
+"""Operations on the data before the fit, in one order."""
 
 from __future__ import annotations
 
@@ -31,14 +31,14 @@ FILLS = ("linear", "zoh")
 
 @dataclass(frozen=True)
 class ParkTransform:
-    """Three phases as two axes that turn, or the way back (docs/method.md section 8).
+    """Park transform of three phases, or its inverse (docs/method.md section 8).
 
     Examples
     --------
     >>> phases = {"ia": [3.0, 3.0], "ib": [-1.5, -1.5], "ic": [-1.5, -1.5]}
     >>> table = pd.DataFrame({"time": [0.0, 0.1], "w": [0.0, 0.0], **phases})
-    >>> axes = fmuid.ParkTransform(("ia", "ib", "ic"), ("id", "iq"), speed="w", pole_pairs=2)
-    >>> fmuid.preprocess(table, fmuid.data.Preprocessing(park=(axes,)))["id"].round(3).tolist()
+    >>> axes = fmuid.data.ParkTransform(("ia", "ib", "ic"), ("id", "iq"), speed="w", pole_pairs=2)
+    >>> fmuid.data.preprocess(table, fmuid.data.Preprocessing(park=(axes,)))["id"].round(3).tolist()
     [3.674, 3.674]
     """
 
@@ -96,12 +96,12 @@ class Preprocessing:
 
     @property
     def by_rows(self) -> bool:
-        """Whether each row is made of itself alone, so that a table can be prepared piece by piece."""
+        """Whether each row depends on itself alone."""
         return self._asked <= {"computed_columns", "park"} and all(each.angle is not None for each in self.park)
 
     @property
     def _asked(self) -> set[str]:
-        """The fields that ask for something."""
+        """Fields with a value."""
         return {each.name for each in fields(Preprocessing) if getattr(self, each.name) not in (None, {}, ())}
 
     def applied(
@@ -112,24 +112,25 @@ class Preprocessing:
         signals: Iterable[str] | None = None,
         interpolation: Mapping[str, str] | None = None,
     ) -> pd.DataFrame:
-        """Return a table as it is after all of this.
+        """Return a preprocessed frame.
 
         Parameters
         ----------
         frame : pandas.DataFrame
+            Data.
         time : str
-            The column of time, s.
+            Time column, s.
         source : str
-            What the table is called in messages.
+            Name of the data in messages.
         signals : iterable of str, optional
-            The columns to filter, resample and detrend; default: all with numbers.
+            Columns to filter, resample and detrend. Default: all numeric ones.
         interpolation : mapping of str to str, optional
-            How columns go between samples; default: linear.
+            Interpolation of columns. Default: linear.
 
         Raises
         ------
         InputError
-            If something is asked for that the table does not allow.
+            If the data do not allow an operation.
         """
         if not self._asked:
             return frame
@@ -150,13 +151,16 @@ class Preprocessing:
         work.cut(self.start_time, self.end_time)
         if self.resample_interval is not None:
             how = [between.get(column, "linear") for column in names]
-            work.set(*resampled(work.times, work.values(names), how, self.resample_interval, source), names)
+            times, values = resampled(work.times, work.values(names), how, self.resample_interval, source)
+            work.frame = pd.DataFrame({time: times} | dict(zip(names, values.T, strict=True)))
         work.detrend(names, self.detrend)
+        units = {column: unit for column, unit in work.units.items() if column in work.frame.columns}
+        work.frame.attrs = {**frame.attrs, UNITS: units}
         return work.frame
 
 
 class _Work:
-    """A table that is worked on."""
+    """Data in progress."""
 
     def __init__(self, frame: pd.DataFrame, time: str, source: str) -> None:
         self.frame, self.time, self.source = frame.copy(), time, source
@@ -172,38 +176,27 @@ class _Work:
         return numeric_column(self.frame, self.time, self.source)
 
     def column(self, name: str) -> Floats:
-        found = column_of([str(each) for each in self.frame.columns], name)
+        found = column_of(self.frame.columns, name)
         if found is None:
             raise InputError(f"{self.source}: {missing_column('prepared', name, self.frame.columns)}")
         return numeric_column(self.frame, found, self.source)
 
     def unit(self, name: str) -> str | None:
-        column = column_of([str(each) for each in self.frame.columns], name) or ""
+        column = column_of(self.frame.columns, name) or ""
         return self.units.get(column) or unit_in_name(column)
 
     def values(self, names: Sequence[str]) -> Floats:
         return np.column_stack([self.column(name) for name in names]) if names else np.empty((len(self.frame), 0))
 
     def signals(self, asked: Iterable[str] | None) -> list[str]:
-        """Return the columns that are signals."""
-        names = [str(each) for each in self.frame.columns]
         if asked is not None:
-            found = dict.fromkeys(column_of(names, each) for each in asked)
+            found = dict.fromkeys(column_of(self.frame.columns, each) for each in asked)
             return [each for each in found if each is not None and each != self.time]
+        names = map(str, self.frame.columns)
         return [each for each in names if each != self.time and pd.api.types.is_numeric_dtype(self.frame[each].dtype)]
 
     def put(self, names: Sequence[str], values: Floats) -> None:
         self.frame = self.frame.assign(**dict(zip(names, values.T, strict=True)))
-        self._keep_units()
-
-    def set(self, times: Floats, values: Floats, names: Sequence[str]) -> None:
-        attributes = self.frame.attrs
-        self.frame = pd.DataFrame({self.time: times} | dict(zip(names, values.T, strict=True)))
-        self.frame.attrs = attributes
-        self._keep_units()
-
-    def _keep_units(self) -> None:
-        self.frame.attrs = {**self.frame.attrs, UNITS: {k: v for k, v in self.units.items() if k in self.frame.columns}}
 
     def derive(self, columns: Mapping[str, str]) -> None:
         for name, expression in columns.items():
@@ -228,7 +221,7 @@ class _Work:
             if how not in FILLS:
                 raise InputError(f'{self.source}: fill_missing = {how!r} is not known: write "linear" or "zoh"')
             values, called = self.column(name), f"{self.source}: the column {name!r}"
-            found = column_of([str(column) for column in self.frame.columns], name) or name
+            found = column_of(self.frame.columns, name) or name
             self.put([found], filled(self.times, values, how, asked.max_gap, within, called)[:, None])
 
     def turn(self, axes: ParkTransform) -> None:
@@ -236,14 +229,13 @@ class _Work:
         if len(unit) > 1:
             said = ", ".join(f"{name} in {self.unit(name) or 'no unit'}" for name in axes.source)
             raise InputError(f"{self.source}: {said}: phases and axes that are transformed must have one unit")
-        names = [column_of([str(each) for each in self.frame.columns], name) or name for name in axes.source]
+        names = [column_of(self.frame.columns, name) or name for name in axes.source]
         angle = "\0"
         frame = self.frame.assign(**{angle: self._angle(axes)})
         turned = (park_transform if len(names) == 3 else inverse_park)(frame, names, axes.target, angle)
         self.frame = turned.drop(columns=angle)
         if (shared := unit.pop()) is not None:
             self.units |= dict.fromkeys(axes.target, shared)
-        self._keep_units()
 
     def _angle(self, axes: ParkTransform) -> Floats:
         """Return the electrical angle, rad."""
@@ -260,7 +252,7 @@ class _Work:
         return np.asarray(axes.initial_angle + np.concatenate([[0.0], np.cumsum(steps)]))
 
     def _in(self, unit: str, name: str) -> Floats:
-        """Return a column in a unit, which is what it is in where the table says nothing."""
+        """Return a column converted to a unit."""
         values, said = self.column(name), self.unit(name)
         given, wanted = parse_unit(said or unit), parse_unit(unit)
         if given is None or wanted is None or given.exponents != wanted.exponents:
@@ -280,7 +272,6 @@ class _Work:
             )
         if not kept.all():
             self.frame = self.frame[kept].reset_index(drop=True)
-            self._keep_units()
 
     def detrend(self, names: Sequence[str], asked: str | Mapping[str, str] | None) -> None:
         if asked is None:
@@ -289,42 +280,43 @@ class _Work:
         for name, how in each.items():
             if how not in TRENDS:
                 raise InputError(f'{self.source}: detrend = {how!r} is not known: write "mean" or "linear"')
-            found = column_of([str(column) for column in self.frame.columns], name) or name
+            found = column_of(self.frame.columns, name) or name
             self.put([found], detrended(self.times, self.column(name)[:, None], TRENDS[how]))
 
 
 def _kept(times: Floats, start: float | None, end: float | None) -> tuple[float, float]:
-    """Return the times between which samples are kept; theirs are rounded decimals."""
+    """Return the first and last time to keep, with rounding."""
     tolerance = 1e-9 * float(times[-1] - times[0])
     return (-math.inf if start is None else start - tolerance), (math.inf if end is None else end + tolerance)
 
 
 def preprocess(given: Table, preparation: Preprocessing, *, time: str = "time") -> Table:
-    """Do with a table, or with that of an experiment, what ``[experiments.preprocess]`` of a study does.
+    """Preprocess a frame or the data of an experiment.
 
     Parameters
     ----------
     given : DataFrame or Experiment
-        Of an experiment, inputs and outputs are filtered, resampled and detrended; of a frame, all columns of numbers.
+        Only inputs and outputs of an experiment are filtered, resampled and detrended.
     preparation : Preprocessing
+        Operations.
     time : str
-        The column of time of a frame, s.
+        Time column of a frame, s.
 
     Returns
     -------
     DataFrame or Experiment
-        As it was given; new.
+        New object of the given kind.
 
     Raises
     ------
     InputError
-        If something is asked for that the table does not allow.
+        If the data do not allow an operation.
 
     Examples
     --------
     >>> frame = pd.DataFrame({"time": [0.0, 0.1, 0.2, 0.3], "pulses": [0.0, 2.0, 4.0, 6.0]})
     >>> how = fmuid.data.Preprocessing({"x": "pulses / 2 + 1"}, start_time=0.1, resample_interval=0.2)
-    >>> fmuid.preprocess(frame, how)["x"].tolist()
+    >>> fmuid.data.preprocess(frame, how)["x"].tolist()
     [2.0, 4.0]
     """
     if not isinstance(given, Experiment):

@@ -1,4 +1,4 @@
-"""Knowledge of parameters from before the measurements: Gaussian priors, of one parameter or of several together."""
+"""Gaussian priors of one parameter or several."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ SYMMETRY_TOLERANCE = 1e-6
 
 
 def checked_number(value: object, what: str, *, infinite: bool = False) -> float:
-    """Return what a user gave as a float; an `InputError` says why it is none to calculate with."""
+    """Return a given number as a checked float."""
     if isinstance(value, bool) or not isinstance(value, int | float | np.integer | np.floating):
         raise InputError(f"{what} must be a number, not {value!r}")
     number = float(value)
@@ -32,13 +32,14 @@ def checked_number(value: object, what: str, *, infinite: bool = False) -> float
 
 @dataclass(frozen=True)
 class Normal:
-    """A Gaussian prior of one parameter (1.36), in its own unit.
+    """Gaussian prior of one parameter (1.36), in its unit.
 
     Parameters
     ----------
     mean : float
+        Mean.
     std : float
-        Standard deviation, greater than zero.
+        Standard deviation, above zero.
 
     Raises
     ------
@@ -65,27 +66,28 @@ class Normal:
 
 @dataclass(frozen=True, eq=False)
 class JointPrior:
-    """A Gaussian prior of several parameters together, θ₀ and M₀ of (1.36).
+    """Gaussian prior of several parameters, θ₀ and M₀ of (1.36).
 
     Parameters
     ----------
     names : sequence of str
-        Parameters, in the order of `mean` and `covariance`; those per experiment as ``name[experiment]``.
+        Parameters in order; ``name[experiment]`` for those per experiment.
     mean : (q,) array
+        Means.
     covariance : (q, q) array
-        Symmetric and positive definite.
+        Symmetric, positive definite.
 
     Raises
     ------
     InputError
-        If shapes differ, a value is not finite, or the covariance is not symmetric and positive definite.
+        If shapes differ, a value is not finite, or the covariance is invalid.
 
     Examples
     --------
     >>> coil = fmuid.datasets.coil()
     >>> prior = fmuid.JointPrior(["R", "L"], [4.0, 0.1], [[0.01, 0.0], [0.0, 1e-6]])
     >>> result = fmuid.identify(fmuid.Problem(coil.fmu, coil.experiment, coil.parameters, joint_prior=prior))
-    >>> result.prior_std.round(6).tolist()
+    >>> result.estimates.prior_std.round(6).tolist()
     [0.1, 0.001]
     """
 
@@ -124,7 +126,7 @@ class JointPrior:
         self.whitening()
 
     def whitening(self) -> Floats:
-        """Return W (q, q) with WᵀW = M₀⁻¹, so that W(θ₀ − θ) are the prior's rows of the residual."""
+        """Return W (q, q) with WᵀW = M₀⁻¹."""
         std = np.sqrt(np.diag(self.covariance))
         try:  # on the correlation matrix: variances of very different units must not decide what counts as positive
             factor = np.linalg.cholesky(self.covariance / np.outer(std, std))

@@ -1,10 +1,7 @@
-"""Signals as columns of frames: excitations, and the Concordia and Park transforms (docs/method.md section 8).
+"""Excitations, and the Concordia and Park transforms (docs/method.md section 8).
 
-Excitations are frames with ``time`` and the input, whose values are to be held from sample to sample (steps, PRBS) or
-interpolated (multisine). The last sample is one step before the end of the duration.
-
-The Concordia matrix is the power-invariant one: the instantaneous power of three phases is the same in two axes, and
-a balanced set of peak value X becomes a vector of length sqrt(3/2) X.
+Excitations are frames of ``time`` and an input, whose last sample is one step before the end. The Concordia matrix
+keeps power: a balanced set of peak X becomes a vector of length sqrt(3/2) X.
 """
 
 from __future__ import annotations
@@ -42,40 +39,39 @@ def prbs(
     offset: float = 0.0,
     column: str = "u",
 ) -> pd.DataFrame:
-    """Return a pseudo-random binary sequence: a maximum-length sequence of bits, offset plus or minus amplitude.
+    """Return a pseudo-random binary sequence, offset ± amplitude.
 
-    Over one period of 2^order - 1 bits its autocorrelation is amplitude² at no shift and -amplitude²/(2^order - 1) at
-    all others, in whole bits: nearly that of white noise, of bandwidth about 0.44/(bit·step) (L. Ljung, System
+    Its autocorrelation is nearly that of white noise, of bandwidth about 0.44/(bit·step) (L. Ljung, System
     Identification, 2nd edition, section 13.3).
 
     Parameters
     ----------
     duration, step : float
-        Length of the record and sampling time, s.
+        Length and sampling interval, s.
     amplitude, offset : float
-        Half the distance of the two levels, and their middle, in the unit of the input.
+        Half the distance of the two levels and their middle, in the unit of the input.
     bit : int
-        Samples of one bit.
+        Samples per bit.
     order : int, optional
-        Of the shift register, 2 to 32; default: the smallest whose period is not shorter than the record.
+        Order of the shift register, 2 to 32. Default: the smallest with a period of at least the duration.
     seed : int
-        Determines where in its period the sequence begins.
+        Seed of the first bit's place in the period.
     column : str
-        The name of the column.
+        Name of the column.
 
     Returns
     -------
     pandas.DataFrame
-        ``time`` (s) and the column, K = duration/step rows.
+        ``time`` (s) and the column, duration/step rows.
 
     Raises
     ------
     InputError
-        If an argument is out of its range, or the duration is no whole number of samples.
+        If an argument is out of its range.
 
     Examples
     --------
-    >>> fmuid.prbs(1.0, 0.1, 12.0, bit=2, order=3)["u"].tolist()
+    >>> fmuid.signals.prbs(1.0, 0.1, 12.0, bit=2, order=3)["u"].tolist()
     [-12.0, -12.0, 12.0, 12.0, 12.0, 12.0, 12.0, 12.0, -12.0, -12.0]
     """
     from scipy.signal import max_len_seq  # slow to import
@@ -102,22 +98,21 @@ def multisine(
     offset: float = 0.0,
     column: str = "u",
 ) -> pd.DataFrame:
-    """Return a sum of equal cosines at all multiples of 1/period from the lowest to the highest frequency.
+    """Return equal cosines at all multiples of 1/period in a band.
 
-    Schroeder's phases -π k(k-1)/n of the k-th of n lines keep its peaks low (M. R. Schroeder, Synthesis of low-peak-
-    factor signals and binary sequences with low autocorrelation, IEEE Trans. Information Theory 16, 1970): the peak is
-    about 1.7 times the root mean square, where cosines without phases have sqrt(2 n).
+    Schroeder's phases -π k(k-1)/n of the k-th of n lines keep the peak low (M. R. Schroeder, IEEE Trans. Information
+    Theory 16, 1970).
 
     Parameters
     ----------
     duration, step, offset, column
         As in `prbs`.
     amplitude : float
-        Largest distance of a sample from the offset, in the unit of the input.
+        Largest distance from the offset, in the unit of the input.
     lowest, highest : float
-        Band, Hz; above zero and below half the sampling frequency.
+        Band, Hz, below half the sampling frequency.
     period : float, optional
-        s; default the duration.
+        Period, s. Default: the duration.
 
     Returns
     -------
@@ -131,7 +126,7 @@ def multisine(
 
     Examples
     --------
-    >>> signal = fmuid.multisine(1.0, 1e-3, 12.0, lowest=1.0, highest=50.0)
+    >>> signal = fmuid.signals.multisine(1.0, 1e-3, 12.0, lowest=1.0, highest=50.0)
     >>> float(round(signal["u"].abs().max(), 6))
     12.0
     """
@@ -143,17 +138,15 @@ def multisine(
             f"highest {highest:g} Hz must not be less than lowest {lowest:g} Hz, and less than half the sampling "
             f"frequency, {0.5 / step:g} Hz; change the band or sample faster"
         )
-    lines = np.arange(
-        math.ceil(lowest * period - SAMPLE_TOLERANCE), math.floor(highest * period + SAMPLE_TOLERANCE) + 1
-    )
-    if lines.size == 0:
+    first, last = math.ceil(lowest * period - SAMPLE_TOLERANCE), math.floor(highest * period + SAMPLE_TOLERANCE)
+    if last < first:
         raise InputError(
             f"no multiple of 1/period, {1 / period:g} Hz, lies between {lowest:g} and {highest:g} Hz; "
             "make the period longer or the band wider"
         )
     values = np.zeros(times.size)
-    for k, line in enumerate(lines.tolist()):
-        values += np.cos(2.0 * np.pi * line / period * times - np.pi * k * (k + 1) / lines.size)
+    for k, line in enumerate(range(first, last + 1)):
+        values += np.cos(2.0 * np.pi * line / period * times - np.pi * k * (k + 1) / (last + 1 - first))
     return pd.DataFrame({"time": times, column: offset + amplitude / np.abs(values).max() * values})
 
 
@@ -171,12 +164,11 @@ def step_sequence(
     Parameters
     ----------
     duration, step, offset, column
-        As in `prbs`; all levels are added to the offset.
+        As in `prbs`; the offset is added to all levels.
     levels : sequence of float
         n values, in the unit of the input.
     times : sequence of float, optional
-        When each level begins, s: n values, the first 0, increasing, the last before the duration. A level begins with
-        the first sample that is not earlier. Default: all levels last as long, to a sample.
+        Begin of each level, s, the first 0. Default: equally long levels.
 
     Returns
     -------
@@ -190,7 +182,7 @@ def step_sequence(
 
     Examples
     --------
-    >>> fmuid.step_sequence(0.4, 0.1, [0.0, 12.0])["u"].tolist()
+    >>> fmuid.signals.step_sequence(0.4, 0.1, [0.0, 12.0])["u"].tolist()
     [0.0, 0.0, 12.0, 12.0]
     """
     clock = _times(duration, step, column, offset=offset)
@@ -213,7 +205,7 @@ def step_sequence(
 
 
 def _times(duration: float, step: float, column: str, **numbers: float) -> Floats:
-    """Return the times of the samples; check what all excitations have in common, and that `numbers` are finite."""
+    """Return the sample times after checks that all excitations need."""
     if not column or column == "time":
         raise InputError(f"column {column!r} cannot be the name of the excitation; give another")
     samples = _positive(duration, "duration") / _positive(step, "step")
@@ -250,7 +242,7 @@ def _whole(value: int, what: str, least: int, most: int | None = None) -> int:
 
 
 def concordia_transform(frame: pd.DataFrame, columns: Sequence[str], names: Sequence[str]) -> pd.DataFrame:
-    """Add the two axes of three phases: x_αβ = T₂₃ x_abc (docs/method.md section 8).
+    """Add the two axes of three phases, x_αβ = T₂₃ x_abc.
 
     The zero sequence (a + b + c)/√3 is lost; phases without a neutral wire have none.
 
@@ -259,33 +251,39 @@ def concordia_transform(frame: pd.DataFrame, columns: Sequence[str], names: Sequ
     frame : pandas.DataFrame
         K rows.
     columns : three names
-        The phases, any unit.
+        Phases, in any unit.
     names : two names
-        The new columns, in the same unit.
+        New columns, in the same unit.
 
     Returns
     -------
     pandas.DataFrame
-        The frame and the two new columns.
+        Frame with the new columns.
 
     Raises
     ------
     InputError
-        Where a column is missing or no number, or a new one is already there.
+        If a column is missing or not numeric, or a new one exists.
 
     Examples
     --------
     >>> table = pd.DataFrame({"a": [2.0], "b": [-1.0], "c": [-1.0]})
-    >>> fmuid.concordia_transform(table, ["a", "b", "c"], ["alpha", "beta"])["alpha"].round(4).tolist()
+    >>> fmuid.signals.concordia_transform(table, ["a", "b", "c"], ["alpha", "beta"])["alpha"].round(4).tolist()
     [2.4495]
     """
     return _with_columns(frame, _columns(frame, columns, 3) @ T23.T, names, 2)
 
 
 def inverse_concordia(frame: pd.DataFrame, columns: Sequence[str], names: Sequence[str]) -> pd.DataFrame:
-    """Add the three phases of two axes, without zero sequence: x_abc = T₂₃ᵀ x_αβ (docs/method.md section 8).
+    """Add the three phases of two axes, x_abc = T₂₃ᵀ x_αβ.
 
-    As `concordia`, with the two axes as `columns` and the three phases, whose sum is zero, as `names`.
+    As `concordia_transform`, from two columns to three, whose sum is zero.
+
+    Examples
+    --------
+    >>> axes = pd.DataFrame({"alpha": [np.sqrt(6.0)], "beta": [0.0]})
+    >>> fmuid.signals.inverse_concordia(axes, ["alpha", "beta"], ["a", "b", "c"])["b"].round(4).tolist()
+    [-1.0]
     """
     return _with_columns(frame, _columns(frame, columns, 2) @ T23, names, 3)
 
@@ -293,21 +291,15 @@ def inverse_concordia(frame: pd.DataFrame, columns: Sequence[str], names: Sequen
 def park_transform(
     frame: pd.DataFrame, columns: Sequence[str], names: Sequence[str], theta: str = "theta"
 ) -> pd.DataFrame:
-    """Add the two axes, turning with `theta`, of three phases: x_dq = P(−θ) T₂₃ x_abc (docs/method.md section 8).
+    """Add the turning axes of three phases, x_dq = P(−θ) T₂₃ x_abc.
 
-    With the electrical angle of the rotor these are Park's axes linked to the rotor. The zero sequence is lost.
-
-    As `concordia`, with direct and quadrature axis as `names`.
-
-    Parameters
-    ----------
-    theta : str
-        The column of the electrical angle, rad: pole pairs times the mechanical angle.
+    As `concordia_transform`, with direct and quadrature axis as `names`. `theta` is the column of the electrical
+    angle, rad: pole pairs times the mechanical angle.
 
     Examples
     --------
     >>> table = pd.DataFrame({"a": [2.0], "b": [-1.0], "c": [-1.0], "theta": [np.pi / 2]})
-    >>> fmuid.park_transform(table, ["a", "b", "c"], ["d", "q"])["q"].round(4).tolist()
+    >>> fmuid.signals.park_transform(table, ["a", "b", "c"], ["d", "q"])["q"].round(4).tolist()
     [-2.4495]
     """
     fixed = _columns(frame, columns, 3) @ T23.T
@@ -317,23 +309,28 @@ def park_transform(
 def inverse_park(
     frame: pd.DataFrame, columns: Sequence[str], names: Sequence[str], theta: str = "theta"
 ) -> pd.DataFrame:
-    """Add the three phases of two axes turning with `theta`: x_abc = T₂₃ᵀ P(θ) x_dq (docs/method.md section 8).
+    """Add the three phases of turning axes, x_abc = T₂₃ᵀ P(θ) x_dq.
 
-    As `park`, with direct and quadrature axis as `columns` and the three phases, whose sum is zero, as `names`.
+    As `park_transform`, from two columns to three, whose sum is zero.
+
+    Examples
+    --------
+    >>> axes = pd.DataFrame({"d": [0.0], "q": [-np.sqrt(6.0)], "theta": [np.pi / 2]})
+    >>> fmuid.signals.inverse_park(axes, ["d", "q"], ["a", "b", "c"])["a"].round(4).tolist()
+    [2.0]
     """
     turned = _turned(_columns(frame, columns, 2), _columns(frame, [theta], 1)[:, 0])
     return _with_columns(frame, turned @ T23, names, 3)
 
 
 def _turned(vectors: Floats, angle: Floats) -> Floats:
-    """Return P(angle) x for each row, P(θ) = [cos θ, −sin θ; sin θ, cos θ]; shapes (K, 2) and (K,)."""
+    """Return P(angle) x of each row, P(θ) = [cos θ, −sin θ; sin θ, cos θ]; (K, 2)."""
     cosine, sine = np.cos(angle), np.sin(angle)
     x, y = vectors.T
     return np.column_stack([cosine * x - sine * y, sine * x + cosine * y])
 
 
 def _columns(frame: pd.DataFrame, columns: Sequence[str], count: int) -> Floats:
-    """Return `count` columns side by side."""
     _check_names("columns", columns, count)
     for column in columns:
         if column not in frame.columns:

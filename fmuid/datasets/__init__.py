@@ -1,12 +1,11 @@
-"""Three small records that come with the package, each with the FMU that it is a record of: what examples use.
+"""Example data: three small recordings with their FMUs and true values.
 
-They are simulated from the equations in the models' README files, by other means than the FMUs, with noise of a fixed
-seed (``tools/make_datasets.py``), so that the true values are known.
+They are simulated from the equations in the models' README files, without the FMUs (``tools/make_datasets.py``).
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -27,19 +26,19 @@ HERE = Path(__file__).parent
 
 @dataclass(frozen=True)
 class ExampleRecord:
-    """A record and the FMU that it is a record of.
+    """A recording with its FMU.
 
     Attributes
     ----------
     name : str
     path, fmu : Path
-        The table, CSV, and the FMU.
+        The CSV file and the FMU.
     inputs, outputs : tuple of str
-        Columns of the table and variables of the FMU; there is a column ``time``, s, too.
+        Columns of the file and variables of the FMU; there is a column ``time``, s, too.
     parameters : mapping of str to Parameter
-        What is to be identified, with starts that are wrong.
+        With wrong initial guesses.
     truth : mapping of str to float
-        By which the record was simulated.
+        True values.
     """
 
     name: str
@@ -52,23 +51,23 @@ class ExampleRecord:
 
     @property
     def table(self) -> pd.DataFrame:
-        """The record."""
+        """The data file."""
         return read_data(self.path)
 
     @property
     def experiment(self) -> Experiment:
-        """The record with the roles of its columns."""
+        """The data with the roles of their columns."""
         return Experiment(self.table, inputs=self.inputs, outputs=self.outputs, name=self.name)
 
     def problem(self) -> Problem:
-        """Return the least-squares problem of identifying the parameters."""
+        """Return the problem of identifying the parameters."""
         from fmuid.identification import Problem
 
         return Problem(self.fmu, self.experiment, self.parameters)
 
     @property
     def study(self) -> dict[str, Any]:
-        """What a study file says of it: for ``fmuid.Study.of``."""
+        """Content of its study file, for ``fmuid.Study.of``."""
         table = {"data": str(self.path), "inputs": list(self.inputs), "outputs": list(self.outputs)}
         parameters = {name: {"start": each.start, "min": each.min} for name, each in self.parameters.items()}
         return {"title": self.name, "model": {"fmu": str(self.fmu)}, "experiments": [table], "parameters": parameters}
@@ -84,7 +83,7 @@ def load(name: str) -> ExampleRecord:
     Raises
     ------
     InputError
-        If there is none of this name.
+        If the name is unknown.
 
     Examples
     --------
@@ -93,9 +92,7 @@ def load(name: str) -> ExampleRecord:
     >>> list(coil.table), coil.fmu.name
     (['time', 'u', 'i'], 'Coil.fmu')
     """
-    made: dict[str, Callable[[], ExampleRecord]] = {
-        each.__name__: each for each in (coil, faulty_coil, induction_machine)
-    }
+    made = {each.__name__: each for each in (coil, faulty_coil, induction_machine)}
     if name not in made:
         raise InputError(f"there is no data set {name!r}{nearest(name, made)}; there are {', '.join(made)}")
     return made[name]()
@@ -113,11 +110,11 @@ def coil() -> ExampleRecord:
     (R = 3.9989 ± 0.0015 Ohm, 4.0)
     """
     parameters = {"R": Parameter(3.0, min=0.0), "L": Parameter(0.2, min=1e-3)}
-    return _set("coil", "Coil", ("u",), ("i",), parameters, {"R": 4.0, "L": 0.1})
+    return _record("coil", "Coil", "u", "i", parameters, {"R": 4.0, "L": 0.1})
 
 
 def faulty_coil() -> ExampleRecord:
-    """Return a record of the same coil with 2 % of its turns lost, which takes 0.08 ohm (``dR``); it is as warm.
+    """Return a recording of the same coil with 2 % of its turns lost: ``dR`` is −0.08 ohm.
 
     Examples
     --------
@@ -126,11 +123,11 @@ def faulty_coil() -> ExampleRecord:
     {'dR': -0.08}
     """
     parameters = {"dR": Parameter(0.0, nominal=1.0, min=-1.0)}
-    return _set("faulty_coil", "FaultyCoil", ("u",), ("i",), parameters, {"dR": -0.08})
+    return _record("faulty_coil", "FaultyCoil", "u", "i", parameters, {"dR": -0.08})
 
 
 def induction_machine() -> ExampleRecord:
-    """Return 400 samples of an induction machine's currents, in the axes of its rotor, under pseudo-random voltages.
+    """Return 400 samples of an induction machine's currents in rotor axes, under pseudo-random voltages.
 
     Examples
     --------
@@ -142,17 +139,13 @@ def induction_machine() -> ExampleRecord:
     starts = {"Rs": 14.7, "Rr": 1.9, "Lm": 0.654, "Lf": 0.0381}
     parameters = {name: Parameter(start, min=1e-3) for name, start in starts.items()}
     truth = {"Rs": 9.8, "Rr": 3.8, "Lm": 0.436, "Lf": 0.0762}
-    return _set("induction_machine", "InductionMachine", ("uds", "uqs", "w"), ("ids", "iqs"), parameters, truth)
+    return _record("induction_machine", "InductionMachine", "uds uqs w", "ids iqs", parameters, truth)
 
 
-def _set(
-    name: str,
-    model: str,
-    inputs: tuple[str, ...],
-    outputs: tuple[str, ...],
-    parameters: Mapping[str, Parameter],
-    truth: Mapping[str, float],
+def _record(
+    name: str, model: str, inputs: str, outputs: str, parameters: Mapping[str, Parameter], truth: Mapping[str, float]
 ) -> ExampleRecord:
-    packed = HERE / f"{model}.fmu"  # where a wheel has it; in a clone it lies with the other models
+    packed = HERE / f"{model}.fmu"  # of a wheel; in a clone it lies with the other models
     fmu = packed if packed.is_file() else HERE.parents[1] / "fmus" / model / packed.name
-    return ExampleRecord(name, HERE / f"{name}.csv", fmu, inputs, outputs, parameters, truth)
+    columns = tuple(inputs.split()), tuple(outputs.split())
+    return ExampleRecord(name, HERE / f"{name}.csv", fmu, *columns, parameters, truth)

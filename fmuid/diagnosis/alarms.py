@@ -1,45 +1,37 @@
-"""What makes an alarm, and what one says: since when, what, how large, where it leads."""
+"""Alarms: their rule, causes, onset and trend."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from typing import Annotated
 
 import numpy as np
 import pandas as pd
+from annotated_types import Ge, Gt, Lt
 from scipy import special
 
 from fmuid.array_types import Floats
-from fmuid.diagnosis.cause_results import Explanation
+from fmuid.diagnosis.cause_ranking import rank_with_model_error
+from fmuid.diagnosis.cause_results import Explanation, explanations
+from fmuid.diagnosis.causes import ChangeParameterSet
 from fmuid.diagnosis.change_detection import FALSE_ALARM_LEVEL
-from fmuid.diagnosis.onset import OnsetShape
+from fmuid.diagnosis.onset import OnsetEstimate, OnsetShape, estimate_onset
+from fmuid.diagnosis.onset_tracker import OnsetTracker
 from fmuid.errors import InputError
 from fmuid.estimation import check_level
 
 SOMETHING_ELSE = "something else"
 """What an alarm is called where no cause explains a residual that is larger than the noise."""
 
-# A trend takes so many windows.
+# Windows of a trend, at least.
 TREND_WINDOWS = 4
 
 
 @dataclass(frozen=True)
 class Rule:
-    """How a record is cut into windows, and what makes an alarm.
-
-    Parameters
-    ----------
-    window : float or None
-        Length of a window, s; None takes each record as one.
-    transient : float
-        What each window is simulated before it, and what is left out at the beginning of a record, s.
-    level : float
-        Probability of a false alarm in a record, or in the time `horizon`, whatever the number of causes looked for.
-    horizon : float or None
-        In which the level holds, s; None for each record.
-    limits : mapping of str to float
-        Sizes that must not be reached, by the columns of the table: ``{"turns.dR": 0.5}``.
+    """Windows of a recording, and false alarms.
 
     Raises
     ------
@@ -52,36 +44,32 @@ class Rule:
     1.0
     """
 
-    window: float | None = None
-    transient: float = 0.0
-    level: float = FALSE_ALARM_LEVEL
-    horizon: float | None = None
+    window: Annotated[float, Gt(0)] | None = None
+    """window length, s; default: each record is one"""
+    transient: Annotated[float, Ge(0)] = 0.0
+    """simulated before each window, and left out at the beginning of a record, s"""
+    level: Annotated[float, Gt(0), Lt(1)] = FALSE_ALARM_LEVEL
+    """probability of a false alarm of any cause in a record, or in the horizon"""
+    horizon: Annotated[float, Gt(0)] | None = None
+    """time of the level, s; default: each record"""
     limits: Mapping[str, float] = field(default_factory=dict)
+    """largest allowed sizes by columns of the table: ``{"turns.dR": 0.5}``"""
 
     def __post_init__(self) -> None:
         check_level(self.level, "a test")
         if not (math.isfinite(self.transient) and self.transient >= 0):
             raise InputError(f"the transient must be a duration in seconds, zero or more, not {self.transient!r}")
-        if self.window is not None and not (math.isfinite(self.window) and self.window > 0):
-            raise InputError(f"the window must be a duration in seconds above zero, not {self.window!r}")
+        for name, value in (("window", self.window), ("horizon", self.horizon)):
+            if value is not None and not (math.isfinite(value) and value > 0):
+                raise InputError(f"the {name} must be a duration in seconds above zero, not {value!r}")
         if self.window is not None and self.window <= self.transient:
             raise InputError(
                 f"windows of {self.window:g} s are not longer than the transient of {self.transient:g} s: "
                 "make the windows longer"
             )
-        if self.horizon is not None and not (math.isfinite(self.horizon) and self.horizon > 0):
-            raise InputError(f"the horizon must be a duration in seconds above zero, not {self.horizon!r}")
 
     def window_level(self, windows: int, length: float) -> float:
-        """Return the probability of a false alarm that each window may have.
-
-        Parameters
-        ----------
-        windows : int
-            Of the record.
-        length : float
-            Of one of them, s.
-        """
+        """Return the false-alarm probability of each of so many windows of a length, s."""
         return self.level / (windows if self.horizon is None else max(1.0, self.horizon / length))
 
 
@@ -95,7 +83,7 @@ class RecordTime:
     time : float
         s of the record.
     date : str
-        Where the record's table has dates (ISO 8601), "" otherwise.
+        ISO 8601, "" where the data file has no dates.
     """
 
     record: str
@@ -105,14 +93,13 @@ class RecordTime:
 
 @dataclass(frozen=True)
 class Onset:
-    """Since when.
+    """Begin of a change.
 
     Attributes
     ----------
     likely, first, last : RecordTime
-        The most likely one, and the set that holds the true one with 95 %.
+        The most likely time, and the 95 % confidence set.
     shape : OnsetShape
-        Whether it came at once, or grows.
     """
 
     likely: RecordTime
@@ -123,7 +110,7 @@ class Onset:
 
 @dataclass(frozen=True)
 class Trend:
-    """How a size goes on, by the windows since the onset.
+    """Trend of a size since the onset.
 
     Attributes
     ----------
@@ -132,12 +119,11 @@ class Trend:
     value, std : float
         At the end of the last window.
     rate, rate_std : float
-        Its change in a second.
+        Change in a second.
     limit : float
-        That the user has set; NaN without.
+        From the rule; NaN without.
     reached : (float, float, float)
-        In how many seconds after the last window the limit is reached, most likely, and from to with 95 %: 0 where it
-        is already, infinite where it never is at this rate, NaN without a limit.
+        Time to the limit, s: likeliest, and 95 % interval; 0 if past, infinite if never, NaN without a limit.
     """
 
     column: str
@@ -150,12 +136,12 @@ class Trend:
 
     @property
     def grows(self) -> bool:
-        """Whether the rate is significant at 5 %."""
+        """True if the rate is significant at 5 %."""
         return abs(self.rate) > -float(special.ndtri(0.025)) * self.rate_std
 
     @classmethod
     def of(cls, column: str, clock: Floats, values: Floats, stds: Floats, limit: float = math.nan) -> Trend | None:
-        """Return the line through sizes (n,) at times (n,) by weighted least squares; None of fewer than four."""
+        """Return the weighted least-squares line of sizes (n,) at times (n,); None of fewer than four."""
         known = np.isfinite(values) & np.isfinite(stds) & (stds > 0)
         if np.count_nonzero(known) < TREND_WINDOWS:
             return None
@@ -169,7 +155,7 @@ class Trend:
 
 
 def _reached(value: float, rate: float, rate_std: float, limit: float) -> tuple[float, float, float]:
-    """Return when a line crosses a limit: by its rate, and by the ends of the rate's interval of 95 %."""
+    """Return the times to a limit, at the rate and at the ends of its 95 % interval."""
     if math.isnan(limit):
         return math.nan, math.nan, math.nan
     left, sign = limit - value, math.copysign(1.0, limit)
@@ -182,23 +168,22 @@ def _reached(value: float, rate: float, rate_std: float, limit: float) -> tuple[
 
 @dataclass(frozen=True)
 class Alarm:
-    """Windows in a row in which something is new.
+    """Successive windows with a change.
 
     Attributes
     ----------
     fault : str
-        What: the names of the faults and other causes, several joined by "or" where they are not told apart, or
-        "something else".
+        Causes, joined by "or" where they are indistinguishable, or "something else".
     record : str
         In which the alarm was raised.
     time : float
-        End of the window with which it was raised, s.
+        End of the first window, s.
     first, last : int
         Rows of the table.
     onset : Onset or None
         None of something else.
     explanations : tuple of Explanation
-        The best one first, with the sizes after the onset, then all that the windows do not exclude beside it.
+        Best first, with the sizes after the onset.
     trend : Trend or None
         Of the first size of the best explanation.
     """
@@ -214,24 +199,13 @@ class Alarm:
 
 
 def label_of(explanations: tuple[Explanation, ...]) -> str:
-    """Return what an alarm is called."""
+    """Return the name of an alarm."""
     each = (" and ".join(dict.fromkeys(c.fault or c.label for c in one.changes)) for one in explanations)
     return " or ".join(dict.fromkeys(each))
 
 
 def with_trend(alarm: Alarm, since: float, table: pd.DataFrame, limits: Mapping[str, float]) -> Alarm:
-    """Return an alarm with the trend of its first size.
-
-    Parameters
-    ----------
-    alarm : Alarm
-    since : float
-        When its onset was at the latest, s of all that was seen.
-    table : DataFrame
-        The rows that are held.
-    limits : mapping of str to float
-        As of the rule.
-    """
+    """Return an alarm with the trend of its first size, after its latest onset (s of all data)."""
     if not alarm.explanations:
         return alarm
     column = alarm.explanations[0].changes[0].label
@@ -242,3 +216,31 @@ def with_trend(alarm: Alarm, since: float, table: pd.DataFrame, limits: Mapping[
         return alarm
     values, stds, clock = (rows[name].to_numpy(np.float64) for name in (column, f"{column}.std", "clock"))
     return replace(alarm, trend=Trend.of(column, clock, values, stds, limits.get(column, math.nan)))
+
+
+@dataclass(frozen=True, eq=False)
+class AlarmDecision:
+    """Causes and onset of an alarm."""
+
+    explanations: tuple[Explanation, ...]  # the best one first
+    columns: tuple[int, ...]  # coordinates of the best one
+    when: OnsetEstimate  # of its first cause
+    since: float  # begin of the first whole window with it, s of all data; infinite without one
+
+
+def decide_alarm(
+    watch: OnsetTracker, coordinates: ChangeParameterSet, level: float, model_error: float
+) -> AlarmDecision:
+    """Return causes and onset of an alarm; level and model error as for `name`."""
+    causes = coordinates.causes
+    every = zip(*(watch.onsets(causes, shape) for shape in OnsetShape), strict=True)
+    dates = [estimate_onset(each, watch.end) for each in every]
+    when = max(dates, key=lambda each: each.log_evidence + math.log(each.cause.probability))
+    for _ in range(2):  # the name may be another one than that by which it was dated
+        apart = watch.apart(*when.between)
+        news, since = (watch.news(when.clock), math.inf) if apart is None else apart
+        _, likely = rank_with_model_error(news, causes, level, model_error)
+        if when.cause in likely[0].causes:
+            break
+        when = next(each for each in dates if each.cause is likely[0].causes[0])
+    return AlarmDecision(explanations(likely, coordinates), tuple(likely[0].columns), when, since)

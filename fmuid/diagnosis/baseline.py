@@ -1,4 +1,4 @@
-"""The baseline of a diagnosis: the healthy machine from a result, records or a file, and what may change in it."""
+"""The baseline of a diagnosis: the healthy machine from a result, records or a file."""
 
 from __future__ import annotations
 
@@ -14,27 +14,25 @@ from typing import Any, Self
 import numpy as np
 
 from fmuid.array_types import Floats
+from fmuid.codec import as_json, from_json
 from fmuid.data import Experiment, Noise, Parameter, read_arrays, write_arrays
 from fmuid.diagnosis.causes import ChangeParameterSet
-from fmuid.diagnosis.faults import Fault, common_mode
-from fmuid.diagnosis.information_matrix import InformationMatrix
-from fmuid.diagnosis.prewhitening import Whitening
+from fmuid.diagnosis.faults import common_mode
+from fmuid.diagnosis.information_matrix import InformationMatrix, Whitening
 from fmuid.diagnosis.unexplained_residual import SETTINGS as UNEXPLAINED_RESIDUAL
 from fmuid.errors import InputError
 from fmuid.estimation import Autoregression, Result
-from fmuid.files import as_json, read_content
 from fmuid.identification import refinement_of
 from fmuid.models import System
 from fmuid.simulation import Refinement
-from fmuid.version import __version__
 
-KIND, REMEDY = "the baseline.npz of fmuid identify", "identify the healthy study again"
+REMEDY = "identify the healthy study again"
 # Healthy values of the file and of the result beside it are the same numbers, but for their last digits.
 SAME_VALUE = 1e-9
 
 
 class BaselineSource(Enum):
-    """Where a diagnosis has the healthy machine from."""
+    """Source of the healthy machine; "other …" are records whose file is of something else."""
 
     RECORDS = "records"
     FILE = "file"
@@ -51,46 +49,29 @@ class BaselineSource(Enum):
 
 @dataclass(frozen=True, eq=False)
 class MachineDigest:
-    """What a file of healthy records is of.
+    """Identity of a stored baseline: models, coordinates, noise and records."""
 
-    Attributes
-    ----------
-    models : dict of str to str
-        Digest of the healthy machine, as "", and of each fault.
-    coordinates : tuple of str
-    healthy : (N,) array
-    noise : object
-        The variances given, as JSON has them; None where they are estimated.
-    records : tuple of str
-        Digest of each healthy record.
-    """
-
-    models: Mapping[str, str]
+    models: Mapping[str, str]  # digests of the healthy machine, "", and of each fault
     coordinates: tuple[str, ...]
-    healthy: Floats
-    noise: Any
-    records: tuple[str, ...]
+    healthy: Floats  # (N,)
+    noise: Any  # the given variances as JSON; None where they are estimated
+    records: tuple[str, ...]  # digest of each healthy record
 
     @classmethod
-    def of(
-        cls,
-        machine: tuple[System, Mapping[str, Any], Any],
-        faults: Mapping[str, Fault],
-        coordinates: ChangeParameterSet,
-        noise: Any,
-        records: Sequence[Experiment],
-    ) -> MachineDigest:
-        """Return that of a machine: its model, the values that it is held at, and how finely it is simulated."""
-        # `owed` has a coefficient for each span
-        models = {"": _digest(_model(machine[0]), machine[1:], UNEXPLAINED_RESIDUAL.spans)}
-        for name, fault in faults.items():
-            said = (list(fault.parameters), fault.names, fault.angles, fault.values, fault.inputs)
+    def of(cls, system: System, baseline: Baseline, coordinates: ChangeParameterSet) -> MachineDigest:
+        """Return the digest of a healthy machine and its faults."""
+        # the regression on the inputs has a coefficient for each span
+        how = baseline.values, baseline.refinement
+        models = {"": _digest(_model(system), how, UNEXPLAINED_RESIDUAL.spans)}
+        for name, fault in coordinates.faults.items():
+            said = (list(fault.parameters), fault.variable_map, fault.angles, fault.values, fault.inputs)
             models[name] = _digest(_model(System.of(fault.model)), said)
         names = tuple(f"{each.name}{' across' * each.second}" for each in coordinates.each)
-        return cls(models, names, coordinates.healthy, as_json(noise), tuple(map(_of_record, records)))
+        noise, records = as_json(baseline.noise_variance), tuple(map(_of_record, baseline.records))
+        return cls(models, names, coordinates.healthy, noise, records)
 
     def unlike(self, asked: MachineDigest, *, fewer: bool) -> BaselineSource | None:
-        """Return why it does not serve where something is asked, of `fewer` causes or of the same; None if it does."""
+        """Return the difference from a digest asked for, None if it serves; `fewer` allows fewer causes."""
         if any(self.models.get(name) != digest for name, digest in asked.models.items()):
             return BaselineSource.OTHER_MODELS
         mine, theirs = set(self.coordinates), set(asked.coordinates)
@@ -108,7 +89,7 @@ class MachineDigest:
         return [self.coordinates.index(name) for name in asked.coordinates]
 
     def among(self, shown: StoredBaseline, asked: MachineDigest) -> StoredBaseline:
-        """Return what was shown of the coordinates asked for, in their order, without a change of the others."""
+        """Return the sums of the coordinates asked for, in their order."""
         at = self._places(asked)
         said = tuple(InformationMatrix(each.matrix[np.ix_(at, at)], each.score[at]) for each in shown.said)
         return replace(shown, said=said)
@@ -116,34 +97,20 @@ class MachineDigest:
 
 @dataclass(frozen=True, eq=False)
 class StoredBaseline:
-    """What healthy records showed.
+    """Sums of healthy records, kept in ``baseline.npz``."""
 
-    Attributes
-    ----------
-    said : tuple of InformationMatrix
-        Of each record, on all coordinates and relative to the healthy ones.
-    owed : InformationMatrix
-        What the residuals owe to the inputs.
-    whitening : Whitening
-        By which all of it is white.
-    subject : MachineDigest or None
-        What a file of it is of.
-    path : Path or None
-        That file.
-    """
-
-    said: tuple[InformationMatrix, ...]
-    owed: InformationMatrix
+    said: tuple[InformationMatrix, ...]  # of each record, on all coordinates and relative to the healthy ones
+    owed: InformationMatrix  # regression of the residuals on the inputs
     whitening: Whitening
     subject: MachineDigest | None = None
-    path: Path | None = None
+    path: Path | None = None  # the file that it was read from
 
     def write(self, path: Path) -> Path:
         """Write ``baseline.npz`` and return its path."""
         assert self.subject is not None
-        text = {"version": __version__, "of": self.subject, "noise": self.whitening.models}
+        text = as_json(_Description(self.subject, self.whitening.models))
         arrays = {
-            "text": np.frombuffer(json.dumps(as_json(text)).encode(), np.uint8),
+            "text": np.frombuffer(json.dumps(text).encode(), np.uint8),
             "matrices": np.array([each.matrix for each in self.said]),
             "scores": np.array([each.score for each in self.said]),
             "owed": self.owed.matrix,
@@ -153,58 +120,45 @@ class StoredBaseline:
 
     @classmethod
     def read(cls, path: Path, *, needed: bool = True) -> StoredBaseline:
-        """Read a ``baseline.npz``.
-
-        Parameters
-        ----------
-        path : Path
-        needed : bool
-            Whether there are no records to examine again; else only the path of a damaged file is returned.
+        """Read a ``baseline.npz``; of a damaged one that is not `needed` only the path.
 
         Raises
         ------
         InputError
-            If it is needed and cannot be read, or is something else.
+            If it is needed and damaged, or another file.
         """
         try:
-            return cls._read(path)
-        except InputError:
-            if needed:
-                raise
-            return cls((), InformationMatrix(np.zeros((0, 0)), np.zeros(0)), Whitening({}), None, path)
-
-    @classmethod
-    def _read(cls, path: Path) -> StoredBaseline:
-        try:
             sums = read_arrays(path)
-            text = sums.pop("text").tobytes()
+            text = from_json(_Description, json.loads(sums.pop("text").tobytes()))
             said = tuple(map(InformationMatrix, sums["matrices"], sums["scores"]))
             owed = InformationMatrix(sums["owed"], sums["owed_score"])
+            return cls(said, owed, Whitening(text.noise), text.of, path)
         except (KeyError, ValueError, TypeError) as error:
-            raise InputError(f"{path} is not of fmuid identify, or not whole ({error}): {REMEDY}") from None
-        with read_content(text, path, KIND, REMEDY) as content:
-            own, noise = content["of"], content["noise"]
-            names, records = tuple(own["coordinates"]), tuple(own["records"])
-            subject = MachineDigest(own["models"], names, np.array(own["healthy"], dtype=float), own["noise"], records)
-            models = {
-                name: Autoregression(**each | {"coefficients": np.array(each["coefficients"], dtype=float)})
-                for name, each in noise.items()
-            }
-        return cls(said, owed, Whitening(models), subject, path)
+            if needed:
+                raise InputError(f"{path} is not of fmuid identify, or not whole ({error}): {REMEDY}") from None
+            return cls((), InformationMatrix(np.zeros((0, 0)), np.zeros(0)), Whitening({}), None, path)
+
+
+@dataclass(frozen=True, eq=False)
+class _Description:
+    """Text of a ``baseline.npz``."""
+
+    of: MachineDigest
+    noise: Mapping[str, Autoregression]
 
 
 def _model(system: System) -> Any:
-    """Return all that a model's outputs depend on beside values and inputs."""
+    """Return everything that a model's outputs depend on, except values and inputs."""
     components = {name: (each.fmu.digest, each.numerics) for name, each in system.components.items()}
     return components, system.connections, system.connectors, system.values, system.master
 
 
 def _digest(*content: Any) -> str:
-    return hashlib.sha256(json.dumps(as_json(content), sort_keys=True, default=str).encode()).hexdigest()
+    return hashlib.sha256(json.dumps(as_json(content), sort_keys=True).encode()).hexdigest()
 
 
 def _of_record(record: Experiment) -> str:
-    """Return the digest of the numbers that a record is compared by."""
+    """Return the digest of a record's numbers."""
     names = [record.input_names, record.output_names, record.interpolation]
     found = hashlib.sha256(_digest(names).encode())
     for each in (record.times, record.input_values, record.output_values, record.counted):
@@ -214,52 +168,49 @@ def _of_record(record: Experiment) -> str:
 
 @dataclass(frozen=True, eq=False)
 class Baseline:
-    """The healthy machine, as records are compared with it.
+    """The healthy machine of a diagnosis.
 
     Parameters
     ----------
     result : Result
         Of the healthy machine.
-    inflate : float or mapping of str to float
-        Factor on the standard deviations of its estimates for variations that are no fault (1.67); infinite for
-        parameters that may be anything.
+    std_factor : float or mapping of str to float
+        Factor on the standard deviations of its estimates for sound changes (1.67); infinite for any value.
     noise_variance : float or mapping of output to float, optional
-        Default: that of the result.
+        Default: the result's.
     parameters : mapping of str to Parameter
-        Nominal parameters with bounds, or of which the result knows nothing.
+        Nominal parameters with bounds, or without an estimate in the result.
     values : mapping
-        Variables of the nominal model held at a value; fault models have their own.
+        Fixed variables of the nominal model.
     records : sequence of Experiment
-        The healthy records, with the inputs and outputs of those to be diagnosed. With them errors of sensors and
-        supply are told from faults, and those that the machine always had are no news; four or more at different
-        operating points show the healthy model's own error, too.
+        Healthy data with the same inputs and outputs. They separate sensor and supply errors from faults; four or more
+        at different operating points also show the healthy model's error.
     trials : mapping of str to sequence of Experiment
-        Cause to records in which it alone is new: they show the fault models' error.
+        Data of known causes: they show the fault models' error.
     shown : StoredBaseline, optional
-        What the healthy records showed when the healthy machine was identified: taken where it is of the same machine,
-        faults and records, or none are given.
+        Sums of the healthy data from the identification, used where models, faults and data are the same.
 
     Attributes
     ----------
     common : dict of str to Parameter
-        The nominal parameters with what the healthy machine showed as their prior.
+        Nominal parameters with the healthy estimates as priors.
 
     Raises
     ------
     InputError
-        If the result has nothing to say, a factor is not positive, a parameter has a second prior, or trials
-        have no records beside them.
+        If the result has no estimate, a factor is not positive, a parameter has a second prior, or trials come without
+        healthy data.
 
     Examples
     --------
     >>> result = fmuid.identify(fmuid.datasets.coil().problem())
-    >>> healthy = fmuid.Baseline(result, inflate={"R": 10.0})
+    >>> healthy = fmuid.Baseline(result, std_factor={"R": 10.0})
     >>> round(healthy.common["R"].prior.std / result["R"].std, 1)
     10.2
     """
 
     result: Result
-    inflate: float | Mapping[str, float] = 1.0
+    std_factor: float | Mapping[str, float] = 1.0
     noise_variance: float | Mapping[str, float] | None = None
     parameters: Mapping[str, Parameter] = field(default_factory=dict)
     values: Mapping[str, float | int | bool | str] = field(default_factory=dict)
@@ -271,11 +222,11 @@ class Baseline:
     def __post_init__(self) -> None:
         if self.trials and not self.beside:
             raise InputError("trials are compared with healthy records: name the tables of the healthy machine, too")
-        object.__setattr__(self, "common", common_mode(self.result, self.inflate, self.parameters, self.values))
+        object.__setattr__(self, "common", common_mode(self.result, self.std_factor, self.parameters, self.values))
 
     @classmethod
     def of(cls, given: Self | Result | str | Path) -> Self:
-        """Return a baseline: the one given, or that of a result or of its ``result.json`` with nothing else known.
+        """Return a baseline, also of a result or of its ``result.json``.
 
         Raises
         ------
@@ -288,18 +239,18 @@ class Baseline:
 
     @property
     def beside(self) -> bool:
-        """Whether healthy records say what the sensors and the supply are like, too."""
+        """True if healthy data describe sensors and supply, too."""
         return bool(self.records) or self.shown is not None
 
     @property
     def refinement(self) -> Refinement:
-        """How much finer than asked for the healthy machine was simulated: what is compared with it must be, too."""
+        """Solver refinement of the healthy machine, and of all that is compared with it."""
         return refinement_of(self.result)
 
     @property
     def freedom(self) -> float:
-        """Degrees of freedom behind the noise variances; infinite where they are given."""
-        return float(self.result.degrees_of_freedom) if self.noise_variance is None else math.inf
+        """Degrees of freedom of the noise variances; infinite if given."""
+        return float(self.result.fit.degrees_of_freedom) if self.noise_variance is None else math.inf
 
     def variance(self, outputs: Sequence[str]) -> dict[str, float]:
         """Return the noise variance of each output.
@@ -307,7 +258,7 @@ class Baseline:
         Raises
         ------
         InputError
-            If that of one of them is not known.
+            If one is not known.
         """
         if self.noise_variance is not None:
             given = dict(zip(outputs, Noise(self.noise_variance).known(tuple(outputs)).tolist(), strict=True))
@@ -315,7 +266,7 @@ class Baseline:
                 if math.isnan(value):
                     raise InputError(f"noise.variance has none of {name!r}, and a diagnosis needs it: give it too")
             return given
-        known = self.result.variance
+        known = self.result.fit.variance
         for name in outputs:
             if name not in known:
                 raise InputError(
@@ -323,11 +274,3 @@ class Baseline:
                     "measure the same outputs, or give noise.variance"
                 )
         return {name: known[name] for name in outputs}
-
-    @property
-    def variances(self) -> Mapping[str, float]:
-        """The noise variances that are known, by output."""
-        if isinstance(self.noise_variance, Mapping):
-            return self.noise_variance
-        known = self.result.variance
-        return known if self.noise_variance is None else dict.fromkeys(known, self.noise_variance)

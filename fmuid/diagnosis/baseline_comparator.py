@@ -1,4 +1,4 @@
-"""New records beside healthy ones: the baseline of a machine, its sensors and its supply, and what is new."""
+"""A baseline ready to be compared with records."""
 
 from __future__ import annotations
 
@@ -12,44 +12,25 @@ from fmuid.array_types import Floats
 from fmuid.blas import single_threaded
 from fmuid.data import Experiment
 from fmuid.diagnosis.baseline import Baseline, BaselineSource, MachineDigest, StoredBaseline
-from fmuid.diagnosis.cause_analysis import BaselineStatistics, error_of, healthy_of, shown_by
+from fmuid.diagnosis.cause_analysis import BaselineStatistics, error_of, shown_by, whitening_of
 from fmuid.diagnosis.causes import SETTINGS as CAUSES
 from fmuid.diagnosis.causes import Causes, ChangeParameterSet, coordinates_of
 from fmuid.diagnosis.faults import Fault
-from fmuid.diagnosis.information_matrix import ChangePrior
+from fmuid.diagnosis.information_matrix import ChangePrior, Whitening
 from fmuid.diagnosis.linearized_machine import LinearizedMachine
-from fmuid.diagnosis.prewhitening import Whitening, whitening_of
 from fmuid.errors import InputError
 from fmuid.formatting import nearest
 from fmuid.models import System
 
-NOTHING_BESIDE = Causes(None, None, None, None, None)
-
 
 @dataclass(frozen=True, eq=False)
 class BaselineComparator:
-    """A healthy machine, as records are compared with it.
-
-    Attributes
-    ----------
-    system : System
-        The healthy machine.
-    baseline : Baseline
-    faults : mapping of str to Fault
-    coordinates : ChangeParameterSet
-    healthy : BaselineStatistics
-    basis : BaselineSource
-        Where the healthy machine is from.
-    shown : StoredBaseline or None
-        What the healthy records showed.
-    """
+    """A healthy machine, ready to be compared with records."""
 
     system: System
     baseline: Baseline
-    faults: Mapping[str, Fault]
     coordinates: ChangeParameterSet
     healthy: BaselineStatistics
-    basis: BaselineSource = BaselineSource.RECORDS
     shown: StoredBaseline | None = None
 
     @classmethod
@@ -58,36 +39,14 @@ class BaselineComparator:
         system: System,
         baseline: Baseline,
         faults: Mapping[str, Fault],
-        causes: Causes,
+        causes: Causes | None,
         experiments: Sequence[Experiment],
         *,
-        planned: bool = False,
         fewer: bool = False,
     ) -> BaselineComparator:
-        """Return that of a baseline with its records; without them, of its result alone and with the faults as causes.
+        """Return the comparator of a baseline and new experiments; without causes the faults alone are compared.
 
-        Parameters
-        ----------
-        system : System
-            The healthy machine.
-        baseline : Baseline
-        faults : mapping of str to Fault
-        causes : Causes
-            Beside the faults, where there are healthy records.
-        experiments : sequence of Experiment
-            To be compared.
-        planned : bool
-            Whether there will be a healthy record, and all causes are looked at.
-        fewer : bool
-            Whether what was kept beside more causes serves, too: not for what the residual owes to the inputs.
-
-        Raises
-        ------
-        InputError
-            If the records have other inputs or outputs than the first one, parameters are one per experiment, or there
-            are no healthy records and what others showed is of another machine.
-        SimulationError
-            If the healthy machine cannot be simulated.
+        A design needs no regression on the inputs: a file of more causes serves it, too (`fewer`).
         """
         first = (*baseline.records, *experiments)[0]
         _check(first, [*baseline.records[1:], *experiments], baseline)
@@ -98,23 +57,43 @@ class BaselineComparator:
                 raise InputError(f"fault {name!r}: {error}") from None
         variance = baseline.variance(first.output_names)
         noise = {name: math.sqrt(value) for name, value in variance.items()}
-        beside = causes if baseline.beside or planned else NOTHING_BESIDE
+        beside = causes or Causes(None, None, None, None, None)
         coordinates = coordinates_of(system, baseline.common, faults, first, noise, beside)
-        drift = _drift(baseline, coordinates)
+        known, drift = _of_result(baseline, coordinates)
+        made = cls(system, baseline, coordinates, BaselineStatistics(known, Whitening.white(variance), drift))
         if not baseline.beside:
-            healthy = BaselineStatistics(_by_result(baseline, coordinates), Whitening.white(variance), drift)
-            return cls(system, baseline, faults, coordinates, healthy, BaselineSource.RESULT)
-        basis, shown = _shown(system, baseline, faults, coordinates, variance, fewer=fewer)
-        return cls(system, baseline, faults, coordinates, healthy_of(shown, coordinates, drift), basis, shown)
+            return made
+        basis, shown = made._shown(variance, fewer=fewer)
+        return replace(made, healthy=BaselineStatistics.of(shown, coordinates, drift, basis), shown=shown)
+
+    @property
+    def basis(self) -> BaselineSource:
+        """Source of the healthy machine."""
+        return self.healthy.basis
+
+    def _shown(self, variance: Mapping[str, float], *, fewer: bool) -> tuple[BaselineSource, StoredBaseline]:
+        """Return the sums of the healthy records, from the file where it fits, and their source."""
+        baseline, coordinates = self.baseline, self.coordinates
+        given, known, basis = baseline.noise_variance, baseline.shown, BaselineSource.RECORDS
+        asked = MachineDigest.of(self.system, baseline, coordinates)
+        if known is not None and known.subject is not None:
+            unlike = known.subject.unlike(asked, fewer=fewer)
+            if unlike is None:
+                return BaselineSource.FILE, known.subject.among(known, asked)
+            if not baseline.records:
+                raise InputError(
+                    f"{known.path} is of {unlike.value} than this study: identify the healthy study again with these, "
+                    "or name its tables as records"
+                )
+            basis = unlike
+        elif known is not None and known.path is not None:
+            basis = BaselineSource.DAMAGED
+        records = [self.machine(each) for each in baseline.records]
+        whitening = whitening_of(records, coordinates.healthy, coordinates.normal, None if given is None else variance)
+        return basis, replace(shown_by(records, whitening, coordinates), subject=asked)
 
     def model_error(self, stated: float, level: float) -> float:
-        """Return κ: the largest that the trials of the baseline show, or without them what is stated.
-
-        Raises
-        ------
-        InputError
-            If the trials are of no cause that there is, or show nothing new.
-        """
+        """Return κ: the largest of the known faults' data, or without them the stated one."""
         if not self.baseline.trials:
             return stated
         causes, found = {cause.name: cause for cause in self.coordinates.causes}, []
@@ -132,74 +111,26 @@ class BaselineComparator:
 
     def machine(self, experiment: Experiment) -> LinearizedMachine:
         """Return the machine over a record."""
-        return _machine(self.system, self.baseline, self.faults, self.coordinates, experiment)
+        baseline = self.baseline
+        return LinearizedMachine(self.system, baseline.values, self.coordinates, experiment, baseline.refinement)
 
 
 @single_threaded
 def compute_stored_baseline(
     baseline: Baseline, faults: Mapping[str, Fault], system: System, causes: Causes
 ) -> StoredBaseline:
-    """Return what the records of a baseline show of the healthy machine and of all causes.
+    """Return the sums of a baseline's records on the healthy machine and all causes.
 
     Raises
     ------
-    InputError, SimulationError
-        As `BaselineComparator.of`.
+    InputError
+        If records, models and faults do not fit together.
+    SimulationError
+        If the healthy machine cannot be simulated.
     """
     shown = BaselineComparator.of(system, baseline, faults, causes, []).shown
     assert shown is not None  # there are records
     return shown
-
-
-def _shown(
-    system: System,
-    baseline: Baseline,
-    faults: Mapping[str, Fault],
-    coordinates: ChangeParameterSet,
-    variance: Mapping[str, float],
-    *,
-    fewer: bool,
-) -> tuple[BaselineSource, StoredBaseline]:
-    """Return what healthy records showed, of the file where that fits, and where it is from."""
-    given, known, basis = baseline.noise_variance, baseline.shown, BaselineSource.RECORDS
-    how = system, baseline.values, baseline.refinement
-    asked = MachineDigest.of(how, faults, coordinates, given, baseline.records)
-    if known is not None and known.subject is not None:
-        unlike = known.subject.unlike(asked, fewer=fewer)
-        if unlike is None:
-            return BaselineSource.FILE, known.subject.among(known, asked)
-        if not baseline.records:
-            raise InputError(
-                f"{known.path} is of {unlike.value} than this study: identify the healthy study again with these, or "
-                "name its tables as records"
-            )
-        basis = unlike
-    elif known is not None and known.path is not None:
-        basis = BaselineSource.DAMAGED
-    records = [_machine(system, baseline, faults, coordinates, each) for each in baseline.records]
-    whitening = whitening_of(records, coordinates.healthy, coordinates.normal, None if given is None else variance)
-    return basis, replace(shown_by(records, whitening, coordinates), subject=asked)
-
-
-def _machine(
-    system: System,
-    baseline: Baseline,
-    faults: Mapping[str, Fault],
-    coordinates: ChangeParameterSet,
-    experiment: Experiment,
-) -> LinearizedMachine:
-    return LinearizedMachine(
-        system, baseline.values, baseline.common, faults, coordinates, experiment, baseline.refinement
-    )
-
-
-def _by_result(baseline: Baseline, coordinates: ChangeParameterSet) -> ChangePrior:
-    """Return what the healthy result alone says: its estimates, and no fault."""
-    std = np.zeros(len(coordinates.each))
-    known = dict(zip(baseline.result.names, baseline.result.std.tolist(), strict=True))
-    for i, name in enumerate(baseline.common):
-        std[i] = known.get(name, 0.0)
-    return ChangePrior(np.zeros(std.size), np.diag(std**2))
 
 
 def _check(first: Experiment, others: Sequence[Experiment], baseline: Baseline) -> None:
@@ -211,6 +142,13 @@ def _check(first: Experiment, others: Sequence[Experiment], baseline: Baseline) 
                     f"{each.source} has the {role}s {', '.join(sorted(own)) or 'none'}, and the healthy record "
                     f"{first.source} {', '.join(sorted(wanted)) or 'none'}: they must be the same"
                 )
+    for record in baseline.records:
+        # planned outputs count without a value
+        there = np.any(record.counted & ~np.isnan(record.output_values), axis=0)
+        for j in np.flatnonzero(~there):
+            raise InputError(
+                f"{record.source} has no sample of {record.output_names[j]!r}. Leave it out of the healthy data."
+            )
     for name, parameter in baseline.common.items():
         if parameter.per_experiment:
             raise InputError(
@@ -219,13 +157,14 @@ def _check(first: Experiment, others: Sequence[Experiment], baseline: Baseline) 
             )
 
 
-def _drift(baseline: Baseline, coordinates: ChangeParameterSet) -> Floats:
-    """Return what the healthy parameters may have changed by without being a fault (N,): what `inflate` adds."""
-    drift = np.zeros(len(coordinates.each))
+def _of_result(baseline: Baseline, coordinates: ChangeParameterSet) -> tuple[ChangePrior, Floats]:
+    """Return the prior of the healthy result alone, and the standard deviations of sound changes (N,)."""
+    std, drift = np.zeros(len(coordinates.each)), np.zeros(len(coordinates.each))
     known = dict(zip(baseline.result.names, baseline.result.std.tolist(), strict=True))
     for i, (name, parameter) in enumerate(baseline.common.items()):
+        std[i] = known.get(name, 0.0)
         if parameter.prior is None or name not in known:
             drift[i] = CAUSES.open * (parameter.nominal or abs(parameter.start) or 1.0)
         else:
             drift[i] = math.sqrt(max(0.0, parameter.prior.std**2 - known[name] ** 2))
-    return drift
+    return ChangePrior(np.zeros(std.size), np.diag(std**2)), drift

@@ -1,4 +1,4 @@
-"""Which cause it is: odds between single causes and pairs, and what cannot be told apart from what."""
+"""Odds of single causes and pairs; indistinguishable causes."""
 
 from __future__ import annotations
 
@@ -18,29 +18,13 @@ from fmuid.diagnosis.information_matrix import ScoreStatistics
 
 @dataclass(frozen=True)
 class RankingSettings:
-    """Numbers of the ranking of causes.
+    """Numbers of the ranking."""
 
-    Attributes
-    ----------
-    odds : float
-        Causes within these odds of the best one are all named: beyond it evidence is strong (Kass and Raftery,
-        section 3.2).
-    excluded : float
-        The share of records in which a rival must be excluded so.
-    own_share : float
-        The share of κ that a fault model has wrong along its own signature, which is its size: 0.04 to 0.4 with
-        shorted turns and broken bars, whose sizes are known (experiments/machine_faults).
-    hopeless : float
-        Pairs whose statistic is so much below the best pair's cannot come within the odds.
-    same : float
-        Signatures with a smaller sin² of their angle are identical.
-    """
-
-    odds: float = 20.0
-    excluded: float = 0.9
-    own_share: float = 0.25
-    hopeless: float = 30.0
-    same: float = 1e-9
+    odds: float = 20.0  # of the best cause over those named beside it: strong evidence (Kass and Raftery, section 3.2)
+    excluded: float = 0.9  # share of records in which a rival must be excluded so
+    own_share: float = 0.25  # of κ in a fault's size: 0.04 to 0.4 in experiments/machine_faults
+    hopeless: float = 30.0  # statistic below the best pair's from which a pair cannot come within the odds
+    same: float = 1e-9  # sin² of the angle of identical signatures
 
 
 SETTINGS = RankingSettings()
@@ -52,55 +36,32 @@ MODEL_ERROR = 0.05
 
 @dataclass(frozen=True, eq=False)
 class CauseSet:
-    """A cause, or two of them, that explains what is new.
-
-    Attributes
-    ----------
-    causes : tuple of Cause
-    odds : float
-        Against the best explanation: 1 for that itself, less for others.
-    fit : CauseFit
-        Sizes and their covariance, in which each cause has the error of the other's model.
-    """
+    """One or two causes that explain a change."""
 
     causes: tuple[Cause, ...]
-    odds: float
-    fit: CauseFit
+    odds: float  # against the best explanation
+    fit: CauseFit  # each cause has the error of the other's model
 
     @property
     def names(self) -> tuple[str, ...]:
-        """The names of its causes."""
+        """Names of its causes."""
         return tuple(cause.name for cause in self.causes)
 
     @property
     def columns(self) -> list[int]:
-        """The coordinates of its causes, in the order of the sizes."""
+        """Coordinates of its causes, in the order of the sizes."""
         return [i for cause in self.causes for i in cause.columns]
 
 
 @dataclass(frozen=True, eq=False)
 class CauseRanking:
-    """What is new in a record.
+    """Decision about a change, and its causes."""
 
-    Attributes
-    ----------
-    statistics : dict of str to float
-        D of each cause alone.
-    probability : float
-        That chance makes any cause as likely.
-    alarm : bool
-        Whether that is below the level.
-    named : tuple of CauseSet
-        The best one, and those that the data do not exclude beside it; empty without an alarm.
-    temper : float
-        By which evidence is divided after the alarm: 1 + κ² D of the strongest fault.
-    """
-
-    statistics: dict[str, float]
-    probability: float
+    statistics: dict[str, float]  # D of each cause alone
+    probability: float  # of the likeliest cause by chance, for all causes
     alarm: bool
-    named: tuple[CauseSet, ...] = ()
-    temper: float = 1.0
+    named: tuple[CauseSet, ...] = ()  # best first, then those not excluded; empty without an alarm
+    temper: float = 1.0  # divisor of evidence after the alarm: 1 + κ² D of the strongest fault
 
 
 def name(
@@ -111,18 +72,9 @@ def name(
     chance: MinPDistribution | None = None,
     model_error: float = MODEL_ERROR,
 ) -> CauseRanking:
-    """Decide whether anything is new, and which cause or pair of causes it is.
+    """Decide about a change at a level, and rank single causes and pairs.
 
-    Parameters
-    ----------
-    news : ScoreStatistics
-    causes : sequence of Cause
-    level : float
-        Probability of an alarm where nothing is new; pairs have the same beside single causes.
-    chance : MinPDistribution, optional
-        Of records like this one; drawn where it is not given.
-    model_error : float
-        κ: the fault models' error along any other signature, as a share of their own effect.
+    The null distribution `chance` is drawn where it is not given. κ is `model_error`.
     """
     if not causes:
         return CauseRanking({}, 1.0, False)
@@ -140,7 +92,7 @@ def name(
 def rank_with_model_error(
     news: ScoreStatistics, causes: Sequence[Cause], level: float, model_error: float
 ) -> tuple[float, tuple[CauseSet, ...]]:
-    """Return what something new is, and by what evidence was divided for the models' error; as for `name`."""
+    """Return the divisor of the evidence by the models' error, and the causes of a change; arguments as for `name`."""
     alone = {cause: fit(news, (cause,)).statistic for cause in causes}
     temper = 1.0 + model_error**2 * max((d for cause, d in alone.items() if cause.modelled), default=0.0)
     sets = _pairs(news, causes, max(alone.values()), temper, level) or [(cause,) for cause in causes]
@@ -154,7 +106,7 @@ def rank_with_model_error(
 def _pairs(
     news: ScoreStatistics, causes: Sequence[Cause], single: float, temper: float, level: float
 ) -> list[tuple[Cause, ...]]:
-    """Return the pairs that may be it, none where the best one explains no more than a single cause does."""
+    """Return the pairs in question, none where the best one explains no more than a single cause."""
     pairs = list(itertools.combinations(causes, 2))
     if not pairs:
         return []
@@ -167,7 +119,7 @@ def _pairs(
 
 
 def _together(news: ScoreStatistics, pairs: Sequence[tuple[Cause, Cause]]) -> Floats:
-    """Return D of pairs: of two single coordinates in closed form, at once."""
+    """Return D of pairs; of two single coordinates in closed form."""
     found = np.array([0.0 if len(a.columns + b.columns) == 2 else fit(news, (a, b)).statistic for a, b in pairs])
     plain = [k for k, (a, b) in enumerate(pairs) if len(a.columns + b.columns) == 2]
     i, j = np.array([[cause.columns[0] for cause in pairs[k]] for k in plain], dtype=int).reshape(-1, 2).T
@@ -185,11 +137,10 @@ def _together(news: ScoreStatistics, pairs: Sequence[tuple[Cause, Cause]]) -> Fl
 
 
 def estimate_sizes(news: ScoreStatistics, causes: Sequence[Cause], model_error: float) -> CauseFit:
-    """Return the sizes of a cause or of two, each with what the errors of fault models may add to its variance.
+    """Return the sizes of one or two causes, with the fault models' error in their covariance.
 
-    What κ bounds is what a model leaves when its own size is fitted: it is orthogonal to its own signature and does not
-    move that size. Along the part of another's signature that is orthogonal to it, it has κ √D, which the other size
-    takes for its own. The size itself is wrong by a share of κ.
+    κ bounds the misfit of a model at its own best size. Along another's orthogonal part it has κ √D, which the other
+    size takes for its own. The own size is wrong by a share of κ.
     """
     found = fit(news, causes)
     first = np.arange(len(found.sizes)) < len(causes[0].columns)
@@ -211,10 +162,10 @@ def estimate_sizes(news: ScoreStatistics, causes: Sequence[Cause], model_error: 
 
 
 def log_bayes_factor(news: ScoreStatistics, causes: Sequence[Cause]) -> float:
-    """Return the logarithm of the Bayes factor of some causes against nothing new.
+    """Return the log Bayes factor of some causes against no change.
 
-    Their sizes are N(0, size²), half-normal where the sign is known: ½ hᵀ(F + τ⁻²)⁻¹h − ½ ln|I + τFτ|, and the ratio
-    of the probabilities that all signs are right, after the record and before.
+    Sizes are N(0, size²), half-normal with a known sign: ½ hᵀ(F + τ⁻²)⁻¹h − ½ ln|I + τFτ|, and the ratio of the
+    probabilities of the right signs, after the record and before.
     """
     columns = [i for cause in causes for i in cause.columns]
     slab = np.array([cause.size for cause in causes for _ in cause.columns])
@@ -229,7 +180,7 @@ def log_bayes_factor(news: ScoreStatistics, causes: Sequence[Cause]) -> float:
 
 
 def _log_right_signs(mean: Floats, covariance: Floats, signs: Floats, signed: np.ndarray) -> float:
-    """Return the log-probability that the signed sizes have their signs."""
+    """Return the log-probability of the right signs."""
     if not signed.size:
         return 0.0
     own = (mean * signs)[signed] / np.sqrt(np.diag(covariance)[signed])
@@ -244,7 +195,7 @@ def _log_right_signs(mean: Floats, covariance: Floats, signs: Floats, signed: np
 
 
 def angle(news: ScoreStatistics, one: Cause, other: Cause) -> float:
-    """Return the smallest angle between the signatures of two causes, beside all that may change, in rad."""
+    """Return the smallest angle between two signatures, beside all that may change, rad."""
     roots = [np.linalg.cholesky(news.part(cause.columns)[0]) for cause in (one, other)]
     between = news.information[np.ix_(list(one.columns), list(other.columns))]
     cosines = np.linalg.solve(roots[0], np.linalg.solve(roots[1], between.T).T)
@@ -252,10 +203,9 @@ def angle(news: ScoreStatistics, one: Cause, other: Cause) -> float:
 
 
 def distinguishable_size(news: ScoreStatistics, one: Cause, other: Cause, model_error: float = MODEL_ERROR) -> float:
-    """Return the size from which the other cause is excluded by the odds in 90 % of records; infinite if never.
+    """Return the size from which the other cause is excluded in 90 % of records; infinite if never.
 
-    What tells them apart, D sin²φ, scatters by its root, and both are divided by 1 + κ² D: ½ D sin²φ − z √D sin φ >
-    ln 20 (1 + κ² D), where z is the 90 % point of the normal distribution.
+    From ½ D sin²φ − z √D sin φ > ln 20 (1 + κ² D), with z the 90 % point of the normal distribution.
     """
     sine = math.sin(angle(news, one, other))
     z, strong = float(special.ndtri(SETTINGS.excluded)), math.log(SETTINGS.odds)

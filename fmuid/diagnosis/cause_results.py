@@ -1,9 +1,9 @@
-"""What is new in a record, in numbers that stand alone: causes, their sizes, and the odds between them."""
+"""Numbers of a change that stand alone: causes, sizes and odds."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Annotated
 
@@ -12,17 +12,16 @@ from pydantic import BeforeValidator
 from scipy import special
 
 from fmuid.diagnosis.baseline import BaselineSource
-from fmuid.diagnosis.cause_analysis import Examination
-from fmuid.diagnosis.cause_ranking import angle
+from fmuid.diagnosis.cause_ranking import CauseSet, angle
 from fmuid.diagnosis.causes import Cause, CauseKind, ChangeParameterSet, name_of
 from fmuid.diagnosis.change_detection import CauseFit, fit, probability
-from fmuid.diagnosis.faults import Fault
+from fmuid.diagnosis.information_matrix import ScoreStatistics
 from fmuid.diagnosis.unexplained_residual import UnexplainedResidual
 from fmuid.estimation import check_level
 
 
 def _instead(missing: float) -> BeforeValidator:
-    """Return what stands for None in a file, where numbers that are not finite are None."""
+    """Return a validator that replaces None, which stands for numbers that are not finite in a file."""
     return BeforeValidator(lambda value: missing if value is None else value)
 
 
@@ -41,11 +40,10 @@ class EstimatedChange:
     variable : str
         Parameter, fault parameter, output or input.
     fault : str
-        The fault of a fault parameter, "" otherwise.
+        Of a fault parameter, "" otherwise.
     value, std : float
-        Of gains a share, of delays s; the standard deviation is infinite where the record does not determine it.
+        Of gains a share, of delays s; infinite std if not identifiable.
     unit : str
-        "" without.
     min, max : float
         Bounds.
     angle : str
@@ -68,12 +66,12 @@ class EstimatedChange:
 
     @property
     def label(self) -> str:
-        """What it is called in tables: ``turns.dR``, ``gain(i)``, ``R``."""
+        """Name in tables: ``turns.dR``, ``gain(i)``, ``R``."""
         return name_of(self.kind, self.variable, self.fault)
 
     @property
     def is_determined(self) -> bool:
-        """Whether the record determines it beside all that may change."""
+        """True if the record determines it beside all that may change."""
         return math.isfinite(self.std)
 
     def interval(self, level: float = 0.95) -> tuple[float, float]:
@@ -91,18 +89,17 @@ class EstimatedChange:
 
 @dataclass(frozen=True)
 class CauseScore:
-    """A cause alone, as it explains the record.
+    """A cause alone as the explanation.
 
     Attributes
     ----------
     change : EstimatedChange
-        At the healthy machine, or where the models were linearised last.
     statistic : float
         D.
     probability : float
-        That chance explains as much, of this cause by itself.
+        By chance, of this cause by itself.
     rival : str
-        The cause whose signature is nearest, "" without others.
+        Cause with the nearest signature, "" without others.
     rival_angle : float
         Between the two signatures, rad.
     """
@@ -130,37 +127,35 @@ class Explanation:
 
     @property
     def faults(self) -> tuple[str, ...]:
-        """The faults among them."""
+        """Faults among them."""
         return tuple(dict.fromkeys(each.fault for each in self.changes if each.fault))
 
 
 @dataclass(frozen=True)
 class ChangeEvidence:
-    """What is new in a record.
+    """Evidence of changes in a record.
 
     Attributes
     ----------
     probability : float
-        That chance makes any cause as likely where nothing is new.
+        Of the likeliest cause by chance, for all causes.
     alarm : bool
-        Whether that is below the level.
+        It is below the level.
     explanations : tuple of Explanation
-        The best one first, then all that the record does not exclude beside it.
+        Best first, then all that are not excluded.
     suspects : tuple of CauseScore
         Every cause alone.
     model_error : float
-        κ, stated or measured on trials.
+        κ, stated or measured.
     temper : float
-        By which evidence is divided after the alarm, for the models' own error.
+        Divisor of evidence after the alarm, for the models' error.
     ratio, without : float
         Variance of the residual over the noise, with the best explanation and without any.
     samples : int
     steady : bool
-        Whether the name stayed when the models were linearised there.
+        The name stayed in the last linearisation.
     remainder : UnexplainedResidual
-        What no cause explains beside healthy records.
     basis : BaselineSource
-        Where the healthy machine is from.
     """
 
     probability: float
@@ -178,7 +173,7 @@ class ChangeEvidence:
 
     @property
     def explained(self) -> float:
-        """How much of what is new the best explanation explains, a share; 0 without an alarm."""
+        """Explained share of the change; 0 without an alarm."""
         if not self.alarm:
             return 0.0
         if self.basis is BaselineSource.RESULT:
@@ -189,33 +184,17 @@ class ChangeEvidence:
 
     @property
     def faults(self) -> tuple[str, ...]:
-        """The faults named, the most likely first."""
+        """Named faults, the most likely first."""
         return tuple(dict.fromkeys(name for each in self.explanations for name in each.faults))
 
-    @classmethod
-    def of(cls, found: Examination, faults: Mapping[str, Fault], basis: BaselineSource) -> ChangeEvidence:
-        """Return the numbers of an examination."""
-        naming, coordinates = found.naming, found.coordinates
-        return cls(
-            naming.probability,
-            naming.alarm,
-            tuple(Explanation(changes(each.causes, each.fit, coordinates, faults), each.odds) for each in naming.named),
-            tuple(_suspect(found, cause, faults) for cause in coordinates.causes),
-            found.model_error,
-            naming.temper,
-            found.ratio,
-            found.without,
-            found.samples,
-            found.steady,
-            found.remainder,
-            basis,
-        )
+
+def explanations(named: Sequence[CauseSet], coordinates: ChangeParameterSet) -> tuple[Explanation, ...]:
+    """Return named causes with their sizes and odds."""
+    return tuple(Explanation(changes(each.causes, each.fit, coordinates), each.odds) for each in named)
 
 
-def changes(
-    causes: Sequence[Cause], found: CauseFit, coordinates: ChangeParameterSet, faults: Mapping[str, Fault]
-) -> tuple[EstimatedChange, ...]:
-    """Return causes with their sizes; a vector of the plane is a size with its angle."""
+def changes(causes: Sequence[Cause], found: CauseFit, coordinates: ChangeParameterSet) -> tuple[EstimatedChange, ...]:
+    """Return causes with their sizes; a vector of the plane becomes a size with its angle."""
     said, first = [], 0
     for cause in causes:
         at = slice(first, first + len(cause.columns))
@@ -226,7 +205,7 @@ def changes(
                 of.kind, of.variable, of.fault, float(size[0]), math.sqrt(float(covariance[0, 0])), of.unit
             )
             if of.fault:
-                parameter = faults[of.fault].parameters[of.variable]
+                parameter = coordinates.faults[of.fault].parameters[of.variable]
                 change = replace(change, min=parameter.min, max=parameter.max)
             said.append(change)
             continue
@@ -234,19 +213,22 @@ def changes(
         along = size / length if length else np.array([1.0, 0.0])
         across = np.array([-along[1], along[0]])
         std, aside = (math.sqrt(float(each @ covariance @ each)) for each in (along, across))
-        name, value, turn = faults[of.fault].direction(of.variable, size.tolist())
+        name, value, turn = coordinates.faults[of.fault].direction(of.variable, size.tolist())
         off = turn * aside / length if length else math.inf
         change = EstimatedChange(of.kind, of.variable, of.fault, length, std, of.unit, min=0.0)
         said.append(replace(change, angle=name, angle_value=value, angle_std=off))
     return tuple(said)
 
 
-def _suspect(found: Examination, cause: Cause, faults: Mapping[str, Fault]) -> CauseScore:
-    if cause not in found.at.causes:
-        at, none = found.coordinates.each[cause.columns[0]], math.inf
+def score(
+    cause: Cause, news: ScoreStatistics, determined: Sequence[Cause], coordinates: ChangeParameterSet
+) -> CauseScore:
+    """Return a cause alone, beside the other causes that the records determine."""
+    if cause not in determined:
+        at, none = coordinates.each[cause.columns[0]], math.inf
         return CauseScore(EstimatedChange(at.kind, at.variable, at.fault, 0.0, none, at.unit), 0.0, 1.0, "", math.nan)
-    alone = fit(found.at.news, (cause,))
-    change = changes((cause,), alone, found.coordinates, faults)[0]
-    near = {other.name: angle(found.at.news, cause, other) for other in found.at.causes if other is not cause}
+    alone = fit(news, (cause,))
+    near = {other.name: angle(news, cause, other) for other in determined if other is not cause}
     rival = min(near, key=lambda each: near[each], default="")
-    return CauseScore(change, alone.statistic, probability(alone.statistic, cause), rival, near.get(rival, math.nan))
+    own = changes((cause,), alone, coordinates)[0], alone.statistic, probability(alone.statistic, cause)
+    return CauseScore(*own, rival, near.get(rival, math.nan))

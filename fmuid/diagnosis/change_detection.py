@@ -1,4 +1,4 @@
-"""Is anything new: what causes explain, and from where on that is too much for chance, also as windows come.
+"""Test for changes: statistics of causes, and their null distribution, also window by window.
 
 References
 ----------
@@ -23,38 +23,25 @@ from fmuid.diagnosis.information_matrix import ScoreStatistics
 
 @dataclass(frozen=True)
 class DetectionSettings:
-    """Numbers of the tests.
+    """Numbers of the tests."""
 
-    Attributes
-    ----------
-    overshoot : float
-        A random walk jumps over a threshold: its factor is exp(−this · step) (Siegmund, "Sequential Analysis",
-        1985, p. 82).
-    draws : int
-        Of the smallest probability of all causes: a level of 1 % to a fourteenth of itself.
-    seed : int
-        Of these draws.
-    counted : int
-        Below so many counted draws, the bound m p is closer than the count.
-    """
-
-    overshoot: float = 0.583
-    draws: int = 20_000
-    seed: int = 0
-    counted: int = 100
+    overshoot: float = 0.583  # of a random walk: exp(−this · step) (Siegmund, "Sequential Analysis", 1985, p. 82)
+    draws: int = 20_000  # of the smallest probability of all causes: a level of 1 % to a fourteenth of itself
+    seed: int = 0  # of the draws
+    counted: int = 100  # draws below which the bound m p is closer than the count
 
 
 SETTINGS = DetectionSettings()
 
 
 def log_chance(statistics: Floats, cause: Cause) -> Floats:
-    """Return the log probability that a cause explains so much where it is not there."""
+    """Return the log probability of statistics without the cause."""
     found = log_tail(statistics, len(cause.columns))
     return np.where(statistics > 0, found - (math.log(2.0) if cause.sign else 0.0), 0.0)
 
 
 def log_tail(statistics: Floats, degrees: int) -> Floats:
-    """Return the log probability that χ² exceeds statistics, also far out, where the probability itself is 0."""
+    """Return the log probability that χ² exceeds statistics, also where the probability underflows."""
     at = np.maximum(statistics, 0.0)
     if degrees == 1:
         return np.asarray(special.log_ndtr(-np.sqrt(at)) + math.log(2.0))
@@ -68,7 +55,7 @@ def log_tail(statistics: Floats, degrees: int) -> Floats:
 
 
 def log_chances(statistics: Floats, causes: Sequence[Cause]) -> Floats:
-    """Return the same of several causes: of statistics (T, m), one column a cause."""
+    """Return `log_chance` of several causes: of statistics (T, m), one column a cause."""
     found = np.empty(statistics.shape)
     kinds = [(len(cause.columns), bool(cause.sign)) for cause in causes]
     for kind in set(kinds):
@@ -78,21 +65,10 @@ def log_chances(statistics: Floats, causes: Sequence[Cause]) -> Floats:
 
 
 def log_limit(level: float, causes: Sequence[Cause], windows: int) -> float:
-    """Return the log probability of one onset and one cause below which a window alarms by chance at a level.
+    """Return the log probability of one onset and cause below which a window alarms, at a level and window count.
 
-    Parameters
-    ----------
-    level : float
-        Probability that this window raises a false alarm, of any cause from any onset.
-    causes : sequence of Cause
-    windows : int
-        Seen up to now, this one included: with the first one there is one onset.
-
-    Notes
-    -----
-    D of an onset is χ²_k. As windows come, D over all onsets rises above b² for the first time at a rate of
-    b² f_k(b²) ∫ x ν²(x) dx a window, x from b/√windows to b (Siegmund and Venkatraman for k = 1), beside the newest
-    onset by itself.
+    D of an onset is χ²_k. Over all onsets it first rises above b² at a rate of b² f_k(b²) ∫ x ν²(x) dx a window, x from
+    b/√windows to b (Siegmund and Venkatraman for k = 1), beside the newest onset.
     """
     from scipy.optimize import brentq  # slow to import
 
@@ -123,25 +99,15 @@ FALSE_ALARM_LEVEL = 0.01
 
 @dataclass(frozen=True, eq=False)
 class CauseFit:
-    """The sizes of a set of causes that explain what is new best.
+    """Sizes of causes that fit best."""
 
-    Attributes
-    ----------
-    statistic : float
-        D, what they explain: 2 (log-likelihood with them − without).
-    sizes : (k,) array
-        In the order of the causes' coordinates; zero where a sign keeps it there.
-    covariance : (k, k) array
-        Of the sizes, zero where one is kept at zero.
-    """
-
-    statistic: float
-    sizes: Floats
-    covariance: Floats
+    statistic: float  # D = 2 (log-likelihood with them − without)
+    sizes: Floats  # (k,) in the order of the causes' coordinates; zero where a sign keeps it there
+    covariance: Floats  # (k, k), zero for a size kept at zero
 
 
 def fit(news: ScoreStatistics, causes: Sequence[Cause]) -> CauseFit:
-    """Return the most likely sizes of some causes together, each with its sign."""
+    """Return the maximum-likelihood sizes of causes, each with its sign."""
     columns = [i for cause in causes for i in cause.columns]
     signs = np.array([cause.sign for cause in causes for _ in cause.columns])
     information, score = news.part(columns)
@@ -160,24 +126,16 @@ def fit(news: ScoreStatistics, causes: Sequence[Cause]) -> CauseFit:
             sizes = covariance @ score[kept]
             statistic = float(score[kept] @ sizes)
             if np.all(sizes * signs[kept] >= 0) and statistic > best.statistic:
-                best = _placed(statistic, kept, np.asarray(sizes), np.asarray(covariance), len(columns))
+                # sizes kept at zero have no covariance
+                best = CauseFit(statistic, np.zeros_like(best.sizes), np.zeros_like(best.covariance))
+                best.sizes[kept], best.covariance[np.ix_(kept, kept)] = sizes, covariance
         if best.statistic > 0 and count == 0:
             break  # the free optimum has the right signs
     return best
 
 
-def _placed(statistic: float, kept: Sequence[int], sizes: Floats, covariance: Floats, columns: int) -> CauseFit:
-    """Return a fit with zeros where a size is kept at zero."""
-    if len(kept) == columns:
-        return CauseFit(statistic, sizes, covariance)
-    all_sizes, whole = np.zeros(columns), np.zeros((columns, columns))
-    all_sizes[list(kept)] = sizes
-    whole[np.ix_(kept, kept)] = covariance
-    return CauseFit(statistic, all_sizes, whole)
-
-
 def probability(statistic: float, cause: Cause) -> float:
-    """Return how likely a cause explains so much where it is not there: χ²_k, half of χ²_1 where its sign is known."""
+    """Return the probability of a statistic without the cause: χ²_k, half of χ²_1 if its sign is known."""
     if statistic <= 0:
         return 1.0
     return float(special.chdtrc(len(cause.columns), statistic)) * (0.5 if cause.sign else 1.0)
@@ -185,21 +143,14 @@ def probability(statistic: float, cause: Cause) -> float:
 
 @dataclass(frozen=True, eq=False)
 class MinPDistribution:
-    """How small the smallest probability of all causes is where nothing is new (min-p of Westfall and Young).
+    """Null distribution of the smallest probability of all causes (min-p, Westfall and Young)."""
 
-    Attributes
-    ----------
-    smallest : (draws,) array
-        Sorted.
-    causes : int
-    """
-
-    smallest: Floats
+    smallest: Floats  # (draws,), sorted
     causes: int
 
     @classmethod
     def of(cls, news: ScoreStatistics, causes: Sequence[Cause], draws: int = SETTINGS.draws) -> MinPDistribution:
-        """Return that of scores drawn from N(0, F), whose correlations the causes share."""
+        """Return the distribution for scores drawn from N(0, F)."""
         values, vectors = np.linalg.eigh(news.information)
         normal = np.random.default_rng(SETTINGS.seed).standard_normal((draws, values.size))
         scores = (normal * np.sqrt(np.maximum(values, 0.0))) @ vectors.T
@@ -220,28 +171,20 @@ class MinPDistribution:
         return cls(np.sort(found), len(causes))
 
     def limit(self, level: float) -> float:
-        """Return what the smallest probability falls below by chance with probability `level`."""
+        """Return the quantile of a level."""
         return float(np.quantile(self.smallest, level))
 
     def adjusted(self, smallest: float) -> float:
-        """Return the probability that chance makes any cause as unlikely as this; below the draws' reach, at most."""
+        """Return the probability of a smaller minimum by chance; below the draws' reach an upper bound."""
         below = int(np.searchsorted(self.smallest, smallest, side="right"))
         bound = min(1.0, self.causes * smallest)
         return min(bound, below / self.smallest.size) if below >= SETTINGS.counted else bound
 
 
 def detectable(news: ScoreStatistics, cause: Cause, limit: float, miss: float) -> float:
-    """Return the size of a cause that is called in all but a share `miss` of records, one coordinate.
+    """Return the size of a cause that is found in all but a share `miss` (below one half) of records.
 
-    Parameters
-    ----------
-    news : ScoreStatistics
-        Of the planned record: its information.
-    cause : Cause
-    limit : float
-        Of the smallest probability (`MinPDistribution.limit`).
-    miss : float
-        Below one half.
+    `limit` is the threshold of the smallest probability (`MinPDistribution.limit`).
     """
     information, _ = news.part(cause.columns)
     std = 1.0 / math.sqrt(float(np.linalg.eigvalsh(information)[0]))  # the direction that shows least

@@ -1,10 +1,7 @@
-"""Diagnosis by fault models (1.63–1.68): is something wrong, what, how much, and how sure is that.
+"""Diagnosis by fault models (1.63–1.68).
 
-A fault model has nominal parameters, of which the healthy machine is known, and fault parameters, which are zero in it.
-All causes together are examined by their columns (`fmuid.diagnosis.cause_analysis`), beside healthy records or beside
-the healthy result alone. Beside the result alone the fault that is named is then fitted once by `fmuid.identify`, with
-what is known of the healthy machine as prior: its size keeps its bounds, and has the interval of that fit
-(docs/method.md section 9).
+All causes are examined by their columns (`fmuid.diagnosis.cause_analysis`). Without healthy data the named fault is
+then fitted once by `fmuid.identify`, for its bounds and interval (docs/method.md section 9).
 """
 
 from __future__ import annotations
@@ -13,9 +10,11 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Annotated
 
 import numpy as np
 import pandas as pd
+from annotated_types import Ge, Gt, Lt
 from scipy import special
 
 from fmuid.blas import single_threaded
@@ -29,16 +28,16 @@ from fmuid.diagnosis.cause_results import ChangeEvidence, EstimatedChange, Expla
 from fmuid.diagnosis.causes import CauseKind, Causes
 from fmuid.diagnosis.change_detection import FALSE_ALARM_LEVEL
 from fmuid.diagnosis.diagnosis_result import BaselineDeviation, Diagnosis
-from fmuid.diagnosis.faults import Fault
+from fmuid.diagnosis.faults import Fault, checked_faults
 from fmuid.diagnosis.linearized_machine import LinearizedMachine
 from fmuid.diagnosis.unexplained_residual import SETTINGS as UNEXPLAINED_RESIDUAL
 from fmuid.diagnosis.unexplained_residual import VarianceRatio
 from fmuid.errors import InputError
 from fmuid.estimation import SENSITIVITIES, Marquardt, Result, check_level
+from fmuid.events import FaultStep, Progress
 from fmuid.formatting import nearest
 from fmuid.identification import SIGNIFICANCE_LEVEL, Problem, identify
 from fmuid.models import FMU, System
-from fmuid.progress import FaultStep, Progress
 from fmuid.version import __version__
 
 # A model that without its fault differs by more than this from the healthy one, in sums of squares over the noise, has
@@ -48,40 +47,31 @@ SAME_CRITERION = 1.0
 
 @dataclass(frozen=True)
 class DiagnosisSettings:
-    """How faults are looked for.
-
-    Parameters
-    ----------
-    level : float
-        Probability of an alarm where nothing is wrong, whatever the number of faults looked for.
-    search : Marquardt
-        Of the fit of the fault that is named.
-    sensitivity : "finite-difference", "forward" or "fmu"
-        In that fit, as for `fmuid.Problem`.
-    accuracy : "refine", "report" or "off"
-        What is done about the error of the simulation in that fit (`fmuid.identify`).
-    causes : Causes
-        What is looked at beside the faults where there are healthy records: sensors, supply, drift.
-    model_error : float
-        κ, how much of its effect a fault model has wrong along any other cause's signature, as a share.
+    """Settings of a diagnosis.
 
     Raises
     ------
     InputError
-        If the level is not between 0 and 1, there is no such sensitivity, or the models' error is negative.
+        If a setting is out of range.
 
     Examples
     --------
-    >>> fmuid.DiagnosisSettings(level=0.001).level
+    >>> fmuid.diagnosis.DiagnosisSettings(level=0.001).level
     0.001
     """
 
-    level: float = FALSE_ALARM_LEVEL
+    level: Annotated[float, Gt(0), Lt(1)] = FALSE_ALARM_LEVEL
+    """probability of a false alarm, whatever the number of faults"""
     search: Marquardt = field(default_factory=Marquardt)
+    """of the fit of the named fault"""
     sensitivity: str = "finite-difference"
-    accuracy: str = "refine"
+    """Jacobian of that fit: "finite-difference", "forward" or "fmu", as for `fmuid.Problem`"""
+    solver_check: str = "refine"
+    """solver check of that fit: "refine", "report" or "off", as for `fmuid.identify`"""
     causes: Causes = field(default_factory=Causes)
-    model_error: float = MODEL_ERROR
+    """beside the faults, where there are healthy data"""
+    model_error: Annotated[float, Ge(0)] = MODEL_ERROR
+    """κ: error of a fault model along other signatures, as a share of its effect"""
 
     def __post_init__(self) -> None:
         check_level(self.level, "a test")
@@ -106,16 +96,15 @@ def diagnose(
     Parameters
     ----------
     experiments : Experiment or sequence of Experiment
-        The record, with the names of the healthy model.
+        With the names of the healthy model.
     baseline : Baseline, Result or path
-        The healthy machine; a result, or its ``result.json``, where there is nothing else to say of it.
+        The healthy machine; also a result alone, or its ``result.json``.
     faults : mapping of str to Fault
-        What may be wrong.
     model : System, FMU or path
         The healthy machine.
     settings : DiagnosisSettings, optional
     progress : callable, optional
-        Called with a `fmuid.progress.FaultStep` before causes are examined, and before the fit of the fault named.
+        Called with a `fmuid.events.FaultStep` before the examination and before the fit.
 
     Raises
     ------
@@ -131,16 +120,15 @@ def diagnose(
     >>> fmuid.diagnose(test.experiment, fmuid.identify(coil.problem()), {"turns": turns}, coil.fmu)
     Diagnosis(fault: turns)
     """
-    if not faults:
-        raise InputError("there is no fault to look for: give at least one fault model with its parameters")
+    faults, known = checked_faults(faults), Baseline.of(baseline)
     listed = [experiments] if isinstance(experiments, Experiment) else list(experiments)
     how, tell = settings or DiagnosisSettings(), progress or (lambda _: None)
     tell(FaultStep(share=0.0, fault=None))
-    made = BaselineComparator.of(System.of(model), Baseline.of(baseline), faults, how.causes, listed)
+    made = BaselineComparator.of(System.of(model), known, faults, how.causes if known.beside else None, listed)
     kappa = made.model_error(how.model_error, how.level)
     machines = [made.machine(each) for each in listed]
     found = examine(machines, made.healthy, made.coordinates, how.level, kappa)
-    evidence, fitted = ChangeEvidence.of(found, faults, made.basis), None
+    evidence, fitted = found.evidence, None
     if made.basis is BaselineSource.RESULT and evidence.explanations:
         best = evidence.explanations[0]
         if len(best.faults) == 1:
@@ -153,12 +141,12 @@ def diagnose(
     return Diagnosis(
         level=how.level,
         evidence=evidence,
-        unexplained=_unexplained(evidence, found, made.baseline.freedom, how.level),
+        unexplained=_unexplained(evidence, found, known.freedom, how.level),
         nominal={
             name: (float(made.coordinates.healthy[i] + nominal.mean[i]), math.sqrt(max(0.0, nominal.covariance[i, i])))
-            for i, name in enumerate(made.baseline.common)
+            for i, name in enumerate(known.common)
         },
-        noise_variance=made.baseline.variance(listed[0].output_names),
+        noise_variance=known.variance(listed[0].output_names),
         deviation=_deviation(found) if made.basis is BaselineSource.RESULT else None,
         version=__version__,
         accuracy=None if fitted is None else fitted.accuracy,
@@ -170,8 +158,8 @@ def diagnose(
 
 
 def _mismatched(machines: Sequence[LinearizedMachine], made: BaselineComparator) -> tuple[str, ...]:
-    """Return the faults whose models are not the healthy machine without their fault."""
-    squares = dict.fromkeys(made.faults, 0.0)
+    """Return the faults whose models without their fault are not the healthy machine."""
+    squares = dict.fromkeys(made.coordinates.faults, 0.0)
     for machine in machines:
         for name, apart in machine.apart_at_zero().items():
             std = [made.healthy.whitening.std(output) for output in machine.experiment.output_names]
@@ -180,7 +168,7 @@ def _mismatched(machines: Sequence[LinearizedMachine], made: BaselineComparator)
 
 
 def _unexplained(evidence: ChangeEvidence, found: Examination, freedom: float, level: float) -> VarianceRatio:
-    """Test the residual: its variance, or with healthy records whether it owes more to the inputs than theirs."""
+    """Test the residual: its variance, or beside healthy data its regression on the inputs."""
     if evidence.basis is BaselineSource.RESULT:
         noise = found.at.whitening
         share = sum(map(noise.independent_share, noise.models)) / len(noise.models)
@@ -190,7 +178,7 @@ def _unexplained(evidence: ChangeEvidence, found: Examination, freedom: float, l
 
 
 def _deviation(found: Examination) -> BaselineDeviation | None:
-    """Return the nominal parameter that has left most what was foreseen, beside what is named."""
+    """Return the nominal parameter farthest outside its prior, beside the named causes."""
     news, at = found.at.news, found.coordinates.of(CauseKind.PARAMETER)
     score, information = news.score[at], np.diag(news.information)[at]
     if found.naming.named:
@@ -223,11 +211,11 @@ def _fitted(
     experiments: Sequence[Experiment],
     how: DiagnosisSettings,
 ) -> Result:
-    """Fit the sizes that are named, the others zero, with what is known of the healthy machine as prior."""
-    fault, baseline = made.faults[best.faults[0]], made.baseline
+    """Fit the named sizes, the others zero, with the healthy estimates as prior."""
+    fault, baseline = made.coordinates.faults[best.faults[0]], made.baseline
     named = {each.variable: each.value for each in best.changes}
     named |= {each.angle: each.angle_value for each in best.changes if each.angle}
-    common = {fault.names.get(name, name): parameter for name, parameter in baseline.common.items()}
+    common = {fault.variable_map.get(name, name): parameter for name, parameter in baseline.common.items()}
     nominal = made.coordinates.healthy + found.estimate.mean
     start = [*nominal[: len(common)], *(named[name] for name in fault.searched if name in named)]
     searched: dict[str, Parameter] = common | {name: each for name, each in fault.searched.items() if name in named}
@@ -237,7 +225,7 @@ def _fitted(
         System.of(fault.model),
         [fault.renamed(each) for each in experiments],
         searched,
-        noise=Noise({fault.names.get(name, name): value for name, value in variance.items()}),
+        noise=Noise({fault.variable_map.get(name, name): value for name, value in variance.items()}),
         values={**fault.values, **held},
         sensitivity=how.sensitivity,
     )
@@ -247,13 +235,13 @@ def _fitted(
         problem,
         how.search,
         start=np.array([min(max(value, each.min), each.max) for value, each in bounds]),
-        accuracy=how.accuracy,
-        remedies=False,
+        solver_check=how.solver_check,
+        restart=False,
     )
 
 
 def _refined(change: EstimatedChange, fault: Fault, fitted: Result, kappa: float) -> EstimatedChange:
-    """Return a change with the size of the fit, whose variance has the model's error added; as it was without one."""
+    """Return a change with the fitted size and the model's error; unchanged if the fit failed."""
     std = float(fitted.std[fitted.names.index(change.variable)])
     if not (fitted.converged and math.isfinite(std)):
         return change

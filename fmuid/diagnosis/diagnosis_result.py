@@ -1,4 +1,4 @@
-"""What a diagnosis found: its verdict, numbers and JSON."""
+"""Diagnosis: verdict, changes, probabilities, JSON."""
 
 from __future__ import annotations
 
@@ -26,13 +26,13 @@ Estimate = tuple[float, float]
 
 @dataclass(frozen=True)
 class BaselineDeviation:
-    """A nominal parameter that has left what was foreseen.
+    """A nominal parameter outside its prior.
 
     Attributes
     ----------
     name : str
     distance : float
-        From the baseline to what the record says, in standard deviations of the two together.
+        In standard deviations of baseline and record together.
     """
 
     name: str
@@ -41,31 +41,30 @@ class BaselineDeviation:
 
 @dataclass(frozen=True, eq=False)
 class Diagnosis(PlotMixin):
-    """What a diagnosis found.
+    """Result of a diagnosis.
 
     Attributes
     ----------
     level : float
-        Probability of an alarm where nothing is wrong.
+        False-alarm probability.
     evidence : ChangeEvidence
-        What is new: all causes, and what is named.
     unexplained : VarianceRatio
-        Whether the residual is larger than the noise even so, or owes more to the inputs than in healthy records.
+        Residual variance with the named causes; beside healthy data its change of correlation with the inputs.
     nominal : dict of str to (value, std)
-        The healthy machine's parameters beside what was named.
+        Healthy parameters beside the named causes.
     noise_variance : dict of str to float
     deviation : BaselineDeviation or None
-        The nominal parameter that has left what was foreseen; where there are healthy records it is a cause.
+        Without healthy data; with them a parameter is a cause.
     version : str
         Of fmuid.
     accuracy : SolverCheck or None
-        What the error of the simulation does to the fit of the fault named; None without such a fit.
+        Of the fit of the named fault; None without one.
     fitted : tuple of str
-        The parameters of that fit, in the order of `SolverCheck.shift`.
+        Parameters of that fit, in the order of `SolverCheck.shift`.
     result : Result or None
         That fit; not kept in a file.
     mismatched : tuple of str
-        The faults whose models, without their fault, are not the healthy machine.
+        Faults whose models without their fault are not the healthy machine.
     residuals : DataFrame or None
         Of the first experiment, ``healthy.`` and ``fault.`` before each output; not kept in a file.
 
@@ -97,7 +96,7 @@ class Diagnosis(PlotMixin):
         return f"Diagnosis({self.kind}{': ' if self.named else ''}{', '.join(self.named)})"
 
     def __getitem__(self, name: str) -> EstimatedChange:
-        """Return a change that is named, or what a cause would be alone: ``turns.dR``, ``gain(i)``, ``R``."""
+        """Return a named change, or a cause alone: ``turns.dR``, ``gain(i)``, ``R``."""
         found = {each.change.label: each.change for each in self.evidence.suspects}
         found |= {each.label: each for one in reversed(self.evidence.explanations) for each in one.changes}
         if name not in found:
@@ -106,15 +105,15 @@ class Diagnosis(PlotMixin):
 
     @property
     def named(self) -> tuple[str, ...]:
-        """The faults that are named: the most likely one, and those that the data do not tell apart from it."""
+        """Named faults: the most likely one, and those indistinguishable from it."""
         return self.evidence.faults
 
     @property
     def kind(self) -> str:
-        """What it is.
+        """Verdict.
 
-        ``"fault"``, ``"other"`` (a sensor, the supply or a parameter), ``"ambiguous"`` (which one is open),
-        ``"unexplained"``, ``"undecided"`` (the record does not determine a fault) or ``"healthy"``.
+        ``"fault"``, ``"other"`` (a sensor, the supply or a parameter), ``"ambiguous"``, ``"unexplained"``,
+        ``"undecided"`` (a fault is not identifiable) or ``"healthy"``.
         """
         if self.unexplained.larger and self.evidence.explained < EXPLAINED_SHARE:
             return "unexplained"
@@ -126,13 +125,13 @@ class Diagnosis(PlotMixin):
 
     @property
     def undetermined(self) -> tuple[str, ...]:
-        """The sizes of faults that the record does not determine beside all that may change."""
+        """Sizes of faults that the record does not determine."""
         each = (one.change for one in self.evidence.suspects)
         return tuple(one.label for one in each if one.fault and not one.is_determined)
 
     @property
     def table(self) -> pd.DataFrame:
-        """One row a cause, with the sizes of the best explanation for those it names."""
+        """One row a cause, with the sizes of the best explanation."""
         odds = {each.label: one.odds for one in reversed(self.evidence.explanations) for each in one.changes}
         rows = []
         for one in self.evidence.suspects:
@@ -158,7 +157,7 @@ class Diagnosis(PlotMixin):
 
     @classmethod
     def from_json(cls, path: str | Path) -> Diagnosis:
-        """Read a ``diagnosis.json``; fit and residuals, which are not in it, are None.
+        """Read a ``diagnosis.json``, without fit and residuals.
 
         Raises
         ------

@@ -1,8 +1,7 @@
-"""Fault models: what is common to healthy and faulty machine, and what a fault adds (1.63–1.67).
+"""Fault models: parameters of the healthy and the faulty machine (1.63–1.67).
 
-The extended vector θ_e = [θ_n; θ_f] has the nominal parameters, whose prior is what the healthy machine showed, with
-its standard deviations inflated for variations that are no fault (temperature), and the fault's own, which are zero
-without a fault and have no prior.
+The extended vector θ_e = [θ_n; θ_f] has the nominal parameters, with the healthy estimates as prior, and the fault's
+own, zero without a fault and without prior.
 """
 
 from __future__ import annotations
@@ -24,7 +23,7 @@ from fmuid.models import FMU, System
 
 @dataclass(frozen=True)
 class FaultAngle:
-    """A circular fault parameter, which locates a fault and means nothing without it.
+    """A circular parameter that locates a fault.
 
     Raises
     ------
@@ -33,7 +32,7 @@ class FaultAngle:
 
     Examples
     --------
-    >>> fmuid.FaultAngle("size", period=2 * np.pi / 3)
+    >>> fmuid.diagnosis.FaultAngle("size", period=2 * np.pi / 3)
     FaultAngle(magnitude='size', period=2.0943951023931953)
     """
 
@@ -49,35 +48,29 @@ class FaultAngle:
 
 @dataclass(frozen=True, eq=False)
 class Fault:
-    """A hypothesis: a model that can have a fault, and the parameters of that fault.
+    """A fault model and its fault parameters.
 
     Parameters
     ----------
     model : System, FMU or path
         At zero fault it is the healthy machine.
     parameters : mapping of str to Parameter
-        The fault's own, each zero without a fault and without prior. A bound at zero says that it has one sign only.
-    names : mapping of str to str
-        What the healthy machine's parameters, inputs and outputs are called in this model, where differently: outputs
-        may be sums, ``machine.i + fault.i``, and a connector of the system may set several variables at once.
-    angles : mapping of str to Angle, or sequence of str
-        Which parameters are angles. In a list their size is the only other parameter, and their period what lies
-        between their bounds, 2π without.
+        Zero without a fault, without prior. A bound at zero gives the size one sign.
+    variable_map : mapping of str to str
+        Healthy names of parameters, inputs and outputs to this model's; outputs may be sums,
+        ``machine.i + fault.i``, and a connector of the system sets several variables.
+    angles : mapping of str to FaultAngle, or sequence of str
+        Angles. In a list they belong to the only size, with the period of their bounds, 2π without.
     values : mapping
-        Variables of this model held at a value.
+        Fixed variables of this model.
     inputs : mapping of str to str
-        Inputs that only this model has, and the columns of the table that feed them.
-
-    Attributes
-    ----------
-    sizes : tuple of str
-        The parameters that are no angles.
+        Inputs of this model alone, and their columns.
 
     Raises
     ------
     InputError
-        If there are no parameters, one of them excludes zero, has a prior or is one per experiment, or an angle is
-        unknown or has no size.
+        If there are no parameters, one excludes zero, has a prior or is one per experiment, or an angle is unknown or
+        has no size.
 
     Examples
     --------
@@ -88,7 +81,7 @@ class Fault:
 
     model: System | FMU | str | Path
     parameters: Mapping[str, Parameter]
-    names: Mapping[str, str] = field(default_factory=dict)
+    variable_map: Mapping[str, str] = field(default_factory=dict)
     angles: Mapping[str, FaultAngle] | Sequence[str] = ()
     values: Mapping[str, float | int | bool | str] = field(default_factory=dict)
     inputs: Mapping[str, str] = field(default_factory=dict)
@@ -143,20 +136,20 @@ class Fault:
 
     @property
     def sizes(self) -> tuple[str, ...]:
-        """The parameters that are no angles."""
+        """Parameters that are no angles."""
         return tuple(name for name in self.parameters if name not in self.angles)
 
     def angle(self, name: str) -> FaultAngle | None:
-        """Return the angle that a parameter is, None for a size."""
+        """Return the angle of a parameter, None for a size."""
         return self.angles[name] if isinstance(self.angles, Mapping) and name in self.angles else None
 
     @property
     def located(self) -> dict[str, str]:
-        """The angle of each size that has one."""
+        """Angle of each size that has one."""
         return {angle.magnitude: name for name in self.angles if (angle := self.angle(name)) is not None}
 
     def direction(self, size: str, vector: Sequence[float]) -> tuple[str, float, float]:
-        """Return the angle of a size, its name and value, and how far a radian of the vector (x, y) turns it."""
+        """Return name and value of a size's angle, and its change per radian of the vector (x, y)."""
         name = self.located[size]
         angle = self.angle(name)
         assert angle is not None  # `located` has only angles
@@ -165,7 +158,7 @@ class Fault:
 
     @property
     def searched(self) -> dict[str, Parameter]:
-        """The parameters as they are searched: angles without bounds, as they go round."""
+        """Parameters of a fit: angles have no bounds."""
         return {
             name: parameter
             if name not in self.angles
@@ -175,38 +168,33 @@ class Fault:
 
     @property
     def zero(self) -> dict[str, float]:
-        """The values of the parameters without a fault; angles stay where they start."""
+        """Parameter values without a fault; angles at their initial guess."""
         return {name: p.start if name in self.angles else 0.0 for name, p in self.parameters.items()}
 
     def check_beside(self, common: Iterable[str], columns: Iterable[str]) -> None:
-        """Check the parameters and names against the healthy machine's.
-
-        Parameters
-        ----------
-        common, columns : iterable of str
-            The healthy machine's parameters, and its inputs and outputs.
+        """Check parameters and names against the healthy machine's parameters and columns.
 
         Raises
         ------
         InputError
-            If a parameter is both, or a name is of nothing that there is.
+            If a parameter is both, or a name is unknown.
         """
         healthy = list(common)
         for name in self.parameters:
-            if name in [self.names.get(each, each) for each in healthy]:
+            if name in [self.variable_map.get(each, each) for each in healthy]:
                 raise InputError(f"the parameter {name!r} is the fault's and the healthy machine's: it can be only one")
         known = {*healthy, *columns}
-        for name in self.names:
+        for name in self.variable_map:
             if name not in known:
-                raise InputError(f"names has {name!r}, which is no parameter, input or output of the healthy machine")
+                raise InputError(f"variable_map has {name!r}, which is no variable of the healthy machine")
 
     def renamed(self, experiment: Experiment) -> Experiment:
-        """Return an experiment with the names that its inputs and outputs have in this model."""
+        """Return an experiment with this model's names of inputs and outputs."""
 
         def own(given: Iterable[tuple[str, str]]) -> dict[str, str]:
-            return {self.names.get(name, name): value for name, value in given}
+            return {self.variable_map.get(name, name): value for name, value in given}
 
-        if not self.inputs and not set(self.names) & {*experiment.input_names, *experiment.output_names}:
+        if not self.inputs and not set(self.variable_map) & {*experiment.input_names, *experiment.output_names}:
             return experiment
         inputs, outputs = experiment.inputs, experiment.outputs
         assert isinstance(inputs, Mapping) and isinstance(outputs, Mapping)  # an Experiment makes them so
@@ -220,31 +208,22 @@ class Fault:
         )
 
 
+def checked_faults(faults: Mapping[str, Fault]) -> dict[str, Fault]:
+    """Return the faults; an `InputError` if there is none."""
+    if not faults:
+        raise InputError("there is no fault to look for: give at least one fault model with its parameters")
+    return dict(faults)
+
+
 def common_mode(
     healthy: Result,
-    inflate: float | Mapping[str, float] = 1.0,
+    std_factor: float | Mapping[str, float] = 1.0,
     parameters: Mapping[str, Parameter] | None = None,
     held: Iterable[str] = (),
 ) -> dict[str, Parameter]:
-    """Return the nominal parameters with what the healthy machine showed as their prior (docs/method.md section 9).
+    """Return the nominal parameters with the healthy estimates as prior (docs/method.md section 9).
 
-    Parameters
-    ----------
-    healthy : Result
-        Of the healthy machine; values of single experiments, ``name[experiment]``, are those of its records.
-    inflate : float or mapping of str to float
-        Factor on the standard deviations for variations that are no fault; infinite for no prior. Parameters that a
-        mapping does not name keep theirs.
-    parameters : mapping of str to Parameter, optional
-        Bounds and nominal magnitudes; those that the healthy result does not have are estimated without prior.
-    held : iterable of str
-        Parameters held at a value.
-
-    Raises
-    ------
-    InputError
-        If the healthy result has nothing to say, or one of its parameters is not determined, lies outside its bounds or
-        has a second prior.
+    Estimates of single experiments and `held` parameters have none; `std_factor` is infinite for no prior.
     """
     given, held = dict(parameters or {}), set(held)
     known = [name for name in healthy.names if not of_one_experiment(name) and name not in held]
@@ -253,15 +232,15 @@ def common_mode(
             f"the healthy result knows nothing of this machine: its parameters are {', '.join(healthy.names)}, none of "
             "which is left to have a prior; give the result of an identification of the healthy machine"
         )
-    if isinstance(inflate, Mapping):
-        for name in inflate:
+    if isinstance(std_factor, Mapping):
+        for name in std_factor:
             if name not in known:
                 raise InputError(
-                    f"inflate names {name!r}, which is no parameter of the healthy result{nearest(name, known)}"
+                    f"std_factor names {name!r}, which is no parameter of the healthy result{nearest(name, known)}"
                 )
     found = {}
     for name in known:
-        factor = inflate.get(name, 1.0) if isinstance(inflate, Mapping) else inflate
+        factor = std_factor.get(name, 1.0) if isinstance(std_factor, Mapping) else std_factor
         own = given.get(name)
         if own is not None and own.prior is not None:
             raise InputError(f"{name!r} has a prior of its own and one from the healthy result: keep one of the two")

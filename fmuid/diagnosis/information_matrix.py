@@ -1,11 +1,8 @@
-"""What records say of all coordinates, what is known before a new one, and what is new in it.
+"""Whitened records: their information on all coordinates, its prior, and the score of changes.
 
-A record is linearised at a point of all its coordinates x, the healthy parameters and the sizes of all causes (faults,
-errors of sensors, the supply): r = J x + e. With the noise whitened, all that it says is its information G = JᵀJ and
-its score g = Jᵀr. What the healthy records have said is the mean m and the covariance C of x before anything is new;
-then F = (I + G C)⁻¹ G and h = (I + G C)⁻¹ (g − G m) are information and score of what *is* new, with the noise, the
-errors of the baseline, their correlations and the drift in its covariance: generalised least squares. Everything else
-follows from F and h.
+A record linearised at coordinates x is r = J x + e. With whitened noise it has the information G = JᵀJ and the score
+g = Jᵀr. Healthy records give the mean m and covariance C of x. Then F = (I + G C)⁻¹ G and h = (I + G C)⁻¹ (g − G m) are
+information and score of changes, with noise, baseline errors and drift in the covariance.
 
 References
 ----------
@@ -15,14 +12,15 @@ I. V. Nikiforov, "Detection of Abrupt Changes", 1993.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 import scipy
 
-from fmuid.array_types import Floats
-from fmuid.errors import InputError
+from fmuid.array_types import Floats, Indices
+from fmuid.data import Experiment
+from fmuid.estimation import Autoregression, NoiseModel, OutputSeries, common_process, output_series
 
 # Model error is told from noise by the scatter of records from this many on: the variance of a t distribution of K − 1
 # degrees of freedom, (K − 1)/(K − 3), is finite from there.
@@ -30,61 +28,84 @@ LEAST_RECORDS = 4
 # Of what a coordinate shows by itself, this share is left where nothing tells it from the others: differences leave
 # about their own error squared.
 LEAST = 1e-9
+# Samples over which a noise's correlations are summed.
+SPECTRUM_LENGTH = 4096
+
+
+@dataclass(frozen=True, eq=False)
+class Whitening:
+    """Whitening of records by the baseline's noise; a noise model of the new record would whiten the fault away."""
+
+    models: Mapping[str, Autoregression]  # by output
+
+    @classmethod
+    def white(cls, variances: Mapping[str, float]) -> Whitening:
+        """Return the whitening of white noise with known variances."""
+        return cls({name: Autoregression(np.zeros(0), variance, 0) for name, variance in variances.items()})
+
+    @classmethod
+    def of(
+        cls, records: Sequence[tuple[Experiment, Floats]], variances: Mapping[str, float] | None = None
+    ) -> Whitening:
+        """Return the noise of healthy records with residuals (K, n_outputs), pooled by output; given variances stay."""
+        parts: dict[str, list[tuple[OutputSeries, Floats]]] = {}
+        for experiment, residual in records:
+            for series in output_series([experiment], experiment.output_names):
+                j = experiment.output_names.index(series.output)
+                parts.setdefault(series.output, []).append((series, residual[experiment.counted[:, j], j]))
+        return cls({name: common_process(own, (variances or {}).get(name)) for name, own in parts.items()})
+
+    def std(self, output: str) -> float:
+        """Return the standard deviation of an output's noise."""
+        return self.models[output].std
+
+    def independent_share(self, output: str) -> float:
+        """Return the independent samples per sample for an output's variance, 1/Σρ² (Bartlett)."""
+        power = np.abs(self.models[output].transfer(SPECTRUM_LENGTH)) ** 2
+        return float(np.mean(power) ** 2 / np.mean(power**2))
+
+    def __call__(self, experiment: Experiment, columns: Floats) -> Floats:
+        """Return the innovations of columns (K, n_outputs, m) at counted samples, in standard deviations (n, m)."""
+        return np.vstack([white for _, white in self.of_outputs(experiment, columns)])
+
+    def of_outputs(self, experiment: Experiment, columns: Floats) -> Iterator[tuple[Indices, Floats]]:
+        """Yield them by output, with the rows of the record."""
+        for series in output_series([experiment], experiment.output_names):
+            j = experiment.output_names.index(series.output)
+            rows = np.flatnonzero(experiment.counted[:, j])
+            yield rows, NoiseModel(series, self.models[series.output]).whiten(columns[rows, j])
 
 
 @dataclass(frozen=True, eq=False)
 class InformationMatrix:
-    """What a record says of the coordinates, linearised at zero.
+    """Information of a record on the coordinates, linearised at zero."""
 
-    Attributes
-    ----------
-    matrix : (N, N) array
-        G = JᵀJ of the whitened Jacobian.
-    score : (N,) array
-        g = Jᵀr of the whitened residual at zero.
-    """
-
-    matrix: Floats
-    score: Floats
+    matrix: Floats  # (N, N), G = JᵀJ of the whitened Jacobian
+    score: Floats  # (N,), g = Jᵀr of the whitened residual at zero
 
     @classmethod
     def of(cls, jacobian: Floats, residual: Floats) -> InformationMatrix:
-        """Return that of a whitened Jacobian (n, N) and residual (n,)."""
+        """Return the information of a whitened Jacobian (n, N) and residual (n,)."""
         return cls(jacobian.T @ jacobian, jacobian.T @ residual)
 
     def __add__(self, other: InformationMatrix) -> InformationMatrix:
-        """Return that of both records."""
+        """Return the information of both records."""
         return InformationMatrix(self.matrix + other.matrix, self.score + other.score)
 
 
 @dataclass(frozen=True, eq=False)
 class ChangePrior:
-    """What is known of the coordinates before a record.
+    """Distribution of the coordinates before a record."""
 
-    Attributes
-    ----------
-    mean : (N,) array
-    covariance : (N, N) array
-    """
-
-    mean: Floats
-    covariance: Floats
+    mean: Floats  # (N,)
+    covariance: Floats  # (N, N)
 
     @classmethod
     def after(cls, record: InformationMatrix, normal: Floats) -> ChangePrior:
-        """Return what a healthy record leaves: m = C g, C = (G + B⁻²)⁻¹.
+        """Return the distribution after a healthy record: m = C g, C = (G + B⁻²)⁻¹.
 
-        Parameters
-        ----------
-        record : InformationMatrix
-            Of all coordinates, those of the causes too: an asymmetry of a sound machine that is left out would come
-            back as a fault of the next record.
-        normal : (N,) array
-            B, the standard deviation of what a sound machine may have of each coordinate, all positive: without it C is
-            singular along directions that the record does not tell apart.
+        B is the standard deviation of each coordinate in a sound machine (N,); without it C is singular.
         """
-        if not (np.all(np.isfinite(normal)) and np.all(normal > 0)):
-            raise InputError("what is normal must be positive and finite for every coordinate of a diagnosis")
         # scaled by what is normal, so that neither units nor wide ranges spoil the solution
         scaled = record.matrix * np.outer(normal, normal) + np.eye(normal.size)
         inverse = scipy.linalg.inv(scaled, check_finite=False)
@@ -93,17 +114,13 @@ class ChangePrior:
 
     @classmethod
     def after_several(cls, records: Sequence[InformationMatrix], normal: Floats) -> ChangePrior:
-        """Return what healthy records at different operating points leave, the error of the healthy model included.
+        """Return the distribution after healthy records, with the healthy model's error.
 
-        What their estimates scatter beyond their noise is the model's error: the positive part of cov(m_i) − mean C_i
-        in the metric of the mean C, full. It counts once more for the new record, and by (K − 1)/(K − 3) for having
-        been estimated from K records. Fewer than four are pooled, and say nothing of it.
+        The error is the positive part of cov(m_i) − mean C_i in the metric of the mean C. It counts once more for the
+        new record, and by (K − 1)/(K − 3) for K records. Fewer than four are pooled, without it.
         """
         if len(records) < LEAST_RECORDS:
-            pooled = records[0]
-            for record in records[1:]:
-                pooled = pooled + record
-            return cls.after(pooled, normal)
+            return cls.after(sum(records[1:], start=records[0]), normal)
         each = [cls.after(record, normal) for record in records]
         means = np.array([known.mean for known in each])
         inside = np.mean([known.covariance for known in each], axis=0)
@@ -113,19 +130,19 @@ class ChangePrior:
         return cls(means.mean(axis=0), shown)
 
     def after_also(self, record: InformationMatrix) -> ChangePrior:
-        """Return what is known after a record of the same coordinates; what is known for sure may stay so."""
+        """Return the distribution after one more record; certain coordinates stay so."""
         left = np.linalg.inv(np.eye(self.mean.size) + record.matrix @ self.covariance)
         covariance = self.covariance @ left
         covariance = 0.5 * (covariance + covariance.T)
         return ChangePrior(self.mean + covariance @ (record.score - record.matrix @ self.mean), covariance)
 
     def drifting(self, std: Floats) -> ChangePrior:
-        """Return what is known where each coordinate may have drifted by a standard deviation (N,) and be sound."""
+        """Return the distribution after drift with a standard deviation (N,)."""
         return ChangePrior(self.mean, self.covariance + np.diag(std**2))
 
 
 def _excess(scatter: Floats, inside: Floats) -> Floats:
-    """Return the positive part of scatter − inside in the metric of the latter: directions that scatter more."""
+    """Return the positive part of scatter − inside in the metric of the latter."""
     std = np.sqrt(np.diag(inside))
     scale = np.outer(std, std)
     values, vectors = scipy.linalg.eigh(scatter / scale, inside / scale)
@@ -135,18 +152,10 @@ def _excess(scatter: Floats, inside: Floats) -> Floats:
 
 @dataclass(frozen=True, eq=False)
 class ScoreStatistics:
-    """What is new in a record, beside everything that was known.
+    """Information and score of changes in a record."""
 
-    Attributes
-    ----------
-    information : (N, N) array
-        F.
-    score : (N,) array
-        h; its covariance is F where nothing is new.
-    """
-
-    information: Floats
-    score: Floats
+    information: Floats  # (N, N), F
+    score: Floats  # (N,), h; its covariance is F without changes
 
     @classmethod
     def of(cls, record: InformationMatrix, known: ChangePrior) -> ScoreStatistics:
@@ -160,17 +169,17 @@ class ScoreStatistics:
         return cls(information, found[:, -1] / scale)
 
     def tempered(self, factor: float) -> ScoreStatistics:
-        """Return what is left of it where all variances are larger by a factor: the models' own error."""
+        """Return the statistics for variances larger by a factor: the models' error."""
         return ScoreStatistics(self.information / factor, self.score / factor)
 
     def part(self, columns: Sequence[int]) -> tuple[Floats, Floats]:
-        """Return information and score of some coordinates, the others being as they were known."""
+        """Return information and score of some coordinates, the others unchanged."""
         at = list(columns)
         return self.information[at][:, at], self.score[at]
 
 
 def is_determined(news: ScoreStatistics, said: InformationMatrix, columns: Sequence[int]) -> bool:
-    """Return whether a record says more of some coordinates, beside all that may change, than rounding leaves."""
+    """Return whether a record determines some coordinates by more than rounding."""
     information, _ = news.part(columns)
     least = LEAST * float(np.diag(said.matrix)[list(columns)].max())
     return float(np.linalg.eigvalsh(information)[0]) > least

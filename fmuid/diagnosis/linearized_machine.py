@@ -1,20 +1,20 @@
-"""The outputs of a machine with all that may be off in it, and their derivatives by each coordinate.
+"""Outputs of a machine with all causes, and their derivatives by each coordinate.
 
-Faults of several models add up: y = y_n(θ) + Σ_k [y_k(θ, f_k) − y_n(θ)]. Each model is simulated only where it says
-something: a fault that is not there gives its own columns alone.
+Faults of several models add up: y = y_n(θ) + Σ_k [y_k(θ, f_k) − y_n(θ)]. A model is simulated only where its fault is
+not zero; otherwise it gives its own columns alone.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from copy import copy
 from dataclasses import replace
 
 import numpy as np
 
 from fmuid.array_types import Floats
-from fmuid.data import Experiment, Parameter
+from fmuid.data import Experiment
 from fmuid.diagnosis.causes import CauseKind, ChangeParameterSet
 from fmuid.diagnosis.faults import Fault
 from fmuid.estimation import parabola_slope
@@ -23,61 +23,35 @@ from fmuid.simulation import AS_ASKED, Refinement, Simulator, refined
 
 
 class LinearizedMachine:
-    """A healthy machine and its fault models, over one record.
+    """A healthy machine at fixed `values` and its fault models, over one record.
 
-    Parameters
-    ----------
-    system : System
-        The healthy machine.
-    values : mapping
-        Its variables held at a value.
-    nominal : mapping of str to Parameter
-        Its parameters.
-    faults : mapping of str to Fault
-    coordinates : ChangeParameterSet
-    experiment : Experiment
-        The record.
-    refinement : Refinement
-        How fine the simulations are: as those that the healthy estimates come from.
-
-    Raises
-    ------
-    InputError
-        If the record has other inputs or outputs than the models.
+    The simulations are as fine (`refinement`) as those of the healthy estimates. Errors are those of `Simulator`.
     """
 
     def __init__(
         self,
         system: System,
         values: Mapping[str, float | int | bool | str],
-        nominal: Mapping[str, Parameter],
-        faults: Mapping[str, Fault],
         coordinates: ChangeParameterSet,
         experiment: Experiment,
         refinement: Refinement = AS_ASKED,
     ) -> None:
         self.experiment, self.coordinates = experiment, coordinates
         self._last: tuple[bytes, tuple[Floats, Floats]] | None = None
-        self._models = [_Model(system, None, values, nominal, "", coordinates, refinement)]
+        self._models = [_Model(system, values, None, "", coordinates, refinement)]
         self._models += [
-            _Model(System.of(fault.model), fault, fault.values, nominal, name, coordinates, refinement)
-            for name, fault in faults.items()
+            _Model(System.of(fault.model), fault.values, fault, name, coordinates, refinement)
+            for name, fault in coordinates.faults.items()
         ]
 
     def over(self, experiment: Experiment) -> LinearizedMachine:
-        """Return the same machine over another record, which takes over what has been made ready to simulate."""
+        """Return the same machine over another record, with what has been made ready to simulate."""
         other = copy(self)
         other.experiment, other._models, other._last = experiment, [model.again() for model in self._models], None
         return other
 
     def linearise(self, point: Floats) -> tuple[Floats, Floats]:
-        """Return the outputs (K, n_outputs) at a point (N,), and their derivatives (K, n_outputs, N).
-
-        Raises
-        ------
-        SimulationError
-            If a simulation fails.
-        """
+        """Return outputs (K, n_outputs) and derivatives (K, n_outputs, N) at a point (N,)."""
         if self._last is None or self._last[0] != point.tobytes():
             found = _Sum(self.coordinates, point, self.experiment)
             there = [model for model in self._models if model.there(point)]
@@ -87,13 +61,7 @@ class LinearizedMachine:
         return self._last[1]
 
     def outputs(self, point: Floats) -> Floats:
-        """Return the outputs (K, n_outputs) at a point (N,).
-
-        Raises
-        ------
-        SimulationError
-            If a simulation fails.
-        """
+        """Return the outputs (K, n_outputs) at a point (N,)."""
         found = _Sum(self.coordinates, point, self.experiment)
         there = [model for model in self._models if model.there(point)]
         for model in there:
@@ -101,66 +69,49 @@ class LinearizedMachine:
         return found.sensed()[0]
 
     def apart_at_zero(self) -> dict[str, Floats]:
-        """Return by how much each fault model without its fault differs from the healthy machine (K, n_outputs).
-
-        Raises
-        ------
-        SimulationError
-            If a simulation fails.
-        """
+        """Return each fault model without its fault minus the healthy machine (K, n_outputs)."""
         found = _Sum(self.coordinates, self.coordinates.healthy, self.experiment)
         sound, *faulty = (model.simulate(found, found.point[None])[0] for model in self._models)
         return {model.name: each - sound for model, each in zip(self._models[1:], faulty, strict=True)}
 
 
 class _Model:
-    """The healthy machine, or one fault model, and the coordinates that it has."""
+    """The healthy machine, or one fault model, and its coordinates."""
 
     def __init__(
         self,
         system: System,
-        fault: Fault | None,
         values: Mapping[str, float | int | bool | str],
-        nominal: Mapping[str, Parameter],
+        fault: Fault | None,
         name: str,
         coordinates: ChangeParameterSet,
         refinement: Refinement,
     ) -> None:
         self.name, self.fault, self.values = name, fault, dict(values)
         self.system, self.refinement = system, refinement
-        names = {} if fault is None else dict(fault.names)
+        names = {} if fault is None else fault.variable_map
         self.shared = coordinates.of(CauseKind.PARAMETER)
         self.own = coordinates.of(CauseKind.FAULT, fault=name) if fault is not None else []
         self.gains = coordinates.of(CauseKind.INPUT_GAIN)
-        self.parameters = [names.get(each, each) for each in nominal]
-        self.parameters += [] if fault is None else list(fault.parameters)
+        nominal = [coordinates.each[i].variable for i in self.shared]
+        self.parameters = [names.get(each, each) for each in nominal] + list(() if fault is None else fault.parameters)
         self.coordinates = coordinates
         self._simulators: dict[tuple[float, ...], Simulator] = {}
         self._like: Simulator | None = None
 
     def again(self) -> _Model:
-        """Return the same model for another record."""
         other = copy(self)
         other._simulators = {}
         other._like = next(iter(self._simulators.values()), self._like)
         return other
 
     def there(self, point: Floats) -> bool:
-        """Return whether the model says what the outputs are: the healthy one does, a fault where it is not zero."""
+        """Return whether the model adds to the outputs: the healthy one, or a fault that is not zero."""
         return self.fault is None or bool(np.any(point[self.own]))
 
     def add(self, found: _Sum, *, alone: bool, several: int, slopes: bool = True) -> None:
-        """Add outputs and columns to a sum.
-
-        Parameters
-        ----------
-        alone : bool
-            Only the model's own columns are wanted.
-        several : int
-            How many models make up the outputs: of them, the healthy one is taken off as often as there are faults.
-        slopes : bool
-            Whether columns are wanted.
-        """
+        """Add outputs and columns to a sum of `several` models; `alone` adds the model's own columns only."""
+        # y_n is taken off once a fault
         weight = 0.0 if alone else (2.0 - several if self.fault is None else 1.0)
         wanted = [] if not slopes else self.own if weight == 0.0 else [*self.shared, *self.own]
         steps = [self._offsets(found.point, i) for i in wanted]
@@ -176,17 +127,13 @@ class _Model:
             slope = parabola_slope(below, above, low, high)
             found.columns[:, :, i] += slope * (1.0 if i in self.own else weight)
         for i in self.gains if weight and slopes else []:
-            self._add_gain(found, i, weight)
-
-    def _add_gain(self, found: _Sum, i: int, weight: float) -> None:
-        step = self.coordinates.each[i].step
-        points = np.tile(found.point, (2, 1))
-        points[:, i] += [-step, step]
-        low, high = (self.simulate(found, point[None])[0] for point in points)
-        found.columns[:, :, i] += weight * (high - low) / (2.0 * step)
+            step, pair = self.coordinates.each[i].step, np.tile(found.point, (2, 1))
+            pair[:, i] += [-step, step]
+            below, above = (self.simulate(found, point[None])[0] for point in pair)
+            found.columns[:, :, i] += weight * (above - below) / (2.0 * step)
 
     def _offsets(self, point: Floats, i: int) -> tuple[float, float]:
-        """Return the two steps of a difference, both on the same side beside a bound."""
+        """Return the two steps of a difference, both on one side beside a bound."""
         coordinate = self.coordinates.each[i]
         if self.fault is None or i not in self.own or coordinate.variable in self.fault.located:
             return -coordinate.step, coordinate.step
@@ -198,7 +145,7 @@ class _Model:
         return -coordinate.step, coordinate.step
 
     def simulate(self, found: _Sum, points: Floats) -> Floats:
-        """Return the outputs (m, K, n_outputs) at points that share the gains of the inputs."""
+        """Return the outputs (m, K, n_outputs) at points with equal input gains."""
         batch = self._simulator(found.experiment, points[0]).many(np.array([self._theta(point) for point in points]))
         for error in batch.errors:
             if error is not None:
@@ -219,7 +166,7 @@ class _Model:
         return self._simulators[gains]
 
     def _theta(self, point: Floats) -> list[float]:
-        """Return the model's parameters at a point; a vector of the plane is a size with its angle."""
+        """Return the model's parameters at a point; a vector of the plane becomes a size with its angle."""
         theta: list[float] = point[self.shared].tolist()
         if self.fault is None:
             return theta
@@ -231,8 +178,22 @@ class _Model:
         return theta + [values[name] for name in self.fault.parameters]
 
 
+def residual_of(experiment: Experiment, outputs: Floats) -> Floats:
+    """Return measured − simulated (K, n_outputs), 0 where no sample counts."""
+    return np.where(experiment.counted, experiment.output_values - outputs, 0.0)
+
+
+def residual_and_columns(machine: LinearizedMachine, point: Floats, origin: Floats | None = None) -> Floats:
+    """Return residual, relative to an origin (N,) where given, and columns (K, n_outputs, 1 + N) at a point (N,)."""
+    outputs, columns = machine.linearise(point)
+    residual = residual_of(machine.experiment, outputs)
+    if origin is not None:
+        residual = residual + columns @ (point - origin)
+    return np.concatenate([residual[:, :, None], columns], axis=2)
+
+
 def _driven(experiment: Experiment, gains: Mapping[str, float]) -> Experiment:
-    """Return an experiment whose inputs are off by these shares."""
+    """Return an experiment with its inputs off by these shares."""
     off = {name: gain for name, gain in gains.items() if gain}
     if not off:
         return experiment
@@ -249,7 +210,7 @@ def _driven(experiment: Experiment, gains: Mapping[str, float]) -> Experiment:
 
 
 class _Sum:
-    """Outputs and columns as the models add to them."""
+    """Sum of the models' outputs and columns."""
 
     def __init__(self, coordinates: ChangeParameterSet, point: Floats, experiment: Experiment) -> None:
         self.coordinates, self.point, self.experiment = coordinates, point, experiment
@@ -258,27 +219,24 @@ class _Sum:
         self.columns: Floats = np.zeros((*shape, point.size))
 
     def sensed(self) -> tuple[Floats, Floats]:
-        """Return what the sensors show, and its derivatives."""
+        """Return sensor readings and their derivatives."""
         outputs, columns = self.outputs.copy(), self.columns.copy()
         for j, name in enumerate(self.experiment.output_names):
-            at = {kind: self._of(kind, name) for kind in (CauseKind.GAIN, CauseKind.OFFSET, CauseKind.DELAY)}
-            gain, offset, delay = (self.point[i] if i is not None else 0.0 for i in at.values())
+            kinds = (CauseKind.GAIN, CauseKind.OFFSET, CauseKind.DELAY)
+            at = [next(iter(self.coordinates.of(kind, name)), None) for kind in kinds]
+            gain, offset, delay = (0.0 if i is None else self.point[i] for i in at)
             rate = _rate(self.experiment.times, self.outputs[:, j])
             late = self.outputs[:, j] - delay * rate
             outputs[:, j] = (1.0 + gain) * late + offset
             columns[:, j, :] *= 1.0 + gain
-            for i, column in zip(at.values(), (late, np.ones(late.size), -(1.0 + gain) * rate), strict=True):
+            for i, column in zip(at, (late, np.ones(late.size), -(1.0 + gain) * rate), strict=True):
                 if i is not None:
                     columns[:, j, i] = column
         return outputs, columns
 
-    def _of(self, kind: CauseKind, name: str) -> int | None:
-        found: Sequence[int] = self.coordinates.of(kind, name)
-        return found[0] if found else None
-
 
 def _rate(times: Floats, values: Floats) -> Floats:
-    """Return the derivative in time (K,); at a step it is that of the time before."""
+    """Return the derivative in time (K,); at a step that of the time before."""
     distinct = np.concatenate([[True], np.diff(times) > 0])
     if np.count_nonzero(distinct) < 2:
         return np.zeros(values.size)

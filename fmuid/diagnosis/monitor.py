@@ -1,12 +1,7 @@
-"""Monitoring: a long record, or one record after the other, window by window, and an alarm where something is new.
+"""Monitoring of data, window by window, with alarms.
 
-The machine is linearised once over many windows, where it was estimated last; each window adds its information and
-score to those of all onsets (`fmuid.diagnosis.onset`), and nothing is fitted twice. What may drift, as a temperature
-moves a resistance, is another number in each window. An alarm is raised where a cause explains more than chance at
-the level asked for; the windows after the onset, with what was before as prior, name the cause and its size.
-
-Each window is simulated from a little earlier on, longer than a transient, so that its unknown initial state is
-forgotten and no sample is lost (docs/method.md section 5).
+The machine is linearised once over many windows, at its last estimate. A window adds its information and score to
+those of all onsets. Each is simulated from a transient before it (docs/method.md section 5).
 """
 
 from __future__ import annotations
@@ -21,47 +16,37 @@ import pandas as pd
 
 from fmuid.blas import single_threaded
 from fmuid.data import Experiment
-from fmuid.diagnosis.alarm_decision import decide_alarm
-from fmuid.diagnosis.alarms import Alarm, RecordTime, Rule, with_trend
+from fmuid.diagnosis.alarms import Alarm, RecordTime, Rule, decide_alarm, with_trend
 from fmuid.diagnosis.baseline import Baseline, BaselineSource
 from fmuid.diagnosis.baseline_comparator import BaselineComparator
 from fmuid.diagnosis.cause_ranking import MODEL_ERROR
-from fmuid.diagnosis.causes import CauseKind, Causes, ChangeParameterSet
-from fmuid.diagnosis.faults import Fault
+from fmuid.diagnosis.causes import CauseKind, Causes
+from fmuid.diagnosis.faults import Fault, checked_faults
 from fmuid.diagnosis.information_matrix import ChangePrior
 from fmuid.diagnosis.linearized_machine import LinearizedMachine
-from fmuid.diagnosis.monitor_store import STATE_FILE, MonitorStore, Resumed, restored
+from fmuid.diagnosis.monitor_store import STATE_FILE, MonitorStore, Resumed, damage_of
 from fmuid.diagnosis.onset_tracker import OnsetTracker
 from fmuid.diagnosis.window_evaluation import MonitorReference, MonitorState, WindowEvaluation
-from fmuid.diagnosis.windows import (
-    GrowingRecord,
-    SkippedWindow,
-    Window,
-    WindowSums,
-    build_up_of,
-    part_of,
-    split_windows,
-    summed,
-)
+from fmuid.diagnosis.windows import SkippedWindow, Window, WindowSums, build_up_of, part_of, split_windows, summed
 from fmuid.errors import InputError, SimulationError
 from fmuid.estimation import Result
+from fmuid.events import Progress, WindowStep
 from fmuid.models import FMU, System
-from fmuid.progress import Progress, WindowStep
 
 
 @dataclass(frozen=True)
 class MonitoringSettings:
-    """Numbers of a monitoring: samples linearized at once, and repetitions of a window's linearization at most."""
+    """Numbers of a monitoring."""
 
-    batch_samples: int = 32_768
-    most_steps: int = 4
+    batch_samples: int = 32_768  # linearised at once
+    most_steps: int = 4  # linearisations of a window
 
 
 SETTINGS = MonitoringSettings()
 
 
 class Monitor:
-    """Watches records for faults, window by window.
+    """Monitoring of records for faults, window by window.
 
     Parameters
     ----------
@@ -72,16 +57,15 @@ class Monitor:
         The healthy machine.
     rule : Rule, optional
     causes : Causes, optional
-        What is looked at beside the faults, where the baseline has healthy records.
+        Beside the faults, where the baseline has healthy data.
     model_error : float
-        κ, as for `fmuid.DiagnosisSettings`.
+        κ, as for `fmuid.diagnosis.DiagnosisSettings`.
 
     Attributes
     ----------
     rule : Rule
     faults : dict of str to Fault
     gaps : tuple of SkippedWindow
-        Windows that are left out, those that are held (`forget`).
 
     Raises
     ------
@@ -107,9 +91,7 @@ class Monitor:
         causes: Causes | None = None,
         model_error: float = MODEL_ERROR,
     ) -> None:
-        if not faults:
-            raise InputError("there is no fault to look for: give at least one fault model with its parameters")
-        self.baseline, self.faults, self.system = Baseline.of(baseline), dict(faults), System.of(model)
+        self.baseline, self.faults, self.system = Baseline.of(baseline), checked_faults(faults), System.of(model)
         self.rule, self.causes, self.model_error = rule or Rule(), causes or Causes(), model_error
         self.gaps: tuple[SkippedWindow, ...] = ()
         self._journal: MonitorStore | None = None
@@ -120,24 +102,22 @@ class Monitor:
 
     @single_threaded
     def add(self, record: Experiment, progress: Progress | None = None, *, grows: bool = False) -> pd.DataFrame:
-        """Examine the windows of a record and return their rows; what goes wrong leaves everything as it was.
+        """Examine the windows of a record and return their rows; an error changes nothing.
 
         Parameters
         ----------
         record : Experiment
-            With the healthy machine's names; what it discards is left out at its beginning. Of a record that grows
-            the rows from `needed` on, or more of them, which are under the same name and discard nothing.
+            With the healthy machine's names. Of a growing one the rows from `needed` on, with no warm-up.
         progress : callable, optional
-            Called with a `fmuid.progress.WindowStep` before windows are linearised.
+            Called with a `fmuid.events.WindowStep` before windows are linearised.
         grows : bool
-            Whether more of it may come: then only windows that are whole by now are examined.
+            More of the record may come; only whole windows are examined.
 
         Raises
         ------
         InputError
-            If a record of this name is there already, it is shorter than a window, has other inputs or outputs than
-            the model, or its transient lasts longer than the rule says; if it grows and the rule has no windows or no
-            horizon.
+            If the record is known already, too short or does not fit the model, its transient is longer than the
+            rule's, or it grows without windows or horizon in the rule.
         SimulationError
             If the simulation fails at the healthy estimate.
         """
@@ -169,20 +149,22 @@ class Monitor:
 
     @property
     def needed(self) -> float:
-        """The time of the last record from which on its rows are needed when it goes on, s."""
+        """First time of the last record needed when it goes on, s."""
         last = self._now.records[-1]
         return last.begin + (self.rule.window or 0.0) * last.windows - self.rule.transient
 
     def forget(self, rows: int, alarms: int) -> None:
-        """Keep so many rows and alarms, the latest, no gaps, and of records those in which an onset may lie."""
+        """Keep the latest rows and alarms, no gaps, and the records of possible onsets."""
         self._now, self.gaps = self._now.without(rows, alarms), ()
 
     def _comparison(self, record: Experiment) -> BaselineComparator:
         if self._made is None:
-            made = BaselineComparator.of(self.system, self.baseline, self.faults, self.causes, [record])
+            causes = self.causes if self.baseline.beside else None
+            made = BaselineComparator.of(self.system, self.baseline, self.faults, causes, [record])
             watch = OnsetTracker(made.healthy.known, made.healthy.drift)
             if self._resumed.sums and self._journal is not None:
-                watch = restored(watch, self._resumed.sums, self._journal.folder / STATE_FILE)
+                with damage_of(self._journal.folder / STATE_FILE):
+                    watch = watch.restored(self._resumed.sums)
             point = self._resumed.sums.get("point", made.coordinates.healthy)
             self._made, self._now = made, replace(self._now, watch=watch, point=point)
             self._against = MonitorReference(made, self.rule, self.model_error)
@@ -193,10 +175,9 @@ class Monitor:
     def _examined(
         self, made: BaselineComparator, record: Experiment, progress: Progress | None, *, grows: bool
     ) -> list[dict[str, Any]]:
-        """Return the rows of a record, linearising as many windows at once as are near each other."""
+        """Return the rows of a record, linearising many near windows at once."""
         begun = self._now.records[-1]
-        own = GrowingRecord(begun.begin, begun.counts, begun.windows, grows)
-        every = split_windows(record, self.rule.window, self.rule.transient, own)
+        every = split_windows(record, self.rule.window, self.rule.transient, replace(begun, grows=grows))
         windows = [each for each in every if each.there]
         missing = [each for each in every if not each.there]
         if not windows and not grows and not begun.windows:
@@ -215,7 +196,9 @@ class Monitor:
         rows: list[dict[str, Any]] = []
         at, length, tries = 0, 1, 0
         if len(windows) > 1 and not begun.windows:
-            self._compare_starts(made, record, windows)
+            # the length of the transient, and its course
+            found = build_up_of(made, record, windows, self.rule.transient, self._now.point)
+            self._now = replace(self._now, watch=self._now.watch.building_up(*found))
         while at < len(windows):
             batch = windows[at : at + length]
             if progress is not None:
@@ -242,25 +225,18 @@ class Monitor:
         self._machine = made.machine(part) if self._machine is None else self._machine.over(part)
         point, healthy = self._now.point, made.coordinates.healthy
         try:
-            return list(summed(self._machine, part, windows, point, healthy, made.healthy.whitening))
+            return list(summed(self._machine, windows, point, healthy, made.healthy.whitening))
         except SimulationError:
             if np.array_equal(point, healthy):
                 raise
             self._now = replace(self._now, point=healthy)  # where it was last cannot be simulated with these inputs
-            return list(summed(self._machine, part, windows, healthy, healthy, made.healthy.whitening))
-
-    def _compare_starts(self, made: BaselineComparator, record: Experiment, windows: Sequence[Window]) -> None:
-        """Check that the transient is over in time, and see how it passes."""
-        found, slow = build_up_of(made, record, windows, self.rule.transient, self._now.point)
-        self._now = replace(self._now, watch=self._now.watch.building_up(found, slow))
+            return self._summed(made, record, windows)
 
     def _finish(self, made: BaselineComparator, level: float) -> None:
-        """Judge an alarm that lasts to the end of a record by all that was seen."""
+        """Decide an alarm at the end of a record again, by all data."""
         now = self._now
         if now.judgement is not None:
-            self._now = now.said(
-                decide_alarm(now.watch, made.coordinates, self.faults, level, self._against.model_error)
-            )
+            self._now = now.said(decide_alarm(now.watch, made.coordinates, level, self._against.model_error))
 
     # --- what was found
 
@@ -268,23 +244,22 @@ class Monitor:
     def table(self) -> pd.DataFrame:
         """One row a window.
 
-        ``record``, ``window`` (its number), ``start``, ``end`` (s), ``clock`` (its end by the clock of all records, s),
-        ``samples``; ``significant``: the cause that this window by itself shows, "" without; its ``probability`` by
-        chance, for all causes together; ``statistic``: D of the cause and onset that all windows up to this one make
-        likeliest; ``variance_ratio`` of residual and noise; ``unexplained``: it is larger; ``alarm``: what is new,
-        "" without. For each cause its size in this window alone, what was known before as prior, with ``.std``:
-        ``turns.dR``, ``gain(i)``; and the healthy parameters with theirs.
+        ``record``, ``window`` (number), ``start``, ``end`` (s), ``clock`` (end, s of all data), ``samples``;
+        ``significant``: cause of this window alone, "" without; ``probability`` by chance, for all causes;
+        ``statistic``: D of the likeliest cause and onset so far; ``variance_ratio`` of residual and noise;
+        ``unexplained``: it is larger; ``alarm``: its name. Healthy parameters and causes (``turns.dR``, ``gain(i)``)
+        have their sizes in this window alone, and ``.std``.
         """
         return self._now.table()
 
     @property
     def records(self) -> tuple[str, ...]:
-        """The names of the records."""
+        """Names of the records."""
         return tuple(each.name for each in self._now.records)
 
     @property
     def alarms(self) -> tuple[Alarm, ...]:
-        """The alarms, in their order."""
+        """Alarms in their order."""
         table, now = self.table, self._now
         return tuple(
             each if each.onset is None else with_trend(each, now.clock(each.onset.last), table, self.rule.limits)
@@ -293,16 +268,16 @@ class Monitor:
 
     @property
     def windows(self) -> int:
-        """How many were examined."""
+        """Number of examined windows."""
         return self._now.row
 
     def moment(self, record: str, time: float) -> RecordTime:
-        """Return a time of one of the records that are held, with its date."""
-        return next(each for each in self._now.records if each.name == record).moment_at(time)
+        """Return a time of a record with its date."""
+        return next(each for each in self._now.records if each.name == record).moment(time)
 
     @property
     def undetermined(self) -> tuple[str, ...]:
-        """The faults that no window determines."""
+        """Faults that no window determines."""
         table = self.table
         return tuple(
             name
@@ -311,29 +286,24 @@ class Monitor:
         )
 
     @property
-    def coordinates(self) -> ChangeParameterSet | None:
-        """All that may differ between the records; None before the first one."""
-        return None if self._made is None else self._made.coordinates
-
-    @property
     def basis(self) -> BaselineSource:
-        """Where the healthy machine is from."""
+        """Source of the healthy machine."""
         return BaselineSource.RECORDS if self._made is None else self._made.basis
 
     @property
     def units(self) -> dict[str, str]:
-        """The unit of each column of sizes and parameters, "" without."""
-        if self.coordinates is None:
-            return dict(self._resumed.units)
-        return {one.name: one.unit for one in self.coordinates.each if not one.second}
+        """Unit of each column of sizes and parameters, "" without."""
+        return dict(self._present.units)
 
     @property
-    def beside(self) -> tuple[str, ...]:
-        """The columns of the causes beside the faults, but for the parameters."""
-        if self.coordinates is None:
-            return self._resumed.columns
-        plain = (CauseKind.FAULT, CauseKind.PARAMETER)
-        return tuple(one.name for one in self.coordinates.each if one.kind not in plain)
+    def _present(self) -> Resumed:
+        """State to resume; before the first record that of the earlier run."""
+        if self._made is None:
+            return self._resumed
+        each, plain = self._made.coordinates.each, (CauseKind.FAULT, CauseKind.PARAMETER)
+        columns = tuple(one.name for one in each if one.kind not in plain)
+        sums = {"point": self._now.point, **self._now.watch.state()}
+        return Resumed(sums, {}, {one.name: one.unit for one in each if not one.second}, columns)
 
     # --- files
 
@@ -344,44 +314,36 @@ class Monitor:
         lines: Sequence[str] = (),
         beside: Mapping[str, Any] | None = None,
     ) -> list[Path]:
-        """Write ``monitoring.csv``, ``monitoring.json`` and ``monitoring.npz``, which `resume` needs.
-
-        What was written into the same folder before is added to; a break leaves what was written last.
+        """Write ``monitoring.csv``, ``monitoring.json`` and ``monitoring.npz``, adding to those of earlier calls.
 
         Parameters
         ----------
         folder : path
         also : mapping, optional
-            What else the JSON file is to say.
+            More content of the JSON file.
         lines : sequence of str
-            That ``alarms.jsonl`` gets.
+            Added to ``alarms.jsonl``.
         beside : mapping, optional
-            What `resume` is to return.
+            Returned by `resume`.
         """
         if self._journal is None or self._journal.folder != Path(folder):
             self._journal = MonitorStore(Path(folder))
+        present = replace(self._present, beside=beside or {})
         content = {
             "alarms": self.alarms,
             **self._same,
             "rule": self.rule,
             "sizes": {name: [f"{name}.{size}" for size in fault.sizes] for name, fault in self.faults.items()},
             "common": list(self.baseline.common),
-            "beside": self.beside,
-            "units": self.units,
+            "beside": present.columns,
+            "units": present.units,
             **(also or {}),
         }
-        kept = Resumed(self._sums, beside or {}, self.units, self.beside)
-        return self._journal.write(self._now, content, lines, self._same, kept)
-
-    @property
-    def _sums(self) -> Mapping[str, Any]:
-        """What onsets need; before the first record those of the earlier run."""
-        own = {"point": self._now.point, **self._now.watch.state()}
-        return self._resumed.sums if self._made is None else own
+        return self._journal.write(self._now, content, lines, self._same, present)
 
     @property
     def _same(self) -> dict[str, Any]:
-        """What must be the same to go on with an earlier run."""
+        """Content that must be equal to go on with an earlier run."""
         common = {
             name: [each.start, None if each.prior is None else each.prior.std]
             for name, each in self.baseline.common.items()
@@ -396,13 +358,13 @@ class Monitor:
         return {"rule": replace(self.rule, limits={}), "healthy": healthy}
 
     def resume(self, folder: str | Path, rows: int | None = None) -> dict[str, Any]:
-        """Go on where an earlier run ended, whose files are in a folder; return what was written beside.
+        """Continue an earlier run in a folder; return its `beside`.
 
         Parameters
         ----------
         folder : path
         rows : int, optional
-            Of the table, that are read again, the last ones; default: all.
+            Last rows of the table to read; default: all.
 
         Raises
         ------

@@ -1,7 +1,6 @@
-"""The files of a monitoring: its table and its alarms, which grow, and what it needs to go on.
+"""Files of a monitoring: its growing table and alarms, and its state.
 
-Rows and lines are added first; then the state, which says how long both are, takes the place of the one before, in one
-step. After a break whatever is longer is cut off: nothing is lost and nothing is there twice.
+Rows are added first; then the state with their lengths replaces the old one. After a break longer files are cut off.
 """
 
 from __future__ import annotations
@@ -19,13 +18,13 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from fmuid.codec import as_json, from_json
+from fmuid.codec import as_json, from_json, write_object
 from fmuid.data import read_arrays, write_arrays
 from fmuid.diagnosis.alarms import Alarm
-from fmuid.diagnosis.onset_tracker import OnsetTracker
-from fmuid.diagnosis.window_evaluation import MonitorState, WatchedRecord
+from fmuid.diagnosis.window_evaluation import MonitorState
+from fmuid.diagnosis.windows import WatchedRecord
 from fmuid.errors import InputError
-from fmuid.files import first_line, is_file, note, with_formulas, without_formulas, write_json
+from fmuid.files import first_line, is_file, note, with_formulas, without_formulas
 from fmuid.version import __version__
 
 TABLE_FILE, FOUND_FILE, STATE_FILE = "monitoring.csv", "monitoring.json", "monitoring.npz"
@@ -36,33 +35,31 @@ TEXTS, NUMBERS, TRUTHS = ("record", "significant", "alarm"), ("window", "samples
 
 @dataclass(frozen=True)
 class Resumed:
-    """What a monitoring needs to go on beside its records, windows and alarms.
+    """State of an earlier run beside its records, windows and alarms."""
 
-    Attributes
-    ----------
-    sums : mapping of str to ndarray
-        Of its onsets, for `restored`; empty before any record.
-    beside : mapping
-        What was written beside.
-    units : mapping of str to str
-        Of the columns.
-    columns : tuple of str
-        Those of causes beside the faults.
-    """
+    sums: Mapping[str, Any] = field(default_factory=dict)  # arrays of its onsets; empty before any record
+    beside: Mapping[str, Any] = field(default_factory=dict)  # of the caller
+    units: Mapping[str, str] = field(default_factory=dict)  # by column
+    columns: tuple[str, ...] = ()  # of causes beside the faults
 
-    sums: Mapping[str, Any] = field(default_factory=dict)
-    beside: Mapping[str, Any] = field(default_factory=dict)
-    units: Mapping[str, str] = field(default_factory=dict)
-    columns: tuple[str, ...] = ()
+
+@dataclass(frozen=True)
+class _State:
+    """Text of a ``monitoring.npz``; `same` must be equal to go on."""
+
+    same: Any
+    beside: Mapping[str, Any]
+    units: Mapping[str, str]
+    columns: tuple[str, ...]
+    version: str
+    records: tuple[WatchedRecord, ...]
+    alarms: tuple[Alarm, ...]
+    windows: int
+    lengths: dict[str, int]  # bytes of the growing files
 
 
 class MonitorStore:
-    """The files of a monitoring in a folder.
-
-    Parameters
-    ----------
-    folder : Path
-    """
+    """Files of a monitoring in a folder."""
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
@@ -76,37 +73,16 @@ class MonitorStore:
         same: Mapping[str, Any],
         resumed: Resumed,
     ) -> list[Path]:
-        """Write what is new and return the paths of findings, table and alarms.
-
-        Parameters
-        ----------
-        now : MonitorState
-        content : mapping
-            What the JSON file says.
-        lines : sequence of str
-            Of the alarms.
-        same : mapping
-            What must be the same to go on.
-        resumed : Resumed
-        """
+        """Write new rows, lines of alarms, the JSON `content` and the state; return the paths but for the state's."""
         self._add_rows(now)
         self._add(ALARMS_FILE, "".join(f"{line}\n" for line in lines))
-        whole = {
-            "same": same,
-            "beside": resumed.beside,
-            "units": resumed.units,
-            "columns": resumed.columns,
-            "version": __version__,
-            "records": now.records,
-            "alarms": now.alarms,
-            "windows": now.row,
-            "lengths": self._lengths,
-        }
-        text = np.frombuffer(json.dumps(as_json(whole)).encode(), np.uint8)
+        kept = same, resumed.beside, resumed.units, resumed.columns
+        state = as_json(_State(*kept, __version__, now.records, now.alarms, now.row, self._lengths))
+        text = np.frombuffer(json.dumps(state).encode(), np.uint8)
         write_arrays(self.folder / STATE_FILE, {"text": text, **resumed.sums})
         said = {**content, "records": now.records, "windows": now.row, "version": __version__}
-        found = write_json(self.folder / FOUND_FILE, said)
-        return [found, *(self.folder / name for name in (TABLE_FILE, ALARMS_FILE) if self._lengths[name])]
+        write_object(self.folder / FOUND_FILE, as_json(said))
+        return [self.folder / name for name in (FOUND_FILE, TABLE_FILE, ALARMS_FILE) if self._lengths.get(name, 1)]
 
     def _add_rows(self, now: MonitorState) -> None:
         table = now.table()
@@ -116,7 +92,7 @@ class MonitorStore:
         self._rows = now.row
 
     def _add(self, name: str, text: str) -> None:
-        """Add text to a file after as many bytes as the state says, or as there are where it was cut meanwhile."""
+        """Add text at the state's length of a file, or at its end where it was cut."""
         path = self.folder / name
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
@@ -138,35 +114,18 @@ class MonitorStore:
             note(path)
 
     def read(self, now: MonitorState, same: Mapping[str, Any], rows: int | None) -> tuple[MonitorState, Resumed]:
-        """Return how far an earlier run was, and what it needs to go on.
-
-        Parameters
-        ----------
-        now : MonitorState
-            Before any record.
-        same : mapping
-            What the state must say.
-        rows : int or None
-            Of the table, that are read, the last ones; None for all.
-
-        Raises
-        ------
-        InputError
-            If there is none, or it had another rule, other faults or another healthy machine.
-        DamagedStateError
-            If its files are damaged or of another version.
-        """
+        """Return the state of an earlier run, with the last rows of its table (None: all)."""
         path = self.folder / STATE_FILE
         if not is_file(path):
             raise InputError(f"{self.folder} has no earlier run to append to: {REMEDY} first")
         with damage_of(path):
             sums = read_arrays(path)
-            earlier = _Earlier.of(json.loads(sums.pop("text").tobytes()), as_json(same))
+            earlier = from_json(_State, json.loads(sums.pop("text").tobytes()))
         if not earlier.windows:  # nothing was found, whatever the run was of
             return now, Resumed()
-        if not earlier.same and earlier.version != __version__:
-            raise DamagedStateError(path, f"fmuid {earlier.version} has written it, this is fmuid {__version__}")
-        if not earlier.same:
+        if earlier.same != as_json(same):
+            if earlier.version != __version__:
+                raise DamagedStateError(path, f"fmuid {earlier.version} has written it, this is fmuid {__version__}")
             raise InputError(
                 f"{path} is of a run with another rule, other faults or another healthy machine: use the same, or "
                 "another output folder"
@@ -178,36 +137,8 @@ class MonitorStore:
         return replace(found, forgotten=forgotten), Resumed(sums, earlier.beside, earlier.units, earlier.columns)
 
 
-@dataclass(frozen=True)
-class _Earlier:
-    """What the text of a state says."""
-
-    version: str
-    same: bool
-    windows: int
-    records: tuple[WatchedRecord, ...] = ()
-    alarms: tuple[Alarm, ...] = ()
-    lengths: dict[str, int] = field(default_factory=dict)
-    beside: dict[str, Any] = field(default_factory=dict)
-    units: dict[str, str] = field(default_factory=dict)
-    columns: tuple[str, ...] = ()
-
-    @classmethod
-    def of(cls, content: Any, same: Any) -> _Earlier:
-        """Return what a text says; of a run that found nothing, or is another one, no more than that."""
-        version, windows, as_before = str(content["version"]), _count(content["windows"]), content["same"] == same
-        if not windows or not as_before:
-            return cls(version, as_before, windows)
-        records, alarms = tuple(map(_record, content["records"])), tuple(map(_alarm, content["alarms"]))
-        if not records:
-            raise ValueError("it has windows of no record")
-        lengths = {name: _count(content["lengths"][name]) for name in (TABLE_FILE, ALARMS_FILE)}
-        beside, units, columns = dict(content["beside"]), dict(content["units"]), tuple(content["columns"])
-        return cls(version, True, windows, records, alarms, lengths, beside, units, columns)
-
-
 class DamagedStateError(InputError):
-    """What an earlier run has left is damaged or of another version.
+    """Damaged files of an earlier run, or of another version.
 
     Attributes
     ----------
@@ -222,7 +153,7 @@ class DamagedStateError(InputError):
 
 @contextmanager
 def damage_of(path: Path) -> Iterator[None]:
-    """Have errors that show damage of a file be a `DamagedStateError`."""
+    """Raise errors of a damaged file as `DamagedStateError`."""
     try:
         yield
     except (OSError, LookupError, ValueError, TypeError, AttributeError, OverflowError, RecursionError) as error:
@@ -231,38 +162,8 @@ def damage_of(path: Path) -> Iterator[None]:
         raise DamagedStateError(path, said) from None
 
 
-def restored(watch: OnsetTracker, sums: Mapping[str, Any], path: Path) -> OnsetTracker:
-    """Return a watch as it was when its sums were written to a file.
-
-    Raises
-    ------
-    DamagedStateError
-        If they are of other coordinates.
-    """
-    with damage_of(path):
-        return watch.restored(sums)
-
-
-def _record(data: Mapping[str, Any]) -> WatchedRecord:
-    numbers = {name: float(data[name]) for name in ("begin", "clock", "counts")}
-    return WatchedRecord(
-        **{**data, **numbers, "name": str(data["name"]), "date": str(data["date"]), "windows": _count(data["windows"])}
-    )
-
-
-def _count(given: Any) -> int:
-    """Return a number of something."""
-    if not isinstance(given, int) or given < 0:
-        raise ValueError(f"{given!r} is no number of rows or bytes")
-    return given
-
-
-def _alarm(data: Mapping[str, Any]) -> Alarm:
-    return from_json(Alarm, {**data, "trend": None})
-
-
 def _table(path: Path, length: int, count: int, most: int | None) -> pd.DataFrame:
-    """Return the last rows of a table of which so many bytes and rows were written."""
+    """Return the last rows (`most`, None: all) of a table with `count` rows in `length` bytes."""
     with damage_of(path):
         with path.open("rb") as file:
             content = file.read(length)

@@ -1,10 +1,7 @@
-"""Since when: what each onset of a cause explains, as a step or as a ramp, and the set that holds the true one.
+"""Onset likelihood of a cause, as a step or a ramp, and the confidence set of its time.
 
-A machine's outputs forget the state they had before a change: the columns J of a cause that has always been there
-become, of a change at t₀, J − Φ S(t₀), whose second part dies out. Its projection on J is the share of the change that
-shows by then, w(a) = 1 − ρ(a) C(a), with ρ what of a difference in the state is left after a lag a, and C the
-autocorrelation of J; of a first-order lag under white excitation 1 − exp(−2a/τ), under constant excitation
-1 − exp(−a/τ).
+After a change at t₀ the columns are J − Φ S(t₀), whose second part dies out. Its projection on J is the visible share,
+w(a) = 1 − ρ(a) C(a): ρ is the remaining state difference after a lag a, C the autocorrelation of J.
 
 References
 ----------
@@ -27,27 +24,13 @@ from fmuid.diagnosis.causes import Cause
 
 @dataclass(frozen=True)
 class OnsetSettings:
-    """Numbers of the dating of onsets.
+    """Numbers of the dating of onsets."""
 
-    Attributes
-    ----------
-    over : float
-        What is left of a difference in the state when it is over.
-    lags : int
-        At which a transient is kept.
-    confidence : float
-        The probability that the true onset lies within the stated set.
-    nothing : float
-        Information of an onset, against that of the most telling one, below which its size is anything.
-    alike : float
-        Onsets whose log evidence differs by less have the same samples after them: the first one is said.
-    """
-
-    over: float = 0.05
-    lags: int = 64
-    confidence: float = 0.95
-    nothing: float = 1e-12
-    alike: float = 1e-9
+    over: float = 0.05  # share of a state difference at the end of a transient
+    lags: int = 64  # at which a transient is kept
+    confidence: float = 0.95  # of the set of onsets
+    nothing: float = 1e-12  # information of an onset, over that of the best one, without which its size is arbitrary
+    alike: float = 1e-9  # difference in log evidence of onsets with the same samples after them; the first is taken
 
 
 SETTINGS = OnsetSettings()
@@ -55,31 +38,16 @@ SETTINGS = OnsetSettings()
 
 @dataclass(frozen=True, eq=False)
 class ChangeTransient:
-    """How much of a change shows.
+    """Visible share of a change over time."""
 
-    Attributes
-    ----------
-    lags : (L,) array
-        From 0 on, s.
-    shown : (L,) array
-        The integral of the share that shows from the change to these lags, s.
-    """
-
-    lags: Floats = field(default_factory=lambda: np.zeros(1))
-    shown: Floats = field(default_factory=lambda: np.zeros(1))
+    lags: Floats = field(default_factory=lambda: np.zeros(1))  # (L,), from 0 on, s
+    shown: Floats = field(default_factory=lambda: np.zeros(1))  # (L,), integral of the share to these lags, s
 
     @classmethod
     def of(cls, left: Floats, columns: Floats, step: float) -> ChangeTransient:
-        """Return that of a machine.
+        """Return the transient of a machine.
 
-        Parameters
-        ----------
-        left : (M,) array
-            Mean square of what is left of differences in the state, sample by sample from where they were made.
-        columns : (K, c) array
-            Of what takes time to show, sample by sample.
-        step : float
-            Between samples, s.
+        `left` (M,) is the mean square of state differences, `columns` (K, c) what takes time to show; `step` is in s.
         """
         envelope = np.maximum.accumulate(left[::-1])[::-1]
         power = np.sum(columns**2, axis=0)
@@ -95,18 +63,18 @@ class ChangeTransient:
 
     @property
     def lasts(self) -> float:
-        """After which all shows, s."""
+        """Length, s."""
         return float(self.lags[-1])
 
     def shares(self, clock: Floats, edges: Floats) -> Floats:
-        """Return the mean share that shows in blocks (T, B), after changes at some times (T,)."""
+        """Return the mean share in blocks (T, B), after changes at some times (T,)."""
         late = np.maximum(edges - clock[:, None], 0.0)
         shown = np.interp(late, self.lags, self.shown) + np.maximum(late - self.lasts, 0.0)
         return np.asarray(np.diff(shown, axis=1) / np.diff(edges))
 
 
 class OnsetShape(Enum):
-    """How a cause comes."""
+    """Course of a change."""
 
     STEP = "step"
     RAMP = "ramp"
@@ -114,52 +82,36 @@ class OnsetShape(Enum):
 
 @dataclass(frozen=True, eq=False)
 class OnsetLikelihood:
-    """What the onsets of one cause explain.
-
-    Attributes
-    ----------
-    cause : Cause
-    shape : OnsetShape
-    clock : (T,) array
-        When they begin, s of all that was seen.
-    widths : (T,) array
-        How long after it no other onset is looked at, s.
-    information : (T, c, c) array
-        Of its size (a step), or of its rise in a second (a ramp).
-    score : (T, c) array
-    """
+    """Statistics of the onsets of one cause."""
 
     cause: Cause
     shape: OnsetShape
-    clock: Floats
-    widths: Floats
-    information: Floats
-    score: Floats
+    clock: Floats  # (T,), begin, s of all data
+    widths: Floats  # (T,), time to the next onset, s
+    information: Floats  # (T, c, c), of the size (step), or of its rise in a second (ramp)
+    score: Floats  # (T, c)
 
     @property
     def sizes(self) -> Floats:
-        """The most likely size for each onset (T, c), whatever its sign."""
+        """Most likely size for each onset (T, c), of either sign."""
         return np.asarray(np.linalg.solve(self._certain, self.score[..., None])[..., 0])
 
     @property
     def _certain(self) -> Floats:
-        """The information, kept from being singular where an onset has seen nothing of its cause yet."""
+        """Information, regular where an onset has seen nothing of its cause."""
         floor = SETTINGS.nothing * float(np.einsum("tii->t", self.information).max()) + np.finfo(float).tiny
         return np.asarray(self.information + floor * np.eye(self.score.shape[1]))
 
     @property
     def statistics(self) -> Floats:
-        """D of each onset (T,), zero where its sign is wrong."""
+        """D of each onset (T,), zero for a wrong sign."""
         found = np.einsum("tc,tc->t", self.score, self.sizes)
         return np.where(self.cause.sign * self.score[:, 0] < 0, 0.0, found) if self.cause.sign else found
 
     def log_evidence(self, rise: float) -> Floats:
-        """Return the log Bayes factor of each onset against nothing new (T,).
+        """Return the log Bayes factor of each onset (T,) against no change.
 
-        Parameters
-        ----------
-        rise : float
-            The time in which a ramp reaches the cause's size, s.
+        A ramp reaches the cause's size in `rise` (s).
         """
         slab = self.cause.size / (rise if self.shape is OnsetShape.RAMP else 1.0)
         precision = self.information + np.eye(self.score.shape[1]) / slab**2
@@ -173,30 +125,17 @@ class OnsetLikelihood:
 
 @dataclass(frozen=True, eq=False)
 class OnsetEstimate:
-    """When a cause began and how, by a flat prior over the time.
-
-    Attributes
-    ----------
-    cause : Cause
-    shape : OnsetShape
-        The likelier one.
-    clock : float
-        The most likely onset of this shape, s of all that was seen.
-    between : (float, float)
-        The smallest set that holds the onset with 95 %, whatever its shape, from its first to its last time.
-    log_evidence : float
-        Of the cause, whenever it began, against nothing new.
-    """
+    """Begin and shape of a cause, by a flat prior over the time."""
 
     cause: Cause
-    shape: OnsetShape
-    clock: float
-    between: tuple[float, float]
-    log_evidence: float
+    shape: OnsetShape  # the likelier one
+    clock: float  # most likely onset of this shape, s of all data
+    between: tuple[float, float]  # first and last time of the smallest 95 % set of onsets of any shape
+    log_evidence: float  # of the cause at any time, against no change
 
 
 def estimate_onset(onsets: Sequence[OnsetLikelihood], rise: float) -> OnsetEstimate:
-    """Return when a cause began, by the same onsets in each shape; `rise` as for `OnsetLikelihood.log_evidence`."""
+    """Return the onset of a cause from its likelihoods in each shape; `rise` as for `OnsetLikelihood.log_evidence`."""
     first = onsets[0]
     evidence = np.array([each.log_evidence(rise) for each in onsets])
     weights = np.exp(evidence - evidence.max()) * first.widths

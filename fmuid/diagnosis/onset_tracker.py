@@ -1,12 +1,8 @@
-"""Watching: the likelihood of all onsets of all causes, brought up to date window by window, as steps and as ramps.
+"""Likelihood of all onsets of all causes, updated window by window.
 
-A step of a cause from time t_k on has the columns J_c w(t − t_k), where w says how much of a change shows by then
-(`ChangeTransient`), a ramp J_c (t − t_k)₊. What may drift without being
-a fault is another number in each window and is eliminated there (the marginal likelihood of a window); everything else
-is the same all the time and is estimated over all windows, together with what was known of it. So each onset has three
-sums, its own information, that shared with the coordinates, and its score, to which a new window adds: nothing is
-simulated again and nothing forgotten. The onsets that are kept lie closely in the last windows, and the older the
-further apart, so that their number stays.
+A step from t_k on has the columns J_c w(t − t_k) (`ChangeTransient`), a ramp J_c (t − t_k)₊. Drift is another number in
+each window and is eliminated there; all else is constant and estimated over all windows. Each onset has three sums: its
+own information, that shared with the coordinates, and its score. Older onsets are kept farther apart.
 
 References
 ----------
@@ -33,18 +29,10 @@ from fmuid.diagnosis.onset import ChangeTransient, OnsetLikelihood, OnsetShape
 
 @dataclass(frozen=True)
 class TrackerSettings:
-    """Which onsets are kept.
+    """Onsets kept."""
 
-    Attributes
-    ----------
-    fine : int
-        Windows of which onsets within them are kept.
-    most : int
-        Begins of windows that are kept: every second one of the older half goes then.
-    """
-
-    fine: int = 12
-    most: int = 256
+    fine: int = 12  # last windows with onsets within them
+    most: int = 256  # begins of windows; beyond, every second one of the older half goes
 
 
 SETTINGS = TrackerSettings()
@@ -52,24 +40,15 @@ SETTINGS = TrackerSettings()
 
 @dataclass(frozen=True, eq=False)
 class Blocks:
-    """What a window says, block by block.
+    """Sums of a window by block."""
 
-    Attributes
-    ----------
-    edges : (B + 1,) array
-        Where the blocks begin, and where the last one ends, s of all that was seen.
-    matrices : (B, N, N) array
-        Information of each block.
-    scores : (B, N) array
-    """
-
-    edges: Floats
-    matrices: Floats
-    scores: Floats
+    edges: Floats  # (B + 1,), begins of the blocks and the end of the last one, s of all data
+    matrices: Floats  # (B, N, N), information
+    scores: Floats  # (B, N)
 
     @property
     def whole(self) -> InformationMatrix:
-        """What the window says."""
+        """Information of the window."""
         return InformationMatrix(self.matrices.sum(axis=0), self.scores.sum(axis=0))
 
 
@@ -79,27 +58,7 @@ _KEPT = ("clock", "window", "begins", "before", "step", "ramp")
 
 
 class OnsetTracker:
-    """All onsets of a machine that is being watched.
-
-    Parameters
-    ----------
-    known : ChangePrior
-        Before the first window, of all coordinates.
-    drift : (N,) array
-        Standard deviation of what may change without being new, at any time and from window to window.
-
-    Attributes
-    ----------
-    windows : int
-        That were added.
-    end : float
-        Of the last one, s of all that was seen.
-    pinned : (float, float)
-        Onsets in this time are kept, s.
-    build_up : ChangeTransient
-    slow : (N,) array of bool
-        Which coordinates' changes build up so.
-    """
+    """All onsets of a monitored machine; `drift` (N,) is sound at any time and from window to window."""
 
     def __init__(self, known: ChangePrior, drift: Floats) -> None:
         self.known, self._drift = known.drifting(drift), drift
@@ -114,13 +73,13 @@ class OnsetTracker:
         self._of: dict[str, Any] = dict(zip(_KEPT, (*places, *sums), strict=True))
 
     def copy(self) -> OnsetTracker:
-        """Return a watch that goes on by itself."""
+        """Return an independent tracker."""
         other = copy(self)
         other._of = dict(self._of)  # arrays are replaced, never changed
         return other
 
     def building_up(self, build_up: ChangeTransient, slow: Flags) -> OnsetTracker:
-        """Return a watch in whose next windows changes of some coordinates build up so."""
+        """Return a tracker with a build-up of changes of some coordinates in its next windows."""
         other = self.copy()
         other.build_up, other.slow = build_up, slow
         return other
@@ -144,7 +103,7 @@ class OnsetTracker:
         self.windows, self.end = self.windows + 1, float(window.edges[-1])
 
     def _kept(self) -> Flags:
-        """Return which onsets are kept when a window more is there."""
+        """Return the onsets to keep with one more window."""
         begins, window = self._of["begins"], self._of["window"]
         clock, (low, high) = self._of["clock"], self.pinned
         kept = begins | (window > self.windows - SETTINGS.fine) | ((low <= clock) & (clock <= high))
@@ -155,17 +114,17 @@ class OnsetTracker:
         return np.asarray(kept)
 
     def clocks(self) -> Floats:
-        """Return when the onsets that are kept begin (T,), s of all that was seen."""
+        """Return the begins of the onsets (T,), s of all data."""
         return np.asarray(self._of["clock"])
 
     # --- what the onsets explain
 
     def _posterior(self) -> ChangePrior:
-        """Return what is known of the coordinates after all windows if nothing is new."""
+        """Return the distribution of the coordinates after all windows, without changes."""
         return self.known.after_also(InformationMatrix(self._total, self._score))
 
     def _news(self, at: Any, shape: OnsetShape = OnsetShape.STEP) -> tuple[Floats, Floats]:
-        """Return F (T, N, N) and h (T, N) of the onsets at some places, for all coordinates as causes."""
+        """Return F (T, N, N) and h (T, N) of some onsets, with all coordinates as causes."""
         after = self._posterior()
         own, shared, score = _parts(self._of[shape.value][at], self._score.size)
         mixed = np.swapaxes(shared, 1, 2)
@@ -175,13 +134,7 @@ class OnsetTracker:
         )
 
     def _beside_drift(self, information: Floats, score: Floats, rise: float) -> tuple[Floats, Floats]:
-        """Return information and score where what may drift may also have done so at the onset, and stay.
-
-        Parameters
-        ----------
-        rise : float
-            Of a ramp: the time in which it may drift so much, s.
-        """
+        """Return information and score beside a lasting drift at the onset, in the time `rise` (s) of a ramp."""
         for i in np.flatnonzero(self._drift):
             shared = information[:, :, i]
             share = shared / (shared[:, i] + (rise / self._drift[i]) ** 2)[:, None]
@@ -197,7 +150,7 @@ class OnsetTracker:
         return clock, statistics_of(information, score, causes)
 
     def onsets(self, causes: Sequence[Cause], shape: OnsetShape) -> list[OnsetLikelihood]:
-        """Return what all onsets of each cause explain."""
+        """Return the likelihood of all onsets of each cause."""
         information, score = self._news(slice(None), shape)
         clock = self._of["clock"]
         widths = np.diff(np.append(clock, self.end))
@@ -209,16 +162,16 @@ class OnsetTracker:
         return found
 
     def news(self, clock: float) -> ScoreStatistics:
-        """Return what is new from an onset on, that nearest to a time, if all causes are steps."""
+        """Return the changes from the onset nearest to a time, with all causes as steps."""
         at = int(np.argmin(np.abs(self._of["clock"] - clock)))
         information, score = self._news([at])
         return ScoreStatistics(information[0], score[0])
 
     def apart(self, low: float, high: float) -> tuple[ScoreStatistics, float] | None:
-        """Return what is new in the windows after a time, beside those before another, and where the former begin.
+        """Return the changes in the windows after `high`, beside those before `low`, and the begin of the former.
 
-        The windows in between are left out: a cause that comes within them is there in a part of them only. Where no
-        window has begun since, the last one counts as whole if it may be; None where it may not.
+        Windows in between are left out: the cause is there in a part of them. Without a later window the last one
+        counts as whole if it can; else None.
         """
         clock, begins = self._of["clock"], self._of["begins"]
         slack = 1e-6 * max(1.0, abs(self.end))
@@ -238,7 +191,7 @@ class OnsetTracker:
     # --- files
 
     def state(self) -> dict[str, Any]:
-        """Return what `restored` needs, as arrays."""
+        """Return the arrays for `restored`."""
         return {
             **self._of,
             "total": self._total,
@@ -251,7 +204,7 @@ class OnsetTracker:
         }
 
     def restored(self, state: Mapping[str, Any]) -> OnsetTracker:
-        """Return the watch that a state is of; it must be of the same coordinates."""
+        """Return the tracker of a state, of the same coordinates."""
         for name, own in self.state().items():
             free = name in (*_KEPT, "lags", "shown")  # there are as many as there are
             if state[name].dtype.kind != own.dtype.kind or state[name].shape[free:] != own.shape[free:]:
@@ -266,7 +219,7 @@ class OnsetTracker:
 
 
 def statistics_of(information: Floats, score: Floats, causes: Sequence[Cause]) -> Floats:
-    """Return D of each cause alone (T, m), of information (T, N, N) and score (T, N); 0 where its sign is wrong."""
+    """Return D of each cause alone (T, m), of information (T, N, N) and score (T, N); 0 for a wrong sign."""
     found = np.empty((len(score), len(causes)))
     single = [k for k, cause in enumerate(causes) if len(cause.columns) == 1]
     at = [causes[k].columns[0] for k in single]
@@ -285,23 +238,10 @@ def statistics_of(information: Floats, score: Floats, causes: Sequence[Cause]) -
 
 
 class _Window:
-    """A window without what drifts: M = (P⁻² + G)⁻¹ takes it out of all sums.
+    """Sums of a window without drift, which M = (P⁻² + G)⁻¹ takes out; `recent` (R,) are onsets still building up.
 
-    Parameters
-    ----------
-    recent : (R,) array
-        Onsets before it whose changes build up in it.
-
-    Attributes
-    ----------
-    whole : (N, N) array
-        Its information.
-    matrix, score : (N, N) and (N,) array
-        Its information and its score, without what drifts.
-    step : (2 N² + N,) array
-        What it adds to the sums of steps that show by now.
-    recent, steps, ramps : (R, 2 N² + N) and (B, 2 N² + N) array
-        What it adds to those of steps a little earlier, and the sums of the onsets at the begins of its blocks.
+    `whole` (N, N) is with drift. Of 2 N² + N numbers are `step`, for visible steps, and the rows of `recent` (R),
+    `steps` and `ramps` (B, the onsets at its blocks).
     """
 
     def __init__(self, window: Blocks, drift: Floats, slow: Flags, build_up: ChangeTransient, recent: Floats) -> None:
@@ -335,13 +275,13 @@ class _Window:
         _, (self.matrix,), (self.score,) = _parts(sums[:1], n)
 
     def _without(self, own: Floats, shared: Floats, score: Floats) -> Floats:
-        """Return own and shared information and the score of columns, without what drifts, a row each."""
+        """Return own and shared information and score of columns, without drift, a row each."""
         drawn, mixed = self._taken @ shared, np.swapaxes(shared, -1, -2)
         parts = (own - mixed @ drawn, shared - self.whole @ drawn, score - mixed @ (self._taken @ self._whole_score))
         return np.hstack([each.reshape(len(score), -1) for each in parts])
 
     def rising(self, clock: Floats) -> Floats:
-        """Return what the window adds to the sums of ramps that begin before it (T,)."""
+        """Return the window's addition to the sums of ramps that begin before it (T,)."""
         before = self._edges[0] - clock
         # of onsets so long before, all is a polynomial of that time
         mixed = self._once @ self._taken @ self.whole
@@ -354,13 +294,13 @@ class _Window:
 
 
 def _parts(sums: Floats, n: int) -> tuple[Floats, Floats, Floats]:
-    """Return what rows of sums are: own and shared information (T, N, N), and scores (T, N)."""
+    """Return the parts of rows of sums: own and shared information (T, N, N), and scores (T, N)."""
     own, shared = (sums[:, k * n * n : (k + 1) * n * n].reshape(-1, n, n) for k in range(2))
     return own, shared, sums[:, 2 * n * n :]
 
 
 def _followed(values: Any, kept: Indices, count: int, new: Any) -> Any:
-    """Return some rows, and then so many others."""
+    """Return some rows, followed by others."""
     found = np.empty((kept.size + count, *values.shape[1:]), values.dtype)
     np.take(values, kept, axis=0, out=found[: kept.size], mode="clip")  # without a copy in between
     found[kept.size :] = new

@@ -1,9 +1,6 @@
-"""Something else: a change that no listed cause explains, by what the residual still owes to the inputs.
+"""Unexplained change: the residual's regression on earlier inputs, beside all listed causes.
 
-The variance of the residual hardly shows it: a change that is small against the noise but goes with the inputs is
-seen in the regression of the residual on lagged inputs and a constant, the model's own columns projected out. Lags go
-in spans that double, as a response fades: few coefficients, so that little chance is let in. Only the *change* of the
-coefficients from the healthy record to the new one counts, so that what the healthy model does not know is no alarm.
+Lags go in doubling spans, as a response fades. Only the change of the coefficients since the healthy record counts.
 """
 
 from __future__ import annotations
@@ -23,24 +20,12 @@ from fmuid.identification import SAME_VARIANCE_RATIO
 
 @dataclass(frozen=True)
 class UnexplainedSettings:
-    """Numbers of the tests of what no cause explains.
+    """Numbers of the tests."""
 
-    Attributes
-    ----------
-    level_share : float
-        Of the level, spent on what no cause explains, so that the level as a whole is met.
-    spans : tuple of int
-        Lags of the inputs, in samples; those from each to before the next are one regressor, their sum.
-    nothing : float
-        Directions of the regressors with so little information, against the best, say nothing.
-    spanned : float
-        Columns of the model that go together up to this share span no direction more.
-    """
-
-    level_share: float = 0.1
-    spans: tuple[int, ...] = (0, 1, 2, 4, 8, 16, 32)
-    nothing: float = 1e-8
-    spanned: float = 1e-12
+    level_share: float = 0.1  # of the level, spent on these tests
+    spans: tuple[int, ...] = (0, 1, 2, 4, 8, 16, 32)  # lags of the inputs, samples; summed between
+    nothing: float = 1e-8  # information of a direction, over the best, below which it is left out
+    spanned: float = 1e-12  # singular value of the model's columns, over the largest, of no direction
 
 
 SETTINGS = UnexplainedSettings()
@@ -48,16 +33,15 @@ SETTINGS = UnexplainedSettings()
 
 @dataclass(frozen=True)
 class UnexplainedResidual:
-    """What no cause explains.
+    """Change without a listed cause.
 
     Attributes
     ----------
     statistic : float
-        χ² of the change of what the residual owes to the inputs.
+        χ² of the change of the regression on the inputs.
     degrees : int
-        Of freedom.
     probability : float
-        That chance alone changes it so much.
+        By chance.
     """
 
     statistic: float
@@ -69,7 +53,7 @@ NOTHING_LEFT = UnexplainedResidual(0.0, 0, 1.0)
 
 
 def lagged(inputs: Floats, spans: Sequence[int] = SETTINGS.spans) -> Floats:
-    """Return a constant and the inputs (n, m) before, summed over spans of lags: (n, 1 + (len(spans) - 1) m)."""
+    """Return a constant and the inputs (n, m) summed over spans of lags: (n, 1 + (len(spans) − 1) m)."""
     sums = np.vstack([np.zeros((1, inputs.shape[1])), np.cumsum(inputs, axis=0)])
     ends = 1 + np.arange(len(inputs))
     until = [sums[np.maximum(ends - lag, 0)] for lag in spans]
@@ -77,17 +61,7 @@ def lagged(inputs: Floats, spans: Sequence[int] = SETTINGS.spans) -> Floats:
 
 
 def regression(residual: Floats, regressors: Floats, jacobian: Floats) -> InformationMatrix:
-    """Return what a residual says of its regression on some columns, beside the model's own.
-
-    Parameters
-    ----------
-    residual : (n,) array
-        Whitened.
-    regressors : (n, k) array
-        Whitened like it.
-    jacobian : (n, N) array
-        Of the fitted coordinates, whitened: what they could have taken out of the residual.
-    """
+    """Return the regression of a residual (n,) on regressors (n, k) beside the Jacobian (n, N); all whitened."""
     norms = np.linalg.norm(jacobian, axis=0)
     basis, values, _ = np.linalg.svd(jacobian / np.where(norms > 0, norms, 1.0), full_matrices=False)
     spanned = basis[:, values > SETTINGS.spanned * values.max(initial=0.0)]
@@ -98,7 +72,7 @@ def regression(residual: Floats, regressors: Floats, jacobian: Floats) -> Inform
 
 
 def change(healthy: InformationMatrix, new: InformationMatrix) -> tuple[float, int]:
-    """Return the χ² of the change of the coefficients between two records, and its degrees of freedom.
+    """Return χ² of the change of the coefficients between two records, and its degrees of freedom.
 
     Directions that either record does not determine are left out.
     """
@@ -116,22 +90,21 @@ def change(healthy: InformationMatrix, new: InformationMatrix) -> tuple[float, i
 
 
 def probability(statistic: float, degrees: int) -> float:
-    """Return how likely chance alone changes the coefficients so much."""
+    """Return the probability of such a change by chance."""
     return float(special.chdtrc(degrees, statistic)) if degrees else 1.0
 
 
 @dataclass(frozen=True)
 class VarianceRatio:
-    """The residual against the noise of the healthy machine.
+    """Variance of the residual over that of the healthy noise.
 
     Attributes
     ----------
     ratio : float
-        Of the variances.
     probability : float
-        That noise alone gives as much.
+        By noise alone.
     larger : bool
-        Whether that is too unlikely.
+        Significantly.
     """
 
     ratio: float
@@ -140,7 +113,7 @@ class VarianceRatio:
 
     @classmethod
     def of(cls, ratio: float, samples: float, freedom: float, level: float) -> VarianceRatio:
-        """Test a ratio over independent samples: χ², or F where the noise was estimated with `freedom`."""
+        """Test a ratio over independent samples: χ², or F if the noise was estimated with `freedom`."""
         exact = math.isinf(freedom)
         tail = float(special.chdtrc(samples, samples * ratio) if exact else special.fdtrc(samples, freedom, ratio))
         return cls(ratio, tail, bool(ratio > SAME_VARIANCE_RATIO and tail < SETTINGS.level_share * level))

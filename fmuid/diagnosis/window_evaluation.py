@@ -1,4 +1,4 @@
-"""How far a monitoring is, and what one more window makes of it."""
+"""State of a monitoring, and its update by a window."""
 
 from __future__ import annotations
 
@@ -12,137 +12,65 @@ import pandas as pd
 
 from fmuid.array_types import Floats
 from fmuid.data import BEGIN, Experiment
-from fmuid.diagnosis.alarm_decision import AlarmDecision, decide_alarm
-from fmuid.diagnosis.alarms import SOMETHING_ELSE, Alarm, Onset, RecordTime, Rule, label_of
+from fmuid.diagnosis.alarms import SOMETHING_ELSE, Alarm, AlarmDecision, Onset, RecordTime, Rule, decide_alarm, label_of
 from fmuid.diagnosis.baseline_comparator import BaselineComparator
-from fmuid.diagnosis.cause_results import Explanation, changes
-from fmuid.diagnosis.causes import SETTINGS as CAUSES
+from fmuid.diagnosis.cause_results import changes
 from fmuid.diagnosis.causes import Cause, CauseKind
 from fmuid.diagnosis.change_detection import fit, log_chances, log_limit
 from fmuid.diagnosis.diagnosis_result import EXPLAINED_SHARE
 from fmuid.diagnosis.information_matrix import LEAST, ChangePrior, ScoreStatistics
 from fmuid.diagnosis.onset_tracker import OnsetTracker, statistics_of
 from fmuid.diagnosis.unexplained_residual import VarianceRatio
-from fmuid.diagnosis.windows import WindowSums
+from fmuid.diagnosis.windows import WatchedRecord, WindowSums
 
 
 @dataclass(frozen=True)
 class EvaluationSettings:
-    """Numbers of the evaluation of a window.
+    """Numbers of the evaluation of a window."""
 
-    Attributes
-    ----------
-    far : float
-        A window is linearised again where its estimate is further away: its distance in standard deviations
-        times the largest relative change of a coordinate, about the error of the linear model in standard
-        deviations.
-    grown : float
-        An alarm is judged again when D has grown by this share.
-    free : float
-        A cause that is named is free: by so many times its own size.
-    """
-
-    far: float = 0.3
-    grown: float = 0.2
-    free: float = 1e3
+    far: float = 0.3  # error of the linear model, in standard deviations, beyond which a window is linearised again
+    grown: float = 0.2  # share by which D grows before an alarm is decided again
+    free: float = 1e3  # sizes of a named cause in its prior: free
 
 
 SETTINGS = EvaluationSettings()
 
 
-@dataclass(frozen=True)
-class WatchedRecord:
-    """A record that was monitored.
-
-    Attributes
-    ----------
-    name : str
-    begin : float
-        Of its time, s.
-    clock : float
-        The same by the clock of all records, s.
-    date : str
-        Of time zero, "" where the table has no dates.
-    counts : float
-        From when on its samples count, s.
-    windows : int
-        Which it was cut into so far.
-    grows : bool
-        Whether more of it may come.
-    """
-
-    name: str
-    begin: float
-    clock: float
-    date: str = ""
-    counts: float = 0.0
-    windows: int = 0
-    grows: bool = False
-
-    def moment(self, clock: float) -> RecordTime:
-        """Return a time of the record by the clock of all."""
-        return self.moment_at(clock - self.clock + self.begin)
-
-    def moment_at(self, time: float) -> RecordTime:
-        """Return a time of the record with its date."""
-        date = (pd.Timestamp(self.date) + pd.Timedelta(seconds=time)).isoformat() if self.date else ""
-        return RecordTime(self.name, time, date)
-
-
 @dataclass(frozen=True, eq=False)
 class MonitorState:
-    """How far a monitoring is.
-
-    Attributes
-    ----------
-    watch : OnsetTracker
-    point : (N,) array
-        Where the next window is linearised.
-    records : tuple of WatchedRecord
-    tables : tuple of DataFrame
-        The rows of each record.
-    alarms : tuple of Alarm
-    row : int
-        Of the next window.
-    forgotten : int
-        Rows before those of the tables.
-    judgement : AlarmDecision or None
-        Of the alarm that there is.
-    statistic : float
-        D when that was judged.
-    """
+    """State of a monitoring between windows."""
 
     watch: OnsetTracker
-    point: Floats
+    point: Floats  # (N,), of the next linearisation
     records: tuple[WatchedRecord, ...] = ()
-    tables: tuple[pd.DataFrame, ...] = ()
+    tables: tuple[pd.DataFrame, ...] = ()  # rows of each record
     alarms: tuple[Alarm, ...] = ()
-    row: int = 0
-    forgotten: int = 0
-    judgement: AlarmDecision | None = None
-    statistic: float = 0.0
+    row: int = 0  # of the next window
+    forgotten: int = 0  # rows before those of the tables
+    judgement: AlarmDecision | None = None  # of the present alarm
+    statistic: float = 0.0  # D of that decision
 
     def beginning(self, record: Experiment, transient: float) -> MonitorState:
-        """Return how far it is where a record begins: an alarm that lasts is judged anew."""
+        """Return the state at the begin of a record: a lasting alarm is decided again."""
         date, begin = record.frame.attrs.get(BEGIN), float(record.times[0])
-        counts = begin + max(record.discard, transient)
+        counts = begin + max(record.warmup, transient)
         made = WatchedRecord(record.name, begin, self.watch.end, "" if date is None else str(date), counts)
         return replace(self, records=(*self.records, made), judgement=None, statistic=0.0)
 
     def cut(self, windows: int, *, grows: bool) -> MonitorState:
-        """Return it with so many more windows of the last record."""
+        """Return the state with so many more windows of the last record."""
         last = self.records[-1]
         last = replace(last, windows=last.windows + windows, grows=grows)
         return replace(self, records=(*self.records[:-1], last))
 
     def table(self) -> pd.DataFrame:
-        """Return the rows that are held, with their numbers as index."""
+        """Return the rows held, with their numbers as index."""
         found = pd.concat(self.tables, ignore_index=True) if self.tables else pd.DataFrame()
         found.index = found.index + self.forgotten
         return found
 
     def without(self, rows: int, alarms: int) -> MonitorState:
-        """Return it with so many of the latest rows and alarms, and the records that onsets may lie in."""
+        """Return the state with the latest rows and alarms, and the records of possible onsets."""
         table = self.table().tail(rows)
         needed, kept = self.watch.clocks(), []
         for k, each in enumerate(self.records, start=1):
@@ -155,17 +83,17 @@ class MonitorState:
         )
 
     def moment(self, clock: float) -> RecordTime:
-        """Return the record and its time at a time by the clock of all."""
-        before = [each for each in self.records if each.clock <= clock]
-        return (before[-1] if before else self.records[0]).moment(clock)
+        """Return the time of a record at s of all data."""
+        record = next((each for each in reversed(self.records) if each.clock <= clock), self.records[0])
+        return record.moment(clock - record.clock + record.begin)
 
     def clock(self, moment: RecordTime) -> float:
-        """Return a moment by the clock of all records."""
+        """Return a time of a record in s of all data."""
         record = next(each for each in self.records if each.name == moment.record)
         return moment.time - record.begin + record.clock
 
     def said(self, found: AlarmDecision) -> MonitorState:
-        """Return it with an alarm that was judged again."""
+        """Return the state with the last alarm decided again."""
         last = self.alarms[-1]
         if last.fault == SOMETHING_ELSE:
             return self
@@ -177,57 +105,40 @@ class MonitorState:
         return Onset(self.moment(found.when.clock), self.moment(first), self.moment(last), found.when.shape)
 
     def alarmed(self, label: str, time: float) -> tuple[Alarm, ...]:
-        """Return the alarms with that of one more window, "" for none."""
+        """Return the alarms after one more window, with label "" for none."""
         if not label:
             return self.alarms
         goes_on = bool(self.alarms) and self.alarms[-1].last == self.row - 1
         name = self.records[-1].name
         alarm = replace(self.alarms[-1], last=self.row) if goes_on else Alarm(label, name, time, self.row, self.row)
-        explanations: tuple[Explanation, ...] = ()
-        onset = None
-        if self.judgement is not None:
-            onset = self._onset(self.judgement)
-            explanations = () if label == SOMETHING_ELSE else self.judgement.explanations
+        found = self.judgement
+        explanations = found.explanations if found is not None and label != SOMETHING_ELSE else ()
+        onset = None if found is None else self._onset(found)
         alarm = replace(alarm, fault=label, onset=onset, explanations=explanations)
         return (*(self.alarms[:-1] if goes_on else self.alarms), alarm)
 
 
 class MonitorReference:
-    """What every window is compared with.
-
-    Parameters
-    ----------
-    made : BaselineComparator
-    rule : Rule
-    model_error : float
-    """
+    """Constants of the comparison of windows with a baseline."""
 
     def __init__(self, made: BaselineComparator, rule: Rule, model_error: float) -> None:
         self.made, self.rule = made, rule
         self.model_error = made.model_error(model_error, rule.level)
         self.coordinates = made.coordinates
         self.known = made.healthy.known.drifting(made.healthy.drift)
-        kinds = {CauseKind.PARAMETER, CauseKind.FAULT}
-        # offsets and delays are linear; gains are near 1
-        exact = {CauseKind.OFFSET, CauseKind.DELAY}
-        self.magnitude = np.array(
-            [
-                each.step / CAUSES.difference_step if each.kind in kinds else math.inf if each.kind in exact else 1.0
-                for each in self.coordinates.each
-            ]
-        )
+        self.magnitude = self.coordinates.magnitude
         self.lower, self.upper = np.full(self.magnitude.size, -np.inf), np.full(self.magnitude.size, np.inf)
         for i, each in enumerate(self.coordinates.each):
             of = made.baseline.common if each.kind is CauseKind.PARAMETER else None
-            if each.kind is CauseKind.FAULT and each.variable not in made.faults[each.fault].located:
-                of = dict(made.faults[each.fault].parameters)
+            if each.kind is CauseKind.FAULT and each.variable not in self.coordinates.faults[each.fault].located:
+                of = dict(self.coordinates.faults[each.fault].parameters)
             if of is not None:
                 self.lower[i], self.upper[i] = of[each.variable].min, of[each.variable].max
         self.faulty = np.array([each.kind is CauseKind.FAULT for each in self.coordinates.each])
         self.limit = lru_cache(lambda level, windows: log_limit(level, self.coordinates.causes, windows))
 
     def free(self, columns: tuple[int, ...]) -> ChangePrior:
-        """Return what is known where some coordinates may be anything."""
+        """Return the prior with some coordinates free."""
         std = np.zeros(self.magnitude.size)
         for cause in self.coordinates.causes:
             at = [i for i in cause.columns if i in columns]
@@ -236,17 +147,7 @@ class MonitorReference:
 
 
 class WindowEvaluation:
-    """One more window.
-
-    Parameters
-    ----------
-    against : MonitorReference
-    now : MonitorState
-        Before the window.
-    sums : WindowSums
-    level : float
-        Probability of a false alarm in this window.
-    """
+    """Change statistics after one more window, at its false-alarm level."""
 
     def __init__(self, against: MonitorReference, now: MonitorState, sums: WindowSums, level: float) -> None:
         self.against, self.sums, self.level = against, sums, level
@@ -272,14 +173,13 @@ class WindowEvaluation:
         old = now.judgement
         if old is not None and math.isfinite(old.since) and self.statistic < (1.0 + SETTINGS.grown) * now.statistic:
             return now
-        made = self.against.made
-        found = decide_alarm(self.watch, made.coordinates, made.faults, self.level, self.against.model_error)
+        found = decide_alarm(self.watch, self.against.coordinates, self.level, self.against.model_error)
         self.watch.pinned = found.when.between
         return replace(now, judgement=found, statistic=self.statistic)
 
     @cached_property
     def target(self) -> Floats:
-        """Where the window would be linearised best (N,): at its estimate, with the faults that are named."""
+        """Best point of linearisation (N,): the estimate, with the named faults only."""
         mean = self.estimate.mean.copy()
         hidden = self.against.faulty.copy()
         hidden[list(self.free)] = False
@@ -289,32 +189,32 @@ class WindowEvaluation:
 
     @property
     def far(self) -> bool:
-        """Whether it was linearised too far from there."""
+        """True if the window was linearised too far from the target."""
         off = self.target - self.now.point
         distance = math.sqrt(max(0.0, float(off @ self.sums.whole.matrix @ off)))
         return float(np.max(np.abs(off) / self.against.magnitude)) * distance > SETTINGS.far
 
     def taken(self) -> MonitorState:
-        """Return how far the monitoring is with it."""
+        """Return the state with this window."""
         end = self.sums.window.end
         return replace(self.now, watch=self.watch, alarms=self.now.alarmed(self.label, end), row=self.now.row + 1)
 
     @cached_property
     def _ratios(self) -> tuple[float, float]:
-        """The variance of the residual over the noise, without anything new and with what is named."""
+        """Variance of the residual over the noise, without causes and with the named ones."""
         null = self.against.known.after_also(self.sums.whole).mean if self.free else self.estimate.mean
         samples = max(1, self.sums.samples)
         return self.sums.squares(null) / samples, self.sums.squares(self.estimate.mean) / samples
 
     @cached_property
     def unexplained(self) -> bool:
-        """Whether the residual is larger than the noise, whatever is named."""
+        """True if the residual is larger than the noise in any case."""
         freedom = self.against.made.baseline.freedom
         return VarianceRatio.of(self._ratios[1], self.sums.samples, freedom, self.level).larger
 
     @property
     def label(self) -> str:
-        """What an alarm is called, "" without."""
+        """Name of the alarm, "" without."""
         found = self.now.judgement
         if found is None:
             return SOMETHING_ELSE if self.unexplained else ""
@@ -357,12 +257,12 @@ class WindowEvaluation:
         return row
 
     def _alone(self, news: ScoreStatistics, cause: Cause, least: Floats) -> dict[str, float]:
-        """Return the cells of a cause as this window shows it by itself."""
+        """Return the cells of a cause from this window alone."""
         first = self.against.coordinates.each[cause.columns[0]]
         name = first.name if first.kind is not CauseKind.PARAMETER else f"{first.name} drift"
         if len(cause.columns) > 1:
             found = fit(news, (cause,))
-            change = changes((cause,), found, self.against.coordinates, self.against.made.faults)[0]
+            change = changes((cause,), found, self.against.coordinates)[0]
             return {name: change.value, f"{name}.std": change.std, f"{change.fault}.{change.angle}": change.angle_value}
         i = cause.columns[0]
         own, score = float(news.information[i, i]), float(news.score[i])

@@ -1,7 +1,4 @@
-"""A record cut into windows: what each says, and whether the simulation before it is long enough.
-
-The machine is linearised once over many of them.
-"""
+"""Records cut into windows: sums of each window, and the check of the transient."""
 
 from __future__ import annotations
 
@@ -12,134 +9,84 @@ from functools import cached_property
 from itertools import pairwise
 
 import numpy as np
+import pandas as pd
 
 from fmuid.array_types import Flags, Floats
 from fmuid.data import Experiment
+from fmuid.diagnosis.alarms import RecordTime
 from fmuid.diagnosis.baseline_comparator import BaselineComparator
-from fmuid.diagnosis.information_matrix import InformationMatrix
-from fmuid.diagnosis.linearized_machine import LinearizedMachine
+from fmuid.diagnosis.information_matrix import InformationMatrix, Whitening
+from fmuid.diagnosis.linearized_machine import LinearizedMachine, residual_and_columns
 from fmuid.diagnosis.onset import SETTINGS as ONSET
 from fmuid.diagnosis.onset import ChangeTransient
 from fmuid.diagnosis.onset_tracker import Blocks
-from fmuid.diagnosis.prewhitening import Whitening
 from fmuid.errors import InputError
 
 
 @dataclass(frozen=True)
 class WindowSettings:
-    """Numbers of windows.
+    """Numbers of windows."""
 
-    Attributes
-    ----------
-    step_tolerance : float
-        A window begins with the sample that is nearest, to this share of a sampling interval: times are rounded
-        decimals.
-    most_blocks : int
-        An onset is dated to a block of a window: it has so many at most.
-    block_samples : int
-        Of a block, at least.
-    transient_share : float
-        Simulations from an early and from a late start agree after the transient to this share of the noise's
-        deviation.
-    most_compared : int
-        Windows that have a start of their own.
-    """
-
-    step_tolerance: float = 1e-3
-    most_blocks: int = 20
-    block_samples: int = 20
-    transient_share: float = 0.2
-    most_compared: int = 8
+    step_tolerance: float = 1e-3  # sampling intervals before a window for its first sample: times are rounded
+    most_blocks: int = 20  # of a window: an onset is dated to a block
+    block_samples: int = 20  # of a block, at least
+    transient_share: float = 0.2  # noise deviations by which outputs may depend on the start after the transient
+    most_compared: int = 8  # windows simulated from starts of their own
 
 
 SETTINGS = WindowSettings()
 
 
 @dataclass(frozen=True)
-class GrowingRecord:
-    """A record that is cut piece by piece, as it grows.
+class WatchedRecord:
+    """A record of a monitoring."""
 
-    Attributes
-    ----------
-    begin : float
-        Of its time, s.
-    counts : float
-        From when on samples count, s.
-    windows : int
-        Which it was cut into so far.
-    grows : bool
-        Whether more of it may come.
-    """
-
-    begin: float
-    counts: float
-    windows: int = 0
+    name: str
+    begin: float  # s of the record
+    clock: float  # the same, s of all data
+    date: str = ""  # of time zero, if the data file has dates
+    counts: float = 0.0  # begin of the samples that count, s of the record
+    windows: int = 0  # examined so far
     grows: bool = False
+
+    def moment(self, time: float) -> RecordTime:
+        """Return a time of the record with its date."""
+        date = (pd.Timestamp(self.date) + pd.Timedelta(seconds=time)).isoformat() if self.date else ""
+        return RecordTime(self.name, time, date)
 
 
 @dataclass(frozen=True)
 class Window:
-    """A window of a record.
+    """A window of a record."""
 
-    Attributes
-    ----------
-    number : int
-        From 0 on.
-    lead, start, stop : int
-        Rows where the simulation, the window and what follows it begins.
-    begin, end : float
-        s; `end` is where the next window begins.
-    slack : float
-        By which samples may lie before `begin` and belong to it, s: times are rounded decimals.
-    there : bool
-        Whether every output has a sample that counts.
-    """
-
-    number: int
-    lead: int
-    start: int
-    stop: int
-    begin: float
-    end: float
-    slack: float
-    there: bool
+    number: int  # from 0 on
+    lead: int  # first row of the simulation
+    start: int  # first row
+    stop: int  # row behind
+    begin: float  # s
+    end: float  # begin of the next window, s
+    slack: float  # s by which samples before `begin` belong to it
+    there: bool  # every output has a sample that counts
 
 
 @dataclass(frozen=True)
 class SkippedWindow:
-    """A window of a record in which no sample of some output counts.
+    """A window in which some output has no sample that counts.
 
     Attributes
     ----------
     source : str
         Of the record.
     time : float
-        Where the window begins, s.
+        Begin of the window, s.
     """
 
     source: str
     time: float
 
 
-def split_windows(record: Experiment, window: float | None, transient: float, begun: GrowingRecord) -> list[Window]:
-    """Return the windows of a record, or the next ones of a piece of it.
-
-    What is left at the end of the record and shorter than a window is in none.
-
-    Parameters
-    ----------
-    record : Experiment
-    window : float or None
-        Their length, s; None for the whole record.
-    transient : float
-        What is simulated before them, s.
-    begun : GrowingRecord
-
-    Raises
-    ------
-    InputError
-        If the record is shorter than a window.
-    """
+def split_windows(record: Experiment, window: float | None, transient: float, begun: WatchedRecord) -> list[Window]:
+    """Return the whole windows (length `window`, s; None: the record) of a record from `begun` on."""
     times = record.times
     step = float(np.median(np.diff(times)))
     slack, last = SETTINGS.step_tolerance * step, float(times[-1]) + step
@@ -169,35 +116,25 @@ def split_windows(record: Experiment, window: float | None, transient: float, be
 
 
 def part_of(whole: Experiment, windows: Sequence[Window], transient: float) -> Experiment:
-    """Return successive windows of a record with what is simulated before them, which does not count."""
+    """Return successive windows of a record with the simulation before them, which does not count."""
     times, lead = whole.times, windows[0].lead
     from_begin = lead == windows[0].start
-    left = max(whole.discard, transient) if from_begin else float(times[windows[0].start] - times[lead])
+    left = max(whole.warmup, transient) if from_begin else float(times[windows[0].start] - times[lead])
     # with all columns: a fault may have inputs that the healthy machine has not
-    return replace(whole, frame=whole.frame.iloc[lead : windows[-1].stop], discard=left)
+    return replace(whole, frame=whole.frame.iloc[lead : windows[-1].stop], warmup=left)
 
 
 @dataclass(frozen=True, eq=False)
 class WindowSums:
-    """What one window says.
-
-    Attributes
-    ----------
-    window : Window
-    edges : (B + 1,) array
-        Of its blocks, s of the record.
-    grams : (B, N + 1, N + 1) array
-        Of the whitened residual at zero, then the N columns, block by block.
-    samples : int
-    """
+    """Sums of one window."""
 
     window: Window
-    edges: Floats
-    grams: Floats
+    edges: Floats  # (B + 1,), of its blocks, s of the record
+    grams: Floats  # (B, N + 1, N + 1), of the whitened residual at zero and the N columns, by block
     samples: int
 
     def blocks(self, shift: float) -> Blocks:
-        """Return its blocks by the clock of all records, which is later by `shift`."""
+        """Return its blocks in s of all data, later by `shift`."""
         return Blocks(self.edges + shift, self.grams[:, 1:, 1:], self.grams[:, 1:, 0])
 
     @cached_property
@@ -206,43 +143,20 @@ class WindowSums:
 
     @cached_property
     def whole(self) -> InformationMatrix:
-        """What the window says of all coordinates."""
+        """Information of the window on all coordinates."""
         return InformationMatrix(self._gram[1:, 1:], self._gram[1:, 0])
 
     def squares(self, at: Floats) -> float:
-        """Return the sum of squares of what is left at some coordinates (N,)."""
+        """Return the sum of squares of the residual at some coordinates (N,)."""
         along = np.concatenate([[1.0], -at])
         return max(0.0, float(along @ self._gram @ along))
 
 
 def summed(
-    machine: LinearizedMachine,
-    part: Experiment,
-    windows: Sequence[Window],
-    point: Floats,
-    healthy: Floats,
-    whitening: Whitening,
+    machine: LinearizedMachine, windows: Sequence[Window], point: Floats, healthy: Floats, whitening: Whitening
 ) -> Iterator[WindowSums]:
-    """Yield what windows say, linearised at a point (N,) and relative to the healthy coordinates (N,).
-
-    Parameters
-    ----------
-    machine : LinearizedMachine
-        Over `part`.
-    part : Experiment
-        The windows and what is simulated before them.
-    windows : sequence of Window
-    point, healthy : (N,) array
-    whitening : Whitening
-
-    Raises
-    ------
-    SimulationError
-        If a simulation fails.
-    """
-    outputs, columns = machine.linearise(point)
-    residual = np.where(part.counted, part.output_values - outputs, 0.0) + columns @ (point - healthy)
-    whole = np.concatenate([residual[:, :, None], columns], axis=2)
+    """Yield the sums of windows, linearised at a point (N,) and relative to the healthy coordinates (N,)."""
+    part, whole = machine.experiment, residual_and_columns(machine, point, healthy)
     white = [(part.times[rows], values) for rows, values in whitening.of_outputs(part, whole)]
     for window in windows:
         span = np.array([window.begin, window.end]) - window.slack
@@ -262,33 +176,9 @@ def summed(
 def build_up_of(
     made: BaselineComparator, record: Experiment, windows: Sequence[Window], transient: float, point: Floats
 ) -> tuple[ChangeTransient, Flags]:
-    """Return how a change builds up in the outputs, by what is left of other starts before some windows, and of what.
+    """Return the build-up of changes in the outputs, and the coordinates (N,) with one.
 
-    A change whose column is the same from the start on needs no state: it shows at once.
-
-    Parameters
-    ----------
-    made : BaselineComparator
-    record : Experiment
-    windows : sequence of Window
-        Two or more, one after the other.
-    transient : float
-        What is simulated before each, s.
-    point : (N,) array
-        Where the machine is simulated.
-
-    Returns
-    -------
-    build_up : ChangeTransient
-    slow : (N,) array of bool
-        Whose changes build up.
-
-    Raises
-    ------
-    InputError
-        If the transient lasts longer.
-    SimulationError
-        If a simulation fails.
+    It is found from other starts of windows at a point (N,). A column that never depends on the start shows at once.
     """
     compared = windows[: SETTINGS.most_compared + 1]
     whole = part_of(record, compared, transient)

@@ -1,4 +1,4 @@
-"""Values that problems share by what they depend on, so that nothing depends on which problem came first."""
+"""Values that many problems share, by content."""
 
 from __future__ import annotations
 
@@ -12,17 +12,16 @@ Item = TypeVar("Item")
 
 
 class Cache:
-    """What many problems share: pure functions of their keys; the least recently used go first.
+    """Values shared by many problems; the least recently used are dropped first.
 
-    Shelves: "outputs" of simulations at starting points, by layout and parameters; "jacobian" and "solver error" at the
-    center of a cell of parameter space, by layout and cell.
+    Each value is a pure function of its key, so the order of the problems does not matter.
 
     Parameters
     ----------
     memory : int
-        Bytes that the arrays take at most.
+        Maximum size of the arrays, bytes.
     problems : int
-        Problems of one layout that will share it (`LeastSquares.layout`): cells are used where they pay for so many.
+        Expected number of problems with one layout (`LeastSquares.layout`).
 
     Examples
     --------
@@ -37,7 +36,7 @@ class Cache:
         self._size = 0
 
     def get(self, shelf: str, key: Hashable, make: Callable[[], Item]) -> Item:
-        """Return the value of a key, made now if there is none."""
+        """Return the value of a key; make it if it is missing."""
         place = shelf, key
         if place in self._kept:
             self._kept.move_to_end(place)

@@ -1,4 +1,4 @@
-"""The criterion at many points: sums of squares, simulated in batches as large as memory allows."""
+"""Cost and likelihood at many points."""
 
 from __future__ import annotations
 
@@ -13,24 +13,21 @@ from fmuid.estimation.evaluator import Evaluator
 from fmuid.estimation.problem import LeastSquares
 from fmuid.estimation.result import Result
 
-# Residuals below a millionth of the measurements are as good as none: comparing them would compare rounding.
-LEAST_RESIDUAL = 1e-6
-
-
-# Simulated samples held at a time, 8 MB; but never fewer simulations than keep all processors busy.
-CHUNK_SAMPLES, LEAST_BATCH = 1_000_000, 64
+LEAST_RESIDUAL = 1e-6  # minimum residual, share of the measurements; smaller ones are rounding
+CHUNK_SAMPLES = 1_000_000  # simulated samples in memory, 8 MB
+LEAST_BATCH = 64  # minimum simulations at a time, for all processors
 
 
 @dataclass(frozen=True, eq=False)
 class CostComponents:
-    """The parts of the criterion at several thetas.
+    """Parts of the cost at m points.
 
     Attributes
     ----------
     squares : (m, n_outputs) array
-        Σ ε² of each output, NaN where the simulation failed.
+        Σ ε² of each output, NaN if the simulation failed.
     prior : (m,) array
-        ‖W(θ₀ − θ)‖², the prior's part of (1.37).
+        ‖W(θ₀ − θ)‖² of (1.37).
     """
 
     squares: Floats
@@ -42,7 +39,7 @@ class CostComponents:
             return np.asarray((self.squares / variance).sum(axis=1) + self.prior, dtype=np.float64)
 
     def concentrated(self, problem: LeastSquares) -> Floats:
-        """Return J_C with the variances that each theta implies where none is given, (m,)."""
+        """Return J_C (m,); each point implies the variances that are not given."""
         least = least_variance(problem)
         implied = np.maximum(problem.levels.pooled(self.squares, problem.counts) / problem.counts, least)
         estimated = np.isnan(problem.variance)
@@ -52,10 +49,7 @@ class CostComponents:
 
 
 def misfits(evaluator: Evaluator[LeastSquares], thetas: Floats) -> CostComponents:
-    """Simulate thetas (m, N), as many at a time as memory allows, and sum up the squares of their residuals.
-
-    The criterion itself needs no residual afterwards, so that maps and generations of any size fit into memory.
-    """
+    """Return the parts of the cost at thetas (m, N), simulated in batches."""
     problem = evaluator.problem
     problem.check_measured()
     members = np.eye(problem.counts.size)[problem.groups]
@@ -69,51 +63,35 @@ def misfits(evaluator: Evaluator[LeastSquares], thetas: Floats) -> CostComponent
 
 
 def fitted(problem: LeastSquares, result: Result) -> CostComponents:
-    """Return the criterion's parts at a result of this problem, from its fit: nothing is simulated."""
-    assert result.history is not None, "not of a result that was read from a file"
-    errors = problem.measured - problem.stacked(result.history.simulated)
+    """Return the parts of the cost at a result, without simulation."""
+    errors = problem.measured - problem.stacked(result.fit.simulated)
     return CostComponents(
         problem.squares(errors)[None], np.sum(problem.parameters.prior_residual(result.values[None]) ** 2, axis=1)
     )
 
 
 def least_variance(problem: LeastSquares) -> Floats:
-    """Return the variance of each output (n_outputs,) below which a residual is as good as none."""
+    """Return the minimum noise variance of each output (n_outputs,)."""
     least = LEAST_RESIDUAL**2 * problem.output_variances(problem.measured)
     return np.where(least > 0, least, 1.0)
 
 
 def variances(problem: LeastSquares, result: Result) -> Floats:
-    """Return the noise variance of each output (n_outputs,): the given one, or the one that the result estimates."""
-    estimated = np.array([result.noise_variance[name] for name in problem.output_names])
+    """Return the given or estimated noise variance of each output (n_outputs,)."""
+    estimated = np.array([result.fit.noise_variance[name] for name in problem.output_names])
     return np.where(np.isnan(problem.variance), np.maximum(estimated, least_variance(problem)), problem.variance)
 
 
 def refuse_loss(problem: LeastSquares, what: str) -> None:
-    """Refuse what sums plain squares for a problem that has another loss.
-
-    Raises
-    ------
-    InputError
-        If the problem's loss is not the plain square.
-    """
+    """Raise `InputError` if the problem has a robust loss."""
     if problem.loss is not None:
         raise InputError(f"{what} knows plain squares only: give the problem no loss, or leave {what} out")
 
 
 def log_likelihood(problem: LeastSquares, residual: Floats, least: Floats) -> float:
-    """Return the logarithm of the density of the data, Σ −(ln 2πσ_j² + r²/σ_j²)/2, its constant included.
+    """Return the log-likelihood Σ −(ln 2πσ_j² + r²/σ_j²)/2 without priors; NaN with a robust loss.
 
-    With the variances that were given, and where none was with the most likely one, J_j/K_j: runs on the same data
-    compare whatever they take the noise for. Priors are no part of it; NaN with a robust loss, which is none.
-
-    Parameters
-    ----------
-    problem : LeastSquares
-    residual : (n,) array
-        Measured − simulated, as `LeastSquares.measured`.
-    least : (n_outputs,) array
-        The least that an estimated variance may be.
+    Takes residuals (n,) as `LeastSquares.measured`; variances that are not given are J_j/K_j, at least `least`.
     """
     if problem.loss is not None:
         return math.nan

@@ -1,18 +1,7 @@
-"""What the Jacobian at the optimum says of the parameters: their covariance (1.31), and what the data leave open.
+"""Covariance and identifiability from the Jacobian at the optimum (1.31).
 
-Everything follows from the singular values of the whitened Jacobian with its columns scaled by the parameters'
-magnitudes, J M = U S Vᵀ. Along the direction v_i the parameters (relative to their magnitudes) have the standard
-deviation 1/s_i. A direction along which this exceeds 100 % is hardly determined, and where it exceeds 1000 %, not
-determined in effect. Where s_i is not even distinguishable from zero by the accuracy of the Jacobian, the direction is
-not determined at all, and its parameters have no finite variance.
-
-A robust loss follows the noise less closely than the sum of squares does: with ψ(f) the influence of a residual, the
-estimate scatters as H⁻¹ (Σ ψ² J Jᵀ + prior) H⁻¹ with H = Σ ψ′ J Jᵀ + prior, each output's ψ′ and ψ² taken at their
-means (Huber, section 7.6, a "sandwich"): `local_covariance` is given √mean ψ′ J, and the spread √(mean ψ²/mean ψ′).
-
-References
-----------
-P. J. Huber, "Robust Statistics", Wiley 1981.
+With J M = U S Vᵀ (M: magnitudes), the relative standard deviation along v_i is 1/s_i. A robust loss needs a sandwich:
+`local_covariance` takes √mean ψ′ J and the spread √(mean ψ²/mean ψ′) (P. J. Huber, Robust Statistics, Wiley 1981, 7.6).
 """
 
 from __future__ import annotations
@@ -28,46 +17,34 @@ from fmuid.array_types import Flags, Floats
 from fmuid.errors import InputError
 from fmuid.estimation.search.trust_region import triangle
 
-# A direction whose standard deviation exceeds this share of the parameters' magnitudes is hardly determined ...
-WEAK_STD = 1.0
-# ... and not determined in effect beyond this: not even the sign and the power of ten of the parameters are known then,
-# and the linear model, on which the standard deviation rests, holds nowhere near so far.
-UNDETERMINED_STD = 10.0
-# Estimates wander about as far as their standard deviations, and so hide how large these are: a direction is not
-# determined in effect either where they exceed so many times the magnitude at the start and the estimate too.
+WEAK_STD = 1.0  # weakly identifiable: larger relative standard deviation
+UNDETERMINED_STD = 10.0  # not identifiable in effect: larger; the sign and power of ten are unknown
+# The same relative to the initial scale, if it exceeds the estimate too: wandering estimates hide their σ.
 ASTRAY_STD = 100.0
-# Singular values are zero where they are below so many times the error that finite differences may have made along
-# their direction: where nothing is determined they come out at 0.1 to 1 times what is foreseen of it.
+# Singular values below this multiple of the foreseen error of the differences are zero; usual are 0.1 to 1.
 JACOBIAN_ERRORS = 2.0
-# Parameters with less than this share of a direction's largest component are no part of what is told of it.
-NAMED_SHARE = 0.05
-# Below this share they are no longer considered part of an undetermined direction.
-INVOLVED_SHARE = 1e-3
+NAMED_SHARE = 0.05  # minimum component of a parameter that is named, of the largest
+INVOLVED_SHARE = 1e-3  # minimum component of a parameter whose variance is infinite
 
 
 def check_level(level: float, of: str = "an interval") -> None:
-    """Check the level of an interval or a region: an `InputError` if it is not between 0 and 1."""
+    """Raise `InputError` unless a level lies between 0 and 1."""
     if not (isinstance(level, float | np.floating) and 0.0 < level < 1.0):
         raise InputError(f"the level of {of} must lie between 0 and 1, not {level!r}")
 
 
-class Identifiability(Enum):
-    """How little is known along a direction, within the limits above."""
+class IdentifiabilityLevel(Enum):
+    """Identifiability along a direction."""
 
-    NOT = "not"
-    """Moving along it changes nothing, or less than could ever tell the parameters."""
-    HIDDEN = "hidden"
-    """Moving along it changes the outputs by no more than the simulation's errors, which are large enough to hide what
-    data can tell."""
-    NOT_IN_EFFECT = "not_in_effect"
-    """The standard deviation is so large that not even the parameters' power of ten is known."""
-    HARDLY = "hardly"
-    """The standard deviation is larger than the parameters' own magnitudes."""
+    NOT = "not"  # no effect on the outputs
+    HIDDEN = "hidden"  # effect below the simulation error
+    NOT_IN_EFFECT = "not_in_effect"  # relative σ above `UNDETERMINED_STD`
+    HARDLY = "hardly"  # relative σ above `WEAK_STD`
 
 
 @dataclass(frozen=True)
 class ActiveBound:
-    """A parameter that lies on a bound, which the data would push it beyond.
+    """Parameter at a bound.
 
     Attributes
     ----------
@@ -82,22 +59,22 @@ class ActiveBound:
 
 @dataclass(frozen=True)
 class WeakDirection:
-    """A direction of the parameters that is not, or hardly, determined.
+    """Direction in parameter space that is not or weakly identifiable.
 
     Attributes
     ----------
-    determined : Identifiability
+    level : IdentifiabilityLevel
     names : tuple of str
-        The parameters that move most along it.
+        Parameters with the largest components.
     coefficients : tuple of float
-        How far each of them moves, in its unit; the whole has any length.
+        Components in the units of the parameters; any length.
     std : float
-        Standard deviation along it, relative to the parameters' magnitudes; infinite where it is not determined.
+        Standard deviation relative to the magnitudes; infinite if not identifiable.
     values, magnitudes : tuple of float
-        The parameters where this was found, and how large each is.
+        Values and magnitudes of these parameters.
     """
 
-    determined: Identifiability
+    level: IdentifiabilityLevel
     names: tuple[str, ...]
     coefficients: tuple[float, ...]
     std: float
@@ -111,18 +88,18 @@ class WeakDirection:
     @classmethod
     def of(
         cls,
-        determined: Identifiability,
+        level: IdentifiabilityLevel,
         names: Sequence[str],
         relative: Floats,
         std: float,
         theta: Floats,
         magnitudes: Floats,
     ) -> WeakDirection:
-        """Return a direction (N,) that is relative to the magnitudes, without the parameters that hardly move."""
+        """Return a direction of components (N,) relative to the magnitudes; small ones are dropped."""
         size = np.abs(relative)
         main = np.flatnonzero(size >= NAMED_SHARE * size.max()).tolist()
         return cls(
-            determined,
+            level,
             tuple(names[i] for i in main),
             tuple((relative * magnitudes)[main].tolist()),
             std,
@@ -133,18 +110,18 @@ class WeakDirection:
 
 @dataclass(frozen=True, eq=False)
 class LocalCovariance:
-    """Covariance of the parameters, and the directions that are not or hardly determined.
+    """Covariance of the parameters, and weak directions.
 
     Attributes
     ----------
     covariance : (N, N) array
-        (JᵀJ)⁻¹ of the whitened Jacobian; infinite variances and NaN covariances for parameters that are not determined.
+        (JᵀJ)⁻¹ of the whitened Jacobian; if not identifiable, variances are infinite and covariances NaN.
     undetermined, weak : tuple of WeakDirection
-        What is not determined, at all first, then in effect; what is hardly determined.
+        Not identifiable, and weakly identifiable.
     rank : int
-        How many directions are determined at all, if only in theory: those of finite variance.
+        Number of directions with a finite variance.
     root : (N, k) array
-        R with R Rᵀ the covariance along the k directions that the data themselves determine.
+        R Rᵀ is the covariance along the k directions that the data determine.
     """
 
     covariance: Floats
@@ -154,10 +131,7 @@ class LocalCovariance:
     root: Floats
 
     def leverage(self, jacobian: Floats) -> Floats:
-        """Return how much of the parameters each row of the Jacobian determines (n_rows,), the hat matrix's diagonal.
-
-        Its sum is the number of directions that the data determine.
-        """
+        """Return the diagonal (n_rows,) of the hat matrix; its sum is k."""
         columns = self.root.T @ jacobian.T
         return np.asarray(np.einsum("ij,ij->j", columns, columns), dtype=np.float64)
 
@@ -174,29 +148,27 @@ def local_covariance(
     spread: Floats | None = None,
     reduced: Floats | None = None,
 ) -> LocalCovariance:
-    """Analyse a whitened Jacobian.
+    """Return covariance and identifiability of a whitened Jacobian.
 
     Parameters
     ----------
     names : sequence of str
     jacobian : (n_rows, N) array
-        Of the whitened residual; with the prior's rows where they are to count.
+        Of the whitened residual; the prior's rows are the last.
     magnitudes : (N,) array
-        How large each parameter is.
+        Magnitude of each parameter.
     jacobian_error : (N,) array
         Norm of the error of each column.
     prior_rows : int
-        How many of the last rows are the prior's; they have no error, and what they say of a direction counts even
-        where it is less than the errors of the others.
+        Number of rows of the prior, which have no error.
     theta : (N,) array, optional
-        The parameters, which directions are told with. Default: the magnitudes.
+        Parameters. Default: the magnitudes.
     scale : (N,) array, optional
-        How large each parameter was thought to be at the start: an estimate that happens to lie near zero is not
-        undetermined for that. Default: the magnitudes.
+        Initial scale of each parameter; estimates near zero stay identifiable. Default: the magnitudes.
     spread : (n_rows,) array, optional
         Standard deviation of each row; default 1.
     reduced : (N+1, N+1) array, optional
-        The triangle of the Jacobian and any residual, where it is known.
+        Triangle of the Jacobian and any residual, if known.
     """
     reduced = triangle(jacobian, np.zeros(len(jacobian))) if reduced is None else reduced
     reduced = reduced[:, :-1] * magnitudes
@@ -225,36 +197,35 @@ def local_covariance(
     for row in _sparse(null):
         effect, error = (float(np.linalg.norm(part)) for part in (reduced @ row, jacobian_error * magnitudes * row))
         none = max(rounding, min(JACOBIAN_ERRORS * error, float(np.linalg.norm(row)) / UNDETERMINED_STD))
-        determined = Identifiability.NOT if effect <= none else Identifiability.HIDDEN
-        undetermined.append(WeakDirection.of(determined, names, row, math.inf, at, magnitudes))
+        level = IdentifiabilityLevel.NOT if effect <= none else IdentifiabilityLevel.HIDDEN
+        undetermined.append(WeakDirection.of(level, names, row, math.inf, at, magnitudes))
     for direction, std in zip(directions[~zero], (1.0 / values[~zero]).tolist(), strict=True):
         if _lost_in_effect(np.abs(direction) * std * magnitudes, magnitudes, magnitudes if scale is None else scale):
-            undetermined.append(WeakDirection.of(Identifiability.NOT_IN_EFFECT, names, direction, std, at, magnitudes))
+            undetermined.append(
+                WeakDirection.of(IdentifiabilityLevel.NOT_IN_EFFECT, names, direction, std, at, magnitudes)
+            )
         elif std > WEAK_STD:
-            weak.append(WeakDirection.of(Identifiability.HARDLY, names, direction, std, at, magnitudes))
+            weak.append(WeakDirection.of(IdentifiabilityLevel.HARDLY, names, direction, std, at, magnitudes))
     rank = len(names) - int(zero.sum())
     return LocalCovariance(covariance, tuple(undetermined), tuple(weak), rank, root[:, ~unseen])
 
 
 def _lost_in_effect(std: Floats, magnitudes: Floats, scale: Floats) -> bool:
-    """Whether standard deviations along a direction, in the parameters' units (N,), leave any of them undetermined."""
+    """Return True if σ (N,) along a direction leaves a parameter not identifiable."""
     beyond = std > UNDETERMINED_STD * np.maximum(magnitudes, scale)
     astray = (std > ASTRAY_STD * scale) & (std > magnitudes)
     return bool((beyond | astray).any())
 
 
 def _gram(rows: Floats, spread: Floats, unseen: Flags, prior_rows: int) -> Floats:
-    """Return (J R)ᵀ spread² J R (N, N), which is the identity where every row's spread is 1.
-
-    Along directions that only the prior determines, what the data's rows show is error.
-    """
+    """Return (J R)ᵀ spread² J R (N, N)."""
     rows = rows * spread[:, None]
-    rows[: len(rows) - prior_rows, unseen] = 0.0
+    rows[: len(rows) - prior_rows, unseen] = 0.0  # error of the data's rows
     return np.asarray(rows.T @ rows, dtype=np.float64)
 
 
 def _sparse(rows: Floats) -> list[Floats]:
-    """Return a basis of the same space with the zeros that elimination gives, so that each row names few parameters."""
+    """Return a basis of the same space by elimination; each row has few parameters."""
     basis = rows.copy()
     used: list[int] = []
     for k in range(len(basis)):

@@ -1,4 +1,4 @@
-"""The simulations of a problem: run, counted, and shared with other problems through a cache."""
+"""Simulations of a problem: counts, failures, cache."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from fmuid.errors import InputError, SensitivityUnavailableError
 from fmuid.estimation.cache import Cache
 from fmuid.estimation.model_sensitivities import SensitivityMethod
 from fmuid.estimation.problem import LeastSquares
-from fmuid.estimation.simulation_noise import SimulationNoise, noise_level
+from fmuid.estimation.simulation_noise import noise_level, noise_steps, shares_of
 
 AnyProblem = TypeVar("AnyProblem", bound=LeastSquares, covariant=True)
 OtherProblem = TypeVar("OtherProblem", bound=LeastSquares)
@@ -36,18 +36,18 @@ CELLS = CellSettings()
 
 
 class Evaluator(Generic[AnyProblem]):
-    """Simulates one problem, counts, and notes failures; `finer` ones count together with it.
+    """Simulates one problem and counts simulations and failures.
 
     Parameters
     ----------
     problem : LeastSquares
     cache : Cache, optional
-        Of values that problems of the same layout share.
+        Shared by problems of the same layout.
 
     Attributes
     ----------
     scatter : (N,) array or None
-        Standard deviations to be expected of the estimates, where the cache is for many problems.
+        Expected standard deviations of the estimates, if the cache serves many problems.
     """
 
     def __init__(
@@ -66,48 +66,48 @@ class Evaluator(Generic[AnyProblem]):
 
     @property
     def problem(self) -> AnyProblem:
-        """What is simulated."""
+        """The simulated problem."""
         return self._problem
 
     @property
     def simulations(self) -> int:
-        """How many simulations of an experiment were made so far."""
+        """Number of simulated experiments."""
         return self._counts["simulations"]
 
     @property
     def failures(self) -> int:
-        """How many parameter vectors could not be simulated."""
+        """Number of parameter vectors with a failed simulation."""
         return self._counts["failures"]
 
     def finer(self, refinement: Hashable) -> Evaluator[AnyProblem]:
-        """Return the evaluator of the problem with a solver refinement, which counts together with this one.
+        """Return the evaluator with a solver refinement; both count together.
 
         Raises
         ------
         InputError
-            If an FMU cannot step that way.
+            If an FMU cannot use these steps.
         """
         if refinement not in self._by_refinement:
             Evaluator(self.problem.finer(refinement), self.cache, (self._counts, self._by_refinement))
         return self._by_refinement[refinement]
 
     def of(self, problem: OtherProblem) -> Evaluator[OtherProblem]:
-        """Return the evaluator of another problem, which counts together with this one."""
+        """Return the evaluator of another problem; both count together."""
         return Evaluator(problem, self.cache, (self._counts, {}))
 
     # --- simulations
 
     def predict(self, thetas: Floats) -> Floats:
-        """Simulate thetas (m, N) and return all counted samples (m, n), NaN rows where a simulation failed.
+        """Simulate thetas (m, N); return counted samples (m, n), NaN rows if failed.
 
-        The array is the caller's to change.
+        The caller may change the array.
         """
         rows, simulations = self._rows(thetas)
         self._count(rows, simulations)
         return rows
 
     def predict_start(self, thetas: Floats) -> Floats:
-        """Simulate at a starting point as `predict` does, once: searches and problems often begin at the same one."""
+        """Simulate like `predict`, but share results at starting points."""
         key = thetas.tobytes()
         rows, simulations = self.cache.get("outputs", (self.problem.layout, key), lambda: self._rows(thetas))
         if key not in self._counted:
@@ -116,9 +116,9 @@ class Evaluator(Generic[AnyProblem]):
         return rows.copy(order="K")  # sums of another layout differ in their last bits
 
     def predict_by(self, refinement: Hashable, theta: Floats, *, start: bool = False) -> Floats:
-        """Return the counted samples (n,) of a refined simulation at theta (N,), NaN where it fails.
+        """Simulate theta (N,) with a solver refinement; return (n,), NaN if failed.
 
-        At a starting point that problems share it counts as no simulation of this one, whichever comes first.
+        A shared starting point does not count as a simulation.
         """
         try:
             other = self.finer(refinement)
@@ -134,25 +134,25 @@ class Evaluator(Generic[AnyProblem]):
         self._counts["failures"] += int(np.isnan(rows[:, 0]).sum())
 
     def _rows(self, thetas: Floats) -> tuple[Floats, int]:
-        """Return the counted samples (m, n), and how many simulations they took."""
+        """Return counted samples (m, n) and the number of simulations."""
         problem, blocks, simulations = self.problem, [], 0
         for index, kept in enumerate(problem.kept):
             outputs, taken = self._outputs(index, thetas)
             flat = outputs.reshape(len(thetas), -1)
             simulations += taken
             blocks.append(flat if kept.size == flat.shape[1] else flat[:, kept])
-        # what failed is NaN throughout; an experiment may have no sample
+        # failed simulations are NaN throughout; an experiment may have no sample
         failed = np.any([np.isnan(block[:, :1]).any(axis=1) for block in blocks], axis=0)
         stacked = blocks[0] if len(blocks) == 1 else np.concatenate(blocks, axis=1)
         stacked[failed] = np.nan
         return problem.scaled(stacked), simulations
 
     def _outputs(self, index: int, thetas: Floats) -> tuple[Floats, int]:
-        """Return the outputs (m, K, n_outputs) of an experiment, and how many simulations they took."""
+        """Return an experiment's outputs (m, K, n_outputs) and the number of simulations."""
         _, columns = self.problem.parameters.for_experiment(index)
         if columns.size == thetas.shape[1] or len(thetas) == 1:
             return self._simulated(index, thetas[:, columns]), len(thetas)
-        # what only other experiments depend on leaves this one as it is
+        # parameters of other experiments have no effect
         own, back = np.unique(thetas[:, columns], axis=0, return_inverse=True)
         return self._simulated(index, own)[back.ravel()], len(own)
 
@@ -164,15 +164,15 @@ class Evaluator(Generic[AnyProblem]):
         return found.outputs
 
     def outputs(self, theta: ArrayLike, predicted: Floats | None = None, *, simulate: bool = True) -> list[Floats]:
-        """Simulate one theta (N,) and return every experiment's outputs (K, n_outputs), NaN where failed.
+        """Simulate theta (N,); return each experiment's outputs (K, n_outputs), NaN if failed.
 
         Parameters
         ----------
         theta : (N,) array
         predicted : (n,) array, optional
-            Its counted samples, as `predict` gave them: experiments all of whose samples count are not simulated again.
+            Counted samples from `predict`; complete experiments are not simulated again.
         simulate : bool
-            False: nothing is simulated where `predicted` is given, and samples that do not count are NaN.
+            False: do not simulate if `predicted` is given; other samples are NaN.
         """
         problem, thetas = self.problem, np.array(theta, dtype=np.float64)[None]
         known = None if predicted is None else problem.tables(problem.unscaled(predicted))
@@ -187,7 +187,7 @@ class Evaluator(Generic[AnyProblem]):
         return found
 
     def failure(self, theta: Floats) -> Exception | None:
-        """Return why the simulation at theta (N,) fails, None if it does not."""
+        """Return the error of the simulation at theta (N,), None if it succeeds."""
         for index, predictor in enumerate(self.problem.predictors):
             _, columns = self.problem.parameters.for_experiment(index)
             known, error = self._reasons.get(index, (None, None))
@@ -197,23 +197,21 @@ class Evaluator(Generic[AnyProblem]):
                 return error
         return None
 
-    def noise_near(self, theta: Floats) -> tuple[Floats, SimulationNoise]:
-        """Return the counted samples (n,) at a start (N,), NaN where it fails, and the simulation noise there."""
-        given, groups = self.problem.parameters, self.problem.groups
-        bounds = given.lower, given.upper
-        return noise_level(
-            self.predict_start, theta, given.magnitudes(theta), *bounds, groups, self.problem.counts.size
-        )
+    def noise_near(self, theta: Floats) -> tuple[Floats, Floats]:
+        """Return samples (n,) at a starting point, and each output's simulation noise."""
+        given = self.problem.parameters
+        steps = noise_steps(given.magnitudes(theta), theta - given.lower, given.upper - theta)
+        return noise_level(self.predict_start, theta, steps, shares_of(self.problem.groups, self.problem.counts.size))
 
     # --- derivatives by the model
 
     def derivatives(self, theta: Floats) -> Floats:
-        """Return the derivatives (N, n) of all counted samples by the parameters at theta (N,), from the model.
+        """Return the model's derivatives (N, n) of all counted samples at theta (N,).
 
         Raises
         ------
         SensitivityUnavailableError
-            If the model cannot give them there.
+            If the model cannot give them.
         """
         blocks, problem = [], self.problem
         for index, (kept, derivatives) in enumerate(zip(problem.kept, problem.derivatives, strict=True)):
@@ -225,21 +223,21 @@ class Evaluator(Generic[AnyProblem]):
         return problem.scaled(np.concatenate(blocks, axis=1))
 
     def refuse_derivatives(self, reason: str) -> None:
-        """Note why differences serve in place of the derivatives of the model."""
+        """Store the reason for finite differences in place of model derivatives."""
         self._refusal = reason
 
     @property
     def used_sensitivity(self) -> SensitivityMethod:
-        """How the derivatives were found."""
+        """Method of the derivatives."""
         by_differences = any(getattr(each, "by_differences", False) for each in self.problem.derivatives)
         return SensitivityMethod(self.problem.sensitivity, by_differences, self._refusal)
 
     # --- cells
 
     def jacobian_near(self, theta: Floats) -> Floats | None:
-        """Return the derivatives (N, n) at the center of the cell of theta (N,); None where there are none.
+        """Return derivatives (N, n) at the center of theta's cell, if available.
 
-        They count as no simulation of this problem, whichever problem comes first.
+        They do not count as simulations.
         """
         if self.scatter is None or not self._pays(theta, self.scatter, CELLS.jacobian_width):
             return None
@@ -262,10 +260,9 @@ class Evaluator(Generic[AnyProblem]):
         return found if np.isfinite(found).all() else None
 
     def error_near(self, refinement: Hashable, theta: Floats, std: Floats) -> Floats | None:
-        """Return what a refined simulation gives less this one (n,), at the center of the cell of an estimate (N,).
+        """Return the solver error (n,) at the center of an estimate's cell.
 
-        None where estimates with standard deviations `std` (N,) scatter over too many cells; NaN where one of the two
-        fails. It counts as no simulation of this problem.
+        None if estimates with standard deviations `std` (N,) need too many cells; NaN if a simulation fails.
         """
         if not self._pays(theta, std, CELLS.error_width):
             return None
@@ -277,14 +274,14 @@ class Evaluator(Generic[AnyProblem]):
         return np.asarray(other.predict_by(refinement, center) - other.predict(center[None])[0])
 
     def _cell(self, theta: Floats, width: float) -> tuple[Floats, Hashable]:
-        """Return the center (N,) of the cell of theta, and its key."""
+        """Return the center (N,) and key of the cell of theta."""
         parameters = self.problem.parameters
         cell = np.round(np.arcsinh(theta / parameters.scale) / width)
         center = np.clip(parameters.scale * np.sinh(width * cell), parameters.lower, parameters.upper)
         return center, (self.problem.layout, cell.tobytes())
 
     def _pays(self, theta: Floats, std: Floats, width: float) -> bool:
-        """Whether each cell serves often enough, however the problems to come scatter."""
+        """Return True if each cell serves enough problems."""
         reach = width * np.hypot(theta, self.problem.parameters.scale)
         with np.errstate(over="ignore"):
             cells = np.prod(1.0 + CELLS.scatter_stds * np.nan_to_num(std, nan=np.inf) / reach)

@@ -1,7 +1,6 @@
-"""Whether parameters act on what is measured, if not where the search begins then elsewhere in their box.
+"""Parameters without effect at the initial guess: friction at rest, dead zones, limits.
 
-Friction at rest, a dead zone or a limit that is not reached change nothing at the start, and no derivative there tells
-where they would. So a few points are tried: of each such parameter alone, then of all of them at random.
+A few points of the box are tried: each parameter alone, then all at random.
 """
 
 from __future__ import annotations
@@ -15,15 +14,15 @@ from fmuid.estimation.finite_differences import INFLUENCE_NOISES, LARGEST_STEP
 from fmuid.estimation.problem import LeastSquares
 from fmuid.estimation.simulation_noise import ROUNDING_SHARE, usable
 
-# Where in its range a bounded parameter is tried, and at how many times its value or magnitude one that is not.
+# Trial values of a bounded parameter (shares of its range) and of another one (multiples of value or scale).
 RANGE_SHARES = (0.02, 0.1, 0.3, 0.5, 0.7, 0.9, 0.98)
 VALUE_MULTIPLES = (0.01, 0.1, 0.3, 3.0, 10.0, -0.1, -1.0, -10.0)
-# Points at random, the seed of the random numbers, and at how many of the best points influence is looked for.
-RANDOM_POINTS, SEED, BEST_POINTS = 16, 0, 8
+RANDOM_POINTS, SEED = 16, 0  # with all parameters changed
+BEST_POINTS = 8  # at which effects are examined
 
 
 def inactive_parameters(problem: LeastSquares, acting: Flags) -> Indices:
-    """Return the parameters that act on nothing and have no prior."""
+    """Return the indices of parameters without effect and without prior."""
     known = (problem.parameters.prior_whitening != 0).any(axis=0)
     return np.flatnonzero(~acting & ~known)
 
@@ -31,22 +30,9 @@ def inactive_parameters(problem: LeastSquares, acting: Flags) -> Indices:
 def find_active_point(
     evaluator: Evaluator[LeastSquares], theta: Floats, idle: Indices, noise: Floats, weights: Floats
 ) -> Floats:
-    """Return the best point near theta at which parameters act that do not at theta.
+    """Return the best point near theta with an effect of each idle parameter.
 
-    Parameters
-    ----------
-    evaluator : Evaluator
-    theta : (N,) array
-        A point that can be simulated.
-    idle : (k,) array of int
-        The parameters that act on nothing there; only they are moved.
-    noise, weights : (n,) arrays
-        Standard deviation of the simulation's noise in each sample, and of what a residual is worth there.
-
-    Raises
-    ------
-    InputError
-        If one of them acts nowhere.
+    `noise` and `weights` (n,) belong to the samples. Raises `InputError` for a parameter without any effect.
     """
     problem = evaluator.problem
     points = _points(problem, theta, idle)
@@ -68,7 +54,7 @@ def find_active_point(
 
 
 def _refusal(problem: LeastSquares, theta: Floats, idle: Indices, tried: int) -> InputError:
-    """Return the error on parameters that change no output, with how many points were tried besides the start."""
+    """Return the error for parameters without effect."""
     names = ", ".join(f"{problem.parameters.names[i]!r} (start {theta[i]:g})" for i in idle)
     said, their, them = f"parameter {names} changes", "its", "it"
     if idle.size > 1:
@@ -81,7 +67,7 @@ def _refusal(problem: LeastSquares, theta: Floats, idle: Indices, tried: int) ->
 
 
 def _points(problem: LeastSquares, theta: Floats, idle: Indices) -> Floats:
-    """Return points (m, N) that differ from theta in one idle parameter, then some that differ in all."""
+    """Return points (m, N): one idle parameter changed, then all of them."""
     places = [_places(problem, theta, i) for i in idle]
     rows = []
     for i, values in zip(idle, places, strict=True):
@@ -96,7 +82,7 @@ def _points(problem: LeastSquares, theta: Floats, idle: Indices) -> Floats:
 
 
 def _places(problem: LeastSquares, theta: Floats, i: int) -> Floats:
-    """Return the values of one parameter to try."""
+    """Return trial values of one parameter."""
     parameters = problem.parameters
     lower, upper = parameters.lower[i], parameters.upper[i]
     if np.isfinite(upper - lower):
@@ -108,7 +94,7 @@ def _places(problem: LeastSquares, theta: Floats, i: int) -> Floats:
 
 
 def _acting(evaluator: Evaluator[LeastSquares], points: Floats, values: Floats, idle: Indices, noise: Floats) -> Flags:
-    """Return which of the idle parameters act at each point (m, k), by moving them by a tenth."""
+    """Return flags (m, k) of idle parameters with an effect at each point."""
     parameters = evaluator.problem.parameters
     if not len(points):
         return np.zeros((0, idle.size), dtype=np.bool_)

@@ -1,9 +1,7 @@
-"""The problem made linear at one point: the paraboloids of data and prior, and what follows from their sum (1.54).
+"""Linearized problem: cost paraboloids of data and prior (1.54).
 
-Near the point the whitened residual of the data is r + J p for a step p, that of the prior w + W p. Both sums of
-squares are paraboloids, J_data(p) = ‖r + J p‖² and J_prior(p) = ‖w + W p‖², and everything that is read from them is
-linear least squares on these rows: (JᵀJ)⁻¹ and (WᵀW)⁻¹ themselves need not exist. With J M = U S Vᵀ, M the parameters'
-magnitudes, the data's rows come down to the few S Vᵀ M⁻¹ p + Uᵀr, without directions that the data do not determine.
+For a step p, J_data = ‖r + J p‖² and J_prior = ‖w + W p‖². With J M = U S Vᵀ, M the magnitudes, the data reduce to
+S Vᵀ M⁻¹ p + Uᵀr, without directions that are not identifiable.
 """
 
 from __future__ import annotations
@@ -20,38 +18,30 @@ from fmuid.estimation.search.trust_region import triangle
 
 @dataclass(frozen=True, eq=False)
 class PriorDataOptimum:
-    """Where data and prior together are least, and by how much they disagree.
+    """Optimum of data and prior: step (N,) (1.55), NaN if not identifiable.
 
-    Attributes
-    ----------
-    step : (N,) array
-        From the point to the barycentre (1.55); NaN for parameters that neither determines.
-    disagreement : float
-        By how much both sums of squares together exceed their own least values there. Where data and prior both
-        determine every parameter it is (θ_opt − θ₀)ᵀ (M₀ + P_opt)⁻¹ (θ_opt − θ₀).
-    degrees_of_freedom : int
-        How many directions data and prior both speak of; the disagreement of what agrees is χ² of so many.
+    `disagreement` is the rise of both costs above their minima; χ² of `degrees_of_freedom` if they agree.
     """
 
     step: Floats
     disagreement: float
-    degrees_of_freedom: int
+    degrees_of_freedom: int  # directions that both data and prior determine
 
 
 @dataclass(frozen=True, eq=False)
 class LinearizedProblem:
-    """The rows of the compound criterion (1.37) and their derivatives at one point.
+    """Rows of the cost function (1.37) and their derivatives at one point.
 
     Attributes
     ----------
     residual, jacobian : (n,) and (n, N) arrays
-        Of the data, whitened: experiment by experiment, sample by sample, counted samples only.
+        Whitened data; counted samples only.
     prior_residual, prior_jacobian : (q,) and (q, N) arrays
-        Of the prior, W(θ₀ − θ) and −W; q = 0 without.
+        W(θ₀ − θ) and −W; q = 0 without prior.
     magnitudes : (N,) array
-        How large each parameter is.
+        Magnitudes of the parameters.
     data, combined : LocalCovariance
-        What the data say of the parameters, alone and with the prior.
+        Covariance from the data alone, and with the prior.
     """
 
     residual: Floats
@@ -64,39 +54,37 @@ class LinearizedProblem:
 
     @cached_property
     def _decomposed(self) -> tuple[Floats, Floats, Floats]:
-        """U (n, k), S (k,) and V (N, k) of the k directions that the data determine."""
+        """U (n, k), S (k,) and V (N, k) of the k identifiable directions."""
         u, s, vt = np.linalg.svd(self.jacobian * self.magnitudes, full_matrices=False)
         kept = min(len(s), self.data.rank)
         return u[:, :kept], s[:kept], vt[:kept].T
 
     @property
     def data_basis(self) -> Floats:
-        """U (n, k): the residual's directions, orthonormal, that the parameters determined by the data move."""
+        """U (n, k): orthonormal basis of the fitted part of the residual."""
         return self._decomposed[0]
 
     def data_step(self) -> Floats:
-        """Return the step to the optimum of the data alone (N,), NaN for parameters that they do not determine."""
+        """Return the step (N,) to the data's optimum, NaN if not identifiable."""
         u, s, v = self._decomposed
         return _known(self.data, -self.magnitudes * (v @ ((u.T @ self.residual) / s)))
 
     def data_std(self, noise: Floats) -> Floats:
-        """Return the standard deviations (N,) of the data's optimum, infinite for what they do not determine.
+        """Return standard deviations (N,) of the data's optimum, infinite if not identifiable.
 
         Parameters
         ----------
         noise : (k, k) array
-            Covariance of the whitened noise in the coordinates of `data_basis`.
+            Noise covariance in the coordinates of `data_basis`.
         """
         _, s, v = self._decomposed
         give = self.magnitudes[:, None] * v / s
         return np.nan_to_num(_known(self.data, np.sqrt(np.sum((give @ noise) * give, axis=1))), nan=np.inf)
 
     def moves(self) -> Floats:
-        """Return how far the prior of each parameter (columns) has moved each estimate (rows) from the data's optimum.
+        """Return the shift (N, N) of each estimate (row) by each prior (column).
 
-        Where both criteria together are least, the prior pulls with the force Wᵀw and the data give way by (JᵀJ)⁻¹
-        times it, each parameter's share of the force for itself (N, N). NaN for parameters that the data do not
-        determine.
+        The prior's force Wᵀw acts on the compliance (JᵀJ)⁻¹ of the data. NaN if not identifiable.
         """
         _, s, v = self._decomposed
         give = self.magnitudes[:, None] * v / s
@@ -104,12 +92,12 @@ class LinearizedProblem:
         return _known(self.data, ((give @ give.T) * force).T).T
 
     def combine(self, noise: Floats | None = None) -> PriorDataOptimum:
-        """Add the paraboloids of data and prior.
+        """Return the optimum of data and prior together.
 
         Parameters
         ----------
         noise : (k, k) array, optional
-            Covariance of the whitened noise in the coordinates of `data_basis`; default the identity, white noise.
+            Noise covariance in the coordinates of `data_basis`; default: white.
         """
         u, s, v = self._decomposed
         rows, values = (v * s).T, u.T @ self.residual
@@ -127,7 +115,7 @@ class LinearizedProblem:
 
     @cached_property
     def root(self) -> Floats:
-        """R (N, k) with R Rᵀ the covariance of the combined estimate, over the k directions that are determined."""
+        """R (N, k) with R Rᵀ the covariance of the combined estimate."""
         if self.combined.root.shape[1] == len(self.magnitudes):  # the same, from the same rows
             return self.combined.root
         stacked = np.vstack([self.jacobian, self.prior_jacobian])

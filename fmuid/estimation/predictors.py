@@ -1,4 +1,4 @@
-"""Interfaces between least squares and models: predictors and their predictions."""
+"""Predictors, and Python functions as such."""
 
 from __future__ import annotations
 
@@ -14,15 +14,15 @@ from fmuid.errors import InputError, SimulationError
 
 
 class Predictions(Protocol):
-    """The outputs simulated for several thetas."""
+    """Outputs simulated for several thetas."""
 
     @property
     def outputs(self) -> Floats:
-        """(m, K, n_outputs), NaN where failed; the caller may change it."""
+        """(m, K, n_outputs), NaN if failed; the caller may change it."""
 
     @property
     def errors(self) -> Sequence[Exception | None]:
-        """Why each of them failed, None where it did not."""
+        """Error of each simulation, None if it succeeded."""
 
 
 class Predictor(Protocol):
@@ -34,14 +34,14 @@ class Predictor(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class FunctionPredictions:
-    """The outputs of a Python function for several thetas; the attributes are those of `Predictions`."""
+    """Outputs of a Python function for several thetas, as `Predictions`."""
 
     outputs: Floats
     errors: tuple[Exception | None, ...]
 
 
 class FunctionPredictor:
-    """Calls a Python function as if it were a simulator."""
+    """Python function with the interface of a simulator."""
 
     def __init__(self, function: Callable[[Floats], ArrayLike], shape: tuple[int, int]) -> None:
         self._function, self._shape = function, shape

@@ -1,4 +1,4 @@
-"""The problem of an identification: predictors, experiments and parameters as one stacked function of theta."""
+"""Least-squares problem: predictors, data and parameters; immutable."""
 
 from __future__ import annotations
 
@@ -29,79 +29,72 @@ from fmuid.estimation.noise.output_series import OutputSeries, output_series, pe
 from fmuid.estimation.noise.periodic_error import check_periods
 from fmuid.estimation.predictors import FunctionPredictor, Predictor
 from fmuid.estimation.simulation_noise import LARGEST_VALUE
-from fmuid.estimation.solver_check.outcome import UsedModel
-from fmuid.estimation.starting_points.noise_level import second_difference_noise
+from fmuid.estimation.solver_check import UsedModel
+from fmuid.estimation.starting_points import second_difference_noise
 
 
 class LeastSquares:
-    """Anything that simulates, experiments and parameters; it never changes.
+    """Least-squares problem of any predictors; immutable.
 
-    `fmuid.Problem` is the one whose predictors run FMUs; `fmuid.estimation.Evaluator` simulates it.
+    `fmuid.Problem` is the one for FMUs; `fmuid.estimation.Evaluator` simulates it.
 
     Parameters
     ----------
     predictors : sequence of Predictor
-        One an experiment; the thetas that it takes hold its experiment's values of the parameters, in the order of
-        `parameters`.
+        One per experiment.
     experiments : sequence of Experiment
     parameters : mapping of str to Parameter
     noise : Noise, optional
     joint_prior : JointPrior, optional
-        Beside the priors of single parameters.
+        In addition to the priors of single parameters.
     loss : "linear", "soft_l1", "huber" or "cauchy"
-        How the criterion grows with a sample's residual in standard deviations of the noise: all but "linear", the
-        plain square, keep outliers from pulling (`fmuid.data.losses`). Priors always count by their squares.
+        Robust loss of each residual in σ of the noise; priors stay quadratic.
     sensitivity : "finite-difference", "forward" or "fmu"
-        How the derivatives of the outputs by the parameters are found
-        (`fmuid.estimation.model_sensitivities.SENSITIVITIES`).
+        Method of the derivatives.
     derivatives : sequence of callable
-        With other than finite differences: theta to the derivatives (N_i, K, n_outputs) of each predictor.
+        Model derivatives: theta to (N_i, K, n_outputs), one per predictor.
 
     Attributes
     ----------
     parameters : ParameterSet
     experiments : tuple
     output_names : tuple of str
-        All measured outputs; those of the same name in several experiments share one noise variance.
+        Measured outputs; equal names share one noise variance.
     levels : NoiseLevels
-        What is known of the noise.
+        Known noise.
     measured : (n,) array
-        All counted samples, experiment by experiment, sample by sample; NaN of outputs that are names only
-        (`check_measured`). Where the noise differs from sample to sample, they are divided by the `scale` of `levels`,
-        as is what an evaluator simulates: what is left has noise of one variance for each output.
+        Counted samples of all experiments, divided by `levels.scale` if the noise varies.
     groups : (n,) array of int
-        Which output each of them belongs to.
+        Output index of each sample.
     counts : (n_outputs,) array of int
-        Samples of each output.
+        Samples per output.
     variance : (n_outputs,) array
-        The given noise variances, NaN where they are estimated; of samples that differ, their mean.
+        Given noise variances, NaN if estimated.
     first_variance : (n_outputs,) array
-        Where the estimation of the variances starts, NaN where the residual decides.
+        Initial noise variances, NaN if taken from the residual.
     loss : Loss or None
-        None for the plain sum of squares.
+        None if linear.
     predictors, derivatives : tuple
-        As given.
     kept : tuple of (n_i,) arrays of int
-        Which samples of each experiment count, in its flattened outputs.
+        Counted samples in the flattened outputs of each experiment.
 
     Raises
     ------
     InputError
-        If there are no experiments, parameters, outputs or counted samples, too few for the parameters, or if there is
-        no such loss.
+        If something is missing, samples are too few, or the loss is unknown.
 
     Examples
     --------
     >>> x, measured = np.array([0.0, 1.0, 2.0, 3.0]), [2.0, 0.75, 0.27, 0.1]
     >>> parameters = {"a": fmuid.Parameter(start=1.0), "k": fmuid.Parameter(start=0.5)}
-    >>> problem = fmuid.LeastSquares.from_function(lambda p: p[0] * np.exp(-p[1] * x), measured, parameters)
+    >>> problem = fmuid.estimation.LeastSquares.from_function(lambda p: p[0] * np.exp(-p[1] * x), measured, parameters)
     >>> fmuid.identify(problem).values.round(2)
     array([2.  , 0.99])
     """
 
     identity: object
     refinement: Any = None
-    """The solver refinement; functions have none."""
+    """Solver refinement; None for functions."""
 
     def __init__(
         self,
@@ -150,7 +143,6 @@ class LeastSquares:
         super().__setattr__(name, value)
 
     def _with(self, **changed: object) -> Self:
-        """Return this problem with other attributes."""
         other = copy.copy(self)
         vars(other).pop("layout", None)
         vars(other).update(changed)
@@ -158,7 +150,7 @@ class LeastSquares:
 
     @cached_property
     def layout(self) -> Hashable:
-        """Everything but the measurements: problems that have it in common simulate the same."""
+        """Key of everything but the measurements."""
         scale = () if self.levels.scale is None else self.levels.scale.tobytes()
         return self.identity, *(kept.tobytes() for kept in self.kept), scale, self.parameters.names
 
@@ -167,15 +159,15 @@ class LeastSquares:
         return self
 
     def afresh(self) -> Self:
-        """Return this problem with predictors that have simulated nothing yet."""
+        """Return this problem with predictors without history."""
         return self
 
     def as_in(self, result: Any) -> Self:  # noqa: ARG002 - systems differ
-        """Return this problem as a result of it was simulated."""
+        """Return this problem with the simulation settings of a result."""
         return self
 
     def measuring(self, experiments: Sequence[Experiment], parameters: Mapping[str, Parameter] | None = None) -> Self:
-        """Return this problem with other measurements of the same samples, and perhaps other starts."""
+        """Return this problem with other measured values, and other initial guesses."""
         other = copy.copy(self)
         for name in ("_frozen", "layout", "series", "periods", "shown_noise"):
             vars(other).pop(name, None)
@@ -204,18 +196,18 @@ class LeastSquares:
         joint_prior: JointPrior | None = None,
         loss: str = "linear",
     ) -> LeastSquares:
-        """Make a problem of a Python function instead of an FMU.
+        """Return the problem of a Python function.
 
         Parameters
         ----------
         function : callable
-            Theta (N,), in the order of `parameters`, to outputs (K,) or (K, n_outputs). An `ArithmeticError`, a
-            `SimulationError` or an output that is not finite counts as a simulation that failed.
+            Theta (N,) to outputs (K,) or (K, n_outputs). `ArithmeticError`, `SimulationError` or a non-finite output
+            is a failed simulation.
         measured : (K,) or (K, n_outputs) array
-            NaN where a sample is missing.
+            NaN if a sample is missing.
         parameters : mapping of str to Parameter
         times : (K,) array, optional
-            For tables and figures; default 0, 1, 2, ...
+            Default: 0, 1, 2, ...
         outputs : sequence of str
             Names of the outputs.
         noise, joint_prior, loss
@@ -234,27 +226,27 @@ class LeastSquares:
 
     @property
     def models(self) -> dict[str, UsedModel]:
-        """``name``, ``digest`` and ``run`` (how it is run) of each FMU by its component; none here."""
+        """``name``, ``digest`` and ``run`` of each FMU by component; empty for functions."""
         return {}
 
     @property
     def units(self) -> dict[str, str]:
-        """The units of the parameters that have one; none are known here."""
+        """Units of the parameters; empty for functions."""
         return {}
 
     @property
     def data(self) -> tuple[MeasuredSeries, ...]:
-        """Which measurements there are."""
+        """All measured series."""
         return tuple(series for experiment in self.experiments for series in measured_series(experiment))
 
     @cached_property
     def series(self) -> tuple[OutputSeries, ...]:
-        """Which counted samples belong to one output of one experiment, and where they stand in time."""
+        """Counted samples as series in time, one per output and experiment."""
         return output_series(self.experiments, self.output_names)
 
     @cached_property
     def shown_noise(self) -> Floats:
-        """The standard deviation of each output's noise (n_outputs,) as second differences of the data show it."""
+        """Noise level (n_outputs,) from second differences of the data."""
         squares, counts = np.zeros((2, self.counts.size))
         for experiment, tables in zip(self.experiments, self.tables(self.measured), strict=True):
             for name, values, counted in zip(experiment.output_names, tables.T, experiment.counted.T, strict=True):
@@ -263,14 +255,14 @@ class LeastSquares:
                 if math.isfinite(found):
                     squares[j] += size * found**2
                     counts[j] += size
-        # what does not move, or in steps, shows no noise at all: rounding of its largest value
+        # constant or stepped outputs: rounding of the largest value
         floor = [1e-9 * float(np.max(np.abs(self.measured[self.groups == j]))) for j in range(counts.size)]
         with np.errstate(invalid="ignore", divide="ignore"):
             return np.fmax(np.sqrt(squares / counts), np.maximum(floor, 1e-300))
 
     @cached_property
     def periods(self) -> dict[str, float]:
-        """After how long, s, each experiment's excitation repeats, as is said or its inputs show, 0 where not."""
+        """Period of each experiment's excitation, s; 0 if it does not repeat."""
         return {each.name: self.noise.period_in(each.name) or period_of(each) for each in self.experiments}
 
     def _check_counts(self) -> None:
@@ -278,7 +270,7 @@ class LeastSquares:
             if count == 0:
                 raise InputError(
                     f"output {name!r} has no sample that counts: all are missing or discarded; "
-                    "shorten discard or leave the output out"
+                    "shorten warmup or leave the output out"
                 )
             largest = float(np.max(np.abs(self.measured[self.groups == self.output_names.index(name)])))
             if largest >= LARGEST_VALUE:
@@ -293,27 +285,27 @@ class LeastSquares:
             )
 
     def check_measured(self) -> None:
-        """Check that all outputs have been measured (`InputError`); without that a problem can be simulated only."""
+        """Check that all outputs are measured (`InputError`)."""
         missing = self.groups[np.isnan(self.measured)]
         if missing.size:
             name = self.output_names[missing[0]]
             raise InputError(f"output {name!r} has not been measured: there is nothing to identify from it")
 
     def stacked(self, tables: Sequence[Floats]) -> Floats:
-        """Return the counted samples (n,) of the outputs (K, n_outputs) of each experiment, as `measured` has them."""
+        """Return counted samples (n,) of each experiment's outputs (K, n_outputs)."""
         rows = np.concatenate([own.ravel()[kept] for own, kept in zip(tables, self.kept, strict=True)])
         return self.scaled(rows)
 
     def scaled(self, rows: Floats) -> Floats:
-        """Return rows (..., n) with noise of one variance for each output."""
+        """Return rows (..., n) divided by the noise scale of each sample."""
         return rows if self.levels.scale is None else rows / self.levels.scale
 
     def unscaled(self, rows: Floats) -> Floats:
-        """Return rows (..., n) of `scaled` as they were."""
+        """Invert `scaled`."""
         return rows if self.levels.scale is None else rows * self.levels.scale
 
     def tables(self, rows: Floats) -> list[Floats]:
-        """Return counted samples (n,) where they stand in the tables (K, n_outputs), NaN where none counts."""
+        """Return counted samples (n,) as tables (K, n_outputs), NaN elsewhere."""
         found, last = [], 0
         for experiment, kept in zip(self.experiments, self.kept, strict=True):
             first, last = last, last + kept.size
@@ -323,27 +315,27 @@ class LeastSquares:
         return found
 
     def squares(self, residual: Floats) -> Floats:
-        """Return the sum of squares of each output (n_outputs,) of a residual (n,)."""
+        """Return the sum of squares (n_outputs,) of a residual (n,)."""
         return np.bincount(self.groups, weights=residual**2, minlength=self.counts.size).astype(np.float64)
 
     def output_variances(self, residual: Floats, shares: Floats | None = None) -> Floats:
-        """Return σ̂² = J_j/(K_j − share_j) of each output (1.12), (n_outputs,).
+        """Return σ̂² = J_j/(K_j − share_j) (1.12) of each output, (n_outputs,).
 
         Parameters
         ----------
         residual : (n,) array
-            Measured − simulated, as `measured`.
+            Measured − simulated.
         shares : (n_outputs,) array, optional
-            How many of the estimated parameters each output pays for; default none, as J(θ)/K of (1.51).
+            Degrees of freedom used by each output; default: none, as in (1.51).
         """
         sums = self.squares(residual)
         free = np.maximum(self.counts - (0.0 if shares is None else shares), np.finfo(float).eps)
         return np.asarray(self.levels.pooled(sums, free) / free, dtype=np.float64)
 
     def noise_variances(self, residual: Floats, shares: Floats | None = None) -> Floats:
-        """Return the noise variance of each output that a residual tells of, (n_outputs,).
+        """Return the noise variance (n_outputs,) of each output.
 
-        That of `output_variances`; with a robust loss Huber's proposal 2, which outliers do not inflate either.
+        As `output_variances`; with a robust loss Huber's proposal 2.
         """
         if self.loss is None:
             return self.output_variances(residual, shares)

@@ -12,8 +12,7 @@ from typing import Literal
 
 from fmuid.errors import InputError
 
-VERSIONS = ("2.0", "3.0")
-"""The versions of FMI that are written."""
+VERSIONS = ("2.0", "3.0")  # supported FMI versions
 
 
 def export_fmu(
@@ -56,7 +55,7 @@ def export_fmu(
     try:
         from fmuid.export.build import build
         from fmuid.export.equations import analyse
-        from fmuid.export.model_warnings import remarks
+        from fmuid.export.explicit_model import remarks
         from fmuid.export.parse import parse
         from fmuid.export.sensitivities import with_sensitivities
     except ImportError as error:

@@ -1,4 +1,4 @@
-"""Linear algebraic loops: which equations have to be solved together, and their solution as expressions."""
+"""Linear algebraic loops: equations to solve together, and their solution."""
 
 from __future__ import annotations
 
@@ -15,20 +15,11 @@ _TRIALS = 5
 
 
 def first_loop(unknowns: Sequence[set[str]]) -> list[int]:
-    """Return the first smallest set of equations with as many unknowns as equations.
+    """Return the first smallest set of equations with as many unknowns.
 
-    Parameters
-    ----------
-    unknowns
-        The unknowns in each equation.
-
-    Returns
-    -------
-    list of int
-        The equations, in their order: a strongly connected component of the graph in which each equation points to
-        those that determine its unknowns, one that points to no other (I. S. Duff, A. M. Erisman, J. K. Reid, *Direct
-        Methods for Sparse Matrices*, 2nd ed., Oxford 2017, ch. 6). Empty if the equations cannot be assigned to
-        unknowns, one to each.
+    It is a strongly connected component without outgoing edges, of the graph from equations to those of their unknowns
+    (I. S. Duff, A. M. Erisman, J. K. Reid, *Direct Methods for Sparse Matrices*, 2nd ed., Oxford 2017, ch. 6). It is
+    empty if the equations cannot be assigned to unknowns. `unknowns` are those of each equation.
     """
     names = sorted(set().union(*unknowns))
     place = {name: k for k, name in enumerate(names)}
@@ -48,7 +39,7 @@ def first_loop(unknowns: Sequence[set[str]]) -> list[int]:
 
 
 def always_singular(matrix: Any, values: Mapping[str, float]) -> bool:
-    """Return whether an SX matrix is singular to rounding at these values, for any values of its other symbols."""
+    """Return whether an SX matrix is singular for any other symbols' values."""
     symbols = ca.symvar(matrix)
     evaluate = ca.Function("matrix", symbols, [ca.densify(matrix)])
     rng = np.random.default_rng(0)
@@ -65,12 +56,11 @@ def always_singular(matrix: Any, values: Mapping[str, float]) -> bool:
 
 
 def solve_linear(matrix: Any, right: Any) -> list[Any]:
-    """Return the solution of a linear system of SX expressions, as one expression for each unknown.
+    """Return the solution of linear SX equations, one expression per unknown.
 
-    It is Gaussian elimination with scaled partial pivoting (N. J. Higham, *Accuracy and Stability of Numerical
-    Algorithms*, 2nd ed., SIAM 2002, algorithm 9.2 and section 9.8). The rows are exchanged by conditional expressions,
-    when the solution is evaluated: a pivot that is large for some values of parameters or states vanishes for others.
-    Derivatives of the expressions are those of the solution, since it does not depend on the order of the rows.
+    Gaussian elimination with scaled partial pivoting (N. J. Higham, *Accuracy and Stability of Numerical Algorithms*,
+    2nd ed., SIAM 2002, algorithm 9.2, section 9.8). Conditional expressions exchange rows at evaluation: a pivot may
+    vanish for some parameters or states. Derivatives do not depend on the order of rows.
     """
     count = matrix.shape[0]
     largest = [reduce(ca.fmax, ca.horzsplit(ca.fabs(ca.densify(matrix[k, :])))) for k in range(count)]
@@ -94,7 +84,7 @@ def solve_linear(matrix: Any, right: Any) -> list[Any]:
 
 
 def _larger_first(upper: list[Any], lower: list[Any], k: int) -> tuple[list[Any], list[Any]]:
-    """Return the two rows, first the one whose element k is larger relative to the largest of its equation."""
+    """Return two rows, first that with the relatively larger element k."""
     if lower[k].is_zero():
         return upper, lower
     if upper[k].is_zero():

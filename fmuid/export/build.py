@@ -1,4 +1,4 @@
-"""Compiles the sources of an FMU for every platform and packs them, byte for byte reproducibly."""
+"""Compilation of an FMU for all platforms, and its byte-reproducible archive."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ PLATFORMS: dict[str, dict[str, tuple[str, tuple[str, ...]]]] = {
         "aarch64-darwin": (".dylib", (_APPLE,)),
     },
 }
-"""FMI version -> platform -> extension of its binary and the compiler's targets that go into it."""
+"""FMI version -> platform -> extension and compiler targets of its binary."""
 
 # No contraction to fused multiply-add: the same results on every processor.
 _FLAGS = ("-std=c99", "-O2", "-ffp-contract=off", "-fPIC", "-fvisibility=hidden", "-shared", "-s", "-Wall", "-Werror")
@@ -47,17 +47,11 @@ _HEADERS = {
     "2.0": ("fmi2Functions.h", "fmi2FunctionTypes.h", "fmi2TypesPlatform.h"),
     "3.0": ("fmi3Functions.h", "fmi3FunctionTypes.h", "fmi3PlatformTypes.h"),
 }
-_PAGE = 1 << 14  # of Apple silicon; slices of a universal binary begin on one
+_PAGE = 1 << 14  # bytes of an Apple silicon page, on which slices begin
 
 
 def build(system: ExplicitModel, fmi: str) -> bytes:
-    """Return the FMU of a model, of version `fmi`: a key of `PLATFORMS`.
-
-    Raises
-    ------
-    FmuidError
-        If the compiler fails.
-    """
+    """Return the FMU of a model; `fmi` is a key of `PLATFORMS`."""
     package, standard = importlib.resources.files("fmuid.export"), Path(fmpy.__file__).parent / "c-code"
     files = {f"sources/{name}": (package / name).read_bytes() for name in (_SOURCES[fmi], *_SHARED)}
     files |= {f"sources/{name}": (standard / name).read_bytes() for name in _HEADERS[fmi]}
@@ -74,7 +68,7 @@ def build(system: ExplicitModel, fmi: str) -> bytes:
     files |= generated(f"{{{uuid.uuid5(uuid.NAMESPACE_URL, content)}}}")
     files |= _binaries(system.model.name, files, fmi)
     buffer = io.BytesIO()
-    with zipfile.ZipFile(buffer, "w", zipfile.ZIP_STORED) as archive:  # deflate's bytes depend on the zlib in use
+    with zipfile.ZipFile(buffer, "w", zipfile.ZIP_STORED) as archive:  # deflate depends on the zlib version
         for name, data in sorted(files.items()):
             entry = zipfile.ZipInfo(name, (1980, 1, 1, 0, 0, 0))
             entry.create_system, entry.external_attr = 3, 0o100644 << 16
@@ -83,7 +77,7 @@ def build(system: ExplicitModel, fmi: str) -> bytes:
 
 
 def _binaries(name: str, files: dict[str, bytes], fmi: str) -> dict[str, bytes]:
-    """Compile for all platforms: path in the FMU -> content."""
+    """Return the binaries of all platforms by path in the FMU."""
     with tempfile.TemporaryDirectory() as directory, ThreadPoolExecutor() as pool:
         for path, data in files.items():
             target = Path(directory) / path
@@ -99,7 +93,7 @@ def _binaries(name: str, files: dict[str, bytes], fmi: str) -> dict[str, bytes]:
 
 
 def _compile(directory: Path, source: str, target: str, file: str) -> bytes:
-    """Compile for one target. All paths are relative, so that none of this machine gets into the binary."""
+    """Compile for one target, with relative paths: binaries name no machine."""
     folder = directory / target
     folder.mkdir()
     command = python_command("ziglang", "cc", "-target", target, *_FLAGS, f"../sources/{source}", "-o", file)
@@ -115,7 +109,7 @@ def _compile(directory: Path, source: str, target: str, file: str) -> bytes:
 
 
 def _universal(parts: list[bytes]) -> bytes:
-    """Join Mach-O libraries of several architectures into one that loads on each (Mach-O's fat_header)."""
+    """Join Mach-O libraries into a universal binary (Mach-O's fat_header)."""
     if len(parts) == 1:
         return parts[0]
     head, body, offset = struct.pack(">2I", 0xCAFEBABE, len(parts)), b"", _PAGE

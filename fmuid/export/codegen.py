@@ -1,4 +1,4 @@
-"""Writes the equations of a model as C: the generated `model.h` of the FMU's sources."""
+"""C code of the equations: `model.h` of the FMU's sources."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ def header(system: ExplicitModel, guid: str) -> str:
     unknowns = system.plain(ca.vertcat(system.derivatives, system.algebraic, system.indicators))
     unknowns_seed = ca.densify(ca.jtimes(unknowns, ca.vertcat(x, u, p), ca.vertcat(*seeds)))
     rates_seed, others_seed, indicators_seed = _split(system, unknowns_seed)
-    # Along every direction of the sensitivities at one point the rest is the same.
+    # The rest is shared by all directions at one point.
     rates_seed, shared, common = ca.extract_parametric(ca.cse(rates_seed), ca.vertcat(x, u, p, t, r))
     rates_seed, shared, common = ca.densify(rates_seed), column(shared), column(common)
     sizes = {"NX": x, "NU": u, "NP": p, "NW": others, "NC": symbols, "ND": shared}
@@ -99,13 +99,10 @@ def _numbers(values: list[float]) -> str:
 
 
 def _hoist(system: ExplicitModel) -> tuple[Any, Any, Any, Any, Any]:
-    """Split off what depends on parameters alone.
+    """Split off subexpressions of parameters alone.
 
-    Returns
-    -------
-    tuple of SX columns
-        The derivatives, the other variables and the event indicators in terms of x, u, p, t, r, c; the symbols c;
-        their values in terms of p.
+    Returns SX columns: derivatives, other variables and event indicators in terms of x, u, p, t, r, c; the symbols c;
+    their values in terms of p.
     """
     reciprocals = column(symbol for symbol, _ in system.reciprocals)
     unknowns = ca.cse(ca.vertcat(system.derivatives, system.algebraic, system.indicators))
@@ -115,14 +112,14 @@ def _hoist(system: ExplicitModel) -> tuple[Any, Any, Any, Any, Any]:
 
 
 def _split(system: ExplicitModel, unknowns: Any) -> tuple[Any, Any, Any]:
-    """Return the parts of a column that belong to the derivatives, the other variables and the event indicators."""
+    """Return the derivatives, other variables and event indicators of a column."""
     first, second = system.x.numel(), system.x.numel() + len(system.others)
     rates, others, indicators = ca.vertsplit(unknowns, [0, first, second, unknowns.numel()])
     return rates, others, indicators
 
 
 def _function(name: str, inputs: dict[str, Any], outputs: dict[str, Any]) -> str:
-    """Return a C function of the expressions, every intermediate result a constant of its own."""
+    """Return a C function of the expressions, one constant per intermediate result."""
     f = ca.Function(name, [*inputs.values()], ca.cse([*outputs.values()]))
     read, written = [*inputs], [*outputs]
     lines, at = [], {}  # place in CasADi's work vector -> C expression of its present content

@@ -1,4 +1,4 @@
-"""Writes the model description (modelDescription.xml) of a model, in FMI 2.0 or 3.0."""
+"""Model description (modelDescription.xml) of FMI 2.0 and 3.0."""
 
 from __future__ import annotations
 
@@ -19,12 +19,12 @@ _HEAD = '<?xml version="1.0" encoding="UTF-8"?>'
 
 
 def description(system: ExplicitModel, guid: str, fmi: str) -> str:
-    """Return the text of modelDescription.xml; by the `guid`, binary and description recognise each other."""
+    """Return modelDescription.xml; the `guid` is that of the binary."""
     return "\n".join([_HEAD, *(_fmi2 if fmi == "2.0" else _fmi3)(system, guid), "</fmiModelDescription>", ""])
 
 
 def build_description(model: str, source: str) -> str:
-    """Return the text of FMI 3.0's buildDescription.xml: how to compile the sources."""
+    """Return buildDescription.xml of FMI 3.0."""
     return "\n".join(
         [
             _HEAD,
@@ -77,7 +77,7 @@ def _common(system: ExplicitModel) -> list[str]:
 
 
 def _described(variable: DescribedVariable) -> str:
-    """Return the attributes that variables have in both versions."""
+    """Return the attributes of a variable common to both versions."""
     return (
         f'name="{variable.name}" valueReference="{variable.reference}"'
         f'{attribute("description", variable.description)} causality="{variable.causality}"'
@@ -92,7 +92,7 @@ def _scalar_variable(variable: DescribedVariable, index: dict[str, int]) -> str:
 
 
 def _section(name: str, found: list[Unknown], index: dict[str, int]) -> list[str]:
-    """Return a section of FMI 2.0's ModelStructure; variables are numbered from 1, `time` is not one of them."""
+    """Return a section of FMI 2.0's ModelStructure; `index` counts from 1."""
     lines = [f'    <Unknown index="{index[each.name]}" dependencies="{_numbers(each, index)}"/>' for each in found]
     return [f"  <{name}>", *lines, f"  </{name}>"] if lines else []
 

@@ -1,16 +1,14 @@
-"""Analysis of a parsed model: names, balance, causality -> explicit CasADi expressions.
+"""Analysis of a parsed model: names, balance, causality; explicit CasADi expressions.
 
-The unknowns (derivatives of the states, algebraic variables) are solved one equation at a time, each linear in
-its unknown: an equation is taken as soon as all its other variables are known. Where there is none, the smallest set
-of equations that determines its own unknowns is an algebraic loop: solved together if linear in all of them.
+Unknowns (derivatives, algebraic variables) are solved equation by equation, each linear in its unknown. An equation is
+taken as soon as its other variables are known. Otherwise the smallest set that determines its unknowns is an algebraic
+loop, solved together if linear.
 
-A relation in an if-expression becomes a symbol, 0 or 1, that only an event changes, and an event indicator, which is
-positive where the symbol should be 1: ``a > b`` is 1 where a - b > 0, ``a >= b`` where not b - a > 0. Each indicator
-depends on relations of equations taken earlier, hence never on its own.
+A relation becomes a symbol, 0 or 1, that only an event changes, and an event indicator, positive where the symbol is 1:
+``a > b`` has a - b, ``a >= b`` is not b > a. Indicators depend on relations of earlier equations only.
 
-``floor(a)`` becomes a symbol that only an event changes, too, and two event indicators: symbol + 1 - a, not positive
-where it should be larger, and symbol - a, positive where it should be smaller. ``ceil(a)`` is -floor(-a),
-``mod(a, b)`` is a - b*floor(a/b).
+``floor(a)`` becomes a symbol with two event indicators: symbol + 1 - a (not positive: it jumps up) and symbol - a
+(positive: it jumps down). ``ceil(a)`` is -floor(-a), ``mod(a, b)`` is a - b*floor(a/b).
 """
 
 from __future__ import annotations
@@ -52,11 +50,11 @@ _WHOLE: dict[str, Callable[..., Any]] = {
     "ceil": lambda floor, a: -floor(-a),
     "mod": lambda floor, a, b: a - b * floor(a / b),
 }
-"""The functions that are written with floor, given as the first argument."""
+"""Functions expressed by floor, the first argument."""
 
 
 def _choice(args: list[Any]) -> Any:
-    """Return the if-expression of conditions and values by turns, the last value being that of else."""
+    """Return an if-expression of alternate conditions and values, then else."""
     *pairs, result = args
     for condition, value in zip(pairs[-2::-2], pairs[::-2], strict=True):
         result = ca.if_else(condition, value, result)
@@ -64,19 +62,15 @@ def _choice(args: list[Any]) -> Any:
 
 
 def analyse(model: Model) -> ExplicitModel:
-    """Check a model and solve it for its derivatives and algebraic variables.
+    """Check a model and solve it for derivatives and algebraic variables.
 
-    Raises
-    ------
-    ModelicaError
-        For an unknown or doubly declared name, a missing value, equations that do not determine their
-        unknowns one after the other, and everything else without a meaning in the subset.
+    Raises `ModelicaError` for everything without a meaning in the subset.
     """
     return _Analysis(model).run()
 
 
 class _Analysis:
-    """Collects known variables one after another, in the order of `run`."""
+    """Known variables, collected in the order of `run`."""
 
     def __init__(self, model: Model) -> None:
         self.model = model
@@ -151,14 +145,12 @@ class _Analysis:
             raise self.error(line, f"unknown variable '{name}'{hint}")
 
     def make_known(self, declarations: list[Declaration]) -> Any:
-        """Give these variables symbols; return the column of them."""
+        """Give variables symbols; return their column."""
         self.known |= {each.name: ca.SX.sym(each.name) for each in declarations}
         return column(self.known[each.name] for each in declarations)
 
-    # ---- numbers and expressions
-
     def evaluate_numbers(self) -> None:
-        """Evaluate the constants, in the order of their declarations, then all other numeric attributes."""
+        """Evaluate constants in their order, then other numeric attributes."""
         for each in [*self.of("constant"), *self.of("parameter")]:
             if each.value is None:
                 raise self.error(each.line, f"{each.role} '{each.name}' has no value: write '= ...' after it")
@@ -176,7 +168,7 @@ class _Analysis:
         return float(self.expression(node, f"{what} must be a number, or an expression of constants above it"))
 
     def expression(self, node: Expression, demand: str) -> Any:
-        """Return an expression's SX; `demand` is the beginning of the message for an unknown name in it."""
+        """Return the SX of an expression; `demand` begins the message for unknown names."""
         if node.op == "number":
             return ca.SX(node.args[0])
         if node.op in ("name", "der"):
@@ -204,7 +196,7 @@ class _Analysis:
         return result
 
     def relation(self, node: Expression, left: Any, right: Any) -> Any:
-        """Return a relation's symbol; where it makes no event, its value."""
+        """Return the symbol of a relation, or its value without events."""
         negated = node.op in ("<=", ">=")
         indicator = left - right if node.op in (">", "<=") else right - left
         value = indicator > 0
@@ -215,7 +207,7 @@ class _Analysis:
         return ca.logic_not(value) if negated else value
 
     def whole(self, node: Expression, value: Any) -> Any:
-        """Return the symbol of floor(value); where it makes no event, the expression of it."""
+        """Return the symbol of floor(value), or its expression without events."""
         if not self.makes_events(node, value):
             return ca.floor(value)
         name = f"integer[{len(self.integers) + 1}]"
@@ -223,7 +215,7 @@ class _Analysis:
         return self.integers.setdefault(str(value), entry)[0]
 
     def makes_events(self, node: Expression, tested: Any) -> bool:
-        """Record an expression at whose sign or whole part a function jumps; return whether the jump needs events."""
+        """Record an expression that jumps; return whether the jump needs events."""
         known = self.parameters | {symbol.name() for symbol, _ in self.reciprocals.values()}
         self.tested.append(tested)
         if {each.name() for each in ca.symvar(tested)} <= known:
@@ -231,10 +223,8 @@ class _Analysis:
         self.jumps = self.jumps or node.line
         return not self.no_event
 
-    # ---- states
-
     def states(self) -> list[Declaration]:
-        """Return the variables that are differentiated."""
+        """Return the differentiated variables."""
         lines: dict[str, int] = {}  # state -> first equation with its derivative
         for equation in self.model.equations:
             for name in equation.names():
@@ -257,10 +247,8 @@ class _Analysis:
         demand = f"'start' of '{state.name}' must be an expression of parameters and constants"
         return self.expression(state.modifiers["start"], demand)
 
-    # ---- causality
-
     def solve(self, unknowns: list[str]) -> None:
-        """Make the unknowns known, one equation after the other."""
+        """Solve the equations for the unknowns, one after the other."""
         waiting = [(equation, equation.names() & {*unknowns}) for equation in self.model.equations]
         absent = [name for name in unknowns if not any(name in names for _, names in waiting)]
         if absent or len(waiting) != len(unknowns):
@@ -308,7 +296,7 @@ class _Analysis:
             self.known[name] = rest / coefficient
 
     def solve_loop(self, equations: list[Equation], names: list[str]) -> None:
-        """Make the unknowns of an algebraic loop known."""
+        """Solve an algebraic loop."""
         symbols = column(ca.SX.sym(name) for name in names)
         self.known |= dict(zip(names, ca.vertsplit(symbols), strict=True))
         self.tested.clear()

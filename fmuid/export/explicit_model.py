@@ -1,4 +1,4 @@
-"""A model as explicit CasADi expressions: the result of the analysis, from which the FMU is written."""
+"""A model as explicit CasADi expressions, and warnings on probable mistakes."""
 
 from __future__ import annotations
 
@@ -8,12 +8,13 @@ from typing import Any
 
 import casadi as ca
 
+from fmuid.errors import ModelicaWarning
 from fmuid.export.syntax import Declaration, Model
 
 
 @dataclass(frozen=True)
 class Relation:
-    """A relation or floor() that makes events, as written; `name` is that of its event indicator."""
+    """Relation or floor() with events, as written; `name` is its indicator's."""
 
     name: str
     text: str
@@ -22,14 +23,11 @@ class Relation:
 
 @dataclass(frozen=True)
 class ExplicitModel:
-    """An explicit model: dx/dt = derivatives, w = algebraic, z = indicators, each of (x, u, p, t, r); x(0) = starts(p).
+    """Explicit model: dx/dt = derivatives, w = algebraic, z = indicators of (x, u, p, t, r).
 
-    The declarations are those of the states x, inputs u, parameters p, other variables w and event indicators z, in
-    the order of the elements of the symbols and expressions (SX columns); t is the time, s. The relations r are 0 or 1:
-    an event sets r to z > 0. Behind them, r has the whole numbers floor(counted), for each of which z has two elements.
-    `reciprocals` are symbols in these expressions with their values 1/(coefficient),
-    functions of p alone, which many evaluations share. `numbers` are attributes: (variable, "value", "start",
-    "min", "max" or "nominal") -> number. `jumps` is the line of the first relation or function that jumps, or 0.
+    Declarations are in the order of the SX columns; x(0) = starts(p), t in s. An event sets relations r to z > 0;
+    behind them r has floor(counted), with two elements of z each. `reciprocals` are symbols with values 1/(coefficient)
+    of p alone. `numbers` maps (variable, attribute) to a number; `jumps` is the first line with a jump, or 0.
     """
 
     model: Model
@@ -54,23 +52,23 @@ class ExplicitModel:
     jumps: int
 
     def names(self) -> list[str]:
-        """Names of all variables in the order of their FMI value references."""
+        """Return all variables in the order of their FMI value references."""
         known = [each.name for group in (self.states, self.inputs, self.parameters) for each in group]
         rates, others = [f"der({each.name})" for each in self.states], [each.name for each in self.others]
         return [*known, *rates, *others, *self.indicator_names(), "time"]
 
     def indicator_names(self) -> list[str]:
-        """Names of the event indicators."""
+        """Return the names of the event indicators."""
         ends = [f"{each.name}.{end}" for each in self.integers for end in ("up", "down")]
         return [*(each.name for each in self.relations), *ends]
 
     def plain(self, expression: Any) -> Any:
-        """Return the expression with its reciprocals written out."""
+        """Return an expression with its reciprocals written out."""
         return written_out(expression, self.reciprocals)
 
 
 def written_out(expression: Any, reciprocals: Collection[tuple[Any, Any]]) -> Any:
-    """Return an expression with the symbols of reciprocals replaced by their values."""
+    """Return an expression with reciprocals replaced by their values."""
     symbols, values = (column(each[k] for each in reciprocals) for k in (0, 1))
     return ca.substitute(expression, symbols, values)
 
@@ -78,3 +76,19 @@ def written_out(expression: Any, reciprocals: Collection[tuple[Any, Any]]) -> An
 def column(elements: Any) -> Any:
     """Return an SX column of scalar expressions."""
     return ca.vertcat(*elements, ca.SX(0, 1))
+
+
+def remarks(system: ExplicitModel) -> list[ModelicaWarning]:
+    """Return warnings: parameters without effect, no chosen integration step."""
+    model = system.model
+    computed = system.plain(ca.vertcat(system.derivatives, system.algebraic, system.indicators))
+    used = {symbol.name() for symbol in ca.symvar(ca.vertcat(computed, system.starts))}
+    found = [
+        ModelicaWarning(model.file, each.line, f"parameter '{each.name}' is used nowhere: use or remove it")
+        for each in system.parameters
+        if each.name not in used
+    ]
+    if model.interval is None:
+        text = f"experiment without Interval: co-simulation takes steps of {model.step:g} s, without error control"
+        found.append(ModelicaWarning(model.file, model.last_line, f"{text}; give the step that the model needs"))
+    return found

@@ -1,7 +1,7 @@
-"""Reads one flat Modelica model: syntax tree (of pymoca's grammar) -> declarations and equations.
+"""Flat Modelica models: pymoca's syntax tree to declarations and equations.
 
-The walk goes only through the rules of the grammar that it knows; it refuses every other by file, line and
-construct. `README.md` beside this file documents the subset.
+Only known rules of the grammar are accepted; others are refused with file, line and construct. `README.md` documents
+the subset.
 """
 
 from __future__ import annotations
@@ -50,18 +50,13 @@ _REFUSED = {
     Rules.Condition_attributeContext: ("conditional declaration", "declare it always"),
     Rules.AnnotationContext: ("annotation", "the one supported is the model's experiment annotation"),
 }
-"""The name of each refused rule, and what to write instead."""
+"""Names of refused rules, and remedies."""
 
 
 def parse(source: Path) -> Model:
     """Read the one model of a Modelica file.
 
-    Raises
-    ------
-    InputError
-        If the file cannot be read.
-    ModelicaError
-        For a syntax error or a construct outside the subset.
+    Raises `InputError` if it cannot be read, `ModelicaError` outside the subset.
     """
     try:
         text = source.read_text(encoding="utf-8")
@@ -74,25 +69,25 @@ def parse(source: Path) -> Model:
         recogniser.removeErrorListeners()
         recogniser.addErrorListener(_RaisingListener(source.name))
     tree = parser.stored_definition()
-    if parser.getCurrentToken().type != -1:  # the grammar stops at what begins no class
+    if parser.getCurrentToken().type != -1:  # the grammar stops before anything but a class
         raise ModelicaError(source.name, parser.getCurrentToken().line, "syntax error: expected 'model'")
     return _Walk(source.name).model(tree)
 
 
 class _RaisingListener(ErrorListener):  # type: ignore[misc]
-    """Raises at the first syntax error."""
+    """Listener that raises at the first syntax error."""
 
     def __init__(self, file: str) -> None:
         self.file = file
 
     def syntaxError(self, recognizer: Any, offendingSymbol: Any, line: int, column: int, msg: str, e: Any) -> None:
         del recognizer, offendingSymbol, e
-        what = msg.partition(" expecting {")[0]  # the list of all tokens that could follow helps nobody
+        what = msg.partition(" expecting {")[0]  # without the list of expected tokens
         raise ModelicaError(self.file, line, f"syntax error at column {column + 1}: {what}")
 
 
 class _Walk:
-    """The walk through the syntax tree of one file."""
+    """Walk through the syntax tree of one file."""
 
     def __init__(self, file: str) -> None:
         self.file = file
@@ -105,12 +100,10 @@ class _Walk:
         return self.error(rule, *_REFUSED.get(type(rule), (f"'{rule.getText()}'", _FLAT)))
 
     def refuse(self, *rules: Any) -> None:
-        """Refuse these optional rules if they are present."""
+        """Refuse optional rules that are present."""
         for rule in rules:
             if rule is not None:
                 raise self.unknown(rule)
-
-    # ---- the model
 
     def model(self, tree: Any) -> Model:
         classes = tree.stored_definition_class()
@@ -142,7 +135,7 @@ class _Walk:
         return Model(self.file, name, description, tuple(declarations), tuple(equations), *experiment, last)
 
     def experiment(self, rule: Any) -> tuple[float | None, float | None]:
-        """Return StopTime and Interval of ``annotation(experiment(StopTime=..., Interval=...))``, each optional."""
+        """Return StopTime and Interval of the experiment annotation, each optional."""
         arguments = self.arguments(rule.class_modification())
         inner = arguments.get("experiment")
         if len(arguments) != 1 or not isinstance(inner, Rules.Modification_classContext):
@@ -154,8 +147,6 @@ class _Walk:
                 raise self.error(given, f"experiment({key}{_text(given)})", "give StopTime and Interval, in s")
             values[key] = number.args[0]
         return values.get("StopTime"), values.get("Interval")
-
-    # ---- declarations
 
     def element(self, rule: Any) -> list[Declaration]:
         regular = rule.regular_element()
@@ -204,7 +195,7 @@ class _Walk:
         return Declaration(name, role, inner.start.line, description, unit, modifiers, value)
 
     def arguments(self, rule: Any) -> dict[str, Any]:
-        """Name -> modification of ``(a=..., b(...))``."""
+        """Return the modifications of ``(a=..., b(...))`` by name."""
         result: dict[str, Any] = {}
         for each in rule.argument_list().argument() if rule.argument_list() else []:
             self.refuse(each.element_redeclaration())
@@ -230,8 +221,6 @@ class _Walk:
             raise self.error(rule, f"quoted name {name}", "use letters, digits and underscores")
         return name
 
-    # ---- equations and expressions
-
     def equation(self, rule: Any) -> Equation:
         options = rule.equation_options()
         if not isinstance(options, Rules.Equation_simpleContext):
@@ -248,7 +237,6 @@ class _Walk:
         return self.simple(rule.simple_expression())
 
     def condition(self, rule: Any) -> Expression:
-        """Return the condition of an if-expression."""
         if isinstance(rule, Rules.Expression_ifContext):
             raise self.error(rule, "if-expression as a condition", "join relations with and, or, not")
         if len(rule.simple_expression().expr()) != 1:
@@ -357,7 +345,7 @@ class _Walk:
 
 
 def _comment(rule: Any) -> str:
-    """Return a description string: its parts joined, its escapes resolved, on one line."""
+    """Return a description string on one line, unescaped."""
     text = "".join(token.getText()[1:-1] for token in rule.STRING())
     return " ".join(text.replace('\\"', '"').replace("\\\\", "\\").split())
 

@@ -1,8 +1,7 @@
-"""Adds forward sensitivities to a model: more states ∂x/∂p and more outputs ∂y/∂p.
+"""Forward sensitivities of a model: states ∂x/∂p and outputs ∂y/∂p.
 
-For a chosen parameter p, differentiating ``dx/dt = f(x, u, p)``, ``y = g(x, u, p)``, ``x(0) = x0(p)`` gives
-``dS/dt = ∂f/∂x S + ∂f/∂p``, ``∂y/∂p = ∂g/∂x S + ∂g/∂p``, ``S(0) = ∂x0/∂p`` with S = ∂x/∂p. A Runge-Kutta method
-gives for S exactly the derivative of what it gives for x, whatever its own error.
+With S = ∂x/∂p: ``dS/dt = ∂f/∂x S + ∂f/∂p``, ``∂y/∂p = ∂g/∂x S + ∂g/∂p``, ``S(0) = ∂x0/∂p``. A Runge-Kutta method gives
+the exact derivative of its own x.
 """
 
 from __future__ import annotations
@@ -20,16 +19,10 @@ from fmuid.formatting import nearest
 
 
 def with_sensitivities(system: ExplicitModel, parameters: Sequence[str] | Literal["all"]) -> ExplicitModel:
-    """Return the system with the sensitivities to these parameters.
+    """Return the model with sensitivities to these parameters, ``sens.p.x``.
 
-    The variables are named ``sens.p.x``: those of the outputs are outputs, those of the other states local.
-
-    Raises
-    ------
-    InputError
-        If the model has no parameter of a name.
-    ModelicaError
-        If the model has relations or functions that jump: there sensitivities would miss what the jumps add.
+    Those of outputs are outputs. Raises `InputError` for an unknown parameter, and `ModelicaError` for a model with
+    relations or jumps: sensitivities would miss their effect.
     """
     names = [each.name for each in system.parameters]
     chosen = names if parameters == "all" else list(dict.fromkeys(parameters))
@@ -50,7 +43,7 @@ def with_sensitivities(system: ExplicitModel, parameters: Sequence[str] | Litera
 
 
 class _Extra:
-    """Collects the additions of sensitivities to a system, one parameter after the other."""
+    """Sensitivities to add to a model."""
 
     def __init__(self, system: ExplicitModel) -> None:
         self.system = system
@@ -60,7 +53,7 @@ class _Extra:
         self.numbers = dict(system.numbers)
 
     def add(self, parameter: Declaration, both: Any) -> None:
-        """Add the sensitivities of all states and outputs to one parameter; `both` is dx/dt and w."""
+        """Add the sensitivities to one parameter; `both` is dx/dt and w."""
         s = self.system
         states = [self.declare(each, parameter) for each in s.states]
         outputs = [k for k, each in enumerate(s.others) if each.role == "output"]
@@ -83,7 +76,7 @@ class _Extra:
             self.expressions[key].append(elements)
 
     def declare(self, variable: Declaration, parameter: Declaration) -> Declaration:
-        """Return the declaration of a sensitivity; its magnitude is that of the variable for the whole parameter."""
+        """Return the declaration of a sensitivity, nominal for the whole parameter."""
         name = f"sens.{parameter.name}.{variable.name}"
         numbers = self.system.numbers.get
         magnitude = numbers((parameter.name, "nominal")) or abs(numbers((parameter.name, "value"), 0.0)) or 1.0
@@ -92,7 +85,7 @@ class _Extra:
         return Declaration(name, variable.role, variable.line, description, _quotient(variable.unit, parameter.unit))
 
     def joined(self) -> ExplicitModel:
-        """Return the system with all additions appended."""
+        """Return the model with all additions."""
         s = self.system
         there = {key: getattr(s, key) for key in self.expressions}
         model = replace(s.model, declarations=(*s.model.declarations, *self.states, *self.others))
@@ -107,7 +100,7 @@ class _Extra:
 
 
 def _quotient(numerator: str | None, denominator: str | None) -> str | None:
-    """Return the unit of a quotient of two units such as ``N.s/m``; None where one is not known."""
+    """Return the unit of a quotient, such as ``N.s/m``; None if unknown."""
     if numerator is None or denominator is None:
         return None
     above, below = _factors(numerator)

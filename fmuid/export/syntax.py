@@ -28,7 +28,7 @@ MODIFIERS = {
     "output": ("unit", "min", "max", "nominal", "start", "fixed"),
     "local": ("unit", "min", "max", "nominal", "start", "fixed"),
 }
-"""Roles of variables, and the attributes that a variable of each may have."""
+"""Attributes of variables by role."""
 
 
 @dataclass(frozen=True)

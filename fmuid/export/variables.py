@@ -1,4 +1,4 @@
-"""Variables as model descriptions of any FMI version need them: units, limits, dependencies."""
+"""Variables of model descriptions: units, limits, dependencies."""
 
 from __future__ import annotations
 
@@ -31,12 +31,12 @@ _DISPLAY_UNITS = {
     "m": ("mm", 1e3),
     "m/s": ("mm/s", 1e3),
 }
-"""Unit -> a common unit of tables, and its number per unit."""
+"""Unit -> display unit, and its number per unit."""
 
 
 @dataclass(frozen=True)
 class DescribedVariable:
-    """One variable as FMI describes it; `state` is the name of the state whose derivative it is, if it is one."""
+    """FMI variable; a derivative has the name of its `state`."""
 
     name: str
     reference: int
@@ -48,13 +48,13 @@ class DescribedVariable:
 
     @property
     def variability(self) -> str:
-        """FMI's word for when the value may change."""
+        """FMI's variability."""
         return "tunable" if self.causality == "parameter" else "continuous"
 
 
 @dataclass(frozen=True)
 class Unknown:
-    """A computed variable with the names of the known variables that it depends on."""
+    """Computed variable with the known variables that it depends on."""
 
     name: str
     dependencies: frozenset[str]
@@ -100,14 +100,10 @@ def _rate(state: Declaration) -> Declaration:
     return Declaration(f"der({state.name})", "local", state.line, what, unit)
 
 
-# ---- dependencies
-
-
 def unknowns(system: ExplicitModel) -> dict[str, list[Unknown]]:
-    """Return the dependencies of the unknowns, from the symbols in their expressions, by kind of unknown.
+    """Return the dependencies of the unknowns by kind.
 
-    The kinds are "outputs", "derivatives", "initial" (outputs, states and derivatives as functions of the inputs,
-    parameters and time) and "indicators".
+    The kinds are "outputs", "derivatives", "initial" (as functions of inputs, parameters and time) and "indicators".
     """
     s = system
     computed = s.plain(ca.vertcat(s.derivatives, s.algebraic, s.indicators))
@@ -134,7 +130,7 @@ def unknowns(system: ExplicitModel) -> dict[str, list[Unknown]]:
 
 
 def _settled(system: ExplicitModel, expressions: Any) -> Any:
-    """Return the expressions with relations and floor() replaced by their arguments: events may change them."""
+    """Return expressions with relations and floor() replaced by their arguments."""
     signs = [system.indicators[k] > 0 for k in range(len(system.relations))]
     values = system.plain(ca.vertcat(*signs, ca.floor(system.counted)))
     while system.r.numel() and ca.depends_on(expressions, system.r):  # relations may depend on others
@@ -142,24 +138,15 @@ def _settled(system: ExplicitModel, expressions: Any) -> Any:
     return expressions
 
 
-# ---- XML
-
-
 def attribute(name: str, value: str | float | None) -> str:
-    """Return an XML attribute with the space before it, nothing for none."""
+    """Return an XML attribute after a space, or nothing."""
     if value is None or value == "":
         return ""
     return f" {name}={quoteattr(value if isinstance(value, str) else repr(value))}"
 
 
 def unit_definitions(system: ExplicitModel) -> list[str]:
-    """Return the UnitDefinitions of the model's variables, the same in FMI 2.0 and 3.0.
-
-    Raises
-    ------
-    ModelicaError
-        For a unit outside the subset.
-    """
+    """Return the UnitDefinitions; raise `ModelicaError` for unsupported units."""
     declared = [d for d in system.model.declarations if d.role != "constant"]
     units = {d.unit: d for d in [*map(_rate, system.states), *declared] if d.unit is not None}
     lines = []
@@ -171,7 +158,7 @@ def unit_definitions(system: ExplicitModel) -> list[str]:
 
 
 def _base_unit(d: Declaration, file: str) -> str:
-    """Return the BaseUnit element of a variable's unit, such as ``V.s/m`` or ``N/(m.s)``."""
+    """Return the BaseUnit element of a unit such as ``V.s/m``."""
     exponents = dict.fromkeys(_BASE_UNITS, 0)
 
     def multiply(product: str, power: int) -> None:

@@ -6,8 +6,6 @@ from .assessment import better_point as better_point
 from .cost_map import CostMap as CostMap
 from .cost_map import map_cost as map_cost
 from .cost_map import region_rise as region_rise
-from .cost_parabolas import parabolas as parabolas
-from .cost_parabolas import parameters_with_prior_and_data as parameters_with_prior_and_data
 from .identify import identify as identify
 from .identify import identify_by as identify_by
 from .model_comparison import IncomparableError as IncomparableError
@@ -22,11 +20,13 @@ from .posterior import SamplingWarning as SamplingWarning
 from .prediction import OutputScore as OutputScore
 from .prediction import Prediction as Prediction
 from .prediction import estimates_for as estimates_for
-from .prediction import predict as predict
+from .prediction import predict_by_model as predict_by_model
 from .prior_and_data import ExtrapolationReason as ExtrapolationReason
 from .prior_and_data import PriorDataComparison as PriorDataComparison
 from .prior_and_data import PriorInfluence as PriorInfluence
 from .prior_and_data import compare_prior_and_data as compare_prior_and_data
+from .prior_and_data import parabolas as parabolas
+from .prior_and_data import parameters_with_prior_and_data as parameters_with_prior_and_data
 from .prior_data_tests import SAME_VARIANCE_RATIO as SAME_VARIANCE_RATIO
 from .prior_data_tests import SIGNIFICANCE_LEVEL as SIGNIFICANCE_LEVEL
 from .prior_data_tests import Deviation as Deviation
@@ -34,9 +34,9 @@ from .prior_data_tests import PriorDataTest as PriorDataTest
 from .problem import ModelReference as ModelReference
 from .problem import Problem as Problem
 from .problem import refinement_of as refinement_of
-from .profile_ends import EndKind as EndKind
-from .profile_ends import ProfileEndNote as ProfileEndNote
+from .profile_likelihood import EndKind as EndKind
 from .profile_likelihood import Profile as Profile
+from .profile_likelihood import ProfileEndNote as ProfileEndNote
 from .profile_likelihood import profile_likelihood as profile_likelihood
 from .residual_analysis import LEAST_STD_FACTOR as LEAST_STD_FACTOR
 from .residual_analysis import RESIDUAL_LEVEL as RESIDUAL_LEVEL

@@ -1,8 +1,4 @@
-"""All checks of a result at one place: residuals, prior and data, profiles, maps, samples of the posterior.
-
-What costs no simulation is done at once; the rest as far as it is asked for, the quick ones first. What is complete is
-kept when the keyboard interrupts it. The modules of each are imported when it is asked for.
-"""
+"""Assessment: all checks of a result, the quick ones first."""
 
 from __future__ import annotations
 
@@ -16,9 +12,9 @@ import pandas as pd
 from fmuid.blas import single_threaded
 from fmuid.codec import Layout
 from fmuid.estimation import LeastSquares, Result, check_level
+from fmuid.events import Event, MapStep, Progress
 from fmuid.identification.prior_and_data import PriorDataComparison, compare_prior_and_data
 from fmuid.identification.residual_analysis import ResidualAnalysis, analyze_residuals
-from fmuid.progress import Event, MapStep, Progress
 
 if TYPE_CHECKING:
     from fmuid.identification.cost_map import CostMap
@@ -26,29 +22,27 @@ if TYPE_CHECKING:
     from fmuid.identification.profile_likelihood import Profile
 
 CONFIDENCE_LEVEL = 0.95
-# A criterion on a map lower than at the estimate by more than this shows another optimum; less may be rounding, or
-# what the search left.
-LOWER_CRITERION = 0.1
+LOWER_CRITERION = 0.1  # cost below that of the estimate that shows another optimum; less may be rounding
 
 
 @dataclass(frozen=True)
 class AssessmentSettings:
-    """Which checks are asked for: the table ``[uncertainty]`` of a study, and what is known of the noise.
+    """Checks to make: the section ``[uncertainty]`` of a study, and known noise.
 
     Parameters
     ----------
     level : float
-        Of all intervals, between 0 and 1.
+        Confidence level of all intervals, between 0 and 1.
     profile : tuple of str
-        Parameters whose profile is computed.
+        Parameters for profile likelihoods.
     posterior : SamplerSettings, optional
-        How the posterior is sampled, where it is.
+        Default: no samples.
     maps : tuple of (str, str)
-        Pairs of parameters over which the criterion is mapped.
+        Pairs of parameters for cost maps.
     search_data : bool
-        Whether to search the optimum of the data alone, which costs about as much as the identification itself.
+        As for `compare_prior_and_data`.
     known_variance : mapping of str to float, optional
-        Known noise variance of each output, of the healthy system; default those given to the problem.
+        Known noise variance of each output; default those given to the problem.
 
     Raises
     ------
@@ -68,28 +62,24 @@ class AssessmentSettings:
 
     @property
     def explores(self) -> bool:
-        """Whether anything is asked for that has to be simulated around the estimate."""
+        """True if a check needs simulations."""
         return bool(self.profile or self.posterior or self.maps)
 
 
 @dataclass(frozen=True, eq=False)
 class Assessment:
-    """What a result is worth.
+    """Checks of a result.
 
     Attributes
     ----------
     level : float
-        Of all intervals.
-    residuals : ResidualAnalysis or None
-        None of a result that was read from a file, which has no residuals.
-    prior_and_data : PriorDataComparison or None
-        Likewise.
+        Confidence level of all intervals.
+    residuals, prior_and_data : ResidualAnalysis, PriorDataComparison, or None
+        None of a result read from a file.
     maps : tuple of CostMap
-        Around the estimate.
     profiles : tuple of Profile
     posterior : Posterior or None
     interrupted : bool
-        Whether the keyboard ended it before all was done.
     """
 
     level: float = CONFIDENCE_LEVEL
@@ -101,27 +91,23 @@ class Assessment:
     interrupted: bool = False
 
     json_layout: ClassVar = Layout(
-        derived=("succeeded",),
-        types=dict.fromkeys(("CostMap", "Profile", "Posterior"), "fmuid.identification"),
+        derived=("succeeded",), types=dict.fromkeys(("CostMap", "Profile", "Posterior"), "fmuid.identification")
     )
 
     @property
     def is_explored(self) -> bool:
-        """Whether there are maps, profiles or samples, or would be if it had not been interrupted."""
+        """True if there are maps, profiles or samples, or an interruption."""
         return bool(self.maps or self.profiles or self.posterior or self.interrupted)
 
     @property
     def succeeded(self) -> bool:
-        """Whether all is done, no better optimum has shown, and the samples of the posterior can be trusted."""
+        """True if complete, without better optimum, with converged samples."""
         ends = [end for each in self.profiles for end in (each.lower, each.upper)]
         better = bool(np.isnan(ends).any()) or any(better_point(chart) for chart in self.maps)
         return not self.interrupted and not better and (self.posterior is None or self.posterior.converged)
 
     def intervals(self, result: Result) -> pd.DataFrame:
-        """Return the intervals side by side: a row a parameter, columns ``lower`` and ``upper`` of each kind.
-
-        The columns are pairs of the kind (``local``, ``profile``, ``posterior``, as far as there are any) and the side.
-        """
+        """Return all intervals by parameter: columns (kind, ``lower`` or ``upper``)."""
         kinds: dict[str, pd.DataFrame] = {"local": result.intervals(self.level)}
         if self.profiles:
             ends = {each.name: (each.lower, each.upper) for each in self.profiles}
@@ -132,14 +118,14 @@ class Assessment:
 
     @property
     def profile_table(self) -> pd.DataFrame:
-        """All points of all profiles: the parameter profiled, the values of all, and the criterion."""
+        """All points of all profiles: parameter profiled, values, and cost."""
         return pd.concat([each.table.assign(profiled=each.name) for each in self.profiles], ignore_index=True)[
             ["profiled", *self.profiles[0].table.columns]
         ]
 
 
 def better_point(chart: CostMap) -> tuple[float, float, float] | None:
-    """Return where a map shows a lower criterion than the estimate has, and by how much; None where it does not."""
+    """Return the point and cost reduction of a better optimum on a map."""
     points = chart.table[[*chart.names, "criterion"]].to_numpy()
     values = np.where(np.isnan(points[:, 2]), np.inf, points[:, 2])
     x, y, least = points[int(np.argmin(values))]
@@ -154,7 +140,7 @@ def assess(
     progress: Progress | None = None,
     earlier: Assessment | None = None,
 ) -> Assessment:
-    """Check a result: its residuals, prior and data, and what else is asked for.
+    """Assess a result: residuals, prior and data, and the checks asked for.
 
     Parameters
     ----------
@@ -162,22 +148,21 @@ def assess(
     result : Result
         Of its identification.
     asked : AssessmentSettings, optional
-        Default: what needs no simulation.
+        Default: checks without simulations.
     progress : callable, optional
-        Called before the first task, before every map, after every point of a profile and every step of the sampler
-        (`fmuid.progress`).
+        Called before each map, and after each point of a profile and step of the sampler (`fmuid.events`).
     earlier : Assessment, optional
-        Of the same result: its residuals, prior and data are not looked at again.
+        Of the same result: its residuals, prior and data are taken over.
 
     Returns
     -------
     Assessment
-        Interrupted from the keyboard: the checks up to then.
+        After an interruption the complete checks.
 
     Raises
     ------
     InputError
-        If the result is another problem's, or a name is unknown.
+        If the result is of another problem, or a name is unknown.
     SimulationError
         If the simulation fails at the result.
 
@@ -192,7 +177,7 @@ def assess(
     found = Assessment(asked.level)
     if earlier is not None:
         found = replace(found, residuals=earlier.residuals, prior_and_data=earlier.prior_and_data)
-    elif result.local is not None:
+    elif result.fit.linearization is not None:
         residuals = analyze_residuals(problem, result)
         reading = compare_prior_and_data(
             problem, result, search_data=asked.search_data, healthy=asked.known_variance, diagnostics=residuals
@@ -209,7 +194,7 @@ def assess(
 def _explored(
     problem: LeastSquares, result: Result, asked: AssessmentSettings, progress: Progress, found: Assessment
 ) -> Iterator[Assessment]:
-    """Simulate around the estimate, and yield what is found after each task; a task broken off ends it."""
+    """Yield the assessment after each task with simulations."""
     if not asked.explores:
         return
     problem = problem.as_in(result)

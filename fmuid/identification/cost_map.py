@@ -1,14 +1,7 @@
-"""The criterion at many points: sums of squares in batches, and its map over two parameters.
+"""Maps of the cost over two parameters, the others at the estimate.
 
-A map is a section: the other parameters stay at the estimate. The confidence ellipse on it is that of the two
-parameters together whatever the others are, from their block of the local covariance (1.31); with two parameters in
-all it is the line where the criterion has risen by χ²(2), or 2 F(2, K − N) where noise variances are estimated. With
-more, the section rises faster, and its own line at that level lies inside the ellipse.
-
-References
-----------
-D. M. Bates, D. G. Watts, "Nonlinear Regression Analysis and Its Applications", chapter 6 (contours, sections), 1988;
-G. A. F. Seber, C. J. Wild, "Nonlinear Regression", sections 2.2.3 (concentrated likelihood) and 5.4, 1989.
+The confidence ellipse is that of the two parameters whatever the others are, from their block of the covariance (1.31).
+With more than two parameters the section rises faster: its own contour lies inside the ellipse (Bates and Watts, 1988).
 """
 
 from __future__ import annotations
@@ -28,18 +21,15 @@ from fmuid.errors import InputError
 from fmuid.estimation import LeastSquares, Result, check_level, misfits, refuse_loss, spans_decades, variances
 from fmuid.identification.conditional_optimum import evaluator_of
 
-# Points along each side of a map: an odd number puts the estimate on the grid.
-POINTS = 41
+POINTS = 41  # along each side of a map; an odd number puts the estimate on the grid
 
 
 @dataclass(frozen=True)
 class CostMapSettings:
     """Numbers of a map."""
 
-    span_stds: float = 4.0
-    """How far a map reaches from the estimate, in standard deviations."""
-    ellipse_points: int = 181
-    """Points of an ellipse, two degrees apart, the last one the first again."""
+    span_stds: float = 4.0  # how far a map reaches from the estimate, in standard deviations
+    ellipse_points: int = 181  # points of an ellipse, two degrees apart, the last one the first again
 
 
 SETTINGS = CostMapSettings()
@@ -47,26 +37,24 @@ SETTINGS = CostMapSettings()
 
 @dataclass(frozen=True, eq=False)
 class CostMap:
-    """The criterion over two parameters, the others held at the estimate.
+    """Cost over two parameters, the others at the estimate.
 
     Attributes
     ----------
     names : tuple of two str
     table : DataFrame
-        One row a point: the two parameters and ``criterion``, J_C (1.37), NaN where the simulation failed. The second
-        parameter changes first.
+        The parameters and ``criterion``, J_C (1.37), NaN where failed; the second parameter changes first.
     shape : tuple of two int
         Points along the first and the second parameter.
     logarithmic : tuple of two bool
-        Whether the points divide a parameter's range logarithmically.
+        Logarithmic division of each range.
     estimate : (2,) array
     criterion : float
         At the estimate.
     covariance : (2, 2) array
-        The two parameters' block of the covariance of white noise, by which the criterion bends.
+        Of the two parameters, for white noise.
     scale, degrees_of_freedom : float
-        Of the region of both: what the colour of the noise multiplies the criterion's rise with, and `freedom` of both
-        (`Result.test_scale`).
+        Factor of the region for colored noise (`Result.test_scale`), and degrees of freedom of both.
     held : dict of str to float
         The other parameters.
     """
@@ -86,15 +74,14 @@ class CostMap:
 
     @property
     def grid(self) -> tuple[Floats, Floats, Floats]:
-        """The first parameter (n_1,), the second (n_2,), and the criterion (n_1, n_2)."""
+        """The first parameter (n_1,), the second (n_2,), and the cost (n_1, n_2)."""
         first, second, values = (self.table[name].to_numpy().reshape(self.shape) for name in (*self.names, "criterion"))
         return first[:, 0], second[0], values
 
     def rise(self, level: float = 0.95) -> float:
-        """Return by how much the criterion rises on the border of the two parameters' confidence region.
+        """Return the rise of the cost at the border of the confidence region.
 
-        χ²(2) where all noise variances are known, 2 F(2, degrees of freedom) where they are estimated, times what the
-        colour of the noise makes of it.
+        χ²(2) for known noise variances, else 2 F(2, degrees of freedom), times `scale`.
 
         Raises
         ------
@@ -105,9 +92,9 @@ class CostMap:
         return self.scale * region_rise(level, self.degrees_of_freedom)
 
     def ellipse(self, level: float = 0.95) -> Floats:
-        """Return the border of the confidence ellipse, closed, (n, 2); (0, 2) where a parameter is not determined.
+        """Return the closed border of the confidence ellipse (n, 2).
 
-        The points θ̂ + √rise L (cos φ, sin φ) with L Lᵀ the covariance have all the same (θ − θ̂)ᵀ P⁻¹ (θ − θ̂) = rise.
+        It is empty where a parameter is not identifiable.
         """
         radius = math.sqrt(self.rise(level))
         if not np.isfinite(self.covariance).all():
@@ -120,9 +107,9 @@ class CostMap:
 
 
 def region_rise(level: float, freedom: float) -> float:
-    """Return by how much the criterion rises on the border of the confidence region of two parameters, white noise.
+    """Return the rise of the cost at the border of a confidence region.
 
-    The quantile of χ²(2), or of 2 F(2, ν) where variances were estimated with ν degrees of freedom, in closed form.
+    For two parameters and white noise: the quantile of χ²(2), or of 2 F(2, ν) with ν degrees of freedom.
     """
     beyond = math.log1p(-level)
     return -2.0 * beyond if math.isinf(freedom) else freedom * math.expm1(-2.0 * beyond / freedom)
@@ -138,27 +125,25 @@ def map_cost(
     points: int = POINTS,
     ranges: Mapping[str, tuple[float, float]] | None = None,
 ) -> CostMap:
-    """Compute the criterion on a grid over two parameters around the estimate.
+    """Compute the cost on a grid over two parameters around the estimate.
 
     Parameters
     ----------
     problem : LeastSquares
     result : Result
-        Of this problem; where noise variances are estimated, the criterion is that with its estimates.
+        Of this problem; its noise variances serve.
     first, second : str
         The two parameters.
     points : int
         Along each of them.
     ranges : mapping of str to (low, high), optional
-        How far the map reaches. Default: 4 standard deviations to both sides, but not beyond the bounds; for a
-        parameter that is not determined the bounds, or its magnitude to both sides where there are none. Ranges that
-        are positive and span a decade or more are divided logarithmically.
+        Default: ±4 σ within the bounds; if not identifiable, the bounds or ± the magnitude. A decade or more is divided
+        logarithmically.
 
     Raises
     ------
     InputError
-        If a parameter is unknown, a range is empty or leaves the bounds, or
-        the result is not of this problem.
+        If a parameter is unknown, a range is empty or leaves the bounds, or the result is of another problem.
 
     Examples
     --------
@@ -189,9 +174,9 @@ def map_cost(
         logarithmic=(spans_decades(*spans[0]), spans_decades(*spans[1])),
         estimate=result.values[where],
         criterion=float(values[-1]),
-        covariance=result.white_covariance[np.ix_(where, where)],
-        scale=result.test_scale([first, second]),
-        degrees_of_freedom=result.test_freedom([first, second]),
+        covariance=result.estimates.covariance_white_noise[np.ix_(where, where)],
+        scale=result.estimates.test_scale([first, second]),
+        degrees_of_freedom=result.estimates.test_dof([first, second]),
         held={name: result[name] for name in parameters.names if name not in (first, second)},
     )
 
@@ -199,7 +184,6 @@ def map_cost(
 def _span(
     problem: LeastSquares, result: Result, i: int, ranges: Mapping[str, tuple[float, float]]
 ) -> tuple[float, float]:
-    """Return the lowest and the highest value of one parameter on the map."""
     name = problem.parameters.names[i]
     low, high = float(problem.parameters.lower[i]), float(problem.parameters.upper[i])
     if name in ranges:

@@ -1,60 +1,72 @@
-"""Parameters that take few values: Integer, Boolean and enumeration variables, of which each combination is tried."""
+"""Parameters with listed choices: a search for each combination of their values."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+import time
+from collections.abc import Mapping
+from dataclasses import replace
 from itertools import product
 
-from fmuid.errors import InputError
-from fmuid.formatting import nearest
-from fmuid.models import System
+import numpy as np
+
+from fmuid.array_types import Floats
+from fmuid.errors import FmuidError, InputError, SimulationError
+from fmuid.estimation import CombinationFit, Result, TerminationReason
+from fmuid.identification.problem import Problem
+from fmuid.identification.strategies import Searches, Trial
 from fmuid.simulation import Value
 
-ALL = "all"
-"""In place of values: those of a Boolean or an enumeration, or what an Integer has between its bounds."""
-# Each combination is a search of its own.
-MOST_COMBINATIONS = 1000
 
-Given = Mapping[str, Sequence[Value] | str]
+def search_combinations(trial: Trial) -> Searches:
+    """Search with each combination of the `choices`; return the best result."""
+    evaluator, problem = trial.evaluator, trial.evaluator.problem
+    clock, before = time.perf_counter(), evaluator.simulations
+    tried: list[tuple[float, Mapping[str, Value], Result]] = []
+    failed: list[CombinationFit] = []
+    first: FmuidError | None = None
+    for each in product(*problem.choices.values()):
+        values = dict(zip(problem.choices, each, strict=True))
+        held = evaluator.of(problem.holding(values))
+        try:
+            result = yield replace(trial, evaluator=held)
+        except (InputError, SimulationError) as error:
+            first = first or error
+            failed.append(CombinationFit(values, None, math.inf, {}))
+            continue
+        tried.append((_deviance(problem, result), values, result))
+        if result.outcome is TerminationReason.INTERRUPTED:
+            break
+    if not tried:
+        assert first is not None
+        raise first
+    tried.sort(key=lambda each: each[0] if math.isfinite(each[0]) else math.inf)
+    least, _, best = tried[0]
+    fits = [
+        CombinationFit(values, one.outcome, own - least, dict(zip(one.names, one.values.tolist(), strict=True)))
+        for own, values, one in tried
+    ]
+    is_interrupted = any(fit.outcome is TerminationReason.INTERRUPTED for fit in fits)
+    return replace(
+        best,
+        outcome=TerminationReason.INTERRUPTED if is_interrupted else best.outcome,
+        history=replace(
+            best.history,
+            combinations=(*fits, *failed),
+            simulations=evaluator.simulations - before,
+            elapsed_s=time.perf_counter() - clock,
+        ),
+    )
 
 
-def choices_of(system: System, given: Given) -> dict[str, tuple[Value, ...]]:
-    """Return the values of each parameter that takes few.
-
-    Raises
-    ------
-    InputError
-        If the model has no such parameter, there are none or too many values, or one is given twice.
-    """
-    found = {name: _values(system, name, values) for name, values in given.items()}
-    count = math.prod(map(len, found.values()))
-    if count > MOST_COMBINATIONS:
-        raise InputError(
-            f"{' and '.join(map(repr, found))} have {count} combinations of values, each a search of its own, and at "
-            f"most {MOST_COMBINATIONS} are tried: give fewer values"
-        )
-    return found
-
-
-def combinations(choices: Mapping[str, Sequence[Value]]) -> list[dict[str, Value]]:
-    """Return every combination of values."""
-    return [dict(zip(choices, values, strict=True)) for values in product(*choices.values())]
-
-
-def _values(system: System, name: str, given: Sequence[Value] | str) -> tuple[Value, ...]:
-    variable = system.variables.get(name)
-    if variable is None:
-        raise InputError(f"{system.label} has no {name!r}{nearest(name, system.variables)}: values are given for it")
-    if given != ALL:
-        values = tuple(given)
-        if not values or len({(type(each), each) for each in values}) < len(values):
-            raise InputError(f"the values of {name!r} must be one or more, each once, not {list(values)!r}")
-        return values
-    if variable.type == "Boolean":
-        return False, True
-    if variable.items:
-        return variable.items
-    if variable.type == "Integer" and variable.min is not None and variable.max is not None:
-        return tuple(range(int(variable.min), int(variable.max) + 1)[: MOST_COMBINATIONS + 1])
-    raise InputError(f"{system.label} does not say which values {name!r} may take: list them in place of {ALL!r}")
+def _deviance(problem: Problem, result: Result) -> float:
+    """Return −2 ln L, for robust losses Σ K ln σ², plus the prior's squares."""
+    away: Floats = np.nan_to_num(problem.parameters.prior_mean - result.values)
+    prior = float(np.sum((problem.parameters.prior_whitening @ away) ** 2))
+    if math.isfinite(result.fit.log_likelihood):
+        return prior - 2.0 * result.fit.log_likelihood
+    if len(result.fit.given_variance) == len(problem.output_names):
+        return result.fit.cost
+    variances = [result.fit.variance.get(name, math.nan) for name in problem.output_names]
+    with np.errstate(divide="ignore"):
+        return prior + float(problem.counts @ np.log(variances))

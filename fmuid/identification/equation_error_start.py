@@ -1,82 +1,46 @@
-"""A start from the equations of the model: the weak form of ẋ = f(x, u, θ) at the measured states, without simulation.
+"""Starting point from the weak form of ẋ = f(x, u, θ), without simulation.
 
-It needs a single FMU that offers model exchange; states that the outputs do not tell follow from those that they do
-(`fmuid.identification.measured_states`). Noise in the states biases what it finds, by factors where a time constant is
-shorter than the sampling: a start, and never a result.
+It needs one Model Exchange FMU. Noise in the states biases it, most for time constants below the sampling interval: it
+gives a starting point, never a result.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from fmuid.array_types import Flags, Floats, Indices
-from fmuid.data import Experiment, Noise, Parameter
+from fmuid.data import Noise, Parameter
 from fmuid.errors import FmuidError, InputError
-from fmuid.estimation import (
-    Evaluator,
-    FunctionPredictions,
-    LeastSquares,
-    Marquardt,
-    WeakForm,
-    second_difference_noise,
-    sobol_points,
-)
+from fmuid.estimation import Evaluator, LeastSquares, Marquardt, WeakForm, second_difference_noise, sobol_points
 from fmuid.identification.measured_states import MeasuredStates, both_ends, states_from_outputs
 from fmuid.identification.problem import Problem
 from fmuid.simulation import RightHandSide
 
-# How far a parameter may move from where the search sets out, as a factor, where its bounds say nothing narrower.
-FARTHEST = 300.0
+FARTHEST = 300.0  # factor that bounds a parameter from where the search begins
 MOST_ITERATIONS = 50
-# Where the residual stays larger than so many times the noise, it may be a secondary optimum: shorter searches set out
-# from some points, until it is halved.
+# A larger residual, in noise, may be a secondary optimum: shorter searches begin at other points, until it is halved.
 POOR, POINTS, SEED = 15.0, 2, 0
 SECOND = Marquardt(max_iterations=12)
-# Changes by which it is found out what acts on what, as shares of the magnitudes.
-CHANGE = 0.01
-# Samples at the beginning whose median is the first state.
-FIRST_SAMPLES = 3
+CHANGE = 0.01  # shares of the magnitudes, by which acting parameters are found
+FIRST_SAMPLES = 3  # whose median is the first state
 
 
-@dataclass(frozen=True, eq=False)
-class EquationStart:
-    """A start by the weak form.
-
-    Attributes
-    ----------
-    theta : (N,) array
-    noise_ratio : float
-        Root mean square of the weak form's residual by its noise.
-    """
-
-    theta: Floats
-    noise_ratio: float
-
-
-def equation_start(problem: Problem, start: Floats) -> EquationStart | None:
-    """Return a start by the weak form, None where it cannot be had.
-
-    Parameters
-    ----------
-    problem : Problem
-    start : (N,) array
-        Where the search for it sets out.
-    """
+def equation_start(problem: Problem, start: Floats) -> tuple[Floats, float] | None:
+    """Return a starting point (N,) and the relative residual of the equations."""
     try:
         records = [_WeakRecord.of(problem, index, start) for index in range(len(problem.experiments))]
         found = _fitted(problem, [each for each in records if each is not None], start)
-    except FmuidError:  # a start is not worth an error: the search itself says what is wrong with the model
+    except FmuidError:  # a start is not worth an error: the search itself reports defects of the model
         return None
-    return None if found is None else replace(found, theta=_with_initial_states(problem, records, found.theta))
+    return None if found is None else (_with_initial_states(problem, records, found[0]), found[1])
 
 
 @dataclass(frozen=True, eq=False)
 class _WeakRecord:
-    """One experiment: its right-hand side, windows and states, and the slopes and noise (n_y,) of its outputs."""
+    """Right-hand side, windows, states and outputs of one experiment."""
 
     side: RightHandSide
     columns: Indices
@@ -108,7 +72,7 @@ class _WeakRecord:
         return cls(side, columns, WeakForm(times, there[:, own]), states, slopes[own], scale[own])
 
     def residuals(self, thetas: Floats) -> Floats:
-        """Return the whitened residual of all windows and outputs (m, n), NaN where f cannot be had."""
+        """Return the whitened residuals (m, n), NaN where f fails."""
         found = []
         for states, rates in self.states(np.ascontiguousarray(thetas[:, self.columns])):
             outputs, slopes = states @ self.slopes.T, rates @ self.slopes.T
@@ -117,14 +81,14 @@ class _WeakRecord:
 
 
 class _Scaled:
-    """The residuals of all records over logarithms, or shares, of the parameters that act on f; a predictor."""
+    """Residuals of all experiments over logarithms, or shares, of the acting parameters."""
 
     def __init__(self, records: list[_WeakRecord], start: Floats, acting: Indices, scale: Floats) -> None:
         self.records, self.start, self.acting = records, start, acting
         self._scale, self._logs = scale[acting], start[acting] != 0.0
 
     def thetas(self, given: Floats) -> Floats:
-        """Return the parameters (m, N) of what the search moves (m, n_acting)."""
+        """Return the parameters (m, N) of searched values (m, n_acting)."""
         found = np.tile(self.start, (len(given), 1))
         logs = self._logs
         with np.errstate(over="ignore"):
@@ -132,22 +96,18 @@ class _Scaled:
         found[:, self.acting[~logs]] = given[:, ~logs] * self._scale[~logs]
         return found
 
-    def many(self, thetas: ArrayLike) -> FunctionPredictions:
-        """Return the residuals (m, n, 1)."""
-        given = np.asarray(thetas, dtype=np.float64)
-        found = np.concatenate([record.residuals(self.thetas(given)) for record in self.records], axis=1)
-        failed = ~np.isfinite(found).all(axis=1)
-        found[failed] = np.nan
-        error = ArithmeticError("the right-hand side cannot be had")
-        return FunctionPredictions(found[:, :, None], tuple(error if each else None for each in failed))
+    def __call__(self, given: Floats) -> Floats:
+        """Return the residuals (n,) at searched values (n_acting,)."""
+        thetas = self.thetas(given[None])
+        return np.concatenate([record.residuals(thetas)[0] for record in self.records])
 
     def points(self, lower: Floats, upper: Floats) -> Floats:
-        """Return points (`POINTS`, n_acting) between bounds, in which the shares stay at their start."""
+        """Return points (`POINTS`, n_acting) between bounds; shares stay at their start."""
         units = sobol_points(lower.size, POINTS, SEED)
         return np.where(self._logs, lower + units * (upper - lower), 0.0)
 
     def parameters(self, lower: Floats, upper: Floats) -> dict[str, Parameter]:
-        """Return what the search moves, within the bounds (N,) and `FARTHEST`."""
+        """Return the searched values as parameters, within the bounds (N,) and `FARTHEST`."""
         found = {}
         for j, (i, log) in enumerate(zip(self.acting.tolist(), self._logs.tolist(), strict=True)):
             value, scale = float(self.start[i]), float(self._scale[j])
@@ -159,8 +119,8 @@ class _Scaled:
         return found
 
 
-def _fitted(problem: Problem, records: list[_WeakRecord], start: Floats) -> EquationStart | None:
-    """Return the parameters that act on f as the weak form finds them, None where it finds nothing."""
+def _fitted(problem: Problem, records: list[_WeakRecord], start: Floats) -> tuple[Floats, float] | None:
+    """Return the parameters (N,) of the weak form, and its relative residual."""
     if not records:
         return None
     every = np.arange(start.size)
@@ -176,23 +136,20 @@ def _fitted(problem: Problem, records: list[_WeakRecord], start: Floats) -> Equa
     if not acting.size or size <= acting.size:
         return None
     scaled = _Scaled(records, start, acting, problem.parameters.scale)
-    table = Experiment.of_arrays(
-        "windows", np.arange(size, dtype=np.float64), ("r",), np.zeros((size, 1)), np.ones((size, 1), bool)
-    )
     given = scaled.parameters(problem.parameters.lower, problem.parameters.upper)
-    search = Evaluator(LeastSquares([scaled], [table], given, noise=Noise(1.0)))
+    search = Evaluator(LeastSquares.from_function(scaled, np.zeros(size), given, noise=Noise(1.0)))
     lower, upper = search.problem.parameters.lower, search.problem.parameters.upper
     found = Marquardt(max_iterations=MOST_ITERATIONS).search(search)
-    enough = max(0.5 * size * POOR**2, found.criterion / 4.0)
+    enough = max(0.5 * size * POOR**2, found.fit.cost / 4.0)
     for theta in scaled.points(lower, upper):
-        if found.criterion <= enough:
+        if found.fit.cost <= enough:
             break
-        found = min(found, SECOND.search(search, None, theta), key=lambda each: each.criterion)
-    return EquationStart(scaled.thetas(found.values[None])[0], math.sqrt(2.0 * found.criterion / size))
+        found = min(found, SECOND.search(search, None, theta), key=lambda each: each.fit.cost)
+    return scaled.thetas(found.values[None])[0], math.sqrt(2.0 * found.fit.cost / size)
 
 
 def _with_initial_states(problem: Problem, records: list[_WeakRecord | None], theta: Floats) -> Floats:
-    """Move the parameters that act on initial states alone to where these are the first measured ones."""
+    """Fit parameters of initial states alone to the first measured states."""
     parameters, found = problem.parameters, theta.copy()
     for record in records:
         if record is None:
@@ -217,7 +174,7 @@ def _with_initial_states(problem: Problem, records: list[_WeakRecord | None], th
 
 
 def _acts(record: _WeakRecord, moved: Floats) -> Flags:
-    """Return which of the experiment's parameters act on f, each moved in its row of (1 + n, n)."""
+    """Return flags of the parameters that act on f."""
     slopes, _ = record.side(both_ends(record.states.told), moved)
     with np.errstate(invalid="ignore"):
         return np.asarray(~(slopes[1:] == slopes[0]).all(axis=(1, 2)), dtype=np.bool_)

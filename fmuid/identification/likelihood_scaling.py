@@ -1,20 +1,12 @@
-"""The likelihood of data whose noise is coloured: scaled, direction by direction, to how estimates really scatter.
+"""Likelihood scaled to the colored noise.
 
-The log-likelihood l of white noise bends by the information H of the data where their optimum θ_d scatters by V. With
-n − q degrees of freedom of its variance, l(θ_d) − l(θ) = n/2 log(1 + R/(n − q)), R the rise of the sum of squares by
-the variance, dᵀHd near the optimum, d = θ − θ_d. What takes its place is
+The log-likelihood l of white noise has the curvature H at the data's optimum θ_d, where θ_d scatters by V. With d = θ −
+θ_d, n − q degrees of freedom, and R from l(θ_d) − l(θ) = n/2 log(1 + R/(n − q)), it is replaced by
 
     l(θ_d) − (ν + q)/2 log(1 + Q/ν),   Q = R (dᵀV⁻¹d)/(dᵀHd),
 
-of the curvature V⁻¹ (Chandler and Bate; for posteriors Ribatet et al.: one factor for all directions is wrong where the
-noise's colour meets the parameters differently) and of the tails of Student's t with the ν degrees of freedom that V
-has: scaled itself, the logarithm of a sum of squares would have none to speak of. The prior stays as it is.
-
-References
-----------
-R. E. Chandler, S. Bate, "Inference for clustered data using the independence loglikelihood", Biometrika 94 (1), 2007;
-M. Ribatet, D. Cooley, A. C. Davison, "Bayesian inference from composite likelihoods, with an application to spatial
-extremes", Statistica Sinica 22, 2012.
+of curvature V⁻¹ and Student's tails with the ν degrees of freedom of V (Chandler and Bate, Biometrika 94, 2007; Ribatet
+et al., Statistica Sinica 22, 2012). The prior stays as it is.
 """
 
 from __future__ import annotations
@@ -28,45 +20,24 @@ from scipy import special
 from fmuid.array_types import Floats, Indices
 from fmuid.estimation import LeastSquares, Result
 
-# Directions of which the data tell less than this share of all that is known are the prior's.
-LEAST_SHARE = 1e-6
-# The intervals whose widths are kept where variances have few degrees of freedom.
-LEVEL = 0.95
+LEAST_SHARE = 1e-6  # of the information; directions with less from the data are the prior's
+LEVEL = 0.95  # of the intervals whose widths are kept
 
 
 @dataclass(frozen=True, eq=False)
 class LikelihoodScaling:
-    """How the log-likelihood of the data is scaled.
+    """Scaling of the data's log-likelihood."""
 
-    Attributes
-    ----------
-    at : (k,) array of int
-        The parameters that are determined.
-    centre : (k,) array
-        θ_d of them.
-    white, coloured : (k, k) arrays
-        H and V⁻¹.
-    above : float
-        By how much l at θ_d exceeds that at the estimate.
-    known : float
-        n − q, infinite where variances are given.
-    freedom : float
-        ν.
-    """
-
-    at: Indices
-    centre: Floats
-    white: Floats
-    coloured: Floats
-    above: float
-    known: float
-    freedom: float
+    at: Indices  # (k,), the identifiable parameters
+    centre: Floats  # (k,), θ_d
+    white: Floats  # (k, k), H
+    coloured: Floats  # (k, k), V⁻¹
+    above: float  # l at θ_d less l at the estimate
+    known: float  # n − q, infinite where variances are given
+    freedom: float  # ν
 
     def __call__(self, thetas: Floats, likelihood: Floats, at_estimate: float) -> Floats:
-        """Return the scaled log-likelihood (m,) of thetas (m, N), from that of white noise, there and at the estimate.
-
-        At the estimate both are the same where there is no prior.
-        """
+        """Return the scaled log-likelihood (m,) from that of white noise."""
         away = thetas[:, self.at] - self.centre
         white, coloured = (np.einsum("mi,ij,mj->m", away, each, away) for each in (self.white, self.coloured))
         factor = np.divide(coloured, white, out=np.ones_like(white), where=white > 0)
@@ -81,17 +52,17 @@ class LikelihoodScaling:
 
 
 def adjustment(problem: LeastSquares, result: Result, known: float) -> LikelihoodScaling:
-    """Return how the likelihood of a problem, whose variances have `known` freedom, is to be scaled around a result."""
-    local = result.local
-    curvature = result.white_covariance if local is None else local.root @ local.root.T
+    """Return the scaling around a result; `known` are degrees of freedom."""
+    local = result.fit.linearization
+    curvature = result.estimates.covariance_white_noise if local is None else local.root @ local.root.T
     at = np.flatnonzero(np.isfinite(result.std) & (np.diag(curvature) > 0))
     if not at.size:
         return LikelihoodScaling(at, np.zeros(0), np.zeros((0, 0)), np.zeros((0, 0)), 0.0, known, known)
     own, unit = np.ix_(at, at), np.sqrt(np.diag(curvature))[at]
     scale = np.outer(unit, unit)
     # t quantiles of each estimate, against those that the density has
-    freedom = result.test_freedom([result.names[i] for i in at])
-    wider = result.quantiles(LEVEL)[at] / _quantile(freedom)
+    freedom = result.estimates.test_dof([result.names[i] for i in at])
+    wider = result.estimates.quantiles(LEVEL)[at] / quantile(freedom, LEVEL)
     whole = np.linalg.pinv(curvature[own] / scale, hermitian=True)
     whitening = problem.parameters.prior_whitening[:, at] * unit
     prior = whitening.T @ whitening
@@ -118,6 +89,7 @@ def adjustment(problem: LeastSquares, result: Result, known: float) -> Likelihoo
     )
 
 
-def _quantile(freedom: float) -> float:
-    tail = 0.5 + LEVEL / 2.0
-    return float(special.ndtri(tail) if np.isinf(freedom) else special.stdtrit(freedom, tail))
+def quantile(freedom: float, level: float) -> float:
+    """Return the end of a two-sided interval of Student's t, normal for infinite freedom."""
+    tail = 0.5 + level / 2.0
+    return float(special.stdtrit(freedom, tail) if math.isfinite(freedom) else special.ndtri(tail))

@@ -1,8 +1,7 @@
-"""The states that outputs tell, x = x₀ + C⁺ (y* − y₀), and the others, which follow from them by the model's equations.
+"""States from outputs, and unmeasured states by the model's equations.
 
-With x = x* + N z, where C N = 0, the unmeasured z obey ż = N⁺ f(x* + N z, u, θ): the rotor's fluxes of a machine whose
-currents are measured, for instance. That is integrated by the trapezoidal rule over the samples, all intervals at once
-by Newton's method, so that its cost does not grow with the stiffness of the model as that of a simulation does.
+Measured: x = x₀ + C⁺ (y* − y₀). With x = x* + N z and C N = 0, the unmeasured z obey ż = N⁺ f(x* + N z, u, θ). Newton's
+method solves the trapezoidal rule over all intervals at once, at a cost that does not grow with stiffness.
 """
 
 from __future__ import annotations
@@ -17,37 +16,26 @@ from fmuid.array_types import Floats
 from fmuid.errors import InputError
 from fmuid.simulation import RightHandSide
 
-# Directions of the states are told where the singular value of ∂y/∂x, by their scales, is at least this share of the
-# largest.
-INDEPENDENT = 1e-6
-# Unmeasured directions up to which their slopes are worth their price: one evaluation each.
-MOST_UNMEASURED = 8
-# Newton's steps, where they end, and differences for their slopes, all in units of the nominals.
+INDEPENDENT = 1e-6  # least singular value of ∂y/∂x of a measured direction, relative to the largest
+MOST_UNMEASURED = 8  # directions; each costs an evaluation a step
+# Newton's steps, their end and differences, in units of the nominals.
 MOST_STEPS, SETTLED, CHANGE = 5, 1e-6, 1e-3
 
 
 @dataclass(frozen=True, eq=False)
 class MeasuredStates:
-    """The states of one record for any parameters.
-
-    Attributes
-    ----------
-    side : RightHandSide
-    intervals : (K − 1, 1) array
-        Between the samples, s.
-    told : (K, n_x) array
-        What the outputs tell.
-    unseen : (n_x, n_z) array
-        N, the directions that change no output, of the length of the nominals.
-    """
+    """States of one experiment for any parameters."""
 
     side: RightHandSide
-    intervals: Floats
-    told: Floats
-    unseen: Floats
+    intervals: Floats  # (K − 1, 1), between the samples, s
+    told: Floats  # (K, n_x), from the outputs
+    unseen: Floats  # (n_x, n_z), N, directions that change no output, of the length of the nominals
 
     def __call__(self, thetas: Floats) -> Iterator[tuple[Floats, Floats]]:
-        """Return states (K, n_x) and derivatives (2 (K − 1), n_x) at both ends of each interval, for each of thetas."""
+        """Yield states and derivatives of each theta.
+
+        They are (K, n_x), and (2 (K − 1), n_x) at both ends of each interval.
+        """
         if not self.unseen.size:
             yield from ((self.told, rates) for rates in self.side(both_ends(self.told), thetas)[0])
             return
@@ -58,7 +46,7 @@ class MeasuredStates:
             yield self._followed(theta[None], begin, inverse)
 
     def _followed(self, theta: Floats, begin: Floats, inverse: Floats) -> tuple[Floats, Floats]:
-        """Return states and derivatives for one theta (1, N), from the unmeasured ones at the beginning (n_z,)."""
+        """Return states and derivatives, from unmeasured states at the start (n_z,)."""
         unmeasured = np.tile(begin, (len(self.told), 1))
         half = 0.5 * self.intervals
         for step in range(MOST_STEPS + 1):
@@ -77,7 +65,7 @@ class MeasuredStates:
 
 
 def _marched(begins: Floats, ends: Floats, defect: Floats) -> Floats:
-    """Return δ (K − 1, n_z) of (I − E_k) δ_k = (I + B_k) δ_{k−1} + d_k, from δ = 0."""
+    """Return δ of (I − E_k) δ_k = (I + B_k) δ_{k−1} + d_k, from δ = 0."""
     size, one = defect.shape[1], np.eye(defect.shape[1])
     bands = np.zeros((3 * size - 1, defect.size))
     for i, j in np.ndindex(size, size):
@@ -91,21 +79,19 @@ def _marched(begins: Floats, ends: Floats, defect: Floats) -> Floats:
 
 
 def both_ends(states: Floats) -> Floats:
-    """Return the states (2 (K − 1), n_x) at the beginning and the end of each interval."""
+    """Return the states at both ends of each interval."""
     return np.repeat(states, 2, axis=0)[1:-1]
 
 
 def states_from_outputs(
     side: RightHandSide, theta: Floats, times: Floats, outputs: Floats
 ) -> tuple[MeasuredStates, Floats]:
-    """Return the states that outputs (K, n_y) tell, and C = ∂y/∂x (n_y, n_x).
-
-    C is found at the beginning and taken for constant.
+    """Return the states by outputs (K, n_y), and C = ∂y/∂x (n_y, n_x).
 
     Raises
     ------
     InputError
-        If the outputs tell nothing of the states, or leave too many of them open.
+        If the outputs leave too many states open.
     """
     slopes, base, at = side.output_slopes(theta)
     if not np.isfinite(at).all() or not np.isfinite(slopes).all():

@@ -1,18 +1,8 @@
-"""Simulations whose states an observer corrects at each sample: for plants that integrate, whose output error drifts.
+"""Observers for plants that integrate: simulations whose states are corrected at each sample.
 
-A plant that integrates keeps every error of its model to the end of the record: simulated in open loop, its parameters
-are pulled to where the drift is least, not to where the model is right. An observer forgets: x += L (y* − y) at each
-sample, with the poles of its error at a few samples. What is compared is a prediction over that time, so the estimates
-are no longer those of output error: noise of the measurements enters the states, and biases them the more, the faster
-the observer is.
-
-The error of the observer is e ← (I − L C) exp(A T) e from sample to sample. L places its poles by Ackermann's formula,
-for one output; A and C are secants over the nominal sizes of the states, so that a step such as that of dry friction
-counts with its mean slope.
-
-References
-----------
-J. Ackermann, "Der Entwurf linearer Regelungssysteme im Zustandsraum", Regelungstechnik 20, 1972.
+x += L (y* − y) with the poles of (I − L C) exp(A T) at a few samples (Ackermann's formula, one output; Regelungstechnik
+20, 1972). A and C are secants over the nominal sizes of the states: dry friction counts with its mean slope. Estimates
+are no longer those of output error: faster observers bias them more.
 """
 
 from __future__ import annotations
@@ -28,29 +18,26 @@ from fmuid.identification.problem import Problem
 from fmuid.simulation import RightHandSide, Simulator
 
 TOLERANCE = 1e-7  # of the integration
-# What is observed through less than this, relative to the largest, is not observed.
-UNOBSERVED = 1e-12
+UNOBSERVED = 1e-12  # least singular value of the observability matrix, relative to the largest
 TINY = 1e-300
 
 
 def with_observer(problem: Problem, samples: float = 3.0) -> Problem:
-    """Return a problem whose states an observer corrects at each sample, for `fmuid.identify`.
+    """Return a problem with an observer that corrects the states at each sample.
 
-    What is identified by it is predicted over a few samples, and is no output error: its result says so
-    (`Result.observer`). Its simulation is compared with nothing finer, and there are no remedies.
+    The result says so (`Setup.observer`). There are no solver check and no restarts.
 
     Parameters
     ----------
     problem : Problem
-        Of a single FMU that offers model exchange, with one output that observes all its states.
+        Of a single Model Exchange FMU with one output that observes all states.
     samples : float
-        The time constant of the observer's error, in sampling intervals (their median).
+        Time constant of the observer, in (median) sampling intervals.
 
     Raises
     ------
     InputError
-        If the model shows no right-hand side, has several outputs, states that its output does not observe, or
-        parameters that take few values.
+        If the model shows no right-hand side, has several outputs, unobservable states, or discrete parameters.
     """
     if not samples > 0.0:
         raise InputError(f"the observer's time constant must be a positive number of samples, not {samples:g}")
@@ -78,17 +65,9 @@ def _observed(problem: Problem, index: int, start: Floats, samples: float) -> Si
 
 
 def observer_gain(slopes: Floats, output: Floats, interval: float, samples: float) -> Floats:
-    """Return L (n_x, 1) that places all poles of (I − L C) exp(A T) at exp(−1/samples).
+    """Return L (n_x, 1) by Ackermann's formula, all poles at exp(−1/samples).
 
-    Parameters
-    ----------
-    slopes : (n_x, n_x) array
-        A.
-    output : (n_x,) array
-        C.
-    interval : float
-        T, s.
-    samples : float
+    `slopes` (n_x, n_x) is A, `output` (n_x,) is C, `interval` is T, s.
 
     Raises
     ------

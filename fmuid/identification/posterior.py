@@ -1,12 +1,7 @@
-"""Samples of the posterior, whether they can be trusted, and the settings of the sampler.
+"""Samples of the posterior, their diagnostics, and the settings of the sampler.
 
-Chains agree, and are long enough, by R-hat and the effective sample size.
-
-References
-----------
-A. Vehtari, A. Gelman, D. Simpson, B. Carpenter, P.-C. Bürkner, "Rank-normalization, folding, and localization: an
-improved R-hat for assessing convergence of MCMC", Bayesian Analysis 16 (2), 2021, whose equations are cited;
-C. J. Geyer, "Practical Markov chain Monte Carlo", Stat. Science 7 (4), 1992.
+R-hat and effective sample size are those of Vehtari, Gelman, Simpson, Carpenter, Bürkner, Bayesian Analysis 16, 2021,
+whose equations are cited; pairs of autocorrelations end as by Geyer, Stat. Science 7, 1992.
 """
 
 from __future__ import annotations
@@ -27,20 +22,16 @@ from fmuid.codec import Layout
 from fmuid.errors import InputError
 from fmuid.estimation import WeakDirection, check_level
 
-# Largest R-hat of chains that agree (Vehtari et al., section 4).
-LARGEST_R_HAT = 1.01
+LARGEST_R_HAT = 1.01  # of chains that agree (section 4)
 
 
 @dataclass(frozen=True)
 class ChainSettings:
-    """Numbers by which chains are judged."""
+    """Numbers of the diagnostics."""
 
-    least_length: int = 8
-    """Diagnostics of shorter chains are meaningless."""
-    least_acceptance: float = 0.05
-    """Walkers with a smaller share of accepted moves are stuck."""
-    longer: float = 0.02
-    """An interval that ends at a bound is taken where it is longer than the shortest one by no more than this share."""
+    least_length: int = 8  # diagnostics of shorter chains are meaningless
+    least_acceptance: float = 0.05  # walkers with a smaller share of accepted moves are stuck
+    longer: float = 0.02  # relative; intervals at a bound may be so much longer than the shortest
 
 
 SETTINGS = ChainSettings()
@@ -59,7 +50,7 @@ class SamplerSettings:
     --------
     >>> problem = fmuid.datasets.coil().problem()
     >>> result = fmuid.identify(problem)
-    >>> settings = fmuid.SamplerSettings(walkers=8, max_steps=40, effective_size=10)
+    >>> settings = fmuid.identification.SamplerSettings(walkers=8, max_steps=40, effective_size=10)
     >>> fmuid.sample_posterior(problem, result, settings).chain.shape
     (40, 8, 2)
     """
@@ -93,18 +84,13 @@ class SamplerSettings:
 
 
 class SamplingWarning(Enum):
-    """Why samples cannot be trusted."""
+    """Reason to distrust samples."""
 
-    RUNAWAY = "runaway"
-    """Nothing holds a parameter."""
-    TOO_SHORT = "too_short"
-    """The chain is too short to judge."""
-    STUCK = "stuck"
-    """Hardly any proposal is accepted."""
-    DISAGREEING = "disagreeing"
-    """The walkers do not tell the same of a parameter."""
-    TOO_FEW = "too_few"
-    """The samples of a parameter are worth fewer independent ones than were asked for."""
+    RUNAWAY = "runaway"  # a parameter grows without limit
+    TOO_SHORT = "too_short"  # the chain is too short for diagnostics
+    STUCK = "stuck"  # hardly any proposal is accepted
+    DISAGREEING = "disagreeing"  # the walkers differ in a parameter
+    TOO_FEW = "too_few"  # the effective sample size of a parameter is too small
 
 
 @dataclass(frozen=True, eq=False)
@@ -114,26 +100,25 @@ class Posterior:
     Attributes
     ----------
     runaway : str
-        A parameter that nothing holds, "" where there is none.
+        A parameter without limit, "" for none.
     interrupted : bool
-        Whether the keyboard ended it.
     wanted : int
-        How many independent samples were asked for.
+        The effective sample size asked for.
     undetermined : tuple of WeakDirection
-        Along which the samples show priors and bounds, not data.
+        Along these the samples show priors and bounds only.
     optima : (m, N) array
-        Where the walkers set out: the estimate, and other optima that hold a share of the posterior.
+        Origins of the walkers: the estimate and other optima.
     names : tuple of str
     lower, upper : (N,) arrays
-        The bounds, infinite where there are none.
+        Bounds, infinite without.
     chain : (steps, walkers, N) array
-        Every step of every walker, the first `burn` ones included.
+        All steps, the first `burn` ones included.
     log_density : (steps, walkers) array
         Without its constant.
     burn : int
-        Number of discarded steps at the start.
+        Discarded steps at the start.
     acceptance : float
-        Share of the moves that were accepted.
+        Share of accepted moves.
     simulations : int
     elapsed_s : float
     """
@@ -163,12 +148,12 @@ class Posterior:
 
     @property
     def steps(self) -> int:
-        """Of each walker, the discarded ones included."""
+        """Steps of each walker, the discarded ones included."""
         return len(self.chain)
 
     @property
     def walkers(self) -> int:
-        """How many there are."""
+        """Number of walkers."""
         return int(self.chain.shape[1])
 
     @cached_property
@@ -199,17 +184,17 @@ class Posterior:
 
     @property
     def doubt(self) -> SamplingWarning | None:
-        """Why the samples cannot be trusted; None where they can."""
+        """Reason to distrust the samples, None for good ones."""
         return self._warning[0]
 
     @property
     def doubtful(self) -> str:
-        """The parameter that the doubt is about, "" where it is about all of them."""
+        """Parameter of the doubt, "" for all."""
         return self._warning[1]
 
     @property
     def converged(self) -> bool:
-        """Whether the samples can be trusted."""
+        """True for good samples."""
         return self.doubt is None
 
     @property
@@ -233,10 +218,9 @@ class Posterior:
         return np.asarray(self.samples.std(axis=0, ddof=1))
 
     def intervals(self, level: float = 0.95) -> pd.DataFrame:
-        """Return the interval of highest density of each parameter, columns ``lower`` and ``upper``.
+        """Compute the highest-density interval of each parameter, columns ``lower`` and ``upper``.
 
-        The shortest one that holds so much of the samples; where one that ends at a bound is hardly longer, that one.
-        All that the bounds leave where nothing holds a parameter: samples that run away tell nothing of any.
+        An interval that ends at a bound is preferred if hardly longer; all is left if a parameter runs away.
 
         Raises
         ------
@@ -257,7 +241,7 @@ class Posterior:
 
     @property
     def summary(self) -> pd.DataFrame:
-        """A row a parameter: mean, std, median, the 95 % interval, and the diagnostics."""
+        """Mean, std, median, 95 % interval and diagnostics of each parameter."""
         ends = self.intervals()
         return pd.DataFrame(
             {
@@ -274,9 +258,9 @@ class Posterior:
         )
 
     def to_arviz(self) -> Any:
-        """Return the samples as ArviZ takes them: an ``xarray.DataTree``, a chain a walker, without the burn-in.
+        """Convert to ArviZ: an ``xarray.DataTree``, a chain a walker, without the burn-in.
 
-        Group ``posterior`` has a variable a parameter, ``sample_stats`` the log density as ``lp``.
+        ``posterior`` has a variable a parameter, ``sample_stats`` the log density ``lp``.
 
         Raises
         ------
@@ -296,7 +280,7 @@ class Posterior:
 
 
 def _densest(samples: Floats, level: float, lower: float, upper: float) -> tuple[float, float]:
-    """Return the shortest interval that holds a share of sorted samples (n,), which lie between two bounds."""
+    """Return the shortest interval with a share of sorted samples (n,)."""
     reach = min(max(1, round(level * samples.size)), samples.size - 1)
     widths = samples[reach:] - samples[: samples.size - reach]
     first = int(np.argmin(widths))
@@ -312,10 +296,9 @@ def _densest(samples: Floats, level: float, lower: float, upper: float) -> tuple
 
 
 def r_hat(draws: Floats) -> float:
-    """Return R-hat of draws (n, chains), rank-normalised, of split chains, the greater of plain and folded ones.
+    """Compute R-hat of draws (n, chains).
 
-    The spread of all draws over that within chains: 1 where all chains, and their halves, agree. NaN for too few draws
-    or identical ones (eqs 1 to 6 and 14 to 17).
+    The greater of plain and folded ranks of split chains (eqs 1–6, 14–17); NaN for too few or identical draws.
     """
     if len(draws) < SETTINGS.least_length:
         return math.nan
@@ -324,9 +307,9 @@ def r_hat(draws: Floats) -> float:
 
 
 def effective_size(draws: Floats) -> float:
-    """Return the effective sample size of draws (n, chains): the lesser of that of the bulk and that of the tails.
+    """Compute the effective sample size of draws (n, chains).
 
-    NaN for too few draws or identical ones (section 4.3 and eqs 10 to 13).
+    The lesser of bulk and tails (section 4.3, eqs 10–13); NaN for too few or identical draws.
     """
     if len(draws) < SETTINGS.least_length:
         return math.nan
@@ -349,7 +332,7 @@ def _normalised(draws: Floats) -> Floats:
 
 
 def _variances(draws: Floats) -> tuple[float, float]:
-    """Return the variance within chains, and that of all draws as estimated from within and between (eqs 1 to 3)."""
+    """Return the variance within chains, and overall (eqs 1–3)."""
     within = float(draws.var(axis=0, ddof=1).mean())
     return within, within * (1.0 - 1.0 / len(draws)) + float(draws.mean(axis=0).var(ddof=1))
 
@@ -360,7 +343,7 @@ def _ratio(draws: Floats) -> float:
 
 
 def _size(draws: Floats) -> float:
-    """Return the effective size by the autocorrelation of all chains, up to where its pairs are positive (Geyer)."""
+    """Return the effective size by autocorrelations with positive pairs."""
     count = len(draws)
     within, overall = _variances(draws)
     if not overall > 0:

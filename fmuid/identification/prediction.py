@@ -1,22 +1,10 @@
-"""Prediction: a result simulated over a record that it was not made from, and how well it meets what was measured.
+"""Prediction of validation data with the band in which measurements are expected.
 
-Around the simulated output ŷ stands the band in which a new measurement is expected. Its variance is that of the noise
-and that of the estimates carried through the sensitivities (the linear propagation behind (1.31)),
+    s²(t) = σ² + j(t)ᵀ V j(t),   j = ∂ŷ/∂θ,   V the covariance of the estimates (1.31).
 
-    s²(t) = σ² + j(t)ᵀ V j(t),   j = ∂ŷ/∂θ,   V the covariance of the estimates.
+Values refitted on the recording follow the others: with S and Z the whitened sensitivities to kept and refitted values,
 
-Where some values, such as initial states, are estimated again on the record itself, they follow the others: with S and
-Z the whitened sensitivities of the record to the parameters kept and to the values estimated again, z and j those of
-one output at one time,
-
-    s² = σ² + mᵀ V m + zᵀ V_z z,   mᵀ = jᵀ − zᵀ Z⁺ S,   V_z the covariance of what is estimated again.
-
-A model that carries over to the record has about as many measurements in the band as its level says, and residuals as
-large as s. More than that is an error of the model that this record shows and the first one did not.
-
-References
-----------
-L. Ljung, "System Identification: Theory for the User", 2nd ed., 1999, sections 16.5 and 16.6.
+    s² = σ² + mᵀ V m + zᵀ V_z z,   mᵀ = jᵀ − zᵀ Z⁺ S,   V_z the covariance of refitted values.
 """
 
 from __future__ import annotations
@@ -29,7 +17,6 @@ from typing import ClassVar
 
 import numpy as np
 import pandas as pd
-from scipy import special
 
 from fmuid.array_types import Floats
 from fmuid.blas import single_threaded
@@ -40,38 +27,33 @@ from fmuid.estimation import Result, check_level
 from fmuid.formatting import nearest
 from fmuid.identification.assessment import CONFIDENCE_LEVEL
 from fmuid.identification.identify import identify
-from fmuid.identification.problem import Problem, refinement_of
+from fmuid.identification.likelihood_scaling import quantile
+from fmuid.identification.problem import ModelReference, Problem, refinement_of
 from fmuid.identification.residual_analysis import ResidualAnalysis
 from fmuid.identification.residual_series import examine_outputs
 from fmuid.models import FMU, System
 from fmuid.simulation import OutputFit, Simulator, Value, column_conversion, fit_of, refined
 
-# Sensitivities are differences over the parameters' standard deviations, but at most over this share of their
-# magnitudes: what is wrong with them is a share of the band.
-LARGEST_STEP = 1e-2
+LARGEST_STEP = 1e-2  # of differences, relative to the magnitude; smaller σ are the step
 
 
 @dataclass(frozen=True)
 class OutputScore:
-    """How well one output is predicted, over the samples that count.
+    """Quality of the prediction of one output, over the counted samples.
 
     Attributes
     ----------
-    output : str
-    unit : str
-        "" without; of `rmse`, `mean` and `expected`.
+    output, unit : str
+        "" without unit; the unit is of `rmse`, `mean` and `expected`.
     samples : int
-    rmse : float
-        Root mean square of measured − simulated.
-    mean : float
-        Mean of measured − simulated.
+    rmse, mean : float
+        Of measured − simulated.
     fit : float
-        Of `fmuid.simulation.nrmse_fit`, %: NaN where the measured output is constant.
+        NRMSE fit, %; NaN where the measured output is constant.
     expected : float
-        The root mean square that the noise of the first records and the covariance of the estimates let expect; NaN
-        where that noise is not known.
+        RMSE expected from noise and covariance; NaN where the noise is unknown.
     inside : float
-        Share of the samples that lie in the band; NaN where there is none.
+        Share of the samples in the band; NaN without band.
     """
 
     output: str
@@ -87,39 +69,37 @@ class OutputScore:
 
     @property
     def ratio(self) -> float:
-        """`rmse` over `expected`: about 1 for a model that carries over."""
+        """`rmse` over `expected`, about 1 for a valid model."""
         return self.rmse / self.expected if self.expected > 0 else math.nan
 
 
 @dataclass(frozen=True, eq=False)
 class Prediction:
-    """A result simulated over one record.
+    """Prediction of one recording.
 
     Attributes
     ----------
     fit : OutputFit
     std : (K, n_outputs) array
-        Standard deviation of the simulated outputs by that of the estimates; NaN where the result leaves parameters
-        undetermined.
+        σ of the simulated outputs by the estimates; NaN where the result has no covariance.
     noise_std : (n_outputs,) array
-        Of the noise; NaN of outputs that the result was not fitted to.
+        NaN of outputs that the result was not fitted to.
     half_width : (K, n_outputs) array
-        Of the band around `fit.simulated`; NaN where there is none. Without `std` it is that of the noise alone.
+        Of the band; of the noise alone without `std`, NaN without both.
     level : float
-        Of the band.
+        Confidence level of the band.
     scores : tuple of OutputScore
-        One an output that has samples that count.
+        One an output with counted samples.
     residuals : ResidualAnalysis
-        Tests of measured − simulated.
     estimated : Result or None
-        Of the values that were estimated again on this record.
+        Of the refitted values.
     undetermined : tuple of str
-        Parameters without a standard deviation, which leave the band without their part.
+        Parameters without σ, which the band leaves out.
 
     Examples
     --------
     >>> coil = fmuid.datasets.coil()
-    >>> prediction = fmuid.predict(coil.fmu, fmuid.identify(coil.problem()), coil.experiment)
+    >>> prediction = fmuid.predict(fmuid.identify(coil.problem()), coil.experiment)
     >>> round(prediction.scores[0].rmse, 3)
     0.009
     """
@@ -138,7 +118,7 @@ class Prediction:
 
     @property
     def table(self) -> pd.DataFrame:
-        """Time (s), and for each output ``measured.``, ``simulated.``, ``std.`` (by the estimates), and the band."""
+        """Time (s); measured, simulated, std, lower and upper of each output."""
         columns: dict[str, Floats] = {"time": self.fit.times}
         for j, output in enumerate(self.fit.outputs):
             simulated, half = self.fit.simulated[:, j], self.half_width[:, j]
@@ -153,47 +133,43 @@ class Prediction:
 
 
 @single_threaded
-def predict(
-    model: System | FMU | str | Path,
+def predict_by_model(
+    model: ModelReference | System | FMU | str | Path,
     result: Result,
     experiment: Experiment,
     *,
     values: Mapping[str, Value] | None = None,
     free: Mapping[str, Parameter] | None = None,
-    step_size: float | None = None,
     level: float = CONFIDENCE_LEVEL,
 ) -> Prediction:
-    """Simulate a result over a record, and set what was measured and the band in which it is expected beside it.
+    """Predict an experiment with a result and a model, and compare with its measurements.
 
     Parameters
     ----------
-    model : System, FMU or path
-        What the result was made with.
+    model : ModelReference, System, FMU or path
+        The model of the result; a reference has fixed values and a step size, too.
     result : Result
-        Also one that was read from a file.
+        Also one read from a file.
     experiment : Experiment
-        The record.
     values : mapping of str to float, int, bool or str, optional
-        FMU variables held at a value; those that the result has an estimate of take that.
+        Fixed variables; estimates come first.
     free : mapping of str to Parameter, optional
-        Values that are estimated again on this record, from it alone, such as initial states: all others are held.
-    step_size : float, optional
-        As for `Problem`.
+        Values to refit on this experiment alone, such as initial states.
     level : float
-        Of the band.
+        Confidence level of the band.
 
     Raises
     ------
     InputError
-        If record, model and result do not fit together, a parameter has one value for each experiment and none for
-        this one, or the level is not between 0 and 1.
+        If experiment, model and result do not fit together, or the level is not between 0 and 1.
     SimulationError
         If the simulation fails.
 
     Examples
     --------
     >>> coil = fmuid.datasets.coil()
-    >>> fmuid.predict(coil.fmu, fmuid.identify(coil.problem()), coil.experiment).fit.outputs
+    >>> result = fmuid.identify(coil.problem())
+    >>> fmuid.identification.predict_by_model(coil.fmu, result, coil.experiment).fit.outputs
     ('i',)
     """
     check_level(level, "a band")
@@ -204,26 +180,27 @@ def predict(
     check_kind(values, Mapping, "values must be a mapping of variables to what they are held at")
     for name, parameter in free.items():
         check_kind(parameter, Parameter, f"{name!r} is free and must be a fmuid.Parameter(start)")
-    system = System.of(model)
+    known = model if isinstance(model, ModelReference) else ModelReference(System.of(model), {})
     free = {name: replace(each, prior=None, per_experiment=False) for name, each in free.items()}
-    record = _Record(system, result, experiment, {**values, **result.chosen}, free, step_size)
-    again = record.estimate() if free else None
-    return record.predicted(again, level)
+    record = _Record(known, result, experiment, {**known.values, **values, **result.chosen}, free)
+    return record.predicted(record.estimate() if free else None, level)
 
 
 def estimates_for(result: Result, system: System, experiment: Experiment, without: Collection[str]) -> dict[str, str]:
-    """Return which estimate each variable, but for some, takes in an experiment: variable to name of the parameter.
+    """Return the parameter of each variable with an estimate in an experiment.
 
     Raises
     ------
     InputError
-        If the model has no such variable, or a parameter per experiment none for this one (the result is of others).
+        If the model has no such variable, or a parameter per experiment has no value for this one.
     """
     found: dict[str, str] = {}
     here = ("", experiment.name) if result.made_from(experiment) else ("",)
     missing: dict[str, list[str]] = {}
     for name in result.names:
-        variable, own = (name, "") if name in system.variables else _split(name)
+        variable, own = name, ""
+        if name not in system.variables and "[" in name:
+            variable, _, own = name.removesuffix("]").rpartition("[")
         if variable not in system.variables:
             near = nearest(variable, system.variables)
             raise InputError(f"the result is of another model: {system.label} has no {variable!r}{near}")
@@ -242,26 +219,20 @@ def estimates_for(result: Result, system: System, experiment: Experiment, withou
     return found
 
 
-def _split(name: str) -> tuple[str, str]:
-    variable, bracket, experiment = name.rpartition("[")
-    return (variable, experiment.removesuffix("]")) if bracket else (name, "")
-
-
 class _Record:
-    """One record and all that is known of it."""
+    """One recording with its estimates, fixed values and noise."""
 
     def __init__(
         self,
-        system: System,
+        model: ModelReference,
         result: Result,
         experiment: Experiment,
         values: dict[str, Value],
         free: dict[str, Parameter],
-        step_size: float | None,
     ) -> None:
-        self.system, self.result, self.experiment, self.free = system, result, experiment, free
-        self.step_size = step_size
-        known = estimates_for(result, system, experiment, free)
+        self.system, self.result, self.experiment, self.free = model.system, result, experiment, free
+        self.step_size = model.step_size
+        known = estimates_for(result, model.system, experiment, free)
         self.names = tuple(known)  # of the variables that take an estimate
         self.at = [result.names.index(name) for name in known.values()]
         self.theta = result.values[self.at]
@@ -270,14 +241,13 @@ class _Record:
         self.noise_std = np.array([self._noise_std(name) for name in experiment.output_names])
 
     def _noise_std(self, output: str) -> float:
-        """Return the standard deviation of an output's noise in the unit of the record, NaN where it is not known."""
-        first = next((series.unit for series in self.result.data if series.output == output), "")
+        """Return the noise level in the unit of the recording, NaN if unknown."""
+        first = next((series.unit for series in self.result.setup.data if series.output == output), "")
         here = self.experiment.units.get(output, "")
         factors = [column_conversion(self.system, output, unit)[0] if unit else 1.0 for unit in (first, here)]
-        return math.sqrt(self.result.variance.get(output, math.nan)) * abs(factors[0] / factors[1])
+        return math.sqrt(self.result.fit.variance.get(output, math.nan)) * abs(factors[0] / factors[1])
 
     def estimate(self) -> Result:
-        """Estimate again what is free, all else being held."""
         names = self.experiment.output_names
         known = {name: std**2 for name, std in zip(names, self.noise_std.tolist(), strict=True) if std > 0}
         problem = Problem(
@@ -288,10 +258,9 @@ class _Record:
             values={**self.held, **dict(zip(self.names, self.theta.tolist(), strict=True))},
             step_size=self.step_size,
         )
-        return identify(problem.finer(self.finer), accuracy="off", remedies=False)
+        return identify(problem.finer(self.finer), solver_check="off", restart=False)
 
     def predicted(self, again: Result | None, level: float) -> Prediction:
-        """Simulate at the estimates, and what is asked of their scatter."""
         experiment = self.experiment
         simulator = Simulator(
             self.system, experiment, (*self.names, *self.free), values=self.held, step_size=self.step_size
@@ -307,11 +276,8 @@ class _Record:
         std = np.full(simulated.shape, np.nan) if lost else self._std(slopes, covariance, own)
         noise = np.broadcast_to(self.noise_std, std.shape)
         variance = noise**2 + np.where(np.isnan(std), 0.0, std) ** 2
-        freedom = self.result.degrees_of_freedom
-        tail = 0.5 + level / 2.0
-        quantile = float(special.stdtrit(freedom, tail) if math.isfinite(freedom) else special.ndtri(tail))
         fit = fit_of(self.system, experiment, simulated)
-        half = quantile * np.sqrt(variance)
+        half = quantile(self.result.fit.degrees_of_freedom, level) * np.sqrt(variance)
         scores = tuple(
             _score(fit, j, variance[:, j], half[:, j]) for j in np.flatnonzero(fit.counted.any(axis=0)).tolist()
         )
@@ -319,13 +285,7 @@ class _Record:
         return Prediction(fit, std, self.noise_std, half, level, scores, tests, again, lost)
 
     def _simulated(self, simulator: Simulator, point: Floats, scatter: Floats) -> tuple[Floats, Floats]:
-        """Return the outputs (K, n_outputs) at a point (p,), and their slopes (K, n_outputs, p) where it scatters.
-
-        Raises
-        ------
-        SimulationError
-            If a simulation fails.
-        """
+        """Return outputs (K, n_outputs) and slopes (K, n_outputs, p) at a point (p,)."""
         nominal = [parameter.nominal or abs(parameter.start) for parameter in self.free.values()]
         size = np.abs(point)
         size[len(self.names) :] = np.maximum(size[len(self.names) :], nominal)
@@ -345,13 +305,12 @@ class _Record:
                 slopes[:, :, i] = (found.outputs[up] - base) / steps[i]
             else:
                 slopes[:, :, i] = (found.outputs[up] - found.outputs[down]) / (2.0 * steps[i])
-        failed = [error for error in found.errors if error is not None]
         if found.errors[0] is not None or np.isnan(slopes).any():
-            raise failed[0]
+            raise next(error for error in found.errors if error is not None)
         return base, slopes
 
     def _std(self, slopes: Floats, covariance: Floats, own: Floats) -> Floats:
-        """Return the standard deviations (K, n_outputs) of what is simulated."""
+        """Return the standard deviations (K, n_outputs) of the simulated outputs."""
         kept = slopes[:, :, : len(self.names)]
         if not self.free:
             return np.asarray(np.sqrt(np.einsum("kjp,pq,kjq->kj", kept, covariance, kept)), dtype=np.float64)

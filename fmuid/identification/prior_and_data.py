@@ -1,9 +1,7 @@
-"""Reading a result: prior, data and their combination side by side, and whether they agree (docs/method.md section 7).
+"""Prior, data and both: three estimates and their agreement.
 
-The estimate θ_C is the barycentre of the prior θ₀ and the optimum of the data alone θ_opt, each weighed by its inverse
-covariance (1.55): the prior is an elastic return force. Shown are all three with their standard deviations, how far
-the prior has moved each estimate and whose prior it was. A wrong prior biases irremediably:
-`fmuid.identification.prior_data_tests` tests whether the data contradict it.
+The estimate is the barycentre of the prior and the optimum of the data alone, weighted by inverse covariances (1.55;
+docs/method.md section 7).
 """
 
 from __future__ import annotations
@@ -21,55 +19,53 @@ from fmuid.blas import single_threaded
 from fmuid.codec import Layout
 from fmuid.errors import InputError
 from fmuid.estimation import (
-    CostFunction,
-    Descent,
     Evaluator,
     LeastSquares,
     LinearizedProblem,
-    Marquardt,
     Result,
     SensitivityError,
     State,
     TerminationReason,
     WeakDirection,
-    last_state,
     local_covariance,
-    prepare,
     sandwich_of,
 )
+from fmuid.formatting import nearest
+from fmuid.identification.conditional_optimum import PartialCost, cost_at, minimized
 from fmuid.identification.prior_data_tests import PriorDataTest, VarianceTest, agree, known_variances, variance_tests
 from fmuid.identification.residual_analysis import ResidualAnalysis, analyze_residuals
 
 
 @dataclass(frozen=True)
 class InfluenceLimits:
-    """What is worth naming of a prior."""
+    """Limits above which the influence of a prior is named."""
 
-    nonlinear_stds: float = 0.5
-    """A barycentre further than this from the estimate shows that the model is not linear."""
-    least_move_stds: float = 1.0
-    """An estimate is named that the prior moved by more than this, in standard deviations, ..."""
-    resting_std_ratio: float = 2.0
-    """... or whose standard deviation would be larger by this factor without the prior."""
+    nonlinear_stds: float = 0.5  # distance of barycentre and estimate that shows a nonlinear model
+    least_move_stds: float = 1.0  # move of an estimate by the prior, ...
+    resting_std_ratio: float = 2.0  # ... or factor of its σ without the prior
 
 
 SETTINGS = InfluenceLimits()
+REACH = 2.5  # σ of the estimate around the three optima of the parabolas
+POINTS = 161  # of a parabola
+ESTIMATES = ("prior_std", "data", "data_std", "combined", "combined_std")
+EFFECTS = ("pull", "moved", "moved_by", "conflict", "barycentre", "nonlinearity")
 
 
 @dataclass(frozen=True)
 class ExtrapolationReason:
-    """Why the optimum of the data alone is extrapolated although it was to be searched.
+    """Reason to extrapolate the optimum of the data alone.
 
     Attributes
     ----------
     robust : bool
         A robust loss, with which it is not searched.
     outcome : TerminationReason or None
-        How its search ended, where it did not converge.
+        Of the search, where it did not converge.
     at_bounds : tuple of str
-        The parameters that the data alone push to a bound.
+        Parameters that the data alone push to a bound.
     undetermined : tuple of WeakDirection
-        What the data alone leave open there.
+        Directions that the data alone do not identify.
     """
 
     robust: bool = False
@@ -80,16 +76,14 @@ class ExtrapolationReason:
 
 @dataclass(frozen=True)
 class PriorInfluence:
-    """What a prior does to an estimate.
+    """Influence of a prior on an estimate.
 
     Attributes
     ----------
-    name : str
-        The parameter.
-    prior : str
-        The parameter whose prior did most of it.
+    name, prior : str
+        The parameter, and the parameter whose prior acts most on it.
     rests : bool
-        Whether the estimate rests on that prior, its standard deviation being far larger without; else it was moved.
+        True: the estimate rests on that prior, its σ is far larger without; False: the prior moved it.
     """
 
     name: str
@@ -99,30 +93,28 @@ class PriorInfluence:
 
 @dataclass(frozen=True, eq=False)
 class PriorDataComparison:
-    """What prior and data contribute to a result, and whether they agree.
+    """Contributions of prior and data to a result.
 
     Attributes
     ----------
     names : tuple of str
     prior_mean, prior_std : (N,) arrays
-        NaN where there is no prior.
+        NaN without prior.
     data, data_std : (N,) arrays
-        The optimum of the data alone; NaN and infinite where they do not determine a parameter.
+        Optimum of the data alone; NaN and infinite where not identifiable.
     searched : bool
-        Whether `data` was found by a search, and not extrapolated from the estimate by one Gauss–Newton step.
+        `data` was found by a search, not extrapolated by one Gauss–Newton step.
     combined, combined_std : (N,) arrays
         The estimate.
     barycentre : (N,) array
         Of the prior and the data's optimum with its own paraboloid; NaN without a search.
     moves : (N, N) array
-        How far the prior of each parameter (columns) moved each estimate (rows) from the data's optimum, by the
-        paraboloids at the estimate; NaN where the data do not determine a parameter.
+        Move of each estimate (rows) by the prior of each parameter (columns); NaN where the data do not identify it.
     agreement : PriorDataTest or None
-        None where data and prior have nothing in common.
+        None where data and prior share no direction.
     variances : tuple of VarianceTest
-        One an output whose variance is known, and one for all of them where there are several.
+        One an output of known variance, and one for all where there are several.
     obstacle : ExtrapolationReason or None
-        What stood in the way of the search for the data's optimum.
     """
 
     names: tuple[str, ...]
@@ -140,65 +132,44 @@ class PriorDataComparison:
     obstacle: ExtrapolationReason | None
 
     json_layout: ClassVar = Layout(
-        rows={
-            "parameters": {
-                **{"prior_mean": "prior_mean", "prior_std": "prior_std", "data": "data", "data_std": "data_std"},
-                **{"combined": "combined", "combined_std": "combined_std", "barycentre": "barycentre", "pull": "pull"},
-                **{"moved": "moved", "moved_by": "moved_by", "conflict": "conflict", "nonlinearity": "nonlinearity"},
-            }
-        }
+        rows={"parameters": {name: name for name in ("prior_mean", *ESTIMATES, "barycentre", *EFFECTS)}}
     )
 
     @property
     def pull(self) -> Floats:
-        """How far each estimate lies from its prior, in prior standard deviations (N,)."""
+        """Distance of each estimate from its prior, in prior standard deviations (N,)."""
         return (self.combined - self.prior_mean) / self.prior_std
 
     @property
     def moved(self) -> Floats:
-        """How far the prior moved each estimate from the data's optimum, in the estimate's standard deviations (N,)."""
+        """Move of each estimate by the prior, in σ (N,)."""
         return (self.combined - self.data) / self.combined_std
 
     @property
     def moved_by(self) -> tuple[str, ...]:
-        """The parameter whose prior moved each estimate most, "" where none did."""
+        """The parameter whose prior moved each estimate most, "" for none."""
         sizes = np.abs(np.nan_to_num(self.moves))
         return tuple(self.names[int(row.argmax())] if row.any() else "" for row in sizes)
 
     @property
     def conflict(self) -> Floats:
-        """(θ_opt − θ₀)/√(M₀ + P_opt) of each parameter by itself (N,)."""
+        """(θ_opt − θ₀)/√(M₀ + P_opt) of each parameter (N,)."""
         return (self.data - self.prior_mean) / np.hypot(self.prior_std, self.data_std)
 
     @property
     def nonlinearity(self) -> Floats:
-        """How far the barycentre lies from the estimate, in standard deviations of the estimate (N,)."""
+        """Distance of the barycentre from the estimate, in its standard deviations (N,)."""
         return (self.barycentre - self.combined) / self.combined_std
 
     @property
     def table(self) -> pd.DataFrame:
         """Prior, data-only and combined estimate side by side, one row a parameter."""
-        return pd.DataFrame(
-            {
-                "parameter": list(self.names),
-                "prior": self.prior_mean,
-                "prior_std": self.prior_std,
-                "data": self.data,
-                "data_std": self.data_std,
-                "combined": self.combined,
-                "combined_std": self.combined_std,
-                "pull": self.pull,
-                "moved": self.moved,
-                "moved_by": list(self.moved_by),
-                "conflict": self.conflict,
-                "barycentre": self.barycentre,
-                "nonlinearity": self.nonlinearity,
-            }
-        )
+        columns = {"parameter": self.names, "prior": self.prior_mean}
+        return pd.DataFrame(columns | {name: getattr(self, name) for name in (*ESTIMATES, *EFFECTS)})
 
     @property
     def influences(self) -> tuple[PriorInfluence, ...]:
-        """The estimates that rest on a prior, and others that a prior has moved, the most first."""
+        """Estimates that rest on a prior or were moved by one."""
         found = []
         for i in np.argsort(-np.abs(np.nan_to_num(self.moved)), kind="stable"):
             if self.moved_by[i] and math.isfinite(self.data_std[i]):
@@ -209,7 +180,7 @@ class PriorDataComparison:
 
     @property
     def bent(self) -> str:
-        """The parameter whose barycentre lies so far from the estimate that the model is not linear, "" for none."""
+        """The parameter whose barycentre shows a nonlinear model, "" for none."""
         off = np.abs(np.nan_to_num(self.nonlinearity))
         i = int(np.argmax(off))
         return self.names[i] if off[i] >= SETTINGS.nonlinear_stds else ""
@@ -224,28 +195,26 @@ def compare_prior_and_data(
     healthy: Mapping[str, float] | None = None,
     diagnostics: ResidualAnalysis | None = None,
 ) -> PriorDataComparison:
-    """Read a result.
+    """Compare prior, data and estimate.
 
     Parameters
     ----------
     problem : LeastSquares
-        That the result was found for.
     result : Result
-        As `fmuid.identify` returns it.
+        Of this problem.
     search_data : bool
-        Whether to search the optimum of the data alone, which costs about as much as the identification itself.
-        Otherwise it is where the paraboloid at the estimate has it, and nothing is simulated.
+        Search the optimum of the data alone, for about the cost of an identification; default: extrapolate it.
     healthy : mapping of str to float, optional
-        Known noise variance of each output, of the healthy system; default those given to the problem.
+        Known noise variance of each output; default those given to the problem.
     diagnostics : ResidualAnalysis, optional
-        Of the residuals, where they have already been examined.
+        Of the residuals, if already made.
 
     Raises
     ------
     InputError
-        If the result was read from a file, or `healthy` names no measured output or a variance that is not positive.
+        If the result was read from a file, or `healthy` has an unknown output or a variance that is not positive.
     SimulationError
-        If the search is asked for and the simulation fails where the identification began.
+        If the search is asked for and the simulation fails at the initial guess.
 
     Examples
     --------
@@ -256,13 +225,13 @@ def compare_prior_and_data(
     >>> reading.pull.round(1)
     array([-2., nan])
     """
-    local = result.local
-    if local is None or result.noise is None:
+    local = result.fit.linearization
+    if local is None or result.fit.noise is None:
         raise InputError("a result read from a file cannot be read in this way; identify the study again")
-    known = known_variances(problem, result.given_variance if healthy is None else healthy)
+    known = known_variances(problem, result.fit.given_variance if healthy is None else healthy)
     examined = analyze_residuals(problem, result) if diagnostics is None else diagnostics
     variances = variance_tests(problem, result, known, local, examined)
-    at, there, obstacle, noise = result.values, local, None, result.noise
+    at, there, obstacle, noise = result.values, local, None, result.fit.noise
     if search_data and len(local.prior_residual) and local.data.rank == len(result.names):
         found = ExtrapolationReason(robust=True) if problem.loss is not None else _search_data(problem, result, local)
         if isinstance(found, ExtrapolationReason):
@@ -278,8 +247,8 @@ def compare_prior_and_data(
     white = there.combine()
     return PriorDataComparison(
         result.names,
-        result.prior_mean,
-        result.prior_std,
+        result.estimates.prior_mean,
+        result.estimates.prior_std,
         at + there.data_step(),
         data_std,
         searched,
@@ -293,50 +262,59 @@ def compare_prior_and_data(
     )
 
 
-# --- the optimum of the data alone ------------------------------------------------------
+def parabolas(reading: pd.DataFrame, name: str) -> pd.DataFrame:
+    """Compute the cost of prior, data and both over one parameter (figure 1.1; 1.54, 1.57).
+
+    Parameters
+    ----------
+    reading : DataFrame
+        `PriorDataComparison.table`, or ``reading.csv``.
+    name : str
+        A parameter.
+
+    Returns
+    -------
+    DataFrame
+        ``value``, ``prior``, ``data``, ``both``; columns of NaN without prior or identifying data.
+
+    Raises
+    ------
+    InputError
+        If there is no such parameter, or its estimate has no standard deviation.
+    """
+    known = list(reading["parameter"])
+    if name not in known:
+        raise InputError(f"parameter {name!r} is not in the reading{nearest(name, known)}; it has {', '.join(known)}")
+    row = reading.iloc[known.index(name)]
+    parts = {part: (float(row[part]), float(row[f"{part}_std"])) for part in ("prior", "data", "combined")}
+    best, std = parts["combined"]
+    if not (np.isfinite(best) and 0.0 < std < np.inf):
+        raise InputError(f"the estimate of {name!r} has no standard deviation to draw a parabola by")
+    least = [mean for mean, spread in parts.values() if np.isfinite(mean) and 0.0 < spread < np.inf]
+    grid = np.linspace(min(least) - REACH * std, max(least) + REACH * std, POINTS)
+    found = {"value": grid}
+    for part, (mean, spread) in parts.items():
+        curve = ((grid - mean) / spread) ** 2 if spread < np.inf else np.full(POINTS, np.nan)
+        found["both" if part == "combined" else part] = curve
+    found["both"] += np.nan_to_num(float(row["conflict"])) ** 2
+    return pd.DataFrame(found)
 
 
-class _DataAlone:
-    """A criterion without the rows of the prior; a `ResidualFunction`."""
-
-    def __init__(self, criterion: CostFunction) -> None:
-        self._criterion, self._rows = criterion, criterion.problem.measured.size
-        self.lower, self.upper, self.noise = criterion.lower, criterion.upper, criterion.noise
-
-    def magnitudes(self, theta: Floats) -> Floats:
-        """Return how large each parameter is (N,)."""
-        return self._criterion.magnitudes(theta)
-
-    def residuals(self, thetas: Floats) -> Floats:
-        """Return (m, n) for thetas (m, N), NaN rows where failed."""
-        return self._criterion.residuals(thetas)[:, : self._rows]
-
-    def jacobian(self, theta: Floats, residual: Floats, *, central: bool) -> Floats:
-        """Return the derivative (n, N)."""
-        return self._criterion.jacobian(theta, residual, central=central)[: self._rows]
-
-    def measure_noise(self, theta: Floats, residual: Floats, steps: Floats) -> tuple[float, bool]:
-        """Measure the simulation's noise anew."""
-        found = self._criterion.measure_noise(theta, residual, steps)
-        self.noise = self._criterion.noise
-        return found
-
-    def jacobian_error(self, theta: Floats, residual: Floats, *, central: bool) -> Floats:
-        """Return the norm of the error in each of its columns (N,)."""
-        return self._criterion.jacobian_error(theta, residual, central=central)
+def parameters_with_prior_and_data(reading: pd.DataFrame) -> list[str]:
+    """Return the parameters with a prior that the data identify, too."""
+    finite = np.isfinite(reading[["prior_std", "data_std", "combined_std"]].to_numpy(np.float64)).all(axis=1)
+    return [str(name) for name in reading["parameter"][finite]]
 
 
 def _search_data(
     problem: LeastSquares, result: Result, local: LinearizedProblem
 ) -> tuple[Floats, LinearizedProblem] | ExtrapolationReason:
-    """Return the optimum of the data alone and the local model there, or why there is none."""
-    variance = np.array([result.variance[name] for name in problem.output_names])
+    """Return the optimum of the data alone, or the reason for none."""
     state = State(result.values.copy(), local.residual, local.jacobian, fresh=False)
     try:
-        alone = _DataAlone(prepare(Evaluator(problem.as_in(result)), result.start).criterion.reweighted(variance))
-        state = last_state(Descent(Marquardt()), alone, state)
-        if not state.fresh:
-            state = replace(state, jacobian=alone.jacobian(state.theta, state.residual, central=True))
+        criterion = cost_at(Evaluator(problem.as_in(result)), result)
+        alone = PartialCost(criterion, state.theta, slice(None), problem.measured.size)
+        state = minimized(alone, state)
     except SensitivityError:
         state = replace(state, outcome=TerminationReason.FAILING)
     except KeyboardInterrupt:

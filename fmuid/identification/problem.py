@@ -1,8 +1,9 @@
-"""The problem of an identification whose predictors run FMUs: where models and estimation meet."""
+"""Problem: system, experiments and parameters; frozen."""
 
 from __future__ import annotations
 
 import hashlib
+import math
 from collections.abc import Callable, Hashable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -14,7 +15,6 @@ from fmuid.data import Experiment, JointPrior, Noise, Parameter, ParameterSet
 from fmuid.errors import InputError
 from fmuid.estimation import SENSITIVITIES, LeastSquares, Result, RunFields, UsedModel
 from fmuid.formatting import nearest
-from fmuid.identification.discrete_parameters import Given, choices_of
 from fmuid.models import FMU, System
 from fmuid.simulation import (
     AS_ASKED,
@@ -23,21 +23,22 @@ from fmuid.simulation import (
     Value,
     derivatives_of,
     how_run,
-    next_refinement,
     parameter_units,
     refined,
 )
 
+MOST_COMBINATIONS = 1000  # of the values of discrete parameters; each is a search of its own
+
 
 @dataclass(frozen=True, eq=False)
 class ModelReference:
-    """What a result was made with, by which it predicts; a result that is copied or sent elsewhere knows it no more.
+    """Model of a result, for predictions; copies of the result lose it.
 
     Attributes
     ----------
     system : System
     values : mapping of str to float, int, bool or str
-        Variables held at a value.
+        Fixed variables.
     parameters : mapping of str to Parameter
     step_size : float, optional
     """
@@ -52,7 +53,7 @@ class ModelReference:
 
 
 class Problem(LeastSquares):
-    """A model, experiments and parameters; it never changes, and other forms of it are new problems.
+    """Model, experiments and parameters; frozen.
 
     Parameters
     ----------
@@ -62,39 +63,35 @@ class Problem(LeastSquares):
         By FMU variable.
     noise : Noise
     values : mapping of str to float, int, bool or str, optional
-        FMU variables held at a value.
+        Fixed FMU variables.
     step_size : float, optional
-        Largest step of the simulation, s.
+        Largest communication step, s.
     joint_prior : JointPrior, optional
         Beside the priors of single parameters.
     loss : "linear", "soft_l1", "huber" or "cauchy"
-        How the criterion grows with a sample's residual in standard deviations of the noise: all but "linear", the
-        plain square, keep outliers from pulling (`fmuid.data.losses`). Priors always count by their squares.
+        Robust loss of the residuals (`fmuid.data.losses`); "linear" is the plain square.
     sensitivity : "finite-difference", "forward" or "fmu"
-        How the derivatives of the outputs by the parameters are found
-        (`fmuid.estimation.model_sensitivities.SENSITIVITIES`).
+        Method of the Jacobian (`fmuid.estimation.model_sensitivities.SENSITIVITIES`).
     choices : mapping of str to sequence of values, or to "all", optional
-        Variables that take few values, Integer, Boolean or of an enumeration: `fmuid.identify` searches with each
-        combination of them. "all": those that the FMU declares.
+        Discrete parameters with their values; `fmuid.identify` tries each combination. "all": those the FMU declares.
 
     Attributes
     ----------
     system : System
-        As it was asked for.
     values : mapping of str to float, int, bool or str
-        Variables held at a value, with the first of each of the `choices`, or those chosen (`holding`).
+        Fixed variables, with the first or the chosen values of the `choices` (`holding`).
     refinement : Refinement
-        How much finer than asked for it is simulated (`finer`).
+        Solver refinement (`finer`).
     predictors : tuple of Simulator
-        What simulates the experiments, one each.
+        One an experiment.
     observer : float or None
-        The time constant, in samples, of an observer that corrects the states (`fmuid.identification.with_observer`).
+        Time constant of an observer, in samples (`fmuid.identification.with_observer`).
 
     Raises
     ------
     InputError
-        If there are no experiments, parameters, outputs or counted samples, too few for the parameters, or if there is
-        no such loss or sensitivity.
+        If experiments, parameters, outputs or samples are missing, samples are too few, or a loss or sensitivity is
+        unknown.
 
     Examples
     --------
@@ -104,8 +101,7 @@ class Problem(LeastSquares):
     ('R',)
     """
 
-    substituted = False
-    """Whether its simulators are not those of the model as declared (`simulated_by`)."""
+    substituted = False  # True if its simulators are not those of the declared model (`simulated_by`)
 
     def __init__(
         self,
@@ -119,7 +115,7 @@ class Problem(LeastSquares):
         joint_prior: JointPrior | None = None,
         loss: str = "linear",
         sensitivity: str = "finite-difference",
-        choices: Given | None = None,
+        choices: Mapping[str, Sequence[Value] | str] | None = None,
     ) -> None:
         if sensitivity not in SENSITIVITIES:
             near = nearest(sensitivity, SENSITIVITIES)
@@ -150,10 +146,8 @@ class Problem(LeastSquares):
     ) -> list[Simulator]:
         return [Simulator(self.system, each, names, values=held, step_size=self.step_size) for each in experiments]
 
-    # --- other forms
-
     def finer(self, refinement: Refinement) -> Self:
-        """Return this problem with a solver refinement of what was asked for.
+        """Return this problem with a solver refinement.
 
         Raises
         ------
@@ -165,7 +159,7 @@ class Problem(LeastSquares):
         return self._by([refined(each, self.system, refinement) for each in self.simulators], refinement=refinement)
 
     def holding(self, values: Mapping[str, Value]) -> Self:
-        """Return this problem with variables held at these values, simulated as was asked for."""
+        """Return this problem with other fixed values, without solver refinement."""
         held, experiments = {**self.values, **values}, [each.experiment for each in self.simulators]
         if held == self.values and not self.refinement.any:
             return self
@@ -173,36 +167,36 @@ class Problem(LeastSquares):
         return self._by(simulators, values=held, refinement=AS_ASKED)
 
     def measuring(self, experiments: Sequence[Experiment], parameters: Mapping[str, Parameter] | None = None) -> Self:
-        """Return this problem with other measurements of the same samples, and perhaps other starts.
+        """Return this problem with other measurements of the same samples.
 
-        What has switched to another solver meanwhile is laid out anew, so that no problem depends on another.
+        Simulators that switched to another solver are made anew: problems stay independent.
         """
         own = self.afresh() if any(each.stiff for each in self.simulators) else self
         return LeastSquares.measuring(own, experiments, parameters)
 
     def afresh(self) -> Self:
-        """Return this problem with simulators that have simulated nothing yet."""
+        """Return this problem with new simulators."""
         return self._by([each.over(each.experiment) for each in self.simulators])
 
     def simulated_by(
         self, simulators: Sequence[Simulator], parameters: ParameterSet | None = None, observer: float | None = None
     ) -> Self:
-        """Return this problem by other simulators of its experiments, with derivatives by differences.
+        """Return this problem with other simulators, with finite differences.
 
         Parameters
         ----------
         simulators : sequence of Simulator
         parameters : ParameterSet, optional
-            These parameters within other bounds.
+            The same parameters within other bounds.
         observer : float, optional
-            Time constant, samples, of the observer that these simulators have.
+            Time constant of the simulators' observer, samples.
         """
         own = self.parameters if parameters is None else parameters
         changed = {"parameters": own, "observer": observer, "substituted": True}
         return self._by(simulators, sensitivity="finite-difference", **changed)
 
     def as_in(self, result: Result) -> Self:
-        """Return this problem as a result of it was simulated, with the values that it has chosen."""
+        """Return this problem as simulated for a result of it."""
         chosen = self.holding(result.chosen) if result.chosen else self
         return chosen if result.accuracy is None else chosen.finer(refinement_of(result))
 
@@ -211,21 +205,14 @@ class Problem(LeastSquares):
         derivatives = tuple(_derivatives(simulators, sensitivity))
         return self._with(predictors=tuple(simulators), derivatives=derivatives, **changed)
 
-    # --- what it is
-
     @cached_property
     def layout(self) -> Hashable:
-        """Everything but the measurements, by content; of other simulators these themselves."""
+        """Everything but the measurements, by content; substituted simulators themselves."""
         if self.substituted:
             return self.predictors
         components = {name: (m.fmu.digest, m.numerics) for name, m in self.system.components.items()}
-        parts: list[object] = [
-            components,
-            self.system.connections,
-            self.system.connectors,
-            self.system.master,
-            self.system.values,
-        ]
+        system = self.system
+        parts: list[object] = [components, system.connections, system.connectors, system.master, system.values]
         parts += [self.values, self.step_size, self.refinement, self.sensitivity, self.parameters.names]
         found, bounds = hashlib.sha256(repr(parts).encode()), (self.parameters.lower, self.parameters.upper)
         for experiment, kept in zip([each.experiment for each in self.simulators], self.kept, strict=True):
@@ -238,7 +225,7 @@ class Problem(LeastSquares):
 
     @property
     def made_with(self) -> ModelReference:
-        """What its results are made with."""
+        """Model of its results."""
         return ModelReference(self.system, self.values, self.given_parameters, self.step_size)
 
     @property
@@ -252,44 +239,73 @@ class Problem(LeastSquares):
 
     @property
     def units(self) -> dict[str, str]:
-        """The units of the parameters that have one."""
+        """Units of the parameters that have one."""
         names = self.parameters.names
         return {name: unit for name, unit in zip(names, parameter_units(self.system, names), strict=True) if unit}
 
     @property
     def how_run(self) -> dict[str, RunFields]:
-        """How each component is run (a `fmuid.models.SolverConfiguration`), as far as it is known which are stiff."""
+        """Solver configuration of each component, as far as stiff ones are known."""
         stiff = frozenset[str]().union(*(each.stiff for each in self.simulators))
-        return {
-            name: cast(RunFields, dict(vars(run))) for name, run in how_run(self.system, self.refinement, stiff).items()
-        }
+        return run_fields(self.system, self.refinement, stiff)
 
     @property
     def simulators(self) -> tuple[Simulator, ...]:
-        """What simulates the experiments, one each."""
+        """Simulators of the experiments, one each."""
         return cast(tuple[Simulator, ...], self.predictors)
 
     @property
     def corrected(self) -> bool:
-        """Whether measurements correct the states at the samples: nothing finer can be compared with that."""
+        """True if measurements correct the states: there is no solver check then."""
         return any(each.corrects for each in self.simulators)
 
-    @property
-    def next_refinement(self) -> Refinement | None:
-        """The next finer way to simulate the model, None where there is none."""
-        return next_refinement(self.system, self.refinement)
 
-    @property
-    def next_sure_refinement(self) -> Refinement | None:
-        """The next one by which a search can go on: it is the same model beyond doubt."""
-        return next_refinement(self.system, self.refinement, surely=True)
+def run_fields(system: System, refinement: Refinement, stiff: frozenset[str] = frozenset()) -> dict[str, RunFields]:
+    """Return the solver configuration of each component with a refinement."""
+    return {name: cast(RunFields, dict(vars(run))) for name, run in how_run(system, refinement, stiff).items()}
 
 
 def refinement_of(result: Result) -> Refinement:
-    """Return how much finer than asked for a result was simulated: what is compared with it must be, too."""
+    """Return the solver refinement of a result."""
     accuracy = result.accuracy
     return AS_ASKED if accuracy is None else Refinement(accuracy.tolerance, accuracy.divisor)
 
 
 def _derivatives(simulators: Sequence[Simulator], sensitivity: str) -> list[Callable[[Floats], Floats]]:
     return [] if sensitivity == "finite-difference" else [derivatives_of(each, sensitivity) for each in simulators]
+
+
+def choices_of(system: System, given: Mapping[str, Sequence[Value] | str]) -> dict[str, tuple[Value, ...]]:
+    """Return the values of each discrete parameter.
+
+    Raises
+    ------
+    InputError
+        If the model has no such parameter, there are none or too many values, or one is given twice.
+    """
+    found = {name: _choices(system, name, values) for name, values in given.items()}
+    count = math.prod(map(len, found.values()))
+    if count > MOST_COMBINATIONS:
+        raise InputError(
+            f"{' and '.join(map(repr, found))} have {count} combinations of values, each a search of its own, and at "
+            f"most {MOST_COMBINATIONS} are tried: give fewer values"
+        )
+    return found
+
+
+def _choices(system: System, name: str, given: Sequence[Value] | str) -> tuple[Value, ...]:
+    variable = system.variables.get(name)
+    if variable is None:
+        raise InputError(f"{system.label} has no {name!r}{nearest(name, system.variables)}: values are given for it")
+    if given != "all":
+        values = tuple(given)
+        if not values or len({(type(each), each) for each in values}) < len(values):
+            raise InputError(f"the values of {name!r} must be one or more, each once, not {list(values)!r}")
+        return values
+    if variable.type == "Boolean":
+        return False, True
+    if variable.items:
+        return variable.items
+    if variable.type == "Integer" and variable.min is not None and variable.max is not None:
+        return tuple(range(int(variable.min), int(variable.max) + 1)[: MOST_COMBINATIONS + 1])
+    raise InputError(f"{system.label} does not say which values {name!r} may take: list them in place of 'all'")

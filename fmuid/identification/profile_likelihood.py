@@ -1,24 +1,9 @@
-"""Profile likelihood: intervals of one parameter with the best values of all others.
+"""Profile likelihoods: intervals of one parameter with the best values of all others.
 
-The profile of a parameter ψ is J_p(ψ) = min J_C over all the others (1.37), the prior's rows included. Its confidence
-interval holds every ψ whose criterion exceeds the least one by no more than the quantile: with known variances
-χ²₁ = z²; with estimated ones t² of their degrees of freedom, F(1, ν). The criterion takes the noise for white and bends
-by 1/c², c² = [H⁻¹]_ψψ, where the estimate scatters by std² (`fmuid.estimation.noise`): the quantile is multiplied by
-std²/c² (Kent). For models linear in their parameters, where J_p is the parabola J_min + ((ψ − ψ̂)/c)², the interval is
-then the local one, ψ̂ ± t std.
-
-The signed root τ(ψ) = ±√(J_p − J_min) is a straight line in the linear case and nearly one elsewhere, so that steps
-and ends are found on it. Its slope needs no simulation: at the optimum of the others dJ_p/dψ = 2 (∂r/∂ψ)ᵀ r.
-
-With a robust loss the criterion is no likelihood either, and the same factor serves (Huber and Ronchetti, "Robust
-Statistics", section 13).
-
-References
-----------
-D. M. Bates, D. G. Watts, "Nonlinear Regression Analysis and Its Applications", Wiley 1988, section 6.1.2 (profile t);
-A. Raue et al., "Structural and practical identifiability analysis of partially observed dynamical models by exploiting
-the profile likelihood", Bioinformatics 25 (15), 2009 (flat profiles);
-J. T. Kent, "Robust properties of likelihood ratio tests", Biometrika 69, 1982.
+J_p(ψ) = min J_C over the others (1.37). The interval ends where J_p exceeds its least value by the quantile t² or z²,
+times std²/c² for colored noise and robust losses (Kent, Biometrika 69, 1982; c: curvature of J_C). Steps and ends are
+found on the signed root τ = ±√(J_p − J_min), nearly a straight line; its slope needs no simulation, since
+dJ_p/dψ = 2 (∂r/∂ψ)ᵀ r at the optimum of the others (Bates and Watts, "Nonlinear Regression", 1988, section 6.1.2).
 """
 
 from __future__ import annotations
@@ -26,7 +11,8 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import ClassVar
+from enum import Enum
+from typing import Any, ClassVar
 
 import numpy as np
 import pandas as pd
@@ -36,70 +22,90 @@ from fmuid.blas import single_threaded
 from fmuid.codec import Layout
 from fmuid.errors import InputError
 from fmuid.estimation import ActiveBound, CostFunction, LeastSquares, Result, TerminationReason, check_level
+from fmuid.events import ProfileStep, Progress
 from fmuid.identification.conditional_optimum import ConditionalOptimum, best_near, best_with, evaluator_of
-from fmuid.identification.profile_ends import EndKind, ProfileEndNote
-from fmuid.progress import ProfileStep, Progress
 
 
 @dataclass(frozen=True)
 class ProfileSettings:
     """Numbers of the walk along a profile."""
 
-    steps_per_side: int = 4
-    """Approximate number of steps of a side, equal in τ."""
-    first_step_share: float = 0.5
-    """Longest first step, relative to the parameter's magnitude, ..."""
-    least_step_share: float = 1e-12
-    """... and shortest."""
-    largest_growth: float = 2.0
-    """Where the profile is flatter than expected, each step is at most so many times the one before."""
-    flat_magnitudes: float = 1000.0
-    """A side that has not reached the level at this distance, in magnitudes ..."""
-    flat_stds: float = 10.0
-    """... and standard deviations, is flat."""
-    least_root_share: float = 0.03
-    """Below this share of its level, τ is too small for its slope to be used."""
-    step_reduction: float = 0.25
-    """Where simulations fail, a step is shortened by this factor, ..."""
-    most_reductions: int = 4
-    """... at most so many times."""
-    end_tolerance: float = 1e-3
-    """An end is where τ equals its level to this relative error; one more Newton step then leaves its square."""
-    end_steps: int = 12
-    """Steps to an end at most."""
-    lower_optimum_share: float = 0.01
-    """A criterion lower than the least one by more than this share of the quantile shows a better optimum."""
+    steps_per_side: int = 4  # about so many, equal in τ
+    first_step_share: float = 0.5  # longest first step, relative to the parameter's magnitude, ...
+    least_step_share: float = 1e-12  # ... and shortest
+    largest_growth: float = 2.0  # of a step over the one before, where the profile is flatter than expected
+    flat_magnitudes: float = 1000.0  # distance from the estimate, in magnitudes ...
+    flat_stds: float = 10.0  # ... and σ, beyond which a side without end is flat
+    least_root_share: float = 0.03  # of the level; below, τ is too small for its slope to be used
+    step_reduction: float = 0.25  # factor after a failed simulation, ...
+    most_reductions: int = 4  # ... at most so many times
+    end_tolerance: float = 1e-3  # relative, of τ; one more Newton step leaves its square
+    end_steps: int = 12  # to an end at most
+    lower_optimum_share: float = 0.01  # of the quantile; a cost lower by more shows a better optimum
 
 
 SETTINGS = ProfileSettings()
 
 
+class EndKind(Enum):
+    """Events at an end of a profile."""
+
+    BOUND = "bound"  # the parameter's own bound
+    FLAT = "flat"  # no end: the cost does not rise
+    FAILING = "failing"  # unknown: simulations fail beyond
+    NOT_CONVERGED = "not_converged"  # a search for the other parameters did not converge
+    IMPRECISE = "imprecise"  # of low precision
+    LOWER = "lower"  # no end: the cost is lower than at the estimate
+    OTHER_AT_BOUND = "other_at_bound"  # another parameter is at its bound
+
+
+@dataclass(frozen=True)
+class ProfileEndNote:
+    """A note on one end of a profile.
+
+    Attributes
+    ----------
+    kind : EndKind
+    upper : bool
+        Which end.
+    value, rise : float
+        Parameter value there, and the cost above its least value.
+    outcome : TerminationReason or None
+        Of the search for the others, where it did not converge.
+    other : ActiveBound or None
+        The other parameter at its bound.
+    """
+
+    kind: EndKind
+    upper: bool
+    value: float
+    rise: float
+    outcome: TerminationReason | None = None
+    other: ActiveBound | None = None
+
+
 @dataclass(frozen=True, eq=False)
 class Profile:
-    """The profile of one parameter.
+    """Profile of one parameter.
 
     Attributes
     ----------
     name : str
-    value : float
-        Its estimate, where the criterion is least.
-    std : float
-        Its local standard deviation, for comparison.
+    value, std : float
+        Estimate and its local standard deviation.
     bend : float
-        What the criterion's curvature says of it: c, the same where the noise is white.
+        The standard deviation by the curvature of the cost; `std` for white noise.
     level : float
-        Of the interval.
+        Confidence level of the interval.
     lower, upper : float
-        The interval; infinite on a side that is flat or where it cannot be found, its bound where it ends there, NaN
-        where no interval can be given. `remarks` say which.
+        The interval: infinite on a flat or failing side, the bound where it ends there, NaN without interval.
     minimum, threshold : float
-        J_min, and the rise above it at which the interval ends.
+        J_min, and the rise above it at the ends of the interval.
     remarks : tuple of ProfileEndNote
-        On the ends; empty for an ordinary profile.
+        Empty for an ordinary profile.
     interrupted : bool
-        Whether the keyboard ended it before both ends were found.
     table : DataFrame
-        The points in the order of the parameter's values: all parameters, and ``criterion``.
+        The points by the parameter's value: all parameters, and ``criterion``.
     """
 
     name: str
@@ -119,12 +125,12 @@ class Profile:
 
     @property
     def values(self) -> Floats:
-        """The parameter's values (n,)."""
+        """Values of the parameter (n,)."""
         return self.table[self.name].to_numpy(np.float64)
 
     @property
     def criterion(self) -> Floats:
-        """The least criterion at each of them (n,)."""
+        """Least cost at each of them (n,)."""
         return self.table["criterion"].to_numpy(np.float64)
 
 
@@ -137,7 +143,7 @@ def profile_likelihood(
     level: float = 0.95,
     progress: Progress | None = None,
 ) -> tuple[Profile, ...]:
-    """Profile parameters of a problem around its result, with the result's noise variances.
+    """Compute profile likelihoods around a result, with its noise variances.
 
     Parameters
     ----------
@@ -145,22 +151,21 @@ def profile_likelihood(
     result : Result
         Of its identification.
     names : sequence of str, optional
-        Which parameters; default all.
+        Parameters; default all.
     level : float
-        Of the intervals, between 0 and 1.
+        Confidence level, between 0 and 1.
     progress : callable, optional
-        Called with a `fmuid.progress.ProfileStep` after every point.
+        Called with a `fmuid.events.ProfileStep` after every point.
 
     Returns
     -------
     tuple of Profile
-        One a name. Interrupted from the keyboard: those so far, the last one `interrupted`.
+        After an interruption those so far, the last one `interrupted`.
 
     Raises
     ------
     InputError
-        If the result is another problem's, a name is unknown, the level is not between 0 and 1, or a robust problem's
-        result was read from a file.
+        If the result is of another problem or a robust one read from a file, or a name or the level is wrong.
     SimulationError
         If the simulation fails at the result.
 
@@ -177,23 +182,22 @@ def profile_likelihood(
     chosen = [problem.parameters.index(name) for name in dict.fromkeys(listed)]
     criterion, origin = best_near(evaluator, result)
     far, scatter = reach(problem, result), _scatter(problem, result)
-    thresholds, bends = result.reaches(level) ** 2 * scatter, result.std / np.sqrt(scatter)
+    thresholds, bends = result.estimates.reaches(level) ** 2 * scatter, result.std / np.sqrt(scatter)
     found: list[Profile] = []
     for k, i in enumerate(chosen):
-        goal = _Goal(float(result.std[i]), float(bends[i]), float(far[i]), float(thresholds[i]), level)
-        profiler = _Profiler(criterion, origin, i, goal, progress, k / len(chosen))
-        found.append(profiler.run())
-        if profiler.interrupted:
+        std, bend, end, threshold = (float(each[i]) for each in (result.std, bends, far, thresholds))
+        found.append(_Profiler(criterion, origin, i, std, bend, end, threshold, level, k / len(chosen), progress).run())
+        if found[-1].interrupted:
             break
     return tuple(found)
 
 
 def _scatter(problem: LeastSquares, result: Result) -> Floats:
-    """Return std²/c² of each parameter (N,), its variance against what the criterion's curvature says; 1 if unknown."""
+    """Return std²/c² of each parameter (N,), 1 where unknown."""
     if problem.loss is None:
-        bend = result.white_std**2
-    elif result.local is not None:
-        bend = np.sum(result.local.root**2, axis=1)
+        bend = result.estimates.std_white_noise**2
+    elif result.fit.linearization is not None:
+        bend = np.sum(result.fit.linearization.root**2, axis=1)
     else:
         raise InputError("the result of a robust loss cannot be profiled from its file; identify the study again")
     known = np.isfinite(result.std) & np.isfinite(bend) & (bend > 0)
@@ -201,7 +205,7 @@ def _scatter(problem: LeastSquares, result: Result) -> Floats:
 
 
 def reach(problem: LeastSquares, result: Result) -> Floats:
-    """Return the distance from its estimate up to which each parameter is followed (N,): beyond, it is undetermined."""
+    """Return the distance of flat sides from each estimate (N,)."""
     parameters = problem.parameters
     std = np.where(np.isfinite(result.std), result.std, 0.0)
     return np.maximum(
@@ -209,20 +213,9 @@ def reach(problem: LeastSquares, result: Result) -> Floats:
     )
 
 
-@dataclass(frozen=True)
-class _Goal:
-    """What is known of a profile before it is walked along, as the fields of `Profile`; `far` ends a flat side."""
-
-    std: float
-    bend: float
-    far: float
-    threshold: float
-    level: float
-
-
 @dataclass(eq=False)
 class _Side:
-    """One side of a profile: the points in the order in which they were found, the end, and remarks."""
+    """One side of a profile, its points in the order of the walk."""
 
     points: list[ConditionalOptimum]
     upper: bool
@@ -232,74 +225,69 @@ class _Side:
     doubtful: bool = False
 
 
+@dataclass(frozen=True, eq=False)
 class _Profiler:
-    """Makes the profile of one parameter."""
+    """Walk along one profile; beyond `far` a side is flat."""
 
-    def __init__(
-        self,
-        criterion: CostFunction,
-        origin: ConditionalOptimum,
-        index: int,
-        goal: _Goal,
-        progress: Progress | None,
-        share: float,
-    ) -> None:
-        self.criterion, self.origin, self.index = criterion, origin, index
-        self.goal, self.threshold = goal, goal.threshold
-        self.progress, self.share = progress, share
-        self.names = criterion.problem.parameters.names
-        self.name = self.names[index]
-        self.magnitude = float(criterion.magnitudes(origin.theta)[index])
-        self.interrupted = False
+    criterion: CostFunction
+    origin: ConditionalOptimum
+    index: int
+    std: float
+    bend: float
+    far: float
+    threshold: float
+    level: float
+    share: float
+    progress: Progress | None
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        return self.criterion.problem.parameters.names
 
     def run(self) -> Profile:
-        sides = [_Side([], upper=False), _Side([], upper=True)]
+        sides, interrupted = [_Side([], upper=False), _Side([], upper=True)], False
         try:
             for side, direction in zip(sides, (-1.0, 1.0), strict=True):
                 self._walk(side, direction)
         except KeyboardInterrupt:
-            self.interrupted = True
-        lower, upper = sides[0].end, sides[1].end
-        if any(side.lost for side in sides):
-            lower = upper = math.nan
+            interrupted = True
+        is_lost = any(side.lost for side in sides)
+        lower, upper = (math.nan if is_lost else side.end for side in sides)
         points = sorted([*sides[0].points, self.origin, *sides[1].points], key=self._value)
         table = pd.DataFrame([point.theta for point in points], columns=list(self.names))
         table["criterion"] = [point.criterion for point in points]
         return Profile(
-            name=self.name,
+            name=self.names[self.index],
             value=self._value(self.origin),
-            std=self.goal.std,
-            bend=self.goal.bend,
-            level=self.goal.level,
+            std=self.std,
+            bend=self.bend,
+            level=self.level,
             lower=lower,
             upper=upper,
             minimum=self.origin.criterion,
             threshold=self.threshold,
             remarks=tuple(remark for side in sides for remark in side.remarks),
-            interrupted=self.interrupted,
+            interrupted=interrupted,
             table=table,
         )
 
-    # --- one side
-
     def _walk(self, side: _Side, direction: float) -> None:
-        """Step away from the estimate until the level, a bound, or nowhere is reached."""
-        bound = float((self.criterion.upper if direction > 0 else self.criterion.lower)[self.index])
+        """Step away from the estimate up to the level, a bound, or nowhere."""
+        lower, upper = (float(each[self.index]) for each in (self.criterion.lower, self.criterion.upper))
+        bound = upper if direction > 0 else lower
         here, step = self.origin, self._first_step()
         while True:
-            value = self._value(here)
+            value, point, kind = self._value(here), None, EndKind.FLAT
             if value == bound:
-                side.end = bound
-                self._remark(side, EndKind.BOUND, here)
-                return
-            if abs(value - self._value(self.origin)) >= self.goal.far:
+                side.end, kind = bound, EndKind.BOUND
+            elif abs(value - self._value(self.origin)) >= self.far:
                 side.end = direction * math.inf
-                self._remark(side, EndKind.FLAT, here)
-                return
-            point = self._next(here, value, direction * step, bound)
+            else:
+                point = self._next(here, value, direction * step, bound)
+                if point is None:
+                    side.end, kind = direction * math.inf, EndKind.FAILING
             if point is None:
-                side.end = direction * math.inf
-                self._remark(side, EndKind.FAILING, here)
+                self._remark(side, kind, here)
                 return
             self._keep(side, point)
             if self._rise(point) < -SETTINGS.lower_optimum_share * self.threshold:
@@ -307,13 +295,14 @@ class _Profiler:
                 self._remark(side, EndKind.LOWER, point)
                 return
             if self._rise(point) >= self.threshold:
-                end = self._refine(side, here, point)
-                side.end = min(max(end, self.criterion.lower[self.index]), self.criterion.upper[self.index])
-                self._remark_held(side, side.points[-1])
+                side.end = min(max(self._refine(side, here, point), lower), upper)
+                last = side.points[-1]
+                for i in last.at_bounds:
+                    other = ActiveBound(self.names[i], float(last.theta[i]))
+                    self._remark(side, EndKind.OTHER_AT_BOUND, last, other=other)
                 return
             # the step asked for: shortened ones would come ever nearer to where simulations fail
-            step = self._next_step(point, step)
-            here = point
+            here, step = point, self._next_step(point, step)
 
     def _keep(self, side: _Side, point: ConditionalOptimum) -> None:
         side.points.append(point)
@@ -321,24 +310,18 @@ class _Profiler:
             side.doubtful = True
             self._remark(side, EndKind.NOT_CONVERGED, point, outcome=point.outcome)
         if self.progress is not None:
-            step = ProfileStep(
-                share=self.share,
-                name=self.name,
-                value=self._value(point),
-                rise=self._rise(point),
-                threshold=self.threshold,
-            )
-            self.progress(step)
+            name, value, rise = self.names[self.index], self._value(point), self._rise(point)
+            self.progress(ProfileStep(share=self.share, name=name, value=value, rise=rise, threshold=self.threshold))
 
     def _first_step(self) -> float:
+        magnitude = float(self.criterion.magnitudes(self.origin.theta)[self.index])
         wanted = min(
-            math.sqrt(self.threshold) * self.goal.bend / SETTINGS.steps_per_side,
-            SETTINGS.first_step_share * self.magnitude,
+            math.sqrt(self.threshold) * self.bend / SETTINGS.steps_per_side, SETTINGS.first_step_share * magnitude
         )
-        return max(wanted, SETTINGS.least_step_share * self.magnitude)
+        return max(wanted, SETTINGS.least_step_share * magnitude)
 
     def _next_step(self, point: ConditionalOptimum, last: float) -> float:
-        """Return the step that raises τ by its share, as its slope says, and not much longer than the last one."""
+        """Return the step that raises τ by its share, if not too long."""
         slope, level = self._slope(point), math.sqrt(self.threshold)
         usable = slope > 0 and self._root(point) > SETTINGS.least_root_share * level
         wanted = level / SETTINGS.steps_per_side / slope if usable else math.inf
@@ -355,13 +338,10 @@ class _Profiler:
             step *= SETTINGS.step_reduction
         return None
 
-    # --- its end
-
     def _refine(self, side: _Side, inside: ConditionalOptimum, outside: ConditionalOptimum) -> float:
-        """Return where τ meets its level between two points: Newton's method, bisection where that leaves them."""
+        """Return the end between two points, by Newton's method or bisection."""
         level = math.sqrt(self.threshold)
-        low, high = inside, outside
-        near = outside
+        low, high, near = inside, outside, outside
         for _ in range(SETTINGS.end_steps):
             value = self._newton(near, level)
             if abs(self._root(near) - level) <= SETTINGS.end_tolerance * level:
@@ -383,20 +363,8 @@ class _Profiler:
         away = math.copysign(1.0, self._value(point) - self._value(self.origin))
         return self._value(point) + away * (level - self._root(point)) / slope if slope > 0 else math.nan
 
-    # --- remarks
-
-    def _remark(
-        self, side: _Side, kind: EndKind, point: ConditionalOptimum, *, outcome: TerminationReason | None = None
-    ) -> None:
-        side.remarks.append(ProfileEndNote(kind, side.upper, self._value(point), self._rise(point), outcome))
-
-    def _remark_held(self, side: _Side, point: ConditionalOptimum) -> None:
-        for i in point.at_bounds:
-            other = ActiveBound(self.names[i], float(point.theta[i]))
-            value, rise = self._value(point), self._rise(point)
-            side.remarks.append(ProfileEndNote(EndKind.OTHER_AT_BOUND, side.upper, value, rise, other=other))
-
-    # --- numbers
+    def _remark(self, side: _Side, kind: EndKind, point: ConditionalOptimum, **more: Any) -> None:
+        side.remarks.append(ProfileEndNote(kind, side.upper, self._value(point), self._rise(point), **more))
 
     def _value(self, point: ConditionalOptimum) -> float:
         return float(point.theta[self.index])

@@ -1,17 +1,6 @@
-"""What the residuals say of the model and of the stated uncertainty: whiteness, inputs, distribution.
+"""Residual analysis: whiteness, correlation with inputs, distribution, colored noise (Ljung 1999, section 16.6).
 
-Output errors are unbiased whatever the colour of the noise (1.29), and their covariance allows for it
-(`fmuid.estimation.noise.sandwich`): `ResidualAnalysis.widening` says by how much, parameter by parameter. Where the
-residual is an error of the model that comes back with every cycle of the experiment, that is rather too little.
-
-With thousands of samples the slightest imperfection is significant: findings tell what is unlikely by chance and large
-enough to matter from what is significant but slight. An error of the model that its parameters make up for leaves a
-residual in which no test finds anything.
-
-References
-----------
-L. Ljung, "System Identification: Theory for the User", 2nd ed., 1999, section 16.6 (residual analysis); and
-those of `fmuid.estimation.noise.whiteness_tests`.
+Parameters can compensate a model error: then no test finds it.
 """
 
 from __future__ import annotations
@@ -31,59 +20,46 @@ from fmuid.estimation import FitProjection, LeastSquares, NoiseModel, ResidualNo
 from fmuid.identification.residual_series import InputCorrelation, ResidualSeries, examine_outputs
 
 CORRELATIONS = ("experiment", "output", "with", "lag", "time", "correlation", "band")
-# What is found is less likely by chance than this, over all residuals and inputs together ...
-RESIDUAL_LEVEL = 0.01
+RESIDUAL_LEVEL = 0.01  # significance level of all residuals and inputs together
 
 
 @dataclass(frozen=True)
 class FindingLimits:
-    """What matters in a residual."""
+    """Limits above which a significant defect matters."""
 
     large_autocorrelation: float = 0.1
-    """An autocorrelation this large, ..."""
-    large_correlation: float = 0.1
-    """... a correlation with an input: it explains a hundredth of the residual's variance, ..."""
-    large_offset_stds: float = 0.1
-    """... or a mean in standard deviations."""
-    more_likely: float = 0.5
-    """What returns with each cycle is worth a sentence where it is more likely there than not, ..."""
-    least_returning: float = 0.01
-    """... and has so much of the residual's variance: by chance it has a little."""
-    long_memory: float = 0.2
-    """Noise is slow for a record of which its time constant is more than this share."""
+    large_correlation: float = 0.1  # with an input: a hundredth of the residual's variance
+    large_offset_stds: float = 0.1  # mean, in standard deviations
+    more_likely: float = 0.5  # probability of a periodic error, ...
+    least_returning: float = 0.01  # ... and its share of the variance; a little comes by chance
+    long_memory: float = 0.2  # time constant of noise, relative to the recording
 
 
 SETTINGS = FindingLimits()
-# standard deviations that are wider or narrower than those of white noise by this factor,
-LEAST_STD_FACTOR = 1.25
+LEAST_STD_FACTOR = 1.25  # of σ for colored noise; smaller ones are not worth a message
 
 
 class ResidualDefect(Enum):
-    """In what a residual differs from white normal noise."""
+    """Difference of a residual from white normal noise."""
 
-    COLOURED = "coloured"
-    """An autocorrelation."""
-    OFFSET = "offset"
-    """A mean."""
-    INPUT = "input"
-    """A correlation with an input."""
-    SHAPE = "shape"
-    """Another distribution than the normal one."""
+    COLOURED = "coloured"  # an autocorrelation
+    OFFSET = "offset"  # a mean
+    INPUT = "input"  # a correlation with an input
+    SHAPE = "shape"  # another distribution than the normal one
 
 
 @dataclass(frozen=True, eq=False)
 class ResidualFinding:
-    """Something in a residual that is unlikely by chance.
+    """Significant defect of a residual.
 
     Attributes
     ----------
     trait : ResidualDefect
     large : bool
-        Whether it is large enough to matter.
+        Large enough to matter.
     series : ResidualSeries
-        Which has the numbers.
     input : InputCorrelation or None
-        The correlation, where it is one with an input.
+        Of a correlation with an input.
     """
 
     trait: ResidualDefect
@@ -110,74 +86,49 @@ class ResidualFinding:
 
 
 def _findings(series: ResidualSeries, outputs: int, inputs: int) -> list[ResidualFinding]:
-    """Return what is unlikely by chance in one of so many residuals, which go with so many inputs all together."""
-    level, found = RESIDUAL_LEVEL / outputs, []
+    """Return the significant defects of one residual among all."""
+    level, found = RESIDUAL_LEVEL / outputs, list[ResidualFinding]()
+
+    def note(trait: ResidualDefect, large: bool, input: InputCorrelation | None = None) -> None:
+        found.append(ResidualFinding(trait, large, series, input))
+
     if series.whiteness.probability <= level:
-        found.append(
-            ResidualFinding(
-                ResidualDefect.COLOURED, abs(series.whiteness.strongest[1]) >= SETTINGS.large_autocorrelation, series
-            )
-        )
+        note(ResidualDefect.COLOURED, abs(series.whiteness.strongest[1]) >= SETTINGS.large_autocorrelation)
     if series.mean_probability < level:
-        found.append(
-            ResidualFinding(ResidualDefect.OFFSET, abs(series.mean) > SETTINGS.large_offset_stds * series.std, series)
-        )
+        note(ResidualDefect.OFFSET, abs(series.mean) > SETTINGS.large_offset_stds * series.std)
     for each in series.inputs:
         if each.probability < RESIDUAL_LEVEL / inputs:
-            found.append(
-                ResidualFinding(ResidualDefect.INPUT, abs(each.correlation) > SETTINGS.large_correlation, series, each)
-            )
+            note(ResidualDefect.INPUT, abs(each.correlation) > SETTINGS.large_correlation, each)
     if series.normality.probability < level:
-        found.append(ResidualFinding(ResidualDefect.SHAPE, series.is_lopsided or series.is_tailed, series))
+        note(ResidualDefect.SHAPE, series.is_lopsided or series.is_tailed)
     return found
 
 
 @dataclass(frozen=True)
 class NoiseFinding:
-    """Noise of an output with a long memory.
-
-    Attributes
-    ----------
-    output : str
-    experiments : tuple of str
-        Which share one model of it.
-    time_constant : float
-        s.
-    """
+    """Noise of an output with a long memory."""
 
     output: str
-    experiments: tuple[str, ...]
-    time_constant: float
+    experiments: tuple[str, ...]  # with one model of this noise
+    time_constant: float  # s
 
 
 @dataclass(frozen=True)
 class LowFrequencyNoiseFinding(NoiseFinding):
-    """Low-frequency noise in a residual (`fmuid.estimation.noise.low_frequency`), too weak for other tests.
+    """Low-frequency noise too weak for other tests."""
 
-    Attributes
-    ----------
-    share : float
-        Of the residual's variance.
-    """
-
-    share: float
+    share: float  # of the residual's variance
 
 
 @dataclass(frozen=True)
 class LongMemory(NoiseFinding):
-    """Noise so slow that its record hardly tells how slow.
+    """Noise with a time constant that is long for its recordings."""
 
-    Attributes
-    ----------
-    record : float
-        How long the longest of the experiments is, s.
-    """
-
-    record: float
+    record: float  # length of the longest recording, s
 
 
 def _slow(noise: ResidualNoise) -> tuple[tuple[LowFrequencyNoiseFinding, ...], tuple[LongMemory, ...]]:
-    """Return the slow noise of each process that has some, and whose memory is long for the record."""
+    """Return the low-frequency noise and the long memory of each noise process."""
     pools: dict[int, list[NoiseModel]] = {}
     for model in noise.models:
         pools.setdefault(model.series.pool, []).append(model)
@@ -198,44 +149,30 @@ def _slow(noise: ResidualNoise) -> tuple[tuple[LowFrequencyNoiseFinding, ...], t
 
 @dataclass(frozen=True)
 class PeriodicErrorFinding:
-    """What comes back in a residual with each cycle of the excitation (`fmuid.estimation.noise.periodic_error`).
-
-    Attributes
-    ----------
-    output, experiment : str
-    period : float
-        Of the inputs, s.
-    share : float
-        Of the residual's variance.
-    """
+    """Periodic model error in a residual (`fmuid.estimation.noise.periodic_error`)."""
 
     output: str
     experiment: str
-    period: float
-    share: float
+    period: float  # of the inputs, s
+    share: float  # of the residual's variance
 
 
 @dataclass(frozen=True, eq=False)
 class ResidualAnalysis:
-    """All residuals of a result.
+    """Analysis of all residuals of a result.
 
     Attributes
     ----------
     series : tuple of ResidualSeries
-        Experiment by experiment, output by output.
+        By experiment and output.
     widening : dict of str to float
-        For each parameter, by which factor the colour of the residuals widens its standard deviation; NaN where it has
-        none.
+        Factor of each parameter's σ for colored noise; NaN without σ.
     off_grid : tuple of (str, str)
-        Experiments and outputs whose samples stand on no grid: the colour of their noise is taken as if they were
-        equally spaced.
+        Experiments and outputs with unequal sampling intervals, treated as equal.
     slow : tuple of LowFrequencyNoiseFinding
-        Where the standard deviations allow for weak slow noise.
     returning : tuple of PeriodicErrorFinding
-        Where the standard deviations allow for what comes back with each cycle of the excitation, and it more likely
-        does than not.
+        More likely there than not; σ allows for it.
     long_memory : tuple of LongMemory
-        Noise so slow that the record hardly tells how slow.
     """
 
     series: tuple[ResidualSeries, ...]
@@ -249,18 +186,18 @@ class ResidualAnalysis:
 
     @property
     def findings(self) -> tuple[ResidualFinding, ...]:
-        """All that is unlikely by chance, residual by residual."""
+        """All significant defects, by residual."""
         inputs = sum(len(each.inputs) for each in self.series)
         return tuple(found for each in self.series for found in _findings(each, len(self.series), inputs))
 
     @property
     def table(self) -> pd.DataFrame:
-        """One row a residual; times in s, of the inputs the one whose correlation is least likely by chance."""
+        """One row a residual, with the most significant input; times in s."""
         return pd.DataFrame([each.row() for each in self.series])
 
     @property
     def inputs(self) -> pd.DataFrame:
-        """One row for each residual and input: experiment, output, input, lag (s), correlation, band, probability."""
+        """One row a residual and input; lags in s."""
         names = ["input", "lag", "correlation", "band", "probability"]
         rows = [
             {"experiment": each.experiment, "output": each.output, **{name: getattr(one, name) for name in names}}
@@ -271,10 +208,10 @@ class ResidualAnalysis:
 
     @property
     def correlations(self) -> pd.DataFrame:
-        """One row for each residual, what it is held against, and lag: what figures show.
+        """One row a residual, input or output, and lag.
 
-        Columns experiment, output, with (the input, or the output itself), lag (samples by which the other comes
-        before), time (s), correlation, and band, the half-width of what 95 % of chance lies in.
+        Columns experiment, output, with, lag (samples by which the other comes before), time (s), correlation, and
+        band (half of the 95 % range).
         """
         parts = []
         for each in self.series:
@@ -289,14 +226,13 @@ class ResidualAnalysis:
 
 @single_threaded
 def analyze_residuals(problem: LeastSquares, result: Result) -> ResidualAnalysis:
-    """Examine the residuals of a result; nothing is simulated.
+    """Analyze the residuals of a result, without simulations.
 
     Parameters
     ----------
     problem : LeastSquares
-        That the result was found for.
     result : Result
-        As `fmuid.identify` returns it.
+        Of this problem.
 
     Raises
     ------
@@ -310,25 +246,25 @@ def analyze_residuals(problem: LeastSquares, result: Result) -> ResidualAnalysis
     >>> fmuid.analyze_residuals(problem, result).table["output"].tolist()
     ['i']
     """
-    if result.noise is None or result.local is None:
+    if result.fit.noise is None or result.fit.linearization is None:
         raise InputError("a result read from a file has no residuals to examine; identify the study again")
     series: list[ResidualSeries] = []
-    columns = result.local.jacobian @ result.local.root
+    columns = result.fit.linearization.jacobian @ result.fit.linearization.root
     taken = FitProjection(columns, columns.T @ columns)
-    for experiment, fit in zip(problem.experiments, result.fit, strict=True):
+    for experiment, fit in zip(problem.experiments, result.fit.frames, strict=True):
         simulated = fit[[f"simulated.{output}" for output in experiment.output_names]].to_numpy(np.float64)
-        models = [each for each in result.noise.models if each.series.experiment == experiment.name]
+        models = [each for each in result.fit.noise.models if each.series.experiment == experiment.name]
         series += examine_outputs(experiment, simulated, models, taken, problem.levels.scale)
     off_grid = tuple(
-        (each.series.experiment, each.series.output) for each in result.noise.models if not each.series.regular
+        (each.series.experiment, each.series.output) for each in result.fit.noise.models if not each.series.regular
     )
-    widening = dict(zip(result.names, result.widening.tolist(), strict=True))
+    widening = dict(zip(result.names, result.estimates.colored_noise_factor.tolist(), strict=True))
     shares: dict[tuple[str, str, float], float] = {}
-    for found in result.noise.returning:
+    for found in result.fit.noise.returning:
         for own, share in zip(found.series, found.shares.tolist(), strict=True):
             if found.probability > SETTINGS.more_likely and share > SETTINGS.least_returning:
                 key = (own.output, own.experiment, found.period * own.step)
                 shares[key] = min(shares.get(key, 0.0) + share, 1.0)
     returning = tuple(PeriodicErrorFinding(*key, share) for key, share in shares.items())
-    slow, long = _slow(result.noise)
+    slow, long = _slow(result.fit.noise)
     return ResidualAnalysis(tuple(series), widening, off_grid, slow, returning, long)

@@ -1,4 +1,4 @@
-"""The residual of one output in one experiment: whiteness, correlation with the inputs, distribution."""
+"""Tests of the residual of one output: whiteness, correlation with inputs, distribution."""
 
 from __future__ import annotations
 
@@ -14,7 +14,6 @@ from fmuid.array_types import Floats
 from fmuid.codec import Layout
 from fmuid.data import Experiment
 from fmuid.estimation import (
-    CrossCorrelation,
     FitProjection,
     LaggedSeries,
     NoiseModel,
@@ -28,18 +27,13 @@ from fmuid.estimation import (
 
 @dataclass(frozen=True)
 class ResidualSettings:
-    """Numbers of what is said of a residual."""
+    """Numbers of the tests of a residual."""
 
-    least_samples: int = 20
-    """Fewer samples say nothing."""
-    rounding_share: float = 1e-9
-    """A residual below this share of the measured values is rounding."""
-    large_skewness: float = 0.5
-    """Beyond this skewness noise no longer looks normal, ..."""
-    large_kurtosis: float = 1.0
-    """... nor beyond this excess kurtosis."""
-    outlier_stds: float = 4.0
-    """A sample this many standard deviations away is an outlier: of normal noise, 1 in 15 000."""
+    least_samples: int = 20  # for a test
+    rounding_share: float = 1e-9  # of the measured values; smaller residuals are rounding errors
+    large_skewness: float = 0.5  # of noise that is not normal, ...
+    large_kurtosis: float = 1.0  # ... excess kurtosis likewise
+    outlier_stds: float = 4.0  # from the mean; 1 in 15 000 samples of normal noise is beyond
 
 
 RESIDUAL_SETTINGS = ResidualSettings()
@@ -49,55 +43,40 @@ NOT_NORMALITY_TESTED = NormalityTest(math.nan, math.nan, math.nan)
 
 @dataclass(frozen=True, eq=False)
 class InputCorrelation:
-    """The correlation of a residual with what an input was at the same time and before.
-
-    Attributes
-    ----------
-    input : str
-    lags : (m,) array
-        By how much the input comes before the residual, s.
-    values : (m,) array
-        The correlation at each lag.
-    band : float
-        Half-width of the 95 % band of each of them, if the residual had nothing to do with the input.
-    lag, correlation : float
-        Where its magnitude is largest, s, and its value there.
-    probability : float
-        That chance gives as much at any of the lags.
-    """
+    """Correlation of a residual with an input at the same time and before."""
 
     input: str
-    lags: Floats
-    values: Floats
-    band: float
-    lag: float
+    lags: Floats  # (m,), time by which the input comes before, s
+    values: Floats  # (m,)
+    band: float  # half of the 95 % range without a relation
+    lag: float  # of the largest correlation, s
     correlation: float
-    probability: float
+    probability: float  # of as much by chance at any lag
 
 
 @dataclass(frozen=True, eq=False)
 class ResidualSeries:
-    """The residual of one output in one experiment, measured − simulated in the output's unit.
+    """Residual of one output in one experiment, in the output's unit.
 
-    What cannot be told, of fewer than 20 samples or of a residual that is rounding, is NaN.
+    Tests of fewer than 20 samples, or of rounding errors, are NaN.
 
     Attributes
     ----------
     noise : NoiseModel
-        What chance is told by: that of the fit, or of the residual itself where nothing was fitted.
+        Of the fit, or of the residual itself without a fit.
     times : (K,) array
         s.
     residual : (K,) array
         NaN where a sample is missing or does not count.
     mean, std : float
     mean_probability : float
-        That noise of this colour has such a mean by chance.
+        Of such a mean by chance, for colored noise.
     whiteness : WhitenessTest
     normality : NormalityTest
     outliers : int
         Samples beyond 4 standard deviations.
     inputs : tuple of InputCorrelation
-        Those of inputs that move.
+        Of inputs that move.
     """
 
     noise: NoiseModel
@@ -117,41 +96,41 @@ class ResidualSeries:
 
     @property
     def experiment(self) -> str:
-        """The name of its experiment."""
+        """Name of the experiment."""
         return self.noise.series.experiment
 
     @property
     def output(self) -> str:
-        """The name of its output."""
+        """Name of the output."""
         return self.noise.series.output
 
     @property
     def samples(self) -> int:
-        """How many samples count."""
+        """Number of samples that count."""
         return self.noise.series.rows.size
 
     @property
     def correlation_samples(self) -> float:
-        """Integrated correlation time in samples, 1 of white noise; NaN where nothing was tested."""
+        """Integrated correlation time in samples, 1 of white noise; NaN if not tested."""
         return self.noise.variance_factor() if self.is_tested else math.nan
 
     @property
     def is_tested(self) -> bool:
-        """Whether there were samples enough, and more than rounding, to say anything."""
+        """True if there are enough samples, and more than rounding errors."""
         return self.whiteness.lags > 0
 
     @property
     def is_lopsided(self) -> bool:
-        """Whether the skewness is larger than looks normal."""
+        """True if the skewness is larger than of normal noise."""
         return abs(self.normality.skewness) > RESIDUAL_SETTINGS.large_skewness
 
     @property
     def is_tailed(self) -> bool:
-        """Whether the tails are heavier or lighter than looks normal."""
+        """True if the tails are heavier or lighter than of normal noise."""
         return abs(self.normality.kurtosis) > RESIDUAL_SETTINGS.large_kurtosis
 
     def row(self) -> dict[str, Any]:
-        """Return the line of `ResidualAnalysis.table`."""
+        """Return the row of `ResidualAnalysis.table`."""
         strongest = min(self.inputs, key=lambda each: each.probability, default=None)
         white, normal, unknown = self.whiteness, self.normality, math.nan
         factor = self.correlation_samples
@@ -186,18 +165,18 @@ def examine_outputs(
     taken: FitProjection | None = None,
     scale: Floats | None = None,
 ) -> list[ResidualSeries]:
-    """Examine measured − simulated of those outputs of an experiment that have samples that count.
+    """Test measured − simulated of the outputs of an experiment that have counted samples.
 
     Parameters
     ----------
     experiment : Experiment
     simulated : (K, n_outputs) array
     models : sequence of NoiseModel, optional
-        The noise of each of them, as the fit has it; default: nothing has been fitted, and the residual tells.
+        Noise of each output by the fit; default: by its residual.
     taken : FitProjection, optional
-        What the fit has taken out of the noise of all rows.
+        Part of the noise that the fit has taken.
     scale : (n,) array, optional
-        The standard deviation of the noise of each row against that of its output: tests are of residuals over it.
+        Noise level of each row relative to its output; tests divide by it.
     """
     series = (
         output_series([experiment], experiment.output_names) if models is None else [each.series for each in models]
@@ -205,14 +184,12 @@ def examine_outputs(
     found = []
     for index, own in enumerate(series):
         column = experiment.output_names.index(own.output)
-        residual = np.where(
-            experiment.counted[:, column], experiment.output_values[:, column] - simulated[:, column], np.nan
-        )
-        values = residual[experiment.counted[:, column]]
+        counted, measured = experiment.counted[:, column], experiment.output_values[:, column]
+        residual = np.where(counted, measured - simulated[:, column], np.nan)
+        values = residual[counted]
         model = NoiseModel.of(own, values) if models is None else models[index]
         found.append(ResidualSeries(model, experiment.times, residual, float(values.mean()), float(values.std())))
-        measured = experiment.output_values[experiment.counted[:, column], column]
-        rounding = RESIDUAL_SETTINGS.rounding_share * float(np.sqrt(np.mean(measured**2)))
+        rounding = RESIDUAL_SETTINGS.rounding_share * float(np.sqrt(np.mean(measured[counted] ** 2)))
         if values.size >= RESIDUAL_SETTINGS.least_samples and found[-1].std > rounding:
             left = FitProjection.nothing(values.size) if taken is None else taken.of(own.rows)
             found[-1] = _tested(found[-1], values if scale is None else values / scale[own.rows], left)
@@ -221,7 +198,7 @@ def examine_outputs(
 
 
 def _tested(found: ResidualSeries, values: Floats, taken: FitProjection) -> ResidualSeries:
-    """Test a residual by its samples (n,) in units of their noise, the inputs aside."""
+    """Test a residual by its samples (n,), without the inputs."""
     series, mean, std = found.noise.series, float(values.mean()), float(values.std())
     # in the model of the fit a mean passes for slow noise
     factor = NoiseModel.of(series, values).variance_factor()
@@ -236,9 +213,9 @@ def _tested(found: ResidualSeries, values: Floats, taken: FitProjection) -> Resi
 
 
 def _related(experiment: Experiment, series: Sequence[ResidualSeries]) -> dict[str, tuple[InputCorrelation, ...]]:
-    """Correlate residuals with each input that moves; return what was found by output.
+    """Correlate residuals with each input that moves, by output.
 
-    Residuals that count at the same times, as most do, share what an input was then and before.
+    Residuals that count at the same times share the lagged inputs.
     """
     if not experiment.input_names:
         return {}
@@ -251,12 +228,15 @@ def _related(experiment: Experiment, series: Sequence[ResidualSeries]) -> dict[s
         for name, lagged in _lagged_inputs(experiment, group[0], lags):
             for each in group:
                 values = each.residual[np.isfinite(each.residual)]
-                found[each.output].append(_correlated(name, lags, lagged.correlate(values, each.noise.correlation)))
+                cross = lagged.correlate(values, each.noise.correlation)
+                at, band = cross.strongest, 1.96 * cross.std
+                strongest = float(lags[at]), float(cross.values[at]), cross.probability
+                found[each.output].append(InputCorrelation(name, lags, cross.values, band, *strongest))
     return {name: tuple(some) for name, some in found.items()}
 
 
 def _lagged_inputs(experiment: Experiment, series: ResidualSeries, lags: Floats) -> Iterator[tuple[str, LaggedSeries]]:
-    """Give, one at a time, the inputs that move as they are at the samples of a residual and before."""
+    """Yield the inputs that move, at the samples of a residual and before."""
     clock, times = experiment.times, series.times[np.isfinite(series.residual)]
     places = series.noise.series.places - series.noise.series.places[0]
     grid_times = np.interp(np.arange(places[-1] + 1), places, times)
@@ -266,16 +246,3 @@ def _lagged_inputs(experiment: Experiment, series: ResidualSeries, lags: Floats)
         grid = np.interp(grid_times, clock, column)
         if np.ptp(grid) > RESIDUAL_SETTINGS.rounding_share * np.abs(grid).max():
             yield name, LaggedSeries(np.where(begun, np.interp(before, clock, column), np.nan), grid)
-
-
-def _correlated(name: str, lags: Floats, cross: CrossCorrelation) -> InputCorrelation:
-    strongest = cross.strongest
-    return InputCorrelation(
-        name,
-        lags,
-        cross.values,
-        1.96 * cross.std,
-        float(lags[strongest]),
-        float(cross.values[strongest]),
-        cross.probability,
-    )

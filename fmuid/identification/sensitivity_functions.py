@@ -1,14 +1,7 @@
-"""Sensitivity functions over time, and the accuracy that an excitation promises before anything is measured.
+"""Sensitivity functions over time, and the σ that an excitation promises.
 
-The normalised sensitivity θ_n ∂ŷ/∂θ_n (1.33) is in the output's unit whatever the parameter's: what a relative change
-of the parameter does to the output. Parameters whose functions are small, or have the same shape, cannot be told. From
-them follows the covariance (1.31) that estimates will have, and so which of several excitations promises most: the one
-with the largest determinant of the information matrix (D-optimal: the smallest ellipsoid), or with the smallest
-relative standard deviation of the parameter that is worst off.
-
-References
-----------
-A. C. Atkinson, A. N. Donev, R. D. Tobias, "Optimum Experimental Designs, with SAS", 2007, chapter 10.
+Normalized sensitivities θ_n ∂ŷ/∂θ_n (1.33) are in the output's unit. Their covariance (1.31) ranks excitations, by the
+determinant of the information (D-optimal; Atkinson, Donev, Tobias, 2007, chapter 10) or by the worst relative σ.
 """
 
 from __future__ import annotations
@@ -27,16 +20,13 @@ from fmuid.estimation import parabola_slope
 from fmuid.models import System
 from fmuid.simulation import Simulator, Value
 
-# Differences are central, over this share of a parameter's magnitude: their error is of its square.
-STEP = 1e-3
-# Directions of relative parameters with less information than this share of the largest are not determined: the errors
-# of differences, STEP², leave about as much, squared.
-SINGULAR = 1e-11
+STEP = 1e-3  # of central differences, relative to the magnitude; their error is of its square
+SINGULAR = 1e-11  # least information of an identifiable direction, relative; errors of differences leave STEP⁴
 
 
 @dataclass(frozen=True, eq=False)
 class SensitivityFunctions:
-    """Normalised sensitivities over one experiment.
+    """Normalized sensitivities over one experiment.
 
     Attributes
     ----------
@@ -44,7 +34,7 @@ class SensitivityFunctions:
     times : (K,) array
         s.
     outputs, units : tuple of str
-        Outputs, and the units of both them and their sensitivities; "" without.
+        Outputs, and the units of both outputs and sensitivities; "" without.
     parameters : tuple of str
     values : (K, n_outputs, N) array
         Magnitude of the parameter times ∂ŷ/∂θ.
@@ -69,7 +59,7 @@ class SensitivityFunctions:
 
     @property
     def sizes(self) -> pd.DataFrame:
-        """Root mean squares, a row for each parameter and a column for each output."""
+        """Root mean squares: a row for each parameter, a column for each output."""
         return pd.DataFrame(
             np.sqrt(np.mean(self.values**2, axis=0)).T, index=list(self.parameters), columns=list(self.outputs)
         )
@@ -77,27 +67,13 @@ class SensitivityFunctions:
 
 @dataclass(frozen=True, eq=False)
 class ExpectedAccuracy:
-    """What an excitation promises.
-
-    Attributes
-    ----------
-    excitation : str
-    duration : float
-        s.
-    std : dict of str to float
-        Of each parameter, infinite where the excitation does not determine it.
-    relative : dict of str to float
-        Over the parameter's magnitude.
-    log_determinant : float
-        Natural logarithm of the determinant of the information matrix of the relative parameters; −infinity where a
-        direction is not determined.
-    """
+    """Expected σ of the estimates from an excitation."""
 
     excitation: str
-    duration: float
-    std: dict[str, float]
-    relative: dict[str, float]
-    log_determinant: float
+    duration: float  # s
+    std: dict[str, float]  # infinite where not identifiable
+    relative: dict[str, float]  # over the parameter's magnitude
+    log_determinant: float  # of the information of relative parameters; −infinity if a direction is not identifiable
 
     @property
     def worst(self) -> float:
@@ -111,7 +87,7 @@ def sensitivity_functions(
     parameters: Mapping[str, Parameter],
     values: Mapping[str, Value] | None = None,
 ) -> SensitivityFunctions:
-    """Return the normalised sensitivities at the parameters' starts, by central differences.
+    """Compute the normalized sensitivities at the initial guess, by central differences.
 
     Raises
     ------
@@ -153,23 +129,23 @@ def expected_accuracy(
     variance: Mapping[str, float],
     values: Mapping[str, Value] | None = None,
 ) -> ExpectedAccuracy:
-    """Return the accuracy that an excitation promises at the parameters' starts, with their priors.
+    """Compute the expected σ of an excitation at the initial guess, with the priors.
 
     Parameters
     ----------
     model : System
     excitation : Experiment
-        A record, or an excitation that is still to be applied (`fmuid.planned_experiment`).
+        Measured, or planned (`fmuid.diagnosis.planned_experiment`).
     parameters : mapping of str to Parameter
     variance : mapping of str to float
-        Of each output's noise, in the unit of the excitation's table.
+        Noise variance of each output, in the unit of the excitation's data.
     values : mapping of str to float, int, bool or str, optional
-        Variables held at a value.
+        Fixed variables.
 
     Raises
     ------
     InputError
-        If the noise of an output is not known, or as `sensitivity_functions`.
+        If the noise of an output is missing, or as `sensitivity_functions`.
     SimulationError
         If a simulation fails.
     """
@@ -206,7 +182,7 @@ def rank_excitations(found: Sequence[ExpectedAccuracy], *, by: str = "determinan
     ----------
     found : sequence of ExpectedAccuracy
     by : "determinant" or "worst"
-        D-optimal, or by the largest relative standard deviation.
+        D-optimal, or by the largest relative σ.
 
     Returns
     -------
@@ -216,7 +192,7 @@ def rank_excitations(found: Sequence[ExpectedAccuracy], *, by: str = "determinan
     Raises
     ------
     InputError
-        If there is no such criterion.
+        If the criterion is unknown.
     """
     if by not in ("determinant", "worst"):
         raise InputError(f'excitations are compared by "determinant" or "worst", not by {by!r}')

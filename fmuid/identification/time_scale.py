@@ -1,8 +1,6 @@
-"""Whether a record lasts as long as what its model does: times in ms that are taken for s make it 1000 times longer.
+"""Time scale of a recording: times in ms taken for s.
 
-The model's time constants are read off its response to inputs that jump to the largest values of the record and stay
-there, from its start on: after which time an output stays within 37 % of its way to where it ends, which is the time
-constant where there is one. An output that does not settle tells nothing.
+The time constants of the model are those of its response to inputs that jump to their largest values.
 """
 
 from __future__ import annotations
@@ -18,21 +16,16 @@ from fmuid.array_types import Floats
 from fmuid.data import Experiment
 from fmuid.simulation import Simulator
 
-TOO_LONG = 1000.0
-"""A record that lasts so many time constants, with each step longer than one, is doubted ..."""
-TOO_SHORT = 20.0
-"""... and one of which so many go into a time constant: a thousandth of a usual record, of some ten to a hundred."""
-MOVES = 0.2
-"""Only where the model moves within the record by less than this share of what was measured it may be too short."""
-LONGER = (10.0, 100.0, 1e3, 1e4)
-"""By how much a record is prolonged to see where a model settles that hardly moves in it."""
-_LEFT, _SETTLED = 0.37, 0.3
-"""Share of the way that is left after a time constant, and share of a simulation in which what settles does so."""
-_DECADES, _POINTS = 7, 150
+TOO_LONG = 1000.0  # time constants; a recording of more, with each step longer than one, is doubted
+TOO_SHORT = 20.0  # recordings in a time constant; a usual one lasts ten to a hundred time constants
+MOVES = 0.2  # of the measured range; a model that moves less within the recording may be too slow
+LONGER = (10.0, 100.0, 1e3, 1e4)  # factors by which a recording is prolonged to see the model settle
+_LEFT, _SETTLED = 0.37, 0.3  # shares: of the way after a time constant, of a simulation in which a model settles
+_DECADES, _POINTS = 7, 150  # of the times after the jump
 
 
 class TimeScaleMismatch(Enum):
-    """What a record is against the time constants of its model."""
+    """Mismatch of a recording and the time constants of its model."""
 
     TOO_LONG = "too_long"
     TOO_SHORT = "too_short"
@@ -40,17 +33,17 @@ class TimeScaleMismatch(Enum):
 
 @dataclass(frozen=True)
 class TimeScaleWarning:
-    """A record whose time is perhaps in another unit.
+    """Recording whose time may be in another unit.
 
     Attributes
     ----------
     kind : TimeScaleMismatch
     source : str
-        The table.
+        The data file.
     duration, step : float
-        Of the record, s; the step is the median one.
+        Of the recording, s; the median step.
     time_constant : float
-        Of the model, s: the slowest that its outputs show where the record is too long, else the fastest.
+        Of the model, s: the slowest if the recording is too long, else the fastest.
     """
 
     kind: TimeScaleMismatch
@@ -61,19 +54,19 @@ class TimeScaleWarning:
 
 
 def doubt_of_time(simulator: Simulator, theta: Sequence[float]) -> TimeScaleWarning | None:
-    """Compare a record with the time constants of its model, by one simulation, or a few where hardly anything moves.
+    """Compare a recording with the time constants of its model.
 
     Parameters
     ----------
     simulator : Simulator
-        Of the record.
+        Of the recording.
     theta : sequence of float
         Its parameters.
 
     Returns
     -------
     TimeScaleWarning or None
-        None where the record is of the model's time scale, or where the model does not settle or cannot be simulated.
+        None without mismatch, or if the model does not settle or cannot be simulated.
     """
     record = simulator.experiment
     duration, step = float(record.times[-1] - record.times[0]), float(np.median(np.diff(record.times)))
@@ -96,7 +89,7 @@ def doubt_of_time(simulator: Simulator, theta: Sequence[float]) -> TimeScaleWarn
 
 
 def _response(simulator: Simulator, theta: Sequence[float], duration: float) -> tuple[Floats, Floats]:
-    """Return times (n,) after a jump of the inputs, closest at first, and outputs (n, m), none where that fails."""
+    """Return times (n,) after a jump of the inputs, and outputs (n, m)."""
     record = simulator.experiment
     after = np.concatenate([[0.0], duration * np.logspace(-_DECADES, 0, _POINTS)])
     largest = np.abs(record.input_values).argmax(axis=0) if record.input_names else np.zeros(0, dtype=np.intp)
@@ -117,7 +110,7 @@ def _response(simulator: Simulator, theta: Sequence[float], duration: float) -> 
 
 
 def _constants(times: Floats, values: Floats) -> Floats:
-    """Return the time constant of each output that moves, NaN where it does not settle."""
+    """Return time constants of moving outputs, NaN where they do not settle."""
     found = []
     for y in values.T:
         away = np.abs(y - y[-1])
@@ -128,7 +121,7 @@ def _constants(times: Floats, values: Floats) -> Floats:
 
 
 def _moves(values: Floats, record: Experiment) -> bool:
-    """Return whether an output moves in a simulation about as much as it was measured to."""
+    """Tell if an output moves about as much as measured."""
     if not record.measured:
         return True
     with np.errstate(over="ignore"):  # numbers beyond all measure move

@@ -1,4 +1,4 @@
-"""What is simulated: components with their numerics, systems of them, SSP packages."""
+"""Components and their solver settings, systems of them, SSP packages."""
 
 import lazy_loader
 

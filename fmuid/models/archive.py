@@ -1,7 +1,7 @@
-"""Untrusted zip archives, read under limits: FMUs (FMI 2.0.4, section 2.3), SSPs (SSP 1.0, chapter 3).
+"""Untrusted zip archives, read under limits (FMI 2.0.4, 2.3; SSP 1.0, 3).
 
-An archive can name files outside the folder it is unpacked in, or be made to fill disk and memory (D. Fifield, "A
-better zip bomb", WOOT 2019). The same archives are refused on every system, since FMUs are moved between systems.
+An archive may name files outside its folder, or fill disk and memory (D. Fifield, WOOT 2019).
+All systems refuse the same archives, since FMUs move between systems.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ LARGEST_TOTAL_VARIABLE = "FMUID_LARGEST_ARCHIVE_GB"
 
 @dataclass(frozen=True)
 class ArchiveLimits:
-    """What an archive may be before it is refused."""
+    """Limits of an accepted archive."""
 
     total_gb: float = 4.0
     """GB (2³⁰ bytes) that it may unpack to, an entry half of it: FMUs have some 100 MB, with an interpreter 2 GB."""
@@ -70,25 +70,25 @@ _DAMAGES = (
 
 
 class CheckedArchive:
-    """An archive whose entries have been checked; a context manager that closes it.
+    """A zip archive with checked entries; a context manager that closes it.
 
     Parameters
     ----------
     file : Path
     path : Path, optional
-        What messages call it; default: the same.
+        Name in messages; default: `file`.
 
     Attributes
     ----------
     entries : tuple of ZipInfo
-        In the order of the archive, folders included; backslashes in their names are separators, like slashes.
+        Files and folders in the archive's order, with slashes as separators.
     names : tuple of str
-        Of the files among them.
+        Names of the files.
 
     Raises
     ------
     InputError
-        If the file cannot be read as a zip archive, or one of its entries is refused.
+        If the file is no readable zip archive, or an entry is refused.
     """
 
     def __init__(self, file: Path, path: Path | None = None) -> None:
@@ -126,25 +126,22 @@ class CheckedArchive:
         return self._archive.comment
 
     def read(self, name: str, largest: int = LARGEST_XML) -> bytes:
-        """Return the content of a file of `names`.
+        """Return the content of one file of `names`.
 
         Raises
         ------
         InputError
-            If it is damaged, or larger than `largest`.
+            If it is damaged, or larger than `largest` bytes.
         """
-        content = io.BytesIO()
-        for chunk in self.chunks(self._files[name], largest):
-            content.write(chunk)
-        return content.getvalue()
+        return b"".join(self.chunks(self._files[name], largest))
 
     def chunks(self, entry: zipfile.ZipInfo, largest: int | None = None) -> Iterator[bytes]:
-        """Yield the content of an entry, counting its bytes: the sizes in the archive may be wrong.
+        """Yield the content of an entry, counted: stated sizes may be wrong.
 
         Raises
         ------
         InputError
-            If it is damaged, or larger than `largest`, or all that was read so far is more than the archive may have.
+            If it is damaged or larger than `largest` bytes, or the total exceeds the archive's limit.
         """
         largest, written = self.limit // 2 if largest is None else largest, 0
         try:
@@ -194,7 +191,7 @@ class CheckedArchive:
         self._check_total(sum(entry.file_size for entry in self.entries))
 
     def _check_overlaps(self) -> None:
-        """Refuse entries that overlap in the archive: bombs made of them have no suspicious ratio."""
+        """Refuse overlapping entries: bombs made of them have no suspicious ratio."""
         placed = sorted(self.entries, key=lambda entry: entry.header_offset)
         for entry, following in itertools.pairwise(placed):
             end = entry.header_offset + _LOCAL_HEADER + len(entry.filename) + entry.compress_size
@@ -209,7 +206,7 @@ class CheckedArchive:
 
 
 class _Bounded(io.BufferedReader):
-    """A file that refuses large reads: `zipfile` reads an archive's directory at once, however large."""
+    """A file without large reads: `zipfile` reads a whole directory at once."""
 
     def read(self, size: int | None = -1, /) -> bytes:
         if size is not None and size > LIMITS.directory:
@@ -218,12 +215,12 @@ class _Bounded(io.BufferedReader):
 
 
 def parts_of(entry: zipfile.ZipInfo) -> tuple[str, ...]:
-    """Return the folders and the file that an entry names."""
+    """Return folders and file name of an entry."""
     return tuple(part for part in entry.filename.split("/") if part not in ("", "."))
 
 
 def _check_entry(entry: zipfile.ZipInfo) -> None:
-    """Refuse an entry that no FMU needs or that would not become a file in the folder."""
+    """Refuse an entry without use in an FMU or outside its folder."""
     name, shown = entry.orig_filename.replace("\\", "/"), _shown(entry)
     parts = parts_of(entry)
     mode = entry.external_attr >> 16
@@ -251,7 +248,7 @@ def _check_entry(entry: zipfile.ZipInfo) -> None:
 
 
 def _folded(entry: zipfile.ZipInfo) -> str:
-    """Return the key of a file's name here: letter case, composed accents and final dots may not count."""
+    """Return a file's key: case, composed accents, final dots may not count."""
     parts = parts_of(entry)
     if not STRICT_NAMES:
         return "/".join(parts)
@@ -283,8 +280,7 @@ def _largest_total() -> int:
         ) from None
 
 
-_PRIVATE, _PRIVATE_FILE = 0o700, 0o600
-_BINARY = getattr(os, "O_BINARY", 0)  # of Windows
+_PRIVATE = 0o700
 # Files of these must have the size given by the archive; an FMU may write into its other files.
 _SIZED = ("binaries", "modelDescription.xml")
 
@@ -298,22 +294,12 @@ def file_digest(path: Path) -> str:
 def unpacked(file: Path, digest: str, path: Path | None = None) -> Path:
     """Return the folder of an unpacked archive in the user's cache.
 
-    It is unpacked where it is not there yet, and files that are missing there, or binaries of another size, again.
-
-    Parameters
-    ----------
-    file : Path
-        The archive.
-    digest : str
-        Its `file_digest`.
-    path : Path, optional
-        What messages call it; default: the same.
+    Missing files, and binaries of another size, are unpacked again. `path` is the archive's name in messages.
 
     Raises
     ------
     InputError
-        If the archive is refused (`CheckedArchive`), the cache is a symbolic link or somebody else's, or nothing can be
-        written there.
+        If the archive is refused, or the cache is not writable or not the user's own.
     """
     cache = Path(platformdirs.user_cache_dir("fmuid"))
     shelf = cache / "unpacked"
@@ -326,14 +312,14 @@ def unpacked(file: Path, digest: str, path: Path | None = None) -> Path:
                 _unpack(archive, target)
             else:
                 _make_private(target)
-                _repair(archive, target)
+                _fill(archive, target)
         except (OSError, UnicodeError) as error:  # the latter of names that the file system cannot write
             raise InputError(f"{archive.path} cannot be unpacked below {shelf}: {error}") from error
     return target
 
 
 def _make_private(folder: Path) -> None:
-    """Make a folder private to the user, or check that it is."""
+    """Make a folder private to the user; refuse links and others' folders."""
     folder.mkdir(_PRIVATE, parents=True, exist_ok=True)
     said = folder.lstat()
     remedy = "remove it, or name another place for caches by the environment variable XDG_CACHE_HOME"
@@ -351,15 +337,10 @@ def _make_private(folder: Path) -> None:
 
 
 def _unpack(archive: CheckedArchive, target: Path) -> None:
-    """Unpack beside the target and rename, so that an interrupted or parallel run leaves no half archive."""
+    """Unpack beside the target and rename: interrupted runs leave no partial archive."""
     fresh = Path(tempfile.mkdtemp(dir=target.parent))
     try:
-        made = {fresh}
-        for entry in archive.entries:
-            place = _place(entry, fresh, made)
-            if not entry.is_dir():
-                place.unlink(missing_ok=True)  # of a file that is packed twice
-                _write(archive, entry, os.open(place, os.O_WRONLY | os.O_CREAT | os.O_EXCL | _BINARY, _PRIVATE_FILE))
+        _fill(archive, fresh)
         try:
             fresh.rename(target)
         except OSError:
@@ -369,17 +350,18 @@ def _unpack(archive: CheckedArchive, target: Path) -> None:
         shutil.rmtree(fresh, ignore_errors=True)
 
 
-def _repair(archive: CheckedArchive, target: Path) -> None:
-    """Unpack missing files, replacing each in one step, so that processes that use the folder see whole files."""
-    made = {target}
+def _fill(archive: CheckedArchive, folder: Path) -> None:
+    """Unpack missing files, each in one step; a file packed twice is there."""
+    made = {folder}
     for entry in archive.entries:
-        if _is_missing(target, entry):
-            place = _place(entry, target, made)
-            if entry.is_dir():
-                continue
-            handle, name = tempfile.mkstemp(dir=target.parent)
+        if not _is_missing(folder, entry):
+            continue
+        place = _place(entry, folder, made)
+        if not entry.is_dir():
+            handle, name = tempfile.mkstemp(dir=folder.parent)
             try:
-                _write(archive, entry, handle)
+                with os.fdopen(handle, "wb") as file:
+                    file.writelines(archive.chunks(entry))
                 Path(name).replace(place)
             finally:
                 Path(name).unlink(missing_ok=True)
@@ -397,7 +379,6 @@ def _is_missing(folder: Path, entry: zipfile.ZipInfo) -> bool:
 
 
 def _place(entry: zipfile.ZipInfo, folder: Path, made: set[Path]) -> Path:
-    """Return the path of an entry, after making its folders."""
     parts = parts_of(entry)
     place = folder.joinpath(*parts)
     inner = place if entry.is_dir() else place.parent
@@ -406,9 +387,3 @@ def _place(entry: zipfile.ZipInfo, folder: Path, made: set[Path]) -> Path:
             above.mkdir(_PRIVATE, exist_ok=True)
             made.add(above)
     return place
-
-
-def _write(archive: CheckedArchive, entry: zipfile.ZipInfo, handle: int) -> None:
-    with os.fdopen(handle, "wb") as file:
-        for chunk in archive.chunks(entry):
-            file.write(chunk)

@@ -18,30 +18,26 @@ INTEGRATORS = ("rk4", "rk45", "cvode")
 
 @dataclass(frozen=True)
 class Numerics:
-    """How an FMU is run; defaults depend on what the FMU offers (`Component.kind`, `Component.integrator`).
+    """Solver settings of an FMU; defaults depend on its interfaces (`Component.kind`).
 
     Parameters
     ----------
     interface : "co-simulation" or "model-exchange", optional
     integrator : "rk4", "rk45" or "cvode", optional
-        For model exchange: Runge–Kutta of order 4 with fixed steps, Dormand–Prince 5(4) with error control, or the
-        stiff BDF methods of SUNDIALS.
+        Model Exchange only: Runge–Kutta 4 with fixed steps, Dormand–Prince 5(4), or BDF of SUNDIALS.
     tolerance : float, optional
-        Relative; for model exchange that of the integrator, for co-simulation the one passed to the FMU.
+        Relative; of the integrator, or passed to a Co-Simulation FMU.
     step_size : float, optional
-        Largest step, s: between communications, and inside an integrator.
+        Largest communication step and solver step, s.
     most_steps : int, optional
-        Of an integrator that chooses its steps, between two samples; a simulation that needs more fails, and a search
-        takes shorter steps. Default: `fmuid.simulation.MOST_STEPS`.
+        Limit of solver steps between two samples; default: `fmuid.simulation.MOST_STEPS`.
     samples : bool, optional
-        Whether the FMU acts once a communication step, as a sampled controller does, so that shorter steps would make
-        it another device; default: one of several without continuous states does, of others it is not known
-        (`System.integrates`, `System.sampling_known`).
+        Whether the FMU is a discrete-time component; default: see `System.integrates`.
 
     Raises
     ------
     InputError
-        If a word is unknown or a number not positive.
+        If a name is unknown or a number not positive.
 
     Examples
     --------
@@ -68,16 +64,16 @@ class Numerics:
                 raise InputError(f"{word} must be a positive {unit}, not {given:g}")
 
     def over(self, others: Numerics) -> Numerics:
-        """Return these settings, completed by others where they are not given."""
+        """Return these settings, completed by others."""
         return Numerics(*(getattr(self if getattr(self, f.name) is not None else others, f.name) for f in fields(self)))
 
 
 @dataclass(frozen=True)
 class Isolation:
-    """How a system's FMUs are run in a separate process, where a crash does not harm the study.
+    """Settings of the separate process that runs a system's FMUs.
 
-    A simulation that crashes the process, does not end or takes too much memory fails like any other that fails, and
-    the next one is run by a new process. This is no sandbox: an FMU is native code with the rights of its user.
+    A simulation that crashes, hangs or takes too much memory fails alone; a new process runs the next one.
+    This is no sandbox: an FMU is native code with its user's rights.
 
     Raises
     ------
@@ -114,12 +110,12 @@ AS_OFFERED = Numerics()
 
 @dataclass(frozen=True, eq=False, init=False)
 class Component:
-    """An FMU in a system, and how it is run there.
+    """An FMU in a system, with its solver settings.
 
     Raises
     ------
     InputError
-        If the FMU has no such interface, or the integrator does not go with the interface.
+        If the FMU lacks the interface, or an integrator is given for Co-Simulation.
 
     Examples
     --------
@@ -133,8 +129,7 @@ class Component:
     numerics: Numerics
 
     def __init__(self, fmu: FMU | str | Path, numerics: Numerics = AS_OFFERED) -> None:
-        object.__setattr__(self, "fmu", fmu if isinstance(fmu, FMU) else FMU(fmu))
-        object.__setattr__(self, "numerics", numerics)
+        vars(self).update(fmu=fmu if isinstance(fmu, FMU) else FMU(fmu), numerics=numerics)  # frozen for others
         offered = self.fmu.description.interfaces
         if self.kind not in offered:
             raise InputError(f"{self.fmu.path} offers no {self.kind} interface; it offers {', '.join(offered)}")
@@ -146,23 +141,17 @@ class Component:
 
     @property
     def kind(self) -> str:
-        """The interface that is used: the one asked for, else co-simulation where it is offered."""
+        """Interface in use: the requested one, else Co-Simulation if offered."""
         offered = self.fmu.description.interfaces
         return self.numerics.interface or next(kind for kind in KINDS if kind in offered)
 
     @property
     def integrator(self) -> str:
-        """The integrator that model exchange begins with: the one asked for, else "rk45"."""
+        """First integrator of Model Exchange: the requested one, else "rk45"."""
         return self.numerics.integrator or DEFAULT_INTEGRATOR
 
     def how_run(self, *, stiff: bool = False) -> SolverConfiguration:
-        """Return how the FMU is run.
-
-        Parameters
-        ----------
-        stiff : bool
-            Whether "rk45" has found the model stiff, so that "cvode" took its place (`fmuid.Simulator.stiff`).
-        """
+        """Return the settings in use; with `stiff`, "cvode" has replaced "rk45"."""
         given, version = self.numerics, self.fmu.description.fmi_version
         if self.kind == "co-simulation":
             return SolverConfiguration(version, self.kind, None, False, given.tolerance, given.step_size)
@@ -173,23 +162,23 @@ class Component:
 
 @dataclass(frozen=True)
 class SolverConfiguration:
-    """How an FMU was run, its defaults resolved.
+    """Solver settings of a simulated FMU, defaults resolved.
 
     Attributes
     ----------
     fmi_version, interface : str
     integrator : str or None
-        None for co-simulation, where it is inside the FMU.
+        None for Co-Simulation.
     stiff : bool
-        Whether `integrator` took the place of one that found the model stiff.
+        Whether `integrator` replaced another for stiffness.
     tolerance : float or None
-        Relative; None where there is none, or the FMU's own.
+        Relative; None if there is none, or the FMU's own.
     step_size : float or None
-        Largest step, s; None from sample to sample.
+        Largest step, s; None: from sample to sample.
     divisor : int
-        Into how many each step is divided beyond that.
+        Number of parts of each step by solver refinement.
     new_processes : bool
-        Whether each simulation had a process of its own, since the FMU keeps something outside its instances.
+        Whether each simulation had its own process, as the FMU keeps state outside its instances.
     """
 
     fmi_version: str

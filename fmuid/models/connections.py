@@ -1,4 +1,4 @@
-"""The connections of a system, and the order in which values are passed on along them."""
+"""Connections of a system, and their order of exchange."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from fmuid.models.description import Description
 
 
 class Connection(NamedTuple):
-    """An output and the input that it feeds, both as (component, variable name inside the component).
+    """An output and its target input, each as (component, inner name).
 
     The input is factor times the output plus offset.
     """
@@ -25,34 +25,18 @@ class Connection(NamedTuple):
 def exchange_order(
     connections: Sequence[Connection], descriptions: Mapping[str, Description]
 ) -> tuple[tuple[tuple[Connection, ...], bool], ...]:
-    """Return the connections in the order in which values can be passed on, in groups that may go together.
+    """Return the connections in groups, in their order of exchange.
 
-    With each group goes whether it is a loop of direct feed-through, to be solved. A connection comes after those that
-    feed an input on which its source depends directly (ModelStructure, FMI 2.0.4, section 2.2.8; an FMU that declares
-    no dependencies is taken to depend on all its inputs).
-
-    Parameters
-    ----------
-    connections : sequence of Connection
-    descriptions : mapping of str to Description
-        Of the components, by their names.
-
-    Raises
-    ------
-    InputError
-        If a loop is of other than Real variables.
+    A connection comes after those that its source depends on directly. Each group has a flag: an algebraic loop.
     """
     if not connections:
         return ()
     feeding = {connection.target: i for i, connection in enumerate(connections)}
-    needs = [
-        {
-            feeding[connection.source[0], name]
-            for name in _direct_inputs(descriptions[connection.source[0]], connection.source[1])
-            if (connection.source[0], name) in feeding
-        }
-        for connection in connections
-    ]
+    needs: list[set[int]] = []
+    for component, output in (connection.source for connection in connections):
+        declared = descriptions[component].dependencies.get(output)
+        direct = descriptions[component].inputs if declared is None else declared
+        needs.append({feeding[component, name] for name in direct if (component, name) in feeding})
     members: dict[int, list[int]] = {}
     for i, label in enumerate(_loops(needs)):
         members.setdefault(label, []).append(i)
@@ -72,7 +56,7 @@ def exchange_order(
 
 
 def _loops(needs: Sequence[set[int]]) -> list[int]:
-    """Return of each connection the number of the loop that it is in, one of its own where it is in none."""
+    """Return each connection's loop number; a connection outside loops has its own."""
     try:
         TopologicalSorter(dict(enumerate(needs))).prepare()
         return list(range(len(needs)))
@@ -87,7 +71,7 @@ def _loops(needs: Sequence[set[int]]) -> list[int]:
 
 
 def _loop(loop: Sequence[Connection], descriptions: Mapping[str, Description]) -> tuple[Connection, ...]:
-    """Return a loop of direct feed-through, if it can be solved."""
+    """Return an algebraic loop of Real variables."""
     for component, output in (connection.source for connection in loop):
         kind = descriptions[component].variables[output].type
         if kind != "Real":
@@ -99,8 +83,3 @@ def _loop(loop: Sequence[Connection], descriptions: Mapping[str, Description]) -
                 "depend directly on its input"
             )
     return tuple(loop)
-
-
-def _direct_inputs(description: Description, output: str) -> tuple[str, ...]:
-    declared = description.dependencies.get(output)
-    return description.inputs if declared is None else declared

@@ -1,4 +1,4 @@
-"""What an FMU declares: variables, units, capabilities (FMI 2.0.4, section 2.2; FMI 3.0.2, section 2.4)."""
+"""Declarations of an FMU (FMI 2.0.4, 2.2; FMI 3.0.2, 2.4)."""
 
 from __future__ import annotations
 
@@ -18,17 +18,15 @@ _NEVER_SET = ("calculatedParameter", "independent", "structuralParameter")
 
 
 class Variable(NamedTuple):
-    """One scalar variable of an FMU (FMI 2.0.4, section 2.2.7; FMI 3.0.2, section 2.4.7), or one element of an array.
+    """A scalar variable of an FMU, or one element of an array.
 
-    `start`, `min`, `max` and `nominal` are in `unit`; `type` is Real, Integer, Boolean, String, Binary or Clock
-    (an enumeration is an Integer), `wire` the FMI 3.0 type that the binary's functions take. The elements of an array
-    (FMI 3.0) are variables ``x[1,1]``, ``x[1,2]`` of one `reference`; `array` has all their names, row by row. `items`
-    are the values that an enumeration has.
+    `start`, `min`, `max` and `nominal` are in `unit`. `wire` is the FMI 3.0 type of the binary's functions.
+    Elements of an array are variables ``x[1,2]`` with one `reference`; `array` has all their names, row by row.
+    `items` are the values of an enumeration (FMI 2.0.4, 2.2.7; FMI 3.0.2, 2.4.7).
     """
 
     name: str
     reference: int
-    type: str
     wire: str
     causality: str
     variability: str
@@ -44,23 +42,30 @@ class Variable(NamedTuple):
     items: tuple[int, ...] = ()
 
     @property
+    def type(self) -> str:
+        """Real, Integer (also of an enumeration), Boolean, String, Binary or Clock."""
+        if self.wire.startswith("Float"):
+            return "Real"
+        return "Integer" if "Int" in self.wire else self.wire
+
+    @property
     def settable(self) -> bool:
-        """Whether a value set before initialisation has an effect that the standard promises."""
+        """Whether the standard promises an effect of a value set before initialization."""
         if self.variability == "constant" or self.causality in _NEVER_SET:
             return False
         return self.causality in ("parameter", "input") or self.initial in ("exact", "approx")
 
     @property
     def continuous(self) -> bool:
-        """Whether the variable may change continuously, so that interpolation makes sense."""
+        """Whether the variable may change continuously."""
         return self.type == "Real" and self.variability == "continuous"
 
 
 @dataclass(frozen=True)
 class Unit:
-    """A unit that the FMU defines: SI exponents, ``base = factor * value + offset``, and its display units.
+    """A unit of an FMU: ``base = factor * value + offset``.
 
-    ``display = factor * value + offset`` for each of `display_units` (FMI 2.0.4, section 2.2.2).
+    ``display = factor * value + offset`` for each of `display_units` (FMI 2.0.4, 2.2.2).
     """
 
     name: str
@@ -71,7 +76,7 @@ class Unit:
 
 
 def unit_conversion(source: Unit | BaseUnit | None, target: Unit | BaseUnit | None) -> tuple[float, float] | None:
-    """Return (factor, offset) with ``target = factor * source + offset``; None where the units do not convert."""
+    """Return (factor, offset), ``target = factor * source + offset``; None without conversion."""
     if source is None or target is None or source.exponents is None or source.exponents != target.exponents:
         return None
     return source.factor / target.factor, (source.offset - target.offset) / target.factor
@@ -79,7 +84,10 @@ def unit_conversion(source: Unit | BaseUnit | None, target: Unit | BaseUnit | No
 
 @dataclass(frozen=True)
 class Interface:
-    """One of the two FMI interfaces and its capabilities (FMI 2.0.4, sections 3.3.1, 4.3.1; FMI 3.0.2, 2.4.8)."""
+    """An FMI interface and its capabilities.
+
+    FMI 2.0.4, sections 3.3.1, 4.3.1; FMI 3.0.2, section 2.4.8.
+    """
 
     kind: str
     identifier: str
@@ -95,7 +103,7 @@ class Interface:
 
 @dataclass(frozen=True)
 class Description:
-    """The parts of a modelDescription.xml that fmuid works with."""
+    """Content of a modelDescription.xml, as used by fmuid."""
 
     model_name: str
     fmi_version: str
@@ -117,6 +125,9 @@ class Description:
     applied: Mapping[str, float | int | bool | str] = field(default_factory=dict)
     """Start values written by `fmuid apply`: the importer must set them (`fmuid.models.start_values`)."""
 
+    capabilities: Mapping[str, Mapping[str, str]] = field(default_factory=dict)
+    """Declared attributes of each interface; "needsCompletedIntegratorStep" has its FMI 3.0 name."""
+
     @property
     def major_version(self) -> int:
         """2 or 3."""
@@ -132,14 +143,14 @@ class Description:
         return tuple(variable.name for variable in self.with_causality("input"))
 
     def conversion(self, variable: Variable, unit: str) -> tuple[float, float]:
-        """Return (factor, offset) such that ``value in variable.unit = factor * value in unit + offset``.
+        """Return (factor, offset) from a unit to the variable's unit.
 
-        The FMU's own definitions go before what units generally mean (`fmuid.units`).
+        The FMU's own definitions precede general ones (`fmuid.units`).
 
         Raises
         ------
         InputError
-            If the two units do not convert, or are not known.
+            If the units are unknown or do not convert.
         """
         if unit == (variable.unit or ""):
             return 1.0, 0.0

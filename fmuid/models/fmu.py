@@ -22,7 +22,7 @@ PLATFORMS = {2: _SYSTEM + "64", 3: f"{_MACHINE}-{'windows' if _SYSTEM == 'win' e
 
 
 class FMU(HtmlTableMixin):
-    """An FMU file; nothing is unpacked or loaded before it is needed.
+    """An FMU file; unpacked and loaded at first use.
 
     Parameters
     ----------
@@ -32,15 +32,14 @@ class FMU(HtmlTableMixin):
     Attributes
     ----------
     file : Path
-        Where it is read, absolute.
+        Absolute path for reading.
     path : Path
-        Its name in messages: as it was given, unless who reads a copy of somebody's file puts that file's name here.
+        Name in messages; readers of a copy may set the original's name.
 
     Raises
     ------
     InputError
-        If the file is missing, no zip archive, refused, without a readable model description, or not
-        FMI 2.0 or 3.0.
+        If the file is missing, refused, or no FMU of FMI 2.0 or 3.0.
 
     Examples
     --------
@@ -65,12 +64,12 @@ class FMU(HtmlTableMixin):
 
     @cached_property
     def digest(self) -> str:
-        """SHA-256 of the file, the key of the unpacking cache and what identifies the model in results."""
+        """SHA-256 of the file: key of cache and results."""
         return file_digest(self.file)
 
     @cached_property
     def _binaries(self) -> tuple[PurePosixPath, ...]:
-        """The files below ``binaries/``, in folders of platforms."""
+        """Files below ``binaries/``, in folders of platforms."""
         with CheckedArchive(self.file, self.path) as archive:
             paths = [PurePosixPath(name) for name in archive.names if name.startswith("binaries/")]
         return tuple(path for path in paths if len(path.parts) > 2)
@@ -82,12 +81,12 @@ class FMU(HtmlTableMixin):
 
     @cached_property
     def directory(self) -> Path:
-        """The folder of the unpacked FMU, in the user's cache, where it is put if it is not there yet.
+        """Folder of the unpacked FMU in the user's cache.
 
         Raises
         ------
         InputError
-            If the archive is refused, or nothing can be written there.
+            If the archive is refused or the cache is not writable.
         """
         return unpacked(self.file, self.digest, self.path)
 
@@ -97,7 +96,7 @@ class FMU(HtmlTableMixin):
         Raises
         ------
         InputError
-            If the FMU has no binary for this platform; the sentence says which it has.
+            If the FMU has no binary for this platform.
         """
         name = identifier + BINARY_ENDING
         packed = {str(path).lower() for path in self._binaries}  # some file systems do not tell the cases of letters

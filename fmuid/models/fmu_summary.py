@@ -1,20 +1,17 @@
-"""Facts about an FMU for the identification of its parameters, as data; `fmuid info` prints them."""
+"""Summary of an FMU for parameter identification; `fmuid info` prints it."""
 
 from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
-from itertools import chain
+from itertools import chain, groupby
 from math import prod
 from typing import NamedTuple
-from xml.etree.ElementTree import Element
 
 from fmuid.models.component import Component, SolverConfiguration
-from fmuid.models.description import DESCRIPTION_FILE, Description, Variable
+from fmuid.models.description import Description, Variable
 from fmuid.models.fmu import FMU, PLATFORMS
-from fmuid.models.reading import read_text
-from fmuid.models.untrusted_xml import started_elements
 
 # Most elements of an array that are listed one by one; more of them share a line.
 SINGLE_ELEMENTS = 4
@@ -22,38 +19,31 @@ SINGLE_ELEMENTS = 4
 # A number between brackets, alone or beside others.
 _SUBSCRIPT = re.compile(r"(?<=[\[,])\s*\d+(?=\s*[\],])")
 
-_TAGS = {
-    "CoSimulation": "co-simulation",
-    "ModelExchange": "model-exchange",
-    "ScheduledExecution": "scheduled-execution",
-}
-
 
 @dataclass(frozen=True)
 class FmuSummary:
-    """The declarations of an FMU, sorted for the identification of its parameters.
+    """Declarations of an FMU, grouped for parameter identification.
 
     Attributes
     ----------
     fmu : FMU
     capabilities : mapping of str to mapping of str to str
-        For each interface what it declares, by the names of FMI, "needsCompletedIntegratorStep" by that of FMI 3.0.
+        Declared attributes of each interface; "needsCompletedIntegratorStep" has its FMI 3.0 name.
     here : str or None
-        The folder of binaries for this machine; None if there is none.
+        Folder of this machine's binaries.
     machine : str
         FMI's name of this machine's platform.
     run_as : SolverConfiguration
-        How fmuid runs the FMU by default.
+        Default solver settings.
     tunable, fixed, calculated, structural : tuple of Variable
-        Parameters: that may change at any time, that are set before the initialisation, that the FMU computes from
-        others and nobody can set, and those that size arrays, which fmuid leaves alone.
+        Parameters: changeable at any time, set before initialization, computed by the FMU, sizes of arrays.
     inputs, outputs, states : tuple of Variable
     starts : tuple of Variable
-        Other variables whose start values can be set.
+        Other variables with settable start values.
     direct : mapping of str to (tuple of str or None)
-        For each output the inputs with direct feed-through to it; None if the FMU does not declare them.
+        Inputs with direct feed-through to each output; None if undeclared.
     units : mapping of str to tuple of str
-        Each unit of inputs, outputs and states with the units that a table may have instead.
+        Units of inputs, outputs and states, with alternatives for data files.
     """
 
     fmu: FMU
@@ -81,7 +71,7 @@ class FmuSummary:
 
 
 def facts(fmu: FMU) -> FmuSummary:
-    """Return the facts of an FMU; nothing of it is unpacked or loaded.
+    """Return the summary of an FMU; nothing is unpacked or loaded.
 
     Parameters
     ----------
@@ -90,33 +80,30 @@ def facts(fmu: FMU) -> FmuSummary:
     """
     described = fmu.description
     variables = tuple(described.variables.values())
-    sorted_: dict[str | None, list[Variable]] = {}
-    for v in variables:
-        sorted_.setdefault(_group(v), []).append(v)
-    groups = {group: tuple(sorted_.get(group, ())) for group in GROUPS}
-    inputs = frozenset(described.inputs)
-    observed = (*groups["inputs"], *groups["outputs"], *(v for v in variables if v.is_state))
+    groups: dict[str, tuple[Variable, ...]] = dict.fromkeys(GROUPS, ())
+    for group, some in groupby(sorted(variables, key=_group), _group):
+        groups[group] = tuple(some)
+    del groups[""]
+    states = tuple(v for v in variables if v.is_state)
+    observed = (*groups["inputs"], *groups["outputs"], *states)
     return FmuSummary(
         fmu=fmu,
-        capabilities=_capabilities(fmu),
+        capabilities=described.capabilities,
         here=next((name for name in PLATFORMS.values() if name in fmu.platforms), None),
         machine=PLATFORMS[described.major_version],
         run_as=Component(fmu).how_run(),
-        states=tuple(v for v in variables if v.is_state),
-        direct={v.name: _direct(described, v.name, inputs) for v in groups["outputs"]},
-        units={
-            unit: other_units(described, unit) for unit in dict.fromkeys(v.unit for v in observed if v.unit is not None)
-        },
+        states=states,
+        direct={v.name: _direct(described, v.name) for v in groups["outputs"]},
+        units={v.unit: other_units(described, v.unit) for v in observed if v.unit is not None},
         **groups,
     )
 
 
-GROUPS = ("tunable", "fixed", "calculated", "structural", "inputs", "outputs", "starts")
+GROUPS = ("tunable", "fixed", "calculated", "structural", "inputs", "outputs", "starts", "")
 """Disjoint groups of variables; states are also in `FmuSummary.states`."""
 
 
-def _group(variable: Variable) -> str | None:
-    """Return which of `GROUPS` a variable belongs to."""
+def _group(variable: Variable) -> str:
     if variable.variability != "constant":
         if variable.causality == "parameter":
             return "tunable" if variable.variability == "tunable" else "fixed"
@@ -129,39 +116,18 @@ def _group(variable: Variable) -> str | None:
     if variable.causality == "calculatedParameter":
         return "calculated"
     if variable.settable:
-        return None if variable.is_state else "starts"
+        return "" if variable.is_state else "starts"
     # tools export parameters that are computed from others as fixed local variables, too
-    return "calculated" if variable.causality == "local" and variable.variability in ("fixed", "tunable") else None
+    return "calculated" if variable.causality == "local" and variable.variability in ("fixed", "tunable") else ""
 
 
-def _capabilities(fmu: FMU) -> dict[str, dict[str, str]]:
-    """Return what each interface declares, the attributes of its element; these stand before the variables."""
-    found: dict[str, dict[str, str]] = {}
-    for element in started_elements(read_text(fmu.path), f"{fmu.path}: its {DESCRIPTION_FILE}"):
-        if element.tag == "ModelVariables":
-            break
-        if element.tag in _TAGS:
-            found[_TAGS[element.tag]] = _declared(element, fmu.description.major_version)
-    return dict(sorted(found.items()))
-
-
-def _declared(element: Element, version: int) -> dict[str, str]:
-    given = dict(element.attrib)
-    if element.tag == "ModelExchange" and version == 2:  # FMI 2.0 states the opposite
-        told = given.pop("completedIntegratorStepNotNeeded", "false").strip() in ("true", "1")
-        given["needsCompletedIntegratorStep"] = "false" if told else "true"
-    return given
-
-
-def _direct(described: Description, output: str, inputs: frozenset[str]) -> tuple[str, ...] | None:
+def _direct(described: Description, output: str) -> tuple[str, ...] | None:
     depends = described.dependencies.get(output)
-    if depends is None:
-        return None
-    return tuple(name for name in depends if name in inputs)
+    return None if depends is None else tuple(v for v in depends if described.variables[v].causality == "input")
 
 
 def other_units(described: Description, unit: str) -> tuple[str, ...]:
-    """Return the units that `Description.conversion` converts to a unit: display units, and others of its dimension."""
+    """Return the convertible units: display units, and others of the dimension."""
     own = described.units.get(unit)
     if own is None:
         return ()
@@ -170,12 +136,12 @@ def other_units(described: Description, unit: str) -> tuple[str, ...]:
 
 
 class VariableRow(NamedTuple):
-    """One line of a list of variables: one variable, or many elements of an array.
+    """A variable, or many elements of an array, as one row.
 
     Attributes
     ----------
     name : str
-        With the ranges of its subscripts where it stands for several: ``A[1..3,1..3]``.
+        With ranges of subscripts if it stands for several: ``A[1..3,1..3]``.
     variables : tuple of Variable
     """
 
@@ -184,10 +150,10 @@ class VariableRow(NamedTuple):
 
 
 def lines(variables: Iterable[Variable]) -> list[VariableRow]:
-    """Return variables as lines: elements of one array, or of like components, share one where there are many.
+    """Return variables as rows; many elements of an array share one row.
 
-    FMI 3.0 has arrays; tools that export FMI 2.0 write their elements as variables ``x[1]``, ``cells[1].R``. Elements
-    share a line where they fill a box of subscripts and have the same type, unit, causality and variability.
+    They share it if they fill a box of subscripts and have one type, unit, causality and variability.
+    Tools write arrays as variables ``x[1]``, ``cells[1].R`` in FMI 2.0.
     """
     alike: dict[tuple[object, ...], list[Variable]] = {}
     for v in variables:
@@ -195,17 +161,13 @@ def lines(variables: Iterable[Variable]) -> list[VariableRow]:
         alike.setdefault((pattern, v.type, v.unit, v.causality, v.variability), []).append(v)
     found: list[VariableRow] = []
     for some in alike.values():
-        if len(some) <= SINGLE_ELEMENTS:
-            found += [VariableRow(v.name, (v,)) for v in some]
-            continue
         places = [[int(n) for n in _SUBSCRIPT.findall(v.name)] for v in some]
         ranges = [(min(along), max(along)) for along in zip(*places, strict=True)]
-        size = prod(high - low + 1 for low, high in ranges)
-        if size == len(some):
+        if len(some) <= SINGLE_ELEMENTS or prod(high - low + 1 for low, high in ranges) != len(some):
+            found += [VariableRow(v.name, (v,)) for v in some]
+        else:
             spans = [f"{low}..{high}" if high > low else str(low) for low, high in ranges]
             between = _SUBSCRIPT.split(some[0].name)
             name = "".join(chain.from_iterable(zip(between, [*spans, ""], strict=True)))
             found.append(VariableRow(name, tuple(some)))
-        else:
-            found += [VariableRow(v.name, (v,)) for v in some]
     return found

@@ -1,4 +1,7 @@
-"""Reads a modelDescription.xml, with the defaults of the standard (FMI 2.0.4, section 2.2; FMI 3.0.2, section 2.4)."""
+"""Reader of a modelDescription.xml, with the standard's defaults.
+
+FMI 2.0.4, section 2.2; FMI 3.0.2, section 2.4.
+"""
 
 from __future__ import annotations
 
@@ -6,8 +9,7 @@ import itertools
 import math
 import re
 import zipfile
-from collections.abc import Callable, Collection, Iterator, Mapping
-from contextlib import suppress
+from collections.abc import Collection, Iterator, Mapping
 from pathlib import Path
 from xml.etree.ElementTree import Element
 
@@ -21,28 +23,15 @@ from fmuid.models.untrusted_xml import parse_xml, uncollected
 MOST_ELEMENTS = 1_000_000
 """Variables, with every element of an array: a few words of XML can declare any number."""
 
-# For each version: type of a variable -> (type in fmuid, FMI 3.0 type that the binary's functions take)
+_INTEGERS = tuple(f"{sign}Int{bits}" for sign in ("", "U") for bits in (8, 16, 32, 64))
+# version -> type of a variable -> FMI 3.0 type of the binary's functions
 _TYPES = {
-    2: {
-        "Real": ("Real", "Float64"),
-        "Integer": ("Integer", "Int32"),
-        "Enumeration": ("Integer", "Int32"),
-        **{name: (name, name) for name in ("Boolean", "String")},
-    },
-    3: {
-        "Float64": ("Real", "Float64"),
-        "Float32": ("Real", "Float32"),
-        **{f"{sign}Int{bits}": ("Integer", f"{sign}Int{bits}") for sign in ("", "U") for bits in (8, 16, 32, 64)},
-        "Enumeration": ("Integer", "Int64"),
-        **{name: (name, name) for name in ("Boolean", "String", "Binary", "Clock")},
-    },
+    2: {"Real": "Float64", "Integer": "Int32", "Enumeration": "Int32", "Boolean": "Boolean", "String": "String"},
+    3: {name: name for name in ("Float64", "Float32", *_INTEGERS, "Boolean", "String", "Binary", "Clock")}
+    | {"Enumeration": "Int64"},
 }
+_INTERFACES = ("CoSimulation", "ModelExchange")
 _TRUE = ("true", "1")
-_STARTS: Mapping[str, Callable[[str], Value]] = {
-    "Real": float,
-    "Integer": int,
-    "Boolean": lambda text: text.lower() in _TRUE,
-}
 _PARAMETERS = ("parameter", "calculatedParameter", "structuralParameter")
 # variability -> causality -> initial; what is missing is not allowed (FMI 2.0.4, section 2.2.7; FMI 3.0.2, 2.4.7.4)
 _KEPT = {
@@ -64,13 +53,7 @@ _NO_TYPE = Element("none")
 
 
 def read_text(path: Path) -> bytes:
-    """Return the modelDescription.xml of an FMU.
-
-    Raises
-    ------
-    InputError
-        If the archive is refused, or has none.
-    """
+    """Return the modelDescription.xml of an FMU; an `InputError` if there is none."""
     with CheckedArchive(path) as archive:
         if DESCRIPTION_FILE not in archive.names:
             raise InputError(f"{path} is not an FMU: it has no {DESCRIPTION_FILE} at its top level")
@@ -79,12 +62,12 @@ def read_text(path: Path) -> bytes:
 
 @uncollected()
 def read_description(path: Path) -> Description:
-    """Read the model description inside an FMU.
+    """Read the model description of an FMU.
 
     Raises
     ------
     InputError
-        If the file is missing, is no zip archive, has no readable model description, or is of another FMI version.
+        If the file is missing, no zip archive, unreadable, or of another FMI version.
     """
     if not is_file(path):
         raise InputError(f"{path}: there is no such FMU file; check the path")
@@ -106,7 +89,7 @@ def read_description(path: Path) -> Description:
 
 
 def _described(root: Element, version: int) -> Description:
-    """Return what the root says; sentences of refusal continue one that begins with the file."""
+    """Return the root's description; refusals continue the file's name."""
     token = root.get("guid" if version == 2 else "instantiationToken")
     if token is None:
         raise InputError("has no guid or instantiationToken, which the binary asks for")
@@ -124,7 +107,7 @@ def _described(root: Element, version: int) -> Description:
         units={_name(each): _unit(each) for each in root.iterfind("UnitDefinitions/Unit")},
         interfaces={
             kind: _interface(kind, each, version)
-            for kind, tag in zip(KINDS, ("CoSimulation", "ModelExchange"), strict=True)
+            for kind, tag in zip(KINDS, _INTERFACES, strict=True)
             for each in root.iterfind(tag)
         },
         default_experiment={
@@ -143,14 +126,15 @@ def _described(root: Element, version: int) -> Description:
         states=tuple(name for each in states for name in declared.names(each)),
         indicators=declared.indicators,
         applied=_applied(root, version, variables),
+        capabilities=_capabilities(root, version),
     )
 
 
 class _Variables:
-    """The variables as elements of the file, which calls them by place from 1 (FMI 2.0) or value reference (3.0)."""
+    """Variable elements, known by index (FMI 2.0) or value reference (3.0)."""
 
     def __init__(self, root: Element, version: int) -> None:
-        self.root, self.version, self.kinds = root, version, _TYPES[version]
+        self.root, self.version, self.wires = root, version, _TYPES[version]
         self.elements = [each for each in root.iterfind("ModelVariables/*") if each.get("name") is not None]
         self.types: dict[str | None, Element] = {None: _NO_TYPE}
         self.aliases: list[tuple[Element, Element]] = []
@@ -171,132 +155,111 @@ class _Variables:
                 raise InputError(f"declares {number} {what}, and at most {MOST_ELEMENTS} are read")
 
     def called(self, key: str | None) -> Element:
-        """Return the variable that the file calls so."""
         found = self.known.get(_integer(key, "what refers to a variable"))
         if found is None:
             raise InputError(f"refers to {key}, which it does not declare")
         return found
 
     def unknowns(self, tag_2: str, tag_3: str) -> list[tuple[Element, Element]]:
-        """Return the entries of a list of the ModelStructure, each with its variable."""
+        """Return the entries of a ModelStructure list, each with its variable."""
         path, key = (f"{tag_2}/Unknown", "index") if self.version == 2 else (tag_3, "valueReference")
         return [(each, self.called(each.get(key))) for each in self.root.iterfind(f"ModelStructure/{path}")]
 
     def dependencies(self, unknown: Element) -> tuple[str, ...] | None:
-        """Return the variables that an unknown depends on; None where it does not say."""
         given = unknown.get("dependencies")
         return None if given is None else tuple(name for key in given.split() for name in self.names(self.called(key)))
 
     def state(self, derivative: Element) -> Element | None:
-        """Return the variable that one is declared to be the derivative of."""
         key = self._value(derivative).get("derivative")
         return None if key is None else self.called(key)
 
     def shape(self, element: Element) -> list[int]:
-        """Return the sizes of an array's dimensions: given, or the start of another variable; none for a scalar."""
+        """Return the sizes of an array's dimensions; empty for a scalar."""
         return [
             _integer(each.get("start") or self.called(each.get("valueReference")).get("start"), "the size of an array")
             for each in element.iterfind("Dimension")
         ]
 
     def names(self, element: Element, name: str | None = None) -> list[str]:
-        """Return the name of a variable, or those of an array's elements: row by row, counted from 1."""
+        """Return a variable's name, or an array's element names, row by row."""
         name = name or _name(element)
         if not len(element) or not (shape := self.shape(element)):
             return [name]
         return [f"{name}[{','.join(map(str, at))}]" for at in itertools.product(*(range(1, n + 1) for n in shape))]
 
     def variables(self, states: Collection[str]) -> Iterator[Variable]:
-        """Yield the variables, aliases last; those with the given names are states."""
-        for element in self.elements:
-            name, description = _name(element), element.get("description", "")
-            yield from self._read(element, name, description, name in states)
-        for element, alias in self.aliases:
-            name, description = _name(alias), alias.get("description", "") or element.get("description", "")
+        for element, called in (*((each, each) for each in self.elements), *self.aliases):
+            name, description = _name(called), called.get("description") or element.get("description") or ""
             yield from self._read(element, name, description, name in states)
 
     def _value(self, element: Element) -> Element:
-        """Return the element that is called like the type of a variable: in FMI 3.0 its own."""
-        if element.tag in self.kinds:
+        """Return the element named after a variable's type; in FMI 3.0 itself."""
+        if element.tag in self.wires:
             return element
         for each in element:
-            if self.version == 2 and each.tag in self.kinds:
+            if self.version == 2 and each.tag in self.wires:
                 return each
         raise InputError(f"declares {_name(element)!r} as {element.tag}, which is no type of FMI {self.version}.0")
 
     def _read(self, element: Element, name: str, description: str, is_state: bool) -> list[Variable]:
-        """Return a variable, or all elements of an array."""
-        value = self._value(element)
-        kind, wire = self.kinds[value.tag]
-        declared = self.types.get(value.get("declaredType"))
+        typed = self._value(element)
+        wire = self.wires[typed.tag]
+        declared = self.types.get(typed.get("declaredType"))
         if declared is None:
-            raise InputError(f"declares {name!r} of type {value.get('declaredType')!r}, which it does not define")
-        causality, variability, initial = self._roles(element, name, kind)
-        start, unit = value.get("start"), value.get("unit") or declared.get("unit") or None
+            raise InputError(f"declares {name!r} of type {typed.get('declaredType')!r}, which it does not define")
+        roles = self._roles(element, name, wire)
+        start, unit = typed.get("start"), typed.get("unit") or declared.get("unit") or None
         names, starts = [name], [start]
         array: tuple[str, ...] = ()
         if len(element) and self.version == 3:
             names = self.names(element, name)
             array = () if names == [name] else tuple(names)
             texts = (each.get("value", "") for each in element.iterfind("Start"))
-            listed = list(texts) if kind in ("String", "Binary") else (start or "").split()
+            listed = list(texts) if wire in ("String", "Binary") else (start or "").split()
             one = listed[0] if listed else None
             starts = [*listed] if len(listed) == len(names) else [one] * len(names)
-        reference, convert = _reference(element), _STARTS.get(kind, str)
+        reference = _reference(element)
         try:
             low, high, nominal = [
-                float(text) if (text := value.get(word) or declared.get(word)) else None
+                float(text) if (text := typed.get(word) or declared.get(word)) else None
                 for word in ("min", "max", "nominal")
             ]
             items = tuple(int(item.get("value", "")) for item in declared.iterfind("Item"))
+            values = (None if text is None else _start(text, wire) for text in starts)
             return [
                 Variable(
-                    each,
-                    reference,
-                    kind,
-                    wire,
-                    causality,
-                    variability,
-                    initial,
-                    unit,
-                    None if text is None else convert(text),
-                    low,
-                    high,
-                    nominal,
-                    description,
-                    is_state,
-                    array,
-                    items,
+                    each, reference, wire, *roles, unit, value, low, high, nominal, description, is_state, array, items
                 )
-                for each, text in zip(names, starts, strict=True)
+                for each, value in zip(names, values, strict=True)
             ]
         except ValueError as error:
             raise InputError(f"gives {name!r} a value that is none: {error}") from None
 
-    def _roles(self, element: Element, name: str, kind: str) -> tuple[str, str, str | None]:
-        """Return causality, variability and initial of a variable."""
+    def _roles(self, element: Element, name: str, wire: str) -> tuple[str, str, str | None]:
         causality, variability = element.get("causality", "local"), element.get("variability")
         if variability is None:
-            if self.version == 2:
-                variability = "continuous"
-            elif causality in _PARAMETERS:
-                variability = "fixed"
-            else:
-                variability = "continuous" if kind == "Real" else "discrete"
-        initial = element.get("initial")
-        if initial is None:
-            try:
-                initial = _INITIAL[variability][causality]
-            except KeyError:
-                raise InputError(
-                    f"declares {name!r} with causality {causality!r} and variability {variability!r}, which FMI does "
-                    "not allow together"
-                ) from None
+            fixed = self.version == 3 and causality in _PARAMETERS
+            continuous = self.version == 2 or wire.startswith("Float")
+            variability = "fixed" if fixed else "continuous" if continuous else "discrete"
+        allowed = _INITIAL.get(variability, {})
+        initial = element.get("initial", allowed.get(causality))
+        if "initial" not in element.attrib and causality not in allowed:
+            raise InputError(
+                f"declares {name!r} with causality {causality!r} and variability {variability!r}, which FMI does "
+                "not allow together"
+            )
         return causality, variability, initial
 
 
+def _start(text: str, wire: str) -> Value:
+    if wire.startswith("Float"):
+        return float(text)
+    if wire == "Boolean":
+        return text.lower() in _TRUE
+    return int(text) if wire in _INTEGERS else text
+
+
 def _by_name(variables: Iterator[Variable]) -> dict[str, Variable]:
-    """Return the variables under their names, which the standard has unique (FMI 2.0.4, 2.2.7; FMI 3.0.2, 2.4.7)."""
     found: dict[str, Variable] = {}
     for variable in variables:
         if found.setdefault(variable.name, variable) is not variable:
@@ -308,7 +271,7 @@ def _by_name(variables: Iterator[Variable]) -> dict[str, Variable]:
 
 
 def _applied(root: Element, version: int, variables: Mapping[str, Variable]) -> dict[str, Value]:
-    """Return the start values that `with_starts` wrote, to be set before the initialisation."""
+    """Return the start values written by `with_starts`."""
     note = (
         f"VendorAnnotations/Tool[@name='{TOOL}']" if version == 2 else f"Annotations/Annotation[@type='{ANNOTATION}']"
     )
@@ -330,10 +293,13 @@ def _name(element: Element) -> str:
 
 def _integer(text: str | None, what: str) -> int:
     """Return a value reference, an index or a size."""
-    with suppress(ValueError):  # refused below, as a number out of range is
-        if 0 <= (number := int(text or "")) < 2**32:
-            return number
-    raise InputError(f"has {what} = {text}, which is no unsigned 32-bit integer")
+    try:
+        number = int(text or "")
+    except ValueError:
+        number = -1
+    if not 0 <= number < 2**32:
+        raise InputError(f"has {what} = {text}, which is no unsigned 32-bit integer")
+    return number
 
 
 def _reference(element: Element) -> int:
@@ -351,7 +317,6 @@ def _finite(text: str, what: str, *, zero: bool = True) -> float:
 
 
 def _linear(element: Element) -> tuple[float, float]:
-    """Return the factor and the offset of a unit."""
     what = repr(element.get("name", "a unit"))
     factor = _finite(element.get("factor", "1"), f"the factor of {what}", zero=False)
     return factor, _finite(element.get("offset", "0"), f"the offset of {what}")
@@ -368,6 +333,17 @@ def _unit(element: Element) -> Unit:
             raise InputError(f"has a unit {element.get('name')!r} with an exponent that is none: {error}") from None
     display_units = {_name(each): _linear(each) for each in element.iterfind("DisplayUnit")}
     return Unit(_name(element), exponents, factor, offset, display_units)
+
+
+def _capabilities(root: Element, version: int) -> dict[str, dict[str, str]]:
+    found: dict[str, dict[str, str]] = {}
+    for kind, tag in (*zip(KINDS, _INTERFACES, strict=True), ("scheduled-execution", "ScheduledExecution")):
+        for element in root.iterfind(tag):
+            found[kind] = given = dict(element.attrib)
+            if tag == "ModelExchange" and version == 2:  # FMI 2.0 states the opposite
+                told = given.pop("completedIntegratorStepNotNeeded", "false").strip() in _TRUE
+                given["needsCompletedIntegratorStep"] = "false" if told else "true"
+    return dict(sorted(found.items()))
 
 
 def _interface(kind: str, element: Element, version: int) -> Interface:

@@ -1,7 +1,7 @@
-"""A SystemStructure.ssd: elements, connectors, and along which edges values flow (SSP 1.0 and 2.0, 5.3).
+"""SystemStructure.ssd: elements, connectors, edges of values (SSP 1.0 and 2.0, 5.3).
 
-A node is a connector of an element, or a signal of a dictionary (a bus). Every node has one incoming edge at most, so
-that the source of a value is found by going back along the edges.
+A node is a connector of an element, or a signal of a dictionary (a bus).
+Every node has at most one incoming edge: a value's source is found by going back along the edges.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ class Node(NamedTuple):
 
 
 class Connector(NamedTuple):
-    """A connector as declared: its kind, its unit or enumeration or None, and whether it is an array."""
+    """A declared connector: kind, unit or enumeration, array flag."""
 
     kind: str
     unit: str | None
@@ -44,7 +44,7 @@ class Connector(NamedTuple):
 
 @dataclass(frozen=True)
 class Edge:
-    """A connection from source to target: target = factor · source + offset, the source in the target's unit."""
+    """A connection: target = factor · source + offset, in the target's unit."""
 
     source: Node
     target: Node
@@ -60,10 +60,10 @@ class Edge:
 
 
 class StructureTree:
-    """What the file says, by paths of elements.
+    """Content of the file by paths of elements.
 
-    `components` have source and interface; a bus maps a reference to a signal dictionary to the path of the dictionary
-    itself; `bindings` stand in order of increasing precedence.
+    `components` have source and interface; `buses` map a dictionary reference to its dictionary's path.
+    `bindings` are in order of increasing precedence.
     """
 
     def __init__(self, root: Element, where: str) -> None:
@@ -78,10 +78,10 @@ class StructureTree:
         systems = children(root, "System")
         if len(systems) != 1:
             raise InputError(f"{where} has {len(systems)} top-level systems instead of one")
-        self._system(systems[0], ())
+        self._element(systems[0], ())
 
     def error(self, text: str) -> InputError:
-        """Return an error that names the file."""
+        """Return an error with the file's name."""
         return InputError(f"{self.where}: {text}")
 
     def elements_in(self, system: ElementPath) -> list[str]:
@@ -90,7 +90,7 @@ class StructureTree:
         return [path[-1] for path in everything if len(path) == len(system) + 1 and path[:-1] == system]
 
     def chain_to(self, target: Node) -> list[Edge]:
-        """Return the edges that lead to a node, from the source of its value on; empty if nothing feeds it."""
+        """Return the edges from a value's source to a node."""
         chain: list[Edge] = []
         node = target
         while node in self.incoming:
@@ -101,38 +101,37 @@ class StructureTree:
             node = edge.source
         return chain[::-1]
 
-    def _system(self, xml: Element, path: ElementPath) -> None:
-        self.systems.add(path)
-        self._declare(xml, path)
-        found = children(xml, "SignalDictionaries", "SignalDictionary")
-        self.dictionaries |= {(*path, dictionary.get("name", "")) for dictionary in found}
-        for child in [child for elements in children(xml, "Elements") for child in elements]:
+    def _element(self, xml: Element, path: ElementPath) -> None:
+        kind = local(xml)
+        if kind == "System":
+            self.systems.add(path)
+        elif kind == "Component":
+            self.components[path] = self._component(xml, ".".join(path))
+        elif kind == "SignalDictionaryReference":
+            self.buses[path] = self._bus(xml, path)
+        else:
+            raise self.error(f"element {'.'.join(path)!r} is a {kind}, which is not supported; use FMUs and systems")
+        for connector in children(xml, "Connectors", "Connector"):
+            unit = next((child.get("unit") for child in connector if child.get("unit")), None)
+            items = next((child.get("name") for child in children(connector, "Enumeration")), None)
+            found = Connector(connector.get("kind", ""), unit, items, bool(children(connector, "Dimension")))
+            self.connectors[Node(path, connector.get("name", ""))] = found
+        if kind == "System":
+            self._content(xml, path)
+        self.bindings += [(path, binding) for binding in children(xml, "ParameterBindings", "ParameterBinding")]
+
+    def _content(self, system: Element, path: ElementPath) -> None:
+        dictionaries = children(system, "SignalDictionaries", "SignalDictionary")
+        self.dictionaries |= {(*path, dictionary.get("name", "")) for dictionary in dictionaries}
+        for child in [child for elements in children(system, "Elements") for child in elements]:
             name = child.get("name", "")
             if not name:
                 raise self.error(f"an element of {_system_name(path)} has no name; give it one")
             if name in self.elements_in(path):
                 raise self.error(f"{_system_name(path)} has two elements {name!r}; rename one")
             self._element(child, (*path, name))
-        for connection in children(xml, "Connections", "Connection"):
+        for connection in children(system, "Connections", "Connection"):
             self._connect(connection, path)
-        self._note_bindings(xml, path)
-
-    def _element(self, xml: Element, path: ElementPath) -> None:
-        kind = local(xml)
-        if kind == "System":
-            self._system(xml, path)
-        elif kind == "Component":
-            self.components[path] = self._component(xml, ".".join(path))
-            self._declare(xml, path)
-            self._note_bindings(xml, path)
-        elif kind == "SignalDictionaryReference":
-            self.buses[path] = self._bus(xml, path)
-            self._declare(xml, path)
-        else:
-            raise self.error(f"element {'.'.join(path)!r} is a {kind}, which is not supported; use FMUs and systems")
-
-    def _note_bindings(self, xml: Element, path: ElementPath) -> None:
-        self.bindings += [(path, binding) for binding in children(xml, "ParameterBindings", "ParameterBinding")]
 
     def _component(self, xml: Element, name: str) -> tuple[str, str | None]:
         kind, asked = xml.get("type", _FMU_TYPE), xml.get("implementation", "any")
@@ -146,20 +145,13 @@ class StructureTree:
         return xml.get("source", ""), _INTERFACES[asked]
 
     def _bus(self, xml: Element, path: ElementPath) -> ElementPath:
-        """Return the path of the dictionary that a reference names: that of the nearest enclosing system."""
+        """Return the path of the nearest enclosing dictionary of a reference."""
         name = xml.get("dictionary", "")
         for depth in range(len(path) - 1, -1, -1):
             if (*path[:depth], name) in self.dictionaries:
                 return (*path[:depth], "", name)  # no element has an empty name
         known = [dictionary[-1] for dictionary in self.dictionaries]
         raise self.error(f"{'.'.join(path)!r} refers to no signal dictionary {name!r}{nearest(name, known)}")
-
-    def _declare(self, xml: Element, path: ElementPath) -> None:
-        for connector in children(xml, "Connectors", "Connector"):
-            unit = next((child.get("unit") for child in connector if child.get("unit")), None)
-            items = next((child.get("name") for child in children(connector, "Enumeration")), None)
-            found = Connector(connector.get("kind", ""), unit, items, bool(children(connector, "Dimension")))
-            self.connectors[Node(path, connector.get("name", ""))] = found
 
     def _connect(self, xml: Element, system: ElementPath) -> None:
         ends = [self._end(xml, system, which) for which in ("start", "end")]
@@ -175,7 +167,6 @@ class StructureTree:
         self.incoming[target] = Edge(source, target, factor, offset, suppress, label)
 
     def _end(self, xml: Element, system: ElementPath, which: str) -> tuple[Node, Connector]:
-        """Return one end of a connection, which must exist."""
         element, name = xml.get(f"{which}Element"), xml.get(f"{which}Connector", "")
         path = (*system, element) if element else system
         there = self.elements_in(system)
@@ -201,8 +192,11 @@ class StructureTree:
         return node, connector
 
     def _directed(self, ends: list[tuple[Node, Connector]], system: ElementPath, label: str) -> tuple[Node, Node]:
-        """Return (source, target), determined by the kinds of the connectors, not by start and end."""
-        first, second = (self._gives(node, connector, system) for node, connector in ends)
+        """Return (source, target) by the kinds of the connectors."""
+        first, second = (
+            None if node.element in self.buses else (connector.kind in _INWARD) == (node.element == system)
+            for node, connector in ends  # sources inside the system; a bus does both
+        )
         if first is None and second is not None:
             first = not second
         if first is None or first == second:
@@ -217,10 +211,6 @@ class StructureTree:
                 "an input takes an output, and a parameter takes a parameter of the system"
             )
         return source, target
-
-    def _gives(self, node: Node, connector: Connector, system: ElementPath) -> bool | None:
-        """Return whether a connector provides a value, seen from inside a system; None for a bus, which does both."""
-        return None if node.element in self.buses else (connector.kind in _INWARD) == (node.element == system)
 
 
 def _system_name(path: ElementPath) -> str:

@@ -1,4 +1,4 @@
-"""System structures: coupled FMUs, their connections and parameter values from one .ssp file (SSP 1.0 and 2.0)."""
+"""SSP packages: coupled FMUs, connections and parameter values (SSP 1.0 and 2.0)."""
 
 from __future__ import annotations
 
@@ -35,19 +35,10 @@ STRUCTURE_FILE = "SystemStructure.ssd"
 
 @dataclass(frozen=True)
 class SystemStructure:
-    """The content of an .ssp file, nested systems flattened, in the words of `fmuid.System`.
+    """Content of an .ssp file, nested systems flattened, as arguments of `fmuid.System`.
 
-    Attributes
-    ----------
-    components : mapping of str to (Path, str or None)
-        FMU, unpacked from the archive, and interface asked for; one inside nested systems is ``outer.inner``.
-    connections : tuple of (str, str) or (str, str, float, float)
-        Without factor and offset where the structure gives no units: then the FMUs say them.
-    connectors : mapping of str to sequence of (str, float, float)
-        The system's own inputs with the variables that each feeds, and outputs with the variable that feeds each.
-    values : mapping of str to value
-        By ``component.variable``, as set by parameter bindings, in the unit of the variable. Names without a variable
-        are ignored (SSP 1.0, 5.3.1).
+    `components` have an unpacked FMU and a requested interface. `connections` lack factor and offset if the structure
+    gives no units. `values` are in the variables' units; unknown names are ignored (SSP 1.0, 5.3.1).
     """
 
     components: Mapping[str, tuple[Path, str | None]]
@@ -57,19 +48,9 @@ class SystemStructure:
 
 
 def read_ssp(path: str | Path) -> SystemStructure:
-    """Read a system structure package; it is unpacked into the user's cache.
+    """Read an ``.ssp`` file, unpacked into the user's cache; an `InputError` if it is wrong.
 
-    Parameters
-    ----------
-    path : path-like
-        The ``.ssp`` file.
-
-    Raises
-    ------
-    InputError
-        If the file is missing or no archive, has no system structure or lacks a file that this names, if a connection
-        or a binding is wrong, if units do not convert, or if something in it is not supported. What only the FMUs
-        know (causalities, types, units that the structure does not state) is not checked here.
+    Causalities, types and unstated units are not checked here: only the FMUs know them.
     """
     path = Path(path)
     if not is_file(path):
@@ -79,10 +60,8 @@ def read_ssp(path: str | Path) -> SystemStructure:
     folder = unpacked(path, file_digest(path))
     if not (folder / STRUCTURE_FILE).is_file():
         raise InputError(f"{path} is not an SSP: it has no {STRUCTURE_FILE} at its top level")
-    try:
-        root = read_xml(folder / STRUCTURE_FILE, "SystemStructureDescription", "a system structure")
-    except InputError as error:
-        raise InputError(f"{path}: {str(error).replace(str(folder / STRUCTURE_FILE), STRUCTURE_FILE)}") from None
+    where = f"{path}: {STRUCTURE_FILE}"
+    root = read_xml(folder / STRUCTURE_FILE, "SystemStructureDescription", "a system structure", where)
     package = _Package(path, folder, root)
     for element, binding in package.tree.bindings:
         package.bind(element, binding)
@@ -90,7 +69,7 @@ def read_ssp(path: str | Path) -> SystemStructure:
 
 
 class _Package:
-    """An unpacked package: its tree, its FMUs, and the values that bindings set."""
+    """An unpacked package: tree, FMUs, values of bindings."""
 
     def __init__(self, path: Path, folder: Path, root: Element) -> None:
         self.path, self.folder, self.tree = path, folder, StructureTree(root, str(path))
@@ -107,7 +86,7 @@ class _Package:
         self.values: dict[str, Value] = {}
 
     def _file(self, source: str, what: str) -> Path:
-        """Return a file of the archive by its relative URI (SSP 1.0, 5.3.4)."""
+        """Return a file by its relative URI (SSP 1.0, 5.3.4)."""
         name = unquote(source)
         parts = PurePosixPath(name).parts
         if not name or ":" in name or "#" in source or name.startswith("/") or "\\" in name or ".." in parts:
@@ -119,7 +98,7 @@ class _Package:
         return file
 
     def _fmu(self, name: str, source: str) -> Path:
-        """Return the FMU of a component, of an FMI version that may be read."""
+        """Return the FMU of a component; FMI 1.0 is refused."""
         what = f"component {name!r}"
         file = self._file(source, what)
         try:
@@ -133,30 +112,26 @@ class _Package:
         return file
 
     def _description(self, element: ElementPath) -> Description:
-        """Return the description of an FMU, read when a binding or a unit first needs it."""
         if element not in self.descriptions:
             self.descriptions[element] = read_description(self.components[".".join(element)][0])
         return self.descriptions[element]
 
     def _variable(self, node: Node) -> Variable | None:
-        """Return the FMU's variable of a component's connector."""
         known = node.element in self.tree.components
         return self._description(node.element).variables.get(node.connector) if known else None
 
     def _stated(self, node: Node) -> str | None:
-        """Return the unit that the structure states for a connector."""
         connector = self.tree.connectors.get(node)
         return connector.unit if connector else None
 
     def _unit(self, node: Node) -> str | None:
-        """Return the unit of a connector: stated, or that of the FMU's variable."""
+        """Return a connector's unit: stated, or that of its variable."""
         variable = None if self._stated(node) else self._variable(node)
         return variable.unit if variable else self._stated(node)
 
     # --- connections
 
     def connections(self) -> tuple[tuple[str, str] | tuple[str, str, float, float], ...]:
-        """Return the connections between components."""
         found: list[tuple[str, str] | tuple[str, str, float, float]] = []
         for node, chain in self.chains.items():
             if node.element in self.tree.components and self._fed_by_component(node):
@@ -166,7 +141,7 @@ class _Package:
         return tuple(found)
 
     def own_connectors(self) -> dict[str, list[tuple[str, float, float]]]:
-        """Return the variables connected to the inputs and outputs of the whole system."""
+        """Return the variables behind the system's own inputs and outputs."""
         found: dict[str, list[tuple[str, float, float]]] = {}
         for node, connector in self.tree.connectors.items():
             if node.element == () and connector.kind == "input":
@@ -179,12 +154,11 @@ class _Package:
         return found
 
     def _fed_by_component(self, target: Node) -> bool:
-        """Whether the value of a connector comes from a component, through connections."""
         chain = self.chains.get(target)
         return bool(chain and chain[0].source.element in self.tree.components)
 
     def _fed_by(self, source: Node) -> list[tuple[Node, list[Edge]]]:
-        """Return the components' connectors fed by a system's connector, each with the edges that lead there."""
+        """Return the component connectors behind a system connector, with their edges."""
         return [
             (node, chain[i:])
             for node, chain in self.chains.items()
@@ -193,12 +167,10 @@ class _Package:
         ]
 
     def _composed(self, chain: list[Edge]) -> tuple[float, float, bool]:
-        """Return factor and offset along a chain of connections, and whether they include the conversion of units.
+        """Return factor, offset and their validity along a chain of connections.
 
-        Where a connector of the chain states a unit or a connection has a transformation, a component's connector that
-        states none has the unit of its variable, and one between components that of what feeds it (SSP, 4.5.1). The
-        transformation of a connection follows the conversion, and stands alone where the units are of different
-        dimensions.
+        If a connector states a unit or a connection transforms, other connectors take their variable's or source's unit
+        (SSP, 4.5.1). A transformation follows the unit conversion, and stands alone between different dimensions.
         """
         nodes = [chain[0].source, *(edge.target for edge in chain)]
         known = any(self._stated(node) for node in nodes) or any(edge.transforms for edge in chain)
@@ -208,7 +180,11 @@ class _Package:
             end = self._unit(edge.target) if known else None
             if unit and end and unit != end and not edge.suppress_units:
                 ends = (node.element for node in (nodes[0], nodes[-1]) if node.element in self.tree.components)
-                conversion = self._conversion(unit, end, *(self._description(element).units for element in ends))
+                known_units: dict[str, Unit] = {}
+                for element in ends:
+                    known_units |= self._description(element).units
+                known_units |= self.units  # the structure's definitions precede
+                conversion = unit_conversion(known_units.get(unit), known_units.get(end))
                 if conversion is None and not edge.transforms:
                     raise self.error(f"{edge.label}: the units {unit!r} and {end!r} do not convert into each other")
                 if conversion is not None:
@@ -217,15 +193,9 @@ class _Package:
             unit = end if end or edge.suppress_units else unit
         return factor, offset, known or any(edge.suppress_units for edge in chain)
 
-    def _conversion(self, unit: str, wanted: str, *defined: Mapping[str, Unit]) -> tuple[float, float] | None:
-        """Return factor and offset between units that FMUs define or, above these, the structure."""
-        known = {name: each for units in (*defined, self.units) for name, each in units.items()}
-        return unit_conversion(known.get(unit), known.get(wanted))
-
     # --- bindings: the variables of FMUs that they set
 
     def bind(self, element: ElementPath, binding: Element) -> None:
-        """Apply one ParameterBinding to the element that has it."""
         owner = f"a parameter binding of {'.'.join(element) or 'the top system'}"
         prefix, mappings = binding.get("prefix", ""), children(binding, "ParameterMapping")
         entries: list[MappingEntry] = []
@@ -244,7 +214,7 @@ class _Package:
     def _contents(
         self, holder: Element, root: str, kind: str, owner: str, inline: Element | None
     ) -> list[tuple[Element, str]]:
-        """Return the root elements in the file named by `holder` or inside `inline`, with their places in words."""
+        """Return root elements, in a file or inline, with their places."""
         if holder.get("type", f"application/x-ssp-{kind}") != f"application/x-ssp-{kind}":
             raise self.error(f"{owner} is of type {holder.get('type')}, and only application/x-ssp-{kind} is supported")
         source = holder.get("source")
@@ -256,13 +226,10 @@ class _Package:
         if holder.get("sourceBase", "SSD") != "SSD":
             raise self.error(f"{owner} takes {source} from inside a component, which is not supported; put it beside")
         file = self._file(source, owner)
-        try:
-            return [(read_xml(file, root, f"a {root} file"), f"{self.path}, {source}")]
-        except InputError as error:
-            raise self.error(str(error).replace(str(file), source)) from None
+        return [(read_xml(file, root, f"a {root} file", f"{self.path}: {source}"), f"{self.path}, {source}")]
 
     def _assign(self, element: ElementPath, given: _Given) -> None:
-        """Set a name, as seen from an element, to a value: one variable, or all variables that a connector feeds."""
+        """Set a variable, or all variables behind a connector, to a value."""
         node = self._named(element, given.entry.target)
         if node is None:
             return
@@ -278,7 +245,7 @@ class _Package:
             self.values[str(target)] = _fitting(value, variable, f"{given.label} for {str(target)!r}")
 
     def _named(self, element: ElementPath, name: str) -> Node | None:
-        """Return the connector or variable of a hierarchical name seen from an element; None where there is none."""
+        """Return the node of a hierarchical name inside an element, if any."""
         node = Node(element, name)
         if element in self.tree.components or node in self.tree.connectors:
             return node
@@ -289,7 +256,7 @@ class _Package:
         return self._named((*element, longest), name[len(longest) + 1 :])
 
     def _transformed(self, node: Node, target: Node, chain: list[Edge], given: _Given) -> Value:
-        """Return the value in the target's unit: converted, then mapped, then transformed by the connections."""
+        """Return the value in the target's unit: converted, mapped, transformed by connections."""
         entry, value, unit = given.entry, given.quantity.value, given.quantity.unit
         if entry.table is not None:
             if value not in entry.table:
@@ -312,7 +279,7 @@ class _Package:
 
 
 class _Given(NamedTuple):
-    """A value of a binding, its mapping, and the units that its file defines."""
+    """A value of a binding, its mapping, and its file's units."""
 
     entry: MappingEntry
     quantity: Quantity
@@ -321,7 +288,6 @@ class _Given(NamedTuple):
 
 
 def _fitting(value: Value, variable: Variable, label: str) -> Value:
-    """Return a value converted to its variable's type."""
     kind = variable.type
     if kind == "Real" and isinstance(value, int | float) and not isinstance(value, bool):
         return float(value)

@@ -1,7 +1,6 @@
-"""Parameter values outside a model: SSV files and the mappings (SSM) of their names (SSP 1.0 and 2.0, chapters 6, 7).
+"""Parameter values (SSV) and mappings of their names (SSM).
 
-Elements are identified by their local names, since both versions of SSP share their namespaces, and tools differ in
-which of them they write.
+SSP 1.0 and 2.0, chapters 6 and 7. Elements are identified by local names: both versions share namespaces.
 """
 
 from __future__ import annotations
@@ -29,7 +28,7 @@ _INTEGERS = ("Integer", *(f"{sign}Int{bits}" for sign in ("", "U") for bits in (
 
 
 class Quantity(NamedTuple):
-    """A value, its unit or None, its description, and for an item of an enumeration the numbers of the items."""
+    """A value, its unit, its description, and its enumeration's items."""
 
     value: Value
     unit: str | None = None
@@ -39,16 +38,7 @@ class Quantity(NamedTuple):
 
 @dataclass(frozen=True)
 class ParameterValues:
-    """The content of an SSV file.
-
-    Attributes
-    ----------
-    name : str
-    values : mapping of str to Quantity
-        In the order of the file; for an enumeration the name of the item.
-    units : mapping of str to Unit
-        Those that the file defines.
-    """
+    """Content of an SSV file: name, values in file order, defined units."""
 
     name: str
     values: Mapping[str, Quantity]
@@ -56,7 +46,7 @@ class ParameterValues:
 
 
 class MappingEntry(NamedTuple):
-    """One entry of an SSM: parameter `target` = factor · `source` + offset, or the value of `table` for `source`."""
+    """`target` = factor · `source` + offset, or `table[source]`."""
 
     source: str
     target: str
@@ -72,7 +62,7 @@ def read_ssv(path: str | Path) -> ParameterValues:
     Raises
     ------
     InputError
-        If the file cannot be read, is not an SSV file, or has a value that is not of its type.
+        If the file is unreadable, no SSV file, or has a value of a wrong type.
     """
     path = Path(path)
     return parameter_set(read_xml(path, "ParameterSet", "an SSV file"), str(path))
@@ -88,8 +78,7 @@ def write_ssv(path: Path, name: str, values: Mapping[str, Quantity], units: Mapp
         Of the parameter set.
     values : mapping of str to Quantity
     units : mapping of str to Unit
-        At least those of the values. A unit without SI exponents cannot be defined in an SSV file: values in it are
-        written without unit.
+        Definitions; values in units without SI exponents are written without unit.
 
     Raises
     ------
@@ -145,28 +134,29 @@ def local(element: Element) -> str:
 
 
 def children(element: Element | None, *names: str) -> list[Element]:
-    """Return the elements at the end of a path of local names, in the order of the file."""
+    """Return the elements at a path of local names, in file order."""
     found = [] if element is None else [element]
     for name in names:
         found = [child for parent in found for child in parent if local(child) == name]
     return found
 
 
-def read_xml(path: Path, root: str, what: str) -> Element:
-    """Read an XML file and check the name of its root element and its version."""
+def read_xml(path: Path, root: str, what: str, where: str = "") -> Element:
+    """Read an XML file; check its size, root name and version."""
+    where = where or str(path)
     try:
         with path.open("rb") as file:
             text = file.read(LARGEST_XML + 1)
     except OSError as error:
-        raise InputError(f"{path} cannot be read: {error.strerror or error}; check the path") from None
+        raise InputError(f"{where} cannot be read: {error.strerror or error}; check the path") from None
     if len(text) > LARGEST_XML:
-        raise InputError(f"{path} is larger than the {LARGEST_XML} bytes of XML that are read")
-    element = parse_xml(text, str(path))
+        raise InputError(f"{where} is larger than the {LARGEST_XML} bytes of XML that are read")
+    element = parse_xml(text, where)
     if local(element) != root:
-        raise InputError(f"{path} is not {what}: its root element is {local(element)}, not {root}")
+        raise InputError(f"{where} is not {what}: its root element is {local(element)}, not {root}")
     version = element.get("version", "")
     if not version.startswith(("1.", "2.")):
-        raise InputError(f"{path} is {what} of SSP {version or 'of unknown version'}, and only 1.0 and 2.0 are read")
+        raise InputError(f"{where} is {what} of SSP {version or 'of unknown version'}, and only 1.0 and 2.0 are read")
     return element
 
 
@@ -185,7 +175,7 @@ def number(element: Element, attribute: str, where: str, default: float | None =
 
 
 def units_of(root: Element, where: str) -> dict[str, Unit]:
-    """Return the units that an SSD or SSV file defines (``base = factor · value + offset``)."""
+    """Return the units defined in an SSD or SSV file."""
     found = {}
     for element in children(root, "Units", "Unit"):
         name = element.get("name", "")
@@ -200,7 +190,7 @@ def units_of(root: Element, where: str) -> dict[str, Unit]:
 
 
 def enumerations_of(root: Element, where: str) -> dict[str, dict[str, int]]:
-    """Return the enumerations that an SSD or SSV file defines: the number of each item by its name."""
+    """Return the enumerations of an SSD or SSV file: numbers by names."""
     return {
         element.get("name", ""): {
             item.get("name", ""): round(number(item, "value", where)) for item in children(element, "Item")
@@ -274,7 +264,7 @@ def mapping_entries(root: Element, where: str) -> tuple[MappingEntry, ...]:
 
 
 def transformation(element: Element, where: str) -> tuple[float, float, dict[Value, Value] | None]:
-    """Return the factor and offset, or the table, by which a connection or mapping changes values (SSP 1.0, 4.5.2)."""
+    """Return factor and offset, or the table, of an element (SSP 4.5.2)."""
     for child in element:
         kind = local(child)
         if kind == "LinearTransformation":

@@ -1,8 +1,9 @@
-"""Components and connections: a system of FMUs that step together; one FMU is a system of one."""
+"""System: coupled FMUs; one FMU is a system of one."""
 
 from __future__ import annotations
 
 import copy
+from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -23,42 +24,38 @@ Port = tuple[str, float, float]
 
 @dataclass(frozen=True, eq=False, init=False, repr=False)
 class System:
-    """FMUs coupled through connections. It runs nothing: `fmuid.simulation.executor_pool` knows who does.
+    """FMUs coupled through connections; fmuid.simulation runs it.
 
     Parameters
     ----------
     fmu : FMU or path, optional
         The only component; its variables keep their names.
     components : mapping of str to Component, FMU or path
-        Several components; their variables are written ``component.variable``.
+        Several components; their variables are ``component.variable``.
     connections : iterable of (str, str) or (str, str, float, float)
-        (output, input), each as ``component.variable``. Units that differ are converted as the FMUs define it, unless
-        factor and offset are given: then the input is just factor times the output plus offset.
+        (output, input), each as ``component.variable``, with optional factor and offset; default: unit conversion.
     numerics : Numerics
-        How components without settings of their own are run; `step_size` is the communication step.
+        Default of the components; `step_size` is the communication step.
     master : "jacobi" or "gauss-seidel"
-        Whether all components step with the values at the beginning of the step, or each with the new values of those
-        before it in the given order.
+        Components step with values of the step's beginning, or with new values of preceding components.
     values : mapping of str to value
         Start values of variables that the simulation does not set.
     connectors : mapping of str to sequence of (str, float, float)
-        Names of the system's own: an input or parameter with the variables that it sets, each factor times it plus
-        offset, or an output with the one variable that, times factor plus offset, it is.
+        The system's own inputs and parameters with target variables, factors and offsets; outputs with their source.
     isolation : Isolation, optional
-        Runs the FMUs in a separate process; default: in this one, which then ends when an FMU crashes.
+        Runs the FMUs in a separate process; default: in this one.
 
     Attributes
     ----------
     components : dict of str to Component
         A single FMU is the component ``""``.
     variables : dict of str to Variable
-        All variables under their names in the system.
+        All variables by their names in the system.
 
     Raises
     ------
     InputError
-        If a connection names an unknown variable, the wrong causality, differing types or units that do not convert,
-        or feeds an input twice, or if the connections close a loop of direct feed-through of other than Real variables.
+        If a connection is invalid: unknown variable, causality, type, units, second source, loop of other than Real.
 
     Examples
     --------
@@ -97,19 +94,22 @@ class System:
         if fmu is None and "" in given:
             raise InputError("a component has an empty name; name it")
 
-        def keep(name: str, value: object) -> None:
-            object.__setattr__(self, name, value)
-
-        for name, value in (("numerics", numerics), ("master", master), ("isolation", isolation)):
-            keep(name, value)
-        keep("components", {name: self._component(model, numerics) for name, model in given.items()})
-        keep("connectors", {name: tuple(ports) for name, ports in (connectors or {}).items() if ports})
-        keep("connections", tuple(self._connect(*connection) for connection in connections))
-        self._check_fed_once()
+        own = vars(self)  # frozen for everybody else
+        own |= {"numerics": numerics, "master": master, "isolation": isolation, "values": dict(values or {})}
+        own["components"] = {
+            name: Component(model.fmu, model.numerics.over(numerics))
+            if isinstance(model, Component)
+            else Component(model, numerics)
+            for name, model in given.items()
+        }
+        own["connectors"] = {name: tuple(ports) for name, ports in (connectors or {}).items() if ports}
+        own["connections"] = tuple(self._connect(*connection) for connection in connections)
+        for target, count in Counter(connection.target for connection in self.connections).items():
+            if count > 1:
+                raise InputError(f"input {self.full_name(*target)!r} is fed by two connections; keep one")
         self._check_connectors()
         descriptions = {name: model.fmu.description for name, model in self.components.items()}
-        keep("exchange_order", exchange_order(self.connections, descriptions))
-        keep("values", dict(values or {}))
+        own["exchange_order"] = exchange_order(self.connections, descriptions)
         for name in self.values:
             self.variable(name)
 
@@ -121,14 +121,14 @@ class System:
         master: str = "jacobi",
         isolation: Isolation | None = None,
     ) -> System:
-        """Return the system that an ``.ssp`` file describes (System Structure and Parameterization 1.0 and 2.0).
+        """Return the system of an ``.ssp`` file (SSP 1.0 and 2.0).
 
-        Its own connectors keep their names, all other variables are ``component.variable``.
+        Its own connectors keep their names; other variables are ``component.variable``.
 
         Raises
         ------
         InputError
-            If the file or an FMU in it cannot be read, or a connection is wrong.
+            If the file, an FMU or a connection is wrong.
         """
         from fmuid.models.ssp import read_ssp
 
@@ -150,22 +150,16 @@ class System:
         except InputError as error:
             raise InputError(f"{path}: {error}") from None
 
-    @staticmethod
-    def _component(model: Component | FMU | str | Path, numerics: Numerics) -> Component:
-        if not isinstance(model, Component):
-            return Component(model, numerics)
-        return Component(model.fmu, model.numerics.over(numerics))
-
     @classmethod
     def of(
         cls, model: System | FMU | str | Path, numerics: Numerics = AS_OFFERED, isolation: Isolation | None = None
     ) -> System:
-        """Return the model itself if it is a system, else the system of one FMU.
+        """Return the system of a model, which may be one itself.
 
         Raises
         ------
         InputError
-            If numerics or isolation are given for a system, which has its own.
+            If numerics or isolation are given for a system.
         """
         if not isinstance(model, System):
             return cls(model, numerics=numerics, isolation=isolation)
@@ -174,11 +168,10 @@ class System:
         return model
 
     def integrates(self, component: str) -> bool:
-        """Return whether a component may be run in shorter steps: it has continuous states, as far as it tells.
+        """Return whether shorter steps suit a component: it has continuous states.
 
-        What has none acts once a step, and would be another device if it did so more often, unless it is said that it
-        does not sample (`Numerics.samples`). An FMU for co-simulation alone need not say what states it
-        has: one that is not coupled has some if an output is continuous.
+        A component without them acts once per communication step, unless `Numerics.samples` is false.
+        A single FMU for Co-Simulation alone may not declare its states; there a continuous output counts.
         """
         model = self.components[component]
         if model.numerics.samples is not None:
@@ -189,15 +182,14 @@ class System:
 
     @property
     def sampling_known(self) -> bool:
-        """Whether it is known which components act once a communication step: none is connected, or something is said.
+        """Whether the discrete-time components are known: no connections, or stated by `Numerics.samples`.
 
-        It cannot be told from FMUs with continuous states: a PI control and a spring with a damper have the same
-        equations, and shorter steps are a faster control of the one and a smaller error of the other.
+        Continuous states do not tell: a PI controller and a spring-damper have the same equations.
         """
         return not self.connections or any(model.numerics.samples is not None for model in self.components.values())
 
     def run_by(self, numerics: Mapping[str, Numerics]) -> System:
-        """Return this system with some of its components run in another way.
+        """Return this system with other solver settings of some components.
 
         Parameters
         ----------
@@ -207,14 +199,14 @@ class System:
         Raises
         ------
         InputError
-            If an FMU has no such interface, or the integrator does not go with the interface.
+            If an FMU lacks the interface, or an integrator is given for Co-Simulation.
         """
         components = {
             name: Component(model.fmu, numerics[name]) if name in numerics else model
             for name, model in self.components.items()
         }
         other = copy.copy(self)
-        object.__setattr__(other, "components", components)
+        vars(other)["components"] = components
         return other
 
     def __repr__(self) -> str:
@@ -227,12 +219,12 @@ class System:
 
     @property
     def label(self) -> str:
-        """The file name of the FMU, or of all components, for messages."""
+        """File names of all components, for messages."""
         return ", ".join(component.fmu.path.name for component in self.components.values())
 
     @cached_property
     def variables(self) -> dict[str, Variable]:
-        """All variables under their names in the system; a connector has the properties of its first variable."""
+        """All variables by name; a connector is described by its first variable."""
         found = {
             self.full_name(component, name): variable._replace(name=self.full_name(component, name))
             for component, model in self.components.items()
@@ -248,16 +240,16 @@ class System:
 
     @property
     def can_be_repeated(self) -> bool:
-        """Whether several instances of every component may live in one process."""
+        """Whether a process may hold several instances of every component."""
         used = [component.fmu.description.interfaces[component.kind] for component in self.components.values()]
         return all(not interface.once_per_process and not interface.needs_execution_tool for interface in used)
 
     def full_name(self, component: str, name: str) -> str:
-        """Return the name of a component's variable in the system."""
+        """Return a component variable's name in the system."""
         return f"{component}.{name}" if component else name
 
     def split(self, name: str) -> tuple[str, str]:
-        """Return (component, name inside it) of a variable's name in the system."""
+        """Return (component, inner name) of a variable's name in the system."""
         if not self.name_prefixed:
             return "", name
         if name in self.connectors:
@@ -267,11 +259,11 @@ class System:
         return component, name[len(component) + 1 :]
 
     def targets(self, name: str) -> tuple[Port, ...]:
-        """Return the variables that a name stands for, with factor and offset: several for an input connector."""
+        """Return the variables of a name, with factor and offset."""
         return self.connectors.get(name, ((name, 1.0, 0.0),))
 
     def terms(self, output: str) -> list[str]:
-        """Return the variables whose sum an output is: ``machine.ia + fault.ia``, or just the one of that name."""
+        """Return the summands of an output: ``machine.ia + fault.ia``."""
         return [output] if output in self.variables else [term.strip() for term in output.split(" + ")]
 
     def unit(self, name: str) -> str | None:
@@ -285,7 +277,7 @@ class System:
         Raises
         ------
         InputError
-            If there is none; the sentence gives the nearest names.
+            If there is none; the message gives near names.
         """
         found = self.variables.get(name)
         if found is None:
@@ -293,32 +285,28 @@ class System:
         return found
 
     def _connect(self, source: str, target: str, factor: float | None = None, offset: float = 0.0) -> Connection:
-        ends = (self.variable(source, "connected variable"), self.variable(target, "connected variable"))
-        for variable, causality in zip(ends, ("output", "input"), strict=True):
+        output, input_ = (self.variable(end, "connected variable") for end in (source, target))
+        for variable, causality in ((output, "output"), (input_, "input")):
             if variable.causality != causality:
                 raise InputError(
                     f"connection {source} -> {target}: {variable.name!r} is of causality {variable.causality!r}; "
                     f"connect an output to an input"
                 )
-        if ends[0].type != ends[1].type or ends[0].type not in ("Real", "Integer", "Boolean"):
-            raise InputError(f"connection {source} -> {target}: {ends[0].type} cannot feed {ends[1].type}")
-        if factor is None:
-            differ = ends[0].unit and ends[1].unit and ends[0].unit != ends[1].unit
-            factor, offset = self._unit_conversion(source, target) if differ else (1.0, 0.0)
-        return Connection(self.split(source), self.split(target), factor, offset)
-
-    def _unit_conversion(self, source: str, target: str) -> tuple[float, float]:
-        """Return (factor, offset) from the unit of one component's variable to that of another's."""
-        (giving, output), (taking, name) = self.split(source), self.split(target)
-        gives, takes = self.components[giving].fmu.description, self.components[taking].fmu.description
-        has, wants = gives.variables[output].unit or "", takes.variables[name].unit or ""
-        conversion = unit_conversion(gives.units.get(has), takes.units.get(wants))
+        if output.type != input_.type or output.type not in ("Real", "Integer", "Boolean"):
+            raise InputError(f"connection {source} -> {target}: {output.type} cannot feed {input_.type}")
+        ends = self.split(source), self.split(target)
+        if factor is not None:
+            return Connection(*ends, factor, offset)
+        if not output.unit or not input_.unit or output.unit == input_.unit:
+            return Connection(*ends)
+        gives, takes = (self.components[component].fmu.description.units for component, _ in ends)
+        conversion = unit_conversion(gives.get(output.unit), takes.get(input_.unit))
         if conversion is None:
             raise InputError(
-                f"connection {source} -> {target}: the units do not convert ({has} and {wants}); "
+                f"connection {source} -> {target}: the units do not convert ({output.unit} and {input_.unit}); "
                 f"export the models with units of the same dimension"
             )
-        return conversion
+        return Connection(*ends, *conversion)
 
     def _check_connectors(self) -> None:
         for name, ports in self.connectors.items():
@@ -335,10 +323,3 @@ class System:
                     )
                 if variable.causality == "output" and len(behind) > 1:
                     raise InputError(f"connector {name!r} joins several outputs; write their sum in the outputs")
-
-    def _check_fed_once(self) -> None:
-        seen = set()
-        for connection in self.connections:
-            if connection.target in seen:
-                raise InputError(f"input {self.full_name(*connection.target)!r} is fed by two connections; keep one")
-            seen.add(connection.target)

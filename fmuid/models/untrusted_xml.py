@@ -1,7 +1,6 @@
 """XML from untrusted files: model descriptions, system structures, parameter values.
 
-Neither FMI nor SSP needs a document type. Refusing it excludes entities that expand to huge texts ("billion laughs",
-CWE-776) and entities that refer to other files or addresses (CWE-611).
+A document type is refused: it excludes entity expansion (CWE-776) and external entities (CWE-611).
 """
 
 from __future__ import annotations
@@ -27,14 +26,14 @@ def parse_xml(text: bytes, what: str) -> ElementTree.Element:
     Parameters
     ----------
     text : bytes
-        The file's content, in the encoding that it declares.
+        Content in its declared encoding.
     what : str
         Name of the file in messages.
 
     Raises
     ------
     InputError
-        If it is not well-formed, has a document type, or is nested deeper than `DEEPEST_NESTING`.
+        If it is not well-formed, has a document type, or is nested too deeply.
     """
     _check_head(text, what)
     try:
@@ -50,13 +49,7 @@ def parse_xml(text: bytes, what: str) -> ElementTree.Element:
 
 
 def started_elements(text: bytes, what: str) -> Iterator[ElementTree.Element]:
-    """Yield the elements of an XML text at their start tags, with their attributes; the caller may stop early.
-
-    Raises
-    ------
-    InputError
-        As `parse_xml`, as far as the text is read.
-    """
+    """Yield elements at their start tags; the caller may stop early."""
     _check_head(text, what)
     try:
         for _, element in ElementTree.iterparse(io.BytesIO(text), ("start",)):
@@ -66,7 +59,7 @@ def started_elements(text: bytes, what: str) -> Iterator[ElementTree.Element]:
 
 
 def xml_parser(what: str) -> expat.XMLParserType:
-    """Return a parser that tells positions in the text and refuses a document type."""
+    """Return a parser with text positions that refuses a document type."""
 
     def refuse(*_: object) -> None:
         raise InputError(
@@ -81,7 +74,7 @@ def xml_parser(what: str) -> expat.XMLParserType:
 
 @contextmanager
 def uncollected() -> Iterator[None]:
-    """Switch the garbage collector off, which would look through the objects of large models again and again."""
+    """Switch off the garbage collector, which is slow over large models."""
     enabled = gc.isenabled()
     gc.disable()
     try:
@@ -92,7 +85,7 @@ def uncollected() -> Iterator[None]:
 
 
 class _RootReached(Exception):  # noqa: N818  # not an error
-    """A document type can only come before the root element (XML 1.0, section 2.8)."""
+    """A document type precedes the root element (XML 1.0, 2.8)."""
 
 
 def _check_head(text: bytes, what: str) -> None:

@@ -1,4 +1,4 @@
-"""Processes of ours: child processes that run modules, and isolated processes whose crash costs one call."""
+"""Child processes, and isolated processes whose crash costs one call."""
 
 import lazy_loader
 

@@ -1,8 +1,7 @@
-"""A control group of its own for each host, where Linux gives one (cgroups(7), version 2).
+"""Control groups of isolated processes, on Linux with cgroups(7), version 2.
 
-A process cannot leave its group by leaving its session or losing its parent, and a group is ended as a whole, also when
-nobody is left who would adopt orphans. Groups are made below the one that this process is in, and nothing is switched
-on there. Where there is none, or the system refuses one, there is no group (None), and everything goes without.
+A process cannot leave its group by a new session or a lost parent, and a group is killed as a whole. Without
+groups (None), everything works without them.
 """
 
 from __future__ import annotations
@@ -17,11 +16,11 @@ from pathlib import Path
 
 import psutil
 
-REMOVAL_SECONDS = 1.0  # s at most; a group can be removed when all in it have ended
+REMOVAL_SECONDS = 1.0  # s at most, until all processes of a group have ended
 
 
 def own(process: Path = Path("/proc/self")) -> Path | None:
-    """Return the folder of the group that this process is in (proc_pid_cgroup(5), proc_pid_mountinfo(5))."""
+    """Return the folder of this process's group (proc_pid_cgroup(5), proc_pid_mountinfo(5))."""
     try:
         groups, mounts = ((process / name).read_bytes() for name in ("cgroup", "mountinfo"))
     except OSError:
@@ -37,10 +36,10 @@ def own(process: Path = Path("/proc/self")) -> Path | None:
 
 
 def make(parent: Path | None) -> Path | None:
-    """Return a new group below one, named with this process, which is to sweep it; None where there can be none."""
+    """Return a new group below one, named after this process; None if refused."""
     if parent is None:
         return None
-    with contextlib.suppress(OSError):  # without the right to make groups, processes are found by their parents
+    with contextlib.suppress(OSError):  # not permitted: processes are found by their parents
         group = Path(tempfile.mkdtemp(prefix=f"fmuid-{_namespace()}-{os.getpid()}-", dir=parent))
         if (group / "cgroup.kill").exists():  # Linux 5.14
             return group
@@ -49,7 +48,7 @@ def make(parent: Path | None) -> Path | None:
 
 
 def enter(group: Path | None) -> None:
-    """Put this process into a group, with all that it will start."""
+    """Put this process and all that it starts into a group."""
     _write(group, "cgroup.procs", "0")
 
 
@@ -59,7 +58,7 @@ def kill(group: Path | None) -> None:
 
 
 def remove(group: Path | None) -> None:
-    """Remove a group whose processes have ended, or do so within a moment, and those below it."""
+    """Remove a group and those below it once their processes have ended."""
     until = time.monotonic() + REMOVAL_SECONDS
     while group is not None and group.exists():
         try:
@@ -72,12 +71,12 @@ def remove(group: Path | None) -> None:
 
 
 def sweep(parent: Path | None) -> None:
-    """End all groups below one that this process has made, or others of this user that live no more."""
+    """End the groups of this process and of this user's ended ones."""
     if parent is None:
         return
     for group in parent.glob("fmuid-*"):
         with contextlib.suppress(OSError):  # another process sweeps too
-            # process ids of another namespace say nothing here
+            # process ids of other namespaces mean nothing here
             found = re.fullmatch(rf"fmuid-{_namespace()}-(\d+)-\w+", group.name)
             if found is None or group.stat().st_uid != os.geteuid():
                 continue
@@ -87,9 +86,9 @@ def sweep(parent: Path | None) -> None:
 
 
 def memory(group: Path | None) -> float:
-    """Return the memory of a group that no file on a disk has, mapped or not, bytes; 0 where it is not counted.
+    """Return the memory of a group without that of files, bytes.
 
-    That is ``anon`` and ``shmem`` of its memory controller, without what was swapped out.
+    These are ``anon`` and ``shmem`` of its memory controller; 0 where memory is not counted.
     """
     if group is None:
         return 0.0
@@ -103,7 +102,7 @@ def memory(group: Path | None) -> float:
 
 def _write(group: Path | None, name: str, text: str) -> None:
     if group is not None:
-        with contextlib.suppress(OSError):  # groups are an extra (`make`)
+        with contextlib.suppress(OSError):  # groups are optional
             (group / name).write_text(text)
 
 
@@ -112,5 +111,5 @@ def _namespace() -> int:
 
 
 def _plain(field: bytes) -> bytes:
-    r"""Return a field of mountinfo in which blanks and the like are written as ``\040``."""
+    """Return a field of mountinfo with its octal escapes replaced."""
     return re.sub(rb"\\(\d{3})", lambda found: bytes([int(found[1], 8)]), field)

@@ -1,14 +1,10 @@
-"""Messages between processes over a socket that is watched meanwhile, however large they are.
+"""Messages of any size between processes over a watched socket.
 
-Orders are pickles, answers are data that execute no code. Native code of somebody else runs in the process that
-answers, and can write anything into its connection. An answer is therefore JSON text for the structure and raw memory
-for arrays. Reading one makes plain values, arrays of plain types and errors of Python and fmuid; everything else is
-garbled.
+Orders are pickles. Answers execute no code: native code in the answering process can write anything into its
+socket. An answer is JSON text and raw memory of arrays. It has plain values, arrays, and errors of Python and fmuid.
 
-A message is a header, the sizes of its parts, and the parts: each goes from the memory that has it into memory that is
-there for it, so that time and memory grow in proportion to what is sent. An answer repeats the token of its order, and
-a checksum covers all parts: what anybody else writes into the socket is no answer, nor is the answer to an earlier
-order.
+A message is a header, the sizes of its parts, and the parts. An answer repeats the token of its order, and a
+checksum covers all parts. Anything else is garbled.
 """
 
 from __future__ import annotations
@@ -29,8 +25,7 @@ from typing import Any, Literal
 
 from fmuid import errors
 
-LARGE_BYTES = 1 << 16
-"""Arrays of an order of so many bytes or more travel beside its pickle."""
+LARGE_BYTES = 1 << 16  # bytes; larger arrays of an order are sent beside its pickle
 Part = bytes | bytearray | memoryview
 
 _DTYPE = re.compile(r"[<>|=][biufcSUmM]\d+(\[\w+\])?")
@@ -38,11 +33,11 @@ _ERRORS = {module.__name__: module for module in (builtins, errors)}
 
 
 class GarbledError(Exception):
-    """What came is no message: something else has written to the socket."""
+    """Something other than a message was written to the socket."""
 
 
 def order_parts(order: object) -> list[Part]:
-    """Return the parts of a message: a pickle, and the memory of each large array as it is."""
+    """Return a pickle, and the memory of each large array."""
     beside: list[Part] = []
 
     def keep_small(buffer: pickle.PickleBuffer) -> bool:
@@ -55,47 +50,36 @@ def order_parts(order: object) -> list[Part]:
 
 
 def order_of(parts: Sequence[Part]) -> Any:
-    """Return the order that a message of the process above holds."""
+    """Return the order of a message of `order_parts`."""
     data, *beside = parts
     return pickle.loads(data, buffers=beside)
 
 
 def answer_parts(answer: object) -> list[Part]:
-    """Return the parts of a message: a text, and the memory of each array.
+    """Return a text, and the memory of each array.
 
-    An answer is made of None, bool, int, float, str, bytes, datetime, arrays of numbers, texts and times, and lists,
-    tuples, dicts and errors of them. An error of another package becomes the nearest base among Python's own.
-
-    Raises
-    ------
-    TypeError
-        If something else is in it.
+    Types: None, bool, int, float, str, bytes, datetime, arrays of numbers, texts and times, and lists, tuples, dicts
+    and errors of them; others raise TypeError. An error of another package becomes its nearest base in Python.
     """
     beside: list[Part] = []
     return [json.dumps(_plain(answer, beside)).encode(), *beside]
 
 
 def answer_of(parts: Sequence[Part]) -> Any:
-    """Return the answer that a message holds.
-
-    Raises
-    ------
-    GarbledError
-        If it holds none.
-    """
+    """Return the answer of a message; raise `GarbledError` if there is none."""
     try:
         text, *beside = parts
         left = iter(beside)
         found = _value(json.loads(bytes(text)), left)
         if next(left, None) is None:
             return found
-    except Exception:  # whatever it is that was written there
+    except Exception:  # any bytes may be there
         raise GarbledError from None
     raise GarbledError
 
 
 def _plain(value: Any, beside: list[Part]) -> Any:
-    """Return what JSON has for a value; arrays and bytes join those beside, in order."""
+    """Return a value as JSON; arrays and bytes join `beside`, in order."""
     if value is None or isinstance(value, bool | int | float | str):
         return value
     if isinstance(value, list | tuple):
@@ -113,14 +97,14 @@ def _plain(value: Any, beside: list[Part]) -> Any:
 
 
 def _plain_array(value: Any, beside: list[Part]) -> Any:
-    import numpy as np  # most processes that answer have it loaded; a server has not
+    import numpy as np  # mostly loaded already, but not in a server
 
     if isinstance(value, np.generic) and value.dtype.kind in "biufcSU":
         return _plain(value.item(), beside)
     if not isinstance(value, np.ndarray) or not _DTYPE.fullmatch(value.dtype.str):
         raise TypeError(f"a {type(value).__name__} cannot be sent between processes")
     order: Literal["C", "F"] = "F" if value.flags.fnc else "C"
-    flat = np.ascontiguousarray(value.reshape(-1, order=order))  # the same memory, unless it has gaps
+    flat = np.ascontiguousarray(value.reshape(-1, order=order))  # a copy only if it has gaps
     beside.append(flat.view(np.uint8).data if flat.size else b"")
     return ["array", value.dtype.str, order, *value.shape]
 
@@ -140,7 +124,7 @@ def _plain_error(error: Exception) -> list[Any]:
 
 
 def _value(plain: Any, beside: Iterator[Part]) -> Any:
-    """Return the value that JSON has so; raise whatever there is if there is none."""
+    """Return the value of `_plain`'s JSON; raise any error otherwise."""
     if not isinstance(plain, list):
         if isinstance(plain, dict):
             raise TypeError
@@ -176,8 +160,7 @@ def _error(kind: str, rest: list[Any], beside: Iterator[Part]) -> Exception:
     return error
 
 
-HEADER = struct.Struct("<8s8sIQ")
-"""The mark of a message, its token, the checksum and number of its parts, whose sizes follow (``<Q``)."""
+HEADER = struct.Struct("<8s8sIQ")  # Mark, token, checksum, number of parts; the sizes of parts follow (``<Q``)
 MARK = b"fmuid\x00\x02\n"
 TOKEN_BYTES = 8
 
@@ -185,14 +168,9 @@ Look = Callable[[], None]
 
 
 class Channel:
-    """One end of a socket that carries messages.
+    """One end of a blocking socket that carries messages.
 
-    Parameters
-    ----------
-    end : socket
-        Blocking, as sockets are made.
-    look_every : float, optional
-        How often what watches an exchange is called while nothing moves, s.
+    While nothing moves, an exchange calls `look` every `look_every` s; an error of `look` ends the exchange.
     """
 
     def __init__(self, end: socket.socket, look_every: float | None = None) -> None:
@@ -200,20 +178,9 @@ class Channel:
         self._every = None if look_every is None else 1e3 * look_every
 
     def send(self, parts: Sequence[Part], token: bytes, look: Look | None = None) -> None:
-        """Send a message.
+        """Send a message; raise EOFError if the other side is gone.
 
-        Parameters
-        ----------
-        parts : sequence of bytes-like
-        token : (`TOKEN_BYTES`,) bytes
-            Of an order: a new one; of an answer: that of the order.
-        look : callable, optional
-            Called every now and then while the other side takes nothing; what it raises ends the sending.
-
-        Raises
-        ------
-        EOFError
-            If the other side is gone.
+        The token of an order is new, and that of an answer is that of the order.
         """
         sizes = struct.pack(f"<{len(parts)}Q", *(memoryview(part).nbytes for part in parts))
         head = HEADER.pack(MARK, token, _checksum([sizes, *parts]), len(parts)) + sizes
@@ -225,21 +192,8 @@ class Channel:
     ) -> tuple[bytes, list[bytearray]]:
         """Return the token and the parts of the next message.
 
-        Parameters
-        ----------
-        look : callable, optional
-            Called every now and then while nothing comes; what it raises ends the waiting.
-        token : bytes, optional
-            The token that the message must have; default: any.
-        most_bytes : float, optional
-            The size of the largest message.
-
-        Raises
-        ------
-        EOFError
-            If the other side is gone.
-        GarbledError
-            If what comes is no such message.
+        It must have the token, if one is given, and at most `most_bytes`, or `GarbledError` is raised; EOFError if the
+        other side is gone.
         """
         mark, found, checksum, count = HEADER.unpack(self._receive(HEADER.size, look))
         if mark != MARK or token not in (None, found) or 8 * count > most_bytes:
@@ -282,7 +236,6 @@ class Channel:
         return data
 
     def _wait(self, event: int, look: Look | None) -> None:
-        """Wait until the socket can go on."""
         poller = select.poll()
         poller.register(self._end, event)
         while not poller.poll(self._every if look is not None else None):
@@ -291,7 +244,7 @@ class Channel:
 
     @property
     def at_end(self) -> bool:
-        """Whether the other side is gone, as far as it shows without waiting."""
+        """Whether the other side is gone, found out without waiting."""
         with contextlib.suppress(BlockingIOError):
             try:
                 return not self._end.recv(1, socket.MSG_PEEK | socket.MSG_DONTWAIT)
@@ -301,7 +254,7 @@ class Channel:
 
     @property
     def open(self) -> bool:
-        """Whether this end has not been closed."""
+        """Whether this end is open."""
         return self._end.fileno() >= 0
 
     def close(self) -> None:

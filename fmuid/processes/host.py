@@ -1,4 +1,4 @@
-"""The near side of isolation: the server that forks hosts, started when it is first needed, and one of its hosts."""
+"""The near side of isolation: fork server and hosts."""
 
 from __future__ import annotations
 
@@ -28,34 +28,36 @@ from fmuid.errors import FmuidError
 from fmuid.processes import cgroup
 from fmuid.processes.channel import TOKEN_BYTES, Channel, GarbledError, answer_of, order_parts
 from fmuid.processes.children import MEMORY_KEPT, Child
-from fmuid.processes.ends import CRASHED, EXITED, GARBLED, GREW, KILLED, HostExitError
-from fmuid.processes.limits import Footprint, Watchdog, condition_of, family, numbered
+from fmuid.processes.limits import (
+    CRASHED,
+    EXITED,
+    GARBLED,
+    GREW,
+    KILLED,
+    Footprint,
+    HostExitError,
+    Watchdog,
+    condition_of,
+    family,
+    numbered,
+)
 
 
 @dataclass(frozen=True)
 class HostLimits:
-    """Times and sizes of isolated processes and of the server that forks them."""
+    """Times and sizes of isolated processes and of their server."""
 
-    closing: float = 2.0
-    """s for freeing instances, after which the process is killed: nothing of it is needed any more."""
-    starts: int = 6
-    """Of the server, which may be killed from outside while it loads."""
-    ending: float = 2.0
-    """s that a process which has closed its socket may take to end."""
-    answer: float = 120.0
-    """s that the server may take for an answer: it may have code to load."""
-    look: float = 0.1
-    """s between looks whether all is well with a process that owes an answer."""
+    closing: float = 2.0  # s for freeing instances before a kill
+    starts: int = 6  # attempts: the server may be killed while it loads
+    ending: float = 2.0  # s for the end of a process after it closed its socket
+    answer: float = 120.0  # s for an answer of the server, which may load code
+    look: float = 0.1  # s between checks of a process that owes an answer
     growth: float = 256e6
     """Bytes beyond the size after the first call at which a process is replaced: far above the caches of sound code."""
-    measure: float = 0.25
-    """s between looks at its memory while calls come and go."""
-    printed_kept: int = 1 << 16
-    """Bytes of what it prints that are kept until they are read: a thousand lines."""
-    printed_largest: int = 1 << 20
-    """Bytes that may pile up in the file before it is cut."""
-    relatives: int = 100
-    """Processes below it, also ended ones, for which nobody there waits."""
+    measure: float = 0.25  # s between checks of its memory
+    printed_kept: int = 1 << 16  # bytes of unread output that are kept: 1000 lines
+    printed_largest: int = 1 << 20  # bytes of output in the file before it is cut
+    relatives: int = 100  # processes below it, ended ones included
 
 
 LIMITS = HostLimits()
@@ -64,7 +66,7 @@ Value = TypeVar("Value")
 
 
 class ForkServer:
-    """The server of this process (`fmuid.processes.server.HostForkServer`), started when it is first needed."""
+    """Server of this process (`fmuid.processes.server`), started at its first use."""
 
     def __init__(self) -> None:
         self._lock = threading.RLock()
@@ -73,7 +75,7 @@ class ForkServer:
         self._owner, self._loaded, self._asking = 0, False, False
 
     def start(self, *modules: str) -> socket.socket:
-        """Start the server where there is none; it loads its code, and these modules, while this process goes on."""
+        """Start the server if there is none; it loads its modules meanwhile."""
         with self._lock:
             if self._channel is not None and self._owner == os.getpid():
                 return self._channel
@@ -91,13 +93,13 @@ class ForkServer:
             return self._channel
 
     def fork(self, modules: Sequence[str], descriptors: Sequence[int]) -> tuple[int, Path | None]:
-        """Return process id and control group of a new host that has loaded the modules and got the descriptors."""
+        """Return process id and control group of a new host."""
         for _ in range(LIMITS.starts):
             with self._lock:
                 try:
                     found = self._ask("fork", list(modules), descriptors=descriptors)
                 except (EOFError, ConnectionError):
-                    continue  # somebody has killed or stopped it: once more
+                    continue  # killed or stopped from outside: try again
                 self._loaded = True
                 if isinstance(found, str):
                     raise FmuidError(f"no isolated process can be made: {found}")
@@ -109,9 +111,9 @@ class ForkServer:
         )
 
     def status(self, pid: int) -> int | None:
-        """Return the status with which a host ended, None if it has not or nobody knows."""
+        """Return the exit status of a host; None if unknown."""
         with self._lock:
-            if self._channel is None or self._asking:  # by a collection of garbage in the middle of another question
+            if self._channel is None or self._asking:  # called by garbage collection during another order
                 return None
             try:
                 status: int | None = self._ask("wait", pid, LIMITS.ending)
@@ -120,10 +122,9 @@ class ForkServer:
             return status
 
     def _ask(self, *order: object, descriptors: Sequence[int] = ()) -> Any:
-        """Give an order and return the answer; whatever interrupts that ends the server, or the next took the answer.
+        """Give an order and return the answer.
 
-        So does a server that owes an answer for too long, or was stopped: native code can stop it, as its parent. All
-        hosts end with it, which costs no call: there will be new ones.
+        An interruption, a long silence or a stopped server ends the server with all hosts. New ones follow.
         """
         self._asking = True
         try:
@@ -141,7 +142,7 @@ class ForkServer:
             self._asking = False
 
     def _look(self, watchdog: Watchdog) -> None:
-        """See whether the server does well; one that does not is ended."""
+        """End a server that does not answer."""
         assert self._process is not None, "it owes an answer"
         condition = condition_of(self._process.pid)
         if condition.status == psutil.STATUS_ZOMBIE or watchdog.end(condition) is not None:
@@ -149,7 +150,7 @@ class ForkServer:
             raise EOFError
 
     def stop(self, patience: float = LIMITS.closing) -> None:
-        """End the server, and with it all hosts."""
+        """End the server and all hosts."""
         with self._lock:
             if self._channel is not None:
                 self._channel.close()
@@ -163,22 +164,10 @@ atexit.register(SERVER.stop)
 
 
 class HostProcess:
-    """One isolated process.
+    """One isolated process with the given modules loaded.
 
-    Parameters
-    ----------
-    modules : sequence of str
-        What it needs to have loaded.
-    memory_limit : float
-        How much memory it may take with all that it starts, bytes (`family`).
-    told : set of str, optional
-        What was logged, and is not to be logged again; default: nothing that it logs is.
-
-    Attributes
-    ----------
-    pid : int
-    sent : int
-        Bytes of the large arrays of the last order.
+    `memory_limit` is in bytes, for its whole `family`. Texts in `told` are not logged again; without `told`, none is.
+    `sent` is the size of the large arrays of the last order, bytes.
     """
 
     def __init__(self, modules: Sequence[str], memory_limit: float, told: set[str] | None = None) -> None:
@@ -201,35 +190,17 @@ class HostProcess:
         self.sent = 0
 
     def share(self, size: int) -> mmap.mmap:
-        """Return the memory that both sides share, of a new size in bytes."""
+        """Return the shared memory, of a new size in bytes."""
         with refusals():
             os.ftruncate(self._file, size)
             self._memory = mmap.mmap(self._file, size)
         return self._memory
 
     def call(self, function: Callable[..., Value], *arguments: Any, watchdog: Watchdog) -> Value:
-        """Have it call a function; return the value.
+        """Call a function of a module in the process.
 
-        Parameters
-        ----------
-        function : callable
-            A function of a module, which the process imports by its name.
-        arguments
-            What can be pickled.
-        watchdog : Watchdog
-            How long it may take.
-
-        Returns
-        -------
-        object
-            The value of the function, of types that answers have (`fmuid.processes.channel.answer_parts`).
-
-        Raises
-        ------
-        End
-            If the process comes to an end over it; it is gone then.
-        Exception
-            What the function raises.
+        Arguments are pickled; the value is of the types of `channel.answer_parts`. Errors: `HostExitError` if the
+        process ends, and those of the function.
         """
         look, token = partial(self._look, watchdog), os.urandom(TOKEN_BYTES)
         try:
@@ -242,7 +213,7 @@ class HostProcess:
             raise self._ended() from None
         except GarbledError:
             raise self.stopped(HostExitError(GARBLED, 0)) from None
-        except BaseException:  # half a message may be on its way
+        except BaseException:  # half a message may be sent
             self.kill()
             raise
         self.pass_on(said)
@@ -252,9 +223,9 @@ class HostProcess:
         return value
 
     def _look(self, watchdog: Watchdog) -> None:
-        """See whether all is well while it works; what is not ends it."""
+        """End the process if it is over a limit."""
         condition = condition_of(self.pid)
-        if condition.status == psutil.STATUS_ZOMBIE:  # and somebody whom it forked keeps the socket open
+        if condition.status == psutil.STATUS_ZOMBIE:  # a process that it forked keeps the socket open
             raise self._ended()
         end = watchdog.end(condition)
         if end is not None:
@@ -266,11 +237,11 @@ class HostProcess:
 
     @property
     def given(self) -> float:
-        """What of its memory `fmuid` itself has given it, bytes: the called code does not answer for that."""
+        """Memory that `fmuid` itself has given it, bytes; it does not count."""
         return float(len(self._memory))
 
     def outgrown(self) -> bool:
-        """Whether it is to be replaced, because it has grown since the first time that this was asked."""
+        """Return whether it has grown too much since the first look."""
         now = time.monotonic()
         if self._baseline and now - self._measured < LIMITS.measure:
             return False
@@ -281,7 +252,7 @@ class HostProcess:
         return grown or len(family(self.pid)) > LIMITS.relatives
 
     def stopped(self, end: HostExitError) -> HostExitError:
-        """Kill it; return how it came to its end."""
+        """Kill it, and return its end."""
         self.kill()
         return end
 
@@ -290,43 +261,41 @@ class HostProcess:
         self.kill()
         if status is None or (os.WIFSIGNALED(status) and os.WTERMSIG(status) == signal.SIGKILL):
             return HostExitError(KILLED, signal.SIGKILL)
-        return (
-            HostExitError(CRASHED, os.WTERMSIG(status))
-            if os.WIFSIGNALED(status)
-            else HostExitError(EXITED, os.WEXITSTATUS(status))
-        )
+        if os.WIFSIGNALED(status):
+            return HostExitError(CRASHED, os.WTERMSIG(status))
+        return HostExitError(EXITED, os.WEXITSTATUS(status))
 
     @property
     def alive(self) -> bool:
-        """Whether it can be given orders: it was made by this process (not by the one it is a fork of) and lives."""
+        """Whether this process made it, not a parent, and it is open."""
         return self._owner == os.getpid() and self._channel.open
 
     @property
     def gone(self) -> bool:
-        """Whether it has ended by itself, or was ended from outside, since its last call."""
+        """Whether it has ended since its last call."""
         return self._channel.at_end
 
     def close(self) -> None:
-        """End it when it is at rest."""
+        """End it between two calls."""
         self.kill()
 
     def strike(self) -> None:
-        """Kill it with whatever it has started itself, but nobody else who has its number by now.
+        """Kill it and its group, unless another process has its number.
 
-        That can be where the server was killed and the host with it: nobody keeps its number then.
+        That happens after the server was killed.
         """
         if numbered(self.pid) not in (self._numbered, None):
             return
         for end in (os.kill, os.killpg):
-            with contextlib.suppress(ProcessLookupError, PermissionError):  # gone meanwhile
+            with contextlib.suppress(ProcessLookupError, PermissionError):  # already gone
                 end(self.pid, signal.SIGKILL)
 
     def kill(self) -> None:
-        """End it at once; what was printed can be read still."""
+        """End it at once; its printed text stays readable."""
         if not self.alive:
             return
         self.strike()
-        cgroup.kill(self._group)  # also what the server, if it was killed, can no longer end
+        cgroup.kill(self._group)  # a killed server cannot end these
         self._channel.close()
         SERVER.status(self.pid)
         cgroup.remove(self._group)
@@ -335,7 +304,7 @@ class HostProcess:
         os.close(self._printed)
 
     def printed(self) -> str:
-        """Return and forget what was printed."""
+        """Return and forget the printed text."""
         if self.alive:
             self._read_printed()
         text, self._text = self._text, ""
@@ -352,19 +321,19 @@ class HostProcess:
         self._text += (data.decode("utf-8", errors="replace") + lost)[:room]
 
     def failure(self, error: Exception) -> Exception:
-        """Return what a call raises whose function has raised an error."""
+        """Return the error to raise for an error of the called function."""
         return error
 
     def pass_on(self, said: list[tuple[str, int, str]]) -> None:
-        """Log what was logged on the other side, each text once."""
-        for logger, level, text in said if self._told is not None else ():
+        """Log messages of the other side, each text once."""
+        for logger, level, text in said:
             if self._told is not None and text not in self._told:
                 self._told.add(text)
                 logging.getLogger(logger).log(level, "%s", text)
 
 
 def _reply(answer: Any) -> tuple[bool, Any, list[tuple[str, int, str]]]:
-    """Check the form of an answer: whether the function failed, its error or value, and what was logged."""
+    """Return failure flag, error or value, and log of an answer, checked."""
     try:
         failed, value, said = answer
         sound = [(str(logger), int(level), str(text)) for logger, level, text in said]
@@ -376,7 +345,7 @@ def _reply(answer: Any) -> tuple[bool, Any, list[tuple[str, int, str]]]:
 
 
 def _file(made: contextlib.ExitStack, name: str) -> int:
-    """Return the descriptor of a file in memory that goes with the processes that hold it."""
+    """Return the descriptor of a file in memory."""
     if hasattr(os, "memfd_create"):
         found = os.memfd_create(f"fmuid-{name}")
     else:
@@ -388,7 +357,7 @@ def _file(made: contextlib.ExitStack, name: str) -> int:
 
 @contextlib.contextmanager
 def refusals() -> Iterator[None]:
-    """Say in one sentence what the system refuses this process."""
+    """Raise a refusal of the system as one sentence."""
     try:
         yield
     except OSError as error:

@@ -1,57 +1,49 @@
-"""Who keeps an isolated process: makes it when it is needed, replaces one that has grown, ends it with its owner."""
+"""An isolated process: made when needed, replaced when grown, ended with its owner."""
 
 from __future__ import annotations
 
 import os
+import threading
 import weakref
 from collections.abc import Callable
-from typing import Any, Generic, TypeVar
+from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
 import psutil
 
-from fmuid.processes.ends import HostExitError
-from fmuid.processes.host import HostProcess
+from fmuid.processes.children import AVAILABLE
+from fmuid.processes.limits import HostExitError, Watchdog
 
-LEAST_MEMORY = 1e9  # bytes that a process may take by default even on a small machine
-MOST_KILLS = 3  # in a row from outside; then it is not by chance
+if TYPE_CHECKING:
+    from fmuid.processes.host import HostProcess
 
-Host = TypeVar("Host", bound=HostProcess)
+LEAST_MEMORY = 1e9  # bytes, the default limit on a small machine
+MOST_KILLS = 3  # in a row from outside: more are not by chance
+
+Host = TypeVar("Host", bound="HostProcess")
+Value = TypeVar("Value")
 
 
 class HostKeeper(Generic[Host]):
-    """Keeps one isolated process, which ends with it.
+    """Owner of one isolated process.
 
-    Parameters
-    ----------
-    make : callable
-        Makes one that may take so much memory, bytes.
-    memory : float, optional
-        What it may take, MB; default: a share of the machine's.
-    left : list of str, optional
-        What it has printed that nobody asked for joins these, when the keeper goes.
+    `make` takes a memory limit in bytes; `memory` is in MB (default: a fraction of the machine's). Text that nobody
+    read joins `left` at the end.
     """
 
     def __init__(
         self, make: Callable[[float], Host], memory: float | None = None, left: list[str] | None = None
     ) -> None:
         self._make = make
-        self._memory = 1e6 * memory if memory else _memory_share()
-        self._hosts: list[Host] = []  # the one that there is, in a list that outlives its keeper
+        fraction = psutil.virtual_memory().total / (2 * (os.cpu_count() or 1))
+        self._memory = 1e6 * memory if memory else max(LEAST_MEMORY, fraction)
+        self._hosts: list[Host] = []  # at most one, in a list that outlives the keeper
         self._text = ""
         weakref.finalize(self, _shut, self._hosts, left)
 
     def host(self, begin: Callable[[Host], None] = lambda _: None) -> Host:
-        """Return the process, a new one where there is none.
+        """Return the process; `begin` gives a new one its first orders.
 
-        Parameters
-        ----------
-        begin : callable, optional
-            Gives a new process its first orders.
-
-        Raises
-        ------
-        End
-            If it comes to an end over them again and again.
+        Raises `HostExitError` if it ends over them again and again.
         """
         if self._hosts and self._hosts[0].alive:
             if not self._hosts[0].gone:
@@ -74,7 +66,7 @@ class HostKeeper(Generic[Host]):
         return host
 
     def bury(self) -> Host | None:
-        """Part with a process that has come to its end; return it."""
+        """Forget a process that has ended, and return it."""
         if not self._hosts:
             return None
         host = self._hosts.pop()
@@ -82,24 +74,24 @@ class HostKeeper(Generic[Host]):
         return host
 
     def strike(self) -> None:
-        """End the process while another thread waits for it, which finds it killed and cleans up."""
+        """Kill the process; the thread that waits for it cleans up."""
         for host in self._hosts[:]:
             if host.alive:
                 host.strike()
 
     def replace(self) -> None:
-        """End the process; what comes next has a new one."""
+        """End the process; the next use starts a new one."""
         if self._hosts:
             self._hosts[0].close()
             self.bury()
 
     def replace_outgrown(self) -> None:
-        """End the process where it has grown."""
+        """End the process if it has grown."""
         if self._hosts and self._hosts[0].outgrown():
             self.replace()
 
     def printed(self) -> str:
-        """Return and forget what was printed."""
+        """Return and forget the printed text."""
         text, self._text = self._text, ""
         return text + (self._hosts[0].printed() if self._hosts else "")
 
@@ -112,6 +104,36 @@ def _shut(hosts: list[Any], left: list[str] | None) -> None:
     hosts.clear()
 
 
-def _memory_share() -> float:
-    """Return how much memory a process may take by default, bytes."""
-    return max(LEAST_MEMORY, psutil.virtual_memory().total / (2 * (os.cpu_count() or 1)))
+class IsolatedCaller:
+    """Function calls in one isolated process, or in this one without `AVAILABLE`.
+
+    The process starts with the first call. Times are in s, memory is in MB (default: half of the machine's).
+    """
+
+    def __init__(self, time_limit: float, memory: float | None = None) -> None:
+        self._time_limit, self._memory = time_limit, memory
+        self._lock = threading.Lock()
+        self._told: set[str] = set()
+        self._keeper: HostKeeper[HostProcess] | None = None
+
+    def call(self, function: Callable[..., Value], *arguments: Any, time_limit: float | None = None) -> Value:
+        """Call a function of a module, and return its value.
+
+        Arguments are pickled; the value is of the types of `channel.answer_parts`. A lost process raises
+        `HostExitError`; the next call has a new one.
+        """
+        if not AVAILABLE:
+            return function(*arguments)
+        limit = time_limit or self._time_limit
+        with self._lock:
+            keeper = self._keeper = self._keeper or self._new_keeper()
+            value = keeper.host().call(function, *arguments, watchdog=Watchdog(limit))
+            keeper.replace_outgrown()
+            keeper.printed()  # nobody reads messages of libraries about damaged files
+            return value
+
+    def _new_keeper(self) -> HostKeeper[HostProcess]:
+        from fmuid.processes.host import HostProcess  # Linux and macOS only
+
+        memory = self._memory or psutil.virtual_memory().total / 2e6
+        return HostKeeper(lambda limit: HostProcess((), limit, self._told), memory)

@@ -1,10 +1,8 @@
-"""Limits of an isolated process: the memory that it takes with all processes below it, and its time.
+"""Limits of an isolated process: memory of its family, and time.
 
-On Linux the memory is their proportional set size (proc_pid_smaps(5)), in which a page that several processes share is
-counted once in all, be it a library, memory that was there before a fork, or memory that is shared on purpose; and what
-of them was swapped out. Reading it costs a walk over all pages, so that it is only done where the resident size, which
-is never smaller, does not settle the question. Elsewhere it is the resident size of the process itself. Where the
-process has a control group that counts memory, and that count is larger, it is that.
+On Linux the memory is the proportional set size (proc_pid_smaps(5)) with swap: shared pages count once. It is slow to
+read, so the resident size is read first, which is never smaller. Elsewhere it is the resident size of the process.
+The count of a control group is used if it is larger.
 """
 
 from __future__ import annotations
@@ -12,6 +10,7 @@ from __future__ import annotations
 import ctypes
 import math
 import os
+import signal
 import sys
 import time
 from collections.abc import Hashable
@@ -21,20 +20,43 @@ from pathlib import Path
 import psutil
 
 from fmuid.processes import cgroup
-from fmuid.processes.ends import HUNG, STOPPED, HostExitError
+
+CRASHED, EXITED, HUNG, GREW, KILLED, REFUSED, GARBLED, STOPPED, FAILED = range(9)
+"""Kinds of ends: signal, exit, time limit, memory limit, killed from outside, refused by the system, garbled answer,
+stopped (SIGSTOP), failed code of fmuid."""
+
+
+@dataclass(unsafe_hash=True)  # not frozen: exceptions get a traceback
+class HostExitError(Exception):  # no error, but a report
+    """End of an isolated process during its work.
+
+    `number` is the signal, exit code, system error, time limit (ms) or memory limit (MB).
+    """
+
+    kind: int
+    number: int
+
+    @property
+    def signal_name(self) -> str:
+        """Name of the signal, as ``SIGSEGV``."""
+        try:
+            return signal.Signals(self.number).name
+        except ValueError:
+            return f"signal {self.number}"
+
 
 SUBREAPER = 36  # PR_SET_CHILD_SUBREAPER of Linux
-MEASURING_SHARE = 0.1  # of all time, that reading the proportional set size may take, at most
+MEASURING_SHARE = 0.1  # largest fraction of time for reading proportional set sizes
 
 
 def adopt_orphans() -> None:
-    """Become the parent of all processes below this one whose own parents end (Linux)."""
+    """Become the parent of orphans below this process (Linux)."""
     if sys.platform == "linux":
         ctypes.CDLL(None).prctl(SUBREAPER, 1, 0, 0, 0)
 
 
 def children(pid: int) -> list[int]:
-    """Return the children of a process, also those that have ended and were not waited for; none where nobody knows."""
+    """Return the children of a process, ended ones included."""
     found: list[int] = []
     for task in _listed(f"/proc/{pid}/task"):
         found += map(int, _text(f"/proc/{pid}/task/{task}/children").split())
@@ -44,14 +66,14 @@ def children(pid: int) -> list[int]:
 def family(pid: int) -> list[int]:
     """Return a process and all below it."""
     found = [pid]
-    for each in found:  # which grows meanwhile
+    for each in found:  # it grows meanwhile
         found += children(each)
     return found
 
 
 @dataclass(frozen=True)
 class ProcessStatus:
-    """What the system says of a process: `pid`, its status as psutil names it, and the CPU time that it has had, s."""
+    """Status of a process in psutil's terms, and its CPU time, s."""
 
     pid: int
     status: str
@@ -59,7 +81,10 @@ class ProcessStatus:
 
 
 def numbered(pid: int) -> psutil.Process | None:
-    """Return who has a number: equal only if it is the same process, since numbers are given anew; None: nobody."""
+    """Return the process with a number, None if there is none.
+
+    Equal only for the same process: numbers are reused.
+    """
     try:
         return psutil.Process(pid)
     except psutil.Error:
@@ -67,7 +92,7 @@ def numbered(pid: int) -> psutil.Process | None:
 
 
 def condition_of(pid: int) -> ProcessStatus:
-    """Return the condition of a process, that of a zombie where there is none."""
+    """Return the status of a process; a missing one is a zombie."""
     try:
         process = psutil.Process(pid)
         with process.oneshot():
@@ -78,30 +103,23 @@ def condition_of(pid: int) -> ProcessStatus:
 
 
 def wants_processor(pid: int) -> bool:
-    """Whether any thread of a process runs or would, if it had a processor; False where nobody knows."""
+    """Return whether a thread runs or waits for a processor."""
     stats = (_text(f"/proc/{pid}/task/{task}/stat") for task in _listed(f"/proc/{pid}/task"))
     return any(stat.rpartition(")")[2].split()[:1] == ["R"] for stat in stats)
 
 
 class Footprint:
-    """The memory of a process and all below it.
-
-    Parameters
-    ----------
-    pid : int
-    group : Path, optional
-        Its control group (`fmuid.processes.limits`).
-    """
+    """Memory of a process and all below it, and its control group."""
 
     def __init__(self, pid: int, group: Path | None = None) -> None:
         self._pid, self._group = pid, group
-        self._resident, self._proportional = 0.0, 0.0  # when both were last read
+        self._resident, self._proportional = 0.0, 0.0  # at the last reading
         self._next = 0.0
 
     def exceeds(self, limit: float) -> bool:
-        """Whether it is more than a limit, bytes.
+        """Return whether the memory is above a limit, bytes.
 
-        Proportional set size does not grow by more than resident size, which is therefore read first.
+        Proportional set size grows at most as much as resident size, which is read first.
         """
         if cgroup.memory(self._group) > limit:
             return True
@@ -113,7 +131,7 @@ class Footprint:
         return known > limit
 
     def read(self) -> float:
-        """Return it, bytes."""
+        """Return the memory, bytes."""
         relatives = family(self._pid)
         return max(cgroup.memory(self._group), self._read(relatives, sum(map(_resident, relatives))))
 
@@ -126,7 +144,7 @@ class Footprint:
 
 
 def _resident(pid: int) -> float:
-    """Return the resident size of a process and what of it was swapped out, bytes."""
+    """Return resident size and swap of a process, bytes."""
     if sys.platform == "linux":
         return _sum(f"/proc/{pid}/status", ("VmRSS", "VmSwap"))
     try:
@@ -136,20 +154,20 @@ def _resident(pid: int) -> float:
 
 
 def _proportional(pid: int) -> float:
-    """Return the proportional set size of a process and what of it was swapped out, bytes."""
+    """Return proportional set size and swap of a process, bytes."""
     return _sum(f"/proc/{pid}/smaps_rollup", ("Pss", "SwapPss")) or _resident(pid)
 
 
 def _sum(path: str, names: tuple[str, ...]) -> float:
-    """Return the sum of some lines of a file of the kernel, as ``Pss:   212 kB``, in bytes."""
+    """Return the sum of some lines of a kernel file, bytes."""
     lines = (line.partition(":") for line in _text(path).splitlines())
     return sum(1024.0 * float(rest.split()[0]) for name, _, rest in lines if name in names)
 
 
 def _text(path: str) -> str:
-    """Return what a file of the kernel says: nothing where its process has ended."""
+    """Return the text of a kernel file, empty after its process."""
     try:
-        with open(path, encoding="ascii", errors="replace") as file:  # noqa: PTH123  # a few of these every 50 ms
+        with open(path, encoding="ascii", errors="replace") as file:  # noqa: PTH123  # fast: often read
             return file.read()
     except OSError:
         return ""
@@ -162,24 +180,15 @@ def _listed(path: str) -> list[str]:
         return []
 
 
-STANDSTILL_SECONDS = 0.5
-"""Time between two looks above which this process has stood still, and the machine with it, s."""
-COMPUTED_SHARE = 0.5
-"""Fraction of a time limit that a process must have computed while it wants a processor; before, it only waits."""
-STOPPED_SECONDS = 2.0
-"""Time after which a stopped process (SIGSTOP) is ended, s: suspended jobs continue in any order."""
+STANDSTILL_SECONDS = 0.5  # s; a longer time between two looks means a suspended machine
+COMPUTED_SHARE = 0.5  # Fraction of a time limit that a process must have computed; below, it waits for a processor
+STOPPED_SECONDS = 2.0  # s until a stopped process (SIGSTOP) is ended: jobs resume in any order
 
 
 class Watchdog:
-    """Watches over one call of an isolated process.
+    """Time limit of one call of an isolated process, s.
 
-    Time limits are by the clock, but a busy machine is not charged to the process: neither the time in which this
-    process stood still, nor that in which the other waited for a processor.
-
-    Parameters
-    ----------
-    limit : float
-        How long it may do the same, s.
+    Time is by the clock, without the time in which this process stood still or the other waited for a processor.
     """
 
     def __init__(self, limit: float) -> None:
@@ -189,16 +198,16 @@ class Watchdog:
         self._state: tuple[Hashable, bool] | None = None
 
     def state(self, condition: ProcessStatus) -> Hashable:
-        """Return what it is doing: the limit begins anew where that has changed."""
+        """Return the present activity; the limit begins anew when it changes."""
         del condition
         return None
 
     def allowed(self) -> float:
-        """Return how long it may do what it is doing, s."""
+        """Return the time limit of the present activity, s."""
         return self.limit
 
     def end(self, condition: ProcessStatus) -> HostExitError | None:
-        """Return the end of a process that has done the same for too long."""
+        """Return the end of a process whose activity took too long."""
         stopped, now = condition.status == psutil.STATUS_STOPPED, time.monotonic()
         state = self.state(condition), stopped
         self._since += max(0.0, now - self._looked - STANDSTILL_SECONDS)

@@ -1,8 +1,7 @@
 """The far side of isolation: a server that forks isolated processes.
 
-``python -m fmuid.processes.server FD MODULE...`` is the server: it loads the modules, then waits at its socket for
-orders to fork. It calls no function of theirs and has one thread only, so that its copies are sound and there within
-milliseconds. It is no copy of the process that started it, whose state is in none of them.
+``python -m fmuid.processes.server FD MODULE...`` loads the modules, then forks as its socket orders. It calls no
+function of theirs and has one thread, so its forks are sound and fast.
 """
 
 from __future__ import annotations
@@ -26,14 +25,13 @@ from fmuid.processes.channel import TOKEN_BYTES, Channel, answer_parts
 from fmuid.processes.limits import adopt_orphans, children
 from fmuid.processes.service import Service
 
-ORDER_BYTES = 4096  # of an order to the server
+ORDER_BYTES = 4096  # bytes of an order
 ORPHANS_SECONDS = 2.0  # s at most to end
 DIE_WITH_PARENT = 1  # PR_SET_PDEATHSIG of Linux
-_IOLBF = 1  # of setvbuf: lines are written when they are complete
+_IOLBF = 1  # of setvbuf: line buffering
 
 
 def _become_host(descriptors: Sequence[int], parent: int, group: Path | None) -> None:
-    """Turn this fork of the server into a host, until its other side is gone."""
     import resource  # not on Windows
 
     channel, memory, printed = descriptors
@@ -53,7 +51,7 @@ def _become_host(descriptors: Sequence[int], parent: int, group: Path | None) ->
 
 
 def _live_as_host(descriptors: Sequence[int], parent: int, group: Path | None) -> NoReturn:
-    """Be a host and end as one, whatever happens: nothing of the server is carried on."""
+    """Be a host and exit: nothing of the server runs on."""
     code = os.EX_OSERR
     try:
         _become_host(descriptors, parent, group)
@@ -65,16 +63,16 @@ def _live_as_host(descriptors: Sequence[int], parent: int, group: Path | None) -
 
 
 def _write_lines_at_once() -> None:
-    """Let what native code prints be there when it crashes."""
+    """Let printed lines of native code survive its crash."""
     libc = ctypes.CDLL(None)
     for name in ("stdout", "__stdoutp"):
-        with contextlib.suppress(ValueError):  # each C library has one of the two names
+        with contextlib.suppress(ValueError):  # a C library has one of the names
             libc.setvbuf(ctypes.c_void_p.in_dll(libc, name), None, _IOLBF, 0)
             return
 
 
 class HostForkServer:
-    """Forks hosts, as the process at the other end of a socket orders."""
+    """Server that forks hosts as its socket orders."""
 
     def __init__(self, channel: socket.socket) -> None:
         self._channel = channel
@@ -83,7 +81,7 @@ class HostForkServer:
         cgroup.sweep(self._group)  # of servers that were killed
 
     def serve(self) -> None:
-        """Carry out orders until the other side is gone; then no host is left."""
+        """Carry out orders, then end all hosts."""
         orders, answers = self._channel, Channel(self._channel)
         try:
             while True:
@@ -98,16 +96,16 @@ class HostForkServer:
         finally:
             for host in self._hosts:
                 for end in (os.kill, os.killpg):
-                    with contextlib.suppress(OSError):  # gone meanwhile
+                    with contextlib.suppress(OSError):  # already gone
                         end(host, signal.SIGKILL)
             self._hosts.clear()
             cgroup.sweep(self._group)
             self._end_orphans()
 
     def _fork(self, descriptors: Sequence[int], modules: Sequence[str]) -> tuple[int, str | None] | str:
-        """Return process id and control group of a new host, or why there cannot be one."""
+        """Return process id and control group of a host, or a refusal."""
         for module in modules:
-            with contextlib.suppress(ImportError):  # who needs it says so
+            with contextlib.suppress(ImportError):  # its user reports that
                 importlib.import_module(module)
         server, group = os.getpid(), cgroup.make(self._group)
         try:
@@ -125,7 +123,7 @@ class HostForkServer:
         return pid, None if group is None else str(group)
 
     def _wait(self, pid: int, seconds: float) -> int | None:
-        """Return the status of a host that has ended, as `os.waitpid` gives it; None if it has not, or is unknown."""
+        """Return the status of an ended host (`os.waitpid`), else None."""
         until = time.monotonic() + seconds
         while pid in self._hosts:
             found, status = os.waitpid(pid, os.WNOHANG)
@@ -139,24 +137,24 @@ class HostForkServer:
         return None
 
     def _end_orphans(self) -> None:
-        """End what hosts that are gone have started: it has come to be below this process, and is no host.
+        """End the processes of ended hosts.
 
-        A host that lives adopts what is below itself.
+        They are children of this process and no hosts; a living host adopts its own orphans.
         """
         until = time.monotonic() + ORPHANS_SECONDS
         while time.monotonic() < until:
             orphans = [pid for pid in children(os.getpid()) if pid not in self._hosts]
             if not orphans:
                 return
-            for pid in orphans:  # whose own children come here in their turn
-                with contextlib.suppress(OSError):  # gone meanwhile
+            for pid in orphans:  # their children come here next
+                with contextlib.suppress(OSError):  # already gone
                     os.kill(pid, signal.SIGKILL)
                     os.waitpid(pid, os.WNOHANG)
             time.sleep(0.001)
 
 
 def main(descriptor: str, *modules: str) -> None:
-    """Be the server at the socket with the given file descriptor."""
+    """Run the server at the socket of a file descriptor."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     adopt_orphans()
     for module in modules:

@@ -1,4 +1,4 @@
-"""What an isolated process does: it calls functions as the process at the other end of its socket orders."""
+"""The work of an isolated process: function calls as its socket orders."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ from typing import Any
 
 from fmuid.processes.channel import Channel, answer_parts, order_of
 
-_shared: list[int] = []  # descriptor of the file that this process shares with the one that gives it orders
+_shared: list[int] = []  # descriptor of the memory shared with the ordering process
 
 
 def shared_memory(size: int) -> mmap.mmap:
-    """Return the memory that this isolated process shares with the one that gives it orders, of a size in bytes.
+    """Return the shared memory of an isolated process, of a size in bytes.
 
-    On Linux no fork of this process has it: native code may fork, and its child come back and go on with the order.
+    On Linux forks do not have it: native code may fork, and the child continue the order.
     """
     memory = mmap.mmap(_shared[0], size)
     if hasattr(mmap, "MADV_DONTFORK"):
@@ -27,7 +27,7 @@ def shared_memory(size: int) -> mmap.mmap:
 
 
 class _Messages(logging.Handler):
-    """Collects what is logged, to be said by the process that asked."""
+    """Log messages, collected for the ordering process."""
 
     def __init__(self) -> None:
         super().__init__(logging.INFO)
@@ -38,14 +38,7 @@ class _Messages(logging.Handler):
 
 
 class Service:
-    """Calls functions, as the process at the other end of a socket orders.
-
-    Parameters
-    ----------
-    channel : Channel
-    memory : int
-        File descriptor of the shared memory.
-    """
+    """Function calls as a socket orders; `memory` is a file descriptor."""
 
     def __init__(self, channel: Channel, memory: int) -> None:
         self._channel = channel
@@ -65,26 +58,22 @@ class Service:
             except EOFError:
                 return
             failed, answer = self._called(*order_of(order))
-            if (
-                os.getpid() != process
-            ):  # native code has forked, and its child came back here: it is no isolated process
+            if os.getpid() != process:  # a child forked by native code
                 os._exit(os.EX_SOFTWARE)
             self._libc.fflush(None)
             said, self._messages.found = self._messages.found, []
             try:
-                self._channel.send(self._parts(failed, answer, said), token)
+                parts = answer_parts((failed, answer, said))
+            except Exception as error:  # a value that cannot be sent
+                parts = answer_parts((True, error, said))
+            try:
+                self._channel.send(parts, token)
             except EOFError:
                 return
 
     def _called(self, module: str, name: str, arguments: tuple[Any, ...]) -> tuple[bool, Any]:
-        """Call a function; return whether it failed, and its error or its value."""
+        """Return whether a function failed, and its error or value."""
         try:
             return False, attrgetter(name)(importlib.import_module(module))(*arguments)
-        except Exception as error:  # whatever it is, the other side is waiting
+        except Exception as error:  # the other side waits for any answer
             return True, error
-
-    def _parts(self, failed: bool, answer: Any, said: Any) -> Any:
-        try:
-            return answer_parts((failed, answer, said))
-        except Exception as error:  # a value that cannot be sent
-            return answer_parts((True, error, said))

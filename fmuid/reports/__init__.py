@@ -1,4 +1,4 @@
-"""What a run says and leaves behind: findings, words, tables, figures."""
+"""Reports of findings: documents, tables, figures, files."""
 
 import lazy_loader
 

@@ -1,4 +1,4 @@
-from .documents import describe as describe
+from .document import Document as Document
 from .publish import documents_of as documents_of
 from .publish import write_report as write_report
 from .run import published as published

@@ -1,4 +1,4 @@
-"""Charts as data: typed marks over two axes. Renderers draw them; nothing here knows Bokeh or matplotlib."""
+"""Charts as data: typed marks over two axes, independent of any renderer."""
 
 from __future__ import annotations
 
@@ -20,18 +20,20 @@ Units = Mapping[str, str | None]
 WITH_ARRAYS = {"arbitrary_types_allowed": True}
 """For pydantic, which reads documents back."""
 
-MAX_ROWS = 4000
-"""Rows of a line: more cannot be seen."""
-MAX_DOTS = 2500
-"""Dots of a cloud: more cover each other."""
-MAX_BARS = 60
-"""Estimates in a row that each have their interval."""
-MAX_OUTPUTS = 8
-"""Outputs drawn: those that fit worst."""
-MAX_EXPERIMENTS = 6
-"""Experiments drawn: those that fit worst."""
-MAX_PARAMETERS = 24
-"""Parameters drawn, each in its chart."""
+
+@dataclass(frozen=True)
+class ChartLimits:
+    """How much a chart shows at most: of experiments and outputs those that fit worst."""
+
+    rows: int = 4000  # of a line: more cannot be seen
+    dots: int = 2500  # of a cloud: more cover each other
+    bars: int = 60  # estimates in a row that each have their interval
+    outputs: int = 8
+    experiments: int = 6
+    parameters: int = 24  # each in its chart
+
+
+LIMITS = ChartLimits()
 LEGEND_ROOM, CHARACTER, ENTRY, LEGEND_LINE = 230, 5.8, 33, 18
 """Pixels: of a legend on a telephone, of a letter, of what else belongs to an entry, of a line of it."""
 LONGEST_LINE = 44
@@ -44,7 +46,7 @@ ROW, ROW_BELOW, ROW_LINE = 28, 20, 28
 
 @dataclass(frozen=True, eq=False)
 class Shades:
-    """Colors of values: a palette between two limits; with a title, a bar shows it."""
+    """Color scale of values; a color bar is drawn with a title."""
 
     __pydantic_config__: ClassVar[Mapping[str, bool]] = WITH_ARRAYS
 
@@ -57,82 +59,44 @@ class Shades:
 
 @dataclass(frozen=True, eq=False)
 class Layer:
-    """Marks of one kind and look.
+    """Marks of one kind and look. Layers that share their first array share a source.
 
-    Attributes
-    ----------
-    mark : str
-        ``line``, ``step``, ``points``, ``patch``, ``text`` have ``x`` and ``y``; ``band`` has ``x``, ``y0``, ``y1``;
-        ``bars`` reach from ``x0`` to ``x`` in the row ``y``; ``cells`` have ``left``, ``right``, ``bottom``, ``top``
-        or the names ``x`` and ``y``; ``segments`` have ``x0``, ``y0``, ``x1``, ``y1``; ``rule`` has ``x`` or ``y``;
-        ``zone`` has some of ``left``, ``right``, ``bottom``, ``top``.
-    data : mapping of str to array, tuple of str or float
-        Columns of one length, and numbers that all marks share: coordinates, ``size``, ``alpha``, ``value`` of
-        `shades`, ``text``, ``ink``, and what `hover` shows. Layers that share their first array share a source.
-    color, width, dash, alpha, size, marker, edge
-        The look. `edge` is the outline of points and cells.
-    label : str
-        In the legend, which has an entry per label; "" for none.
-    hover : tuple of (str, str)
-        Shown at the pointer: a word, and columns with their format, ``"@x{0.000}"``.
-    shades : Shades, optional
-    above : bool
-        Whether it changes while somebody looks: it is painted above what stays.
+    ``line``, ``step``, ``points``, ``patch``, ``text`` have x and y; ``band`` has x, y0, y1; ``segments`` have x0, y0,
+    x1, y1; ``bars`` from x0 to x in row y; ``cells`` have left, right, bottom, top or the names x and y; ``rule`` has
+    x or y; ``zone`` has some of the sides.
     """
 
     __pydantic_config__: ClassVar[Mapping[str, bool]] = WITH_ARRAYS
 
     mark: Mark
-    data: Data
+    data: Data  # columns of one length and common numbers: coordinates, size, alpha, value, text, ink, hover columns
     color: Color = "blue"
     width: float = 1.8
     dash: Dash = "solid"
     alpha: float = 1.0
     size: float = 6.0
     marker: Literal["circle", "x", "dash", "bar"] = "circle"
-    edge: Color | None = None
-    label: str = ""
-    hover: tuple[tuple[str, str], ...] = ()
+    edge: Color | None = None  # outline of points and cells
+    label: str = ""  # in the legend, which has one entry per label
+    hover: tuple[tuple[str, str], ...] = ()  # title, and columns with their format: "@x{0.000}"
     shades: Shades | None = None
-    above: bool = False
+    above: bool = False  # it changes while somebody looks, and is painted above the others
 
 
 @dataclass(frozen=True)
 class Axis:
-    """An axis.
+    """An axis."""
 
-    Attributes
-    ----------
-    label : str
-        With the unit.
-    kind : str
-        ``linear`` or ``log``; ``names`` has the `names`, the first on the left or at the bottom.
-    reach : (float or None, float or None)
-        What is shown at first; None: what is drawn decides.
-    linked : str
-        Axes of one word share their range.
-    shown : bool
-        Whether ticks and label are there.
-    ticks : int
-        About how many, 0 for the default.
-    whole : bool
-        Whether ticks are whole numbers.
-    turned : float
-        Angle of the labels, rad.
-    grid : bool, optional
-        Whether lines go across from its ticks; default: from those of the ordinate.
-    """
-
-    label: str = ""
+    label: str = ""  # with the unit
     kind: Literal["linear", "log", "names"] = "linear"
-    names: tuple[str, ...] = ()
-    reach: tuple[float | None, float | None] = (None, None)
-    linked: str = ""
+    names: tuple[str, ...] = ()  # from the left or the bottom
+    reach: tuple[float | None, float | None] = (None, None)  # initial range; None: as drawn
+    linked: str = ""  # axes of one word share their range
     shown: bool = True
-    ticks: int = 0
-    whole: bool = False
-    turned: float = 0.0
-    grid: bool | None = None
+    ticks: int = 0  # about how many; 0: default
+    whole: bool = False  # ticks are integers
+    turned: float = 0.0  # angle of the labels, rad
+    grid: bool | None = None  # default: the ordinate has grid lines
 
 
 DENSITY = Axis(reach=(0.0, None), shown=False)
@@ -141,30 +105,19 @@ DENSITY = Axis(reach=(0.0, None), shown=False)
 
 @dataclass(frozen=True, eq=False)
 class Chart:
-    """Layers over two axes.
-
-    Attributes
-    ----------
-    x, y : Axis
-    layers : tuple of Layer
-        Painted in this order.
-    height : int
-        Pixels; the width is that of the page.
-    crosshair : bool
-        Whether it is over time, and read at one instant with the charts below it.
-    """
+    """Layers over two axes, painted in their order."""
 
     __pydantic_config__: ClassVar[Mapping[str, bool]] = WITH_ARRAYS
 
     x: Axis
     y: Axis
     layers: tuple[Layer, ...]
-    height: int = 220
-    crosshair: bool = False
+    height: int = 220  # pixels; the width is that of the page
+    crosshair: bool = False  # over time, read at one instant with the charts below
 
     @property
     def legend_lines(self) -> int:
-        """Lines of the legend: one, where a telephone has room for all entries beside each other."""
+        """Number of lines of the legend on a telephone."""
         entries = list(dict.fromkeys(layer.label for layer in self.layers if layer.label))
         width = sum(CHARACTER * len(entry) + ENTRY for entry in entries)
         return min(len(entries), 1) if width <= LEGEND_ROOM else len(entries)
@@ -177,18 +130,12 @@ class Chart:
 
 @dataclass(frozen=True, eq=False)
 class ChartGrid:
-    """Charts in rows and columns that are read together.
-
-    Attributes
-    ----------
-    rows : tuple of tuple of Chart or None
-    live : callable, optional
-        Returns the same grid with the data of a stretch of the abscissa, for who zooms.
-    """
+    """Charts in rows and columns that are read together."""
 
     __pydantic_config__: ClassVar[Mapping[str, bool]] = WITH_ARRAYS
 
     rows: tuple[tuple[Chart | None, ...], ...]
+    # returns the same grid with the data of an interval of the abscissa
     live: Callable[[float, float], ChartGrid] | None = field(default=None, repr=False)
 
     @property
@@ -217,14 +164,24 @@ def wrapped(text: str) -> str:
 
 
 def beside(names: Sequence[str]) -> bool:
-    """Return whether names stand beside their rows, and not above them."""
+    """Tell if the names fit beside their rows."""
     return max(map(len, names), default=0) <= LONGEST_BESIDE
 
 
 def rows_of(names: Sequence[str], x: Axis, layers: Sequence[Layer], head: int = 80) -> Chart:
-    """Return a chart with a row for each name, the first on top; `head` pixels are above and below the rows."""
+    """Return a chart with one row per name, the first on top."""
     row = ROW if beside(names) else row_below(names)
     return Chart(x, Axis(kind="names", names=tuple(names)[::-1]), tuple(layers), head + row * len(names))
+
+
+def intervals(
+    names: tuple[str, ...], value: Floats, low: Floats, high: Floats, color: Color = "blue", word: str = "value"
+) -> tuple[Layer, Layer]:
+    """Return values with their intervals, a row a name."""
+    hover = ((word, "@x{0.000000}"), ("interval", "@x0{0.000000} to @x1{0.000000}"))
+    ends: Data = {"x0": low, "y0": names, "x1": high, "y1": names}
+    points: Data = {"x": value, "y": names, "x0": low, "x1": high}
+    return Layer("segments", ends, color, width=3), Layer("points", points, color, size=9, hover=hover)
 
 
 def row_below(names: Sequence[str]) -> int:
@@ -233,7 +190,7 @@ def row_below(names: Sequence[str]) -> int:
 
 
 def short(values: Floats) -> Floats:
-    """Return numbers in half the space; a screen shows no more of them."""
+    """Return numbers in single precision."""
     with np.errstate(over="ignore"):  # of an unstable simulation
         return values.astype(np.float32)
 

@@ -1,19 +1,26 @@
-"""Documents: what a person reads of findings, as data. Topics make them, renderers show them."""
+"""Documents: sections, messages and tables of findings, as data."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from enum import Enum
-from typing import Any, ClassVar, Literal
+from pathlib import PurePosixPath
+from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
+from fmuid.display_mixins import renderer
 from fmuid.reports.chart import WITH_ARRAYS, Figure
+
+if TYPE_CHECKING:
+    from fmuid.runs import Provenance
 
 Tone = Literal["plain", "good", "doubt", "bad"]
 Place = Literal["console", "page"]
 EVERYWHERE: frozenset[Place] = frozenset(("console", "page"))
 CONSOLE: frozenset[Place] = frozenset(("console",))
 PAGE: frozenset[Place] = frozenset(("page",))
+TERMINAL_ROWS = 60
+"""Rows of a table on a terminal; more scroll away the first. A pipe gets them all."""
 
 
 class Message(Enum):
@@ -23,53 +30,30 @@ class Message(Enum):
         self.text, self.meaning, self.action = text, meaning, action
 
     def said(self, tone: Tone = "plain", section: str = "", names: Iterable[str] = (), /, **values: object) -> Remark:
-        """Return the sentence with these values; it begins with a capital, unless one of the names stands there."""
+        """Return the message filled with values, with a capital unless a name begins it."""
         told = self.text.format(**values)
         return Remark(capitalised(told, names), tone, section, f"{type(self).__name__}.{self.name}", values)
 
 
 @dataclass(frozen=True, eq=False)
 class Remark:
-    """A sentence.
-
-    Attributes
-    ----------
-    text : str
-    tone : str
-        ``doubt``: something is doubtful, and the sentence says what helps.
-    section : str
-        Key of the section that shows it, "" for none.
-    message : str
-        Key of its `Message`, "" for a sentence that is none.
-    values : mapping
-        What the message was filled with.
-    """
+    """A sentence."""
 
     text: str
     tone: Tone = "plain"
-    section: str = ""
-    message: str = ""
-    values: Mapping[str, Any] = field(default_factory=dict)
+    section: str = ""  # key of the section that shows it
+    message: str = ""  # key of its `Message`
+    values: Mapping[str, Any] = field(default_factory=dict)  # of the message
 
 
 @dataclass(frozen=True)
 class Column:
-    """A column of a table.
-
-    Attributes
-    ----------
-    head : str
-    cells : tuple of str
-    number : bool
-        Whether it is aligned as numbers.
-    rank : int
-        A narrow terminal leaves out columns of a rank, the highest first; 0: never.
-    """
+    """A column of a table."""
 
     head: str
     cells: tuple[str, ...]
-    number: bool = False
-    rank: int = 0
+    number: bool = False  # aligned as numbers
+    rank: int = 0  # a narrow terminal leaves out the highest rank first; 0: never
 
 
 Table = tuple[Column, ...]
@@ -77,61 +61,35 @@ Table = tuple[Column, ...]
 
 @dataclass(frozen=True, eq=False)
 class Section:
-    """A part with a heading of its own.
+    """A part with a heading of its own."""
 
-    Attributes
-    ----------
-    key : str
-        Of letters, digits and hyphens: its anchor, and the name of its file for print.
-    heading : str
-    caption : str
-        How to read it.
-    table : tuple of Column
-    charts : tuple of Chart or ChartGrid
-    beside : int
-        So many charts stand beside each other at most.
-    zoom : ChartGrid, optional
-        A stretch of the only chart, which print shows beside it.
-    shown : frozenset of str
-        Where its table is shown: ``console``, ``page``.
-    remarks : tuple of Remark
-        Below the table.
-    """
-
-    key: str
+    key: str  # letters, digits, hyphens: its anchor and the name of its file
     heading: str
-    caption: str = ""
+    caption: str = ""  # how to read it
     table: Table = ()
     charts: tuple[Figure, ...] = ()
-    beside: int = 3
-    zoom: Figure | None = None
-    shown: frozenset[Place] = EVERYWHERE
-    remarks: tuple[Remark, ...] = ()
+    beside: int = 3  # charts beside each other at most
+    zoom: Figure | None = None  # interval of the only chart, for print
+    shown: frozenset[Place] = EVERYWHERE  # of the table
+    remarks: tuple[Remark, ...] = ()  # below the table
 
 
 @dataclass(frozen=True, eq=False)
 class Document:
-    """What a person reads of the findings of one command.
+    """Report of findings: remarks, tables and charts.
 
     Attributes
     ----------
-    kind : str
-        The command's noun: ``identification``, ``diagnosis``, ``batch``.
-    heading : str
-    state : str
-        In a word.
-    tone : str
-        Of the state.
+    kind, heading : str
+        Noun of the command: ``identification``, ``diagnosis``, ``batch``.
+    state, tone : str
+        Verdict in a word, and its tone.
     remarks : tuple of Remark
         The verdict first.
     sections : tuple of Section
         The first ones, without charts, are tables of the verdict.
-    origin : tuple of Column
-        What it was made from.
-    study : str
-        Text of the study file.
-    title : str
-        Of the study.
+    origin, study, title : tuple of Column, str, str
+        Provenance, study file and its title.
     """
 
     __pydantic_config__: ClassVar[Mapping[str, bool]] = WITH_ARRAYS
@@ -146,6 +104,40 @@ class Document:
     study: str = ""
     title: str = ""
 
+    @classmethod
+    def of(cls, found: object) -> Document:
+        """Return the document of findings; printed, it shows its remarks, one a line.
+
+        Parameters
+        ----------
+        found : object
+            Findings of `fmuid.run`, a result, a diagnosis, a monitor, or what `fmuid.assess` and its like return.
+
+        Raises
+        ------
+        InputError
+            If there is none of this type.
+
+        Examples
+        --------
+        >>> problem = fmuid.datasets.coil().problem()
+        >>> print(fmuid.Document.of(fmuid.identify(problem)))
+        Converged
+        """
+        made: Document = renderer().document(found)
+        return made
+
+    def __str__(self) -> str:
+        return "\n".join(each.text for each in self.remarks)
+
+    def html(self) -> str:
+        """Return heading, remarks and tables as HTML, without charts."""
+        shown: str = renderer().verdict(self)
+        return shown
+
+    def _repr_html_(self) -> str:
+        return self.html()
+
     def section(self, key: str) -> Section:
         """Return the section of a key."""
         return next(each for each in self.sections if each.key == key)
@@ -156,7 +148,7 @@ class Document:
 
 
 def table_of(columns: Mapping[str, Iterable[str]], words: Iterable[str] = (), ranks: Iterable[str] = ()) -> Table:
-    """Return a table; all columns but the first and the `words` are numbers, the first of `ranks` is left out first."""
+    """Return a table; columns are numbers except the first and `words`."""
     order = list(ranks)[::-1]
     return tuple(
         Column(head, tuple(cells), k > 0 and head not in words, order.index(head) + 1 if head in order else 0)
@@ -165,6 +157,21 @@ def table_of(columns: Mapping[str, Iterable[str]], words: Iterable[str] = (), ra
 
 
 def capitalised(words: str, names: Iterable[str] = ()) -> str:
-    """Return words with a capital at their beginning; one of these names that stands there is kept as it is."""
+    """Return words with a capital, unless one of the names begins them."""
     kept = any(words.startswith(name) and not words[len(name) :][:1].isalnum() for name in names)
     return words if kept else words[:1].upper() + words[1:]
+
+
+def origin_of(found: Provenance | None, more: Mapping[str, str] | None = None) -> dict[str, Any]:
+    """Return the provenance fields of a document, with further rows."""
+    rows = {} if found is None else {"fmuid": found.version, "run": found.date}
+    study = None if found is None else found.study
+    if study is not None:
+        rows["study"] = f"{PurePosixPath(study.file).name}, SHA-256 {study.digest}"
+        rows["study file"] = "values were replaced for this run" if study.changed else ""
+    rows |= {} if found is None else {name: f"SHA-256 {digest}" for name, digest in found.files.items()}
+    rows = {name: said for name, said in (rows | dict(more or {})).items() if said}
+    columns = {"": list(rows), "what this page comes from": list(rows.values())}
+    table = table_of(columns, columns) if rows else ()
+    text, title = "" if study is None else study.text, "" if found is None else found.title
+    return {"origin": table, "study": text, "title": title}

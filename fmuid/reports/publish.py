@@ -2,80 +2,58 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 
 from fmuid.errors import InputError
 from fmuid.files import is_file, is_folder, replacing
 from fmuid.formatting import listed
 from fmuid.reports.document import Document, Section
-from fmuid.reports.figure_files import REPORT_FILE, clear_figures
-from fmuid.reports.render.document_json import DOCUMENT_FILE, read_documents, write_document
+from fmuid.reports.render.document_json import DOCUMENT_FILE, kept_documents, read_documents, write_documents
+
+FORMATS = ("png", "svg", "pdf")
+"""Of figures for print."""
+REPORT_FILE = "report.html"
+# What the figures of a run are called, before a hyphen where there are several of a kind.
+KINDS = """
+fit preparation prepared monitored residuals parameters criterion optima belief parabolas correlation accuracy profiles
+maps posterior walkers causes changes evidence sizes explained timeline cases distributions spread over starts failures
+prediction criteria errors estimates excitations sensitivities
+""".split()  # noqa: SIM905  # as a list a line each
 
 
 def publish(folder: Path, document: Document, *, report: bool, figures: str | None = None) -> list[Path]:
-    """Write a document into a folder, with a report and figures for print where they are wanted.
-
-    Those of an earlier run go.
-
-    Parameters
-    ----------
-    folder : Path
-    document : Document
-    report : bool
-        Whether to write ``report.html``: this document and those of other commands in the folder.
-    figures : str, optional
-        ``png``, ``svg`` or ``pdf``.
-
-    Returns
-    -------
-    list of Path
-
-    Raises
-    ------
-    InputError
-        If nothing can be written there.
-    """
-    written = [write_document(folder, document)]
+    """Write a document, its report and its figures; remove those of earlier runs."""
+    documents = {**kept_documents(folder), document.kind: document}
+    written = [write_documents(folder, documents)]
     (folder / REPORT_FILE).unlink(missing_ok=True)
     written += [] if figures is None else write_figures(folder, document.sections, figures)
     if figures is None:
         clear_figures(folder / "figures")
-    return [*written, *([write_report(folder)] if report else [])]
+    return [*written, *([_write_page(folder, documents.values())] if report else [])]
 
 
 def write_report(folder: str | Path) -> Path:
-    """Write ``report.html`` into a folder of results and return its path.
-
-    The page shows the documents of all commands that have written into the folder, needs no other file and asks no
-    host.
-
-    Raises
-    ------
-    InputError
-        If the folder has no documents, they cannot be read, or nothing can be written there.
-    """
-    from fmuid.reports.render.html import page
-
+    """Write ``report.html`` of a results folder and return its path."""
     folder = Path(folder)
     if not is_folder(folder):
         raise InputError(f"{folder} is no folder of results")
-    documents = list(documents_of(folder).values())
-    title = next((each.title for each in documents if each.title), "") or folder.absolute().parent.name
+    return _write_page(folder, documents_of(folder).values())
+
+
+def _write_page(folder: Path, documents: Iterable[Document]) -> Path:
+    from fmuid.reports.render.html import page
+
+    shown = list(documents)
+    title = next((each.title for each in shown if each.title), "") or folder.absolute().parent.name
     path = folder / REPORT_FILE
     with replacing(path) as draft:
-        draft.write_text(page(title, documents), encoding="utf-8")
+        draft.write_text(page(title, shown), encoding="utf-8")
     return path
 
 
 def documents_of(folder: Path) -> dict[str, Document]:
-    """Return the documents of a folder by their kind: those written there, else those of the results it has.
-
-    Raises
-    ------
-    InputError
-        If the folder has no results, or a file in it cannot be read.
-    """
+    """Return the documents of a folder by their kind."""
     if is_file(folder / DOCUMENT_FILE):
         return read_documents(folder)
     from fmuid import runs
@@ -97,13 +75,7 @@ def documents_of(folder: Path) -> dict[str, Document]:
 
 
 def write_figures(folder: Path, sections: Sequence[Section], kind: str) -> list[Path]:
-    """Draw a figure for print of each section that has charts, into ``figures/`` of a folder; those of before go.
-
-    Raises
-    ------
-    InputError
-        If nothing can be written there.
-    """
+    """Draw each section with charts for print, into ``figures/``."""
     from fmuid.reports.render.matplotlib_renderer import printed, save
 
     clear_figures(folder / "figures")
@@ -112,3 +84,16 @@ def write_figures(folder: Path, sections: Sequence[Section], kind: str) -> list[
         beside = [*each.charts, *([] if each.zoom is None else [each.zoom])]
         drawn[each.key] = printed(beside, max(each.beside, 1 + (each.zoom is not None)), each.heading)
     return save(drawn, folder / "figures", kind)
+
+
+def check_format(figures: str | None) -> None:
+    """Check the format of figures for print."""
+    if figures is not None and figures not in FORMATS:
+        raise InputError(f"figures are drawn as {', '.join(FORMATS)}, not {figures!r}")
+
+
+def clear_figures(folder: Path) -> None:
+    """Remove the figures of an earlier run; other files stay."""
+    for old in folder.glob("*.*"):
+        if old.suffix.lstrip(".") in FORMATS and old.stem.split("-")[0] in KINDS:
+            old.unlink()

@@ -1,4 +1,4 @@
-"""A study run and reported: the findings of a command, their files, page and figures."""
+"""Run a command on a study, and report it."""
 
 from __future__ import annotations
 
@@ -8,10 +8,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, TypeAlias, TypeVar
 
 from fmuid.errors import InputError
-from fmuid.reports.figure_files import check_format
+from fmuid.reports.document import Document
+from fmuid.reports.publish import check_format, publish
 
 if TYPE_CHECKING:
-    from fmuid.progress import Progress
+    from fmuid.events import Progress
     from fmuid.runs import ComparisonRun, DiagnosisRun, IdentificationRun, MonitoringRun, PredictionRun
     from fmuid.studies import Study
 
@@ -20,22 +21,13 @@ Command = Literal["identify", "diagnose", "monitor", "predict", "compare"]
 Found = TypeVar("Found", bound="AnyFindings")
 
 
-def published(found: Found, folder: Path | None, *, report: bool = True, figures: str | None = None) -> Found:
-    """Write the report of a folder and its figures for print; return the findings with these files, too.
-
-    Nothing is done where the findings were not written.
-
-    Raises
-    ------
-    InputError
-        If a file cannot be written.
-    """
-    from fmuid.reports.documents import document
-    from fmuid.reports.publish import publish
-
-    if folder is None or not found.files:
+def published(
+    found: Found, document: Document, folder: Path, *, report: bool = True, figures: str | None = None
+) -> Found:
+    """Write the report of findings; return them with these files."""
+    if not found.files:  # they are not written yet
         return found
-    drawn = publish(folder, document(found), report=report, figures=figures)
+    drawn = publish(folder, document, report=report, figures=figures)
     return replace(found, files=tuple(dict.fromkeys((*found.files, *drawn))))
 
 
@@ -65,7 +57,7 @@ def run(
     figures : str, optional
         ``png``, ``svg`` or ``pdf``: draw figures for print, into ``figures/`` of the folder.
     progress : callable, optional
-        Called with every step (`fmuid.progress`).
+        Called with every step (`fmuid.events`).
 
     Returns
     -------
@@ -94,7 +86,7 @@ def run(
         raise InputError("figures are in a folder: say in which one")
     found = None
     for each in _findings(study, folder, command, tables, progress):
-        found = published(each, folder, report=report, figures=figures)
+        found = each if folder is None else published(each, Document.of(each), folder, report=report, figures=figures)
     assert found is not None, "a run yields, or raises an error"
     return found
 
@@ -107,15 +99,7 @@ def _findings(
     progress: Progress | None,
 ) -> Iterator[AnyFindings]:
     """Yield the findings of a command."""
-    from fmuid.runs import (
-        compared,
-        diagnosed,
-        identified,
-        monitored,
-        predicted_by,
-        write_comparison,
-        write_prediction,
-    )
+    from fmuid.runs import compared, diagnosed, identified, monitored, predicted_by, write_comparison, write_prediction
     from fmuid.studies import Study
 
     if command == "compare":
@@ -129,7 +113,7 @@ def _findings(
     if command == "predict":
         if isinstance(given, Study):
             raise InputError("a result predicts: give its result.json, or its folder")
-        found = predicted_by(given, tables, progress=progress)
+        found = predicted_by(given, tables)
         yield found if folder is None else write_prediction(folder, found)
         return
     study = given if isinstance(given, Study) else Study.read(given)

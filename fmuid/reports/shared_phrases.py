@@ -1,18 +1,11 @@
-"""Phrases that topics share: directions that the data leave open, doubts about data files and earlier results."""
+"""Phrases that topics share: identifiability."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
 
-from fmuid.estimation import Identifiability, WeakDirection
-from fmuid.formatting import listed, two_digits
-from fmuid.identification import TimeScaleMismatch
-from fmuid.studies import SourceIssue
-
-if TYPE_CHECKING:
-    from fmuid.identification import TimeScaleWarning
-    from fmuid.studies import SourceWarning
+from fmuid.estimation import IdentifiabilityLevel, WeakDirection
+from fmuid.formatting import listed
 
 # Steps along a direction are told in percent of values, but of magnitudes where values are below this share of them.
 # The largest is 1 %, which is small enough for the linear model: that of the first parameter within this share of it.
@@ -24,15 +17,15 @@ DIGITS = 3
 
 
 def direction_words(direction: WeakDirection) -> str:
-    """Say in words what is not known along a direction."""
-    if direction.determined in (Identifiability.NOT, Identifiability.HIDDEN):
+    """Return the identifiability of a direction as text."""
+    if direction.level in (IdentifiabilityLevel.NOT, IdentifiabilityLevel.HIDDEN):
         return _lost(direction)
-    return _open(direction) if direction.determined is Identifiability.NOT_IN_EFFECT else _weak(direction)
+    return _open(direction) if direction.level is IdentifiabilityLevel.NOT_IN_EFFECT else _weak(direction)
 
 
-def open_words(determined: Identifiability, names: Sequence[str]) -> str:
-    """Say in words, without numbers, which parameters the data leave open."""
-    effect = " in effect" if determined is Identifiability.NOT_IN_EFFECT else ""
+def open_words(determined: IdentifiabilityLevel, names: Sequence[str]) -> str:
+    """Return the parameters that are not identifiable, without numbers."""
+    effect = " in effect" if determined is IdentifiabilityLevel.NOT_IN_EFFECT else ""
     return f"{listed(names)} {'is not determined' if len(names) == 1 else 'cannot be told apart'}{effect}"
 
 
@@ -40,7 +33,7 @@ def _lost(direction: WeakDirection) -> str:
     names = direction.names
     who = listed(names)
     no_output = "no output"
-    if direction.determined is Identifiability.HIDDEN:
+    if direction.level is IdentifiabilityLevel.HIDDEN:
         no_output = "the outputs by no more than the simulation's errors"
     if len(names) == 1:
         return f"{who} is not determined: changing it changes {no_output}"
@@ -97,59 +90,10 @@ def _verb(direction: WeakDirection) -> str:
 
 
 def _combinations(direction: WeakDirection) -> str:
-    """Return the combinations that stay the same along a direction: θ_i − (v_i/v_last) θ_last."""
+    """Return the identifiable combinations θ_i − (v_i/v_last) θ_last."""
     last = direction.coefficients[-1]
-    shares = [-coefficient / last for coefficient in direction.coefficients[:-1]]
-    return listed(
-        [
-            f"{name} {'-' if share < 0 else '+'} {_times(abs(share), direction.names[-1])}"
-            for name, share in zip(direction.names[:-1], shares, strict=True)
-        ]
-    )
-
-
-def _times(factor: float, name: str) -> str:
-    shown = f"{factor:.{DIGITS}g}"
-    return name if shown == "1" else f"{shown} {name}"
-
-
-# --- data files and earlier results ---------------------------------------------------------
-
-SHOWN_DROPOUTS = 3
-
-
-def dropout_words(source: str, times: Sequence[float]) -> str:
-    """Return where rows of a table are missing, by the times before, s, and what is made of that."""
-    some = ", ".join(f"{time:.6g}" for time in times[:SHOWN_DROPOUTS]) + (", …" if len(times) > SHOWN_DROPOUTS else "")
-    return f"{source}: rows are missing after t = {some} s; inputs go on there as between any samples"
-
-
-def time_words(doubt: TimeScaleWarning) -> str:
-    """Return why the unit of a record's time is to be looked at."""
-    lasts = f"{doubt.source} lasts {doubt.duration:.3g} s in steps of {doubt.step:.3g} s"
-    look = 'look at the unit of its time, and say it by time_unit = "ms" or what it is'
-    match doubt.kind:
-        case TimeScaleMismatch.TOO_LONG:
-            return f"{lasts}, and what the model does is over in {doubt.time_constant:.2g} s (ms?): {look}"
-        case TimeScaleMismatch.TOO_SHORT:
-            return f"{lasts}, and the model takes {doubt.time_constant:.2g} s for what it does (s, not ms?): {look}"
-
-
-def size_words(source: str, column: str, ratio: float) -> str:
-    """Return why the units of a record are to be looked at: so many times as far moves the model at its own values."""
-    return (
-        f"{source}: at the FMU's own values what {column!r} measures moves {two_digits(ratio)} times as far as "
-        'measured: look at the units of its column and of the inputs\', and say them by units, as in U = "mV"'
-    )
-
-
-def source_words(note: SourceWarning) -> str:
-    """Return why an earlier result, of which something is taken, is to be taken with care."""
-    match note.doubt:
-        case SourceIssue.DID_NOT_SUCCEED:
-            return f"{note.path}, an earlier result, did not succeed: {note.outcome.value}"
-        case SourceIssue.NO_MODEL:
-            return f"{note.path} does not say of which model it is a result"
-        case SourceIssue.OTHER_BUILD:
-            assert note.fmu is not None
-            return f"{note.path} was made with another build of {note.fmu.name} than {note.fmu.path}"
+    said = []
+    for name, coefficient in zip(direction.names[:-1], direction.coefficients[:-1], strict=True):
+        factor = f"{abs(coefficient / last):.{DIGITS}g} ".removeprefix("1 ")
+        said.append(f"{name} {'-' if -coefficient / last < 0 else '+'} {factor}{direction.names[-1]}")
+    return listed(said)

@@ -1,4 +1,4 @@
-"""What an identification found, carried to other tools: an SSV file, and a copy of the FMU with new start values."""
+"""Estimates for other tools: SSV files and FMUs with new start values."""
 
 from __future__ import annotations
 
@@ -33,9 +33,9 @@ ESTIMATES_FILE = "parameters.ssv"
 
 @dataclass(frozen=True)
 class AppliedValue:
-    """One start value that was replaced, in the unit of the variable; `old` is None where there was none.
+    """A replaced start value, in the unit of the variable.
 
-    `std` is NaN where it is not known.
+    `old` is None where there was none, `std` NaN where unknown.
     """
 
     variable: str
@@ -47,7 +47,7 @@ class AppliedValue:
 
 @dataclass(frozen=True)
 class _Estimate:
-    """A value to apply: of a result with its standard deviation, of an SSV file with its unit, None where not given."""
+    """A value to apply: σ from a result, unit from an SSV file."""
 
     value: Value
     std: float = math.nan
@@ -55,24 +55,7 @@ class _Estimate:
 
 
 def write_estimates(folder: Path, system: System, result: Result) -> list[Path]:
-    """Write the estimates as ``parameters.ssv`` (SSP 1.0) and return its path, as a list of one.
-
-    Parameters that the data do not determine and those estimated for each experiment are left out: no single value
-    stands for them. Nothing is written, and an earlier file is removed, where no value is left or the search has not
-    converged.
-
-    Parameters
-    ----------
-    folder : Path
-    system : System
-        Of the result.
-    result : Result
-
-    Raises
-    ------
-    InputError
-        If the file cannot be written.
-    """
+    """Write ``parameters.ssv`` (SSP 1.0) without undetermined values; return its path in a list."""
     units, values = _units(system), {}
     for name, value, std in zip(result.names, result.values.tolist(), result.std.tolist(), strict=True):
         if name in system.variables and math.isfinite(std) and math.isfinite(value):
@@ -90,7 +73,7 @@ def write_estimates(folder: Path, system: System, result: Result) -> list[Path]:
 
 
 def _units(system: System) -> dict[str, Unit]:
-    """Return the units that all FMUs define alike; in one file a name can stand for one unit only."""
+    """Return the units with one definition in all FMUs."""
     found: dict[str, Unit] = {}
     clashing = set()
     for component in system.components.values():
@@ -102,25 +85,10 @@ def _units(system: System) -> dict[str, Unit]:
 
 
 def apply_result(result: Path, fmu: Path, output: Path, component: str | None = None) -> tuple[AppliedValue, ...]:
-    """Write a copy of an FMU whose start values are the estimates of a result.
+    """Write a copy of an FMU that starts at the estimates of a result.
 
-    Only the modelDescription.xml differs, and in it the start values and the annotation that names them
-    (`fmuid.models.start_values`): the binary has its own start values, and a simulator must set those of the XML.
-
-    Parameters
-    ----------
-    result : Path
-        A ``result.json``, the folder that has one, or an ``.ssv`` file.
-    fmu, output : Path
-        The FMU, and the one to write.
-    component : str, optional
-        Of which component of a system `fmu` is; the values ``component.variable`` are applied then.
-
-    Raises
-    ------
-    InputError
-        If a file cannot be read or written, the result has not converged or is of another model, or a value has no
-        variable in the FMU that may start at it.
+    Only start values and their annotation in the modelDescription.xml differ (`fmuid.models.start_values`): simulators
+    must set the start values of the XML. `component` is the FMU's name in a system; `result` may be an ``.ssv`` file.
     """
     model = FMU(fmu)
     estimates, units = _read(result, model.description.model_name, component)
@@ -137,11 +105,8 @@ def apply_result(result: Path, fmu: Path, output: Path, component: str | None = 
     return tuple(applied)
 
 
-# --- the values
-
-
 def _read(path: Path, model: str, component: str | None) -> tuple[dict[str, _Estimate], Mapping[str, Unit]]:
-    """Return the values of a result or SSV file by the names in the FMU, and the units that the file defines."""
+    """Return values by their names in the FMU, and the units of the file."""
     if is_folder(path):
         path = path / "result.json"
     if path.suffix.lower() == ".ssv":
@@ -150,16 +115,15 @@ def _read(path: Path, model: str, component: str | None) -> tuple[dict[str, _Est
         return _of_component(path, found, component), given.units
     result = Result.from_json(path)
     estimates = dict(zip(result.names, map(_Estimate, result.values.tolist(), result.std.tolist()), strict=True))
-    found = _of_component(path, estimates, component, tuple(result.models))
-    used = result.models.get(component or "")
+    found = _of_component(path, estimates, component, tuple(result.setup.models))
+    used = result.setup.models.get(component or "")
     identified = model if used is None else used["name"]
     if identified != model:
         raise InputError(f"{path} is a result for the model {identified}, and the FMU is {model}; give its own FMU")
     lost = [name for name, estimate in found.items() if math.isinf(estimate.std)]
     if lost:
         raise InputError(
-            f"{path}: the data do not determine {', '.join(lost)}; hold or give a prior to what is not determined, and "
-            "identify again"
+            f"{path}: the data do not determine {', '.join(lost)}; hold or give a prior, and identify again"
         )
     if not result.converged:
         raise InputError(f"{path} has not converged ({result.outcome.value}): continue with fmuid identify --resume")
@@ -172,10 +136,8 @@ def _of_component(
     """Return the values of one component under their names in it."""
     if component is None:
         if any(components):
-            raise InputError(
-                f"{path} is a result of the system of {', '.join(components)}; say with --component which of them the "
-                "FMU is"
-            )
+            named = ", ".join(components)
+            raise InputError(f"{path} is a result of the system of {named}; say with --component which is the FMU")
         chosen = dict(found)
     else:
         prefix = f"{component}."
@@ -187,33 +149,27 @@ def _of_component(
     return chosen
 
 
-# --- what the FMU allows
-
-
 def _startable(description: Description, name: str, fmu: Path) -> Variable:
     """Return a variable whose start value may be set."""
     variables = description.variables
     base = name.rpartition("[")[0]
     if name not in variables and base in variables:
-        raise InputError(
-            f"{name} was estimated for one experiment, or is no element of {base!r}; an FMU has one start value of "
-            f"{base!r}: take the parameter out of the result, or identify it for all experiments"
-        )
+        why = f"{name} was estimated for one experiment, or is no element of {base!r}"
+        raise InputError(f"{why}: take it out of the result, or identify it for all experiments")
     if name not in variables:
         raise InputError(f"{fmu} has no variable {name!r}{nearest(name, variables)}")
     variable = variables[name]
     if not variable.settable or variable.causality == "structuralParameter":  # which the sizes of arrays hang on
-        raise InputError(
-            f"{fmu}: the start value of {name!r} may not be set (causality {variable.causality}, variability "
-            f"{variable.variability}, initial {variable.initial or 'not given'})"
-        )
+        kind = f"causality {variable.causality}, variability {variable.variability}"
+        initial = variable.initial or "not given"
+        raise InputError(f"{fmu}: the start value of {name!r} may not be set ({kind}, initial {initial})")
     return variable
 
 
 def _conversion(
     description: Description, variable: Variable, unit: str | None, units: Mapping[str, Unit], result: Path
 ) -> tuple[float, float]:
-    """Return factor and offset from the unit of a value to that of its variable."""
+    """Return factor and offset to the unit of a variable."""
     if unit is None or variable.unit is None or unit == variable.unit:
         return 1.0, 0.0
     found = unit_conversion({**description.units, **units}.get(unit), description.units.get(variable.unit))
@@ -223,29 +179,21 @@ def _conversion(
 
 
 def _checked(variable: Variable, value: Value, factor: float, offset: float, fmu: Path) -> float | int | bool:
-    """Return a value in the unit of its variable, within the limits that the FMU declares."""
+    """Return a value in its variable's unit, within the FMU's limits."""
     if isinstance(value, str):
         raise InputError(f"{variable.name!r} is the text {value!r}; only numbers and truth values can be applied")
     new: float | int | bool = value
     if not isinstance(value, bool) and (variable.type == "Real" or (factor, offset) != (1.0, 0.0)):
         new = factor * value + offset
-    for word, limit, outside in (
-        ("min", variable.min, variable.min is not None and new < variable.min),
-        ("max", variable.max, variable.max is not None and new > variable.max),
-    ):
-        if outside:
-            raise InputError(
-                f"{variable.name!r} = {new:.6g} is beyond the {word} = {limit:.6g} that {fmu} declares; bound the "
-                "parameter in the study"
-            )
+    for word, limit, sign in (("min", variable.min, 1.0), ("max", variable.max, -1.0)):
+        if limit is not None and sign * new < sign * limit:
+            beyond = f"{variable.name!r} = {new:.6g} is beyond the {word} = {limit:.6g} that {fmu} declares"
+            raise InputError(f"{beyond}; bound the parameter in the study")
     return new
 
 
-# --- the copy
-
-
 def _copy(fmu: Path, output: Path, values: Mapping[str, float | int | bool]) -> None:
-    """Write a copy of an FMU with other start values; all other entries keep their content, order and attributes."""
+    """Write a copy of an FMU; other entries keep content, order and attributes."""
     with CheckedArchive(fmu) as old:
         try:
             text = with_starts(old.read(DESCRIPTION_FILE), values)

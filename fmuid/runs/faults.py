@@ -1,4 +1,4 @@
-"""Diagnosis, monitoring and the design of a test as a study describes them: findings with their files."""
+"""Diagnosis, monitoring and the design of a test by a study."""
 
 from __future__ import annotations
 
@@ -10,12 +10,13 @@ from typing import Any
 import pandas as pd
 
 from fmuid import codec, files
-from fmuid.data import Experiment, record_files
+from fmuid.data import Experiment, Parameter, record_files
 from fmuid.diagnosis import (
     FALSE_ALARM_LEVEL,
     MISS_PROBABILITY,
     Baseline,
     Design,
+    DiagnosisSettings,
     Monitor,
     Rule,
     StoredBaseline,
@@ -23,166 +24,79 @@ from fmuid.diagnosis import (
 )
 from fmuid.errors import FmuidError, InputError
 from fmuid.estimation import Result
-from fmuid.progress import Progress
+from fmuid.events import Progress
+from fmuid.identification import SensitivityFunctions, expected_accuracy, rank_excitations, sensitivity_functions
 from fmuid.runs.findings import DiagnosisRun, MonitoringRun, PreprocessedTable, Provenance
 from fmuid.runs.folder import MONITORED_FILE, MONITORING_FILE, MONITORING_SCHEMA, read_monitoring, write_diagnosis
-from fmuid.runs.preprocessing import prepared, prepared_table, thinned_again, words_of, write_prepared
+from fmuid.runs.predict import records_like
+from fmuid.runs.preprocessing import changed, prepared, prepared_table, thinned_again, write_some
 from fmuid.runs.provenance import made_from
 from fmuid.studies import ExperimentSettings, Study
 
-# Of the first records that are monitored what was done with their tables is kept, as many as a page shows.
+# Monitored records whose preprocessing is kept, as many as a page shows.
 MOST_PREPARED = 6
 
 
 def rule_of(study: Study) -> Rule:
-    """Return the rule of a monitoring that a study's ``[monitoring]`` and ``[diagnosis]`` give.
-
-    Raises
-    ------
-    InputError
-        If the study has no ``[diagnosis]``, a record is to be cut and nothing says how long the transient is, or the
-        rule is wrong.
-    """
-    return study.monitoring.rule(study.experiments[0].warmup, study.fault_search.level)
+    """Return the rule of a monitoring by ``[monitoring]`` and ``[diagnosis]``."""
+    return study.monitoring.rule(study.experiments[0].warmup, study.fault_search.false_alarm_rate)
 
 
 def build_monitor(study: Study, rule: Rule) -> Monitor:
-    """Return the monitor of the faults that the ``[diagnosis]`` of a study names; its level is the rule's.
-
-    Raises
-    ------
-    InputError
-        If the study has none, or models and healthy result do not fit together.
-    """
+    """Return the monitor of the faults of a study's ``[diagnosis]``."""
     settings = study.fault_search
     faults = settings.fault_models(study.system, study.model, study.data)
     try:
-        return Monitor(
-            _healthy(study),
-            faults,
-            study.system,
-            rule,
-            settings.causes,
-            settings.model_error,
-        )
+        return Monitor(_healthy(study), faults, study.system, rule, settings.causes, settings.fault_model_error)
     except InputError as error:
-        raise InputError(f"{settings.where}: {error}") from None
+        raise InputError(f"{settings.place}: {error}") from None
 
 
 def design_of(
     study: Study, fault: str, *, false_alarm: float = FALSE_ALARM_LEVEL, miss: float = MISS_PROBABILITY
 ) -> Design:
-    """Return the design of a test for one of the faults that the ``[diagnosis]`` of a study names.
-
-    Raises
-    ------
-    InputError
-        If the study has no such fault, or models and healthy result do not fit together.
-    """
+    """Return the design of a test for one fault of a study."""
     settings = study.fault_search
     if fault not in settings.faults:
-        raise InputError(f"{settings.where} has no fault {fault!r}, only {', '.join(settings.faults)}")
+        raise InputError(f"{settings.place} has no fault {fault!r}, only {', '.join(settings.faults)}")
     model = settings.faults[fault].fault(study.system, study.model)
-    return Design(
-        {fault: model},
-        _healthy(study),
-        study.system,
-        settings.causes,
-        false_alarm=false_alarm,
-        miss=miss,
-        model_error=settings.model_error,
-    )
+    how = DiagnosisSettings(false_alarm, causes=settings.causes, model_error=settings.fault_model_error)
+    return Design({fault: model}, _healthy(study), study.system, how, miss=miss)
 
 
 def shown_by(study: Study) -> Callable[[Result], StoredBaseline] | None:
-    """Return what says what a healthy study's tables show of faults, by its result; None of a study of another kind.
-
-    Raises
-    ------
-    InputError
-        If models, faults and noise do not go together.
-    """
+    """Return a function of a result for its stored baseline; None without own faults."""
     settings = study.diagnosis
     if settings is None or settings.source is not None:
         return None
     for name, parameter in study.parameters.items():
         if parameter.per_experiment:
-            raise InputError(f"{settings.where}: {name} is one per experiment, which does not go with a diagnosis")
+            raise InputError(f"{settings.place}: {name} is one per experiment, which does not go with a diagnosis")
     faults = settings.fault_models(study.system, study.model, study.data)
     variance = study.noise.given_variance()
 
     def shown(result: Result) -> StoredBaseline:
         healthy = Baseline(
-            result, settings.inflate, noise_variance=variance, values=study.model.values, records=study.tables
+            result, settings.std_factor, noise_variance=variance, values=study.model.values, records=study.tables
         )
         return compute_stored_baseline(healthy, faults, study.system, settings.causes)
 
     return shown
 
 
-def records_of(
-    study: Study, paths: Sequence[Path], known: Sequence[str] = ()
-) -> Iterator[tuple[Experiment, pd.DataFrame]]:
-    """Read records one after the other, each with its table as it was before it was prepared.
-
-    They are read with the words of the study's first experiment.
-
-    Parameters
-    ----------
-    study : Study
-    paths : sequence of Path
-        Tables, and folders whose tables are taken in the order of their names.
-    known : sequence of str
-        Names of records that are left out.
-
-    Raises
-    ------
-    InputError
-        If a table cannot be read or has other columns than the study says, or a folder has none.
-    """
-    given = study.experiments[0]
-    for path in record_files(paths):
-        if path.stem in known:
-            continue
-        try:
-            raw = given.read_frame(path)
-            record = given.model_copy(update={"name": path.stem}).experiment(raw, str(path))
-        except InputError as error:
-            raise InputError(f"{error} (inputs and outputs are those of {study.path})") from None
-        yield record, raw
-
-
 def _healthy(study: Study) -> Baseline:
-    """Return the healthy machine of a study, with its records."""
+    """Return the baseline of a study."""
     read = study.experiments[0].read_experiment
-    return study.fault_search.baseline(study.model, study.parameters, study.noise, read)
-
-
-# --- runs
+    return study.fault_search.healthy(study.model, study.parameters, study.noise, read)
 
 
 def diagnosed(study: Study, folder: Path | None = None, *, progress: Progress | None = None) -> Iterator[DiagnosisRun]:
-    """Look for the faults that the ``[diagnosis]`` of a study names: yield what is found, once.
-
-    Parameters
-    ----------
-    study : Study
-    folder : Path, optional
-        Where ``diagnosis.json`` and ``diagnosis.csv`` go, made where needed.
-    progress : callable, optional
-        Called before each fit.
-
-    Raises
-    ------
-    InputError
-        As `Study.diagnose`, or if nothing can be written; what was found is yielded first.
-    SimulationError
-        If the simulation fails at the healthy estimate.
-    """
+    """Diagnose the faults of a study: yield the findings once."""
     if folder is not None:
         files.make_folder(folder)
-    diagnosis = study.diagnose(progress)
-    found = DiagnosisRun(diagnosis, _units(study))
+    diagnosis, system = study.diagnose(progress), study.system
+    units = {name: each.units.get(name, system.unit(name)) for each in study.tables for name in each.output_names}
+    found = DiagnosisRun(diagnosis, units)
     try:
         if folder is not None:
             found = replace(found, prepared=prepared(study), origin=made_from(study))
@@ -201,26 +115,7 @@ def monitored(
     append: bool = False,
     progress: Progress | None = None,
 ) -> Iterator[MonitoringRun]:
-    """Look for the faults that a study names in records, window by window: yield what is found, once.
-
-    Parameters
-    ----------
-    study : Study
-    tables : sequence of path
-        Records, and folders of records, in their order.
-    folder : Path, optional
-        Where ``monitoring.csv`` and ``monitoring.json`` go, made where needed.
-    append : bool
-        Whether to go on with the run in the folder, whose records are left out.
-    progress : callable, optional
-        Called before each window.
-
-    Raises
-    ------
-    InputError
-        If study, models and records do not fit together, there is a run to go on with without a folder, or nothing can
-        be written there. What was found before a record that is wrong is written.
-    """
+    """Monitor records: yield the findings once; `append` resumes an earlier run."""
     if folder is None and append:
         raise InputError("an earlier run is in a folder: say in which one")
     monitor = build_monitor(study, rule_of(study))
@@ -229,9 +124,8 @@ def monitored(
         beside = monitor.resume(folder) if append else {}
         files.make_folder(folder)
         kept = MonitoredTables(folder, study.experiments[0], append=append)
-    found = None
     try:
-        for record, raw in records_of(study, paths, monitor.records):
+        for record, raw in records_like(study, paths, known=monitor.records):
             monitor.add(record, progress)
             if kept is not None:
                 kept.add(record, raw)
@@ -244,7 +138,7 @@ def monitored(
 
 
 def findings_of(monitor: Monitor) -> MonitoringRun:
-    """Return what a monitoring has found so far."""
+    """Return the findings of a monitor so far."""
     sizes = {name: tuple(f"{name}.{size}" for size in fault.sizes) for name, fault in monitor.faults.items()}
     return MonitoringRun(
         monitor.table, monitor.alarms, monitor.rule, monitor.undetermined, sizes, tuple(monitor.baseline.common),
@@ -253,20 +147,7 @@ def findings_of(monitor: Monitor) -> MonitoringRun:
 
 
 class MonitoredTables:
-    """What was done with the tables of the first records that are monitored, kept beside what is found in them.
-
-    Parameters
-    ----------
-    folder : Path
-    given : ExperimentSettings
-        How records are read.
-    append : bool
-        Whether to go on with what the folder has.
-
-    Attributes
-    ----------
-    prepared : list of PreprocessedTable
-    """
+    """Preprocessing of the first monitored records, kept beside the findings in a folder."""
 
     def __init__(self, folder: Path, given: ExperimentSettings, *, append: bool) -> None:
         self.folder, self.given, self._new = folder, given, not append
@@ -276,9 +157,9 @@ class MonitoredTables:
         self._files = {} if earlier is None or earlier.origin is None else dict(earlier.origin.files)
 
     def add(self, record: Experiment, raw: pd.DataFrame) -> None:
-        """Note what was done with a table, or with what is new of one that grows."""
+        """Note the preprocessing of a table, or of the new part of a growing one."""
         at = next((k for k, each in enumerate(self.prepared) if each.experiment == record.name), None)
-        if not words_of(self.given) or (at is None and len(self.prepared) >= MOST_PREPARED):
+        if not changed(self.given.preprocess) or (at is None and len(self.prepared) >= MOST_PREPARED):
             return
         done = prepared_table(self.given.model_copy(update={"name": record.name}), record, raw)
         self._new = self._new or len(done.table) > 0
@@ -299,17 +180,54 @@ class MonitoredTables:
         lines: Sequence[str] = (),
         beside: Mapping[str, Any] | None = None,
     ) -> MonitoringRun:
-        """Write what was found, and the columns before and after where there are new ones; return it with its files."""
+        """Write findings, and tables of preprocessing if new; return findings with their files."""
         origin = replace(origin, files=self._files | dict(origin.files))
         found = replace(found, prepared=tuple(self.prepared), origin=origin)
         written = [self.folder / MONITORED_FILE] if any(len(each.table) for each in self.prepared) else []
         if self._new:
             self._new = False
-            written = write_prepared(self.folder / MONITORED_FILE, (each.table for each in self.prepared))
+            written = write_some(self.folder / MONITORED_FILE, (each.table for each in self.prepared))
         content = {"schema": MONITORING_SCHEMA, **codec.as_json(found)}
         return replace(found, files=(*written, *monitor.write(self.folder, content, lines, beside)))
 
 
-def _units(study: Study) -> dict[str, str | None]:
-    """Return the unit of each output of the study's tables."""
-    return {name: each.units.get(name, study.system.unit(name)) for each in study.tables for name in each.output_names}
+def ranked_excitations(
+    study: Study, tables: Sequence[Path], *, by: str = "determinant", fault: str | None = None
+) -> pd.DataFrame:
+    """Compare excitations, best first, by expected accuracy or fault size."""
+    words = study.experiments[0]
+    candidates = {path.stem: _excitation(study, path) for path in record_files(tables)}
+    if fault is not None:
+        return design_of(study, fault).rank(candidates)
+    study.check_parameters()
+    variance = study.known_variance
+    for name in words.outputs:
+        if name not in variance:
+            raise InputError(f"{study.path} does not say how large the noise of {name!r} is: give it under [noise]")
+    parameters, values = _shared(study), study.model.values
+    found = [expected_accuracy(study.system, each, parameters, variance, values) for each in candidates.values()]
+    return rank_excitations(found, by=by)
+
+
+def healthy_record_cost(study: Study, tables: Sequence[Path], fault: str, excitation: str) -> pd.DataFrame:
+    """Return the cost of healthy records for a test by their length."""
+    (path,) = (each for each in record_files(tables) if each.stem == excitation)
+    return design_of(study, fault).cost(_excitation(study, path))
+
+
+def _excitation(study: Study, path: Path) -> Experiment:
+    """Read a table of inputs with the settings of the first experiment."""
+    words = study.experiments[0].model_copy(update={"name": path.stem})
+    return words.read_experiment(path, measured=False)
+
+
+def sensitivities_of(study: Study) -> tuple[SensitivityFunctions, ...]:
+    """Return the normalized sensitivities (1.33) over every experiment, at the parameters' starts."""
+    study.check_parameters()
+    shared, values = _shared(study), study.model.values
+    return tuple(sensitivity_functions(study.system, each, shared, values) for each in study.tables)
+
+
+def _shared(study: Study) -> dict[str, Parameter]:
+    """Return the parameters with one value for all experiments."""
+    return {name: replace(each, per_experiment=False) for name, each in study.parameters.items()}

@@ -1,4 +1,4 @@
-"""What each command finds, typed: what a run yields, a folder keeps, and reports show."""
+"""Findings of each command, typed."""
 
 from __future__ import annotations
 
@@ -18,16 +18,13 @@ from fmuid.simulation import OutputFit
 
 if TYPE_CHECKING:
     from fmuid.diagnosis import Alarm, BaselineSource, Diagnosis, Rule, SkippedWindow
-    from fmuid.identification import (
-        ModelComparison,
-        Prediction,
-    )
+    from fmuid.identification import ModelComparison, Prediction
     from fmuid.studies import SourceWarning
 
 
 @dataclass(frozen=True)
 class StudySource:
-    """The study that something was found with.
+    """Study of a finding.
 
     Attributes
     ----------
@@ -36,11 +33,11 @@ class StudySource:
     digest : str
         SHA-256 of the file.
     text : str
-        Of the file.
+        Text of the file.
     changed : bool
-        Whether values of it were replaced, as by ``--set``.
+        True if values were replaced, as by ``--set``.
     content : mapping or None
-        With which it was run, so that a result can be used without it.
+        Its content, so that a result can be used without the file.
     """
 
     file: str
@@ -52,19 +49,19 @@ class StudySource:
 
 @dataclass(frozen=True)
 class Provenance:
-    """Where findings come from.
+    """Origin of findings.
 
     Attributes
     ----------
     version : str
-        Of fmuid.
+        Version of fmuid.
     date : str
         ISO 8601, UTC.
     title : str
-        Of the study.
+        Title of the study.
     study : StudySource or None
     files : mapping of str to str
-        SHA-256 of each model, table and result by its path from the study; of files that are gone nothing.
+        SHA-256 of each existing model, table and result by its path from the study.
     """
 
     version: str
@@ -76,18 +73,19 @@ class Provenance:
 
 @dataclass(frozen=True, eq=False)
 class PreprocessedTable:
-    """What was done with the table of an experiment.
+    """Preprocessing of the table of an experiment.
 
     Attributes
     ----------
     experiment : str
     words : mapping
-        Those of ``[experiments.prepare]`` that are not its defaults.
+        Settings of ``[experiments.preprocess]`` that are not defaults.
     units : mapping of str to str
-        Of its columns, where the table says them.
+        Units of its columns, where the table has them.
     table : DataFrame
-        The columns that it changed or made: ``experiment``, ``column``, ``stage`` (before or after), ``time`` (s) and
-        ``value``, thinned for figures; a column that it made has nothing before.
+        Changed and new columns, thinned for figures: ``experiment``, ``column``, ``stage`` (before or after), ``time``
+        (s),
+        ``value``.
     """
 
     experiment: str
@@ -99,13 +97,13 @@ class PreprocessedTable:
 
 
 def at_minimum(result: Result) -> bool:
-    """Return whether a search has ended where more can be asked of the criterion, sure or not."""
+    """Return True if a search has ended at a minimum, well determined or not."""
     return result.converged or result.outcome is TerminationReason.UNDETERMINED
 
 
 @dataclass(frozen=True, eq=False)
 class IdentificationRun(PlotMixin):
-    """All that an identification has found so far.
+    """Findings of an identification so far.
 
     Attributes
     ----------
@@ -113,15 +111,14 @@ class IdentificationRun(PlotMixin):
     fits : tuple of OutputFit
         One an experiment.
     assessment : Assessment
-        What the result is worth; of a search that was interrupted before any fit nothing.
+        Checks of the result; empty if the search was interrupted before any fit.
     files : tuple of Path
-        Those that were written, each once.
+        Written files, each once.
     origin : Provenance or None
-        What it was made from, where it was written.
     prepared : tuple of PreprocessedTable
-        What was done with tables first, where something was.
+        Tables that were preprocessed.
     dropouts : mapping of str to tuple of float
-        Experiments whose tables lack rows that the inputs go on over: the times before, s.
+        Experiments with missing rows: the times before, s.
 
     Examples
     --------
@@ -138,32 +135,24 @@ class IdentificationRun(PlotMixin):
     prepared: tuple[PreprocessedTable, ...] = ()
     dropouts: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
 
-    json_layout: ClassVar = Layout(
-        omitted={"files"},
-        inlined={"result"},
-        derived=("intervals",),
-        parts={"fit": {"experiments": "fits"}},
-    )
+    json_layout: ClassVar = Layout(omitted={"files"}, inlined={"result"}, derived=("intervals",))
 
     def __repr__(self) -> str:
         return f"Findings({self.result!r})"
 
     @property
     def succeeded(self) -> bool:
-        """Whether all that was asked for is there and can be trusted."""
+        """True if result and assessment passed."""
         return self.result.converged and self.assessment.succeeded
 
     @property
     def has_prior(self) -> bool:
-        """Whether any parameter has a prior."""
-        return bool(np.isfinite(self.result.prior_mean).any())
+        """True if any parameter has a prior."""
+        return bool(np.isfinite(self.result.estimates.prior_mean).any())
 
     @property
     def intervals(self) -> dict[str, dict[str, tuple[float, float]]]:
-        """The ends of the interval of each parameter by its kind: local, profile, posterior, as far as there are any.
-
-        NaN where there is none.
-        """
+        """Intervals of each parameter by kind: local, profile, posterior; NaN without one."""
         table = self.assessment.intervals(self.result)
         return {
             str(kind): {str(name): (float(low), float(high)) for name, low, high in table[kind].itertuples()}
@@ -177,13 +166,13 @@ class IdentificationRun(PlotMixin):
 
     @property
     def optima(self) -> pd.DataFrame:
-        """The content of ``optima.csv``: a row for each optimum that a search of the whole box has found."""
-        return optima_table(self.result.names, self.result.optima)
+        """The content of ``optima.csv``: a row for each optimum of a global search."""
+        return optima_table(self.result.names, self.result.history.optima)
 
     @property
     def unit_of(self) -> dict[str, str | None]:
         """The unit of each parameter."""
-        return {name: self.result.units.get(name) for name in self.result.names}
+        return {name: self.result.estimates.units.get(name) for name in self.result.names}
 
     @property
     def output_units(self) -> dict[str, str | None]:
@@ -193,74 +182,38 @@ class IdentificationRun(PlotMixin):
 
 @dataclass(frozen=True, eq=False)
 class DiagnosisRun:
-    """What a diagnosis has found.
-
-    Attributes
-    ----------
-    diagnosis : Diagnosis
-    units : mapping of str to str
-        Of each output.
-    prepared : tuple of PreprocessedTable
-    origin : Provenance or None
-    files : tuple of Path
-        Those that were written.
-    """
+    """Findings of a diagnosis."""
 
     diagnosis: Diagnosis
-    units: Mapping[str, str | None] = field(default_factory=dict)
+    units: Mapping[str, str | None] = field(default_factory=dict)  # of each output
     prepared: tuple[PreprocessedTable, ...] = ()
     origin: Provenance | None = None
-    files: tuple[Path, ...] = ()
+    files: tuple[Path, ...] = ()  # written files
 
     json_layout: ClassVar = Layout(omitted={"files"}, inlined={"diagnosis"}, types={"Diagnosis": "fmuid.diagnosis"})
 
     @property
     def healthy(self) -> bool:
-        """Whether nothing is wrong."""
+        """True if there is no fault."""
         return self.diagnosis.kind == "healthy"
 
 
 @dataclass(frozen=True, eq=False)
 class MonitoringRun:
-    """What monitoring has found so far.
+    """Findings of monitoring so far."""
 
-    Attributes
-    ----------
-    table : DataFrame
-        A row a window, as in ``monitoring.csv``.
-    alarms : tuple of Alarm
-    rule : Rule
-    undetermined : tuple of str
-        Faults that no window determines.
-    sizes : mapping of str to tuple of str
-        Columns of the table that are sizes of each fault.
-    common : tuple of str
-        Columns that are parameters of the healthy machine.
-    units : mapping of str to str
-        Of these columns.
-    basis : BaselineSource
-        Where the healthy machine is from.
-    gaps : tuple of SkippedWindow
-        Windows that were left out; not kept in a file.
-    prepared : tuple of PreprocessedTable
-        Of the first records.
-    origin : Provenance or None
-    files : tuple of Path
-        Those that were written.
-    """
-
-    table: pd.DataFrame
+    table: pd.DataFrame  # a row a window, as in ``monitoring.csv``
     alarms: tuple[Alarm, ...]
     rule: Rule
-    undetermined: tuple[str, ...]
-    sizes: Mapping[str, tuple[str, ...]]
-    common: tuple[str, ...]
-    units: Mapping[str, str]
-    basis: BaselineSource
-    gaps: tuple[SkippedWindow, ...] = ()
-    prepared: tuple[PreprocessedTable, ...] = ()
+    undetermined: tuple[str, ...]  # faults that no window determines
+    sizes: Mapping[str, tuple[str, ...]]  # columns of the table that are sizes of each fault
+    common: tuple[str, ...]  # columns that are parameters of the healthy machine
+    units: Mapping[str, str]  # of these columns
+    basis: BaselineSource  # source of the baseline
+    gaps: tuple[SkippedWindow, ...] = ()  # skipped windows; not kept in a file
+    prepared: tuple[PreprocessedTable, ...] = ()  # of the first records
     origin: Provenance | None = None
-    files: tuple[Path, ...] = ()
+    files: tuple[Path, ...] = ()  # written files
 
     json_layout: ClassVar = Layout(
         omitted={"table", "gaps", "files"},
@@ -269,21 +222,13 @@ class MonitoringRun:
 
     @property
     def healthy(self) -> bool:
-        """Whether there is no alarm, and no fault stays open."""
+        """True if there is no alarm, and no fault stays undetermined."""
         return not self.alarms and not self.undetermined
 
 
 @dataclass(frozen=True, eq=False)
 class Fold:
-    """One part of a cross-validation.
-
-    Attributes
-    ----------
-    result : Result
-        Made from the experiments of the other parts.
-    left_out : tuple of str
-        The experiments of this one.
-    """
+    """A part of a cross-validation: its experiments, and the result of the other parts."""
 
     result: Result
     left_out: tuple[str, ...]
@@ -291,29 +236,14 @@ class Fold:
 
 @dataclass(frozen=True, eq=False)
 class PredictionRun:
-    """What a result predicts.
+    """Predictions of a result."""
 
-    Attributes
-    ----------
-    predictions : tuple of Prediction
-        One a record.
-    folds : tuple of Fold
-        Of a cross-validation, whose predictions these are; empty otherwise.
-    notes : tuple of SourceWarning
-        What is to be known of the result; not kept in a file.
-    seen : tuple of str
-        Records that the result was made from.
-    origin : Provenance or None
-    files : tuple of Path
-        Those that were written.
-    """
-
-    predictions: tuple[Prediction, ...]
-    folds: tuple[Fold, ...] = ()
-    notes: tuple[SourceWarning, ...] = ()
-    seen: tuple[str, ...] = ()
+    predictions: tuple[Prediction, ...]  # one a record
+    folds: tuple[Fold, ...] = ()  # parts of a cross-validation; empty otherwise
+    notes: tuple[SourceWarning, ...] = ()  # warnings on the result; not kept in a file
+    seen: tuple[str, ...] = ()  # records that the result was made from
     origin: Provenance | None = None
-    files: tuple[Path, ...] = ()
+    files: tuple[Path, ...] = ()  # written files
 
     json_layout: ClassVar = Layout(
         omitted={"notes", "files"}, types={"Prediction": "fmuid.identification", "SourceWarning": "fmuid.studies"}
@@ -340,15 +270,10 @@ class PredictionRun:
 
 @dataclass(frozen=True)
 class CommonTables:
-    """How well a result predicts the tables that it is compared on.
+    """Prediction of common tables: RMSE of each output, and mean fit.
 
-    Attributes
-    ----------
-    rmse : mapping of str to float
-        Of each output over all records.
-    fit : float
-        Over all outputs and records, %: 100 less the root mean square of what each is below 100. Outputs that are
-        constant in a record are left out; NaN where all are.
+    `fit`, %, is 100 less the root mean square of each fit's distance to 100 over outputs and records. Outputs that are
+    constant in a record are left out; NaN where all are.
     """
 
     rmse: Mapping[str, float]
@@ -369,37 +294,22 @@ class ComparedEstimate:
 
 @dataclass(frozen=True, eq=False)
 class ComparisonRun:
-    """What a comparison has found.
+    """Findings of a comparison."""
 
-    Attributes
-    ----------
-    comparison : ModelComparison or None
-        By their likelihoods; None where they were compared on common tables alone.
-    tables : mapping of str to CommonTables
-        By the name of the result; empty without common tables.
-    units : mapping of str to str
-        Of the outputs of the common tables.
-    apart : str
-        Why likelihoods were not compared, "" where they were.
-    estimates : tuple of ComparedEstimate
-    origin : Provenance or None
-    files : tuple of Path
-        Those that were written.
-    """
-
-    comparison: ModelComparison | None
+    comparison: ModelComparison | None  # by likelihoods; None where compared on common tables alone
+    # By the name of the result; empty without common tables.
     tables: Mapping[str, CommonTables] = field(default_factory=dict)
-    units: Mapping[str, str] = field(default_factory=dict)
-    apart: str = ""
+    units: Mapping[str, str] = field(default_factory=dict)  # of the outputs of the common tables
+    apart: str = ""  # reason why likelihoods were not compared, "" where they were
     estimates: tuple[ComparedEstimate, ...] = ()
     origin: Provenance | None = None
-    files: tuple[Path, ...] = ()
+    files: tuple[Path, ...] = ()  # written files
 
     json_layout: ClassVar = Layout(omitted={"files"}, types={"ModelComparison": "fmuid.identification"})
 
     @property
     def table(self) -> pd.DataFrame:
-        """A row for each result: criteria, and over the common tables the RMSE of each output and the mean fit, %."""
+        """A row for each result: criteria, RMSE of each output, mean fit, %."""
         rows: dict[str, dict[str, Any]] = {}
         for rank in () if self.comparison is None else self.comparison.ranks:
             rows[rank.name] = dict(vars(rank))

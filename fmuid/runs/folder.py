@@ -1,9 +1,10 @@
-"""A folder of results, written and read: JSON by the classes of the findings, long tables as CSV."""
+"""Results folders, written and read: JSON by class, long tables as CSV."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -12,24 +13,18 @@ import numpy as np
 import pandas as pd
 
 from fmuid import codec
+from fmuid.array_types import Floats
 from fmuid.errors import InputError
 from fmuid.estimation import RESULT_SCHEMA, Iteration
 from fmuid.files import file_name, is_folder, with_formulas, write_table
-from fmuid.runs.batch.summary import BatchOverview
-from fmuid.runs.findings import (
-    ComparisonRun,
-    DiagnosisRun,
-    IdentificationRun,
-    MonitoringRun,
-    PredictionRun,
-)
+from fmuid.runs.findings import ComparisonRun, DiagnosisRun, IdentificationRun, MonitoringRun, PredictionRun
+from fmuid.runs.preprocessing import write_some
 
 RESULT_FILE = "result.json"
 DIAGNOSIS_FILE = "diagnosis.json"
 MONITORING_FILE, MONITORING_SCHEMA = "monitoring.json", "fmuid/monitoring/2"
 PREDICTION_FILE, PREDICTION_SCHEMA = "prediction.json", "fmuid/prediction/2"
 COMPARISON_FILE, COMPARISON_SCHEMA = "comparison.json", "fmuid/comparison/2"
-OVERVIEW_FILE, BATCH_SCHEMA = "summary.json", "fmuid/batch/2"
 PREPARED_FILE, MONITORED_FILE = "diagnosis-preparation.csv", "monitoring-preparation.csv"
 """What was done with the tables of a diagnosis, and of a monitoring, as in ``preparation.csv``."""
 RESIDUALS_FILE = "diagnosis-residuals.csv"
@@ -45,7 +40,7 @@ _AGAIN = "run fmuid identify again"
 
 
 def stacked(names: Sequence[str], frames: Sequence[pd.DataFrame]) -> pd.DataFrame:
-    """Return the experiments' frames below each other, after a column ``experiment`` where there are several."""
+    """Return the frames below each other, after a column ``experiment`` where there are several."""
     if len(frames) == 1:
         return frames[0]
     marked = [frame.assign(experiment=name) for name, frame in zip(names, frames, strict=True)]
@@ -54,7 +49,7 @@ def stacked(names: Sequence[str], frames: Sequence[pd.DataFrame]) -> pd.DataFram
 
 
 def tables_of(found: IdentificationRun) -> dict[str, pd.DataFrame]:
-    """Return the CSV tables of an identification by their names."""
+    """Return the CSV tables of an identification by name."""
     tables = {"estimates": found.estimates}
     checks = found.assessment
     if not found.fits or checks.residuals is None:
@@ -62,7 +57,7 @@ def tables_of(found: IdentificationRun) -> dict[str, pd.DataFrame]:
     frames = [fit.frame() for fit in found.fits]
     tables |= {"trace": found.result.trace, "fit": stacked([fit.experiment for fit in found.fits], frames)}
     tables["diagnostics"] = checks.residuals.table
-    if found.result.optima:
+    if found.result.history.optima:
         tables["optima"] = found.optima
     if changed := [each.table for each in found.prepared if len(each.table)]:
         tables["preparation"] = pd.concat(changed, ignore_index=True)
@@ -77,13 +72,7 @@ def _map_name(names: Iterable[str]) -> str:
 
 
 def write_identification(folder: Path, found: IdentificationRun) -> list[Path]:
-    """Write ``result.json`` and the tables of an identification, and return their paths; those of an earlier run go.
-
-    Raises
-    ------
-    InputError
-        If a file cannot be written.
-    """
+    """Write ``result.json`` and tables; return their paths. Tables of an earlier run go."""
     written = [codec.write(folder / RESULT_FILE, RESULT_SCHEMA, found)]
     written += [write_table(folder / f"{name}.csv", frame) for name, frame in tables_of(found).items()]
     for old in (old for name in _TABLES for old in folder.glob(f"{name}.csv")):
@@ -93,54 +82,57 @@ def write_identification(folder: Path, found: IdentificationRun) -> list[Path]:
 
 
 def read_identification(place: Path) -> IdentificationRun:
-    """Read what `write_identification` has written: a folder, or its ``result.json``, of which tables may be missing.
-
-    Of a search its trace, of the residuals their numbers, and of a sampling the samples come back; not the problem made
-    linear, nor the samples before the burn-in has ended.
-
-    Raises
-    ------
-    InputError
-        If a file cannot be read, or they do not belong together.
-    """
+    """Read a ``result.json`` with the tables beside it, without linearized problem and burn-in."""
     path = place / RESULT_FILE if is_folder(place) else place
     folder = path.parent
     content = codec.content_of(path, RESULT_SCHEMA, _AGAIN)
     codec.decoded(path, content, IdentificationRun, _AGAIN)  # its own errors first
-    try:
+    with _fitting(folder / RESULT_FILE, _AGAIN):
         _fill(content, folder)
-    except (KeyError, IndexError, TypeError, ValueError, AttributeError) as error:
-        raise InputError(f"{folder} has tables that do not go with its {RESULT_FILE} ({error}); {_AGAIN}") from None
     found = codec.decoded(path, content, IdentificationRun, _AGAIN)
-    return replace(found, result=replace(found.result, made_with=path.resolve()))
+    return replace(found, result=found.result.located(path))
 
 
 def _fill(content: dict[str, Any], folder: Path) -> None:
-    """Put what the tables have into the content."""
-    fits, checks = (content.get("fit") or {}).get("experiments", []), content.get("assessment") or {}
+    """Put the content of tables into the content of the JSON file."""
+    fits, checks = content.get("fits", []), content.get("assessment") or {}
     if (folder / "fit.csv").is_file() and fits:
         _fill_fits(fits, read_table(folder / "fit.csv"))
     elif fits:
-        content["fit"]["experiments"] = []
+        content["fits"] = []
     _fill_residuals(checks.get("residuals"), fits)
     if (folder / "trace.csv").is_file() and content.get("history"):
-        content["history"]["iterations"] = _iterations(content, read_table(folder / "trace.csv"))
+        content["history"]["trace"] = _iterations(content, read_table(folder / "trace.csv"))
     content["prepared"] = _with_tables(content.get("prepared", []), folder / "preparation.csv")
     _fill_assessment(checks, folder)
 
 
-def _fill_fits(fits: Sequence[dict[str, Any]], whole: pd.DataFrame) -> None:
+@contextmanager
+def _fitting(path: Path, again: str) -> Iterator[None]:
+    """Turn errors of tables that contradict a JSON file into one sentence."""
+    try:
+        yield
+    except (KeyError, IndexError, TypeError, ValueError, AttributeError) as error:
+        raise InputError(f"{path.parent} has tables that do not go with its {path.name} ({error}); {again}") from None
+
+
+def _fill_fits(fits: Sequence[dict[str, Any]], whole: pd.DataFrame) -> list[pd.DataFrame]:
+    """Put the samples of a table into fits; return their rows."""
     parts = [whole[whole["experiment"] == each["experiment"]] for each in fits] if len(fits) > 1 else [whole]
     for each, part in zip(fits, parts, strict=True):
         each["times"] = part["time"].to_numpy(np.float64)
-        for kind in ("measured", "simulated"):
-            each[kind] = part[[f"{kind}.{name}" for name in each["outputs"]]].to_numpy(np.float64)
+        each["measured"], each["simulated"] = _values(part, "measured", each), _values(part, "simulated", each)
         first = math.inf if each["counted_from"] is None else each["counted_from"]
         each["counted"] = np.isfinite(each["measured"]) & (each["times"] >= first)[:, np.newaxis]
+    return parts
+
+
+def _values(rows: pd.DataFrame, kind: str, fit: Mapping[str, Any]) -> Floats:
+    return rows[[f"{kind}.{name}" for name in fit["outputs"]]].to_numpy(np.float64)
 
 
 def _fill_residuals(diagnostics: Mapping[str, Any] | None, fits: Sequence[Mapping[str, Any]]) -> None:
-    """Put the samples of each residual into what a file says of residuals, as far as the fits have them."""
+    """Put the samples of each residual into its series."""
     for series in (diagnostics or {}).get("series", ()):
         own = series["noise"]["series"]
         own["rows"] = own["places"] = np.arange(series["samples"])
@@ -153,7 +145,7 @@ def _fill_residuals(diagnostics: Mapping[str, Any] | None, fits: Sequence[Mappin
 
 
 def _iterations(content: Mapping[str, Any], trace: pd.DataFrame) -> tuple[tuple[int, Iteration], ...]:
-    thetas = trace[list(content["history"]["names"])].to_numpy(np.float64)
+    thetas = trace[list(content["parameters"])].to_numpy(np.float64)
     columns = [trace[name].tolist() for name in ("round", "iteration", "criterion", "lambda", "accepted")]
     return tuple(
         (int(number), Iteration(int(k), criterion, damping, bool(accepted), theta, math.nan, math.nan, False))
@@ -176,38 +168,19 @@ def _fill_assessment(content: dict[str, Any], folder: Path) -> None:
         found["chain"], found["log_density"] = chain, np.full(chain.shape[:2], np.nan)
 
 
-# --- other commands
-
-
 def write_diagnosis(folder: Path, found: DiagnosisRun) -> list[Path]:
-    """Write ``diagnosis.json`` and the tables of a diagnosis, and return their paths.
-
-    Raises
-    ------
-    InputError
-        If a file cannot be written.
-    """
+    """Write ``diagnosis.json`` and the tables of a diagnosis; return their paths."""
     from fmuid.diagnosis import DIAGNOSIS_SCHEMA  # and all that decides
 
     written = [codec.write(folder / DIAGNOSIS_FILE, DIAGNOSIS_SCHEMA, found)]
     written.append(write_table(folder / "diagnosis.csv", found.diagnosis.table))
-    tables = [each.table for each in found.prepared if len(each.table)]
-    some = found.diagnosis.residuals is not None and found.diagnosis.evidence.explanations
-    residuals = [found.diagnosis.residuals] if some else []
-    for name, parts in ((PREPARED_FILE, tables), (RESIDUALS_FILE, residuals)):
-        (folder / name).unlink(missing_ok=True)
-        written += [write_table(folder / name, pd.concat(parts, ignore_index=True))] if parts else []
-    return written
+    written += write_some(folder / PREPARED_FILE, (each.table for each in found.prepared))
+    residuals = found.diagnosis.residuals if found.diagnosis.evidence.explanations else None
+    return written + write_some(folder / RESIDUALS_FILE, [] if residuals is None else [residuals])
 
 
 def read_diagnosis(folder: Path) -> DiagnosisRun:
-    """Read what `write_diagnosis` has written; the fit itself is not kept.
-
-    Raises
-    ------
-    InputError
-        If a file cannot be read.
-    """
+    """Read the files of `write_diagnosis`; the fit itself is not kept."""
     from fmuid.diagnosis import DIAGNOSIS_SCHEMA
 
     path, again = folder / DIAGNOSIS_FILE, "run fmuid diagnose again"
@@ -219,13 +192,7 @@ def read_diagnosis(folder: Path) -> DiagnosisRun:
 
 
 def read_monitoring(folder: Path) -> MonitoringRun:
-    """Read what a monitoring has left.
-
-    Raises
-    ------
-    InputError
-        If a file cannot be read.
-    """
+    """Read the files of a monitoring."""
     path, again = folder / MONITORING_FILE, "run fmuid monitor again"
     content = codec.content_of(path, MONITORING_SCHEMA, again)
     content["prepared"] = _with_tables(content.get("prepared", []), folder / MONITORED_FILE)
@@ -234,7 +201,7 @@ def read_monitoring(folder: Path) -> MonitoringRun:
 
 
 def _with_tables(prepared: Any, path: Path) -> Any:
-    """Put the columns of prepared tables into what a JSON file says of them."""
+    """Put the columns of preprocessed tables into the content of a JSON file."""
     if not path.is_file() or not isinstance(prepared, list):
         return prepared
     table = read_table(path)
@@ -242,13 +209,7 @@ def _with_tables(prepared: Any, path: Path) -> Any:
 
 
 def write_prediction(folder: Path, found: PredictionRun) -> PredictionRun:
-    """Write ``prediction.json`` and the tables of records and scores; return the findings with their files.
-
-    Raises
-    ------
-    InputError
-        If a file cannot be written.
-    """
+    """Write ``prediction.json`` and the tables of records and scores; return findings with their files."""
     table = stacked([each.fit.experiment for each in found.predictions], [each.table for each in found.predictions])
     written = (
         codec.write(folder / PREDICTION_FILE, PREDICTION_SCHEMA, found),
@@ -259,40 +220,22 @@ def write_prediction(folder: Path, found: PredictionRun) -> PredictionRun:
 
 
 def read_prediction(folder: Path) -> PredictionRun:
-    """Read what `write_prediction` has written.
-
-    Raises
-    ------
-    InputError
-        If a file cannot be read, or they do not belong together.
-    """
+    """Read the files of `write_prediction`."""
     path, again = folder / PREDICTION_FILE, "run fmuid predict again"
     content = codec.content_of(path, PREDICTION_SCHEMA, again)
     table = read_table(folder / "prediction.csv")
-    try:
+    with _fitting(path, again):
         fits = [each["fit"] for each in content["predictions"]]
-        _fill_fits(fits, table)
-        for each in content["predictions"]:
+        for each, rows in zip(content["predictions"], _fill_fits(fits, table), strict=True):
             fit = each["fit"]
-            rows = table[table["experiment"] == fit["experiment"]] if len(fits) > 1 else table
-            upper, std = (
-                rows[[f"{kind}.{name}" for name in fit["outputs"]]].to_numpy(np.float64) for kind in ("upper", "std")
-            )
-            each["std"], each["half_width"] = std, upper - fit["simulated"]
+            each["std"] = _values(rows, "std", fit)
+            each["half_width"] = _values(rows, "upper", fit) - fit["simulated"]
             _fill_residuals(each["residuals"], [fit])
-    except (KeyError, IndexError, TypeError, ValueError, AttributeError) as error:
-        raise InputError(f"{folder} has tables that do not go with its {path.name} ({error}); {again}") from None
     return codec.decoded(path, content, PredictionRun, again)
 
 
 def write_comparison(folder: Path, found: ComparisonRun) -> ComparisonRun:
-    """Write ``comparison.json`` and ``comparison.csv``; return the findings with their files.
-
-    Raises
-    ------
-    InputError
-        If a file cannot be written.
-    """
+    """Write ``comparison.json`` and ``comparison.csv``; return findings with their files."""
     written = (
         codec.write(folder / COMPARISON_FILE, COMPARISON_SCHEMA, found),
         write_table(folder / "comparison.csv", found.table),
@@ -301,35 +244,12 @@ def write_comparison(folder: Path, found: ComparisonRun) -> ComparisonRun:
 
 
 def read_comparison(folder: Path) -> ComparisonRun:
-    """Read what `write_comparison` has written.
-
-    Raises
-    ------
-    InputError
-        If the file cannot be read.
-    """
+    """Read the files of `write_comparison`."""
     return codec.read(folder / COMPARISON_FILE, COMPARISON_SCHEMA, ComparisonRun, "run fmuid compare again")
 
 
-def write_overview(folder: Path, found: BatchOverview) -> Path:
-    """Write ``summary.json`` and return its path.
-
-    Raises
-    ------
-    InputError
-        If it cannot be written.
-    """
-    return codec.write(folder / OVERVIEW_FILE, BATCH_SCHEMA, found)
-
-
 def read_table(path: Path) -> pd.DataFrame:
-    """Return a CSV table that fmuid wrote.
-
-    Raises
-    ------
-    InputError
-        If it cannot be read.
-    """
+    """Return a CSV table of fmuid; raise InputError if it cannot be read."""
     try:
         names = pd.read_csv(path, nrows=0).columns
         texts = dict.fromkeys(names.intersection(list(_TEXTS)), str)

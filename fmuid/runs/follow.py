@@ -1,4 +1,4 @@
-"""Monitoring in operation: records as a logger writes them, alarms as lines, a command at each of them, restarts."""
+"""Monitoring of growing data: alarms as lines, a command at each of them, restarts."""
 
 from __future__ import annotations
 
@@ -8,13 +8,16 @@ import os
 import time
 from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import count
 from pathlib import Path
 from subprocess import PIPE, STDOUT, TimeoutExpired
 from subprocess import run as run_program
+from typing import Any, TypeAlias
 
 import numpy as np
 
 from fmuid import files
+from fmuid.codec import as_json
 from fmuid.diagnosis import (
     ALARMS_FILE,
     FOUND_FILE,
@@ -27,81 +30,53 @@ from fmuid.diagnosis import (
     damage_of,
 )
 from fmuid.errors import FmuidError, InputError
-from fmuid.runs.alarm_log import AlarmLines
 from fmuid.runs.faults import MonitoredTables, build_monitor, findings_of, rule_of
 from fmuid.runs.folder import MONITORED_FILE
-from fmuid.runs.log_following.follower import LogFollower, RecordUpdate
+from fmuid.runs.log_follower import LogFollower, RecordUpdate
 from fmuid.runs.provenance import made_from, made_now
 from fmuid.studies import Study
 
-# It is looked so often for what is new, s.
+# Time between looks, s.
 EVERY = 1.0
-# The state is written so often while there is much to examine, s, and at most for this share of the time.
+# Least time between writings of the state, s, and the most of the time that writing takes.
 WRITTEN_EVERY, SHARE = 2.0, 0.05
-# Rows and alarms that are held; all of them are in the files.
+# Rows and alarms in memory; all of them are in the files.
 KEPT_ROWS, KEPT_ALARMS = 10_000, 100
-# A command that takes longer is ended, s.
+# Time limit of the user's command, s.
 COMMAND_SECONDS = 60.0
-# Words of [monitoring] that may change between two runs.
+# Keys of [monitoring] that may change between two runs.
 NOT_IN_KEY = ("alarm_command", "size_limits")
-# What a command finds in its environment, too.
+# Keys of a line that a command finds in its environment, too.
 TOLD = ("id", "event", "fault", "record", "time", "date", "words")
+RAISED, CHANGED, ENDED = "raised", "changed", "ended"
+Say: TypeAlias = Callable[[Alarm, Mapping[str, str]], str]  # sentence of an alarm and the units of its columns
 
 
 @dataclass(frozen=True)
 class FollowStatus:
-    """How far it is.
-
-    Attributes
-    ----------
-    monitor : Monitor
-    remarks : tuple of str or Gap
-        On files and commands, and windows that are left out, since the last time.
-    lines : tuple of str
-        Of ``alarms.jsonl``, likewise.
-    idle : bool
-        Whether everything there is has been examined.
-    files : tuple of Path
-        Those that were written.
-    """
+    """State of a running monitoring; remarks and lines are new."""
 
     monitor: Monitor
-    remarks: tuple[str | SkippedWindow, ...]
-    lines: tuple[str, ...]
-    idle: bool
+    remarks: tuple[str | SkippedWindow, ...]  # on files, commands and skipped windows
+    lines: tuple[str, ...]  # of ``alarms.jsonl``
+    idle: bool  # all data have been examined
     files: tuple[Path, ...] = ()
 
 
-def followed(
-    study: Study,
-    place: Path,
-    folder: Path,
-    say: Callable[[Alarm, Mapping[str, str]], str],
-) -> Generator[FollowStatus, None, None]:
-    """Monitor the records of a folder, or of a file that grows, as they come in: yield after each look.
+def followed(study: Study, place: Path, folder: Path, say: Say) -> Generator[FollowStatus, None, None]:
+    """Monitor growing data: yield after each look.
 
-    It goes on where an earlier run into the same folder was, however that ended. Who has enough closes the generator:
-    what is found by then is written. A break in the midst of a window leaves that out; it is done again then.
-
-    Parameters
-    ----------
-    study : Study
-    place : Path
-        What a logger fills.
-    folder : Path
-        Where the files go: those of `monitored`, and ``alarms.jsonl``.
-    say : callable
-        Makes the sentence of an alarm and the units of its columns, for ``alarms.jsonl`` and the user's command.
-
-    Raises
-    ------
-    InputError
-        If study and models do not fit together, there is no such place, or the folder is of another run or in use.
+    It resumes an earlier run into `folder`, however that ended. Closing the generator writes the findings. A break
+    within a window leaves that out; it is done again then.
     """
     with files.locked(folder, "monitoring"):
         running = _Running(study, place, folder, say)
         try:
             yield from running.run()
+        except KeyboardInterrupt:
+            running.write()
+            yield running.status()  # files may have been written since the last one
+            raise
         finally:
             running.write()
 
@@ -109,7 +84,7 @@ def followed(
 class _Running:
     """A monitoring in operation."""
 
-    def __init__(self, study: Study, place: Path, folder: Path, say: Callable[[Alarm, Mapping[str, str]], str]) -> None:
+    def __init__(self, study: Study, place: Path, folder: Path, say: Say) -> None:
         self.study, self.place, self.folder, self.origin, self.say = study, place, folder, made_from(study), say
         self.key = _key(study)
         self.lines: list[str] = []
@@ -123,7 +98,7 @@ class _Running:
             self._begin_anew(error)
 
     def _resume(self) -> None:
-        """Go on where the earlier run in the folder was; begin where there is none, or it has examined no window."""
+        """Resume the earlier run in the folder; begin where there is none."""
         rule, given = rule_of(self.study), self.study.experiments[0]
         self.monitor = build_monitor(self.study, rule)
         state = self.folder / STATE_FILE
@@ -132,10 +107,8 @@ class _Running:
             raise DamagedStateError(state, f"it is missing beside {left[0]}")
         beside = self.monitor.resume(self.folder, KEPT_ROWS) if files.is_file(state) else {}
         if beside.get("key", self.key) != self.key:
-            raise InputError(
-                f"{self.folder} is of a run with another study or other models ({self.study.path} has changed since): "
-                "use the same, or another output folder"
-            )
+            other = f"{self.folder} is of a run with another study or other models"
+            raise InputError(f"{other} ({self.study.path} has changed since): use the same, or another output folder")
         with damage_of(state):
             self.follower = LogFollower(given, self.place, rule.window, rule.transient, beside.get("followed"))
             self.alarms = AlarmLines(**beside.get("alarms", {"study": self.study.title}), say=self.say)
@@ -146,8 +119,12 @@ class _Running:
             raise DamagedStateError(self.folder, str(error)) from None
 
     def _begin_anew(self, error: DamagedStateError) -> None:
-        """Begin anew where the files of an earlier run are damaged, which are put aside."""
-        aside = _put_aside(self.folder)
+        """Put damaged files of an earlier run aside; begin anew."""
+        aside = next(path for k in count(1) if not files.exists(path := self.folder / f"earlier-{k}"))
+        aside.mkdir()
+        for name in (STATE_FILE, TABLE_FILE, FOUND_FILE, ALARMS_FILE, MONITORED_FILE):
+            if files.exists(self.folder / name):
+                (self.folder / name).replace(aside / name)
         self.remarks.append(
             f"{error.path}: the earlier run cannot be resumed ({error.why}); its files are in {aside}, and all records "
             "are examined anew"
@@ -159,32 +136,32 @@ class _Running:
         self.tell()
         while True:
             try:
-                yield from self._look()
+                for found in self.follower.look():
+                    if isinstance(found, RecordUpdate):
+                        self.examine(found)
+                    else:
+                        self.remarks.append(found)
+                    if self.lines or time.monotonic() >= self._next:
+                        yield self._watching(idle=False)
             except DamagedStateError as error:  # which shows only when the first record comes
                 self._begin_anew(error)
             yield self._watching(idle=True)
             time.sleep(EVERY)
 
-    def _look(self) -> Iterator[FollowStatus]:
-        """Examine what is new."""
-        for found in self.follower.look():
-            if isinstance(found, RecordUpdate):
-                self.examine(found)
-            else:
-                self.remarks.append(found.text)
-            if self.lines or time.monotonic() >= self._next:
-                yield self._watching(idle=False)
-
     def _watching(self, *, idle: bool) -> FollowStatus:
         lines = tuple(self.lines)
         self.write()
         self.tell()
-        watching = FollowStatus(self.monitor, tuple(self.remarks), lines, idle, self.written)
+        watching = self.status(lines, idle=idle)
         self.remarks = []
         return watching
 
+    def status(self, lines: tuple[str, ...] = (), *, idle: bool = False) -> FollowStatus:
+        """Return the state as it is now."""
+        return FollowStatus(self.monitor, tuple(self.remarks), lines, idle, self.written)
+
     def examine(self, piece: RecordUpdate) -> None:
-        """Examine a piece; what is wrong with it is said, and what follows goes on."""
+        """Examine a piece; errors in it are remarks."""
         self.sound = False  # until both know of it
         name, told = piece.record.name, len(self.monitor.gaps)
         if name in self.monitor.records and not self.monitor.goes_on(name):
@@ -205,7 +182,7 @@ class _Running:
         self.sound = self.changed = True
 
     def write(self) -> None:
-        """Write what is new, if anything is."""
+        """Write new findings, if any."""
         if not self.changed or not self.sound:
             return
         begin = time.monotonic()
@@ -217,18 +194,16 @@ class _Running:
         self._next = time.monotonic() + max(WRITTEN_EVERY, (time.monotonic() - begin) / SHARE)
 
     def _write(self, lines: Sequence[str]) -> None:
-        beside = {
-            "key": self.key,
-            "followed": self.follower.state,
-            "alarms": self.alarms.state,
-            "waiting": self.waiting,
-        }
+        beside = {"key": self.key, "followed": self.follower.state, "alarms": self.alarms.state}
+        beside |= {"waiting": self.waiting}
         origin = replace(self.origin, date=made_now().date)
-        self.written = self.tables.write(findings_of(self.monitor), self.monitor, origin, lines, beside).files
+        self.written = self.tables.write(
+            findings_of(self.monitor), self.monitor, origin, lines, beside | {"waiting": self.waiting}
+        ).files
         self.changed = False
 
     def tell(self) -> None:
-        """Run the user's command for each line that it has not been told; a line is told again after a break in it."""
+        """Run the user's command for each new line; a break in it repeats the line."""
         command = self.study.monitoring.alarm_command
         while self.waiting and command:
             self.remarks += _told(command, self.waiting[0], self.folder)
@@ -236,24 +211,8 @@ class _Running:
             self._write(())
 
 
-def _put_aside(folder: Path) -> Path:
-    """Move the files of an earlier run into a folder of their own, and return that."""
-    number = 1
-    while files.exists(folder / f"earlier-{number}"):
-        number += 1
-    aside = folder / f"earlier-{number}"
-    aside.mkdir()
-    for name in (STATE_FILE, TABLE_FILE, FOUND_FILE, ALARMS_FILE, MONITORED_FILE):
-        if files.exists(folder / name):
-            (folder / name).replace(aside / name)
-    return aside
-
-
 def _key(study: Study) -> str:
-    """Return the digest of all that what is found depends on: the study without what is only told, and its models.
-
-    What is kept beside the healthy result is compared by its content (`Monitor.resume`).
-    """
+    """Return the digest of all inputs that findings depend on; `Monitor.resume` compares the baseline."""
     monitoring = {key: value for key, value in study.data.get("monitoring", {}).items() if key not in NOT_IN_KEY}
     words = {key: study.data.get(key) for key in ("model", "experiments", "parameters", "noise", "diagnosis")}
     content = json.dumps([words, monitoring], sort_keys=True, default=str).encode()
@@ -264,7 +223,7 @@ def _key(study: Study) -> str:
 
 
 def _told(command: Sequence[str], line: str, folder: Path) -> list[str]:
-    """Run a command with a line on its standard input; return what went wrong."""
+    """Run a command with a line on its standard input; return errors."""
     said = json.loads(line)
     known = {f"FMUID_{key.upper()}": str(said.get(key, "")) for key in TOLD}
     try:
@@ -282,3 +241,54 @@ def _told(command: Sequence[str], line: str, folder: Path) -> list[str]:
         last = (done.stdout.strip().splitlines() or ["without a word"])[-1]
         return [f"the command {command[0]!r} failed at alarm {said['id']} (exit code {done.returncode}): {last}"]
     return []
+
+
+@dataclass
+class AlarmLines:
+    """Lines of ``alarms.jsonl``: an alarm is raised, changed, or has ended."""
+
+    study: str
+    say: Say
+    count: int = 0  # number of the last alarm
+    first: int = -1  # row of the table where it began, -1 before any
+    fault: str = ""  # its fault, "" once it has ended
+
+    @property
+    def state(self) -> dict[str, Any]:
+        """Fields that another run needs to go on."""
+        return {"study": self.study, "count": self.count, "first": self.first, "fault": self.fault}
+
+    def new(self, monitor: Monitor) -> list[str]:
+        """Return the new lines after windows were examined."""
+        return [json.dumps(as_json(each), ensure_ascii=False) for each in self._new(monitor)]
+
+    def _new(self, monitor: Monitor) -> Iterator[Mapping[str, Any]]:
+        for alarm in monitor.alarms if monitor.windows else ():
+            goes_on = alarm.last == monitor.windows - 1
+            if alarm.first > self.first:
+                self.count, self.first, self.fault = self.count + 1, alarm.first, alarm.fault
+                yield self._line(RAISED, monitor, alarm)
+            elif alarm.first == self.first and self.fault and alarm.fault != self.fault:
+                self.fault = alarm.fault
+                yield self._line(CHANGED, monitor, alarm)
+            if alarm.first == self.first and self.fault and not goes_on:
+                self.fault = ""
+                yield self._line(ENDED, monitor, alarm)
+
+    def _line(self, event: str, monitor: Monitor, alarm: Alarm) -> Mapping[str, Any]:
+        table, row = monitor.table, alarm.first if event == RAISED else alarm.last
+        end, statistic = (table[name].to_numpy(np.float64)[row - table.index[0]] for name in ("end", "statistic"))
+        at = monitor.moment(str(table["record"][row]), float(end))
+        explained = []
+        for each in alarm.explanations:
+            changes = [
+                {"name": change.label, "kind": change.kind, "value": change.value, "std": change.std}
+                | {"interval": change.interval(), "unit": change.unit}
+                for change in each.changes
+            ]
+            explained.append({"odds": each.odds, "changes": changes})
+        told = {"id": self.count, "event": event, "fault": alarm.fault}
+        told |= {"record": at.record, "time": at.time, "date": at.date, "statistic": float(statistic)}
+        told |= {"explanations": explained, "onset": alarm.onset, "trend": alarm.trend}
+        told |= {"words": self.say(alarm, monitor.units), "study": self.study, "written": made_now().date}
+        return told

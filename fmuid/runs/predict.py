@@ -1,108 +1,76 @@
-"""Predictions of a study: a result of it simulated over other records, and over each of its own in turn."""
+"""Predictions, cross-validation and comparison of results."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import math
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
+import pandas as pd
+
 from fmuid.data import Experiment, Parameter, record_files
-from fmuid.errors import InputError
+from fmuid.errors import InputError, check_kind
 from fmuid.estimation import Result
+from fmuid.events import Progress
 from fmuid.formatting import nearest
-from fmuid.identification import CONFIDENCE_LEVEL, ModelReference, Prediction, estimates_for, predict, refinement_of
+from fmuid.identification import (
+    CONFIDENCE_LEVEL,
+    IncomparableError,
+    ModelCandidate,
+    ModelReference,
+    Prediction,
+    compare_models,
+    estimates_for,
+    predict_by_model,
+    refinement_of,
+)
 from fmuid.models import FMU, System
-from fmuid.progress import Progress
-from fmuid.runs.findings import Fold, PredictionRun
-from fmuid.runs.provenance import made_from
-from fmuid.runs.result_study import result_path, study_of
+from fmuid.runs.findings import CommonTables, ComparedEstimate, ComparisonRun, Fold, PredictionRun
+from fmuid.runs.folder import RESULT_FILE, read_identification
+from fmuid.runs.provenance import digests, made_from, made_now, result_path, study_of
 from fmuid.simulation import OutputFit, Simulator, Value, fit_of, refined
-from fmuid.studies import ExperimentSettings, PriorSource, SourceWarning, Study
+from fmuid.studies import PriorSource, SourceWarning, Study
 
 
-def records_like(study: Study, paths: Sequence[Path], like: str | None = None) -> tuple[Experiment, ...]:
-    """Read records with the words of one of a study's experiments.
-
-    Parameters
-    ----------
-    study : Study
-    paths : sequence of Path
-        Tables, and folders whose tables are taken in the order of their names.
-    like : str, optional
-        Name of the experiment; default: the first one.
-
-    Raises
-    ------
-    InputError
-        If there is no such experiment, or a table cannot be read or has other columns.
-    """
-    given = _words(study, like)
-    records = []
+def records_like(
+    study: Study, paths: Sequence[Path], like: str | None = None, known: Sequence[str] = ()
+) -> Iterator[tuple[Experiment, pd.DataFrame]]:
+    """Read records with an experiment's settings, and their raw tables."""
+    names = [given.name for given in study.experiments]
+    if like is not None and like not in names:
+        raise InputError(f"{study.path} has no experiment {like!r}{nearest(like, names)}: it has {', '.join(names)}")
+    given = study.experiments[0 if like is None else names.index(like)]
     for path in record_files(paths):
+        if path.stem in known:
+            continue
         try:
-            records.append(given.model_copy(update={"name": path.stem}).read_experiment(path))
+            raw = given.read_frame(path)
+            record = given.model_copy(update={"name": path.stem}).experiment(raw, str(path))
         except InputError as error:
             of = f"experiment {given.name!r} of {study.path}"
             raise InputError(f"{error} (inputs and outputs are those of {of})") from None
-    return tuple(records)
-
-
-def _words(study: Study, like: str | None) -> ExperimentSettings:
-    names = [given.name for given in study.experiments]
-    if like is None:
-        return study.experiments[0]
-    if like not in names:
-        raise InputError(f"{study.path} has no experiment {like!r}{nearest(like, names)}: it has {', '.join(names)}")
-    return study.experiments[names.index(like)]
+        yield record, raw
 
 
 def predict_with(
     study: Study, result: Result, experiment: Experiment, *, free: Sequence[str] = (), level: float = CONFIDENCE_LEVEL
 ) -> Prediction:
-    """Simulate a result over a record with the model of a study (`fmuid.predict`).
-
-    Parameters
-    ----------
-    study : Study
-        Its model and the values that it holds; those that the result has an estimate of take that.
-    result : Result
-    experiment : Experiment
-    free : sequence of str
-        Variables that are estimated again on the record: parameters of the study, or others of the model.
-    level : float
-        Of the band.
-
-    Raises
-    ------
-    InputError
-        If record, model and result do not fit together, or the study has a parameter of which the result has no value.
-    SimulationError
-        If the simulation fails.
-    """
-    again = _free(_of(study), result, free)
+    """Simulate a result over a record with a study's model."""
+    known = _of(study)
+    again = _free(known, result, free)
     taken = {name for name in result.names if name in study.system.variables}
     taken |= {name.rpartition("[")[0] for name in result.names if name not in taken}
     for name in study.parameters:
         if name not in taken and name not in again:
-            raise InputError(
-                f"{study.path} has the parameter {name!r}, of which the result has no value: have it estimated again "
-                f"on each record (--refit {name}), or hold it at a value under [model.fixed]"
-            )
-    return predict(study.system, result, experiment, values=study.model.values, free=again, level=level)
+            lacking = f"{study.path} has the parameter {name!r}, of which the result has no value"
+            raise InputError(f"{lacking}: estimate it on each record (--refit {name}), or give it under [model.fixed]")
+    return predict_by_model(known, result, experiment, free=again, level=level)
 
 
 def fits_at(study: Study, result: Result) -> tuple[OutputFit, ...]:
-    """Simulate every experiment of a study at the estimates of a result and set the measurements beside.
-
-    Parameters of which the result has no value are at their starts.
-
-    Raises
-    ------
-    InputError
-        If the result is of another model, or has no value for an experiment of a parameter per experiment.
-    SimulationError
-        If a simulation fails.
-    """
+    """Return the fits of a study at a result's estimates, else at starts."""
     found = []
     for table in study.tables:
         known = estimates_for(result, study.system, table, ())
@@ -115,7 +83,7 @@ def fits_at(study: Study, result: Result) -> tuple[OutputFit, ...]:
     return tuple(found)
 
 
-def predict_experiments(
+def predict(
     result: Result,
     experiment: Experiment,
     model: System | FMU | str | Path | None = None,
@@ -124,11 +92,39 @@ def predict_experiments(
     free: Sequence[str] | Mapping[str, Parameter] = (),
     level: float = CONFIDENCE_LEVEL,
 ) -> Prediction:
-    """Simulate a result over a record by what it was made with, as `Result.predict` says."""
+    """Predict an experiment with a result, and compare with its measurements.
+
+    Parameters
+    ----------
+    result : Result
+    experiment : Experiment
+        Validation data.
+    model : System, FMU or path, optional
+        Default: the model of the result, also if read from a ``result.json`` that names its study.
+    values : mapping of str to float, int, bool or str, optional
+        Fixed FMU variables of the given model, or beside those of the result; estimates come first.
+    free : sequence of str, or mapping of str to Parameter
+        Values to refit on this experiment alone, such as initial states.
+    level : float
+        Confidence level of the band.
+
+    Raises
+    ------
+    InputError
+        If no model is known, experiment, model and result do not fit together, or the level is not between 0 and 1.
+    SimulationError
+        If the simulation fails.
+
+    Examples
+    --------
+    >>> coil = fmuid.datasets.coil()
+    >>> fmuid.predict(fmuid.identify(coil.problem()), coil.experiment).fit.outputs
+    ('i',)
+    """
+    check_kind(result, Result, "what is predicted with must be a fmuid.Result")
     known = ModelReference(System.of(model), {}) if model is not None else _known(result)
     again = free if isinstance(free, Mapping) else _free(known, result, [free] if isinstance(free, str) else free)
-    held = {**known.values, **(values or {})}
-    return predict(known.system, result, experiment, values=held, free=again, step_size=known.step_size, level=level)
+    return predict_by_model(known, result, experiment, values=values, free=again, level=level)
 
 
 def _of(study: Study) -> ModelReference:
@@ -136,25 +132,19 @@ def _of(study: Study) -> ModelReference:
 
 
 def _known(result: Result) -> ModelReference:
-    remedy = "give the model: result.predict(experiment, model)"
-    if isinstance(result.made_with, ModelReference):
-        return result.made_with
-    if not isinstance(result.made_with, Path):
+    remedy = "give the model: fmuid.predict(result, experiment, model)"
+    if isinstance(result.setup.made_with, ModelReference):
+        return result.setup.made_with
+    if not isinstance(result.setup.made_with, Path):
         raise InputError(f"the result does not know what it was made with: {remedy}")
     try:
-        return _of(study_of(result.made_with, in_place=result.made_with))
+        return _of(study_of(result.setup.made_with, in_place=result.setup.made_with))
     except InputError as error:
         raise InputError(f"{error}, or {remedy}") from None
 
 
 def _free(known: ModelReference, result: Result, names: Sequence[str]) -> dict[str, Parameter]:
-    """Return how variables are estimated again on a record: from the value that is known, within the bounds there were.
-
-    Raises
-    ------
-    InputError
-        If the model has no such variable, or its value is no number.
-    """
+    """Return variables to estimate again: from their known value, within their bounds."""
     found: dict[str, Parameter] = {}
     for name in names:
         variable = known.system.variable(name, "parameter")
@@ -179,32 +169,12 @@ def cross_validate(
     level: float = CONFIDENCE_LEVEL,
     progress: Progress | None = None,
 ) -> tuple[tuple[Fold, ...], tuple[Prediction, ...]]:
-    """Identify the parameters from all experiments but those of one part, and predict those; part after part.
-
-    Parameters
-    ----------
-    study : Study
-    folds : int
-        How many parts; as many as there are experiments leaves out one at a time.
-    free : sequence of str
-        As for `predict_with`; parameters per experiment are estimated again in any case, there is no value of them for
-        an experiment that was left out.
-    level : float
-        Of the bands.
-    progress : callable, optional
-        Called with every step of the searches.
-
-    Raises
-    ------
-    InputError
-        If there are not as many experiments, or as `predict_with`.
-    """
+    """Predict each part of the experiments by a result of the others."""
     experiments = study.tables
     if not 2 <= folds <= len(experiments):
-        raise InputError(
-            f"{study.path}: {folds} folds of {len(experiments)} experiments: give at least 2, and at most one for each"
-            + ("; a study of one experiment has nothing to leave out" if len(experiments) == 1 else "")
-        )
+        few = "; a study of one experiment has nothing to leave out" if len(experiments) == 1 else ""
+        wrong = f"{folds} folds of {len(experiments)} experiments"
+        raise InputError(f"{study.path}: {wrong}: give at least 2, and at most one for each{few}")
     again = dict.fromkeys([*(name for name, p in study.parameters.items() if p.per_experiment), *free])
     found, predictions = [], dict[str, Prediction]()
     for part in range(folds):
@@ -218,13 +188,7 @@ def cross_validate(
 
 
 def notes_of(study: Study, path: Path, result: Result) -> list[SourceWarning]:
-    """Return what is to be known of a result before its predictions are trusted.
-
-    Raises
-    ------
-    InputError
-        If it is one of another model.
-    """
+    """Return warnings on the use of a result with a study."""
     variables: Mapping[str, object] = study.system.variables
     names = tuple(dict.fromkeys(n if n in variables else n.rpartition("[")[0] for n in result.names))
     for name in names:
@@ -234,58 +198,111 @@ def notes_of(study: Study, path: Path, result: Result) -> list[SourceWarning]:
 
 def predicted_by(
     result: Path | str,
-    tables: Sequence[Path | str] = (),
+    tables: Sequence[Path | str],
     *,
     study: Study | None = None,
     free: Sequence[str] = (),
     like: str | None = None,
-    folds: int | None = None,
     level: float = CONFIDENCE_LEVEL,
-    progress: Progress | None = None,
 ) -> PredictionRun:
-    """Predict records that a result was not made from, or each part of its own study's from the others.
-
-    Parameters
-    ----------
-    result : path
-        A ``result.json``, or the folder that has it.
-    tables : sequence of path
-        Records, and folders of records.
-    study : Study, optional
-        Whose model and words for tables serve; default: the one that the result was made by.
-    free : sequence of str
-        Variables that are estimated again on each record, such as initial states.
-    like : str, optional
-        The experiment of the study whose words the records are read with; default: the first one.
-    folds : int, optional
-        Instead of tables: into how many parts the study's experiments are divided, each predicted from the others.
-    level : float
-        Of the bands.
-    progress : callable, optional
-        Called with every step of searches.
-
-    Raises
-    ------
-    InputError
-        If there are neither tables nor folds or both, or result, study and records do not fit together.
-    SimulationError
-        If a simulation fails.
-    """
-    if (folds is None) == (not tables):
-        raise InputError(
-            "name the tables to predict, or give --folds to predict each experiment of the study from the others"
-            if folds is None
-            else "with --folds the experiments of the study are predicted: leave the tables out"
-        )
+    """Predict records that a result was not made from."""
+    if not tables:
+        raise InputError("name the tables to predict, or give --folds to predict the study's own experiments")
     path = result_path(Path(result))
     estimates = Result.from_json(path)
-    study = study or study_of(path, in_place=Path(tables[0]) if tables else None)
+    study = study or study_of(path, in_place=Path(tables[0]))
     notes = tuple(notes_of(study, path, estimates))
-    if folds is not None:
-        parts, predictions = cross_validate(study, folds, free=free, level=level, progress=progress)
-        return PredictionRun(predictions, parts, notes, origin=made_from(study, [path]))
     paths = [Path(table) for table in tables]
-    records = records_like(study, paths, like)
+    records = [record for record, _ in records_like(study, paths, like)]
     seen = tuple(each.name for each in records if estimates.made_from(each))
     predictions = tuple(predict_with(study, estimates, each, free=free, level=level) for each in records)
     return PredictionRun(predictions, (), notes, seen, made_from(study, [path, *record_files(paths)]))
+
+
+def cross_predicted(
+    result: Path | str,
+    folds: int,
+    *,
+    study: Study | None = None,
+    free: Sequence[str] = (),
+    level: float = CONFIDENCE_LEVEL,
+    progress: Progress | None = None,
+) -> PredictionRun:
+    """Predict each part of the experiments of a result's study from the others (`cross_validate`)."""
+    path = result_path(Path(result))
+    study = study or study_of(path)
+    notes = tuple(notes_of(study, path, Result.from_json(path)))
+    parts, predictions = cross_validate(study, folds, free=free, level=level, progress=progress)
+    return PredictionRun(predictions, parts, notes, origin=made_from(study, [path]))
+
+
+def _common(found: Sequence[Prediction]) -> CommonTables:
+    """Return the RMSE of each output over all records, and the mean fit, %."""
+    scores, sums = [score for each in found for score in each.scores], dict[str, tuple[float, int]]()
+    for score in scores:
+        squares, samples = sums.get(score.output, (0.0, 0))
+        sums[score.output] = squares + score.samples * score.rmse**2, samples + score.samples
+    errors = [100.0 - score.fit for score in scores if not math.isnan(score.fit)]
+    fit = 100.0 - math.hypot(*errors) / math.sqrt(len(errors)) if errors else math.nan
+    return CommonTables({output: math.sqrt(squares / samples) for output, (squares, samples) in sums.items()}, fit)
+
+
+def compared(
+    results: Sequence[Path | str],
+    tables: Sequence[Path | str] = (),
+    *,
+    free: Sequence[str] = (),
+    isolated: bool = False,
+) -> ComparisonRun:
+    """Compare results by likelihoods if made from the same data, and on common tables."""
+    paths, records = [result_path(Path(each)) for each in results], [Path(table) for table in tables]
+    candidates = [_candidate(path, name) for path, name in zip(paths, _names(paths), strict=True)]
+    comparison, apart = None, ""
+    try:
+        comparison = compare_models(candidates)
+    except IncomparableError as error:
+        if not tables:
+            raise
+        apart = error.reason
+    scores, units = dict[str, CommonTables](), dict[str, str]()
+    for each, path in zip(candidates, paths if tables else (), strict=bool(tables)):
+        study = study_of(path, isolated=isolated, in_place=records[0])
+        predictions = predicted_by(path, tables, study=study, free=free).predictions
+        scores[each.name] = _common(predictions)
+        units |= {score.output: score.unit for one in predictions for score in one.scores}
+    estimates = tuple(row for each in candidates for row in estimate_rows(each.name, each.result))
+    origin = made_now(files=digests([*paths, *record_files(records)], Path.cwd()))
+    return ComparisonRun(comparison, scores, units, apart, estimates, origin)
+
+
+def estimate_rows(result: str, found: Result) -> list[ComparedEstimate]:
+    """Return each estimate with its interval, under the result's name."""
+    ends = found.intervals(CONFIDENCE_LEVEL).to_numpy(np.float64).tolist()
+    return [
+        ComparedEstimate(result, name, found.estimates.units.get(name, ""), value, *end)
+        for name, value, end in zip(found.names, found.values.tolist(), ends, strict=True)
+    ]
+
+
+def _names(paths: Sequence[Path]) -> list[str]:
+    """Return the shortest distinct ends of the paths of results."""
+    ways = [path.resolve() for path in paths]
+    for path, way in zip(paths, ways, strict=True):
+        if ways.count(way) > 1:
+            raise InputError(f"{path} is given twice: give each result once")
+    parts = [way.parent.parts if way.name == RESULT_FILE else way.parts for way in ways]
+    names: list[str] = []
+    for depth in range(1, max(map(len, parts)) + 1):
+        names = ["/".join(each[-depth:]) for each in parts]
+        if len(set(names)) == len(names):
+            break
+    return names
+
+
+def _candidate(path: Path, name: str) -> ModelCandidate:
+    kept = read_identification(path)
+    series = () if kept.assessment.residuals is None else kept.assessment.residuals.series
+    worth = sum(each.samples / max(1.0, np.nan_to_num(each.correlation_samples, nan=1.0)) for each in series)
+    dependence = sum(each.samples for each in series) / worth if worth else math.nan
+    held = None if kept.origin is None else study_of(path).model.values
+    return ModelCandidate(name, kept.result, dependence, held)

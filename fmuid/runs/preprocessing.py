@@ -1,4 +1,4 @@
-"""What ``[experiments.preprocess]`` made of each table: its columns before and after, thinned as figures are."""
+"""Tables before and after ``[experiments.preprocess]``, thinned for figures."""
 
 from __future__ import annotations
 
@@ -26,17 +26,11 @@ _READ_BY = ("data", "time", "time_unit", "sample_rate", "sheet")
 
 
 def prepared(study: Study) -> tuple[PreprocessedTable, ...]:
-    """Return what each experiment's preparation did; tables are read again for it, one after the other.
-
-    Raises
-    ------
-    InputError
-        If a table cannot be read.
-    """
+    """Return the preprocessing of each experiment; tables are read again."""
     found: list[PreprocessedTable] = []
     read: tuple[list[Any], pd.DataFrame] | None = None
     for given, experiment in zip(study.experiments, study.tables, strict=True):
-        if not words_of(given):
+        if not changed(given.preprocess):
             continue
         key = [getattr(given, name) for name in _READ_BY]
         if read is None or read[0] != key:  # pieces of a record follow each other
@@ -46,36 +40,31 @@ def prepared(study: Study) -> tuple[PreprocessedTable, ...]:
     return tuple(found)
 
 
-def write_prepared(path: Path, tables: Iterable[pd.DataFrame]) -> list[Path]:
-    """Write the columns of tables before and after; one of an earlier run goes."""
+def write_some(path: Path, tables: Iterable[pd.DataFrame]) -> list[Path]:
+    """Write tables below each other; without rows an earlier file goes."""
     some = [each for each in tables if len(each)]
     path.unlink(missing_ok=True)
     return [write_table(path, pd.concat(some, ignore_index=True))] if some else []
 
 
-def words_of(given: ExperimentSettings) -> dict[str, Any]:
-    """Return the words of ``[experiments.preprocess]`` that are not its defaults."""
-    return _changed(given.preprocess)
-
-
-def _changed(settings: Any) -> dict[str, Any]:
-    """Return the fields of settings, and of those in a list of them, that are not their defaults."""
+def changed(settings: Any) -> dict[str, Any]:
+    """Return the settings that are not defaults."""
     left: dict[str, Any] = {}
     for each in fields(settings):
         default = each.default if each.default_factory is MISSING else each.default_factory()
         if getattr(settings, each.name) != default:
             left[each.name] = getattr(settings, each.name)
-    return {name: list(map(_changed, value)) if name == "park" else value for name, value in left.items()}
+    return {name: list(map(changed, value)) if name == "park" else value for name, value in left.items()}
 
 
 def prepared_table(given: ExperimentSettings, experiment: Experiment, raw: pd.DataFrame) -> PreprocessedTable:
-    """Return what was done with a table, as it was read, for an experiment."""
+    """Return the preprocessing of a table for an experiment."""
     units = dict(experiment.frame.attrs.get(UNITS, {}))
-    return PreprocessedTable(given.name, words_of(given), units, prepared_columns(given, experiment, raw))
+    return PreprocessedTable(given.name, changed(given.preprocess), units, prepared_columns(given, experiment, raw))
 
 
 def thinned_again(table: pd.DataFrame) -> pd.DataFrame:
-    """Return the columns of a record that grows, each as thin as it may be drawn."""
+    """Return the columns of a growing record, thinned for figures."""
     parts = []
     for _, rows in table.groupby(["column", "stage"], sort=False):
         much = len(rows) > 2 * MAX_ROWS
@@ -86,7 +75,7 @@ def thinned_again(table: pd.DataFrame) -> pd.DataFrame:
 def prepared_columns(
     given: ExperimentSettings, experiment: Experiment, raw: pd.DataFrame, *, whole: bool = False
 ) -> pd.DataFrame:
-    """Return the columns of a table before and after, where the one is not the other; all of them, if it is `whole`."""
+    """Return columns before and after, where they differ or if `whole`."""
     parts = list(_changes(given, experiment, raw, whole=whole))
     return pd.concat(parts, ignore_index=True) if parts else pd.DataFrame()
 
@@ -96,12 +85,8 @@ def _changes(
 ) -> Iterator[pd.DataFrame]:
     time = time_name(given.time)
     words, after = given.preprocess, experiment.frame
-    names = [
-        *experiment.columns.values(),
-        *words.computed_columns,
-        *words.fill_missing,
-        *(name for each in words.park for name in each.target),
-    ]
+    names = [*experiment.columns.values(), *words.computed_columns, *words.fill_missing]
+    names += [name for each in words.park for name in each.target]
     names += list(words.detrend) if isinstance(words.detrend, dict) else []
     there = [[str(each) for each in frame.columns] for frame in (raw, after)]
     for name in dict.fromkeys(names):
@@ -115,16 +100,11 @@ def _changes(
             continue
         for stage, line in ((BEFORE, earlier), (AFTER, later)):
             if line is not None:
-                yield _thinned(line).assign(experiment=given.name, column=new, stage=stage)[
-                    ["experiment", "column", "stage", "time", "value"]
-                ]
+                times, values = line[:, extremes(line[1][:, None], MAX_ROWS)]
+                named = {"experiment": given.name, "column": new, "stage": stage}
+                yield pd.DataFrame({**named, "time": times, "value": values})
 
 
 def _line(frame: pd.DataFrame, time: str, column: str, source: str) -> Floats:
     """Return times and values (2, K)."""
     return np.stack([numeric_column(frame, time, source), numeric_column(frame, column, source)])
-
-
-def _thinned(line: Floats) -> pd.DataFrame:
-    rows = extremes(line[1][:, None], MAX_ROWS)
-    return pd.DataFrame({"time": line[0][rows], "value": line[1][rows]})

@@ -1,4 +1,4 @@
-"""Where a result comes from: the study as it was run, and the digests of the files that it was made from."""
+"""Provenance of findings, and the study of a result."""
 
 from __future__ import annotations
 
@@ -6,41 +6,42 @@ import hashlib
 import math
 import os
 import tomllib
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from fmuid import codec
+from fmuid.errors import InputError
+from fmuid.estimation import RESULT_SCHEMA
+from fmuid.files import is_file, is_folder
 from fmuid.runs.findings import Provenance, StudySource
+from fmuid.runs.folder import RESULT_FILE
 from fmuid.version import __version__
 
 if TYPE_CHECKING:
     from fmuid.studies import Study
 
-# Of more files, as those of a batch, the first are named.
+# Most files that are named, as of a batch.
 MOST_FILES = 40
-# JSON has no infinite numbers, and a study may: they are an object with this key.
+# Key of an object that stands for an infinite number, which JSON lacks.
 NUMBER = "number:"
 PROVENANCE_SCHEMA = "fmuid/provenance/2"
+_GIVE_STUDY = "name the study file with --study"
 
 
 def made_from(study: Study, also: Iterable[Path] = (), folder: Path | None = None) -> Provenance:
-    """Return where what a study finds now comes from.
-
-    Parameters
-    ----------
-    study : Study
-    also : iterable of Path
-        Files besides those that the study names: records, results.
-    folder : Path, optional
-        Where a result goes that keeps the study's content, to be used without it.
-    """
-    content = study.path.read_bytes() if study.path.is_file() else b""  # none of one that was put together in Python
+    """Return the provenance of findings now, with the study's content for a `folder`."""
+    content = study.path.read_bytes() if study.path.is_file() else b""  # none of a study made in Python
     text = content.decode("utf-8", errors="replace")
-    whole = None if folder is None else mapped(study.data, _as_json)
-    file = study.path.name if folder is None else _way(study.path, folder)
-    source = StudySource(file, hashlib.sha256(content).hexdigest(), text, _parsed(text) != study.data, whole)
+    try:
+        changed = tomllib.loads(text.removeprefix("\ufeff")) != study.data
+    except tomllib.TOMLDecodeError:
+        changed = True
+    whole = None if folder is None else _mapped(study.data, _as_json)
+    file = study.path.name if folder is None else _way(study.path, folder).as_posix()
+    source = StudySource(file, hashlib.sha256(content).hexdigest(), text, changed, whole)
     return made_now(study.title, source, digests([*study.files(), *also], study.path.parent))
 
 
@@ -50,46 +51,38 @@ def made_now(title: str = "", study: StudySource | None = None, files: Mapping[s
 
 
 def write_origin(path: Path, study: Study, also: Iterable[Path] = ()) -> Path:
-    """Write where a table beside it comes from, which has no other JSON file, and return the path.
-
-    Raises
-    ------
-    InputError
-        If nothing can be written there.
-    """
+    """Write the provenance of a table without another JSON file; return the path."""
     return codec.write(path, PROVENANCE_SCHEMA, made_from(study, also))
 
 
 def digests(files: Iterable[Path], folder: Path) -> dict[str, str]:
-    """Return SHA-256 of files by their paths from a folder; of the first `MOST_FILES` that are there."""
-    there = [path for path in dict.fromkeys(files) if path.is_file()]
-    return {_from(path, folder): _digest(path) for path in there[:MOST_FILES]}
+    """Return SHA-256 of the first existing files by the ends of their paths.
+
+    The whole path might tell whose machine it was.
+    """
+    found = {}
+    for path in [path for path in dict.fromkeys(files) if path.is_file()][:MOST_FILES]:
+        name = "/".join([part for part in _way(path, folder).parts if part != ".."][-3:])
+        with path.open("rb") as file:
+            found[name] = hashlib.file_digest(file, "sha256").hexdigest()
+    return found
 
 
-def _from(path: Path, folder: Path) -> str:
-    """Return the end of the way from a folder to a file: pages are mailed, and say nothing of whose machine it was."""
+def _way(file: Path, folder: Path) -> Path:
+    """Return the path of a file from a folder."""
     try:
-        way = Path(os.path.relpath(path.resolve(), folder.resolve()))
+        return Path(os.path.relpath(file.resolve(), folder.resolve()))
     except ValueError:  # on another drive
-        way = path
-    return "/".join([part for part in way.parts if part != ".."][-3:])
+        return file.resolve()
 
 
-def _way(file: Path, folder: Path) -> str:
-    """Return the path of a study from a folder of results."""
-    try:
-        return Path(os.path.relpath(file.resolve(), folder.resolve())).as_posix()
-    except ValueError:  # on another drive
-        return file.resolve().as_posix()
-
-
-def mapped(value: Any, change: Callable[[Any], Any]) -> Any:
+def _mapped(value: Any, change: Callable[[Any], Any]) -> Any:
     """Return nested tables and lists with each of their values changed."""
     if isinstance(value, Mapping):
         changed = change(value)
-        return changed if changed is not value else {str(key): mapped(each, change) for key, each in value.items()}
+        return changed if changed is not value else {str(key): _mapped(each, change) for key, each in value.items()}
     if isinstance(value, list):
-        return [mapped(each, change) for each in value]
+        return [_mapped(each, change) for each in value]
     return change(value)
 
 
@@ -98,18 +91,42 @@ def _as_json(value: Any) -> Any:
     return value if finite else {NUMBER: str(value)}
 
 
-def of_json(value: Any) -> Any:
-    """Return a value of a study's content, which may be a number that JSON does not have."""
+def _of_json(value: Any) -> Any:
     return float(value[NUMBER]) if isinstance(value, Mapping) and set(value) == {NUMBER} else value
 
 
-def _digest(path: Path) -> str:
-    with path.open("rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()
+@dataclass(frozen=True)
+class _Origin:
+    """The provenance in a ``result.json``, and nothing else of it."""
+
+    origin: Provenance | None = None
 
 
-def _parsed(text: str) -> Any:
-    try:
-        return tomllib.loads(text.removeprefix("\ufeff"))
-    except tomllib.TOMLDecodeError:
-        return None
+def study_of(
+    result: Path, overrides: Sequence[str] = (), *, isolated: bool = False, in_place: Path | None = None
+) -> Study:
+    """Return the study of a result; `in_place` replaces missing tables."""
+    from fmuid.studies import Study, override
+
+    path = result_path(result)
+    origin = codec.read(path, RESULT_SCHEMA, _Origin, _GIVE_STUDY).origin
+    if origin is None or origin.study is None or origin.study.content is None:
+        raise InputError(f"{path} does not say by which study it was made: {_GIVE_STUDY}")
+    data = _mapped(dict(origin.study.content), _of_json)
+    file = Path(os.path.normpath(path.parent / origin.study.file))
+    for setting in overrides:
+        override(data, setting, str(file))
+    if in_place is not None:
+        given = data.get("experiments")
+        for experiment in given if isinstance(given, list) else ():  # `Study.of` refuses another type
+            if isinstance(experiment, dict) and not is_file(file.parent / str(experiment.get("data", ""))):
+                experiment["data"] = str(in_place.resolve())
+    return Study.of(data, file, isolated=isolated)
+
+
+def result_path(given: Path) -> Path:
+    """Return the ``result.json`` of a path or folder."""
+    path = given / RESULT_FILE if is_folder(given) else given
+    if not is_file(path):
+        raise InputError(f"{path}: there is no such result: give a result.json, or the folder that has it")
+    return path

@@ -1,4 +1,4 @@
-"""JSON Schema of the files that `fmuid.codec` writes, made of the same classes."""
+"""JSON Schema of the files of `fmuid.codec`, from the same classes."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def result_schema_text() -> str:
 
 
 def schema(kind: type, schema_name: str) -> dict[str, Any]:
-    """Return the JSON Schema of the files of a class, with the texts of docstrings as descriptions."""
+    """Return the JSON Schema of the files of a class, with docstrings as descriptions."""
     known: dict[str, Any] = {}
     root = _schema(kind, known)
     own = {"schema": {"const": schema_name}}
@@ -108,7 +108,7 @@ def _getter(found: Any) -> Any:
 
 
 def _descriptions(kind: type) -> dict[str, str]:
-    """Return what the docstring of a class says of its attributes."""
+    """Return the descriptions of attributes in the docstring of a class."""
     section = re.search(
         r"(?:Attributes|Parameters)\n\s*-+\n(.*?)(?:\n\s*\n\s*\w+\n\s*---|\Z)", kind.__doc__ or "", re.S
     )

@@ -1,4 +1,4 @@
-"""The numbers that the core and those who lay down what it does agree on; the core's are checked when it is loaded."""
+"""Numbers shared with the core, which are checked when it is loaded."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
-"""The executor of each system: threads of this process, or processes of its own (`fmuid.simulation.isolation`).
+"""The executor of each system: threads, or separate processes (`fmuid.simulation.isolation`).
 
-All simulators of a system share its instances. They are freed by `close`, or when nobody uses the system any more: an
-executor knows the components but never the system, so that there is no circle to be collected first.
+All simulators of a system share its instances. `close` or the system's end frees them.
+An executor knows the components but not the system: there is no circle to collect.
 """
 
 from __future__ import annotations
@@ -15,39 +15,32 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 from typing import Protocol
 
-from fmuid.array_types import Floats, Indices
 from fmuid.errors import SimulationError
 from fmuid.models import System
 from fmuid.simulation.instance_registry import in_threads
-from fmuid.simulation.simulation_plan import GridSimulation
+from fmuid.simulation.simulation_plan import SimulationJob
 
 _log = logging.getLogger("fmuid.fmu")
 
 
 class Executor(Protocol):
-    """What simulates for one system, shared by all its simulators."""
+    """Simulates one system, shared by all its simulators."""
 
     lock: threading.RLock
 
-    def run(self, simulation: GridSimulation, thetas: Floats, outputs: Floats, reports: Indices) -> None:
-        """Simulate all thetas (m, N) into outputs (m, K, n_outputs) and reports (m, codes.REPORT)."""
+    def run(self, job: SimulationJob) -> None:
+        """Fill in outputs and reports of a job."""
 
     def failure(
-        self,
-        simulation: GridSimulation,
-        theta: Floats,
-        outputs: Floats,
-        report: Indices,
-        parameters: Mapping[str, float],
-        explain: bool = False,
+        self, job: SimulationJob, parameters: Mapping[str, float], explain: bool = False
     ) -> SimulationError | None:
-        """Return what outputs and report of one simulation say as an error; None where it succeeded."""
+        """Return the error of a job of one simulation; None if it succeeded."""
 
     def printed(self) -> str:
-        """Return and forget what the FMUs printed."""
+        """Return and forget the FMUs' printed text."""
 
     def cancel(self) -> None:
-        """Have simulations that other threads run here fail, at the end of the system's use."""
+        """Let simulations in other threads fail, at the end of use."""
 
     def close(self) -> None:
         """Free all instances; a later simulation makes new ones."""
@@ -55,7 +48,7 @@ class Executor(Protocol):
 
 @dataclass(eq=False)
 class _Use:
-    """What a system in use has: executor, systems derived from it, and warnings of its FMUs, passed on once each."""
+    """Executor, variants and passed-on warnings of a system in use."""
 
     executor: Executor | None = None
     variants: dict[Hashable, System] = field(default_factory=dict)
@@ -76,7 +69,7 @@ def executor_of(system: System) -> Executor:
 
 
 def variant_of(system: System, key: Hashable, make: Callable[[], System]) -> System:
-    """Return a system derived from another, which the first call with a key makes; it is closed with that."""
+    """Return a variant of a system, made at a key's first call."""
     with _making:
         use = _uses.setdefault(system, _Use())
         if key not in use.variants:
@@ -86,7 +79,7 @@ def variant_of(system: System, key: Hashable, make: Callable[[], System]) -> Sys
 
 
 def close(system: System) -> None:
-    """Free all instances of a system, also those of variants; a later simulation makes new ones."""
+    """Free all instances of a system and its variants, for now."""
     with _making:
         use = _uses.get(system, _Use())
     for variant in use.variants.values():
@@ -105,7 +98,7 @@ def closing(system: System) -> Iterator[System]:
 
 
 def threads() -> int:
-    """Return how many simulations run at a time: one for each core, or as many as ``OMP_NUM_THREADS`` says."""
+    """Return the number of parallel simulations: ``OMP_NUM_THREADS``, else cores."""
     given = os.environ.get("OMP_NUM_THREADS", "")
     return int(given) if given.isdecimal() and int(given) > 0 else os.cpu_count() or 1
 
@@ -129,4 +122,4 @@ def _executor(system: System, told: set[str]) -> Executor:
         _log.warning("FMUs run inside fmuid's own process: processes of their own need Linux or macOS")
     from fmuid.simulation.executor import InProcessExecutor  # and with it the core
 
-    return InProcessExecutor(system.components, limit, told=told)
+    return InProcessExecutor(system.components, limit, told)

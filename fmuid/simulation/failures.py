@@ -1,4 +1,4 @@
-"""What a report of the core says, in words; and which FMI function each of its codes stands for."""
+"""Reports of the core as sentences; FMI functions of codes."""
 
 from __future__ import annotations
 
@@ -51,18 +51,11 @@ _CVODE_WORDS = {
 
 
 def function_name(version: int, code: int) -> str | None:
-    """Return the FMI function, without prefix, that a code stands for; None if the version has none."""
+    """Return the FMI function of a code, without prefix; None without one."""
     if 0 <= code < 2 * codes.N_WIRES:
         name = _TYPES[version].get(code % codes.N_WIRES)
         return name and ("Set" if code < codes.N_WIRES else "Get") + name
     return _OWN[version].get(code) or _SAME.get(code)
-
-
-def status_word(version: int, status: int) -> str:
-    """Return a status as the standard calls it."""
-    if 0 <= status < len(STATUS_WORDS):
-        return f"fmi{version}{STATUS_WORDS[status]}"
-    return f"the illegal status {status}"
 
 
 def describe(
@@ -71,27 +64,19 @@ def describe(
     version: int,
     integrator: str = "",
     state: str = "",
-    reached: tuple[float, float] = (0.0, 0.0),
+    at: tuple[float, float] = (0, 0),
 ) -> str:
-    """Return a failure in words, with the remedy where there is one.
+    """Return a failure as a sentence, with a remedy if there is one.
 
-    Parameters
-    ----------
-    failure, status : int
-        From the report; `failure` is none of `codes.LOOP` and `codes.PROCESS`, which are not of one component.
-    version : int
-        Of FMI.
-    integrator : str
-        Of model exchange; empty for co-simulation.
-    state : str
-        Name of the state to blame.
-    reached : (float, float)
-        The time that the integrator had reached, and the step that it tried last, s.
+    `failure` and `status` are from the report; `integrator` is empty for Co-Simulation.
+    `state` is to blame; `at` is the time and the last solver step, s.
     """
     name = function_name(version, failure)
     if name is not None:
-        return f"fmi{version}{name} returned {status_word(version, status)}{_hint(failure, status)}"
-    time, step = reached
+        known = 0 <= status < len(STATUS_WORDS)
+        said = f"fmi{version}{STATUS_WORDS[status]}" if known else f"the illegal status {status}"
+        return f"fmi{version}{name} returned {said}{_hint(failure, status)}"
+    time, step = at
     smaller = "give a smaller step_size" if integrator == "rk4" else "give a step_size or another tolerance"
     return {
         codes.SENSITIVITIES: "the FMU gives no directional derivatives of its outputs",

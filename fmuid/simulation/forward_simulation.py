@@ -1,4 +1,4 @@
-"""Simulations that carry the sensitivities of the states to the parameters with them (docs/method.md section 3)."""
+"""Simulations with sensitivities of the states (docs/method.md section 3)."""
 
 from __future__ import annotations
 
@@ -10,24 +10,18 @@ import numpy as np
 
 from fmuid.array_types import Floats
 from fmuid.data import Experiment
+from fmuid.errors import SensitivityUnavailableError
 from fmuid.models import STIFF_INTEGRATOR, Component, Port, System
 from fmuid.simulation import codes
-from fmuid.simulation.executor_pool import Executor, variant_of
+from fmuid.simulation.executor_pool import Executor, executor_of, variant_of
 from fmuid.simulation.plan_builder import grid_of, outputs_with_sensitivities, plan_of, simulation_of
-from fmuid.simulation.simulation_plan import GridSimulation, Sensitivities, SimulationPlan, new_reports
+from fmuid.simulation.simulation_plan import GridSimulation, Sensitivities, SimulationPlan
 from fmuid.simulation.simulation_task import task_of
 from fmuid.simulation.simulator import Simulator
 
 
-@dataclass(frozen=True)
-class SensitivityRefusal:
-    """Why there are no sensitivities."""
-
-    reason: str
-
-
 def extended_by(experiment: Experiment, outputs: Sequence[str]) -> Experiment:
-    """Return an experiment with the same inputs and other outputs, in the units of the FMU."""
+    """Return an experiment with other outputs, in units of the FMU."""
     columns = {name: f"simulated {i}" for i, name in enumerate(outputs)}  # no name of a measured column
     return Experiment(
         experiment.frame,
@@ -43,47 +37,39 @@ def extended_by(experiment: Experiment, outputs: Sequence[str]) -> Experiment:
 
 
 def names_of(simulator: Simulator) -> list[str]:
-    """Return the variables that the parameters of a simulator set."""
+    """Return the variables set by a simulator's parameters."""
     return [name for name, *_ in simulator.targets]
 
 
 @dataclass(frozen=True)
 class SensitivitySimulation:
-    """A run whose outputs carry sensitivities with them.
-
-    Attributes
-    ----------
-    simulation : GridSimulation
-    system : System
-        What it runs.
-    given : Sensitivities
-        Its arrays are filled in before each simulation.
-    """
+    """A simulation with sensitivities; `given` is filled in before each run."""
 
     simulation: GridSimulation
     system: System
     given: Sensitivities
 
-    def simulate(self, executor: Executor, theta: Floats) -> Floats | SensitivityRefusal:
-        """Simulate theta (N,); return the outputs (K, n), or why there are none."""
-        outputs = np.empty((1, self.simulation.grid.times.size, len(self.simulation.output_names)))
-        reports = new_reports(1)
+    def simulate(self, theta: Floats) -> Floats:
+        """Simulate theta (N,); return outputs (K, n), or raise SensitivityUnavailableError."""
+        executor = executor_of(self.system)
+        job = self.simulation.job(theta[None])
         with executor.lock:
-            executor.run(self.simulation, theta[None], outputs, reports)
-            if reports[0, 0] == codes.SENSITIVITIES:
-                return SensitivityRefusal("the FMU gives no directional derivatives of its outputs by parameters")
-            error = executor.failure(self.simulation, theta, outputs[0], reports[0], {})
+            executor.run(job)
+            if job.reports[0, 0] == codes.SENSITIVITIES:
+                raise SensitivityUnavailableError(
+                    "the FMU gives no directional derivatives of its outputs by parameters"
+                )
+            error = executor.failure(job, {})
         if error is not None:
-            return SensitivityRefusal(f"from t = {error.time:g} s on, {error.call}")
-        found: Floats = outputs[0]
+            raise SensitivityUnavailableError(f"from t = {error.time:g} s on, {error.call}")
+        found: Floats = job.outputs[0]
         return found
 
 
 def directional_simulation(simulator: Simulator) -> SensitivitySimulation | None:
-    """Return the run with directional derivatives of the FMU; the outputs' sensitivities follow them, by parameters.
+    """Return the simulation with the FMU's directional derivatives.
 
-    None if the FMU has no directional derivatives that would do: it declares none, has arrays, or a parameter is the
-    start of a state, which is a known already.
+    None if they do not suffice: undeclared, with arrays, or for a parameter that is a state's start.
     """
     system, (model,) = simulator.system, simulator.system.components.values()
     description, names = model.fmu.description, names_of(simulator)
@@ -109,16 +95,16 @@ def directional_simulation(simulator: Simulator) -> SensitivitySimulation | None
 
 
 def carrying(plan: SimulationPlan, given: Sensitivities) -> SimulationPlan:
-    """Return a plan whose last component is integrated with its sensitivities, and any before follow it as twins."""
+    """Return a plan with sensitivities of its last component; others are twins."""
     *twins, last = plan.integrations
     followers = [each and each._replace(follows=True) for each in twins]
     return plan._replace(integrations=(*followers, last and last._replace(sensitivities=given)))
 
 
 def initial_simulation(simulator: Simulator) -> GridSimulation | None:
-    """Return the run that initialises a simulator's FMU, and whose outputs are the states.
+    """Return the initialization of an FMU with its states as outputs.
 
-    None if the states are not open to view.
+    None if the states are hidden.
     """
     system, ((component, model),) = simulator.system, simulator.system.components.items()
     states = [system.full_name(component, name) for name in model.fmu.description.states]
@@ -132,23 +118,23 @@ def initial_simulation(simulator: Simulator) -> GridSimulation | None:
 
 
 def initial_states(simulation: GridSimulation, executor: Executor, thetas: Floats) -> Floats | None:
-    """Return the initial states (m, n_states) of thetas (m, N), None if an initialisation fails."""
-    outputs = np.empty((len(thetas), 1, len(simulation.output_names)))
-    reports = new_reports(len(thetas))
+    """Return the initial states (m, n_states); None after a failure."""
+    job = simulation.job(thetas)
     with executor.lock:
-        executor.run(simulation, thetas, outputs, reports)
-    found = outputs[:, 0]
-    return None if (reports[:, 0] >= 0).any() or not np.isfinite(found).all() else found
+        executor.run(job)
+    found: Floats = job.outputs[:, 0]
+    return None if job.failed.any() or not np.isfinite(found).all() else found
 
 
 def twin_simulation(simulator: Simulator) -> SensitivitySimulation:
-    """Return the run of a system that has an FMU N + 1 times: with each parameter a little changed, and last as it is.
+    """Return the simulation of N twins with one changed parameter each, and the model.
 
     Its parameters and outputs are those of all components in turn.
     """
     system, (model,) = simulator.system, simulator.system.components.values()
     count = len(simulator.targets)
-    twins = _twins_of(system, count, simulator.experiment.input_names)
+    inputs = simulator.experiment.input_names
+    twins = variant_of(system, ("twins", count, inputs), lambda: _twins(system, count, inputs))
 
     def inner(name: str) -> str:
         return system.split(name)[1]
@@ -180,12 +166,7 @@ def twin_simulation(simulator: Simulator) -> SensitivitySimulation:
     return SensitivitySimulation(simulation, twins, given)
 
 
-def _twins_of(system: System, count: int, inputs: tuple[str, ...]) -> System:
-    """Return the system of a number of twins and the model itself, which all simulators of a system share."""
-    return variant_of(system, ("twins", count, inputs), lambda: _new_twins(system, count, inputs))
-
-
-def _new_twins(system: System, count: int, inputs: tuple[str, ...]) -> System:
+def _twins(system: System, count: int, inputs: tuple[str, ...]) -> System:
     (model,) = system.components.values()
     names = [*(f"twin{j + 1}" for j in range(count)), "model"]
 

@@ -1,4 +1,4 @@
-"""The life of one instance of an FMU: loaded, instantiated, its messages collected, freed."""
+"""One instance of an FMU: loaded, instantiated, logged, freed."""
 
 from __future__ import annotations
 
@@ -39,37 +39,13 @@ _TAKEN_3 = {
 
 
 class Instance:
-    """One instance of an FMU.
+    """One instance of an FMU by one interface, `kind`; an `InputError` if impossible.
 
-    Parameters
-    ----------
-    fmu : FMU
-    kind : str
-        "co-simulation" or "model-exchange".
-    name : str
-        Instance name, as the FMU uses it in its messages.
-
-    Attributes
-    ----------
-    handle : int
-        The address of the instance (fmi2Component, fmi3Instance).
-    version : int
-        Of FMI, 2 or 3.
-    event_mode : bool
-        Whether the instance was told that events are handled between its steps (FMI 3.0 co-simulation).
-
-    Raises
-    ------
-    InputError
-        If the FMU has no such interface or no binary for this platform, or cannot be loaded or instantiated.
+    `handle` is its address. `event_mode`: events are handled between its steps (FMI 3.0 Co-Simulation).
     """
 
     def __init__(self, fmu: FMU, kind: str, name: str) -> None:
-        interface = fmu.description.interfaces.get(kind)
-        if interface is None:
-            raise InputError(
-                f"{fmu.path} offers no {kind} interface; it offers {', '.join(fmu.description.interfaces)}"
-            )
+        interface = fmu.description.interfaces[kind]
         if interface.once_per_process and fmu.digest in _spent:
             raise InputError(
                 f"{fmu.path} can be instantiated only once in a process, and was; share one fmuid.System between "
@@ -103,7 +79,7 @@ class Instance:
         self._finalizer = weakref.finalize(self, _free, *living, self._residents, threading.get_ident())
 
     def _instantiate(self) -> int:
-        """Return the handle; no callback enters Python: an FMU may call them while it steps."""
+        """Return the handle; no callback enters Python, since FMUs call them while stepping."""
         name, token, log = self.name.encode(), self.fmu.description.guid.encode(), byref(self._log)
         resources = self.fmu.directory / "resources"
         handle = None
@@ -136,37 +112,31 @@ class Instance:
 
     @property
     def messages(self) -> list[tuple[int, str]]:
-        """Status and text of what the FMU logged since it was last to forget."""
+        """Status and text of the logged messages."""
         there = self._log.messages[: min(self._log.count, len(self._log.messages))] if self._log.count else ()
         said = ((message.status, message.text.decode("utf-8", errors="replace").strip()) for message in there)
         return [(status, text) for status, text in said if text]
 
     def forget_messages(self) -> None:
-        """Forget what the FMU logged."""
+        """Forget the logged messages."""
         self._log.count = 0
 
     def address(self, name: str) -> int:
-        """Return the address of an FMI function by its name without prefix, such as ``DoStep``; 0 if there is none."""
+        """Return the address of an FMI function such as ``DoStep``, or 0."""
         try:
             return ctypes.cast(getattr(self.library, f"fmi{self.version}{name}"), ctypes.c_void_p).value or 0
         except AttributeError:
             return 0
 
     def required(self, name: str) -> int:
-        """Return the address of an FMI function.
-
-        Raises
-        ------
-        InputError
-            If the binary lacks it.
-        """
+        """Return the address of an FMI function; an `InputError` without it."""
         found = self.address(name)
         if not found:
             raise InputError(f"{self.fmu.path}: its binary lacks the function fmi{self.version}{name}, which is needed")
         return found
 
     def set_logging(self, on: bool) -> None:
-        """Switch the FMU's debug log, of all categories, if it has one (fmi2SetDebugLogging, fmi3SetDebugLogging)."""
+        """Switch the FMU's debug log, if it has one."""
         if self.address("SetDebugLogging"):
             boolean = c_int if self.version == 2 else c_uint8
             with kept():
@@ -175,7 +145,7 @@ class Instance:
                 )
 
     def close(self, fatal: bool = False) -> None:
-        """Free the instance; after a fatal error it must not be touched any more (FMI 2.0.4, section 2.1.3)."""
+        """Free the instance; after a fatal error leave it (FMI 2.0.4, 2.1.3)."""
         if not fatal:
             self._finalizer()
         elif self._finalizer.detach():
@@ -197,7 +167,7 @@ def _free(free: Any, handle: int, log: Any, those_there: InstanceRegistry | None
 
 
 def _missing_library(fmu: FMU, error: str) -> str | None:
-    """Return a sentence that names a shared library which the FMU's binary needs and the loader did not find."""
+    """Return a sentence on a shared library missing on this machine."""
     found = re.search(r"(\S+): cannot open shared object file", error) or re.search(r"Library not loaded: (\S+)", error)
     if not found:
         return None
@@ -208,7 +178,7 @@ def _missing_library(fmu: FMU, error: str) -> str | None:
 
 
 def warn(instance: Instance, told: set[str]) -> None:
-    """Pass on, once each, the warnings that an instance gave during simulations that succeeded."""
+    """Pass on new warnings of an instance after successful simulations."""
     for status, text in instance.messages:
         if status > 0 and text not in told:
             told.add(text)
@@ -222,7 +192,7 @@ if sys.maxsize <= 2**32:  # pragma: no cover
 
 @contextmanager
 def kept() -> Iterator[None]:
-    """Have the environment of this thread be the same afterwards."""
+    """Restore this thread's floating-point environment afterwards."""
     library = core()
     room = ctypes.create_string_buffer(library.environment_size())
     library.environment_keep(room)

@@ -1,20 +1,18 @@
-"""Which FMUs may have several instances at work in one process, and how those are kept apart that may not.
+"""Rules for several instances of an FMU in one process.
 
-FMI has an FMU say that it cannot be instantiated twice in a process (canBeInstantiatedOnlyOncePerProcess, FMI 2.0.4,
-section 3.3.1); saying nothing means that it can. Too many tools say nothing, or the wrong thing. Threads are therefore
-only for FMUs that say so themselves, or whose tool is known to keep everything inside the instances (`in_threads`).
+Many tools declare canBeInstantiatedOnlyOncePerProcess wrongly or not at all (FMI 2.0.4, 3.3.1). Threads are only for
+FMUs that declare it, or of tools known to be safe (`in_threads`).
 
-Of any other FMU only one instance at a time is at work in a process (`InstanceLock`), instances of its two interfaces
-never live there together, and none is freed while another lives: OpenModelica's allocator, its hooks for errors and its
-thread-local pointers are one for the whole library. Freeing any instance frees the memory of all, and two threads use
-and release the same memory; a plain C program with two threads crashes as well.
+Of any other FMU one instance at a time works in a process (`InstanceLock`). Its two interfaces never live there
+together, and none is freed while another lives: OpenModelica's allocator, error hooks and thread-local pointers are
+global to a library. Freeing one instance frees the memory of all; a plain C program with two threads crashes too.
 """
 
 from __future__ import annotations
 
 import threading
 import weakref
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from enum import IntEnum
 from typing import Protocol
@@ -32,7 +30,7 @@ UNSAFE_TOOLS = ("OpenModelica",)
 
 
 def in_threads(description: Description, kind: str) -> bool:
-    """Return whether instances with this interface may be at work in several threads of one process at once."""
+    """Return whether instances may work in several threads of one process."""
     interface, tool = description.interfaces[kind], description.generation_tool
     if interface.once_per_process or interface.needs_execution_tool or tool.startswith(UNSAFE_TOOLS):
         return False
@@ -47,12 +45,7 @@ class _Owner(Protocol):
 class InstanceRegistry:
     """The instances of one FMU in this process.
 
-    Attributes
-    ----------
-    turn : RLock
-        Held by whom its instances are at work for.
-    owners : WeakKeyDictionary of owner to (str, int)
-        Who has instances, of which interface, and the thread that uses them.
+    `turn` is held while its instances work. `owners` have the interface and the thread of their instances.
     """
 
     def __init__(self) -> None:
@@ -62,12 +55,12 @@ class InstanceRegistry:
         self._waiting: list[tuple[int, Callable[[], None]]] = []  # threads, and what frees their instances
 
     def arrive(self) -> None:
-        """Count an instance that is about to be made."""
+        """Count an instance before it is made."""
         with _counting:
             self._living += 1
 
     def leave(self, thread: int = 0, free: Callable[[], None] | None = None) -> None:
-        """Have an instance be freed, in the thread that made it, as soon as none lives any more."""
+        """Free an instance in its thread as soon as none lives."""
         with _counting:
             self._living -= 1
             self._waiting += [(thread, free)] if free else []
@@ -84,7 +77,7 @@ _residents: dict[str, InstanceRegistry] = {}
 
 
 def residents(fmu: FMU, kind: str) -> InstanceRegistry | None:
-    """Return who is there of an FMU that must be kept apart; None of one that need not, or can have one only."""
+    """Return the registry of an FMU that must be kept apart, or None."""
     if in_threads(fmu.description, kind) or fmu.description.interfaces[kind].once_per_process:
         return None
     with _counting:
@@ -92,20 +85,7 @@ def residents(fmu: FMU, kind: str) -> InstanceRegistry | None:
 
 
 class InstanceLock:
-    """Keeps who has instances apart from all others in this process with whose instances they could interfere.
-
-    Nothing is to be paid where all FMUs may run in threads.
-
-    Parameters
-    ----------
-    models : iterable of (FMU, str)
-        The FMUs, each with the interface that is used.
-
-    Raises
-    ------
-    InputError
-        If there are both interfaces of one FMU among them that must be kept apart.
-    """
+    """Keeps instances apart that could interfere; costs nothing for thread-safe FMUs."""
 
     def __init__(self, models: Iterable[tuple[FMU, str]]) -> None:
         found: dict[str, tuple[InstanceRegistry, str]] = {}
@@ -121,7 +101,7 @@ class InstanceLock:
 
     @contextmanager
     def turn(self, owner: _Owner) -> Iterator[None]:
-        """Wait for one's turn, and have those with the other interface give their instances up."""
+        """Wait for a turn; instances of the other interface are given up."""
         if not self._held:
             yield
             return
@@ -145,20 +125,30 @@ _once: set[_Key] = set()
 
 
 class Renewal(IntEnum):
-    """What brings the FMUs of a system back to their beginning."""
+    """Method that resets the FMUs of a system."""
 
     RESET = 0
     INSTANCE = 1
     PROCESS = 2
 
 
+def labels(components: Mapping[str, Component]) -> str:
+    """Return names and files of components, for messages."""
+    return ", ".join(label(name, model) for name, model in components.items())
+
+
+def label(name: str, model: Component) -> str:
+    """Return name and file of a component, for messages."""
+    return f"{name} ({model.fmu.path})" if name else str(model.fmu.path)
+
+
 def is_repeated(outputs: Floats, expected: Floats) -> bool:
-    """Return whether outputs repeat those of an earlier simulation with the same parameters."""
+    """Return whether outputs repeat those of an earlier simulation."""
     return np.allclose(outputs, expected, rtol=0.0, atol=REPEAT_TOLERANCE * np.abs(expected).max(initial=0.0))
 
 
 def note_process(components: Iterable[Component]) -> bool:
-    """Note that FMUs need a new process for each simulation; return whether that is news in this process."""
+    """Note FMUs that need new processes; return whether that is news."""
     key = _key(components)
     news = key not in _once
     _once.add(key)
@@ -166,7 +156,7 @@ def note_process(components: Iterable[Component]) -> bool:
 
 
 def needs_process(components: Iterable[Component]) -> bool:
-    """Return whether FMUs are known to need a new process for each simulation."""
+    """Return whether FMUs need a new process for each simulation."""
     return bool(_once) and _key(components) in _once
 
 

@@ -25,15 +25,14 @@ class OutputFit:
     Attributes
     ----------
     experiment : str
-        Its name.
     times : ndarray (K,)
         Time, s.
     outputs, units : tuple of str
-        Output variables and the units of what is compared, those of the table.
+        Output variables and their units in the data file.
     measured, simulated : ndarray (K, n_outputs)
-        NaN where an output was not measured.
+        NaN without measurement.
     counted : ndarray of bool (K, n_outputs)
-        The samples that take part in the criterion.
+        Samples in the cost function.
     """
 
     experiment: str
@@ -50,12 +49,12 @@ class OutputFit:
 
     @property
     def fit(self) -> tuple[float, ...]:
-        """The fit of each output, % (`nrmse_fit`), over the counted samples."""
+        """Fit of each output over the counted samples, % (`nrmse_fit`)."""
         return tuple(nrmse_fit([pair]) for pair in self._counted_pairs)
 
     @property
     def rmse(self) -> tuple[float, ...]:
-        """Root mean square of measured − simulated of each output, in `units`, over the counted samples."""
+        """RMS of measured − simulated of each output, in `units`."""
         return tuple(root_mean_square(*pair) for pair in self._counted_pairs)
 
     @property
@@ -65,7 +64,7 @@ class OutputFit:
 
     @property
     def counted_from(self) -> float | None:
-        """The first time that counts, s; None where none does."""
+        """First counted time, s; None without any."""
         counted = self.counted.any(axis=1)
         return float(self.times[int(counted.argmax())]) if counted.any() else None
 
@@ -82,19 +81,17 @@ class OutputFit:
 
 
 def nrmse_fit(pairs: Sequence[tuple[Floats, Floats]]) -> float:
-    """Return the NRMSE fit 100 (1 − ‖y − ŷ‖/‖y − ȳ‖) of one output, %, as `compare` of MATLAB has it.
-
-    100 is a perfect simulation, 0 one that is no better than the mean.
+    """Return the NRMSE fit 100 (1 − ‖y − ŷ‖/‖y − ȳ‖) of one output, %.
 
     Parameters
     ----------
     pairs : sequence of ((n,) array, (n,) array)
-        Counted samples, measured y and simulated ŷ, of each experiment with its own mean ȳ.
+        Measured y and simulated ŷ of each experiment with its own mean ȳ.
 
     Returns
     -------
     float
-        NaN where the measured output is constant: a fit has no meaning there.
+        NaN for a constant measured output.
     """
     with np.errstate(over="ignore", invalid="ignore"):  # of an unstable simulation: −infinite
         error = math.hypot(*(float(np.linalg.norm(y - simulated)) for y, simulated in pairs))
@@ -104,14 +101,14 @@ def nrmse_fit(pairs: Sequence[tuple[Floats, Floats]]) -> float:
 
 
 def root_mean_square(measured: Floats, simulated: Floats) -> float:
-    """Return the root mean square of measured − simulated (n,), NaN without any."""
+    """Return the RMS of measured − simulated (n,); NaN without samples."""
     with np.errstate(over="ignore", invalid="ignore"):  # of an unstable simulation: infinite
         size = float(np.linalg.norm(measured - simulated))
     return size / math.sqrt(measured.size) if measured.size else math.nan
 
 
 def fit_of(system: System, experiment: Experiment, simulated: Floats) -> OutputFit:
-    """Set the outputs (K, n_outputs) that a system gives in an experiment beside the measured ones."""
+    """Return simulated outputs (K, n_outputs) with the measured ones."""
     names = experiment.output_names
     units = tuple(experiment.units.get(name, system.unit(name)) for name in names)
     return OutputFit(
@@ -120,6 +117,6 @@ def fit_of(system: System, experiment: Experiment, simulated: Floats) -> OutputF
 
 
 def parameter_units(system: System, names: Sequence[str]) -> tuple[str | None, ...]:
-    """Return the unit of each parameter; one per experiment is named ``variable[experiment]``."""
+    """Return the unit of each parameter, also of ``variable[experiment]``."""
     variables = system.variables
     return tuple(variables[name if name in variables else name.rpartition("[")[0]].unit for name in names)

@@ -1,4 +1,4 @@
-"""A system over an experiment as a plan: the calls that the core makes, and the grid that it walks."""
+"""A system over an experiment as plan and grid of the core."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ import math
 from collections import defaultdict
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import TypeVar
 
 import numpy as np
 
@@ -21,19 +22,21 @@ from fmuid.simulation.simulation_plan import (
     GridSimulation,
     Integration,
     Operation,
+    PlanInputs,
     SimulationPlan,
     TimeGrid,
 )
 from fmuid.simulation.simulation_task import SimulationTask
 from fmuid.simulation.variable_checks import column_conversion
 
+Found = TypeVar("Found")
 Outputs = tuple[list[int], list[int]]
 """The signals that are summed to outputs, and where among them those of each output begin, and the end."""
 
 
 @dataclass
 class PlanBuilder:
-    """What is gathered for a `SimulationPlan`; its methods append to it and return signals."""
+    """Parts of a `SimulationPlan`; methods append to them and return signals."""
 
     task: SimulationTask
     signals: list[float] = field(default_factory=list)
@@ -43,12 +46,8 @@ class PlanBuilder:
     conversions: list[tuple[float, float]] = field(default_factory=list)
     loops: list[AlgebraicLoop] = field(default_factory=list)
 
-    def number(self, component: str) -> int:
-        """Return the number of a component."""
-        return list(self.task.system.components).index(component)
-
     def transfer(self, names: Sequence[str], *, setting: bool, when: Mapping[str, int] | None = None) -> list[int]:
-        """Append one call for each component, type and time of setting; return the signal of each name, in order."""
+        """Append a call per component, type and time; return the names' signals."""
         slots: dict[str, int] = {}
         for (component, wire, moment), group in self._grouped(names, setting, when).items():
             first, references = len(self.signals), []
@@ -60,7 +59,7 @@ class PlanBuilder:
         return [slots[name] for name in names]
 
     def _allot(self, name: str) -> dict[str, int]:
-        """Return the signals of a variable, for one element of an array those of all, holding their start values."""
+        """Return new signals of a variable, or of all elements of its array."""
         elements, first = self.task.elements(name), len(self.signals)
         self.signals += [self.task.start(element) for element in elements]
         return {element: first + i for i, element in enumerate(elements)}
@@ -70,18 +69,10 @@ class PlanBuilder:
         place = WIRES.index(wire)
         version = self.task.system.components[component].fmu.description.major_version
         passed = place if place != BOOLEAN else INT32 if version == 2 else UINT8
-        self.calls.append(
-            Operation(
-                place if setting else codes.N_WIRES + place,
-                self.number(component),
-                len(self.references),
-                len(references),
-                first,
-                len(self.signals) - first if wire != "String" else len(references),
-                passed,
-                when,
-            )
-        )
+        function, count = place if setting else codes.N_WIRES + place, len(references)
+        values = len(self.signals) - first if wire != "String" else count
+        given = self.task.numbers[component], len(self.references), count, first, values, passed, when
+        self.calls.append(Operation(function, *given))
         self.references.extend(references)
 
     def _grouped(
@@ -96,7 +87,7 @@ class PlanBuilder:
         return groups
 
     def pass_on(self, connections: Iterable[Connection]) -> tuple[int, list[int]]:
-        """Append gets, copies and sets; return where the sets begin, and the signals of the inputs."""
+        """Append gets, copies, sets; return the sets' beginning and the input signals."""
         group, name = list(connections), self.task.system.full_name
         pairs = [(name(*c.source), name(*c.target)) for c in group]
         sources = list(dict.fromkeys(source for source, _ in pairs))
@@ -105,16 +96,17 @@ class PlanBuilder:
         targets = [target for _, target in pairs]
         when = {each: self.task.when(each, connected=True) for each in targets}
         slots = self.transfer(targets, setting=True, when=when)
-        copies = []
-        for connection, (source, _), slot in zip(group, pairs, slots, strict=True):
-            copies.append(Operation(codes.COPY, 0, got[source], len(self.conversions), slot, 1, 0))
-            self.conversions.append((connection.factor, connection.offset))
-        self.calls[at:at] = copies
-        return at + len(copies), slots
+        first = len(self.conversions)
+        self.conversions += [(connection.factor, connection.offset) for connection in group]
+        self.calls[at:at] = [
+            Operation(codes.COPY, 0, got[source], first + i, slot, 1, 0)
+            for i, ((source, _), slot) in enumerate(zip(pairs, slots, strict=True))
+        ]
+        return at + len(group), slots
 
 
 def start_values(to: PlanBuilder) -> list[int]:
-    """Append what sets the values before the initialisation; return the signals of the parameters."""
+    """Append sets before the initialization; return the parameters' signals."""
     task, variables = to.task, to.task.system.variables
     numbers = [name for name in task.values if variables[name].type != "String"]
     slots = to.transfer([*numbers, *task.parameters], setting=True, when={})
@@ -129,7 +121,7 @@ def start_values(to: PlanBuilder) -> list[int]:
 
 
 def exchange(to: PlanBuilder) -> list[tuple[int, int]]:
-    """Append what passes outputs on; return the groups of `SimulationPlan`."""
+    """Append the exchange of outputs; return the groups of `SimulationPlan`."""
     groups = []
     for group, is_loop in to.task.system.exchange_order:
         first = len(to.calls)
@@ -145,29 +137,22 @@ def exchange(to: PlanBuilder) -> list[tuple[int, int]]:
 
 
 def _nominal(system: System, connection: Connection) -> float:
-    """Return the nominal value of an input: as stated there, or at the output that feeds it; else 0."""
-    of_input, of_output = (
-        system.variables[system.full_name(*end)].nominal for end in (connection.target, connection.source)
-    )
+    """Return an input's nominal value, own or of its source; else 0."""
+    ends = (system.full_name(*end) for end in (connection.target, connection.source))
+    of_input, of_output = (system.variables[end].nominal for end in ends)
     stated = abs(of_input or connection.factor * (of_output or 0.0))
     return stated if math.isfinite(stated) else 0.0
 
 
-def exchange_after(to: PlanBuilder, component: str) -> None:
-    """Append what passes the outputs of a component on to those that step after it (Gauss–Seidel)."""
-    later = list(to.task.system.components)[to.number(component) + 1 :]
-    to.pass_on([c for c in to.task.system.connections if c.source[0] == component and c.target[0] in later])
-
-
 def outputs(to: PlanBuilder) -> Outputs:
-    """Append what gets the outputs of the experiment."""
+    """Append gets of the experiment's outputs."""
     terms, found = _terms(to.task)
     slots = dict(zip(found, to.transfer(found, setting=False), strict=True))
     return [slots[term] for some in terms for term in some], [0, *itertools.accumulate(map(len, terms))]
 
 
 def outputs_with_sensitivities(to: PlanBuilder, count: int) -> Outputs:
-    """Append what gets the outputs, and after them their sensitivities to a number of parameters, by parameters."""
+    """Append gets of outputs and their sensitivities, by parameters."""
     slots, bounds = outputs(to)
     terms, found = _terms(to.task)
     first, size = len(to.signals), count * len(found)
@@ -182,13 +167,12 @@ def outputs_with_sensitivities(to: PlanBuilder, count: int) -> Outputs:
 
 
 def _terms(task: SimulationTask) -> tuple[list[list[str]], list[str]]:
-    """Return the variables whose sum each output is, and all of them once."""
     terms = [task.system.terms(name) for name in task.experiment.output_names]
     return terms, list(dict.fromkeys(term for some in terms for term in some))
 
 
 def input_slopes(to: PlanBuilder) -> list[int]:
-    """Append what sets derivatives of inputs; return the signals of the slopes of all inputs."""
+    """Append sets of input derivatives; return the slope signals of all inputs."""
     unused = len(to.signals)  # where the slopes of the inputs go that are given none
     to.signals.append(0.0)
     slots = dict.fromkeys(to.task.targets, unused)
@@ -212,14 +196,9 @@ STEP_TOLERANCE = 1e-3
 
 
 def grid_of(task: SimulationTask) -> TimeGrid:
-    """Return the grid of a task: steps no longer than they may be, else from sample to sample.
+    """Return the grid of a task, or an `InputError` of an FMU's steps.
 
-    Where inputs are linear in between and their FMU cannot interpolate, `LINEAR_SUBSTEPS` to a sampling interval.
-
-    Raises
-    ------
-    InputError
-        If an FMU cannot step that way.
+    Inputs that are linear between samples get `LINEAR_SUBSTEPS` if their FMU cannot interpolate.
     """
     intervals = np.diff(task.experiment.times)
     steps = [step for step in task.steps.values() if step is not None]
@@ -230,10 +209,8 @@ def grid_of(task: SimulationTask) -> TimeGrid:
         substeps = np.ceil(intervals / smallest * (1 - STEP_TOLERANCE))
         strides[:] = [max(1, round((step or smallest) / smallest)) for step in task.steps.values()]
     else:
-        coarse = any(
-            mode == codes.BY_MIDPOINT or (mode == codes.BY_DERIVATIVE and name in curved)
-            for name, mode in task.modes.items()
-        )
+        coarse = codes.BY_MIDPOINT in task.modes.values()
+        coarse |= any(task.modes[name] == codes.BY_DERIVATIVE for name in curved)
         substeps = np.full(intervals.shape, LINEAR_SUBSTEPS if coarse else 1)
     substeps = np.maximum(substeps, 1).astype(np.intp) * task.divisor
     strides *= [1 if task.system.integrates(component) else task.divisor for component in task.steps]
@@ -243,7 +220,6 @@ def grid_of(task: SimulationTask) -> TimeGrid:
 
 
 def _check_steps(task: SimulationTask, steps: Floats) -> None:
-    """Refuse unequal steps where an FMU declares that it cannot take them."""
     taken = steps[steps > 0]
     if taken.size == 0 or np.ptp(taken) <= STEP_TOLERANCE * taken.max():
         return
@@ -257,7 +233,7 @@ def _check_steps(task: SimulationTask, steps: Floats) -> None:
 
 
 def _converted_inputs(task: SimulationTask) -> tuple[Floats, Floats]:
-    """Return the inputs, and their slopes at the samples, in the units of the FMU."""
+    """Return inputs and their slopes in units of the FMU."""
     experiment = task.experiment
     columns = [each.column for each in task.targets.values()]
     inputs = np.array(experiment.input_values[:, columns], np.float64, order="C")
@@ -273,50 +249,28 @@ def _converted_inputs(task: SimulationTask) -> tuple[Floats, Floats]:
 
 
 def simulation_of(task: SimulationTask) -> GridSimulation:
-    """Return the run of a task.
-
-    Raises
-    ------
-    InputError
-        If an FMU cannot step that way, or elements of one array vary in different ways.
-    """
+    """Return the simulation of a task; an `InputError` if impossible."""
     return GridSimulation(plan_of(task), grid_of(task), task.experiment.output_names)
 
 
 def plan_of(task: SimulationTask, add_outputs: Callable[[PlanBuilder], Outputs] = outputs) -> SimulationPlan:
-    """Return the plan of a task.
-
-    Parameters
-    ----------
-    task : SimulationTask
-    add_outputs : callable, optional
-        Appends what gets the outputs; default: those of the experiment, and nothing else.
-
-    Raises
-    ------
-    InputError
-        If elements of one array vary in different ways.
-    """
+    """Return the plan of a task; `add_outputs` appends gets of the outputs."""
     system, to = task.system, PlanBuilder(task)
     stages = [0]
 
-    def end_stage() -> None:
+    def stage(found: Found) -> Found:
         stages.append(len(to.calls))
+        return found
 
-    parameter_slots = start_values(to)
-    end_stage()
-    input_slots = to.transfer(list(task.targets), setting=True)
-    end_stage()
-    groups = exchange(to)
-    end_stage()
-    output_slots, output_terms = add_outputs(to)
-    end_stage()
-    slope_slots = input_slopes(to)
-    end_stage()
-    for component in system.components:
-        if system.master == "gauss-seidel":
-            exchange_after(to, component)
-        end_stage()
+    parameter_slots = stage(start_values(to))
+    input_slots = stage(to.transfer(list(task.targets), setting=True))
+    groups = stage(exchange(to))
+    output_slots, output_terms = stage(add_outputs(to))
+    slope_slots = stage(input_slopes(to))
+    for component, number in task.numbers.items():
+        if system.master == "gauss-seidel":  # from a component to later ones
+            to.pass_on(c for c in system.connections if c.source[0] == component and task.numbers[c.target[0]] > number)
+        stage(None)
     return SimulationPlan(
         operations=tuple(to.calls),
         stages=np.array(stages, np.intp),
@@ -327,10 +281,12 @@ def plan_of(task: SimulationTask, add_outputs: Callable[[PlanBuilder], Outputs] 
         conversions=np.array(to.conversions, np.float64).reshape(-1, 2),
         texts=tuple(to.texts),
         parameter_signals=np.array(parameter_slots, np.intp),
-        input_signals=np.array(input_slots, np.intp),
-        input_modes=np.array(list(task.modes.values()), np.intp),
-        input_curves=_curves(task),
-        derivative_signals=np.array(slope_slots, np.intp),
+        inputs=PlanInputs(
+            np.array(input_slots, np.intp),
+            np.array(slope_slots, np.intp),
+            np.array(list(task.modes.values()), np.intp),
+            tuple(_curve(task, name) for name in task.modes),
+        ),
         output_signals=np.array(output_slots, np.intp),
         output_terms=np.array(output_terms, np.intp),
         integrations=tuple(_integration(task, name) for name in system.components),
@@ -358,14 +314,8 @@ def _integration(task: SimulationTask, component: str) -> Integration | None:
     )
 
 
-def _curves(task: SimulationTask) -> tuple[tuple[int, int], ...]:
-    """Return for each input which row of which component's polynomials it is."""
-    numbers = {name: i for i, name in enumerate(task.system.components)}
-    found = []
-    for name, mode in task.modes.items():
-        component = task.system.split(name)[0]
-        if mode == codes.BY_STEPPER:
-            found.append((numbers[component], task.polynomial_rows(component).index(name)))
-        else:
-            found.append((-1, -1))
-    return tuple(found)
+def _curve(task: SimulationTask, name: str) -> tuple[int, int]:
+    if task.modes[name] != codes.BY_STEPPER:
+        return -1, -1
+    component = task.system.split(name)[0]
+    return task.numbers[component], task.polynomial_rows(component).index(name)

@@ -1,8 +1,7 @@
-"""The right-hand side of an FMU at given states: ẋ = f(x, u, θ) and y = h(x, u, θ), without integrating anything.
+"""Right-hand side of an FMU without integration: ẋ = f(x, u, θ), y = h(x, u, θ).
 
-Values are set and the FMU is initialised once for each theta; then it is shown times, inputs and states, and its
-derivatives and outputs are read. The points are the two ends of each interval between samples, under the inputs of that
-interval: what is held steps at a sample, and its step belongs to both sides.
+Each theta has one initialization; then times, inputs and states are set, derivatives and outputs are read.
+The points are both ends of each sampling interval with its inputs: a held input's step belongs to both sides.
 """
 
 from __future__ import annotations
@@ -17,26 +16,20 @@ from fmuid.simulation import codes
 from fmuid.simulation.executor_pool import executor_of
 from fmuid.simulation.forward_simulation import extended_by, initial_simulation, initial_states, names_of
 from fmuid.simulation.plan_builder import grid_of, plan_of
-from fmuid.simulation.simulation_plan import GridSimulation, new_reports
+from fmuid.simulation.simulation_plan import GridSimulation
 from fmuid.simulation.simulation_task import task_of
 from fmuid.simulation.simulator import Simulator
 from fmuid.simulation.solver_refinement import by_model_exchange
 
 
 class RightHandSide:
-    """Derivatives and outputs of a simulator's model at the ends of its experiment's intervals.
+    """Derivatives and outputs of a model at the ends of sampling intervals.
 
     Parameters
     ----------
     simulator : Simulator
     system : System
-        That of the simulator, run by model exchange.
-
-    Attributes
-    ----------
-    states : tuple of str
-    nominals : (n_x,) array
-        How large they are.
+        The simulator's system by Model Exchange.
     """
 
     def __init__(self, simulator: Simulator, system: System) -> None:
@@ -71,7 +64,7 @@ class RightHandSide:
 
     @classmethod
     def of(cls, simulator: Simulator) -> RightHandSide | None:
-        """Return that of a simulator; None where its model is not a single FMU that shows its derivatives."""
+        """Return a simulator's right-hand side; None unless one FMU shows its derivatives."""
         system = by_model_exchange(simulator.system)
         if system is None or len(system.components) > 1 or len(simulator.experiment.times) < 2:
             return None
@@ -84,46 +77,44 @@ class RightHandSide:
         return cls(simulator, system)
 
     def __call__(self, states: Floats, thetas: Floats) -> tuple[Floats, Floats]:
-        """Return derivatives (m, P, n_x) and outputs (m, P, n_y) at states (P, n_x) for thetas (m, N); NaN: it failed.
+        """Return derivatives (m, P, n_x) and outputs (m, P, n_y) at states (P, n_x).
 
-        P = 2 (K − 1) points: the beginning and the end of each interval. Outputs are in the units of the table.
+        P = 2 (K − 1) points: begin and end of each interval. Failures are NaN. Outputs are in units of the data file.
         """
         simulation = GridSimulation(self._plan, self._grid._replace(states=np.ascontiguousarray(states)), self._names)
         executor, count = executor_of(self._system), len(self.states)
-        found = np.empty((len(thetas), len(states), len(self._names)))
-        reports = new_reports(len(thetas))
+        job = simulation.job(self._simulator.target_values(thetas))
         with executor.lock:
-            executor.run(simulation, self._simulator.target_values(thetas), found, reports)
-        found[reports[:, 0] >= 0] = np.nan
-        found = found[:, :, self._columns]
+            executor.run(job)
+        job.outputs[job.failed] = np.nan
+        found = job.outputs[:, :, self._columns]
         return found[:, :, :count], self._simulator.in_table_units(found[:, :, count:])
 
     def output_slopes(self, theta: Floats) -> tuple[Floats, Floats, Floats]:
-        """Return C = ∂y/∂x (n_y, n_x) at the beginning, by differences, and what it holds about.
+        """Return C = ∂y/∂x at the beginning, by differences over nominals.
 
         Returns
         -------
         slopes : (n_y, n_x) array
-            Times the nominals of the states; in the units of the table.
+            Times the states' nominals, in units of the data file.
         states : (n_x,) array
-            The states at the beginning, zero where they cannot be seen.
+            Initial states, zero if hidden.
         outputs : (K, n_y) array
-            With these states at all samples.
+            At all samples with these states.
         """
         states, _, outputs, _, slopes = self._secants(theta)
         return slopes, states, np.vstack([outputs[::2], outputs[-1:]])
 
     def secants(self, theta: Floats) -> tuple[Floats, Floats]:
-        """Return A = ∂f/∂x (n_x, n_x) and C = ∂y/∂x (n_y, n_x) at the beginning, in units of the nominals.
+        """Return A = ∂f/∂x (n_x, n_x) and C = ∂y/∂x (n_y, n_x) at the beginning.
 
-        They are differences over the nominals: what is steep near by counts with its mean slope. Outputs are in the
-        units of the table.
+        Both are differences over the states' nominals, in units of these. Outputs are in units of the data file.
         """
         _, base, _, derivatives, slopes = self._secants(theta)
         return (derivatives - base[:, None]) / self.nominals[:, None], slopes
 
     def _secants(self, theta: Floats) -> tuple[Floats, Floats, Floats, Floats, Floats]:
-        """Return states and derivatives (n_x,) at the beginning and outputs (P, n_y) there; of states moved: f, Δy."""
+        """Return initial states, their f and y, and f and Δy of moved states."""
         initial = self.initial(theta[None])
         states = np.zeros(len(self.states)) if initial is None else initial[0]
         points = len(self._grid.times)
@@ -135,15 +126,15 @@ class RightHandSide:
         return states, derivatives[0, 0], outputs[0], rates, slopes
 
     def corrected(self, gain: Floats, tolerance: float, most_steps: int | None = None, every: int = 1) -> Simulator:
-        """Return the simulator whose states a gain (n_x, n_y) corrects, in FMU units, after every so many samples."""
+        """Return the simulator with states corrected by a gain (n_x, n_y)."""
         return self._simulator.corrected(self._system, tolerance, gain, most_steps, every)
 
     def simulator(self, tolerance: float, most_steps: int) -> Simulator:
-        """Return the simulator by model exchange, with a relative tolerance and so many steps between samples."""
+        """Return the simulator by Model Exchange with a tolerance and step limit."""
         return self._simulator.by(self._system, 1, tolerance, most_steps)
 
     def initial(self, thetas: Floats) -> Floats | None:
-        """Return the states at the beginning (m, n_x) for thetas (m, N), None where they cannot be seen."""
+        """Return the initial states (m, n_x) of thetas (m, N); None if hidden."""
         if self._start is None:
             return None
         return initial_states(self._start, executor_of(self._system), self._simulator.target_values(thetas))

@@ -1,4 +1,4 @@
-"""Sensitivities of a simulator's outputs by the model (docs/method.md section 3): forward, or its own outputs."""
+"""Sensitivities of outputs by the model (docs/method.md section 3)."""
 
 from __future__ import annotations
 
@@ -13,7 +13,6 @@ from fmuid.errors import InputError, SensitivityUnavailableError
 from fmuid.models import DEFAULT_TOLERANCE
 from fmuid.simulation.executor_pool import executor_of
 from fmuid.simulation.forward_simulation import (
-    SensitivityRefusal,
     SensitivitySimulation,
     directional_simulation,
     extended_by,
@@ -25,7 +24,7 @@ from fmuid.simulation.simulator import Simulator
 
 
 def derivatives_of(simulator: Simulator, sensitivity: str) -> Callable[[Floats], Floats]:
-    """Return theta (N,) -> the derivatives (N, K, n_outputs) of a simulator's outputs, in the units of its table.
+    """Return a function theta (N,) → derivatives (N, K, n_outputs) of the outputs.
 
     Parameters
     ----------
@@ -44,15 +43,9 @@ def derivatives_of(simulator: Simulator, sensitivity: str) -> Callable[[Floats],
 
 
 class FmuSensitivities:
-    """Sensitivities that the FMU outputs, as ``sens.R.i`` for the derivative of the output i by the parameter R.
+    """Sensitivities as outputs of one FMU: ``sens.R.i`` is ∂i/∂R.
 
-    `fmuid export --sensitivities` makes such FMUs. They go with a single FMU: in a system other components would change
-    with the parameter, and they would not be the whole derivative.
-
-    Raises
-    ------
-    InputError
-        If one of them is missing, or the model is a system of several components.
+    `fmuid export --sensitivities` makes such FMUs. In a coupled system they would not be the whole derivative.
     """
 
     def __init__(self, simulator: Simulator) -> None:
@@ -85,10 +78,9 @@ class FmuSensitivities:
 
 @dataclass(frozen=True)
 class SensitivitySteps:
-    """Steps of differences, as shares of a parameter, and what a check of derivatives allows.
+    """Relative steps of differences, and limits of a derivative check.
 
-    One comparison with differences of whole simulations shows whether an FMU's directional derivatives know of its
-    parameters: FMI 2.0 does not promise it.
+    FMI 2.0 does not promise directional derivatives by parameters: one comparison with simulations checks them.
     """
 
     check: float = 1e-3
@@ -109,16 +101,10 @@ STEPS = SensitivitySteps()
 
 
 class ForwardSensitivities:
-    """Sensitivities integrated with a model-exchange FMU (1.26, 1.27).
+    """Sensitivities integrated with one Model Exchange FMU (1.26, 1.27).
 
-    The right-hand sides of the sensitivities are the FMU's directional derivatives along states and parameter, if it
-    has such; else differences between the model and twins of it, one a parameter, that are kept in step with it. The
-    twins serve from then on, too, where an event changes the states or their derivatives.
-
-    Raises
-    ------
-    InputError
-        If the model is not one FMU that runs by model exchange.
+    Their right-hand sides are the FMU's directional derivatives, else differences between the model and twins, one per
+    parameter, kept in step. Twins also replace directional derivatives after an event that changes states.
     """
 
     def __init__(self, simulator: Simulator) -> None:
@@ -147,18 +133,11 @@ class ForwardSensitivities:
 
     @property
     def by_differences(self) -> bool:
-        """Whether the right-hand sides are differences, not directional derivatives of the FMU."""
+        """Whether the right-hand sides are differences."""
         return self._directional is None
 
     def __call__(self, theta: Floats) -> Floats:
-        """Return the derivatives (N, K, n_outputs).
-
-        Raises
-        ------
-        SensitivityUnavailableError
-            If the FMU can be instantiated only once and twins are needed, an event cannot be gone through, or the
-            simulation fails.
-        """
+        """Return the derivatives (N, K, n_outputs), or a `SensitivityUnavailableError`."""
         with self._lock:
             return self._derivatives(theta)
 
@@ -168,14 +147,12 @@ class ForwardSensitivities:
         factors, offsets = np.array([each[2:] for each in targets], np.float64).reshape(-1, 2).T
         values = factors * theta[columns] + offsets
         magnitudes = np.where(values != 0.0, np.abs(values), self._nominal)
-        found: Floats | SensitivityRefusal | None = None
+        found = None
         if self._directional is not None:
             found = self._by_directional_derivatives(self._directional, values, magnitudes)
         if found is None:
             self._directional = None
             found = self._by_twins(values, magnitudes)
-        if isinstance(found, SensitivityRefusal):
-            raise SensitivityUnavailableError(found.reason)
         gathered = np.zeros((theta.size, *found.shape[1:]))
         for column, factor, each in zip(columns.tolist(), factors.tolist(), found, strict=True):
             gathered[column] += factor * each
@@ -192,19 +169,20 @@ class ForwardSensitivities:
     def _by_directional_derivatives(
         self, simulation: SensitivitySimulation, values: Floats, magnitudes: Floats
     ) -> Floats | None:
-        """Return the derivatives by variables, in the units of the FMU, None if the FMU does not give them."""
+        """Return derivatives by variables, in FMU units; None without them."""
         initial = self._initial_sensitivities(values, magnitudes)
         if initial is None:
             return None
         simulation.given.magnitudes[:], simulation.given.initial[:] = magnitudes, initial
-        outputs = simulation.simulate(executor_of(self._simulator.system), values)
-        if isinstance(outputs, SensitivityRefusal):
+        try:
+            outputs = simulation.simulate(values)
+        except SensitivityUnavailableError:
             return None
         n = len(self._simulator.output_names)
         return np.moveaxis(outputs[:, n:].reshape(len(outputs), values.size, n), 1, 0)
 
     def _initial_sensitivities(self, values: Floats, magnitudes: Floats) -> Floats | None:
-        """Return the derivatives (N, n_states) of the initial states, by central differences of initialisations."""
+        """Return derivatives (N, n_states) of the initial states, by central differences."""
         if self._initial is None:
             return None
         steps = np.diag(STEPS.central * magnitudes)
@@ -217,17 +195,17 @@ class ForwardSensitivities:
         return found
 
     def _agrees(self, found: Floats, theta: Floats, nominals: Floats) -> bool:
-        """Return whether differences of whole simulations say much the same; those that fail say nothing."""
+        """Return whether differences of simulations agree; failed ones do."""
         steps = STEPS.check * np.where(theta != 0.0, np.abs(theta), nominals)
         outputs = self._simulator.many(np.concatenate([theta[None], theta + np.diag(steps)])).outputs
         change = outputs[1:] - outputs[0]
         error, size = change - found * steps[:, None, None], np.abs(outputs[0]).max(axis=0)
         return not bool((_rms(error) > STEPS.allowed * _rms(change) + STEPS.rounding * size).any())
 
-    def _by_twins(self, values: Floats, magnitudes: Floats) -> Floats | SensitivityRefusal:
+    def _by_twins(self, values: Floats, magnitudes: Floats) -> Floats:
         if not self._simulator.system.can_be_repeated:
             name = self._model.fmu.path.name
-            return SensitivityRefusal(f"{name} can be instantiated only once, and differences need twins of it")
+            raise SensitivityUnavailableError(f"{name} can be instantiated only once, and differences need twins of it")
         if self._twins is None:
             self._twins = twin_simulation(self._simulator)
         simulation, changed = self._twins, values + STEPS.twin * magnitudes
@@ -236,15 +214,12 @@ class ForwardSensitivities:
         simulation.given.steps[:] = changed - values
         several = np.tile(values, (values.size + 1, 1))
         np.fill_diagonal(several, changed)
-        outputs = simulation.simulate(executor_of(simulation.system), several.ravel())
-        if isinstance(outputs, SensitivityRefusal):
-            return outputs
+        outputs = simulation.simulate(several.ravel())
         split = np.moveaxis(outputs.reshape(len(outputs), values.size + 1, -1), 1, 0)
         found: Floats = (split[:-1] - split[-1]) / simulation.given.steps[:, None, None]
         return found
 
 
 def _rms(values: Floats) -> Floats:
-    """Return the root of the mean square over the samples of (N, K, n_outputs)."""
     found: Floats = np.sqrt(np.mean(values**2, axis=1))
     return found

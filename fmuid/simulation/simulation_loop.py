@@ -1,4 +1,4 @@
-"""Binds plan and grid of a simulation to a set of instances: what the core works on, and its call."""
+"""Plan and grid bound to instances: memory and call of the core."""
 
 from __future__ import annotations
 
@@ -17,27 +17,13 @@ from fmuid.simulation.failures import function_name
 from fmuid.simulation.instance import Instance
 from fmuid.simulation.native.library import COPY_ONE, GET_REALS, GET_SENSITIVITIES, OTHER, SET_REALS, SET_SLOPES, core
 from fmuid.simulation.simulation_plan import Operation, SimulationPlan, TimeGrid, check_arrays, check_plan
-from fmuid.simulation.solver import REQUIRED, Integrator, address, function_table
+from fmuid.simulation.solver import REQUIRED, IntegratedModel, Integrator, address, function_table
 
 
 class SimulationLoop:
-    """A plan bound to one set of instances: it owns the memory whose addresses the core works with.
+    """A plan bound to one instance per component; owner of the core's memory.
 
-    Parameters
-    ----------
-    plan : SimulationPlan
-    grid : TimeGrid
-    instances : sequence of Instance
-        One for each component.
-    used : (n_components,) array of intp
-        Whether an instance must be reset before its next simulation; updated.
-
-    Raises
-    ------
-    InputError
-        If a binary lacks a function that is needed.
-    ValueError
-        If plan and grid do not fit together.
+    `used` (n_components,) marks instances to be reset before their next simulation.
     """
 
     def __init__(self, plan: SimulationPlan, grid: TimeGrid, instances: Sequence[Instance], used: Indices) -> None:
@@ -48,15 +34,17 @@ class SimulationLoop:
         self._kept: list[Any] = [used]
         self._tables = [function_table(each.version, _functions(each)) for each in instances]
         self._integrators: list[Integrator | None] = []
-        for i in range(len(instances)):
+        for i in range(len(instances)):  # twins precede their model
             self._integrators.append(self._integrator(i, plan, grid))
-        self._components = (self._core.Component * len(instances))(
-            *(self._component(i, plan, used) for i in range(len(instances)))
-        )
-        self._lay_out_signals(plan)
-        self._operations = (self._core.Operation * len(plan.operations))(
-            *(self._operation(operation) for operation in plan.operations)
-        )
+        components = (self._component(i, plan, used) for i in range(len(instances)))
+        self._components = (self._core.Component * len(instances))(*components)
+        self._signals = plan.signals.copy()
+        self._words = np.zeros(len(plan.signals) + 1, np.uint64)  # values of other types on their way
+        self._last = np.zeros(len(plan.signals) + 1)
+        texts = [c_char_p(text) for text in plan.texts]
+        self._strings = np.array([cast(text, c_void_p).value for text in texts], np.intp)
+        self._kept.append(texts)
+        self._operations = (self._core.Operation * len(plan.operations))(*map(self._operation, plan.operations))
         self._plan = self._lay_out(plan, grid)
         strides = grid.strides if (grid.strides > 1).any() else None
         arrays = (grid.times, grid.inputs, grid.slopes, grid.substeps, strides, grid.states, grid.gain, grid.measured)
@@ -64,14 +52,14 @@ class SimulationLoop:
         self._bound = tuple(map(ctypes.byref, (self._plan, self._grid, self._cancel)))
 
     def run(self, thetas: Floats, outputs: Floats, reports: Indices) -> None:
-        """Simulate thetas (m, N) into outputs (m, K, n_outputs) and reports (m, codes.REPORT)."""
+        """Simulate thetas (m, N) into outputs (m, K, n_outputs) and reports."""
         check_arrays(self._plan_given, self._grid_given, thetas, outputs, reports)
         plan, grid, cancel = self._bound
         arrays = thetas.ctypes.data, outputs.ctypes.data, reports.ctypes.data
         self._core.simulate(plan, grid, len(thetas), *arrays, cancel)
 
     def cancel(self) -> None:
-        """Let all simulations here, those that another thread runs now and later ones, end soon, as failed."""
+        """Let current and later simulations fail soon."""
         self._cancel.value = 1
 
     # --- what the core works on
@@ -80,26 +68,16 @@ class SimulationLoop:
         self._kept.append(memory)
         return address(memory)
 
-    def _lay_out_signals(self, plan: SimulationPlan) -> None:
-        n = len(plan.signals)
-        self._signals = plan.signals.copy()
-        self._words = np.zeros(n + 1, np.uint64)  # values of other types on their way
-        self._last = np.zeros(n + 1)
-        texts = [c_char_p(text) for text in plan.texts]
-        self._strings = np.array([cast(text, c_void_p).value for text in texts], np.intp)
-        self._kept.append(texts)
-
     def _lay_out(self, plan: SimulationPlan, grid: TimeGrid) -> Any:
         stages = [self._core.Range(*map(int, plan.stages[i : i + 2])) for i in range(len(plan.stages) - 1)]
-        n = len(self._instances)
-        after_step = (self._core.Range * n)(*stages[5:]) if plan.gauss_seidel else None
+        after_step = (self._core.Range * len(self._instances))(*stages[5:]) if plan.gauss_seidel else None
         groups = self._groups(plan)
-        by_midpoint = bool((plan.input_modes == codes.BY_MIDPOINT).any())
+        by_midpoint = bool((plan.inputs.modes == codes.BY_MIDPOINT).any())
         return self._core.Plan(
-            n_components=n,
+            n_components=len(self._instances),
             n_signals=len(plan.signals),
             n_parameters=len(plan.parameter_signals),
-            n_inputs=len(plan.input_signals),
+            n_inputs=len(plan.inputs.signals),
             n_outputs=len(plan.output_terms) - 1,
             n_groups=0 if groups is None else len(groups),
             components=address(self._components),
@@ -110,14 +88,14 @@ class SimulationLoop:
             signals=address(self._signals),
             start_signals=address(plan.signals),
             parameter_signals=address(plan.parameter_signals),
-            input_signals=address(plan.input_signals),
-            slope_signals=address(plan.derivative_signals),
+            input_signals=address(plan.inputs.signals),
+            slope_signals=address(plan.inputs.slopes),
             output_signals=address(plan.output_signals),
             output_terms=address(plan.output_terms),
-            input_modes=address(plan.input_modes),
+            input_modes=address(plan.inputs.modes),
             curves=self._curves(plan),
             # where inputs go by midpoints, those that are held must be among the signals
-            direct_inputs=None if by_midpoint else self._direct(plan, 1, codes.FLOAT64, plan.input_signals),
+            direct_inputs=None if by_midpoint else self._direct(plan, 1, codes.FLOAT64, plan.inputs.signals),
             direct_outputs=self._direct(plan, 3, codes.N_WIRES + codes.FLOAT64, plan.output_signals),
             ones=self._keep(np.ones(len(plan.references) + 1, np.int32)),
             curved=grid.slopes is not None,
@@ -147,16 +125,19 @@ class SimulationLoop:
             instance.required(function_name(instance.version, code) or "")
         description = instance.fmu.description
         wanted = integration.sensitivities.twins if integration.sensitivities else ()
-        return Integrator(
+        model = IntegratedModel(
             instance.version,
             instance.handle,
             self._tables[number],
             len(description.derivatives),
             description.indicators,
+            _references(description, description.states),
+            _references(description, description.derivatives),
+        )
+        return Integrator(
+            model,
             integration,
             limit=float(grid.times[-1]) if integration.autonomous else -np.inf,
-            state_references=_references(description, description.states),
-            derivative_references=_references(description, description.derivatives),
             straight=grid.slopes is None,
             twins=[twin for twin in (self._integrators[i] for i in wanted) if twin is not None],
         )
@@ -171,13 +152,7 @@ class SimulationLoop:
         name = function_name(instance.version, given.function)
         if given.function != codes.SENSITIVITIES and name is not None:
             instance.required(name)
-        memory = (
-            self._signals
-            if given.wire == codes.FLOAT64
-            else self._strings
-            if given.wire == codes.STRING
-            else self._words
-        )
+        memory = {codes.FLOAT64: self._signals, codes.STRING: self._strings}.get(given.wire, self._words)
         return self._core.Operation(
             kind=_kind(given, instance.version),
             function=given.function,
@@ -195,7 +170,7 @@ class SimulationLoop:
         )
 
     def _groups(self, plan: SimulationPlan) -> Any:
-        """Return the parts of the exchange; None where a single pass over it is all that there is to do."""
+        """Return the parts of the exchange; None if one pass suffices."""
         eventful = any(each.kind == "model-exchange" or each.version == 3 for each in self._instances)
         if not eventful and not plan.loops:
             return None
@@ -223,17 +198,16 @@ class SimulationLoop:
         return groups
 
     def _curves(self, plan: SimulationPlan) -> int | None:
-        """Return where the polynomial of each input is: with an integrator, or here."""
-        own = np.zeros((len(plan.input_signals) + 1, 4))
+        own = np.zeros((len(plan.inputs.signals) + 1, 4))
         self._kept.append(own)
         found = []
-        for mine, (component, row) in zip(own, plan.input_curves, strict=False):
+        for mine, (component, row) in zip(own, plan.inputs.curves, strict=False):
             integrator = self._integrators[component] if component >= 0 else None
             found.append((mine if integrator is None else integrator.curves[row]).ctypes.data)
         return self._keep(np.array(found, np.intp))
 
     def _direct(self, plan: SimulationPlan, stage: int, function: int, signals: Indices) -> Any:
-        """Return the one operation that takes a whole row of the table as it is, None if there is none."""
+        """Return the one operation for a whole row of data, if any."""
         first, last = map(int, plan.stages[stage : stage + 2])
         if last != first + 1:
             return None
@@ -245,14 +219,14 @@ class SimulationLoop:
         return address(self._operations[first])
 
     def _goes_by_rows(self, plan: SimulationPlan, grid: TimeGrid) -> bool:
-        """Return whether all that is done at and between samples is to pass whole rows to and from a single FMU."""
+        """Return whether a single FMU only takes and gives whole rows."""
         exchange, outputs, slopes, slopes_end = plan.stages[2:6].tolist()
         sloped = [plan.operations[i].signal + np.arange(plan.operations[i].n_values) for i in range(slopes, slopes_end)]
         if sloped:
-            in_order = len(sloped) == 1 and np.array_equal(sloped[0], plan.derivative_signals)
-            uniform = in_order and (plan.input_modes == codes.BY_DERIVATIVE).all()
+            in_order = len(sloped) == 1 and np.array_equal(sloped[0], plan.inputs.slopes)
+            uniform = in_order and (plan.inputs.modes == codes.BY_DERIVATIVE).all()
         else:
-            uniform = (plan.input_modes == codes.HELD).all()
+            uniform = (plan.inputs.modes == codes.HELD).all()
         return bool(
             uniform
             and [each.version for each in self._instances] == [2]
@@ -261,13 +235,12 @@ class SimulationLoop:
             and grid.slopes is None
             and (grid.substeps == 1).all()
             and (grid.strides == 1).all()
-            and self._direct(plan, 1, codes.FLOAT64, plan.input_signals)
+            and self._direct(plan, 1, codes.FLOAT64, plan.inputs.signals)
             and self._direct(plan, 3, codes.N_WIRES + codes.FLOAT64, plan.output_signals)
         )
 
 
 def _kind(given: Operation, version: int) -> int:
-    """Return whether an operation is one of the usual ones, which the core tells at one glance."""
     if given.function == codes.SENSITIVITIES:
         return GET_SENSITIVITIES
     if given.function == codes.SET_DERIVATIVES:
@@ -280,7 +253,7 @@ def _kind(given: Operation, version: int) -> int:
 
 
 def _functions(instance: Instance) -> Any:
-    """Return what gives the addresses of an instance's functions, 0 for those that are not to be called."""
+    """Return addresses by function names, 0 for functions not to call."""
     interface = instance.fmu.description.interfaces[instance.kind]
     unused = {
         "CompletedIntegratorStep": instance.kind == "model-exchange" and not interface.completed_step,
@@ -290,7 +263,7 @@ def _functions(instance: Instance) -> Any:
 
 
 def _references(description: Description, names: Sequence[str]) -> NDArray[np.uint32]:
-    """Return value references; none where an array is among the variables, whose reference stands for all of it."""
+    """Return value references; none with arrays, which share one reference."""
     variables = [description.variables[name] for name in names]
     if any(variable.array for variable in variables):
         return np.zeros(0, np.uint32)

@@ -1,6 +1,6 @@
-"""What the core is to do, as arrays, and the experiment as it walks it; both are checked.
+"""Operations of the core and its grid, as checked arrays.
 
-What is wrong with a plan is a defect of fmuid, not of what its user gave: `ValueError`.
+A wrong plan is a defect of fmuid, not of its user: `ValueError`.
 """
 
 from __future__ import annotations
@@ -8,12 +8,13 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from fmuid.array_types import Floats, Indices
+from fmuid.array_types import Flags, Floats, Indices
 from fmuid.simulation import codes
 from fmuid.simulation.failures import function_name
 
@@ -22,9 +23,10 @@ MOST_STEPS = 1_000_000
 
 
 class Operation(NamedTuple):
-    """One call: `n_references` value references from number `reference` on, `n_values` signals from `signal` on.
+    """One call of the core, with value references and signals.
 
-    For COPY, `reference` is the source signal, `n_references` the number of the conversion and `signal` the target.
+    It takes `n_references` from `reference` on and `n_values` from `signal` on. For COPY, `reference` is the source
+    signal, `n_references` the conversion's number, `signal` the target.
     """
 
     function: int
@@ -38,9 +40,9 @@ class Operation(NamedTuple):
 
 
 class AlgebraicLoop(NamedTuple):
-    """A loop of direct feed-through: which operations get and copy, which set, its inputs and its name.
+    """An algebraic loop: ranges of its operations, inputs, and name.
 
-    `signals` are those of the inputs, `nominals` their nominal values, 0 where none is stated.
+    From `first` on it gets and copies, from `setting` on it sets. `nominals` of its input `signals` are 0 if unknown.
     """
 
     first: int
@@ -52,12 +54,11 @@ class AlgebraicLoop(NamedTuple):
 
 
 class Sensitivities(NamedTuple):
-    """The sensitivities of the states to N parameters, to be integrated with a component's n states.
+    """Sensitivities of n states to N parameters, filled in before each run.
 
-    `magnitudes` (N,) of the parameters scale the tolerances. The derivatives come from the FMU (directional
-    derivatives): `initial` (N, n) are the sensitivities to begin with, `references` (N,) those of the parameters. Or
-    they are differences: `twins` are components of the same FMU with one parameter each changed by `steps` (N,).
-    The arrays are filled in before each simulation.
+    `magnitudes` (N,) of the parameters scale the tolerances. With directional derivatives, `initial` (N, n) are
+    initial values and `references` (N,) the parameters'. Else `twins` are components with one parameter changed each,
+    by `steps` (N,).
     """
 
     magnitudes: Floats
@@ -68,14 +69,11 @@ class Sensitivities(NamedTuple):
 
 
 class Integration(NamedTuple):
-    """How a component for model exchange is integrated; `inputs` are the references of those that vary continuously.
+    """Integration of a Model Exchange component; `inputs` refer to continuous inputs.
 
-    `input_starts` has one value for each of their elements (an array of FMI 3.0 has one reference for all). Components
-    that are `autonomous` have no varying inputs at all, so that steps may go beyond the samples. A component that
-    `follows` is not integrated: it is the twin of one that is. A simulation that needs more than `most_steps` between
-    two samples fails, but by fixed steps. "rk45" is Dormand and Prince's method with step-size control, "rk4" the
-    classical one with equal steps, "cvode" CVODE's BDF; `tolerance` is relative, the absolute one of a state that times
-    its nominal value; there is no bound on a step but `step_size`, s, and the wanted times.
+    `input_starts` has a value per array element. An `autonomous` component has no varying inputs: steps may pass
+    samples. One that `follows` is a twin, not integrated itself. More than `most_steps` between samples fail, except
+    of "rk4". `tolerance` is relative, times the nominal value absolute. `step_size` is the largest step, s.
     """
 
     integrator: str = "rk45"
@@ -89,14 +87,24 @@ class Integration(NamedTuple):
     most_steps: int = MOST_STEPS
 
 
-class SimulationPlan(NamedTuple):
-    """What the loop does, as arrays.
+class PlanInputs(NamedTuple):
+    """External inputs: signals, signals of slopes, modes (`codes.HELD` ...), polynomials.
 
-    `stages` says where each list of operations starts: start values | external inputs | exchange between components |
-    outputs | input derivatives | exchange after the step of each component in turn (Gauss–Seidel). `groups` are the
-    parts (first, last operation) of the exchange, (-1, number) for a loop of direct feed-through. Output j is the sum
-    of the signals from `output_terms[j]` on. `input_curves` says of each external input which row of the polynomials of
-    which component's stepper it is, (-1, -1) for those of none.
+    `curves` has each input's component and row of its polynomials, or (-1, -1).
+    """
+
+    signals: Indices
+    slopes: Indices
+    modes: Indices
+    curves: tuple[tuple[int, int], ...]
+
+
+class SimulationPlan(NamedTuple):
+    """Operations and signals of the core.
+
+    `stages` are the first operations of: start values | inputs | exchange | outputs | input derivatives | exchange
+    after each component's step (Gauss–Seidel). `groups` are (first, last) operations of the exchange, or (-1, number)
+    of a loop. Output j is the sum of the signals from `output_terms[j]` on.
     """
 
     operations: tuple[Operation, ...]
@@ -108,10 +116,7 @@ class SimulationPlan(NamedTuple):
     conversions: Floats
     texts: tuple[bytes, ...]
     parameter_signals: Indices
-    input_signals: Indices
-    input_modes: Indices
-    input_curves: tuple[tuple[int, int], ...]
-    derivative_signals: Indices
+    inputs: PlanInputs
     output_signals: Indices
     output_terms: Indices
     integrations: tuple[Integration | None, ...]
@@ -120,14 +125,11 @@ class SimulationPlan(NamedTuple):
 
 
 class TimeGrid(NamedTuple):
-    """The experiment as the loop walks it, `SampleGrid` of the core.
+    """The experiment as `SampleGrid` of the core.
 
-    Times (K,), substeps of each interval (K-1,), how many substeps each component's own step has (n_components,), input
-    values (K, n_u) and, where any input goes along a cubic curve, the slopes at the samples, else None.
-
-    A single component for model exchange is shown `states` (K, n_x) in place of integrating it, at times in any order;
-    or its states are corrected after each sample by a `gain` (n_x, n_y) times `measured` (K, n_y) less the outputs, but
-    for what is NaN.
+    Times (K,), substeps per interval (K-1,), substeps per component's step (n_components,), inputs (K, n_u), slopes of
+    cubic inputs. A single Model Exchange component may get `states` (K, n_x) instead of integration, or corrections
+    after each sample: `gain` (n_x, n_y) times `measured` (K, n_y) − outputs, except NaN.
     """
 
     times: Floats
@@ -141,45 +143,68 @@ class TimeGrid(NamedTuple):
 
 
 def new_reports(count: int) -> Indices:
-    """Return reports (count, codes.REPORT) of simulations that are not done."""
+    """Return reports (count, codes.REPORT) of simulations not yet done."""
     return np.full((count, codes.REPORT), codes.UNDONE, np.intp)
 
 
+@dataclass(eq=False)
 class GridSimulation:
-    """What threads simulate: a plan over a grid. It can travel to another process.
+    """A plan over a grid, with output names; it can be pickled."""
 
-    Parameters
-    ----------
-    plan : SimulationPlan
-    grid : TimeGrid
-    output_names : tuple of str
-    """
-
-    def __init__(self, plan: SimulationPlan, grid: TimeGrid, output_names: tuple[str, ...]) -> None:
-        self.plan, self.grid, self.output_names = plan, grid, output_names
-
-    def __reduce__(self) -> tuple[type[GridSimulation], tuple[SimulationPlan, TimeGrid, tuple[str, ...]]]:
-        return GridSimulation, (self.plan, self.grid, self.output_names)
+    plan: SimulationPlan
+    grid: TimeGrid
+    output_names: tuple[str, ...]
 
     def integrate(self, component: int, integrator: str) -> None:
-        """Integrate a component for model exchange by another integrator from now on."""
+        """Use another integrator for a component from now on."""
         integrations = list(self.plan.integrations)
         old = integrations[component]
         integrations[component] = old and old._replace(integrator=integrator)
         self.plan = self.plan._replace(integrations=tuple(integrations))
 
     def control(self, tolerance: float, most_steps: int | None = None) -> None:
-        """Integrate all components for model exchange with another relative tolerance, or limit, from now on."""
+        """Use another tolerance, or step limit, from now on."""
         integrations = tuple(
             each and each._replace(tolerance=tolerance, most_steps=most_steps or each.most_steps)
             for each in self.plan.integrations
         )
         self.plan = self.plan._replace(integrations=integrations)
 
+    def job(self, thetas: Floats) -> SimulationJob:
+        """Return the job to simulate thetas (m, N)."""
+        outputs = np.empty((len(thetas), self.grid.times.size, len(self.output_names)))
+        return SimulationJob(self, thetas, outputs, new_reports(len(thetas)))
+
+    @property
+    def steps(self) -> int:
+        """Number of communication steps."""
+        return int(self.grid.substeps.sum())
+
     @property
     def varying(self) -> list[Sensitivities]:
-        """What is filled in anew before each simulation."""
+        """Sensitivities to fill in before each simulation."""
         return [each.sensitivities for each in self.plan.integrations if each is not None and each.sensitivities]
+
+
+@dataclass(frozen=True, eq=False)
+class SimulationJob:
+    """Thetas (m, N) to simulate, with memory for outputs (m, K, n_outputs) and reports (m, codes.REPORT)."""
+
+    simulation: GridSimulation
+    thetas: Floats
+    outputs: Floats
+    reports: Indices
+
+    def __len__(self) -> int:
+        return len(self.thetas)
+
+    def __getitem__(self, part: slice) -> SimulationJob:
+        return SimulationJob(self.simulation, self.thetas[part], self.outputs[part], self.reports[part])
+
+    @property
+    def failed(self) -> Flags:
+        """Failed simulations (m,)."""
+        return self.reports[:, 0] >= 0
 
 
 def shares(total: int, count: int) -> list[slice]:
@@ -189,7 +214,11 @@ def shares(total: int, count: int) -> list[slice]:
 
 
 _STAGES = 5  # start values, inputs, exchange, outputs, input derivatives; then the exchange after each component
-_FLOAT, _WORD = np.dtype(np.float64), np.dtype(np.intp)
+_TYPES: dict[str, type[np.generic]] = {  # of arrays that are no indices
+    "references": np.uint32,
+    **dict.fromkeys(("signals", "conversions", "tolerances", "times", "inputs", "slopes"), np.float64),
+    **dict.fromkeys(("states", "gain", "measured"), np.float64),
+}
 _WIRE_OF = {  # how the values of a type are passed, where that is not as it is called
     2: {codes.BOOLEAN: codes.INT32},
     3: {codes.BOOLEAN: codes.UINT8},
@@ -197,16 +226,13 @@ _WIRE_OF = {  # how the values of a type are passed, where that is not as it is 
 
 
 def check_plan(plan: SimulationPlan, grid: TimeGrid, versions: Sequence[int]) -> None:
-    """Check a plan and its grid for components of the given versions of FMI.
-
-    Raises
-    ------
-    ValueError
-        If an index points nowhere or an array has the wrong shape or type.
-    """
+    """Check a plan and its grid for FMI versions of components; a `ValueError` if wrong."""
     n = len(versions)
-    for name, array, kind in _arrays(plan, grid):
-        _demand(array.dtype == kind and array.flags.c_contiguous, name, "is of another type")
+    inputs = {f"input {name}": array for name, array in plan.inputs._asdict().items()}
+    for name, array in (plan._asdict() | inputs | grid._asdict()).items():
+        if isinstance(array, np.ndarray):
+            right = array.dtype == _TYPES.get(name, np.intp) and array.flags.c_contiguous
+            _demand(right, name, "is of another type")
     for operation in plan.operations:
         _check_operation(plan, operation, versions)
     stages = plan.stages
@@ -215,10 +241,10 @@ def check_plan(plan: SimulationPlan, grid: TimeGrid, versions: Sequence[int]) ->
     _check_groups(plan)
     _check_signals(plan)
     _demand(len(plan.integrations) == len(plan.tolerances) == n, "integrations", "do not match the components")
-    for (component, row), mode in zip(plan.input_curves, plan.input_modes.tolist(), strict=True):
+    for (component, row), mode in zip(plan.inputs.curves, plan.inputs.modes.tolist(), strict=True):
         integration = plan.integrations[component] if 0 <= component < n else None
         inside = integration is not None and 0 <= row < len(integration.input_starts)
-        _demand(inside if mode == codes.BY_STEPPER else (component, row) == (-1, -1), "input_curves", "point nowhere")
+        _demand(inside if mode == codes.BY_STEPPER else (component, row) == (-1, -1), "input curves", "point nowhere")
     for i, integration in enumerate(plan.integrations):
         twins = integration.sensitivities.twins if integration and integration.sensitivities else ()
         known = all(0 <= twin < i and plan.integrations[twin] is not None for twin in twins)
@@ -227,18 +253,12 @@ def check_plan(plan: SimulationPlan, grid: TimeGrid, versions: Sequence[int]) ->
 
 
 def check_arrays(plan: SimulationPlan, grid: TimeGrid, thetas: Floats, outputs: Floats, reports: Indices) -> None:
-    """Check what a call of the core reads and writes.
-
-    Raises
-    ------
-    ValueError
-        If an array has the wrong shape or type.
-    """
+    """Check the arrays of a call; a `ValueError` if one is wrong."""
     m = len(thetas)
     for name, array, shape, kind in (
-        ("thetas", thetas, (m, len(plan.parameter_signals)), _FLOAT),
-        ("outputs", outputs, (m, len(grid.times), len(plan.output_terms) - 1), _FLOAT),
-        ("reports", reports, (m, codes.REPORT), _WORD),
+        ("thetas", thetas, (m, len(plan.parameter_signals)), np.float64),
+        ("outputs", outputs, (m, len(grid.times), len(plan.output_terms) - 1), np.float64),
+        ("reports", reports, (m, codes.REPORT), np.intp),
     ):
         _demand(array.shape == shape and array.dtype == kind and array.flags.c_contiguous, name, f"are not {shape}")
 
@@ -246,22 +266,6 @@ def check_arrays(plan: SimulationPlan, grid: TimeGrid, thetas: Floats, outputs: 
 def _demand(right: object, what: str, wrong: str) -> None:
     if not right:
         raise ValueError(f"the {what} of a plan {wrong}")
-
-
-def _arrays(plan: SimulationPlan, grid: TimeGrid) -> list[tuple[str, NDArray[Any], type[np.generic]]]:
-    found: list[tuple[str, NDArray[Any], type[np.generic]]] = [
-        (name, getattr(plan, name), np.intp)
-        for name in (
-            *("stages", "groups", "parameter_signals", "input_signals", "input_modes", "derivative_signals"),
-            *("output_signals", "output_terms"),
-        )
-    ]
-    found += [(name, getattr(plan, name), np.float64) for name in ("signals", "conversions", "tolerances")]
-    found += [("references", plan.references, np.uint32)]
-    found += [(name, getattr(grid, name), np.intp) for name in ("substeps", "strides")]
-    found += [(name, getattr(grid, name), np.float64) for name in ("times", "inputs")]
-    open_ = (("slopes", grid.slopes), ("states", grid.states), ("gain", grid.gain), ("measured", grid.measured))
-    return [*found, *((name, array, np.float64) for name, array in open_ if array is not None)]
 
 
 def _check_operation(plan: SimulationPlan, given: Operation, versions: Sequence[int]) -> None:
@@ -286,12 +290,9 @@ def _check_operation(plan: SimulationPlan, given: Operation, versions: Sequence[
     else:
         transfers = 0 <= given.function < 2 * codes.N_WIRES and function_name(version, given.function) is not None
         kind = given.function % codes.N_WIRES
-        right = (
-            transfers
-            and given.function != codes.N_WIRES + codes.STRING
-            and given.wire == _WIRE_OF[version].get(kind, kind)
-        )
-        right = right and (given.n_values == count if version == 2 else given.n_values >= count)
+        right = transfers and given.function != codes.N_WIRES + codes.STRING
+        right &= given.wire == _WIRE_OF[version].get(kind, kind)
+        right &= given.n_values == count if version == 2 else given.n_values >= count
     _demand(right, "operations", "do what their component cannot")
 
 
@@ -310,14 +311,16 @@ def _check_groups(plan: SimulationPlan) -> None:
 
 
 def _check_signals(plan: SimulationPlan) -> None:
-    for name in ("parameter_signals", "input_signals", "derivative_signals", "output_signals"):
-        signals = getattr(plan, name)
+    inputs = plan.inputs
+    for name, signals in (
+        *(("parameter_signals", plan.parameter_signals), ("output_signals", plan.output_signals)),
+        *(("input signals", inputs.signals), ("input slopes", inputs.slopes)),
+    ):
         _demand(signals.ndim == 1 and ((signals >= 0) & (signals < len(plan.signals))).all(), name, "point nowhere")
-    n = len(plan.input_signals)
-    same = n == len(plan.input_modes) == len(plan.derivative_signals) == len(plan.input_curves)
+    modes, terms = inputs.modes, plan.output_terms
+    same = len(inputs.signals) == len(inputs.slopes) == len(modes) == len(inputs.curves)
     _demand(same, "inputs", "differ in number")
-    modes, terms = plan.input_modes, plan.output_terms
-    _demand(((modes >= codes.HELD) & (modes <= codes.BY_MIDPOINT)).all(), "input_modes", "are not known")
+    _demand(((modes >= codes.HELD) & (modes <= codes.BY_MIDPOINT)).all(), "input modes", "are not known")
     ordered = len(terms) > 0 and terms[0] == 0 and (np.diff(terms) >= 0).all()
     _demand(ordered and terms[-1] == len(plan.output_signals), "output_terms", "are out of order")
     _demand(plan.conversions.ndim == 2 and plan.conversions.shape[1] == 2, "conversions", "are no pairs")
@@ -325,7 +328,7 @@ def _check_signals(plan: SimulationPlan) -> None:
 
 def _check_grid(plan: SimulationPlan, grid: TimeGrid, n: int) -> None:
     n_times = len(grid.times)
-    shape = (n_times, len(plan.input_signals))
+    shape = (n_times, len(plan.inputs.signals))
     _demand(n_times > 0 and np.isfinite(grid.times).all(), "times", "are no numbers")
     _demand(grid.inputs.shape == shape, "inputs", f"are not {shape}")
     _demand(grid.slopes is None or grid.slopes.shape == shape, "slopes", f"are not {shape}")

@@ -1,9 +1,10 @@
-"""What is to be simulated, and how each input and each component takes part in it."""
+"""A system over an experiment: roles of inputs and components."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import NamedTuple
 
 from fmuid.data import Experiment
@@ -14,7 +15,7 @@ from fmuid.simulation.variable_checks import Value, check_roles
 
 
 class InputTarget(NamedTuple):
-    """Which column feeds a variable: factor times it plus offset."""
+    """Column of a variable, with factor and offset."""
 
     column: int
     factor: float
@@ -25,24 +26,9 @@ class InputTarget(NamedTuple):
 class SimulationTask:
     """One system over one experiment.
 
-    Attributes
-    ----------
-    system : System
-    experiment : Experiment
-    parameters : tuple of str
-        The variables that theta sets, in its order.
-    values : mapping of str to number, bool or str
-        All variables that are set before the initialisation but the parameters.
-    step_size : float or None
-        Largest communication step, s, in place of the system's.
-    targets : dict of str to InputTarget
-        The variables that the table feeds.
-    modes : dict of str to int
-        How each of them varies between the samples (`codes.HELD` and so on).
-    steps : dict of str to float or None
-        The largest communication step of each component, s; None where the samples decide.
-    divisor : int
-        What the steps of components that integrate are divided by.
+    `values` are set before the initialization, beside `parameters`; `targets` are fed by columns, with `modes` between
+    samples (`codes.HELD` ...). `steps` are largest communication steps by component, s; None: from sample to sample.
+    `divisor` divides steps of components that integrate; `step_size`, s, replaces the system's.
     """
 
     system: System
@@ -55,18 +41,23 @@ class SimulationTask:
     steps: dict[str, float | None]
     divisor: int = 1
 
+    @cached_property
+    def numbers(self) -> dict[str, int]:
+        """Number of each component."""
+        return {name: i for i, name in enumerate(self.system.components)}
+
     def start(self, name: str) -> float:
-        """Return the start value of a variable, 0 where it has no number."""
+        """Return the start value of a variable, 0 without a number."""
         start = self.system.variables[name].start
         return float(start) if isinstance(start, int | float) else 0.0
 
     def elements(self, name: str) -> list[str]:
-        """Return the elements of the array that a variable is one of, or just the variable."""
+        """Return all elements of a variable's array, or the variable."""
         component, _ = self.system.split(name)
         return [self.system.full_name(component, each) for each in self.system.variables[name].array] or [name]
 
     def polynomial_rows(self, component: str) -> list[str]:
-        """Return the inputs of a component that vary continuously, with all elements of the arrays among them."""
+        """Return the continuous inputs of a component, with all array elements."""
         rows: dict[str, None] = {}
         for name, mode in self.modes.items():
             if mode != codes.BY_STEPPER or self.system.split(name)[0] != component or name in rows:
@@ -82,7 +73,7 @@ class SimulationTask:
         return list(rows)
 
     def when(self, name: str, connected: bool) -> int:
-        """Return when a variable may be set once the simulation runs, as bits (`codes`)."""
+        """Return the setting times of a variable, as bits (`codes`)."""
         component, inner = self.system.split(name)
         model = self.system.components[component]
         description = model.fmu.description
@@ -110,38 +101,28 @@ def task_of(
     step_size: float | None,
     divisor: int = 1,
 ) -> SimulationTask:
-    """Return the task of a system and an experiment.
-
-    Parameters
-    ----------
-    system : System
-    experiment : Experiment
-    parameters : sequence of str
-        The variables that theta sets, in its order.
-    values : mapping of str to number, bool or str
-        Variables held at a value.
-    step_size : float, optional
-        Largest communication step, s, in place of the system's; default: from sample to sample.
-    divisor : int
-        What the steps of components that integrate are divided by: what samples acts no more often for it.
-
-    Raises
-    ------
-    InputError
-        If a name is unknown or of the wrong causality or type, or is given twice, or the step is not positive.
-    """
+    """Return the task of a system and an experiment, its variables checked."""
     check_roles(system, experiment, parameters, values)
     if step_size is not None and not (isinstance(step_size, int | float) and step_size > 0):
         raise InputError(f"step_size must be a positive number of seconds, not {step_size!r}")
     targets = _targets(system, experiment)
     modes = {name: _mode(system, name, bool(experiment.held[each.column])) for name, each in targets.items()}
-    known = _known_values(system, {*parameters, *targets, *system.connected_inputs}) | dict(values)
-    steps = _component_steps(system, step_size)
+    applied: dict[str, Value] = {
+        system.full_name(component, name): value
+        for component, model in system.components.items()
+        for name, value in model.fmu.description.applied.items()
+    }
+    fed = {*parameters, *targets, *system.connected_inputs}
+    known = {name: value for name, value in {**applied, **system.values}.items() if name not in fed} | dict(values)
+    alone = len(system.components) == 1  # its integrator may step as it likes between the samples
+    steps = {
+        name: None if alone and model.kind == "model-exchange" else step_size or model.numerics.step_size
+        for name, model in system.components.items()
+    }
     return SimulationTask(system, experiment, tuple(parameters), known, step_size, targets, modes, steps, divisor)
 
 
 def _targets(system: System, experiment: Experiment) -> dict[str, InputTarget]:
-    """Return the variables that the table feeds, with their columns; a connector of the system may feed several."""
     found: dict[str, InputTarget] = {}
     for column, given in enumerate(experiment.input_names):
         for name, factor, offset in system.targets(given):
@@ -160,21 +141,3 @@ def _mode(system: System, name: str, held: bool) -> int:
     if model.kind == "model-exchange":  # whose integrators set 64-bit numbers
         return codes.BY_STEPPER if description.variables[inner].wire == "Float64" else codes.BY_MIDPOINT
     return codes.BY_DERIVATIVE if description.interfaces[model.kind].interpolates_inputs else codes.BY_MIDPOINT
-
-
-def _known_values(system: System, fed: set[str]) -> dict[str, Value]:
-    """Return the values that the system has for what is not fed: its own, and those written into an FMU."""
-    applied: dict[str, Value] = {
-        system.full_name(component, name): value
-        for component, model in system.components.items()
-        for name, value in model.fmu.description.applied.items()
-    }
-    return {name: value for name, value in {**applied, **system.values}.items() if name not in fed}
-
-
-def _component_steps(system: System, step_size: float | None) -> dict[str, float | None]:
-    alone = len(system.components) == 1  # its integrator may step as it likes between the samples
-    return {
-        name: None if alone and model.kind == "model-exchange" else step_size or model.numerics.step_size
-        for name, model in system.components.items()
-    }

@@ -1,4 +1,4 @@
-"""The simulated outputs of a system over an experiment, as a function of parameters."""
+"""Simulated outputs of a system over an experiment, by parameters."""
 
 from __future__ import annotations
 
@@ -9,14 +9,14 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike
 
-from fmuid.array_types import Floats, Indices
+from fmuid.array_types import Floats
 from fmuid.data import Experiment
 from fmuid.errors import NO_EXPERIMENT, InputError, SimulationError, check_kind
 from fmuid.models import FMU, Isolation, Numerics, System
 from fmuid.simulation import codes
 from fmuid.simulation.executor_pool import close, executor_of
 from fmuid.simulation.plan_builder import simulation_of
-from fmuid.simulation.simulation_plan import new_reports
+from fmuid.simulation.simulation_plan import SimulationJob
 from fmuid.simulation.simulation_task import task_of
 from fmuid.simulation.variable_checks import Value, column_conversion
 
@@ -28,9 +28,8 @@ class Simulations:
     Attributes
     ----------
     outputs : (m, K, n_outputs) array
-        In the units of the experiment's columns; NaN where the simulation failed.
+        In units of the data file; NaN after a failure.
     errors : tuple of SimulationError or None
-        One for each theta.
     """
 
     outputs: Floats
@@ -38,29 +37,28 @@ class Simulations:
 
 
 class Simulator:
-    """Simulate a model over an experiment: ``simulator(theta)``.
+    """Simulates a model over an experiment: ``simulator(theta)``.
 
-    The instances are kept and shared by all simulators of one `System`, and freed with the last of them or by `close`;
-    several thetas are spread over several instances in threads where the FMU allows it.
+    All simulators of one `System` share its instances. `close` or the last simulator's end frees them.
+    Several thetas are spread over threads if the FMU allows it.
 
     Parameters
     ----------
     model : System, FMU or path
     experiment : Experiment
-        Its inputs drive the model, and the outputs are given at its times, the first at initialisation.
+        Its inputs drive the model; outputs are at its times, from initialization on.
     parameters : sequence of str
-        The variables that theta sets, in this order.
+        Variables set by theta, in this order.
     values : mapping of str to float, int, bool or str
-        Variables held at a value; those of the experiment go before them.
+        Variables held at a value; the experiment's take precedence.
     interface, integrator, tolerance : optional
-        How an FMU is run (`fmuid.Numerics`); a System says it itself.
+        Solver settings of an FMU (`fmuid.Numerics`); a System has its own.
     step_size : float, optional
-        Largest communication step, s, of all components, and largest step of an integrator; default: what the system
-        says, else from sample to sample.
+        Largest communication step and solver step, s; default: the system's, else from sample to sample.
     divisor : int
-        What each step of components that integrate is divided by (`fmuid.simulation.solver_refinement`).
+        Number of parts of each step (`fmuid.simulation.solver_refinement`).
     isolation : Isolation, optional
-        Runs an FMU in a process of its own; default: in this one, which an FMU that crashes takes with it.
+        Runs an FMU in a separate process; default: in this one.
 
     Raises
     ------
@@ -99,20 +97,21 @@ class Simulator:
         repeated = {name for name in self.parameters if self.parameters.count(name) > 1}
         if repeated:
             raise InputError(f"parameter {sorted(repeated)[0]!r} is given twice")
-        self._given, self._divisor = (dict(values or {}), step_size), divisor
+        self._values, self._divisor = dict(values or {}), divisor
         self._tolerance: float | None = None
-        self._targets = [
+        self.targets = tuple(
             (name, column, factor, offset)
             for column, parameter in enumerate(self.parameters)
             for name, factor, offset in self.system.targets(parameter)
-        ]
-        names = [name for name, *_ in self._targets]
-        self._simulation = simulation_of(
-            task_of(self.system, experiment, names, self._target_values(), step_size, divisor)
         )
+        """Variables set by theta: name, column, factor, offset."""
+        names, held = [name for name, *_ in self.targets], self._target_values()
+        self.settings = held, step_size
+        """Held values by variables, and the largest step, s."""
+        self._simulation = simulation_of(task_of(self.system, experiment, names, held, step_size, divisor))
         self._executor = executor_of(self.system)
         self._conversions = self._output_conversions()
-        fed = {*names, *self._target_values(), *self.system.connected_inputs, *self.system.connectors}
+        fed = {*names, *held, *self.system.connected_inputs, *self.system.connectors}
         fed |= {target for name in experiment.input_names for target, _, _ in self.system.targets(name)}
         self.unfed_inputs = tuple(
             v.name for v in self.system.variables.values() if v.causality == "input" and v.name not in fed
@@ -120,34 +119,23 @@ class Simulator:
         """Inputs that nothing feeds: they keep their start values."""
 
     def _target_values(self) -> dict[str, Value]:
-        """Return the values held, those of connectors of the system at the variables behind them."""
+        """Return held values, those of connectors at their variables."""
         found: dict[str, Value] = {}
-        for given, value in {**self._given[0], **self.experiment.values}.items():
+        for given, value in {**self._values, **self.experiment.values}.items():
             for name, factor, offset in self.system.targets(given):
                 plain = isinstance(value, bool | str) or (factor, offset) == (1.0, 0.0)
                 found[name] = value if plain else factor * float(value) + offset
         return found
 
-    @property
-    def targets(self) -> tuple[tuple[str, int, float, float], ...]:
-        """The variables that theta sets: name, and factor times which element of theta plus offset it is."""
-        return tuple(self._targets)
-
-    @property
-    def settings(self) -> tuple[dict[str, Value], float | None]:
-        """The variables held at a value, and the largest step, s."""
-        return self._target_values(), self._given[1]
-
     def target_values(self, thetas: Floats) -> Floats:
-        """Return the values of all variables (`targets`) that thetas (m, N) set."""
-        if len(self._targets) == len(self.parameters) and not self.system.connectors:
+        """Return the values of `targets` for thetas (m, N)."""
+        if len(self.targets) == len(self.parameters) and not self.system.connectors:
             return thetas
-        columns = np.array([column for _, column, _, _ in self._targets], np.intp)
-        factors, offsets = np.array([each[2:] for each in self._targets], np.float64).reshape(-1, 2).T
+        columns = np.array([column for _, column, _, _ in self.targets], np.intp)
+        factors, offsets = np.array([each[2:] for each in self.targets], np.float64).reshape(-1, 2).T
         return np.ascontiguousarray(thetas[:, columns] * factors + offsets)
 
     def _output_conversions(self) -> dict[int, tuple[float, float]]:
-        """Return for each output that differs from what the FMU gives: factor and offset."""
         found = {}
         for j, name in enumerate(self.experiment.output_names):
             _, factor, offset = self.system.targets(name)[0]
@@ -160,18 +148,18 @@ class Simulator:
 
     @property
     def stiff(self) -> frozenset[str]:
-        """The components that "rk45", where nobody asked for it, has found stiff: "cvode" has taken its place."""
+        """Components found stiff: "cvode" has replaced "rk45"."""
         begun = zip(self.system.components.items(), self._simulation.plan.integrations, strict=True)
         return frozenset(name for (name, model), now in begun if now and now.integrator != model.integrator)
 
     @property
     def corrects(self) -> bool:
-        """Whether measurements correct the states at the samples."""
+        """Whether measurements correct the states."""
         return self._simulation.grid.gain is not None
 
     @property
     def output_names(self) -> tuple[str, ...]:
-        """The outputs, in the order of the last axis."""
+        """Outputs, in order of the last axis."""
         return self.experiment.output_names
 
     def __call__(self, theta: ArrayLike) -> Floats:
@@ -184,7 +172,7 @@ class Simulator:
         Raises
         ------
         SimulationError
-            If a simulation fails; it names FMU, time, parameter values, and what the FMU said.
+            If a simulation fails.
         """
         thetas = np.asarray(theta, dtype=np.float64)
         found = self.many(np.atleast_2d(thetas))
@@ -194,7 +182,7 @@ class Simulator:
         return found.outputs[0] if thetas.ndim < 2 else found.outputs
 
     def many(self, thetas: ArrayLike) -> Simulations:
-        """Simulate several thetas (m, N); a failed one does not end the others.
+        """Simulate several thetas (m, N); failures do not end the others.
 
         Raises
         ------
@@ -209,30 +197,28 @@ class Simulator:
             )
         if not np.isfinite(given).all():
             raise InputError(f"theta must be finite; one of the values for {self._names} is not")
-        outputs = np.empty((len(given), self._simulation.grid.times.size, len(self.output_names)))
-        reports = new_reports(len(given))
+        job = self._simulation.job(self.target_values(given))
         with self._executor.lock:
-            self._executor.run(self._simulation, self.target_values(given), outputs, reports)
-            errors = self._explain(given, outputs, reports)
-        self.in_table_units(outputs)
-        return Simulations(outputs, errors)
+            self._executor.run(job)
+            errors = self._explain(job, given)
+        return Simulations(self.in_table_units(job.outputs), errors)
 
     def in_table_units(self, outputs: Floats) -> Floats:
-        """Convert what the FMU gives (m, K, n_outputs) to the units of the experiment's columns, in place."""
+        """Convert FMU outputs (m, K, n_outputs) to the data file's units, in place."""
         for j, (factor, offset) in self._conversions.items():
             outputs[:, :, j] = factor * outputs[:, :, j] + offset
         return outputs
 
     def close(self) -> None:
-        """Free the instances of the system, which all its simulators share; a later simulation makes new ones."""
+        """Free the system's instances; later simulations make new ones."""
         close(self.system)
 
     def over(self, experiment: Experiment) -> Simulator:
-        """Return the simulator of another experiment with the same model, parameters and values."""
+        """Return the simulator of another experiment."""
         return self._like(self.system, experiment, self._divisor, self._tolerance)
 
     def by(self, system: System, divisor: int, tolerance: float | None, most_steps: int | None = None) -> Simulator:
-        """Return the simulator of the same experiment by another way to run the system (`fmuid.System.run_by`).
+        """Return the simulator of this experiment by another system (`System.run_by`).
 
         Parameters
         ----------
@@ -240,28 +226,27 @@ class Simulator:
         divisor : int
             As for `Simulator`.
         tolerance : float, optional
-            Of model exchange; default: what the system says. Simulators of one system share its instances whatever it
-            is.
+            Of Model Exchange; default: the system's. It does not separate instances.
         most_steps : int, optional
-            As for `fmuid.Numerics`; default: what the system says.
+            As for `fmuid.Numerics`; default: the system's.
         """
         return self._like(system, self.experiment, divisor, tolerance, most_steps)
 
     def corrected(
         self, system: System, tolerance: float, gain: Floats, most_steps: int | None = None, every: int = 1
     ) -> Simulator:
-        """Return the simulator of the same experiment whose states the measurements correct after samples.
+        """Return the simulator with states corrected by measurements.
 
         Parameters
         ----------
         system : System
-            This one, a single FMU, run by model exchange.
+            This one by Model Exchange, a single FMU.
         tolerance : float
         gain : (n_states, n_outputs) array
-            States move by it times measured less simulated outputs, in the units of the FMU.
+            State correction per measured − simulated output, in units of the FMU.
         most_steps : int, optional
         every : int
-            The first of so many samples corrects.
+            Interval of correcting samples.
         """
         other = self._like(system, self.experiment, 1, tolerance, most_steps)
         measured = self.experiment.output_values.copy()
@@ -279,8 +264,8 @@ class Simulator:
         tolerance: float | None,
         most_steps: int | None = None,
     ) -> Simulator:
-        values, step_size = self._given
-        other = Simulator(system, experiment, self.parameters, values=values, step_size=step_size, divisor=divisor)
+        _, step = self.settings
+        other = Simulator(system, experiment, self.parameters, values=self._values, step_size=step, divisor=divisor)
         if tolerance is not None:
             other._tolerance = tolerance
             other._simulation.control(tolerance, most_steps)
@@ -288,27 +273,24 @@ class Simulator:
 
     @property
     def output_factors(self) -> Floats:
-        """What a change of each output in the unit of the FMU is in that of the table (n_outputs,)."""
+        """Change of each output in the data file per unit of the FMU (n_outputs,)."""
         return np.array([self._conversions.get(j, (1.0, 0.0))[0] for j in range(len(self.output_names))])
 
     @property
     def _names(self) -> str:
         return ", ".join(self.parameters) or "no parameters"
 
-    def _explain(self, thetas: Floats, outputs: Floats, reports: Indices) -> tuple[SimulationError | None, ...]:
-        # a sum is finite only where all its terms are; only then is a closer look needed. After a failure the rest of
-        # the outputs is whatever the memory held
+    def _explain(self, job: SimulationJob, thetas: Floats) -> tuple[SimulationError | None, ...]:
+        # a sum is finite only if all its terms are; after a failure the outputs are uninitialized memory
         with np.errstate(invalid="ignore", over="ignore"):
-            if (reports[:, 2] == codes.DONE_WELL).all() and np.isfinite(outputs.sum()):
-                return (None,) * len(thetas)
-            suspect = (reports[:, 0] >= 0) | ~np.isfinite(outputs.sum(axis=(1, 2)))
-        errors: list[SimulationError | None] = [None] * len(thetas)
+            if (job.reports[:, 2] == codes.DONE_WELL).all() and np.isfinite(job.outputs.sum()):
+                return (None,) * len(job)
+            suspect = job.failed | ~np.isfinite(job.outputs.sum(axis=(1, 2)))
+        errors: list[SimulationError | None] = [None] * len(job)
         for i in np.flatnonzero(suspect):
             named = dict(zip(self.parameters, thetas[i].tolist(), strict=True))
-            theta = self.target_values(thetas[i : i + 1])[0]
-            # what the FMU says costs another simulation: for the first failure
-            explain = not any(errors)
-            errors[i] = self._executor.failure(self._simulation, theta, outputs[i], reports[i], named, explain)
+            explain = not any(errors)  # only the first: it costs another simulation
+            errors[i] = self._executor.failure(job[i : i + 1], named, explain)
             if errors[i] is not None:
-                outputs[i] = np.nan
+                job.outputs[i] = np.nan
         return tuple(errors)

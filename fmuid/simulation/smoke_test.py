@@ -1,6 +1,6 @@
-"""One interface of an FMU tried in a process that it may crash: ``python -m fmuid.simulation.smoke_test``.
+"""Trial of one FMI interface in a separate process: ``python -m fmuid.simulation.smoke_test``.
 
-What became of it is in a file, written anew at each step, so that it can be read whatever happened to the process.
+A file has its report, written anew at each stage: it survives any end of the process.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ import sys
 import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from enum import StrEnum
 from functools import partial
 from pathlib import Path
@@ -20,6 +20,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
+from fmuid.codec import as_json, from_json
 from fmuid.data import Experiment
 from fmuid.errors import FmuidError, SimulationError
 from fmuid.models import FMU, Description, SolverConfiguration
@@ -34,7 +35,7 @@ OBSERVED = 200  # outputs that are looked at: what an FMU has beyond them is of 
 
 
 class Stage(StrEnum):
-    """What a try was doing."""
+    """Stages of a trial."""
 
     START = "start"
     INSTANTIATION = "instantiation"
@@ -45,29 +46,9 @@ class Stage(StrEnum):
 
 @dataclass
 class SmokeReport:
-    """How far a try came.
+    """Progress of a trial; `seconds` is the second simulation's duration.
 
-    Attributes
-    ----------
-    doing : Stage
-        What the process was doing last.
-    instantiated, simulated, repeated : bool
-        Whether that was done.
-    differs : bool
-        Whether the second simulation gave other outputs than the first.
-    run : SolverConfiguration or None
-    start, stop : float
-        What was simulated, s.
-    samples, outputs : int
-        Samples in time and outputs of each.
-    seconds : float
-        How long a simulation took, s: the second one.
-    error : str
-        The error that ended it.
-    warnings : list of str
-        What the FMU, or fmuid, warned of.
-    no_reset : list of str
-        What was warned of where a reset does not bring the FMU back to its beginning.
+    `differs`: the second simulation gave other outputs. `no_reset`: warnings that a reset does not work.
     """
 
     doing: Stage = Stage.START
@@ -87,34 +68,18 @@ class SmokeReport:
 
     def write(self, path: Path) -> None:
         """Write it to a file."""
-        path.write_text(json.dumps(asdict(self)), encoding="utf-8")
+        path.write_text(json.dumps(as_json(self)), encoding="utf-8")
 
     @classmethod
     def read(cls, path: Path) -> SmokeReport:
-        """Read it again; a process that did not come to write anything was starting."""
-        if not path.is_file():
-            return cls()
-        found = json.loads(path.read_text(encoding="utf-8"))
-        run = None if found["run"] is None else SolverConfiguration(**found["run"])
-        return cls(**found | {"doing": Stage(found["doing"]), "run": run})
+        """Return a written report; without a file the process was starting."""
+        return from_json(cls, json.loads(path.read_text(encoding="utf-8"))) if path.is_file() else cls()
 
 
 def default_times(description: Description, kind: str, share: float = 1.0) -> tuple[np.ndarray, float | None]:
-    """Return the samples of a smoke simulation and the step between communications, both s.
+    """Return samples (K,) of a trial and its communication step or None, s.
 
-    Parameters
-    ----------
-    description : Description
-        Its default experiment is simulated, from the start time or 0 for `DURATION`.
-    kind : str
-        Co-simulation keeps to the step size of the default experiment, if there is one: some can take no other.
-    share : float
-        How much of the default experiment.
-
-    Returns
-    -------
-    times : (K,) array
-    step_size : float or None
+    The `share` of the default experiment is simulated, else `DURATION`. Co-Simulation keeps its step size if given.
     """
     given = description.default_experiment
     start = given.get("start", 0.0)
@@ -128,19 +93,7 @@ def default_times(description: Description, kind: str, share: float = 1.0) -> tu
 
 
 def attempt(path: Path, kind: str, share: float, target: Path) -> SmokeReport:
-    """Instantiate an FMU, simulate it twice and write the report as it goes.
-
-    Parameters
-    ----------
-    path : Path
-        The FMU.
-    kind : str
-        The interface.
-    share : float
-        How much of the default experiment.
-    target : Path
-        The report's file.
-    """
+    """Instantiate an FMU and simulate it twice; write the report to `target`."""
     report = SmokeReport()
     with _warnings(report):
         try:
@@ -185,7 +138,7 @@ def _run(report: SmokeReport, fmu: FMU, kind: str, share: float, target: Path) -
 
 
 def observed(description: Description) -> list[str]:
-    """Return the outputs that are looked at; an FMU without outputs is observed by its states."""
+    """Return the observed outputs, else the states."""
     numbers = [v.name for v in description.with_causality("output") if v.type in ("Real", "Integer", "Boolean")]
     local = [name for name in description.states if description.variables[name].causality == "local"]
     return (numbers or local)[:OBSERVED]
@@ -193,8 +146,6 @@ def observed(description: Description) -> list[str]:
 
 @contextmanager
 def _warnings(report: SmokeReport) -> Iterator[None]:
-    """Collect what is warned of, once each."""
-
     class Collect(logging.Handler):
         def emit(self, record: logging.LogRecord) -> None:
             whose = f"{record.args[0]}: " if isinstance(record.args, tuple) and record.args else ""
@@ -212,7 +163,7 @@ def _warnings(report: SmokeReport) -> Iterator[None]:
 
 
 def main(arguments: Sequence[str]) -> None:
-    """Make one attempt: FMU, interface, share of the default experiment, and the file of the report."""
+    """Make one trial: FMU, interface, share of the default experiment, report file."""
     watch_lifeline(partial(os._exit, 1))
     path, kind, share, target = arguments
     attempt(Path(path), kind, float(share), Path(target))

@@ -1,4 +1,4 @@
-"""The integration of a model-exchange instance by the core: fixed-step, adaptive or stiff, events of all kinds."""
+"""Integration of a Model Exchange instance by the core, with events."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import math
 import weakref
 from collections.abc import Callable, Sequence
 from functools import cache
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,105 +20,74 @@ from fmuid.simulation.simulation_plan import Integration, Sensitivities
 
 NO_REFERENCES: NDArray[np.uint32] = np.zeros(0, np.uint32)
 REQUIRED = (
-    *(
-        codes.SET_TIME,
-        codes.FLOAT64,
-        codes.SET_STATES,
-        codes.GET_DERIVATIVES,
-        codes.GET_INDICATORS,
-        codes.GET_STATES,
-        codes.GET_NOMINALS,
-    ),
-    *(codes.ENTER_EVENT_MODE, codes.UPDATE_DISCRETE_STATES, codes.ENTER_CONTINUOUS_TIME_MODE),
+    *(codes.SET_TIME, codes.FLOAT64, codes.SET_STATES, codes.GET_STATES, codes.GET_DERIVATIVES, codes.GET_INDICATORS),
+    *(codes.GET_NOMINALS, codes.ENTER_EVENT_MODE, codes.UPDATE_DISCRETE_STATES, codes.ENTER_CONTINUOUS_TIME_MODE),
 )
 """The functions that model exchange requires."""
 
 
 def function_table(version: int, address_of: Callable[[str], int]) -> ctypes.Structure:
-    """Return the core's table of the functions of a binary, by `address_of` their names without prefix."""
+    """Return the core's table of a binary's functions."""
     kind: type[ctypes.Structure] = getattr(core(), f"Fmi{version}")
     return kind(**{name: address_of(name) for name, *_ in kind._fields_})
 
 
 def address(memory: Any) -> int | None:
-    """Return where the numbers of an array, or structures, are; None for none."""
+    """Return the address of an array or structures; None for none."""
     if memory is None:
         return None
     return int(memory.ctypes.data) if isinstance(memory, np.ndarray) else ctypes.addressof(memory)
 
 
+class IntegratedModel(NamedTuple):
+    """A Model Exchange instance as the core integrates it.
+
+    `table` lacks optional functions that are not to be called. References are for directional derivatives.
+    """
+
+    version: int
+    handle: int
+    table: ctypes.Structure
+    n_states: int
+    n_indicators: int
+    state_references: NDArray[np.uint32] = NO_REFERENCES
+    derivative_references: NDArray[np.uint32] = NO_REFERENCES
+
+
 class Integrator:
-    """The memory of one model-exchange instance under integration; freed with the object.
+    """Memory of one Model Exchange instance under integration.
 
-    Parameters
-    ----------
-    version : int
-        Of the FMI standard: 2 or 3.
-    handle : int
-        Address of the instance.
-    table : Fmi2 or Fmi3 of the core
-        Its functions; without the optional CompletedIntegratorStep and GetDirectionalDerivative where they are not
-        to be called.
-    n_states, n_indicators : int
-    given : Integration
-        Its arrays of sensitivities may be filled in anew before each simulation.
-    limit : float
-        Steps may go beyond the wanted time up to here, s.
-    state_references, derivative_references : (n_states,) array of uint32, optional
-        Value references of states and derivatives, in their order, for directional derivatives.
-    straight : bool
-        Whether the polynomials of the inputs are of first order at most.
-    twins : sequence of Integrator
-        Those whose differences give the sensitivities.
-
-    Attributes
-    ----------
-    handle : int
-        Address of the memory.
-    curves : (n_u, 4) array
-        Input j at time t is the polynomial in t - state.origin with these coefficients, lowest power first.
-    state : Integrator of the core
-        How far it is, and what failed.
-
-    Raises
-    ------
-    InputError
-        If the integrator, its tolerance or step size is not one, or if there is no CVODE for this platform.
+    Steps may pass the wanted time up to `limit`, s. `straight`: input polynomials are at most linear. `twins` give the
+    sensitivities by differences. `curves` (n_u, 4) are the inputs' polynomials in t − state.origin, lowest power first.
     """
 
     def __init__(
         self,
-        version: int,
-        handle: int,
-        table: ctypes.Structure,
-        n_states: int,
-        n_indicators: int,
+        model: IntegratedModel,
         given: Integration,
         *,
         limit: float = -math.inf,
-        state_references: NDArray[np.uint32] = NO_REFERENCES,
-        derivative_references: NDArray[np.uint32] = NO_REFERENCES,
         straight: bool = False,
         twins: Sequence[Integrator] = (),
     ) -> None:
-        _check(given.integrator, given.tolerance, given.step_size)
+        if not 0.0 < given.tolerance < 1.0:  # `Numerics` has checked the other settings
+            raise InputError(f"tolerance = {given.tolerance:g} must lie between 0 and 1")
         sensitivities = given.sensitivities
         self.curves: Floats = np.zeros((len(given.input_starts), 4))
         self.curves[:, 0] = given.input_starts
-        references = (given.inputs, state_references, derivative_references)
-        inputs, states, derivatives = (np.ascontiguousarray(values, np.uint32) for values in references)
-        known = n_states > 0 and len(states) == len(derivatives) == n_states
-        sundials = sundials_table() if given.integrator == "cvode" and n_states else None
+        n, states, derivatives = model.n_states, model.state_references, model.derivative_references
+        known = n > 0 and len(states) == len(derivatives) == n
+        sundials = sundials_table() if given.integrator == "cvode" and n else None
         library = core()
-        extension = None if sensitivities is None else self._extension(sensitivities, states, n_states, twins)
-        self._kept: list[Any] = [inputs, states, derivatives, list(twins), sensitivities, table, extension, sundials]
+        extension = None if sensitivities is None else self._extension(sensitivities, states, n, twins)
+        self._kept: list[Any] = [model, given, list(twins), extension, sundials]
         how = library.Integration(
-            instance=handle,
-            n_states=n_states,
-            n_indicators=n_indicators,
+            instance=model.handle,
+            n_states=n,
+            n_indicators=model.n_indicators,
             n_inputs=len(self.curves),
-            n_input_references=len(inputs),
-            input_references=address(inputs),
+            n_input_references=len(given.inputs),
+            input_references=address(given.inputs),
             curves=address(self.curves),
             state_references=address(states) if known else None,
             derivative_references=address(derivatives) if known else None,
@@ -131,7 +100,7 @@ class Integrator:
             follows=given.follows,
             sensitivities=address(extension),
             sundials=address(sundials),
-            **{f"fmi{version}": address(table)},
+            **{f"fmi{model.version}": address(model.table)},
         )
         made = library.integrator_create(ctypes.byref(how))
         if not made:
@@ -161,23 +130,8 @@ class Integrator:
         return made
 
 
-def _check(integrator: str, tolerance: float, step_size: float | None) -> None:
-    if integrator not in METHODS:
-        raise InputError(f'solver = "{integrator}" is none; choose one of {", ".join(METHODS)}')
-    if not 0.0 < tolerance < 1.0:
-        raise InputError(f"tolerance = {tolerance:g} must lie between 0 and 1")
-    if step_size is not None and not 0.0 < step_size < math.inf:
-        raise InputError(f"step_size = {step_size:g} must be a positive number of seconds")
-
-
 def sundials_table() -> ctypes.Structure:
-    """Return the functions of the SUNDIALS libraries that FMPy carries.
-
-    Raises
-    ------
-    InputError
-        If there are none for this platform.
-    """
+    """Return the functions of FMPy's SUNDIALS libraries for this platform."""
     try:
         from fmpy.sundials import libraries
     except Exception as error:  # FMPy lets through what the loader raises: OSError, AttributeError, its own

@@ -1,10 +1,9 @@
-"""Finer ways to simulate a system, to see what the error of the one in use does to the outputs.
+"""Solver refinements of a system, for its solver error.
 
-Model exchange with a controlled error is finer than what co-simulation has inside, wherever an FMU offers it. Without
-it each communication step is divided by four, and by four again: half the steps see nothing of some FMUs that an eighth
-would show. Where several FMUs are coupled, what they exchange between is divided too. What samples keeps its steps: a
-controller that acts four times as often is another plant. Where it is not known which of them samples, shorter steps
-show what depends on them, and no search goes on by them.
+Model Exchange with error control refines Co-Simulation if offered. Otherwise communication steps are divided by
+four, repeatedly: half steps hide the error of some FMUs. Coupled FMUs also exchange more often. Discrete-time
+components keep their steps: a controller at another rate is another device. If they are unknown, shorter steps only
+show the dependence on them.
 """
 
 from __future__ import annotations
@@ -21,7 +20,7 @@ from fmuid.simulation.simulator import Simulator
 
 @dataclass(frozen=True)
 class RefinementSteps:
-    """How much finer one way to simulate is than the one before."""
+    """Steps from one solver refinement to the next."""
 
     tolerance: float = 1e-9
     """Of model exchange in place of co-simulation: searches by looser ones take many times the simulations."""
@@ -39,14 +38,14 @@ STEPS = RefinementSteps()
 
 @dataclass(frozen=True)
 class Refinement:
-    """How much finer than asked for a system is simulated.
+    """Solver refinement of a system beyond its settings.
 
     Parameters
     ----------
     tolerance : float, optional
-        Components with continuous states that offer model exchange are run by it, with this relative tolerance.
+        Relative; components with continuous states then run by Model Exchange if offered.
     divisor : int
-        What the communication steps of components with continuous states are divided by.
+        Number of parts of communication steps of components with continuous states.
     """
 
     tolerance: float | None = None
@@ -54,7 +53,7 @@ class Refinement:
 
     @property
     def any(self) -> bool:
-        """Whether anything is finer than asked for."""
+        """Whether anything is refined."""
         return self.tolerance is not None or self.divisor > 1
 
 
@@ -63,17 +62,16 @@ AS_ASKED = Refinement()
 
 
 def next_refinement(system: System, than: Refinement = AS_ASKED, *, surely: bool = False) -> Refinement | None:
-    """Return the next finer way to simulate a system, None where there is none.
+    """Return the next solver refinement; None if there is none.
 
     Parameters
     ----------
     system : System
         As asked for.
     than : Refinement
-        How it is simulated.
+        The present one.
     surely : bool
-        Whether it must be the same system beyond doubt: then components exchange their values no more often where it
-        is not known which of them sample (`System.sampling_known`).
+        Whether unknown discrete-time components forbid shorter steps (`System.sampling_known`).
     """
     exchanged = _exchanged(system)
     tolerance, divisor = than.tolerance, than.divisor
@@ -89,12 +87,12 @@ def next_refinement(system: System, than: Refinement = AS_ASKED, *, surely: bool
 
 
 def replaces_interface(system: System, refinement: Refinement) -> bool:
-    """Return whether a refinement runs by model exchange what runs by co-simulation."""
+    """Return whether a refinement replaces Co-Simulation by Model Exchange."""
     return refinement.tolerance is not None and any(m.kind == "co-simulation" for m in _exchanged(system).values())
 
 
 def is_controlled(system: System, refinement: Refinement) -> bool:
-    """Return whether all that is integrated is integrated with a controlled error."""
+    """Return whether all integration has error control."""
     exchanged = _exchanged(system)
     return all(
         name in exchanged and (refinement.tolerance is not None or math.isfinite(_tolerance(exchanged[name])))
@@ -103,7 +101,7 @@ def is_controlled(system: System, refinement: Refinement) -> bool:
 
 
 def is_free(system: System) -> bool:
-    """Return whether a finer way goes against nothing that was asked for: interface, tolerance, fixed steps."""
+    """Return whether refinement contradicts no given interface, tolerance or fixed step."""
     return not any(
         model.numerics.interface is not None
         if model.kind == "co-simulation"
@@ -113,7 +111,7 @@ def is_free(system: System) -> bool:
 
 
 def refined(simulator: Simulator, system: System, refinement: Refinement) -> Simulator:
-    """Return what simulates the same experiment in a finer way, or again as asked for; it closes with the system.
+    """Return a refined simulator of the same experiment.
 
     Parameters
     ----------
@@ -132,34 +130,23 @@ def refined(simulator: Simulator, system: System, refinement: Refinement) -> Sim
     return simulator.by(system, refinement.divisor, refinement.tolerance)
 
 
-def by_model_exchange(system: System, tolerance: float | None = None) -> System | None:
-    """Return a system with all its components run by model exchange, None where one of them cannot be.
-
-    Parameters
-    ----------
-    system : System
-    tolerance : float, optional
-        Relative; default: what each component says.
-    """
+def by_model_exchange(system: System) -> System | None:
+    """Return a system by Model Exchange; None if impossible."""
     exchanged = _exchanged(system)
     if len(exchanged) < len(system.components):
         return None
-    return _run_by(system, {name: _exchange(m, tolerance or m.numerics.tolerance) for name, m in exchanged.items()})
+    return _run_by(system, {name: _exchange(model, model.numerics.tolerance) for name, model in exchanged.items()})
 
 
 def _run_by(system: System, numerics: Mapping[str, Numerics]) -> System:
-    """Return a system whose components are run in another way; simulators of it share its instances."""
-    return (
-        variant_of(system, ("run by", *sorted(numerics.items())), lambda: system.run_by(numerics))
-        if numerics
-        else system
-    )
+    key = "run by", *sorted(numerics.items())
+    return variant_of(system, key, lambda: system.run_by(numerics)) if numerics else system
 
 
 def how_run(
     system: System, refinement: Refinement, stiff: frozenset[str] = frozenset()
 ) -> dict[str, SolverConfiguration]:
-    """Return how each component is run.
+    """Return the solver settings of each component in use.
 
     Parameters
     ----------
@@ -167,7 +154,7 @@ def how_run(
         As asked for.
     refinement : Refinement
     stiff : frozenset of str
-        The components that were found stiff (`Simulator.stiff`).
+        Components found stiff (`Simulator.stiff`).
     """
     models = dict(system.components)
     if refinement.tolerance is not None:
@@ -184,7 +171,7 @@ def how_run(
 
 
 def _exchanged(system: System) -> dict[str, Component]:
-    """Return the components whose continuous states model exchange can integrate, and may."""
+    """Return the components with states that Model Exchange may integrate."""
     return {
         name: model
         for name, model in system.components.items()
@@ -195,14 +182,14 @@ def _exchanged(system: System) -> dict[str, Component]:
 
 
 def _exchange(model: Component, tolerance: float | None = STEPS.tolerance) -> Numerics:
-    """Return how a component is run by model exchange: by the integrator asked for, if its error is controlled."""
+    """Return a component's settings by Model Exchange with error control."""
     asked = model.numerics
     integrator = None if asked.integrator == "rk4" else asked.integrator
     return replace(asked, interface="model-exchange", integrator=integrator, tolerance=tolerance)
 
 
 def _tolerance(model: Component) -> float:
-    """Return the tolerance of a component by model exchange, infinite where its error is not controlled."""
+    """Return a component's tolerance; infinite without error control."""
     if model.kind != "model-exchange" or model.numerics.integrator == "rk4":
         return math.inf
     return model.numerics.tolerance or DEFAULT_TOLERANCE

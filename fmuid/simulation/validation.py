@@ -1,4 +1,4 @@
-"""Whether an FMU keeps the standard and runs here: FMPy's checks, its binaries, a simulation of each interface."""
+"""Validation of an FMU: FMPy's checks, binaries, trials of each interface."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ DURATION_SHARES = (1.0, 0.01)
 
 
 class Subject(Enum):
-    """What is checked; all but the first two of each interface."""
+    """Subjects of checks; all but the first two are per interface."""
 
     DESCRIPTION = "model description"
     TOOL = "stands alone"
@@ -39,14 +39,7 @@ class Subject(Enum):
 
 @dataclass(frozen=True)
 class Tool:
-    """The tool without which an FMU does not run.
-
-    Attributes
-    ----------
-    name : str
-        Empty where the FMU does not say.
-    interfaces : tuple of str
-    """
+    """Tool needed to run an FMU; an empty name is undeclared."""
 
     name: str
     interfaces: tuple[str, ...]
@@ -54,7 +47,7 @@ class Tool:
 
 @dataclass(frozen=True)
 class Binary:
-    """The library of an interface for this machine, as ``platform/file``, and the other platforms that have one."""
+    """Library of an interface as ``platform/file``, and other platforms."""
 
     library: str
     others: tuple[str, ...]
@@ -62,20 +55,19 @@ class Binary:
 
 @dataclass(frozen=True)
 class InterfaceTest:
-    """One try of an interface in a process of its own.
+    """Trial of an interface in a separate process.
 
     Attributes
     ----------
     share : float
-        How much of the default experiment was asked for.
+        Requested fraction of the default experiment.
     report : SmokeReport
-        How far it came.
     code : int or None
-        With which the process ended, negative by a signal; None where it was ended after `limit`.
+        Exit code, negative by a signal; None after the time limit.
     last_words : str
-        The last line that was printed.
+        Last printed line.
     limit : float
-        How long it might take, s.
+        Time limit, s.
     """
 
     share: float
@@ -86,7 +78,7 @@ class InterfaceTest:
 
     @property
     def troubled(self) -> bool:
-        """Whether an error, a crash or the limit has ended it."""
+        """Whether an error, a crash or the limit ended it."""
         return self.code != 0 or bool(self.report.error)
 
 
@@ -98,10 +90,9 @@ class Check:
     ----------
     subject : Subject
     interface : str or None
-        Of which, if of one.
     result : "ok", "warning", "failed" or "left out"
     evidence : tuple
-        What the result rests on: `Tool`, `Binary`, each `InterfaceTest`, or what FMPy or the FMU says.
+        `Tool`, `Binary`, each `InterfaceTest`, or messages of FMPy or the FMU.
     """
 
     subject: Subject
@@ -124,25 +115,24 @@ class Validation:
 
     @property
     def passed(self) -> bool:
-        """Whether no check failed; there may be warnings."""
+        """Whether no check failed."""
         return not self.count("failed")
 
     def count(self, result: str) -> int:
-        """Return how many checks have a result."""
+        """Return the number of checks with a result."""
         return sum(check.result == result for check in self.checks)
 
 
 def validate(fmu: FMU | str | Path) -> Validation:
-    """Check an FMU: what it declares, whether it can be loaded here, and whether its interfaces simulate.
+    """Check an FMU: declarations, binaries, simulations of its interfaces.
 
-    FMPy checks the model description against the schema and the rules of the standard. Each interface is then
-    instantiated and simulated over the default experiment, inputs at their start values, in a process of its own: a
-    crash or a hang is a failed check.
+    FMPy checks the model description. Each interface is simulated over the default experiment in a separate process:
+    a crash or a hang is a failed check.
 
     Raises
     ------
     InputError
-        If it is no FMU, or of a version that is not read.
+        If it is no FMU of FMI 2.0 or 3.0.
 
     Examples
     --------
@@ -150,7 +140,10 @@ def validate(fmu: FMU | str | Path) -> Validation:
     True
     """
     fmu = fmu if isinstance(fmu, FMU) else FMU(fmu)
-    checks = [_description(fmu), *_tool(fmu)]
+    checks = [_description(fmu)]
+    kinds = tuple(kind for kind, interface in fmu.description.interfaces.items() if interface.needs_execution_tool)
+    if kinds:
+        checks.append(Check(Subject.TOOL, None, "warning", (Tool(fmu.description.generation_tool, kinds),)))
     for kind, binary in check_binaries(fmu).items():
         sound = binary.result != "failed"
         checks += [binary, *(_interface(fmu, kind) if sound else [Check(Subject.SIMULATION, kind, "left out")])]
@@ -158,7 +151,7 @@ def validate(fmu: FMU | str | Path) -> Validation:
 
 
 def check_binaries(fmu: FMU) -> dict[str, Check]:
-    """Check whether each interface has a binary for this platform; one that lacks it is not unpacked for that."""
+    """Check each interface's binary for this platform, unpacked only if present."""
     return {kind: _binary(fmu, kind, each.identifier) for kind, each in fmu.description.interfaces.items()}
 
 
@@ -177,12 +170,6 @@ def _description(fmu: FMU) -> Check:
     problems = validate_fmu(checked)
     said = tuple(" ".join(problem.split()) for problem in problems)
     return Check(Subject.DESCRIPTION, None, "failed" if said else "ok", said)
-
-
-def _tool(fmu: FMU) -> list[Check]:
-    kinds = [kind for kind, interface in fmu.description.interfaces.items() if interface.needs_execution_tool]
-    tool = Tool(fmu.description.generation_tool or "", tuple(kinds))
-    return [Check(Subject.TOOL, None, "warning", (tool,))] if kinds else []
 
 
 def _binary(fmu: FMU, kind: str, identifier: str) -> Check:
@@ -213,7 +200,7 @@ def _interface(fmu: FMU, kind: str) -> list[Check]:
 
 
 def _reset(kind: str, last: InterfaceTest) -> Check:
-    """Judge the second simulation, and whether it could be made with the same instance."""
+    """Judge the second simulation, and its instance."""
     if last.troubled:
         return Check(Subject.RESET, kind, "warning" if last.code is None else "failed", (last,))
     if last.report.differs:
@@ -223,7 +210,6 @@ def _reset(kind: str, last: InterfaceTest) -> Check:
 
 
 def _try(fmu: FMU, kind: str, share: float) -> InterfaceTest:
-    """Simulate one interface in a process of its own."""
     with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as folder:
         report, printed = Path(folder) / "report.json", Path(folder) / "printed.txt"
         arguments = [str(fmu.path.resolve()), kind, str(share), str(report)]

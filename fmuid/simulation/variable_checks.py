@@ -1,4 +1,4 @@
-"""Checks that a system's variables suit their roles: inputs and outputs of an experiment, parameters, values."""
+"""Checks of variables against their roles: inputs, outputs, parameters, values."""
 
 from __future__ import annotations
 
@@ -15,20 +15,14 @@ from fmuid.models import Value as Value
 
 
 def column_conversion(system: System, name: str, unit: str) -> tuple[float, float]:
-    """Return (factor, offset) such that value in the variable's unit = factor * value in `unit` + offset."""
+    """Return (factor, offset) from a unit to the variable's unit."""
     component, inner = system.split(system.terms(name)[0])
     description = system.components[component].fmu.description
     return description.conversion(description.variables[inner], unit)
 
 
 def check_roles(system: System, experiment: Experiment, parameters: Sequence[str], values: Mapping[str, Value]) -> None:
-    """Check that every name exists and suits its role.
-
-    Raises
-    ------
-    InputError
-        One sentence that names the variable, what is wrong with it, and the nearest names or the remedy.
-    """
+    """Check names against their roles; an `InputError` gives near names or a remedy."""
     for name in experiment.input_names:
         variable = _with_causality(system, name, "input", ("input",), experiment.source)
         if name in system.connected_inputs:
@@ -89,25 +83,14 @@ def _check_settable(system: System, variable: Variable) -> None:
 
 def _check_value(system: System, variable: Variable, value: Value) -> None:
     _check_settable(system, variable)
-    fits = {
-        "Binary": False,
-        "Clock": False,
-        "Real": isinstance(value, int | float) and not isinstance(value, bool),
-        "Integer": isinstance(value, int) and not isinstance(value, bool),
-        "Boolean": isinstance(value, bool),
-        "String": isinstance(value, str),
-    }[variable.type]
-    if not fits:
+    kinds: dict[str, tuple[type, ...]] = {"Real": (int, float), "Integer": (int,), "Boolean": (bool,), "String": (str,)}
+    if not isinstance(value, kinds.get(variable.type, ())) or (isinstance(value, bool) and variable.type != "Boolean"):
         raise InputError(f"{variable.name!r} is of type {variable.type} and cannot be held at {value!r}")
-    if variable.type in ("Real", "Integer") and not _in_range(value, variable.wire):
+    if isinstance(value, bool | str):
+        return
+    whole = np.iinfo(variable.wire.lower()) if variable.type == "Integer" else None
+    low, high = (whole.min, whole.max) if whole else (-sys.float_info.max, sys.float_info.max)
+    if not low <= value <= high:
         raise InputError(
             f"{variable.name!r} cannot be held at {value!r}; give a finite number that fits its type {variable.wire}"
         )
-
-
-def _in_range(value: Value, wire: str) -> bool:
-    """Return whether a number fits an FMI 3.0 type."""
-    if wire.startswith("Float"):
-        return -sys.float_info.max <= value <= sys.float_info.max  # type: ignore[operator]  # no text gets here
-    limits = np.iinfo(wire.lower())
-    return limits.min <= value <= limits.max  # type: ignore[operator]

@@ -2,7 +2,7 @@ from .batch import BatchSettings as BatchSettings
 from .batch import MonteCarloSection as MonteCarloSection
 from .batch import SpaceFillingSection as SpaceFillingSection
 from .batch import Value as Value
-from .diagnosis import BASELINE_FILE as BASELINE_FILE
+from .faults import BASELINE_FILE as BASELINE_FILE
 from .init.column_matching import ColumnMatch as ColumnMatch
 from .init.column_matching import Reason as Reason
 from .init.data_file import InitOptions as InitOptions

@@ -1,4 +1,4 @@
-"""The table ``[batch]`` of a study file: the many identifications, called cases, that the study spans."""
+"""The table ``[batch]``: the cases of a study."""
 
 from __future__ import annotations
 
@@ -9,32 +9,15 @@ from pathlib import Path
 from typing import Annotated, Any, Self
 
 import numpy as np
-from pydantic import AfterValidator, BeforeValidator, Field, PlainValidator, Tag, TypeAdapter, ValidationError
+from pydantic import BeforeValidator, Field, PlainValidator, TypeAdapter, ValidationError
 
 from fmuid.data import Noise, Parameter
 from fmuid.files import full, is_file
 from fmuid.formatting import nearest
+from fmuid.studies import value_kinds as kinds
 from fmuid.studies.model import ExperimentSettings
-from fmuid.studies.section import StudySection, word
+from fmuid.studies.section import StudySection, entry
 from fmuid.studies.toml import show
-from fmuid.studies.value_kinds import (
-    BY_SHAPE,
-    TABLE_TAG,
-    VALUE_TAG,
-    Count,
-    Entries,
-    Finite,
-    Finites,
-    Names,
-    Natural,
-    PositiveOrEach,
-    Scalar,
-    Text,
-    ValueKind,
-    as_list,
-    must_be,
-    one_of,
-)
 
 Value = float | int | bool | str
 
@@ -47,29 +30,28 @@ LARGEST_WHOLE = 2**63  # what a column of whole numbers holds
 # --- kinds of values --------------------------------------------------------------------
 
 
-def _wrong_points(value: Any) -> str:
-    whole = isinstance(value, int) and not isinstance(value, bool) and value > 0
-    return f"a whole number up to {MOST_POINTS}" if whole else "a whole number above 0"
-
-
-Points = Annotated[int, Field(gt=0, le=MOST_POINTS), ValueKind("a whole number above 0", _wrong_points)]
+WHOLE, UP_TO = "a whole number above 0", f"a whole number up to {MOST_POINTS}"
+Points = Annotated[
+    int,
+    Field(gt=0, le=MOST_POINTS),
+    kinds.ValueKind(WHOLE, lambda value: UP_TO if type(value) is int and value > 0 else WHOLE),
+]
 
 
 class RangeSection(StudySection):
     """Equally spaced numbers, both ends included."""
 
-    first: Finite = word(..., "the first", alias="from")
-    last: Finite = word(..., "the last", alias="to")
-    count: Points = word(..., "how many")
+    first: kinds.Finite = entry(..., "the first", alias="from")
+    last: kinds.Finite = entry(..., "the last", alias="to")
+    count: Points = entry(..., "how many")
 
 
 TABLES = 'a pattern of files, "records/*.csv", a list of files and patterns, or { name = "file" }'
 Tables = Annotated[
-    Annotated[list[Text], Field(min_length=1), Tag(VALUE_TAG)]
-    | Annotated[dict[str, Text], Field(min_length=1), Tag(TABLE_TAG)],
-    BY_SHAPE,
-    BeforeValidator(as_list, json_schema_input_type=str | list[str] | dict[str, str]),
-    ValueKind(TABLES),
+    Annotated[list[kinds.Text], Field(min_length=1)] | Annotated[dict[str, kinds.Text], Field(min_length=1)],
+    kinds.BY_SHAPE,
+    BeforeValidator(kinds.as_list, json_schema_input_type=str | list[str] | dict[str, str]),
+    kinds.ValueKind(TABLES),
 ]
 
 
@@ -87,75 +69,66 @@ def _text(error: ValidationError) -> str:
     return str(error.errors(include_url=False)[0]["ctx"]["text"])
 
 
-_FINITE, _POINTS = TypeAdapter[float](Finite), TypeAdapter[int](Points)
+_FINITE, _POINTS = TypeAdapter[float](kinds.Finite), TypeAdapter[int](Points)
 Starts = Annotated[
-    Count | Annotated[list[Annotated[dict[str, Finite], Field(min_length=1)]], Field(min_length=1)],
-    ValueKind(_wrong_starts(None), _wrong_starts),
+    kinds.Count | Annotated[list[Annotated[dict[str, kinds.Finite], Field(min_length=1)]], Field(min_length=1)],
+    kinds.ValueKind(_wrong_starts(None), _wrong_starts),
 ]
 
 
-def _different(value: list[list[str]]) -> list[list[str]]:
-    if len({frozenset(subset) for subset in value}) != len(value):
-        raise ValueError
-    return value
-
-
+SUBSETS = 'a list of different lists of parameters, [["Rs", "Rr"], ["Rs", "Rr", "Lm"]]'
 Subsets = Annotated[
-    list[Names],
+    list[kinds.Names],
     Field(min_length=1),
-    AfterValidator(_different),
-    ValueKind('a list of different lists of parameters, [["Rs", "Rr"], ["Rs", "Rr", "Lm"]]'),
+    kinds.required(lambda subsets: len({frozenset(each) for each in subsets}) == len(subsets), SUBSETS),
+    kinds.ValueKind(SUBSETS),
 ]
 
 AXIS = "a list of values of one type, [0.40, 0.47], or { from = 0.4, to = 0.5, count = 5 }"
 
 
 def _axis(value: object) -> tuple[Value, ...]:
-    """Check for values of one type, or for a range of numbers."""
+    """Return the values of one type, or those of a range."""
     try:
         if isinstance(value, dict):
             return _range(value)
-        kinds: tuple[tuple[type, ...], ...] = ((bool,), (int,), (int, float), (str,))
+        types: tuple[tuple[type, ...], ...] = ((bool,), (int,), (int, float), (str,))
         if isinstance(value, list) and value:
-            whole = [item for item in value if isinstance(item, bool) or not isinstance(item, int) or _fits(item)]
-            for kind in kinds if len(whole) == len(value) else ():
+            fits = all(-LARGEST_WHOLE <= item < LARGEST_WHOLE for item in value if isinstance(item, int))
+            for kind in types if fits else ():
                 if all(isinstance(item, kind) and (isinstance(item, bool) == (kind == (bool,))) for item in value):
                     return tuple(value if kind != (int, float) else map(_FINITE.validate_python, value))
     except ValidationError as error:
-        raise must_be(_text(error)) from None
-    raise must_be(AXIS)
-
-
-def _fits(number: int) -> bool:
-    return -LARGEST_WHOLE <= number < LARGEST_WHOLE
+        raise kinds.must_be(_text(error)) from None
+    raise kinds.must_be(AXIS)
 
 
 def _range(value: dict[str, Any]) -> tuple[float, ...]:
     """Return equally spaced numbers, both ends included."""
     if set(value) != {"from", "to", "count"}:
-        raise must_be("a list of values, or { from = 0.4, to = 0.5, count = 5 } with just these three")
+        raise kinds.must_be("a list of values, or { from = 0.4, to = 0.5, count = 5 } with just these three")
     first, last = (_FINITE.validate_python(value[key]) for key in ("from", "to"))
     count = _POINTS.validate_python(value["count"])
     if count == 1 or first == last:
-        raise must_be("a range of at least two values, whose from and to differ")
+        raise kinds.must_be("a range of at least two values, whose from and to differ")
     return tuple(np.linspace(first, last, count).tolist())
 
 
 Axis = Annotated[
-    tuple[Value, ...], PlainValidator(_axis, json_schema_input_type=list[Scalar] | RangeSection), ValueKind(AXIS)
+    tuple[Value, ...],
+    PlainValidator(_axis, json_schema_input_type=list[kinds.Scalar] | RangeSection),
+    kinds.ValueKind(AXIS),
 ]
 
 
-def _rising(value: list[float]) -> list[float]:
-    if not value[0] < value[1]:
-        raise ValueError
-    return value
-
-
+LIMITS = "[lowest, highest]"
 Limits = Annotated[
-    list[Finite], Field(min_length=2, max_length=2), AfterValidator(_rising), ValueKind("[lowest, highest]")
+    list[kinds.Finite],
+    Field(min_length=2, max_length=2),
+    kinds.required(lambda limits: limits[0] < limits[1], LIMITS),
+    kinds.ValueKind(LIMITS),
 ]
-Ranges = Annotated[dict[str, Limits], Field(min_length=1), Entries("a table { variable = [lowest, highest] }")]
+Ranges = Annotated[dict[str, Limits], Field(min_length=1), kinds.Entries("a table { variable = [lowest, highest] }")]
 
 
 # --- tables -----------------------------------------------------------------------------
@@ -164,33 +137,29 @@ Ranges = Annotated[dict[str, Limits], Field(min_length=1), Entries("a table { va
 class SpaceFillingSection(StudySection):
     """Values held that fill a box."""
 
-    method: Annotated[str, one_of(METHODS)] = word("sobol", "how the points are spread")
-    points: Points = word(..., "how many points")
-    ranges: Ranges = word(..., "the variables that are held at values, as ranges = { Lm = [0.4, 0.5] }")
+    method: Annotated[str, kinds.one_of(METHODS)] = entry("sobol", "how the points are spread")
+    points: Points = entry(..., "how many points")
+    ranges: Ranges = entry(..., "the variables that are held at values, as ranges = { Lm = [0.4, 0.5] }")
 
 
 class MonteCarloSection(StudySection):
     """Monte Carlo: simulate the truth, disturb it, identify."""
 
-    realizations: Count = word(..., "how many realizations of the noise")
-    std: PositiveOrEach | None = word(
+    realizations: kinds.Count = entry(..., "how many realizations of the noise")
+    std: kinds.PositiveOrEach | None = entry(
         None, "standard deviation of the white normal noise, or one for each output; default: as [noise] says"
     )
-    true_values: Finites = word({}, "values in the simulation of the truth, where they are not those of the case")
+    true_values: kinds.Finites = entry(
+        {}, "values in the simulation of the truth, where they are not those of the case"
+    )
 
     def std_of(self, output: str) -> float:
-        """Return the standard deviation of an output, in the unit of the table."""
+        """Return the standard deviation of an output, in the unit of the data."""
         assert isinstance(self.std, dict), "of a study, by `of`"
         return self.std[output]
 
     def of(self, experiments: Sequence[ExperimentSettings], noise: Noise) -> Self:
-        """Return these words with the standard deviation of every output.
-
-        Raises
-        ------
-        InputError
-            If that of an output is not known, or one is given of what is no output.
-        """
+        """Return the table with the standard deviation of every output."""
         outputs = tuple(dict.fromkeys(name for given in experiments for name in given.outputs))
         given = self.std if isinstance(self.std, dict) else dict.fromkeys(outputs, self.std)
         for name in given:
@@ -210,36 +179,26 @@ class MonteCarloSection(StudySection):
 class BatchSettings(StudySection):
     """Many identifications, called cases."""
 
-    data: Tables = word([], "one identification a record: files, patterns of files, or names and files")
-    starting_points: Starts | None = word(None, "how many starts are drawn, or the starts themselves by parameter")
-    free_parameters: Subsets = word([], "the parameters that are free, one set after the other; default: all")
-    sweep: Annotated[dict[str, Axis], Entries("a table { name = values }")] = word(
+    data: Tables = entry([], "one identification a record: files, patterns of files, or names and files")
+    starting_points: Starts | None = entry(None, "how many starts are drawn, or the starts themselves by parameter")
+    free_parameters: Subsets = entry([], "the parameters that are free, one set after the other; default: all")
+    sweep: Annotated[dict[str, Axis], kinds.Entries("a table { name = values }")] = entry(
         {}, "variables, and the values at which they are held one after the other"
     )
-    space_filling: SpaceFillingSection | None = word(None, "values held that fill a box")
-    monte_carlo: MonteCarloSection | None = word(None, "Monte Carlo: simulate the truth, disturb it, identify")
-    combine: Annotated[str, one_of(("product", "zip"))] = word(
+    space_filling: SpaceFillingSection | None = entry(None, "values held that fill a box")
+    monte_carlo: MonteCarloSection | None = entry(None, "Monte Carlo: simulate the truth, disturb it, identify")
+    combine: Annotated[str, kinds.one_of(("product", "zip"))] = entry(
         "product", "each entry of an axis with every entry of the others, or the n-th ones of all together"
     )
-    seed: Natural = word(0, "of all that is drawn")
+    seed: kinds.Natural = entry(0, "of all that is drawn")
 
     @property
     def swept(self) -> tuple[str, ...]:
-        """The variables that the batch holds at values: those of ``sweep``, then those of ``space_filling``."""
+        """Variables held by ``sweep``, then those held by ``space_filling``."""
         return (*self.sweep, *(self.space_filling.ranges if self.space_filling is not None else ()))
 
     def records(self) -> dict[str, Path]:
-        """Return the tables by the names of their records, in order; none where the study's own serve.
-
-        The files of a pattern are sorted by their names, and each counts where it is matched first. A record is called
-        by its file's name without suffix; where two would be called the same, all are called by their paths, and if
-        that is not enough, with suffix. A file that is named, and not matched, need not be there.
-
-        Raises
-        ------
-        InputError
-            If a pattern matches no file.
-        """
+        """Return data files by name; matches of a pattern are sorted."""
         if isinstance(self.data, Mapping):
             return {name: self.place.folder / given for name, given in self.data.items()}
         found: dict[str, None] = {}
@@ -253,7 +212,7 @@ class BatchSettings(StudySection):
         return {name: self.place.folder / given for name, given in zip(names, found, strict=True)}
 
     def _matches(self, given: str) -> list[str]:
-        """Return the files that a word of ``data`` means."""
+        """Return the files that an entry of ``data`` names."""
         folder = self.place.folder
         if not glob.has_magic(given) or is_file(folder / given):
             return [Path(given).as_posix()]
@@ -264,13 +223,7 @@ class BatchSettings(StudySection):
         return [path.as_posix() for path in files]
 
     def of(self, parameters: Mapping[str, Parameter], experiments: Sequence[ExperimentSettings], noise: Noise) -> Self:
-        """Return these words as those of a study with these parameters, experiments and noise.
-
-        Raises
-        ------
-        InputError
-            If a word does not fit them, or nothing is varied.
-        """
+        """Return the table, checked for a study."""
         if not self.model_fields_set - {"combine", "seed"}:
             raise self.error(
                 "varies nothing: give at least one of data, starting_points, free_parameters, sweep, space_filling and "
@@ -289,7 +242,7 @@ class BatchSettings(StudySection):
         )
 
     def _check_names(self, parameters: Mapping[str, Parameter]) -> None:
-        """Check all names of parameters, and that some are left to identify."""
+        """Check all names of parameters; some must be left to identify."""
         for name, values in self.sweep.items():
             if name in parameters and any(isinstance(value, bool | str) for value in values):
                 raise self.error(f"sweep.{name}: a parameter is held at numbers, not at {show(values[0])}")

@@ -1,4 +1,4 @@
-"""Single values put in place of a study file's, as ``--set parameters.Rs.start=9`` asks."""
+"""Values set in a study by ``--set parameters.Rs.start=9``."""
 
 from __future__ import annotations
 
@@ -17,23 +17,10 @@ _SEGMENT = re.compile(r"""\s*(?:"([^"]*)"|'([^']*)'|([^."'\s]+))\s*(?:\.|$)""")
 
 
 def override(data: dict[str, Any], setting: str, file: str) -> None:
-    """Set one value of a study in place, as ``--set parameters.Rs.start=9`` asks.
+    """Set one value of a study in place.
 
-    Parameters
-    ----------
-    data
-        The content of the study file.
-    setting
-        ``path=value``. The path is dotted; list entries go by number (``experiments.0.data``); names that contain
-        dots may be quoted (``parameters."drive.M".start``) and need not be where only one reading is possible. The
-        value is TOML, or else a string. A number in place of a parameter, ``parameters.Rs=9.8``, holds it there.
-    file
-        The study file's name for messages.
-
-    Raises
-    ------
-    InputError
-        If the setting has no ``=``, or its path leads nowhere.
+    The path is dotted. List entries go by number (``experiments.0.data``). Names with dots may be quoted. A value
+    that is no TOML is a string. ``parameters.Rs=9.8`` fixes a parameter.
     """
     path, equals, text = setting.partition("=")
     segments = _segments(path)
@@ -49,7 +36,7 @@ def override(data: dict[str, Any], setting: str, file: str) -> None:
 
 
 def _segments(path: str) -> list[str]:
-    """Split a dotted path at the dots outside quotes; empty where it is not a path."""
+    """Split a path at dots outside quotes; empty if it is none."""
     found, position = [], 0
     while position < len(path):
         match = _SEGMENT.match(path, position)
@@ -61,7 +48,7 @@ def _segments(path: str) -> list[str]:
 
 
 def value_of(text: str) -> Any:
-    """Return the value that a text is in TOML, or else the text."""
+    """Return the TOML value of a text, or else the text."""
     try:
         found = parsed(f"value = {text}")
     except (TomlReadError, tomllib.TOMLDecodeError):
@@ -70,7 +57,7 @@ def value_of(text: str) -> Any:
 
 
 def _assign(node: Any, segments: Sequence[str], value: Any, above: tuple[str, ...], shape: Any, where: str) -> None:
-    """Walk down `node`, which is of the type `shape`, along `segments` and set the last one to `value`."""
+    """Set the value at the end of `segments` below `node` of type `shape`."""
     key: Any
     if isinstance(node, list):
         key, rest = _index(node, segments, above, where), segments[1:]
@@ -97,7 +84,7 @@ def _index(node: list[Any], segments: Sequence[str], above: tuple[str, ...], whe
 def _key(
     node: dict[str, Any], segments: Sequence[str], value: Any, above: tuple[str, ...], shape: Any, where: str
 ) -> tuple[str, Sequence[str]]:
-    """Return the key of `node` that `segments` start with, and the segments left."""
+    """Return the first key of `segments` in `node`, and the other segments."""
     joined = [".".join(segments[: count + 1]) for count in range(len(segments))]
     here = ".".join(above)
     present = [count for count, name in enumerate(joined) if name in node]
@@ -121,7 +108,7 @@ def _key(
 
 
 def _below(shape: Any, key: str) -> Any:
-    """Return the type of what a key of a type leads to, None where it is not known."""
+    """Return the type below a key, if known."""
     table = table_of(shape)
     known = {} if table is None else keys_of(table)
     return entries_of(shape) if table is None else known[key].annotation if key in known else None

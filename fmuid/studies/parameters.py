@@ -1,4 +1,4 @@
-"""The tables ``[parameters]`` and ``[prior]`` of a study file, and the earlier results that they take priors from."""
+"""The tables ``[parameters]`` and ``[prior]``, and results that priors are taken from."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from functools import partial
 from pathlib import Path
 from typing import Annotated
 
-from pydantic import BeforeValidator, Tag
+from pydantic import BeforeValidator
 
 from fmuid.data import JointPrior, Normal, Parameter, ParameterSet
 from fmuid.errors import InputError
@@ -18,41 +18,19 @@ from fmuid.estimation import Result, TerminationReason
 from fmuid.formatting import nearest
 from fmuid.models import FMU, System
 from fmuid.simulation import Value
-from fmuid.studies.section import SectionLocation, StudySection, word
+from fmuid.studies import value_kinds as kinds
+from fmuid.studies.section import SectionLocation, StudySection, entry
 from fmuid.studies.toml import show
-from fmuid.studies.value_kinds import (
-    BY_SHAPE,
-    TABLE_TAG,
-    VALUE_TAG,
-    Entries,
-    File,
-    Finite,
-    Flag,
-    Matrix,
-    Names,
-    Number,
-    Numbers,
-    Positive,
-    Scalar,
-    Text,
-    as_list,
-)
 
 
 class ResultPriorSection(StudySection):
     """A prior that may come from an earlier result."""
 
-    result: File | None = word(None, "the result.json of an earlier identification", "healthy/result.json")
-    std_factor: Positive = word(1.0, "factor on its standard deviations, for changes to be expected", 10)
+    result: kinds.File | None = entry(None, "the result.json of an earlier identification", "healthy/result.json")
+    std_factor: kinds.Positive = entry(1.0, "factor on its standard deviations, for changes to be expected", 10)
 
     def comes_from_result(self, given: Sequence[str], needed: Sequence[str]) -> bool:
-        """Whether it does, and not from numbers in the study, `given`, for which words are `needed`.
-
-        Raises
-        ------
-        InputError
-            If both are there, or words are missing.
-        """
+        """Return whether it is from a result; refuse missing and conflicting keys."""
         if self.result is not None:
             for key in given:
                 if key in self.model_fields_set:
@@ -69,64 +47,56 @@ class ResultPriorSection(StudySection):
 class PriorSection(ResultPriorSection):
     """What is known of one parameter."""
 
-    mean: Finite | None = word(None, "its mean")
-    std: Positive | None = word(None, "its standard deviation")
+    mean: kinds.Finite | None = entry(None, "its mean")
+    std: kinds.Positive | None = entry(None, "its standard deviation")
 
 
 class JointPriorSection(ResultPriorSection):
     """What is known of several parameters together."""
 
-    names: Names | None = word(
-        None,
-        "the parameters that it is about; with result, by default all that both have",
-        ["a", "b"],
+    names: kinds.Names | None = entry(
+        None, "the parameters that it is about; with result, by default all that both have", ["a", "b"]
     )
-    mean: Numbers | None = word(None, "the means of the parameters that it names")
-    covariance: Matrix | None = word(None, "the covariance of the parameters that it names, row by row")
+    mean: kinds.Numbers | None = entry(None, "the means of the parameters that it names")
+    covariance: kinds.Matrix | None = entry(None, "the covariance of the parameters that it names, row by row")
 
 
-Groups = Annotated[dict[str, Names], Entries("a table { group = experiments }")]
+Groups = Annotated[dict[str, kinds.Names], kinds.Entries("a table { group = experiments }")]
 
 
 class ParameterSection(StudySection):
     """A parameter to identify, by its name in the FMU."""
 
-    start: Number | None = word(
+    start: kinds.Number | None = entry(
         None,
         "where the search begins; of a vector or a matrix, rows of numbers: [[1.0, 0.0], [0.0, 1.0]]",
         json_schema_extra={"type": ["number", "array"]},
     )
-    choices: Annotated[list[Scalar], BeforeValidator(as_list)] = word(
+    choices: Annotated[list[kinds.Scalar], BeforeValidator(kinds.as_list)] = entry(
         [],
         "in place of all else, of an Integer, a Boolean or an enumeration: its values, of which each is tried; "
         '"all" that the FMU declares',
         [1, 2, 3],
     )
-    min: Number = word(-math.inf, "lower bound")
-    max: Number = word(math.inf, "upper bound")
-    nominal: Positive | None = word(None, "size, needed where the start is 0")
-    per_experiment: Annotated[Annotated[Flag, Tag(VALUE_TAG)] | Annotated[Groups, Tag(TABLE_TAG)], BY_SHAPE] = word(
+    min: kinds.Number = entry(-math.inf, "lower bound")
+    max: kinds.Number = entry(math.inf, "upper bound")
+    nominal: kinds.Positive | None = entry(None, "size, needed where the start is 0")
+    per_experiment: Annotated[kinds.Flag | Groups, kinds.BY_SHAPE] = entry(
         False, 'one value for each experiment, or for each group of them: { cold = ["run1", "run2"], warm = ["run3"] }'
     )
-    prior: PriorSection | None = word(None, "what is known of it")
+    prior: PriorSection | None = entry(None, "what is known of it")
 
 
 class ResultValueSection(StudySection):
     """A value that is an estimate of an earlier identification."""
 
-    result: File = word(..., "the result.json of an earlier identification", "drive/result.json")
-    name: Text | None = word(
+    result: kinds.File = entry(..., "the result.json of an earlier identification", "drive/result.json")
+    name: kinds.Text | None = entry(
         None, "the parameter of that result; default: that of the same name, with or without its component", "M"
     )
 
     def value(self, variable: str, result: Result) -> float:
-        """Return the value of a variable.
-
-        Raises
-        ------
-        InputError
-            If the result has no such parameter.
-        """
+        """Return the estimate for a variable."""
         wanted = [self.name] if self.name is not None else [variable, variable.partition(".")[2]]
         found = next((name for name in wanted if name in result.names), None)
         if found is None:
@@ -138,7 +108,7 @@ class ResultValueSection(StudySection):
 
 
 class SourceIssue(Enum):
-    """Why an earlier result is to be taken with care."""
+    """Doubt about an earlier result."""
 
     DID_NOT_SUCCEED = "did_not_succeed"
     NO_MODEL = "no_model"
@@ -149,18 +119,7 @@ class SourceIssue(Enum):
 
 @dataclass(frozen=True)
 class SourceWarning:
-    """What is to be known of an earlier result that priors are taken from.
-
-    Attributes
-    ----------
-    path : Path
-        The ``result.json``.
-    doubt : SourceIssue
-    outcome : TerminationReason
-        Of the result.
-    fmu : FMU or None
-        That of the study of which the result has another build.
-    """
+    """Doubt about an earlier result; `fmu` is the study's, of another build."""
 
     path: Path
     doubt: SourceIssue
@@ -170,18 +129,7 @@ class SourceWarning:
 
 @dataclass(frozen=True, eq=False)
 class PriorSource:
-    """An earlier result from which a study takes priors or values.
-
-    Attributes
-    ----------
-    where : str
-        The study file and the table that names it, for messages.
-    path : Path
-        The ``result.json``.
-    result : Result
-    names : tuple of str
-        The parameters taken from it.
-    """
+    """Earlier result with the parameters taken from it; `where` is for messages."""
 
     where: str
     path: Path
@@ -189,27 +137,17 @@ class PriorSource:
     names: tuple[str, ...]
 
     def compare(self, system: System) -> list[SourceWarning]:
-        """Compare the models that the parameters belong to with those of a study.
-
-        Returns
-        -------
-        list of SourceWarning
-            What differs without being wrong.
-
-        Raises
-        ------
-        InputError
-            If the result is one of another model.
-        """
+        """Return doubts; refuse a result of another model."""
         note = partial(SourceWarning, self.path, outcome=self.result.outcome)
         notes = [] if self.result.converged else [note(SourceIssue.DID_NOT_SUCCEED)]
-        if not self.result.models:
+        if not self.result.setup.models:
             return [*notes, note(SourceIssue.NO_MODEL)]
         for component in dict.fromkeys(system.split(name)[0] for name in self.names):
             fmu = system.components[component].fmu
-            earlier = self.result.models.get(component) or self.result.models.get("")  # of that component alone
+            made = self.result.setup.models
+            earlier = made.get(component) or made.get("")  # of that component alone
             if earlier is None or earlier["name"] != fmu.name:
-                theirs = ", ".join(model["name"] for model in self.result.models.values())
+                theirs = ", ".join(model["name"] for model in made.values())
                 as_ = f" as {component!r}" if component else ""
                 raise InputError(
                     f"{self.where}: {self.path} is a result of another model, {theirs}, and this study has "
@@ -222,18 +160,7 @@ class PriorSource:
 
 @dataclass(frozen=True, eq=False)
 class ParsedParameters:
-    """What a study says of its parameters.
-
-    Attributes
-    ----------
-    parameters : dict of str to Parameter
-    joint_prior : JointPrior or None
-    sources : tuple of PriorSource
-    names : tuple of str
-        All parameters but the following, those per experiment one by one.
-    choices : dict of str to tuple of values, or to "all"
-        The parameters that take few values.
-    """
+    """Parameters of a study; `names` are the continuous ones, per experiment."""
 
     parameters: dict[str, Parameter]
     joint_prior: JointPrior | None
@@ -243,15 +170,7 @@ class ParsedParameters:
 
 
 class ParameterReader:
-    """Reads the parameters and their priors, each result file once.
-
-    Parameters
-    ----------
-    top : SectionLocation
-        The study file.
-    held : mapping
-        The variables held at a value.
-    """
+    """Reader of parameters and priors; each result file is read once."""
 
     def __init__(self, top: SectionLocation, held: Mapping[str, float | int | bool | str]) -> None:
         self.top, self.held = top, held
@@ -261,13 +180,7 @@ class ParameterReader:
     def read(
         self, words: Mapping[str, ParameterSection], prior: JointPriorSection | None, experiments: Sequence[str]
     ) -> ParsedParameters:
-        """Return what a study with these experiments says of its parameters.
-
-        Raises
-        ------
-        InputError
-            If a prior does not fit its parameter, or its result cannot be read.
-        """
+        """Return the parameters of a study with these experiments."""
         if not words:
             if prior is not None:
                 raise self.top.error("has a [prior] and no parameters: name those to identify under [parameters]")
@@ -275,19 +188,16 @@ class ParameterReader:
         choices = {name: self._values(name, each) for name, each in words.items() if each.choices}
         parameters = {name: self._parameter(name, each) for name, each in words.items() if not each.choices}
         alone = self._set(parameters, experiments, None, "parameters")
-        if prior is None:
-            return ParsedParameters(parameters, None, tuple(self.sources), alone.names, choices)
-        joint = self._joint(prior, alone.names)
-        self._set(parameters, experiments, joint, "prior")
+        joint = None if prior is None else self._joint(prior, alone.names)
+        if joint is not None:
+            self._set(parameters, experiments, joint, "prior")
         return ParsedParameters(parameters, joint, tuple(self.sources), alone.names, choices)
 
     def _set(
         self, parameters: Mapping[str, Parameter], experiments: Sequence[str], joint: JointPrior | None, table: str
     ) -> ParameterSet:
-        try:
+        with self.top.below(table).located():
             return ParameterSet(parameters, experiments, joint)
-        except InputError as error:
-            raise InputError(f"{self.top.below(table)}: {error}") from None
 
     def _values(self, name: str, words: ParameterSection) -> tuple[Value, ...] | str:
         for key in sorted(words.model_fields_set - {"choices"}):
@@ -300,10 +210,8 @@ class ParameterReader:
         if words.start is None:
             raise words.error(f"needs the key 'start': {type(words).model_fields['start'].description}")
         prior = None if words.prior is None else self._normal(name, words.prior)
-        try:
+        with words.place.located():  # a Parameter does not know its name
             return Parameter(words.start, words.min, words.max, words.nominal, prior, words.per_experiment)
-        except InputError as error:  # a Parameter does not know what it is called
-            raise InputError(f"{words.place}: {error}") from None
 
     def _normal(self, name: str, words: PriorSection) -> Normal:
         if not words.comes_from_result(("mean", "std"), ("mean", "std")):
@@ -311,10 +219,8 @@ class ParameterReader:
             return Normal(words.mean, words.std)
         path, result = self._result(words)
         self._take(words, path, result, [name])
-        try:
+        with words.place.located(f": {path}:"):
             return result.normal(name, inflate=words.std_factor)
-        except InputError as error:
-            raise InputError(f"{words.place}: {path}: {error}") from None
 
     def _joint(self, words: JointPriorSection, names: Sequence[str]) -> JointPrior:
         for name in words.names or ():
@@ -328,10 +234,8 @@ class ParameterReader:
         if words.comes_from_result(("mean", "covariance"), ("names", "mean", "covariance")):
             return self._joint_from_result(words, names)
         assert words.names is not None and words.mean is not None and words.covariance is not None
-        try:
+        with words.place.located():
             return JointPrior(words.names, words.mean, words.covariance)
-        except InputError as error:
-            raise InputError(f"{words.place}: {error}") from None
 
     def _joint_from_result(self, words: JointPriorSection, names: Sequence[str]) -> JointPrior:
         path, result = self._result(words)
@@ -342,21 +246,17 @@ class ParameterReader:
                 "give the result of an identification of the same model"
             )
         self._take(words, path, result, shared)
-        try:
+        with words.place.located(f" cannot be taken from {path}:"):
             return result.prior(shared, inflate=words.std_factor)
-        except InputError as error:
-            raise words.error(f"cannot be taken from {path}: {error}") from None
 
     def _result(self, words: ResultPriorSection) -> tuple[Path, Result]:
         assert words.result is not None
         path = words.result
-        try:
+        with words.place.located():
             return path, self.results.setdefault(path, self.results.get(path) or Result.from_json(path))
-        except InputError as error:
-            raise InputError(f"{words.place}: {error}") from None
 
     def _take(self, words: ResultPriorSection, path: Path, result: Result, names: Sequence[str]) -> None:
-        """Note which parameters are taken from a result, which must have them."""
+        """Note parameters taken from a result that must have them."""
         for name in names:
             if name not in result.names:
                 raise words.error(

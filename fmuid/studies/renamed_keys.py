@@ -1,4 +1,4 @@
-"""Keys and values of study files that have another name now, and refusals that say which."""
+"""Old names of keys and values, refused by their new names."""
 
 from __future__ import annotations
 
@@ -22,76 +22,39 @@ RENAMED_KEYS: Mapping[str, Mapping[str, str]] = {
     "model.components": _COMPONENT,
     "experiments": {"table": "data", "discard": "warmup", "values": "fixed", "prepare": "preprocess"},
     "experiments.noise": _NOISE,
-    "experiments.preprocess": {
-        "columns": "computed_columns",
-        "fill": "fill_missing",
-        "longest_gap": "max_gap",
-        "axes": "park",
-        "from": "start_time",
-        "to": "end_time",
-        "pieces": "segments",
-        "low_pass": "lowpass_frequency",
-        "resample": "resample_interval",
-    },
+    "experiments.preprocess": {"columns": "computed_columns", "fill": "fill_missing", "longest_gap": "max_gap",
+        "axes": "park", "from": "start_time", "to": "end_time", "pieces": "segments", "low_pass": "lowpass_frequency",
+        "resample": "resample_interval"},
     "experiments.preprocess.park": {"from": "source", "to": "target", "start": "initial_angle"},
     "parameters.*": {"values": "choices"},
     "parameters.*.prior": {"inflate": "std_factor"},
     "prior": {"inflate": "std_factor"},
     "noise": {**_NOISE, "start": "initial_variance", "common": "shared_variance"},
-    "estimation": {
-        "search": "part of method",
-        "starts": "n_starts",
-        "sensitivity": "jacobian",
-        "accuracy": "solver_check",
-        "remedies": "restarts",
-        "observer": "observer_memory",
-        "tolerance": "relative_step_tolerance",
-        "first_radius": "initial_trust_radius",
-    },
+    "estimation": {"search": "part of method", "starts": "n_starts", "sensitivity": "jacobian",
+        "accuracy": "solver_check", "remedies": "restarts", "observer": "observer_memory",
+        "tolerance": "relative_step_tolerance", "first_radius": "initial_trust_radius"},
     "uncertainty": {"level": "confidence_level", "profile": "profile_likelihood", "map": "cost_map"},
     "uncertainty.posterior": {"burn": "burn_in", "steps": "max_steps"},
-    "diagnosis": {
-        "healthy": "baseline",
-        "inflate": "std_factor",
-        "level": "false_alarm_rate",
-        "records": "healthy_data",
-        "trials": "known_fault_data",
-        "model_error": "fault_model_error",
-    },
-    "diagnosis.causes": {
-        "gain": "sensor_gain",
-        "offset": "sensor_offset",
-        "delay": "sensor_delay",
-        "parameter": "parameter_drift",
-    },
+    "diagnosis": {"healthy": "baseline", "inflate": "std_factor", "level": "false_alarm_rate",
+        "records": "healthy_data", "trials": "known_fault_data", "model_error": "fault_model_error"},
+    "diagnosis.causes": {"gain": "sensor_gain", "offset": "sensor_offset", "delay": "sensor_delay",
+        "parameter": "parameter_drift"},
     "diagnosis.causes.*": {"normal": "healthy_std", "size": "change_std"},
     "diagnosis.faults.*": {**_MODEL, "names": "variable_map", "angle": "angles"},
     "diagnosis.faults.*.components": _COMPONENT,
     "diagnosis.faults.*.angles.*": {"size": "magnitude"},
-    "monitoring": {
-        "window": "window_length",
-        "transient": "warmup",
-        "level": "false_alarm_rate",
-        "horizon": "false_alarm_horizon",
-        "command": "alarm_command",
-        "limits": "size_limits",
-    },
-    "batch": {
-        "tables": "data",
-        "starts": "starting_points",
-        "subsets": "free_parameters",
-        "values": "sweep",
-        "sample": "space_filling",
-        "noise": "monte_carlo",
-    },
+    "monitoring": {"window": "window_length", "transient": "warmup", "level": "false_alarm_rate",
+        "horizon": "false_alarm_horizon", "command": "alarm_command", "limits": "size_limits"},
+    "batch": {"tables": "data", "starts": "starting_points", "subsets": "free_parameters", "values": "sweep",
+        "sample": "space_filling", "noise": "monte_carlo"},
     "batch.space_filling": {"count": "points"},
     "batch.monte_carlo": {"draws": "realizations", "truth": "true_values"},
     "isolation": {"memory": "memory_limit_mb", "recycle": "max_simulations_per_process"},
-}
+}  # fmt: skip
 """Of each section, the old names of its keys and the new ones; ``*`` is any name."""
 
 DROPPED_KEYS: Mapping[str, Mapping[str, str]] = {
-    "noise": {"coloured": "confidence intervals allow for colored noise without it"},
+    "noise": {"coloured": "confidence intervals allow for colored noise without it"}
 }
 """Keys without a new name, and why they are not needed."""
 
@@ -108,21 +71,7 @@ RENAMED_VALUES: Mapping[str, Mapping[str, str]] = {
 
 
 def refuse_renamed(data: Any, place: Any, path: str = "") -> None:
-    """Refuse a section, and those below it, that has a key or a value under its old name.
-
-    Parameters
-    ----------
-    data
-        The section as the file has it.
-    place : SectionLocation
-    path : str
-        The section as `RENAMED_KEYS` names it.
-
-    Raises
-    ------
-    InputError
-        If there is one.
-    """
+    """Refuse old keys and values in a section, `path` of `RENAMED_KEYS`, and below it."""
     if isinstance(data, list):
         for k, each in enumerate(data):
             refuse_renamed(each, place.below(k), path)
@@ -144,7 +93,7 @@ def refuse_renamed(data: Any, place: Any, path: str = "") -> None:
 
 
 def renamed(place: Any, path: str, key: str) -> InputError:
-    """Return the refusal of a key under its old name."""
+    """Return the refusal of an old key."""
     found: InputError = place.error_of(key, f"is now {RENAMED_KEYS[path][key]}")
     return found
 

@@ -1,4 +1,4 @@
-"""What the models of a study file say of it: its JSON schema and its reference page.
+"""JSON schema and reference page of the study file.
 
 ``python -m fmuid.studies.schema > docs/study-reference.md`` writes the page.
 """
@@ -15,7 +15,7 @@ from pydantic.fields import FieldInfo
 from pydantic.json_schema import GenerateJsonSchema, JsonSchemaValue
 from pydantic_core import core_schema
 
-from fmuid.studies.section import entries_of, keys_of, meaning, summary, table_of
+from fmuid.studies.section import entries_of, keys_of, meaning, own_first, summary, table_of
 from fmuid.studies.study_file import StudyFile
 from fmuid.studies.toml import show
 from fmuid.studies.value_kinds import ValueKind
@@ -28,20 +28,20 @@ Every table with its keys, as `fmuid` checks them; `fmuid schema` prints the sam
 
 
 class _Schema(GenerateJsonSchema):
-    """A schema without null, which TOML lacks."""
+    """Schema without null, which TOML lacks."""
 
     def nullable_schema(self, schema: core_schema.NullableSchema) -> JsonSchemaValue:
         return self.generate_inner(schema["schema"])
 
 
 def schema() -> dict[str, Any]:
-    """Return the JSON schema of study files, for editors that complete and check TOML by it."""
+    """Return the JSON schema for editors."""
     found = StudyFile.model_json_schema(schema_generator=_Schema)
     return {"$schema": GenerateJsonSchema.schema_dialect, "title": "fmuid study file", **_plain(found)}
 
 
 def _plain(value: Any) -> Any:
-    """Return a part of a schema without what says nothing: made-up titles, and defaults that JSON has no word for."""
+    """Return a schema without titles and defaults that say nothing."""
     if isinstance(value, list):
         return [_plain(item) for item in value]
     if not isinstance(value, dict):
@@ -64,7 +64,7 @@ def reference() -> str:
     for name, table in _tables(StudyFile, ""):
         rows = [
             f"| `{key}` | {_cell(_kind(key, each, name))} | {_cell(_default(each))} | {_cell(meaning(table, key))} |"
-            for key, each in _own_first(table)
+            for key, each in own_first(table)
         ]
         head = f"## `{name}`\n\n{summary(table)}\n" if name else "## The file\n"
         parts.append("\n".join([head, "| key | value | default | meaning |", "| --- | --- | --- | --- |", *rows, ""]))
@@ -80,18 +80,13 @@ def _tables(table: type, name: str) -> Iterator[tuple[str, type]]:
 
 
 def _below(key: str, type_: Any, above: str) -> tuple[str, type] | None:
-    """Return the table that a key leads to, and its name as it stands in a file."""
+    """Return name and class of the table below a key."""
     path = f"{above.strip('[]')}.{key}".lstrip(".")
     table = table_of(type_)
     if table is not None:
         return (f"[[{path}]]" if get_origin(type_) is list else f"[{path}]"), table
     table = table_of(entries_of(type_)) if entries_of(type_) is not None else None
     return None if table is None else (f"[{path}.<name>]", table)
-
-
-def _own_first(table: type) -> list[tuple[str, FieldInfo]]:
-    own = table.__annotations__
-    return sorted(keys_of(table).items(), key=lambda item: item[0] not in own and item[1].alias is None)
 
 
 def _kind(key: str, field: FieldInfo, above: str) -> str:
@@ -104,7 +99,7 @@ def _kind(key: str, field: FieldInfo, above: str) -> str:
 
 
 def _kinds(type_: Any) -> list[str]:
-    """Return the names of the kinds that a type may be of."""
+    """Return the names of the kinds of a type."""
     if get_origin(type_) is Annotated:
         own = [each.name for each in type_.__metadata__ if isinstance(each, ValueKind)]
         return own[-1:] or _kinds(get_args(type_)[0])

@@ -1,17 +1,15 @@
-"""Sections of a study file: classes whose fields are its keys, read from TOML, and every refusal in one sentence.
+"""Tables of a study file as classes with their keys as fields.
 
-A section is a settings class, a frozen dataclass beside the code that it is for (`Settings`), or, where the file says
-it otherwise than the code takes it, a `StudySection`. Checking, the JSON schema, the reference page and the template of
-``fmuid init`` all come from there. A sentence names the file, the section, the key and what was expected there.
+A table is a settings class (`Settings`) of the package that uses it, or a `StudySection`. Checks, schema, reference
+page and template come from these classes.
 """
 
 from __future__ import annotations
 
 import ast
 import inspect
-import json
-import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import MISSING, dataclass, field, fields, is_dataclass
 from functools import cache, reduce
 from operator import or_
@@ -28,7 +26,7 @@ from pydantic import (
     Field,
     GetCoreSchemaHandler,
     PrivateAttr,
-    Tag,
+    TypeAdapter,
     ValidationError,
     model_validator,
 )
@@ -37,52 +35,26 @@ from pydantic_core import CoreSchema, PydanticUndefined, core_schema
 
 from fmuid.errors import InputError
 from fmuid.formatting import nearest
-from fmuid.studies.toml import show
-from fmuid.studies.value_kinds import (
-    BY_SHAPE,
-    KEY,
-    MUST_BE,
-    TABLE,
-    TABLE_TAG,
-    VALUE_TAG,
-    Entries,
-    Flag,
-    Names,
-    Text,
-    ValueKind,
-    one_of,
-    said_of_table,
-    wrong_finite,
-)
+from fmuid.studies import value_kinds as kinds
+from fmuid.studies.toml import quoted_key, show
 
 
 @dataclass(frozen=True)
 class SectionLocation:
-    """A table of a study file.
-
-    Attributes
-    ----------
-    file : str
-        The study file's name for messages.
-    folder : Path
-        Paths in the file are relative to it.
-    keys : tuple of str and int
-        The way to the table, empty for the file itself.
-    """
+    """Table of a study file, for messages and relative paths."""
 
     file: str = field(compare=False)
     folder: Path
     keys: tuple[str | int, ...] = ()
 
     def below(self, *keys: str | int) -> SectionLocation:
-        """Return a place further down."""
+        """Return a location further down."""
         return SectionLocation(self.file, self.folder, (*self.keys, *keys))
 
     @property
     def name(self) -> str:
-        """The table as messages write it, such as ``[model.components][1]``."""
-        names = [each if re.fullmatch(r"[A-Za-z0-9_-]+", each) else json.dumps(each, ensure_ascii=False)
-                 for each in self.keys if isinstance(each, str)]  # fmt: skip
+        """Table as in messages: ``[model.components][1]``."""
+        names = [quoted_key(each) for each in self.keys if isinstance(each, str)]
         entry = f"[{self.keys[-1]}]" if self.keys and isinstance(self.keys[-1], int) else ""
         return f"[{'.'.join(names)}]{entry}" if names else "the file"
 
@@ -90,38 +62,40 @@ class SectionLocation:
         return f"{self.file}: {self.name}"
 
     def error(self, text: str) -> InputError:
-        """Return an error whose sentence is this table followed by `text`."""
+        """Return an error on this table."""
         return InputError(f"{self} {text}")
 
+    @contextmanager
+    def located(self, said: str = ":") -> Iterator[None]:
+        """Begin the sentences of errors with this table."""
+        try:
+            yield
+        except InputError as error:
+            raise InputError(f"{self}{said} {error}") from None
+
     def error_of(self, key: str, text: str) -> InputError:
-        """Return an error whose sentence is a key of this table followed by `text`."""
+        """Return an error on a key of this table."""
         return InputError(f"{self.file}: {key} {text}") if not self.keys else self.error(f"{key} {text}")
 
 
 class StudySection(BaseModel):
-    """One section of a study file; its fields are the keys that it may have."""
+    """Table of a study file; its fields are the keys."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, strict=True, defer_build=True)
     _place: SectionLocation = PrivateAttr(default=SectionLocation("the study", Path()))
 
     @property
     def place(self) -> SectionLocation:
-        """Where in the file this stands."""
+        """Location in the file."""
         return self._place
 
     def error(self, text: str) -> InputError:
-        """Return an error whose sentence is this section followed by `text`."""
+        """Return an error on this table."""
         return self._place.error(text)
 
     @classmethod
     def read(cls, data: object, place: SectionLocation) -> Self:
-        """Return a section and those below it.
-
-        Raises
-        ------
-        InputError
-            If a key is unknown, missing or of the wrong kind, or a file is not there.
-        """
+        """Return a checked table and those below it."""
         try:
             read = cls.model_validate(data, context=place)
         except ValidationError as error:
@@ -137,22 +111,30 @@ class StudySection(BaseModel):
 
 @dataclass(frozen=True)
 class Settings:
-    """The annotation of a settings class that is a section: ``Annotated[Isolation, Settings()]``.
-
-    Each field is a key, but for those whose metadata say ``key=False``.
-    """
+    """Annotation of a settings class as a table; fields with ``key=False`` are no keys."""
 
     def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
-        """Return how the class, or the class or None, is read: keys, values, and what it refuses itself."""
+        """Return a validator that is built with the first table of its class."""
         if not isinstance(source, type):
             return handler.generate_schema(kind_of(source))
+        return core_schema.with_info_plain_validator_function(
+            lambda data, info: _table_of(source).validate_python(data, context=info.context),
+            metadata={"pydantic_js_functions": [lambda _, inner: inner(_table_of(source).core_schema)]},
+        )
+
+
+@dataclass(frozen=True)
+class _Table:
+    """Annotation of a settings class with its keys as schema."""
+
+    def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
         keys = keys_of(source)
 
         def made(values: dict[str, Any]) -> Any:
             try:
                 return source(**values)
             except InputError as error:
-                raise said_of_table(f"is refused: {error}") from None
+                raise kinds.said_of_table(f"is refused: {error}") from None
 
         entries = {name: _entry(source, name, each, handler) for name, each in keys.items()}
         config = core_schema.CoreConfig(strict=True, title=source.__name__)
@@ -160,6 +142,12 @@ class Settings:
         table["metadata"] = {"pydantic_js_updates": {"description": summary(source)}}
         check = core_schema.no_info_before_validator_function(lambda data: checked_keys(source, keys, data), table)
         return core_schema.no_info_after_validator_function(made, check)
+
+
+@cache
+def _table_of(source: Any) -> TypeAdapter[Any]:
+    annotated: Any = Annotated[source, _Table()]
+    return TypeAdapter(annotated)
 
 
 def _entry(source: type, name: str, key: FieldInfo, handler: GetCoreSchemaHandler) -> core_schema.TypedDictField:
@@ -175,33 +163,21 @@ def _entry(source: type, name: str, key: FieldInfo, handler: GetCoreSchemaHandle
 
 
 def checked_keys(table: type, known: Mapping[str, FieldInfo], data: Any) -> Any:
-    """Return a table whose keys are known: one that is misspelt explains another that is missing."""
+    """Refuse unknown keys first, then missing ones."""
     if not isinstance(data, dict):
-        raise said_of_table(f"must be a table, not {show(data)}")
+        raise kinds.said_of_table(f"must be a table, not {show(data)}")
     for key in data:
         if key not in known:
             near = nearest(key, known) or f"; its keys are {', '.join(known)}"
-            raise said_of_table(f"has no key {key!r}{near}")
+            raise kinds.said_of_table(f"has no key {key!r}{near}")
     for key, asked in known.items():
         if asked.is_required() and key not in data:
-            raise said_of_table(f"needs the key {key!r}: {meaning(table, key)}")
+            raise kinds.said_of_table(f"needs the key {key!r}: {meaning(table, key)}")
     return data
 
 
-def word(default: Any, meaning: str, example: Any = None, **more: Any) -> Any:
-    """Return a field of a table.
-
-    Parameters
-    ----------
-    default
-        ``...`` for a key that must be there.
-    meaning
-        What it is for, in a phrase.
-    example
-        What the template of ``fmuid init`` shows; without one, it does not show the word.
-    more
-        As `pydantic.Field` takes it.
-    """
+def entry(default: Any, meaning: str, example: Any = None, **more: Any) -> Any:
+    """Return a field of a table; ``...`` as default for a required key."""
     return Field(default, description=meaning, examples=None if example is None else [example], **more)
 
 
@@ -210,7 +186,7 @@ def word(default: Any, meaning: str, example: Any = None, **more: Any) -> Any:
 
 @cache
 def keys_of(table: type) -> dict[str, FieldInfo]:
-    """Return the keys of a section, with their types and defaults."""
+    """Return the keys of a table, with types and defaults."""
     if issubclass(table, StudySection):
         return {each.alias or name: each for name, each in table.model_fields.items()}
     hints, found = get_type_hints(table, include_extras=True), {}
@@ -221,14 +197,20 @@ def keys_of(table: type) -> dict[str, FieldInfo]:
     return found
 
 
+def own_first(table: type) -> list[tuple[str, FieldInfo]]:
+    """Return the keys of a table, inherited ones last."""
+    own = table.__annotations__
+    return sorted(keys_of(table).items(), key=lambda item: item[0] not in own and item[1].alias is None)
+
+
 def meaning(table: type, key: str) -> str:
-    """Return what a key of a section is for: its description, or the docstring of the field."""
+    """Return the meaning of a key: its description or the field's docstring."""
     said = keys_of(table)[key].description
     return said or " ".join(_docstrings(table).get(key, "").split()).rstrip(".")
 
 
 def summary(table: type) -> str:
-    """Return the first paragraph of the docstring of a section."""
+    """Return the first paragraph of the docstring of a table."""
     return " ".join((table.__doc__ or "").partition("\n\n")[0].split())
 
 
@@ -246,7 +228,7 @@ def _docstrings(table: type) -> dict[str, str]:
 
 
 def _alternatives(type_: Any) -> list[Any]:
-    """Return the types that a value may be of, without what restricts them."""
+    """Return the types of a union, without restrictions."""
     if get_origin(type_) is Annotated:
         return _alternatives(get_args(type_)[0])
     if get_origin(type_) in (Union, UnionType):
@@ -255,7 +237,7 @@ def _alternatives(type_: Any) -> list[Any]:
 
 
 def table_of(type_: Any) -> type | None:
-    """Return the section that values of a type may be, or that the entries of their list are."""
+    """Return the table class of a type, or of its list entries."""
     for each in _alternatives(type_):
         part = _alternatives(get_args(each)[0])[0] if get_origin(each) is list else each
         if isinstance(part, type) and (issubclass(part, StudySection) or is_dataclass(part)):
@@ -264,23 +246,19 @@ def table_of(type_: Any) -> type | None:
 
 
 def only_tables(type_: Any) -> bool:
-    """Return whether values of a type are sections, or lists of them, and nothing else."""
+    """Return whether all values of a type are tables."""
     return all(table_of(each) is not None for each in _alternatives(type_) if each is not type(None))
 
 
 def entries_of(type_: Any) -> Any:
-    """Return the type of the entries of a table of names, None where values of a type are no such tables."""
+    """Return the type of the entries of a table of names, if it is one."""
     return next((get_args(each)[1] for each in _alternatives(type_) if get_origin(each) is dict), None)
 
 
 def kind_of(type_: Any) -> Any:
-    """Return a type of a settings class as pydantic checks it, with what its values are called.
-
-    What restricts a number, `annotated_types.Gt` and the like, and the type itself say that; where an annotation has a
-    `ValueKind`, that is it.
-    """
+    """Return a type of a settings class as pydantic checks it."""
     base, *limits = get_args(type_) if get_origin(type_) is Annotated else (type_,)
-    if any(isinstance(each, ValueKind) for each in limits):
+    if any(isinstance(each, kinds.ValueKind) for each in limits):
         return type_
     origin, inner = get_origin(base), get_args(base)
     if origin in (Union, UnionType):
@@ -292,54 +270,54 @@ def kind_of(type_: Any) -> Any:
             return Annotated[parts[0] | None, switched]
         return _either(parts) if len(parts) == len(inner) else _either(parts) | None
     if origin is Literal:
-        return Annotated[str, one_of(inner)]
+        return Annotated[str, kinds.one_of(inner)]
     if isinstance(origin, type) and issubclass(origin, Mapping):
         entries: Any = dict.__class_getitem__((str, kind_of(inner[1])))
         noun = {str: "text", float: "number"}.get(inner[1], "number" if get_origin(inner[1]) is Annotated else "value")
-        return Annotated[entries, Entries(f"a table {{ name = {noun} }}")]
+        return Annotated[entries, kinds.Entries(f"a table {{ name = {noun} }}")]
     if isinstance(origin, type) and issubclass(origin, Sequence):
-        some: Any = list.__class_getitem__(kind_of(inner[0])) if is_dataclass(inner[0]) else Names
+        some: Any = list.__class_getitem__(kind_of(inner[0])) if is_dataclass(inner[0]) else kinds.Names
         return Annotated[some, AfterValidator(tuple)] if origin is tuple else some
     if base in (int, float):
         return Annotated[base, *limits, Field(allow_inf_nan=False) if base is float else None, _number(base, limits)]
     if is_dataclass(base):
         return type_ if any(isinstance(each, Settings) for each in limits) else Annotated[type_, Settings()]
-    return {bool: Flag, str: Text}.get(base, type_)
+    return {bool: kinds.Flag, str: kinds.Text}.get(base, type_)
 
 
 def _switched(value: Any) -> Any:
-    """Return a section that may be missing: false is none of it, true all its defaults."""
+    """Return an optional table given as true or false."""
     return value if not isinstance(value, bool) else {} if value else None
 
 
 def _either(parts: list[Any]) -> Any:
-    """Return one of several types: a table, and what is none."""
+    """Return a union of types."""
     tables = [each for each in parts if get_origin(get_args(each)[0]) is dict]
     if len(parts) == 1:
         return parts[0]
     if tables:
         plain = _either([each for each in parts if each not in tables])
-        return Annotated[Annotated[plain, Tag(VALUE_TAG)] | Annotated[tables[0], Tag(TABLE_TAG)], BY_SHAPE]
-    names = [next(meta.name for meta in get_args(each) if isinstance(meta, ValueKind)) for each in parts]
-    return Annotated[reduce(or_, parts), ValueKind(" or ".join(names))]
+        return Annotated[plain | tables[0], kinds.BY_SHAPE]
+    names = [next(meta.name for meta in get_args(each) if isinstance(meta, kinds.ValueKind)) for each in parts]
+    return Annotated[reduce(or_, parts), kinds.ValueKind(" or ".join(names))]
 
 
-def _number(base: type, limits: Sequence[Any]) -> ValueKind:
-    """Return what numbers within limits are called."""
+def _number(base: type, limits: Sequence[Any]) -> kinds.ValueKind:
+    """Return the kind of numbers within limits."""
     noun = "a whole number" if base is int else "a number"
     low = {name: getattr(each, name) for each in limits for name in ("gt", "ge", "lt") if hasattr(each, name)}
     if "lt" in low:
         between = f"between {low['gt']} and {low['lt']}" if "gt" in low else f"from {low['ge']} to below {low['lt']}"
-        return ValueKind(f"{noun} {between}")
+        return kinds.ValueKind(f"{noun} {between}")
     if "gt" in low:
-        return ValueKind(f"{noun} above {low['gt']}")
+        return kinds.ValueKind(f"{noun} above {low['gt']}")
     if "ge" in low:
-        return ValueKind(f"{noun}, {low['ge']} or above")
-    return ValueKind(noun) if base is int else ValueKind("a finite number", wrong_finite)
+        return kinds.ValueKind(f"{noun}, {low['ge']} or above")
+    return kinds.ValueKind(noun) if base is int else kinds.ValueKind("a finite number", kinds.wrong_finite)
 
 
 def _put(value: object, place: SectionLocation) -> None:
-    """Tell all tables below `value` where they stand."""
+    """Set the location of all tables below `value`."""
     if isinstance(value, StudySection):
         value._place = place
         for name, field in type(value).model_fields.items():
@@ -352,13 +330,14 @@ def _put(value: object, place: SectionLocation) -> None:
 def _refusal(error: ValidationError, place: SectionLocation) -> InputError:
     """Return pydantic's first error as a sentence."""
     first = error.errors(include_url=False)[0]
-    kind, there = first["type"], place.below(*(key for key in first["loc"] if key not in (VALUE_TAG, TABLE_TAG)))
+    kind, tags = first["type"], (kinds.VALUE_TAG, kinds.TABLE_TAG)
+    there = place.below(*(key for key in first["loc"] if key not in tags))
     if kind == "dict_type":
         return there.error(f"must be a table, not {show(first['input'])}")
-    text = first["ctx"]["text"] if kind in (MUST_BE, KEY, TABLE) else first["msg"]
-    if kind == TABLE:
+    text = first["ctx"]["text"] if kind in (kinds.MUST_BE, kinds.KEY, kinds.TABLE) else first["msg"]
+    if kind == kinds.TABLE:
         return there.error(text)
     if kind == "list_type":
         text = f"a list of tables, each begun with [{there.name}]"
     table, key = SectionLocation(place.file, place.folder, there.keys[:-1]), str(there.keys[-1])
-    return table.error_of(key, text if kind == KEY else f"must be {text}, not {show(first['input'])}")
+    return table.error_of(key, text if kind == kinds.KEY else f"must be {text}, not {show(first['input'])}")

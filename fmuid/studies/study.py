@@ -1,7 +1,4 @@
-"""A study: model, experiments, parameters, priors, noise, estimator, and what is asked of the result, from a TOML file.
-
-`fmuid.studies.study_file` has the words of the file.
-"""
+"""Studies: TOML files as objects."""
 
 from __future__ import annotations
 
@@ -17,18 +14,18 @@ from fmuid.data import Experiment, JointPrior, Noise, Parameter
 from fmuid.display_mixins import HtmlTableMixin
 from fmuid.errors import InputError
 from fmuid.estimation import Method, Result
+from fmuid.events import Progress
 from fmuid.formatting import bounded
 from fmuid.identification import Assessment, AssessmentSettings, Problem, assess, identify
 from fmuid.models import System
-from fmuid.progress import Progress
 from fmuid.simulation import OutputFit, Simulator, fit_of
-from fmuid.studies.arrays import check_shapes
-from fmuid.studies.diagnosis import ParsedDiagnosis
+from fmuid.studies.array_elements import check_shapes
+from fmuid.studies.estimation import EstimationSection, MonitoringSection, observed_by
+from fmuid.studies.faults import DiagnosisSection
 from fmuid.studies.model import ExperimentSettings, ParsedModel, named
 from fmuid.studies.overrides import override
 from fmuid.studies.parameters import ParameterReader, PriorSource, SourceWarning
 from fmuid.studies.section import SectionLocation
-from fmuid.studies.settings import MonitoringSection, observed_by
 from fmuid.studies.study_file import StudyFile
 from fmuid.studies.toml import read_toml
 
@@ -42,46 +39,40 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Study(HtmlTableMixin):
-    """A study file, read and checked; nothing is loaded or simulated before a method asks for it.
+    """Study file, read and checked; FMUs and data are loaded on use.
 
     Attributes
     ----------
     path : Path
-        The file.
+        File.
     title : str
-        What the file says it is about.
+        Title.
     model : ParsedModel
+        FMUs and their connections.
     experiments : tuple of ExperimentSettings
+        Experiments.
     parameters : dict of str to Parameter
-        The parameters to identify.
+        Parameters to identify.
     noise : Noise
+        Measurement noise.
     estimator : Method
         Marquardt or GlobalSearch.
-    loss : str
-        How the criterion grows with a residual (`fmuid.data.losses`).
     joint_prior : JointPrior or None
-        Beside the priors of single parameters.
+        Prior of several parameters.
     sources : tuple of PriorSource
-        The earlier results that priors are taken from.
+        Results that priors are taken from.
     uncertainty_settings : AssessmentSettings
-        What is asked beyond the local covariance.
-    sensitivity : "finite-difference", "forward" or "fmu"
-        How the derivatives of the outputs by the parameters are found.
-    accuracy : "refine", "report" or "off"
-        What is done about the error of the simulation (`fmuid.identify`).
-    remedies : bool
-        Whether other starts are tried where the search fails or fits badly.
-    observer : float or None
-        Samples in which an observer forgets that keeps the simulation with the record
-        (`fmuid.identification.with_observer`).
-    diagnosis : ParsedDiagnosis or None
-        The faults to look for, and what is known of the healthy machine.
+        Checks beyond the local covariance.
+    estimation : EstimationSection
+        Loss, Jacobian, solver check, restarts, observer.
+    diagnosis : DiagnosisSection or None
+        Faults and baseline.
     monitoring : MonitoringSection
-        How records are cut into windows, and what makes an alarm.
+        Windows and alarms.
     batch : BatchSettings or None
-        The many identifications that the study spans.
+        Cases.
     data : mapping
-        The content of the file, with what was put in place of its values: `Study.of(data, path)` is the same study.
+        Content of the file; `Study.of(data, path)` is the same study.
 
     Examples
     --------
@@ -97,18 +88,14 @@ class Study(HtmlTableMixin):
     parameters: Mapping[str, Parameter]
     noise: Noise
     estimator: Method
-    loss: str = "linear"
-    joint_prior: JointPrior | None = None
-    sources: tuple[PriorSource, ...] = ()
-    uncertainty_settings: AssessmentSettings = field(default_factory=AssessmentSettings)
-    sensitivity: str = "finite-difference"
-    accuracy: str = "refine"
-    remedies: bool = True
-    observer: float | None = None
-    diagnosis: ParsedDiagnosis | None = None
-    monitoring: MonitoringSection = field(default_factory=MonitoringSection)
-    batch: BatchSettings | None = None
-    data: Mapping[str, Any] = field(default_factory=dict, repr=False)
+    joint_prior: JointPrior | None
+    sources: tuple[PriorSource, ...]
+    uncertainty_settings: AssessmentSettings
+    estimation: EstimationSection
+    diagnosis: DiagnosisSection | None
+    monitoring: MonitoringSection
+    batch: BatchSettings | None
+    data: Mapping[str, Any] = field(repr=False)
 
     def __repr__(self) -> str:
         tables, names = (", ".join(each) for each in ((given.name for given in self.experiments), self.parameters))
@@ -121,18 +108,16 @@ class Study(HtmlTableMixin):
         Parameters
         ----------
         path : path-like
-            The TOML file. Paths in it are relative to it.
+            TOML file; paths in it are relative to it.
         overrides : sequence of str
-            Values to put in place of the file's, each as ``parameters.Rs.start=9`` (`fmuid.studies.overrides`).
+            Values to set, each as ``parameters.Rs.start=9`` (`fmuid.studies.overrides`).
         isolated : bool
-            Run the FMUs in a process of their own, as ``[isolation]`` says, which costs little and survives an FMU
-            that crashes, hangs or takes all memory; default: in this process.
+            Run FMUs in separate processes, as ``[isolation]`` says.
 
         Raises
         ------
         InputError
-            If the file or a file it names is missing, a key is unknown, missing or of the wrong kind, or a prior
-            does not fit the parameters.
+            If a file is missing, a key or value is wrong, or a prior does not fit.
         """
         path = Path(path)
         data = read_toml(path)
@@ -142,14 +127,14 @@ class Study(HtmlTableMixin):
 
     @classmethod
     def of(cls, data: Mapping[str, Any], path: str | Path, *, isolated: bool = False) -> Study:
-        """Return the study that the content of a TOML file is.
+        """Return the study of a TOML file's content.
 
         Parameters
         ----------
         data : mapping
             As `tomllib` reads it; copied.
         path, isolated
-            As for `read`; the file need not be there.
+            As for `read`; the file may be missing.
 
         Raises
         ------
@@ -162,22 +147,18 @@ class Study(HtmlTableMixin):
     def _of(cls, data: dict[str, Any], path: Path, file: str, isolated: bool) -> Study:
         top = SectionLocation(file, path.parent)
         words = StudyFile.read(data, top)
-        isolation = words.isolation  # checked also where it is not asked for
-        model = replace(words.model.settings(), isolation=isolation if isolated else None)
+        model = replace(words.model.settings(), isolation=words.isolation if isolated else None)
         experiments = named(words.experiments, top)
         known = ParameterReader(top, model.values).read(
             words.parameters, words.prior, [given.name for given in experiments]
         )
         model = model.choosing(known.choices)
-        estimator, search, asked = (
-            words.estimation,
-            words.estimation.settings(),
-            words.uncertainty.settings(known.names),
-        )
-        own = {given.name: given.noise for given in experiments if given.noise != Noise()}
+        estimation, search = words.estimation, words.estimation.settings()
+        asked = words.uncertainty.settings(known.names)
+        own = {each.name: each.noise for each in experiments if each.noise != Noise()}
         noise = replace(words.noise, experiments=own)
-        estimator.check_loss(search, asked, top)
-        estimator.check_observer({key: getattr(words, key) is not None for key in ("diagnosis", "batch")}, top)
+        estimation.check_loss(search, asked, top)
+        estimation.check_observer({key: getattr(words, key) is not None for key in ("diagnosis", "batch")}, top)
         return cls(
             path,
             words.title,
@@ -186,22 +167,18 @@ class Study(HtmlTableMixin):
             known.parameters,
             noise,
             search,
-            estimator.loss,
             known.joint_prior,
             known.sources,
             asked,
-            estimator.jacobian,
-            estimator.solver_check,
-            estimator.restarts,
-            estimator.observer_memory,
-            None if words.diagnosis is None else words.diagnosis.settings(model, estimator.loss, known),
+            estimation,
+            None if words.diagnosis is None else words.diagnosis.of(model, estimation.loss, known),
             words.monitoring,
             None if words.batch is None else words.batch.of(known.parameters, experiments, noise),
             data,
         )
 
     def files(self) -> tuple[Path, ...]:
-        """Return every file that the study refers to, each once: models, tables, results; those of a batch last.
+        """Return each file of the study once; those of a batch last.
 
         Raises
         ------
@@ -209,7 +186,7 @@ class Study(HtmlTableMixin):
             If the data of ``[batch]`` match no file.
         """
         faults, tables = ({}, ()) if self.diagnosis is None else (self.diagnosis.faults, self.diagnosis.tables)
-        models = [self.model, *(fault.model for fault in faults.values() if fault.model is not None)]
+        models = [self.model, *(own for fault in faults.values() if (own := fault.own_model) is not None)]
         found = [path for model in models for path, _ in model.components.values()]
         found += [*(given.data for given in self.experiments), *(each.path for each in self._all_sources), *tables]
         return tuple(dict.fromkeys([*found, *(self.batch.records().values() if self.batch is not None else ())]))
@@ -221,12 +198,12 @@ class Study(HtmlTableMixin):
 
     @cached_property
     def system(self) -> System:
-        """The model: its FMUs and their connections.
+        """FMUs and their connections.
 
         Raises
         ------
         InputError
-            If an FMU cannot be read, a connection is wrong, or an array has another shape.
+            If an FMU is unreadable, a connection wrong, or an array of another shape.
         """
         system = self.model.system()
         check_shapes(system, self.data, str(self.path))
@@ -234,12 +211,12 @@ class Study(HtmlTableMixin):
 
     @cached_property
     def tables(self) -> tuple[Experiment, ...]:
-        """The experiments with their tables.
+        """Experiments with their data.
 
         Raises
         ------
         InputError
-            If a table cannot be read or lacks what the study names.
+            If a data file is unreadable or lacks a column.
         """
         return tuple(each.read_experiment(each.data) for each in self.experiments)
 
@@ -260,8 +237,7 @@ class Study(HtmlTableMixin):
         Raises
         ------
         InputError
-            If model, tables and parameters do not fit together, there are no parameters, or a prior is taken from a
-            result of another model.
+            If model, data, parameters and priors do not fit together.
         """
         self.check_parameters()
         _ = self.notes  # checks that the results which priors are taken from are of this model
@@ -273,104 +249,112 @@ class Study(HtmlTableMixin):
             noise=self.noise.among([each.name for each in tables]),
             values=self.model.values,
             joint_prior=self.joint_prior,
-            loss=self.loss,
-            sensitivity=self.sensitivity,
+            loss=self.estimation.loss,
+            sensitivity=self.estimation.jacobian,
             choices=self.model.choices,
         )
-        return observed_by(problem, self.observer, self.path)
+        return observed_by(problem, self.estimation.observer_memory, self.path)
 
     @cached_property
     def notes(self) -> tuple[SourceWarning, ...]:
-        """What is to be known of the results that values and priors are taken from.
+        """Doubts about results that values and priors are taken from.
 
         Raises
         ------
         InputError
-            If one of them is a result of another model.
+            If one is of another model.
         """
         return tuple(dict.fromkeys(note for source in self._all_sources for note in source.compare(self.system)))
 
     @property
     def known_variance(self) -> dict[str, float]:
-        """The noise variance known of each output: the given one, or that of the results that priors are taken from."""
+        """Known noise variance of each output: given, or that of prior results."""
         outputs = tuple(dict.fromkeys(name for given in self.experiments for name in given.outputs))
-        found = [each for source in self.sources for each in source.result.noise_variance.items()]
+        found = [each for source in self.sources for each in source.result.fit.noise_variance.items()]
         known = {name: variance for name, variance in found if name in outputs}
         given = self.noise.known(outputs)
         return known | {name: float(value) for name, value in zip(outputs, given, strict=True) if not math.isnan(value)}
 
     def identify(self, progress: Progress | None = None) -> Result:
-        """Identify the parameters, by the method that the study names.
+        """Identify the parameters by the study's method.
 
         Parameters
         ----------
         progress : callable, optional
-            Called with every step of the search (`fmuid.progress`).
+            Called with every step (`fmuid.events`).
 
         Raises
         ------
         InputError
-            As `problem`, or if a parameter acts on no output, or a global search has no bounds for it.
+            As `problem`, or if a parameter has no effect, or no bounds for a global search.
         SimulationError
-            If the simulation at the start fails.
+            If the simulation at the initial guess fails.
         """
         return self.search(self.problem(), progress)
 
     def search(self, problem: Problem, progress: Progress | None = None, start: ArrayLike | None = None) -> Result:
-        """Search by the method that the study names, and check the simulation as it says (`fmuid.identify`).
+        """Optimize by the study's method, with its solver check (`fmuid.identify`).
 
         Parameters
         ----------
         problem : Problem
             Of this study.
         progress : callable, optional
+            As for `identify`.
         start : (N,) array, optional
-            An earlier result, which makes a search of the whole box needless.
+            Earlier result, in place of a global search.
         """
-        return identify(problem, self.estimator, progress, start, accuracy=self.accuracy, remedies=self.remedies)
+        check, restarts = self.estimation.solver_check, self.estimation.restarts
+        return identify(problem, self.estimator, progress, start, solver_check=check, restart=restarts)
 
     @property
-    def fault_search(self) -> ParsedDiagnosis:
-        """What ``[diagnosis]`` says; `InputError` where there is none."""
+    def fault_search(self) -> DiagnosisSection:
+        """Table ``[diagnosis]``; `InputError` without one."""
         if self.diagnosis is not None:
             return self.diagnosis
         remedy = 'give it, with baseline = "healthy/result.json" and the fault models as [diagnosis.faults.<name>]'
         raise InputError(f"{self.path} has no [diagnosis]: {remedy}")
 
     def diagnose(self, progress: Progress | None = None) -> Diagnosis:
-        """Look for the faults that ``[diagnosis]`` names.
+        """Search for the faults of ``[diagnosis]``.
 
         Parameters
         ----------
         progress : callable, optional
-            Called with a `fmuid.progress.FaultStep` before each fit.
+            Called with a `fmuid.events.FaultStep` before each fit.
 
         Raises
         ------
         InputError
-            If the study has no ``[diagnosis]``, or models, tables and the healthy result do not fit together.
+            If there is no ``[diagnosis]``, or models, data and baseline do not fit together.
         SimulationError
             If the simulation fails at the healthy estimate.
         """
-        from fmuid.diagnosis import diagnose  # and all that decides
+        from fmuid.diagnosis import DiagnosisSettings, diagnose  # and all that decides
 
         settings = self.fault_search
         faults = settings.fault_models(self.system, self.model, self.data)
-        how = settings.how(self.estimator.marquardt, self.sensitivity, self.accuracy)
-        try:
-            healthy = settings.baseline(self.model, self.parameters, self.noise, self.experiments[0].read_experiment)
+        how = DiagnosisSettings(
+            settings.false_alarm_rate,
+            self.estimator.marquardt,
+            self.estimation.jacobian,
+            self.estimation.solver_check,
+            settings.causes,
+            settings.fault_model_error,
+        )
+        with settings.place.located():
+            healthy = settings.healthy(self.model, self.parameters, self.noise, self.experiments[0].read_experiment)
             return diagnose(self.tables, healthy, faults, self.system, how, progress)
-        except InputError as error:
-            raise InputError(f"{settings.where}: {error}") from None
 
     def assess(self, result: Result, progress: Progress | None = None) -> Assessment:
-        """Check a result of this study, with what ``[uncertainty]`` asks for: maps, profiles, posterior.
+        """Check a result, as ``[uncertainty]`` says.
 
         Parameters
         ----------
         result : Result
+            Of this study.
         progress : callable, optional
-            Called for every map, point of a profile and step of the sampler (`fmuid.progress`).
+            Called for every map, point of a profile and step of the sampler.
 
         Raises
         ------
@@ -382,16 +366,16 @@ class Study(HtmlTableMixin):
         return assess(self.problem(), result, self.uncertainty_settings, progress)
 
     def simulators(self) -> tuple[Simulator, ...]:
-        """Return the simulator of each experiment, as a function of the study's parameters in their order."""
+        """Return the simulator of each experiment, a function of the parameters in order."""
         names, values = tuple(self.parameters), self.model.values
         return tuple(Simulator(self.system, table, names, values=values) for table in self.tables)
 
     def simulate(self) -> list[pd.DataFrame]:
-        """Return what `fits` simulates of each experiment: ``time`` (s) and each output, by its name in the FMU."""
+        """Return frames of ``time`` (s) and simulated outputs, one per experiment."""
         return [fit.simulated_frame() for fit in self.fits()]
 
     def fits(self) -> tuple[OutputFit, ...]:
-        """Simulate every experiment at the parameters' starts and set the measurements beside.
+        """Simulate every experiment at the initial guess, and compare with the data.
 
         Raises
         ------

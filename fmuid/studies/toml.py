@@ -1,4 +1,4 @@
-"""Study files as TOML: reading, in words where the library's reader cannot bear it, and showing values in sentences."""
+"""TOML texts: read with clear errors, and values shown as in a file."""
 
 from __future__ import annotations
 
@@ -17,19 +17,11 @@ _LONG_KEY = re.compile(r"""(?:(?<![\w-])(?:[\w-]++|"[^"\n]*+"|'[^'\n]*+')[ \t]*+
 
 
 class TomlReadError(Exception):
-    """A text is TOML that cannot be read here; the text says why."""
+    """TOML that is too deep or too long to read."""
 
 
 def parsed(text: str) -> dict[str, Any]:
-    """Return the content of a TOML text.
-
-    Raises
-    ------
-    TOMLDecodeError
-        If it is no TOML.
-    TomlReadError
-        If it is nested too deeply, or has numbers or keys of absurd length.
-    """
+    """Return the content of a TOML text."""
     if _LONG_KEY.search(text):
         raise TomlReadError("a key has more than 100 parts, of which no study has more than ten")
     try:
@@ -43,13 +35,7 @@ def parsed(text: str) -> dict[str, Any]:
 
 
 def read_toml(path: Path) -> dict[str, Any]:
-    """Return the content of a TOML file.
-
-    Raises
-    ------
-    InputError
-        If the file is missing, a folder, no UTF-8 text or no valid TOML (with the line).
-    """
+    """Return the content of a TOML file, or refuse it with file and line."""
     try:
         text = path.read_text(encoding="utf-8")
         return parsed(text)
@@ -74,7 +60,7 @@ def read_toml(path: Path) -> dict[str, Any]:
 
 
 def show(value: object) -> str:
-    """Return `value` as it would stand in a TOML file, shortened, for use in a sentence."""
+    """Return a value as in a TOML file, shortened for messages."""
     if isinstance(value, Mapping):
         return "a table"
     if isinstance(value, list):
@@ -82,3 +68,8 @@ def show(value: object) -> str:
     if isinstance(value, str | bool):
         return json.dumps(value, ensure_ascii=False)
     return str(value)
+
+
+def quoted_key(name: str) -> str:
+    """Return a name as a key in TOML, in quotes where needed."""
+    return name if re.fullmatch(r"[A-Za-z0-9_-]+", name) else json.dumps(name, ensure_ascii=False)

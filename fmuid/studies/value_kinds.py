@@ -1,23 +1,16 @@
-"""Kinds of values in a study file: how each is checked, and what a sentence calls it."""
+"""Kinds of values in a study file: checks, and names for messages."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import reduce
+from operator import or_
 from pathlib import Path
-from typing import Annotated, Any, ClassVar
+from typing import Annotated, Any, ClassVar, get_args
 
-from pydantic import (
-    AfterValidator,
-    BeforeValidator,
-    Discriminator,
-    Field,
-    GetCoreSchemaHandler,
-    Tag,
-    ValidationError,
-    ValidationInfo,
-)
+from pydantic import AfterValidator, BeforeValidator, Field, GetCoreSchemaHandler, ValidationError, ValidationInfo
 from pydantic_core import CoreSchema, PydanticCustomError, core_schema
 
 from fmuid.files import full, is_file
@@ -31,25 +24,29 @@ VALUE_TAG, TABLE_TAG = "<value>", "<table>"
 
 
 def must_be(expected: str) -> PydanticCustomError:
-    """Return the error of a value that is not what is `expected`."""
+    """Return the error of a value that is not as `expected`."""
     return PydanticCustomError(MUST_BE, "{text}", {"text": expected})
 
 
+def required(is_valid: Callable[[Any], bool], expected: str) -> AfterValidator:
+    """Return a check that refuses other values by what is `expected`."""
+
+    def checked(value: Any) -> Any:
+        if not is_valid(value):
+            raise must_be(expected)
+        return value
+
+    return AfterValidator(checked)
+
+
 def said_of_table(text: str) -> PydanticCustomError:
-    """Return the error whose sentence is a table followed by `text`; to be raised by a check of the whole table."""
+    """Return an error on a whole table, for a check of that table."""
     return PydanticCustomError(TABLE, "{text}", {"text": text})
 
 
 @dataclass(frozen=True)
 class ValueKind:
-    """What values of a type are called; in the annotation of the type, after all that restricts it.
-
-    Attributes
-    ----------
-    name : str
-    of_wrong : callable, optional
-        Gives for a wrong value what was expected, where that depends on it.
-    """
+    """Name of a type's values, last in its annotation; `of_wrong` may depend on the value."""
 
     name: str
     of_wrong: Callable[[Any], str] | None = None
@@ -57,7 +54,7 @@ class ValueKind:
     """Whether an error below a value is left as it is, which names a key and not the value."""
 
     def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
-        """Return what the type is, with all its errors as one."""
+        """Return the type's schema, with all errors as one."""
         return core_schema.no_info_wrap_validator_function(self._checked, handler(source))
 
     def _checked(self, value: Any, inner: Callable[[Any], Any]) -> Any:
@@ -73,19 +70,19 @@ class ValueKind:
 
 
 class Entries(ValueKind):
-    """The kind of a table of names whose entries are of one kind; what is wrong with one names it."""
+    """Kind of a table of names; errors name the entry."""
 
     names_keys: ClassVar[bool] = True
 
 
 @dataclass(frozen=True)
 class Choice(ValueKind):
-    """The kind of a text that is one of some words; `one_of` makes it."""
+    """Kind of a text from some words; made by `one_of`."""
 
     words: tuple[str, ...] = ()
 
     def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
-        """Return the words, with all errors as one."""
+        """Return a literal's schema, with all errors as one."""
         return core_schema.no_info_wrap_validator_function(self._checked, core_schema.literal_schema(list(self.words)))
 
 
@@ -100,27 +97,14 @@ def one_of(words: Sequence[str]) -> Choice:
 
 
 def wrong_finite(value: Any) -> str:
-    """Return what a number that is none, or not finite, should be."""
+    """Return the expected kind of a finite number."""
     return "a finite number" if isinstance(value, float) else "a number"
-
-
-def _not_nan(value: float) -> float:
-    if math.isnan(value):
-        raise must_be("a number")
-    return value
 
 
 ROWS = "a list of rows of numbers, [[4.0, 0.1], [0.1, 2.0]]"
 
 
-def _rows(value: list[list[float]]) -> list[list[float]]:
-    if len({len(row) for row in value}) != 1:
-        raise must_be(ROWS)
-    return value
-
-
 def _once(value: list[str]) -> list[str]:
-    """Check that each name is there once."""
     for name in value:
         if value.count(name) > 1:
             raise must_be(f"a list that names each variable once ({name!r} is there twice)")
@@ -134,25 +118,13 @@ def _columns(value: Any) -> Any:
     return value
 
 
-def _named_or_placed(value: str | int) -> str | int:
-    if isinstance(value, bool) or not value or (isinstance(value, int) and value < 1):
-        raise must_be("a name, or a place from 1")
-    return value
-
-
 def as_list(value: Any) -> Any:
-    """Return one text as a list of it, and what else is there as it is."""
+    """Return a text as a list of it, all else unchanged."""
     return [value] if isinstance(value, str) else value
 
 
-def _listed_files(value: Any) -> Any:
-    if not isinstance(value, list):
-        raise must_be("a list of paths of files")
-    return value
-
-
 def existing_file(value: object, info: ValidationInfo) -> Path:
-    """Return the path of a file that must be there, relative to the study file."""
+    """Return the path of an existing file, relative to the study file."""
     if not isinstance(value, str) or not value:
         raise must_be("a text in quotes")
     assert info.context is not None, "the section's location"
@@ -162,15 +134,21 @@ def existing_file(value: object, info: ValidationInfo) -> Path:
     return path
 
 
-def _shape(value: object) -> str:
-    return TABLE_TAG if isinstance(value, dict) else VALUE_TAG
+class _ByShape:
+    """Annotation of a union of values and, last, a table."""
+
+    def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
+        *values, table = get_args(source)
+        branches = {VALUE_TAG: handler.generate_schema(reduce(or_, values)), TABLE_TAG: handler.generate_schema(table)}
+        return core_schema.tagged_union_schema(
+            branches, discriminator=lambda value: TABLE_TAG if isinstance(value, dict) else VALUE_TAG
+        )
 
 
-BY_SHAPE = Discriminator(_shape)
-"""Of a value or a table, tagged as `VALUE_TAG` and `TABLE_TAG`."""
+BY_SHAPE = _ByShape()
 Text = Annotated[str, Field(min_length=1), ValueKind("a text in quotes")]
 Flag = Annotated[bool, ValueKind("true or false")]
-Number = Annotated[float, AfterValidator(_not_nan), ValueKind("a number")]
+Number = Annotated[float, required(lambda value: not math.isnan(value), "a number"), ValueKind("a number")]
 Finite = Annotated[float, Field(allow_inf_nan=False), ValueKind("a finite number", wrong_finite)]
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False), ValueKind("a number above 0")]
 NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False), ValueKind("a number, 0 or above")]
@@ -182,7 +160,7 @@ Numbers = Annotated[list[Finite], ValueKind("a list of numbers")]
 Matrix = Annotated[
     list[Numbers],
     Field(min_length=1),
-    AfterValidator(_rows),
+    required(lambda rows: len({len(row) for row in rows}) == 1, ROWS),
     ValueKind(ROWS),
 ]
 Names = Annotated[list[Text], Field(min_length=1), ValueKind('a list of names, ["Rs", "Rr"]'), AfterValidator(_once)]
@@ -191,23 +169,32 @@ Columns = Annotated[
     BeforeValidator(_columns, json_schema_input_type=list[str] | dict[str, str]),
     ValueKind('a list of names, ["u", "w"], or a table { fmu_variable = "column" }'),
 ]
-NameOrPlace = Annotated[str | int, AfterValidator(_named_or_placed), ValueKind("a name, or a place from 1")]
+NAME_OR_PLACE = "a name, or a place from 1"
+NameOrPlace = Annotated[
+    str | int,
+    required(
+        lambda given: bool(given) and not isinstance(given, bool) and (isinstance(given, str) or given > 0),
+        NAME_OR_PLACE,
+    ),
+    ValueKind(NAME_OR_PLACE),
+]
 Texts = Annotated[dict[str, Text], Entries("a table { name = text }")]
 Scalars = Annotated[dict[str, Scalar], Entries("a table { name = value }")]
 Finites = Annotated[dict[str, Finite], Entries("a table { name = number }")]
 Positives = Annotated[dict[str, Positive], Entries("a table { name = number }")]
-PositiveOrEach = Annotated[Annotated[Positive, Tag(VALUE_TAG)] | Annotated[Positives, Tag(TABLE_TAG)], BY_SHAPE]
+PositiveOrEach = Annotated[Positive | Positives, BY_SHAPE]
+FILES = BeforeValidator(
+    required(lambda value: isinstance(value, list), "a list of paths of files").func, json_schema_input_type=list[str]
+)
 File = Annotated[Path, BeforeValidator(existing_file, json_schema_input_type=str), ValueKind("the path of a file")]
-Files = Annotated[list[File], BeforeValidator(_listed_files, json_schema_input_type=list[str])]
+Files = Annotated[list[File], FILES]
 SEGMENTS = "a list of pairs of times, [[0.0, 1.5], [2.0, 3.5]]"
 
 
-def _forwards(segments: list[list[float]]) -> list[list[float]]:
-    if any(end <= begin for begin, end in segments):
-        raise must_be(f"{SEGMENTS}, each with the earlier time first")
-    return segments
-
-
 Segments = Annotated[
-    list[Annotated[list[Finite], Field(min_length=2, max_length=2)]], ValueKind(SEGMENTS), AfterValidator(_forwards)
+    list[Annotated[list[Finite], Field(min_length=2, max_length=2)]],
+    ValueKind(SEGMENTS),
+    required(
+        lambda segments: all(begin < end for begin, end in segments), f"{SEGMENTS}, each with the earlier time first"
+    ),
 ]

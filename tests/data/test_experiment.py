@@ -12,9 +12,9 @@ from fmuid.data import Parameter
 from fmuid.data.data_file import read_data
 from fmuid.data.experiment import Experiment
 from fmuid.errors import InputError
+from fmuid.estimation.estimate import Marquardt
 from fmuid.estimation.evaluator import Evaluator
-from fmuid.estimation.global_search.search import GlobalSearch
-from fmuid.estimation.method import Marquardt
+from fmuid.estimation.global_search import GlobalSearch
 from fmuid.estimation.predictors import FunctionPredictor
 from fmuid.estimation.problem import LeastSquares
 
@@ -37,7 +37,7 @@ def test_roles_arrays_and_masks() -> None:
         inputs=["w", "u"],
         outputs={"position": "y", "speed": "w"},
         interpolation={"u": "zoh"},
-        discard=0.2,
+        warmup=0.2,
         units={"position": "mm"},
         name="run1",
     )
@@ -49,7 +49,7 @@ def test_roles_arrays_and_masks() -> None:
     np.testing.assert_array_equal(run.input_values[:, 1], [0, 1, 2, 5, 6])
     np.testing.assert_array_equal(run.output_values[:, 0], [0.5, NAN, 0.7, 0.8, 0.9])
     np.testing.assert_array_equal(run.held, [False, True])
-    # 1.0 + 0.2 is a hair more than 1.2 in floating point: the sample at the end of discard counts all the same.
+    # 1.0 + 0.2 is a hair more than 1.2 in floating point: the sample at the end of warmup counts all the same.
     np.testing.assert_array_equal(run.counted[:, 0], [False, False, True, True, True])
     assert run.units == {"position": "mm"}
     assert run.name == "run1"
@@ -72,7 +72,7 @@ def test_without_outputs_it_can_be_simulated() -> None:
 
 
 def test_outputs_that_are_not_measured_are_names() -> None:
-    run = Experiment(table(), ["u"], ["y", "z"], discard=0.15, measured=False)
+    run = Experiment(table(), ["u"], ["y", "z"], warmup=0.15, measured=False)
     assert run.output_names == ("y", "z")
     np.testing.assert_array_equal(run.output_values[:, 0], table()["y"])  # what is there is taken
     assert np.isnan(run.output_values[:, 1]).all()
@@ -103,7 +103,7 @@ def test_it_does_not_change_any_more() -> None:
         with pytest.raises(ValueError, match="read-only"):
             array[...] = 0
     with pytest.raises(FrozenInstanceError):
-        run.discard = 1.0  # type: ignore[misc]
+        run.warmup = 1.0  # type: ignore[misc]
 
 
 @pytest.mark.parametrize(
@@ -131,7 +131,7 @@ def test_the_index_may_be_the_time() -> None:
 def test_messages_name_the_file(tmp_path: Path) -> None:
     path = tmp_path / "run7.csv"
     table().rename(columns={"time": "t"}).to_csv(path, index=False)
-    run = Experiment(read_data(path, "t"), ["u"], {"position": "y"}, time="t", interpolation="zoh", discard=0.1)
+    run = Experiment(read_data(path, "t"), ["u"], {"position": "y"}, time="t", interpolation="zoh", warmup=0.1)
     assert run.source == str(path)
     assert run.held.tolist() == [True]
     np.testing.assert_array_equal(run.counted[:, 0], [False, False, True, True, True])
@@ -174,11 +174,11 @@ WRONG: list[tuple[dict[str, Any], dict[str, Any], str]] = [
         'interpolation 1 is not known: write "linear", "zoh", "zoh-next" or',
     ),
     ({}, {"interpolation": {"U": "zoh"}}, r"interpolation names 'U', which is no input \(did you mean 'u'\?\)"),
-    ({}, {"discard": -0.1}, r"discard is -0\.1: give a duration in seconds, zero or more"),
-    ({}, {"discard": NAN}, "discard is nan"),
-    ({}, {"discard": "1"}, "discard is '1'"),
-    ({}, {"discard": True}, "discard is True"),
-    ({}, {"discard": 0.5}, r"discard = 0\.5 s leaves no sample of the output column 'y', whose last is at t = 1\.3 s"),
+    ({}, {"warmup": -0.1}, r"warmup is -0\.1: give a duration in seconds, zero or more"),
+    ({}, {"warmup": NAN}, "warmup is nan"),
+    ({}, {"warmup": "1"}, "warmup is '1'"),
+    ({}, {"warmup": True}, "warmup is True"),
+    ({}, {"warmup": 0.5}, r"warmup = 0\.5 s leaves no sample of the output column 'y', whose last is at t = 1\.3 s"),
     ({}, {"units": {"speed": "rad/s"}}, "units names 'speed', which is no input or output"),
     ({}, {"units": {"u": 1}}, "the unit of 'u' is 1: write it as a text, such as \"rad/s\""),
 ]

@@ -135,7 +135,7 @@ def test_a_library_that_is_missing_is_named_with_its_extra(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, module: str, name: str, extra: str
 ) -> None:
     monkeypatch.setitem(sys.modules, module, None)
-    monkeypatch.setattr("fmuid.processes.caller.AVAILABLE", False)  # read in this process
+    monkeypatch.setattr("fmuid.processes.keeper.AVAILABLE", False)  # read in this process
     (tmp_path / name).write_bytes(b"")
     with pytest.raises(InputError, match=rf'read by {module}, which is not installed: pip install "fmuid\[{extra}\]"'):
         read_data(tmp_path / name)

@@ -26,8 +26,8 @@ def healthy(plate: fmuid.System) -> fmuid.Result:
 @pytest.fixture(scope="module")
 def look(plate: fmuid.System, healthy: fmuid.Result, faults: Faults) -> Look:
     def diagnosis(experiment: fmuid.Experiment, **words: Any) -> fmuid.Diagnosis:
-        given: dict[str, Any] = {"result": healthy, "inflate": {"g": 5.0, "h": 5.0}} | words
-        settings = fmuid.DiagnosisSettings(given.pop("level", 0.01))
+        given: dict[str, Any] = {"result": healthy, "std_factor": {"g": 5.0, "h": 5.0}} | words
+        settings = fmuid.diagnosis.DiagnosisSettings(given.pop("level", 0.01))
         hypotheses = given.pop("faults", faults)
         return fmuid.diagnose(experiment, fmuid.Baseline(**given), hypotheses, plate, settings)
 

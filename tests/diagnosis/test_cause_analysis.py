@@ -15,8 +15,8 @@ import fmuid
 from fmuid.apps.cli.app import run
 from fmuid.diagnosis import MODEL_ERROR, CauseKind, Causes, CauseScale, ChangeEvidence
 from fmuid.diagnosis.causes import ChangeParameterSet, coordinates_of
+from fmuid.diagnosis.information_matrix import Whitening
 from fmuid.diagnosis.linearized_machine import LinearizedMachine
-from fmuid.diagnosis.prewhitening import Whitening
 from fmuid.errors import InputError
 from fmuid.reports.topics.diagnosis_phrases import verdict
 from tests.support.closed_forms import coil_response
@@ -72,9 +72,9 @@ ORDER = ("R", "L", "turns", "gain", "offset", "delay", "input_gain")
 
 @pytest.mark.parametrize("at", [{}, {"turns": 1.0, "gain": 0.1, "R": 0.5}, {"input_gain": 0.2, "turns": -0.5}])
 def test_outputs_and_columns_are_those_of_the_closed_form(
-    coil: fmuid.System, faults: dict[str, fmuid.Fault], coordinates: ChangeParameterSet, at: dict[str, float]
+    coil: fmuid.System, coordinates: ChangeParameterSet, at: dict[str, float]
 ) -> None:
-    machine = LinearizedMachine(coil, {}, NOMINAL, faults, coordinates, experiment(current()))
+    machine = LinearizedMachine(coil, {}, coordinates, experiment(current()))
     point = coordinates.healthy + np.array([at.get(name, 0.0) for name in ORDER])
     outputs, columns = machine.linearise(point)
     assert outputs[:, 0] == pytest.approx(current(**at), abs=1e-6)
@@ -91,7 +91,7 @@ def test_a_column_that_two_inputs_share_is_scaled_for_one(coil: fmuid.System) ->
     frame = experiment(current()).frame
     shared = fmuid.Experiment(frame, {"u": "u"}, {"i": "i"}, interpolation="zoh")
     made = coordinates_of(coil, NOMINAL, {}, shared, {"i": NOISE}, Causes())
-    LinearizedMachine(coil, {}, NOMINAL, {}, made, shared).linearise(made.healthy)
+    LinearizedMachine(coil, {}, made, shared).linearise(made.healthy)
     assert shared.frame["u"].to_numpy() == pytest.approx(VOLTAGE)
     assert [each.variable for each in made.each if each.kind is CauseKind.INPUT_GAIN] == ["u"]
 
@@ -129,7 +129,7 @@ def look(coil: fmuid.System, faults: dict[str, fmuid.Fault]) -> Look:
         known = fmuid.identify(fmuid.Problem(coil, healthy, NOMINAL))
         baseline = fmuid.Baseline(known, {"R": 10.0}, records=[healthy])
         record = noisy(rng, colour, **{name: (base or {}).get(name, 0.0) + off.get(name, 0.0) for name in ORDER})
-        settings = fmuid.DiagnosisSettings(0.01, causes=causes or Causes())
+        settings = fmuid.diagnosis.DiagnosisSettings(0.01, causes=causes or Causes())
         return fmuid.diagnose(record, baseline, faults, coil, settings)
 
     return diagnosis
@@ -310,5 +310,8 @@ def test_records_that_do_not_fit(coil: fmuid.System, faults: dict[str, fmuid.Fau
     silent = fmuid.Experiment(healthy.frame, [], ["i"], source="silent.csv")
     with pytest.raises(InputError, match=r"has the inputs u, and the healthy record silent.csv none"):
         fmuid.diagnose(healthy, fmuid.Baseline(known, records=[silent]), faults, coil)
+    planned = fmuid.diagnosis.planned_experiment(healthy.frame[["time", "u"]], ["u"], ["i"], name="plan")
+    with pytest.raises(InputError, match=r"plan has no sample of 'i'\. Leave it out of the healthy data\."):
+        fmuid.diagnose(healthy, fmuid.Baseline(known, records=[healthy, planned]), faults, coil)
     with pytest.raises(InputError, match="model_error is a share"):
-        fmuid.DiagnosisSettings(model_error=-1.0)
+        fmuid.diagnosis.DiagnosisSettings(model_error=-1.0)

@@ -9,7 +9,6 @@ from scipy import optimize, special
 from fmuid.diagnosis.causes import Cause
 from fmuid.diagnosis.change_detection import MinPDistribution, detectable, fit, probability
 from fmuid.diagnosis.information_matrix import ScoreStatistics
-from fmuid.errors import InputError
 
 SIGNED = tuple(Cause(f"c{i}", (i,), 1.0, sign) for i, sign in enumerate((1, -1, 1, 0)))
 
@@ -79,17 +78,3 @@ def test_the_detectable_size_is_called_as_often_as_it_says(cause: Cause) -> None
     ]
     assert values[0] > 0
     assert np.mean(called) == pytest.approx(1 - miss, abs=0.02)
-
-
-@pytest.mark.parametrize(
-    ("words", "message"),
-    [
-        ({"columns": ()}, "has no coordinate"),
-        ({"size": 0.0}, "must be positive and finite, not 0.0"),
-        ({"sign": 1, "columns": (0, 1)}, "must be 1 or -1 for one coordinate, or 0"),
-        ({"probability": 1.0}, "must lie between 0 and 1"),
-    ],
-)
-def test_refusals(words: dict[str, object], message: str) -> None:
-    with pytest.raises(InputError, match=message):
-        Cause(**{"name": "gain", "columns": (0,), "size": 1.0, **words})  # type: ignore[arg-type]

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 
 import numpy as np
 import pandas as pd
@@ -22,6 +21,7 @@ from fmuid.runs.faults import design_of
 from tests.support.exported import export_text
 from tests.support.plate import COLUMNS, PHASES, PLATE, STD, TRUTH
 from tests.support.plate import record as plate_record
+from tests.support.results import changed
 
 FALSE_ALARM, MISS = 0.02, 0.1
 VARIANCE = {"i": coil.NOISE_VARIANCE}
@@ -31,7 +31,7 @@ VARIANCE = {"i": coil.NOISE_VARIANCE}
 def healthy() -> fmuid.Result:
     """Return a healthy result whose estimates are the truth, with the standard deviations of a record."""
     found = fmuid.Result.from_json(coil.HERE / "healthy" / "result.json")
-    return replace(found, values=np.array([coil.R, coil.L]))
+    return changed(found, values=np.array([coil.R, coil.L]))
 
 
 def turns(largest: float = math.inf) -> fmuid.Fault:
@@ -41,7 +41,8 @@ def turns(largest: float = math.inf) -> fmuid.Fault:
 
 def design(healthy: fmuid.Result, fault: fmuid.Fault | None = None) -> Design:
     baseline = Baseline(healthy, coil.INFLATE, VARIANCE)
-    return Design({"turns": fault or turns()}, baseline, coil.models()[0], false_alarm=FALSE_ALARM, miss=MISS)
+    how = fmuid.diagnosis.DiagnosisSettings(FALSE_ALARM)
+    return Design({"turns": fault or turns()}, baseline, coil.models()[0], how, miss=MISS)
 
 
 def coil_deviation(healthy: fmuid.Result, voltage: np.ndarray) -> float:
@@ -111,16 +112,15 @@ def test_the_rates_are_those_of_draws(healthy: fmuid.Result) -> None:
     """Draws of record and healthy result; R with the errors of its estimate, so not inflated."""
     rng, count = np.random.default_rng(6), 300
     experiment = coil.experiment(coil.record(coil.R, 0.0, rng))
-    asked = Design(
-        {"turns": turns()}, Baseline(healthy, noise_variance=VARIANCE), coil.models()[0], false_alarm=0.1, miss=0.2
-    )
+    baseline = Baseline(healthy, noise_variance=VARIANCE)
+    asked = Design({"turns": turns()}, baseline, coil.models()[0], fmuid.diagnosis.DiagnosisSettings(0.1), miss=0.2)
     (smallest,) = asked.detectable(experiment)
     root = np.linalg.cholesky(np.diag(healthy.std**2))
     rates = []
     for fault in (0.0, smallest.value):
         hits = 0
         for _ in range(count):
-            known = replace(healthy, values=healthy.values + root @ rng.standard_normal(2))
+            known = changed(healthy, values=healthy.values + root @ rng.standard_normal(2))
             baseline = Baseline(known, noise_variance=VARIANCE)
             watch = Monitor(baseline, {"turns": turns()}, coil.models()[0], Rule(level=0.1))
             watch.add(coil.experiment(coil.record(coil.R, fault, rng)))
@@ -198,7 +198,7 @@ def test_what_a_healthy_record_costs(healthy: fmuid.Result) -> None:
 
 def test_of_a_turned_fault_the_worst_angle_counts(plate: fmuid.System, known: fmuid.Result) -> None:
     parameters = {"size": fmuid.Parameter(0.0, min=0.0, nominal=0.01), "angle": fmuid.Parameter(0.0, nominal=1.0)}
-    fault = fmuid.Fault(plate, parameters, angles={"angle": fmuid.FaultAngle("size", math.pi)})
+    fault = fmuid.Fault(plate, parameters, angles={"angle": fmuid.diagnosis.FaultAngle("size", math.pi)})
     baseline = Baseline(known, noise_variance={"x": STD**2, "y": STD**2})
     (found,) = Design({"rotor": fault}, baseline, plate).detectable(plate_record(None))
     precision = plate_precision(known, [5, 6])
@@ -223,7 +223,7 @@ def test_wrong_words_are_one_sentence(healthy: fmuid.Result) -> None:
     with pytest.raises(fmuid.InputError, match=r"misses must be above 0 and below 0\.5, not 0\.7"):
         Design({"turns": turns()}, healthy, coil.models()[0], miss=0.7)
     with pytest.raises(fmuid.InputError, match="level"):
-        Design({"turns": turns()}, healthy, coil.models()[0], false_alarm=0.0)
+        Design({"turns": turns()}, healthy, coil.models()[0], fmuid.diagnosis.DiagnosisSettings(0.0))
     with pytest.raises(fmuid.InputError, match="no excitation to compare"):
         design(healthy).rank({})
     with pytest.raises(fmuid.InputError, match="'v'"):

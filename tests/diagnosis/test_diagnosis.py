@@ -105,11 +105,11 @@ def test_no_angle_is_told_of_a_fault_that_is_not_there(look: Look) -> None:
 
 def test_the_common_mode_takes_what_was_foreseen(look: Look, faults: Faults) -> None:
     warm = record(np.random.default_rng(6), g=1.06)
-    found = look(warm, inflate={"g": 20.0})
+    found = look(warm, std_factor={"g": 20.0})
     assert found.kind == "healthy"
     assert abs(found.nominal["g"][0] - 1.06) < 4 * found.nominal["g"][1]
     assert found.deviation is None
-    surprised = look(warm, inflate=1.0, faults={"rotor": faults["rotor"]})
+    surprised = look(warm, std_factor=1.0, faults={"rotor": faults["rotor"]})
     assert not surprised.evidence.alarm
     assert surprised.deviation is not None
     assert surprised.deviation.name == "g"
@@ -123,7 +123,7 @@ def test_the_false_alarm_level_is_met(plate: fmuid.System, faults: Faults) -> No
     alarms = 0
     for _ in range(count):
         known = identified(plate, record(rng))
-        found = fmuid.diagnose(record(rng), known, faults, plate, fmuid.DiagnosisSettings(level))
+        found = fmuid.diagnose(record(rng), known, faults, plate, fmuid.diagnosis.DiagnosisSettings(level))
         alarms += found.evidence.alarm
     assert alarms / count == pytest.approx(level, abs=3 * math.sqrt(0.1 * 0.9 / count))
 
@@ -165,11 +165,11 @@ def test_without_any_prior_a_fault_like_the_common_mode_stays_open(look: Look, p
         inputs={"b.vx": "vx"},
     )
     experiment = record(np.random.default_rng(10), g=1.02)
-    found = look(experiment, faults={"gain": same}, inflate=math.inf)
+    found = look(experiment, faults={"gain": same}, std_factor=math.inf)
     assert (found.kind, found.undetermined) == ("undecided", ("gain.b.g",))
     assert not found["gain.b.g"].is_determined
     assert "this record cannot tell gain.b.g from what may change in a sound machine" in verdict(found)
-    assert look(experiment, faults={"gain": same}, inflate=1.0)["gain.b.g"].is_determined
+    assert look(experiment, faults={"gain": same}, std_factor=1.0)["gain.b.g"].is_determined
 
 
 def test_a_fault_model_may_have_other_names_inputs_and_components(look: Look, plate: fmuid.System) -> None:
@@ -260,7 +260,7 @@ def test_a_file_keeps_the_diagnosis(look: Look, tmp_path: Path) -> None:
         (
             {
                 "parameters": {name: fmuid.Parameter(0.0, nominal=1.0) for name in ("s", "a", "b")},
-                "angles": {"a": fmuid.FaultAngle("s"), "b": fmuid.FaultAngle("s")},
+                "angles": {"a": fmuid.diagnosis.FaultAngle("s"), "b": fmuid.diagnosis.FaultAngle("s")},
             },
             "the size 's' has two angles: one locates it",
         ),
@@ -281,8 +281,8 @@ def test_what_does_not_fit_together_is_refused(look: Look, plate: fmuid.System) 
     parameter = fmuid.Parameter(0.0, nominal=0.01)
     cases: list[tuple[dict[str, Any], str]] = [
         ({"faults": {}}, "there is no fault to look for"),
-        ({"inflate": {"gg": 2.0}}, "inflate names 'gg'.*did you mean 'g'"),
-        ({"inflate": 0.0}, "inflate must be greater than 0"),
+        ({"std_factor": {"gg": 2.0}}, "std_factor names 'gg'.*did you mean 'g'"),
+        ({"std_factor": 0.0}, "inflate must be greater than 0"),
         ({"noise_variance": {"x": 0.01}}, "none of 'y'"),
         ({"level": 1.0}, "the level of a test"),
         ({"values": {"g": 1.0, "h": 1.0}}, "knows nothing of this machine"),
@@ -290,7 +290,7 @@ def test_what_does_not_fit_together_is_refused(look: Look, plate: fmuid.System) 
         ({"parameters": {"g": fmuid.Parameter(5.0, min=4.0)}}, "'g' of the healthy result: start"),
         ({"faults": {"f": fmuid.Fault(plate, {"e": parameter})}}, "'e'"),
         ({"faults": {"f": fmuid.Fault(plate, {"g": parameter})}}, "fault 'f': the parameter 'g' is the fault's and"),
-        ({"faults": {"f": fmuid.Fault(plate, {"ea": parameter}, {"q": "r"})}}, "fault 'f': names has 'q'"),
+        ({"faults": {"f": fmuid.Fault(plate, {"ea": parameter}, {"q": "r"})}}, "fault 'f': variable_map has 'q'"),
     ]
     for words, said in cases:
         with pytest.raises(fmuid.InputError, match=said):
@@ -298,7 +298,7 @@ def test_what_does_not_fit_together_is_refused(look: Look, plate: fmuid.System) 
     with pytest.raises(fmuid.InputError, match=r"nowhere\.json cannot be read"):
         fmuid.diagnose(experiment, "nowhere.json", {"f": fmuid.Fault(plate, {"ea": parameter})}, plate)
     with pytest.raises(fmuid.InputError, match=r"sensitivity 'forwards' is not known.*'forward'"):
-        fmuid.DiagnosisSettings(sensitivity="forwards")
+        fmuid.diagnosis.DiagnosisSettings(sensitivity="forwards")
 
 
 def test_the_common_mode_leaves_out_what_belongs_to_single_records(plate: fmuid.System) -> None:

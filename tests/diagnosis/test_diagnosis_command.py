@@ -12,7 +12,7 @@ import pytest
 import fmuid
 from fmuid.apps.cli.app import run
 from fmuid.codec import as_json
-from fmuid.progress import Event
+from fmuid.events import Event
 from tests.support.diagnosis_studies import Look
 from tests.support.plate import (
     record,

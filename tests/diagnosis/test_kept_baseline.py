@@ -52,7 +52,7 @@ def made(study: fmuid.Study) -> BaselineComparator:
     search = study.diagnosis
     assert search is not None
     faults = search.fault_models(study.system, study.model, study.data)
-    baseline = search.baseline(study.model, study.parameters, study.noise, study.experiments[0].read_experiment)
+    baseline = search.healthy(study.model, study.parameters, study.noise, study.experiments[0].read_experiment)
     return BaselineComparator.of(study.system, baseline, faults, search.causes, study.tables)
 
 
@@ -84,7 +84,9 @@ def test_a_diagnosis_and_a_monitoring_take_it(kept: Path) -> None:
     assert found.evidence is not None
     assert found.evidence.basis is BaselineSource.FILE
     assert {"turns.lost", "gain(i)", "delay(i)"} <= {each.change.label for each in found.evidence.suspects}
-    assert "What the healthy records show is from the baseline.npz beside the healthy result" in fmuid.describe(found)
+    assert "What the healthy records show is from the baseline.npz beside the healthy result" in str(
+        fmuid.Document.of(found)
+    )
     again = fmuid.Diagnosis.from_json(found.to_json(kept / "diagnosis.json"))
     assert again.evidence == found.evidence
     assert run_monitoring(asked(kept), [kept / "test1.csv"]).basis is BaselineSource.FILE

@@ -19,12 +19,13 @@ from fmuid.data.npz import read_arrays
 from fmuid.diagnosis import OnsetShape, SkippedWindow
 from fmuid.diagnosis.alarms import SOMETHING_ELSE, Rule, Trend
 from fmuid.diagnosis.monitor import Monitor
-from fmuid.reports.topics.monitoring import gap_words, monitoring_words
+from fmuid.reports.topics.monitoring import WHITE_NOISE, gap_words, monitoring_document, monitoring_words
 from fmuid.runs.faults import build_monitor, findings_of, rule_of
 from tests.support.coil_records import warming
 from tests.support.exported import export_text
 from tests.support.plate import COLUMNS, PHASES, PLATE, STD, TRUTH, identified
 from tests.support.plate import record as plate_record
+from tests.support.results import changed
 
 RULE = Rule(window=1.0, transient=0.2)
 
@@ -73,6 +74,8 @@ def test_nothing_is_found_where_nothing_is(healthy: fmuid.Result) -> None:
     assert not found.alarms
     assert told(found) == "No alarm in 60 windows, at a level of 1 % for a false one in a record."
     assert (found.table["significant"] != "").mean() < 0.06
+    # from a result alone, which has no noise model
+    assert WHITE_NOISE in [each.text for each in monitoring_document(findings_of(found)).remarks]
 
 
 # D is that of one linearisation at the estimate without the fault; the sizes are those where the fault is
@@ -207,6 +210,7 @@ def test_coloured_noise_is_no_fault(healthy: fmuid.Result) -> None:
     found.add(coloured(60, 3))
     assert (found.table["significant"] != "").mean() < 0.05
     assert not found.alarms
+    assert WHITE_NOISE not in [each.text for each in monitoring_document(findings_of(found)).remarks]
 
 
 def test_something_else_is_an_alarm_too(healthy: fmuid.Result) -> None:
@@ -255,7 +259,7 @@ def test_each_size_alone_is_one_of_least_squares(
         "rotor": fmuid.Fault(
             plate,
             {"size": ratio, "angle": fmuid.Parameter(0.0, nominal=1.0)},
-            angles={"angle": fmuid.FaultAngle("size", math.pi)},
+            angles={"angle": fmuid.diagnosis.FaultAngle("size", math.pi)},
         ),
     }
     record = plate_record(np.random.default_rng(50), **faults)
@@ -263,7 +267,7 @@ def test_each_size_alone_is_one_of_least_squares(
     found.add(record)
     row = found.table.iloc[0]
     std = 5.0 * sound.std
-    noise = np.tile([sound.variance["x"] ** 0.5, sound.variance["y"] ** 0.5], len(COLUMNS) // 2)
+    noise = np.tile([sound.fit.variance["x"] ** 0.5, sound.fit.variance["y"] ** 0.5], len(COLUMNS) // 2)
     own = COLUMNS / noise[:, None]
     data = record.output_values.ravel() / noise
     places = {f"stator.{phase}": [2 + k] for k, phase in enumerate(PHASES)} | {"rotor.size": [5, 6]}
@@ -287,7 +291,7 @@ def test_the_level_is_met_over_healthy_records(plate: fmuid.System, sound: fmuid
     fault = fmuid.Fault(plate, {"ea": fmuid.Parameter(0.0, min=0.0, nominal=0.01)})
     hits = 0
     for _ in range(count):
-        known = replace(sound, values=np.array(list(TRUTH.values())) + sound.std * rng.standard_normal(2))
+        known = changed(sound, values=np.array(list(TRUTH.values())) + sound.std * rng.standard_normal(2))
         baseline = fmuid.Baseline(known, noise_variance={"x": STD**2, "y": STD**2})
         found = Monitor(baseline, {"a": fault}, plate, Rule(level=level))
         found.add(plate_record(rng))

@@ -83,9 +83,9 @@ def test_appending_gives_what_one_run_gives(folder: Path, capsys: pytest.Capture
         (table, b"time,u\n0,1\n", "is not of fmuid monitor"),
         (table, b"", "is not of fmuid monitor"),
         (state, whole[state][:-400], "is not of fmuid monitor, or not whole"),
-        (state, saying({}), "has no 'version'"),
+        (state, saying({}), "has no 'same'"),
         (state, saying({k: v for k, v in later.items() if k != "windows"}), "has no 'windows'"),
-        (state, saying(later | {"records": [1]}), "its content is of other types"),
+        (state, saying(later | {"records": [1]}), "records[0]: the value should be an object, not 1"),
     ):
         path.write_bytes(spoilt)
         assert run(["monitor", study, str(records), *words, *grown, "--resume"]) == 2

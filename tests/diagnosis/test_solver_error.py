@@ -11,6 +11,7 @@ import pytest
 from scipy.linalg import expm
 
 import fmuid
+from fmuid.diagnosis import DiagnosisSettings
 from fmuid.estimation import AccuracyOutcome, RefinementRefusal
 from fmuid.reports.topics.diagnosis_phrases import diagnosis_notes
 from tests.support.stepping import MOTOR, stepping_fmu
@@ -54,7 +55,7 @@ def look(
     noise = dict(zip("iw", np.square(NOISE).tolist(), strict=True))
     baseline = fmuid.Baseline(healthy, noise_variance=noise, values={**HELD, "F": 0.0})
     fault = fmuid.Fault(motor, {"F": FAULT}, values=HELD)
-    return fmuid.diagnose(experiment, baseline, {"friction": fault}, motor, fmuid.DiagnosisSettings(accuracy=accuracy))
+    return fmuid.diagnose(experiment, baseline, {"friction": fault}, motor, DiagnosisSettings(solver_check=accuracy))
 
 
 def test_the_error_of_the_simulation_is_no_fault(motor: fmuid.System, healthy: fmuid.Result) -> None:

@@ -47,7 +47,7 @@ def test_the_shift_of_a_linear_model(prior: bool) -> None:
     """A finer simulation that gives ERROR more has its optimum where the data less ERROR have theirs."""
     one = problem(prior=prior)
     result = identify(one)
-    sigma = math.sqrt(result.noise_variance["y"])
+    sigma = math.sqrt(result.fit.noise_variance["y"])
     rows, values = BASIS / sigma, (one.measured - ERROR) / sigma
     if prior:
         rows, values = np.vstack([rows, [0.0, 1.0 / 0.05, 0.0]]), np.append(values, -2.0 / 0.05)
@@ -135,7 +135,7 @@ def test_written_and_read(tmp_path: Path) -> None:
     path = tmp_path / "result.json"
     path.write_text(json.dumps(RESULT | as_json(result)), encoding="utf-8")
     written = json.loads(path.read_text(encoding="utf-8"))
-    assert [each["numerical_shift"] for each in written["parameters"].values()] == [0.5, None, -2.0]
+    assert written["accuracy"]["shift"] == [0.5, None, -2.0]
     read = Result.from_json(path).accuracy
     assert read is not None
     assert np.array_equal(read.shift, shift, equal_nan=True)
@@ -149,8 +149,6 @@ def test_written_and_read(tmp_path: Path) -> None:
 
 def test_results_without_a_check_are_read(tmp_path: Path) -> None:
     data = RESULT | as_json(identify(problem()))
-    for each in data["parameters"].values():
-        del each["numerical_shift"]
     del data["accuracy"]
     path = tmp_path / "result.json"
     path.write_text(json.dumps(data), encoding="utf-8")

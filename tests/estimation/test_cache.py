@@ -65,14 +65,14 @@ def test_rows_are_alike_in_any_order() -> None:
         for other in (backward, fresh, small):
             assert (forward[seed].values == other[seed].values).all()
             assert (forward[seed].covariance == other[seed].covariance).all()
-            assert forward[seed].simulations == other[seed].simulations
+            assert forward[seed].history.simulations == other[seed].history.simulations
 
 
 def test_one_problem_alone_is_not_touched_by_a_cache() -> None:
     draws = Draws(1)
     (plain,), (found,) = (draws.identify(cache, [3]).values() for cache in (None, Cache()))
     assert (plain.values == found.values).all()
-    assert plain.simulations == found.simulations
+    assert plain.history.simulations == found.history.simulations
 
 
 def test_the_least_recently_used_goes_first() -> None:

@@ -140,12 +140,14 @@ class Count:
         truth = draw.truth
         self.draws += 1
         self.local += held(result.intervals(LEVEL).to_numpy(), truth)
-        self.plain += float(np.mean(np.abs(result.values - truth) < 1.96 * result.white_std))
-        self.wider += (float(np.mean(result.quantiles(LEVEL) * result.std / (1.96 * result.white_std))),)
+        self.plain += float(np.mean(np.abs(result.values - truth) < 1.96 * result.estimates.std_white_noise))
+        self.wider += (
+            float(np.mean(result.estimates.quantiles(LEVEL) * result.std / (1.96 * result.estimates.std_white_noise))),
+        )
         names, count = list(result.names), truth.size
-        freedom = result.test_freedom(names)
+        freedom = result.estimates.test_dof(names)
         fall = rise(draw, result)
-        self.ratio += fall / result.test_scale(names) / count > stats.f.ppf(1.0 - TEST, count, freedom)
+        self.ratio += fall / result.estimates.test_scale(names) / count > stats.f.ppf(1.0 - TEST, count, freedom)
         off = result.values - truth
         square = float(off @ np.linalg.solve(result.covariance, off))
         self.wald += square / count > stats.f.ppf(1.0 - TEST, count, freedom)
@@ -165,7 +167,7 @@ def held(ends: Floats, truth: Floats) -> float:
 def rise(draw: Draw, result: Result) -> float:
     """Return by how much the criterion is higher at the truth, with the variances of the result."""
     problem = draw.problem
-    weights = np.array([result.variance[name] for name in problem.output_names])[problem.groups]
+    weights = np.array([result.fit.variance[name] for name in problem.output_names])[problem.groups]
     misses = problem.measured - Evaluator(problem).predict(np.array([draw.truth, result.values]))
     there, least = np.sum(misses**2 / weights, axis=1)
     return float(there - least)

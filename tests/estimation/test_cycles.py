@@ -18,7 +18,7 @@ from scipy import linalg
 from fmuid.array_types import Floats
 from fmuid.data import Experiment, Noise, Parameter
 from fmuid.errors import InputError
-from fmuid.estimation.noise.low_frequency import Bins
+from fmuid.estimation.noise.low_frequency import Bins, line_counts
 from fmuid.estimation.noise.output_series import OutputSeries, period_of
 from fmuid.estimation.noise.periodic_error import (
     MeanCycle,
@@ -26,7 +26,6 @@ from fmuid.estimation.noise.periodic_error import (
     _floor,
     _likelihoods,
     _products,
-    _sides,
     _summed,
 )
 from fmuid.estimation.noise.sandwich import sandwich_of
@@ -171,7 +170,7 @@ def test_what_returns_adds_the_dense_covariance(powers: Floats) -> None:
         OutputSeries("experiment", f"y{k}", k, np.arange(k, 2 * COUNT, 2), np.arange(COUNT), STEP, True, 0, k)
         for k in (0, 1)
     )
-    assert _sides(PERIOD).sum() == PERIOD
+    assert line_counts(PERIOD).sum() == PERIOD
     np.testing.assert_allclose(
         _summed(columns, series[0], PERIOD), columns[::2].reshape(CYCLES, PERIOD, 3).sum(0) / CYCLES**0.5
     )
@@ -205,16 +204,16 @@ def test_an_error_of_two_outputs_acts_at_once(signs: tuple[float, float], least:
     rng = np.random.default_rng(5)
     error, white = np.tile(ar1(rng, 0.8, PERIOD), CYCLES), rng.standard_normal((COUNT, 2))
     problem, result = fitted(2.0 * np.outer(error, signs) + white)
-    assert result.noise is not None
-    assert result.local is not None
-    rest, found = sorted(result.noise.returning, key=lambda each: float(each.shares.sum()))
+    assert result.fit.noise is not None
+    assert result.fit.linearization is not None
+    rest, found = sorted(result.fit.noise.returning, key=lambda each: float(each.shares.sum()))
     assert found.probability > 0.99
     assert found.factors[1] / found.factors[0] == pytest.approx(signs[1] / signs[0], rel=0.1)
     np.testing.assert_allclose(found.shares, 0.8, atol=0.21)
     assert (rest.shares < 0.05).all()
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("fmuid.estimation.noise.periodic_error._together", lambda _folded, alone, _noise: alone)
-        apart = sandwich_of(problem, result.local, np.array([False, False]))
+        apart = sandwich_of(problem, result.fit.linearization, np.array([False, False]))
     wider = np.sqrt(np.diag(result.covariance) / np.diag(apart.covariance))
     assert (wider > least).all()
     assert (wider < most).all()
@@ -226,13 +225,13 @@ def test_an_error_that_returns_is_found_said_and_allowed_for() -> None:
     rng = np.random.default_rng(3)
     error = np.tile(ar1(rng, 0.8, PERIOD), CYCLES)
     problem, result = fitted(error + rng.standard_normal(COUNT))
-    assert result.noise is not None
-    assert result.local is not None
-    (found,) = result.noise.returning
+    assert result.fit.noise is not None
+    assert result.fit.linearization is not None
+    (found,) = result.fit.noise.returning
     assert found.probability > 0.99
     assert found.shares == pytest.approx([0.5], abs=0.2)
-    root = result.local.root
-    gram = result.noise.gram(result.local.jacobian @ root)
+    root = result.fit.linearization.root
+    gram = result.fit.noise.gram(result.fit.linearization.jacobian @ root)
     np.testing.assert_allclose(root @ gram @ root.T, result.covariance, rtol=1e-9)
     (said,) = (line for line in residual_words(analyze_residuals(problem, result)) if "comes back" in line)
     assert "every 4 s" in said
@@ -243,13 +242,13 @@ def test_where_nothing_returns_hardly_anything_changes(kind: str, monkeypatch: p
     """A random walk is slower than the cycle: folded to its mean cycle it would be lost."""
     rng = np.random.default_rng(4)
     problem, result = fitted(rng.standard_normal(COUNT) if kind == "white" else np.cumsum(rng.standard_normal(COUNT)))
-    assert result.local is not None
+    assert result.fit.linearization is not None
     monkeypatch.setattr("fmuid.estimation.noise.sandwich.returning", lambda *_: ())
-    without = sandwich_of(problem, result.local, np.array([False]))
+    without = sandwich_of(problem, result.fit.linearization, np.array([False]))
     wider = np.sqrt(np.diag(result.covariance) / np.diag(without.covariance))
     assert (wider >= 1.0).all()
     assert (wider < 1.02).all()
-    assert (result.freedom <= without.freedom).all()
+    assert (result.estimates.variance_dof <= without.freedom).all()
     assert analyze_residuals(problem, result).returning == ()
 
 
@@ -308,10 +307,10 @@ def covered(parts: tuple[Drawn, ...], draws: int) -> tuple[float, float, float]:
         problem, result = fitted(np.sum([part(rng) for part in parts], axis=0))
         ends = result.intervals().to_numpy()
         inside.append((ends[:, 0] <= 0.0) & (ends[:, 1] >= 0.0))
-        assert result.local is not None
+        assert result.fit.linearization is not None
         with pytest.MonkeyPatch.context() as patch:
             patch.setattr("fmuid.estimation.noise.sandwich.returning", lambda *_: ())
-            before = sandwich_of(problem, result.local, np.zeros(len(problem.output_names), dtype=np.bool_))
+            before = sandwich_of(problem, result.fit.linearization, np.zeros(len(problem.output_names), dtype=np.bool_))
         half = before_half(before.covariance, before.freedom)
         without.append(np.abs(result.values) < half)
         wider.append(float(np.mean((ends[:, 1] - ends[:, 0]) / (2.0 * half))))

@@ -8,8 +8,8 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from fmuid.array_types import Floats
-from fmuid.estimation.finite_differences import FiniteDifferences, SensitivityError
-from fmuid.estimation.simulation_noise import noise_level
+from fmuid.estimation.finite_differences import BoundedFunction, FiniteDifferences, SensitivityError
+from fmuid.estimation.simulation_noise import noise_level, noise_steps, shares_of
 
 Function = Callable[[Floats], Floats]
 Method = Literal["RK45", "BDF", "LSODA", "DOP853"]
@@ -32,10 +32,14 @@ def magnitudes(theta: Floats) -> Floats:
     return np.maximum(np.abs(theta), 0.1)
 
 
+def bounded_function(function: Function, bounds: tuple[Floats, Floats] = FREE) -> BoundedFunction:
+    return BoundedFunction(function, *bounds, magnitudes, function)
+
+
 def level(function: Function, theta: Floats = THETA, bounds: tuple[Floats, Floats] = FREE) -> float:
-    groups = np.zeros(function(theta[None]).shape[1], dtype=np.intp)
-    _, noise = noise_level(function, theta, magnitudes(theta), *bounds, groups, 1)
-    return float(noise.outputs[0])
+    shares = shares_of(np.zeros(function(theta[None]).shape[1], dtype=np.intp), 1)
+    steps = noise_steps(magnitudes(theta), theta - bounds[0], bounds[1] - theta)
+    return float(noise_level(function, theta, steps, shares)[1][0])
 
 
 def differences(
@@ -43,7 +47,7 @@ def differences(
 ) -> tuple[FiniteDifferences, Floats]:
     base = function(theta[None])[0]
     noise = np.full(base.size, level(function, theta, bounds))
-    return FiniteDifferences(function, *bounds, magnitudes, noise, float(np.sqrt(np.mean(base**2)))), base
+    return FiniteDifferences(bounded_function(function, bounds), noise, float(np.sqrt(np.mean(base**2)))), base
 
 
 def error(found: Floats, expected: Floats) -> float:
@@ -78,9 +82,9 @@ def test_every_output_has_its_own_noise() -> None:
     def noisy(thetas: Floats) -> Floats:
         return decay(thetas) + np.where(groups, 1e-2, 1e-7) * rng.standard_normal((len(thetas), TIMES.size))
 
-    base, noise = noise_level(noisy, THETA, magnitudes(THETA), *FREE, groups, 2)
-    np.testing.assert_allclose(noise.outputs, [1e-7, 1e-2], rtol=0.3)
-    assert noise.simulations == 7
+    steps = noise_steps(magnitudes(THETA), THETA - FREE[0], FREE[1] - THETA)
+    base, noise = noise_level(noisy, THETA, steps, shares_of(groups, 2))
+    np.testing.assert_allclose(noise, [1e-7, 1e-2], rtol=0.3)
     np.testing.assert_allclose(base, decay(THETA[None])[0], atol=0.06)
 
 
@@ -193,7 +197,7 @@ def test_a_point_without_neighbours_has_no_derivative() -> None:
         return outputs
 
     base = decay(THETA[None])[0]
-    finite = FiniteDifferences(lonely, *FREE, magnitudes, np.full(300, 1e-16), 1.0)
+    finite = FiniteDifferences(bounded_function(lonely), np.full(300, 1e-16), 1.0)
     with pytest.raises(SensitivityError) as caught:
         finite.jacobian(THETA, base, central=False)
     assert caught.value.index == 1
@@ -217,7 +221,7 @@ def test_planned_steps_follow_the_noise() -> None:
     """Forward steps go with the square root of the noise, central ones with its cube root."""
     steps = []
     for std in (1e-6, 1e-12):
-        finite = FiniteDifferences(decay, *FREE, magnitudes, np.full(300, std), 1.0)
+        finite = FiniteDifferences(bounded_function(decay), np.full(300, std), 1.0)
         base = decay(THETA[None])[0]
         finite.jacobian(THETA, base, central=True)
         finite.jacobian(THETA, base, central=True)

@@ -14,17 +14,16 @@ from fmuid.data import Normal, Parameter
 from fmuid.data.data_file import read_data
 from fmuid.data.noise import Noise
 from fmuid.errors import InputError
+from fmuid.estimation import global_search
 from fmuid.estimation.cost_components import misfits
+from fmuid.estimation.estimate import Marquardt
 from fmuid.estimation.evaluator import Evaluator
-from fmuid.estimation.global_search import search as global_search
-from fmuid.estimation.global_search.optima import optima_table
-from fmuid.estimation.global_search.search import GlobalSearch, Strategy
-from fmuid.estimation.method import Marquardt
+from fmuid.estimation.global_search import GlobalSearch, Strategy, optima_table
 from fmuid.estimation.problem import LeastSquares
 from fmuid.estimation.result import Result
 from fmuid.estimation.search.loop import TerminationReason
+from fmuid.events import Event
 from fmuid.identification import Problem, identify
-from fmuid.progress import Event
 from tests.support.paths import ROOT
 from tests.support.sinusoids import FREQUENCY, METHODS, RANGE, TIMES, dense_minima, of_search, searched, sinusoid
 
@@ -33,7 +32,7 @@ NEAR = 0.05
 
 
 def optima(found: Result) -> pd.DataFrame:
-    return optima_table(found.names, found.optima)
+    return optima_table(found.names, found.history.optima)
 
 
 def frequencies(found: Result) -> Floats:
@@ -67,13 +66,13 @@ def test_multistart_lists_all_optima_in_order() -> None:
     """The grid's minima and the ends of the box, each once, their criterion being the grid's sums of squares."""
     minima, squares = dense_minima()
     found = searched(sinusoid(noise=Noise(0.04)), GlobalSearch("multi-start", starts=100))
-    inside = [o for o in found.optima if RANGE[0] < o.theta[0] < RANGE[1]]
+    inside = [o for o in found.history.optima if RANGE[0] < o.theta[0] < RANGE[1]]
     order = np.argsort(squares)
     np.testing.assert_allclose([o.theta[0] for o in inside], minima[order], atol=NEAR)
     np.testing.assert_allclose([o.criterion for o in inside], squares[order] / 0.04, rtol=1e-5)
-    assert sum(o.hits for o in found.optima) == found.fits == 100
-    assert len(found.optima) <= minima.size + 2
-    assert all(o.converged for o in found.optima)
+    assert sum(o.hits for o in found.history.optima) == found.history.fits == 100
+    assert len(found.history.optima) <= minima.size + 2
+    assert all(o.converged for o in found.history.optima)
     criteria = optima(found)["criterion"].to_numpy()
     assert (np.diff(criteria) >= 0).all()
 
@@ -82,7 +81,7 @@ def test_multistart_lists_all_optima_in_order() -> None:
 def test_evolution_lists_secondary_optima_once() -> None:
     minima, _ = dense_minima()
     found = searched(sinusoid())
-    assert len(found.optima) >= 3
+    assert len(found.history.optima) >= 3
     for w in frequencies(found):
         inside = RANGE[0] < w < RANGE[1]
         assert np.abs(w - minima).min() < NEAR or not inside
@@ -95,9 +94,9 @@ def test_criterion_of_estimated_variance_is_relative_to_the_best() -> None:
     """With σ̂² = J/(K − 1) of the best, its criterion is K − 1 and the others' are in proportion."""
     minima, squares = dense_minima()
     found = searched(sinusoid(), GlobalSearch("multi-start", starts=12))
-    first, second = (squares[np.argmin(np.abs(minima - o.theta[0]))] for o in found.optima[:2])
-    assert found.optima[0].criterion == pytest.approx(TIMES.size - 1, rel=1e-6)
-    assert found.optima[1].criterion == pytest.approx((TIMES.size - 1) * second / first, rel=1e-4)
+    first, second = (squares[np.argmin(np.abs(minima - o.theta[0]))] for o in found.history.optima[:2])
+    assert found.history.optima[0].criterion == pytest.approx(TIMES.size - 1, rel=1e-6)
+    assert found.history.optima[1].criterion == pytest.approx((TIMES.size - 1) * second / first, rel=1e-4)
 
 
 def test_the_start_takes_part() -> None:
@@ -105,7 +104,7 @@ def test_the_start_takes_part() -> None:
     found = searched(sinusoid(), GlobalSearch("multi-start", starts=1))
     alone = identify(sinusoid())
     assert found["w"] == alone["w"]
-    assert found.start[0] == 12.0
+    assert found.estimates.start[0] == 12.0
 
 
 def test_prior_decides_between_equal_optima() -> None:
@@ -114,12 +113,13 @@ def test_prior_decides_between_equal_optima() -> None:
     parameter = Parameter(-1.0, min=-5.0, max=5.0, prior=Normal(2.5, 1.0))
     problem = LeastSquares.from_function(lambda theta: theta**2 * TIMES, measured, {"a": parameter}, noise=Noise(0.01))
     found = searched(problem, GlobalSearch("multi-start", starts=16))
-    assert len(found.optima) == 2
-    right, left = (o.theta[0] for o in found.optima)
+    assert len(found.history.optima) == 2
+    right, left = (o.theta[0] for o in found.history.optima)
     assert (right, left) == pytest.approx((2.0, -2.0), abs=0.05)
     rows = (left - 2.5) ** 2 - (right - 2.5) ** 2
-    data = [np.sum((measured - o.theta[0] ** 2 * TIMES) ** 2) / 0.01 for o in found.optima]
-    assert found.optima[1].criterion - found.optima[0].criterion == pytest.approx(rows + data[1] - data[0])
+    data = [np.sum((measured - o.theta[0] ** 2 * TIMES) ** 2) / 0.01 for o in found.history.optima]
+    best, second = found.history.optima[:2]
+    assert second.criterion - best.criterion == pytest.approx(rows + data[1] - data[0])
 
 
 @pytest.mark.parametrize("method", METHODS)
@@ -131,8 +131,8 @@ def test_valley_is_one_optimum(method: Strategy) -> None:
         {"a": Parameter(1.0, min=0.5, max=4.0), "b": Parameter(1.0, min=0.5, max=4.0)},
     )
     found = searched(problem, GlobalSearch(method, starts=12))
-    (optimum,) = found.optima
-    assert optimum.hits == found.fits
+    (optimum,) = found.history.optima
+    assert optimum.hits == found.history.fits
     assert optimum.hits >= (12 if method == "multi-start" else 1)
     assert not optimum.converged
     assert not found.converged
@@ -149,7 +149,7 @@ def test_perfect_data_give_one_optimum(method: Strategy) -> None:
         {"a": Parameter(1.0, min=0.1, max=10.0), "k": Parameter(1.0, min=0.1, max=50.0)},
     )
     found = searched(problem, GlobalSearch(method, starts=20))
-    assert len(found.optima) == 1
+    assert len(found.history.optima) == 1
     np.testing.assert_allclose(found.values, [3.0, 5.0], rtol=1e-5)
 
 
@@ -171,7 +171,7 @@ def test_induction_machine_from_a_wide_box() -> None:
     assert (np.abs(found.values - truth) < 4.0 * found.std).all()
     local = identify(problem, start=truth)
     assert (np.abs(found.values - local.values) < 0.01 * local.std).all()
-    assert not (optima(found)["criterion"][1:] < found.optima[0].criterion + 1.0).any()
+    assert not (optima(found)["criterion"][1:] < found.history.optima[0].criterion + 1.0).any()
 
 
 # --- the criterion that is compared -----------------------------------------------------
@@ -237,7 +237,7 @@ def test_progress(method: Strategy) -> None:
     assert all(s.done <= s.total for s in steps)
     assert (np.diff([s.criterion for s in steps]) <= 0).all()
     assert steps[-1].values["w"] == pytest.approx(found["w"], rel=1e-6)
-    assert found.simulations >= steps[-1].simulations
+    assert found.history.simulations >= steps[-1].simulations
 
 
 @pytest.mark.slow
@@ -246,7 +246,7 @@ def test_best_fit_is_finished(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(global_search, "FIT_ITERATIONS", 1)
     found = searched(sinusoid(), GlobalSearch("multi-start"))
     assert found.converged
-    assert not all(o.converged for o in found.optima)
+    assert not all(o.converged for o in found.history.optima)
     minima, squares = dense_minima()
     assert found["w"] == pytest.approx(minima[np.argmin(squares)], abs=2e-3)
     limited = searched(sinusoid(), GlobalSearch("multi-start", marquardt=Marquardt(max_iterations=1)))

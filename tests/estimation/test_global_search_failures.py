@@ -8,10 +8,10 @@ import pytest
 from fmuid.array_types import Floats
 from fmuid.data import Parameter
 from fmuid.errors import InputError
-from fmuid.estimation.global_search.search import GlobalSearch, Strategy
+from fmuid.estimation.global_search import GlobalSearch, Strategy
 from fmuid.estimation.problem import LeastSquares
 from fmuid.estimation.search.loop import TerminationReason
-from fmuid.progress import Event
+from fmuid.events import Event
 from fmuid.reports.topics.termination import ending
 from tests.support.sinusoids import METHODS, RANGE, TIMES, dense_minima, of_search, searched, sinusoid
 
@@ -39,7 +39,7 @@ def test_failing_simulations_are_passed_over(method: Strategy) -> None:
     minima, squares = dense_minima()
     assert found["w"] == pytest.approx(minima[np.argmin(squares)], abs=2e-3)
     if method == "multi-start":
-        assert found.fits == 30, "starts that fail are replaced"
+        assert found.history.fits == 30, "starts that fail are replaced"
 
 
 @pytest.mark.parametrize("method", METHODS)
@@ -99,13 +99,13 @@ def test_interruption_keeps_what_is_found(method: Strategy, calls: int, complete
     assert len(seen) == calls  # who interrupts waits for nothing more to be simulated
     assert not found.converged
     assert found.outcome is TerminationReason.INTERRUPTED
-    said = f"interrupted: these are the best values so far of a global search, after {found.fits} fit"
+    said = f"interrupted: these are the best values so far of a global search, after {found.history.fits} fit"
     assert ending(found).startswith(said)
-    assert sum(o.hits for o in found.optima) == found.fits
-    assert len(found.optima) < 40
+    assert sum(o.hits for o in found.history.optima) == found.history.fits
+    assert len(found.history.optima) < 40
     squares = [((np.sin(w * TIMES) - problem.measured) ** 2).sum() for w in seen[:complete]]
     assert ((np.sin(found["w"] * TIMES) - problem.measured) ** 2).sum() <= 1.0001 * min(squares)
-    assert np.isfinite(found.std).all() == fitted == (found.local is not None)
+    assert np.isfinite(found.std).all() == fitted == (found.fit.linearization is not None)
 
 
 def test_interruption_before_anything_is_found() -> None:

@@ -9,8 +9,8 @@ from fmuid.array_types import Floats
 from fmuid.codec import as_json
 from fmuid.data import Parameter
 from fmuid.errors import InputError
+from fmuid.estimation.estimate import Marquardt
 from fmuid.estimation.evaluator import Evaluator
-from fmuid.estimation.method import Marquardt
 from fmuid.estimation.problem import LeastSquares
 from fmuid.estimation.result import Result
 from fmuid.identification import identify
@@ -44,7 +44,7 @@ def noisy(y: Floats) -> Floats:
 def check(result: Result, truth: list[float]) -> None:
     assert result.converged, result.outcome
     assert (np.abs(result.values - truth) < 4.0 * result.std).all()
-    assert result.simulations < 400
+    assert result.history.simulations < 400
 
 
 @pytest.mark.parametrize("bounds", [{}, {"min": 0.0}, {"min": 0.0, "max": 20.0}])
@@ -55,9 +55,11 @@ def test_friction_at_rest(bounds: dict[str, Any], start: tuple[float, ...]) -> N
     assert not slide(np.array(start)).any()
     result = identify(LeastSquares.from_function(slide, noisy(slide(np.array(list(SLIDE.values())))), parameters))
     check(result, list(SLIDE.values()))
-    assert "Fc" in result.moved_start
-    assert result.start[1] < 4.0
-    assert as_json(result)["moved_start"] == list(result.moved_start)
+    assert "Fc" in result.identifiability.replaced_initial_guess
+    assert result.estimates.start[1] < 4.0
+    assert as_json(result)["identifiability"]["replaced_initial_guess"] == list(
+        result.identifiability.replaced_initial_guess
+    )
 
 
 @pytest.mark.parametrize("bounds", [{}, {"min": 0.0, "max": 10.0}])
@@ -65,15 +67,15 @@ def test_a_dead_zone_that_nothing_leaves(bounds: dict[str, Any]) -> None:
     parameters = {"gain": Parameter(1.0), "width": Parameter(6.0, **bounds), "drift": Parameter(0.2)}
     result = identify(LeastSquares.from_function(dead_zone, noisy(dead_zone(np.array([1.5, 0.7, 0.1]))), parameters))
     check(result, [1.5, 0.7, 0.1])
-    assert result.moved_start == ("width",)
-    assert result.start[[0, 2]].tolist() == [1.0, 0.2]
+    assert result.identifiability.replaced_initial_guess == ("width",)
+    assert result.estimates.start[[0, 2]].tolist() == [1.0, 0.2]
 
 
 def test_the_same_points_are_tried_every_time() -> None:
     parameters = {name: Parameter(value) for name, value in zip(SLIDE, (2.0, 8.0, 1.0), strict=True)}
     y = noisy(slide(np.array(list(SLIDE.values()))))
     first, second = (identify(LeastSquares.from_function(slide, y, parameters)) for _ in range(2))
-    assert first.start.tolist() == second.start.tolist()
+    assert first.estimates.start.tolist() == second.estimates.start.tolist()
     assert first.values.tolist() == second.values.tolist()
 
 

@@ -11,15 +11,22 @@ from scipy import signal, special
 
 import fmuid
 from fmuid.array_types import Floats
-from fmuid.estimation import Estimator
-from fmuid.estimation.linear_models.colored import colored_covariance
-from fmuid.estimation.linear_models.filters import StateVariableFilter
+from fmuid.estimation import (
+    Estimator,
+    LinearEstimate,
+    Term,
+    equation_error,
+    instrumental_variables,
+    linear_least_squares,
+)
+from fmuid.estimation.equation_error import StateVariableFilter
+from fmuid.estimation.linear import colored_covariance
 
 R, L = 4.0, 0.1
 STEP, SAMPLES = 1e-3, 1200
 TIMES = STEP * np.arange(SAMPLES)
 BITS = np.random.default_rng(7).integers(0, 2, SAMPLES // 15) * 2.0 - 1.0
-VOLTAGE = fmuid.Term(np.repeat(BITS, 15), interpolation="zoh")
+VOLTAGE = Term(np.repeat(BITS, 15), interpolation="zoh")
 
 
 def current(theta: Floats, first: float = 0.0) -> Floats:
@@ -29,8 +36,8 @@ def current(theta: Floats, first: float = 0.0) -> Floats:
     return np.asarray(driven + first * decay ** np.arange(SAMPLES))
 
 
-def terms(i: Floats) -> dict[str, fmuid.Term]:
-    return {"R": fmuid.Term(i), "L": fmuid.Term(i, derivative=1)}
+def terms(i: Floats) -> dict[str, Term]:
+    return {"R": Term(i), "L": Term(i, derivative=1)}
 
 
 CLEAN = current(np.array([R, L]))
@@ -43,7 +50,7 @@ NOISE = math.sqrt(float(np.mean(CLEAN**2)) / 10.0)
 def test_a_straight_line_in_closed_form() -> None:
     x = np.array([0.0, 1.0, 2.0, 3.0, 4.0])
     y = np.array([1.1, 2.9, 5.2, 6.8, 9.1])
-    found = fmuid.linear_least_squares(np.column_stack([x, np.ones(5)]), y, ["slope", "offset"])
+    found = linear_least_squares(np.column_stack([x, np.ones(5)]), y, ["slope", "offset"])
     spread = x - x.mean()
     slope = (spread @ y) / (spread @ spread)
     left = y - y.mean() - slope * spread
@@ -63,9 +70,9 @@ def test_missing_samples_do_not_count() -> None:
     rows, y = rng.standard_normal((50, 2)), rng.standard_normal(50)
     kept = np.ones(50, dtype=bool)
     kept[[3, 20]] = False
-    less = fmuid.linear_least_squares(rows[kept], y[kept])
+    less = linear_least_squares(rows[kept], y[kept])
     y[3], rows[20, 1] = np.nan, np.nan
-    whole = fmuid.linear_least_squares(rows, y)
+    whole = linear_least_squares(rows, y)
     assert whole.values == pytest.approx(less.values, rel=1e-12)
     assert whole.covariance == pytest.approx(less.covariance, rel=1e-12)
     assert (np.isnan(whole.residual) == ~kept).all()
@@ -76,7 +83,7 @@ def test_no_normal_equations() -> None:
     """Of columns nearly parallel, whose normal equations are singular in double precision, QR still finds the truth."""
     x = np.linspace(0.0, 1.0, 200)
     rows = np.column_stack([np.ones(200), 1.0 + 1e-8 * x])
-    found = fmuid.linear_least_squares(rows, rows @ [1.0, 2.0])
+    found = linear_least_squares(rows, rows @ [1.0, 2.0])
     assert found.values == pytest.approx([1.0, 2.0], rel=1e-6)
 
 
@@ -91,7 +98,7 @@ def test_the_difference_equation_of_the_coil_is_biased_as_theory_says() -> None:
     found = []
     for _ in range(20):
         y = CLEAN + NOISE * rng.standard_normal(SAMPLES)
-        found.append(fmuid.linear_least_squares(np.column_stack([y[:-1], u[:-1]]), y[1:], ["a", "b"]).values)
+        found.append(linear_least_squares(np.column_stack([y[:-1], u[:-1]]), y[1:], ["a", "b"]).values)
     assert np.mean(found, axis=0) == pytest.approx(expected, rel=0.01)
     assert (1.0 - expected[0]) / expected[1] > 1.8 * R  # which is no small matter
 
@@ -109,7 +116,7 @@ def test_the_difference_equation_of_the_coil_is_biased_as_theory_says() -> None:
 )
 def test_what_cannot_be_estimated(rows: Floats, measured: Floats, names: list[str], words: str) -> None:
     with pytest.raises(fmuid.InputError, match=words):
-        fmuid.linear_least_squares(rows, measured, names)
+        linear_least_squares(rows, measured, names)
 
 
 # --- filters
@@ -119,7 +126,7 @@ def test_what_cannot_be_estimated(rows: Floats, measured: Floats, names: list[st
 @pytest.mark.parametrize("derivative", [0, 1, 2])
 def test_filters_are_those_of_scipy(interpolation: str, derivative: int) -> None:
     values = np.random.default_rng(2).standard_normal(200)
-    own = StateVariableFilter(TIMES[:200], 300.0, 2).columns([fmuid.Term(values, derivative, interpolation)])[:, 0]
+    own = StateVariableFilter(TIMES[:200], 300.0, 2).columns([Term(values, derivative, interpolation)])[:, 0]
     numerator = [300.0**2] + derivative * [0.0]
     system = (numerator, np.poly([-300.0, -300.0]))
     _, reference, _ = signal.lsim(system, values, TIMES[:200], interp=interpolation == "linear")
@@ -129,7 +136,7 @@ def test_filters_are_those_of_scipy(interpolation: str, derivative: int) -> None
 def test_irregular_times_follow_the_closed_form() -> None:
     """A ramp through 1/(s/λ + 1)², at times of any distances: t − 2/λ + (t + 2/λ) e^(−λt)."""
     times = np.concatenate([[0.0], np.cumsum(np.random.default_rng(3).uniform(0.2, 3.0, 100) * 1e-2)])
-    found = StateVariableFilter(times, 5.0, 2).columns([fmuid.Term(times), fmuid.Term(times, 1)])
+    found = StateVariableFilter(times, 5.0, 2).columns([Term(times), Term(times, 1)])
     fade = np.exp(-5.0 * times)
     assert found[:, 0] == pytest.approx(times - 0.4 + (times + 0.4) * fade, abs=1e-12)
     assert found[:, 1] == pytest.approx(1.0 - (1.0 + 5.0 * times) * fade, abs=1e-12)
@@ -141,7 +148,7 @@ def test_irregular_times_follow_the_closed_form() -> None:
 @pytest.mark.parametrize("first", [0.0, 0.7])
 def test_the_coil_without_noise(first: float) -> None:
     """The filter is exact, the current nearly linear between samples, and what it was at the start does not count."""
-    found = fmuid.equation_error(TIMES, VOLTAGE, terms(current(np.array([R, L]), first)), cutoff=40.0)
+    found = equation_error(TIMES, VOLTAGE, terms(current(np.array([R, L]), first)), cutoff=40.0)
     assert found.values == pytest.approx([R, L], rel=2e-4)
     assert found.estimator is Estimator.EQUATION_ERROR
 
@@ -154,8 +161,11 @@ def test_an_oscillator_from_anywhere_at_irregular_times_with_holes() -> None:
     damped = omega * math.sqrt(1.0 - zeta**2)
     y = np.exp(-zeta * omega * times) * np.cos(damped * times + 0.3)
     y[rng.random(times.size) < 0.2] = np.nan
-    found = fmuid.equation_error(
-        times, fmuid.Term(-y, derivative=2), {"damping": fmuid.Term(y, 1), "stiffness": fmuid.Term(y)}, cutoff=6.0
+    found = equation_error(
+        times,
+        Term(-y, derivative=2),
+        {"damping": Term(y, 1), "stiffness": Term(y)},
+        cutoff=6.0,
     )
     assert found.values == pytest.approx([2.0 * zeta * omega, omega**2], rel=1e-3)
 
@@ -184,8 +194,8 @@ def test_filtered_equations_are_biased_as_theory_says_and_instruments_are_not(cu
     lp, iv, stated = [], [], []
     for _ in range(count):
         mine = terms(CLEAN + NOISE * rng.standard_normal(SAMPLES))
-        lp.append(fmuid.equation_error(TIMES, VOLTAGE, mine, cutoff=cutoff).values)
-        found = fmuid.instrumental_variables(TIMES, VOLTAGE, mine, lambda theta: terms(current(theta)), cutoff=cutoff)
+        lp.append(equation_error(TIMES, VOLTAGE, mine, cutoff=cutoff).values)
+        found = instrumental_variables(TIMES, VOLTAGE, mine, lambda theta: terms(current(theta)), cutoff=cutoff)
         assert found.converged
         iv.append(found.values)
         stated.append(found.std)
@@ -216,7 +226,7 @@ def test_the_variance_of_a_mean_of_colored_noise_is_right_and_so_is_its_scatter(
 
 def test_intervals_have_the_freedom_of_a_colored_residual() -> None:
     """What is slow has few independent samples, however many were taken."""
-    found = fmuid.equation_error(
+    found = equation_error(
         TIMES, VOLTAGE, terms(CLEAN + NOISE * np.random.default_rng(6).standard_normal(SAMPLES)), cutoff=40.0
     )
     assert found.degrees_of_freedom == SAMPLES - 4
@@ -241,7 +251,7 @@ def test_intervals_of_instruments_hold(cutoff: float, kind: str) -> None:
     rng, values, stds, freedom, held = np.random.default_rng(9), [], [], [], []
     for _ in range(200):
         mine = terms(CLEAN + noise_of(kind, rng))
-        found = fmuid.instrumental_variables(TIMES, VOLTAGE, mine, lambda theta: terms(current(theta)), cutoff=cutoff)
+        found = instrumental_variables(TIMES, VOLTAGE, mine, lambda theta: terms(current(theta)), cutoff=cutoff)
         values.append(found.values)
         stds.append(found.std)
         freedom.append(found.freedom)
@@ -257,8 +267,8 @@ def test_intervals_of_instruments_hold(cutoff: float, kind: str) -> None:
 
 def test_instruments_set_out_from_where_they_are_told() -> None:
     mine = terms(CLEAN + NOISE * np.random.default_rng(6).standard_normal(SAMPLES))
-    near = fmuid.instrumental_variables(TIMES, VOLTAGE, mine, lambda theta: terms(current(theta)), cutoff=40.0)
-    far = fmuid.instrumental_variables(
+    near = instrumental_variables(TIMES, VOLTAGE, mine, lambda theta: terms(current(theta)), cutoff=40.0)
+    far = instrumental_variables(
         TIMES, VOLTAGE, mine, lambda theta: terms(current(theta)), cutoff=40.0, start=[20.0, 0.02]
     )
     assert far.rounds > near.rounds
@@ -269,26 +279,26 @@ def test_instruments_that_never_settle_are_told() -> None:
     mine = terms(CLEAN + NOISE * np.random.default_rng(6).standard_normal(SAMPLES))
     rng = np.random.default_rng(0)
 
-    def restless(_: Floats) -> Mapping[str, fmuid.Term]:
+    def restless(_: Floats) -> Mapping[str, Term]:
         return terms(CLEAN + 0.1 * rng.standard_normal(SAMPLES))
 
-    found = fmuid.instrumental_variables(TIMES, VOLTAGE, mine, restless, cutoff=40.0)
+    found = instrumental_variables(TIMES, VOLTAGE, mine, restless, cutoff=40.0)
     assert (found.converged, found.rounds) == (False, 20)
-    assert "The instruments had not settled after 20 rounds" in fmuid.describe(found)
+    assert "The instruments had not settled after 20 rounds" in str(fmuid.Document.of(found))
 
 
 @pytest.mark.parametrize("estimator", Estimator)
 def test_every_estimator_has_words(estimator: Estimator) -> None:
-    calls: dict[Estimator, Callable[[], fmuid.LinearEstimate]] = {
-        Estimator.LEAST_SQUARES: lambda: fmuid.linear_least_squares(CLEAN[:, None], 2.0 * CLEAN, ["R"]),
-        Estimator.EQUATION_ERROR: lambda: fmuid.equation_error(TIMES, VOLTAGE, terms(CLEAN), cutoff=40.0),
-        Estimator.INSTRUMENTAL_VARIABLES: lambda: fmuid.instrumental_variables(
+    calls: dict[Estimator, Callable[[], LinearEstimate]] = {
+        Estimator.LEAST_SQUARES: lambda: linear_least_squares(CLEAN[:, None], 2.0 * CLEAN, ["R"]),
+        Estimator.EQUATION_ERROR: lambda: equation_error(TIMES, VOLTAGE, terms(CLEAN), cutoff=40.0),
+        Estimator.INSTRUMENTAL_VARIABLES: lambda: instrumental_variables(
             TIMES, VOLTAGE, terms(CLEAN), lambda theta: terms(current(theta)), cutoff=40.0
         ),
     }
     found = calls[estimator]()
     assert found.estimator is estimator
-    said = fmuid.describe(found)
+    said = str(fmuid.Document.of(found))
     assert said.startswith("R = ")
     assert ("a start for identify, not a result" in said) == (estimator is Estimator.EQUATION_ERROR)
 
@@ -299,42 +309,45 @@ def test_every_estimator_has_words(estimator: Estimator) -> None:
         ({"times": TIMES[::-1]}, "times must be"),
         ({"cutoff": 0.0}, "cutoff must be a positive number"),
         ({"order": 0}, "order must be 1, 2"),
-        ({"order": 1, "target": fmuid.Term(CLEAN, 2)}, "of order 1 knows no derivative 2"),
-        ({"target": fmuid.Term(CLEAN[1:])}, "a term needs 1200 values"),
-        ({"target": fmuid.Term(np.full(SAMPLES, np.nan))}, "a term needs finite values"),
+        ({"order": 1, "target": Term(CLEAN, 2)}, "of order 1 knows no derivative 2"),
+        ({"target": Term(CLEAN[1:])}, "a term needs 1200 values"),
+        ({"target": Term(np.full(SAMPLES, np.nan))}, "a term needs finite values"),
         (
-            {"target": fmuid.Term(np.where(TIMES > 0.5, np.nan, CLEAN))},
+            {"target": Term(np.where(TIMES > 0.5, np.nan, CLEAN))},
             r"no sample from 0.5 to .* s, which is more than",
         ),
         ({"terms": {}}, "terms are missing"),
-        ({"terms": {"R": fmuid.Term(CLEAN), "S": fmuid.Term(2.0 * CLEAN)}}, "'R' and 'S' depend on each other"),
+        (
+            {"terms": {"R": Term(CLEAN), "S": Term(2.0 * CLEAN)}},
+            "'R' and 'S' depend on each other",
+        ),
     ],
 )
 def test_what_no_filter_takes(change: dict[str, object], words: str) -> None:
     given: dict[str, object] = {"times": TIMES, "target": VOLTAGE, "terms": terms(CLEAN), "cutoff": 40.0}
     with pytest.raises(fmuid.InputError, match=words):
-        fmuid.equation_error(**(given | change))  # type: ignore[arg-type]
+        equation_error(**(given | change))  # type: ignore[arg-type]
 
 
 def test_what_no_term_is() -> None:
     with pytest.raises(fmuid.InputError, match=r"interpolation 'held' is not known.*: give linear or hold"):
-        fmuid.Term(CLEAN, interpolation="held")
+        Term(CLEAN, interpolation="held")
     with pytest.raises(fmuid.InputError, match="derivative must be 0, 1"):
-        fmuid.Term(CLEAN, derivative=-1)
+        Term(CLEAN, derivative=-1)
 
 
 def test_what_no_instruments_are() -> None:
-    def wrong(_: Floats) -> dict[str, fmuid.Term]:
-        return {"R": fmuid.Term(CLEAN), "l": fmuid.Term(CLEAN, 1)}
+    def wrong(_: Floats) -> dict[str, Term]:
+        return {"R": Term(CLEAN), "l": Term(CLEAN, 1)}
 
-    def exploding(theta: Floats) -> dict[str, fmuid.Term]:
+    def exploding(theta: Floats) -> dict[str, Term]:
         return terms(np.full(SAMPLES, np.inf) * theta[0])
 
     with pytest.raises(fmuid.InputError, match="have none for 'L'"):
-        fmuid.instrumental_variables(TIMES, VOLTAGE, terms(CLEAN), wrong, cutoff=40.0)
+        instrumental_variables(TIMES, VOLTAGE, terms(CLEAN), wrong, cutoff=40.0)
     with pytest.raises(fmuid.InputError, match=r"term of 'R' is not finite with R = "):
-        fmuid.instrumental_variables(TIMES, VOLTAGE, terms(CLEAN), exploding, cutoff=40.0)
+        instrumental_variables(TIMES, VOLTAGE, terms(CLEAN), exploding, cutoff=40.0)
     with pytest.raises(fmuid.InputError, match="start needs 2 values"):
-        fmuid.instrumental_variables(TIMES, VOLTAGE, terms(CLEAN), wrong, cutoff=40.0, start=[1.0])
+        instrumental_variables(TIMES, VOLTAGE, terms(CLEAN), wrong, cutoff=40.0, start=[1.0])
     with pytest.raises(fmuid.InputError, match="has no parameter 'Q'"):
-        fmuid.equation_error(TIMES, VOLTAGE, terms(CLEAN), cutoff=40.0)["Q"]
+        equation_error(TIMES, VOLTAGE, terms(CLEAN), cutoff=40.0)["Q"]

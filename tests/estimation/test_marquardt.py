@@ -11,12 +11,12 @@ from fmuid.array_types import Floats
 from fmuid.data import Parameter
 from fmuid.errors import InputError
 from fmuid.estimation.cost_function import prepare
+from fmuid.estimation.estimate import Marquardt
 from fmuid.estimation.evaluator import Evaluator
-from fmuid.estimation.method import Marquardt
 from fmuid.estimation.problem import LeastSquares
 from fmuid.estimation.search.loop import Iteration, State, TerminationReason, iterate
 from fmuid.estimation.search.marquardt import Descent
-from fmuid.estimation.search.trust_region import REGION, Step, TrustRegion, best_step, triangle
+from fmuid.estimation.search.trust_region import REGION, LinearModel, Step, TrustRegion, triangle
 
 TIMES = np.linspace(0.0, 3.0, 120)
 TRUTH = np.array([3.0, 1.2, 0.5])
@@ -44,7 +44,7 @@ def run(
     problem = LeastSquares.from_function(function, y, {f"p{i}": p for i, p in enumerate(parameters)})
     evaluator = Evaluator(problem)
     start = prepare(evaluator)
-    state = State(start.theta, start.evaluation.residual, start.evaluation.jacobian)
+    state = State(start.theta, start.residual, start.jacobian)
     states = list(iterate(Descent(settings or Marquardt()), start.criterion, state))
     return states[-1], [each.last for each in states if each.last is not None], evaluator
 
@@ -71,7 +71,7 @@ def test_a_rough_search_ends_earlier_near_the_optimum() -> None:
     y = measured()
     problem = LeastSquares.from_function(decay, y, {f"p{i}": p for i, p in enumerate(STARTS)})
     start = prepare(Evaluator(problem))
-    state = State(start.theta, start.evaluation.residual, start.evaluation.jacobian)
+    state = State(start.theta, start.residual, start.jacobian)
     states = list(iterate(Descent(Marquardt(), rough=True), start.criterion, state))
     state, rough = states[-1], [each.last for each in states if each.last is not None]
     exact, full, _ = run(decay, y, STARTS)
@@ -105,7 +105,7 @@ def test_a_damped_step_solves_marquardt_s_equation(radius: float) -> None:
     jacobian, residual = rng.standard_normal((30, 4)) * [1.0, 10.0, 0.1, 1.0], 20.0 * rng.standard_normal(30)
     lengths = np.linalg.norm(jacobian, axis=0)
     far = np.full(4, np.inf)
-    step = best_step(triangle(jacobian, residual), lengths, -far, far, radius)
+    step = LinearModel(triangle(jacobian, residual), lengths).step(-far, far, radius)
     assert step.damping > 0
     matrix = jacobian.T @ jacobian + step.damping * np.diag(lengths**2)
     np.testing.assert_allclose(step.step, -np.linalg.solve(matrix, jacobian.T @ residual), rtol=1e-9)
@@ -121,7 +121,7 @@ def test_bounded_steps_against_scipy() -> None:
     for _ in range(200):
         jacobian, residual = rng.standard_normal((12, 3)), rng.standard_normal(12)
         lower, upper = -0.3 * rng.random(3), 0.3 * rng.random(3)
-        step = best_step(triangle(jacobian, residual), np.linalg.norm(jacobian, axis=0), lower, upper)
+        step = LinearModel(triangle(jacobian, residual), np.linalg.norm(jacobian, axis=0)).step(lower, upper)
         assert (step.step >= lower).all()
         assert (step.step <= upper).all()
         assert step.predicted > 0
@@ -184,7 +184,7 @@ def test_simulations_that_all_fail_around_a_point_end_the_search() -> None:
 
     problem = LeastSquares.from_function(breaking, measured(), {f"p{i}": p for i, p in enumerate(STARTS)})
     start = prepare(Evaluator(problem))
-    state = State(start.theta, start.evaluation.residual, start.evaluation.jacobian)
+    state = State(start.theta, start.residual, start.jacobian)
     states = iterate(Descent(Marquardt()), start.criterion, state)
     next(states), next(states)
     armed = True

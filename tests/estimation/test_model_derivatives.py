@@ -7,7 +7,7 @@ import pytest
 
 from fmuid.array_types import Floats
 from fmuid.errors import SensitivityUnavailableError
-from fmuid.estimation.finite_differences import FiniteDifferences
+from fmuid.estimation.finite_differences import BoundedFunction, FiniteDifferences
 from fmuid.estimation.model_sensitivities import RELATIVE_ERROR, ModelSensitivities
 
 TIMES = np.linspace(0.0, 3.0, 50)
@@ -30,8 +30,8 @@ class Model:
 
     def __init__(self, times: int) -> None:
         self.left, self.said = times, list[str]()
-        differences = FiniteDifferences(decay, -FREE, FREE, np.abs, NOISE, 1.0, -2.0)
-        self.own = ModelSensitivities(self.derivatives, differences, np.abs, NOISE, -2.0, self.said.append)
+        differences = FiniteDifferences(BoundedFunction(decay, -FREE, FREE, np.abs, decay), NOISE, 1.0, -2.0)
+        self.own = ModelSensitivities(self.derivatives, differences, self.said.append)
 
     def derivatives(self, theta: Floats) -> Floats:
         self.left -= 1

@@ -24,11 +24,11 @@ def test_certified_values(name: str, start: int) -> None:
     reference, result = solved(name, start)
     assert result.converged, result.outcome
     assert digits(result.values, reference.certified) >= DIGITS
-    assert digits(result.white_std, reference.std) >= 2
-    residual = reference.y - result.fit[0]["simulated.y"].to_numpy()
+    assert digits(result.estimates.std_white_noise, reference.std) >= 2
+    residual = reference.y - result.fit.frames[0]["simulated.y"].to_numpy()
     assert residual @ residual == pytest.approx(reference.sum_of_squares, rel=1e-6)
     free = reference.y.size - reference.certified.size
-    assert result.noise_variance["y"] == pytest.approx(reference.sum_of_squares / free, rel=1e-5)
+    assert result.fit.noise_variance["y"] == pytest.approx(reference.sum_of_squares / free, rel=1e-5)
 
 
 def test_at_least_as_many_as_scipy() -> None:

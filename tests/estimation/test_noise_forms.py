@@ -68,7 +68,7 @@ def weighted(phi: Floats, y: Floats, weights: Floats) -> tuple[Floats, Floats, f
 
 def same(result: Result, values: Floats, covariance: Floats) -> None:
     np.testing.assert_allclose(result.values, values, rtol=1e-6)
-    np.testing.assert_allclose(result.white_covariance, covariance, rtol=1e-6)
+    np.testing.assert_allclose(result.estimates.covariance_white_noise, covariance, rtol=1e-6)
 
 
 def test_a_standard_deviation_for_each_sample() -> None:
@@ -76,11 +76,11 @@ def test_a_standard_deviation_for_each_sample() -> None:
     result, y = identify(problem), problem.experiments[0].output_values[:, 0]
     values, inverse, left = weighted(PHI, y, STD**-2)
     same(result, values, inverse)
-    assert result.criterion == pytest.approx(left)
-    assert result.given_variance["y"] == pytest.approx(float(np.mean(STD**2)))
+    assert result.fit.cost == pytest.approx(left)
+    assert result.fit.given_variance["y"] == pytest.approx(float(np.mean(STD**2)))
     density = float(np.sum(stats.norm.logpdf(y, PHI @ values, STD)))
-    assert result.log_likelihood == pytest.approx(density, rel=1e-8)
-    np.testing.assert_allclose(result.fit[0]["simulated.y"], PHI @ values, rtol=1e-6)
+    assert result.fit.log_likelihood == pytest.approx(density, rel=1e-8)
+    np.testing.assert_allclose(result.fit.frames[0]["simulated.y"], PHI @ values, rtol=1e-6)
     np.testing.assert_allclose(
         fitted(problem, result).squares, misfits(Evaluator(problem), values[None]).squares, rtol=1e-6
     )
@@ -101,7 +101,7 @@ def test_weights_for_each_sample_leave_one_variance_to_be_estimated() -> None:
     values, inverse, left = weighted(PHI, problem.experiments[0].output_values[:, 0], WEIGHTS)
     variance = left / (COUNT - 2)
     same(result, values, variance * inverse)
-    assert result.noise_variance["y"] == pytest.approx(variance * float(np.mean(1.0 / WEIGHTS)))
+    assert result.fit.noise_variance["y"] == pytest.approx(variance * float(np.mean(1.0 / WEIGHTS)))
 
 
 @pytest.mark.parametrize(
@@ -114,10 +114,12 @@ def test_one_variance_common_to_outputs(noise: Noise) -> None:
     phi, y, _ = rows_of_two(problem)
     values, inverse, left = weighted(phi, y, np.ones(y.size))
     same(result, values, left / (y.size - 2) * inverse)
-    assert result.noise_variance == pytest.approx(dict.fromkeys("uv", left / (y.size - 2)))
-    assert result.degrees_of_freedom == y.size - 2
+    assert result.fit.noise_variance == pytest.approx(dict.fromkeys("uv", left / (y.size - 2)))
+    assert result.fit.degrees_of_freedom == y.size - 2
     likely = left / y.size
-    assert result.log_likelihood == pytest.approx(float(np.sum(stats.norm.logpdf(y - phi @ values, scale=likely**0.5))))
+    assert result.fit.log_likelihood == pytest.approx(
+        float(np.sum(stats.norm.logpdf(y - phi @ values, scale=likely**0.5)))
+    )
 
 
 def test_weights_of_outputs() -> None:
@@ -127,7 +129,7 @@ def test_weights_of_outputs() -> None:
     values, inverse, left = weighted(phi, y, np.where(output == 0, 16.0, 1.0))
     variance = left / (y.size - 2)
     same(result, values, variance * inverse)
-    assert result.noise_variance == pytest.approx({"u": variance / 16.0, "v": variance})
+    assert result.fit.noise_variance == pytest.approx({"u": variance / 16.0, "v": variance})
 
 
 def test_what_is_common_is_common_to_all_criteria() -> None:
@@ -153,7 +155,7 @@ def test_a_share_of_the_spread() -> None:
     problem = one(Noise(relative_std=0.02))
     y = problem.experiments[0].output_values[:, 0]
     expected = (0.02 * np.std(y)) ** 2
-    assert identify(problem).given_variance["y"] == pytest.approx(expected)
+    assert identify(problem).fit.given_variance["y"] == pytest.approx(expected)
     same(identify(problem), *weighted(PHI, y, np.full(COUNT, 1.0 / expected))[:2])
 
 
@@ -299,12 +301,12 @@ def test_stated_variance_scales_standard_deviations_and_nothing_else(colour: flo
         problem, found = stated(variance)
         diagnostics = analyze_residuals(problem, found)
         assert found.values == pytest.approx(own.values, abs=1e-3 * own.std[0])
-        assert found.std == pytest.approx(own.std * math.sqrt(variance / own.noise_variance["y"]), rel=0.1)
-        assert found.widening == pytest.approx(own.widening, rel=0.1)
+        assert found.std == pytest.approx(own.std * math.sqrt(variance / own.fit.noise_variance["y"]), rel=0.1)
+        assert found.estimates.colored_noise_factor == pytest.approx(own.estimates.colored_noise_factor, rel=0.1)
         assert diagnostics.slow == ()
         (test,) = compare_prior_and_data(problem, found, diagnostics=diagnostics).variances
-        assert (test.known, test.estimated) == (variance, found.noise_variance["y"])
+        assert (test.known, test.estimated) == (variance, found.fit.noise_variance["y"])
         if colour == 0.0:
-            assert found.widening == pytest.approx(1.0, abs=0.1)
+            assert found.estimates.colored_noise_factor == pytest.approx(1.0, abs=0.1)
             expected = {1e-2: Deviation.SMALLER, 1e-4: Deviation.NONE, 1e-6: Deviation.LARGER}[variance]
             assert test.deviation is expected

@@ -4,6 +4,7 @@ import math
 from typing import Any
 
 import numpy as np
+import pandas as pd
 import pytest
 from scipy import stats
 from scipy.optimize import minimize
@@ -13,14 +14,14 @@ from fmuid.array_types import Floats
 from fmuid.codec import as_json
 from fmuid.data import Experiment, Normal, Parameter
 from fmuid.data.noise import Noise
-from fmuid.estimation import identification
+from fmuid.estimation import estimate as estimation
+from fmuid.estimation.estimate import Marquardt
 from fmuid.estimation.linear import linear_least_squares
-from fmuid.estimation.method import Marquardt
 from fmuid.estimation.problem import LeastSquares
 from fmuid.estimation.result import Result
 from fmuid.estimation.search.loop import TerminationReason
+from fmuid.events import Event, SearchStep
 from fmuid.identification import identify
-from fmuid.progress import Event, SearchStep
 from fmuid.reports.topics.termination import ending
 from fmuid.runs.findings import at_minimum
 from tests.support.problems import Fake
@@ -31,12 +32,12 @@ def test_every_output_gets_its_own_variance() -> None:
     result = identify(two_output_problem())
     assert result.converged
     assert result.outcome is TerminationReason.CONVERGED
-    assert result.noise_variance["u"] == pytest.approx(400.0, rel=0.3)
-    assert result.noise_variance["i"] == pytest.approx(1e-8, rel=0.3)
+    assert result.fit.noise_variance["u"] == pytest.approx(400.0, rel=0.3)
+    assert result.fit.noise_variance["i"] == pytest.approx(1e-8, rel=0.3)
     assert (np.abs(result.values - [1.5, 2.0]) < 3.5 * result.std).all()
 
     # the optimum is that of the likelihood with both variances unknown
-    measured = np.column_stack([result.fit[0]["measured.u"], result.fit[0]["measured.i"]])
+    measured = np.column_stack([result.fit.frames[0]["measured.u"], result.fit.frames[0]["measured.i"]])
 
     def likelihood(theta: Floats) -> float:
         return float(np.sum(np.log(np.sum((measured - two_outputs(theta)) ** 2, axis=0))))
@@ -50,16 +51,19 @@ def test_the_variances_settle_whatever_their_start() -> None:
     results = [identify(two_output_problem(noise=Noise(initial_variance=s))) for s in (1e-8, 1.0, 1e4)]
     for result in results:
         assert result.converged
-        assert len(result.rounds) <= 4
-        assert result.rounds["used.u"].iloc[1] == result.rounds["estimated.u"].iloc[0]
-        last = result.rounds.iloc[-1]
+        assert len(result.history.rounds) <= 4
+        assert (
+            pd.DataFrame(result.history.rounds)["used.u"].iloc[1]
+            == pd.DataFrame(result.history.rounds)["estimated.u"].iloc[0]
+        )
+        last = pd.DataFrame(result.history.rounds).iloc[-1]
         assert last["estimated.i"] == pytest.approx(last["used.i"], rel=0.02)
         np.testing.assert_allclose(result.values, results[0].values, atol=0.02 * results[0].std.min())
 
 
 def densities(result: Result, **std: float) -> float:
     """Return the sum of the normal log densities of the residuals of result.fit."""
-    fit = result.fit[0]
+    fit = result.fit.frames[0]
     rows = [(fit[f"measured.{n}"] - fit[f"simulated.{n}"], s) for n, s in std.items()]
     return float(sum(norm.logpdf(residual[residual.notna()], scale=s).sum() for residual, s in rows))
 
@@ -71,54 +75,57 @@ def test_the_log_likelihood_is_that_of_the_data() -> None:
     variances = {name: std**2 for name, std in known.items()}
     for words in ({}, priors):
         given = identify(two_output_problem(noise=Noise(variances), **words))
-        assert given.log_likelihood == pytest.approx(densities(given, **known), rel=1e-12)
+        assert given.fit.log_likelihood == pytest.approx(densities(given, **known), rel=1e-12)
         free = identify(two_output_problem(**words))
         likely = {
-            n: math.sqrt(float(np.mean((free.fit[0][f"measured.{n}"] - free.fit[0][f"simulated.{n}"]) ** 2)))
+            n: math.sqrt(
+                float(np.mean((free.fit.frames[0][f"measured.{n}"] - free.fit.frames[0][f"simulated.{n}"]) ** 2))
+            )
             for n in known
         }
-        assert free.log_likelihood == pytest.approx(densities(free, **likely), rel=1e-12)
+        assert free.fit.log_likelihood == pytest.approx(densities(free, **likely), rel=1e-12)
         mixed = identify(two_output_problem(noise=Noise({"i": 1e-8}), **words))
         # one estimated variance is never less likely than a known one
-        assert given.log_likelihood < mixed.log_likelihood < free.log_likelihood < given.log_likelihood + 3.0
+        limit = given.fit.log_likelihood + 3.0
+        assert given.fit.log_likelihood < mixed.fit.log_likelihood < free.fit.log_likelihood < limit
 
 
 def test_the_log_likelihood_compares_where_the_criterion_does_not() -> None:
     results = [identify(two_output_problem(noise=Noise(initial_variance=start))) for start in (1e-4, 1e4)]
-    assert results[0].log_likelihood == pytest.approx(results[1].log_likelihood, abs=1e-3)
+    assert results[0].fit.log_likelihood == pytest.approx(results[1].fit.log_likelihood, abs=1e-3)
     content = as_json(results[0])
-    assert content["log_likelihood"] == results[0].log_likelihood
+    assert content["fit"]["log_likelihood"] == results[0].fit.log_likelihood
     robust = identify(two_output_problem(loss="huber"))
-    assert math.isnan(robust.log_likelihood)
-    assert as_json(robust)["log_likelihood"] is None
+    assert math.isnan(robust.fit.log_likelihood)
+    assert as_json(robust)["fit"]["log_likelihood"] is None
 
 
 def test_given_variances_are_used_as_they_are() -> None:
     free = identify(two_output_problem())
     given = identify(two_output_problem(noise=Noise({"u": 4.0 * 400.0, "i": 4e-8})))
-    assert given.given_variance == {"u": 1600.0, "i": 4e-8}
-    assert free.given_variance == {}
-    assert given.noise_variance["u"] == pytest.approx(free.noise_variance["u"], rel=0.05)
+    assert given.fit.given_variance == {"u": 1600.0, "i": 4e-8}
+    assert free.fit.given_variance == {}
+    assert given.fit.noise_variance["u"] == pytest.approx(free.fit.noise_variance["u"], rel=0.05)
     np.testing.assert_allclose(given.std, 2.0 * free.std, rtol=0.15)
-    assert len(given.rounds) == 1
-    assert math.isinf(given.degrees_of_freedom)
-    assert free.degrees_of_freedom == pytest.approx(198.0)
+    assert len(given.history.rounds) == 1
+    assert math.isinf(given.fit.degrees_of_freedom)
+    assert free.fit.degrees_of_freedom == pytest.approx(198.0)
     width = given.intervals()["upper"] - given.intervals()["lower"]
     # the variances are known, their correlation is not
-    np.testing.assert_allclose(width, 2.0 * stats.t.ppf(0.975, given.freedom) * given.std, rtol=1e-6)
-    assert (given.freedom > free.freedom).all()
+    np.testing.assert_allclose(width, 2.0 * stats.t.ppf(0.975, given.estimates.variance_dof) * given.std, rtol=1e-6)
+    assert (given.estimates.variance_dof > free.estimates.variance_dof).all()
 
 
 def test_the_variances_that_weigh() -> None:
     """A given variance goes before the estimated one; the local model is whitened by both and not written to a file."""
     result = identify(two_output_problem(noise=Noise({"u": 900.0})))
-    assert result.variance == {"u": 900.0, "i": result.noise_variance["i"]}
-    assert result.local is not None
-    whitened = (result.fit[0]["measured.u"] - result.fit[0]["simulated.u"]) / 30.0
-    np.testing.assert_allclose(result.local.residual[::2], whitened, rtol=1e-9, atol=1e-12)
-    stacked = np.linalg.inv(result.local.jacobian.T @ result.local.jacobian)
-    np.testing.assert_allclose(stacked, result.white_covariance, rtol=1e-5)
-    assert result.local.prior_residual.size == 0
+    assert result.fit.variance == {"u": 900.0, "i": result.fit.noise_variance["i"]}
+    assert result.fit.linearization is not None
+    whitened = (result.fit.frames[0]["measured.u"] - result.fit.frames[0]["simulated.u"]) / 30.0
+    np.testing.assert_allclose(result.fit.linearization.residual[::2], whitened, rtol=1e-9, atol=1e-12)
+    stacked = np.linalg.inv(result.fit.linearization.jacobian.T @ result.fit.linearization.jacobian)
+    np.testing.assert_allclose(stacked, result.estimates.covariance_white_noise, rtol=1e-5)
+    assert result.fit.linearization.prior_residual.size == 0
 
 
 def test_the_barycentre_of_prior_and_data() -> None:
@@ -129,12 +136,12 @@ def test_the_barycentre_of_prior_and_data() -> None:
     parameters = {"a": Parameter(2.0, prior=Normal(0.9, 0.02)), "b": Parameter(1.0, prior=Normal(2.6, 0.1))}
     result = identify(LeastSquares.from_function(lambda theta: phi @ theta, y, parameters, noise=Noise(0.04)))
     data = linear_least_squares(phi, y)
-    precision = np.linalg.inv(data.covariance) * data.noise_variance / 0.04
+    precision = np.linalg.inv(data.covariance) * data.variance / 0.04
     prior = np.diag([1 / 0.02**2, 1 / 0.1**2])
-    expected = np.linalg.solve(prior + precision, prior @ [0.9, 2.6] + precision @ data.theta)
+    expected = np.linalg.solve(prior + precision, prior @ [0.9, 2.6] + precision @ data.values)
     np.testing.assert_allclose(result.values, expected, rtol=1e-6)
-    np.testing.assert_allclose(result.white_covariance, np.linalg.inv(prior + precision), rtol=1e-6)
-    np.testing.assert_allclose(result.pull, (expected - [0.9, 2.6]) / [0.02, 0.1], rtol=1e-4)
+    np.testing.assert_allclose(result.estimates.covariance_white_noise, np.linalg.inv(prior + precision), rtol=1e-6)
+    np.testing.assert_allclose(result.estimates.prior_z_score, (expected - [0.9, 2.6]) / [0.02, 0.1], rtol=1e-4)
 
 
 def test_parameters_shared_and_per_experiment() -> None:
@@ -153,9 +160,9 @@ def test_parameters_shared_and_per_experiment() -> None:
     result = identify(LeastSquares([Fake(), Fake()], tables, parameters))
     assert result.names == ("k", "gain[first]", "gain[second]")
     assert (np.abs(result.values - [1.5, 2.0, 5.0]) < 3.5 * result.std).all()
-    assert len(result.fit) == 2
-    assert list(result.fit[1].columns) == ["time", "measured.a", "simulated.a", "measured.b", "simulated.b"]
-    np.testing.assert_allclose(result.fit[1]["simulated.a"], simulate(*result.values[[0, 2]])[:, 0])
+    assert len(result.fit.frames) == 2
+    assert list(result.fit.frames[1].columns) == ["time", "measured.a", "simulated.a", "measured.b", "simulated.b"]
+    np.testing.assert_allclose(result.fit.frames[1]["simulated.a"], simulate(*result.values[[0, 2]])[:, 0])
 
 
 def test_an_interrupted_search_keeps_its_best_point() -> None:
@@ -189,7 +196,7 @@ def test_an_interruption_inside_a_simulation() -> None:
     y = 3.0 * np.exp(-TIMES) + 0.01 * np.sin(50.0 * TIMES)
     result = identify(LeastSquares.from_function(function, y, {"a": Parameter(1.0), "k": Parameter(3.0)}))
     assert result.outcome is TerminationReason.INTERRUPTED
-    assert result.criterion < result.trace["criterion"].iloc[0]
+    assert result.fit.cost < result.trace["criterion"].iloc[0]
 
 
 def test_the_iteration_limit_is_not_convergence() -> None:
@@ -197,11 +204,11 @@ def test_the_iteration_limit_is_not_convergence() -> None:
     assert not result.converged
     assert result.outcome is TerminationReason.ITERATION_LIMIT
     assert "raise max_iterations" in ending(result)
-    assert result.iterations == 1
+    assert result.history.iterations == 1
 
 
 def test_variances_that_do_not_settle_are_not_convergence(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(identification, "MAX_ROUNDS", 1)
+    monkeypatch.setattr(estimation, "MAX_ROUNDS", 1)
     result = identify(two_output_problem())
     assert result.outcome is TerminationReason.UNSETTLED
     assert not result.converged
@@ -216,14 +223,14 @@ def test_the_trace() -> None:
     assert len(seen) == len(events)
     assert list(result.trace.columns) == ["round", "iteration", "criterion", "lambda", "accepted", "k", "gain"]
     assert result.trace["iteration"].tolist() == [i.number for i in seen]
-    assert result.trace["iteration"].iloc[-1] == result.iterations
-    assert result.trace[["k", "gain"]].iloc[0].tolist() == result.start.tolist()
-    assert result.trace["round"].iloc[-1] == len(result.rounds)
-    assert result.simulations < 45
-    assert result.elapsed_s > 0
+    assert result.trace["iteration"].iloc[-1] == result.history.iterations
+    assert result.trace[["k", "gain"]].iloc[0].tolist() == result.estimates.start.tolist()
+    assert result.trace["round"].iloc[-1] == len(result.history.rounds)
+    assert result.history.simulations < 45
+    assert result.history.elapsed_s > 0
 
 
 def test_start_elsewhere() -> None:
     result = identify(two_output_problem(), start=[1.4, 2.1])
-    assert result.start.tolist() == [1.4, 2.1]
+    assert result.estimates.start.tolist() == [1.4, 2.1]
     np.testing.assert_allclose(result.values, identify(two_output_problem()).values, rtol=1e-4)

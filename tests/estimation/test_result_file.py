@@ -23,14 +23,14 @@ from tests.support.two_outputs import two_output_problem
 def test_result_json_keeps_the_contract(tmp_path: Path) -> None:
     result = identify(two_output_problem(parameters={"k": Parameter(0.8, prior=Normal(1.4, 0.1))}))
     data = as_json(result)
-    keys = {"outcome", "converged", "parameters", "covariance", "noise_variance", "criterion", "iterations"}
-    assert keys | {"simulations", "elapsed_s", "version"} <= set(data)
-    keys = {"value", "std", "white_std", "degrees_of_freedom", "start", "lower", "upper", "numerical_shift"}
-    assert set(data["parameters"]["k"]) == keys | {"prior_mean", "prior_std", "pull", "unit"}
+    keys = {"outcome", "converged", "parameters", "covariance", "at_bounds", "fit", "identifiability", "history"}
+    assert set(data) == keys | {"setup", "accuracy"}
+    keys = {"value", "std", "std_white_noise", "variance_dof", "start", "lower", "upper"}
+    assert set(data["parameters"]["k"]) == keys | {"prior_mean", "prior_std", "prior_z_score", "unit"}
     assert data["parameters"]["gain"]["prior_mean"] is None
     assert data["parameters"]["gain"]["upper"] == "inf"
     assert data["covariance"]["names"] == ["k", "gain"]
-    assert data["version"] == fmuid.__version__
+    assert data["setup"]["version"] == fmuid.__version__
     path = tmp_path / "result.json"
     path.write_text(json.dumps(RESULT | data, allow_nan=False), encoding="utf-8")
     back = Result.from_json(path)
@@ -38,18 +38,17 @@ def test_result_json_keeps_the_contract(tmp_path: Path) -> None:
         "values",
         "start",
         "covariance",
-        "std",
-        "white_covariance",
-        "freedom",
+        "covariance_white_noise",
+        "variance_dof",
         "lower",
         "upper",
         "prior_mean",
         "prior_std",
     ):
-        np.testing.assert_array_equal(getattr(back, name), getattr(result, name))
+        np.testing.assert_array_equal(getattr(back.estimates, name), getattr(result.estimates, name))
     pd.testing.assert_frame_equal(back.intervals(), result.intervals())
     assert as_json(back) == data
-    assert back.local is None
+    assert back.fit.linearization is None
 
 
 def test_undetermined_results_come_back(tmp_path: Path) -> None:
@@ -58,7 +57,7 @@ def test_undetermined_results_come_back(tmp_path: Path) -> None:
     path.write_text(json.dumps(RESULT | as_json(result), allow_nan=False), encoding="utf-8")
     back = Result.from_json(path)
     assert np.isinf(back.std).all()
-    assert back.undetermined == result.undetermined
+    assert back.identifiability.non_identifiable == result.identifiability.non_identifiable
     with pytest.raises(InputError, match="'R' is not determined"):
         back.prior()
 
@@ -67,7 +66,7 @@ def test_a_result_as_prior() -> None:
     result = identify(two_output_problem())
     joint = result.prior(["gain", "k"], inflate=10.0)
     # with the standard deviations whose normal intervals are those of the result
-    wider = np.asarray(stats.t.ppf(0.975, result.freedom)) / norm.ppf(0.975)
+    wider = np.asarray(stats.t.ppf(0.975, result.estimates.variance_dof)) / norm.ppf(0.975)
     expected = 100.0 * result.covariance * np.outer(wider, wider)
     np.testing.assert_allclose(joint.covariance, expected[::-1, ::-1])
     assert joint.mean.tolist() == [result["gain"], result["k"]]
@@ -85,7 +84,7 @@ def test_a_result_as_prior() -> None:
         ("{}", "is of no schema, not 'fmuid/result/2': run fmuid identify again$"),
         ('{"schema": "fmuid/diagnosis/2"}', "is of schema 'fmuid/diagnosis/2', not 'fmuid/result/2'"),
         ("[]", "is of no schema"),
-        ('{"schema": "fmuid/result/2"}', "cannot be right: it has no 'outcome'"),
+        ('{"schema": "fmuid/result/2"}', "cannot be right: parameters: the value should be an object"),
     ],
 )
 def test_files_that_are_no_results(tmp_path: Path, text: str, said: str) -> None:
@@ -110,19 +109,28 @@ def test_damaged_results_are_one_sentence(tmp_path: Path) -> None:
         assert "\n" not in text
         return text
 
-    for key in ("outcome", "noise_variance", "criterion", "iterations", "elapsed_s"):
+    for key in ("outcome", "fit", "identifiability", "history", "setup"):
         assert f"it has no '{key}'" in said({k: v for k, v in whole.items() if k != key})
-    for key in whole.keys() - {"schema", "converged", "version"}:
+    for key in whole.keys() - {"schema", "converged"}:
         assert f"right: {key}" in said(whole | {key: [["of old"]]})
-    assert "cannot be right: models." in said(whole | {"models": {"": "of old"}})
-    assert "it has no 'models..digest'" in said(whole | {"models": {"": {"name": "Coil"}}})
+
+    def setup(coil: object) -> str:
+        return said(whole | {"setup": whole["setup"] | {"models": {"": coil}}})
+
+    assert "cannot be right: setup.models." in setup("of old")
+    assert "it has no 'setup.models..digest'" in setup({"name": "Coil"})
     coil = {"name": "Coil", "digest": "0"}
-    assert "it has no 'models..run.divisor'" in said(whole | {"models": {"": coil | {"run": {"stiff": False}}}})
-    assert "it has 'models..steps', which is no key there" in said(whole | {"models": {"": coil | {"steps": 1}}})
+    assert "it has no 'setup.models..run.divisor'" in setup(coil | {"run": {"stiff": False}})
+    assert "it has 'setup.models..steps', which is no key there" in setup(coil | {"steps": 1})
     direction = {"names": ["k"], "coefficients": [1.0], "values": [1.0], "magnitudes": [1.0], "std": 1.0}
-    assert "it has no 'weak[0].determined'" in said(whole | {"weak": [direction]})
-    direction |= {"determined": "hidden", "values": []}
-    assert "weak[0]: a direction has not as many numbers as names" in said(whole | {"weak": [direction]})
+
+    def weak(one: object) -> str:
+        return said(whole | {"identifiability": {"weakly_identifiable": [one]}})
+
+    place = "identifiability.weakly_identifiable[0]"
+    assert f"it has no '{place}.level'" in weak(direction)
+    direction |= {"level": "hidden", "values": []}
+    assert f"{place}: a direction has not as many numbers as names" in weak(direction)
     negative = whole["covariance"] | {"matrix": np.diag([1.0, -1.0]).tolist()}
     assert "a variance is negative" in said(whole | {"covariance": negative})
     assert "the names differ from those of the rows" in said(whole | {"covariance": negative | {"names": ["x", "y"]}})
@@ -143,7 +151,7 @@ def test_estimates_as_a_table() -> None:
     assert table.index.tolist() == ["k", "gain"]
     np.testing.assert_array_equal(table["value"], result.values)
     assert table["prior_mean"].isna().all()
-    correlation = result.correlation
+    correlation = result.estimates.correlation
     assert correlation.loc["k", "k"] == pytest.approx(1.0)
     expected = result.covariance[0, 1] / np.prod(result.std)
     assert correlation.loc["k", "gain"] == pytest.approx(expected)

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any, cast
 
 import numpy as np
+import pandas as pd
 import pytest
 from scipy.optimize import brentq, least_squares
 
@@ -17,8 +18,8 @@ from fmuid.data.losses import LOSSES, NORMAL_SHARE, Loss, robust_variance
 from fmuid.data.noise import Noise
 from fmuid.errors import InputError
 from fmuid.estimation.cost_function import prepare
+from fmuid.estimation.estimate import Marquardt
 from fmuid.estimation.evaluator import Evaluator
-from fmuid.estimation.method import Marquardt
 from fmuid.estimation.problem import LeastSquares
 from fmuid.estimation.result import Result
 from fmuid.identification import identify
@@ -132,7 +133,7 @@ def test_estimates_of_scipy(name: str, seed: int) -> None:
     result = fit(y, name)
     assert result.converged
     assert (np.abs(result.values - reference.x) < 1e-3 * result.std).all()
-    assert result.criterion == pytest.approx(2.0 * reference.cost, rel=1e-9)
+    assert result.fit.cost == pytest.approx(2.0 * reference.cost, rel=1e-9)
     np.testing.assert_allclose(fit(y, name, tolerance=1e-8).values, reference.x, rtol=1e-6)
 
 
@@ -166,7 +167,7 @@ def test_priors_stay_squares(name: str) -> None:
     result = identify(problem, Marquardt(tolerance=1e-8))
     assert result.converged
     np.testing.assert_allclose(result.values, reference.x, rtol=1e-6)
-    assert result.pull[1] > 1.5  # the prior disagrees, and is not taken for an outlier
+    assert result.estimates.prior_z_score[1] > 1.5  # the prior disagrees, and is not taken for an outlier
 
 
 @pytest.mark.parametrize("name", ROBUST)
@@ -174,12 +175,12 @@ def test_the_jacobian_is_that_of_the_rows(name: str) -> None:
     """Of the roots ±√ρ, whose sum of squares has the gradient 2 Σ ψ J."""
     y = contaminated(5)
     criterion = prepare(Evaluator(LeastSquares.from_function(decay, y, STARTS, loss=name, noise=Noise(1.0)))).criterion
-    at = criterion.evaluate([2.5, 1.0, 0.4])
+    residual, jacobian = criterion.evaluate([2.5, 1.0, 0.4])
     f = (y - decay(np.array([2.5, 1.0, 0.4]))) / np.sqrt(criterion.variance[0])
     plain = -decay_jacobian(np.array([2.5, 1.0, 0.4])) / np.sqrt(criterion.variance[0])
-    np.testing.assert_allclose(at.residual, loss_of(name).root(f), rtol=1e-9, atol=1e-12)
-    np.testing.assert_allclose(at.jacobian, loss_of(name).slope(f)[:, None] * plain, rtol=1e-6, atol=1e-8)
-    np.testing.assert_allclose(at.jacobian.T @ at.residual, plain.T @ loss_of(name).influence(f), rtol=1e-5)
+    np.testing.assert_allclose(residual, loss_of(name).root(f), rtol=1e-9, atol=1e-12)
+    np.testing.assert_allclose(jacobian, loss_of(name).slope(f)[:, None] * plain, rtol=1e-6, atol=1e-8)
+    np.testing.assert_allclose(jacobian.T @ residual, plain.T @ loss_of(name).influence(f), rtol=1e-5)
 
 
 def test_a_distant_start_is_not_taken_for_outliers() -> None:
@@ -189,8 +190,8 @@ def test_a_distant_start_is_not_taken_for_outliers() -> None:
     result = identify(LeastSquares.from_function(decay, y, far, loss="cauchy", noise=Noise(STD**2)))
     assert result.converged
     np.testing.assert_allclose(result.values, fit(y, "cauchy").values, rtol=1e-5)
-    assert result.rounds["used.y"].iloc[0] > 100.0 * STD**2
-    assert result.rounds["used.y"].iloc[-1] == STD**2
+    assert pd.DataFrame(result.history.rounds)["used.y"].iloc[0] > 100.0 * STD**2
+    assert pd.DataFrame(result.history.rounds)["used.y"].iloc[-1] == STD**2
 
 
 # --- outliers ---------------------------------------------------------------------------
@@ -213,9 +214,9 @@ def test_outliers_hardly_move_the_estimates(name: str, noise: float | None) -> N
 @pytest.mark.parametrize("name", ROBUST)
 def test_outliers_hardly_inflate_the_noise_variance(name: str) -> None:
     y = contaminated(8)
-    assert fit(y, "linear", None).noise_variance["y"] > 10.0 * STD**2
-    assert fit(y, name, None).noise_variance["y"] == pytest.approx(STD**2, rel=0.4)
-    assert fit(clean(8), name, None).noise_variance["y"] == pytest.approx(STD**2, rel=0.25)
+    assert fit(y, "linear", None).fit.noise_variance["y"] > 10.0 * STD**2
+    assert fit(y, name, None).fit.noise_variance["y"] == pytest.approx(STD**2, rel=0.4)
+    assert fit(clean(8), name, None).fit.noise_variance["y"] == pytest.approx(STD**2, rel=0.25)
 
 
 def test_currents_with_spikes() -> None:
@@ -236,7 +237,7 @@ def test_currents_with_spikes() -> None:
     assert (np.abs(robust.values - reference.values) < reference.std).all()
     assert (np.abs(plain.values - reference.values) > 3.0 * reference.std).any()
     assert (robust.std < 1.2 * reference.std).all()
-    for variance in robust.noise_variance.values():
+    for variance in robust.fit.noise_variance.values():
         assert variance == pytest.approx(make_table.NOISE_VARIANCE, rel=0.2)
 
 
@@ -305,7 +306,7 @@ def test_covariance_of_a_linear_model() -> None:
     inside = np.abs(f) <= 1.0
     power = np.sum(np.where(inside, f, np.sign(f)) ** 2) / 298.0
     expected = 0.01 * power / np.mean(inside) ** 2 * np.linalg.inv(phi.T @ phi)
-    np.testing.assert_allclose(result.white_covariance, expected, rtol=1e-5)
+    np.testing.assert_allclose(result.estimates.covariance_white_noise, expected, rtol=1e-5)
 
 
 @pytest.mark.parametrize("name", [ROBUST[0], *(pytest.param(name, marks=pytest.mark.slow) for name in ROBUST[1:])])

@@ -98,8 +98,8 @@ def test_a_search_that_gains_nothing_ends() -> None:
     y = noisy(growth(GROWTH_TRUTH, 1e-3), 0.01)
     result = fit(lambda theta: growth(theta, 1e-3), y, GROWTH_START)
     assert result.converged
-    assert result.simulations < 300
-    assert result.iterations < 60
+    assert result.history.simulations < 300
+    assert result.history.iterations < 60
     assert (np.abs(result.values - GROWTH_TRUTH) < 4.0 * result.std).all()
 
 
@@ -174,7 +174,7 @@ def test_a_stalled_search_claims_nothing(stalled: Result, tmp_path: Path) -> Non
     assert not stalled.converged
     assert np.isnan(stalled.std).all()
     assert stalled.intervals().isna().to_numpy().all()
-    assert stalled.undetermined == stalled.weak == ()
+    assert stalled.identifiability.non_identifiable == stalled.identifiability.weakly_identifiable == ()
     path = tmp_path / "result.json"
     path.write_text(json.dumps(RESULT | as_json(stalled), allow_nan=False))
     again = Result.from_json(path)
@@ -193,7 +193,7 @@ def test_what_is_as_accurate_as_the_simulation_may_be_applied(tmp_path: Path) ->
     assert content["outcome"] == "accuracy"
     assert ending(result).startswith("converged to the accuracy of the simulation: make it more accurate")
     del content["parameters"]["brake"]
-    content["covariance"] = {"names": ["R", "L"], "matrix": np.eye(2).tolist(), "white": np.eye(2).tolist()}
+    content["covariance"] = {"names": ["R", "L"], "matrix": np.eye(2).tolist(), "white_noise": np.eye(2).tolist()}
     path = tmp_path / "result.json"
     path.write_text(json.dumps(content))
     applied = apply_result(path, FMUS / "Coil" / "Coil.fmu", tmp_path / "new.fmu")

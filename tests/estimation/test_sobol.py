@@ -10,7 +10,7 @@ import pytest
 from scipy.stats import qmc
 
 from fmuid.estimation import sobol_points
-from fmuid.estimation.starting_points.sobol import MAX_DIMENSIONS
+from fmuid.estimation.starting_points import MAX_DIMENSIONS
 
 
 @pytest.mark.parametrize("dimensions", [1, 2, 7, MAX_DIMENSIONS, MAX_DIMENSIONS + 1])
@@ -28,7 +28,7 @@ COLD = """
 import sys
 import fmuid
 found = fmuid.identify(fmuid.datasets.coil().problem(), start=[400.0, 1e-4])
-assert any(each.remedy.name == "SOBOL" for each in found.attempts), found.attempts
+assert any(each.remedy.name == "SOBOL" for each in found.history.restarts), found.history.restarts
 assert "scipy.stats" not in sys.modules
 """
 

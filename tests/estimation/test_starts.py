@@ -9,7 +9,7 @@ import pytest
 
 import fmuid
 from fmuid.estimation import WeakForm, second_difference_noise
-from fmuid.estimation.starting_points.weak_form import WINDOW
+from fmuid.estimation.starting_points import WINDOW
 
 RNG = np.random.default_rng(0)
 TIMES = np.cumsum(RNG.uniform(0.4, 1.6, 400) * 1e-2)

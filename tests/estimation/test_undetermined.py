@@ -11,7 +11,7 @@ from scipy import stats
 from fmuid.array_types import Floats
 from fmuid.codec import as_json
 from fmuid.data import Parameter
-from fmuid.estimation.covariance import ActiveBound, Identifiability
+from fmuid.estimation.covariance import ActiveBound, IdentifiabilityLevel
 from fmuid.estimation.problem import LeastSquares
 from fmuid.identification import identify
 from fmuid.reports.shared_phrases import direction_words
@@ -63,12 +63,12 @@ def test_what_cannot_be_told_apart_is_named() -> None:
 def test_a_prior_tells_them_apart() -> None:
     result = identify(coil_problem(prior=True))
     assert result.converged
-    assert result.undetermined == ()
-    assert len(result.prior_determined) == 1
-    assert "only R + dR and L + 0.0494 dR are determined" in direction_words(result.prior_determined[0])
+    assert result.identifiability.non_identifiable == ()
+    assert len(result.identifiability.prior_dominated) == 1
+    assert "only R + dR and L + 0.0494 dR are determined" in direction_words(result.identifiability.prior_dominated[0])
     assert result["dR"] == pytest.approx(1.0, abs=4 * result.std[2])
     assert result.std[2] < 0.3
-    assert result.correlation.to_numpy()[0, 2] < -0.5
+    assert result.estimates.correlation.to_numpy()[0, 2] < -0.5
 
 
 def test_two_alike_and_one_lost() -> None:
@@ -81,9 +81,9 @@ def test_two_alike_and_one_lost() -> None:
             parameters,
         )
     )
-    assert all(each.determined is Identifiability.NOT for each in result.undetermined)
-    assert {each.names for each in result.undetermined} == {("c",), ("a", "b")}
-    assert {direction_words(each) for each in result.undetermined} == {
+    assert all(each.level is IdentifiabilityLevel.NOT for each in result.identifiability.non_identifiable)
+    assert {each.names for each in result.identifiability.non_identifiable} == {("c",), ("a", "b")}
+    assert {direction_words(each) for each in result.identifiability.non_identifiable} == {
         "c is not determined: changing it changes no output",
         "a and b cannot be told apart: only a + b is determined",
     }
@@ -96,8 +96,8 @@ def test_a_hardly_determined_parameter_is_named() -> None:
         LeastSquares.from_function(lambda theta: theta[0] * TIMES + 1e-4 * theta[1] * TIMES**2, y, parameters)
     )
     assert result.converged
-    (direction,) = result.weak
-    assert (direction.determined, direction.names) == (Identifiability.HARDLY, ("bend",))
+    (direction,) = result.identifiability.weakly_identifiable
+    assert (direction.level, direction.names) == (IdentifiabilityLevel.HARDLY, ("bend",))
     assert direction_words(direction).startswith("bend is hardly determined: its standard deviation is ")
 
 
@@ -107,7 +107,7 @@ def test_strong_correlations_are_listed() -> None:
     y = 1.0 + 2.0 * t + 0.01 * np.random.default_rng(1).standard_normal(40)
     parameters = {"offset": Parameter(2.0), "slope": Parameter(1.0)}
     result = identify(LeastSquares.from_function(lambda theta: theta[0] + theta[1] * t, y, parameters))
-    ((first, second, value),) = result.strong_correlations
+    ((first, second, value),) = result.estimates.strong_correlations
     assert (first, second) == ("offset", "slope")
     assert value == pytest.approx(-np.mean(t) / np.sqrt(np.mean(t**2)), abs=1e-4)
 
@@ -115,13 +115,13 @@ def test_strong_correlations_are_listed() -> None:
 def test_bounds_are_named() -> None:
     result = identify(two_output_problem(parameters={"k": Parameter(0.8, min=0.0, max=1.2)}))
     assert result.converged
-    assert result.at_bounds == (ActiveBound("k", 1.2),)
+    assert result.estimates.at_bounds == (ActiveBound("k", 1.2),)
     assert "widen the bound" in ending(result)
     assert result["k"] == 1.2
     # one-sided where the estimate stands on a bound
     lower, upper = result.intervals(0.9).to_numpy()[0].tolist()
     assert upper == 1.2
-    assert lower == pytest.approx(1.2 - stats.t.ppf(0.9, result.freedom[0]) * result.std[0])
+    assert lower == pytest.approx(1.2 - stats.t.ppf(0.9, result.estimates.variance_dof[0]) * result.std[0])
 
 
 def test_intervals_end_at_bounds() -> None:
@@ -130,7 +130,7 @@ def test_intervals_end_at_bounds() -> None:
     bound = 0.5 * (free["k"] + upper)
     held = identify(two_output_problem(parameters={"k": Parameter(1.0, min=0.0, max=bound)}))
     assert held.intervals().to_numpy()[0].tolist() == pytest.approx([lower, bound], rel=1e-5)
-    assert not held.at_bounds
+    assert not held.estimates.at_bounds
 
 
 def test_few_samples_of_an_output_widen_what_depends_on_them_alone() -> None:
@@ -143,6 +143,6 @@ def test_few_samples_of_an_output_widen_what_depends_on_them_alone() -> None:
     y[[*range(20), *range(21, 50), *range(51, 90), *range(91, 100)], 1] = np.nan
     parameters = {"a": Parameter(0.5), "c": Parameter(1.0)}
     result = identify(LeastSquares.from_function(both, y, parameters, outputs=("u", "i"), times=TIMES))
-    assert result.freedom[1] == pytest.approx(2.0, rel=0.02)
-    assert result.freedom[0] > 20.0
+    assert result.estimates.variance_dof[1] == pytest.approx(2.0, rel=0.02)
+    assert result.estimates.variance_dof[0] > 20.0
     assert result.std[1] == pytest.approx(np.nanstd(y[:, 1], ddof=1) / math.sqrt(3.0), rel=0.02)

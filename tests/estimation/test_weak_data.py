@@ -15,7 +15,7 @@ from fmuid.codec import as_json
 from fmuid.data import Experiment, JointPrior, Normal, Parameter
 from fmuid.data.noise import Noise
 from fmuid.errors import InputError
-from fmuid.estimation.covariance import UNDETERMINED_STD, ActiveBound, Identifiability, local_covariance
+from fmuid.estimation.covariance import UNDETERMINED_STD, ActiveBound, IdentifiabilityLevel, local_covariance
 from fmuid.estimation.problem import LeastSquares
 from fmuid.estimation.result import Result
 from fmuid.estimation.search.loop import TerminationReason
@@ -66,12 +66,12 @@ def test_a_fault_that_looks_like_another_resistance() -> None:
 
 def test_any_prior_on_the_direction_determines_it() -> None:
     """The data give R + dR and L + 2τ dR; one prior more and everything is known, with the precision that it brings."""
-    assert len(coil_result(STEPS).undetermined) == 1
+    assert len(coil_result(STEPS).identifiability.non_identifiable) == 1
     for name, prior in (("R", Normal(4.0, 0.1)), ("L", Normal(0.1, 0.002)), ("dR", Normal(1.0, 0.1))):
         result = coil_result(STEPS, **{name: prior})
         assert result.converged
-        (direction,) = result.prior_determined
-        assert (direction.determined, direction.names) == (Identifiability.NOT, ("R", "L", "dR"))
+        (direction,) = result.identifiability.prior_dominated
+        assert (direction.level, direction.names) == (IdentifiabilityLevel.NOT, ("R", "L", "dR"))
         assert result.std[result.names.index(name)] == pytest.approx(prior.std, rel=0.05)
         assert result[name] == pytest.approx(prior.mean, abs=1e-3 * prior.std)  # the data do not pull at it
         assert result["dR"] == pytest.approx(1.0, abs=4.0 * result.std[2])
@@ -107,14 +107,14 @@ def test_a_runaway_is_stopped_and_named() -> None:
     assert ending(result).startswith("undetermined: R and L cannot be told apart in effect: only R - 0.006")
     assert "times their magnitude: give a prior" in ending(result)
     assert (result.std[:2] > UNDETERMINED_STD * np.abs(result.values[:2])).all()
-    assert result.iterations < 60
+    assert result.history.iterations < 60
     assert result.trace.loc[result.trace["accepted"], "L"].max() < 1e4
     json.dumps(RESULT | as_json(result), allow_nan=False)
 
 
 def test_a_bound_holds_a_runaway() -> None:
     result = resting_coil(L=10.0)
-    assert result.at_bounds == (ActiveBound("L", 10.0),)
+    assert result.estimates.at_bounds == (ActiveBound("L", 10.0),)
     assert "widen the bound or check the model" in ending(result)
 
 
@@ -146,21 +146,21 @@ def bend(std: float, start: float = 1.0, truth: float = 1.0) -> Result:
 
 
 def test_weak_and_undetermined() -> None:
-    assert bend(0.5).weak == ()
+    assert bend(0.5).identifiability.weakly_identifiable == ()
     weak = bend(9.0)
     assert weak.converged
-    (direction,) = weak.weak
-    assert (direction.determined, direction.names) == (Identifiability.HARDLY, ("bend",))
+    (direction,) = weak.identifiability.weakly_identifiable
+    assert (direction.level, direction.names) == (IdentifiabilityLevel.HARDLY, ("bend",))
     assert direction.std == pytest.approx(9.0, rel=1e-5)
     assert direction_words(direction) == "bend is hardly determined: its standard deviation is 900% of its magnitude"
-    (direction,) = bend(3.0, truth=1e-4).weak  # which happens to lie near zero
+    (direction,) = bend(3.0, truth=1e-4).identifiability.weakly_identifiable  # which happens to lie near zero
     said = "bend is hardly determined: its standard deviation, 3, is far more than its value"
-    assert (direction.determined, direction_words(direction)) == (Identifiability.HARDLY, said)
+    assert (direction.level, direction_words(direction)) == (IdentifiabilityLevel.HARDLY, said)
     lost = bend(11.0)
     assert not lost.converged
-    assert lost.weak == ()
-    (direction,) = lost.undetermined
-    assert direction.determined is Identifiability.NOT_IN_EFFECT
+    assert lost.identifiability.weakly_identifiable == ()
+    (direction,) = lost.identifiability.non_identifiable
+    assert direction.level is IdentifiabilityLevel.NOT_IN_EFFECT
     said = "bend is not determined in effect: its standard deviation is 11 times its magnitude"
     assert direction_words(direction) == said
     assert lost.std == pytest.approx([weak.std[0], weak.std[1], 11.0], rel=1e-5)
@@ -170,7 +170,7 @@ def test_an_estimate_near_zero_is_not_undetermined() -> None:
     """0 ± 0.5 is a finding where the start says that 1 would be sizeable."""
     result = bend(0.5, truth=0.0)
     assert result.converged
-    assert result.undetermined == ()
+    assert result.identifiability.non_identifiable == ()
     assert result.std[2] == pytest.approx(0.5, rel=1e-5)
 
 
@@ -194,9 +194,9 @@ def test_singular_and_weak_directions_together() -> None:
     found = local_covariance("abcd", jacobian, np.ones(4), np.zeros(4))
     assert found.rank == 3
     none, in_effect = found.undetermined
-    assert (none.determined, none.names, none.std) == (Identifiability.NOT, ("a", "b"), math.inf)
+    assert (none.level, none.names, none.std) == (IdentifiabilityLevel.NOT, ("a", "b"), math.inf)
     assert none.coefficients[0] == pytest.approx(-none.coefficients[1])
-    assert (in_effect.determined, in_effect.names) == (Identifiability.NOT_IN_EFFECT, ("c",))
+    assert (in_effect.level, in_effect.names) == (IdentifiabilityLevel.NOT_IN_EFFECT, ("c",))
     assert in_effect.std == pytest.approx(20.0)
     assert tuple(map(direction_words, found.undetermined)) == (
         "a and b cannot be told apart: only a + b is determined",
@@ -211,18 +211,18 @@ def test_singular_and_weak_directions_together() -> None:
 @pytest.mark.parametrize(
     ("effect", "error", "determined"),
     [
-        (0.0, 5.0, Identifiability.NOT),  # nothing at all
-        (0.01, 0.01, Identifiability.NOT),  # less than would ever tell it
-        (3.0, 5.0, Identifiability.HIDDEN),  # errors where without them it would be known to a third
+        (0.0, 5.0, IdentifiabilityLevel.NOT),  # nothing at all
+        (0.01, 0.01, IdentifiabilityLevel.NOT),  # less than would ever tell it
+        (3.0, 5.0, IdentifiabilityLevel.HIDDEN),  # errors where without them it would be known to a third
     ],
 )
 def test_what_errors_hide_does_not_count_as_without_effect(
-    effect: float, error: float, determined: Identifiability
+    effect: float, error: float, determined: IdentifiabilityLevel
 ) -> None:
     rows, _ = np.linalg.qr(np.random.default_rng(6).standard_normal((50, 2)))
     found = local_covariance("ab", rows * [100.0, effect], np.ones(2), np.array([0.0, error]))
     (direction,) = found.undetermined
-    assert (direction.determined, direction.names) == (determined, ("b",))
+    assert (direction.level, direction.names) == (determined, ("b",))
     said = "the outputs by no more than the simulation's errors" if effect == 3.0 else "no output"
     assert direction_words(direction) == f"b is not determined: changing it changes {said}"
 
@@ -279,11 +279,11 @@ def test_a_parameter_with_a_prior_and_no_data(variance: object) -> None:
     assert both.converged
     assert both["idle"] == pytest.approx(2.5, rel=1e-9)
     assert both.std[1] == pytest.approx(0.5, rel=1e-9)
-    assert both.pull[1] == pytest.approx(0.0, abs=1e-9)
+    assert both.estimates.prior_z_score[1] == pytest.approx(0.0, abs=1e-9)
     assert both["slope"] == pytest.approx(single["slope"], rel=1e-9)
     assert both.std[0] == pytest.approx(single.std[0], rel=1e-6)
-    (direction,) = both.prior_determined
-    assert (direction.determined, direction.names) == (Identifiability.NOT, ("idle",))
+    (direction,) = both.identifiability.prior_dominated
+    assert (direction.level, direction.names) == (IdentifiabilityLevel.NOT, ("idle",))
     assert direction_words(direction) == "idle is not determined: changing it changes no output"
 
 
@@ -298,8 +298,8 @@ def test_priors_and_no_useful_data_at_all() -> None:
     assert result.converged
     assert result.values == pytest.approx([1.0, 2.0], rel=1e-6)
     np.testing.assert_allclose(result.covariance, joint.covariance, rtol=1e-9)
-    assert len(result.prior_determined) == 2
-    assert result.noise_variance["y"] == pytest.approx(0.01, rel=0.15)
+    assert len(result.identifiability.prior_dominated) == 2
+    assert result.fit.noise_variance["y"] == pytest.approx(0.01, rel=0.15)
 
 
 def test_one_sample_and_three_priors() -> None:
@@ -362,7 +362,7 @@ def test_absurd_magnitudes_make_no_warnings(magnitude: float, loss: str) -> None
     assert result.converged
     assert result.values * [1.0 / magnitude, magnitude] == pytest.approx(plain.values, rel=1e-5)
     assert result.std * [1.0 / magnitude, magnitude] == pytest.approx(plain.std, rel=1e-4)
-    assert result.freedom == pytest.approx(plain.freedom, rel=1e-3)
+    assert result.estimates.variance_dof == pytest.approx(plain.estimates.variance_dof, rel=1e-3)
 
 
 @pytest.mark.parametrize("start", [1e-90, -1e60, 1e90])

@@ -48,7 +48,8 @@ def test_the_prior_sharpens_every_estimate_as_the_barycentre_says(pair: dict[str
     data, prior = np.linalg.inv(alone.covariance), np.diag(chapter.PRIOR_STD**-2)
     covariance = np.linalg.inv(data + prior)
     assert both.std == pytest.approx(np.sqrt(np.diag(covariance)), rel=0.01)
-    weights = np.linalg.inv(alone.white_covariance)  # the criterion weighs every sample alike, also where noise is slow
+    # the criterion weighs every sample alike, also where noise is slow
+    weights = np.linalg.inv(alone.estimates.covariance_white_noise)
     barycentre = np.linalg.solve(weights + prior, weights @ alone.values + prior @ chapter.PRIOR_MEAN)
     assert (np.abs(both.values - barycentre) < 0.02 * both.std).all()
     assert (np.abs(both.values - chapter.TRUTH) < 3 * both.std).all()
@@ -58,7 +59,7 @@ def test_the_prior_sharpens_every_estimate_as_the_barycentre_says(pair: dict[str
 def test_the_search_with_prior_takes_no_more_iterations_and_on_average_fewer(table: pd.DataFrame) -> None:
     data = chapter.experiment(table)
     found = [chapter.pair(data, start) for start in chapter.corners(0.5)]
-    counts = np.array([[result.iterations for result in pair.values()] for pair in found])
+    counts = np.array([[result.history.iterations for result in pair.values()] for pair in found])
     assert (counts[:, 1] <= counts[:, 0]).all()
     assert counts[:, 1].mean() < counts[:, 0].mean() - 0.5
 
@@ -136,7 +137,7 @@ def test_figures_show_every_search(
 ) -> None:
     search = chapter.search_figure(pair)
     paths = [np.asarray(line.get_xydata()) for line in search.axes[0].lines if line.get_label() in pair]
-    assert [path[-1].tolist() for path in paths] == [[r.iterations, r["Rs"]] for r in pair.values()]
+    assert [path[-1].tolist() for path in paths] == [[r.history.iterations, r["Rs"]] for r in pair.values()]
     left, right = chapter.variance_figure(repetition, 0.0462).axes
     assert left.get_yscale() == "log"
     for axes in (left, right):

@@ -52,7 +52,7 @@ def test_the_time_constant_is_that_of_the_healthy_record() -> None:
     healthy = fmuid.Result.from_json(study.HERE / "healthy" / "result.json")
     settings = fmuid.Study.read(study.HERE / "test.toml").diagnosis
     assert settings is not None
-    assert settings.faults["turns"].values["tau"] == pytest.approx(healthy["L"] / healthy["R"], abs=5e-6)
+    assert settings.faults["turns"].fixed["tau"] == pytest.approx(healthy["L"] / healthy["R"], abs=5e-6)
     again = fmuid.Study.read(study.HERE / "healthy.toml").identify()
     assert again.values == pytest.approx(healthy.values, rel=1e-5)
     assert (np.abs(healthy.values - [study.R, study.L]) < 3 * healthy.std).all()
@@ -131,8 +131,8 @@ def test_the_page_shows_what_comes_out(single: dict[int, fmuid.Diagnosis], commi
 
 def test_the_healthy_result_is_of_the_committed_model() -> None:
     content = json.loads((study.HERE / "healthy" / "result.json").read_text(encoding="utf-8"))
-    assert content["models"][""]["name"] == "Coil"
-    assert content["models"][""]["digest"] == fmuid.FMU(study.FMUS / "Coil" / "Coil.fmu").digest
+    assert content["setup"]["models"][""]["name"] == "Coil"
+    assert content["setup"]["models"][""]["digest"] == fmuid.FMU(study.FMUS / "Coil" / "Coil.fmu").digest
     assert not fmuid.Study.read(study.HERE / "test.toml").notes
 
 

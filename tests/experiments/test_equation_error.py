@@ -9,7 +9,7 @@ import pytest
 from experiments import pages
 from experiments.coil import study as coil
 from experiments.equation_error import study
-from fmuid.estimation.linear_models.filters import StateVariableFilter, Term
+from fmuid.estimation.equation_error import StateVariableFilter, Term
 
 README = (study.HERE / "README.md").read_text(encoding="utf-8")
 

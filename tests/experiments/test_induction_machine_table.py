@@ -130,8 +130,10 @@ def test_without_noise_the_parameters_come_back(clean: pd.DataFrame) -> None:
     little = 1e-6  # A², with which the search ends where it would without noise
     result = chapter.estimate(chapter.experiment(clean), noise=fmuid.Noise(little))
     # what is left has a colour of its own
-    std = result.white_std * np.sqrt(make_table.NOISE_VARIANCE / little)
-    assert std == pytest.approx(chapter.estimate(chapter.experiment(pd.read_csv(TABLE))).white_std, rel=0.05)
+    std = result.estimates.std_white_noise * np.sqrt(make_table.NOISE_VARIANCE / little)
+    assert std == pytest.approx(
+        chapter.estimate(chapter.experiment(pd.read_csv(TABLE))).estimates.std_white_noise, rel=0.05
+    )
     assert (np.abs(result.values - chapter.TRUTH) < 0.05 * std).all()
 
 

@@ -29,7 +29,7 @@ def test_induction_machine_comes_back_from_starts_50_percent_away(factors: tuple
     assert result.converged
     assert result.names == tuple(truth)
     assert (np.abs(result.values - list(truth.values())) < 3 * result.std).all()
-    assert list(result.noise_variance.values()) == pytest.approx([make_table.NOISE_VARIANCE] * 2, rel=0.06)
+    assert list(result.fit.noise_variance.values()) == pytest.approx([make_table.NOISE_VARIANCE] * 2, rel=0.06)
 
 
 @pytest.mark.slow
@@ -92,10 +92,10 @@ def emps_record() -> Path | None:
 def test_recorded_drive() -> None:
     result = fmuid.Study.read(EMPS, [f"experiments.0.data={emps_record()}"]).identify()
     assert result.converged
-    assert np.abs(result.numerical_shift).max() < 1e-3  # its controller acts as often in the check
+    assert np.abs(result.solver_error).max() < 1e-3  # its controller acts as often in the check
     errors = np.abs(result.values[:4] / PUBLISHED - 1)
     assert errors[0] < 0.03
     assert (errors[1:] < 0.02).all()
-    fit = result.fit[0]
+    fit = result.fit.frames[0]
     measured, simulated = fit["measured.controller.v"], fit["simulated.controller.v"]
     assert np.linalg.norm(measured - simulated) / np.linalg.norm(measured) < 0.049

@@ -93,7 +93,9 @@ def test_shorted_turns_of_one_phase(frame: pd.DataFrame, phase: int) -> None:
     voltage = phases[["ua", "ub", "uc"]].to_numpy()[:, phase]
     currents = np.zeros((len(frame), 3))
     currents[:, phase] = ratio / MACHINE["Rs"] * voltage
-    expected = fmuid.park_transform(phases.assign(**dict(zip(names, currents.T, strict=True))), names, ["d", "q"])
+    expected = fmuid.signals.park_transform(
+        phases.assign(**dict(zip(names, currents.T, strict=True))), names, ["d", "q"]
+    )
     values = {"Rs": MACHINE["Rs"], f"eta_{'abc'[phase]}": ratio}
     found = run(path("StatorShortCircuit"), frame, ["uds", "uqs", "theta"], ["ids", "iqs"], values)
     np.testing.assert_allclose(found, expected[["d", "q"]], rtol=0, atol=1e-12)

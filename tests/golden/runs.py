@@ -54,11 +54,9 @@ def of_result(result: fmuid.Result, prefix: str = "") -> Numbers:
     found: Numbers = {f"text.{prefix}outcome": result.outcome.value}
     for name, value, std in zip(result.names, result.values, result.std, strict=True):
         found |= {f"value.{prefix}{name}": float(value), f"std.{prefix}{name}": float(std)}
-    found |= {f"noise.{prefix}{name}": float(value) for name, value in result.noise_variance.items()}
-    counts = {"iterations": result.iterations, "simulations": result.simulations}
-    return (
-        found | {f"cost.{prefix}total": result.criterion} | {f"count.{prefix}{each}": n for each, n in counts.items()}
-    )
+    found |= {f"noise.{prefix}{name}": float(value) for name, value in result.fit.noise_variance.items()}
+    counts = {"iterations": result.history.iterations, "simulations": result.history.simulations}
+    return found | {f"cost.{prefix}total": result.fit.cost} | {f"count.{prefix}{each}": n for each, n in counts.items()}
 
 
 FREE = {

@@ -72,9 +72,9 @@ def off(result: fmuid.Result, truth: float = TRUTH) -> float:
 
 def test_what_euler_would_make_of_it(folder: Path) -> None:
     """Without a check the estimate is as wrong as the formula says: 1 − k h in place of e^(−kh), up to the gain."""
-    result = fmuid.identify(fmuid.Problem(stepping_fmu(folder, LAG), lag_table(0.0), START), accuracy="off")
+    result = fmuid.identify(fmuid.Problem(stepping_fmu(folder, LAG), lag_table(0.0), START), solver_check="off")
     assert result.accuracy is None
-    assert np.isnan(result.numerical_shift).all()
+    assert np.isnan(result.solver_error).all()
     assert abs(result["k"] - TRUTH) > 1e-4
 
 
@@ -86,7 +86,7 @@ def test_the_start_shows_it(folder: Path) -> None:
     assert off(result) < 3.0
     assert found.outcome is AccuracyOutcome.PASSED
     assert [switch.cause for switch in found.switches] == [SwitchCause.START_DIFFERED]
-    used, finer = result.models[""]["run"], found.finer[""]
+    used, finer = result.setup.models[""]["run"], found.finer[""]
     assert used["integrator"] == finer["integrator"] == "rk45"
     assert [used["tolerance"], finer["tolerance"]] == pytest.approx([1e-9, 1e-11])
     assert "integrator rk45, tolerance 1e-11" in runs_words(found.finer)
@@ -98,7 +98,7 @@ def test_where_the_start_fails(folder: Path) -> None:
     """Euler's steps of 0.05 s explode for k = 1e4."""
     start = {"k": fmuid.Parameter(1e4, min=0.01)}
     problem = fmuid.Problem(stepping_fmu(folder, LAG, exchange=True), lag_table(), start)
-    result = fmuid.identify(problem, remedies=False)
+    result = fmuid.identify(problem, restart=False)
     assert result.accuracy is not None
     assert [switch.cause for switch in result.accuracy.switches] == [SwitchCause.START_FAILED]
     assert off(result) < 3.0
@@ -108,14 +108,14 @@ def test_the_optimum_shows_it(folder: Path) -> None:
     """At a start with hardly any dynamics both agree; the search goes on from the estimates, and says what it took."""
     start = {"k": fmuid.Parameter(0.05, min=0.01)}
     problem = fmuid.Problem(stepping_fmu(folder, LAG, exchange=True), lag_table(5e-4), start)
-    result = fmuid.identify(problem, remedies=False)
+    result = fmuid.identify(problem, restart=False)
     found = result.accuracy
     assert found is not None
     assert [switch.cause for switch in found.switches] == [SwitchCause.SHIFT]
     assert found.switches[0].size > SHIFT_LIMIT
-    assert 0 < found.switches[0].simulations < found.simulations < result.simulations
+    assert 0 < found.switches[0].simulations < found.simulations < result.history.simulations
     assert off(result) < 3.0
-    assert result.start[0] == 0.05
+    assert result.estimates.start[0] == 0.05
     assert result.trace["iteration"].is_monotonic_increasing
 
 
@@ -127,7 +127,7 @@ def test_shorter_steps_where_there_is_no_model_exchange(folder: Path, told: bool
     assert found is not None
     assert found.outcome is AccuracyOutcome.PASSED
     assert refinement_of(result) == Refinement(None, 4)
-    assert result.models[""]["run"]["divisor"] == 4
+    assert result.setup.models[""]["run"]["divisor"] == 4
     assert "each step divided by 4" in runs_words(found.used)
     assert off(result) < 3.0
 
@@ -136,8 +136,8 @@ def test_steps_of_its_own_cannot_be_checked(folder: Path) -> None:
     result = fmuid.identify(fmuid.Problem(stepping_fmu(folder, LAG, internal=STEP), lag_table(), START))
     assert result.accuracy is not None
     assert result.accuracy.outcome is AccuracyOutcome.UNCHECKABLE
-    assert np.isnan(result.numerical_shift).all()
-    assert "cannot be checked" in fmuid.describe(result)
+    assert np.isnan(result.solver_error).all()
+    assert "cannot be checked" in str(fmuid.Document.of(result))
 
 
 def test_steps_of_its_own_beside_model_exchange(folder: Path) -> None:
@@ -155,7 +155,7 @@ def test_a_table_made_by_this_very_solver(folder: Path) -> None:
     table = lag_table(5e-4, 1.0 - TRUTH * STEP)
     start = {"k": fmuid.Parameter(0.05, min=0.01)}
     fmu = stepping_fmu(folder, LAG, exchange=True)
-    plain = fmuid.identify(fmuid.Problem(fmu, table, start), accuracy="off")
+    plain = fmuid.identify(fmuid.Problem(fmu, table, start), solver_check="off")
     problem = fmuid.Problem(fmu, table, start)
     result = fmuid.identify(problem)
     found = result.accuracy
@@ -164,13 +164,13 @@ def test_a_table_made_by_this_very_solver(folder: Path) -> None:
     assert not refinement_of(result).any
     assert result["k"] == plain["k"]
     assert result.std[0] == pytest.approx(plain.std[0] * np.hypot(1.0, found.shift[0]))
-    assert "fits clearly worse" in fmuid.describe(result)
+    assert "fits clearly worse" in str(fmuid.Document.of(result))
 
 
 def test_a_table_made_by_this_very_solver_that_differs_at_the_start(folder: Path) -> None:
     """The search goes by model exchange first, which fits clearly worse than the co-simulation that it left."""
     table, fmu = lag_table(5e-4, 1.0 - TRUTH * STEP), stepping_fmu(folder, LAG, exchange=True)
-    plain = fmuid.identify(fmuid.Problem(fmu, table, START), accuracy="off")
+    plain = fmuid.identify(fmuid.Problem(fmu, table, START), solver_check="off")
     problem = fmuid.Problem(fmu, table, START)
     result = fmuid.identify(problem)
     found = result.accuracy
@@ -179,26 +179,26 @@ def test_a_table_made_by_this_very_solver_that_differs_at_the_start(folder: Path
     assert not refinement_of(result).any
     assert result["k"] == pytest.approx(plain["k"], abs=1e-3 * plain.std[0])
     assert result.std[0] == pytest.approx(plain.std[0] * np.hypot(1.0, found.shift[0]), rel=1e-3)
-    assert plain.simulations < result.simulations
+    assert plain.history.simulations < result.history.simulations
 
 
 def test_what_was_asked_for_is_kept(folder: Path) -> None:
     fmu = stepping_fmu(folder, LAG, exchange=True)
     asked = fmuid.System(fmu, numerics=fmuid.Numerics(interface="co-simulation"))
     by_word = fmuid.identify(fmuid.Problem(asked, lag_table(), START))
-    by_option = fmuid.identify(fmuid.Problem(fmu, lag_table(), START), accuracy="report")
+    by_option = fmuid.identify(fmuid.Problem(fmu, lag_table(), START), solver_check="report")
     for result in (by_word, by_option):
         found = result.accuracy
         assert found is not None
         assert (found.outcome, found.kept, found.switches) == (AccuracyOutcome.SHIFTED, RefinementRefusal.ASKED, ())
-        assert f"{found.shift[0]:+.2g}" in fmuid.describe(result)
+        assert f"{found.shift[0]:+.2g}" in str(fmuid.Document.of(result))
     assert by_word["k"] == by_option["k"]
 
 
 def test_a_word_that_is_not_known(folder: Path) -> None:
     problem = fmuid.Problem(stepping_fmu(folder, LAG), lag_table(), START)
-    with pytest.raises(fmuid.InputError, match=r"accuracy 'swich' is not known.*refine"):
-        fmuid.identify(problem, accuracy="swich")
+    with pytest.raises(fmuid.InputError, match=r"solver_check 'swich' is not known.*refine"):
+        fmuid.identify(problem, solver_check="swich")
 
 
 # --- where all is well
@@ -207,8 +207,8 @@ def test_a_word_that_is_not_known(folder: Path) -> None:
 def test_what_the_check_takes_where_all_is_well() -> None:
     """Two simulations more: one of the start and one of the optimum, and not one bit of the estimates."""
     study = fmuid.Study.read(EXPERIMENTS / "coil" / "healthy.toml")
-    with_check, without = study.identify(), fmuid.identify(study.problem(), accuracy="off")
-    assert with_check.simulations == without.simulations + 2
+    with_check, without = study.identify(), fmuid.identify(study.problem(), solver_check="off")
+    assert with_check.history.simulations == without.history.simulations + 2
     assert (with_check.values == without.values).all()
     assert (with_check.covariance == without.covariance).all()
     found = with_check.accuracy
@@ -228,7 +228,7 @@ def test_controlled_steps_as_long_as_the_samples_are_exact_enough(tmp_path: Path
     result = fmuid.identify(fmuid.Problem(system, fmuid.Experiment(frame, [], ["x"]), {"k": fmuid.Parameter(1.0)}))
     assert result.accuracy is not None
     assert result.accuracy.outcome is AccuracyOutcome.PASSED
-    assert result.numerical_shift[0] == 0.0
+    assert result.solver_error[0] == 0.0
 
 
 def test_no_false_alarm_on_the_induction_machine() -> None:
@@ -236,7 +236,7 @@ def test_no_false_alarm_on_the_induction_machine() -> None:
     result = study.identify()
     assert result.accuracy is not None
     assert (result.accuracy.outcome, result.accuracy.switches) == (AccuracyOutcome.PASSED, ())
-    assert np.abs(result.numerical_shift).max() < 1e-4
+    assert np.abs(result.solver_error).max() < 1e-4
 
 
 # --- the coil and the motor
@@ -264,7 +264,7 @@ def test_the_coil_from_random_starts(coil: Callable[[float, float], fmuid.Result
     rng, right = np.random.default_rng(0), 0
     for r, inductance in np.exp(rng.uniform(np.log([0.1, 1e-3]), np.log([100.0, 1.0]), (200, 2))).tolist():
         result = coil(r, inductance)
-        assert result.converged or (inductance / r < 5e-5 and result.at_bounds), (r, inductance)
+        assert result.converged or (inductance / r < 5e-5 and result.estimates.at_bounds), (r, inductance)
         if result.converged:
             right += 1
             assert result["L"] == pytest.approx(0.1, abs=4.0 * result.std[1]), (r, inductance)
@@ -278,14 +278,14 @@ BOX = ("parameters.R.min=0.1", "parameters.R.max=100.0", "parameters.L.min=1e-3"
 def test_an_alias_is_no_optimum() -> None:
     """From some starts the coil's co-simulation fits as well at L = 1.42 mH, which model exchange does not bear out."""
     study = fmuid.Study.read(EXPERIMENTS / "coil" / "healthy.toml", [*BOX, "parameters.L.max=1.0"])
-    without = fmuid.identify(study.problem(), study.estimator, accuracy="off")
-    assert sorted(round(optimum.theta[1], 4) for optimum in without.optima) == [0.0014, 0.1007]
+    without = fmuid.identify(study.problem(), study.estimator, solver_check="off")
+    assert sorted(round(optimum.theta[1], 4) for optimum in without.history.optima) == [0.0014, 0.1007]
     result = study.identify()
-    assert [round(optimum.theta[1], 4) for optimum in result.optima] == [0.1007]
+    assert [round(optimum.theta[1], 4) for optimum in result.history.optima] == [0.1007]
     assert result["L"] == pytest.approx(0.1, abs=4.0 * result.std[1])
     assert result.accuracy is not None
     assert (result.accuracy.refused, result.accuracy.switches) == (1, ())
-    assert "another optimum fitted as well" in fmuid.describe(result).lower()
+    assert "another optimum fitted as well" in str(fmuid.Document.of(result)).lower()
 
 
 @pytest.mark.slow
@@ -294,7 +294,7 @@ def test_a_box_that_holds_the_alias_alone() -> None:
     start = "parameters.L.start=0.005"
     study = fmuid.Study.read(EXPERIMENTS / "coil" / "healthy.toml", [*BOX, "parameters.L.max=0.01", start])
     result = study.identify()
-    assert [bound.name for bound in result.at_bounds] == ["L"]
+    assert [bound.name for bound in result.estimates.at_bounds] == ["L"]
     assert result.accuracy is not None
     assert [switch.cause for switch in result.accuracy.switches] == [SwitchCause.SHIFT]
 
@@ -306,17 +306,17 @@ def test_a_start_that_shorter_steps_alone_can_simulate(folder: Path, motor_table
     fmu = stepping_fmu(folder, MOTOR, order=4)
     with pytest.raises(fmuid.SimulationError):
         fmuid.identify(
-            fmuid.Problem(fmu, motor_table, parameters, values={"F": FRICTION}), accuracy="off", remedies=False
+            fmuid.Problem(fmu, motor_table, parameters, values={"F": FRICTION}), solver_check="off", restart=False
         )
     problem = fmuid.Problem(fmu, motor_table, parameters, values={"F": FRICTION})
-    result = fmuid.identify(problem, remedies=False)
+    result = fmuid.identify(problem, restart=False)
     assert result.accuracy is not None
     assert result.accuracy.switches[0].cause is SwitchCause.START_FAILED
     assert result.accuracy.outcome is AccuracyOutcome.PASSED
     assert (np.abs(result.values - np.array(list(MOTOR_TRUTH.values()))) < 3.5 * result.std).all()
     far = parameters | {"L": fmuid.Parameter(1e-6, min=1e-7)}
     with pytest.raises(fmuid.SimulationError):
-        fmuid.identify(fmuid.Problem(fmu, motor_table, far, values={"F": FRICTION}), remedies=False)
+        fmuid.identify(fmuid.Problem(fmu, motor_table, far, values={"F": FRICTION}), restart=False)
 
 
 @pytest.mark.parametrize("order", [1, 4])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -11,9 +12,10 @@ from scipy import stats
 from fmuid.array_types import Floats
 from fmuid.data import Normal, Parameter
 from fmuid.errors import InputError
-from fmuid.estimation import LeastSquares, Result
+from fmuid.estimation import LeastSquares
 from fmuid.identification import IncomparableError, ModelCandidate, analyze_residuals, compare_models, identify
 from tests.support.problems import ar1
+from tests.support.results import changed
 
 TIMES = np.linspace(0.0, 1.0, 400)
 MODEL = {"": {"name": "Line", "digest": "1", "run": {}}}
@@ -30,7 +32,7 @@ def candidate(y: Floats, order: int, name: str, held: dict[str, float] | None = 
     )
     result = identify(problem)
     (series,) = analyze_residuals(problem, result).series
-    object.__setattr__(result, "models", MODEL)
+    result = changed(result, models=MODEL)
     rest = {f"c{k}": 0.0 for k in range(order, 4)} if held is None else held
     return ModelCandidate(name, result, max(1.0, series.noise.variance_factor()), rest)
 
@@ -108,23 +110,19 @@ def test_nesting_is_claimed_only_where_it_is_known() -> None:
     assert len(compare_models([small, large]).tests) == 1
     other = candidate(y, 2, "small", {"c2": 0.0, "c3": 5.0})  # another value of what both hold
     assert compare_models([other, large]).tests == ()
-    object.__setattr__(small.result, "models", {"": {"name": "Other", "digest": "1", "run": {}}})
+    stranger = changed(small.result, models={"": {"name": "Other", "digest": "1", "run": {}}})
+    small = replace(small, result=stranger)
     assert compare_models([small, large]).tests == ()
 
 
 def test_priors_are_said_and_not_tested() -> None:
     y = line(1)
     small, large = candidate(y, 2, "small"), candidate(y, 3, "large")
-    object.__setattr__(large.result, "prior_mean", np.array([np.nan, np.nan, Normal(0.0, 1.0).mean]))
+    prior = np.array([np.nan, np.nan, Normal(0.0, 1.0).mean])
+    large = replace(large, result=changed(large.result, prior_mean=prior))
     found = compare_models([small, large])
     assert found.tests == ()
     assert found.with_priors == ("large",)
-
-
-def changed(result: Result, **changes: object) -> Result:
-    for name, value in changes.items():
-        object.__setattr__(result, name, value)
-    return result
 
 
 def test_what_cannot_be_compared() -> None:
@@ -136,9 +134,9 @@ def test_what_cannot_be_compared() -> None:
     with pytest.raises(InputError, match="two results are called one"):
         compare_models([one, one])
     again = candidate(line(1), 2, "again")
-    changed(again.result, log_likelihood=math.nan)
+    again = replace(again, result=changed(again.result, log_likelihood=math.nan))
     with pytest.raises(IncomparableError, match="again has no likelihood"):
         compare_models([one, again])
-    changed(again.result, data=())
+    again = replace(again, result=changed(again.result, data=()))
     with pytest.raises(IncomparableError, match="again does not say which measurements"):
         compare_models([one, again])

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -24,7 +23,7 @@ from fmuid.estimation.evaluator import Evaluator
 from fmuid.estimation.problem import LeastSquares
 from fmuid.estimation.result import Result
 from fmuid.identification.cost_map import CostMap, map_cost, region_rise
-from tests.support.results import RESULT
+from tests.support.results import RESULT, changed
 from tests.support.results import identify_white as identify
 
 TIMES = np.linspace(0.0, 1.0, 40)
@@ -59,7 +58,7 @@ def test_map_is_the_criterion() -> None:
         direct = np.sum((problem.measured - BASIS @ [a, b, result["c"]]) ** 2) / 0.02
         assert value == pytest.approx(direct, rel=1e-12)
     assert chart.held == {"c": result["c"]}
-    assert chart.criterion == pytest.approx(result.criterion, rel=1e-12)
+    assert chart.criterion == pytest.approx(result.fit.cost, rel=1e-12)
     assert chart.grid[2][3, 3] == pytest.approx(chart.criterion), "the estimate is in the middle"
     first, second, values = chart.grid
     row = chart.table.iloc[2 * 7 + 5]
@@ -80,7 +79,7 @@ def test_map_includes_the_prior_and_each_output_has_its_variance() -> None:
     )
     chart, result = chart_of(problem, points=5)
     used = variances(problem, result)
-    assert used.tolist() == [0.012, result.noise_variance["y"]]
+    assert used.tolist() == [0.012, result.fit.noise_variance["y"]]
     criterion = prepare(Evaluator(problem)).criterion.reweighted(used)
     rows = criterion.residuals(chart.table[["a", "b"]].to_numpy())
     np.testing.assert_allclose(chart.table["criterion"], np.sum(rows**2, axis=1), rtol=1e-12)
@@ -124,7 +123,7 @@ def test_undetermined_parameters_reach_to_their_bounds() -> None:
         {"a": Parameter(1.0, min=0.5, max=4.0), "b": Parameter(1.0)},
     )
     chart, result = chart_of(problem, points=3)
-    assert result.undetermined
+    assert result.identifiability.non_identifiable
     np.testing.assert_allclose(chart.grid[0], [0.5, 2.25, 4.0])
     np.testing.assert_allclose(chart.grid[1], result["b"] * np.array([0.0, 1.0, 2.0]), atol=1e-12)
     assert chart.ellipse().shape == (0, 2)
@@ -165,7 +164,7 @@ def test_result_of_another_problem() -> None:
     other = identify(linear(2))
     with pytest.raises(InputError, match="its parameters are a, b, and the problem's are a, b, c; give"):
         map_cost(linear(), other, "a", "b")
-    stranger = replace(other, noise_variance={"z": 1.0})
+    stranger = changed(other, noise_variance={"z": 1.0})
     with pytest.raises(InputError, match="its outputs are z, and the problem's are y; give"):
         map_cost(linear(2), stranger, "a", "b")
 

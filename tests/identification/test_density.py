@@ -74,11 +74,15 @@ def test_density_of_a_robust_loss() -> None:
     result = identify(problem)
     posterior = sample_posterior(problem, result)
     # scaled to how the estimates scatter, of which a robust loss knows as little as of the colour of the noise
-    bend = result.local.root @ result.local.root.T if result.local is not None else np.eye(2)
-    whole = log_density(Evaluator(problem), np.array([result.variance["y"]]))
+    bend = (
+        result.fit.linearization.root @ result.fit.linearization.root.T
+        if result.fit.linearization is not None
+        else np.eye(2)
+    )
+    whole = log_density(Evaluator(problem), np.array([result.fit.variance["y"]]))
     away = posterior.chain[-1] - result.values
-    freedom = 2.0 / float(np.sum(1.0 / result.freedom))
-    wider = stats.t.ppf(0.975, result.freedom) / stats.t.ppf(0.975, freedom)
+    freedom = 2.0 / float(np.sum(1.0 / result.estimates.variance_dof))
+    wider = stats.t.ppf(0.975, result.estimates.variance_dof) / stats.t.ppf(0.975, freedom)
     scatter = result.covariance * np.outer(wider, wider)
     coloured, white = (np.einsum("mi,ij,mj->m", away, np.linalg.inv(each), away) for each in (scatter, bend))
     top = whole(result.values[None])[0]

@@ -12,9 +12,9 @@ import pytest
 
 import fmuid
 from fmuid.estimation import Evaluator, TerminationReason
-from fmuid.identification.discrete_parameters import MOST_COMBINATIONS, choices_of
+from fmuid.identification.problem import MOST_COMBINATIONS, choices_of
 from fmuid.reports.topics.termination import result_words
-from fmuid.runs.batch.run_case import CaseRunner
+from fmuid.runs.batch.case import CaseRunner
 from tests.support.choices import choices_fmu
 from tests.support.fmu_texts import FMI2, write_fmu
 from tests.support.probe_fmu import ProbeMaker
@@ -59,11 +59,11 @@ def test_the_true_combination_is_found(fmu: Path, experiment: fmuid.Experiment, 
     assert result.converged
     assert result.chosen == {"n": N, "b": B}
     assert abs(result["gain"] - GAIN) < 4 * result["gain"].std
-    assert len(result.combinations) == 8
-    behind = [each.behind for each in result.combinations]
+    assert len(result.history.combinations) == 8
+    behind = [each.behind for each in result.history.combinations]
     assert behind[0] == 0.0 < behind[1]
     assert behind == sorted(behind)
-    assert result.combinations[0].estimates == {"gain": result["gain"]}
+    assert result.history.combinations[0].estimates == {"gain": result["gain"]}
     left = given.measured - Evaluator(given.as_in(result)).predict(result.values[None])[0]
     assert np.std(left) == pytest.approx(NOISE, rel=0.2)
 
@@ -74,7 +74,7 @@ def test_an_int32_and_a_boolean_of_fmi_3_are_found(tmp_path: Path, experiment: f
     result = fmuid.identify(given)
     assert [type(each) for each in result.chosen.values()] == [int, bool]
     assert result.chosen == {"n": N, "b": B}
-    assert len(result.combinations) == 8  # n from its bounds
+    assert len(result.history.combinations) == 8  # n from its bounds
     assert abs(result["gain"] - GAIN) < 4 * result["gain"].std
     left = given.measured - Evaluator(given.as_in(result)).predict(result.values[None])[0]
     assert np.std(left) == pytest.approx(NOISE, rel=0.2)
@@ -87,10 +87,10 @@ def test_it_is_the_search_with_these_values_held(fmu: Path, experiment: fmuid.Ex
     )  # fmt: skip
     result = fmuid.identify(problem(fmu, experiment, {"n": [2, 3]}, values={"b": True}))
     np.testing.assert_array_equal(result.values, one.values)
-    told = result.combinations[1]
-    assert told.behind == pytest.approx(2.0 * (one.log_likelihood - other.log_likelihood))
+    told = result.history.combinations[1]
+    assert told.behind == pytest.approx(2.0 * (one.fit.log_likelihood - other.fit.log_likelihood))
     assert told.estimates == {"gain": other["gain"]}
-    assert result.simulations == one.simulations + other.simulations
+    assert result.history.simulations == one.history.simulations + other.history.simulations
 
 
 def test_the_prior_counts(fmu: Path, experiment: fmuid.Experiment) -> None:
@@ -100,14 +100,16 @@ def test_the_prior_counts(fmu: Path, experiment: fmuid.Experiment) -> None:
     result = fmuid.identify(fmuid.Problem(fmu, experiment, free, choices={"n": [2, 3]}, values={"b": True}))
     prior = ((other["gain"] - 2.5) ** 2 - (one["gain"] - 2.5) ** 2) / 0.1**2
     assert abs(prior) > 1.0
-    assert result.combinations[1].behind == pytest.approx(2.0 * (one.log_likelihood - other.log_likelihood) + prior)
+    assert result.history.combinations[1].behind == pytest.approx(
+        2.0 * (one.fit.log_likelihood - other.fit.log_likelihood) + prior
+    )
 
 
 def test_values_that_cannot_be_simulated_are_left_out(fmu: Path, experiment: fmuid.Experiment) -> None:
     result = fmuid.identify(problem(fmu, experiment, {"n": [9, 3]}, values={"b": True}))
     assert result.chosen == {"n": 3}
-    assert (result.combinations[1].outcome, result.combinations[1].behind) == (None, np.inf)
-    assert "1 could not be searched with, n = 9 first" in fmuid.describe(result)
+    assert (result.history.combinations[1].outcome, result.history.combinations[1].behind) == (None, np.inf)
+    assert "1 could not be searched with, n = 9 first" in str(fmuid.Document.of(result))
     with pytest.raises(fmuid.SimulationError):
         fmuid.identify(problem(fmu, experiment, {"n": [9]}))
 
@@ -184,7 +186,7 @@ def test_a_study(study: Path) -> None:
     assert '<ssv:Integer value="3"' in ssv
     assert '<ssv:Boolean value="true"' in ssv
     kept = fmuid.Result.from_json(study.parent / "out" / "result.json")
-    assert kept.combinations == result.combinations
+    assert kept.history.combinations == result.history.combinations
     words = result_words(result)
     assert any(each.startswith("n = 3, b = true fits best of 6 combinations; the next best, ") for each in words)
     predicted = run_prediction(study.parent / "out", [study.parent / "table.csv"])
@@ -234,6 +236,6 @@ def test_an_interrupted_search_keeps_what_was_tried(
         return replace(plain, outcome=TerminationReason.INTERRUPTED if count == 2 else TerminationReason.CONVERGED)
 
     monkeypatch.setattr(fmuid.Marquardt, "search", search)
-    result = fmuid.identify(given, accuracy="off", remedies=False)
-    assert count == len(result.combinations) == 2
+    result = fmuid.identify(given, solver_check="off", restart=False)
+    assert count == len(result.history.combinations) == 2
     assert result.outcome is TerminationReason.INTERRUPTED

@@ -21,7 +21,7 @@ from fmuid.codec import as_json
 from fmuid.estimation import Evaluator, RestartAttempt, SearchFailure, StartingPointSource
 from fmuid.identification import starting_points
 from fmuid.identification.equation_error_start import POOR, equation_start
-from fmuid.identification.starting_points import EndedSearch, _RestartingSearch, corrected_start, is_confirmed
+from fmuid.identification.starting_points import EndedSearch, best_of, corrected_start, is_confirmed
 from fmuid.reports.topics.termination import PLACES, TROUBLES, attempt_words
 from tests.support.exported import export_text
 from tests.support.paths import FMUS
@@ -56,7 +56,7 @@ def problem(motor: Path, record: Record, start: Floats | None = None) -> fmuid.P
 def fits(result: fmuid.Result, record: Record) -> bool:
     """Whether the residual of each output is that of the truth, within 2 %."""
     noise = np.sqrt(np.nanmean((record.measured - record.clean) ** 2, axis=0))
-    found = np.sqrt([result.noise_variance[name] for name in DC_MOTOR.outputs])
+    found = np.sqrt([result.fit.noise_variance[name] for name in DC_MOTOR.outputs])
     return bool((found < 1.02 * noise).all())
 
 
@@ -66,44 +66,34 @@ def test_a_motor_from_far_away_is_found_by_its_equations(motor: Path, record: Re
     result = fmuid.identify(whole)
     assert result.converged
     assert fits(result, record)
-    assert [(each.remedy, each.trouble) for each in result.attempts] == [
+    assert [(each.remedy, each.trouble) for each in result.history.restarts] == [
         (StartingPointSource.GIVEN, SearchFailure.FAR),
         (StartingPointSource.EQUATION_ERROR, SearchFailure.NONE),
     ]
-    assert [each.kept for each in result.attempts] == [False, True]
-    assert result.start == pytest.approx(whole.parameters.start)
-    assert result.simulations <= 400
+    assert [each.kept for each in result.history.restarts] == [False, True]
+    assert result.estimates.start == pytest.approx(whole.parameters.start)
+    assert result.history.simulations <= 400
     (said,) = attempt_words(result)
     assert said == (
         "several starts were tried: the start that was given was put off, for it explains too little of the data and "
         "where the model's equations hold best at the measured states ended well, which is kept"
     )
-    assert said in fmuid.describe(result).replace("Several", "several")
+    assert said in str(fmuid.Document.of(result)).replace("Several", "several")
     data = json.loads(json.dumps(as_json(result)))
-    assert [each["remedy"] for each in data["attempts"]] == ["given", "equation_error"]
+    assert [each["remedy"] for each in data["history"]["restarts"]] == ["given", "equation_error"]
 
 
 def test_the_equations_give_a_start_and_the_initial_states(motor: Path, record: Record) -> None:
     whole = problem(motor, record)
     found = equation_start(whole, whole.parameters.start)
     assert found is not None
-    theta = found.theta
-    assert 1.0 < found.noise_ratio < POOR
+    theta, noise_ratio = found
+    assert 1.0 < noise_ratio < POOR
     ratios = theta[:6] / record.truth
     assert (ratios > 1 / 3).all()
     assert (ratios < 3).all()
     first = record.measured[:6]
     assert theta[6:] == pytest.approx(np.nanmedian(first, axis=0), abs=0.5 * np.ptp(record.clean[:10], axis=0).max())
-
-
-class Tried:
-    """Searches by the trouble, the worth and the number of each, in place of results."""
-
-    def __init__(self, *ended: tuple[SearchFailure, float]) -> None:
-        self.ended = [
-            EndedSearch(worth, RestartAttempt(StartingPointSource.GIVEN, trouble), k, worth)  # type: ignore[arg-type]
-            for k, (trouble, worth) in enumerate(ended)
-        ]
 
 
 @pytest.mark.parametrize(
@@ -120,25 +110,28 @@ class Tried:
 )
 def test_of_searches_that_fit_alike_one_that_ended_is_kept(ended: list[tuple[SearchFailure, float]], best: int) -> None:
     """A ball's search that stalled fitted better by 0.01 in −2 ln L, and left estimates without deviations."""
-    tried: Any = Tried(*ended)
-    assert _RestartingSearch._best(tried).number == best
+    searches = [
+        EndedSearch(worth, RestartAttempt(StartingPointSource.GIVEN, trouble), k, worth)  # type: ignore[arg-type]
+        for k, (trouble, worth) in enumerate(ended)
+    ]
+    assert best_of(searches).number == best
 
 
 def test_one_word_switches_it_off(motor: Path, record: Record) -> None:
     whole = problem(motor, record)
-    result = fmuid.identify(whole, fmuid.Marquardt(max_iterations=3), remedies=False)
-    assert result.attempts == ()
+    result = fmuid.identify(whole, fmuid.Marquardt(max_iterations=3), restart=False)
+    assert result.history.restarts == ()
     study = EXPERIMENTS / "coil" / "healthy.toml"
-    assert fmuid.Study.read(study).remedies
-    assert not fmuid.Study.read(study, ["estimation.restarts=false"]).remedies
+    assert fmuid.Study.read(study).estimation.restarts
+    assert not fmuid.Study.read(study, ["estimation.restarts=false"]).estimation.restarts
 
 
 def test_a_good_start_takes_what_it_took(motor: Path, record: Record) -> None:
     """Not one simulation more, and the same estimates to the last bit."""
     near, alone = problem(motor, record, record.truth * 1.02), problem(motor, record, record.truth * 1.02)
-    result, plain = fmuid.identify(near), fmuid.identify(alone, remedies=False)
-    assert result.attempts == ()
-    assert result.simulations == plain.simulations
+    result, plain = fmuid.identify(near), fmuid.identify(alone, restart=False)
+    assert result.history.restarts == ()
+    assert result.history.simulations == plain.history.simulations
     assert (result.values == plain.values).all()
 
 
@@ -171,26 +164,26 @@ def wave(curved: Path, start: float, extra: Callable[[Floats], Floats] | None = 
 
 @pytest.mark.slow
 def test_a_secondary_optimum_is_left_for_points_of_the_box(curved: Path) -> None:
-    stuck = fmuid.identify(wave(curved, 1.0), remedies=False)
+    stuck = fmuid.identify(wave(curved, 1.0), restart=False)
     assert abs(stuck["b"] - 3.0) > 0.1
     result = fmuid.identify(wave(curved, 1.0))
     assert result["b"] == pytest.approx(3.0, abs=0.01)
-    first, corrected, given = result.attempts[:3]
+    first, corrected, given = result.history.restarts[:3]
     assert (first.remedy, first.trouble) == (StartingPointSource.GIVEN, SearchFailure.FAR)
     assert corrected.remedy is StartingPointSource.CORRECTION  # where the equations give nothing
     assert given.remedy is StartingPointSource.GIVEN
     assert given.trouble in (SearchFailure.LARGE_RESIDUAL, SearchFailure.UNFINISHED)
     assert given.noise_ratio > 3.0
-    assert result.attempts[-1].remedy is StartingPointSource.SOBOL
-    assert result.attempts[-1].kept
-    assert result.simulations == sum(each.simulations for each in result.attempts)
+    assert result.history.restarts[-1].remedy is StartingPointSource.SOBOL
+    assert result.history.restarts[-1].kept
+    assert result.history.simulations == sum(each.simulations for each in result.history.restarts)
 
 
 def test_a_guess_waits_for_the_others_and_is_gone_on_with(curved: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(starting_points, "SETTINGS", replace(starting_points.SETTINGS, patience=1))
     result = fmuid.identify(wave(curved, 1.0))
     assert result["b"] == pytest.approx(3.0, abs=0.01)
-    *before, last = result.attempts
+    *before, last = result.history.restarts
     assert {each.trouble for each in before if each.remedy is StartingPointSource.SOBOL} == {SearchFailure.UNFINISHED}
     assert (last.remedy, last.trouble, last.kept) == (StartingPointSource.SOBOL, SearchFailure.NONE, True)
 
@@ -207,9 +200,9 @@ def test_a_model_that_is_wrong_is_confirmed_by_a_second_start(curved: Path) -> N
     """What the model does not know moves the output far beyond the noise: no start mends that, and it is said."""
     result = fmuid.identify(wave(curved, 2.9, lambda t: 0.3 * np.cos(1.3 * t)))
     assert result.converged
-    kept = next(each for each in result.attempts if each.kept)
+    kept = next(each for each in result.history.restarts if each.kept)
     assert kept.trouble is SearchFailure.MODEL_ERROR
-    assert "the model does not explain the data" in fmuid.describe(result)
+    assert "the model does not explain the data" in str(fmuid.Document.of(result))
 
 
 LAG = """model Lag
@@ -236,8 +229,8 @@ def test_two_searches_that_agree_end_it_however_large_the_residual_is(tmp_path: 
     parameters = {"a": fmuid.Parameter(3.0, min=0.0), "b": fmuid.Parameter(1.0, min=0.0)}
     result = fmuid.identify(fmuid.Problem(export_text(tmp_path, LAG), experiment, parameters))
     assert result.converged
-    assert len([each for each in result.attempts if each.trouble is not SearchFailure.FAR]) == 2
-    kept = next(each for each in result.attempts if each.kept)
+    assert len([each for each in result.history.restarts if each.trouble is not SearchFailure.FAR]) == 2
+    kept = next(each for each in result.history.restarts if each.kept)
     assert kept.trouble is SearchFailure.MODEL_ERROR
     assert kept.noise_ratio > 15.0
     (said,) = attempt_words(result)
@@ -245,7 +238,7 @@ def test_two_searches_that_agree_end_it_however_large_the_residual_is(tmp_path: 
         "; the model does not explain the data, other starts end there too: check the model and its inputs"
     )
     data = json.loads(json.dumps(as_json(result)))
-    assert [each["trouble"] for each in data["attempts"] if each["kept"]] == ["model_error"]
+    assert [each["trouble"] for each in data["history"]["restarts"] if each["kept"]] == ["model_error"]
 
 
 def ended(remedy: StartingPointSource, values: list[float], worth: float = 0.0, number: int = 0) -> EndedSearch:
@@ -276,7 +269,7 @@ def test_where_nothing_helps_the_error_is_that_of_the_start() -> None:
     parameters = {"R": fmuid.Parameter(4.0), "i_start": fmuid.Parameter(0.0, min=-1e-30, max=1e-30, nominal=1e-30)}
     whole = fmuid.Problem(coil, fmuid.Experiment(frame, ["u"], ["i"]), parameters)
     with pytest.raises(fmuid.InputError) as plain:
-        fmuid.identify(whole, remedies=False)
+        fmuid.identify(whole, restart=False)
     with pytest.raises(fmuid.InputError) as guarded:
         fmuid.identify(whole)
     assert str(guarded.value) == str(plain.value)
@@ -307,5 +300,5 @@ def test_no_search_goes_back_to_a_rougher_simulation(motor: Path) -> None:
     """This motor's co-simulation is so rough that a search by it crawls on for thousands of simulations."""
     result = fmuid.identify(problem(motor, draw("dc", 22)))
     assert result.converged
-    assert [each.kept for each in result.attempts] == [False, True]
-    assert result.simulations < 400
+    assert [each.kept for each in result.history.restarts] == [False, True]
+    assert result.history.simulations < 400

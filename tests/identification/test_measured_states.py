@@ -105,15 +105,15 @@ def test_far_parameters_of_unmeasured_states_are_found_by_the_equations(cubic: P
     whole, _ = cubic_problem(cubic, 40.0, 0.1)
     found = equation_start(whole, whole.parameters.start)
     assert found is not None
-    assert found.theta == pytest.approx([2.0, 3.0], rel=0.2)
+    assert found[0] == pytest.approx([2.0, 3.0], rel=0.2)
 
 
 @pytest.mark.slow
 def test_a_machine_from_up_to_a_hundred_times_away_is_found_without_its_fluxes() -> None:
     result = fmuid.identify(problem("im", draw("im", 2, 3.0, 100.0)))
     assert result.converged
-    assert [(each.remedy, each.trouble) for each in result.attempts] == [
+    assert [(each.remedy, each.trouble) for each in result.history.restarts] == [
         (StartingPointSource.GIVEN, SearchFailure.FAR),
         (StartingPointSource.EQUATION_ERROR, SearchFailure.NONE),
     ]
-    assert result.simulations < 200
+    assert result.history.simulations < 200

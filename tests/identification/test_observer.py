@@ -22,7 +22,7 @@ from fmuid.identification.observer import observer_gain
 from fmuid.reports.topics.termination import result_remarks
 from fmuid.simulation import RightHandSide
 from tests.support.exported import export_text
-from tests.support.results import RESULT
+from tests.support.results import RESULT, changed
 from tests.support.running import run_study
 
 CART = """model Cart
@@ -114,9 +114,9 @@ def test_a_right_model_is_found_with_an_observer_too(cart: Path) -> None:
     whole = with_observer(problem(cart, 0.0))
     result = fmuid.identify(whole)
     assert result.converged
-    assert result.attempts == ()
+    assert result.history.restarts == ()
     assert result.accuracy is None
-    assert result.observer == 3.0
+    assert result.setup.observer == 3.0
     assert [result["m"], result["d"]] == pytest.approx([M, D], rel=1e-3)
 
 
@@ -124,11 +124,11 @@ def test_the_result_says_that_it_is_no_output_error(cart: Path, tmp_path: Path) 
     result = fmuid.identify(with_observer(problem(cart, 0.0), 5.0))
     (tmp_path / "result.json").write_text(json.dumps(RESULT | as_json(result)), encoding="utf-8")
     kept = fmuid.Result.from_json(tmp_path / "result.json")
-    assert kept.observer == 5.0
+    assert kept.setup.observer == 5.0
     said = "An observer with its poles at 5 samples kept the simulation with the record: this is a fit of predictions"
-    assert said in fmuid.describe(kept)
+    assert said in str(fmuid.Document.of(kept))
     assert any(said in each.text and each.tone == "doubt" for each in result_remarks(kept))
-    assert "observer" not in fmuid.describe(replace(kept, observer=None))
+    assert "observer" not in str(fmuid.Document.of(changed(kept, observer=None)))
 
 
 def test_combinations_are_not_observed(cart: Path) -> None:
@@ -140,7 +140,7 @@ def test_combinations_are_not_observed(cart: Path) -> None:
 def test_an_error_of_the_model_pulls_output_error_more(cart: Path) -> None:
     """What integrates keeps a force that the model has not; the observer forgets it."""
     whole = problem(cart, 0.3)
-    long = fmuid.identify(whole, remedies=False)
+    long = fmuid.identify(whole, restart=False)
     short = fmuid.identify(with_observer(problem(cart, 0.3)))
     assert abs(short["m"] - M) < 0.5 * abs(long["m"] - M)
 
@@ -185,9 +185,9 @@ def test_a_study_asks_for_an_observer(cart: Path, tmp_path: Path) -> None:
     asked = study(tmp_path, cart)
     found = run_study(asked, tmp_path / "out")
     by_hand = fmuid.identify(with_observer(problem(cart, 0.3), 5.0))
-    assert found.result.observer == 5.0
+    assert found.result.setup.observer == 5.0
     assert found.result.values == pytest.approx(by_hand.values, rel=1e-6)
-    assert fmuid.Result.from_json(tmp_path / "out" / "result.json").observer == 5.0
+    assert fmuid.Result.from_json(tmp_path / "out" / "result.json").setup.observer == 5.0
 
 
 def test_a_study_is_told_what_an_observer_cannot(cart: Path, tmp_path: Path) -> None:

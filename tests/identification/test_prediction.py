@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import math
 from typing import Any
 
@@ -17,10 +16,11 @@ from fmuid.codec import as_json
 from fmuid.data import Experiment, Parameter
 from fmuid.errors import InputError, SimulationError
 from fmuid.estimation import Result
-from fmuid.identification import Prediction, Problem, identify, predict, prediction
+from fmuid.identification import Prediction, Problem, identify, predict_by_model, prediction
 from fmuid.simulation import Simulator
 from fmuid.simulation.simulator import Simulations
 from tests.support.paths import FMUS
+from tests.support.results import changed
 
 COIL = FMUS / "Coil/Coil.fmu"
 R, L, STEP, NOISE, COUNT = 4.0, 0.1, 1e-3, 0.02, 400
@@ -53,7 +53,7 @@ def result() -> Result:
 
 def test_scores_are_those_of_the_closed_form(result: Result) -> None:
     fresh = record(5)
-    found = predict(COIL, result, fresh)
+    found = predict_by_model(COIL, result, fresh)
     measured, exact = fresh.output_values[:, 0], current(result.values, fresh.input_values[:, 0], 0.0)
     (score,) = found.scores
     error = measured - exact
@@ -64,7 +64,7 @@ def test_scores_are_those_of_the_closed_form(result: Result) -> None:
 
 def test_the_band_is_that_of_noise_and_estimates(result: Result) -> None:
     fresh = record(5)
-    found = predict(COIL, result, fresh, level=0.9)
+    found = predict_by_model(COIL, result, fresh, level=0.9)
     step = 1e-4 * result.values
     voltage = fresh.input_values[:, 0]
     slopes = np.column_stack(
@@ -73,22 +73,22 @@ def test_the_band_is_that_of_noise_and_estimates(result: Result) -> None:
     )  # fmt: skip
     variance = np.sum((slopes @ result.covariance) * slopes, axis=1)
     np.testing.assert_allclose(found.std[1:, 0] ** 2, variance[1:], rtol=2e-2, atol=1e-12)
-    noise = result.noise_variance["i"]
+    noise = result.fit.noise_variance["i"]
     np.testing.assert_allclose(found.half_width[:, 0], 1.647 * np.sqrt(noise + variance), rtol=2e-3)
     assert found.scores[0].expected == pytest.approx(math.sqrt(noise + variance.mean()), rel=1e-3)
 
 
 def test_of_fresh_records_as_many_samples_lie_in_the_band_as_it_says(result: Result) -> None:
-    scores = [predict(COIL, result, record(seed)).scores[0] for seed in range(10, 16)]
+    scores = [predict_by_model(COIL, result, record(seed)).scores[0] for seed in range(10, 16)]
     assert np.mean([score.inside for score in scores]) == pytest.approx(0.95, abs=0.015)
     assert np.mean([score.ratio for score in scores]) == pytest.approx(1.0, abs=0.06)
 
 
 def test_a_start_that_is_not_the_models_is_seen_and_can_be_estimated_again(result: Result) -> None:
     fresh = record(7, start=0.4)
-    wrong = predict(COIL, result, fresh)
+    wrong = predict_by_model(COIL, result, fresh)
     assert wrong.scores[0].ratio > 1.5
-    again = predict(COIL, result, fresh, free={"i_start": Parameter(0.0, nominal=0.1)})
+    again = predict_by_model(COIL, result, fresh, free={"i_start": Parameter(0.0, nominal=0.1)})
     assert again.scores[0].ratio == pytest.approx(1.0, abs=0.1)
     assert again.estimated is not None
     assert abs(again.estimated["i_start"] - 0.4) < 4 * again.estimated.std[0]
@@ -96,11 +96,11 @@ def test_a_start_that_is_not_the_models_is_seen_and_can_be_estimated_again(resul
 
 def test_the_band_allows_for_what_is_estimated_again(result: Result) -> None:
     """Against many draws of noise and estimates, each with its start estimated by linear least squares."""
-    wide = dataclasses.replace(result, covariance=200.0 * result.covariance)  # so that both parts are seen
+    wide = changed(result, covariance=200.0 * result.covariance)  # so that both parts are seen
     fresh = record(7, start=0.4)
-    found = predict(COIL, wide, fresh, free={"i_start": Parameter(0.4)})
+    found = predict_by_model(COIL, wide, fresh, free={"i_start": Parameter(0.4)})
     rng, voltage = np.random.default_rng(3), fresh.input_values[:, 0]
-    sigma = math.sqrt(result.noise_variance["i"])
+    sigma = math.sqrt(result.fit.noise_variance["i"])
     truth, predicted = current(result.values, voltage, 0.4), []
     for theta in rng.multivariate_normal(result.values, wide.covariance, 1500):
         regressor = current(theta, 0.0 * voltage, 1.0)
@@ -116,10 +116,10 @@ def test_parameters_that_are_not_determined_are_no_part_of_the_band(result: Resu
     covariance = result.covariance.copy()
     covariance[0, :] = covariance[:, 0] = np.nan
     covariance[0, 0] = np.inf
-    found = predict(COIL, dataclasses.replace(result, covariance=covariance), record(5))
+    found = predict_by_model(COIL, changed(result, covariance=covariance), record(5))
     assert found.undetermined == ("R",)
     assert np.isnan(found.std).all()
-    np.testing.assert_allclose(found.half_width, 1.963 * math.sqrt(result.noise_variance["i"]), rtol=2e-3)
+    np.testing.assert_allclose(found.half_width, 1.963 * math.sqrt(result.fit.noise_variance["i"]), rtol=2e-3)
 
 
 @pytest.mark.parametrize("sign", [-1.0, 1.0])
@@ -134,26 +134,26 @@ def test_beside_what_cannot_be_simulated_slopes_are_one_sided(
                 found.outputs[i], errors[i] = np.nan, SimulationError("Coil", 0.0, {}, "fmi2DoStep")
             return Simulations(found.outputs, tuple(errors))
 
-    free = predict(COIL, result, record(5))
+    free = predict_by_model(COIL, result, record(5))
     monkeypatch.setattr(prediction, "Simulator", Edge)
-    beside = predict(COIL, result, record(5))
+    beside = predict_by_model(COIL, result, record(5))
     np.testing.assert_allclose(beside.std[1:], free.std[1:], rtol=0.05)
 
 
 def test_values_for_each_experiment_are_those_of_the_record_it_was_made_from() -> None:
     start = Parameter(0.0, nominal=0.1, per_experiment=True)
     made = identified(i_start=start)
-    first = predict(COIL, made, record(1, name="first"))
+    first = predict_by_model(COIL, made, record(1, name="first"))
     assert first.scores[0].ratio == pytest.approx(1.0, abs=0.1)
     with pytest.raises(InputError, match=r"a value of 'i_start' for first, second and none for first: .*--refit"):
-        predict(COIL, made, record(9, name="first"))  # another record of that name
-    again = predict(COIL, made, record(9, start=0.3, name="other"), free={"i_start": start})
+        predict_by_model(COIL, made, record(9, name="first"))  # another record of that name
+    again = predict_by_model(COIL, made, record(9, start=0.3, name="other"), free={"i_start": start})
     assert again.estimated is not None
     assert again.estimated["i_start"] == pytest.approx(0.3, abs=0.1)
 
 
 def test_what_the_table_and_the_json_have(result: Result) -> None:
-    found: Prediction = predict(COIL, result, record(5))
+    found: Prediction = predict_by_model(COIL, result, record(5))
     names = ["time", "measured.i", "simulated.i", "std.i", "lower.i", "upper.i"]
     assert list(found.table.columns) == names
     inside = found.table["measured.i"].between(found.table["lower.i"], found.table["upper.i"])
@@ -165,10 +165,10 @@ def test_what_the_table_and_the_json_have(result: Result) -> None:
 
 def test_another_model_is_refused(result: Result) -> None:
     with pytest.raises(InputError, match=r"the result is of another model: .* has no 'L'"):
-        predict(
+        predict_by_model(
             FMUS / "PositionController/PositionController.fmu",
-            dataclasses.replace(result, names=("kp", "L")),
+            changed(result, names=("kp", "L")),
             record(5),
         )
     with pytest.raises(InputError, match="level of a band"):
-        predict(COIL, result, record(5), level=1.0)
+        predict_by_model(COIL, result, record(5), level=1.0)

@@ -34,6 +34,7 @@ from fmuid.reports.topics.prior_and_data import reading_words
 from fmuid.studies.study import Study
 from tests.support.paths import ROOT
 from tests.support.problems import ar1, coil_problem
+from tests.support.results import changed
 
 STUDY = ROOT / "experiments" / "induction_machine" / "study.toml"
 COUNT = 120
@@ -71,18 +72,20 @@ def information() -> Floats:
 def white_reading(problem: LeastSquares, result: Result, **words: Any) -> PriorDataComparison:
     """Read a result with residuals that are taken for white."""
     found = analyze_residuals(problem, result)
-    assert result.noise is not None
+    assert result.fit.noise is not None
     models = tuple(
         dataclasses.replace(each, process=Autoregression(np.zeros(0), 1.0, each.process.samples))
-        for each in result.noise.models
+        for each in result.fit.noise.models
     )
     series = tuple(dataclasses.replace(each, noise=own) for each, own in zip(found.series, models, strict=True))
-    noise = dataclasses.replace(result.noise, models=models, innovations=tuple(map(np.eye, _outputs(result.noise))))
-    taken = dataclasses.replace(result, noise=noise, covariance=result.white_covariance)
+    noise = dataclasses.replace(
+        result.fit.noise, models=models, innovations=tuple(map(np.eye, _outputs(result.fit.noise)))
+    )
+    taken = changed(result, noise=noise, covariance=result.estimates.covariance_white_noise)
     with pytest.MonkeyPatch.context() as patched:  # also where the optimum of the data is searched
         patched.setattr(
             "fmuid.identification.prior_and_data.sandwich_of",
-            lambda *_: SandwichCovariance(taken.covariance, taken.freedom, noise),
+            lambda *_: SandwichCovariance(taken.covariance, taken.estimates.variance_dof, noise),
         )
         return compare_prior_and_data(problem, taken, diagnostics=ResidualAnalysis(series, found.widening), **words)
 
@@ -99,15 +102,15 @@ def test_prior_data_and_combined_of_a_linear_problem(search: bool) -> None:
     problem, result = linear(y, joint())
     reading = white_reading(problem, result, search_data=search)
     data = linear_least_squares(PHI, y)
-    np.testing.assert_allclose(reading.data, data.theta, rtol=1e-6)
+    np.testing.assert_allclose(reading.data, data.values, rtol=1e-6)
     np.testing.assert_allclose(reading.data_std, np.sqrt(np.diag(np.linalg.inv(information()))), rtol=1e-6)
     weight = np.linalg.inv(COVARIANCE)
-    barycentre = np.linalg.solve(weight + information(), weight @ MEAN + information() @ data.theta)
+    barycentre = np.linalg.solve(weight + information(), weight @ MEAN + information() @ data.values)
     np.testing.assert_allclose(reading.combined, barycentre, rtol=1e-6)
     np.testing.assert_allclose(reading.combined_std, np.sqrt(np.diag(np.linalg.inv(weight + information()))), rtol=1e-6)
     np.testing.assert_allclose(reading.pull, (barycentre - MEAN) / np.sqrt(np.diag(COVARIANCE)), rtol=1e-4)
     assert reading.agreement is not None
-    apart = data.theta - MEAN
+    apart = data.values - MEAN
     distance = apart @ np.linalg.solve(COVARIANCE + np.linalg.inv(information()), apart)
     assert reading.agreement.statistic == pytest.approx(distance, rel=1e-5)
     assert reading.agreement.degrees_of_freedom == 3
@@ -123,12 +126,12 @@ def test_prior_data_and_combined_of_a_linear_problem(search: bool) -> None:
 def kalman(problem: LeastSquares, theta: Floats) -> Floats:
     """One Newton step from θ₀ in the form of (1.49): θ₀ + K (Y* − Ŷ(θ₀)), K = P_C Sᵀ/σ_b²."""
     criterion = prepare(Evaluator(problem), theta).criterion
-    at = criterion.evaluate(theta)
+    residual, jacobian = criterion.evaluate(theta)
     data = problem.measured.size
-    sensitivity = -at.jacobian[:data]  # both are divided by σ_b
+    sensitivity = -jacobian[:data]  # both are divided by σ_b
     prior = np.diag(1.0 / problem.parameters.prior_std**2)
     combined = np.linalg.inv(prior + sensitivity.T @ sensitivity)
-    return np.asarray(theta + combined @ sensitivity.T @ at.residual[:data])
+    return np.asarray(theta + combined @ sensitivity.T @ residual[:data])
 
 
 def test_the_kalman_form_of_a_linear_problem() -> None:
@@ -230,9 +233,9 @@ def test_one_prior_is_compared_with_its_own_parameter() -> None:
     variance = np.linalg.inv(information())[1, 1]
     assert reading.agreement is not None
     assert reading.agreement.degrees_of_freedom == 1
-    expected = (data.theta[1] - 2.5) ** 2 / (0.1**2 + variance)
+    expected = (data.values[1] - 2.5) ** 2 / (0.1**2 + variance)
     assert reading.agreement.statistic == pytest.approx(expected, rel=1e-5)
-    assert reading.conflict[1] == pytest.approx((data.theta[1] - 2.5) / math.sqrt(0.1**2 + variance), rel=1e-5)
+    assert reading.conflict[1] == pytest.approx((data.values[1] - 2.5) / math.sqrt(0.1**2 + variance), rel=1e-5)
 
 
 def test_data_that_determine_combinations_only() -> None:
@@ -260,7 +263,7 @@ def test_nothing_in_common() -> None:
     assert result["d"] == pytest.approx(2.0)
     reading = compare_prior_and_data(problem, result)
     assert reading.agreement is None
-    np.testing.assert_allclose(reading.data[:3], linear_least_squares(PHI, measured).theta, rtol=1e-6)
+    np.testing.assert_allclose(reading.data[:3], linear_least_squares(PHI, measured).values, rtol=1e-6)
     assert np.isnan(reading.data[3])
 
 
@@ -299,7 +302,7 @@ def test_the_known_variance() -> None:
     reading = white_reading(problem, result, healthy={"i": VARIANCE, "u": VARIANCE})
     one, other, both = reading.variances
     assert (one.output, other.output, both.output) == ("u", "i", "")
-    assert one.ratio == result.noise_variance["u"] / VARIANCE
+    assert one.ratio == result.fit.noise_variance["u"] / VARIANCE
     assert one.degrees_of_freedom + other.degrees_of_freedom == pytest.approx(2 * COUNT - 3, abs=1e-3)
     expected = stats.chi2(other.degrees_of_freedom).sf(other.ratio * other.degrees_of_freedom)
     assert other.probability == pytest.approx(expected)
@@ -307,7 +310,7 @@ def test_the_known_variance() -> None:
     assert both.probability == pytest.approx(stats.chi2(2 * COUNT - 3).sf(total), rel=1e-3)
     assert [each.deviation for each in (one, other)] == [Deviation.NONE, Deviation.LARGER]
     said = reading_words(reading)
-    levels = f"{np.sqrt(result.noise_variance['i']):.4g} A against {np.sqrt(VARIANCE):.4g} A"
+    levels = f"{np.sqrt(result.fit.noise_variance['i']):.4g} A against {np.sqrt(VARIANCE):.4g} A"
     (told,) = (line for line in reading_words(reading, {"i": "A"}) if "noise level" in line)
     assert told.startswith(f"The residual of i is larger than its stated noise level: {levels} (probability ")
     assert said[0].startswith("The residual of i is larger than its stated noise level: 0.")
@@ -340,13 +343,13 @@ def test_a_search_that_ends_at_a_bound_is_said() -> None:
     parameters = {"a": Parameter(1.5, min=1.2, prior=Normal(1.5, 0.02)), "b": Parameter(1.0), "c": Parameter(1.0)}
     problem = LeastSquares.from_function(lambda theta: PHI @ theta, y, parameters, noise=Noise(VARIANCE))
     result = identify(problem)
-    assert result.at_bounds == ()
+    assert result.estimates.at_bounds == ()
     reading = compare_prior_and_data(problem, result, search_data=True)
     assert not reading.searched
     assert reading.obstacle == ExtrapolationReason(at_bounds=("a",))
     said = "The data alone would push a to a bound, so their optimum is extrapolated"
     assert reading_words(reading)[-1] == said
-    np.testing.assert_allclose(reading.data, linear_least_squares(PHI, y).theta, rtol=1e-5)
+    np.testing.assert_allclose(reading.data, linear_least_squares(PHI, y).values, rtol=1e-5)
 
 
 def test_written_and_read() -> None:
@@ -361,4 +364,4 @@ def test_written_and_read() -> None:
     assert table["parameter"].tolist() == list(NAMES)
     assert table.shape == (3, 13)
     with pytest.raises(InputError, match="identify the study again"):
-        compare_prior_and_data(problem, dataclasses.replace(result, local=None))
+        compare_prior_and_data(problem, changed(result, linearization=None))

@@ -18,9 +18,8 @@ from fmuid.errors import InputError
 from fmuid.estimation.covariance import ActiveBound
 from fmuid.estimation.problem import LeastSquares
 from fmuid.estimation.result import Result
-from fmuid.identification.profile_ends import EndKind
-from fmuid.identification.profile_likelihood import Profile, profile_likelihood
-from fmuid.progress import Event, ProfileStep
+from fmuid.events import Event, ProfileStep
+from fmuid.identification.profile_likelihood import EndKind, Profile, profile_likelihood
 from fmuid.reports.topics.uncertainty import profile_words
 from tests.support.results import identify_white as identify
 
@@ -146,7 +145,7 @@ def test_one_parameter() -> None:
 
 def brute(problem: LeastSquares, result: Result, index: int, value: float) -> float:
     """Return the least criterion with one parameter held, by scipy from several starts."""
-    sigma = math.sqrt(next(iter(result.noise_variance.values())))
+    sigma = math.sqrt(next(iter(result.fit.noise_variance.values())))
     others = [i for i in range(len(result.names)) if i != index]
 
     def residual(free: Array) -> Array:
@@ -187,7 +186,7 @@ def test_table_holds_the_path() -> None:
     profile = only(problem, result, "rate")
     assert list(profile.table.columns) == ["top", "rate", "criterion"]
     assert (np.diff(profile.values) > 0).all()
-    sigma = math.sqrt(result.noise_variance["y"])
+    sigma = math.sqrt(result.fit.noise_variance["y"])
     for row in profile.table.itertuples():
         residual = (problem.measured - saturating(np.array([row.top, row.rate]))) / sigma
         assert row.criterion == pytest.approx(float(residual @ residual), rel=1e-12)
@@ -230,7 +229,7 @@ def test_saturates_below_the_level() -> None:
     assert note.startswith("rate has no upper end: even at ")
     at_infinity = problem.measured.copy()
     at_infinity[1:] -= at_infinity[1:].mean()
-    rise = at_infinity @ at_infinity / result.noise_variance["y"] - profile.minimum
+    rise = at_infinity @ at_infinity / result.fit.noise_variance["y"] - profile.minimum
     assert 0.0 < rise < profile.threshold
     assert profile.criterion[-1] - profile.minimum == pytest.approx(rise, rel=1e-4)
 

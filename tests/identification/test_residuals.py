@@ -24,6 +24,7 @@ from fmuid.identification.residual_analysis import ResidualAnalysis, ResidualDef
 from fmuid.identification.residual_series import ResidualSeries, examine_outputs
 from fmuid.reports.topics.residual_analysis import residual_words
 from tests.support.problems import ar1
+from tests.support.results import changed
 
 COUNT = 1000
 TIMES: Floats = 0.01 * np.arange(float(COUNT))
@@ -41,7 +42,7 @@ def examined(errors: Floats, **words: Any) -> ResidualAnalysis:
 
 def identified(errors: Floats, **words: Any) -> tuple[LeastSquares, Result]:
     frame = pd.DataFrame({"time": TIMES, "u": INPUT, "y": REGRESSORS @ TRUTH + errors})
-    experiment = Experiment(frame, inputs=["u"], outputs=["y"], discard=words.pop("discard", 0.0))
+    experiment = Experiment(frame, inputs=["u"], outputs=["y"], warmup=words.pop("warmup", 0.0))
     predictor = FunctionPredictor(lambda theta: REGRESSORS @ theta, (COUNT, 1))
     problem = LeastSquares([predictor], [experiment], PARAMETERS | words.pop("parameters", {}), **words)
     return problem, identify(problem)
@@ -285,7 +286,7 @@ def test_distributions_in_words(shape: Any, said: str) -> None:
 def test_what_cannot_be_examined_is_said() -> None:
     (sentence,) = residual_words(examined(np.zeros(COUNT), noise=Noise(1.0)))
     assert sentence == "The residual of y is too short, or nothing but rounding, to be examined"
-    series = only(examined(white(1), discard=TIMES[-1] - 0.1))
+    series = only(examined(white(1), warmup=TIMES[-1] - 0.1))
     assert series.samples == 11
     assert not series.is_tested
     assert math.isnan(series.whiteness.statistic)
@@ -302,7 +303,7 @@ def several() -> tuple[LeastSquares, Result]:
         ]
         y[rng.random(y.shape) < 0.1] = np.nan
         frame = pd.DataFrame({"time": TIMES, "u": INPUT, "a": y[:, 0], "b": y[:, 1]})
-        experiments.append(Experiment(frame, inputs=["u"], outputs=["a", "b"], discard=0.5, name=name))
+        experiments.append(Experiment(frame, inputs=["u"], outputs=["a", "b"], warmup=0.5, name=name))
     predictor = FunctionPredictor(lambda t: np.column_stack([REGRESSORS @ t, 100.0 * REGRESSORS @ t]), (COUNT, 2))
     problem = LeastSquares([predictor, predictor], experiments, PARAMETERS)
     return problem, identify(problem)
@@ -314,13 +315,13 @@ def test_rows_of_several_outputs_and_experiments() -> None:
     assert [(each.experiment, each.output) for each in found.series] == [
         (experiment, output) for experiment in ("first", "second") for output in ("a", "b")
     ]
-    assert result.local is not None
+    assert result.fit.linearization is not None
     rows = np.concatenate([each.noise.series.rows for each in found.series])
     assert sorted(rows.tolist()) == list(range(problem.measured.size))
     for each in found.series:
         assert np.isnan(each.residual[each.times < 0.5]).all()
-        whitened = each.residual[np.isfinite(each.residual)] / math.sqrt(result.variance[each.output])
-        np.testing.assert_allclose(whitened, result.local.residual[each.noise.series.rows], rtol=1e-9)
+        whitened = each.residual[np.isfinite(each.residual)] / math.sqrt(result.fit.variance[each.output])
+        np.testing.assert_allclose(whitened, result.fit.linearization.residual[each.noise.series.rows], rtol=1e-9)
         kept = np.flatnonzero(np.isfinite(each.residual))
         np.testing.assert_array_equal(each.noise.series.places, kept)
         assert each.noise.series.step == pytest.approx(0.01)
@@ -340,7 +341,7 @@ def several_outputs() -> tuple[Experiment, Floats]:
     measured[40:60, 2] = np.nan
     columns = dict(zip("tuvyzg", [times, *inputs.T, *measured.T], strict=True))
     frame = pd.DataFrame(columns | {"c": 5.0})
-    return Experiment(frame, inputs=["u", "v", "c"], outputs=["y", "z", "g"], time="t", discard=0.5), simulated
+    return Experiment(frame, inputs=["u", "v", "c"], outputs=["y", "z", "g"], time="t", warmup=0.5), simulated
 
 
 def test_correlations_with_inputs_are_those_of_the_definition() -> None:
@@ -398,4 +399,4 @@ def test_written_and_read() -> None:
     assert written["series"][3]["inputs"][0]["input"] == "u"
     assert written["series"][0]["std"] == found.table["std"][0]
     with pytest.raises(InputError, match="identify the study again"):
-        analyze_residuals(problem, dataclasses.replace(result, noise=None))
+        analyze_residuals(problem, changed(result, noise=None))

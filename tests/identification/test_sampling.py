@@ -13,9 +13,9 @@ from fmuid.data.noise import Noise
 from fmuid.errors import InputError
 from fmuid.estimation.predictors import FunctionPredictions
 from fmuid.estimation.problem import LeastSquares
+from fmuid.events import Event, SamplingStep
 from fmuid.identification.posterior import SamplerSettings, SamplingWarning, effective_size, r_hat
 from fmuid.identification.sampler import sample_posterior
-from fmuid.progress import Event, SamplingStep
 from fmuid.reports.topics.uncertainty import posterior_words
 from tests.support.posteriors import Array, linear, sampled
 from tests.support.results import identify_white as identify

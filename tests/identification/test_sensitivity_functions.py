@@ -54,7 +54,7 @@ def test_the_promise_is_what_identification_gives() -> None:
         current.append(decay * current[-1] + (1.0 - decay) / R * u)
     measured = exact.with_outputs((np.array(current) + NOISE * rng.standard_normal(300))[:, None])
     result = identify(Problem(COIL, measured, PARAMETERS, noise=Noise(NOISE**2)))
-    local = result.local
+    local = result.fit.linearization
     assert local is not None
     white = np.sqrt(np.diag(local.combined.covariance))
     np.testing.assert_allclose(list(promised.std.values()), white, rtol=0.05)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import json
 from collections.abc import Callable
 
@@ -15,12 +14,13 @@ from fmuid.data import Parameter
 from fmuid.data.noise import Noise
 from fmuid.errors import InputError
 from fmuid.estimation.problem import LeastSquares
+from fmuid.events import Event, ProfileStep, SamplingStep
 from fmuid.identification import identify
 from fmuid.identification.assessment import Assessment, AssessmentSettings, assess
 from fmuid.identification.cost_map import map_cost
 from fmuid.identification.posterior import SamplerSettings
-from fmuid.progress import Event, ProfileStep, SamplingStep
 from fmuid.reports.topics.uncertainty import uncertainty_words
+from tests.support.results import changed
 
 ALL = AssessmentSettings(0.9, ("a", "b"), SamplerSettings(max_steps=600, effective_size=600), (("a", "b"),))
 
@@ -53,7 +53,7 @@ def test_nothing_is_asked() -> None:
     assert (found.maps, found.profiles, found.posterior, uncertainty_words(found)) == ((), (), None, ())
     assert found.residuals is not None
     assert found.prior_and_data is not None
-    assert assess(problem, dataclasses.replace(result, local=None)).residuals is None
+    assert assess(problem, changed(result, linearization=None)).residuals is None
     np.testing.assert_array_equal(found.intervals(result).to_numpy(), result.intervals().to_numpy())
 
 
@@ -77,7 +77,7 @@ def test_everything_of_a_linear_problem_agrees() -> None:
     assert list(table.columns) == ["profiled", "a", "b", "criterion"]
     assert table["profiled"].drop_duplicates().tolist() == ["a", "b"]
     (chart,) = found.maps
-    assert chart.criterion == pytest.approx(result.criterion)
+    assert chart.criterion == pytest.approx(result.fit.cost)
 
     content = json.loads(json.dumps(as_json(found), allow_nan=False))
     assert content["profiles"][0]["lower"] == pytest.approx(local[0, 0], rel=1e-4)

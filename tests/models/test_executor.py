@@ -68,7 +68,7 @@ def test_an_executor_is_made_once_and_closed_with_the_variants() -> None:
         runs = [twin_simulation(simulator) for simulator in simulators]
         simulators[0]([4.0, 0.1])
         for run in runs:
-            run.simulate(executor_of(run.system), np.tile([4.0, 0.1], 3))
+            run.simulate(np.tile([4.0, 0.1], 3))
         executors: list[Any] = [executor_of(s) for s in (*(run.system for run in runs), system)]
         assert executors[0] is executors[1] is not executors[2]
         there = [weakref.ref(i) for each in executors[1:3] for thread in each._threads for i in thread._instances]

@@ -14,11 +14,10 @@ from rich.console import Console
 from rich.text import Text
 
 from fmuid.diagnosis import Alarm
-from fmuid.reports.render import progress as following
-from fmuid.reports.render.progress import FollowingDisplay
+from fmuid.reports.render import following
+from fmuid.reports.render.following import FollowingDisplay
 from fmuid.reports.topics.monitoring import alarm_sentence
-from fmuid.runs.alarm_log import AlarmLines
-from fmuid.runs.follow import FollowStatus
+from fmuid.runs.follow import AlarmLines, FollowStatus
 
 
 def monitor(*alarms: Alarm, windows: int) -> Any:

@@ -42,13 +42,13 @@ def test_over_cases() -> None:
     assert legend(few) == ["interval of 95 %", "misses the truth", "estimate", "failed"]
     assert rules(few) == [("y", 4.0)]
     assert few.y.label == "R (Ohm)"
-    some, _ = batch.over_cases(cases(chart.MAX_DOTS), {}, {})
+    some, _ = batch.over_cases(cases(chart.LIMITS.dots), {}, {})
     assert layers(some, "segments") == []
-    assert len(layers(some, "points")[0]["x"]) == chart.MAX_DOTS - 1
+    assert len(layers(some, "points")[0]["x"]) == chart.LIMITS.dots - 1
     many, _ = batch.over_cases(cases(30_000), {}, {})
     (cells,) = layers(many, "cells")
     assert cells["count"].sum() == 29_999
-    assert len(cells["count"]) < chart.MAX_ROWS
+    assert len(cells["count"]) < chart.LIMITS.rows
     assert cells["alpha"].max() == 1.0
 
 

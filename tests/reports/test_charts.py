@@ -12,7 +12,7 @@ import pytest
 
 from fmuid.data import evenly, extremes
 from fmuid.errors import InputError
-from fmuid.estimation import Result, TerminationReason
+from fmuid.estimation import Result
 from fmuid.identification import CostMap
 from fmuid.reports import chart
 from fmuid.reports.render.style import COLORS, DARK, LINE
@@ -29,17 +29,14 @@ from fmuid.reports.topics import (
 from fmuid.reports.topics import uncertainty_charts as uncertainty
 from tests.support import records
 from tests.support.charts import drawn, legend, places
+from tests.support.results import made_up
 
 
 def result(rho: float = 0.6) -> Result:
     """Return a result of two parameters with known noise, 4 ± 0.1 and 0.1 ± 0.002."""
     std = np.array([0.1, 0.002])
     covariance = np.outer(std, std) * np.array([[1.0, rho], [rho, 1.0]])
-    empty, free = np.full(2, np.nan), np.full(2, np.inf)
-    return Result(
-        TerminationReason.CONVERGED, ("R", "L"), np.array([4.0, 0.1]), np.array([5.0, 0.2]), -free, free,
-        empty, empty, covariance, covariance, free, {}, {"i": 1.0}, 10.0, 0.0, math.inf, 3, 9, 0.1, (), (), (), (), "0",
-    )  # fmt: skip
+    return made_up(("R", "L"), np.array([4.0, 0.1]), np.array([5.0, 0.2]), covariance)
 
 
 # --- thinning
@@ -104,8 +101,8 @@ def test_a_long_record_is_thinned_and_anew_for_a_stretch() -> None:
     given.simulated[123_457, 1] = 40.0
     grid = fit.fit_charts(given)
     (dots,), (line,) = drawn(grid.charts[2], "points"), drawn(grid.charts[2], "line")
-    assert len(dots["x"]) <= chart.MAX_DOTS
-    assert len(line["x"]) < 1.2 * chart.MAX_ROWS
+    assert len(dots["x"]) <= chart.LIMITS.dots
+    assert len(line["x"]) < 1.2 * chart.LIMITS.rows
     assert np.nanmax(line["y"]) == 40.0
     assert np.ptp(np.diff(dots["x"])) < 2e-3
     assert grid.live is not None
@@ -114,15 +111,15 @@ def test_a_long_record_is_thinned_and_anew_for_a_stretch() -> None:
 
 
 def test_outputs_and_experiments_of_the_least_fit() -> None:
-    many = records.record(outputs=chart.MAX_OUTPUTS + 1)
+    many = records.record(outputs=chart.LIMITS.outputs + 1)
     many.simulated[:, 0] = many.measured[:, 0]
     many.simulated[np.isnan(many.simulated)] = 0.0
     found = {each.y.label for each in fit.fit_charts(many).charts}
     assert "y1 (A)" in found
     assert "y0 (A)" not in found
-    several = [records.record(name=str(k), noise=0.01 * (k + 1)) for k in range(chart.MAX_EXPERIMENTS + 2)]
+    several = [records.record(name=str(k), noise=0.01 * (k + 1)) for k in range(chart.LIMITS.experiments + 2)]
     sections = fit.fit_sections(several)
-    names = [f"Measured and simulated: {k}" for k in range(2, chart.MAX_EXPERIMENTS + 2)]
+    names = [f"Measured and simulated: {k}" for k in range(2, chart.LIMITS.experiments + 2)]
     assert [each.heading for each in sections] == names
     assert f"Of {len(several)} experiments" in sections[0].caption
     assert [each.key for each in sections[:2]] == ["fit", "fit-2"]
@@ -157,7 +154,7 @@ def test_residuals() -> None:
 
 
 def searched(trace: pd.DataFrame, table: pd.DataFrame, **more: Any) -> dict[str, tuple[Any, ...]]:
-    found: Any = SimpleNamespace(trace=trace, rounds=more.get("rounds", pd.DataFrame()))
+    found: Any = SimpleNamespace(trace=trace, history=SimpleNamespace(rounds=more.get("rounds", ())))
     sections = optimization.optimization_sections(found, table, more.get("optima", pd.DataFrame()), {"i": "A"})
     return {each.key: each.charts for each in sections}
 
@@ -266,14 +263,14 @@ def test_correlation_and_ellipses() -> None:
 
 
 def test_accuracy_marks_shifts_that_spoil_intervals() -> None:
-    table = pd.DataFrame({"parameter": ["R", "L", "M"], "numerical_shift": [0.02, -0.5, np.nan]})
+    table = pd.DataFrame({"parameter": ["R", "L", "M"], "solver_error": [0.02, -0.5, np.nan]})
     (section,) = solver_check.solver_section(table)
     (plot,) = section.charts
     assert isinstance(plot, chart.Chart)
     small, large = drawn(plot, "points")
     assert (small["x"].tolist(), large["x"].tolist()) == ([0.02], [-0.5])
     assert legend(plot) == ["harmless", "larger than a tenth"]
-    assert solver_check.solver_section(table.assign(numerical_shift=np.nan)) == []
+    assert solver_check.solver_section(table.assign(solver_error=np.nan)) == []
 
 
 def test_what_stands_beside_each_other() -> None:

@@ -18,9 +18,9 @@ from fmuid.errors import InputError
 from fmuid.formatting import bounded
 from fmuid.models.description import Variable
 from fmuid.models.fmu_summary import FmuSummary, facts, lines
-from fmuid.reports.document import table_of
-from fmuid.reports.render.console import TERMINAL_ROWS, console, rich_table, show_notes
-from fmuid.reports.topics import models as console_fmu
+from fmuid.reports.document import TERMINAL_ROWS, table_of
+from fmuid.reports.render.console import console, plain_lines, rich_table, show_listing, show_notes
+from fmuid.reports.topics.models import facts_document
 from fmuid.reports.topics.solver_check import capability_words, run_words
 from fmuid.studies import skeleton
 from tests.support.fmu_texts import FMI2, FMI3, write_fmu
@@ -101,7 +101,7 @@ def test_arrays_and_capabilities_of_fmi3(linear: FmuSummary) -> None:
 
 
 def real(name: str, unit: str = "m") -> Variable:
-    return Variable(name, 0, "Real", "Float64", "parameter", "fixed", unit=unit)
+    return Variable(name, 0, "Float64", "parameter", "fixed", unit=unit)
 
 
 def test_lines_of_scalars() -> None:
@@ -124,8 +124,8 @@ def test_lines_of_scalars() -> None:
 def shown(motor: FmuSummary, monkeypatch: pytest.MonkeyPatch, *, terminal: bool) -> str:
     out = io.StringIO()
     made = Console(file=out, force_terminal=terminal, width=80, color_system=None, highlight=False)
-    monkeypatch.setattr(console_fmu, "console", lambda: made)
-    console_fmu.show_facts(motor)
+    monkeypatch.setattr("fmuid.reports.render.console.console", lambda: made)
+    show_listing(facts_document(motor, made.width if terminal else None), "A study to begin with")
     return out.getvalue()
 
 
@@ -233,8 +233,8 @@ def test_what_is_printed_of_an_fmu_obeys_nobody_and_ends(
     assert "\u202e" in found.fmu.name
     out = io.StringIO()
     shown = type(console())(file=out, force_terminal=terminal, color_system=None, width=200, highlight=False)
-    monkeypatch.setattr(console_fmu, "console", lambda: shown)
-    console_fmu.show_facts(found)
+    monkeypatch.setattr("fmuid.reports.render.console.console", lambda: shown)
+    show_listing(facts_document(found, shown.width if terminal else None), "A study to begin with")
     assert UNSEEN.search(out.getvalue()) is None
     assert not re.search("^Inputs .9.", out.getvalue(), re.MULTILINE)
     assert "R31m" in out.getvalue()
@@ -265,12 +265,10 @@ def test_plain_tables_are_those_of_rich() -> None:
     out = io.StringIO()
     columns = {head: [row[k] for row in rows] for k, head in enumerate(heads)}
     words = [head for head in heads if head not in right]
-    table = rich_table(table_of(columns, words), "", console())
-    Console(file=out, width=200).print(table)
+    table = table_of(columns, words)
+    Console(file=out, width=200).print(rich_table(table, "", console()))
     expected = [line.rstrip() for line in out.getvalue().splitlines()]
-    assert [
-        line.rstrip("\n") for line in console_fmu._plain_table(heads, [*zip(*rows, strict=True)], right)
-    ] == expected
+    assert [line.rstrip("\n") for line in plain_lines(table)] == expected
 
 
 def test_a_title_longer_than_its_table_stays_on_one_line() -> None:

@@ -18,7 +18,7 @@ from fmuid.reports.publish import publish, write_report
 from fmuid.reports.render import console
 from fmuid.reports.render.bokeh_models import live, written
 from fmuid.reports.render.bokeh_renderer import drawing
-from fmuid.reports.render.document_json import DOCUMENT_FILE, read_documents, write_document
+from fmuid.reports.render.document_json import DOCUMENT_FILE, read_documents, write_documents
 from tests.support.charts import EVIL, every_mark
 from tests.support.fuzz_spoil import spoil_tree
 
@@ -39,8 +39,8 @@ def document(**more: Any) -> Document:
 
 def test_what_is_written_is_read_back(tmp_path: Path) -> None:
     given = document()
-    write_document(tmp_path, given)
-    write_document(tmp_path, document(kind="prediction"))
+    publish(tmp_path, given, report=False)
+    publish(tmp_path, document(kind="prediction"), report=False)
     assert list(read_documents(tmp_path)) == ["identification", "prediction"]
     found = read_documents(tmp_path)["identification"]
     assert found.remarks[0].text == "R is known to 5 %"
@@ -105,7 +105,7 @@ def test_names_and_texts_never_become_html(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("seed", range(60))
 def test_damaged_documents_are_refused_in_one_sentence(tmp_path: Path, seed: int) -> None:
-    write_document(tmp_path, document())
+    write_documents(tmp_path, {"identification": document()})
     content = json.loads((tmp_path / DOCUMENT_FILE).read_text())
     (tmp_path / DOCUMENT_FILE).write_text(json.dumps(spoil_tree(Random(seed), content), default=str))
     try:

@@ -14,7 +14,7 @@ from fmuid.diagnosis.alarms import Alarm
 from fmuid.diagnosis.cause_results import CauseScore, ChangeEvidence, EstimatedChange, Explanation
 from fmuid.diagnosis.causes import CauseKind
 from fmuid.diagnosis.unexplained_residual import NOTHING_LEFT
-from fmuid.reports.topics import cause_charts, monitoring
+from fmuid.reports.topics import diagnosis, monitoring
 from tests.support.charts import drawn, legend, places
 
 
@@ -34,16 +34,16 @@ def news() -> ChangeEvidence:
 
 
 def test_causes_stand_by_their_likelihood_with_the_angle_to_the_nearest(news: ChangeEvidence) -> None:
-    plot = cause_charts.cause_evidence(news)
+    plot = diagnosis.cause_evidence(news)
     assert plot.y.names[::-1] == ("turns (dR)", "the gain of the sensor of i", "an offset of the sensor of i")
     red, grey = drawn(plot, "bars")
-    assert (red["x"].tolist(), grey["x"].tolist()) == ([41.0, 38.0], [cause_charts.LEAST_STATISTIC])
+    assert (red["x"].tolist(), grey["x"].tolist()) == ([41.0, 38.0], [diagnosis.LEAST_STATISTIC])
     assert red["near"] == ("gain(i), 5°", "turns.dR, 5°")
     assert red["size"][0] == "0.300 ± 0.050 Ohm"
 
 
 def test_changes_have_their_intervals_in_units_that_are_read(news: ChangeEvidence) -> None:
-    turns, gain = cause_charts.change_charts(news)
+    turns, gain = diagnosis.change_charts(news)
     assert turns.x.label == "size, with its interval of 95 % (Ohm)"
     assert gain.x.label == "size, with its interval of 95 % (%)"
     (data,) = drawn(gain, "points")
@@ -55,7 +55,7 @@ def test_residuals_without_and_with_the_fault() -> None:
     table = pd.DataFrame(
         {"time": np.arange(500.0), "healthy.i": rng.normal(0, 2, 500), "fault.i": rng.normal(0, 1, 500)}
     )
-    (plot,) = cause_charts.explained_charts(table, "turns", {"i": "A"}).charts
+    (plot,) = diagnosis.explained_charts(table, "turns", {"i": "A"}).charts
     assert plot.y.label == "residual of i (A)"
     without, with_ = (each["y"] for each in drawn(plot, "line"))
     np.testing.assert_allclose(without, table["healthy.i"], rtol=1e-6)

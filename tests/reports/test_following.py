@@ -23,11 +23,11 @@ from fmuid.apps.cli.app import run
 from fmuid.diagnosis import SkippedWindow
 from fmuid.files import locked
 from fmuid.reports.render.console import console
-from fmuid.reports.render.progress import state
+from fmuid.reports.render.following import state
 from fmuid.reports.topics.monitoring import gap_words
 from fmuid.runs import follow as following
+from fmuid.runs import log_follower as follower
 from fmuid.runs.follow import FollowStatus
-from fmuid.runs.log_following import follower
 from tests.support.coil_records import warming
 from tests.support.running import run_following
 
@@ -220,6 +220,18 @@ def test_one_at_a_time(plant: Path) -> None:
     refused = pytest.raises(fmuid.InputError, match="is written to by another monitoring")
     with locked(plant / "out", "monitoring"), refused:
         run_following("study.toml", "records", "out", until=idle)
+
+
+def test_an_interruption_before_the_first_status_counts_the_alarm(plant: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The user's command is told of it when Ctrl-C comes: the alarm is written, and the exit code says so."""
+
+    def interrupted(*_: Any) -> list[str]:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(following, "_told", interrupted)
+    warming(8, to=1.0, fails=0.0, size=3.0).to_csv(plant / "records" / "new.csv", index=False)
+    assert run(["monitor", "study.toml", "records", "--follow", "-o", "out", "--no-report"]) == 1
+    assert [each["event"] for each in alarms(plant / "out")] == ["raised"]
 
 
 @pytest.mark.slow

@@ -20,7 +20,7 @@ from fmuid.diagnosis.monitor_store import MonitorStore
 from fmuid.diagnosis.windows import summed
 from fmuid.reports import write_report
 from fmuid.runs import follow as following
-from fmuid.runs.log_following import follower
+from fmuid.runs import log_follower as follower
 from tests.support.coil_records import warming
 from tests.support.running import run_following, run_monitoring
 

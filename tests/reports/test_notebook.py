@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import math
 import pickle
 from collections.abc import Iterator
 from pathlib import Path
@@ -14,13 +13,13 @@ import pandas as pd
 import pytest
 
 import fmuid
-from fmuid.display_mixins import shown_by
-from fmuid.estimation import Identifiability, TerminationReason, WeakDirection
+from fmuid.estimation import Identifiability, IdentifiabilityLevel, WeakDirection
 from fmuid.formatting import with_std
 from fmuid.reports.render.notebook import Drawing, plots
 from fmuid.runs.batch.dataset import Dataset
 from fmuid.runs.folder import write_identification
 from tests.support.coil_study import COIL, STUDY, coil_table
+from tests.support.results import made_up
 from tests.support.running import run_study
 
 # A notebook with five figures is no larger than this, bytes.
@@ -28,7 +27,7 @@ LARGEST = 3_000_000
 
 
 @pytest.fixture(scope="module")
-def found(tmp_path_factory: pytest.TempPathFactory) -> fmuid.IdentificationRun:
+def found(tmp_path_factory: pytest.TempPathFactory) -> fmuid.runs.IdentificationRun:
     folder = tmp_path_factory.mktemp("notebook")
     coil_table(folder / "first.csv", 0.0, seed=1)
     study = folder / "study.toml"
@@ -49,7 +48,7 @@ def html(shown: Any) -> str:
     return text
 
 
-def test_a_notebook_with_five_figures_can_be_kept(found: fmuid.IdentificationRun) -> None:
+def test_a_notebook_with_five_figures_can_be_kept(found: fmuid.runs.IdentificationRun) -> None:
     """The library, 1.3 MB, is in the first of them only."""
     plots = (found.plot.fit, found.plot.residuals, found.plot.criterion, found.plot.correlation, found.plot.belief)
     shown = [html(plot()) for plot in plots]
@@ -59,7 +58,7 @@ def test_a_notebook_with_five_figures_can_be_kept(found: fmuid.IdentificationRun
     assert all("cdn." not in text for text in shown[1:])
 
 
-def test_a_result_draws_itself_without_its_findings(found: fmuid.IdentificationRun) -> None:
+def test_a_result_draws_itself_without_its_findings(found: fmuid.runs.IdentificationRun) -> None:
     assert [len(found.result.plot.residuals().charts), len(found.plot.residuals().charts)] == [1, 3]
     assert len(found.result.plot.fit().charts) == len(found.result.plot.accuracy().charts) == 1
     assert dir(found.result.plot) == ["accuracy", "correlation", "criterion", "fit", "parameters", "residuals"]
@@ -70,7 +69,7 @@ def test_a_result_draws_itself_without_its_findings(found: fmuid.IdentificationR
     assert len(found.plot.parabolas("L").charts) == 1
 
 
-def test_tables(found: fmuid.IdentificationRun, tmp_path: Path) -> None:
+def test_tables(found: fmuid.runs.IdentificationRun, tmp_path: Path) -> None:
     """Each shows what it is, and names never become markup."""
     for shown in (found, found.result):
         assert "<th scope=row>R</th>" in html(shown)
@@ -86,13 +85,13 @@ def test_tables(found: fmuid.IdentificationRun, tmp_path: Path) -> None:
     assert all(f"<th scope=row>{name}</th>" in coil for name in ("R", "L", "u", "i"))
 
 
-def test_a_parameter_of_a_result_knows_more_than_its_value(found: fmuid.IdentificationRun) -> None:
+def test_a_parameter_of_a_result_knows_more_than_its_value(found: fmuid.runs.IdentificationRun) -> None:
     result, own = found.result, found.result["R"]
     assert own == own.value == result.values[0]
     assert own + 1.0 == result.values[0] + 1.0
     assert json.loads(json.dumps({"R": own})) == {"R": result.values[0]}
     assert str(own) == f"{own}" == str(own.value)
-    assert (own.std, own.start, own.unit) == (result.std[0], result.start[0], "Ohm")
+    assert (own.std, own.start, own.unit) == (result.std[0], result.estimates.start[0], "Ohm")
     assert own.interval == tuple(result.intervals().loc["R"])
     assert own.prior == fmuid.Normal(4.0, 0.2)
     assert result["L"].prior is None
@@ -104,15 +103,15 @@ def test_a_parameter_of_a_result_knows_more_than_its_value(found: fmuid.Identifi
         result["Rs"]
 
 
-def test_units_are_kept_in_the_file(found: fmuid.IdentificationRun, tmp_path: Path) -> None:
+def test_units_are_kept_in_the_file(found: fmuid.runs.IdentificationRun, tmp_path: Path) -> None:
     write_identification(tmp_path, found)
     again = fmuid.Result.from_json(tmp_path / "result.json")
-    assert again.units == found.result.units == {"R": "Ohm", "L": "H"}
+    assert again.estimates.units == found.result.estimates.units == {"R": "Ohm", "L": "H"}
     table = pd.read_csv(tmp_path / "estimates.csv", index_col="parameter")
     pd.testing.assert_frame_equal(table, again.to_frame(), check_index_type=False)
 
 
-def test_a_result_is_printed_as_a_table(found: fmuid.IdentificationRun) -> None:
+def test_a_result_is_printed_as_a_table(found: fmuid.runs.IdentificationRun) -> None:
     lines = str(found.result).splitlines()
     assert repr(found.result.summary()) == str(found.result)
     assert lines[0].split()[0] == "parameter"
@@ -127,15 +126,13 @@ def row(result: fmuid.Result) -> tuple[float, float]:
 def many(count: int, directions: int) -> fmuid.Result:
     """Return a result of many parameters, of which as much is to be said as there are directions."""
     names = tuple(f"a_parameter_whose_name_takes_room_{i}" for i in range(count))
-    own, free = np.ones(count), np.full(count, np.inf)
     weak = tuple(
-        WeakDirection(Identifiability.HARDLY, names[i % count : i % count + 1], (1.0,), 2.0, (1.0,), (1.0,))
+        WeakDirection(IdentifiabilityLevel.HARDLY, names[i % count : i % count + 1], (1.0,), 2.0, (1.0,), (1.0,))
         for i in range(directions)
     )
-    return fmuid.Result(
-        TerminationReason.CONVERGED, names, own, own, -free, free, np.nan * own, np.nan * own,
-        np.eye(count), np.eye(count), free, {}, {"i": 1.0}, 10.0, 0.0, math.inf, 3, 9, 0.1, (), weak, (), (), "0",
-    )  # fmt: skip
+    return made_up(
+        names, np.ones(count), np.ones(count), np.eye(count), identifiability=Identifiability(weakly_identifiable=weak)
+    )
 
 
 @pytest.mark.parametrize(("count", "directions"), [(1, 0), (22, 0), (23, 0), (100, 0), (100, 60), (3, 60), (20, 4)])
@@ -148,32 +145,21 @@ def test_a_printed_result_takes_25_lines(count: int, directions: int) -> None:
     hidden = [line for line in lines if line.startswith("… ") and line.endswith(" more")]
     assert hidden == ([] if shown == count else [f"… {count - shown} more"])
     assert shown >= min(count, 10)
-    assert ("fmuid.describe" in text) == (directions == 60)
+    assert ("fmuid.Document.of" in text) == (directions == 60)
 
 
-def test_texts_are_short(found: fmuid.IdentificationRun, tmp_path: Path) -> None:
+def test_texts_are_short(found: fmuid.runs.IdentificationRun, tmp_path: Path) -> None:
     """What a notebook keeps beside the HTML is a line; of many parameters the first ones."""
     assert repr(found.result).startswith("Result(converged: R = ")
     coil_table(tmp_path / "first.csv", 0.0, seed=1)
     (tmp_path / "study.toml").write_text(STUDY)
     study = fmuid.Study.read(tmp_path / "study.toml")
     assert repr(study) == "Study('Coil': first; R, L)"
-    batch = fmuid.BatchResult(Dataset(tmp_path, {}, 4), 3, 4, {}, {}, Path("batch"), given_noise=False)
+    batch = fmuid.runs.BatchResult(Dataset(tmp_path, {}, 4), 3, 4, {}, {}, Path("batch"), given_noise=False)
     assert repr(batch) == "BatchResult(3 of 4 cases, 'batch')"
     for shown in (found, found.result, study, study.tables[0], study.system, fmuid.FMU(COIL)):
         assert len(repr(shown)) < 200
         assert "\n" not in repr(shown)
-
-
-def test_without_anybody_who_shows_there_is_the_text(found: fmuid.IdentificationRun) -> None:
-    shown_by("fmuid.reports.render.notebook")
-    from fmuid import display_mixins as displays
-
-    displays._by.clear()
-    try:
-        assert found.result._repr_html_() is None
-    finally:
-        shown_by("fmuid.reports.render.notebook")
 
 
 def test_what_cannot_be_drawn() -> None:

@@ -13,13 +13,13 @@ import pytest
 import fmuid
 from fmuid import codec
 from fmuid.diagnosis import BaselineSource
-from fmuid.reports.chart import MAX_ROWS
+from fmuid.reports.chart import LIMITS
 from fmuid.reports.documents import document
 from fmuid.reports.topics.preprocessing import preparation_words, preprocessing_charts, preprocessing_sections
 from fmuid.runs import MonitoringRun, read_diagnosis, read_identification, read_monitoring
+from fmuid.runs import log_follower as follower
 from fmuid.runs.faults import MonitoredTables
 from fmuid.runs.folder import MONITORING_SCHEMA
-from fmuid.runs.log_following import follower
 from fmuid.runs.preprocessing import prepared
 from fmuid.runs.provenance import made_now
 from fmuid.studies import ExperimentSettings, Study
@@ -214,7 +214,7 @@ def test_a_record_that_grows_is_drawn_once_and_thin(tmp_path: Path) -> None:
     np.testing.assert_allclose(table["value"], 2 * np.sin(times[:2000]))
     assert set(table["column"] + table["stage"]) == {"vafter"}
     table = add(begun(append=True), 1900, 30_000)
-    assert len(table) <= 2 * MAX_ROWS
+    assert len(table) <= 2 * LIMITS.rows
     np.testing.assert_allclose(table["time"].iloc[[0, -1]], times[[0, -1]])
     begun(append=False).write(NOTHING, Silent(), made_now())
     assert not (tmp_path / "monitoring-preparation.csv").exists()

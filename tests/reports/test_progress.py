@@ -7,7 +7,7 @@ import sys
 
 import pytest
 
-from fmuid.progress import Event, FaultStep, GlobalStep, MapStep, ProfileStep, SamplingStep, SearchStep, WindowStep
+from fmuid.events import Event, FaultStep, GlobalStep, MapStep, ProfileStep, SamplingStep, SearchStep, WindowStep
 from fmuid.reports.render.progress import Display
 
 STEP = SearchStep(number=3, criterion=12.5, damping=0.1, accepted=True, values={"R": 4.25, "L": 0.1})

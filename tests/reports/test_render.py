@@ -17,7 +17,7 @@ from matplotlib.colors import to_hex
 from matplotlib.figure import Figure
 
 from fmuid.reports.chart import Axis, Chart, Layer, Shades, rows_of
-from fmuid.reports.figure_files import FORMATS, KINDS, clear_figures
+from fmuid.reports.publish import FORMATS, KINDS, clear_figures
 from fmuid.reports.render import matplotlib_renderer as paint
 from fmuid.reports.render.bokeh_models import BokehSpec, live, written
 from fmuid.reports.render.bokeh_renderer import drawing

@@ -12,7 +12,7 @@ import pytest
 import fmuid
 from fmuid.codec import as_json, from_json
 from fmuid.estimation import AccuracyOutcome, RunFields, SolverCheck
-from fmuid.estimation.covariance import Identifiability, WeakDirection
+from fmuid.estimation.covariance import IdentifiabilityLevel, WeakDirection
 from fmuid.estimation.search.loop import TerminationReason
 from fmuid.identification.prior_and_data import ExtrapolationReason
 from fmuid.models import SolverConfiguration
@@ -21,53 +21,58 @@ from fmuid.reports.shared_phrases import direction_words
 from fmuid.reports.topics.prior_and_data import obstacle_words
 from fmuid.reports.topics.solver_check import passed_words
 from fmuid.reports.topics.termination import ENDS, ending, remarks
+from tests.support.results import changed
 
 TIMES = np.linspace(0.0, 1.0, 60)
 
 
-def line() -> tuple[fmuid.LeastSquares, fmuid.Result]:
+def line() -> tuple[fmuid.estimation.LeastSquares, fmuid.Result]:
     y = 2.0 * TIMES + 0.1 * np.random.default_rng(0).standard_normal(60)
     parameters = {"slope": fmuid.Parameter(1.0, prior=fmuid.Normal(2.0, 0.5))}
-    problem = fmuid.LeastSquares.from_function(lambda theta: theta[0] * TIMES, y, parameters)
+    problem = fmuid.estimation.LeastSquares.from_function(lambda theta: theta[0] * TIMES, y, parameters)
     return problem, fmuid.identify(problem)
 
 
 def test_whatever_is_found_is_described() -> None:
     problem, result = line()
     diagnostics = fmuid.analyze_residuals(problem, result)
-    assert fmuid.describe(result) == "Converged"
-    assert fmuid.describe(diagnostics).startswith("Neighbouring samples of the residual look correlated")
-    assert fmuid.describe(fmuid.compare_prior_and_data(problem, result)).startswith("Prior and data agree")
-    assert "raise steps" in fmuid.describe(fmuid.sample_posterior(problem, result, fmuid.SamplerSettings(max_steps=20)))
+    assert str(fmuid.Document.of(result)) == "Converged"
+    assert str(fmuid.Document.of(diagnostics)).startswith("Neighbouring samples of the residual look correlated")
+    assert str(fmuid.Document.of(fmuid.compare_prior_and_data(problem, result))).startswith("Prior and data agree")
+    assert "raise steps" in str(
+        fmuid.Document.of(fmuid.sample_posterior(problem, result, fmuid.identification.SamplerSettings(max_steps=20)))
+    )
 
 
 @pytest.mark.parametrize("outcome", TerminationReason)
 def test_every_outcome_has_words(outcome: TerminationReason) -> None:
     _, result = line()
-    assert fmuid.describe(replace(result, outcome=outcome)).startswith(ENDS[outcome][0].upper() + ENDS[outcome][1:])
+    assert str(fmuid.Document.of(replace(result, outcome=outcome))).startswith(
+        ENDS[outcome][0].upper() + ENDS[outcome][1:]
+    )
 
 
 def test_an_end_names_directions_and_bounds() -> None:
     _, result = line()
-    direction = WeakDirection(Identifiability.NOT, ("a", "b"), (1.0, -2.0), math.inf, (1.0, 1.0), (1.0, 1.0))
+    direction = WeakDirection(IdentifiabilityLevel.NOT, ("a", "b"), (1.0, -2.0), math.inf, (1.0, 1.0), (1.0, 1.0))
     assert direction_words(direction) == "a and b cannot be told apart: only a + 0.5 b is determined"
-    open_ = replace(result, outcome=TerminationReason.UNDETERMINED, undetermined=(direction,))
+    open_ = changed(result, outcome=TerminationReason.UNDETERMINED, non_identifiable=(direction,))
     assert ending(open_) == f"undetermined: {direction_words(direction)}: " + (
         "give a prior, hold one of them at a value, or measure more"
     )
-    hidden = replace(direction, determined=Identifiability.HIDDEN)
-    assert ending(replace(open_, undetermined=(hidden,))).endswith(
+    hidden = replace(direction, level=IdentifiabilityLevel.HIDDEN)
+    assert ending(changed(open_, non_identifiable=(hidden,))).endswith(
         "or make the simulation more accurate " + ("(step_size, tolerance, interface)")
     )
     # where the search did not even end, that comes first
-    assert ending(replace(open_, outcome=TerminationReason.STALLED)).startswith(
+    assert ending(changed(open_, outcome=TerminationReason.STALLED)).startswith(
         f"{ENDS[TerminationReason.STALLED]}; a and b"
     )
 
 
 def test_a_sign_that_changed_is_told_where_the_search_came_to_nothing() -> None:
     _, result = line()
-    crossed = replace(result, outcome=TerminationReason.STALLED, start=-result.values)
+    crossed = changed(result, outcome=TerminationReason.STALLED, start=-result.values)
     assert any("give it a bound if the model holds on one side of zero only" in said for said in remarks(crossed))
     assert not any("side of zero" in said for said in remarks(replace(crossed, outcome=TerminationReason.CONVERGED)))
 
@@ -76,16 +81,16 @@ def test_a_sign_that_changed_is_told_where_the_search_came_to_nothing() -> None:
     ("direction", "said"),
     [
         (
-            WeakDirection(Identifiability.NOT, ("c",), (1.0,), math.inf, (1.0,), (1.0,)),
+            WeakDirection(IdentifiabilityLevel.NOT, ("c",), (1.0,), math.inf, (1.0,), (1.0,)),
             "c is not determined: changing it changes no output",
         ),
         (
-            WeakDirection(Identifiability.NOT_IN_EFFECT, ("a", "b"), (1.0, 1.0), 25.0, (1.0, 1.0), (1.0, 1.0)),
+            WeakDirection(IdentifiabilityLevel.NOT_IN_EFFECT, ("a", "b"), (1.0, 1.0), 25.0, (1.0, 1.0), (1.0, 1.0)),
             "a and b cannot be told apart in effect: only a - b is determined, and their standard deviation together "
             "is 25 times their magnitude",
         ),
         (
-            WeakDirection(Identifiability.HARDLY, ("a", "b", "c"), (1.0, 1.0, -1.0), 3.0, (1.0,) * 3, (1.0,) * 3),
+            WeakDirection(IdentifiabilityLevel.HARDLY, ("a", "b", "c"), (1.0, 1.0, -1.0), 3.0, (1.0,) * 3, (1.0,) * 3),
             "a, b and c can hardly be told apart: a + c and b + c are determined better than each of them, whose "
             "standard deviation together is 300% of their magnitude",
         ),
@@ -109,7 +114,7 @@ def test_directions(direction: WeakDirection, said: str) -> None:
         ),
         (
             ExtrapolationReason(
-                undetermined=(WeakDirection(Identifiability.NOT, ("c",), (1.0,), math.inf, (1.0,), (1.0,)),)
+                undetermined=(WeakDirection(IdentifiabilityLevel.NOT, ("c",), (1.0,), math.inf, (1.0,), (1.0,)),)
             ),
             "optimum of the data alone c is not determined: changing it changes no output, so it is extrapolated",
         ),

@@ -11,7 +11,7 @@ import pytest
 
 import fmuid
 from fmuid.runs import LogFollower, RecordUpdate
-from fmuid.runs.log_following import follower as module
+from fmuid.runs import log_follower as module
 from fmuid.studies import ExperimentSettings
 
 STEP = 0.01
@@ -55,7 +55,7 @@ class Reader:
         said: list[str] = []
         for each in follower.look():
             if not isinstance(each, RecordUpdate):
-                said.append(each.text)
+                said.append(each)
                 continue
             times = each.record.times
             self.rows.setdefault(each.record.name, []).extend(each.record.input_values[:, 0].tolist())

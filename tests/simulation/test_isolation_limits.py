@@ -19,8 +19,7 @@ import pytest
 from fmuid.data.experiment import Experiment
 from fmuid.errors import FmuidError, InputError
 from fmuid.models.component import Isolation
-from fmuid.processes.ends import REFUSED, HostExitError
-from fmuid.processes.limits import Footprint, family
+from fmuid.processes.limits import REFUSED, Footprint, HostExitError, family
 from fmuid.simulation.executor_pool import executor_of
 from fmuid.simulation.isolation.host import end_words
 from fmuid.simulation.simulator import Simulator

@@ -29,8 +29,8 @@ from fmuid.models.system import System
 from fmuid.processes import MEMORY_KEPT, Child
 from fmuid.processes import host as hosts
 from fmuid.processes.channel import Channel, Look
-from fmuid.processes.ends import KILLED, HostExitError
 from fmuid.processes.host import SERVER, ForkServer
+from fmuid.processes.limits import KILLED, HostExitError
 from fmuid.simulation.executor_pool import executor_of
 from fmuid.simulation.isolation.host import FmuHost
 from fmuid.simulation.simulator import Simulator

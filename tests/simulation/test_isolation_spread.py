@@ -72,7 +72,7 @@ def test_what_one_finds_stiff_is_run_again_by_all(kind: str) -> None:
     system, alone = (System(coil, numerics=Numerics("model-exchange")) for _ in range(2))
     made = MultiProcessExecutor if kind == "spread" else IsolatedExecutor
     simulator: Any = Simulator(system, record, ["R", "L"])
-    executor = simulator._executor = made(system.components, 3, Isolation())
+    executor = simulator._executor = made(system.components, 3, Isolation(), set())
     found = simulator(some)
     plain = Simulator(alone, record, ["R", "L"])(some[:1])
     assert np.array_equal(found, Simulator(alone, record, ["R", "L"])(some))

@@ -10,8 +10,15 @@ import numpy as np
 import psutil
 import pytest
 
-from fmuid.processes.ends import HUNG, HostExitError
-from fmuid.processes.limits import COMPUTED_SHARE, STANDSTILL_SECONDS, ProcessStatus, condition_of, wants_processor
+from fmuid.processes.limits import (
+    COMPUTED_SHARE,
+    HUNG,
+    STANDSTILL_SECONDS,
+    HostExitError,
+    ProcessStatus,
+    condition_of,
+    wants_processor,
+)
 from fmuid.simulation import codes
 from fmuid.simulation.isolation.host import HostWatchdog
 from tests.support.isolated import wait_until

@@ -60,14 +60,16 @@ def test_identify_by_new_processes(folder: Path) -> None:
     for memory in (0.0, MEMORY):
         with closing(System(stepping_fmu(folder, LAG, order=4, memory=memory), isolation=Isolation())) as system:
             problem = Problem(system, experiment(), {"k": Parameter(1.0, min=0.1, max=10.0)})
-            found.append(identify(problem, accuracy="off", remedies=False))
+            found.append(identify(problem, solver_check="off", restart=False))
     plain, result = found
     assert result.values[0] == plain.values[0]
     trace = result.trace
     for _, costs in trace[trace["accepted"]].groupby("round")["criterion"]:
         assert (np.diff(costs) <= 0.0).all()
-    assert [each.models[""]["run"]["new_processes"] for each in found] == [False, True]
-    assert run_words(SolverConfiguration(**result.models[""]["run"])).endswith("in a new process for each simulation")
+    assert [each.setup.models[""]["run"]["new_processes"] for each in found] == [False, True]
+    assert run_words(SolverConfiguration(**result.setup.models[""]["run"])).endswith(
+        "in a new process for each simulation"
+    )
 
 
 def test_one_simulation_in_a_process(folder: Path) -> None:

@@ -352,6 +352,6 @@ def test_identification_is_that_by_differences_and_says_what_served(noisy: Exper
         ("forward", "the sensitivity system, integrated with the model: directional derivatives"),
         ("finite-difference", "finite differences of whole simulations"),
     ):
-        used = found[word].sensitivity
+        used = found[word].setup.sensitivity
         assert used == SensitivityMethod(word)
         assert sensitivity_words(used) == words

@@ -14,7 +14,7 @@ import pytest
 from fmuid.data import Normal
 from fmuid.errors import InputError
 from fmuid.estimation import TerminationReason
-from fmuid.reports.shared_phrases import source_words
+from fmuid.reports.topics.study_notes import source_words
 from fmuid.studies import SourceIssue
 from fmuid.studies.study import Study
 from tests.support.paths import FMUS
@@ -54,7 +54,7 @@ def earlier(folder: Path, **changes: Any) -> None:
 
 def covariance(matrix: object = COVARIANCE, names: Sequence[str] = ("R", "L")) -> dict[str, object]:
     """Return a covariance as it stands in a result."""
-    return {"names": names, "matrix": matrix, "white": matrix}
+    return {"names": names, "matrix": matrix, "white_noise": matrix}
 
 
 def read(folder: Path, extra: str = "", *, prior_of_r: str = "") -> Study:

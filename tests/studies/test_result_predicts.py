@@ -1,4 +1,4 @@
-"""`Result.predict`: by what the result was made with, wherever it came from."""
+"""`fmuid.predict`: by what the result was made with, wherever it came from."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ import pytest
 
 import fmuid
 from fmuid.codec import as_json
+from fmuid.identification import ModelReference, predict_by_model
 from tests.support.results import RESULT
 from tests.support.running import run_study
 
@@ -19,27 +20,28 @@ def test_a_result_predicts_by_the_model_that_it_was_made_with() -> None:
     coil = fmuid.datasets.coil()
     held = fmuid.Problem(coil.fmu, coil.experiment, {"R": coil.parameters["R"]}, values={"L": 0.2}, step_size=1e-3)
     result = fmuid.identify(held)
-    expected = fmuid.predict(coil.fmu, result, coil.experiment, values={"L": 0.2}, step_size=1e-3)
-    found = result.predict(coil.experiment)
+    known = ModelReference(fmuid.System.of(coil.fmu), {"L": 0.2}, step_size=1e-3)
+    expected = predict_by_model(known, result, coil.experiment)
+    found = fmuid.predict(result, coil.experiment)
     np.testing.assert_array_equal(found.fit.simulated, expected.fit.simulated)
     np.testing.assert_array_equal(found.half_width, expected.half_width)
-    other = result.predict(coil.experiment, values={"L": 0.05})
+    other = fmuid.predict(result, coil.experiment, values={"L": 0.05})
     assert not np.allclose(other.fit.simulated, expected.fit.simulated)
-    given = result.predict(coil.experiment, coil.fmu)  # which holds nothing: L is the FMU's own
-    assert given.fit.simulated == pytest.approx(fmuid.predict(coil.fmu, result, coil.experiment).fit.simulated)
-    again = result.predict(coil.experiment, free="R").estimated
+    given = fmuid.predict(result, coil.experiment, coil.fmu)  # which holds nothing: L is the FMU's own
+    assert given.fit.simulated == pytest.approx(predict_by_model(coil.fmu, result, coil.experiment).fit.simulated)
+    again = fmuid.predict(result, coil.experiment, free="R").estimated
     assert again is not None and again["R"] == pytest.approx(result["R"], rel=1e-3)
-    assert again.lower == [0.0]  # its bound there was
+    assert again.estimates.lower == [0.0]  # its bound there was
 
 
 def test_so_does_one_of_a_study_and_one_of_a_file(tmp_path: Path) -> None:
     coil = fmuid.datasets.coil()
     study = fmuid.Study.of(coil.study | {"model": {"fmu": str(coil.fmu), "fixed": {"i_start": 0.0}}}, tmp_path / "s")
     findings = run_study(study, tmp_path)
-    expected = fmuid.predict(coil.fmu, findings.result, coil.experiment).scores[0].rmse
+    expected = predict_by_model(coil.fmu, findings.result, coil.experiment).scores[0].rmse
     for result in (findings.result, fmuid.Result.from_json(tmp_path / "result.json")):
-        assert result.predict(coil.experiment).scores[0].rmse == pytest.approx(expected, rel=1e-6)
-        assert result.predict(coil.experiment, free=["i_start"]).estimated is not None
+        assert fmuid.predict(result, coil.experiment).scores[0].rmse == pytest.approx(expected, rel=1e-6)
+        assert fmuid.predict(result, coil.experiment, free=["i_start"]).estimated is not None
 
 
 def test_one_that_knows_no_model_asks_for_it(tmp_path: Path) -> None:
@@ -47,8 +49,8 @@ def test_one_that_knows_no_model_asks_for_it(tmp_path: Path) -> None:
     result = fmuid.identify(coil.problem())
     sent = pickle.loads(pickle.dumps(result))
     with pytest.raises(fmuid.InputError, match=r"does not know what it was made with: give the model"):
-        sent.predict(coil.experiment)
-    assert sent.predict(coil.experiment, coil.fmu).fit.outputs == ("i",)
+        fmuid.predict(sent, coil.experiment)
+    assert fmuid.predict(sent, coil.experiment, coil.fmu).fit.outputs == ("i",)
     (tmp_path / "result.json").write_text(json.dumps(RESULT | as_json(result)))
     with pytest.raises(fmuid.InputError, match=r"does not say by which study it was made: .*, or give the model"):
-        fmuid.Result.from_json(tmp_path / "result.json").predict(coil.experiment)
+        fmuid.predict(fmuid.Result.from_json(tmp_path / "result.json"), coil.experiment)

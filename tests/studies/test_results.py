@@ -99,21 +99,21 @@ def test_there_is_no_such_result(folder: Path) -> None:
 
 def test_records_are_read_with_the_words_of_an_experiment(folder: Path) -> None:
     study = Study.read(folder / "study.toml")
-    (record,) = records_like(study, [folder / "second.csv"])
+    ((record, _),) = records_like(study, [folder / "second.csv"])
     assert record.name == "second"
     assert record.held.all()
     with pytest.raises(InputError, match=r"has no experiment 'firts' \(did you mean 'first'\?\): it has first"):
-        records_like(study, [folder / "second.csv"], "firts")
+        list(records_like(study, [folder / "second.csv"], "firts"))
     text = (folder / "second.csv").read_text().replace("time,u,i", "time,v,i")
     (folder / "other.csv").write_text(text)
     with pytest.raises(InputError, match=r"other\.csv: .*'u'.*\(inputs and outputs are those of experiment 'first' of"):
-        records_like(study, [folder / "other.csv"])
+        list(records_like(study, [folder / "other.csv"]))
 
 
 def test_variables_of_the_model_are_estimated_again(folder: Path) -> None:
     study = Study.read(folder / "study.toml")
     result = study.identify()
-    (record,) = records_like(study, [folder / "third.csv"])
+    ((record, _),) = records_like(study, [folder / "third.csv"])
     assert predict_with(study, result, record).scores[0].ratio > 1.1
     again = predict_with(study, result, record, free=["i_start"])
     assert again.estimated is not None
@@ -125,7 +125,7 @@ def test_variables_of_the_model_are_estimated_again(folder: Path) -> None:
 def test_a_parameter_without_a_value_is_refused(folder: Path) -> None:
     study = Study.read(folder / "study.toml", ["parameters.i_start={start=0.0, nominal=0.1}"])
     result = Result.from_json(kept(study, folder))
-    (record,) = records_like(study, [folder / "second.csv"])
+    ((record, _),) = records_like(study, [folder / "second.csv"])
     with pytest.raises(InputError, match=r"has the parameter 'i_start', of which the result has no value: .*--refit"):
         predict_with(study, result, record)
     assert predict_with(study, result, record, free=["i_start"]).estimated is not None
@@ -139,8 +139,8 @@ def test_each_part_is_predicted_from_the_others(folder: Path) -> None:
     assert [fold.left_out for fold in folds] == [("first",), ("second",), ("third",)]
     for fold, found in zip(folds, predictions, strict=True):
         assert found.scores[0].ratio == pytest.approx(1.0, abs=0.1)
-        assert not any(series.experiment == found.fit.experiment for series in fold.result.data)
-        assert {series.samples for series in fold.result.data} == {600}
+        assert not any(series.experiment == found.fit.experiment for series in fold.result.setup.data)
+        assert {series.samples for series in fold.result.setup.data} == {600}
     pairs, _ = cross_validate(study, 2)
     assert [len(fold.left_out) for fold in pairs] == [2, 1]
     alone = Study.read(folder / "study.toml", ['experiments=[{data="first.csv", outputs=["i"], inputs=["u"]}]'])
@@ -155,7 +155,7 @@ def test_units_of_a_record_may_be_others(folder: Path) -> None:
     rows = [[float(cell) for cell in line.split(",")] for line in lines[1:]]
     thousands = "\n".join(",".join(map(repr, [t, u, 1e3 * i])) for t, u, i in rows)
     (folder / "milli.csv").write_text(f"time,u,i [mA]\n{thousands}\n")
-    plain, milli = records_like(study, [folder / "second.csv", folder / "milli.csv"])
+    (plain, _), (milli, _) = records_like(study, [folder / "second.csv", folder / "milli.csv"])
     one, other = predict_with(study, result, plain), predict_with(study, result, milli)
     assert other.scores[0].unit == "mA"
     assert other.scores[0].rmse == pytest.approx(1e3 * one.scores[0].rmse)

@@ -12,7 +12,7 @@ from fmuid.data import Normal, Parameter
 from fmuid.data.noise import Noise
 from fmuid.errors import InputError
 from fmuid.estimation import GlobalSearch
-from fmuid.estimation.method import Marquardt, Method
+from fmuid.estimation.estimate import Marquardt, Method
 from fmuid.identification.assessment import AssessmentSettings
 from fmuid.identification.posterior import SamplerSettings
 from fmuid.models.component import Numerics
@@ -24,8 +24,8 @@ from tests.support.study_files import FULL, write
 def test_every_key(folder: Path) -> None:
     study = Study.read(write(folder))
     assert study.title == "Coil"
-    assert study.model.numerics == Numerics("co-simulation", step_size=1e-3)
-    assert study.model.components == {"": (folder / "sub/Coil.fmu", study.model.numerics)}
+    assert study.model.section.numerics == Numerics("co-simulation", step_size=1e-3)
+    assert study.model.components == {"": (folder / "sub/Coil.fmu", study.model.section.numerics)}
     assert study.model.values == {"L": 0.1, "n": 3, "on": True, "word": "fast"}
     first, second = study.experiments
     assert (first.data, first.name, first.time) == (folder / "run1.csv", "run1", "time")
@@ -52,7 +52,7 @@ def test_estimators(folder: Path) -> None:
         'method = "differential-evolution"\nn_starts = 20\nrelative_step_tolerance = 1e-4'
     ) == GlobalSearch("differential-evolution", 20, marquardt=Marquardt(tolerance=1e-4))
     study = Study.read(write(folder, FULL.replace('"levenberg-marquardt"', '"levenberg-marquardt"\nloss = "cauchy"')))
-    assert (study.loss, study.estimator.marquardt) == ("cauchy", Marquardt())
+    assert (study.estimation.loss, study.estimator.marquardt) == ("cauchy", Marquardt())
 
 
 def test_noise(folder: Path) -> None:
@@ -125,9 +125,10 @@ outputs = ["drive.q"]
         "drive": Numerics(),
         "controller": Numerics("model-exchange", "rk4", step_size=1e-2),
     }
-    assert model.numerics == Numerics(step_size=1e-3)
-    assert model.connectors == {"R": ("drive.R", "controller.R"), "u": ("drive.u",)}
-    assert model.connections == (("drive.q", "controller.q"), ("controller.u", "drive.u", 60.0, 0.0))
+    assert model.section.numerics == Numerics(step_size=1e-3)
+    assert model.section.shared_variables == {"R": ["drive.R", "controller.R"], "u": ["drive.u"]}
+    connections = [each.connection for each in model.section.connections]
+    assert connections == [("drive.q", "controller.q"), ("controller.u", "drive.u", 60.0, 0.0)]
 
 
 def test_show() -> None:
@@ -140,8 +141,8 @@ def test_forward_sensitivities_of_a_study(folder: Path) -> None:
     text = FULL.replace('interface = "co-simulation"', 'interface = "model-exchange"')
     for word in ("finite-difference", "forward"):
         study = Study.read(write(folder, text.replace('jacobian = "finite-difference"', f'jacobian = "{word}"')))
-        assert study.sensitivity == word
-        assert study.model.numerics.interface == "model-exchange"
+        assert study.estimation.jacobian == word
+        assert study.model.section.numerics.interface == "model-exchange"
 
 
 def test_uncertainty_of_a_result(tmp_path: Path) -> None:

@@ -18,7 +18,7 @@ import psutil
 from experiments.batches.campaign import family
 from fmuid.runs.batch import worker_pool as cluster
 from fmuid.runs.batch.batch import Batch, BatchResult
-from fmuid.runs.batch.run_case import VOLATILE, CaseRunner
+from fmuid.runs.batch.case import VOLATILE, CaseRunner
 from fmuid.runs.batch.study_package import StudyPackage
 from fmuid.runs.batch.worker import run_group
 from fmuid.studies.study import Study
@@ -84,8 +84,8 @@ class Here:
         yield self
 
 
-def run(folder: Path, output: str = "out", **words: Any) -> BatchResult:
-    return Batch(folder / "study.toml", folder / output, isolated=False, **words).run()
+def run(folder: Path, output: str = "out", *, resume: bool = True, **words: Any) -> BatchResult:
+    return Batch(folder / "study.toml", folder / output, isolated=False, **words).run(resume=resume)
 
 
 # --- wrong input -------------------------------------------------------------------------

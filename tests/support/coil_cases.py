@@ -10,7 +10,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from fmuid.runs.batch.run_case import VOLATILE
+from fmuid.runs.batch.case import VOLATILE
 from fmuid.studies.study import Study
 from tests.support.paths import FMUS
 

@@ -14,7 +14,7 @@ from scipy.integrate import solve_ivp
 from fmuid.simulation.failures import describe
 from fmuid.simulation.native.library import core
 from fmuid.simulation.simulation_plan import Integration
-from fmuid.simulation.solver import Integrator, function_table
+from fmuid.simulation.solver import IntegratedModel, Integrator, function_table
 
 # As in probe/hybrid.c.
 BALL, TRIANGLE, ROBERTSON, VAN_DER_POL, LINEAR, CHATTER, STAIRS, DECAY, SWITCH = range(9)
@@ -64,17 +64,17 @@ class Trial:
         n = library.n_states(self.handle)
         self.integrator = settings.get("integrator", "rk45")
         inputs = np.arange(U, U + n_inputs, dtype=np.uint32)
-        self.memory = Integrator(
+        instance = IntegratedModel(
             version,
             self.handle.value or 0,
             function_table(version, address_of),
             n,
             library.n_indicators(self.handle),
-            Integration(inputs=inputs, input_starts=np.zeros(n_inputs), **settings),
-            straight=straight,
-            state_references=np.arange(X, X + n, dtype=np.uint32),
-            derivative_references=np.arange(DX, DX + n, dtype=np.uint32),
+            np.arange(X, X + n, dtype=np.uint32),
+            np.arange(DX, DX + n, dtype=np.uint32),
         )
+        integration = Integration(inputs=inputs, input_starts=np.zeros(n_inputs), **settings)
+        self.memory = Integrator(instance, integration, straight=straight)
 
     def begin(self, t: float = 0.0) -> Trial:
         self.library.rewind_to_event_mode(self.handle)

@@ -92,6 +92,6 @@ def faults(plate: fmuid.System) -> Faults:
         "rotor": fmuid.Fault(
             plate,
             {"size": ratio, "angle": fmuid.Parameter(0.0, nominal=1.0)},
-            angles={"angle": fmuid.FaultAngle("size", math.pi)},
+            angles={"angle": fmuid.diagnosis.FaultAngle("size", math.pi)},
         ),
     }

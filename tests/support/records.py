@@ -35,5 +35,5 @@ def search(names: tuple[str, ...] = ("R", "L")) -> tuple[pd.DataFrame, pd.DataFr
         }
     )
     estimates = pd.DataFrame({"parameter": names, "value": 4.0, "std": 0.1, "start": 5.0, "unit": "Ohm"})
-    shift = pd.DataFrame({"numerical_shift": 0.01, "lower": 3.8, "upper": 4.2}, index=estimates.index)
+    shift = pd.DataFrame({"solver_error": 0.01, "lower": 3.8, "upper": 4.2}, index=estimates.index)
     return trace, estimates.assign(prior_mean=np.nan, prior_std=np.nan, **shift)

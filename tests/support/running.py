@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from contextlib import closing, suppress
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
-from fmuid.progress import Progress
-from fmuid.reports.run import published
+from fmuid.events import Progress
+from fmuid.reports import Document, published
 from fmuid.reports.topics.monitoring import alarm_sentence
 from fmuid.runs import (
     DiagnosisRun,
@@ -27,6 +27,7 @@ from fmuid.runs import (
 from fmuid.studies import Study
 
 Given = Study | str | Path
+Found = TypeVar("Found", IdentificationRun, DiagnosisRun, MonitoringRun)
 
 
 def run_study(
@@ -41,7 +42,7 @@ def run_study(
     """Identify; return the last findings."""
     place, found = _place(folder), None
     for each in identified(_read(study), place, resume=resume, progress=progress):
-        found = published(each, place, report=report, figures=figures)
+        found = _reported(each, place, report=report, figures=figures)
     assert found is not None
     return found
 
@@ -57,7 +58,7 @@ def run_diagnosis(
     """Diagnose; return the findings."""
     place = _place(folder)
     (found,) = diagnosed(_read(study), place, progress=progress)
-    return published(found, place, report=report, figures=figures)
+    return _reported(found, place, report=report, figures=figures)
 
 
 def run_monitoring(
@@ -71,7 +72,7 @@ def run_monitoring(
     """Monitor; return the findings."""
     place = _place(folder)
     (found,) = monitored(_read(study), tables, place, append=append)
-    return published(found, place, report=False, figures=figures)
+    return _reported(found, place, report=False, figures=figures)
 
 
 def run_following(
@@ -106,3 +107,7 @@ def _place(folder: str | Path | None) -> Path | None:
 
 def _read(study: Given) -> Study:
     return study if isinstance(study, Study) else Study.read(study)
+
+
+def _reported(found: Found, place: Path | None, *, report: bool, figures: str | None) -> Found:
+    return found if place is None else published(found, Document.of(found), place, report=report, figures=figures)

@@ -10,11 +10,11 @@ from fmuid.array_types import Floats
 from fmuid.data import Parameter, ParameterSet
 from fmuid.data.noise import Noise
 from fmuid.estimation.evaluator import Evaluator
-from fmuid.estimation.global_search.box import Box
-from fmuid.estimation.global_search.search import GlobalSearch, Strategy
+from fmuid.estimation.global_search import GlobalSearch, Strategy
 from fmuid.estimation.problem import LeastSquares
 from fmuid.estimation.result import Result
-from fmuid.progress import Event, GlobalStep, Progress
+from fmuid.estimation.starting_points import Box
+from fmuid.events import Event, GlobalStep, Progress
 
 METHODS: tuple[Strategy, ...] = ("differential-evolution", "multi-start")
 TIMES = np.linspace(0.0, 1.0, 120)

@@ -1,7 +1,4 @@
-"""The command ``fmuid``; its commands are in the modules beside it.
-
-They parse, call and print: no maths, and nothing heavy is imported before a command needs it.
-"""
+"""The command ``fmuid``. Commands parse, call and render; heavy imports wait for them."""
 
 from __future__ import annotations
 
@@ -23,8 +20,8 @@ from fmuid.files import noted
 from fmuid.formatting import listed, visible
 from fmuid.version import __version__
 
-# Objects between two looks for garbage in cycles, and how many of these before a longer one: there is next to none, and
-# with Python's own numbers the looking is a tenth of the start.
+# Thresholds of garbage collection: cycles are rare, and Python's defaults cost a tenth of
+# the start.
 COLLECTIONS = 100_000, 20, 20
 
 app = typer.Typer(
@@ -32,7 +29,7 @@ app = typer.Typer(
     help="Identify the physical parameters of FMUs from measured data.",
     epilog="Exit code: 0 done, 1 ran but did not succeed (such as not converged), 2 wrong input.",
     add_completion=False,
-    rich_markup_mode=None,  # rich takes longer to import than all else that help needs
+    rich_markup_mode=None,  # the import of rich is slow
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"]},
 )
@@ -71,27 +68,21 @@ for command in (
     models.export,
     studies.workbench,
 ):
-    app.command(short_help=inspect.getdoc(command))(command)  # whole, where typer would cut it
+    app.command(short_help=inspect.getdoc(command))(command)  # typer would cut it
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    """Run the command line and exit with its code; whatever is wrong with the input is one sentence on stderr."""
+    """Run the command line and exit with its code."""
     open_descriptors()
     gc.set_threshold(*COLLECTIONS)
-    atexit.register(gc.freeze)  # or Python looks through all that was loaded once more before it ends: 0.3 s
+    atexit.register(gc.freeze)  # saves 0.3 s at exit
     with handled():
         code = run(arguments)
     sys.exit(code)
 
 
 def run(arguments: Sequence[str] | None = None) -> int:
-    """Run the command line and return its exit code.
-
-    Parameters
-    ----------
-    arguments
-        As typed after ``fmuid``; default: those of the process.
-    """
+    """Run the command line (default: this process's arguments); return its exit code."""
     given = sys.argv[1:] if arguments is None else list(arguments)
     with guarded() as output, noted() as written:
         code = _ran(given)
@@ -104,7 +95,7 @@ def run(arguments: Sequence[str] | None = None) -> int:
 
 
 def _ran(given: Sequence[str]) -> int:
-    """Run a command and return its exit code; an error is a sentence."""
+    """Run a command and return its exit code."""
     try:
         code: Any = _with_command(given)(given or ["--help"], standalone_mode=False, prog_name="fmuid")
     except InputError as error:
@@ -121,7 +112,7 @@ def _ran(given: Sequence[str]) -> int:
         )
     except (KeyboardInterrupt, typer.Abort):
         return _refuse("interrupted", NOT_SUCCEEDED)
-    except OSError as error:  # a full disk wherever a library writes
+    except OSError as error:  # such as a full disk
         place = f"{error.filename}: " if error.filename else ""
         return _refuse(f"{place}{error.strerror or error}", NOT_SUCCEEDED)
     if code == _TYPER_INTERRUPTED:
@@ -130,17 +121,15 @@ def _ran(given: Sequence[str]) -> int:
 
 
 def _with_command(given: Sequence[str]) -> typer.Typer:
-    """Return the command line with the one command that is asked for, where it is clear: typer builds all it has."""
+    """Return an app with the requested command only: typer builds all."""
     named = [each for each in app.registered_commands if given and given[0] == getattr(each.callback, "__name__", "")]
     narrow = copy.copy(app)
     narrow.registered_commands = named or app.registered_commands
     return narrow
 
 
-# What typer returns for Ctrl-C where it does not raise Abort.
-_TYPER_INTERRUPTED = 130
-# Click's exception of wrong usage, wherever this version of typer keeps click.
-_USAGE_ERROR: Any = typer.BadParameter.__mro__[2]
+_TYPER_INTERRUPTED = 130  # typer's exit code for Ctrl-C without Abort
+_USAGE_ERROR: Any = typer.BadParameter.__mro__[2]  # Click's usage error, wherever typer keeps click
 
 
 def _refuse(sentence: str, code: int) -> int:

@@ -1,4 +1,4 @@
-"""The command ``fmuid batch``: parse, call, print."""
+"""The command ``fmuid batch``."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-import typer
+from typer import Option
 
 from fmuid.apps.cli.options import DONE, NOT_SUCCEEDED, Figures, NoReport, Overrides, StudyFile
 from fmuid.apps.cli.signals import answering
@@ -18,23 +18,18 @@ if TYPE_CHECKING:
 
 def batch(
     study: StudyFile,
-    output: Annotated[
-        Path, typer.Option("--output", "-o", metavar="DIR", help="Folder of the batch.", show_default=False)
-    ],
+    output: Annotated[Path, Option("--output", "-o", metavar="DIR", help="Folder of the batch.", show_default=False)],
     set_: Overrides = None,
     scheduler: Annotated[
-        str | None,
-        typer.Option(metavar="ADDRESS", help="Dask scheduler, tcp://host:8786 (default: local workers)."),
+        str | None, Option(metavar="ADDRESS", help="Dask scheduler, tcp://host:8786 (default: local workers).")
     ] = None,
-    workers: Annotated[
-        int | None, typer.Option(metavar="N", help="Number of local workers (default: one per core).")
-    ] = None,
-    max_cases: Annotated[int, typer.Option(metavar="N", help="Refuse a study with more cases.")] = 100_000,
+    workers: Annotated[int | None, Option(metavar="N", help="Number of local workers (default: one per core).")] = None,
+    max_cases: Annotated[int, Option(metavar="N", help="Refuse a study with more cases.")] = 100_000,
     resume: Annotated[
-        bool, typer.Option("--resume/--no-resume", help="Keep finished cases, or remove them and begin anew.")
+        bool, Option("--resume/--no-resume", help="Keep finished cases, or remove them and begin anew.")
     ] = True,
     no_isolation: Annotated[
-        bool, typer.Option("--no-isolation", help="Run FMUs inside the workers; an FMU that crashes ends one.")
+        bool, Option("--no-isolation", help="Run FMUs inside the workers; an FMU that crashes ends one.")
     ] = False,
     figures: Figures = None,
     no_report: NoReport = False,
@@ -47,25 +42,17 @@ def batch(
     from fmuid.studies import Study
 
     read = Study.read(study, set_ or ())
-    job = Batch(
-        read,
-        output,
-        scheduler=scheduler,
-        workers=workers,
-        max_cases=max_cases,
-        resume=resume,
-        isolated=not no_isolation,
-    )
+    job = Batch(read, output, scheduler=scheduler, workers=workers, max_cases=max_cases, isolated=not no_isolation)
     console.show_notes(source_notes(read))
     with answering("saving the finished cases, then ending the workers, then their summary (Ctrl-C leaves it out)"):
         with Display() as display:
-            found = job.run(display)
+            found = job.run(display, resume=resume)
         with telling_files():
             return _show(job, found, figures, report=not no_report)
 
 
 def _show(job: Batch, found: BatchResult, figures: str | None, *, report: bool) -> int:
-    """Show and write what a batch has found so far."""
+    """Show and write the finished cases of a batch."""
     from fmuid.reports.render import console
 
     logs = job.dataset.log_count()

@@ -1,4 +1,4 @@
-"""The commands about models: parse, call, print."""
+"""The commands about models."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated
 
-import typer
+from typer import Argument, Option
 
 from fmuid.apps.cli.options import DONE, NOT_SUCCEEDED, FmuFile
 
@@ -15,59 +15,61 @@ from fmuid.apps.cli.options import DONE, NOT_SUCCEEDED, FmuFile
 def info(fmu: FmuFile) -> int:
     """Show parameters, inputs, outputs and units of an FMU, with a first study."""
     from fmuid.models import FMU, facts, uncollected
-    from fmuid.reports.topics.models import show_facts
+    from fmuid.reports.render.console import console, show_listing
+    from fmuid.reports.topics.models import facts_document
 
     with uncollected():
-        show_facts(facts(FMU(fmu)))
+        width = console().width if console().is_terminal else None
+        more = "[bold]A study to begin with[/] [dim](fmuid init FMU TABLE writes a longer one)[/]"
+        show_listing(facts_document(facts(FMU(fmu)), width), more)
     return DONE
 
 
 def validate(fmu: FmuFile) -> int:
     """Check an FMU: description, binaries, and a short simulation of each interface."""
     from fmuid.models import FMU
-    from fmuid.reports.topics.models import show_binaries, show_validation
+    from fmuid.reports.render import console
+    from fmuid.reports.topics.validation import binary_notes, validation_document
     from fmuid.simulation import check_binaries, validate
 
     model = FMU(fmu)
-    show_binaries(list(check_binaries(model).values()))  # at once: FMPy takes its time for a large description
+    notes = binary_notes(list(check_binaries(model).values()))
+    console.show_notes(notes)  # at once: FMPy takes its time for a large description
     found = validate(model)
-    show_validation(found)
+    console.show(validation_document(found, terminal=console.console().is_terminal))
     return DONE if found.passed else NOT_SUCCEEDED
 
 
 def init(
     fmu: FmuFile,
-    data: Annotated[
-        list[Path], typer.Argument(metavar="DATA", help="Data files, one per experiment.", show_default=False)
-    ],
-    output: Annotated[Path, typer.Option("--output", "-o", metavar="FILE", help="Study file to write.")] = Path(
-        "study.toml"
-    ),
+    data: Annotated[list[Path], Argument(metavar="DATA", help="Data files, one per experiment.", show_default=False)],
+    output: Annotated[Path, Option("--output", "-o", metavar="FILE", help="Study file to write.")] = Path("study.toml"),
     map_: Annotated[
         list[str] | None,
-        typer.Option("--map", metavar="VARIABLE=COLUMN", help="Column of a variable of the FMU; repeatable."),
+        Option("--map", metavar="VARIABLE=COLUMN", help="Column of a variable of the FMU; repeatable."),
     ] = None,
-    time: Annotated[str, typer.Option(metavar="COLUMN", help="Time column, by name or place from 1.")] = "time",
+    time: Annotated[str, Option(metavar="COLUMN", help="Time column, by name or place from 1.")] = "time",
     time_unit: Annotated[
-        str | None, typer.Option(metavar="UNIT", help="s, ms, us, ns, min, h or d (default: as the file says).")
+        str | None, Option(metavar="UNIT", help="s, ms, us, ns, min, h or d (default: as the file says).")
     ] = None,
     sample_rate: Annotated[
-        float | None, typer.Option(metavar="HZ", help="Samples per second, for data without times.")
+        float | None, Option(metavar="HZ", help="Samples per second, for data without times.")
     ] = None,
     sheet: Annotated[
-        str | None, typer.Option(metavar="SHEET", help="Sheet, or frame of an HDF5 file; name or place from 1.")
+        str | None, Option(metavar="SHEET", help="Sheet, or frame of an HDF5 file; name or place from 1.")
     ] = None,
     unit: Annotated[
         list[str] | None,
-        typer.Option(metavar="VARIABLE=UNIT", help="Unit of a variable's column, 1 for the FMU's; repeatable."),
+        Option(metavar="VARIABLE=UNIT", help="Unit of a variable's column, 1 for the FMU's; repeatable."),
     ] = None,
     preprocess: Annotated[
         list[str] | None,
-        typer.Option(metavar="KEY=VALUE", help="Preprocessing of the data, e.g. lowpass_frequency=100; repeatable."),
+        Option(metavar="KEY=VALUE", help="Preprocessing of the data, e.g. lowpass_frequency=100; repeatable."),
     ] = None,
 ) -> int:
     """Write a first study file for an FMU and data; a terminal is asked in doubt."""
-    from fmuid.reports.topics.init import asked_about, show_draft
+    from fmuid.reports.render import console
+    from fmuid.reports.topics.init import asked_about, draft_document
     from fmuid.studies import InitOptions, check_output, draft, match_data_files, parse_column, value_of, write_draft
 
     check_output(output)
@@ -85,12 +87,12 @@ def init(
     records = [asked_about(record) for record in match_data_files(fmu, data, asked)]
     made = draft(fmu, records, output)
     write_draft(made, output)
-    show_draft(made, output)
+    console.show(draft_document(made, output))
     return DONE if made.runs else NOT_SUCCEEDED
 
 
 def _pairs(given: Sequence[str], option: str, form: str, example: str) -> dict[str, str]:
-    """Return what an option that may be repeated gives."""
+    """Return the names and values of a repeatable option."""
     from fmuid.errors import InputError
 
     found = {}
@@ -104,7 +106,7 @@ def _pairs(given: Sequence[str], option: str, form: str, example: str) -> dict[s
 
 def schema(
     of: Annotated[
-        str, typer.Argument(metavar="[FILE]", help="'study', or 'result': result.json.", show_default=False)
+        str, Argument(metavar="[FILE]", help="'study', or 'result': result.json.", show_default=False)
     ] = "study",
 ) -> int:
     """Print the JSON schema of study files, for editors, or of a result.json."""
@@ -124,16 +126,13 @@ def schema(
 
 
 def export(
-    model: Annotated[Path, typer.Argument(metavar="MODEL.mo", help="Modelica file.", show_default=False)],
+    model: Annotated[Path, Argument(metavar="MODEL.mo", help="Modelica file.", show_default=False)],
     output: Annotated[
-        Path | None, typer.Option("--output", "-o", metavar="FILE", help="FMU to write (default: beside the model).")
+        Path | None, Option("--output", "-o", metavar="FILE", help="FMU to write (default: beside the model).")
     ] = None,
-    fmi: Annotated[str, typer.Option("--fmi", metavar="VERSION", help="FMI version, 2.0 or 3.0.")] = "2.0",
+    fmi: Annotated[str, Option(metavar="VERSION", help="FMI version, 2.0 or 3.0.")] = "2.0",
     sensitivities: Annotated[
-        str,
-        typer.Option(
-            "--sensitivities", metavar="P,...", help="Also output derivatives to these parameters, or to 'all'."
-        ),
+        str, Option(metavar="P,...", help="Also output derivatives to these parameters, or to 'all'.")
     ] = "",
 ) -> int:
     """Export a Modelica model as an FMU (needs the extra 'export')."""

@@ -1,4 +1,4 @@
-"""Arguments, options and exit codes that commands share; names that options had before."""
+"""Arguments, options and exit codes of commands; renamed options."""
 
 from __future__ import annotations
 
@@ -7,35 +7,32 @@ from enum import StrEnum
 from pathlib import Path
 from typing import Annotated
 
-import typer
+from typer import Argument, Option
 
-DONE, NOT_SUCCEEDED, WRONG_INPUT = 0, 1, 2
-"""Exit codes: done; it ran but did not succeed; something given is wrong."""
+DONE, NOT_SUCCEEDED, WRONG_INPUT = 0, 1, 2  # exit codes
 
-FmuFile = Annotated[Path, typer.Argument(metavar="FMU", help="FMU file.", show_default=False)]
-StudyFile = Annotated[Path, typer.Argument(metavar="STUDY", help="Study file (TOML).", show_default=False)]
+FmuFile = Annotated[Path, Argument(metavar="FMU", help="FMU file.", show_default=False)]
+StudyFile = Annotated[Path, Argument(metavar="STUDY", help="Study file (TOML).", show_default=False)]
 ResultFile = Annotated[
-    Path, typer.Argument(metavar="RESULT", help="result.json, or the folder that has it.", show_default=False)
+    Path, Argument(metavar="RESULT", help="result.json, or the folder that has it.", show_default=False)
 ]
 Folder = Annotated[
-    Path | None,
-    typer.Option("--output", "-o", metavar="DIR", help="Results folder (default: results/ beside the study)."),
+    Path | None, Option("--output", "-o", metavar="DIR", help="Results folder (default: results/ beside the study).")
 ]
 Overrides = Annotated[
     list[str] | None,
-    typer.Option("--set", metavar="KEY=VALUE", help="Replace a study value, e.g. parameters.Rs.start=9; repeatable."),
+    Option("--set", metavar="KEY=VALUE", help="Replace a study value, e.g. parameters.Rs.start=9; repeatable."),
 ]
 NoIsolation = Annotated[
-    bool, typer.Option("--no-isolation", help="Run FMUs inside this process; an FMU that crashes ends it.")
+    bool, Option("--no-isolation", help="Run FMUs inside this process; an FMU that crashes ends it.")
 ]
 Refit = Annotated[
-    list[str] | None,
-    typer.Option("--refit", metavar="NAME", help="Estimate this again on each data file; repeatable."),
+    list[str] | None, Option("--refit", metavar="NAME", help="Estimate this again on each data file; repeatable.")
 ]
 
 
 class FigureFormat(StrEnum):
-    """Of figures for print."""
+    """Format of figures for print."""
 
     PNG = "png"
     SVG = "svg"
@@ -43,9 +40,9 @@ class FigureFormat(StrEnum):
 
 
 Figures = Annotated[
-    FigureFormat | None, typer.Option("--figures", help="Draw figures for print into figures/ of the output.")
+    FigureFormat | None, Option("--figures", help="Draw figures for print into figures/ of the output.")
 ]
-NoReport = Annotated[bool, typer.Option("--no-report", help="Leave out report.html.")]
+NoReport = Annotated[bool, Option("--no-report", help="Leave out report.html.")]
 
 _LOCAL_ONLY = "was removed: the workbench serves this machine only; from another one use ssh -L"
 _CHANGED = {
@@ -63,7 +60,7 @@ _CHANGED = {
 
 
 def changed_option(given: Sequence[str]) -> str | None:
-    """Return what became of the first renamed command or option that is given, None where there is none."""
+    """Return the change of the first renamed command or option."""
     for word in [*given[:1], *(each for each in given[1:] if each.startswith("--"))]:
         name = word.partition("=")[0]
         if name in _CHANGED:
@@ -72,5 +69,5 @@ def changed_option(given: Sequence[str]) -> str | None:
 
 
 def folder_of(output: Path | None, study: Path) -> Path:
-    """Return where the files of a study go."""
+    """Return the results folder of a study."""
     return study.parent / "results" if output is None else output

@@ -1,13 +1,13 @@
-"""The commands about results: parse, call, print."""
+"""The commands about results."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
-import typer
+from typer import Argument, Option
 
 from fmuid.apps.cli.options import DONE, Figures, FmuFile, NoIsolation, NoReport, Overrides, Refit, ResultFile
 from fmuid.apps.cli.studies import logged
@@ -21,28 +21,23 @@ def predict(
     result: ResultFile,
     data: Annotated[
         list[Path] | None,
-        typer.Argument(metavar="DATA", help="Validation data files, or folders of them.", show_default=False),
+        Argument(metavar="DATA", help="Validation data files, or folders of them.", show_default=False),
     ] = None,
     output: Annotated[
         Path | None,
-        typer.Option("--output", "-o", metavar="DIR", help="Results folder (default: prediction/ beside RESULT)."),
+        Option("--output", "-o", metavar="DIR", help="Results folder (default: prediction/ beside RESULT)."),
     ] = None,
     study: Annotated[
-        Path | None,
-        typer.Option("--study", metavar="STUDY", help="Study with model and columns (default: that of the result)."),
+        Path | None, Option(metavar="STUDY", help="Study with model and columns (default: that of the result).")
     ] = None,
     refit: Refit = None,
     experiment: Annotated[
-        str | None,
-        typer.Option("--experiment", metavar="NAME", help="Experiment whose settings the data files are read with."),
+        str | None, Option(metavar="NAME", help="Experiment whose settings the data files are read with.")
     ] = None,
     folds: Annotated[
-        int | None,
-        typer.Option("--folds", metavar="K", help="Cross-validate the study's experiments in K parts, without DATA."),
+        int | None, Option(metavar="K", help="Cross-validate the study's experiments in K parts, without DATA.")
     ] = None,
-    confidence: Annotated[
-        float, typer.Option("--confidence", metavar="P", help="Confidence level of the bands.")
-    ] = 0.95,
+    confidence: Annotated[float, Option(metavar="P", help="Confidence level of the bands.")] = 0.95,
     figures: Figures = None,
     no_report: NoReport = False,
     set_: Overrides = None,
@@ -55,46 +50,43 @@ def predict(
     folder = path.parent / "prediction" if output is None else output
     with logged(folder, no_isolation) as isolated:
         from fmuid import files
+        from fmuid.errors import InputError
         from fmuid.reports import published
         from fmuid.reports.documents import document
         from fmuid.reports.render import console
         from fmuid.reports.render.progress import Display
-        from fmuid.runs import predicted_by, write_prediction
+        from fmuid.runs import cross_predicted, predicted_by, write_prediction
 
         records = data or []
+        if records and folds is not None:
+            raise InputError("with --folds the experiments of the study are predicted: leave the tables out")
         read = _study(path, study, set_, records, isolated=isolated)
         with Display() as display:
-            found = predicted_by(
-                path,
-                records,
-                study=read,
-                free=refit or (),
-                like=experiment,
-                folds=folds,
-                level=confidence,
-                progress=display,
-            )
+            shared: dict[str, Any] = {"study": read, "free": refit or (), "level": confidence}
+            if folds is None:
+                found = predicted_by(path, records, like=experiment, **shared)
+            else:
+                found = cross_predicted(path, folds, progress=display, **shared)
         files.make_folder(folder)
         try:
             found = write_prediction(folder, found)
-        finally:  # what was found is shown also where there is no room for it
-            console.show(document(found))
-        console.show_files(published(found, folder, report=not no_report, figures=figures).files)
+        finally:  # findings are shown also on a full disk
+            shown = document(found)
+            console.show(shown)
+        console.show_files(published(found, shown, folder, report=not no_report, figures=figures).files)
         return DONE
 
 
 def compare(
     results: Annotated[
-        list[Path],
-        typer.Argument(metavar="RESULT", help="result.json files, or their folders.", show_default=False),
+        list[Path], Argument(metavar="RESULT", help="result.json files, or their folders.", show_default=False)
     ],
     data: Annotated[
-        list[Path] | None,
-        typer.Option("--data", metavar="DATA", help="A data file or folder that all results predict; repeatable."),
+        list[Path] | None, Option(metavar="DATA", help="A data file or folder that all results predict; repeatable.")
     ] = None,
     output: Annotated[
         Path | None,
-        typer.Option("--output", "-o", metavar="DIR", help="Results folder (default: comparison/ beside the first)."),
+        Option("--output", "-o", metavar="DIR", help="Results folder (default: comparison/ beside the first)."),
     ] = None,
     refit: Refit = None,
     no_isolation: NoIsolation = False,
@@ -123,9 +115,7 @@ def compare(
 
 
 def report(
-    results: Annotated[
-        Path, typer.Argument(metavar="RESULTS", help="Results folder of a command.", show_default=False)
-    ],
+    results: Annotated[Path, Argument(metavar="RESULTS", help="Results folder of a command.", show_default=False)],
 ) -> int:
     """Write report.html of a results folder, one page that loads nothing."""
     from fmuid.reports.publish import write_report
@@ -137,14 +127,11 @@ def report(
 
 def apply(
     result: Annotated[
-        Path,
-        typer.Argument(metavar="RESULT", help="result.json, its folder, or an .ssv file.", show_default=False),
+        Path, Argument(metavar="RESULT", help="result.json, its folder, or an .ssv file.", show_default=False)
     ],
     fmu: FmuFile,
-    output: Annotated[Path, typer.Option("--output", "-o", metavar="NEW.fmu", help="FMU to write.")],
-    component: Annotated[
-        str | None, typer.Option("--component", metavar="NAME", help="Component of the system that the FMU is.")
-    ] = None,
+    output: Annotated[Path, Option("--output", "-o", metavar="NEW.fmu", help="FMU to write.")],
+    component: Annotated[str | None, Option(metavar="NAME", help="Component of the system that the FMU is.")] = None,
 ) -> int:
     """Write identified values as the start values of a copy of an FMU."""
     from fmuid.reports.render import console
@@ -173,7 +160,7 @@ def _show_applied(applied: Sequence[AppliedValue]) -> None:
 
 
 def _study(result: Path, study: Path | None, set_: list[str] | None, data: list[Path], *, isolated: bool) -> Study:
-    """Return the study that is asked for, or that of a result."""
+    """Return the given study, or that of a result."""
     from fmuid.runs import study_of
     from fmuid.studies import Study
 

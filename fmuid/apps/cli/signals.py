@@ -1,6 +1,6 @@
-"""What comes from outside a command: Ctrl-C, SIGTERM, SIGHUP; closed pipes and terminals; a full disk.
+"""Ctrl-C, SIGTERM, SIGHUP; closed pipes and terminals; full disks.
 
-Signals all mean to keep what there is and stop; the first is answered. No lost output ends a command.
+A signal saves the results and stops. Lost output does not end a command.
 """
 
 from __future__ import annotations
@@ -15,26 +15,25 @@ from collections.abc import Iterator
 from types import FrameType
 from typing import Any, TextIO
 
-# One request comes as several signals: `timeout` and some schedulers send to a process and to its group.
-_ONE_REQUEST = 1.0  # s
-# SIGTERM comes from schedulers, SIGHUP from a terminal that is closed: nobody is there to wait for what follows.
+_ONE_REQUEST = 1.0  # s; `timeout` and some schedulers signal both a process and its group
+# From schedulers and closed terminals: nobody waits for further work.
 _ENDING = (signal.SIGTERM, *((signal.SIGHUP,) if hasattr(signal, "SIGHUP") else ()))
 _SIGNALS = (signal.SIGINT, *_ENDING)
 
 
 class _Interruption:
-    """What has been asked for by signals, and what is answered."""
+    """State of the interruption by signals."""
 
     def __init__(self) -> None:
         self.begin()
 
     def begin(self) -> None:
-        """Forget what was asked for."""
+        """Reset the state."""
         self.answer, self.stopping = "", False
         self._last = -_ONE_REQUEST
 
     def handle(self, number: int, _frame: FrameType | None) -> None:
-        """Handle a signal: answer, and raise KeyboardInterrupt for whoever keeps what there is."""
+        """Answer a signal and raise KeyboardInterrupt."""
         now = time.monotonic()
         if now - self._last < _ONE_REQUEST or (self.stopping and number in _ENDING):
             return
@@ -51,7 +50,7 @@ _interruption = _Interruption()
 
 @contextlib.contextmanager
 def handled() -> Iterator[None]:
-    """Handle Ctrl-C, SIGTERM and SIGHUP; signals that the process was started to ignore stay ignored."""
+    """Handle Ctrl-C, SIGTERM and SIGHUP, except signals that were ignored before."""
     _interruption.begin()
     before = {number: signal.getsignal(number) for number in _SIGNALS}
     for number, handler in before.items():
@@ -67,7 +66,7 @@ def handled() -> Iterator[None]:
 
 @contextlib.contextmanager
 def answering(answer: str) -> Iterator[None]:
-    """Have the first signal answered by what is still done then, as it is read after ``interrupted: ``."""
+    """Print an answer after ``interrupted: `` at the first signal."""
     _interruption.answer = answer
     try:
         yield
@@ -76,34 +75,25 @@ def answering(answer: str) -> Iterator[None]:
 
 
 def stopping() -> bool:
-    """Return whether SIGTERM or SIGHUP has come: it leaves out all that follows, Ctrl-C only what is being done."""
+    """Return whether SIGTERM or SIGHUP came: they skip all later work."""
     return _interruption.stopping
 
 
 def _say(sentence: str) -> None:
     try:
         print(sentence, file=sys.stderr, flush=True)
-    except RuntimeError:  # the signal came while something else was being written there
+    except RuntimeError:  # the signal came during another write
         with contextlib.suppress(OSError):
             os.write(2, f"{sentence}\n".encode())
 
 
-# Nobody reads any more: a pipe whose reader has ended, a terminal that was closed.
-_UNREAD = (errno.EPIPE, errno.EIO, errno.EBADF)
+_UNREAD = (errno.EPIPE, errno.EIO, errno.EBADF)  # No reader: a closed pipe or terminal
 
 
 class Output:
-    """A stream that raises no error; after the first one, what is written goes nowhere.
+    """Stream without errors; after the first error, text is dropped.
 
-    Parameters
-    ----------
-    stream : TextIO or None
-        None where the process was started without it.
-
-    Attributes
-    ----------
-    lost : OSError or None
-        Why something is missing from it that somebody would have read.
+    `lost` is the first error that cost a reader text. `stream` is None in a process without it.
     """
 
     def __init__(self, stream: TextIO | None) -> None:
@@ -122,14 +112,14 @@ class Output:
         return len(text)
 
     def flush(self) -> None:
-        """Write what waits."""
+        """Write buffered text."""
         try:
             self._stream.flush()
         except OSError as error:
             self._leave(error)
 
     def _leave(self, error: OSError) -> None:
-        """Have the rest go nowhere, also what waits in the stream until the process ends."""
+        """Drop all later text, buffered text included."""
         if error.errno not in _UNREAD:
             self.lost = self.lost or error
         with contextlib.suppress(OSError, ValueError):  # a stream without a descriptor
@@ -153,9 +143,9 @@ def guarded() -> Iterator[Output]:
 
 
 def open_descriptors() -> None:
-    """Open the standard descriptors that are closed, or a file would take their place and get what is printed."""
+    """Open closed standard descriptors: a file would get the printed text."""
     for descriptor in range(3):
         try:
             os.fstat(descriptor)
         except OSError:
-            os.set_inheritable(os.open(os.devnull, os.O_RDWR), True)  # the lowest that is free, which is this one
+            os.set_inheritable(os.open(os.devnull, os.O_RDWR), True)  # the lowest free one, this one

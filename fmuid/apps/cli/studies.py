@@ -1,14 +1,14 @@
-"""The commands about one study: parse, call, print."""
+"""The commands about one study."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import ExitStack, closing, contextmanager, suppress
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
-import typer
+from typer import Argument, Option
 
 from fmuid.apps.cli.options import (
     DONE,
@@ -27,28 +27,25 @@ from fmuid.errors import InputError
 from fmuid.files import is_folder, noted, replacing
 
 if TYPE_CHECKING:
-    from fmuid.progress import Event
+    from fmuid.events import Event
     from fmuid.reports.document import Document
     from fmuid.reports.render.progress import Display
     from fmuid.simulation import OutputFit
     from fmuid.studies import Study
 
-FMU_LOG = "fmu.log"
-"""What FMUs printed, in the output folder."""
+FMU_LOG = "fmu.log"  # output of FMUs, in the output folder
 
 
 def simulate(
     study: StudyFile,
     output: Folder = None,
-    result: Annotated[
-        Path | None, typer.Option("--result", metavar="RESULT", help="Simulate at the estimates of this result.")
-    ] = None,
+    result: Annotated[Path | None, Option(metavar="RESULT", help="Simulate at the estimates of this result.")] = None,
     set_: Overrides = None,
     no_isolation: NoIsolation = False,
     sensitivities: Annotated[
-        bool, typer.Option("--sensitivities", help="Also write how outputs change with each parameter.")
+        bool, Option("--sensitivities", help="Also write how outputs change with each parameter.")
     ] = False,
-    figures: Annotated[FigureFormat, typer.Option("--figures", help="Format of the figures.")] = FigureFormat.PNG,
+    figures: Annotated[FigureFormat, Option(help="Format of the figures.")] = FigureFormat.PNG,
 ) -> int:
     """Simulate a study at its initial guesses or at a result, and compare with the measurements."""
     folder = folder_of(output, study)
@@ -75,7 +72,7 @@ def simulate(
 
 
 def _warn(study: Study) -> None:
-    """Say where priors come from, which inputs nothing feeds, and that times may be in another unit."""
+    """Show sources of priors, unconnected inputs and doubtful time units."""
     from fmuid.reports.render import console
     from fmuid.reports.topics.study_notes import input_notes, source_notes, time_notes
 
@@ -84,7 +81,7 @@ def _warn(study: Study) -> None:
 
 
 def _sensitivities(study: Study, folder: Path) -> tuple[list[Path], Document]:
-    """Write the sensitivities of a study, and where they come from; return the files and the document."""
+    """Write the sensitivities of a study; return files and document."""
     from fmuid.files import write_table
     from fmuid.reports.topics.design import sensitivity_document
     from fmuid.runs import made_from, sensitivities_of, stacked, write_origin
@@ -98,7 +95,6 @@ def _sensitivities(study: Study, folder: Path) -> tuple[list[Path], Document]:
 
 
 def _fits_at(study: Study, result: Path) -> tuple[OutputFit, ...]:
-    """Simulate a study at a result."""
     from fmuid.estimation import Result
     from fmuid.runs import fits_at, notes_of, result_path
 
@@ -114,7 +110,7 @@ def identify(
     set_: Overrides = None,
     no_isolation: NoIsolation = False,
     resume: Annotated[
-        bool, typer.Option("--resume", help="Start at the output folder's result.json, without a global search.")
+        bool, Option("--resume", help="Start at the output folder's result.json, without a global search.")
     ] = False,
     figures: Figures = None,
     no_report: NoReport = False,
@@ -130,28 +126,24 @@ def identify(
 
         _warn(read)
         found, left_out = None, read.uncertainty_settings.explores
+        shown: Document | None = None
         with answering("saving what has been found (Ctrl-C again ends it without)"), Display() as display:
             for each in identified(read, folder, resume=resume, progress=partial(_show_event, display)):
                 display.pause()
-                console.show(document(each), None if found is None else document(found))
+                before, shown = shown, document(each)
+                console.show(shown, before)
                 known = each.assessment.residuals is not None
                 if left_out and known and not at_minimum(each.result):
                     console.show_notes(["[uncertainty] is left out: it needs a search that has ended at a minimum"])
-                found = published(each, folder, report=known and not no_report, figures=figures)
+                found = published(each, shown, folder, report=known and not no_report, figures=figures)
         assert found is not None, "a run yields, or raises an error"
         console.show_files(found.files)
         return DONE if found.succeeded else NOT_SUCCEEDED
 
 
 def _show_event(display: Display, event: Event, /) -> None:
-    """Show how far a run is.
-
-    Raises
-    ------
-    KeyboardInterrupt
-        If SIGTERM or SIGHUP has come, which leaves out what follows too.
-    """
-    from fmuid.progress import DataOnlyStep
+    """Show an event; raise KeyboardInterrupt after SIGTERM or SIGHUP."""
+    from fmuid.events import DataOnlyStep
     from fmuid.reports.render import console
 
     match event:
@@ -175,40 +167,28 @@ def diagnose(
     """Diagnose the faults that a study names; exit code 1 for a fault."""
     folder = folder_of(output, study)
     with opened(study, set_, no_isolation, folder) as read:
-        from fmuid.reports import published
-        from fmuid.reports.documents import document
-        from fmuid.reports.render import console
-        from fmuid.reports.render.progress import Display
+        from fmuid.reports.render.console import show_notes
         from fmuid.reports.topics.study_notes import input_notes, source_notes
         from fmuid.runs import diagnosed
 
         if read.diagnosis is not None:
-            console.show_notes([*source_notes(read), *input_notes(read.simulators())])
-        found = None
-        with Display() as display:
-            for each in diagnosed(read, folder, progress=display):
-                display.pause()
-                console.show(document(each))
-                found = published(each, folder, report=not no_report, figures=figures)
-        assert found is not None, "a run yields, or raises an error"
-        console.show_files(found.files)
-        return DONE if found.healthy else NOT_SUCCEEDED
+            show_notes([*source_notes(read), *input_notes(read.simulators())])
+        return _report(partial(diagnosed, read, folder), folder, report=not no_report, figures=figures)
 
 
 def monitor(
     study: StudyFile,
     data: Annotated[
-        list[Path],
-        typer.Argument(metavar="DATA", help="Recordings, or folders of recordings, in order.", show_default=False),
+        list[Path], Argument(metavar="DATA", help="Recordings, or folders of recordings, in order.", show_default=False)
     ],
     output: Folder = None,
     set_: Overrides = None,
     no_isolation: NoIsolation = False,
     resume: Annotated[
-        bool, typer.Option("--resume", help="Continue the run in the output folder; skip its recordings.")
+        bool, Option("--resume", help="Continue the run in the output folder; skip its recordings.")
     ] = False,
     follow: Annotated[
-        bool, typer.Option("--follow", help="Wait for what a logger writes; the same command resumes.")
+        bool, Option("--follow", help="Wait for what a logger writes; the same command resumes.")
     ] = False,
     figures: Figures = None,
     no_report: NoReport = False,
@@ -216,37 +196,45 @@ def monitor(
     """Monitor recordings for the faults that a study names; exit code 1 for an alarm."""
     folder = folder_of(output, study)
     with opened(study, set_, no_isolation, folder) as read:
-        from fmuid.reports import published
-        from fmuid.reports.documents import document
-        from fmuid.reports.render import console
-        from fmuid.reports.render.progress import Display
+        from fmuid.reports.render.console import show_notes
         from fmuid.reports.topics.study_notes import source_notes
         from fmuid.runs import monitored
 
         if read.diagnosis is not None:
-            console.show_notes(source_notes(read))
+            show_notes(source_notes(read))
         if follow:
             return _follow(read, data, folder, resume=resume, figures=figures, report=not no_report)
         saving = "saving the records examined so far, with which --resume goes on"
-        found = None
-        with answering(saving), Display() as display:
-            for each in monitored(read, data, folder, append=resume, progress=display):
-                display.pause()
-                console.show(document(each))
-                found = published(each, folder, report=not no_report, figures=figures)
-        assert found is not None, "a run yields, or raises an error"
-        console.show_files(found.files)
-        return DONE if found.healthy else NOT_SUCCEEDED
+        with answering(saving):
+            run = partial(monitored, read, data, folder, append=resume)
+            return _report(run, folder, report=not no_report, figures=figures)
+
+
+def _report(run: Callable[..., Iterator[Any]], folder: Path, *, report: bool, figures: FigureFormat | None) -> int:
+    """Run, show and publish a diagnosis or a monitoring run."""
+    from fmuid.reports import published
+    from fmuid.reports.documents import document
+    from fmuid.reports.render import console
+    from fmuid.reports.render.progress import Display
+
+    with Display() as display:
+        for each in run(progress=display):
+            display.pause()
+            shown = document(each)
+            console.show(shown)
+            found = published(each, shown, folder, report=report, figures=figures)
+    console.show_files(found.files)
+    return DONE if found.healthy else NOT_SUCCEEDED
 
 
 def _follow(
     study: Study, data: list[Path], folder: Path, *, resume: bool, figures: FigureFormat | None, report: bool
 ) -> int:
-    """Monitor what a logger writes until it is interrupted."""
+    """Monitor growing data until an interruption."""
     from fmuid.reports.documents import document
     from fmuid.reports.publish import publish
     from fmuid.reports.render.console import show_files
-    from fmuid.reports.render.progress import FollowingDisplay
+    from fmuid.reports.render.following import FollowingDisplay
     from fmuid.reports.topics.monitoring import alarm_sentence
     from fmuid.runs import findings_of, followed
 
@@ -270,16 +258,14 @@ def _follow(
 def design(
     study: StudyFile,
     data: Annotated[
-        list[Path],
-        typer.Argument(metavar="DATA", help="Excitations (inputs only), or folders of them.", show_default=False),
+        list[Path], Argument(metavar="DATA", help="Excitations (inputs only), or folders of them.", show_default=False)
     ],
     output: Folder = None,
     criterion: Annotated[
-        str, typer.Option("--criterion", metavar="NAME", help="Rank by 'determinant' or by the 'worst' relative σ.")
+        str, Option(metavar="NAME", help="Rank by 'determinant' or by the 'worst' relative σ.")
     ] = "determinant",
     fault: Annotated[
-        str | None,
-        typer.Option("--fault", metavar="NAME", help="Rank by the minimum detectable size of this fault."),
+        str | None, Option(metavar="NAME", help="Rank by the minimum detectable size of this fault.")
     ] = None,
     set_: Overrides = None,
     no_isolation: NoIsolation = False,
@@ -307,22 +293,19 @@ def design(
 
 def workbench(
     target: Annotated[
-        Path,
-        typer.Argument(metavar="[STUDY or FOLDER]", help="A study file, or a folder with studies.", show_default=False),
+        Path, Argument(metavar="[STUDY or FOLDER]", help="A study file, or a folder with studies.", show_default=False)
     ] = Path(),
     browser: Annotated[
-        bool, typer.Option("--browser/--no-browser", help="Start the browser, or print the address only.")
+        bool, Option("--browser/--no-browser", help="Start the browser, or print the address only.")
     ] = True,
-    port: Annotated[
-        int, typer.Option("--port", metavar="N", help="TCP port (default: any free one).", show_default=False)
-    ] = 0,
+    port: Annotated[int, Option(metavar="N", help="TCP port (default: any free one).", show_default=False)] = 0,
 ) -> int:
     """Open the workbench in the browser: studies, sliders, identification, results."""
     from fmuid.processes import AVAILABLE
     from fmuid.simulation import start_server
 
     if AVAILABLE:
-        start_server()  # it loads its code while this process loads its own
+        start_server()  # it loads in parallel with this process
     from fmuid.apps.workbench import Folder, Workbench, entry_file, start_browser
     from fmuid.reports.render.console import show_notes
 
@@ -342,14 +325,14 @@ def workbench(
 
     print("Ctrl-C ends the workbench; what it is running then is interrupted and saved.", flush=True)
     print("Until then this address opens it:", flush=True)
-    with ExitStack() as kept, suppress(KeyboardInterrupt):  # how it is meant to end
+    with ExitStack() as kept, suppress(KeyboardInterrupt):  # the regular end
         bench.run(ready)
     return DONE
 
 
 @contextmanager
 def opened(study: Path, set_: list[str] | None, no_isolation: bool, folder: Path) -> Iterator[Study]:
-    """Read a study whose FMUs run in a process of their own; what they print goes into the output folder."""
+    """Read a study with its FMUs in their own process."""
     with logged(folder, no_isolation) as isolated:
         from fmuid.studies import Study
 
@@ -358,7 +341,7 @@ def opened(study: Path, set_: list[str] | None, no_isolation: bool, folder: Path
 
 @contextmanager
 def logged(folder: Path, no_isolation: bool) -> Iterator[bool]:
-    """Say whether FMUs run in a process of their own, as they do unless asked otherwise; their output goes to a log."""
+    """Provide whether FMUs are isolated, as by default; log their output."""
     from fmuid.processes import AVAILABLE
 
     if no_isolation or not AVAILABLE:
@@ -368,7 +351,7 @@ def logged(folder: Path, no_isolation: bool) -> Iterator[bool]:
     from fmuid.reports.render.console import show_notes
     from fmuid.simulation import start_server
 
-    start_server()  # it loads its code while this process loads its own
+    start_server()  # it loads in parallel with this process
     from fmuid.simulation import printed
 
     printed()
@@ -381,7 +364,7 @@ def logged(folder: Path, no_isolation: bool) -> Iterator[bool]:
 
 @contextmanager
 def telling_files() -> Iterator[None]:
-    """Say which files were written before something went wrong."""
+    """Show the written files if an error ends the command."""
     with noted() as written:
         try:
             yield
@@ -394,9 +377,9 @@ def telling_files() -> Iterator[None]:
 
 
 def _write_log(log: Path, text: str) -> list[str]:
-    """Write what FMUs printed, and return what is to be said of it; nothing that goes wrong here ends a command."""
+    """Write the FMUs' output to a log; return a note on it."""
     if not text:
-        with suppress(OSError):  # there is none, mostly
+        with suppress(OSError):  # mostly there is none
             log.unlink()  # of an earlier run
         return []
     try:

@@ -1,4 +1,4 @@
-"""The workbench in the browser: studies, what-if, identification, results and batches of a folder."""
+"""The workbench in the browser."""
 
 import lazy_loader
 

@@ -1,9 +1,7 @@
-"""Who may talk to the workbench: one browser, that of the user who started it.
+"""Access control: one browser, that of the user who started the workbench.
 
-A server on 127.0.0.1 is reached by every page that the user's browser shows and by every program on the machine. Each
-request is judged here before anything of Bokeh sees it, for pages, static files and websockets alike: by its Host (a
-foreign name that resolves to this machine), its Origin (a foreign page), and a cookie. The browser gets the cookie in
-exchange for a token in the first address.
+Every page and program on this machine reaches a server on 127.0.0.1. Each request is checked before Bokeh: its Host
+(DNS rebinding), its Origin (foreign pages) and a cookie. The first address has a token, which gives the cookie.
 """
 
 from __future__ import annotations
@@ -25,36 +23,22 @@ from tornado.httputil import HTTPHeaders, HTTPServerRequest
 from tornado.web import ErrorHandler, OutputTransform, RequestHandler
 from tornado.websocket import WebSocketClosedError
 
-SCHEME = "fmuid-scheme"
-"""The cookie, and the argument of a page, that says whether the browser shows dark pages."""
-# Seconds for which a page that was asked for may open its websocket.
-SESSION_SECONDS = 300
-LARGEST_MESSAGE = 64 * 2**20
-"""Bytes of an upload."""
+SCHEME = "fmuid-scheme"  # cookie and page argument: "dark" or "light"
+SESSION_SECONDS = 300  # s from a page request to its websocket
+LARGEST_MESSAGE = 64 * 2**20  # bytes, of an upload
 
 
 class Guard(BokehTornado):  # type: ignore[misc]
-    """Bokeh's application, which answers only whom it knows.
+    """Bokeh's application with access control.
 
-    Parameters
-    ----------
-    applications : mapping
-        As for Bokeh.
-    hosts : sequence of str
-        ``name:port`` as they may stand in an address, the one for people first.
-    patterns : list
-        Handlers of plain pages.
-
-    Attributes
-    ----------
-    token : str
-        Token of the address for people, valid as long as the server runs.
+    `hosts` are ``name:port`` of addresses, the one for people first; `patterns` are handlers of plain pages. `token` is
+    valid as long as the server runs.
     """
 
     def __init__(self, applications: Mapping[str, Any], hosts: Sequence[str], patterns: list[Any]) -> None:
         self.token, self._secret, self._hosts = secrets.token_urlsafe(24), secrets.token_urlsafe(24), tuple(hosts)
         self._single_use_tokens: set[str] = set()
-        self._cookie = f"fmuid-{secrets.token_hex(4)}"  # cookies do not tell ports apart
+        self._cookie = f"fmuid-{secrets.token_hex(4)}"  # cookies are shared by all ports
         self._origins = {f"http://{host}" for host in hosts}
         super().__init__(
             dict(applications),
@@ -75,18 +59,18 @@ class Guard(BokehTornado):  # type: ignore[misc]
         self.add_transform(_headers(_policy(self._hosts)))
 
     def single_use_token(self) -> str:
-        """Return a token that lets a browser in once."""
+        """Return a token that is valid once."""
         token = secrets.token_urlsafe(24)
         self._single_use_tokens.add(token)
         return token
 
     @property
     def awaits_browser(self) -> bool:
-        """Whether a single-use token has not been used."""
+        """Whether a single-use token is unused."""
         return bool(self._single_use_tokens)
 
     def _accept(self, given: bytes) -> bool:
-        """Return whether a token lets a browser in; a single-use token does so no more."""
+        """Return whether a token is valid; discard a single-use token."""
         for token in self._single_use_tokens:
             if hmac.compare_digest(given, token.encode()):
                 self._single_use_tokens.discard(token)
@@ -94,10 +78,10 @@ class Guard(BokehTornado):  # type: ignore[misc]
         return hmac.compare_digest(given, self.token.encode())
 
     def find_handler(self, request: HTTPServerRequest, **kwargs: Any) -> Any:
-        """Return who answers a request: 403 to all that is not of the user's own browser."""
+        """Return the handler of a request; refuse all but the user's browser."""
         origin = request.headers.get("Origin")
         foreign = request.host not in self._hosts or (origin is not None and origin not in self._origins)
-        # autoload.js answers any origin, with a session's token
+        # autoload.js gives any origin a session token
         if foreign or request.path.endswith("/autoload.js"):
             return self._refuse(request)
         given = request.arguments.get("token", [b""])[-1]
@@ -112,7 +96,7 @@ class Guard(BokehTornado):  # type: ignore[misc]
         return super().find_handler(request, **kwargs)
 
     def get_handler_delegate(self, request: HTTPServerRequest, target_class: Any, *given: Any, **named: Any) -> Any:
-        """Return who answers a request with a handler; `TabSocket` stands in for Bokeh's websockets."""
+        """Return the handler of a request, with `TabSocket` for Bokeh's websockets."""
         target = TabSocket if target_class is WSHandler else target_class
         return super().get_handler_delegate(request, target, *given, **named)
 
@@ -121,17 +105,16 @@ class Guard(BokehTornado):  # type: ignore[misc]
 
 
 class LoginHandler(RequestHandler):
-    """Exchange of a token for the cookie; no later address carries a token."""
+    """Exchange of a token for the cookie; later addresses have no token."""
 
     def initialize(self, secret: str, name: str) -> None:
-        """Take the content of the cookie."""
+        """Take name and content of the cookie."""
         self._given = name, secret
 
     def get(self) -> None:
-        """Set the cookie and lead on without the token.
+        """Set the cookie, and go on without the token.
 
-        A redirect would go on as a request of the page before, with which a browser sends no cookie of
-        ``SameSite=Strict``.
+        A redirect would count as a cross-site request, for which ``SameSite=Strict`` cookies are not sent.
         """
         self.set_cookie(*self._given, httponly=True, samesite="Strict")
         rest = [(key, value) for key, value in parse_qsl(self.request.query) if key != "token"]
@@ -139,10 +122,9 @@ class LoginHandler(RequestHandler):
 
 
 class TabSocket(WSHandler):  # type: ignore[misc]
-    """Websocket of a tab.
+    """Websocket of a tab, whose session ends with it.
 
-    A page never comes back to a session whose websocket it has lost (``reconnect_session`` is off), so that the session
-    ends with it. Bokeh keeps it for a while, and handles messages that have arrived before the end without it.
+    Pages never reconnect. Bokeh would keep the session, and handle late messages without it.
     """
 
     connection: ServerConnection | None
@@ -150,23 +132,23 @@ class TabSocket(WSHandler):  # type: ignore[misc]
 
     @property
     def is_open(self) -> bool:
-        """Whether messages can still be exchanged."""
+        """Whether messages can be exchanged."""
         return self.ws_connection is not None and not self.ws_connection.is_closing()
 
     async def _async_open(self, token: str) -> None:
         await super()._async_open(token)
         assert self.connection is not None
         self._session = self.connection.session
-        if not self.is_open:  # closed while the session was being made
+        if not self.is_open:  # closed during the start of the session
             self.on_close()
 
     async def on_message(self, fragment: str | bytes) -> None:
-        """Handle a message of a tab that is open."""
+        """Handle a message of an open tab."""
         if self.is_open:
             await super().on_message(fragment)
 
     async def send_message(self, message: Any) -> None:
-        """Send a message to a tab that is open."""
+        """Send a message to an open tab."""
         with contextlib.suppress(WebSocketClosedError):
             await message.send(self)
 
@@ -185,12 +167,12 @@ _REDIRECTING = (
 
 
 def redirecting_page(address: str) -> str:
-    """Return a page of HTML that leads to another address at once."""
+    """Return an HTML page that leads to another address."""
     return _REDIRECTING.format(escape(address))
 
 
 def _cookies(request: HTTPServerRequest) -> dict[str, str]:
-    """Return the cookies of a request; none where another program of this machine has set one that is no cookie."""
+    """Return the cookies of a request, none if one is invalid."""
     try:
         found = SimpleCookie(request.headers.get("Cookie", ""))
     except CookieError:
@@ -206,12 +188,12 @@ def _policy(hosts: Sequence[str]) -> str:
     )
 
 
-# A report has its scripts in itself: it may run them, as a page of no origin, which reaches nothing of the workbench.
+# A report runs its own scripts, without an origin: they cannot reach the workbench.
 _REPORT_POLICY = "sandbox allow-scripts allow-popups allow-downloads allow-modals; frame-ancestors 'none'"
 
 
 def _headers(policy: str) -> type[OutputTransform]:
-    """Return what adds headers to every answer, refusals and static files included."""
+    """Return a transform that adds headers to every answer."""
     always = {
         "X-Frame-Options": "DENY",
         "X-Content-Type-Options": "nosniff",

@@ -1,4 +1,4 @@
-"""The first page, what the folder has, and the files that pages link to."""
+"""The first page, and the files of the folder."""
 
 from __future__ import annotations
 
@@ -18,23 +18,23 @@ from fmuid.apps.workbench.project_folder import Folder, FoundResult, FoundStudy
 from fmuid.errors import InputError
 from fmuid.formatting import listed, visible
 
-# What commands write and people look at; models and whatever else lies there is not served.
+# Readable files that commands write; models and others are not served.
 _SERVED = {".html", ".csv", ".json", ".toml", ".txt", ".log", ".ssv", ".png", ".svg", ".pdf"}
 
 
 DONE = {"diagnosis": "diagnosed", "monitoring": "monitored", "batch": "run as a batch"}
-"""What has been done with a study that was not identified, by the kind of result."""
+"""States of studies by their kind of result."""
 
 
 class HomeHandler(RequestHandler):
-    """The page of the studies and results in the folder."""
+    """Page of the studies and results of the folder."""
 
     def initialize(self, folder: Folder, jobs: Jobs) -> None:
-        """Take the folder, and what runs."""
+        """Take the folder and the running commands."""
         self.folder, self.jobs = folder, jobs
 
     def get(self) -> None:
-        """Show what there is now."""
+        """Write the page."""
         folder = self.folder
         studies, results = folder.look()
         running = {job.study for job in self.jobs.running()}
@@ -57,12 +57,12 @@ def address(page: str, folder: Folder, path: Path) -> str:
 
 
 def file_address(folder: Folder, path: Path) -> str:
-    """Return the address of a file itself."""
+    """Return the address of a file."""
     return f"/file/{quote(folder.name(path))}"
 
 
 def badge(word: str, *, good: bool | None = None) -> str:
-    """Return a state in a word."""
+    """Return a state as an HTML badge."""
     return f'<span class="badge {"plain" if good is None else "good" if good else "bad"}">{escaped(word)}</span>'
 
 
@@ -99,7 +99,7 @@ def _study(folder: Folder, study: FoundStudy, results: Sequence[FoundResult], *,
 
 
 def _state(result: FoundResult, study: FoundStudy) -> str:
-    """Return how a result ended, and whether the study is another since."""
+    """Return the state of a result, and any change of its study."""
     content = result.content
     if result.error:
         return badge("cannot be read", good=False)
@@ -112,7 +112,7 @@ def _state(result: FoundResult, study: FoundStudy) -> str:
 
 
 def _values(content: Any) -> str:
-    """Return the first estimates."""
+    """Return the first estimates as HTML."""
     from fmuid.formatting import with_std
 
     rows = list((content.get("parameters") or {}).items())
@@ -157,7 +157,7 @@ class AssetHandler(RequestHandler):
     """Style and script of the pages."""
 
     def get(self, name: str) -> None:
-        """Give one of the two."""
+        """Write one of the two."""
         if name == "style.css":
             self.set_header("Content-Type", "text/css; charset=utf-8")
             self.write(style())
@@ -176,7 +176,7 @@ class FileHandler(RequestHandler):
         self.folder = folder
 
     def get(self, name: str) -> None:
-        """Give a file of a kind that commands write."""
+        """Write a file of a served type."""
         try:
             path = self.folder.path(name)
         except InputError:

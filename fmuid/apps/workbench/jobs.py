@@ -1,7 +1,7 @@
-"""Commands that the workbench runs: processes of their own, which write what they would from a terminal.
+"""Commands run by the workbench, as processes of their own.
 
-A command tells each event of its progress in a file (`fmuid.progress.EVENTS`). It goes on when a page is closed, and to
-its end when the workbench is killed.
+A command writes its progress events to a file (`fmuid.events.EVENTS`). It continues after its page is closed, and if
+the workbench is killed.
 """
 
 from __future__ import annotations
@@ -17,36 +17,22 @@ import time
 from collections.abc import Sequence
 from pathlib import Path
 
+from fmuid.events import EVENTS, Event, of_line
 from fmuid.processes import Child
-from fmuid.progress import EVENTS, Event, of_line
 
-# Seconds after which a command that was asked to end is asked once more, and ended without more ado. Between them it
-# writes what it has.
-SECOND_REQUEST, LAST_REQUEST = 20.0, 40.0
-_INTERRUPT = getattr(signal, "CTRL_BREAK_EVENT", signal.SIGTERM)  # Ctrl-C is ignored by what a shell runs behind
+SECOND_REQUEST, LAST_REQUEST = 20.0, 40.0  # s from a request to end to a second request, and to a kill
+_INTERRUPT = getattr(signal, "CTRL_BREAK_EVENT", signal.SIGTERM)  # background commands of a shell ignore Ctrl-C
 
 
 def command_text(words: Sequence[str]) -> str:
-    """Return a command as it is typed in a shell."""
+    """Return a command as typed in a shell."""
     return shlex.join(["fmuid", *words])
 
 
 class Job:
-    """A command that runs, or has run.
+    """Command of a study that writes into a folder.
 
-    Parameters
-    ----------
-    study : Path
-        Its study file.
-    folder : Path
-        Where its files go.
-    words : sequence of str
-        Of the command, after ``fmuid``.
-
-    Attributes
-    ----------
-    begun : float
-        When, in seconds of `time.monotonic`.
+    `begun`, `ended` and `asked` (to end) are times of `time.monotonic`, s; 0 for not yet.
     """
 
     def __init__(self, study: Path, folder: Path, words: Sequence[str]) -> None:
@@ -75,23 +61,23 @@ class Job:
 
     @property
     def code(self) -> int | None:
-        """Its exit code; None while it runs."""
+        """Exit code; None while it runs."""
         return self._child.wait(0.0)
 
     @property
     def seconds(self) -> float:
-        """How long it has been running, or did."""
+        """Run time, s."""
         return (time.monotonic() if self.running else self.ended) - self.begun
 
     def cancel(self) -> None:
-        """Ask it to end: it writes what it has found so far."""
+        """Ask it to end; it saves its results so far."""
         if self.running:
             self.asked = self.asked or time.monotonic()
-            with contextlib.suppress(OSError):  # it has just ended
+            with contextlib.suppress(OSError):  # it just ended
                 os.kill(self._child.pid, _INTERRUPT)
 
     def insist(self) -> None:
-        """End it if it was asked to long ago."""
+        """Ask again, and finally end it, long after `cancel`."""
         waited = time.monotonic() - self.asked if self.asked else 0.0
         if waited > LAST_REQUEST:
             self._child.end()
@@ -99,37 +85,37 @@ class Job:
             self.cancel()
 
     def events(self, position: int = 0) -> tuple[list[Event], int]:
-        """Return the events after a position in its file, and the position after them."""
+        """Return the events after a file position, and the next position."""
         try:
             with self._events.open("rb") as file:
                 file.seek(position)
                 text = file.read()
-        except OSError:  # it has written none yet
+        except OSError:  # none is written yet
             return [], position
         whole = text[: text.rfind(b"\n") + 1]
         return [of_line(line) for line in whole.decode("utf-8").splitlines()], position + len(whole)
 
     def printed(self) -> str:
-        """Return what it has printed."""
+        """Return its output."""
         with contextlib.suppress(OSError):  # its folder is gone
             return self._printed.read_text(encoding="utf-8", errors="replace")
         return ""
 
     def close(self, patience: float) -> None:
-        """Wait for its end, and see to it; its files of progress are removed."""
+        """Wait for its end, or force it; remove its progress files."""
         if self._child.wait(patience) is None:
             self._child.end()
         self._place.cleanup()
 
 
 class Jobs:
-    """All that a workbench has begun; at most one that runs for a folder of results."""
+    """Commands of a workbench; at most one runs per results folder."""
 
     def __init__(self) -> None:
         self._lock, self._jobs = threading.Lock(), dict[Path, Job]()
 
     def begin(self, study: Path, folder: Path, words: Sequence[str]) -> Job:
-        """Begin a command, or return the one that is running in that folder already."""
+        """Start a command, or return the running one of that folder."""
         with self._lock:
             there = self._jobs.get(folder.resolve())
             if there is not None:
@@ -140,15 +126,15 @@ class Jobs:
             return found
 
     def of(self, folder: Path) -> Job | None:
-        """Return the last command that was begun for a folder of results."""
+        """Return the last command of a results folder."""
         return self._jobs.get(folder.resolve())
 
     def running(self) -> list[Job]:
-        """Return those that have not ended."""
+        """Return the running commands."""
         return [job for job in list(self._jobs.values()) if job.running]
 
     def close(self) -> None:
-        """Interrupt all, so that they save what they have, and wait for them."""
+        """Interrupt all commands and wait: they save their results."""
         for job in self.running():
             job.cancel()
         end = time.monotonic() + LAST_REQUEST

@@ -1,7 +1,8 @@
-"""What a folder has: studies, results, batches. Its files are all that the workbench remembers."""
+"""Studies, results and batches of a folder; the workbench stores nothing else."""
 
 from __future__ import annotations
 
+import json
 import os
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
@@ -9,9 +10,10 @@ from itertools import islice
 from pathlib import Path
 from typing import Any
 
-from fmuid.apps.workbench.saved import read_json, study_of_content
+from fmuid.codec import from_json
 from fmuid.errors import InputError
-from fmuid.files import full, is_file, is_folder
+from fmuid.files import ContentError, full, is_file, is_folder
+from fmuid.runs import IdentificationRun
 from fmuid.studies import read_toml
 
 RESULTS = {
@@ -21,26 +23,48 @@ RESULTS = {
     "prediction.json": "prediction",
     "batch.json": "batch",
 }
-"""What a command leaves, and which one that is."""
-# Deeper folders, and more entries than these, are not looked at: a home directory is no folder of studies.
+"""Kinds of results by their files."""
+# Deeper folders and more entries are skipped: a home directory is no folder of studies.
 DEEPEST, MOST_ENTRIES = 6, 20_000
-# A larger file is no study.
-LARGEST_STUDY = 2**20
+LARGEST_STUDY = 2**20  # bytes; larger files are no studies
+
+
+@dataclass(frozen=True)
+class BatchManifest:
+    """Content of ``batch.json``; `study` is the content of the study file."""
+
+    fmuid: str = ""
+    study: Mapping[str, Any] | None = None
+    files: Mapping[str, str | None] | None = None
+    cases: int = 0
+    truth: Mapping[str, float] | None = None
+    dashboard: str | None = None
+
+
+_KINDS: dict[str, type] = {"result.json": IdentificationRun, "batch.json": BatchManifest}
+
+
+def read_json(path: Path) -> dict[str, Any]:
+    """Return the content of a JSON file of a command, checked."""
+    try:
+        content = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError, RecursionError) as error:
+        raise InputError(f"{path} cannot be read: {error}") from None
+    if not isinstance(content, dict):
+        raise InputError(f"{path} is not what fmuid writes: it is no JSON object")
+    try:
+        if path.name in _KINDS:
+            from_json(_KINDS[path.name], content)
+    except ContentError as error:
+        raise InputError(f"{path}: {error}. Run the command again that has written it.") from None
+    return content
 
 
 @dataclass(frozen=True)
 class FoundStudy:
-    """A study file.
+    """Study file; `error` tells why it cannot be read.
 
-    Attributes
-    ----------
-    path : Path
-    title : str
-    error : str
-        Why it cannot be read, or nothing.
-    tables, parameters : tuple of str
-    asks : tuple of str
-        What it has words for besides an identification: ``diagnosis``, ``batch``.
+    `asks` names its sections beyond identification: ``diagnosis``, ``batch``.
     """
 
     path: Path
@@ -52,11 +76,11 @@ class FoundStudy:
 
     @property
     def results(self) -> Path:
-        """The folder that its command writes into."""
+        """Output folder of its commands."""
         return self.path.parent / "results"
 
     def has_run(self, result: FoundResult) -> bool:
-        """Whether a result is of this study; that of a batch has the study itself, by which it is known."""
+        """Whether a result is of this study; a batch stores its study."""
         if result.kind != "batch":
             return result.study == self.path.resolve()
         if "batch" not in self.asks:
@@ -69,20 +93,9 @@ class FoundStudy:
 
 @dataclass(frozen=True)
 class FoundResult:
-    """What a command has left in a folder.
+    """Result of a command, from a file of `RESULTS`.
 
-    Attributes
-    ----------
-    path : Path
-        The file that says so.
-    kind : str
-        Of `RESULTS`.
-    study : Path or None
-        That it says it is of.
-    content : mapping
-        What the file says; nothing where it cannot be read.
-    error : str
-        Why it cannot be read, or nothing.
+    `content` is empty if the file cannot be read, for the reason `error`.
     """
 
     path: Path
@@ -93,36 +106,27 @@ class FoundResult:
 
     @classmethod
     def of(cls, path: Path) -> FoundResult:
-        """Return what a file of `RESULTS` is."""
+        """Return the result of a file of `RESULTS`."""
         try:
             content, error = read_json(path), ""
         except InputError as wrong:
             content, error = {}, str(wrong)
-        given = study_of_content(content)
+        origin = content.get("origin")
+        given = origin.get("study") if isinstance(origin, dict) else content.get("study")
         file = given.get("file") if isinstance(given, dict) else given
-        # a search for faults says its study's name alone, as its files are to be passed on
+        # files of a diagnosis have only the study's name: they may be moved
         near = [each / file for each in path.parents[:DEEPEST]] if isinstance(file, str) and file else []
         study = next((each.resolve() for each in near if is_file(each)), None)
         return cls(path, RESULTS[path.name], study, content, error)
 
     @property
     def folder(self) -> Path:
-        """Where its files are."""
+        """Folder of its files."""
         return self.path.parent
 
 
 class Folder:
-    """The folder that is open, and nothing outside of it.
-
-    Parameters
-    ----------
-    root : Path
-
-    Raises
-    ------
-    InputError
-        If there is no such folder.
-    """
+    """The opened folder; nothing outside of it is read."""
 
     def __init__(self, root: Path) -> None:
         if not is_folder(root):
@@ -130,12 +134,9 @@ class Folder:
         self.root = root.resolve()
 
     def path(self, name: str) -> Path:
-        """Return the path of a file or folder, by its name relative to this folder.
+        """Return the path of a name relative to this folder.
 
-        Raises
-        ------
-        InputError
-            If it is outside, also by a link, or not there.
+        Raises `InputError` if it is outside, also by a link, or missing.
         """
         try:
             found = (self.root / name).resolve(strict=True)
@@ -146,7 +147,7 @@ class Folder:
         return found
 
     def name(self, path: Path) -> str:
-        """Return the name of a path relative to this folder, as `path` takes it."""
+        """Return the name of a path relative to this folder."""
         return Path(os.path.relpath(path.resolve(), self.root)).as_posix()
 
     def has(self, path: Path) -> bool:
@@ -154,7 +155,7 @@ class Folder:
         return path.resolve().is_relative_to(self.root)
 
     def look(self) -> tuple[list[FoundStudy], list[FoundResult]]:
-        """Return the studies and the results there are, each in the order of their names."""
+        """Return studies and results, sorted by name."""
         studies, results = [], []
         for path in self.files((".toml", ".json")):
             if path.suffix == ".toml":
@@ -165,7 +166,7 @@ class Folder:
         return studies, results
 
     def files(self, kinds: tuple[str, ...]) -> Iterator[Path]:
-        """Yield the files whose names end so, in the order of their names."""
+        """Yield the files with these name endings, sorted by name."""
         seen, depth = 0, len(self.root.parts)
         for place, folders, files in os.walk(self.root):
             here = Path(place)
@@ -178,22 +179,22 @@ class Folder:
 
 
 TABLES = (".csv", ".parquet", ".mat", ".xlsx", ".ods", ".h5", ".tdms", ".mf4")
-"""Tables that can be chosen; others are dropped."""
+"""Endings of data files that can be chosen."""
 MOST_CHOICES = 200
 
 
 def tables(folder: Folder) -> list[Path]:
-    """Return the tables in the folder that are no results."""
+    """Return the data files of the folder, without results."""
     return [path for path in choices(folder, TABLES) if not any((path.parent / mark).exists() for mark in _MARKS)]
 
 
 def beside(path: Path, study: Path) -> str:
-    """Return the name of a file or folder as a command takes it that is given in a study's folder."""
+    """Return the name of a file relative to a study's folder."""
     return Path(os.path.relpath(path, study.parent)).as_posix()
 
 
 def choices(folder: Folder, kinds: tuple[str, ...]) -> list[Path]:
-    """Return the files of some kinds in the folder, at most so many as can be chosen from."""
+    """Return the files with these endings, at most `MOST_CHOICES`."""
     return list(islice((path for path in folder.files(kinds) if folder.has(path)), MOST_CHOICES))
 
 
@@ -202,7 +203,7 @@ _NOT_OURS = ("cases", "logs", "figures", "node_modules", "__pycache__")
 
 
 def read_study(path: Path) -> FoundStudy | None:
-    """Return what a TOML file says if it is a study; what is wrong with it is found when it is opened."""
+    """Return the study of a TOML file, None if it is none."""
     try:
         if path.stat().st_size > LARGEST_STUDY:
             return None

@@ -1,4 +1,4 @@
-"""The server of the workbench: its addresses, how it begins and ends, and the browser that is started for it."""
+"""Server of the workbench: addresses, begin, end; start of the browser."""
 
 from __future__ import annotations
 
@@ -32,27 +32,10 @@ _ENTRY = "open.html"
 
 
 class Workbench:
-    """A server for one user and one folder.
+    """Server for one user and one folder.
 
-    Parameters
-    ----------
-    folder : Folder
-    study : Path, optional
-        That the first page shows, in the folder.
-    port : int
-        Default: any free one.
-
-    Attributes
-    ----------
-    address : str
-        Of the first page, with a token that lets a browser in as long as the server runs.
-    jobs : Jobs
-        What it has begun.
-
-    Raises
-    ------
-    InputError
-        If the port is taken.
+    It begins with the page of `study` if given; port 0 is any free one. `address` is that of the first page, with a
+    token.
     """
 
     def __init__(self, folder: Folder, study: Path | None = None, *, port: int = 0) -> None:
@@ -79,21 +62,18 @@ class Workbench:
         self.address = self._first + self._guard.token
 
     def single_use_address(self) -> str:
-        """Return the address of the first page with a token that lets a browser in once."""
+        """Return the address of the first page, valid once."""
         return self._first + self._guard.single_use_token()
 
     @property
     def awaits_browser(self) -> bool:
-        """Whether a single-use address has not been used."""
+        """Whether a single-use address is unused."""
         return self._guard.awaits_browser
 
     def run(self, ready: Callable[[], object] = lambda: None) -> None:
-        """Serve until it is interrupted or stopped; runs that it has begun are interrupted then, and saved.
+        """Serve until interrupted or stopped, then interrupt its commands.
 
-        Parameters
-        ----------
-        ready : callable
-            Called when it answers.
+        `ready` is called as soon as it answers.
         """
         self._loop = IOLoop(make_current=True)  # of this thread
         self._http.add_sockets(self._sockets)
@@ -117,38 +97,25 @@ class Workbench:
 
 @contextlib.contextmanager
 def entry_file(bench: Workbench) -> Iterator[Path]:
-    """Provide a file that leads to the first page; only its owner can read it.
+    """Provide a file that leads to the first page.
 
-    Every user of a machine can read the arguments of a browser. They name this file and no secret.
-
-    Parameters
-    ----------
-    bench : Workbench
-
-    Yields
-    ------
-    Path
-        In a folder of its own, removed at the end.
+    Only its owner can read it. All users can read a browser's arguments: they name this file, and no secret.
     """
     with tempfile.TemporaryDirectory(prefix="fmuid-open-", ignore_cleanup_errors=True) as folder:
         path = Path(folder, _ENTRY)
-        path.touch(mode=0o600)  # before there is a secret in it
+        path.touch(mode=0o600)  # before it has a secret
         path.write_text(redirecting_page(bench.single_use_address()), encoding="utf-8")
         yield path
 
 
 def start_browser(path: Path, failed: Callable[[], object]) -> threading.Thread:
-    """Open a file in the user's browser; one in the foreground blocks only the thread that is returned.
+    """Open a file in the browser, from a thread that it may block.
 
-    Parameters
-    ----------
-    path : Path
-    failed : callable
-        Called in the thread if no browser could be started.
+    `failed` is called in the thread if no browser starts.
     """
 
     def start() -> None:
-        with contextlib.suppress(webbrowser.Error, OSError, ValueError):  # ValueError: quotes in $BROWSER do not close
+        with contextlib.suppress(webbrowser.Error, OSError, ValueError):  # ValueError: unclosed quotes in $BROWSER
             if webbrowser.open(path.as_uri()):
                 return
         failed()
@@ -169,7 +136,7 @@ def _build(where: str, workbench: Workbench, doc: Any) -> None:
 
 @cache
 def _pages() -> dict[str, Callable[[Any, Workbench], None]]:
-    """Return what builds each page with figures; the modules are imported when the first one is asked for."""
+    """Return the builders of pages, whose modules are slow to import."""
     from fmuid.apps.workbench.pages import batch, faults, new, results, study
 
     built = (study.build, results.build, batch.build, faults.build, new.build)

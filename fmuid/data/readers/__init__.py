@@ -1,4 +1,4 @@
-"""Binary data files: the reader of each suffix, called in the reader process."""
+"""Readers of binary data files, by suffix."""
 
 from __future__ import annotations
 
@@ -32,21 +32,7 @@ WITH_SHEETS = tuple(suffix for suffix, (_, read) in BINARY.items() if read in (r
 
 
 def read_binary(path: Path, source: str, sheet: str | int | None = None) -> FileColumns:
-    """Read the columns of a binary file in the reader process.
-
-    Parameters
-    ----------
-    path : Path
-    source : str
-        Name of the file in messages.
-    sheet : str or int, optional
-        One of several tables, by its name or its place from 1.
-
-    Raises
-    ------
-    InputError
-        If the file cannot be read, holds no table, or the process is lost over it.
-    """
+    """Read the columns of a binary file in the reader process."""
     try:
         found = call_reader(_plain_columns, path, source, sheet)
     except ContentError as error:
@@ -56,7 +42,7 @@ def read_binary(path: Path, source: str, sheet: str | int | None = None) -> File
 
 
 def _plain_columns(path: Path, source: str, sheet: str | int | None) -> dict[str, Any]:
-    """Read the columns of a binary file, in types that a process answers with."""
+    """Read a binary file; return types that a process can send."""
     name, read = BINARY[path.suffix.lower()]
     try:
         found = read(path, source, sheet)

@@ -1,4 +1,4 @@
-"""Parquet and Feather, read by Arrow alone: pandas' extension types and pickles take no part."""
+"""Parquet and Feather by Arrow alone, without pandas' extension types and pickles."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ _NO_DATE = np.iinfo(np.int64).min
 
 
 def read_parquet(path: Path, _source: str, _sheet: object) -> FileColumns:
-    """Read a Parquet table; a named or dated index of pandas becomes a column."""
+    """Read a Parquet file."""
     import pyarrow.parquet
 
     with path.open("rb") as file:
@@ -24,7 +24,7 @@ def read_parquet(path: Path, _source: str, _sheet: object) -> FileColumns:
 
 
 def read_feather(path: Path, _source: str, _sheet: object) -> FileColumns:
-    """Read a Feather table; a named or dated index of pandas becomes a column."""
+    """Read a Feather file."""
     import pyarrow.feather
 
     return _columns(pyarrow.feather.read_table(path, memory_map=False))
@@ -52,7 +52,7 @@ def _columns(table: Any) -> FileColumns:
 
 
 def _array(column: Any) -> Array:
-    """Return a column as numbers, dates, durations or cells; of a nested type only its name, which is no number."""
+    """Return a column as numbers, dates or cells; of nested types only the type name."""
     import pyarrow as pa
     from pyarrow import types
 

@@ -1,6 +1,6 @@
-"""What readers of binary files return, and the process they run in.
+"""Columns of binary data files, and the process that reads them.
 
-One process reads all files: a crash, a hang or a lack of memory costs one sentence. It begins with the first file.
+One process reads all files: a crash, a hang or a lack of memory costs one sentence.
 """
 
 from __future__ import annotations
@@ -36,26 +36,11 @@ _REMEDY = "it is damaged or too large, write it again or in parts"
 
 @dataclass(frozen=True)
 class FileColumns:
-    """The columns of a binary file as plain arrays under their headers.
+    """Columns of a binary file as plain arrays under their headers.
 
-    Attributes
-    ----------
-    headers : tuple of str
-        One for each column.
-    values : tuple of ndarray (K,)
-        Numbers, truth values, dates (in UTC where they have a zone), durations, or objects: None, numbers and texts.
-    units : dict of int to str
-        Units that the file says elsewhere than in the header, by the column's place.
-    below : tuple of str
-        A row of units below the headers, empty without one.
-    zones : dict of int to str
-        Time zones of dates.
-    time : int, optional
-        Place of the column that the format itself knows for the time.
-    days : tuple of int
-        Columns of numbers that pandas may have written of durations, in days.
-    units_in_headers : bool
-        Whether headers may end in a unit; else they are names as they are.
+    `values` are numbers, dates (UTC if zoned), durations or cells. By place: `units` outside headers, time `zones`, the
+    format's own `time`, and `days` for possible pandas durations. `below` is a row of units. Headers end in a unit only
+    if `units_in_headers`.
     """
 
     headers: tuple[str, ...]
@@ -69,13 +54,7 @@ class FileColumns:
 
 
 def library(name: str, extra: str, source: str) -> ModuleType:
-    """Import a library that only some formats need.
-
-    Raises
-    ------
-    InputError
-        If it is not installed; the sentence names the extra that brings it.
-    """
+    """Import the library of a format, or name the extra to install."""
     try:
         return importlib.import_module(name)
     except ImportError:
@@ -85,13 +64,7 @@ def library(name: str, extra: str, source: str) -> ModuleType:
 
 
 def chosen(names: Sequence[str], wanted: str | int, source: str) -> str:
-    """Return the name of one of several tables in a file, given by its name or its place from 1.
-
-    Raises
-    ------
-    InputError
-        If there is none.
-    """
+    """Return the name of a sheet given by name or place from 1."""
     if isinstance(wanted, int) and 1 <= wanted <= len(names):
         return names[wanted - 1]
     if isinstance(wanted, str) and wanted in names:
@@ -103,23 +76,7 @@ def chosen(names: Sequence[str], wanted: str | int, source: str) -> str:
 def columns_of_vectors(
     source: str, vectors: Mapping[str, Array], units: Mapping[str, str], separator: str
 ) -> FileColumns:
-    """Return as columns the vectors of the most common length, or of the time's where one is called so.
-
-    Parameters
-    ----------
-    source : str
-        Name of the file in messages.
-    vectors : mapping of str to ndarray
-        By their names, in groups as ``group<separator>name``; a group that all columns share is left out.
-    units : mapping of str to str
-        Of vectors whose unit the file says elsewhere than in the name.
-    separator : str
-
-    Raises
-    ------
-    InputError
-        If there are no vectors with more than one sample.
-    """
+    """Return vectors of the time's length, else of the most common length, as columns."""
     lengths = Counter(value.size for value in vectors.values() if value.size > 1)
     if not lengths:
         raise InputError(f"{source}: the file holds no numeric vectors: save the columns as vectors of one length")
@@ -133,7 +90,7 @@ def columns_of_vectors(
 
 
 def array_of_cells(cells: Sequence[Cell]) -> Array:
-    """Return a column of typed cells as numbers, dates or durations where all are; else as texts, numbers and None."""
+    """Return cells as numbers, dates or durations, if uniform; else as objects."""
     kinds = {type(cell) for cell in cells} - {type(None)}
     if kinds and kinds <= {bool, int, float}:
         return np.array([math.nan if cell is None else cell for cell in cells], dtype=np.float64)
@@ -145,13 +102,7 @@ def array_of_cells(cells: Sequence[Cell]) -> Array:
 
 
 def call_reader(function: Callable[..., dict[str, Any]], path: Path, *arguments: Any) -> dict[str, Any]:
-    """Call a reader of a file in the reader process.
-
-    Raises
-    ------
-    ContentError
-        If the file cannot be read, or the process is lost over it.
-    """
+    """Call a reader in the reader process; raise `ContentError` if it fails."""
     from fmuid.processes import HostExitError
 
     try:
@@ -166,7 +117,6 @@ def call_reader(function: Callable[..., dict[str, Any]], path: Path, *arguments:
 
 
 def _lost(end: HostExitError, limit: float) -> str:
-    """Return what became of the reader process over a file, and what to do."""
     from fmuid.processes import CRASHED, GREW, HUNG
 
     if end.kind == CRASHED:

@@ -1,4 +1,4 @@
-"""HDF5: vectors in groups, tables with named fields, tables of pandas; MATLAB's version 7.3 is HDF5 too."""
+"""HDF5: vectors in groups, compound vectors, frames of pandas, MATLAB 7.3."""
 
 from __future__ import annotations
 
@@ -18,21 +18,7 @@ _UNIT_ATTRIBUTES = ("unit", "units", "Unit", "Units")
 
 
 def read_hdf(path: Path, source: str, frame: str | int | None) -> FileColumns:
-    """Read a frame of pandas, or else the vectors of the most common length, with their attribute ``unit``.
-
-    Parameters
-    ----------
-    path : Path
-    source : str
-        Name of the file in messages.
-    frame : str or int, optional
-        Which of several frames, by its key or its place from 1.
-
-    Raises
-    ------
-    InputError
-        If the file cannot be read, has several frames and none is chosen, or has no vectors of one length.
-    """
+    """Read a frame of pandas (by key or place from 1), or vectors with units."""
     with _opened(path, source) as file:
         objects = _objects(file)
         found = [name for name, each in objects if PANDAS_TYPE in each.attrs]
@@ -50,21 +36,21 @@ def read_hdf(path: Path, source: str, frame: str | int | None) -> FileColumns:
 
 
 def vectors_of_hdf(path: Path, source: str) -> dict[str, Array]:
-    """Return the numeric vectors of a MAT file of version 7.3, those of structures as ``structure.field``."""
+    """Return the numeric vectors of a MAT file of version 7.3."""
     with _opened(path, source) as file:
         vectors, _ = _vectors(_objects(file))
     return {name.replace("/", "."): value for name, value in vectors.items() if not name.startswith("#")}
 
 
 def _objects(file: Any) -> list[tuple[str, Any]]:
-    """Return all groups and datasets by their paths, each once, whatever links to it; none of other files."""
+    """Return all groups and datasets by path, each once."""
     found: list[tuple[str, Any]] = []
     file.visititems(lambda name, item: found.append((name, item)))
     return found
 
 
 def _check_compression(objects: list[tuple[str, Any]], source: str) -> None:
-    """Refuse datasets with a filter that HDF5 lacks here: PyTables compresses by blosc, bzip2 and lzo, too."""
+    """Refuse datasets with filters that are not installed, such as blosc."""
     from h5py.h5z import filter_avail
 
     for path, item in objects:
@@ -94,7 +80,7 @@ def _vectors(objects: list[tuple[str, Any]]) -> tuple[dict[str, Array], dict[str
 
 
 def _of_dataset(path: str, item: Any) -> Iterator[tuple[str, Array, str]]:
-    """Yield name, values and unit of each numeric vector; also of compound ones and of matrices with names."""
+    """Yield name, values and unit of each numeric vector."""
     prefix = path[: path.rfind("/") + 1]
     if item.dtype.names and item.ndim == 1:
         values = item[()]

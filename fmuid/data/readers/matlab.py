@@ -1,7 +1,6 @@
-"""MAT files: of MATLAB in all versions, and the results of OpenModelica and Dymola.
+"""MAT files of MATLAB, and results of OpenModelica and Dymola.
 
-Results are "trajectory" files in MAT version 4, stored either way round; the format is described in the OpenModelica
-User's Guide, "The MATv4 Result File Format".
+Results are "trajectory" files in MAT version 4 (OpenModelica User's Guide, "The MATv4 Result File Format").
 """
 
 from __future__ import annotations
@@ -22,16 +21,7 @@ Arrays = dict[str, npt.NDArray[Any]]
 
 
 def read_mat(path: Path, source: str, _sheet: object) -> FileColumns:
-    """Read a MAT file: its numeric vectors of the most common length, also those in structures.
-
-    A matrix whose columns are named by a cell array of as many texts gives that many columns. MATLAB writes its own
-    tables and timetables in a form that nobody else reads.
-
-    Raises
-    ------
-    InputError
-        Where the file cannot be read, or holds no vectors.
-    """
+    """Read the numeric vectors of a MAT file, or the variables of a result."""
     try:
         content = _content(path)
     except NotImplementedError:  # version 7.3 is HDF5
@@ -59,7 +49,7 @@ def _content(path: Path) -> Arrays:
 
 
 def _vectors(arrays: Arrays, prefix: str = "") -> Iterator[tuple[str, npt.NDArray[Any]]]:
-    """Yield the numeric vectors by their names, and those in structures as ``structure.field``."""
+    """Yield numeric vectors by name, ``structure.field`` in structures."""
     for name, value in arrays.items():
         if value.dtype.names and value.size == 1:
             fields = value.ravel()[0]
@@ -72,21 +62,16 @@ def _vectors(arrays: Arrays, prefix: str = "") -> Iterator[tuple[str, npt.NDArra
 
 
 def _names(value: npt.NDArray[Any]) -> list[str]:
-    """Return the texts of a cell array of texts, none where it is something else."""
+    """Return the texts of a cell array, if it is one of texts."""
     cells: Any = value.ravel() if value.dtype.kind == "O" else []
     return ["".join(cell.ravel()).strip() for cell in cells if isinstance(cell, np.ndarray) and cell.dtype.kind == "U"]
 
 
 def _result_columns(source: str, arrays: Arrays) -> FileColumns:
-    """Return the table in a result file (Aclass version 1.1, and 1.0 of Dymola's export); its time is called ``time``.
+    """Return the variables of a result (Aclass 1.0 or 1.1), time as ``time``.
 
-    Parameters and constants become constant columns, because the tools store inputs that do not move as such. Of three
-    or more rows at the time of an event the first and the last are kept: the values before and after.
-
-    Raises
-    ------
-    InputError
-        Where the file holds something else, or not all of it.
+    Parameters and constants become constant columns: inputs that do not change are stored so. Of three or more rows at
+    one time, the first and last are kept.
     """
     kind = ["".join(row).strip(" \0") for row in arrays["Aclass"]]
     if kind[0] != "Atrajectory" or len(kind) < 4 or kind[3] not in ("binTrans", "binNormal"):
@@ -94,7 +79,10 @@ def _result_columns(source: str, arrays: Arrays) -> FileColumns:
     if kind[3] == "binTrans":
         arrays = {name: value if name == "Aclass" else value.T for name, value in arrays.items()}
     try:
-        columns = _version_1_0(arrays) if "data" in arrays else _version_1_1(arrays)
+        if "data" in arrays:  # version 1.0
+            columns = {_text(name): arrays["data"][:, k] for k, name in enumerate(arrays["names"])}
+        else:
+            columns = _version_1_1(arrays)
     except (KeyError, IndexError, ValueError):
         raise InputError(f"{source}: the result file is incomplete: simulate again") from None
     names = ["time" if name.lower() == "time" else name for name in columns]
@@ -107,15 +95,10 @@ def _result_columns(source: str, arrays: Arrays) -> FileColumns:
     return FileColumns(tuple(names), tuple(each[~inside] for each in values), units_in_headers=False)
 
 
-def _version_1_0(arrays: Arrays) -> Arrays:
-    return {_text(name): arrays["data"][:, k] for k, name in enumerate(arrays["names"])}
-
-
 def _version_1_1(arrays: Arrays) -> Arrays:
-    """Take each variable from where dataInfo says.
+    """Return variables from the places in dataInfo.
 
-    Column 1 of dataInfo is the matrix: 0 for time, 1 for data_1 (constants: their start and stop values), 2 for
-    data_2 (one row a sample, time first). Column 2 is the column there, from 1, negative for a negated alias.
+    Column 1 is the matrix: 0 time, 1 data_1 (constants), 2 data_2. Column 2 is the column from 1, negative if negated.
     """
     samples = len(arrays["data_2"])
     columns: Arrays = {}
@@ -130,7 +113,7 @@ def _version_1_1(arrays: Arrays) -> Arrays:
 
 
 def _text(characters: npt.NDArray[np.str_]) -> str:
-    """Join single characters to a name; the tools write UTF-8 bytes, which the MAT format takes for characters."""
+    """Return a name; tools write UTF-8 bytes as MAT characters."""
     joined = "".join(characters).strip(" \0")
     try:
         return joined.encode("latin-1").decode("utf-8")

@@ -1,6 +1,6 @@
-"""Tables that pandas has written to HDF5, in both of its layouts, read without unpickling what they hold.
+"""Frames of pandas in HDF5, in both layouts, without unpickling.
 
-pandas stores names and time zones as pickles, and `pandas.read_hdf` executes them. Here they are read as plain values.
+pandas stores names and time zones as pickles. `pandas.read_hdf` executes them; here they are plain values.
 """
 
 from __future__ import annotations
@@ -27,19 +27,7 @@ _NAMED_ZONES = ("zoneinfo.ZoneInfo._unpickle", "pytz._p")
 
 
 def read_frame(group: Any, source: str) -> FileColumns:
-    """Read a table of numbers, dates, durations and texts; its index is a column if it has a name or dates.
-
-    Parameters
-    ----------
-    group : h5py.Group
-    source : str
-        Name of the file in messages.
-
-    Raises
-    ------
-    InputError
-        If it holds something else.
-    """
+    """Read a frame; its index is a column if it has a name or dates."""
     kind = _attribute(group, PANDAS_TYPE)
     if kind not in ("frame", "frame_table"):
         raise InputError(f"{source}: {group.name!r} is no table: save a DataFrame")
@@ -49,24 +37,14 @@ def read_frame(group: Any, source: str) -> FileColumns:
 
 @dataclass(eq=False)
 class PickledObject:
-    """An object that a pickle would build, by name only: it is neither imported nor built.
-
-    Attributes
-    ----------
-    name : str
-        Module and name of the class or function, such as ``datetime.timezone``.
-    arguments : tuple
-        Its arguments, empty before any are given.
-    state : object
-        What the pickle would set it to, None without.
-    """
+    """Object of a pickle by name, neither imported nor built."""
 
     name: str
     arguments: tuple[Any, ...] = ()
     state: Any = None
 
     def __call__(self, *arguments: Any) -> PickledObject:
-        """Return what a call would build; a method that old pickles look up by `getattr` is one by name."""
+        """Return the object of a call, the one by name of a looked-up method."""
         if self.name in ("__builtin__.getattr", "builtins.getattr"):
             owner, attribute = arguments
             return PickledObject(f"{owner.name}.{attribute}")
@@ -77,7 +55,7 @@ class PickledObject:
 
 
 class _NamesAlone(pickle.Unpickler):
-    """Reads pickles without importing what they name (Python's documentation, "Restricting Globals")."""
+    """Unpickler without imports (Python's documentation, "Restricting Globals")."""
 
     def find_class(self, module: str, name: str) -> PickledObject:
         """Return a class or function by its name."""
@@ -85,13 +63,7 @@ class _NamesAlone(pickle.Unpickler):
 
 
 def plain_value(data: bytes) -> Any:
-    """Return the value of a pickle: None, numbers, texts and collections of them; objects are a `PickledObject`.
-
-    Raises
-    ------
-    ValueError
-        If the bytes are no pickle, or need more than that.
-    """
+    """Return the plain value of a pickle, or raise `ValueError`."""
     try:
         return _NamesAlone(io.BytesIO(data), encoding="latin-1").load()
     except Exception as error:  # of many kinds
@@ -99,20 +71,14 @@ def plain_value(data: bytes) -> Any:
 
 
 class _Frame:
-    """The group of one table of pandas.
-
-    Parameters
-    ----------
-    group : h5py.Group
-    source : str
-    """
+    """Group of one frame."""
 
     def __init__(self, group: Any, source: str) -> None:
         self._group, self._source = group, source
         self._encoding = str(_attribute(group, "encoding") or "UTF-8")
 
     def of_blocks(self) -> FileColumns:
-        """Return the columns of the layout ``fixed``: a matrix for all columns of one type."""
+        """Return the columns of layout ``fixed``: one matrix per type."""
         found: dict[str, tuple[Array, str | None]] = {}
         for k in range(int(_attribute(self._group, "nblocks"))):
             node, names = self._group[f"block{k}_values"], self._labels(f"block{k}_items")
@@ -129,7 +95,7 @@ class _Frame:
         return _with_index(_attribute(node, "name"), index, zone, columns_of)
 
     def of_table(self) -> FileColumns:
-        """Return the columns of the layout ``table``: rows of an index and of the columns of one type together."""
+        """Return the columns of layout ``table``: rows of index and typed blocks."""
         table, info = self._group["table"], _attribute(self._group, "info") or {}
         rows = table[()]
         found: dict[str, tuple[Array, str | None]] = {}
@@ -150,7 +116,6 @@ class _Frame:
         return _with_index(said.get("index_name"), index, self._zone(said.get("tz")), columns_of)
 
     def _labels(self, name: str) -> list[str]:
-        """Return the labels of an axis."""
         if _attribute(self._group, f"{name}_variety") != "regular":
             raise self._refusal("its header", "levels")
         node = self._group[name]
@@ -172,7 +137,6 @@ class _Frame:
         return self._typed(node[()], kind, names)
 
     def _typed(self, values: Array, kind: Any, names: list[str]) -> Array:
-        """Return stored values as those of their type."""
         kind = str(kind)
         if kind.startswith(("datetime64", "timedelta64")):
             return values.view(kind if kind.endswith("]") else f"{kind}[ns]")
@@ -203,7 +167,6 @@ class _Frame:
         return value.decode(self._encoding, "replace") if isinstance(value, bytes) else str(value)
 
     def _zone(self, given: Any) -> str | None:
-        """Return the name of a time zone."""
         if isinstance(given, PickledObject) and given.name == "datetime.timezone":
             days, seconds, _ = given.arguments[0].arguments
             minutes = round((days * _SECONDS_OF_DAY + seconds) / 60)
@@ -222,7 +185,7 @@ class _Frame:
 
 
 def _with_index(name: Any, index: Array, zone: str | None, columns: dict[str, tuple[Array, str | None]]) -> FileColumns:
-    """Return the columns, and the index before them if it has a name or dates."""
+    """Return the columns after the index, if that has a name or dates."""
     dated = index.dtype.kind in "mM"
     own = "time" if name is None and dated else name
     if own is not None and str(own) not in columns:
@@ -237,7 +200,7 @@ def _with_index(name: Any, index: Array, zone: str | None, columns: dict[str, tu
 
 
 def _attribute(node: Any, name: str) -> Any:
-    """Return an attribute as PyTables has written it: a number, a text, or a pickle of plain values."""
+    """Return an attribute of PyTables as a plain value."""
     value = node.attrs.get(name)
     if isinstance(value, bytes):
         if value.endswith(b"."):

@@ -1,4 +1,4 @@
-"""Files of data loggers: TDMS of National Instruments, and MDF of automotive tools."""
+"""TDMS of National Instruments and MDF of automotive tools."""
 
 from __future__ import annotations
 
@@ -21,15 +21,7 @@ _FORMULA_SHOWN = 60  # characters
 
 
 def read_tdms(path: Path, source: str, _sheet: object) -> FileColumns:
-    """Read the channels of the longest group of a TDMS file, with their units.
-
-    Channels of a waveform have no column of time: it comes from their increment, as `time`.
-
-    Raises
-    ------
-    InputError
-        Where the file cannot be read or has no channels.
-    """
+    """Read the longest group of a TDMS file; waveforms get their time by increment."""
     nptdms = library("nptdms", "tdms", source)
     groups = [group.channels() for group in nptdms.TdmsFile.read(path).groups()]
     channels: list[Any] = max(groups, key=lambda found: sum(len(channel) for channel in found), default=[])
@@ -52,15 +44,7 @@ def read_tdms(path: Path, source: str, _sheet: object) -> FileColumns:
 
 
 def read_mdf(path: Path, source: str, _sheet: object) -> FileColumns:
-    """Read all channels of an MDF file (3 or 4), with their units, at the union of their times.
-
-    A channel is missing where it has no sample.
-
-    Raises
-    ------
-    InputError
-        Where the file cannot be read or has no channels.
-    """
+    """Read an MDF file (3 or 4) at the union of its channels' times."""
     asammdf = library("asammdf", "mdf", source)
     with _formulas_as_expressions(source), asammdf.MDF(path) as file:
         signals = [signal for signal in file.iter_channels() if signal.samples.dtype.kind in "biuf"]
@@ -75,7 +59,7 @@ def read_mdf(path: Path, source: str, _sheet: object) -> FileColumns:
 
 
 def _at(times: Array, own: Array, samples: Array) -> Array:
-    """Return the samples of a channel at other times, the first of several at one time, NaN where it has none."""
+    """Return samples at other times: the first of several, NaN where none."""
     found, first = np.unique(own, return_index=True)
     if len(found) == len(times):
         return samples[first]
@@ -86,9 +70,9 @@ def _at(times: Array, own: Array, samples: Array) -> Array:
 
 @contextmanager
 def _formulas_as_expressions(source: str) -> Iterator[None]:
-    """Have asammdf compute conversion formulas as fmuid does expressions, which runs nothing of them as Python.
+    """Have asammdf compute formulas by `evaluate`.
 
-    It would give them to numexpr and SymPy, and both run Python's `eval`. A formula that fails it would skip.
+    By itself it gives them to numexpr and SymPy, and both run Python's `eval`.
     """
     from asammdf.blocks import v2_v3_blocks, v4_blocks
 

@@ -1,4 +1,4 @@
-"""Spreadsheets: .xlsx, .xls and .ods; the head is found as in a text."""
+"""Spreadsheets: .xlsx, .xls and .ods."""
 
 from __future__ import annotations
 
@@ -21,28 +21,18 @@ _DIGITS = 12
 
 
 def read_spreadsheet(path: Path, source: str, sheet: str | int | None) -> FileColumns:
-    """Read a sheet by its name or its place from 1; default: the first with a table.
-
-    Raises
-    ------
-    InputError
-        Where the file cannot be read, has no table or no such sheet.
-    """
+    """Read a sheet by name or place from 1; default: the first with a table."""
     book = library("python_calamine", "excel", source).CalamineWorkbook.from_path(path)
     for name in book.sheet_names if sheet is None else [chosen(book.sheet_names, sheet, source)]:
-        rows = _without_margins(book.get_sheet_by_name(name).to_python())
+        filled = [row for row in book.get_sheet_by_name(name).to_python() if not all(map(is_missing, row))]
+        widest = range(max(map(len, filled), default=0))
+        columns = [k for k in widest if not all(is_missing(row[k]) for row in filled)]
+        rows = [[row[k] for k in columns] for row in filled]
         head = find_head(rows)
         if head is not None:
             return _columns(rows, head, path)
     which = "no sheet holds" if sheet is None else f"the sheet {sheet!r} does not hold"
     raise InputError(f"{source}: {which} a table: give a header with the names and rows of samples")
-
-
-def _without_margins(rows: list[list[Cell]]) -> list[list[Cell]]:
-    """Leave out rows and columns that are empty."""
-    filled = [row for row in rows if not all(map(is_missing, row))]
-    columns = [k for k in range(max(map(len, filled), default=0)) if not all(is_missing(row[k]) for row in filled)]
-    return [[row[k] for k in columns] for row in filled]
 
 
 def _columns(rows: list[list[Cell]], head: TableHeader, path: Path) -> FileColumns:
@@ -57,10 +47,7 @@ def _columns(rows: list[list[Cell]], head: TableHeader, path: Path) -> FileColum
 
 
 def _shown_as_whole(path: Path) -> set[float] | None:
-    """Return the numbers of .xlsx in cells of the format 0, which shows no decimals; None where formats are not known.
-
-    So pandas writes durations, and hardly anybody else a number that is not whole.
-    """
+    """Return the numbers of .xlsx shown without decimals, as pandas writes durations; None if unknown."""
     if path.suffix.lower() not in (".xlsx", ".xlsm"):
         return None
     found: set[float] = set()
@@ -81,9 +68,9 @@ def _shown_as_whole(path: Path) -> set[float] | None:
 
 
 def _are_days(values: Sequence[float]) -> bool:
-    """Return whether numbers have many digits and few when they are days counted in seconds.
+    """Return whether numbers have few digits only as days counted in seconds.
 
-    Numbers in s look so, too, where a rate has a factor of 3, as 48 kHz.
+    Times in s have many digits, too, at rates with a factor of 3, as 48 kHz.
     """
     return not all(map(_is_short, values)) and all(_is_short(SECONDS["d"] * value) for value in values)
 

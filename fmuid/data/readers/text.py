@@ -1,4 +1,4 @@
-"""Tables as text, in the dialects of test benches and Excel: the encoding, the separator and the head are found."""
+"""Delimited text: encoding, separator and header are detected."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ _COMMENT = ("#", "%", "//")
 
 @dataclass(frozen=True)
 class _Layout:
-    """How a text is a table: what separates cells and decimals, the head and its last line, and the cells of a row."""
+    """Separators, header with its last line, and cells per row."""
 
     separator: str
     decimal: str
@@ -57,16 +57,7 @@ class _Layout:
 
 
 def read_text(path: Path, source: str) -> RawTable:
-    """Read delimited text, plain or packed with gzip or zip.
-
-    The encoding is UTF-8, UTF-16 with a byte order mark, or else Windows' cp1252. Of comma, semicolon, tab, bar and
-    spaces that one separates which makes the most columns of numbers, with decimal points or commas.
-
-    Raises
-    ------
-    InputError
-        Where the file is no such text, a column is there twice, or a row has too few or too many cells.
-    """
+    """Read delimited text, plain or packed; the separator gives the most numeric columns."""
     opened = _opener(path, source)
     with opened() as file:
         start = file.read(_LOOKED_AT)
@@ -87,7 +78,7 @@ def read_text(path: Path, source: str) -> RawTable:
 
 
 def _decoded(start: bytes) -> Iterator[tuple[str, str]]:
-    """Yield each encoding that the first bytes of a file can have, and their text."""
+    """Yield each possible encoding of the first bytes, and their text."""
     marked = start.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE))
     for encoding in ("utf-16" if marked else "utf-8-sig", "cp1252"):
         with suppress(UnicodeDecodeError):
@@ -95,26 +86,14 @@ def _decoded(start: bytes) -> Iterator[tuple[str, str]]:
 
 
 def first_lines(path: Path, count: int) -> list[str]:
-    """Return the first lines of a file, plain or packed, at most `count`; none of a file that is no text.
-
-    Raises
-    ------
-    InputError
-        If it cannot be unpacked.
-    """
+    """Return at most `count` first lines of a text file."""
     with _opener(path, str(path))() as file:
         text = next((text for _, text in _decoded(file.read(_LOOKED_AT))), "\0")
     return [] if "\0" in text else text.splitlines()[:count]
 
 
 def head_length(start: bytes, source: str) -> int:
-    """Return how many bytes of a text come before its first row of samples.
-
-    Parameters
-    ----------
-    start : bytes
-        The begin of the text, whole lines; not UTF-16.
-    source : str
+    """Return the bytes before the first row of samples; `start` has whole lines, not UTF-16.
 
     Raises
     ------
@@ -130,7 +109,7 @@ def head_length(start: bytes, source: str) -> int:
 
 
 def _without_end(opened: Callable[[], IO[bytes]], encoding: str, layout: _Layout) -> Callable[[], IO[bytes]]:
-    """Return what opens a text without the lines after its samples: words, comments and rows of separators."""
+    """Return an opener without the lines after the samples."""
     with opened() as file:
         size = file.seek(0, io.SEEK_END)
         file.seek(max(size - _END, 0))
@@ -145,7 +124,7 @@ def _without_end(opened: Callable[[], IO[bytes]], encoding: str, layout: _Layout
 
 
 def _says_nothing(line: str, layout: _Layout) -> bool:
-    """Return whether a line has no sample, and is no row that was cut off."""
+    """Return whether a line has no sample and is no cut row."""
     row = next((row for _, row in _rows(iter([line]), layout.separator)), [""])
     if all(map(is_missing, row)):
         return True
@@ -154,13 +133,7 @@ def _says_nothing(line: str, layout: _Layout) -> bool:
 
 
 def _opener(path: Path, source: str) -> Callable[[], IO[bytes]]:
-    """Return what opens the text; what is packed is unpacked once.
-
-    Raises
-    ------
-    InputError
-        If it cannot be unpacked, or an archive holds more than the table.
-    """
+    """Return an opener of the unpacked text."""
     suffix = path.suffix.lower()
     if suffix not in (".gz", ".zip"):
         return lambda: path.open("rb")
@@ -177,7 +150,7 @@ def _opener(path: Path, source: str) -> Callable[[], IO[bytes]]:
 
 
 def _rows(lines: Iterator[str] | IO[str], separator: str) -> Iterator[tuple[int, list[str]]]:
-    """Yield each row that is not blank with the number of lines up to its end."""
+    """Yield each non-blank row with its line number."""
     if separator == _SPACES:
         yield from ((number, line.split()) for number, line in enumerate(lines, start=1) if line.strip())
         return
@@ -186,7 +159,7 @@ def _rows(lines: Iterator[str] | IO[str], separator: str) -> Iterator[tuple[int,
 
 
 def _layout(source: str, text: str) -> _Layout:
-    """Return the layout with the most columns of numbers, the first of those with as many."""
+    """Return the layout with the most numeric columns."""
     best, most = None, 0
     for separator in _SEPARATORS:
         try:
@@ -206,7 +179,7 @@ def _layout(source: str, text: str) -> _Layout:
 
 
 def _without_blank_ends(rows: list[list[str]]) -> tuple[list[list[str]], int]:
-    """Return the rows without a last cell that is empty in all of the most common length, and how many it is."""
+    """Return rows without a last cell that is always empty, and its count."""
     usual = Counter(map(len, rows)).most_common(1)
     length = usual[0][0] if usual else 0
     ends = length > 1 and not any(row[-1].strip() for row in rows if len(row) == length)
@@ -214,7 +187,7 @@ def _without_blank_ends(rows: list[list[str]]) -> tuple[list[list[str]], int]:
 
 
 def _plain(row: list[str], separator: str) -> list[str]:
-    """Return a row without the comment mark before its first cell."""
+    """Return a row without a leading comment mark."""
     first = row[0].strip()
     for mark in _COMMENT:
         if first.startswith(mark):
@@ -224,7 +197,7 @@ def _plain(row: list[str], separator: str) -> list[str]:
 
 
 def _numeric_columns(rows: Sequence[Sequence[str]], names: int, decimal: str) -> int:
-    """Return how many columns hold numbers in all rows of the table's length, and in one at least."""
+    """Return the number of numeric columns."""
     regular = [row for row in rows if len(row) == names]
     columns = list(zip(*regular, strict=True))
     return sum(
@@ -235,7 +208,7 @@ def _numeric_columns(rows: Sequence[Sequence[str]], names: int, decimal: str) ->
 
 
 def _as_it_is(source: str, text: str) -> _Layout:
-    """Take the first line for the header of a table separated by commas, or say why there is no table."""
+    """Return a comma-separated layout with the first line as header, or refuse."""
     try:
         read = list(_rows(io.StringIO(text), ","))
     except csv.Error:  # its sentences are for programmers
@@ -259,7 +232,6 @@ def _as_it_is(source: str, text: str) -> _Layout:
 def _samples(
     opened: Callable[[], IO[bytes]], source: str, layout: _Layout, encoding: str, names: list[str]
 ) -> pd.DataFrame:
-    """Return the rows of samples under their names."""
     try:
         with opened() as file:
             frame: pd.DataFrame = pd.read_csv(
@@ -278,7 +250,8 @@ def _samples(
     except pd.errors.EmptyDataError:  # a header alone; how few rows there are is said by who needs them
         return pd.DataFrame({name: [] for name in names})
     except (csv.Error, pd.errors.ParserError) as error:
-        raise _no_table(source, str(error).strip()) from None
+        said = f"the file is no table ({str(error).strip()}): give every row as many cells as the header"
+        raise InputError(f"{source}: {said}") from None
     if not any(map(pd.api.types.is_numeric_dtype, frame.dtypes)):  # parts put together, each with the header
         frame = frame[~(frame == list(layout.head.names)).all(axis="columns")].reset_index(drop=True)
     frame = frame.apply(_as_numbers, decimal=layout.decimal)
@@ -289,7 +262,7 @@ def _samples(
 
 
 def _as_numbers(column: pd.Series[Any], decimal: str) -> pd.Series[Any]:
-    """Return a column as numbers where all its cells are some, with missing samples where it has marks of them."""
+    """Return a column as numbers if all cells are, NaN where marked as missing."""
     if pd.api.types.is_numeric_dtype(column.dtype) or not all(isinstance(cell, str) for cell in column.dropna()):
         return column
     marked = column.where(~column.map(lambda cell: isinstance(cell, str) and is_missing(cell)))
@@ -302,12 +275,8 @@ def _as_numbers(column: pd.Series[Any], decimal: str) -> pd.Series[Any]:
     return marked.map(lambda cell: cell.replace(",", ".") if isinstance(cell, str) and is_number(cell, ",") else cell)
 
 
-def _no_table(source: str, why: str) -> InputError:
-    return InputError(f"{source}: the file is no table ({why}): give every row as many cells as the header")
-
-
 def _check_rows(rows: Iterator[list[str]], source: str, names: int, first: int) -> None:
-    """Refuse rows with too few cells, which pandas fills up as if samples were missing."""
+    """Refuse rows with too few cells, which pandas would fill."""
     for number, row in enumerate(rows, start=1 - first):
         if number > 0 and len(row) < names:
             raise InputError(

@@ -1,1 +1,1 @@
-"""Covariance of estimates whose residuals are coloured: noise models, the sandwich, and how sure its variances are."""
+"""Noise models of residuals (docs/method.md sections 4 and 12)."""

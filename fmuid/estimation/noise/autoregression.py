@@ -1,19 +1,7 @@
-"""Autoregressive models of a residual: Burg's recursion over unbroken runs, the order chosen by BIC, and slow noise.
+"""Autoregressions by Burg's method, order by BIC (docs/method.md section 4).
 
-A model x(t) = Σ φ_j x(t − j) + w(t) is fitted to second moments: of the residual itself and of what the fit has taken
-out of it (`fmuid.estimation.noise.sandwich`), columns that count by weights of either sign. Only pairs of samples with
-all samples between them there count, so that gaps may be anywhere (de Waele and Broersen). Order 1 is the least from 25
-samples on: chance hides a weak colour from any criterion, and leaving it out costs coverage. There Burg's estimate is
-too small by 2 φ/n on average (Kendall, for a known mean), which is put right. Fewer samples tell nothing of a colour,
-and are taken for white. Slow noise that is too weak for any such order is looked for in what orders 0, 1 and BIC's
-leave (`fmuid.estimation.noise.low_frequency`).
-
-References
-----------
-J. P. Burg, "Maximum entropy spectral analysis", 37th meeting of the Society of Exploration Geophysicists, 1967;
-S. de Waele, P. M. T. Broersen, "The Burg algorithm for segments", IEEE Trans. Signal Processing 48 (10), 2000;
-M. G. Kendall, "Note on bias in the estimation of autocorrelation", Biometrika 41, 1954;
-G. Schwarz, "Estimating the dimension of a model", Annals of Statistics 6 (2), 1978.
+x(t) = Σ φ_j x(t − j) + w(t), fitted to weighted second moments of columns; gaps may be anywhere (de Waele and
+Broersen). From 25 samples on the order is at least 1, without Kendall's bias 2 φ/n; fewer samples count as white.
 """
 
 from __future__ import annotations
@@ -33,30 +21,19 @@ from fmuid.estimation.noise.low_frequency import slow_noise
 
 @dataclass(frozen=True)
 class AutoregressionSettings:
-    """Numbers of the fit of an autoregression."""
+    """Numbers of the fit."""
 
-    orders_a_decade: float = 10.0
-    """Orders up to so many log₁₀ n are tried, ..."""
-    samples_an_order: int = 4
-    """... but no more than the samples divided by this."""
-    more_pairs: int = 4
-    """An order needs pairs of samples: twice its number and so many more."""
-    enough: int = 25
-    """Of fewer samples no colour can be told."""
-    bias: float = 2.0
-    """Kendall: E φ̂ = φ (1 − 2/n) of an autoregression of order 1 whose mean is known."""
-    loudest: float = 1e6
-    """An impulse response beyond this is rounding: poles too close to each other and to 1."""
-    negligible: float = 1e-4
-    """The impulse response is followed until it stays below this share of its largest value, ..."""
-    longest: int = 5000
-    """... to this length, ..."""
-    records: int = 2
-    """... or so many times the length of the record."""
-    block: int = 64
-    """Samples of the impulse response that are found at a time."""
-    least_variance: float = 1e-300
-    """Where there is no variance at all."""
+    orders_a_decade: float = 10.0  # orders up to this times log₁₀ n are tried ...
+    samples_an_order: int = 4  # ... with at least this many samples each
+    more_pairs: int = 4  # an order needs twice its number of pairs, and these
+    enough: int = 25  # fewer samples show no color
+    bias: float = 2.0  # Kendall: E φ̂ = φ (1 − 2/n), order 1, known mean
+    loudest: float = 1e6  # an impulse response beyond this is rounding
+    negligible: float = 1e-4  # share of the largest value at which the impulse response ends ...
+    longest: int = 5000  # ... or at this length ...
+    records: int = 2  # ... or at this multiple of the record, if longer
+    block: int = 64  # samples of the impulse response computed at a time
+    least_variance: float = 1e-300  # in place of zero
 
 
 SETTINGS = AutoregressionSettings()
@@ -64,20 +41,20 @@ SETTINGS = AutoregressionSettings()
 
 @dataclass(frozen=True, eq=False)
 class Autoregression:
-    """An autoregressive process, with weak slow noise beneath or without.
+    """Autoregressive process, optionally with weak low-frequency noise.
 
     Attributes
     ----------
     coefficients : (p,) array
         φ_1 to φ_p.
     variance : float
-        Of the innovation w.
+        Variance of the innovation w.
     samples : int
-        That it was fitted to.
+        Samples of the fit.
     memory : int
-        After so many samples its impulse response is negligible.
+        Length of the impulse response, samples.
     pole, zero : float
-        φ and θ of the slow noise, 0 where there is none.
+        φ and θ of the low-frequency noise, 0 without it.
     """
 
     coefficients: Floats
@@ -88,14 +65,14 @@ class Autoregression:
     zero: float = 0.0
 
     def transfer(self, length: int) -> Complexes:
-        """Return (1 − θ e^(−iω))/((1 − φ e^(−iω)) (1 − Σ φ_j e^(−iωj))) at the frequencies of a real transform."""
+        """Return (1 − θ e^(−iω))/((1 − φ e^(−iω)) (1 − Σ φ_j e^(−iωj))), frequencies of a real transform."""
         found = 1.0 / _spectrum(self.coefficients, length)
         if self.pole:
             found *= _spectrum([self.zero], length) / _spectrum([self.pole], length)
         return found
 
     def along(self, spectra: Complexes, transfer: Complexes, length: int) -> Floats:
-        """Return 2 Σ_t of spectra (..., f) times the derivatives of log `transfer(length)` by all φ_j, φ and θ."""
+        """Return 2 Σ_t of spectra (..., f) times ∂log `transfer`/∂(φ_j, φ, θ)."""
         order = self.coefficients.size
         if not self.pole:
             return np.asarray(2.0 * fft.irfft(spectra * np.conj(transfer), length)[..., 1 : order + 1])
@@ -111,10 +88,10 @@ class Autoregression:
 
     @property
     def gain(self) -> float:
-        """The variance of the process against that of its innovation, Σ h²."""
+        """Variance of the process by that of its innovation, Σ h²."""
         response = self._of_coefficients
         if self.pole:
-            # scipy.signal would filter it too, and takes long to import
+            # not by scipy.signal: slow to import
             count = response.size + self.memory
             slow = np.append(1.0, (self.pole - self.zero) * self.pole ** np.arange(count - 1))
             size = fft.next_fast_len(2 * count, real=True)
@@ -123,23 +100,23 @@ class Autoregression:
 
     @property
     def std(self) -> float:
-        """The standard deviation of the process."""
+        """Standard deviation of the process."""
         return float((self.variance * self.gain) ** 0.5)
 
     def of_variance(self, variance: float) -> Autoregression:
-        """Return the process of this correlation and a given variance."""
+        """Return the process with the same correlation and another variance."""
         return replace(self, variance=variance / self.gain)
 
     @cached_property
     def correlation(self) -> Floats:
-        """The autocorrelation (memory + 1,), from lag 0 on."""
+        """Autocorrelation (memory + 1,), from lag 0 on."""
         size = fft.next_fast_len(2 * self.memory + 1, real=True)
         power = fft.irfft(np.abs(self.transfer(size)) ** 2, size)[: self.memory + 1]
         return np.asarray(power / power[0])
 
     @property
     def slow_share(self) -> float:
-        """The share of the variance of the process that its slow noise has."""
+        """Share of the low-frequency noise in the variance."""
         if not self.pole:
             return 0.0
         # the innovations without it have variance · θ/φ (`fmuid.estimation.noise.low_frequency`)
@@ -147,13 +124,13 @@ class Autoregression:
 
     @property
     def time_constant(self) -> float:
-        """In how many samples the slowest part that does not oscillate falls to 1/e."""
+        """Time constant of the slowest non-oscillating part, samples."""
         roots = np.roots(np.concatenate([[1.0], -self.coefficients]))
         slowest = max([self.pole, *roots[(roots.imag == 0.0) & (roots.real > 0.0)].real.tolist()])
         return -1.0 / math.log(min(slowest, math.nextafter(1.0, 0.0))) if slowest > 0.0 else 0.0
 
     def scatter(self) -> Floats:
-        """Return the covariance of log σ², all φ_j, and φ and θ where they are, times the number of samples."""
+        """Return the covariance of log σ², φ_j, φ and θ, times the samples."""
         order = self.coefficients.size
         response = self._of_coefficients
         padded = np.concatenate([response, np.zeros(order)])
@@ -176,7 +153,7 @@ class Autoregression:
 
 
 def _spectrum(coefficients: Floats | Sequence[float], length: int) -> Complexes:
-    """Return 1 − Σ φ_j e^(−iωj) at the frequencies of a real transform of this length."""
+    """Return 1 − Σ φ_j e^(−iωj) at the frequencies of a real transform."""
     padded = np.zeros(length)
     padded[0] = 1.0
     padded[1 : len(coefficients) + 1] = -np.asarray(coefficients)
@@ -184,7 +161,7 @@ def _spectrum(coefficients: Floats | Sequence[float], length: int) -> Complexes:
 
 
 def most_orders(samples: int, length: int) -> int:
-    """Return the highest order to try for so many samples on a grid of some length."""
+    """Return the highest order to try."""
     if samples < SETTINGS.enough:
         return 0
     return max(
@@ -193,23 +170,14 @@ def most_orders(samples: int, length: int) -> int:
 
 
 def autoregression(values: Floats, there: Flags) -> Autoregression:
-    """Fit an autoregressive model to a series on a grid (n,), False in `there` (n,) where a sample misses."""
+    """Fit a series on a grid (n,), False in `there` where samples are missing."""
     return fit(np.where(there, values, 0.0)[None], there, np.ones(1), most_orders(int(there.sum()), there.size))
 
 
 def fit(columns: Floats, there: Flags, weights: Floats, orders: int) -> Autoregression:
-    """Fit an autoregressive model to the second moments Σ weight_i x_i x_iᵀ of columns x_i.
+    """Fit the second moments Σ weight_i x_i x_iᵀ of columns (m, n).
 
-    Parameters
-    ----------
-    columns : (m, n) array
-        The series on a grid, zero where a sample is missing.
-    there : (n,) array of bool
-        False where a sample is missing.
-    weights : (m,) array
-        Of either sign.
-    orders : int
-        The highest order.
+    Columns are zero where `there` (n,) is False; weights (m,) have either sign.
     """
     samples = int(there.sum())
     variance = max(float(weights @ np.einsum("it,it->i", columns, columns)) / samples, SETTINGS.least_variance)
@@ -229,7 +197,7 @@ def fit(columns: Floats, there: Flags, weights: Floats, orders: int) -> Autoregr
         return found
     scores = [0.0, *scores]
     best = scores[order]
-    # what a long autoregression does for slow noise is in the way of the factor that does it better
+    # a long autoregression imitates slow noise; a short one leaves it to the better factor
     for own in {order, 1, 0} if order > 1 else {order}:
         model = _model(reflections[:own], samples)
         beneath = slow_noise(columns, weights, there, model)
@@ -242,7 +210,7 @@ def fit(columns: Floats, there: Flags, weights: Floats, orders: int) -> Autoregr
 
 
 def _burg(columns: Floats, weights: Floats, there: Flags, orders: int) -> tuple[list[float], list[float]]:
-    """Return the reflection coefficients, and Schwarz's criterion of the orders that they make."""
+    """Return reflection coefficients and Schwarz's criterion of each order."""
     reflections: list[float] = []
     scores: list[float] = []
     score, length, gaps, mask = 0.0, there.size, not there.all(), there
@@ -269,7 +237,7 @@ def _burg(columns: Floats, weights: Floats, there: Flags, orders: int) -> tuple[
         scores.append(score)
         if abs(found) > most:
             break
-        # One row takes a third of the time. Pairs across columns write only to samples outside all later x and y.
+        # as one row, in a third of the time; pairs across columns are outside all later x and y
         flat_x, flat_y = ahead.ravel()[order:], behind.ravel()[:-order]
         change = np.multiply(flat_x, reflection, out=changes[order:])
         flat_x -= reflection * flat_y
@@ -283,7 +251,7 @@ def _sum_of_products(signs: Floats, x: Floats, y: Floats) -> float:
 
 
 def _model(reflections: Sequence[float], samples: int) -> Floats:
-    """Return the coefficients of a model by Levinson's recursion, of order 1 without its bias."""
+    """Return coefficients by Levinson's recursion; order 1 without bias."""
     if len(reflections) == 1:
         most = max(1.0 - 1.0 / samples, abs(reflections[0]))
         return np.clip(np.array(reflections) * (1.0 + SETTINGS.bias / samples), -most, most)
@@ -294,7 +262,7 @@ def _model(reflections: Sequence[float], samples: int) -> Floats:
 
 
 def impulse_response(coefficients: Floats, longest: int) -> Floats:
-    """Return h_0 = 1, h_t = Σ φ_j h_(t−j), to where it has become negligible, or the length given."""
+    """Return h_0 = 1, h_t = Σ φ_j h_(t−j), as far as it matters."""
     order = coefficients.size
     if order < 2:
         pole = abs(float(coefficients.sum()))
@@ -302,7 +270,7 @@ def impulse_response(coefficients: Floats, longest: int) -> Floats:
             min(longest, math.ceil(math.log(SETTINGS.negligible) / math.log(pole))) if 0.0 < pole < 1.0 else longest
         )
         return coefficients[0] ** np.arange(max(length, 1)) if pole else np.ones(1)
-    # a block of it follows from the p values before, oldest first
+    # each block follows from the p values before, oldest first
     block = max(SETTINGS.block, order)
     first = np.zeros((block, order), order="F")
     for t in range(order):

@@ -1,19 +1,7 @@
-"""Slow noise beneath what an autoregression leaves: a pole and a zero close to each other, by Whittle's likelihood.
+"""Low-frequency noise beneath an autoregression, by Whittle's likelihood (docs/method.md section 4).
 
-White noise with a little slow noise in it has a spectrum that only a long autoregression follows, and no criterion
-allows its many coefficients for so weak a rise. The innovations' spectrum then rises towards low frequencies by
-
-    1 + c (1 − φ)²/|1 − φ e^(−iω)|² = κ |1 − θ e^(−iω)|²/|1 − φ e^(−iω)|²,
-
-that of an autoregression of order 1 beneath white noise. The two numbers c and φ are those of the greatest likelihood
-of the innovations' periodogram (Whittle), and taken where they make twice its logarithm greater by more than
-0.75 log n: Schwarz asks log n for each of them, but c is never negative, and φ means nothing where c is 0. Of records
-of white noise one in a hundred passes for slow noise then (0.7 % of 900 draws at n = 200, 1.3 % at 1000, 0.4 % of 450
-at 4500).
-
-References
-----------
-P. Whittle, "Estimation and information in stationary time series", Arkiv för Matematik 2, 1953.
+The innovations' spectrum rises by 1 + c (1 − φ)²/|1 − φ e^(−iω)|² = κ |1 − θ e^(−iω)|²/|1 − φ e^(−iω)|². It is taken
+if twice the log-likelihood gains 0.75 log n: 1 % of white records pass (measured for n = 200 to 4500).
 """
 
 from __future__ import annotations
@@ -30,93 +18,63 @@ from fmuid.array_types import Flags, Floats, Indices
 
 @dataclass(frozen=True)
 class LowFrequencySettings:
-    """Numbers of the search for slow noise."""
+    """Numbers of the search for low-frequency noise."""
 
-    shortest: float = 4.0
-    """Memories of slow noise, from so many samples ..."""
-    longest_share: float = 0.25
-    """... to this share of the record, are looked at in doublings."""
-    noticed: float = 1.5
-    """They are fitted where the power is larger there than by chance, by so many standard deviations."""
-    asked: float = 0.75
-    """Of log n, by which twice the log-likelihood must rise: 0.5 takes 2 to 3 % of white records for slow."""
-    least: float = 1e-3
-    """Bounds of c: below, the rise is nothing, ..."""
-    most: float = 1e6
-    """... beyond, all is slow."""
-    alone: int = 64
-    """So many of the lowest frequencies stand alone, ..."""
-    wider: float = 1.05
-    """... those above in bins each wider than the one before by this."""
-    close: float = 0.03
-    """The search ends at this step in the logarithms of c and of the memory."""
+    shortest: float = 4.0  # memories from this many samples ...
+    longest_share: float = 0.25  # ... to this share of the record are tried, in doublings
+    noticed: float = 1.5  # excess power that starts a fit, standard deviations
+    asked: float = 0.75  # gain of twice the log-likelihood, times log n; 0.5 takes 2 to 3 % of white records
+    least: float = 1e-3  # bounds of c: below, the rise is nothing; ...
+    most: float = 1e6  # ... beyond, all is slow
+    alone: int = 64  # lowest frequencies with a bin each; ...
+    wider: float = 1.05  # ... later bins widen by this factor
+    close: float = 0.03  # last step in log c and log memory
 
 
 SETTINGS = LowFrequencySettings()
-# The search in the logarithms of c and of the memory steps to the best of these neighbours, and halves its step where
-# none is better, from a factor e to this.
+# Steps of the search in log c and log memory; halved if none is better.
 NEIGHBOURS = np.array([[0, 0], [-1, 0], [1, 0], [0, -1], [0, 1], [-1, -1], [-1, 1], [1, -1], [1, 1]], dtype=np.float64)
 
 
 @dataclass(frozen=True)
 class SlowNoise:
-    """A factor (1 − θ e^(−iω))/(1 − φ e^(−iω)) of a noise model.
+    """Factor (1 − θ e^(−iω))/(1 − φ e^(−iω)) of a noise model."""
 
-    Attributes
-    ----------
-    pole, zero : float
-        φ and θ.
-    variance : float
-        Of the innovations that it leaves.
-    gain : float
-        By how much it makes twice the log-likelihood greater, beyond what is asked.
-    """
+    pole: float  # φ
+    zero: float  # θ
+    variance: float  # of the innovations left
+    gain: float  # of twice the log-likelihood, beyond the threshold
 
-    pole: float
-    zero: float
-    variance: float
-    gain: float
+
+def line_counts(length: int) -> Floats:
+    """Return the multiplicity (f,) of each line of a real transform in the whole one."""
+    found = np.full(length // 2 + 1, 2.0)
+    found[0] = 1.0
+    if length % 2 == 0:
+        found[-1] = 1.0
+    return found
 
 
 @dataclass(frozen=True, eq=False)
 class Bins:
-    """Frequencies of the transform of a record of some length, taken together.
+    """Bins of the frequencies of a real transform."""
 
-    Attributes
-    ----------
-    edges : (b,) array of int
-        The first of each bin.
-    counts : (b,) array
-        How many each has; those at both ends of all, whose power has twice the variance, are half ones.
-    cosines : (b,) array
-        cos ω.
-    memories : (m,) array
-        Of slow noise, in samples.
-    rises : (m, b) array
-        The spectra of these less their means, times `counts`, so that white noise gives each the variance 1.
-    slopes : (m,) array
-        What slow noise of c = 1 gives each, relative to white noise.
-    """
-
-    edges: Indices
-    counts: Floats
-    cosines: Floats
-    memories: Floats
-    rises: Floats
-    slopes: Floats
+    edges: Indices  # (b,), first frequency of each bin
+    counts: Floats  # (b,), frequencies of each bin; those at both ends count half
+    cosines: Floats  # (b,), cos ω
+    memories: Floats  # (m,), of slow noise, samples
+    rises: Floats  # (m, b), centered spectra times counts, of variance 1 under white noise
+    slopes: Floats  # (m,), their response to slow noise of c = 1
 
     @classmethod
     @lru_cache(maxsize=64)
     def of(cls, length: int) -> Bins:
-        """Return those of a length."""
+        """Return the bins of a record length."""
         size = length // 2 + 1
         wider = math.ceil(math.log(max(size / SETTINGS.alone, 1.0)) / math.log(SETTINGS.wider))
         edges = np.concatenate([np.arange(SETTINGS.alone), SETTINGS.alone * SETTINGS.wider ** np.arange(wider)])
         edges = np.unique(edges[edges < size].astype(np.intp))
-        each = np.ones(size)
-        each[0] = 0.5
-        if length % 2 == 0:
-            each[-1] = 0.5
+        each = line_counts(length) / 2.0
         counts = np.add.reduceat(each, edges)
         cosines = np.cos(2.0 * np.pi / length * np.add.reduceat(np.arange(size) * each, edges) / counts)
         memories = SETTINGS.shortest * 2.0 ** np.arange(
@@ -129,34 +87,23 @@ class Bins:
 
 
 def rises(memories: Floats, cosines: Floats) -> Floats:
-    """Return (1 − φ)²/|1 − φ e^(−iω)|², φ = e^(−1/memory), of each memory at each frequency (m, b)."""
+    """Return (1 − φ)²/|1 − φ e^(−iω)|², φ = e^(−1/memory), (m, b)."""
     poles = np.exp(-1.0 / memories)[:, None]
     return np.asarray((1.0 - poles) ** 2 / (1.0 - 2.0 * poles * cosines + poles**2))
 
 
 @dataclass(frozen=True, eq=False)
 class Spectrum:
-    """The periodogram of innovations.
-
-    Attributes
-    ----------
-    bins : Bins
-    power : (b,) array
-        Means over the bins. White innovations have their variance everywhere.
-    samples : int
-        Innovations that it is made of.
-    length : int
-        Of the grid, where some may be missing.
-    """
+    """Periodogram of innovations."""
 
     bins: Bins
-    power: Floats
-    samples: int
-    length: int
+    power: Floats  # (b,), means over the bins
+    samples: int  # innovations without gaps
+    length: int  # of the grid
 
     @classmethod
     def of(cls, columns: Floats, weights: Floats, there: Flags, coefficients: Floats) -> Spectrum:
-        """Return that of the innovations of an autoregression (p,); the rest as of `autoregression.fit`."""
+        """Return the periodogram of an autoregression's innovations; arguments as `autoregression.fit`."""
         length = fft.prev_fast_len(there.size - coefficients.size, real=True)
         first = there.size - length
         left, known = columns[:, first:].copy(), there[first:].copy()
@@ -166,19 +113,17 @@ class Spectrum:
         samples = int(np.count_nonzero(known))
         spectra = fft.rfft(left if samples == length else left * known, axis=1)
         power = weights @ (spectra.real**2 + spectra.imag**2) / max(samples, 1)
-        power[0] *= 0.5
-        if length % 2 == 0:
-            power[-1] *= 0.5
+        power *= line_counts(length) / 2.0
         bins = Bins.of(length)
         return cls(bins, np.add.reduceat(power, bins.edges) / bins.counts, samples, length)
 
     @property
     def level(self) -> float:
-        """The variance of the innovations."""
+        """Variance of the innovations."""
         return float(self.bins.counts @ self.power) / float(self.bins.counts.sum())
 
     def start(self) -> Floats | None:
-        """Return log c and log memory where the power stands out most from chance, if it does."""
+        """Return log c and log memory of the largest excess power, if significant."""
         bins, level = self.bins, self.level
         if not (level > 0.0 and bins.memories.size):
             return None
@@ -189,7 +134,7 @@ class Spectrum:
         return np.log([found[best] / bins.slopes[best], bins.memories[best]])
 
     def fitted(self, logs: Floats) -> tuple[Floats, Floats]:
-        """Return the variances and −2 log likelihoods of each log c and log memory (g, 2)."""
+        """Return variances and −2 log likelihoods of (log c, log memory) (g, 2)."""
         counts = self.bins.counts
         shapes = 1.0 + np.exp(logs[:, :1]) * rises(np.exp(logs[:, 1]), self.bins.cosines)
         levels = (self.power / shapes) @ counts / counts.sum()
@@ -199,7 +144,7 @@ class Spectrum:
 
 
 def slow_noise(columns: Floats, weights: Floats, there: Flags, coefficients: Floats) -> SlowNoise | None:
-    """Return the slow noise that an autoregression (p,) leaves, if it does; the rest as of `autoregression.fit`."""
+    """Return the low-frequency noise beneath an autoregression, if any."""
     spectrum = Spectrum.of(columns, weights, there, coefficients)
     at = spectrum.start()
     if at is None:
@@ -211,7 +156,7 @@ def slow_noise(columns: Floats, weights: Floats, there: Flags, coefficients: Flo
         near = np.clip(at + step * NEIGHBOURS, least, most)
         levels, heights = spectrum.fitted(near)
         best = int(np.argmin(heights))
-        # lower than all before: by rounding alone a point may be lower than itself, as its own neighbour at a bound
+        # strictly lower than all before: at a bound a point is its own neighbor, lower by rounding
         if heights[best] < height:
             at, level, height = near[best], float(levels[best]), float(heights[best])
         else:

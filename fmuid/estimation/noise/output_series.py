@@ -1,8 +1,6 @@
-"""The rows of a residual as series in time: each output of each experiment on the grid of its samples.
+"""Residuals as series in time, each output on the grid of its samples.
 
-Samples may be missing. Those of a slow sensor, every tenth row of a table say, have a grid of their own. Outputs of one
-experiment that share a grid may have innovations in common. Samples on no grid at all are counted one by one, as if
-they were equally spaced, and the series says so.
+Samples without a grid are counted one by one.
 """
 
 from __future__ import annotations
@@ -23,22 +21,14 @@ from fmuid.data import Experiment
 class SeriesSettings:
     """Numbers of grids and periods."""
 
-    regular_share: float = 0.95
-    """Times count as equally spaced where so many steps ..."""
-    regular_tolerance: float = 0.2
-    """... are whole multiples of the usual one to this share of it."""
-    longest_gap: int = 1000
-    """A longer gap than this is as good as endless."""
-    pooled: int = 100
-    """Experiments shorter than this share one noise model with others of the same output and step."""
-    same_step: float = 1e-3
-    """Steps in time of two experiments are the same to this."""
-    repeated: float = 0.05
-    """Inputs repeat where they are no further from themselves than this share of their std, as with noise, ..."""
-    away: float = 0.5
-    """... and were further than this in between."""
-    longest: float = 0.55
-    """The longest period as a share of the record: nearly two cycles."""
+    regular_share: float = 0.95  # times are equally spaced if this share of the steps ...
+    regular_tolerance: float = 0.2  # ... are whole multiples of the usual one, within this share of it
+    longest_gap: int = 1000  # samples; longer gaps count as this
+    pooled: int = 100  # samples; shorter experiments share one noise model per output and step
+    same_step: float = 1e-3  # relative difference of equal steps
+    repeated: float = 0.05  # inputs repeat within this share of their std ...
+    away: float = 0.5  # ... after being further apart than this
+    longest: float = 0.55  # longest period, share of the record: nearly two cycles
 
 
 SETTINGS = SeriesSettings()
@@ -52,19 +42,19 @@ class OutputSeries:
     ----------
     experiment, output : str
     group : int
-        Which of the problem's outputs it is.
+        Index of the output in the problem.
     rows : (n,) array of int
-        Which rows of the residual it has.
+        Its rows of the residual.
     places : (n,) array of int
-        Where they stand on the grid of its step.
+        Their positions on the grid.
     step : float
-        s.
+        Grid step, s.
     regular : bool
-        Whether the samples stand on a grid; else they are counted.
+        False if samples are counted in place of a grid.
     grid : int
-        Series of the same number share a grid, and may have innovations in common.
+        Equal for series on one grid.
     pool : int
-        Series of the same number share a noise model.
+        Equal for series with one noise model.
     """
 
     experiment: str
@@ -80,20 +70,20 @@ class OutputSeries:
     json_layout: ClassVar = Layout(omitted={"rows", "places"})
 
     def on_grid(self, values: Floats) -> Floats:
-        """Return its samples (n,) on the grid (m,), NaN where one is missing."""
+        """Return samples (n,) on the grid (m,), NaN if missing."""
         grid = np.full(int(self.places[-1]) + 1, np.nan)
         grid[self.places] = values
         return grid
 
 
 def output_series(experiments: Sequence[Experiment], outputs: Sequence[str]) -> tuple[OutputSeries, ...]:
-    """Return the series of all counted samples, experiment by experiment, output by output.
+    """Return the series of all counted samples, by experiment and output.
 
     Parameters
     ----------
     experiments : sequence of Experiment
     outputs : sequence of str
-        The problem's outputs.
+        Outputs of the problem.
     """
     found: list[OutputSeries] = []
     pools: dict[tuple[str, int, int], int] = {}
@@ -109,33 +99,18 @@ def output_series(experiments: Sequence[Experiment], outputs: Sequence[str]) -> 
             own, stride, offset = _thinned(places[mine])
             known.setdefault((stride, offset), grids + len(known))
             alone = len(found) if own.size >= SETTINGS.pooled else -1
-            pool = pools.setdefault((output, _rounded(stride * step), alone), len(pools))
-            found.append(
-                OutputSeries(
-                    experiment.name,
-                    output,
-                    outputs.index(output),
-                    rows[mine, column],
-                    own,
-                    stride * step,
-                    regular,
-                    known[stride, offset],
-                    pool,
-                )
-            )
+            same = int(np.rint(np.log(max(stride * step, np.finfo(float).tiny)) / SETTINGS.same_step))
+            pool = pools.setdefault((output, same, alone), len(pools))
+            names, grid = (experiment.name, output, outputs.index(output)), known[stride, offset]
+            found.append(OutputSeries(*names, rows[mine, column], own, stride * step, regular, grid, pool))
         first, grids = first + int(experiment.counted.sum()), grids + len(known)
     return tuple(found)
 
 
-def _rounded(step: float) -> int:
-    """Return a number that is the same for steps that are."""
-    return int(np.rint(np.log(max(step, np.finfo(float).tiny)) / SETTINGS.same_step))
-
-
 def _thinned(places: Indices) -> tuple[Indices, int, int]:
-    """Return places (n,) on a grid with the coarsest step that has them all, that step, and where it begins.
+    """Return places (n,) on their coarsest grid, its stride and offset.
 
-    Two samples at one time have no place each: all are counted then.
+    Samples that share a time are counted instead.
     """
     steps = np.diff(places)
     least = int(steps.min()) if steps.size else 1
@@ -149,13 +124,9 @@ def _thinned(places: Indices) -> tuple[Indices, int, int]:
 
 
 def table_grid(times: Floats) -> tuple[Indices, float, bool]:
-    """Return where the rows of a table stand on the grid of their usual step, that step in s, and whether they do.
+    """Return places of the rows on their grid, its step in s, and regularity.
 
-    Parameters
-    ----------
-    times : (K,) array
-        Never decreasing, s. Where they are not near a grid, the rows themselves are counted, and the step is the mean
-        one. A time given twice is one place.
+    Irregular rows (K,) are counted, with their mean step.
     """
     steps = np.diff(times)
     moving = steps > 0
@@ -172,7 +143,7 @@ def table_grid(times: Floats) -> tuple[Indices, float, bool]:
 
 
 def period_of(experiment: Experiment) -> float:
-    """Return after how long, s, all inputs of an experiment that move repeat, 0 where they do not."""
+    """Return the period of all moving inputs of an experiment, s; 0 without."""
     if not experiment.input_names:
         return 0.0
     places, step, regular = table_grid(experiment.times)
@@ -193,7 +164,7 @@ def period_of(experiment: Experiment) -> float:
 
 
 def _away(values: Floats, longest: int) -> Floats:
-    """Return how far a signal (n,) is from itself so many samples later, from 0 to `longest`, by √2 of its std."""
+    """Return a signal's distance from itself by lag, in √2 std."""
     count = values.size
     size = fft.next_fast_len(count + longest, real=True)
     product = fft.irfft(np.abs(fft.rfft(values, size)) ** 2, size)[:longest]

@@ -1,33 +1,16 @@
-"""Errors of the model that return with each cycle of an excitation, found in the mean cycle of the residual.
+"""Periodic model error, found in the mean cycle of the residual (docs/method.md section 4).
 
-Under the same cycle again and again an error of the model is the same again and again, and averages out over no number
-of cycles. A noise model of the whole record takes the cycles for independent: its spectrum S is right between the
-harmonics of the cycle, at the harmonics it lacks what returns. With the columns of C and the residual summed over the n
-cycles and divided by √n, C̄ and z (T samples each), what returns adds to CᵀΓC
+With columns C and residual summed over n cycles and divided by √n, C̄ and z (T samples), the error adds to CᵀΓC
 
-    Σ_k G(ω_k) c_k c_kᴴ,   c_k the transform of C̄ at the harmonic ω_k, divided by √T,
+    Σ_k G(ω_k) c_k c_kᴴ,   c_k the transform of C̄ at the harmonic ω_k, divided by √T.
 
-for a signal that repeats has no power elsewhere. G is a variance times the shape of an autoregression of order 1, of
-some memory, or of S itself, and z has the spectrum S + G. Its restricted likelihood, that of what the fit has left in
-z (Patterson and Thompson), is
+z has the spectrum S + G, S that of the noise model. G is a variance times an AR(1) shape, or S. Both are weighed by the
+restricted likelihood (Patterson and Thompson, Biometrika 58, 1971), d an orthonormal basis of C̄:
 
     −½ [Σ_k log(S + G) + log|D| + z*z − (d*z)ᵀ D⁻¹ (d*z)],   D = d*d,   a*b = Σ_k Re(ā_k b_k)/(S + G),
 
-d an orthonormal basis of C̄. Variance and shape are not selected but weighed by it over a grid, equal in the
-logarithms, beside nothing that returns, which has the weight NOTHING before: a single optimum would be too sure where
-an error is as weak as the noise or as slow as the cycle. log(S + G) is the mean over the grid, never less than log S,
-and the scatter of log V over the grid takes degrees of freedom away.
-
-What returns in several outputs at the same time may add up in the estimates, or cancel. The mean cycles z_a of the
-outputs of one grid have the covariances Σ_k Re z_a z̄_b, of which those of the noise are F = Σ_k Re S_ab(ω_k). Outputs
-for which both differ by more than chance are replaced by the sums Σ_a w_a z_a that make both matrices diagonal,
-WᵀFW = 1. Each sum is then treated as one output is; what returns in it acts on all of these outputs, by A = FW.
-
-References
-----------
-H. D. Patterson, R. Thompson, "Recovery of inter-block information when block sizes are unequal", Biometrika 58, 1971;
-R. Pintelon, J. Schoukens, "System identification: a frequency domain approach", Wiley 2012 (harmonics and the lines
-between them).
+over a logarithmic grid, beside no error at all with the prior weight `nothing`. Outputs of one grid with correlated
+mean cycles are replaced by sums w that diagonalize Σ_k Re z_a z̄_b and its noise part F, WᵀFW = 1; they act by A = FW.
 """
 
 from __future__ import annotations
@@ -43,7 +26,7 @@ from fmuid.array_types import Complexes, Flags, Floats
 from fmuid.data import Noise
 from fmuid.errors import InputError
 from fmuid.estimation.noise.autoregression import SETTINGS as AUTOREGRESSION
-from fmuid.estimation.noise.low_frequency import Bins, rises
+from fmuid.estimation.noise.low_frequency import Bins, line_counts, rises
 from fmuid.estimation.noise.model import NoiseModel
 from fmuid.estimation.noise.output_series import SETTINGS as SERIES
 from fmuid.estimation.noise.output_series import OutputSeries
@@ -51,32 +34,20 @@ from fmuid.estimation.noise.output_series import OutputSeries
 
 @dataclass(frozen=True)
 class PeriodicErrorSettings:
-    """Numbers of the search for what returns."""
+    """Numbers of the search for a periodic error."""
 
-    whole: float = 1e-3
-    """Periods are whole numbers of samples to this."""
-    nothing: float = 0.9
-    """The weight of there being nothing that returns, before the data are asked."""
-    shortest: float = 0.5
-    """Memories in samples, from so many ..."""
-    longest_share: float = 0.5
-    """... to this share of the cycle, ..."""
-    least: float = 0.03
-    """... and variances, from this share of the noise's least power ..."""
-    weakest: float = 1e-6
-    """... (of its mean one, where that is more) ..."""
-    most: float = 2.0
-    """... to so many times all there is, ..."""
-    step: float = 0.5 * math.log(2.0)
-    """... have points this far from each other in their logarithms; ..."""
-    fine: int = 31
-    """... so many follow where few variances matter."""
-    near: float = 10.0
-    """Points matter whose log-likelihood is no further below the greatest."""
-    related: float = 2.0
-    """What returns in two series is correlated where their mean cycles are, by so many std of chance."""
-    taken: float = 0.01
-    """Directions of which the fit has taken more than this share out of the mean cycle are not in the likelihood."""
+    whole: float = 1e-3  # deviation of a period from whole samples
+    nothing: float = 0.9  # prior weight of no periodic error
+    shortest: float = 0.5  # memories from this, samples, ...
+    longest_share: float = 0.5  # ... to this share of the cycle, ...
+    least: float = 0.03  # ... variances from this share of the least noise power ...
+    weakest: float = 1e-6  # ... (or this share of its mean, if larger) ...
+    most: float = 2.0  # ... to this multiple of the total power, ...
+    step: float = 0.5 * math.log(2.0)  # ... at this logarithmic distance; ...
+    fine: int = 31  # ... this many more if few variances matter
+    near: float = 10.0  # log-likelihood below the best that still matters
+    related: float = 2.0  # mean cycles correlated beyond this many std of chance are joined
+    taken: float = 0.01  # share of a direction that the fit may take from the mean cycle
 
 
 SETTINGS = PeriodicErrorSettings()
@@ -84,45 +55,28 @@ SETTINGS = PeriodicErrorSettings()
 
 @dataclass(frozen=True, eq=False)
 class PeriodicError:
-    """What returns with each cycle in one series, or in several at once.
-
-    Attributes
-    ----------
-    series : tuple of OutputSeries
-    factors : (s,) array
-        By which it acts on each of them.
-    period : int
-        Samples of a cycle.
-    powers : (f,) array
-        G at the bins of its harmonics.
-    points : (m, f) array
-        G of each point of the grid that matters ...
-    weights : (m,) array
-        ... and its weight; the rest is that of nothing that returns.
-    shares : (s,) array
-        Of the variance of the residual of each that it has.
-    """
+    """Periodic error of one series, or of several at once."""
 
     series: tuple[OutputSeries, ...]
-    factors: Floats
-    period: int
-    powers: Floats
-    points: Floats
-    weights: Floats
-    shares: Floats
+    factors: Floats  # (s,), on each series
+    period: int  # samples of a cycle
+    powers: Floats  # (f,), G at the bins of harmonics
+    points: Floats  # (m, f), G of each grid point that matters ...
+    weights: Floats  # (m,), ... and its weight; the rest is no error
+    shares: Floats  # (s,), of the variance of each residual
 
     @property
     def probability(self) -> float:
-        """That something returns."""
+        """Probability of a periodic error."""
         return float(self.weights.sum())
 
     def gram(self, columns: Floats) -> Floats:
-        """Return what returns adds to CᵀΓC (k, k), of columns (n, k) over all rows."""
+        """Return the addition to CᵀΓC (k, k) for columns (n, k)."""
         parts = _products(self._cycle(columns))
         return np.asarray(np.tensordot(self.powers, parts, 1))
 
     def scatter(self, columns: Floats, others: Floats) -> Floats:
-        """Return the variances (k,) of log(cᵀΓc) over the grid, of each column, `others` (k,) what else is in it."""
+        """Return the variances (k,) of log(cᵀΓc) over the grid; `others` (k,) is the rest."""
         powers = np.einsum("fii->if", _products(self._cycle(columns)))
         logs = np.log1p(powers @ self.points.T / np.maximum(others, np.finfo(float).tiny)[:, None])
         return np.asarray((logs**2) @ self.weights - (logs @ self.weights) ** 2)
@@ -133,13 +87,7 @@ class PeriodicError:
 
 
 def check_periods(series: Sequence[OutputSeries], noise: Noise, parameters: int) -> None:
-    """Check that each period said of an excitation is one that errors in its series can be asked for.
-
-    Raises
-    ------
-    InputError
-        If not.
-    """
+    """Check the stated excitation periods; `InputError` if one does not fit."""
     for each in series:
         period = noise.period_in(each.experiment)
         if period is None:
@@ -159,28 +107,17 @@ def check_periods(series: Sequence[OutputSeries], noise: Noise, parameters: int)
 
 @dataclass(frozen=True, eq=False)
 class MeanCycle:
-    """The mean cycle of a series, times the root of the number of cycles.
-
-    Attributes
-    ----------
-    series : OutputSeries
-    values : (T, 1 + k) array
-        Of its residual and of the basis, in the units of its noise model.
-    response : (f,) array
-        Of its noise to its innovation at the harmonics.
-    unit, square : float
-        Squares of its units, and the residual's mean one.
-    """
+    """Mean cycle of a series, times the root of the number of cycles."""
 
     series: OutputSeries
-    values: Floats
-    response: Complexes
-    unit: float
-    square: float
+    values: Floats  # (T, 1 + k), residual and basis, in units of the noise model
+    response: Complexes  # (f,), noise by innovation at the harmonics
+    unit: float  # square of the unit
+    square: float  # mean square of the residual
 
     @classmethod
     def of(cls, rows: Floats, noise: NoiseModel, period: float, *, given: bool) -> MeanCycle | None:
-        """Return that of all rows (n, 1 + k); None where they have no whole cycles."""
+        """Return the mean cycle of rows (n, 1 + k), None without whole cycles."""
         series, model = noise.series, noise.process
         time, residual = period / series.step, rows[series.rows, 0]
         samples, square = round(time), float(residual @ residual) / residual.size
@@ -188,7 +125,7 @@ class MeanCycle:
             return None
         if not square * model.variance > 0.0 or np.bincount(series.places % samples, minlength=samples).min() == 0:
             return None
-        # where a variance is given the residual says how it is spread
+        # a given variance is spread as the residual is
         unit = square / (model.variance * model.gain) if given else 1.0
         values = _summed(rows, series, samples) / math.sqrt(unit)
         return cls(series, values, model.transfer(samples), unit, square)
@@ -201,18 +138,18 @@ def returning(
     grids: Sequence[tuple[Sequence[NoiseModel], Floats]],
     given: Flags,
 ) -> tuple[PeriodicError, ...]:
-    """Return what returns with each cycle of the excitation, in the series of experiments that have some.
+    """Return the periodic errors of all experiments with a period.
 
     Parameters
     ----------
     residual, basis : (n,) and (n, k) arrays
         As in `fmuid.estimation.noise.sample_grid.Rows`.
     periods : mapping of str to float
-        Of the excitation of each experiment, s; 0 where it does not repeat.
+        Period of each experiment, s; 0 without.
     grids : sequence of (sequence of NoiseModel, (m, m) array)
-        The noise of the series of each grid, and the covariance of their innovations.
+        Noise of each grid's series, and covariance of the innovations.
     given : (n_outputs,) array of bool
-        Outputs whose variance was given.
+        Outputs with a given variance.
     """
     rows, found = np.column_stack([residual, basis]), []
     for noise, innovations in grids:
@@ -228,7 +165,7 @@ def returning(
 
 
 def _together(folded: Sequence[MeanCycle], alone: Sequence[PeriodicError], innovations: Floats) -> list[PeriodicError]:
-    """Return what returns in the series of one grid, where it is correlated between some in all of these at once."""
+    """Return the errors of one grid's series, joined where correlated."""
     period = alone[0].period
     taken = _taken(np.hstack([each.values[:, 1:] for each in folded]), 1.0)
     left = period - taken.shape[1]
@@ -237,7 +174,7 @@ def _together(folded: Sequence[MeanCycle], alone: Sequence[PeriodicError], innov
     cycles = np.column_stack([each.values[:, 0] for each in folded])
     cycles -= taken @ (taken.T @ cycles)
     responses, counts = np.array([each.response for each in folded]), 2.0 * Bins.of(period).counts
-    noise = innovations * ((responses * _sides(period)) @ responses.conj().T).real
+    noise = innovations * ((responses * line_counts(period)) @ responses.conj().T).real
     powers = np.array([_floor([each], np.ones(1), innovations[i : i + 1, i : i + 1]) for i, each in enumerate(folded)])
     powers += np.array([each.powers for each in alone])
     chance = np.sqrt((powers * counts) @ powers.T)
@@ -258,32 +195,32 @@ def _together(folded: Sequence[MeanCycle], alone: Sequence[PeriodicError], innov
 
 
 def _floor(folded: Sequence[MeanCycle], weights: Floats, innovations: Floats) -> Floats:
-    """Return the spectrum at the bins of harmonics (f,) of the noise of a sum of series with weights (m,)."""
+    """Return the noise spectrum (f,) of a weighted sum of series at harmonics."""
     responses = weights[:, None] * np.array([each.response for each in folded])
     period = len(folded[0].values)
     spectrum = np.sum(responses * (innovations @ responses.conj()), axis=0).real
     return np.asarray(
-        np.add.reduceat(spectrum * _sides(period), Bins.of(period).edges) / (2.0 * Bins.of(period).counts)
+        np.add.reduceat(spectrum * line_counts(period), Bins.of(period).edges) / (2.0 * Bins.of(period).counts)
     )
 
 
 def _taken(values: Floats, scale: float) -> Floats:
-    """Return an orthonormal basis of what the fit has taken out of mean cycles, of columns (T, k) times a scale."""
+    """Return an orthonormal basis of the fitted part of mean cycles (T, k)."""
     vectors, sizes, _ = np.linalg.svd(values, full_matrices=False)
     return np.asarray(vectors[:, sizes**2 > SETTINGS.taken * scale])
 
 
 def _summed(columns: Floats, series: OutputSeries, period: int) -> Floats:
-    """Return the columns (n, k) of all rows summed over the cycles of a series (T, k), divided by the root of these."""
+    """Return columns summed over cycles (T, k), by the root of their number."""
     sums = np.zeros((period, columns.shape[1]))
     np.add.at(sums, series.places % period, columns[series.rows])
     return sums / math.sqrt(series.rows.size / period)
 
 
 def _products(cycle: Floats) -> Floats:
-    """Return the parts of CᵀC, C (T, k), at the bins of harmonics (f, k, k)."""
+    """Return the parts of CᵀC, C (T, k), at harmonics (f, k, k)."""
     lines, edges = fft.rfft(cycle, axis=0) / math.sqrt(len(cycle)), Bins.of(len(cycle)).edges
-    sides, count = _sides(len(cycle))[:, None], cycle.shape[1]
+    sides, count = line_counts(len(cycle))[:, None], cycle.shape[1]
     parts = np.empty((edges.size, count, count))
     for i in range(count):  # one after the other: long cycles have many lines
         own = np.add.reduceat((np.conj(lines[:, i, None]) * lines[:, i:]).real * sides, edges, axis=0)
@@ -291,17 +228,8 @@ def _products(cycle: Floats) -> Floats:
     return parts
 
 
-def _sides(period: int) -> Floats:
-    """Return how many lines of the whole transform each of the real one stands for."""
-    found = np.full(period // 2 + 1, 2.0)
-    found[0] = 1.0
-    if period % 2 == 0:
-        found[-1] = 1.0
-    return found
-
-
 def _weighed(folded: Sequence[MeanCycle], weights: Floats, factors: Floats, innovations: Floats) -> PeriodicError:
-    """Return what returns in a sum of series with weights (m,), acting on each of them by factors (m,)."""
+    """Return the error of a weighted sum of series, with its factors (m,)."""
     cycle = np.sum([weight * each.values for weight, each in zip(weights, folded, strict=True)], axis=0)
     period, floor = len(cycle), _floor(folded, weights, innovations)
     bins, counts = Bins.of(period), 2.0 * Bins.of(period).counts
@@ -334,7 +262,7 @@ def _weighed(folded: Sequence[MeanCycle], weights: Floats, factors: Floats, inno
     kept = likely > np.exp(-SETTINGS.near) * likely.max()
     powers, likely = powers[kept], likely[kept]
     point = floor * np.expm1(likely @ np.log1p(powers / floor))
-    # of what returns the noise model of the whole record has one cycle's share already
+    # the noise model already contains one cycle's share
     level = float(point @ counts) / period / max(cycles - 1.0, 1.0)
     shares = factors**2 * level * np.array([each.unit / each.square for each in folded])
     return PeriodicError(
@@ -343,7 +271,7 @@ def _weighed(folded: Sequence[MeanCycle], weights: Floats, factors: Floats, inno
 
 
 def _likelihoods(spectra: Floats, parts: Floats, counts: Floats) -> Floats:
-    """Return the restricted log-likelihoods (m,) of spectra (m, f) from the parts of the residual and the basis."""
+    """Return restricted log-likelihoods (m,) of spectra (m, f)."""
     moments = ((1.0 / spectra) @ parts.reshape(len(parts), -1)).reshape(-1, *parts.shape[1:])
     across, among = moments[:, 0, 1:], moments[:, 1:, 1:]
     taken = np.einsum("mi,mi->m", across, np.linalg.solve(among, across[:, :, None])[:, :, 0])

@@ -1,4 +1,4 @@
-"""Series on one grid: their noise as spectra, and what covariances need of it (`fmuid.estimation.noise.sandwich`)."""
+"""Noise of the series of one grid, as spectra."""
 
 from __future__ import annotations
 
@@ -11,60 +11,32 @@ from scipy import fft
 
 from fmuid.array_types import Complexes, Flags, Floats
 from fmuid.estimation.noise.autoregression import Autoregression
+from fmuid.estimation.noise.low_frequency import line_counts
 from fmuid.estimation.noise.output_series import OutputSeries
 
-# Correlations of innovations are kept this far from singular.
-LEAST_EIGENVALUE = 1e-6
+LEAST_EIGENVALUE = 1e-6  # of the innovations' correlation matrix
 
 
 @dataclass(frozen=True, eq=False)
 class Rows:
-    """The rows of data that a covariance is made of.
+    """Rows of data for a covariance."""
 
-    Attributes
-    ----------
-    residual : (n,) array
-        Whitened, of the data's own optimum: a prior that disagrees with them would pass for colour.
-    basis : (n, m) array
-        An orthonormal basis of what their fit has taken out of it.
-    columns : (n, k) array
-        C = J R.
-    root : (N, k) array
-        R.
-    prior : (k, k) array
-        (WR)ᵀ WR, zero without prior.
-    given : (n_outputs,) array of bool
-        Outputs whose whitened noise has the variance 1, as it was given.
-    white : (n_outputs,) array of bool
-        Outputs whose residual is nothing but rounding, of which nothing can be told: white, of variance 1.
-    """
-
-    residual: Floats
-    basis: Floats
-    columns: Floats
-    root: Floats
-    prior: Floats
-    given: Flags
-    white: Flags
+    residual: Floats  # (n,), whitened, of the data's own optimum: prior conflict is no color
+    basis: Floats  # (n, m), orthonormal, of the fitted part
+    columns: Floats  # (n, k), C = J R
+    root: Floats  # (N, k), R
+    prior: Floats  # (k, k), (WR)ᵀ WR
+    given: Flags  # (n_outputs,), noise of variance 1, as given
+    white: Flags  # (n_outputs,), nothing but rounding: white, of variance 1
 
 
 @dataclass(frozen=True, eq=False)
 class Spectra:
-    """Columns of the series of one grid, filtered by 1/A backwards in time.
+    """Columns of one grid's series, filtered by 1/A backwards in time."""
 
-    Attributes
-    ----------
-    size : int
-        Of the transforms: the grid, and the noise's memory before it.
-    transfers : (m, f) array
-        1/A of each series.
-    filtered : (m, k, f) array
-        Z of each series.
-    """
-
-    size: int
-    transfers: Complexes
-    filtered: Complexes
+    size: int  # of the transforms: grid and memory
+    transfers: Complexes  # (m, f), 1/A of each series
+    filtered: Complexes  # (m, k, f), Z of each series
 
     @classmethod
     def of(cls, columns: Floats, series: Sequence[OutputSeries], models: Sequence[Autoregression]) -> Spectra:
@@ -77,23 +49,23 @@ class Spectra:
 
     def coupled(self, innovations: Floats) -> Complexes:
         """Return Σ_b S_ab Z_b of each series (m, k, f)."""
-        flat = _real(self.filtered).reshape(len(innovations), -1)
+        flat = self.filtered.view(np.float64).reshape(len(innovations), -1)
         return (innovations @ flat).view(np.complex128).reshape(self.filtered.shape)
 
     def gram(self, coupled: Complexes) -> Floats:
         """Return Σ_ab S_ab Z_aᵀ Z_b (k, k)."""
-        weights = np.repeat(_lag_zero(self.size), 2)
-        total = np.sum((_real(self.filtered) * weights) @ _real(coupled).swapaxes(1, 2), axis=0)
+        weights = np.repeat(line_counts(self.size) / self.size, 2)
+        total = np.sum((self.filtered.view(np.float64) * weights) @ coupled.view(np.float64).swapaxes(1, 2), axis=0)
         return np.asarray((total + total.T) / 2.0, dtype=np.float64)
 
 
 def length_of(series: Sequence[OutputSeries]) -> int:
-    """Return the length of the grid of some series."""
+    """Return the grid length of some series."""
     return 1 + max(int(each.places[-1]) for each in series)
 
 
 def on_grid(each: OutputSeries, rows: Floats, length: int) -> Floats:
-    """Return the columns of all rows (n, k) that a series has, on its grid (k, length)."""
+    """Return a series' columns (k, length) of all rows (n, k)."""
     if each.places.size == length:
         return np.ascontiguousarray(rows[each.rows].T)
     grid = np.zeros((rows.shape[1], length))
@@ -102,47 +74,23 @@ def on_grid(each: OutputSeries, rows: Floats, length: int) -> Floats:
 
 
 class SampleGrid:
-    """The series of one grid, their spectra, and the noise that is taken for theirs.
+    """Series of one grid, with spectra and noise models.
 
-    Parameters
-    ----------
-    rows : Rows
-    series : sequence of OutputSeries
-    members : sequence of int
-        Their numbers among all series.
-
-    Attributes
-    ----------
-    there : (m, length) array of bool
-        Where each series has a sample.
-    columns : list of (1 + 2 k, length) arrays
-        Of each series the residual and, after `add_removed`, the columns whose squares make up for what is missing.
-    models : sequence of Autoregression
-        The noise of each.
+    `columns` of each series are its residual and, after `add_removed`, the corrections (1 + 2 k, length).
     """
 
     def __init__(self, rows: Rows, series: Sequence[OutputSeries], members: Sequence[int]) -> None:
         self.rows, self.series, self.members = rows, series, members
         self.length = length_of(series)
         self.columns = [on_grid(each, rows.residual[:, None], self.length) for each in series]
-        self.there = self._there()
-
-    def _there(self) -> Flags:
-        there = np.zeros((len(self.series), self.length), dtype=np.bool_)
-        for own, each in zip(there, self.series, strict=True):
+        self.there: Flags = np.zeros((len(series), self.length), dtype=np.bool_)
+        for own, each in zip(self.there, series, strict=True):
             own[each.places] = True
-        return there
 
     def take(self, models: Sequence[Autoregression], columns: Floats, innovations: Floats | None = None) -> Floats:
-        """Take models for the noise of the series, and return their part of XᵀΓX (k, k).
+        """Adopt noise models; return their part of XᵀΓX (k, k) for X = columns.
 
-        Parameters
-        ----------
-        models : sequence of Autoregression
-        columns : (n, k) array
-            X.
-        innovations : (m, m) array, optional
-            S; default what the residuals say.
+        Innovations S (m, m) default to those of the residuals.
         """
         self.models = models
         self.spectra = Spectra.of(columns, self.series, models)
@@ -151,7 +99,7 @@ class SampleGrid:
         return self.spectra.gram(self.coupled)
 
     def _innovations(self) -> Floats:
-        """Return the covariance S of the innovations (m, m): their variances, and the residuals' correlations."""
+        """Return S (m, m): model variances with the residuals' correlations."""
         scale = np.sqrt([model.variance for model in self.models])
         if len(self.models) == 1:
             return np.outer(scale, scale)
@@ -169,7 +117,7 @@ class SampleGrid:
         return np.asarray(matrix * np.outer(scale, scale), dtype=np.float64)
 
     def _common(self, i: int, j: int) -> float:
-        """Return the covariance of what the models leave of two residuals, Σ a_k b_l r_ij(k − l)."""
+        """Return the covariance Σ a_k b_l r_ij(k − l) of two innovations."""
         a, b = (np.concatenate([[1.0], -self.models[each].coefficients]) for each in (i, j))
         lags = np.arange(a.size)[:, None] - np.arange(b.size)
         reach = int(np.abs(lags).max())
@@ -179,7 +127,7 @@ class SampleGrid:
         return float(a @ cross[lags + reach] @ b)
 
     def add_removed(self, gram: Floats) -> None:
-        """Add the columns Q + H and Q − H of each series: half of their squares' difference is what is missing."""
+        """Add columns Q + H and Q − H: half of their squares' difference is missing."""
         parts = zip(self.series, self.spectra.transfers, self.coupled, strict=True)
         for index, (each, transfer, coupled) in enumerate(parts):
             own = on_grid(each, self.rows.basis, self.length)
@@ -188,14 +136,14 @@ class SampleGrid:
             self.columns[index] = np.vstack([self.columns[index][:1], own + half, own - half])
 
     def slopes(self) -> list[Floats]:
-        """Return of each series the slopes (N, 1 + p) of the V_ii by log σ² and the φ_j."""
+        """Return each series' slopes (N, 1 + p) of V_ii by log σ² and φ_j."""
         found, size = [], self.spectra.size
         for each, model, transfer, z, c in zip(
             self.series, self.models, self.spectra.transfers, self.spectra.filtered, self.coupled, strict=True
         ):
             own, coupled = self.rows.root @ z, self.rows.root @ c
             both = np.conj(coupled) * own
-            share = both.real @ _lag_zero(size)[:, None]
+            share = both.real @ (line_counts(size) / size)[:, None]
             # ∂Z/∂φ_j is Z filtered once more, j samples later
             slopes = model.along(both, transfer, size)
             if self.rows.given[each.group]:  # as φ changes, the variance of the innovation keeps that of the process
@@ -207,20 +155,6 @@ class SampleGrid:
                 share = np.zeros_like(share)
             found.append(np.hstack([share, slopes]))
         return found
-
-
-def _real(spectra: Complexes) -> Floats:
-    """Return spectra (..., f) as real and imaginary parts side by side (..., 2 f)."""
-    return spectra.view(np.float64)
-
-
-def _lag_zero(size: int) -> Floats:
-    """Return the weights (f,) of the real parts of X̄ Y, spectra of a real transform, whose sum is Σ_t x(t) y(t)."""
-    weights = np.full(size // 2 + 1, 2.0 / size)
-    weights[0] = 1.0 / size
-    if size % 2 == 0:
-        weights[-1] = 1.0 / size
-    return weights
 
 
 def _correlations(left: Floats, right: Floats, reach: int) -> Floats:

@@ -1,42 +1,18 @@
-"""Covariance of least-squares estimates whose residuals are coloured, and the degrees of freedom of its variances.
+"""Covariance under colored noise, with degrees of freedom (docs/method.md section 4).
 
-Near the truth an estimate moves with the whitened noise e of the data and with the error w of its prior as
-H⁻¹(Jᵀe + Wᵀw), H = JᵀJ + WᵀW, so that whatever the noise's covariance Γ is, the estimate's is
-
-    V = R (Cᵀ Γ C + (WR)ᵀ WR) Rᵀ,   C = J R,   R Rᵀ = H⁻¹.
-
-Each output's noise is an autoregressive process, and innovations w of the outputs of one experiment belong together at
-the same time only, cov(w_a, w_b) = S_ab (Parks). With Z_a the columns C_a filtered by 1/A_a backwards in time, CᵀΓC =
-Σ_ab S_ab Z_aᵀ Z_b. All filters are products of spectra, of records padded to where the noise's memory ends.
-
-The residual r has less of slow noise than e, for the fit takes part of it. What is missing on average under the model
-found last,
+With whitened noise e of covariance Γ, V = R (CᵀΓC + (WR)ᵀWR) Rᵀ, C = J R, R Rᵀ = H⁻¹, H = JᵀJ + WᵀW. Each output is an
+autoregression; innovations of one experiment correlate at equal times only, cov(w_a, w_b) = S_ab (Parks). With Z_a the
+columns filtered by 1/A_a backwards in time, CᵀΓC = Σ_ab S_ab Z_aᵀ Z_b. The residual r lacks the fitted part
 
     E[e eᵀ − r rᵀ] = Q Hᵀ + H Qᵀ,   H = ΓQ − Q (QᵀΓQ)/2,   Q an orthonormal basis of J,
 
-is added to the residual's second moments, and the model fitted again, a few times over (Worsley et al., for their
-images); this works with gaps, and comes close to what restricted likelihood gives.
-
-The variances V_ii come from estimates themselves. By the scatter of the coefficients, cov φ = σ²R_p⁻¹/n, and of the
-innovations' variances, 2σ⁴/n, they have ν_i = 2/var(log V_ii) degrees of freedom (Satterthwaite), and the interval of
-an estimate is θ_i ± t(ν_i) √V_ii. Where an output's variance is given, its noise has that variance and the residual's
-correlation: all models are fitted at the residual's own level, what is missing included, and scaled at the end.
-
-With a robust loss the rows are those of its influence function (`fmuid.estimation.covariance`), and Γ is theirs.
-
-References
-----------
-K. J. Worsley et al., "A general statistical analysis for fMRI data", NeuroImage 15, 2002;
-R. W. Parks, "Efficient estimation of a system of regression equations when disturbances are both serially and
-contemporaneously correlated", J. Am. Stat. Assoc. 62, 1967;
-F. E. Satterthwaite, "An approximate distribution of estimates of variance components", Biometrics Bulletin 2, 1946;
-H. White, "Maximum likelihood estimation of misspecified models", Econometrica 50 (1), 1982.
+added to its second moments in rounds (Worsley). V_ii has ν_i = 2/var(log V_ii) degrees of freedom (Satterthwaite).
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
@@ -56,22 +32,15 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class SandwichSettings:
-    """Numbers of the rounds of correction for what the fit takes away."""
+    """Numbers of the corrections for the fitted part."""
 
-    rounds: int = 4
-    """At most; ..."""
-    long: int = 50_000
-    """... one round for longer records, where it is slight, ..."""
-    most_values: int = 30_000_000
-    """... and none where it would take too much memory."""
-    settled: float = 2e-3
-    """They end when a round moves no variance by more than this share."""
-    runaway: float = 100.0
-    """A round that changes a variance by this factor, as near a random walk, does not count, and is the last."""
-    slight: float = 2e-3
-    """There is none where the fit has taken no more than this share of the squares of each output's noise."""
-    least_freedom: float = 1.0
-    """Fewer degrees of freedom than this are no fewer."""
+    rounds: int = 4  # maximum; ...
+    long: int = 50_000  # ... one round for more samples, where the correction is slight, ...
+    most_values: int = 30_000_000  # ... and none beyond this memory
+    settled: float = 2e-3  # largest relative change of a variance in the last round
+    runaway: float = 100.0  # factor of a variance that discards a round, near a random walk
+    slight: float = 2e-3  # share of each output's squares that the fit may take without a round
+    least_freedom: float = 1.0  # lower limit of the degrees of freedom
 
 
 SETTINGS = SandwichSettings()
@@ -79,16 +48,16 @@ SETTINGS = SandwichSettings()
 
 @dataclass(frozen=True, eq=False)
 class ResidualNoise:
-    """The noise of all rows of data.
+    """Noise of all rows of data.
 
     Attributes
     ----------
     models : tuple of NoiseModel
-        Experiment by experiment, output by output.
+        By experiment and output.
     innovations : tuple of (m, m) arrays
-        The covariance S of the innovations of the series of each grid, in the order of the series.
+        Covariance S of the innovations of each grid's series.
     returning : tuple of PeriodicError
-        Errors that come back with each cycle of the excitation.
+        Periodic errors.
     """
 
     models: tuple[NoiseModel, ...]
@@ -96,7 +65,7 @@ class ResidualNoise:
     returning: tuple[PeriodicError, ...] = ()
 
     def gram(self, columns: Floats) -> Floats:
-        """Return XᵀΓX (k, k) of columns X (n, k) over the rows, Γ the covariance of their whitened noise."""
+        """Return XᵀΓX (k, k) of columns X (n, k), Γ the noise covariance."""
         total = np.zeros((columns.shape[1], columns.shape[1]))
         for members, common in self.grids():
             spectra = Spectra.of(columns, [each.series for each in members], [each.process for each in members])
@@ -104,23 +73,14 @@ class ResidualNoise:
         return total + sum(each.gram(columns) for each in self.returning)
 
     def grids(self) -> list[tuple[list[NoiseModel], Floats]]:
-        """Return the models of each grid, and the covariance of their innovations."""
+        """Return models and innovation covariance of each grid."""
         grids = _members([each.series.grid for each in self.models])
         return [([self.models[i] for i in own], s) for own, s in zip(grids, self.innovations, strict=True)]
 
 
 @dataclass(frozen=True, eq=False)
 class SandwichCovariance:
-    """A covariance, and what it rests on.
-
-    Attributes
-    ----------
-    covariance : (N, N) array
-        V.
-    freedom : (N,) array
-        Degrees of freedom of its diagonal.
-    noise : ResidualNoise
-    """
+    """Covariance (N, N), degrees of freedom (N,) of its diagonal, and noise."""
 
     covariance: Floats
     freedom: Floats
@@ -128,7 +88,7 @@ class SandwichCovariance:
 
 
 def sandwich_of(problem: LeastSquares, local: LinearizedProblem, rounding: Flags) -> SandwichCovariance:
-    """Return the covariance of the estimates of a problem under the noise that their residual shows.
+    """Return the covariance of a problem's estimates under colored noise.
 
     Parameters
     ----------
@@ -136,10 +96,10 @@ def sandwich_of(problem: LeastSquares, local: LinearizedProblem, rounding: Flags
     local : LinearizedProblem
         At the estimate.
     rounding : (n_outputs,) array of bool
-        Outputs whose residual is nothing but rounding and the noise of the simulation.
+        Outputs with nothing but rounding and simulation noise in the residual.
     """
     root, given = local.root, ~np.isnan(problem.variance)
-    # of a robust loss the scale of the influence function is the residual's own
+    # the influence function of a robust loss has the residual's own scale
     given &= problem.loss is None
     own, columns = local.prior_jacobian @ root, local.jacobian @ root
     residual, basis = local.residual, columns
@@ -157,17 +117,12 @@ def sandwich_of(problem: LeastSquares, local: LinearizedProblem, rounding: Flags
 
 
 def sandwich(rows: Rows, series: Sequence[OutputSeries]) -> SandwichCovariance:
-    """Return the covariance of estimates under the noise that their residual shows.
-
-    Parameters
-    ----------
-    rows : Rows
-    series : sequence of OutputSeries
-        Of all rows.
-    """
+    """Return the covariance under the noise of all series."""
     grids, pools = _members([each.grid for each in series]), _members([each.pool for each in series])
     parts = [SampleGrid(rows, [series[i] for i in members], members) for members in grids]
-    rounds, spread = _rounds(rows), np.full(rows.basis.shape[1], math.inf)
+    rounds = SETTINGS.rounds if len(rows.residual) <= SETTINGS.long else 1
+    rounds = 0 if rows.columns.size > SETTINGS.most_values else rounds
+    spread = np.full(rows.basis.shape[1], math.inf)
     models: dict[int, Autoregression] = {}
     for done in range(rounds + 1):
         earlier, models = models, _models(rows, series, parts, pools)
@@ -179,12 +134,14 @@ def sandwich(rows: Rows, series: Sequence[OutputSeries]) -> SandwichCovariance:
             break
         if done == rounds or (np.abs(spread - before) <= SETTINGS.settled * spread).all():
             break
-        if not done and _slight(float(spread.sum()), models.values()):
+        taken = float(spread.sum())
+        if not done and all(taken <= SETTINGS.slight * m.samples * m.variance * m.gain for m in models.values()):
             break
         for part in parts:
             part.add_removed(gram)
     if rows.given.any():
-        models = _as_given(models, rows, series)
+        scaled = rows.given & ~rows.white
+        models = {i: each.of_variance(1.0) if scaled[series[i].group] else each for i, each in models.items()}
         gram = _taken(parts, models, rows)
     if rows.columns is not rows.basis:
         gram = np.sum([part.take(part.models, rows.columns, part.innovations) for part in parts], axis=0)
@@ -198,7 +155,7 @@ def sandwich(rows: Rows, series: Sequence[OutputSeries]) -> SandwichCovariance:
 
 
 def _with_returning(found: SandwichCovariance, rows: Rows, periods: Mapping[str, float]) -> SandwichCovariance:
-    """Return a sandwich with what returns with each cycle of the excitation."""
+    """Add periodic errors to a covariance."""
     own = found.noise
     known = []
     for members, common in own.grids():
@@ -222,7 +179,7 @@ def _with_returning(found: SandwichCovariance, rows: Rows, periods: Mapping[str,
 
 
 def _members(numbers: Sequence[int]) -> list[list[int]]:
-    """Return the indices that have each number."""
+    """Return the indices of each number."""
     found: dict[int, list[int]] = {}
     for index, number in enumerate(numbers):
         found.setdefault(number, []).append(index)
@@ -230,25 +187,14 @@ def _members(numbers: Sequence[int]) -> list[list[int]]:
 
 
 def _taken(parts: Sequence[SampleGrid], models: dict[int, Autoregression], rows: Rows) -> Floats:
-    """Take models for the noise of the series of all grids, and return the sum of QᵀΓQ."""
+    """Adopt models on all grids; return the sum of QᵀΓQ."""
     return np.asarray(np.sum([part.take([models[i] for i in part.members], rows.basis) for part in parts], axis=0))
-
-
-def _rounds(rows: Rows) -> int:
-    if rows.columns.size > SETTINGS.most_values:
-        return 0
-    return SETTINGS.rounds if len(rows.residual) <= SETTINGS.long else 1
-
-
-def _slight(taken: float, models: Iterable[Autoregression]) -> bool:
-    """Return whether the fit, which has taken so much of the sum of squares, has hardly taken any of an output's."""
-    return all(taken <= SETTINGS.slight * each.samples * each.variance * each.gain for each in models)
 
 
 def _models(
     rows: Rows, series: Sequence[OutputSeries], parts: Sequence[SampleGrid], pools: Sequence[Sequence[int]]
 ) -> dict[int, Autoregression]:
-    """Fit the noise of each pool of series to their second moments, with what the fit has removed from them."""
+    """Fit each pool's noise, with the fitted part restored."""
     columns = {index: own for part in parts for index, own in zip(part.members, part.columns, strict=True)}
     there = {index: own for part in parts for index, own in zip(part.members, part.there, strict=True)}
     models: dict[int, Autoregression] = {}
@@ -265,16 +211,8 @@ def _models(
     return models
 
 
-def _as_given(
-    models: Mapping[int, Autoregression], rows: Rows, series: Sequence[OutputSeries]
-) -> dict[int, Autoregression]:
-    """Return models with the correlation found, and the variance 1 where it was given."""
-    scaled = rows.given & ~rows.white
-    return {index: model.of_variance(1.0) if scaled[series[index].group] else model for index, model in models.items()}
-
-
 def _joined(blocks: Sequence[tuple[Floats, Flags]], gap: int) -> tuple[Floats, Flags]:
-    """Return series one after the other, so far apart that they have nothing to do with each other."""
+    """Join series with gaps that separate them."""
     if len(blocks) == 1:
         return blocks[0]
     columns = [np.pad(block, ((0, 0), (0, gap))) for block, _ in blocks]
@@ -288,17 +226,16 @@ def _freedom(
     parts: Sequence[SampleGrid],
     pools: Sequence[Sequence[int]],
 ) -> Floats:
-    """Return the degrees of freedom of the variances (N,), from the scatter of the models they rest on."""
+    """Return the degrees of freedom (N,) of variances, from the models' scatter."""
     taken = np.einsum("ij,ij->i", rows.basis, rows.basis)
     slopes = {index: own for part in parts for index, own in zip(part.members, part.slopes(), strict=True)}
     model = {index: own for part in parts for index, own in zip(part.members, part.models, strict=True)}
     scatter = np.zeros(len(variances))
     for members in pools:
         total = np.sum([slopes[i] for i in members], axis=0)
-        # relative, for in some units squares of variances are beyond all numbers
+        # relative: squares of variances may overflow in some units
         share = np.divide(total, variances[:, None], out=np.zeros_like(total), where=variances[:, None] > 0.0)
         own = model[members[0]]
-        # of what the fit has taken away nothing can be told
         left = own.samples - sum(float(taken[series[i].rows].sum()) for i in members)
         scatter += np.einsum("ij,jl,il->i", share, own.scatter(), share) / max(left, np.finfo(float).tiny)
     with np.errstate(divide="ignore"):

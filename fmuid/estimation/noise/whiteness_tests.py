@@ -1,17 +1,7 @@
-"""What a series of samples says of itself: its autocorrelation, whether it is white, whether it is normal.
+"""Tests of a series: autocorrelation, whiteness, normality, cross-correlation (docs/method.md section 12).
 
-Samples may be missing. What noise of its colour shows by chance is said by its model (`fmuid.estimation.noise.model`):
-the model's autocorrelation decays, so that sums over all lags converge, and belongs to a positive spectrum, which the
-sample autocorrelation cut off somewhere does not.
-
-References
-----------
-G. M. Ljung, G. E. P. Box, "On a measure of lack of fit in time series models", Biometrika 65 (2), 1978;
-D. S. Stoffer, C. M. C. Toloi, "A note on the Ljung–Box–Pierce portmanteau statistic with missing data", Statistics &
-Probability Letters 13 (5), 1992;
-M. S. Bartlett, "On the theoretical specification and sampling properties of autocorrelated time-series", Supplement to
-the J. of the Royal Statistical Society 8 (1), 1946 (variances of correlations);
-P. J. Brockwell, R. A. Davis, "Time Series: Theory and Methods", 2nd ed., Springer 1991, sections 5.2 and 11.2.
+References: Ljung and Box, Biometrika 65 (2), 1978; Stoffer and Toloi, Statistics & Probability Letters 13 (5), 1992;
+Bartlett, Suppl. J. R. Stat. Soc. 8 (1), 1946; Brockwell and Davis, "Time Series", 1991, sections 5.2 and 11.2.
 """
 
 from __future__ import annotations
@@ -30,40 +20,26 @@ from fmuid.estimation.noise.model import NoiseModel
 class WhitenessSettings:
     """Numbers of the tests."""
 
-    tested_lags: int = 25
-    """Whiteness is tested over so many lags, the habit of the field, ..."""
-    lags_divisor: int = 5
-    """... but over no more than this part of the samples."""
-    shown_lags: int = 40
-    """The autocorrelation is kept for figures to this lag."""
-    short_record: int = 500
-    """Whiteness of longer records is as its limit says, and of shorter ones drawn, ..."""
-    clear_probabilities: tuple[float, float] = (1e-9, 0.15)
-    """... but for what nobody would doubt, for or against."""
-    draws: int = 600
-    """Enough for the mean and variance of the statistic to some percent."""
-    seed: int = 0
-    """The same record has the same probability each time."""
+    tested_lags: int = 25  # lags of the whiteness test, as usual, ...
+    lags_divisor: int = 5  # ... but at most the samples divided by this
+    shown_lags: int = 40  # lags kept for figures
+    short_record: int = 500  # samples up to which the statistic is drawn, not asymptotic ...
+    clear_probabilities: tuple[float, float] = (1e-9, 0.15)  # ... except outside of these probabilities
+    draws: int = 600  # give mean and variance of the statistic to some percent
+    seed: int = 0  # same record, same probability
 
 
 SETTINGS = WhitenessSettings()
 
 
 def autocorrelation(grid: Floats, lags: int) -> tuple[Floats, Floats]:
-    """Return the autocorrelation at lags 0 to `lags`, and how many pairs of samples each comes from.
+    """Return autocorrelations at lags 0 to `lags`, and their pairs of samples.
 
-    The mean over the pairs that are there, against the variance; NaN at lags without any.
-
-    Parameters
-    ----------
-    grid : (m,) array
-        NaN where a sample is missing; not constant.
-    lags : int
-        Less than m.
+    NaN in `grid` (m,) is a missing sample; NaN in the result is a lag without pairs.
     """
     there = np.isfinite(grid)
     centred = np.where(there, grid - np.nanmean(grid), 0.0)
-    # by transforms: of long series with a long memory thousands of lags are asked for
+    # by transforms: long memories need thousands of lags
     length = fft.next_fast_len(len(grid) + lags, real=True)
     both = np.stack([centred, there.astype(np.float64)])
     sums, pairs = fft.irfft(np.abs(fft.rfft(both, length)) ** 2, length)[:, : lags + 1]
@@ -73,15 +49,9 @@ def autocorrelation(grid: Floats, lags: int) -> tuple[Floats, Floats]:
 
 
 def ljung_box(correlations: Floats, pairs: Floats) -> tuple[float, float]:
-    """Return Ljung and Box's statistic over the lags given, and the probability that white noise exceeds it.
+    """Return Ljung and Box's statistic and its probability under white noise.
 
-    n (n + 2) Σ r_k²/(n − k) where no sample is missing, r_k the sums over the pairs divided by n; with gaps each lag
-    counts by its pairs (Stoffer and Toloi). In long records: of short ones see `whiteness`.
-
-    Parameters
-    ----------
-    correlations, pairs : (lags + 1,) arrays
-        Of `autocorrelation`.
+    With gaps each lag counts by its pairs (Stoffer and Toloi). Short records: see `whiteness`.
     """
     count = pairs[0]
     known = pairs[1:] > 0
@@ -91,12 +61,12 @@ def ljung_box(correlations: Floats, pairs: Floats) -> tuple[float, float]:
 
 @dataclass(frozen=True, eq=False)
 class FitProjection:
-    """What a fit takes out of the noise e of one output: the residual is e_a − C_a Σ_b C_bᵀ e_b over all outputs.
+    """Fitted part of one output's noise e: C_a Σ_b C_bᵀ e_b over all outputs.
 
     Attributes
     ----------
     columns : (n, k) array
-        C_a = J_a R, R Rᵀ the covariance of the estimates for white noise of variance 1.
+        C_a = J_a R, R Rᵀ the covariance for white noise.
     gram : (k, k) array
         Σ_b C_bᵀ C_b.
     """
@@ -106,11 +76,11 @@ class FitProjection:
 
     @classmethod
     def nothing(cls, count: int) -> FitProjection:
-        """Return that of a residual that was not fitted."""
+        """Return the projection of an unfitted residual."""
         return cls(np.zeros((count, 0)), np.zeros((0, 0)))
 
     def of(self, rows: Indices) -> FitProjection:
-        """Return that of some rows: those of one output."""
+        """Return the projection of some rows."""
         return FitProjection(self.columns[rows], self.gram)
 
     def draws(self, random: np.random.Generator, count: int) -> Floats:
@@ -128,14 +98,14 @@ class WhitenessTest:
     Attributes
     ----------
     lags : int
-        Over which whiteness was tested.
+        Number of tested lags.
     statistic : float
     probability : float
-        That the residual of white noise exceeds it.
+        Probability of a larger statistic under white noise.
     autocorrelation : (m,) array
-        From lag 0 on, for figures; NaN where no two samples are so far apart.
+        From lag 0 on; NaN without pairs.
     band : float
-        Half-width of the 95 % band of each of them, if the series were white.
+        Half-width of the 95 % band under white noise.
     """
 
     lags: int
@@ -146,26 +116,23 @@ class WhitenessTest:
 
     @property
     def strongest(self) -> tuple[int, float]:
-        """The lag, in samples, at which the autocorrelation is largest, of those tested, and its value there."""
+        """Tested lag, in samples, of the largest autocorrelation, and its value."""
         tested = np.nan_to_num(self.autocorrelation[: self.lags + 1])
         lag = 1 + int(np.argmax(np.abs(tested[1:])))
         return lag, float(tested[lag])
 
 
 def whiteness(grid: Floats, taken: FitProjection) -> WhitenessTest:
-    """Test whether a series is the residual of white noise.
+    """Test a residual for whiteness.
 
-    The statistic is χ² of as many degrees of freedom as lags in long records. In short ones its tail is heavier, and
-    parameters make the residual of white noise look coloured: a test at 1 % then alarms in 2 to 6 %. Its mean and
-    variance there come from seeded draws of white noise with the same samples and the same fit, and a multiple of a χ²
-    that has them takes the place of the other (Satterthwaite).
+    χ² in long records, else a scaled χ² with mean and variance from seeded draws (Satterthwaite).
 
     Parameters
     ----------
     grid : (m,) array
-        NaN where a sample is missing; not constant.
+        Not constant; NaN if a sample is missing.
     taken : FitProjection
-        By the fit that left the series.
+        Of the fit.
     """
     there = np.isfinite(grid)
     count, most = int(there.sum()), len(grid) - 1
@@ -194,14 +161,14 @@ def _statistics(residuals: Floats, pairs: Floats, there: Flags) -> Floats:
 
 @dataclass(frozen=True)
 class NormalityTest:
-    """Shape of a distribution against that of normal noise (Jarque and Bera).
+    """Skewness and kurtosis against normal noise (Jarque and Bera).
 
     Attributes
     ----------
     skewness, kurtosis : float
-        Of the normal distribution 0 and (excess) 0.
+        0 for normal noise.
     probability : float
-        That normal noise of this colour shows as much.
+        Probability of larger values under normal noise of this color.
     """
 
     skewness: float
@@ -210,10 +177,7 @@ class NormalityTest:
 
 
 def normality(values: Floats, noise: NoiseModel) -> NormalityTest:
-    """Test whether samples (n,), not constant, are normal.
-
-    The variances of skewness and kurtosis, 6/n and 24/n for white noise, are those of noise of this colour.
-    """
+    """Test samples (n,), not constant, for a normal distribution."""
     centred = values - values.mean()
     spread = math.sqrt(float(np.mean(centred**2)))
     skewness = float(np.mean((centred / spread) ** 3))
@@ -225,18 +189,18 @@ def normality(values: Floats, noise: NoiseModel) -> NormalityTest:
 
 @dataclass(frozen=True, eq=False)
 class CrossCorrelation:
-    """Correlation of a series with another one at several lags.
+    """Correlation of two series over several lags.
 
     Attributes
     ----------
     values : (lags + 1,) array
-        NaN where nothing is known.
+        NaN if unknown.
     std : float
-        Of each, if both series had nothing to do with each other.
+        Of each value for unrelated series.
     strongest : int
-        The lag with the largest magnitude.
+        Lag of the largest magnitude.
     probability : float
-        That chance gives as much at any of the lags.
+        Probability of such a magnitude by chance at any lag.
     """
 
     values: Floats
@@ -246,14 +210,14 @@ class CrossCorrelation:
 
 
 class LaggedSeries:
-    """A series at the samples of others and so many lags before, with which they are correlated one after the other.
+    """A series with its lags, to correlate others with.
 
     Parameters
     ----------
     lagged : (n, lags + 1) array
-        The series at each sample's time minus each lag, NaN where it has not begun.
+        Values at each sample's time minus each lag, NaN before the beginning.
     grid : (g,) array
-        The series on the grid of the others; not constant.
+        The series on its grid, not constant.
     """
 
     def __init__(self, lagged: Floats, grid: Floats) -> None:
@@ -261,16 +225,14 @@ class LaggedSeries:
         self._known, self._pairs = there.any(axis=0), np.maximum(there.sum(axis=0), 1)
         self._centred = np.where(there, lagged - np.nanmean(grid), 0.0)
         self._spread = float(np.nanstd(grid))
-        # tapered: the sums over n that belong to a positive spectrum
+        # tapered: a positive spectrum
         own = np.nan_to_num(autocorrelation(grid, len(grid) - 1)[0])
         self._autocorrelation = own * (1.0 - np.arange(len(grid)) / len(grid))
 
     def correlate(self, values: Floats, correlation: Floats) -> CrossCorrelation:
-        """Correlate a series with the lagged values of this one.
+        """Correlate a series (n,) with the lags of this one.
 
-        The variance of each correlation of unrelated series is Σ ρ(k) ρ'(k)/n over all k (Bartlett; Brockwell and
-        Davis, theorem 11.2.2), 1/n where one of them is white. Over several lags the probability is Šidák's bound,
-        which holds however these correlations depend on each other.
+        The variance is Σ ρ(k) ρ'(k)/n (Bartlett); Šidák's bound covers several lags.
 
         Parameters
         ----------

@@ -1,1 +1,1 @@
-"""The one loop of a search, and Marquardt's method (1.16) as its steps."""
+"""Optimization: one loop, and Levenberg–Marquardt (1.16) as its steps."""

@@ -1,4 +1,4 @@
-"""The loop of every search: frozen states, one after the other, until one has an outcome."""
+"""Loop of every optimization: frozen states until one has an outcome."""
 
 from __future__ import annotations
 
@@ -13,35 +13,26 @@ from fmuid.array_types import Flags, Floats
 
 
 class TerminationReason(Enum):
-    """How a search ended; the values are what ``result.json`` has as ``outcome``."""
+    """Termination reason; the values stand in ``result.json`` as ``outcome``."""
 
-    CONVERGED = "converged"
-    """At a minimum, to the tolerance asked for."""
-    ACCURACY = "accuracy"
-    """At a minimum as far as the accuracy of the simulation lets it be seen."""
-    UNDETERMINED = "undetermined"
-    """At a minimum, or running away, along directions that neither data nor prior determine."""
-    UNSETTLED = "unsettled"
-    """Every search converged, and the noise variances of one still differ from those of the next."""
-    ITERATION_LIMIT = "iteration_limit"
-    """After as many steps as were allowed."""
-    RUNAWAY = "runaway"
-    """With parameters that grew by orders of magnitude while the fit gained nothing by it."""
-    STALLED = "stalled"
-    """Where no step lowers the criterion although its slope says so."""
-    FAILING = "failing"
-    """Where every step that would lower the criterion fails."""
-    INTERRUPTED = "interrupted"
-    """By the keyboard, at the best values so far."""
+    CONVERGED = "converged"  # at a minimum, within the tolerance
+    ACCURACY = "accuracy"  # at a minimum, as far as the simulation's accuracy shows it
+    UNDETERMINED = "undetermined"  # a minimum, or a runaway, along directions that are not identifiable
+    UNSETTLED = "unsettled"  # all fits converged, but the noise variances still change
+    ITERATION_LIMIT = "iteration_limit"  # maximum number of steps
+    RUNAWAY = "runaway"  # parameters grew by orders of magnitude without gain
+    STALLED = "stalled"  # no step reduces the cost, in spite of its slope
+    FAILING = "failing"  # every step that could reduce the cost fails
+    INTERRUPTED = "interrupted"  # by the keyboard, at the best values so far
 
     @property
     def converged(self) -> bool:
-        """Whether the point is a minimum, as far as the simulation can tell, that determines every parameter."""
+        """True at a minimum with all parameters identifiable."""
         return self in (TerminationReason.CONVERGED, TerminationReason.ACCURACY)
 
 
 class ResidualFunction(Protocol):
-    """A residual (n_rows,) as a function of theta (N,); `fmuid.estimation.cost_function.CostFunction` is one."""
+    """Residual (n_rows,) as a function of theta (N,), such as `CostFunction`."""
 
     @property
     def lower(self) -> Floats:
@@ -53,13 +44,13 @@ class ResidualFunction(Protocol):
 
     @property
     def noise(self) -> float:
-        """Root mean square of the noise that the residual itself has, that of the simulation."""
+        """RMS of the simulation noise in the residual."""
 
     def magnitudes(self, theta: Floats) -> Floats:
-        """Return how large each parameter is (N,)."""
+        """Return the magnitudes (N,) of the parameters."""
 
     def residuals(self, thetas: Floats) -> Floats:
-        """Return (m, n_rows) for thetas (m, N), NaN rows where failed."""
+        """Return (m, n_rows) for thetas (m, N), NaN rows if failed."""
 
     def jacobian(self, theta: Floats, residual: Floats, *, central: bool) -> Floats:
         """Return the derivative (n_rows, N), by forward or by central differences."""
@@ -68,29 +59,29 @@ class ResidualFunction(Protocol):
         """Return the norm of the error in each of its columns (N,)."""
 
     def measure_noise(self, theta: Floats, residual: Floats, steps: Floats) -> tuple[float, bool]:
-        """Measure the simulation's noise anew, in steps (N,), and use it; return that of ‖residual‖² and if it grew."""
+        """Measure the noise in steps (N,); return that of ‖residual‖², and growth."""
 
 
 @dataclass(frozen=True, eq=False)
 class Iteration:
-    """One step of the search; the first one, number 0, is the start.
+    """One step of the optimization; number 0 is the initial guess.
 
     Attributes
     ----------
     number : int
     criterion : float
-        ‖residual‖² at theta, NaN where the simulation failed.
+        Cost at theta, NaN if the simulation failed.
     damping : float
-        λ of the step, relative to D² (0: a Gauss–Newton step, NaN at the start).
+        λ of the step, relative to D²; 0 for Gauss–Newton, NaN at the initial guess.
     accepted : bool
     theta : (N,) array
-        The point tried.
+        Trial point.
     step : float
-        Length of the step relative to the parameters' magnitudes.
+        Length of the step relative to the magnitudes.
     offset : float
-        What was left of the way before the step, in standard deviations.
+        Remaining distance before the step, σ.
     central : bool
-        Whether the step came from central differences.
+        True with central differences.
     """
 
     number: int
@@ -105,34 +96,34 @@ class Iteration:
 
 @dataclass(frozen=True, eq=False)
 class State:
-    """What a search knows after a step.
+    """State of an optimization after a step.
 
     Attributes
     ----------
     theta, residual : arrays
-        The best point and the residual there.
+        Best point and its residual.
     jacobian : (n_rows, N) array
-        The one in use.
+        Jacobian in use.
     central : bool
-        Whether it is by central differences.
+        True if the Jacobian is by central differences.
     fresh : bool
-        Whether it was made at theta.
+        True if the Jacobian belongs to theta.
     iterations : int
-        Steps tried so far.
+        Number of trial steps.
     rate : float
-        By which the last Gauss–Newton steps came nearer to the optimum.
+        Convergence rate of the last Gauss–Newton steps.
     outcome : TerminationReason or None
-        How the search ended, None while it has not.
+        None before the end.
     borrowed : bool
-        Whether the Jacobian is that of a point close by.
+        True if the Jacobian belongs to a neighboring cell center.
     held : (N,) array of bool
-        Parameters on a bound that the criterion would push further out.
+        Parameters that the cost pushes against a bound.
     reduced : (N+1, N+1) array or None
-        The triangle [R q] of the Jacobian in use and a residual; None where it is not known yet.
+        Triangle [R q] of Jacobian and residual, if known.
     last : Iteration or None
-        The step that led here; None where the search ended without one.
+        Last step.
     memory : object
-        What else the method remembers.
+        Private state of the method.
     """
 
     theta: Floats
@@ -151,25 +142,17 @@ class State:
 
 
 class Search(Protocol):
-    """A method of search: frozen settings with two functions."""
+    """Optimizer: frozen settings with two functions."""
 
     def begin(self, function: ResidualFunction, state: State) -> State:
-        """Return the state from which the search sets out: it has residual and Jacobian."""
+        """Return the first state."""
 
     def advance(self, function: ResidualFunction, state: State) -> State:
-        """Return the state after one more step, or with an outcome."""
+        """Return the state after one step, or with an outcome."""
 
 
 def iterate(search: Search, function: ResidualFunction, state: State) -> Iterator[State]:
-    """Search from a state; yield it and all that follow, the last of which has an outcome.
-
-    Parameters
-    ----------
-    search : Search
-    function : ResidualFunction
-    state : State
-        It has residual and Jacobian.
-    """
+    """Yield all states from a given one on; the last has an outcome."""
     state = search.begin(function, state)
     yield state
     while state.outcome is None:
@@ -178,7 +161,7 @@ def iterate(search: Search, function: ResidualFunction, state: State) -> Iterato
 
 
 def last_state(search: Search, function: ResidualFunction, state: State) -> State:
-    """Search from a state to the end, and return what it comes to."""
+    """Optimize from a state; return the last one."""
     for each in iterate(search, function, state):
         state = each
     return state

@@ -1,15 +1,8 @@
-"""Marquardt's search for the least sum of squares (1.16), with bounds, for functions that are simulations.
+"""Levenberg–Marquardt optimization of simulations (1.16) with bounds (docs/method.md section 2).
 
-Each step is solved, and its length limited, as `fmuid.estimation.search.trust_region` says. What is particular to
-simulations: derivatives cost simulations, so that forward differences serve on the way, and central ones at the end
-only where forward ones are not accurate enough; a point that fails is a point refused; and where parameters run away
-without any gain for the fit, the search says so instead of following them.
+Forward differences serve on the way, central ones near the optimum if needed. A failed simulation is a refused step.
 
-References
-----------
-D. W. Marquardt, "An algorithm for least-squares estimation of nonlinear parameters", J. SIAM 11 (2), 1963;
-D. M. Bates, D. G. Watts, "A relative offset orthogonality convergence criterion for nonlinear least squares",
-Technometrics 23 (2), 1981.
+References: Marquardt, J. SIAM 11 (2), 1963; Bates and Watts, Technometrics 23 (2), 1981.
 """
 
 from __future__ import annotations
@@ -26,14 +19,14 @@ from fmuid.errors import InputError
 from fmuid.estimation.finite_differences import SensitivityError
 from fmuid.estimation.search.loop import Iteration, ResidualFunction, State, TerminationReason
 from fmuid.estimation.search.stopping import STOPPING, Stagnation, Way
-from fmuid.estimation.search.trust_region import REGION, Decomposed, Step, TrustRegion, best_step, triangle
+from fmuid.estimation.search.trust_region import REGION, LinearModel, Step, TrustRegion, triangle
 
 Known: TypeAlias = Callable[[Floats, Floats], Floats | None]
 
 
 @dataclass(frozen=True)
 class MarquardtSettings:
-    """The numbers that a search goes by; `fmuid.Marquardt`, which has them, documents them."""
+    """Settings of an optimization; documented in `fmuid.Marquardt`."""
 
     max_iterations: int = 1000  # most problems need 5 to 20; the most crooked of NIST (Bennett5) several hundred
     tolerance: float = 1e-6  # share of a parameter's magnitude that is left: six digits
@@ -48,56 +41,30 @@ class MarquardtSettings:
 
 @dataclass(frozen=True, eq=False)
 class _Memory:
-    """What the search remembers from step to step.
+    """Private state of the optimization."""
 
-    Attributes
-    ----------
-    square : float
-        ‖residual‖² at the best point.
-    reduced : (N+1, N+1) array
-        [R q] of the Jacobian in use and the residual of the best point, as far as that is known.
-    lengths : (N,) array
-        The diagonal of D.
-    decomposed : U, S and Vᵀ
-        The singular values of R D⁻¹.
-    least : float
-        Those up to this one may be errors of the Jacobian alone.
-    renewal : "", "at once" or "after a step"
-        Whether the Jacobian is to be made anew before the next step.
-    seen_noise : float, float
-        Of the criterion, measured where the search was doubted, and the criterion there.
-    grown_from : (N,) array
-        The largest parameters so far when the fit last gained anything, ...
-    gained_at : float
-        ... and the criterion then.
-    """
-
-    square: float
-    reduced: Floats
-    lengths: Floats
-    decomposed: Decomposed
-    least: float
+    square: float  # ‖residual‖² at the best point
+    linear: LinearModel  # by the Jacobian in use
     region: TrustRegion
     way: Way
     stagnation: Stagnation
-    grown_from: Floats
-    gained_at: float
-    renewal: str = ""
-    seen_noise: tuple[float, float] = (0.0, 1.0)
+    grown_from: Floats  # (N,), largest parameters up to the last gain of the fit ...
+    gained_at: float  # ... and the cost then
+    renewal: str = ""  # of the Jacobian: "", "at once" or "after a step"
+    seen_noise: tuple[float, float] = (0.0, 1.0)  # noise of the cost measured in a doubt, and the cost then
 
 
 @dataclass(frozen=True)
 class Descent:
-    """Marquardt's search as settings and two functions, for `fmuid.estimation.search.loop.iterate`.
+    """Levenberg–Marquardt method for `fmuid.estimation.search.loop.iterate`.
 
     Parameters
     ----------
     settings : MarquardtSettings
     rough : bool
-        End already where what is left hardly changes the variances of the noise, to go on with a changed problem.
+        Stop as soon as the noise variances hardly change any more.
     known : callable, optional
-        Gives for theta (N,) and residual (n_rows,) the Jacobian of a point close by, where one is known. It serves
-        far from the optimum; what is not rough converges by Jacobians of its own.
+        Maps theta (N,) and residual (n_rows,) to a nearby Jacobian, used far from the optimum.
     """
 
     settings: MarquardtSettings
@@ -105,11 +72,11 @@ class Descent:
     known: Known | None = None
 
     def begin(self, function: ResidualFunction, state: State) -> State:
-        """Return the state from which the search sets out: it has residual and Jacobian."""
+        """Return the first state."""
         square, magnitudes = _square(state.residual), function.magnitudes(state.theta)
         none = np.zeros(state.theta.size)
         how = TrustRegion(0.0, 0.0), Way(), Stagnation.at(square), magnitudes, square
-        memory = _Memory(square, none, none, (none, none, none), 0.0, *how)
+        memory = _Memory(square, LinearModel(none, none), *how)
         state = _linearized(function, replace(state, memory=memory))
         region = TrustRegion.of(self.settings.first_radius * _length(_of(state), magnitudes))
         state = _with(state, region=region, renewal="" if state.fresh else "at once")
@@ -125,7 +92,7 @@ class Descent:
         while state.outcome is None:
             memory = _of(state)
             low, high = function.lower - state.theta, function.upper - state.theta
-            newton = best_step(memory.reduced, memory.lengths, low, high, math.inf, memory.least, memory.decomposed)
+            newton = memory.linear.step(low, high)
             state = replace(state, held=newton.held & ((low >= 0) | (high <= 0)))
             state = self._measured(function, state, newton)
             state = replace(state, outcome=self._ended(function, state))
@@ -142,37 +109,37 @@ class Descent:
     # --- the Jacobian
 
     def _suffices(self, function: ResidualFunction, state: State) -> bool:
-        """Whether forward differences are accurate enough to find the optimum by.
+        """Return True if forward differences are accurate enough for the optimum.
 
-        At worst their errors E lie along the residual. The coordinate of the optimum along the most doubtful direction
-        then moves by ‖E D⁻¹‖ ‖r‖/s, s the least singular value of J D⁻¹.
+        Errors E along the residual move the optimum by ‖E D⁻¹‖ ‖r‖/s, s the least singular value of J D⁻¹.
         """
         memory = _of(state)
-        smallest = float(memory.decomposed[1][-1])
-        error = _error(function, state, memory.lengths, central=False)
+        assert memory.linear.decomposed is not None
+        smallest = float(memory.linear.decomposed[1][-1])
+        error = _error(function, state, memory.linear.lengths, central=False)
         if not error < smallest:
             return False
         moved = error / smallest * math.sqrt(memory.square)
-        unit = float(np.min(memory.lengths * function.magnitudes(state.theta)))
+        unit = float(np.min(memory.linear.lengths * function.magnitudes(state.theta)))
         return (
             moved <= STOPPING.offset * math.sqrt(memory.square / _free(state))
             and moved <= self.settings.tolerance * unit * smallest
         )
 
     def _outdated(self, function: ResidualFunction, state: State) -> bool:
-        """Whether the Jacobian has to be made anew at the best point before the next step."""
+        """Return True if the next step needs a new Jacobian."""
         memory, way = _of(state), _of(state).way
         if state.borrowed:
             return way.offset <= STOPPING.borrowed or memory.region.rejections > 0 or memory.stagnation.stuck
         if state.fresh:
-            # many simulated rejections in a row: forward differences may be what is wrong
+            # many rejections without failures: suspect forward differences
             suspicious = memory.region.rejections > STOPPING.suspicious_rejections and not memory.region.failures
             close = way.offset <= STOPPING.offset or way.predicted <= _noise(function, state)
             return (suspicious and not state.central) or (close and not way.accurate)
         return memory.region.rejections > 0 or way.remaining(state) != (way.offset, way.change)
 
     def _renewed(self, function: ResidualFunction, state: State, *, central: bool = False) -> State:
-        """Make the Jacobian anew: by central differences where they are asked for, or needed and worth their price."""
+        """Make the Jacobian anew, by central differences if needed."""
         memory, way, region = _of(state), _of(state).way, _of(state).region
         close = _close(function, state, way.offset if state.fresh else state.rate * way.fresh_offset)
         central = central or (close and not self._suffices(function, state))
@@ -195,7 +162,7 @@ class Descent:
     # --- the steps
 
     def _stepped(self, function: ResidualFunction, state: State, newton: Step) -> State:
-        """Try a step, and move where it is good."""
+        """Try a step; accept it if good."""
         state = replace(state, iterations=state.iterations + 1)
         step, theta, residual = _tried(function, state, newton)
         square, memory = _square(residual), _of(state)
@@ -213,14 +180,15 @@ class Descent:
     # --- the doubt
 
     def _doubted(self, function: ResidualFunction, state: State) -> State:
-        """Measure the simulation's noise anew, and begin afresh with steps of differences to match if it is larger."""
+        """Measure the simulation noise; restart with suitable difference steps if larger."""
         memory = _of(state)
         noise, larger = function.measure_noise(state.theta, state.residual, _doubtful_steps(function, state))
         state = _with(state, stagnation=memory.stagnation.doubting(), seen_noise=(noise, memory.square))
         if not larger:
             return state
-        # columns that were noise are no measure
-        state = _with(state, lengths=np.zeros(state.theta.size), region=memory.region.reopened(fully=False))
+        # column lengths that were noise are no scale
+        linear = replace(memory.linear, lengths=np.zeros(state.theta.size))
+        state = _with(state, linear=linear, region=memory.region.reopened(fully=False))
         state = self._renewed(function, state, central=True)
         first = self.settings.first_radius * _length(_of(state), function.magnitudes(state.theta))
         return _with(state, region=TrustRegion.of(first), stagnation=Stagnation.at(memory.square))
@@ -228,7 +196,7 @@ class Descent:
     # --- the end
 
     def _measured(self, function: ResidualFunction, state: State, newton: Step) -> State:
-        """Take note of how far the optimum is and, where the Jacobian is new, of how fast it comes nearer."""
+        """Update distance and convergence rate."""
         memory = _of(state)
         offset = _relative_offset(state, newton.predicted)
         change = float(np.max(np.abs(newton.step) / function.magnitudes(state.theta)))
@@ -245,7 +213,7 @@ class Descent:
         return _with(state, way=way)
 
     def _ended(self, function: ResidualFunction, state: State) -> TerminationReason | None:
-        """Decide whether the search is over, before it takes another step."""
+        """Return the termination reason, if any."""
         memory, way, noise = _of(state), _of(state).way, _noise(function, state)
         rejections = memory.region.rejections
         offset, change = way.remaining(state)
@@ -287,29 +255,27 @@ def _with(state: State, **changed: object) -> State:
 
 
 def _linearized(function: ResidualFunction, state: State) -> State:
-    """Reduce the Jacobian to a triangle, lengthen D, and note what singular values errors alone may make."""
+    """Reduce the Jacobian to a triangle; update D and the singular-value limit."""
     memory = _of(state)
     reduced = triangle(state.jacobian, state.residual)
     columns = np.linalg.norm(reduced[:, :-1], axis=0)
     unit = 1.0 / function.magnitudes(state.theta)
-    lengths = np.maximum(memory.lengths, np.where(columns > 0, columns, unit))
-    # what its rounding makes of the reduction, too, as in the covariance
+    lengths = np.maximum(memory.linear.lengths, np.where(columns > 0, columns, unit))
     u, singular, vt = np.linalg.svd(reduced[:, :-1] / lengths, full_matrices=False)
     rounding = np.finfo(float).eps * max(state.jacobian.shape) * float(singular[0])
     least = max(_error(function, state, lengths, central=state.central), rounding)
-    state = _with(state, reduced=reduced, lengths=lengths, decomposed=(u, singular, vt), least=least)
-    return replace(state, reduced=reduced)
+    return replace(_with(state, linear=LinearModel(reduced, lengths, least, (u, singular, vt))), reduced=reduced)
 
 
 def _error(function: ResidualFunction, state: State, lengths: Floats, *, central: bool) -> float:
-    """Return the singular value of J D⁻¹ that errors of a Jacobian alone may make."""
+    """Return the largest singular value of J D⁻¹ from errors alone."""
     errors = function.jacobian_error(state.theta, state.residual, central=central)
     relative = errors / lengths
     return math.sqrt(float(relative @ relative))
 
 
 def _close(function: ResidualFunction, state: State, offset: float) -> bool:
-    """Whether the optimum is near, or nearer than the simulation's noise lets see."""
+    """Return True if the optimum is near, or hidden by noise."""
     return offset <= STOPPING.near or _of(state).way.predicted <= _noise(function, state)
 
 
@@ -317,17 +283,15 @@ def _close(function: ResidualFunction, state: State, offset: float) -> bool:
 
 
 def _tried(function: ResidualFunction, state: State, newton: Step) -> tuple[Step, Floats, Floats]:
-    """Simulate the step, or several where simulations fail; return the best, its theta and residual."""
+    """Simulate the step, or several after failures; return the best."""
     memory, region = _of(state), _of(state).region
     low, high = function.lower - state.theta, function.upper - state.theta
     within = _length(memory, newton.step) <= region.value
-    linear = memory.reduced, memory.lengths, low, high, region.value, memory.least, memory.decomposed
-    steps = [newton if within else best_step(*linear)]
+    steps = [newton if within else memory.linear.step(low, high, region.value)]
     if region.failures >= STOPPING.edge_failures:
         for i in range(low.size):
             held = np.arange(low.size) == i
-            rest = np.where(held, 0.0, low), np.where(held, 0.0, high)
-            step = best_step(memory.reduced, memory.lengths, *rest, region.open, memory.least)
+            step = memory.linear.step(np.where(held, 0.0, low), np.where(held, 0.0, high), region.open)
             steps += [step] if step.step.any() else []
     moves = np.array([step.step for step in steps])
     thetas = np.clip(state.theta + moves, function.lower, function.upper)
@@ -340,12 +304,12 @@ def _tried(function: ResidualFunction, state: State, newton: Step) -> tuple[Step
 def _judged(
     function: ResidualFunction, state: State, step: Step, theta: Floats, square: float
 ) -> tuple[TrustRegion, bool]:
-    """Return the next trust region, and whether to take the step."""
+    """Return the next trust region, and acceptance of the step."""
     memory = _of(state)
     length = _length(memory, step.step)
     if not math.isfinite(square):
         return memory.region.failed(length), False
-    slope = float(memory.reduced[:, -1] @ (memory.reduced[:, :-1] @ step.step))
+    slope = float(memory.linear.reduced[:, -1] @ (memory.linear.reduced[:, :-1] @ step.step))
     moved = bool((theta != state.theta).any())
     return memory.region.judged(step, length, memory.square - square, slope, _noise(function, state), moved=moved)
 
@@ -353,7 +317,7 @@ def _judged(
 def _moved(state: State, theta: Floats, residual: Floats, square: float) -> State:
     memory = _of(state)
     if memory.way.near:
-        memory = replace(memory, reduced=triangle(state.jacobian, residual))
+        memory = replace(memory, linear=replace(memory.linear, reduced=triangle(state.jacobian, residual)))
     if memory.gained_at - square > min(1.0 / _free(state), STOPPING.runaway_gain) * memory.gained_at:
         memory = replace(memory, grown_from=np.maximum(memory.grown_from, np.abs(theta)), gained_at=square)
     memory = replace(memory, square=square)
@@ -361,9 +325,9 @@ def _moved(state: State, theta: Floats, residual: Floats, square: float) -> Stat
 
 
 def _doubtful_steps(function: ResidualFunction, state: State) -> Floats:
-    """Return the distance of points (N,) among which noise matters: along what the data determine least."""
+    """Return steps (N,) for the noise measurement, along the weakest direction."""
     memory, magnitudes = _of(state), function.magnitudes(state.theta)
-    _, values, directions = np.linalg.svd(memory.reduced[:, :-1] * magnitudes)
+    _, values, directions = np.linalg.svd(memory.linear.reduced[:, :-1] * magnitudes)
     way = math.sqrt(memory.square / _free(state)) * max(1.0, memory.way.offset)
     widest, closest = STOPPING.widest_noise, STOPPING.closest_noise
     share = max(way / values[-1], closest) if way < widest * values[-1] else widest
@@ -378,23 +342,22 @@ def _square(residual: Floats) -> float:
 
 
 def _free(state: State) -> int:
-    """Return the degrees of freedom."""
     return max(state.residual.size - state.theta.size, 1)
 
 
 def _length(memory: _Memory, step: Floats) -> float:
-    scaled = memory.lengths * step
+    scaled = memory.linear.lengths * step
     return math.sqrt(float(scaled @ scaled))
 
 
 def _relative_offset(state: State, predicted: float) -> float:
-    """Return sqrt(dof predicted/‖r‖²): the way left in standard deviations of the parameters (Bates and Watts)."""
+    """Return sqrt(dof predicted/‖r‖²), the remaining distance in σ (Bates and Watts)."""
     square = _of(state).square
     return math.sqrt(max(predicted, 0.0) * _free(state) / square) if square > 0 else 0.0
 
 
 def _noise(function: ResidualFunction, state: State) -> float:
-    """Return the standard deviation that the simulation's noise gives to ‖r‖²."""
+    """Return the standard deviation of ‖r‖² from simulation noise."""
     memory, noise = _of(state), function.noise
     by_simulation = 2.0 * noise * math.sqrt(memory.square) + state.residual.size * noise**2
     noise, square = memory.seen_noise
@@ -402,13 +365,13 @@ def _noise(function: ResidualFunction, state: State) -> float:
 
 
 def _offset_noise(function: ResidualFunction, state: State) -> float:
-    """Return what the simulation's noise alone leaves of the relative offset."""
+    """Return the relative offset from simulation noise alone."""
     count, square = state.theta.size, _of(state).square
     return function.noise * math.sqrt(count * _free(state) / square) if square > 0 else math.inf
 
 
 def _worthless(function: ResidualFunction, state: State) -> float:
-    """Return what fall of the criterion is no gain: its noise, or a hundredth of a standard deviation."""
+    """Return the largest cost reduction that is no gain."""
     return max(_noise(function, state), STOPPING.worthless_share * _of(state).square / _free(state))
 
 

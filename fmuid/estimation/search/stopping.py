@@ -1,8 +1,6 @@
-"""When a search ends: what is left of the way, and what it gained over its last steps, against what they promised.
+"""Termination criteria and their thresholds.
 
-A simulation need not be as smooth as it is accurate: an adaptive integrator jumps, and min and max in the equations
-have kinks. There a Jacobian promises falls of the criterion that no step brings, however short; the search would go on
-until its iterations are used up, although nothing is left to be gained.
+Adaptive integrators and kinks make a Jacobian promise gains that no step brings; `Stagnation` detects this.
 """
 
 from __future__ import annotations
@@ -15,7 +13,7 @@ from fmuid.estimation.search.loop import State
 
 @dataclass(frozen=True)
 class StoppingSettings:
-    """Numbers by which a search ends, is doubted, or makes its Jacobian anew."""
+    """Thresholds of termination, of doubt, and of new Jacobians."""
 
     offset: float = 1e-3  # standard deviations that all parameters together have to go at the end
     rough_change: float = 5e-4  # a rough search ends where the way left changes the noise variances by no more ...
@@ -44,34 +42,21 @@ STOPPING = StoppingSettings()
 
 @dataclass(frozen=True)
 class Way:
-    """What is left of the way to the optimum, in standard deviations (`offset`) and magnitudes (`change`).
+    """Remaining distance to the optimum, in σ (`offset`) and relative (`change`)."""
 
-    Attributes
-    ----------
-    predicted : float
-        The fall of the criterion that the Gauss–Newton step promises.
-    fresh_offset, fresh_change, previous_offset : float
-        With the last Jacobian that was made where it serves, and with the one before.
-    accurate : bool
-        Whether the Jacobian is good enough to find the optimum by; known near it.
-    near : bool
-        Whether it was made close to the optimum, too.
-    """
-
-    predicted: float = math.inf
+    predicted: float = math.inf  # cost reduction that the Gauss–Newton step promises
     offset: float = math.inf
     change: float = math.inf
-    fresh_offset: float = math.inf
+    fresh_offset: float = math.inf  # with the newest Jacobian, at its own point ...
     fresh_change: float = math.inf
-    previous_offset: float = math.inf
-    accurate: bool = False
-    near: bool = False
+    previous_offset: float = math.inf  # ... and with the one before
+    accurate: bool = False  # the Jacobian suffices to find the optimum
+    near: bool = False  # and was made close to it
 
     def remaining(self, state: State) -> tuple[float, float]:
-        """Return what is left: in standard deviations, and the largest change relative to a magnitude.
+        """Return remaining σ and largest relative change.
 
-        With a Jacobian that was made before the last step, the residual's own curvature is not seen; it is what makes
-        Gauss–Newton steps converge linearly, and the rate so far tells how much it leaves.
+        An old Jacobian misses the residual's curvature; the convergence rate so far stands for it.
         """
         if state.fresh:
             return self.offset, self.change
@@ -81,54 +66,40 @@ class Way:
 
 @dataclass(frozen=True)
 class Stagnation:
-    """The gain of the last steps.
+    """Cost reduction over the last steps."""
 
-    Attributes
-    ----------
-    first, last : float
-        The criterion at the last gain, and now.
-    steps : int
-        Since then, or since the search was doubted.
-    promised : float
-        The fall that the steps since the last gain promised.
-    patience : int
-        Steps without gain after which the search is doubted.
-    doubted : bool
-        Whether it was already doubted since its last gain.
-    """
-
-    first: float
-    last: float
-    steps: int = 0
-    promised: float = 0.0
-    patience: int = STOPPING.patient_steps
+    first: float  # cost at the last gain
+    last: float  # cost now
+    steps: int = 0  # since the last gain or doubt
+    promised: float = 0.0  # cost reduction predicted since the last gain
+    patience: int = STOPPING.patient_steps  # steps without gain before a doubt
     doubted: bool = False
 
     @classmethod
     def at(cls, square: float, patience: int = STOPPING.patient_steps) -> Stagnation:
-        """Return the beginning at a criterion."""
+        """Return the initial value at a cost."""
         return cls(square, square, patience=patience)
 
     def after(self, promised: float, square: float, worth: float) -> Stagnation:
-        """Return it after a step: what fall it promised, the criterion after it, and what fall counts as a gain."""
+        """Return the value after a step."""
         after = replace(self, steps=self.steps + 1, promised=self.promised + promised, last=square)
         return Stagnation.at(square, self.patience) if after.fall > worth else after
 
     def doubting(self) -> Stagnation:
-        """Return it with as many steps granted again, and next time twice as many."""
+        """Return the value after a doubt; patience doubles."""
         return replace(self, steps=0, doubted=True, patience=2 * self.patience)
 
     @property
     def fall(self) -> float:
-        """How much the criterion has fallen since the last gain."""
+        """Cost reduction since the last gain."""
         return self.first - self.last
 
     @property
     def stuck(self) -> bool:
-        """Whether the search has used up its patience without a gain."""
+        """True if patience is used up without a gain."""
         return self.steps >= self.patience
 
     def in_vain(self, worthless: float) -> bool:
-        """Whether the search gains nothing although it was doubted."""
+        """Return True if the search gains nothing in spite of a doubt."""
         vain = self.fall < STOPPING.vain_share * self.promised
         return self.doubted and self.stuck and vain and self.fall <= worthless

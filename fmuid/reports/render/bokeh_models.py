@@ -1,9 +1,4 @@
-"""Models of Bokeh's library as data, without Bokeh's own models.
-
-Those check, default and observe every property, as a server needs it; a page that is only written would pay seconds
-for that. `written` turns models into the JSON that the library in a browser reads, `live` into Bokeh's own, which know
-and check all names.
-"""
+"""Bokeh models as plain data: Bokeh's own classes take seconds to validate a page."""
 
 from __future__ import annotations
 
@@ -24,7 +19,7 @@ _FLOATS = (np.dtype(np.float32), np.dtype(np.float64))
 
 
 class BokehSpec:
-    """A model by its name in Bokeh; its attributes are what is set of it."""
+    """A Bokeh model by its name; its attributes are the properties set."""
 
     __slots__ = ("__dict__", "kind")
 
@@ -49,26 +44,13 @@ class Field:
 
 @dataclass(frozen=True)
 class Value:
-    """A value where a column could stand."""
+    """A constant in place of a column."""
 
     value: object
 
 
 def live(figures: Sequence[BokehSpec], *, dark: bool = False) -> list[Any]:
-    """Return figures as Bokeh's own models, for a server; what several share is shared.
-
-    Parameters
-    ----------
-    figures : sequence of BokehSpec
-        Models of Bokeh in them stay as they are.
-    dark : bool
-        Whether the page is dark: pages without a server exchange colors by a script of their own.
-
-    Raises
-    ------
-    AttributeError, ValueError
-        If Bokeh has no such model, property or value.
-    """
+    """Return figures as Bokeh's own models, for a server."""
     from bokeh import models as library
 
     made: dict[int, Any] = {}
@@ -94,7 +76,7 @@ def live(figures: Sequence[BokehSpec], *, dark: bool = False) -> list[Any]:
 
 
 def written(figures: Sequence[BokehSpec]) -> tuple[list[Any], list[str]]:
-    """Return figures as JSON that Bokeh's library in a browser reads, and the id of each."""
+    """Return figures as BokehJS JSON, and the id of each."""
     ids: dict[int, str] = {}
     roots = [_json(figure, ids) for figure in figures]
     return roots, [root["id"] for root in roots]
@@ -105,7 +87,11 @@ def _json(value: Any, ids: dict[int, str]) -> Any:
         case None | bool() | int() | str():
             return value
         case float():
-            return value if math.isfinite(value) else {"type": "number", "value": _beyond(value)}
+            return (
+                value
+                if math.isfinite(value)
+                else {"type": "number", "value": "nan" if math.isnan(value) else f"{value:+}"}
+            )
         case np.generic():
             return _json(value.item(), ids)
         case BokehSpec():
@@ -124,10 +110,6 @@ def _json(value: Any, ids: dict[int, str]) -> Any:
         case np.ndarray():
             return _array(value, ids)
     return [_json(each, ids) for each in value]
-
-
-def _beyond(value: float) -> str:
-    return "nan" if math.isnan(value) else "+inf" if value > 0 else "-inf"
 
 
 def _array(values: np.ndarray[Any, Any], ids: dict[int, str]) -> Any:

@@ -1,7 +1,4 @@
-"""Charts for a browser, as models of Bokeh's library.
-
-Names from studies and FMUs are never part of a format, of a column's name or of HTML.
-"""
+"""Charts as Bokeh models. Names from studies never enter formats, columns or HTML."""
 
 from __future__ import annotations
 
@@ -15,16 +12,7 @@ import numpy as np
 
 from fmuid.reports.chart import Axis, Chart, ChartGrid, Figure, Layer, Shades, beside, row_below, wrapped
 from fmuid.reports.render.bokeh_models import BokehSpec, Field, Value
-from fmuid.reports.render.style import (
-    BAR,
-    BAR_BELOW,
-    COLORS,
-    FONT,
-    LINE,
-    MISSING,
-    NAME_SIZE,
-    palette,
-)
+from fmuid.reports.render.style import BAR, BAR_BELOW, COLORS, FONT, LINE, MISSING, NAME_SIZE, palette
 
 # Glyphs that are one shape: their looks are plain values; those of others may be columns.
 _ONE_SHAPE = ("Line", "Step", "VArea", "Patch")
@@ -48,13 +36,13 @@ _GLYPHS = {
 
 @dataclass(frozen=True, eq=False)
 class DrawnCharts:
-    """Figures, and the sources of their columns: for who exchanges the data while somebody looks."""
+    """Figures and their data sources."""
 
     figures: tuple[BokehSpec, ...]
     sources: tuple[tuple[Any, Mapping[str, tuple[int, str]]], ...]
 
     def refill(self, figures: Sequence[Figure], before: Sequence[Figure]) -> None:
-        """Put the data of figures of the same shape in place of those `before`; what is the same object stays."""
+        """Replace the data of the figures `before` by that of figures alike."""
         new, old = list(_layers(figures)), list(_layers(before))
         for source, columns in self.sources:
             if any(new[k].data[key] is not old[k].data[key] for k, key in columns.values()):
@@ -66,16 +54,7 @@ def drawing(
     ranges: Mapping[str, Any] | None = None,
     source: Callable[[dict[str, Any]], Any] = lambda data: BokehSpec("ColumnDataSource", data=data),
 ) -> DrawnCharts:
-    """Return figures as sketches.
-
-    Parameters
-    ----------
-    figures : sequence of Chart or ChartGrid
-    ranges : mapping of str to model, optional
-        Bokeh's own ranges of linked axes, for a server.
-    source : callable
-        What makes a source of columns.
-    """
+    """Return figures as sketches."""
     layers = list(_layers(figures))
     pools: dict[int, dict[str, tuple[int, str]]] = {}
     places: dict[int, tuple[int, dict[str, str]]] = {}
@@ -125,7 +104,7 @@ def _figure(figure: Figure, linked: dict[str, Any], places: Mapping[int, Any], s
 
 
 def _grid(children: list[tuple[BokehSpec, int, int]]) -> BokehSpec:
-    """Return plots in rows and columns, with one toolbar for all of them."""
+    """Return plots in rows and columns with one toolbar."""
     kinds: dict[str, list[BokehSpec]] = {}
     for plot, _, _ in children:
         plot.toolbar_location = None
@@ -197,7 +176,7 @@ class _Plot:
         )
 
     def compact(self, crosses: dict[str, BokehSpec]) -> None:
-        """Have it stand close to others of a grid, and read with those over the same time."""
+        """Reduce margins in a grid, and share the crosshair."""
         if self.chart.crosshair:
             vars(self.sketch).update(min_border_top=4, min_border_bottom=4)
             self.xaxis.ticker.desired_num_ticks = 8
@@ -270,7 +249,6 @@ class _Plot:
         )
 
     def _legend(self, entries: Mapping[str, list[BokehSpec]]) -> None:
-        """Put a legend above, in lines where one has no room: a click hides what an entry stands for."""
         items = [BokehSpec("LegendItem", label=Value(text), renderers=drawn) for text, drawn in entries.items()]
         if not items:
             return

@@ -1,13 +1,14 @@
-"""Documents on a terminal: tables, sentences, and how it ended."""
+"""Documents on a terminal."""
 
 from __future__ import annotations
 
 import io
 import sys
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
+from rich.cells import cell_len
 from rich.console import Console
 from rich.markup import escape
 from rich.measure import Measurement
@@ -15,20 +16,20 @@ from rich.table import Table as RichTable
 from rich.text import Text
 
 from fmuid.formatting import visible
-from fmuid.reports.document import Column, Document, Remark, Section, Table
+from fmuid.reports.document import TERMINAL_ROWS, Column, Document, Remark, Section, Table
 
 # Into a file or a pipe, where nobody can widen the window: what a README shows without scrolling.
 PLAIN_WIDTH = 110
-# Rows of a table on a terminal; more scroll away what was first. A pipe gets them all.
-TERMINAL_ROWS = 60
+# Into a pipe, where lines are searched: one line a variable, however long.
+PIPE_WIDTH = 1000
 # To ask how wide a table would be.
 UNLIMITED_WIDTH = 10_000
+RESULTS = {"ok": "green", "warning": "yellow", "failed": "bold red"}
+"""Style of results of checks."""
 TONES = {"good": "green", "doubt": "yellow", "bad": "red", "plain": ""}
 
 
 class _Console(Console):
-    """A console that prints nothing that a terminal obeys or a reader cannot see, but for its own styles."""
-
     def render_str(self, text: str, **options: Any) -> Text:
         return super().render_str(visible(text), **options)
 
@@ -39,7 +40,7 @@ def console() -> Console:
 
 
 def show(document: Document, before: Document | None = None) -> None:
-    """Print the tables of a document, its sentences and how it ended; not again what was shown `before`."""
+    """Print a document without the parts that were shown `before`."""
     out = console()
     keys = set() if before is None else {each.key for each in before.sections}
     said = set() if before is None else {each.text for each in before.remarks}
@@ -51,40 +52,80 @@ def show(document: Document, before: Document | None = None) -> None:
     out.print(f"[bold {color}]{escape(document.heading)}: {escape(document.state)}[/]", soft_wrap=True)
 
 
+def show_listing(document: Document, what: str) -> None:
+    """Print the head of a document, its tables whole, its remarks, and its study file below a title."""
+    out = console()
+    if not out.is_terminal:
+        out.width = PIPE_WIDTH
+    out.print(f"[bold]{escape(document.heading)}[/]" + (f": {escape(document.state)}" if document.state else ""))
+    for each in document.sections:
+        if each.heading:
+            out.print(f"\n[bold]{escape(each.heading)}[/]")  # a title of the table itself would wrap
+        if not each.heading or out.is_terminal:
+            out.print(rich_table(each.table, "", out))
+        else:
+            out.file.writelines(plain_lines(each.table))
+        show_remarks(each.remarks, out)
+    for remark in document.remarks:
+        out.print(f"\n{escape(remark.text)}")
+    out.print(f"\n{what}\n")
+    for line in document.study.splitlines():
+        out.print(line, markup=False, soft_wrap=True)
+
+
+def plain_lines(columns: Table) -> Iterator[str]:
+    """Yield the lines of a table; Rich takes a minute for 100,000 rows."""
+    filled = [_filled([each.head, *each.cells], flush_right=each.number) for each in columns]
+    for number, row in enumerate(zip(*filled, strict=True)):
+        line = "   ".join(row)
+        yield line.rstrip() + "\n"
+        if number == 0:
+            yield "─" * cell_len(line) + "\n"
+
+
+def _filled(texts: Sequence[str], *, flush_right: bool) -> list[str]:
+    """Return texts padded to one width in terminal columns."""
+    plain = "".join(texts).isascii()
+    widths = [(len if plain or text.isascii() else cell_len)(text) for text in texts]
+    widest = max(widths)
+    if plain:
+        return [text.rjust(widest) if flush_right else text.ljust(widest) for text in texts]
+    blanks = [" " * (widest - width) for width in widths]
+    return [blank + text if flush_right else text + blank for text, blank in zip(texts, blanks, strict=True)]
+
+
 def show_section(section: Section, out: Console | None = None) -> None:
     """Print the table of a section and the sentences on it."""
     out = out or console()
     if section.table and "console" in section.shown:
         out.print()
         out.print(rich_table(section.table, section.heading, out))
-        show_remarks(section.remarks)
+        show_remarks(section.remarks, out)
 
 
-def show_remarks(remarks: Iterable[Remark]) -> None:
+def show_remarks(remarks: Iterable[Remark], out: Console | None = None) -> None:
     """Print sentences, one a line; doubts after a mark."""
+    out = out or console()
     for each in remarks:
         mark = "[yellow]note:[/] " if each.tone in ("doubt", "bad") else ""
-        console().print(f"{mark}{escape(each.text)}", soft_wrap=True)
+        out.print(f"{mark}{escape(each.text)}", soft_wrap=True)
 
 
-def rich_table(columns: Table, title: str, out: Console, styles: Mapping[str, str] | None = None) -> RichTable:
-    """Return a table with a rule below the heads, no frame, no column without any cell, and what there is room for.
-
-    Cells of `styles` are painted so.
-    """
+def rich_table(columns: Table, title: str, out: Console) -> RichTable:
+    """Return a table with the columns that fit."""
     shown = [each for each in columns if any(each.cells)]
     hidden = 0
     if out.is_terminal and shown and len(shown[0].cells) > TERMINAL_ROWS:
         hidden = len(shown[0].cells) - TERMINAL_ROWS
     unlimited = out.options.update(max_width=UNLIMITED_WIDTH)
     for rank in sorted({each.rank for each in shown if each.rank}, reverse=True):
-        if Measurement.get(out, unlimited, _table(shown, title, hidden, {})).maximum <= out.width:
+        if Measurement.get(out, unlimited, _table(shown, title, hidden)).maximum <= out.width:
             break
         shown = [each for each in shown if each.rank != rank]
-    return _table(shown, title, hidden, styles or {})
+    return _table(shown, title, hidden)
 
 
-def _table(columns: Iterable[Column], title: str, hidden: int, styles: Mapping[str, str]) -> RichTable:
+def _table(shown: Sequence[Column], title: str, hidden: int) -> RichTable:
     from rich import box
 
     made = RichTable(
@@ -96,19 +137,20 @@ def _table(columns: Iterable[Column], title: str, hidden: int, styles: Mapping[s
         min_width=len(title) or None,  # a title takes no second line
         caption=f"and {hidden} more" if hidden else None,
         caption_justify="left",
+        show_header=any(each.head.strip() for each in shown),
     )
     made.pad_edge = made.show_edge = False
-    shown = list(columns)
     for each in shown:
         made.add_column(escape(each.head), justify="right" if each.number else "left", overflow="fold")
     rows = list(zip(*(each.cells for each in shown), strict=True))
     for cells in rows[: len(rows) - hidden]:
-        made.add_row(*(Text(cell, style=styles[cell]) if cell in styles else escape(cell) for cell in cells))
+        pairs = zip(shown, cells, strict=True)
+        made.add_row(*(Text(cell, RESULTS.get(cell, "")) if c.head == "result" else escape(cell) for c, cell in pairs))
     return made
 
 
 def plain_table(columns: Table, rows: int | None = None) -> list[str]:
-    """Return the lines of a table as text, of its first rows; no cell takes a second line."""
+    """Return the lines of a table as text."""
     out = Console(file=io.StringIO(), width=PLAIN_WIDTH, highlight=False)
     made = rich_table(columns, "", out)
     assert isinstance(out.file, io.StringIO)
@@ -119,7 +161,7 @@ def plain_table(columns: Table, rows: int | None = None) -> list[str]:
 
 
 def show_files(paths: Iterable[Path]) -> None:
-    """Say where files went: one line a folder."""
+    """Print written files, one line per folder."""
     folders: dict[Path, list[str]] = {}
     for path in paths:
         folders.setdefault(path.parent, []).append(path.name)
@@ -128,6 +170,6 @@ def show_files(paths: Iterable[Path]) -> None:
 
 
 def show_notes(notes: Iterable[str]) -> None:
-    """Print what is to be known of the input, to standard error."""
+    """Print notes to standard error."""
     for note in notes:
         print(visible(f"note: {note}"), file=sys.stderr)

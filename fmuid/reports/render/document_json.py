@@ -1,8 +1,4 @@
-"""Documents as JSON, ``document.json`` of a results folder: what `fmuid report` and other front ends show.
-
-``documents`` has them by their kind. Attributes at their default are left out. ``arrays`` has each array once, as
-base64 of little-endian numbers; ``{"array": k}`` stands for array k.
-"""
+"""Documents as JSON: ``documents`` by kind; ``{"array": k}`` is array k of ``arrays`` (base64)."""
 
 from __future__ import annotations
 
@@ -25,22 +21,20 @@ SCHEMA = "fmuid/document/1"
 _DTYPES = {"float32": "<f4", "float64": "<f8"}
 
 
-def write_document(folder: Path, document: Document) -> Path:
-    """Write a document into a folder, beside those of other commands, and return the path of the file.
-
-    Raises
-    ------
-    InputError
-        If it cannot be written.
-    """
+def write_documents(folder: Path, documents: Mapping[str, Document]) -> Path:
+    """Write ``document.json`` of a folder; return its path."""
     path = folder / DOCUMENT_FILE
-    try:
-        others = read_documents(folder) if is_file(path) else {}
-    except InputError:  # damaged: what other commands have found can be shown again by running them
-        others = {}
     with replacing(path) as draft:
-        draft.write_text(to_json({**others, document.kind: document}), encoding="utf-8")
+        draft.write_text(to_json(documents), encoding="utf-8")
     return path
+
+
+def kept_documents(folder: Path) -> dict[str, Document]:
+    """Return the documents that earlier commands have left; none if the file is damaged: they can run again."""
+    try:
+        return read_documents(folder) if is_file(folder / DOCUMENT_FILE) else {}
+    except InputError:
+        return {}
 
 
 def to_json(documents: Mapping[str, Document]) -> str:
@@ -55,13 +49,7 @@ def to_json(documents: Mapping[str, Document]) -> str:
 
 
 def read_documents(folder: Path) -> dict[str, Document]:
-    """Return the documents of a folder by their kind.
-
-    Raises
-    ------
-    InputError
-        If there is no such file, it cannot be read, or is not what fmuid writes.
-    """
+    """Return the documents of a folder by their kind."""
     from pydantic import TypeAdapter, ValidationError
 
     path = folder / DOCUMENT_FILE

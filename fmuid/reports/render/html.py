@@ -1,9 +1,4 @@
-"""Documents as a page of HTML that asks no host: sentences, tables, figures, and the library that draws them.
-
-All text is escaped. Besides, the page's own policy lets a browser run the two scripts that were written into it, known
-by their digests, and load nothing from anywhere. One is the library, compressed to a third as the figures are: the
-other unpacks it, and draws one section after the other.
-"""
+"""Documents as one HTML page that loads nothing: all text is escaped, scripts are allowed by digest."""
 
 from __future__ import annotations
 
@@ -49,21 +44,14 @@ def page(title: str, documents: Sequence[Document]) -> str:
 
 
 def written(documents: Sequence[Document], live: frozenset[str] = frozenset()) -> tuple[str, list[tuple[Any, Any]]]:
-    """Return documents as HTML, and for each section with charts what Bokeh's library is told to draw them.
-
-    Parameters
-    ----------
-    documents : sequence of Document
-    live : frozenset of str
-        Keys of sections whose charts a server draws: `place_of` stands for them.
-    """
+    """Return documents as HTML, and the Bokeh JSON of each section with charts."""
     drawings: list[tuple[Any, Any]] = []
     body = "".join(_document(each, drawings, live, several=len(documents) > 1) for each in documents)
     return body, drawings
 
 
 def place_of(key: str) -> str:
-    """Return what stands where a server draws the figures of a section."""
+    """Return the placeholder of a section that a server draws."""
     return f"<!-- figure {key} -->"
 
 
@@ -73,7 +61,7 @@ def text(words: object) -> str:
 
 
 def table(columns: Table) -> str:
-    """Return a table as HTML, its first column as the names of the rows; columns without any cell are left out."""
+    """Return a table as HTML, without columns of empty cells."""
     shown = [each for each in columns if any(each.cells)]
     if not shown:
         return ""
@@ -101,7 +89,10 @@ def verdict(document: Document) -> str:
     badge = f'<span class="badge {"good" if document.tone == "good" else "bad"}">{text(document.state)}</span>'
     heading = f"<h2>{text(document.heading)} {badge}</h2>"
     unsure = f"<h3>What is doubtful, and what would help</h3><ul class=doubts>{doubts}</ul>" if doubts else ""
-    tables = "".join(_bare(each) for each in document.sections if _is_bare(each))
+    tables = ""
+    for each in document.sections:
+        rows = table(each.table) if not each.charts and "page" in each.shown else ""
+        tables += f"<h3>{text(each.heading)}</h3>{rows}" if each.heading and rows else rows
     return f"<section>{heading}<ul class=verdict>{sure}</ul>{unsure}{tables}</section>"
 
 
@@ -116,15 +107,6 @@ def section_head(section: Section) -> str:
 def drawn_sections(document: Document) -> Iterator[Section]:
     """Yield the sections that a page shows below the verdict."""
     return (each for each in document.sections if each.charts)
-
-
-def _is_bare(section: Section) -> bool:
-    return not section.charts and "page" in section.shown
-
-
-def _bare(section: Section) -> str:
-    rows = table(section.table)
-    return f"<h3>{text(section.heading)}</h3>{rows}" if section.heading and rows else rows
 
 
 def _document(document: Document, drawings: list[Any], live: frozenset[str], *, several: bool) -> str:
@@ -159,11 +141,8 @@ def _origin(document: Document, *, several: bool) -> str:
     return head + table(document.origin) + (details("Study file", document.study) if document.study else "")
 
 
-# --- figures
-
-
 def embedded(figures: Sequence[Figure]) -> tuple[dict[str, Any], list[Any], list[str]]:
-    """Return what Bokeh's library is told of figures and of their places, and the elements for these places."""
+    """Return Bokeh's JSON of figures and places, and the elements of these places."""
     from fmuid.reports.render.bokeh_models import written as as_json
     from fmuid.reports.render.bokeh_renderer import drawing
 
@@ -180,12 +159,13 @@ def embedded(figures: Sequence[Figure]) -> tuple[dict[str, Any], list[Any], list
 
 
 def _drawing(drawings: Sequence[Any]) -> tuple[str, str]:
-    """Return the digests of the scripts that draw, and the elements that hold them and what they draw."""
+    """Return the digests of the scripts, and the elements with scripts and figures."""
     from fmuid.reports.render.style import DARK
 
     library, own = bokeh_library(), f"const DARK = {json.dumps(DARK)};\n{_file('page.js')}"
     figures = json.dumps(drawings, separators=(",", ":"))
-    digests = " ".join(f"'sha256-{_digest(each)}'" for each in (library, own))
+    hashes = (base64.b64encode(hashlib.sha256(each.encode()).digest()).decode() for each in (library, own))
+    digests = " ".join(f"'sha256-{each}'" for each in hashes)
     return digests, f"{_packed('library', library)}{_packed('figures', figures)}<script>{own}</script>\n"
 
 
@@ -195,13 +175,7 @@ def _packed(name: str, content: str) -> str:
 
 
 def bokeh_library() -> str:
-    """Return Bokeh's library for browsers; finding it imports nothing of Bokeh.
-
-    Raises
-    ------
-    InputError
-        If it is not there.
-    """
+    """Return Bokeh's library for browsers; finding it imports nothing of Bokeh."""
     found = find_spec("bokeh")
     if found is None or not found.submodule_search_locations:  # it is a dependency: only a broken installation
         raise InputError("figures are drawn by Bokeh, which is not installed: pip install bokeh")
@@ -211,7 +185,3 @@ def bokeh_library() -> str:
 
 def _file(name: str) -> str:
     return resources.files("fmuid.reports.render").joinpath(name).read_text(encoding="utf-8")
-
-
-def _digest(script: str) -> str:
-    return base64.b64encode(hashlib.sha256(script.encode()).digest()).decode()

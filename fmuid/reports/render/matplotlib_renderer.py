@@ -1,4 +1,4 @@
-"""Charts for print, drawn with matplotlib's objects directly: no window, no global state, and a faster start."""
+"""Charts for print, with matplotlib's objects: no window, no global state."""
 
 from __future__ import annotations
 
@@ -66,21 +66,12 @@ _UNDATED = {"svg": {"Date": None}, "pdf": {"CreationDate": None, "ModDate": None
 
 
 def style() -> Any:
-    """Return the context in which every figure is drawn."""
+    """Return the context for drawing."""
     return matplotlib.rc_context(STYLE)
 
 
 def printed(figures: Sequence[Figure], columns: int, title: str = "") -> Print:
-    """Return figures beside and below each other as one for print.
-
-    Parameters
-    ----------
-    figures : sequence of Chart or ChartGrid
-    columns : int
-        So many stand beside each other.
-    title : str
-        Above all of them.
-    """
+    """Return figures beside and below each other as one for print."""
     columns = min(columns, len(figures))
     rows = [list(figures[k : k + columns]) for k in range(0, len(figures), columns)]
     heights = [max(sum(_heights(each)) for each in row) * INCH for row in rows]
@@ -145,7 +136,7 @@ class _Marks:
         self.color = to_rgba(COLORS[layer.color], layer.alpha)
 
     def artist(self) -> Any:
-        """Paint it, and return what stands for it in a legend."""
+        """Paint the layer and return its legend entry."""
         layer, look = self.layer, self._line()
         match layer.mark:
             case "line":
@@ -266,7 +257,7 @@ def _frame(axes: Axes, side: str, axis: Axis) -> None:
 
 
 def _words(text: str) -> str:
-    """Return a text of which nothing is taken for mathematics."""
+    """Return a text without mathematics markup."""
     return text.replace("$", r"\$")
 
 
@@ -329,21 +320,7 @@ def _names(axes: Axes, names: Sequence[str]) -> None:
 
 
 def save(figures: Mapping[str, Print], folder: Path, kind: str = "png") -> list[Path]:
-    """Write figures into `folder` (made where needed) and return their paths.
-
-    Parameters
-    ----------
-    figures : mapping of str to matplotlib's Figure
-        By the names of their files.
-    folder : Path
-    kind : str
-        ``png``, ``svg`` or ``pdf``.
-
-    Raises
-    ------
-    InputError
-        If one cannot be written.
-    """
+    """Write figures into `folder` and return their paths."""
     paths = []
     with style():  # ticks take theirs when they are drawn
         for name, figure in figures.items():

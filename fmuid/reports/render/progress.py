@@ -1,9 +1,8 @@
-"""What runs shows how far it is: live on a terminal; elsewhere a line an iteration, or a line a tenth of long work."""
+"""Progress of long work: live on a terminal, elsewhere as lines."""
 
 from __future__ import annotations
 
 import contextlib
-import json
 import math
 import os
 import sys
@@ -12,7 +11,7 @@ from collections.abc import Mapping
 from datetime import timedelta
 from pathlib import Path
 from types import TracebackType
-from typing import TYPE_CHECKING, Self
+from typing import Self
 
 from rich.console import Group, RenderableType
 from rich.live import Live
@@ -22,9 +21,7 @@ from rich.spinner import Spinner
 from rich.table import Table
 from rich.text import Text
 
-from fmuid.diagnosis import SkippedWindow
-from fmuid.formatting import unit_text, with_std
-from fmuid.progress import (
+from fmuid.events import (
     EVENTS,
     BatchStep,
     Event,
@@ -37,13 +34,7 @@ from fmuid.progress import (
     WindowStep,
     to_line,
 )
-from fmuid.reports.document import Remark
-from fmuid.reports.render.console import console, show_remarks
-from fmuid.reports.topics.monitoring import alarm_words, gap_words
-
-if TYPE_CHECKING:
-    from fmuid.diagnosis import Monitor
-    from fmuid.runs import FollowStatus
+from fmuid.reports.render.console import console
 
 # More parameters than these would push the first lines off the terminal.
 LIVE_ROWS = 20
@@ -54,7 +45,7 @@ KEEPS = "Ctrl-C ends it and keeps what there is"
 
 
 class Display:
-    """Shows how far long work is; used as a context and called with each event (`fmuid.progress.Progress`)."""
+    """Progress display: a context, called with each event."""
 
     # Off a terminal, a line each time so many of these parts of a task are done, or of a batch so often, s.
     PARTS, EVERY = 10, 10.0
@@ -77,7 +68,7 @@ class Display:
         self.pause()
 
     def pause(self) -> None:
-        """Take the live display away until the next event, so that something else can be printed."""
+        """Remove the live display until the next event."""
         if self._live is not None:
             self._live.stop()
             self._live = None
@@ -100,7 +91,7 @@ class Display:
         self._live.update(self._drawn(event), refresh=isinstance(event, SearchStep))
 
     def _due(self, event: Event) -> bool:
-        """Whether an event is worth a line of a file."""
+        """Tell if an event is worth a line of a file."""
         if isinstance(event, BatchStep):
             if time.monotonic() < self._next:
                 return False
@@ -113,7 +104,6 @@ class Display:
         return isinstance(event, SearchStep | GlobalStep | MapStep | ProfileStep | SamplingStep | BatchStep)
 
     def _drawn(self, event: Event) -> RenderableType:
-        """Return what is shown live."""
         if isinstance(event, SearchStep):
             return Group(Text(_head(event)), self._values())
         bar = Table.grid(padding=(0, 2))
@@ -159,7 +149,7 @@ def _listed(values: Mapping[str, float]) -> str:
 
 
 def event_words(event: Event) -> str:
-    """Return in words where a task stands."""
+    """Return the state of a task as text."""
     match event:
         case GlobalStep():
             best = _listed(event.values)
@@ -194,81 +184,3 @@ def _batch(step: BatchStep) -> str:
             left = timedelta(seconds=math.ceil(step.left)) if step.left < timedelta.max.total_seconds() else "ages"
             words.append(f"{step.rate:.3g} a second, {left} left")
     return ", ".join(words)
-
-
-# --- fmuid monitor --follow -----------------------------------------------------------------
-
-# Records that were silent for longer than this, s, are said to be.
-SILENT = 5.0
-COLOURS = {"raised": "bold red", "changed": "red", "ended": "green"}
-
-
-class FollowingDisplay:
-    """Shows how far a monitoring in operation is; used as a context and called after each look."""
-
-    def __init__(self) -> None:
-        self._console = console()
-        self._live: Live | None = None
-        self._windows, self._since = -1, 0.0
-
-    def __enter__(self) -> Self:
-        if sys.stdout.isatty():
-            self._live = Live(console=self._console, refresh_per_second=4, transient=True)
-            self._live.start()
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
-    ) -> None:
-        if self._live is not None:
-            self._live.stop()
-
-    def __call__(self, watching: FollowStatus) -> None:
-        """Print what is new, and show where it stands."""
-        for line in watching.lines:
-            said = json.loads(line)
-            when = said["date"][:19].replace("T", " ") or f"{said['time']:.6g} s of {said['record']}"
-            text = f"{when}: alarm {said['id']} {said['event']}: {said['words']}"
-            self._console.print(f"[{COLOURS[said['event']]}]{escape(text)}[/]", soft_wrap=True)
-        gaps = [each for each in watching.remarks if isinstance(each, SkippedWindow)]
-        told = [*(each for each in watching.remarks if isinstance(each, str)), *gap_words(gaps)]
-        show_remarks(Remark(each, "doubt") for each in told)
-        if self._live is None:
-            sys.stdout.flush()
-        else:
-            if watching.monitor.windows != self._windows:
-                self._windows, self._since = watching.monitor.windows, time.monotonic()
-            silent = time.monotonic() - self._since
-            hint = Text("Ctrl-C ends it; the same command goes on", style="dim")
-            self._live.update(Group(state(watching, silent), hint))
-
-
-def state(watching: FollowStatus, silent: float) -> Table:
-    """Return where it stands: the last window, what it shows, whether there is an alarm, and since when."""
-    found = watching.monitor
-    table = Table.grid(padding=(0, 3))
-    if not found.windows:
-        table.add_row("waiting for records")
-        return table
-    row = found.table.iloc[-1]
-    at = found.moment(str(row["record"]), float(row["end"]))
-    when = f"{row['record']}, {row['end']:.6g} s" + (f", {at.date[:19].replace('T', ' ')}" if at.date else "")
-    table.add_row("examined", f"{found.windows} windows, up to {escape(when)}{'' if watching.idle else ' ...'}")
-    if watching.idle and silent >= SILENT:
-        table.add_row("", f"[yellow]no new window for {silent:.0f} s[/]")
-    table.add_row("now", f"[bold red]ALARM: {escape(row['alarm'])}[/]" if row["alarm"] else "[green]no alarm[/]")
-    if row["alarm"] and found.alarms[-1].onset is not None:
-        since, sizes = alarm_words(found.alarms[-1])
-        table.add_row("since", escape(since))
-        table.add_row("how large", escape(sizes))
-    table.add_row("last window", "")
-    for name in _columns(found):
-        std = float(row[f"{name}.std"])
-        size = with_std(float(row[name]), std) if math.isfinite(std) else "not determined"
-        table.add_row(escape(f"  {name}"), f"{size} {escape(unit_text(found.units.get(name)))}")
-    return table
-
-
-def _columns(found: Monitor) -> list[str]:
-    sizes = [f"{name}.{size}" for name, fault in found.faults.items() for size in fault.sizes]
-    return [*sizes, *found.baseline.common]

@@ -1,4 +1,4 @@
-"""The look of all figures: colors with their twins for dark pages, fonts, palettes."""
+"""Style of all figures: colors, their dark twins, fonts, palettes."""
 
 from __future__ import annotations
 

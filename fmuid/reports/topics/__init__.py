@@ -1,1 +1,1 @@
-"""What is said and drawn of each kind of findings: one module per topic."""
+"""Messages, tables and charts of findings: one module per topic."""

@@ -1,25 +1,30 @@
-"""A batch: estimates over the cases, against the truth, by setting, optima, failures, and what the numbers mean."""
+"""Messages and sections of a batch."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import pandas as pd
 
 from fmuid.estimation import AccuracyOutcome
 from fmuid.formatting import fit_text, has_unit, rounded
-from fmuid.reports.document import Document, Message, Remark, Section, Tone
+from fmuid.reports.document import Document, Message, Remark, Section, Tone, origin_of
 from fmuid.reports.topics import case_charts as charts
 from fmuid.reports.topics.batch_tables import failure_texts, level_text, tables_of
-from fmuid.reports.topics.provenance import origin_of
-from fmuid.runs import BatchColumns, Dependence, EstimateWarning, Summary, estimates, is_repetition, made_from
-
-if TYPE_CHECKING:
-    from fmuid.runs import BatchResult
-    from fmuid.studies import Study
+from fmuid.runs import (
+    BatchColumns,
+    BatchResult,
+    Dependence,
+    EstimateWarning,
+    Summary,
+    estimates,
+    is_repetition,
+    made_from,
+)
+from fmuid.studies import Study
 
 Row = Mapping[Any, Any]
 
@@ -79,10 +84,7 @@ class BatchMessage(Message):
         "{name}: varies less ({spread}) than its stated std says ({stated}): that is too large",
         "the noise is less than stated, or was drawn without what the real one has",
     )
-    BIASED = (
-        "{name}: biased by {size}, {share:.2g} times its stated std",
-        "the mean misses the truth that is known",
-    )
+    BIASED = ("{name}: biased by {size}, {share:.2g} times its stated std", "the mean misses the truth that is known")
     COVERAGE = (
         "{name}: the 95 % intervals hold the truth in {held:.3g} % ({low:.3g} to {high:.3g} %)",
         "counted, with the interval of such a count",
@@ -117,10 +119,7 @@ class BatchMessage(Message):
         "where it was known",
         "see [the error of the simulation](#the-error-of-the-simulation)",
     )
-    FINER = (
-        "{count} of them were searched by a finer simulation",
-        "the one of the study was too coarse there",
-    )
+    FINER = ("{count} of them were searched by a finer simulation", "the one of the study was too coarse there")
     SHIFTED = (
         "{count} of them are shifted by that error, which their std include",
         "it is larger than a tenth of a standard deviation",
@@ -162,16 +161,7 @@ ACCURACY = {
 
 
 def batch_document(found: BatchResult, summary: Summary, frame: pd.DataFrame, study: Study) -> Document:
-    """Return the document of a batch.
-
-    Parameters
-    ----------
-    found : BatchResult
-    summary, frame
-        Of `BatchResult.summary`.
-    study : Study
-        Of the batch.
-    """
+    """Return the document of a batch."""
     drawn = charts_of(frame, summary, found.truth, found.units, given_noise=found.given_noise)
     tone, state = state_of(summary)
     sections = (*tables_of(summary), *drawn)
@@ -180,7 +170,7 @@ def batch_document(found: BatchResult, summary: Summary, frame: pd.DataFrame, st
 
 
 def state_of(summary: Summary) -> tuple[Tone, str]:
-    """Return how many cases have ended in which way, and how good that is."""
+    """Return the number of cases by status, and their tone."""
     statuses = zip(summary.statuses["status"], summary.statuses["cases"].tolist(), strict=True)
     known = {str(status): int(count) for status, count in statuses if count}
     if not known:
@@ -198,17 +188,7 @@ def charts_of(
     *,
     given_noise: bool,
 ) -> list[Section]:
-    """Return the sections with charts; one without any is left out.
-
-    Parameters
-    ----------
-    frame : DataFrame
-        A row a case.
-    summary : Summary
-        Of the batch.
-    truth, units, given_noise
-        As `BatchResult` has them.
-    """
+    """Return the sections with charts; one without any is left out."""
     found, columns = estimates(frame, given_noise=given_noise), BatchColumns.of(frame)
     over = charts.over_cases(frame, truth, units)
     sections = [Section("cases", "Estimates over the cases", CASES, charts=tuple(over), beside=2)]
@@ -233,16 +213,9 @@ def charts_of(
     return [each for each in sections if each.charts]
 
 
-# --- sentences
-
-
 def summary_remarks(summary: Summary) -> list[Remark]:
-    """Return what the numbers of a batch mean.
-
-    It is on which cases the estimates are over, how well these fit, how they lie against what they state and against
-    the truth, how far they depend on the settings, and where searches from several starts ended.
-    """
-    parts = _counts, _fits, _spreads, _settings, _ends, _accuracy
+    """Return the remarks on the statistics of a batch."""
+    parts = _counts, _spreads, _settings, _ends, _accuracy
     return [said for part in parts for said in part(summary)]
 
 
@@ -254,9 +227,6 @@ def _counts(summary: Summary) -> Iterator[Remark]:
         yield BatchMessage.LEFT_OUT.said("plain", "failures", done=done, total=total, others=" and ".join(kinds))
     if summary.columns.starts and done > summary.data_sets:
         yield BatchMessage.BEST_OF_STARTS.said("plain", "starts", sets=summary.data_sets)
-
-
-def _fits(summary: Summary) -> Iterator[Remark]:
     for row in summary.fits.to_dict("records"):
         values = {"median": fit_text(row["median"]), "least": fit_text(row["least"]), "case": row["case"]}
         yield BatchMessage.FIT.said("plain", "cases", output=row["output"], **values)
@@ -274,7 +244,7 @@ def _spreads(summary: Summary) -> Iterator[Remark]:
 
 
 def _not_as_stated(row: Row, *, tables: bool) -> Iterator[Remark]:
-    """Give what is surely not as stated of one parameter."""
+    """Yield the deviations of one parameter from its stated σ."""
     unit, doubts, name = _after(row["unit"]), row["doubts"], str(row["parameter"])
     spread, stated = (rounded(row[each], row[each]) + unit for each in ("spread", "stated_std"))
     values = {"name": name, "spread": spread, "stated": stated}
@@ -313,16 +283,14 @@ def _settings(summary: Summary) -> Iterator[Remark]:
 
 
 def _dependence(found: Dependence) -> Remark:
-    ends = (found.low, found.at_low), (found.high, found.at_high)
-    low, high = (f"{rounded(mean, found.stated_std)}{_after(found.unit)} ({_where(at)})" for mean, at in ends)
+    ends = []
+    for mean, at in ((found.low, found.at_low), (found.high, found.at_high)):
+        where = ", ".join(f"{name.removeprefix('set.')} = {level_text(level)}" for name, level in at.items())
+        ends.append(f"{rounded(mean, found.stated_std)}{_after(found.unit)} ({where})")
     share = (found.high - found.low) / found.stated_std if found.stated_std > 0 else math.nan
     times = f", {share:.2g} times its stated std" if share > 0 else ""
     name = found.parameter
-    return BatchMessage.DEPENDS.said("doubt", "over-1", (name,), name=name, low=low, high=high, times=times)
-
-
-def _where(at: Mapping[str, Any]) -> str:
-    return ", ".join(f"{name.removeprefix('set.')} = {level_text(level)}" for name, level in at.items())
+    return BatchMessage.DEPENDS.said("doubt", "over-1", (name,), name=name, low=ends[0], high=ends[1], times=times)
 
 
 def _ends(summary: Summary) -> Iterator[Remark]:
@@ -339,7 +307,6 @@ def _ends(summary: Summary) -> Iterator[Remark]:
 
 
 def _accuracy(summary: Summary) -> Iterator[Remark]:
-    """Give in how many cases the simulation was checked, and what came of it."""
     counts, total = summary.accuracy, sum(summary.accuracy.get(each.value, 0) for each in AccuracyOutcome)
     if not total:
         return

@@ -1,11 +1,11 @@
-"""Tables of a batch, shown and as files: over the cases, against the truth, by setting, optima, failures."""
+"""Tables of a batch: over the cases, against true values, by setting, optima, failures."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import pandas as pd
 
@@ -14,11 +14,8 @@ from fmuid.formatting import rounded, unit_text, with_std
 from fmuid.reports.document import Section, table_of
 from fmuid.reports.shared_phrases import open_words
 from fmuid.reports.topics.termination import ENDS
-from fmuid.runs import BatchOverview, EstimateWarning, Summary, made_from, write_overview
-
-if TYPE_CHECKING:
-    from fmuid.runs import BatchResult
-    from fmuid.studies import Study
+from fmuid.runs import BatchOverview, BatchResult, EstimateWarning, Summary, made_from, write_overview
+from fmuid.studies import Study
 
 Row = Mapping[Any, Any]
 
@@ -30,25 +27,7 @@ TABLES = ("summary", "groups", "failures", "optima")
 
 
 def write_summary(found: BatchResult, summary: Summary, study: Study) -> list[Path]:
-    """Write the tables that have rows as CSV, and ``summary.json``; those of an earlier summary go.
-
-    Parameters
-    ----------
-    found : BatchResult
-    summary : Summary
-        Of it.
-    study : Study
-        Of the batch.
-
-    Returns
-    -------
-    list of Path
-
-    Raises
-    ------
-    InputError
-        If the folder of the batch cannot be written to.
-    """
+    """Write the tables as CSV, and ``summary.json``; remove earlier ones."""
     folder = found.folder
     statuses = {str(row["status"]): int(row["cases"]) for row in summary.statuses.to_dict("records")}
     overview = BatchOverview(statuses, dict(found.truth), dict(found.units), found.given_noise, made_from(study))
@@ -56,13 +35,7 @@ def write_summary(found: BatchResult, summary: Summary, study: Study) -> list[Pa
 
 
 def write_tables(summary: Summary, folder: Path) -> list[Path]:
-    """Write the tables of a summary that have rows as CSV; those of an earlier summary go.
-
-    Raises
-    ------
-    InputError
-        If the folder cannot be written to.
-    """
+    """Write the tables that have rows as CSV; remove earlier ones."""
     failures = summary.failures.assign(message=failure_texts(summary.failures)).drop(columns="undetermined")
     tables = (noted(summary.parameters), noted(summary.groups), failures, summary.optima)
     for name, table in zip(TABLES, tables, strict=True):
@@ -72,14 +45,14 @@ def write_tables(summary: Summary, folder: Path) -> list[Path]:
 
 
 def noted(table: pd.DataFrame) -> pd.DataFrame:
-    """Return a table of statistics with ``note`` in place of ``doubts``: what is surely not as stated, by how much."""
+    """Return a table of statistics with ``note`` in place of ``doubts``."""
     if not len(table):
         return table
     return table.drop(columns="doubts").assign(note=[note(row) for row in table.to_dict("records")])
 
 
 def note(row: Row) -> str:
-    """Return in a few words what is not as stated of one row of a table of statistics."""
+    """Return the deviations of a row of statistics."""
     ratio, doubts, notes = row["ratio"], row["doubts"], []
     if EstimateWarning.STD_TOO_SMALL in doubts:
         notes.append(f"std {ratio:.3g} x too small")
@@ -132,21 +105,19 @@ def _against_truth(rows: Sequence[Row]) -> Section:
             with_std(row["bias"], row["bias_std"]) if row["bias_std"] > 0 else _short(row["bias"], 3) for row in rows
         ],
         "RMS error": [_two(row["rms_error"]) for row in rows],
-        "95 % intervals hold it": [_coverage(row) for row in rows],
+        "95 % intervals hold it": [
+            f"{100 * row['coverage']:.1f} %"
+            + f" ({100 * row['coverage_lower']:.1f} to {100 * row['coverage_upper']:.1f})"
+            * (not math.isnan(row["coverage_lower"]))
+            for row in rows
+        ],
         "unit": [unit_text(row["unit"]) for row in rows],
     }
     return Section("truth", "Against the truth", table=table_of(columns, ("unit",)))
 
 
-def _coverage(row: Row) -> str:
-    said = f"{100 * row['coverage']:.1f} %"
-    if math.isnan(row["coverage_lower"]):
-        return said
-    return said + f" ({100 * row['coverage_lower']:.1f} to {100 * row['coverage_upper']:.1f})"
-
-
 def _groups(summary: Summary, names: Sequence[str]) -> Section:
-    """Return a row a group, with the mean of each parameter and its spread, or the stated std of a single case."""
+    """Return a row per group with mean ± spread, or ± stated σ of one case."""
     settings = list(summary.settings)
     heads = [*(name.removeprefix("set.") for name in settings), "cases", "failed", *names]
     cells = []

@@ -1,4 +1,4 @@
-"""Charts of a batch: estimates over cases, distributions, spread, settings, starting points, failures."""
+"""Charts of a batch: cases, distributions, spread, settings, starting points, failures."""
 
 from __future__ import annotations
 
@@ -14,21 +14,7 @@ from scipy import special
 
 from fmuid.array_types import Flags, Floats
 from fmuid.data import evenly
-from fmuid.reports.chart import (
-    MAX_BARS,
-    MAX_DOTS,
-    MAX_PARAMETERS,
-    Axis,
-    Chart,
-    Color,
-    Data,
-    Layer,
-    Units,
-    named,
-    normal,
-    picked,
-    rows_of,
-)
+from fmuid.reports.chart import LIMITS, Axis, Chart, Color, Data, Layer, Units, named, normal, picked, rows_of
 from fmuid.runs import INTERVAL_STDS, BatchColumns, data_sets, fit_cost, optimum_numbers
 
 MIN_BINS, MAX_BINS = 8, 60
@@ -55,21 +41,14 @@ HEIGHT = 220
 
 
 def parameters_of(frame: pd.DataFrame) -> list[str]:
-    """Return the parameters that any case has an estimate of, `MAX_PARAMETERS` at most."""
+    """Return the parameters with an estimate in any case."""
     names = BatchColumns.of(frame).parameters
-    return [name for name in names if np.isfinite(frame[f"value.{name}"].to_numpy(np.float64)).any()][:MAX_PARAMETERS]
+    known = [name for name in names if np.isfinite(frame[f"value.{name}"].to_numpy(np.float64)).any()]
+    return known[: LIMITS.parameters]
 
 
 def over_cases(frame: pd.DataFrame, truth: Mapping[str, float], units: Units) -> list[Chart]:
-    """Return a chart per parameter over the cases that converged, with intervals of 95 % where there are few.
-
-    Parameters
-    ----------
-    frame : DataFrame
-        A row a case.
-    truth : mapping of str to float
-    units : mapping of str to str
-    """
+    """Return a chart per parameter over the converged cases."""
     good = frame[frame["status"].to_numpy(str) == "converged"]
     tables = [_short(each) for each in frame["table"].astype(str)] if "table" in frame else []
     named_cases = len(set(tables)) == len(frame) <= MAX_NAMED
@@ -78,9 +57,9 @@ def over_cases(frame: pd.DataFrame, truth: Mapping[str, float], units: Units) ->
     charts = []
     for name in parameters_of(good):
         whole = good[f"value.{name}"].to_numpy(np.float64)
-        some = good.iloc[evenly(len(good), MAX_DOTS)]
+        some = good.iloc[evenly(len(good), LIMITS.dots)]
         value, std = (some[f"{kind}.{name}"].to_numpy(np.float64) for kind in ("value", "std"))
-        half = INTERVAL_STDS * std if len(some) <= MAX_BARS else np.full(len(some), np.nan)
+        half = INTERVAL_STDS * std if len(some) <= LIMITS.bars else np.full(len(some), np.nan)
         low, high = value - half, value + half
         limits = limits_of(np.concatenate([whole, low, high]), truth.get(name))
         places = _places(some["case"].to_numpy(), labels)
@@ -93,10 +72,10 @@ def over_cases(frame: pd.DataFrame, truth: Mapping[str, float], units: Units) ->
             if np.isfinite(half[mine]).any():
                 layers.append(Layer("segments", picked(bars, mine), color, alpha=0.5, label=text))
         label = f"estimate{outside(whole, limits)}"
-        if len(good) > MAX_DOTS:
+        if len(good) > LIMITS.dots:
             dots = replace(_cells(good["case"].to_numpy(np.float64), whole, limits), label=label)
         else:
-            size = 6 if len(some) <= MAX_BARS else 3
+            size = 6 if len(some) <= LIMITS.bars else 3
             hover = (("case", "@x"), ("value", "@y{0.000000}"), ("std", "@std{0.000000}"))
             dots = Layer("points", {"x": places, "y": value, "std": std}, size=size, label=label, hover=hover)
         layers = [*layers, dots, *_lost(frame, labels, limits[0]), *_truth(name, truth)]
@@ -115,14 +94,14 @@ def _lost(frame: pd.DataFrame, labels: Mapping[Any, str], edge: float) -> list[L
     for text, color in kinds:
         cases = frame.loc[status == text, "case"].to_numpy()
         if len(cases):
-            cases = cases[evenly(len(cases), MAX_DOTS)]
+            cases = cases[evenly(len(cases), LIMITS.dots)]
             data: Data = {"x": _places(cases, labels), "y": np.full(len(cases), edge)}
             layers.append(Layer("points", data, color, size=12, marker="bar", label=text))
     return layers
 
 
 def _cells(x: Floats, y: Floats, limits: tuple[float, float]) -> Layer:
-    """Return so many estimates that dots would cover each other as cells: the fuller, the more lie there."""
+    """Return many estimates as cells shaded by their number."""
     inside = (y >= limits[0]) & (y <= limits[1])
     counts, across, up = np.histogram2d(x[inside], y[inside], bins=CELLS, range=[(x.min(), x.max()), limits])
     i, j = np.nonzero(counts)
@@ -133,12 +112,11 @@ def _cells(x: Floats, y: Floats, limits: tuple[float, float]) -> Layer:
 
 
 def _short(text: str) -> str:
-    """Return the end of a long name, where the names of files differ."""
     return text if len(text) <= LONGEST_LABEL else f"…{text[1 - LONGEST_LABEL :]}"
 
 
 def limits_of(values: Floats, true: float | None = None) -> tuple[float, float]:
-    """Return the range of values to draw, with the truth and without the few that are far from all others."""
+    """Return the range to draw, with the true value and without outliers."""
     values = values[np.isfinite(values)]
     if values.size:
         first, third = np.quantile(values, [0.25, 0.75])
@@ -156,7 +134,7 @@ def _with_room(low: float, high: float) -> tuple[float, float]:
 
 
 def outside(values: Floats, limits: tuple[float, float]) -> str:
-    """Return how many values a chart leaves out, for its legend; "" where it leaves out none."""
+    """Return the number of values outside a chart, for its legend."""
     count = int(((values < limits[0]) | (values > limits[1])).sum())
     return f", {count} outside" if count else ""
 
@@ -166,17 +144,7 @@ def _truth(name: str, truth: Mapping[str, float], side: str = "y", dash: Any = "
 
 
 def distributions(found: pd.DataFrame, truth: Mapping[str, float], units: Units, *, repeated: bool) -> list[Chart]:
-    """Return how the estimates are distributed, and the normal curve that their stated std promises.
-
-    Parameters
-    ----------
-    found : DataFrame
-        One case a data set (`fmuid.runs.estimates`).
-    truth : mapping of str to float
-    units : mapping of str to str
-    repeated : bool
-        Whether the cases repeat one experiment: only then is there anything to hold the std against.
-    """
+    """Return histograms of the estimates and the normal curve of their stated σ."""
     charts, groups = [], _groups(found)
     for name in parameters_of(found):
         value, std = (found[f"{kind}.{name}"].to_numpy(np.float64) for kind in ("value", "std"))
@@ -206,7 +174,7 @@ def distributions(found: pd.DataFrame, truth: Mapping[str, float], units: Units,
 
 
 def _groups(found: pd.DataFrame) -> list[tuple[str, Any]]:
-    """Return text and rows of each combination of settings; all rows as one where these are too many."""
+    """Return text and rows of each combination of settings."""
     names = [name for name in BatchColumns.of(found).design if len(found[name].unique()) > 1]
     levels = list(found.groupby(names, sort=True).indices.items()) if names else []
     if not 1 < len(levels) <= len(LOOKS):
@@ -229,14 +197,8 @@ def _histogram(values: Floats, low: float, high: float) -> tuple[Floats, Floats]
 
 
 def spread(statistics: pd.DataFrame) -> Chart:
-    """Return the spread of each parameter against the std that the estimates state, and what chance makes of 1.
-
-    Parameters
-    ----------
-    statistics : DataFrame
-        `fmuid.runs.Summary.parameters`.
-    """
-    known = statistics[np.isfinite(statistics["ratio"].astype(float))].iloc[:MAX_PARAMETERS]
+    """Return the spread of each parameter over its stated σ."""
+    known = statistics[np.isfinite(statistics["ratio"].astype(float))].iloc[: LIMITS.parameters]
     names = tuple(map(str, known["parameter"]))
     freedom = known["cases"].to_numpy(np.float64) - 1.0
     low, high = (np.sqrt(special.chdtri(freedom, beyond) / freedom) for beyond in (0.975, 0.025))
@@ -252,27 +214,17 @@ def spread(statistics: pd.DataFrame) -> Chart:
 
 
 def over_setting(found: pd.DataFrame, name: str, truth: Mapping[str, float], units: Units) -> list[Chart]:
-    """Return the estimates of each parameter over what is set, and their mean at each value of it.
-
-    Parameters
-    ----------
-    found : DataFrame
-        One case a data set.
-    name : str
-        Column of the setting.
-    truth : mapping of str to float
-    units : mapping of str to str
-    """
+    """Return the estimates of each parameter over a setting."""
     variable, charts = name.removeprefix("set."), []
     number = found[name].dtype.kind in "fiu"
     place = found[name] if number else found[name].astype(str).map(_short)
     names = () if number else tuple(sorted(set(place)))
     across = Axis(named(variable, units)) if number else Axis(variable, "names", names, turned=0.8)
-    some = evenly(len(found), MAX_DOTS)
+    some = evenly(len(found), LIMITS.dots)
     for parameter in parameters_of(found):
         value, std = (found[f"{kind}.{parameter}"].to_numpy(np.float64) for kind in ("value", "std"))
         limits = limits_of(value, truth.get(parameter))
-        if number and len(found) > MAX_DOTS:
+        if number and len(found) > LIMITS.dots:
             dots = _cells(place.to_numpy(np.float64), value, limits)
         else:
             x = place.to_numpy(np.float64)[some] if number else tuple(place.iloc[some])
@@ -285,7 +237,7 @@ def over_setting(found: pd.DataFrame, name: str, truth: Mapping[str, float], uni
 
 
 def _means(place: pd.Series[Any], value: Floats, std: Floats, *, number: bool) -> list[Layer]:
-    """Return the mean at each setting, how far the cases spread around it, and how far they should by their std."""
+    """Return mean, spread and stated σ at each setting."""
     groups = pd.DataFrame({"value": value, "variance": std**2}).groupby(place.to_numpy())
     mean, counts = groups["value"].mean(), groups["value"].count()
     if counts.max() < 2:
@@ -310,17 +262,7 @@ STATED = "± 1.96 stated std"
 def over_starts(
     frame: pd.DataFrame, truth: Mapping[str, float], units: Units, *, given_noise: bool = False
 ) -> list[Chart]:
-    """Return where searches from several starting points ended: how much worse they fit, and each end over its start.
-
-    Parameters
-    ----------
-    frame : DataFrame
-        Of a batch.
-    truth : mapping of str to float
-    units : mapping of str to str
-    given_noise : bool
-        See `fmuid.runs.batch.statistics.fit_cost`.
-    """
+    """Return cost and estimates of searches from several starting points."""
     columns, number = BatchColumns.of(frame), optimum_numbers(frame, given_noise=given_noise)
     lost = (frame["status"] != "converged").to_numpy(bool)
     charts = [_waterfall(_excess(frame, columns, given_noise=given_noise), number, lost, given_noise=given_noise)]
@@ -345,17 +287,16 @@ def _kinds(number: npt.NDArray[np.int64]) -> list[tuple[Flags, Color, str]]:
 
 
 def _points(x: Floats, y: Floats, color: Color, label: str, marker: Any = "circle") -> list[Layer]:
-    """Return points, none of which leaves no word in the legend."""
     if not x.size:
         return []
-    some = evenly(x.size, MAX_DOTS)
+    some = evenly(x.size, LIMITS.dots)
     hover = (("start", "@x{0.000000}"), ("end", "@y{0.000000}"))
     size = 7 if marker == "x" else 5
     return [Layer("points", {"x": x[some], "y": y[some]}, color, 1.6, "solid", 1.0, size, marker, None, label, hover)]
 
 
 def _optimum_limits(end: Floats, half: Floats, number: npt.NDArray[np.int64]) -> tuple[float, float]:
-    """Return limits around the intervals of the best optima, so that differences that mean nothing look small."""
+    """Return limits around the intervals of the best optima."""
     near = (number > 0) & (number <= MAX_OPTIMA) & np.isfinite(end)
     half = np.where(np.isfinite(half), half, 0.0)
     low, high = float((end - half)[near].min(initial=np.inf)), float((end + half)[near].max(initial=-np.inf))
@@ -363,10 +304,7 @@ def _optimum_limits(end: Floats, half: Floats, number: npt.NDArray[np.int64]) ->
 
 
 def _excess(frame: pd.DataFrame, columns: BatchColumns, *, given_noise: bool) -> Floats:
-    """Return how much worse each converged case fits than the best of its data, NaN for the others.
-
-    By the cost where the noise variances are given, else the share by which the residual is larger.
-    """
+    """Return cost above the best of the same data, NaN if not converged."""
     fits = np.where(frame["status"] == "converged", fit_cost(frame, given_noise=given_noise), np.nan)
     for rows in data_sets(frame, columns):
         known = rows[np.isfinite(fits[rows])]
@@ -385,15 +323,7 @@ def _waterfall(excess: Floats, number: npt.NDArray[np.int64], lost: Flags, *, gi
 
 
 def failures(found: pd.DataFrame, messages: list[str]) -> Chart:
-    """Return how many cases have no estimate for which reason.
-
-    Parameters
-    ----------
-    found : DataFrame
-        `fmuid.runs.Summary.failures`, the most frequent first.
-    messages : list of str
-        Of each row.
-    """
+    """Return the number of cases without an estimate by reason."""
     most = found.iloc[:MAX_FAILURES]
     texts = tuple(f"{k + 1}. {each[:LONGEST]}" for k, each in enumerate(messages[:MAX_FAILURES]))
     data: Data = {"y": texts, "x": most["cases"].to_numpy(np.float64)}

@@ -1,38 +1,19 @@
-"""Excitations before anything is measured: which is the best, and what each parameter does to the outputs."""
+"""Design of experiments: ranked excitations and sensitivities."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+import pandas as pd
 
 from fmuid.data import extremes
-from fmuid.reports.chart import (
-    MAX_EXPERIMENTS,
-    MAX_OUTPUTS,
-    MAX_ROWS,
-    Axis,
-    Chart,
-    ChartGrid,
-    Color,
-    Dash,
-    Layer,
-    Units,
-    named,
-    short,
-    stacked,
-)
-from fmuid.reports.document import Document, Message, Remark, Section, Table, table_of
+from fmuid.reports.chart import LIMITS, Axis, Chart, ChartGrid, Color, Dash, Layer, Units, named, short, stacked
+from fmuid.reports.document import Document, Message, Remark, Section, Table, origin_of, table_of
 from fmuid.reports.topics.model_comparison import ranked_bars
-from fmuid.reports.topics.provenance import origin_of
 from fmuid.runs import Provenance
-
-if TYPE_CHECKING:
-    import pandas as pd
-
-    from fmuid.runs import Provenance
 
 ENOUGH = 1.1
 """A healthy record is long enough where a longer one lowers the smallest size found by no more than this."""
@@ -73,17 +54,7 @@ class DesignMessage(Message):
 def design_document(
     ranked: pd.DataFrame, cost: pd.DataFrame | None = None, origin: Provenance | None = None
 ) -> Document:
-    """Return the document of excitations.
-
-    Parameters
-    ----------
-    ranked : DataFrame
-        A row an excitation, the best first.
-    cost : DataFrame, optional
-        What the length of the healthy record costs with the best one (`fmuid.Design.cost`).
-    origin : Provenance, optional
-        What they were made from.
-    """
+    """Return the document of excitations."""
     names, accuracy = [str(name) for name in ranked["excitation"]], "log_determinant" in ranked
     text, caption = ("largest relative std", WORST) if accuracy else ("smallest fault found / its magnitude", FOUND)
     worst = 100.0 * ranked["worst"].to_numpy(np.float64)
@@ -101,7 +72,7 @@ def design_document(
 
 
 def healthy_record_remarks(cost: pd.DataFrame) -> list[Remark]:
-    """Return what the length of the healthy record costs, a sentence for each size; the first is that of the test."""
+    """Return the effect of the healthy record's length on each fault size."""
     said, lengths = [], cost["healthy"]
     for column in [str(each) for each in cost if str(each).endswith(".times")]:
         name, times = column.removesuffix(".times"), cost[column]
@@ -128,19 +99,9 @@ def _cell(value: Any) -> str:
 def sensitivity_document(
     tables: Sequence[tuple[str, pd.DataFrame]], units: Units, origin: Provenance | None = None
 ) -> Document:
-    """Return the document of sensitivities.
-
-    Parameters
-    ----------
-    tables : sequence of (str, DataFrame)
-        Of each experiment ``time``, and ``output/parameter`` for each pair.
-    units : mapping of str to str
-        Of the outputs.
-    origin : Provenance, optional
-        What they were made from.
-    """
+    """Return the document of sensitivities."""
     sections = []
-    for k, (name, rows) in enumerate(tables[:MAX_EXPERIMENTS]):
+    for k, (name, rows) in enumerate(tables[: LIMITS.experiments]):
         heading = f"Sensitivities: {name}" if len(tables) > 1 else "Sensitivities"
         key, caption = ("sensitivities", SENSITIVITIES) if k == 0 else (f"sensitivities-{k + 1}", "")
         sections.append(Section(key, heading, caption, charts=(sensitivity_charts(rows, units),), beside=1))
@@ -150,16 +111,16 @@ def sensitivity_document(
 
 
 def sensitivity_charts(table: pd.DataFrame, units: Units) -> ChartGrid:
-    """Return θ ∂ŷ/∂θ (1.33) of each output over time, a line for each of the parameters that do most."""
+    """Return θ ∂ŷ/∂θ (1.33) of each output over time."""
     pairs = [str(name) for name in table.columns if "/" in str(name)]
     times = table["time"].to_numpy(np.float64)
     across = Axis("time (s)", reach=(float(times[0]), float(times[-1])), linked="time")
     charts = []
-    for output in list(dict.fromkeys(name.rpartition("/")[0] for name in pairs))[:MAX_OUTPUTS]:
+    for output in list(dict.fromkeys(name.rpartition("/")[0] for name in pairs))[: LIMITS.outputs]:
         mine = [name for name in pairs if name.rpartition("/")[0] == output]
         values = table[mine].to_numpy(np.float64)
         largest = sorted(np.argsort(-np.nansum(values**2, axis=0), kind="stable")[: len(LOOKS)].tolist())
-        kept = extremes(values[:, largest], MAX_ROWS)
+        kept = extremes(values[:, largest], LIMITS.rows)
         thin, layers = times[kept], []
         for k, (color, dash) in zip(largest, LOOKS, strict=False):
             data = {"x": thin, "y": short(values[kept, k])}

@@ -1,29 +1,43 @@
-"""A diagnosis: the verdict, the faults looked for, the causes, and what is to be known of them."""
+"""A diagnosis: verdict, causes, charts."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+import math
+from collections.abc import Sequence
+from typing import Any
 
-from fmuid.formatting import with_std
-from fmuid.reports.document import PAGE, Document, Message, Remark, Section, Tone, table_of
-from fmuid.reports.topics.cause_charts import (
-    cause_evidence,
-    change_charts,
-    explained_charts,
+import numpy as np
+import pandas as pd
+
+from fmuid.array_types import Floats
+from fmuid.data import extremes
+from fmuid.diagnosis import ChangeEvidence, Diagnosis
+from fmuid.formatting import label, with_std
+from fmuid.reports.chart import (
+    LIMITS,
+    Axis,
+    Chart,
+    ChartGrid,
+    Color,
+    Data,
+    Layer,
+    Units,
+    intervals,
+    rows_of,
+    short,
+    stacked,
 )
+from fmuid.reports.document import PAGE, Document, Message, Remark, Section, Tone, origin_of, table_of
 from fmuid.reports.topics.diagnosis_phrases import (
     causes_columns,
     change_name,
+    change_size,
     diagnosis_notes,
     explanation_words,
     verdict,
 )
 from fmuid.reports.topics.preprocessing import preprocessing_sections
-from fmuid.reports.topics.provenance import origin_of
-
-if TYPE_CHECKING:
-    from fmuid.diagnosis import Diagnosis
-    from fmuid.runs import DiagnosisRun
+from fmuid.runs import DiagnosisRun
 
 RESIDUAL = (
     "What the healthy model leaves unexplained, and what is left with the fault. With the right fault only noise stays."
@@ -89,3 +103,74 @@ def diagnosis_sections(found: Diagnosis) -> list[Section]:
         Section("changes", "How large it is", CHANGES, charts=tuple(change_charts(evidence)), beside=2),
     ]
     return [each for each in sections if each.charts or each.table]
+
+
+MAX_FAULTS = 12
+"""More hypotheses make a chart nobody reads: the most significant are kept."""
+LEAST_STATISTIC = 0.1
+"""D is drawn logarithmically from here on; less is as good as nothing."""
+
+
+def cause_evidence(found: ChangeEvidence) -> Chart:
+    """Return the decrease of the cost by each cause alone."""
+    kept = sorted(found.suspects, key=lambda each: each.probability)[:MAX_FAULTS]
+    names = [change_name(each.change) for each in kept]
+    named = {change_name(change) for each in found.explanations for change in each.changes}
+    numbers = (("D", "@told{0.000}"), ("probability by chance", "@p{0.0e}"))
+    hover = (*numbers, ("size", "@size"), ("nearest signature", "@near"))
+    layers = []
+    kinds: tuple[tuple[str, Color, bool], ...] = (("explains the record", "red", True), ("other causes", "grey", False))
+    for text, color, mine in kinds:
+        here = [(name, each) for name, each in zip(names, kept, strict=True) if (name in named) is mine]
+        if here:
+            told = _array([each.statistic for _, each in here])
+            near = [f"{e.rival}, {math.degrees(e.rival_angle):.0f}°" if e.rival else "" for _, e in here]
+            sizes = tuple(change_size(each.change) for _, each in here)
+            chance = _array([each.probability for _, each in here])
+            bars: Data = {"y": tuple(name for name, _ in here), "x": np.maximum(told, LEAST_STATISTIC)}
+            more: Data = {"x0": LEAST_STATISTIC, "told": told, "p": chance, "size": sizes, "near": tuple(near)}
+            layers.append(Layer("bars", {**bars, **more}, color, label=text, hover=hover))
+    most = max((each.statistic for each in kept), default=1.0)
+    reach = (LEAST_STATISTIC, 2.0 * max(most, 1.0))
+    return rows_of(names, Axis("D, by how much the cause alone lowers the criterion", "log", reach=reach), layers, 110)
+
+
+def _array(values: Sequence[float]) -> Floats:
+    return np.array(values, dtype=np.float64)
+
+
+def change_charts(found: ChangeEvidence) -> list[Chart]:
+    """Return the size of each change with its 95 % interval."""
+    charts = {}
+    for each in (change for one in found.explanations for change in one.changes):
+        name = change_name(each)
+        if name not in charts and math.isfinite(each.std):
+            scale, unit = (100.0, "%") if each.kind.is_share else (1.0, each.unit)
+            text = label("size, with its interval of 95 %", unit)
+            value, low, high = (scale * _array([number]) for number in (each.value, *each.interval()))
+            layers = (*intervals((name,), value, low, high, "red", "size"), Layer("rule", {"x": 0.0}, "ink"))
+            least, most = min(0.0, float(low[0])), max(0.0, float(high[0]))
+            room = 0.05 * (most - least)
+            charts[name] = rows_of([name], Axis(text, reach=(least - room, most + room)), layers)
+    return list(charts.values())
+
+
+def explained_charts(table: pd.DataFrame, fault: str, units: Units) -> ChartGrid:
+    """Return each output's residual without the fault and with it."""
+    outputs = [str(name).removeprefix("healthy.") for name in table.columns if str(name).startswith("healthy.")]
+    drawn = outputs[: LIMITS.outputs]
+    columns = table[[f"{kind}.{name}" for name in drawn for kind in ("healthy", "fault")]].to_numpy(np.float64)
+    kept = extremes(columns, LIMITS.rows)
+    times, charts = table["time"].to_numpy(np.float64)[kept], []
+    for k, name in enumerate(drawn):
+        both = columns[:, 2 * k : 2 * k + 2]
+        stds, unit = np.sqrt(np.nanmean(both**2, axis=0)), units.get(name) or ""
+        texts = (f"healthy model, std {stds[0]:.3g} {unit}", f"with {fault}, std {stds[1]:.3g} {unit}")
+        layers = (
+            Layer("line", {"x": times, "y": short(both[kept, 0])}, "grey", width=1, label=texts[0]),
+            Layer("line", {"x": times, "y": short(both[kept, 1])}, "red", width=1, label=texts[1]),
+            Layer("rule", {"y": 0.0}, "ink"),
+        )
+        y = Axis(label(f"residual of {name}", units.get(name)))
+        charts.append(Chart(Axis("time (s)", linked="time"), y, layers, 190))
+    return stacked(charts)

@@ -1,20 +1,16 @@
-"""What a diagnosis found, in words: the verdict in one sentence, and what is to be known of each fault model."""
+"""A diagnosis as text: verdict, causes, notes."""
 
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
 
-from fmuid.diagnosis import BaselineSource
+from fmuid.diagnosis import BaselineDeviation, BaselineSource, Diagnosis, EstimatedChange, Explanation
 from fmuid.formatting import has_unit, listed, rounded, with_std
 from fmuid.reports.topics.solver_check import accuracy_words
 
-if TYPE_CHECKING:
-    from fmuid.diagnosis import BaselineDeviation, Diagnosis, EstimatedChange, Explanation
-
 
 def diagnosis_notes(found: Diagnosis) -> tuple[str, ...]:
-    """Return what is to be known of a diagnosis beside its verdict."""
+    """Return the notes beside the verdict."""
     notes = [*deviation_words(found.deviation), *accuracy_words(found.fitted, found.accuracy)]
     notes += [
         f"{name}: without its fault this model is not the healthy machine: check its names and values"
@@ -24,7 +20,7 @@ def diagnosis_notes(found: Diagnosis) -> tuple[str, ...]:
 
 
 def verdict(found: Diagnosis) -> str:
-    """Return what it is, in one sentence."""
+    """Return the verdict in one sentence."""
     evidence = found.evidence
     said = [explanation_words(each) for each in evidence.explanations]
     likely = f"probability if nothing is new {chance(evidence.probability)}"
@@ -59,7 +55,8 @@ def verdict(found: Diagnosis) -> str:
 
 def explanation_words(each: Explanation) -> str:
     """Return the changes that explain a record together, with their sizes."""
-    return " together with ".join(change_words(change) for change in each.changes)
+    said = [f"{e.fault}, {e.variable} =" if e.fault else f"{change_name(e)}," for e in each.changes]
+    return " together with ".join(f"{name} {change_size(e)}" for name, e in zip(said, each.changes, strict=True))
 
 
 # What a change is called; {} is its variable.
@@ -72,15 +69,8 @@ CHANGES = {
 }
 
 
-def change_words(change: EstimatedChange) -> str:
-    """Return a change with its size."""
-    if change.fault:
-        return f"{change.fault}, {change.variable} = {change_size(change)}"
-    return f"{change_name(change)}, {change_size(change)}"
-
-
 def change_size(change: EstimatedChange) -> str:
-    """Return the size of a change with its standard deviation; shares in percent."""
+    """Return the size of a change ± σ; gains in percent."""
     if change.kind.is_share:
         return f"{with_std(100 * change.value, 100 * change.std)} %"
     at = f" at {change.angle} = {change.angle_value:.3g}" if change.angle else ""
@@ -89,14 +79,13 @@ def change_size(change: EstimatedChange) -> str:
 
 
 def change_name(change: EstimatedChange) -> str:
-    """Return what has changed, without its size."""
+    """Return the name of a change."""
     if change.fault:
         return f"{change.fault} ({change.variable})"
     return CHANGES[change.kind.value].format(change.variable)
 
 
 def _rest(found: Diagnosis) -> str:
-    """Say what the fault leaves unexplained, "" for nothing."""
     if not found.unexplained.larger:
         return ""
     return (
@@ -106,7 +95,7 @@ def _rest(found: Diagnosis) -> str:
 
 
 def scope_notes(found: Diagnosis) -> list[str]:
-    """Return what was not looked at, or did not settle."""
+    """Return the limits of a diagnosis."""
     said = basis_notes(found.evidence.basis)
     if found.evidence.basis is BaselineSource.RESULT:
         said = [
@@ -129,7 +118,7 @@ UNLIKE = {
 
 
 def basis_notes(basis: BaselineSource) -> list[str]:
-    """Say where the healthy machine is from, nothing where only records can be."""
+    """Return the origin of the baseline, if it is a file."""
     if basis in (BaselineSource.RECORDS, BaselineSource.RESULT):
         return []
     if basis is BaselineSource.FILE:
@@ -141,7 +130,7 @@ def basis_notes(basis: BaselineSource) -> list[str]:
 
 
 def deviation_words(deviation: BaselineDeviation | None) -> list[str]:
-    """Say which nominal parameter has left what was foreseen, nothing where none has."""
+    """Return the healthy parameter far from its prior, if any."""
     if deviation is None:
         return []
     return [

@@ -1,26 +1,21 @@
-"""Estimates: the table, how precise they are, correlations and confidence ellipses."""
+"""Estimates: table, precision, correlation, confidence ellipses."""
 
 from __future__ import annotations
 
 import math
 from itertools import combinations
-from typing import TYPE_CHECKING
 
 import numpy as np
+import pandas as pd
 
 from fmuid.array_types import Floats
-from fmuid.estimation import TerminationReason
+from fmuid.estimation import Result, TerminationReason
 from fmuid.formatting import listed, rounded, two_digits, unit_text, with_std
 from fmuid.identification import CONFIDENCE_LEVEL, LEAST_STD_FACTOR, region_rise
-from fmuid.reports.chart import MAX_PARAMETERS, Axis, Chart, Data, Layer, Shades, Units, named
+from fmuid.reports.chart import LIMITS, Axis, Chart, Data, Layer, Shades, Units, named
 from fmuid.reports.document import Message, Remark, Section, Table, table_of
 from fmuid.reports.render.style import ON_PALE, ON_STRONG
 from fmuid.reports.topics.solver_check import shift_text
-
-if TYPE_CHECKING:
-    import pandas as pd
-
-    from fmuid.estimation import Result
 
 MAX_ELLIPSES = 6
 """Pairs whose ellipses are drawn: the most correlated ones."""
@@ -49,7 +44,7 @@ class EstimateMessage(Message):
 
 
 def precision_remarks(result: Result) -> list[Remark]:
-    """Say how precisely the parameters are determined, the best and the worst."""
+    """Return the relative σ of the best and the worst parameter."""
     pairs = zip(result.names, result.values.tolist(), result.std.tolist(), strict=True)
     shares = {name: std / abs(value) for name, value, std in pairs if value and math.isfinite(std)}
     lost = [name for name, std in zip(result.names, result.std.tolist(), strict=True) if math.isinf(std)]
@@ -75,7 +70,7 @@ def estimates_section(result: Result, level: float = CONFIDENCE_LEVEL) -> Sectio
 
 
 def estimates_table(result: Result, level: float = CONFIDENCE_LEVEL) -> Table:
-    """Return the table of the estimates with intervals of a level; a narrow terminal leaves out the start first."""
+    """Return the table of estimates with intervals of a level."""
     rows = list(zip(result.names, result.values.tolist(), result.std.tolist(), strict=True))
     ends = result.intervals(level).to_numpy().tolist()
     # where nothing is known of a value, its digits must not look as if there were
@@ -90,37 +85,34 @@ def estimates_table(result: Result, level: float = CONFIDENCE_LEVEL) -> Table:
             for (low, high), (_, _, std) in zip(ends, rows, strict=True)
         ]
     if result.accuracy is not None:
-        columns[SHIFT] = [shift_text(shift) for shift in result.numerical_shift.tolist()]
-    columns["unit"] = [unit_text(result.units.get(name)) for name in result.names]
-    if np.isfinite(result.prior_mean).any():
-        pairs = zip(result.prior_mean.tolist(), result.prior_std.tolist(), strict=True)
+        columns[SHIFT] = [shift_text(shift) for shift in result.solver_error.tolist()]
+    columns["unit"] = [unit_text(result.estimates.units.get(name)) for name in result.names]
+    if np.isfinite(result.estimates.prior_mean).any():
+        pairs = zip(result.estimates.prior_mean.tolist(), result.estimates.prior_std.tolist(), strict=True)
         columns["prior"] = [with_std(mean, std) if math.isfinite(mean) else "" for mean, std in pairs]
-    columns["start"] = [f"{start:.6g}" for start in result.start.tolist()]
-    columns["note"] = [_note(result, *each) for each in zip(result.names, result.widening, strict=True)]
+    columns["start"] = [f"{start:.6g}" for start in result.estimates.start.tolist()]
+    bounded = {bound.name for bound in result.estimates.at_bounds}
+    columns["note"] = [
+        ", ".join(
+            ["at its bound"] * (name in bounded)
+            + [f"std {two_digits(factor)} x white noise's"] * bool(factor >= LEAST_STD_FACTOR)
+        )
+        for name, factor in zip(result.names, result.estimates.colored_noise_factor, strict=True)
+    ]
     words = [head for head in columns if head not in ("rel. std", SHIFT, "start")]
     return table_of(columns, words, ("start", "prior", "rel. std", SHIFT, "note"))
 
 
-def _note(result: Result, name: str, factor: float) -> str:
-    """Return what the table's last column says of one parameter."""
-    words = ["at its bound"] if any(bound.name == name for bound in result.at_bounds) else []
-    return ", ".join([*words, *([f"std {two_digits(factor)} x white noise's"] if factor >= LEAST_STD_FACTOR else [])])
-
-
-# --- charts ---------------------------------------------------------------------------------
-
-
 def correlation_sections(result: Result, units: Units, level: float = CONFIDENCE_LEVEL) -> list[Section]:
-    """Return how the estimates are correlated; nothing of one, or where none has a standard deviation."""
+    """Return correlation matrix and ellipses, if any σ is known."""
     if len(result.names) < 2 or not np.isfinite(result.std).any():
         return []
-    charts = (_matrix(result.correlation), *_ellipses(result, units, level))
+    charts = (_matrix(result.estimates.correlation), *_ellipses(result, units, level))
     return [Section("correlation", "Correlation of the estimates", CAPTION, charts=charts)]
 
 
 def _matrix(matrix: pd.DataFrame) -> Chart:
-    """Return the correlation matrix of the estimates; NaN where a parameter is not determined."""
-    shown = matrix.iloc[:MAX_PARAMETERS, :MAX_PARAMETERS]
+    shown = matrix.iloc[: LIMITS.parameters, : LIMITS.parameters]
     names, flat = tuple(map(str, shown.columns)), shown.to_numpy(np.float64).ravel()
     count = len(names)
     across, down = np.meshgrid(np.arange(count), np.arange(count))
@@ -139,17 +131,13 @@ def _matrix(matrix: pd.DataFrame) -> Chart:
 
 
 def _ellipses(result: Result, units: Units, level: float) -> list[Chart]:
-    """Return the confidence ellipses of the pairs of estimates that are most correlated.
-
-    Dashed lines are the intervals of each parameter by itself. (θ − θ̂)ᵀ P⁻¹ (θ − θ̂) = χ²(2) with P the block of the
-    local covariance, 2 F(2, ν) where noise variances are estimated.
-    """
-    matrix, intervals = result.correlation.to_numpy(), result.intervals(level).to_numpy()
+    """Return the regions (θ − θ̂)ᵀ P⁻¹ (θ − θ̂) = χ²(2), or 2 F(2, ν) with estimated noise."""
+    matrix, intervals = result.estimates.correlation.to_numpy(), result.intervals(level).to_numpy()
     known = [i for i in range(len(result.names)) if math.isfinite(result.std[i]) and result.std[i] > 0]
     pairs = sorted(combinations(known, 2), key=lambda pair: -abs(matrix[pair]))[:MAX_ELLIPSES]
     charts = []
     for i, j in sorted(pairs):
-        freedom = result.test_freedom([result.names[i], result.names[j]])
+        freedom = result.estimates.test_dof([result.names[i], result.names[j]])
         radius = math.sqrt(region_rise(level, freedom))
         x, y = ellipse(result.values[[i, j]], result.covariance[np.ix_([i, j], [i, j])], radius)
         border: Data = {"x": x, "y": y}
@@ -167,7 +155,7 @@ def _ellipses(result: Result, units: Units, level: float) -> list[Chart]:
 
 
 def ellipse(centre: Floats, covariance: Floats, radius: float) -> tuple[Floats, Floats]:
-    """Return the points at a distance of so many standard deviations, closed, abscissas and ordinates."""
+    """Return the points at `radius` standard deviations, x and y."""
     values, directions = np.linalg.eigh(covariance)  # which may be singular
     angles = np.linspace(0.0, 2.0 * np.pi, ELLIPSE_POINTS)
     root = directions * np.sqrt(np.maximum(values, 0.0))

@@ -1,33 +1,19 @@
-"""Measured against simulated outputs: how well they agree, and the residual below."""
+"""Measured against simulated outputs, and the residual."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from fmuid.array_types import Floats
 from fmuid.data import evenly, extremes
 from fmuid.formatting import fit_text, label, with_unit
-from fmuid.reports.chart import (
-    MAX_DOTS,
-    MAX_EXPERIMENTS,
-    MAX_OUTPUTS,
-    MAX_ROWS,
-    Axis,
-    Chart,
-    ChartGrid,
-    Layer,
-    short,
-    stacked,
-)
+from fmuid.reports.chart import LIMITS, Axis, Chart, ChartGrid, Layer, short, stacked
 from fmuid.reports.document import Message, Remark, Section, table_of
-
-if TYPE_CHECKING:
-    from fmuid.simulation import OutputFit
+from fmuid.simulation import OutputFit
 
 ZOOM_SHARE, ZOOM_SAMPLES = 0.06, 120
 """A zoom for print is this share of the record, and at least this many samples."""
@@ -61,11 +47,11 @@ CONSTANT = "constant as measured: no fit"
 """In place of a fit that has no meaning."""
 
 
-def fit_remarks(fits: Sequence[OutputFit], *, whole: bool = False) -> list[Remark]:
-    """Say how well outputs agree; of many which agrees least, unless the `whole` list is asked for."""
+def fit_remarks(fits: Sequence[OutputFit]) -> list[Remark]:
+    """Return the fit of the outputs; of many the worst."""
     counts = [(fit, j) for fit in fits for j in np.flatnonzero(fit.counted.any(axis=0)).tolist()]
     known = [(fit, j) for fit, j in counts if math.isfinite(fit.fit[j])]
-    if len(counts) > MAX_SAID and known and not whole:
+    if len(counts) > MAX_SAID and known:
         least, j = min(known, key=lambda each: each[0].fit[each[1]])
         named = f"{least.outputs[j]} in {least.experiment}" if len(fits) > 1 else least.outputs[j]
         error = with_unit(least.rmse[j], least.units[j])
@@ -75,7 +61,7 @@ def fit_remarks(fits: Sequence[OutputFit], *, whole: bool = False) -> list[Remar
 
 
 def fit_scores(fits: Sequence[OutputFit]) -> str:
-    """Return fit and RMSE of each output of each experiment, as far as it was measured."""
+    """Return fit and RMSE of each measured output as text."""
     said = []
     for each in fits:
         scores = zip(each.outputs, each.fit, each.rmse, each.units, each.counted.T, strict=True)
@@ -91,7 +77,7 @@ def _score(fit: float, rmse: float, unit: str | None) -> str:
 
 
 def scores_section(fits: Sequence[OutputFit]) -> Section:
-    """Return the table of fit and RMSE of each output of each experiment."""
+    """Return the table of fit and RMSE."""
     rows = []
     for fit in fits:
         for k, (output, percent, rmse) in enumerate(zip(fit.outputs, fit.fit, fit.rmse, strict=True)):
@@ -111,22 +97,12 @@ def fit_sections(
     bands: Mapping[str, Band] | None = None,
     key: str = "fit",
 ) -> list[Section]:
-    """Return a section per experiment, of many those that fit worst.
-
-    Parameters
-    ----------
-    fits : sequence of OutputFit
-    heading, caption : str
-    bands : mapping of str to Band, optional
-        By the names of the experiments.
-    key : str
-        Of the first section.
-    """
+    """Return a section per experiment, of many those that fit worst."""
     shown, sections = worst(fits), []
     if len(shown) < len(fits):
-        caption += f" Of {len(fits)} experiments the {MAX_EXPERIMENTS} that fit worst are drawn."
-    if any(len(fit.outputs) > MAX_OUTPUTS for fit in shown):
-        caption += f" Of more than {MAX_OUTPUTS} outputs those that fit worst are drawn."
+        caption += f" Of {len(fits)} experiments the {LIMITS.experiments} that fit worst are drawn."
+    if any(len(fit.outputs) > LIMITS.outputs for fit in shown):
+        caption += f" Of more than {LIMITS.outputs} outputs those that fit worst are drawn."
     for k, fit in enumerate(shown):
         band = (bands or {}).get(fit.experiment)
         words = heading + (f": {fit.experiment}" if len(fits) > 1 else "")
@@ -137,23 +113,19 @@ def fit_sections(
 
 
 def worst(fits: Sequence[OutputFit]) -> tuple[OutputFit, ...]:
-    """Return the experiments to draw, in their order: of more than `MAX_EXPERIMENTS` those of least fit."""
-    kept = sorted(fits, key=lambda fit: np.nanmin([100.0, *fit.fit]))[:MAX_EXPERIMENTS]
+    """Return the `LIMITS.experiments` experiments of least fit, in their order."""
+    kept = sorted(fits, key=lambda fit: np.nanmin([100.0, *fit.fit]))[: LIMITS.experiments]
     return tuple(fit for fit in fits if fit in kept)
 
 
 def drawn_outputs(fit: OutputFit) -> list[int]:
-    """Return the outputs to draw, in their order: of more than `MAX_OUTPUTS` those of least fit."""
+    """Return the `LIMITS.outputs` outputs of least fit, in their order."""
     order = np.argsort(np.nan_to_num(np.asarray(fit.fit), nan=100.0), kind="stable")
-    return sorted(int(output) for output in order[:MAX_OUTPUTS])
+    return sorted(int(output) for output in order[: LIMITS.outputs])
 
 
 def zoomed(fit: OutputFit) -> slice:
-    """Return the rows of the stretch where the simulated outputs vary most, for print, where nobody can drag.
-
-    The total variation of each output, relative to its own over the record, is summed over the outputs: being
-    simulated they carry no noise. Samples that do not count do not attract the zoom.
-    """
+    """Return the rows with the largest total variation of the simulated outputs."""
     samples = len(fit.times)
     width = min(samples, max(ZOOM_SAMPLES, round(ZOOM_SHARE * samples)))
     moves = np.abs(np.diff(fit.simulated[:, drawn_outputs(fit)], axis=0, prepend=0.0))
@@ -167,21 +139,16 @@ def zoomed(fit: OutputFit) -> slice:
 
 
 def fit_charts(fit: OutputFit, band: Band | None = None, rows: slice = slice(None)) -> ChartGrid:
-    """Return the outputs of an experiment: measured dots, the simulated line with its band, the residual below.
-
-    Of more than `MAX_OUTPUTS` those of least fit are drawn. What does not count lies in the grey part.
-    """
+    """Return measured and simulated outputs with their residuals."""
     outputs, scores = drawn_outputs(fit), fit.fit
     half = None if band is None else band[0]
     times, measured, simulated = fit.times[rows], fit.measured[rows][:, outputs], fit.simulated[rows][:, outputs]
     with np.errstate(invalid="ignore", over="ignore"):
         residual = measured - simulated
-    kept = extremes(np.hstack([simulated, residual]), MAX_ROWS)
-    some = evenly(len(times), MAX_DOTS)
-    if len(kept) == len(times) <= MAX_DOTS:
-        some = kept
-    thin, dots = times[kept], times[some] if some is not kept else times[kept]
-    dots = thin if some is kept else dots
+    kept = extremes(np.hstack([simulated, residual]), LIMITS.rows)
+    some = kept if len(kept) == len(times) <= LIMITS.dots else evenly(len(times), LIMITS.dots)
+    thin = times[kept]
+    dots = thin if some is kept else times[some]
     across = Axis("time (s)", reach=(float(times[0]), float(times[-1])), linked="time", ticks=8)
     grey = uncounted(fit, rows)
     charts = []
@@ -217,7 +184,7 @@ def fit_charts(fit: OutputFit, band: Band | None = None, rows: slice = slice(Non
 
 
 def uncounted(fit: OutputFit, rows: slice = slice(None)) -> list[Layer]:
-    """Return the grey part of what does not count at the beginning of a record."""
+    """Return the grey zone of the warm-up."""
     counted = np.asarray(fit.counted[rows].any(axis=1))
     if not counted.any() or counted[0]:
         return []

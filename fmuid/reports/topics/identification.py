@@ -4,32 +4,27 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
 
 import pandas as pd
 
+from fmuid.estimation import Result
 from fmuid.formatting import unit_text
-from fmuid.identification import SIGNIFICANCE_LEVEL, Deviation
+from fmuid.identification import SIGNIFICANCE_LEVEL, Deviation, PriorDataComparison, ResidualAnalysis
 from fmuid.models import SolverConfiguration
-from fmuid.reports.document import Document, Message, Remark, Section, Tone, capitalised
-from fmuid.reports.shared_phrases import dropout_words
+from fmuid.reports.document import Document, Message, Remark, Section, Tone, capitalised, origin_of
 from fmuid.reports.topics.estimates import correlation_sections, estimates_section, precision_remarks
 from fmuid.reports.topics.fit import fit_remarks, fit_sections
 from fmuid.reports.topics.optimization import optima_section, optimization_sections
 from fmuid.reports.topics.preprocessing import preprocessing_sections
 from fmuid.reports.topics.prior_and_data import prior_sections, reading_words
-from fmuid.reports.topics.provenance import origin_of
 from fmuid.reports.topics.residual_analysis import residual_section, residual_words
 from fmuid.reports.topics.solver_check import run_words, sensitivity_words, solver_section
+from fmuid.reports.topics.study_notes import dropout_words
 from fmuid.reports.topics.termination import effort_words, ending, result_remarks
 from fmuid.reports.topics.uncertainty import interval_section, posterior_words, uncertainty_words
 from fmuid.reports.topics.uncertainty_charts import uncertainty_sections
-
-if TYPE_CHECKING:
-    from fmuid.estimation import Result
-    from fmuid.identification import PriorDataComparison, ResidualAnalysis
-    from fmuid.runs import IdentificationRun
-    from fmuid.simulation import OutputFit
+from fmuid.runs import IdentificationRun
+from fmuid.simulation import OutputFit
 
 _ODD = (Deviation.LARGER, Deviation.SMALLER)
 
@@ -61,7 +56,8 @@ def identification_document(found: IdentificationRun) -> Document:
 
 def _effort(result: Result) -> dict[str, str]:
     models = {
-        f"FMU {name or model['name']}": f"SHA-256 {model.get('digest', '')}" for name, model in result.models.items()
+        f"FMU {name or model['name']}": f"SHA-256 {model.get('digest', '')}"
+        for name, model in result.setup.models.items()
     }
     return {**models, "search": effort_words(result)}
 
@@ -78,12 +74,12 @@ def _remarks(found: IdentificationRun) -> list[Remark]:
     said += [Remark(dropout_words(*each), "doubt", "fit") for each in found.dropouts.items()]
     said += [*result_remarks(result), *_examined(found, reading, residuals)]
     said.append(RunMessage.NOISE.said("plain", "residuals", noise=_noise(result, found.fits)))
-    for component, model in result.models.items():
+    for component, model in result.setup.models.items():
         if "run" in model:
             run = run_words(SolverConfiguration(**model["run"]))
             said.append(RunMessage.RUN.said("plain", "", (), model=component or model["name"], run=run))
-    if result.sensitivity is not None:
-        said.append(RunMessage.SENSITIVITIES.said(how=sensitivity_words(result.sensitivity)))
+    if result.setup.sensitivity is not None:
+        said.append(RunMessage.SENSITIVITIES.said(how=sensitivity_words(result.setup.sensitivity)))
     said += [Remark(capitalised(text, names), "doubt", "profiles") for text in uncertainty_words(checks)]
     if checks.posterior is not None and checks.posterior.converged:
         said.append(RunMessage.POSTERIOR.said("plain", "posterior", words=posterior_words(checks.posterior)))
@@ -91,7 +87,6 @@ def _remarks(found: IdentificationRun) -> list[Remark]:
 
 
 def _examined(found: IdentificationRun, reading: PriorDataComparison, residuals: ResidualAnalysis) -> list[Remark]:
-    """Return what prior and data, and the residuals, show."""
     coloured: Tone = "doubt" if any(each.large for each in residuals.findings) else "plain"
     odd = reading.agreement is not None and reading.agreement.probability < SIGNIFICANCE_LEVEL
     odd |= any(each.deviation in _ODD for each in reading.variances)
@@ -103,8 +98,8 @@ def _noise(result: Result, fits: Sequence[OutputFit]) -> str:
     """Return the standard deviation of each output's residual."""
     units = {output: unit for fit in fits for output, unit in zip(fit.outputs, fit.units, strict=True)}
     words = []
-    for output, variance in result.noise_variance.items():
-        given = result.given_variance.get(output)
+    for output, variance in result.fit.noise_variance.items():
+        given = result.fit.given_variance.get(output)
         of = f" (given: {math.sqrt(given):.4g})" if given is not None else ""
         words.append(f"{output} std {math.sqrt(variance):.4g} {unit_text(units.get(output))}".rstrip() + of)
     return ", ".join(words)
@@ -115,11 +110,11 @@ def identification_sections(found: IdentificationRun) -> list[Section]:
     result, fits, units, estimates = found.result, found.fits, found.unit_of, found.estimates
     checks = found.assessment
     reading, residuals = checks.prior_and_data, checks.residuals
-    optima = found.optima if result.optima else pd.DataFrame()
+    optima = found.optima if result.history.optima else pd.DataFrame()
     none = pd.DataFrame(columns=["experiment", "output", "with"])
     correlations = none if residuals is None else residuals.correlations
     sections = [
-        *([optima_section(result)] if result.optima else []),
+        *([optima_section(result)] if result.history.optima else []),
         estimates_section(result, checks.level),
         *([interval_section(checks, result)] if checks.is_explored else []),
         *fit_sections(fits),

@@ -1,9 +1,9 @@
-"""What `fmuid init` shows and asks: which columns are which variables, and what is wrong with the table."""
+"""`fmuid init`: matched columns, warnings, questions."""
 
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 
 from rich.markup import escape
@@ -11,10 +11,10 @@ from rich.prompt import Prompt
 
 from fmuid.errors import InputError
 from fmuid.formatting import two_digits, unit_text
-from fmuid.reports.document import Remark, table_of
-from fmuid.reports.render.console import console, rich_table, show_remarks
-from fmuid.reports.shared_phrases import dropout_words, size_words, time_words
-from fmuid.studies import SHOWN_CHANGE, Candidate, ColumnMatch, Draft, MatchedDataFile, Reason, proposal
+from fmuid.reports.document import Document, Remark, Section, table_of
+from fmuid.reports.render.console import console, show_remarks, show_section
+from fmuid.reports.topics.study_notes import dropout_words, size_words, time_words
+from fmuid.studies import SHOWN_CHANGE, ColumnMatch, Draft, MatchedDataFile, Reason, proposal
 
 REASONS: Mapping[Reason, str] = {
     Reason.GIVEN: "given",
@@ -28,29 +28,25 @@ LINK_HEADS = ("variable", "unit", "is the", "column", "unit of the column", "bec
 QUESTION = "Is this right? Enter to go on, or variable=column to change it (variable= for none)"
 
 
-def show_record(record: MatchedDataFile) -> None:
-    """Print which columns are which variables, and what is wrong with the table."""
-    out = console()
+def record_section(record: MatchedDataFile) -> Section:
+    """Return matched columns and warnings of a data file."""
     cells = [link_cells(link) for link in record.links]
     columns = {head: [row[k] for row in cells] for k, head in enumerate(LINK_HEADS)}
-    out.print(rich_table(table_of(columns, columns), heading(record, str(record.path)), out))
+    said = [Remark(each, "doubt") for each in remarks(record)]
     if record.unused:
-        out.print(f"columns that are no input or output: {escape(', '.join(record.unused))}", soft_wrap=True)
-    _warn(remarks(record))
-
-
-def _warn(sentences: Iterable[str]) -> None:
-    show_remarks(Remark(each, "doubt") for each in sentences)
+        said.insert(0, Remark(f"columns that are no input or output: {', '.join(record.unused)}"))
+    title = heading(record, str(record.path))
+    return Section("columns", title, table=table_of(columns, columns), remarks=tuple(said))
 
 
 def heading(record: MatchedDataFile, name: str) -> str:
-    """Return what a table of this name has."""
+    """Return the heading of a data file."""
     span = record.frame[record.time]
     return f"{name}: {len(record.frame)} samples, {span.min():.6g} to {span.max():.6g} s"
 
 
 def link_cells(link: ColumnMatch) -> tuple[str, ...]:
-    """Return what is said of a variable, under `LINK_HEADS`."""
+    """Return the cells of a variable, in the order of `LINK_HEADS`."""
     unit = unit_text(link.unit)
     if link.column is None or link.reason is None:
         why = f"may be {' or '.join(link.choices)}: undecided" if link.choices else "no such column"
@@ -60,7 +56,7 @@ def link_cells(link: ColumnMatch) -> tuple[str, ...]:
 
 
 def remarks(record: MatchedDataFile) -> list[str]:
-    """Return what is to be said of a table, a sentence each."""
+    """Return the warnings about a data file."""
     said = [record.refusal] if record.refusal else []
     for role in ("input", "output"):
         lacking = record.lacking(role)
@@ -102,13 +98,13 @@ def remarks(record: MatchedDataFile) -> list[str]:
 
 
 def on_terminal() -> bool:
-    """Return whether somebody sits there who can be asked."""
+    """Tell if a user can be asked."""
     return sys.stdin.isatty() and sys.stdout.isatty()
 
 
 def asked_about(record: MatchedDataFile) -> MatchedDataFile:
-    """Show what the columns are taken for, and let who sits at a terminal correct it where it is a guess."""
-    show_record(record)
+    """Show matched columns, and let a user correct uncertain ones."""
+    show_section(record_section(record))
     if not on_terminal() or all(link.sure for link in record.links):
         return record
     while answer := Prompt.ask(escape(QUESTION), default="", show_default=False, console=console()).strip():
@@ -116,33 +112,26 @@ def asked_about(record: MatchedDataFile) -> MatchedDataFile:
         try:
             if not equals:
                 raise InputError(f"{answer!r} is not understood: write variable=column")
-            changed = record.with_columns({variable: column})
-            show_record(changed)
-            record = changed
+            record = record.with_columns({variable: column})
+            show_section(record_section(record))
         except InputError as error:
-            _warn([str(error)])
+            show_remarks([Remark(str(error), "doubt")])
     return record
 
 
-def show_draft(made: Draft, output: Path) -> None:
-    """Say which parameters are proposed, and what comes next."""
-    found, out = made.survey, console()
-    if found.candidates:
-        heads = ["parameter", "start", "unit", f"{100 * SHOWN_CHANGE:g} % change", "proposed"]
-        title = "What the parameters change of the outputs' spread"
-        rows = [_proposed(each) for each in found.candidates]
-        columns = {head: [row[k] for row in rows] for k, head in enumerate(heads)}
-        out.print(rich_table(table_of(columns, ("unit", "proposed")), title, out))
-    _warn(time_words(each) for each in found.doubts)
-    _warn(size_words(*each) for each in found.sizes)
-    if found.failure:
-        _warn([f"nothing is known of the parameters: {found.failure}"])
-    text = "free the parameters to identify in it, under \\[parameters]."
-    if made.runs:
-        text = f"fmuid identify {escape(str(output))}"
-    out.print(f"Written: [bold]{escape(str(output))}[/]. Next: {text}", soft_wrap=True)
-
-
-def _proposed(given: Candidate) -> tuple[str, ...]:
-    unit = unit_text(given.variable.unit)
-    return given.variable.name, f"{given.start:.6g}", unit, f"{two_digits(100 * given.effect)} %", proposal(given)
+def draft_document(made: Draft, output: Path) -> Document:
+    """Return the proposed parameters and the next step."""
+    found = made.survey
+    rows = [
+        (name, f"{one.start:.6g}", unit_text(unit), f"{two_digits(100 * one.effect)} %", proposal(one))
+        for one in found.candidates
+        for name, unit in [(one.variable.name, one.variable.unit)]
+    ]
+    heads = ["parameter", "start", "unit", f"{100 * SHOWN_CHANGE:g} % change", "proposed"]
+    table = table_of({head: [row[k] for row in rows] for k, head in enumerate(heads)}, ("unit", "proposed"))
+    section = Section("parameters", "What the parameters change of the outputs' spread", table=table if rows else ())
+    said = [*map(time_words, found.doubts), *(size_words(*each) for each in found.sizes)]
+    said += [f"nothing is known of the parameters: {found.failure}"] if found.failure else []
+    text = f"fmuid identify {output}" if made.runs else "free the parameters to identify in it, under [parameters]."
+    doubts = tuple(Remark(each, "doubt") for each in said)
+    return Document("draft", "Written", f"{output}. Next: {text}", "plain", doubts, (section,))

@@ -1,22 +1,19 @@
-"""Results side by side: which of them the data prefer, by likelihood and on common data files."""
+"""Model comparison by likelihood and on common data files."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from fmuid.array_types import Floats
 from fmuid.formatting import fit_text, label, listed
-from fmuid.reports.chart import MAX_PARAMETERS, Axis, Chart, Data, Layer, picked, rows_of
-from fmuid.reports.document import Document, Message, Remark, Section, Table, Tone, table_of
-from fmuid.reports.topics.provenance import origin_of
-
-if TYPE_CHECKING:
-    from fmuid.identification import ModelComparison
-    from fmuid.runs import ComparedEstimate, ComparisonRun
+from fmuid.identification import ModelComparison
+from fmuid.reports.chart import LIMITS, Axis, Chart, Data, Layer, intervals, picked, rows_of
+from fmuid.reports.document import Document, Message, Remark, Section, Table, Tone, origin_of, table_of
+from fmuid.runs import ComparedEstimate, ComparisonRun
 
 ALIKE_AIC, CLEAR_AIC = 2.0, 10.0
 """Criteria of Akaike's that differ by less than the first are as good as each other, by more than the second they tell
@@ -50,10 +47,7 @@ class ComparisonMessage(Message):
         "{best} is clearly the best by Akaike's criterion: {second} is {behind:.3g} behind",
         "ten and more behind is clear",
     )
-    BY_BIC = (
-        "Schwarz's criterion, which charges more for parameters, prefers {best}",
-        "the larger model gains little",
-    )
+    BY_BIC = ("Schwarz's criterion, which charges more for parameters, prefers {best}", "the larger model gains little")
     REJECTED = (
         "{smaller} is rejected against {larger}: were it right, freeing {freed} would gain as much with a probability "
         "of {chance}",
@@ -74,10 +68,7 @@ class ComparisonMessage(Message):
         "likelihoods are of the data alone",
         "do not compare by criteria; by a common table",
     )
-    NO_FIT = (
-        "On the common tables no fit has a meaning: compare the RMSE",
-        "all measured outputs are constant there",
-    )
+    NO_FIT = ("On the common tables no fit has a meaning: compare the RMSE", "all measured outputs are constant there")
     AS_GOOD = (
         "On the common tables {names} do as well as each other: a fit of {most} ({best}) and {others}",
         "what counts, if the table is of the kind that matters",
@@ -114,15 +105,7 @@ def comparison_document(found: ComparisonRun) -> Document:
 
 
 def comparison_remarks(found: ModelComparison | None, fits: Mapping[str, float]) -> list[Remark]:
-    """Say which result the criteria and the common tables speak for.
-
-    Parameters
-    ----------
-    found : ModelComparison or None
-        By likelihoods.
-    fits : mapping of str to float
-        Of each result over the common tables, %; empty without, NaN where measured outputs are constant.
-    """
+    """Return the remarks by likelihood and by `fits` (%)."""
     return [*([] if found is None else _by_likelihood(found)), *([_by_fit(fits)] if fits else [])]
 
 
@@ -185,7 +168,7 @@ def _cell(name: str, value: object) -> str:
 
 
 def ranked_bars(names: Sequence[str], values: Floats, text: str) -> Chart:
-    """Return a bar for each name in their order, the first of which is red: the least is the best."""
+    """Return a bar per name in their order, the first red."""
     names, values = names[:MOST_RESULTS], values[:MOST_RESULTS]
     best = np.arange(len(names)) == 0
     data: Data = {"y": tuple(names), "x": values}
@@ -196,35 +179,19 @@ def ranked_bars(names: Sequence[str], values: Floats, text: str) -> Chart:
 
 
 def estimate_charts(rows: Sequence[ComparedEstimate]) -> list[Chart]:
-    """Return the estimates that several results have of a parameter in the same unit, with their intervals.
-
-    Parameters
-    ----------
-    rows : sequence of ComparedEstimate
-        Without a unit it is as the first one that has one says.
-    """
+    """Return the estimates of each parameter that several results have."""
     known: dict[str, str] = {}
     for each in rows:
         if each.unit:
             known.setdefault(each.parameter, each.unit)
     groups: dict[tuple[str, str], list[ComparedEstimate]] = {}
     for each in rows:
-        name = each.parameter
-        groups.setdefault((name, each.unit or known.get(name, "")), []).append(each)
+        groups.setdefault((each.parameter, each.unit or known.get(each.parameter, "")), []).append(each)
     charts = []
-    for (name, unit), mine in list(groups.items())[:MAX_PARAMETERS]:
+    for (name, unit), mine in list(groups.items())[: LIMITS.parameters]:
         if len(mine) > 1:
             names = tuple(str(each.result) for each in mine)
-            value, low, high = (_finite([getattr(each, key) for each in mine]) for key in ("value", "lower", "upper"))
-            hover = (("value", "@x{0.000000}"), ("interval", "@x0{0.000000} to @x1{0.000000}"))
-            layers = (
-                Layer("segments", {"x0": low, "y0": names, "x1": high, "y1": names}, width=3),
-                Layer("points", {"x": value, "y": names, "x0": low, "x1": high}, size=9, hover=hover),
-            )
-            charts.append(rows_of(names, Axis(label(name, unit)), layers, head=90))
+            found = np.array([[each.value, each.lower, each.upper] for each in mine], dtype=np.float64).T
+            value, low, high = np.where(np.isfinite(found), found, np.nan)
+            charts.append(rows_of(names, Axis(label(name, unit)), intervals(names, value, low, high), head=90))
     return charts
-
-
-def _finite(values: Sequence[Any]) -> Floats:
-    found = np.array(values, dtype=np.float64)
-    return np.where(np.isfinite(found), found, np.nan)

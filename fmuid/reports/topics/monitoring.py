@@ -1,35 +1,29 @@
-"""Monitoring: alarms, since when, how large, and all windows over time."""
+"""Monitoring: alarms, onsets, sizes and windows over time."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING
 
 import numpy as np
+import pandas as pd
 
 from fmuid.array_types import Floats
 from fmuid.data import evenly, extremes
-from fmuid.diagnosis import SOMETHING_ELSE, OnsetShape
+from fmuid.diagnosis import SOMETHING_ELSE, Alarm, BaselineSource, Onset, OnsetShape, RecordTime, SkippedWindow, Trend
 from fmuid.formatting import label, listed, rounded, unit_text, with_std
-from fmuid.reports.chart import MAX_BARS, MAX_DOTS, MAX_OUTPUTS, MAX_ROWS, Axis, Chart, ChartGrid, Data, Layer, stacked
-from fmuid.reports.document import CONSOLE, Document, Remark, Section, Tone, table_of
+from fmuid.reports.chart import LIMITS, Axis, Chart, ChartGrid, Data, Layer, stacked
+from fmuid.reports.document import CONSOLE, Document, Remark, Section, Tone, origin_of, table_of
 from fmuid.reports.topics.diagnosis_phrases import basis_notes, explanation_words
 from fmuid.reports.topics.preprocessing import preprocessing_sections
-from fmuid.reports.topics.provenance import origin_of
-
-if TYPE_CHECKING:
-    import pandas as pd
-
-    from fmuid.diagnosis import Alarm, Onset, RecordTime, SkippedWindow, Trend
-    from fmuid.runs import MonitoringRun
+from fmuid.runs import MonitoringRun
 
 # Of more windows that are left out, the first are named.
 MOST_GAPS = 5
 
 
 def monitoring_words(found: MonitoringRun) -> str:
-    """Return what was found, in a sentence."""
+    """Return the verdict in one sentence."""
     table, rule, alarms = found.table, found.rule, found.alarms
     if table.empty:
         return "No window has been examined."
@@ -43,7 +37,7 @@ def monitoring_words(found: MonitoringRun) -> str:
 
 
 def alarm_sentence(alarm: Alarm, units: Mapping[str, str]) -> str:
-    """Return what an alarm says: what it is, since when, how large, where it goes; with the units of the columns."""
+    """Return cause, onset, size and trend of an alarm."""
     raised = f"alarm at {alarm.time:.6g} s of {alarm.record}"
     if alarm.fault == SOMETHING_ELSE:
         return f"Something else is wrong: the residual is larger than the noise and no cause explains it; {raised}."
@@ -55,7 +49,7 @@ def alarm_sentence(alarm: Alarm, units: Mapping[str, str]) -> str:
 
 
 def onset_words(onset: Onset) -> str:
-    """Return since when, with the set that holds the onset with 95 %."""
+    """Return the onset with its 95 % interval."""
     span = f"{_at(onset.first, onset.likely)} to {_at(onset.last, onset.likely)}"
     how = "" if onset.shape is OnsetShape.STEP else ", growing"
     return f", since {_moment(onset.likely)} (95 %: {span}){how}"
@@ -70,7 +64,7 @@ def _at(each: RecordTime, likely: RecordTime) -> str:
 
 
 def trend_words(trend: Trend, unit: str) -> str:
-    """Return how a size goes on, "" where it stays and has no limit."""
+    """Return the trend of a size and the time to its limit."""
     said = ""
     if trend.grows:
         said = f"; {trend.column} changes by {with_std(trend.rate, trend.rate_std)} {unit}/s".replace(" /s", " 1/s")
@@ -88,13 +82,13 @@ def trend_words(trend: Trend, unit: str) -> str:
 
 
 def alarm_words(alarm: Alarm) -> tuple[str, str]:
-    """Return since when an alarm is, and what its size is, for a table."""
+    """Return onset and size of an alarm, for a table."""
     onset = "" if alarm.onset is None else _moment(alarm.onset.likely)
     return onset, "; or ".join(map(explanation_words, alarm.explanations))
 
 
 def gap_words(gaps: Sequence[SkippedWindow]) -> list[str]:
-    """Return which windows are left out, a sentence a record."""
+    """Return the skipped windows, one sentence per recording."""
     said = []
     for source in dict.fromkeys(gap.source for gap in gaps):
         times = [f"{gap.time:.9g} s" for gap in gaps if gap.source == source]
@@ -103,13 +97,14 @@ def gap_words(gaps: Sequence[SkippedWindow]) -> list[str]:
     return said
 
 
-# --- document -------------------------------------------------------------------------------
-
 TIMELINE = (
     "Estimates of each window alone, with their intervals of 95 %. Red dots are windows that are significant by "
     "themselves; the red dashed line is where an alarm was raised, the red ground how long it lasted; dotted lines "
     "part records. The variance of the residual should be that of the noise: a ratio that stays above 1 is something "
     "that no fault model explains."
+)
+WHITE_NOISE = (
+    "The noise is taken as white: the baseline is a result alone. Name healthy data in [diagnosis] healthy_data."
 )
 
 
@@ -117,6 +112,7 @@ def monitoring_document(found: MonitoringRun) -> Document:
     """Return the document of a monitoring."""
     said = [Remark(monitoring_words(found), "plain", "timeline")]
     said += [Remark(text, "doubt") for text in (*basis_notes(found.basis), *gap_words(found.gaps))]
+    said += [Remark(WHITE_NOISE, "doubt")] if found.basis is BaselineSource.RESULT else []
     sections = [_alarms_section(found)] if found.alarms else []
     if len(found.table):
         sections.append(_windows_section(found))
@@ -144,7 +140,6 @@ def _alarms_section(found: MonitoringRun) -> Section:
 
 
 def _windows_section(found: MonitoringRun) -> Section:
-    """Return each parameter in the first and in the last window, and what it was in between."""
     numbers, frame, rows, before = ("first", "least", "greatest"), found.table, [], ""
     columns = [(fault, name) for fault, sizes in found.sizes.items() for name in sizes]
     for fault, name in [*columns, *(("", name) for name in found.common)]:
@@ -160,17 +155,17 @@ def _windows_section(found: MonitoringRun) -> Section:
 
 
 def _timeline(found: MonitoringRun, fault: str) -> ChartGrid:
-    """Return the sizes of a fault, the common mode and the residual over the time of all records, with alarms."""
+    """Return sizes, common parameters and variance ratio over time, with alarms."""
     table = found.table
     clock, borders, text = clock_of(table)
-    ordered = [*found.sizes[fault], *found.common][:MAX_OUTPUTS]
+    ordered = [*found.sizes[fault], *found.common][: LIMITS.outputs]
     half = 0.5 * float((table["end"] - table["start"]).median())
     estimates = {name: _estimate(table, name) for name in ordered}
     ratio, records = table["variance_ratio"].to_numpy(np.float64), table["record"].astype(str).to_numpy()
-    kept = extremes(np.column_stack([ratio, *(each for one in estimates.values() for each in one)]), MAX_ROWS)
+    kept = extremes(np.column_stack([ratio, *(each for one in estimates.values() for each in one)]), LIMITS.rows)
     thin, of = clock[kept], tuple(records[kept])
     reach = (float(clock[0]) - half, float(clock[-1]) + half)
-    x, few = Axis(text, reach=reach, linked="time"), len(clock) <= MAX_BARS
+    x, few = Axis(text, reach=reach, linked="time"), len(clock) <= LIMITS.bars
     ground = _grounds(found.alarms, clock, half, borders)
     charts = []
     hover = (("time", "@x{0.000}"), ("estimate", "@y{0.000000}"), ("record", "@record"))
@@ -187,7 +182,7 @@ def _timeline(found: MonitoringRun, fault: str) -> ChartGrid:
         if name in found.sizes[fault]:
             layers.append(Layer("rule", {"y": 0.0}, "ink"))
             called = np.flatnonzero((table["significant"] == fault).to_numpy(bool))
-            some = called[evenly(len(called), MAX_DOTS)] if len(called) else called
+            some = called[evenly(len(called), LIMITS.dots)] if len(called) else called
             if len(some):
                 layers.append(Layer("points", {"x": clock[some], "y": value[some]}, "red", size=5, label="significant"))
         y = Axis(label(name.removeprefix(f"{fault}."), found.units.get(name)))
@@ -200,7 +195,6 @@ def _timeline(found: MonitoringRun, fault: str) -> ChartGrid:
 
 
 def _estimate(table: pd.DataFrame, name: str) -> tuple[Floats, Floats, Floats]:
-    """Return value and interval of a parameter in each window, NaN where it is not determined."""
     value, std = (table[f"{name}{end}"].to_numpy(np.float64) for end in ("", ".std"))
     known = np.isfinite(std)
     half = np.where(known, 1.96 * std, np.nan)
@@ -208,7 +202,6 @@ def _estimate(table: pd.DataFrame, name: str) -> tuple[Floats, Floats, Floats]:
 
 
 def _grounds(alarms: Sequence[Alarm], clock: Floats, half: float, borders: Sequence[float]) -> list[Layer]:
-    """Return when there was an alarm, and where records begin."""
     layers = []
     if alarms:
         begin, end = (clock[[getattr(each, side) for each in alarms]] + half for side in ("first", "last"))
@@ -220,10 +213,7 @@ def _grounds(alarms: Sequence[Alarm], clock: Floats, half: float, borders: Seque
 
 
 def clock_of(table: pd.DataFrame) -> tuple[Floats, list[float], str]:
-    """Return the middles of the windows over the time of all records, where records begin, and what the axis is.
-
-    Where the time begins anew in a record, it goes on from the end of the one before.
-    """
+    """Return window centers (s), borders of recordings, and the axis label."""
     start, end = table["start"].to_numpy(np.float64), table["end"].to_numpy(np.float64)
     middle = 0.5 * (start + end)
     if (np.diff(start) > 0).all():

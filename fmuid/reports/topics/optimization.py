@@ -1,22 +1,19 @@
-"""How a search went: parameters, cost and Marquardt's λ over the iterations, noise variances, local optima."""
+"""The optimization: parameters, cost, λ, noise variances, local optima."""
 
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, Literal
+from typing import Literal
 
 import numpy as np
+import pandas as pd
 
 from fmuid.array_types import Flags
+from fmuid.estimation import Result
 from fmuid.formatting import has_unit, label
 from fmuid.identification import RIVAL_CRITERION
-from fmuid.reports.chart import MAX_PARAMETERS, Axis, Chart, Color, Data, Layer, Units, named, picked
+from fmuid.reports.chart import LIMITS, Axis, Chart, Color, Data, Layer, Units, named, picked
 from fmuid.reports.document import CONSOLE, Remark, Section, table_of
-
-if TYPE_CHECKING:
-    import pandas as pd
-
-    from fmuid.estimation import Result
 
 WIDE_RANGE = 5.0
 """Variances and criteria are drawn logarithmically where they range over this ratio."""
@@ -37,8 +34,8 @@ OPTIMA = (
 
 
 def optima_section(result: Result) -> Section:
-    """Return the table of the optima found, the best first, and a sentence on each that fits as well as the best."""
-    shown, best = result.optima, result.optima[0]
+    """Return the local optima, with a remark on equally good ones."""
+    shown, best = result.history.optima, result.history.optima[0]
     values = {name: [f"{optimum.theta[i]:.5g}" for optimum in shown] for i, name in enumerate(result.names)}
     columns = {
         "criterion": [f"{optimum.criterion:.6g}" for optimum in shown],
@@ -66,20 +63,12 @@ def optima_section(result: Result) -> Section:
 def optimization_sections(
     result: Result, estimates: pd.DataFrame, optima: pd.DataFrame, output_units: Units
 ) -> list[Section]:
-    """Return how the search went.
-
-    Parameters
-    ----------
-    result : Result
-    estimates, optima : DataFrame
-        Of the findings.
-    output_units : mapping of str to str
-    """
-    sections, trace = [], result.trace
+    """Return the charts of an optimization."""
+    sections, trace, rounds = [], result.trace, pd.DataFrame(result.history.rounds)
     if len(trace):
         drawn = tuple(_parameters(trace, estimates))
         sections.append(Section("parameters", "Parameters during the search", PARAMETERS, charts=drawn))
-        curves = _criterion(trace) + (_rounds(result.rounds, output_units) if len(result.rounds) > 1 else [])
+        curves = _criterion(trace) + (_rounds(rounds, output_units) if len(rounds) > 1 else [])
         sections.append(Section("criterion", "The criterion during the search", CRITERION, charts=tuple(curves)))
     if len(optima):
         units = dict(zip(estimates["parameter"], estimates["unit"], strict=True))
@@ -93,15 +82,12 @@ def _iterations(trace: pd.DataFrame) -> Axis:
 
 
 def _parameters(trace: pd.DataFrame, estimates: pd.DataFrame) -> list[Chart]:
-    """Return each parameter over the iterations, with its interval and its prior as bands.
-
-    Rejected trials are left out: a parameter stays where it is during them.
-    """
+    """Return each parameter over the accepted iterations."""
     accepted = trace[trace["accepted"].astype(bool)]
     iterations, cost = (accepted[name].to_numpy(np.float64) for name in ("iteration", "criterion"))
     across, charts = _iterations(trace), []
     hover = (("iteration", "@x"), ("value", "@y{0.000000}"), ("criterion", "@c{0.000}"))
-    for row in estimates.iloc[:MAX_PARAMETERS].to_dict("records"):
+    for row in estimates.iloc[: LIMITS.parameters].to_dict("records"):
         values, layers = accepted[str(row["parameter"])].to_numpy(np.float64), []
         half = 2.0 * float(row["prior_std"])
         if math.isfinite(half):
@@ -123,7 +109,7 @@ def _parameters(trace: pd.DataFrame, estimates: pd.DataFrame) -> list[Chart]:
 
 
 def _room(values: list[float], std: float) -> tuple[float, float]:
-    """Return limits around values; of a parameter that did not move, around its standard deviation."""
+    """Return limits around values, or around σ if they are equal."""
     known = [value for value in values if math.isfinite(value)]
     low, high = min(known), max(known)
     still = 2.5 * std if math.isfinite(std) and std > 0 else 0.05 * abs(low) or 1.0
@@ -132,10 +118,7 @@ def _room(values: list[float], std: float) -> tuple[float, float]:
 
 
 def _criterion(trace: pd.DataFrame) -> list[Chart]:
-    """Return the cost over the iterations, and Marquardt's λ where the search needed any.
-
-    Rounds use different noise variances, so that their costs cannot be compared: each has its own line.
-    """
+    """Return cost and λ over the iterations, one line per round of noise variances."""
     damped, across = trace[trace["lambda"] > 0], _iterations(trace)
     found = [_curve(trace, "criterion", "criterion", across)]
     return found + ([_curve(damped, "lambda", "Marquardt's λ, where it is not 0", across)] if len(damped) else [])
@@ -160,13 +143,10 @@ def _curve(trace: pd.DataFrame, column: str, text: str, across: Axis) -> Chart:
 
 
 def _rounds(found: pd.DataFrame, units: Units) -> list[Chart]:
-    """Return each output's noise variance over the repetitions of the search.
-
-    The first value, at 0, is the one that the search began with; after each round stands what its residual gave.
-    """
+    """Return the noise variances over the rounds, the initial ones at 0."""
     outputs = [str(name).removeprefix("used.") for name in found.columns if str(name).startswith("used.")]
     charts = []
-    for output in outputs[:MAX_PARAMETERS]:
+    for output in outputs[: LIMITS.parameters]:
         used, estimated = (found[f"{kind}.{output}"].to_numpy(np.float64) for kind in ("used", "estimated"))
         values = np.array([used[0], *estimated])
         unit = units.get(output)
@@ -180,8 +160,7 @@ def _rounds(found: pd.DataFrame, units: Units) -> list[Chart]:
 
 
 def _optima(table: pd.DataFrame, units: Units) -> list[Chart]:
-    """Return the cost of the optima found over each parameter; the larger a point, the more fits ended there."""
-    names = [str(name) for name in table.columns.drop(["criterion", "hits", "converged"])][:MAX_PARAMETERS]
+    names = [str(name) for name in table.columns.drop(["criterion", "hits", "converged"])][: LIMITS.parameters]
     sure, values = table["converged"].to_numpy(bool), table["criterion"].to_numpy(np.float64)
     hits = table["hits"].to_numpy(np.float64)
     sizes = LEAST_POINT + (MOST_POINT - LEAST_POINT) * hits / hits.max()

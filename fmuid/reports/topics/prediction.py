@@ -1,25 +1,20 @@
-"""Predictions of data files that a result was not made from: how good they are, and what that means."""
+"""Predictions of validation data."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from fmuid.formatting import fit_text, listed, two_digits, unit_text, with_std, with_unit
-from fmuid.identification import ResidualAnalysis
-from fmuid.reports.document import Document, Message, Remark, Section, Table, Tone, table_of
-from fmuid.reports.shared_phrases import source_words
+from fmuid.identification import OutputScore, Prediction, ResidualAnalysis
+from fmuid.reports.document import Document, Message, Remark, Section, Table, Tone, origin_of, table_of
 from fmuid.reports.topics.fit import CONSTANT, Band, fit_sections
-from fmuid.reports.topics.provenance import origin_of
 from fmuid.reports.topics.residual_analysis import residual_section, residual_words
+from fmuid.reports.topics.study_notes import source_words
 from fmuid.reports.topics.termination import ENDS
-
-if TYPE_CHECKING:
-    from fmuid.identification import OutputScore, Prediction
-    from fmuid.runs import PredictionRun
+from fmuid.runs import PredictionRun
 
 LEAST_RATIO = 1.25
 """Residuals that are larger than expected by this factor are an error of the model rather than chance."""
@@ -43,19 +38,13 @@ class PredictionMessage(Message):
         "{score}; the result was not made from such an output, so nothing says how large the residual should be",
         "a new sensor",
     )
-    AS_EXPECTED = (
-        "{score}, as noise and estimates let expect ({expected}): {band}",
-        "the model carries over",
-    )
+    AS_EXPECTED = ("{score}, as noise and estimates let expect ({expected}): {band}", "the model carries over")
     WORSE = (
         "{score}, {times} times what noise and estimates let expect ({expected}): {band}; the record shows an error of "
         "the model, or the machine has changed",
         "larger by more than a quarter than it should be",
     )
-    UNDETERMINED = (
-        "The result leaves {names} undetermined: the band is that of the noise alone",
-        "it is too narrow",
-    )
+    UNDETERMINED = ("The result leaves {names} undetermined: the band is that of the noise alone", "it is too narrow")
     AGAIN = ("Estimated again on {record}: {values}", "what `--refit` names, on this record")
     AGAIN_ENDED = (
         "Estimated again on this record, {names}: {end}",
@@ -95,25 +84,19 @@ def prediction_document(found: PredictionRun) -> Document:
 
 
 def prediction_fits(found: PredictionRun) -> list[Section]:
-    """Return a section a data file: measured and predicted outputs with their band."""
+    """Return measured and predicted outputs with their band."""
     bands: dict[str, Band] = {}
     for each in found.predictions:
-        half = _half_width(each)
+        table = each.table
+        ends = [table[f"upper.{name}"] - table[f"simulated.{name}"] for name in each.fit.outputs]
+        half = np.column_stack([one.to_numpy(np.float64) for one in ends])
         if np.isfinite(half).any():
             bands[each.fit.experiment] = half, each.level
     return fit_sections([each.fit for each in found.predictions], "Predicted", CAPTION, bands, "prediction")
 
 
-def _half_width(found: Prediction) -> np.ndarray:
-    """Return half widths of the band (K, n_outputs)."""
-    table = found.table
-    return np.column_stack(
-        [(table[f"upper.{name}"] - table[f"simulated.{name}"]).to_numpy(np.float64) for name in found.fit.outputs]
-    )
-
-
 def prediction_remarks(found: Prediction) -> list[Remark]:
-    """Return what is to be known of a prediction, in sentences: how good it is first."""
+    """Return the remarks on a prediction, its errors first."""
     said = [_score_remark(found, score) for score in found.scores]
     if found.undetermined:
         said.append(PredictionMessage.UNDETERMINED.said("plain", "prediction", names=listed(found.undetermined)))
@@ -149,7 +132,7 @@ def _score_remark(found: Prediction, score: OutputScore) -> Remark:
 
 
 def fold_remark(predictions: Sequence[Prediction]) -> Remark:
-    """Return what a cross-validation says of a model, by all its predictions."""
+    """Return the verdict of a cross-validation."""
     ratios = [score.ratio for found in predictions for score in found.scores if not math.isnan(score.ratio)]
     if not ratios:
         return PredictionMessage.FOLDS_OPEN.said("plain", "prediction")

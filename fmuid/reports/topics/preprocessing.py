@@ -1,31 +1,17 @@
-"""What was done with data files before they were experiments: columns as recorded and as they are used."""
+"""Preprocessing of data files: columns before and after."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+import pandas as pd
 
 from fmuid.formatting import listed
-from fmuid.reports.chart import (
-    MAX_EXPERIMENTS,
-    MAX_OUTPUTS,
-    Axis,
-    Chart,
-    ChartGrid,
-    Color,
-    Layer,
-    Units,
-    named,
-    stacked,
-)
+from fmuid.reports.chart import LIMITS, Axis, Chart, ChartGrid, Color, Layer, Units, named, stacked
 from fmuid.reports.document import Section
-
-if TYPE_CHECKING:
-    import pandas as pd
-
-    from fmuid.runs import PreprocessedTable
+from fmuid.runs import PreprocessedTable
 
 CAPTION = (
     "Grey is what was recorded, blue what the model is driven by and compared with. Columns that stay as they were "
@@ -38,20 +24,11 @@ STAGES: tuple[tuple[str, str, Color, float], ...] = (
 
 
 def preprocessing_charts(table: pd.DataFrame, units: Units | None = None) -> ChartGrid:
-    """Return the columns of an experiment that its preparation changed or made, before it and after, over time.
-
-    Parameters
-    ----------
-    table : DataFrame
-        Columns ``column``, ``stage`` (before or after), ``time`` (s), ``value``. Of more than `MAX_OUTPUTS` columns the
-        first are drawn.
-    units : mapping of str to str, optional
-        Of the columns.
-    """
+    """Return the changed columns before and after, over time."""
     times = table["time"].to_numpy(np.float64)
     across = Axis("time (s)", reach=(float(times.min()), float(times.max())), linked="time", ticks=8)
     charts = []
-    for name in list(dict.fromkeys(table["column"]))[:MAX_OUTPUTS]:
+    for name in list(dict.fromkeys(table["column"]))[: LIMITS.outputs]:
         rows, layers = table[table["column"] == name], []
         for stage, text, color, width in STAGES:
             part = rows[rows["stage"] == stage]
@@ -65,18 +42,9 @@ def preprocessing_charts(table: pd.DataFrame, units: Units | None = None) -> Cha
 def preprocessing_sections(
     prepared: Sequence[PreprocessedTable], several: bool, key: str = "preparation"
 ) -> list[Section]:
-    """Return a section for each experiment whose data file was prepared; of more than are drawn, of the first.
-
-    Parameters
-    ----------
-    prepared : sequence of PreprocessedTable
-    several : bool
-        Whether there are several experiments, so that each is named.
-    key : str
-        Of the sections.
-    """
+    """Return a section per preprocessed data file."""
     shown: list[Section] = []
-    for each in [one for one in prepared if one.words and len(one.table)][:MAX_EXPERIMENTS]:
+    for each in [one for one in prepared if one.words and len(one.table)][: LIMITS.experiments]:
         heading = "What was done with the table first" + (f": {each.experiment}" if several else "")
         caption = f"{preparation_words(each.words)}." + ("" if shown else f" {CAPTION}")
         anchor = key if not shown else f"{key}-{len(shown) + 1}"
@@ -86,7 +54,7 @@ def preprocessing_sections(
 
 
 def preparation_words(words: Mapping[str, Any]) -> str:
-    """Say what was done with a table, by the words of ``[experiments.prepare]`` that are not their defaults."""
+    """Return the preprocessing steps as text."""
     done = list(_done(words))
     return f"The table was {listed(done)}" if done else "The table was left as it is"
 

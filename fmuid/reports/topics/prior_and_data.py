@@ -1,36 +1,32 @@
-"""Prior and data: what each contributes to a result, and whether they agree."""
+"""Prior and data: their influence on a result, and their conflict."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from typing import TYPE_CHECKING
 
 import numpy as np
+import pandas as pd
 
 from fmuid.estimation import TerminationReason
 from fmuid.formatting import listed, two_digits, unit_text, with_std, with_unit
-from fmuid.identification import Deviation, parabolas, parameters_with_prior_and_data
-from fmuid.reports.chart import DENSITY, MAX_PARAMETERS, Axis, Chart, Color, Layer, Units, named, normal
+from fmuid.identification import (
+    Deviation,
+    ExtrapolationReason,
+    PriorDataComparison,
+    PriorDataTest,
+    PriorInfluence,
+    parabolas,
+    parameters_with_prior_and_data,
+)
+from fmuid.reports.chart import DENSITY, LIMITS, Axis, Chart, Color, Layer, Units, named, normal
 from fmuid.reports.document import CONSOLE, Section, Table, table_of
 from fmuid.reports.shared_phrases import direction_words
 from fmuid.reports.topics.termination import ENDS
 
-if TYPE_CHECKING:
-    import pandas as pd
-
-    from fmuid.identification import ExtrapolationReason, PriorDataComparison, PriorDataTest, PriorInfluence
-
 
 def reading_words(reading: PriorDataComparison, units: Mapping[str, str | None] | None = None) -> tuple[str, ...]:
-    """Return what is to be known of it; nothing where there is neither a prior nor a known variance.
-
-    Parameters
-    ----------
-    reading : PriorDataComparison
-    units : mapping of str to str, optional
-        Of the outputs.
-    """
+    """Return the remarks on prior, data and known noise."""
     said = [] if reading.agreement is None else [_agreement(reading, reading.agreement)]
     said += [_influence(reading, each) for each in reading.influences]
     said += [_bent(reading)] if reading.bent else []
@@ -40,7 +36,6 @@ def reading_words(reading: PriorDataComparison, units: Mapping[str, str | None] 
 
 
 def _agreement(reading: PriorDataComparison, agreement: PriorDataTest) -> str:
-    """Say whether prior and data agree and, where not, on which parameter they disagree most."""
     chance = (
         f"χ² {agreement.statistic:.3g} with {agreement.degrees_of_freedom} degrees of freedom, "
         f"probability {agreement.probability:.2g}"
@@ -57,7 +52,6 @@ def _agreement(reading: PriorDataComparison, agreement: PriorDataTest) -> str:
 
 
 def _influence(reading: PriorDataComparison, found: PriorInfluence) -> str:
-    """Say of an estimate that it rests on a prior, or that a prior has moved it."""
     i = reading.names.index(found.name)
     std = float(reading.data_std[i])
     alone = _shown(float(reading.data[i]), std)
@@ -82,7 +76,6 @@ def _bent(reading: PriorDataComparison) -> str:
 
 
 def _variances(reading: PriorDataComparison, units: Mapping[str, str | None]) -> list[str]:
-    """Say which residuals are larger or smaller than the known noise, or that all are as large."""
     blame = "the model or the prior" if np.isfinite(reading.prior_mean).any() else "the model"
     said, outputs = [], [test for test in reading.variances if test.output]
     for test in outputs:
@@ -127,8 +120,6 @@ def _shown(value: float, std: float) -> str:
     return f"{value:.{decimals}f}" if 0 <= decimals <= 9 else f"{value:.4g}"
 
 
-# --- table and charts -----------------------------------------------------------------------
-
 BELIEF = (
     "What the prior said, what the data say alone, and both. Prior and data should overlap; where the data's "
     "curve is wide or missing, the estimate rests on the prior."
@@ -150,7 +141,7 @@ PARTS: tuple[tuple[str, str, Color, float], ...] = (
 
 
 def prior_sections(reading: PriorDataComparison, units: Units) -> list[Section]:
-    """Return prior, data and both of each parameter: side by side, as densities, and as the cost of each."""
+    """Return prior, data and both: table, densities, cost."""
     table = reading.table
     return [
         Section("reading", "Prior and data", table=_table(reading, units), shown=CONSOLE),
@@ -165,7 +156,6 @@ def prior_sections(reading: PriorDataComparison, units: Units) -> list[Section]:
 
 
 def _table(reading: PriorDataComparison, units: Units) -> Table:
-    """Return prior, data and both, how far the prior is, and what moved the data's optimum by how much."""
     rows = {
         "prior": (reading.prior_mean, reading.prior_std),
         "data alone": (reading.data, reading.data_std),
@@ -184,16 +174,14 @@ def _table(reading: PriorDataComparison, units: Units) -> Table:
 
 
 def _known(value: float, std: float) -> str:
-    """Return value and standard deviation, nothing where there are none."""
     if not math.isfinite(value):
         return ""
     return with_std(value, std) if std < math.inf else "not determined"
 
 
 def _beliefs(table: pd.DataFrame, units: Units) -> Iterator[Chart]:
-    """Yield what the prior, the data alone and both say of each parameter, as normal densities."""
     columns = (("prior", "prior_std"), ("data", "data_std"), ("combined", "combined_std"))
-    for row in table.iloc[:MAX_PARAMETERS].to_dict("records"):
+    for row in table.iloc[: LIMITS.parameters].to_dict("records"):
         pairs = [(float(row[mean]), float(row[std])) for mean, std in columns]
         known = [math.isfinite(mean) and math.isfinite(std) and std > 0 for mean, std in pairs]
         if not any(known):
@@ -211,23 +199,8 @@ def _beliefs(table: pd.DataFrame, units: Units) -> Iterator[Chart]:
 
 
 def parabola_charts(table: pd.DataFrame, names: Sequence[str] = (), units: Units | None = None) -> Iterator[Chart]:
-    """Yield the cost of prior, data and both over parameters.
-
-    Parameters
-    ----------
-    table : DataFrame
-        Of `PriorDataComparison`.
-    names : sequence of str
-        Default: all that prior and data both speak of.
-    units : mapping of str to str, optional
-        Of the parameters.
-
-    Raises
-    ------
-    InputError
-        If there is no such parameter, or it has no standard deviation.
-    """
-    for name in list(names or parameters_with_prior_and_data(table))[:MAX_PARAMETERS]:
+    """Yield the cost of prior, data and both over parameters."""
+    for name in list(names or parameters_with_prior_and_data(table))[: LIMITS.parameters]:
         curves = parabolas(table, name)
         value = curves["value"].to_numpy(np.float64)
         layers = [

@@ -1,48 +1,45 @@
-"""Residuals: what they show of the model and of the stated uncertainty; where nothing, what was tested.
-
-An error of the model that its parameters make up for leaves a residual in which no test finds anything.
-"""
+"""Residuals: defects, tests, charts."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING
 
 import numpy as np
+import pandas as pd
 
 from fmuid.array_types import Floats
 from fmuid.formatting import listed, two_digits, unit_text
-from fmuid.identification import LEAST_STD_FACTOR, RESIDUAL_LEVEL, RESIDUAL_SETTINGS, ResidualDefect
-from fmuid.reports.chart import DENSITY, MAX_OUTPUTS, Axis, Chart, Color, Dash, Data, Layer, normal
+from fmuid.identification import (
+    LEAST_STD_FACTOR,
+    RESIDUAL_LEVEL,
+    RESIDUAL_SETTINGS,
+    ResidualAnalysis,
+    ResidualDefect,
+    ResidualFinding,
+    ResidualSeries,
+)
+from fmuid.reports.chart import DENSITY, LIMITS, Axis, Chart, Color, Dash, Data, Layer, normal
 from fmuid.reports.document import Section
 from fmuid.reports.topics.fit import worst
-
-if TYPE_CHECKING:
-    import pandas as pd
-
-    from fmuid.identification import ResidualAnalysis, ResidualFinding, ResidualSeries
-    from fmuid.simulation import OutputFit
+from fmuid.simulation import OutputFit
 
 # An autocorrelation from which on a residual is called far from white.
 FAR_FROM_WHITE = 0.5
 
 
 def residual_words(found: ResidualAnalysis, units: Mapping[str, str | None] | None = None) -> tuple[str, ...]:
-    """Return what is to be known of the residuals, in sentences, one at least; with the units of the outputs."""
+    """Return the remarks on the residuals, at least one."""
     large = [each for each in found.findings if each.large]
     coloured = [each for each in large if each.trait is ResidualDefect.COLOURED]
     said = [_large(found, each, units or {}) for each in coloured]
     said += _widening(found, coloured=bool(coloured))
     said += [_large(found, each, units or {}) for each in large if each.trait is not ResidualDefect.COLOURED]
-    said += _off_grid(found)
-    said += _returning(found)
-    quiet = not said
-    return tuple(said + _slow(found) + _long(found) + _summary(found, quiet=quiet))
+    said += _correlated(found)
+    return (*said, *_slow(found), *_summary(found, quiet=not said))
 
 
 def _name(found: ResidualAnalysis, output: str, *experiments: str) -> str:
-    """Return an output's name, with its experiments where there are others."""
     several = len({each.experiment for each in found.series}) > 1
     return f"{output} in {listed(experiments)}" if several else output
 
@@ -52,7 +49,6 @@ def _series_name(found: ResidualAnalysis, series: ResidualSeries) -> str:
 
 
 def _large(found: ResidualAnalysis, finding: ResidualFinding, units: Mapping[str, str | None]) -> str:
-    """Return a sentence on what is large enough to be said by itself."""
     series, name = finding.series, _series_name(found, finding.series)
     if finding.trait is ResidualDefect.COLOURED:
         lag, largest = series.whiteness.strongest
@@ -86,7 +82,6 @@ def _large(found: ResidualAnalysis, finding: ResidualFinding, units: Mapping[str
 
 
 def _widening(found: ResidualAnalysis, *, coloured: bool) -> list[str]:
-    """Say how the standard deviations allow for the colour of the residuals, where that is worth it."""
     known = {name: factor for name, factor in found.widening.items() if math.isfinite(factor)}
     other = {name: f for name, f in known.items() if not 1.0 / LEAST_STD_FACTOR < f < LEAST_STD_FACTOR}
     if not other:
@@ -103,20 +98,34 @@ def _widening(found: ResidualAnalysis, *, coloured: bool) -> list[str]:
     return [f"{why} standard deviations are {about} those that white noise of this size would give"]
 
 
-def _slow(found: ResidualAnalysis) -> list[str]:
-    """Say where the standard deviations allow for weak slow noise."""
+def _correlated(found: ResidualAnalysis) -> list[str]:
+    """Return where the standard deviations allow for samples on no grid, and for periodic model errors."""
+    said = [
+        f"In the residual of {_name(found, each.output, each.experiment)} something comes back with each "
+        f"cycle of the excitation, every {each.period:.3g} s ({two_digits(100 * each.share)} % of its variance): an "
+        "error of the model, which no number of cycles averages out; the standard deviations allow for it"
+        for each in found.returning
+    ]
+    if not found.off_grid:
+        return said
+    names = listed([_name(found, output, experiment) for experiment, output in found.off_grid])
     return [
+        f"The samples of {names} stand on no grid: how neighbouring ones depend on each other is judged as if "
+        "they were equally spaced",
+        *said,
+    ]
+
+
+def _slow(found: ResidualAnalysis) -> list[str]:
+    """Return where the standard deviations allow for weak slow noise, and noise that is slow for its data file."""
+    said = [
         f"In the residual of {_name(found, each.output, *each.experiments)} there is slow noise "
         f"beneath the rest ({two_digits(100 * each.share)} % of its variance, with a time constant of about "
         f"{each.time_constant:.1g} s), for which the standard deviations allow; one white residual in a hundred looks "
         "so by chance"
         for each in found.slow
     ]
-
-
-def _long(found: ResidualAnalysis) -> list[str]:
-    """Say where noise is so slow that the record hardly tells how slow."""
-    return [
+    return said + [
         f"The noise of {_name(found, each.output, *each.experiments)} is slow for its record (a "
         f"time constant of about {each.time_constant:.1g} s, in {each.record:.3g} s): how slow is hardly told, and the "
         "standard deviations that it acts on are uncertain themselves; a longer record tells more"
@@ -124,28 +133,7 @@ def _long(found: ResidualAnalysis) -> list[str]:
     ]
 
 
-def _returning(found: ResidualAnalysis) -> list[str]:
-    """Say where the standard deviations allow for what comes back with each cycle of the excitation."""
-    return [
-        f"In the residual of {_name(found, each.output, each.experiment)} something comes back with each "
-        f"cycle of the excitation, every {each.period:.3g} s ({two_digits(100 * each.share)} % of its variance): an "
-        "error of the model, which no number of cycles averages out; the standard deviations allow for it"
-        for each in found.returning
-    ]
-
-
-def _off_grid(found: ResidualAnalysis) -> list[str]:
-    if not found.off_grid:
-        return []
-    names = [_name(found, output, experiment) for experiment, output in found.off_grid]
-    return [
-        f"The samples of {listed(names)} stand on no grid: how neighbouring ones depend on each other is judged as if "
-        "they were equally spaced"
-    ]
-
-
 def _summary(found: ResidualAnalysis, *, quiet: bool) -> list[str]:
-    """Say where there was nothing to examine and, where nothing else is to be said, what was tested."""
     idle = [_series_name(found, each) for each in found.series if not each.is_tested]
     lines = [f"The residual of {listed(idle)} is too short, or nothing but rounding, to be examined"] if idle else []
     examined = [each for each in found.series if each.is_tested]
@@ -169,7 +157,6 @@ def _summary(found: ResidualAnalysis, *, quiet: bool) -> list[str]:
 
 
 def _slight(finding: ResidualFinding) -> str:
-    """Return what is significant, but not large enough to be said by itself."""
     series = finding.series
     if finding.trait is ResidualDefect.COLOURED:
         lag, largest = series.whiteness.strongest
@@ -183,7 +170,6 @@ def _slight(finding: ResidualFinding) -> str:
 
 
 def _tested(series: list[ResidualSeries]) -> str:
-    """Return what was tested, of how many samples and at what level."""
     inputs = list(dict.fromkeys(one.input for each in series for one in each.inputs))
     lags, samples = _range([each.whiteness.lags for each in series]), _range([each.samples for each in series])
     crossed = [f"correlation with {listed(inputs)}"] if inputs else []
@@ -198,8 +184,6 @@ def _range(numbers: list[int]) -> str:
 def _count(number: int, what: str) -> str:
     return f"{number} {what}" if number == 1 else f"{number} {what}s"
 
-
-# --- charts ---------------------------------------------------------------------------------
 
 CAPTION = (
     "Left: the residual's distribution should follow the normal curve. Middle: its autocorrelation should stay in the "
@@ -221,17 +205,10 @@ INPUT_LOOKS: tuple[tuple[Color, Dash], ...] = (
 
 
 def residual_section(fits: Sequence[OutputFit], correlations: pd.DataFrame) -> Section:
-    """Return the section on the residuals.
-
-    Parameters
-    ----------
-    fits : sequence of OutputFit
-    correlations : DataFrame
-        Of the residuals with themselves and with inputs (`ResidualAnalysis.correlations`).
-    """
+    """Return the section on the residuals."""
     charts = []
     for fit in worst(fits):
-        for j, output in list(enumerate(fit.outputs))[:MAX_OUTPUTS]:
+        for j, output in list(enumerate(fit.outputs))[: LIMITS.outputs]:
             rows = correlations[(correlations["experiment"] == fit.experiment) & (correlations["output"] == output)]
             values = np.where(fit.counted[:, j], fit.measured[:, j] - fit.simulated[:, j], np.nan)
             own, others = rows[rows["with"] == output], rows[rows["with"] != output]
@@ -242,7 +219,6 @@ def residual_section(fits: Sequence[OutputFit], correlations: pd.DataFrame) -> S
 
 
 def _histogram(residual: Floats, output: str) -> Chart:
-    """Return how a residual is distributed, in its standard deviations, beside the normal distribution."""
     known = residual[np.isfinite(residual)]
     scaled = (known - known.mean()) / (known.std() or 1.0)
     edges = np.linspace(-SHOWN_STDS, SHOWN_STDS, BARS if known.size > MANY_SAMPLES else FEW_BARS)
@@ -257,7 +233,6 @@ def _histogram(residual: Floats, output: str) -> Chart:
 
 
 def _autocorrelation(table: pd.DataFrame, output: str) -> Chart:
-    """Return the autocorrelation of a residual, and the band in which 95 % of it lie if it is white."""
     lags, values = (table[key].to_numpy(np.float64) for key in ("lag", "correlation"))
     data: Data = {"x0": lags, "y0": 0.0, "x1": lags, "y1": values}
     points: Data = {"x": lags, "y": values, "t": table["time"].to_numpy(np.float64)}
@@ -271,7 +246,6 @@ def _autocorrelation(table: pd.DataFrame, output: str) -> Chart:
 
 
 def _with_inputs(table: pd.DataFrame, output: str) -> Chart:
-    """Return the correlation of a residual with what each input was before."""
     largest = table.groupby("with", sort=False)["correlation"].apply(lambda one: float(one.abs().max()))
     names = [name for name in largest.index if name in set(largest.nlargest(len(INPUT_LOOKS)).index)]
     layers = []

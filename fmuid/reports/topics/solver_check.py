@@ -1,23 +1,27 @@
-"""The error of the simulation: how FMUs are run, what their error does to the estimates, what was done about it."""
+"""Solver error: configuration, effect on the estimates, refinement."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING
 
 import numpy as np
+import pandas as pd
 
 from fmuid.array_types import Flags
-from fmuid.estimation import SHIFT_LIMIT, AccuracyOutcome, RefinementRefusal, SwitchCause
+from fmuid.estimation import (
+    SHIFT_LIMIT,
+    AccuracyOutcome,
+    RefinementRefusal,
+    RefinementStep,
+    RunFields,
+    SensitivityMethod,
+    SolverCheck,
+    SwitchCause,
+)
 from fmuid.models import SolverConfiguration
-from fmuid.reports.chart import MAX_PARAMETERS, Axis, Color, Data, Layer, picked, rows_of
+from fmuid.reports.chart import LIMITS, Axis, Color, Data, Layer, picked, rows_of
 from fmuid.reports.document import Section
-
-if TYPE_CHECKING:
-    import pandas as pd
-
-    from fmuid.estimation import RefinementStep, RunFields, SensitivityMethod, SolverCheck
 
 # Attributes of <CoSimulation>, <ModelExchange> and <ScheduledExecution> in words (FMI 2.0.4, sections 3.3.1 and 4.3.1;
 # FMI 3.0.2, section 2.4.8). The versions of the standard spell some names differently.
@@ -42,7 +46,7 @@ _CAPABILITIES = {
 
 
 def capability_words(interface: str, declared: Mapping[str, str]) -> list[str]:
-    """Return what an interface of an FMU can do beyond the obligatory, from what it declares (`FmuSummary`)."""
+    """Return the optional capabilities of an FMU interface."""
     given = {name for name, value in declared.items() if value.strip() in ("true", "1")}
     words = [word for name, word in _CAPABILITIES.items() if name in given]
     if interface == "co-simulation":
@@ -56,7 +60,7 @@ def capability_words(interface: str, declared: Mapping[str, str]) -> list[str]:
 
 
 def run_words(run: SolverConfiguration) -> str:
-    """Return with which interface, integrator, tolerance and step an FMU is run."""
+    """Return interface, solver, tolerance and step of an FMU."""
     words = f"FMI {run.fmi_version} {run.interface}"
     if run.integrator is not None:
         words += f", integrator {run.integrator}" + (" (rk45 found the model stiff)" if run.stiff else "")
@@ -70,13 +74,13 @@ def run_words(run: SolverConfiguration) -> str:
 
 
 def runs_words(runs: Mapping[str, RunFields]) -> str:
-    """Return how each component of a model is run, from the fields of its `SolverConfiguration`."""
+    """Return the configuration of each component."""
     told = {name: run_words(SolverConfiguration(**run)) for name, run in runs.items()}
     return "; ".join(f"{name}: {words}" if name else words for name, words in told.items())
 
 
 def sensitivity_words(used: SensitivityMethod) -> str:
-    """Return how the derivatives by the parameters were found."""
+    """Return the method of the sensitivities."""
     if used.refusal:
         return f"finite differences ({used.method} sensitivities are refused: {used.refusal})"
     return {
@@ -103,19 +107,13 @@ LEAST_SHOWN = 0.005
 
 
 def accuracy_words(names: Sequence[str], found: SolverCheck | None) -> tuple[str, ...]:
-    """Return the sentences on a simulation that cannot be taken for exact, or was not to begin with.
-
-    Parameters
-    ----------
-    names : sequence of str
-        The parameters, in the order of `SolverCheck.shift`.
-    found : SolverCheck or None
-    """
+    """Return the remarks on solver refinement and solver error."""
     if found is None:
         return ()
     finer = runs_words(found.finer)
+    others = "another optimum" if found.refused == 1 else f"{found.refused} other optima"
     refused = (
-        f"{_optima(found.refused)} fitted as well, and the finer simulation ({finer}) moves away from "
+        f"{others} fitted as well, and the finer simulation ({finer}) moves away from "
         f"{'it' if found.refused == 1 else 'them'}: refused"
     )
     words = [*map(_switch, found.switches), *([refused] if found.refused else []), _outcome(names, found)]
@@ -123,17 +121,13 @@ def accuracy_words(names: Sequence[str], found: SolverCheck | None) -> tuple[str
 
 
 def passed_words(found: SolverCheck) -> str:
-    """Return the sentence on a simulation that has passed its check, nothing for others."""
+    """Return the remark on a passed solver check, else ""."""
     if found.outcome is not AccuracyOutcome.PASSED or not found.finer:
         return ""
     checked = f"simulation checked by {runs_words(found.finer)}"
     if math.isnan(found.largest):  # no estimate has a standard deviation
         return f"{checked}: it changes the outputs by {found.change:.1g} standard deviations in all"
     return f"{checked}: it moves the estimates by {max(found.largest, LEAST_SHOWN):.1g} std at most"
-
-
-def _optima(count: int) -> str:
-    return "another optimum" if count == 1 else f"{count} other optima"
 
 
 def _switch(switch: RefinementStep) -> str:
@@ -190,20 +184,17 @@ def _outcome(names: Sequence[str], found: SolverCheck) -> str:
 
 
 def _shifts(names: Sequence[str], found: SolverCheck) -> str:
-    """Return which estimates are moved, and by how much; just that they may be where no standard deviation is known."""
     pairs = zip(names, found.shift.tolist(), strict=True)
     moved = ", ".join(f"{name} by {shift:+.2g}" for name, shift in pairs if abs(shift) > SHIFT_LIMIT)
     return moved or f"the outputs by {found.change:.2g} in all"
 
 
 def shift_text(shift: float) -> str:
-    """Return a shift in standard deviations for a table, a question mark where it is not known."""
+    """Return a shift in σ for a table, "?" if unknown."""
     if math.isnan(shift):
         return "?"
     return f"{shift:+.2f}" if abs(shift) >= LEAST_SHOWN else "0"
 
-
-# --- chart ----------------------------------------------------------------------------------
 
 CAPTION = (
     "Each estimate's shift if the finer simulation took the place of the one used, in its standard "
@@ -212,22 +203,16 @@ CAPTION = (
 
 
 def solver_section(estimates: pd.DataFrame) -> list[Section]:
-    """Return what a finer simulation moves each estimate by, in its standard deviations; nothing where not known.
-
-    In the band no interval is spoilt: the shift is at most a tenth of a standard deviation.
-    """
-    shift = estimates["numerical_shift"].astype(float)
-    known = estimates[np.isfinite(shift)].iloc[:MAX_PARAMETERS]
+    """Return the solver error of each estimate in σ, if known."""
+    shift = estimates["solver_error"].astype(float)
+    known = estimates[np.isfinite(shift)].iloc[: LIMITS.parameters]
     if not len(known):
         return []
-    names, shifts = tuple(map(str, known["parameter"])), known["numerical_shift"].to_numpy(np.float64)
+    names, shifts = tuple(map(str, known["parameter"])), known["solver_error"].to_numpy(np.float64)
     most = max(1.5 * SHIFT_LIMIT, 1.15 * float(np.abs(shifts).max(initial=0.0)))
     layers = [Layer("zone", {"left": -SHIFT_LIMIT, "right": SHIFT_LIMIT}, alpha=0.14), Layer("rule", {"x": 0.0}, "ink")]
     large, hover = np.abs(shifts) > SHIFT_LIMIT, (("parameter", "@y"), ("shift", "@x{0.000000} std"))
-    kinds: tuple[tuple[Flags, Color, str], ...] = (
-        (~large, "blue", "harmless"),
-        (large, "red", "larger than a tenth"),
-    )
+    kinds: tuple[tuple[Flags, Color, str], ...] = ((~large, "blue", "harmless"), (large, "red", "larger than a tenth"))
     for mine, color, text in kinds:
         if mine.any():
             some = picked({"x": shifts, "y": names}, mine)

@@ -1,15 +1,14 @@
-"""How a search ended, what it leaves open, which starts it tried, and what to do."""
+"""Termination reason, identifiability, restarts, remedies."""
 
 from __future__ import annotations
 
 import math
 from itertools import groupby
-from typing import TYPE_CHECKING
 
 from fmuid.estimation import (
     CombinationFit,
-    Identifiability,
-    RestartAttempt,
+    IdentifiabilityLevel,
+    Result,
     SearchFailure,
     StartingPointSource,
     TerminationReason,
@@ -19,9 +18,6 @@ from fmuid.identification import RIVAL_CRITERION
 from fmuid.reports.document import Remark, capitalised
 from fmuid.reports.shared_phrases import direction_words
 from fmuid.reports.topics.solver_check import accuracy_words, passed_words
-
-if TYPE_CHECKING:
-    from fmuid.estimation import Result
 
 ENDS = {
     TerminationReason.CONVERGED: "converged",
@@ -53,85 +49,81 @@ _FINER = ", or make the simulation more accurate (step_size, tolerance, interfac
 
 
 def result_words(result: Result) -> tuple[str, ...]:
-    """Return all that is to be said of a result: how it ended first, then what the estimates do not show."""
+    """Return the termination reason and all remarks."""
     return ending(result), *remarks(result)
 
 
 def ending(result: Result) -> str:
-    """Return how an identification ended and, where that is needed, the remedy."""
-    words = [ENDS[result.outcome] + (_so_far(result) if result.outcome is TerminationReason.INTERRUPTED else "")]
-    if result.undetermined:
+    """Return the termination reason and the remedy."""
+    words = [ENDS[result.outcome]]
+    if result.outcome is TerminationReason.INTERRUPTED and result.history.fits is not None:
+        words[0] += f" of a global search, after {result.history.fits} fit{'' if result.history.fits == 1 else 's'}"
+    if open_ := result.identifiability.non_identifiable:
         told = (
-            "; ".join(map(direction_words, result.undetermined))
+            "; ".join(map(direction_words, open_))
             + ": give a prior, hold one of them at a value, or measure more"
-            + (_FINER if any(each.determined is Identifiability.HIDDEN for each in result.undetermined) else "")
+            + (_FINER if any(each.level is IdentifiabilityLevel.HIDDEN for each in open_) else "")
         )
         words = [f"{words[0]}: {told}"] if result.outcome is TerminationReason.UNDETERMINED else [*words, told]
-    if result.at_bounds:
-        bounds = "; ".join(f"{each.name} is at its bound {each.value:g}" for each in result.at_bounds)
+    if result.estimates.at_bounds:
+        bounds = "; ".join(f"{each.name} is at its bound {each.value:g}" for each in result.estimates.at_bounds)
         words.append(f"{bounds}, and the data would move it further: widen the bound or check the model")
     return "; ".join(words)
 
 
-def _so_far(result: Result) -> str:
-    if result.fits is None:
-        return ""
-    return f" of a global search, after {result.fits} fit{'' if result.fits == 1 else 's'}"
-
-
 def remarks(result: Result) -> tuple[str, ...]:
-    """Return the sentences on what the estimates do not show by themselves."""
+    """Return the remarks on a result."""
     accuracy = accuracy_words(result.names, result.accuracy)
     return *observer_words(result), *start_words(result), *accuracy, *dependence_words(result)
 
 
 def observer_words(result: Result) -> tuple[str, ...]:
-    """Return what an observer makes of a result."""
-    if result.observer is None:
+    """Return the remark on an observer."""
+    if result.setup.observer is None:
         return ()
     return (
-        f"an observer with its poles at {result.observer:g} samples kept the simulation with the record: this is a fit "
-        "of predictions over about that time, not of the output error, and noise of the measurements biases it the "
-        "more, the faster the observer is",
+        f"an observer with its poles at {result.setup.observer:g} samples kept the simulation with the record: this is "
+        "a fit of predictions over about that time, not of the output error, and noise of the measurements biases it "
+        "the more, the faster the observer is",
     )
 
 
 def start_words(result: Result) -> tuple[str, ...]:
-    """Return the sentences on starts that were no starts, and on signs that a search in vain has changed."""
+    """Return the remarks on initial guesses and restarts."""
+    starts = list(zip(result.names, result.estimates.start.tolist(), strict=True))
     moved = [
-        f"{name} changes no output at the start that was given: the search set out from {name} = {result.start[i]:g}"
-        for i, name in enumerate(result.names)
-        if name in result.moved_start
+        f"{name} changes no output at the start that was given: the search set out from {name} = {start:g}"
+        for name, start in starts
+        if name in result.identifiability.replaced_initial_guess
     ]
     crossed = [
         f"{name} began at {start:.3g} and has come to {value:.3g}: give it a bound if the model holds on one side of "
         "zero only"
-        for name, start, value in zip(result.names, result.start.tolist(), result.values.tolist(), strict=True)
+        for (name, start), value in zip(starts, result.values.tolist(), strict=True)
         if start * value < 0 and not result.converged
     ]
     return *moved, *combination_words(result), *attempt_words(result), *crossed
 
 
 def dependence_words(result: Result) -> tuple[str, ...]:
-    """Return the sentences on estimates that depend on each other, on next to nothing, or on the prior."""
+    """Return the remarks on correlated and weakly identifiable estimates."""
     pairs = [
         f"estimates of {one} and {other} move together (correlation {share:+.3f}): intervals do not hold one by one"
-        for one, other, share in result.strong_correlations
+        for one, other, share in result.estimates.strong_correlations
     ]
-    prior = [f"without the prior, {direction_words(each)}" for each in result.prior_determined]
-    return *pairs, *map(direction_words, result.weak), *prior
+    prior = [f"without the prior, {direction_words(each)}" for each in result.identifiability.prior_dominated]
+    return *pairs, *map(direction_words, result.identifiability.weakly_identifiable), *prior
 
 
 def effort_words(result: Result) -> str:
-    """Return what the search took, and the criterion that it ended at."""
-    likelihood = f", log-likelihood {result.log_likelihood:.7g}" if math.isfinite(result.log_likelihood) else ""
+    """Return iterations, simulations, time and cost."""
+    spent = result.history
+    likelihood = f", log-likelihood {result.fit.log_likelihood:.7g}" if math.isfinite(result.fit.log_likelihood) else ""
     return (
-        f"{result.iterations} iterations, {result.simulations} simulations, {result.elapsed_s:.2f} s; criterion "
-        f"{result.criterion:.6g}{likelihood}"
+        f"{spent.iterations} iterations, {spent.simulations} simulations, {spent.elapsed_s:.2f} s; criterion "
+        f"{result.fit.cost:.6g}{likelihood}"
     )
 
-
-# --- starts ---------------------------------------------------------------------------------
 
 PLACES = {
     StartingPointSource.GIVEN: "the start that was given",
@@ -151,15 +143,23 @@ TROUBLES = {
     SearchFailure.MODEL_ERROR: "left {ratio:.3g} times the noise that the data show",
 }
 """What became of it."""
+KEPT_START = {
+    SearchFailure.NONE: "",
+    SearchFailure.MODEL_ERROR: (
+        "; the model does not explain the data, other starts end there too: check the model and its inputs"
+    ),
+    SearchFailure.LARGE_RESIDUAL: "; other starts fit no better: look at the model, or at what else moves the outputs",
+}
+"""What the start that is kept tells."""
 
 
 def combination_words(result: Result) -> tuple[str, ...]:
-    """Return which values fit best of parameters that take few, and how far the next best is."""
-    if not result.combinations:
+    """Return the best combination of discrete parameters."""
+    if not result.history.combinations:
         return ()
-    best, *others = result.combinations
+    best, *others = result.history.combinations
     failed = [each for each in others if each.outcome is None]
-    said = f"{_values(best)} fits best of {len(result.combinations)} combinations"
+    said = f"{_values(best)} fits best of {len(result.history.combinations)} combinations"
     if len(others) > len(failed):
         behind = others[0].behind
         said += f"; the next best, {_values(others[0])}, is behind by {behind:.3g} in −2 ln L"
@@ -176,34 +176,22 @@ def _values(each: CombinationFit) -> str:
 
 
 def attempt_words(result: Result) -> tuple[str, ...]:
-    """Return which starts were tried, what became of each and which is kept; nothing where the first one did."""
-    if not result.attempts:
+    """Return the restarts and their outcome."""
+    if not result.history.restarts:
         return ()
-    each_told = groupby(f"{PLACES[each.remedy]} {_end(each)}" for each in result.attempts)
+    each_told = groupby(
+        f"{PLACES[each.remedy]} {TROUBLES[each.trouble].format(ratio=each.noise_ratio)}{', which is kept' * each.kept}"
+        for each in result.history.restarts
+    )
     counts = ((one, len(list(alike))) for one, alike in each_told)
     told = [one if count == 1 else f"{one} ({count} times)" for one, count in counts]
-    kept = next((each for each in result.attempts if each.kept), None)
-    if kept is None or kept.trouble is SearchFailure.NONE:
-        return (f"several starts were tried: {listed(told)}",)
-    if kept.trouble is SearchFailure.MODEL_ERROR:
-        reason = "; the model does not explain the data, other starts end there too: check the model and its inputs"
-        return (f"several starts were tried: {listed(told)}{reason}",)
-    if kept.trouble is SearchFailure.LARGE_RESIDUAL:
-        reason = "; other starts fit no better: look at the model, or at what else moves the outputs"
-        return (f"several starts were tried: {listed(told)}{reason}",)
-    return (f"several starts were tried: {listed(told)}; none ended well",)
-
-
-def _end(attempt: RestartAttempt) -> str:
-    words = TROUBLES[attempt.trouble].format(ratio=attempt.noise_ratio)
-    return f"{words}, which is kept" if attempt.kept else words
-
-
-# --- remarks --------------------------------------------------------------------------------
+    kept = next((each for each in result.history.restarts if each.kept), None)
+    reason = "" if kept is None else KEPT_START.get(kept.trouble, "; none ended well")
+    return (f"several starts were tried: {listed(told)}{reason}",)
 
 
 def result_remarks(result: Result) -> list[Remark]:
-    """Return what the estimates do not show by themselves, with the sections that show it."""
+    """Return the remarks on a result with their sections."""
     said = [(text, "criterion", True) for text in (*observer_words(result), *start_words(result))]
     if result.accuracy is not None:
         passed = passed_words(result.accuracy)

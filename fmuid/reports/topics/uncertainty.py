@@ -3,26 +3,32 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
 
 import numpy as np
 
+from fmuid.estimation import Result
 from fmuid.formatting import rounded, unit_text, with_std
-from fmuid.identification import LARGEST_R_HAT, EndKind, SamplingWarning, better_point
+from fmuid.identification import (
+    LARGEST_R_HAT,
+    Assessment,
+    CostMap,
+    EndKind,
+    Posterior,
+    Profile,
+    ProfileEndNote,
+    SamplingWarning,
+    better_point,
+)
 from fmuid.reports.document import Section, table_of
 from fmuid.reports.shared_phrases import direction_words
 from fmuid.reports.topics.termination import ENDS
-
-if TYPE_CHECKING:
-    from fmuid.estimation import Result
-    from fmuid.identification import Assessment, CostMap, Posterior, Profile, ProfileEndNote
 
 # A chain that is advised is longer than what is foreseen to suffice by this factor.
 STEPS_MARGIN = 1.2
 
 
 def uncertainty_words(found: Assessment) -> tuple[str, ...]:
-    """Return what is to be known of intervals, maps and samples."""
+    """Return the remarks on intervals, maps and samples."""
     said = [line for each in found.profiles for line in profile_words(each)]
     said += [line for chart in found.maps for line in _map_words(chart)]
     if found.posterior is not None and not found.posterior.converged:
@@ -31,7 +37,7 @@ def uncertainty_words(found: Assessment) -> tuple[str, ...]:
 
 
 def profile_words(profile: Profile) -> tuple[str, ...]:
-    """Return what is to be known about the ends of a profile; nothing where all is ordinary."""
+    """Return the remarks on the ends of a profile."""
     said = [_remark_words(profile, remark) for remark in profile.remarks]
     return *said, *([f"interrupted: the profile of {profile.name} is not complete"] if profile.interrupted else [])
 
@@ -67,7 +73,6 @@ def _remark_words(profile: Profile, remark: ProfileEndNote) -> str:
 
 
 def _map_words(chart: CostMap) -> list[str]:
-    """Say where a map shows a lower criterion than the estimate has."""
     better = better_point(chart)
     if better is None:
         return []
@@ -79,7 +84,7 @@ def _map_words(chart: CostMap) -> list[str]:
 
 
 def posterior_words(found: Posterior) -> str:
-    """Say whether samples can be trusted and, where not, what to do."""
+    """Return the convergence of the samples, and the remedy."""
     words = [f"interrupted after {len(found.chain)} steps"] if found.interrupted else []
     words.append(_doubt_words(found))
     if len(found.optima) > 1:
@@ -121,9 +126,6 @@ def _doubt_words(found: Posterior) -> str:
     )
 
 
-# --- intervals ------------------------------------------------------------------------------
-
-
 def interval_section(found: Assessment, result: Result) -> Section:
     """Return the intervals side by side: local, profile and posterior."""
     limits, posterior = found.intervals(result), found.posterior
@@ -136,13 +138,12 @@ def interval_section(found: Assessment, result: Result) -> Section:
     if posterior is not None and posterior.doubt is not SamplingWarning.RUNAWAY:
         pairs = zip(posterior.mean.tolist(), posterior.std.tolist(), strict=True)
         columns["posterior mean"] = [with_std(mean, std) for mean, std in pairs]
-    columns["unit"] = [unit_text(result.units.get(name)) for name in result.names]
+    columns["unit"] = [unit_text(result.estimates.units.get(name)) for name in result.names]
     table = table_of(columns, columns, ("unit", "posterior mean"))
     return Section("intervals", f"Intervals at {100 * found.level:.4g} %", table=table)
 
 
 def _interval(lower: float, upper: float, value: float) -> str:
-    """Return an interval in words: open where an end is infinite, empty where there is none."""
     if math.isnan(lower) or math.isnan(upper):
         return ""
     if math.isinf(lower) and math.isinf(upper):

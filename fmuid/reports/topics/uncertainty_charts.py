@@ -4,35 +4,18 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
-from contourpy import LineType, contour_generator
+import pandas as pd
 
 from fmuid.array_types import Floats
 from fmuid.data import evenly
-from fmuid.identification import CONFIDENCE_LEVEL
-from fmuid.reports.chart import (
-    DENSITY,
-    MAX_PARAMETERS,
-    Axis,
-    Chart,
-    ChartGrid,
-    Data,
-    Layer,
-    Shades,
-    Units,
-    named,
-    normal,
-)
+from fmuid.estimation import Result
+from fmuid.identification import CONFIDENCE_LEVEL, Assessment, CostMap, Posterior, Profile
+from fmuid.reports.chart import DENSITY, LIMITS, Axis, Chart, ChartGrid, Data, Layer, Shades, Units, named, normal
 from fmuid.reports.document import Section
 from fmuid.reports.topics.estimates import ellipse
-
-if TYPE_CHECKING:
-    import pandas as pd
-
-    from fmuid.estimation import Result
-    from fmuid.identification import Assessment, CostMap, Posterior, Profile
 
 PROFILES = "Where the curve leaves the dashed parabola, the ± std are not the whole truth; the band is the interval."
 MAPS = (
@@ -65,18 +48,8 @@ MOST_WALKERS, MOST_STEPS = 24, 200
 
 
 def uncertainty_sections(found: Assessment, result: Result, units: Units, optima: pd.DataFrame) -> list[Section]:
-    """Return profiles, maps and samples.
-
-    Parameters
-    ----------
-    found : Assessment
-    result : Result
-    units : mapping of str to str
-        Of the parameters.
-    optima : DataFrame
-        The optima that a search of the whole box has found.
-    """
-    known = [each for each in found.profiles if not math.isnan(each.threshold) and len(each.table)][:MAX_PARAMETERS]
+    """Return profiles, maps and samples."""
+    known = [each for each in found.profiles if not math.isnan(each.threshold) and len(each.table)][: LIMITS.parameters]
     profiles = tuple(_profile(each, result, units) for each in known)
     maps = tuple(_map(chart, units, optima) for chart in found.maps)
     sections = [
@@ -91,7 +64,6 @@ def uncertainty_sections(found: Assessment, result: Result, units: Units, optima
 
 
 def _profile(found: Profile, result: Result, units: Units) -> Chart:
-    """Return the rise of the cost over a parameter, the others following; the local parabola beside it."""
     i = result.names.index(found.name)
     value, std, threshold = float(result.values[i]), float(result.std[i]), found.threshold
     places = found.table[found.name].to_numpy(np.float64)
@@ -118,7 +90,6 @@ def _profile(found: Profile, result: Result, units: Units) -> Chart:
 
 
 def _window(places: Floats, ends: tuple[float, float], value: float) -> tuple[float, float]:
-    """Return the interval and some room; on a side without an end what was computed."""
     known = [abs(end - value) for end in ends if math.isfinite(end) and end != value]
     room = 0.35 * max(known) if known else 0.0
     low = ends[0] - room if math.isfinite(ends[0]) else float(places[0])
@@ -127,7 +98,7 @@ def _window(places: Floats, ends: tuple[float, float], value: float) -> tuple[fl
 
 
 def _curve(values: Floats, rise: Floats, centre: float) -> tuple[Floats, Floats]:
-    """Return a smooth line through the points: the signed root of the rise is nearly straight."""
+    """Return a smooth line: the signed root of the rise is nearly straight."""
     if values.size < 2:
         return values, rise
     from scipy.interpolate import PchipInterpolator  # slow to import
@@ -138,11 +109,7 @@ def _curve(values: Floats, rise: Floats, centre: float) -> tuple[Floats, Floats]
 
 
 def _corner(samples: pd.DataFrame, result: Result, units: Units) -> ChartGrid:
-    """Return the samples of every parameter and of every pair of them.
-
-    Contours hold 68 % and 95 % of the samples; the dashed ellipses, at the same shares, and the curves on the diagonal
-    are those of the local covariance.
-    """
+    """Return histograms and pairs of the samples; ellipses are those of the covariance."""
     names = [str(name) for name in samples.columns][:MAX_CORNER]
     values = samples[names].to_numpy(np.float64)
     ranges = [_range(values[:, i]) for i in range(len(names))]
@@ -211,14 +178,15 @@ def _pair(
 
 
 def _contours(sides: Sequence[Floats], heights: Floats, levels: Sequence[float]) -> list[dict[str, Floats]]:
-    """Return lines of equal height, one a level; where a height is NaN there is none."""
+    from contourpy import LineType, contour_generator  # slow to import
+
     found = contour_generator(sides[0], sides[1], np.ma.masked_invalid(heights), line_type=LineType.ChunkCombinedNan)
     parts: list[Any] = [found.lines(height)[0][0] for height in levels]
     return [{"x": points[:, 0].copy(), "y": points[:, 1].copy()} for points in parts if points is not None]
 
 
 def share_levels(counts: Floats) -> list[float]:
-    """Return the heights above which the shares `SHARES` of all counts lie, the largest share first."""
+    """Return the heights that contain `SHARES` of all counts."""
     ordered = np.sort(counts.ravel())[::-1]
     total = np.cumsum(ordered)
     heights = [float(ordered[np.searchsorted(total, share * total[-1])]) for share in SHARES]
@@ -226,27 +194,20 @@ def share_levels(counts: Floats) -> list[float]:
 
 
 def _walkers(posterior: Posterior, units: Units) -> Iterator[Chart]:
-    """Yield the paths of some walkers, thinned; what lies in the grey part takes no part in the samples."""
     steps = evenly(len(posterior.chain), MOST_STEPS)
     paths = posterior.chain[steps, :MOST_WALKERS]  # (steps, walkers, parameters)
     gap = np.full((1, paths.shape[1]), np.nan)  # between the lines
     across = np.vstack([np.repeat((steps + 1.0)[:, None], paths.shape[1], axis=1), gap]).T.ravel()
     early = steps[steps + 1 <= posterior.burn] + 1
     grey = [Layer("zone", {"right": float(early.max())}, "grey", alpha=0.18)] if early.size else []
-    for k, name in enumerate(posterior.names[:MAX_PARAMETERS]):
+    for k, name in enumerate(posterior.names[: LIMITS.parameters]):
         values = np.vstack([paths[:, :, k], gap]).T.ravel()
         line = Layer("line", {"x": across, "y": values}, width=0.7, alpha=0.35)
         yield Chart(Axis("step"), Axis(named(name, units)), (line, *grey), 150)
 
 
 def _map(chart: CostMap, units: Units, optima: pd.DataFrame) -> Chart:
-    """Return by how much the cost exceeds its minimum over two parameters, the estimate and its ellipse.
-
-    The dashed line is where the section itself has risen by as much as the border of the confidence region allows:
-    where it leaves the ellipse, the local covariance is not the whole truth. Without color: the simulation failed. Of
-    the optima those on the map are drawn; the other parameters have their own values there, so that the colors around
-    them need not show a minimum.
-    """
+    """Return the cost above its minimum over two parameters, and the local ellipse."""
     first, second, values = chart.grid
     excess = values - np.nanmin(values, initial=chart.criterion)
     rise = chart.rise(CONFIDENCE_LEVEL)
@@ -272,14 +233,14 @@ def _map(chart: CostMap, units: Units, optima: pd.DataFrame) -> Chart:
         more: Data = {"x": places[:, 0], "y": places[:, 1]}
         layers.append(Layer("points", more, "white", size=9, edge="ink", label="other optima found"))
     x, y = (
-        Axis(named(name, units), "log" if log else "linear", reach=_ends(middles, logarithmic=log))
+        Axis(named(name, units), "log" if log else "linear", reach=(float(edges[0]), float(edges[-1])))
         for name, log, middles in zip(chart.names, chart.logarithmic, (first, second), strict=True)
+        for edges in [_edges(middles, logarithmic=log)]
     )
     return Chart(x, y, tuple(layers), 420)
 
 
 def _others(chart: CostMap, optima: pd.DataFrame) -> Floats:
-    """Return the optima on the map (n, 2) that are not the estimate."""
     if not len(optima):
         return np.empty((0, 2))
     (low, *_, high), (bottom, *_, top), _ = chart.grid
@@ -310,8 +271,3 @@ def _edges(middles: Floats, *, logarithmic: bool) -> Floats:
     inner = 0.5 * (at[1:] + at[:-1])
     edges = np.concatenate([[1.5 * at[0] - 0.5 * at[1]], inner, [1.5 * at[-1] - 0.5 * at[-2]]])
     return np.exp(edges) if logarithmic else edges
-
-
-def _ends(middles: Floats, *, logarithmic: bool) -> tuple[float, float]:
-    edges = _edges(middles, logarithmic=logarithmic)
-    return float(edges[0]), float(edges[-1])

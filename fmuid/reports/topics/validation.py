@@ -1,12 +1,18 @@
-"""What the checks of an FMU have shown."""
+"""`fmuid validate`: checks of an FMU."""
 
 from __future__ import annotations
 
 import re
 import signal
+from collections.abc import Sequence
+from textwrap import shorten
 
+from fmuid.reports.document import Document, Section, Tone, table_of
 from fmuid.reports.topics.solver_check import run_words
-from fmuid.simulation import Binary, Check, InterfaceTest, Stage, Subject, Tool
+from fmuid.simulation import TIME_LIMIT, Binary, Check, InterfaceTest, Stage, Subject, Tool, Validation
+
+# Remarks of one check on a terminal, and letters of each: FMPy lists all variables of a model in one.
+TERMINAL_REMARKS, REMARK_LENGTH = 5, 300
 
 _DOING = {
     Stage.START: "was starting",
@@ -15,6 +21,7 @@ _DOING = {
     Stage.REPETITION: "was being simulated a second time",
     Stage.END: "was being freed",
 }
+LICENCE = "; get a licence of the tool that made it, or export it with one that needs none to run"
 _PLAIN = {
     (Subject.DESCRIPTION, "ok"): "keeps the standard, as FMPy checks it",
     (Subject.RESET, "ok"): "a second simulation gives the same outputs",
@@ -23,7 +30,7 @@ _PLAIN = {
 
 
 def check_words(check: Check) -> list[str]:
-    """Return what there is to say of a check, one sentence or figure each."""
+    """Return the results of a check, one sentence each."""
     said = [_evidence_words(check.subject, each) for each in check.evidence]
     plain = _PLAIN.get((check.subject, check.result))
     return said or ([plain] if plain else [])
@@ -39,7 +46,8 @@ def _evidence_words(subject: Subject, evidence: Tool | Binary | InterfaceTest | 
         case InterfaceTest() if subject is Subject.SIMULATION:
             return _simulation_words(evidence)
         case InterfaceTest():
-            return _with_licence(_trouble_words(evidence))
+            said = _trouble_words(evidence)
+            return said + LICENCE if re.search(r"licen[cs]", said, re.IGNORECASE) else said
         case _:
             return evidence
 
@@ -52,12 +60,12 @@ def _simulation_words(trial: InterfaceTest) -> str:
         return f"{span}: {_trouble_words(trial)}"
     run = "" if report.run is None else f"{run_words(report.run)}, "
     seen = f"outputs finite ({report.outputs})" if report.outputs else "no outputs to look at"
-    took = f", in {_duration(report.seconds)}" if report.repeated else ""
+    duration = f"{report.seconds:.2g} s" if report.seconds >= 0.1 else f"{1e3 * report.seconds:.2g} ms"
+    took = f", in {duration}" if report.repeated else ""
     return f"{run}{span}: {report.samples} samples, {seen}{took}"
 
 
 def _trouble_words(trial: InterfaceTest) -> str:
-    """Return what ended a try."""
     doing = f"while it {_DOING[trial.report.doing]}"
     if trial.code is None:
         return f"did not end within {trial.limit:g} s {doing}"
@@ -70,12 +78,28 @@ def _trouble_words(trial: InterfaceTest) -> str:
     return how + (f' (its last words: "{trial.last_words}")' if trial.last_words else "") + f" {doing}"
 
 
-def _with_licence(sentence: str) -> str:
-    """Return what an FMU that cannot be instantiated says, with the remedy where it is about a licence."""
-    if re.search(r"licen[cs]", sentence, re.IGNORECASE):
-        sentence += "; get a licence of the tool that made it, or export it with one that needs none to run"
-    return sentence
+def binary_notes(checks: Sequence[Check]) -> list[str]:
+    """Return missing binaries and the simulations that follow."""
+    notes = dict.fromkeys(text for check in checks if check.result == "failed" for text in check_words(check))
+    if any(check.result != "failed" for check in checks):
+        notes[f"simulating each interface; one that does not end is stopped after {TIME_LIMIT:g} s"] = None
+    return list(notes)
 
 
-def _duration(seconds: float) -> str:
-    return f"{seconds:.2g} s" if seconds >= 0.1 else f"{1e3 * seconds:.2g} ms"
+def validation_document(found: Validation, *, terminal: bool = False) -> Document:
+    """Return the checks of an FMU; a terminal gets the first remarks of each, shortened."""
+    remarks = []
+    for check in found.checks:
+        said = check_words(check)
+        if terminal:
+            more = len(said) - TERMINAL_REMARKS
+            said = [shorten(text, REMARK_LENGTH, placeholder=" …") for text in said[:TERMINAL_REMARKS]]
+            said += [f"and {more} more; all of them: fmuid validate FMU | less"] if more > 0 else []
+        remarks.append("\n".join(said))
+    columns = {"check": [e.name for e in found.checks], "result": [e.result for e in found.checks], "remark": remarks}
+    failed, warned = found.count("failed"), found.count("warning")
+    state = f"{failed} of {len(found.checks)} checks failed" if failed else "no problems found"
+    state += f", {warned} with warnings" if warned else ""
+    section = Section("checks", found.path.name, table=table_of(columns, columns))
+    tone: Tone = "bad" if failed else "doubt" if warned else "good"
+    return Document("validation", "Validation", state, tone, sections=(section,))

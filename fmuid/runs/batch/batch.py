@@ -1,4 +1,4 @@
-"""Batches: the many identifications that a study's ``[batch]`` spans, on all cores or a cluster, resumed at will."""
+"""Batches: the identifications of a study's ``[batch]``, on all cores or a cluster, resumable."""
 
 from __future__ import annotations
 
@@ -7,10 +7,10 @@ import json
 import math
 import time
 from collections import Counter, deque
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
-from functools import cached_property
+from functools import cached_property, lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -20,10 +20,10 @@ import pandas as pd
 from fmuid.array_types import Indices
 from fmuid.display_mixins import HtmlTableMixin, PlotMixin
 from fmuid.errors import InputError
-from fmuid.progress import BatchStep, Progress
-from fmuid.runs.batch.cases import CaseList, truth_of
+from fmuid.events import BatchStep, Progress
+from fmuid.runs.batch.case import CaseRunner
+from fmuid.runs.batch.case_list import CaseList, truth_of
 from fmuid.runs.batch.dataset import MANIFEST, Dataset
-from fmuid.runs.batch.run_case import CaseRunner
 from fmuid.runs.batch.study_package import BatchStudy, changes
 from fmuid.runs.batch.summary import Summary, condensed, summarize
 from fmuid.runs.batch.worker import GroupResult, versions
@@ -31,38 +31,39 @@ from fmuid.runs.batch.worker_pool import crew
 from fmuid.simulation import parameter_units
 from fmuid.studies import Study
 
-# A batch of more is more often a slip in an axis than meant.
+# A batch of more cases is rather a slip in an axis.
 MAX_CASES = 100_000
-# Rows wait so long for the disk, s, or so many times what the last writing took; what a kill costs at most.
+# Time that rows wait for the disk, s, and in durations of the last writing: the most that a kill costs.
 WRITE_SECONDS, WRITE_SHARE = 3.0, 20.0
-# The rate is that of the last so many seconds.
+# Time over which the rate is taken, s.
 RATE_SECONDS = 30.0
+_REMEDY = "choose another folder with --output, or remove its cases with --no-resume"
 
 
 @dataclass(frozen=True, eq=False)
 class BatchResult(PlotMixin):
-    """What a batch has found so far.
+    """Findings of a batch so far.
 
     Attributes
     ----------
     dataset : Dataset
         The rows in the folder.
     finished : int
-        How many there are.
+        Number of finished cases.
     total : int
-        Cases of the batch; more than the rows where it was interrupted.
+        Cases of the batch.
     truth : mapping of str to float
-        The parameter values that noise was drawn around; empty where measurements were identified.
+        True values of the parameters; empty where measurements were identified.
     units : mapping of str to str
-        Of the parameters, and of what the batch holds at values; "" for those without.
+        Of parameters and swept variables; "" without one.
     folder : Path
-        Where the rows are.
+        Folder of the rows.
     given_noise : bool
-        Whether the study gives all noise variances.
+        True if the study gives all noise variances.
     interrupted : bool
-        Whether Ctrl-C ended it; the same batch in the same folder goes on.
+        True if Ctrl-C ended it; the same batch in the same folder goes on.
     lost : tuple of Path
-        The parts of an earlier run that were damaged and are removed; their cases are run again.
+        Damaged parts of an earlier run, removed; their cases ran again.
 
     Examples
     --------
@@ -87,41 +88,38 @@ class BatchResult(PlotMixin):
 
     @cached_property
     def frame(self) -> pd.DataFrame:
-        """One row a finished case, sorted by case, with the columns of `CaseRunner.columns`; read when asked for."""
+        """One row a finished case, sorted by case, with the columns of `CaseRunner.columns`."""
         return self.dataset.read()
 
     def summary(self) -> tuple[Summary, pd.DataFrame]:
-        """Return the summary, and of each case what figures need, made of a part of the rows after the other."""
+        """Return the summary, and of each case the columns for figures."""
         frame, failures = condensed(self.dataset)
         found = summarize(frame, self.truth, self.units, given_noise=self.given_noise, failures=failures)
         return found, frame
 
 
 class Batch(HtmlTableMixin):
-    """The identifications that a study's ``[batch]`` spans, and the folder that their rows go to.
+    """The identifications of a study's ``[batch]``, and the folder of their rows.
 
     Parameters
     ----------
     study : Study or path-like
         With ``[batch]``.
     folder : path-like
-        Made where needed. Where it has finished cases of the same batch, these are not run again.
+        Made where needed. Its finished cases of the same batch are kept.
     scheduler : str, optional
-        Address of a Dask scheduler, as in ``tcp://host:8786``; default: workers of this machine, for the time of the
-        batch.
+        Address of a Dask scheduler, as ``tcp://host:8786``; default: workers of this machine.
     workers : int, optional
-        How many workers of this machine; default: one a core.
+        Number of workers of this machine; default: one a core.
     max_cases : int
-        More are refused.
-    resume : bool
-        Whether to go on with the finished cases in the folder; else they are removed.
+        More cases are refused.
     isolated : bool
-        Whether FMUs run in processes of their own, so that one that crashes or hangs costs one simulation.
+        Run FMUs in processes of their own: a crash costs one simulation.
 
     Raises
     ------
     InputError
-        If the study has no ``[batch]``, something in it is wrong, or it spans more cases than `max_cases`.
+        If the study has no ``[batch]``, it is wrong, or it has more than `max_cases` cases.
 
     Examples
     --------
@@ -138,22 +136,19 @@ class Batch(HtmlTableMixin):
         scheduler: str | None = None,
         workers: int | None = None,
         max_cases: int = MAX_CASES,
-        resume: bool = True,
         isolated: bool = True,
     ) -> None:
         self.study = study if isinstance(study, Study) else Study.read(study)
         self.folder = Path(folder)
         self.cases = CaseList.of(self.study)
         if len(self.cases) > max_cases:
-            raise InputError(
-                f"{self.study.path} spans {len(self.cases)} cases, and --max-cases allows {max_cases}: see whether "
-                f"[batch] is as meant, and allow as many with --max-cases {len(self.cases)}"
-            )
+            many = f"{self.study.path} spans {len(self.cases)} cases, and --max-cases allows {max_cases}"
+            raise InputError(f"{many}: check [batch], and allow them with --max-cases {len(self.cases)}")
         if workers is not None and workers < 1:
             raise InputError(f"--workers must be a whole number above 0, not {workers}")
         if workers is not None and scheduler is not None:
             raise InputError("--workers says how many there are of this machine, and --scheduler has its own: keep one")
-        self._scheduler, self._workers, self._resume, self._isolated = scheduler, workers, resume, isolated
+        self._scheduler, self._workers, self._isolated = scheduler, workers, isolated
         self._columns: Mapping[str, str] = CaseRunner(self.study).columns
         self.dataset = Dataset(self.folder, self._columns, len(self.cases))
 
@@ -162,82 +157,69 @@ class Batch(HtmlTableMixin):
 
     @property
     def pending(self) -> Indices:
-        """The cases that are not finished in the folder, in their order; whose cases these are is seen by `run`."""
+        """The unfinished cases in the folder, in order; only `run` checks their batch."""
         return np.flatnonzero(~self.dataset.finished())
 
-    def run(self, progress: Progress | None = None) -> BatchResult:
+    def run(self, progress: Progress | None = None, *, resume: bool = True) -> BatchResult:
         """Run the cases that are not finished yet.
 
         Parameters
         ----------
         progress : callable, optional
-            Called with a `fmuid.progress.BatchStep` some times a second.
+            Called with a `fmuid.events.BatchStep` some times a second.
+        resume : bool
+            Keep the finished cases in the folder; else remove them.
 
         Raises
         ------
         InputError
-            If the folder has another batch, is in use or cannot be written to, or the scheduler cannot be reached or
-            its workers are not like this process.
+            If the folder has another batch, is in use or not writable, or the scheduler or its workers do not fit.
         FmuidError
-            If the disk is full or the scheduler lost; what is finished is kept.
+            If the disk is full or the scheduler lost; finished cases are kept.
         """
         bundle = BatchStudy(self.study, isolated=self._isolated, versions=versions())
         with self.dataset.locked():
-            lost = self._begin(bundle)
-            pending, interrupted = self.pending, False
-            if pending.size:
-                interrupted = self._work(bundle, pending, progress)
+            lost = self._begin(bundle, resume)
+            pending = self.pending
+            interrupted = pending.size > 0 and self._work(bundle, pending, progress)
             if not interrupted:
                 self.dataset.compact()
+            names = tuple(dict.fromkeys([*self.cases.names, *self.cases.settings.swept]))
+            units = parameter_units(self.study.system, names)
+            outputs = tuple(dict.fromkeys(name for given in self.study.experiments for name in given.outputs))
             return BatchResult(
                 self.dataset,
                 int(self.dataset.finished().sum()),
                 len(self.cases),
                 truth_of(self.study),
-                self._units(),
+                {name: unit or "" for name, unit in zip(names, units, strict=True)},
                 self.folder,
-                self._given_noise(),
+                bool(np.isfinite(self.study.noise.known(outputs)).all()),
                 interrupted,
                 lost,
             )
 
-    def _units(self) -> dict[str, str]:
-        names = tuple(dict.fromkeys([*self.cases.names, *self.cases.settings.swept]))
-        units = parameter_units(self.study.system, names)
-        return {name: unit or "" for name, unit in zip(names, units, strict=True)}
-
-    def _given_noise(self) -> bool:
-        outputs = tuple(dict.fromkeys(name for given in self.study.experiments for name in given.outputs))
-        return bool(np.isfinite(self.study.noise.known(outputs)).all())
-
-    def _begin(self, bundle: BatchStudy) -> tuple[Path, ...]:
-        """See whose cases the folder has, and say whose they are now; return the damaged parts of the earlier run."""
+    def _begin(self, bundle: BatchStudy, resume: bool) -> tuple[Path, ...]:
+        """Check or write the manifest; return the damaged parts of the earlier run."""
         path = self.folder / MANIFEST
-        if self._resume and self.dataset.parts():
+        if resume and self.dataset.parts():
             if not path.exists():
-                raise InputError(
-                    f"{self.folder} has cases and no {MANIFEST} that says of which batch: choose another folder with "
-                    "--output, or have them removed with --no-resume"
-                )
+                raise InputError(f"{self.folder} has cases and no {MANIFEST} that says of which batch: {_REMEDY}")
             found = changes(_read_manifest(path), bundle.manifest())
             if found:
-                raise InputError(
-                    f"{self.folder} has the cases of another batch ({'; '.join(found)}): choose another folder with "
-                    "--output, or have the earlier cases removed with --no-resume"
-                )
+                raise InputError(f"{self.folder} has the cases of another batch ({'; '.join(found)}): {_REMEDY}")
             return self.dataset.repair()
         self.dataset.clear()
         told = {"cases": len(self.cases), "begun": datetime.now(UTC).isoformat(timespec="seconds")}
-        told |= {"truth": truth_of(self.study)}
-        self._write_manifest(bundle.manifest() | told)
+        self._write_manifest(bundle.manifest() | told | {"truth": truth_of(self.study)})
         return ()
 
     def _write_manifest(self, content: Mapping[str, Any]) -> None:
         self.dataset.write_manifest(json.dumps(content, indent=1, ensure_ascii=False, default=str) + "\n")
 
     def _work(self, bundle: BatchStudy, pending: Indices, progress: Progress | None) -> bool:
-        """Run cases; return whether Ctrl-C ended it."""
-        record = _remembering(bundle)
+        """Run cases; return True if Ctrl-C ended it."""
+        record = lru_cache(maxsize=1)(bundle.record)  # cases of one record follow each other
         writer = _Writer(self.dataset)
         known = (status for part in self.dataset.stream(["status"]) for status in part["status"])
         counter = _Counter(len(self.cases), known)
@@ -260,7 +242,7 @@ class Batch(HtmlTableMixin):
         return False
 
     def _given_up(self, case: int) -> dict[str, Any]:
-        """Return the row of a case that ended its worker again and again."""
+        """Return the row of a case that ended its worker repeatedly."""
         empty: dict[str, Any] = {"int64": 0, "float64": math.nan, "bool": False}
         row = {name: empty.get(kind, "") for name, kind in self._columns.items()}
         row |= {"case": case, **self.cases[case].settings, "status": "failed", "finished": datetime.now(UTC)}
@@ -268,7 +250,7 @@ class Batch(HtmlTableMixin):
 
 
 class _Writer:
-    """Collects rows and writes them a part at a time: seldom enough to cost little, often enough to lose little."""
+    """Collects rows and writes them a part at a time."""
 
     def __init__(self, dataset: Dataset) -> None:
         self._dataset = dataset
@@ -285,7 +267,7 @@ class _Writer:
             self.close()
 
     def close(self) -> None:
-        """Write what there is."""
+        """Write all collected rows."""
         began = time.monotonic()
         if self._rows:
             self._dataset.append(self._rows)
@@ -295,7 +277,7 @@ class _Writer:
 
 
 class _Counter:
-    """Counts finished cases, and how fast they come."""
+    """Counts finished cases and their rate."""
 
     def __init__(self, total: int, statuses: Iterable[str]) -> None:
         self._total, self._done, self._failed = total, 0, 0
@@ -318,18 +300,6 @@ class _Counter:
         return BatchStep(done=self._done, total=self._total, failed=self._failed, rate=rate, left=left, threads=threads)
 
 
-def _remembering(bundle: BatchStudy) -> Callable[[Path | None], dict[str, bytes]]:
-    """Return `BatchStudy.record`, which does not read again what was asked for last."""
-    last: list[tuple[Path | None, dict[str, bytes]]] = [(None, {})]
-
-    def record(path: Path | None) -> dict[str, bytes]:
-        if last[0][0] != path:
-            last[0] = path, bundle.record(path)
-        return last[0][1]
-
-    return record
-
-
 def _read_manifest(path: Path) -> dict[str, Any]:
     try:
         found = json.loads(path.read_text(encoding="utf-8"))
@@ -338,6 +308,4 @@ def _read_manifest(path: Path) -> dict[str, Any]:
         said = "no table"
     except (OSError, ValueError, RecursionError) as error:
         said = str(error)
-    raise InputError(
-        f"{path} cannot be read ({said}): choose another folder with --output, or begin anew with --no-resume"
-    )
+    raise InputError(f"{path} cannot be read ({said}): {_REMEDY}")

@@ -1,4 +1,4 @@
-"""The least-squares problem of one case of a batch, and the truth that its measurements may be simulated at."""
+"""Problem of a case, and the true values for its simulated measurements."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ Values = Mapping[str, Value]
 
 
 def flat_names(study: Study) -> dict[str, str]:
-    """Return all parameters of a study, those per experiment one by one, and the variable that each is of."""
+    """Return all parameters with their variables, those per experiment one by one."""
     return {
         each.name_in(given.name, name): name for name, each in study.parameters.items() for given in study.experiments
     }
@@ -32,25 +32,10 @@ def problem_of(
     starts: Mapping[str, float],
     like: Problem | None = None,
 ) -> Problem:
-    """Return the problem of a case with the study's own model, whose instances all cases share.
+    """Return the problem of a case; all cases share the study's model.
 
-    Parameters
-    ----------
-    study : Study
-    experiments : sequence of Experiment
-    free : sequence of str
-        The parameters to identify; the others are held at the study's starts.
-    held : mapping of str to value
-        Variables held at other values than the study's.
-    starts : mapping of str to float
-        Starts in place of the study's.
-    like : Problem, optional
-        Of another case with the same inputs, free parameters and held values, whose simulators serve this one too.
-
-    Raises
-    ------
-    InputError
-        If model, experiments and parameters do not fit together.
+    Parameters that are not `free` are held at the study's starts; `held` and `starts` replace values of the study.
+    `like` is a problem with the same inputs, free parameters and held values, whose simulators serve again.
     """
     known: dict[str, Value] = {name: each.start for name, each in study.parameters.items() if name not in free}
     known |= held
@@ -70,17 +55,14 @@ def problem_of(
         noise=study.noise,
         values={**study.model.values, **known},
         joint_prior=joint,
-        loss=study.loss,
-        sensitivity=study.sensitivity,
+        loss=study.estimation.loss,
+        sensitivity=study.estimation.jacobian,
         choices={name: few for name, few in study.model.choices.items() if name not in known},
     )
 
 
 def _given(prior: JointPrior, known: Mapping[str, float]) -> JointPrior | None:
-    """Return a joint prior of what is left where some parameters are known: the conditional normal distribution.
-
-    That is what the prior's part of the compound criterion (1.37) is as a function of the others.
-    """
+    """Return the conditional normal distribution of unknown parameters, the prior's part of (1.37)."""
     there = np.array([name in known for name in prior.names])
     if not there.any():
         return prior
@@ -99,14 +81,8 @@ def _given(prior: JointPrior, known: Mapping[str, float]) -> JointPrior | None:
     )
 
 
-# --- the truth ---------------------------------------------------------------------------
-
-
 def truth_values(study: Study, held: Values) -> dict[str, Value]:
-    """Return what noise is drawn around: every parameter, one by one, and what else is not as the study says.
-
-    A value is the one that ``monte_carlo.true_values`` gives, else the one held, else the parameter's start.
-    """
+    """Return all true values: of ``true_values``, else held, else the start of the parameter."""
     drawn = study.batch.monte_carlo if study.batch is not None else None
     given = {} if drawn is None else drawn.true_values
     flat = flat_names(study)
@@ -121,13 +97,7 @@ def truth_values(study: Study, held: Values) -> dict[str, Value]:
 def truth_simulators(
     study: Study, experiments: Sequence[Experiment], truth: Values
 ) -> list[tuple[Simulator, list[float]]]:
-    """Return for each experiment what simulates the truth, and the parameters to do so at.
-
-    Raises
-    ------
-    InputError
-        If the truth names what the model does not have.
-    """
+    """Return a simulator of the truth for each experiment, and its parameters."""
     flat, names = flat_names(study), tuple(study.parameters)
     values = {**study.model.values, **{name: value for name, value in truth.items() if name not in flat}}
     found = []
@@ -137,26 +107,8 @@ def truth_simulators(
     return found
 
 
-# --- checks ------------------------------------------------------------------------------
-
-
 def check_model(study: Study, settings: BatchSettings, subsets: Sequence[Sequence[str]], held: Values) -> None:
-    """Check that model, study and batch fit together, without any table.
-
-    Parameters
-    ----------
-    study : Study
-    settings : BatchSettings
-    subsets : sequence of sequence of str
-        What is free in one case or another.
-    held : mapping of str to value
-        What a case holds.
-
-    Raises
-    ------
-    InputError
-        One sentence that names what does not fit.
-    """
+    """Check that model, study and batch fit together, without any table."""
     experiments = [_unmeasured(given, 2 + len(flat_names(study))) for given in study.experiments]
     problem_of(study, experiments, tuple(study.parameters), {}, {})  # what is wrong without the batch, as the study's
     try:
@@ -170,7 +122,7 @@ def check_model(study: Study, settings: BatchSettings, subsets: Sequence[Sequenc
 
 
 def _unmeasured(given: ExperimentSettings, rows: int) -> Experiment:
-    """Return an experiment that is still to be made: inputs at rest, and the names of the outputs."""
+    """Return an experiment without data: inputs at rest, names of the outputs."""
     columns = dict.fromkeys(given.inputs.values(), 0.0)
     frame = pd.DataFrame({time_name(given.time): np.arange(rows, dtype=np.float64)} | columns)
     return given.model_copy(update={"warmup": 0.0}).experiment(frame, str(given.data), measured=False)

@@ -1,8 +1,7 @@
-"""The rows of a batch on disk: Parquet files that are each complete or not there, whatever ends the run.
+"""The rows of a batch on disk: Parquet files, each complete or absent.
 
-A row counts as finished once the part that has it carries its final name, which it gets after its content has reached
-the disk. Parts are merged now and then, new ones complete before old ones go; rows that are there twice meanwhile are
-the same.
+A row is finished once its part has its final name, given after the content has reached the disk. Merged parts are
+complete before old ones go; rows that are there twice meanwhile are the same.
 """
 
 from __future__ import annotations
@@ -25,14 +24,12 @@ from fmuid.array_types import Flags
 from fmuid.errors import FmuidError, InputError
 from fmuid.files import locked
 
+# Folders of parts and of logs, and the file that describes the batch.
 CASES, LOGS, MANIFEST = "cases", "logs", "batch.json"
-"""What a batch's folder has: folders of parts and of logs, what the batch is, and the lock of who writes."""
-# Rows of a full part: some 10 MB in memory, read at once by whatever reads Parquet.
+# Rows of a full part, some 10 MB in memory.
 PART_ROWS = 100_000
-# So many parts are merged, so that days of work leave no folder that takes minutes to list.
+# Number of parts that are merged: days of work leave a folder that lists fast.
 LOOSE_PARTS = 64
-# Of what a case printed; an FMU that prints in every step would fill the disk.
-LOG_BYTES = 64 * 1024
 _TYPES = {"int64": pa.int64(), "float64": pa.float64(), "bool": pa.bool_(), "str": pa.string()}
 _TYPES |= {"string": pa.string(), "datetime64[us, UTC]": pa.timestamp("us", "UTC")}
 _PART_NAME = re.compile(r"part-(\d{9,})-[0-9a-f]{12}\.parquet")
@@ -40,17 +37,7 @@ _DAMAGED = (pa.ArrowException, OSError, ValueError, KeyError)
 
 
 class Dataset:
-    """The rows of a batch in a folder, as parts in its folder ``cases``.
-
-    Parameters
-    ----------
-    folder : Path
-        The batch's folder.
-    columns : mapping of str to str
-        All columns and their types, those of pandas; ``case`` is the first.
-    count : int
-        Cases of the batch. A part with a case of another number is damaged.
-    """
+    """The rows of a batch, as parts; `columns` have pandas types."""
 
     def __init__(self, folder: Path, columns: Mapping[str, str], count: int) -> None:
         self.folder, self.cases, self.logs, self.count = folder, folder / CASES, folder / LOGS, count
@@ -58,43 +45,29 @@ class Dataset:
 
     @contextlib.contextmanager
     def locked(self) -> Iterator[None]:
-        """Keep other processes from writing to the folder; it is made where needed (`fmuid.files.locked`)."""
+        """Keep other processes from writing to the folder; make it where needed."""
         with locked(self.folder, "batch"):
             self.cases.mkdir(exist_ok=True)
             yield
 
-    # --- reading
-
     def parts(self) -> list[Path]:
-        """Return the parts, in the order of their names; files that others have put there are none."""
+        """Return the parts by name, without files of others."""
         return parts_in(self.folder)
 
     def read(self) -> pd.DataFrame:
-        """Return all rows, sorted by case, each case once.
-
-        Raises
-        ------
-        InputError
-            If a part is damaged.
-        """
+        """Return all rows, sorted by case, each case once."""
         frame: pd.DataFrame = self._together([self._load(path) for path in self.parts()]).to_pandas()
         return frame
 
     def finished(self) -> Flags:
-        """Return which cases are finished, (count,)."""
+        """Return the finished cases as flags, (count,)."""
         found = np.zeros(self.count, np.bool_)
         for path in self.parts():
             found[self._load(path, ["case"])["case"].to_numpy()] = True
         return found
 
     def stream(self, columns: Sequence[str]) -> Iterator[pd.DataFrame]:
-        """Give some columns of all rows, part by part, each case once; only one part is in memory.
-
-        Raises
-        ------
-        InputError
-            If a part is damaged.
-        """
+        """Yield columns of all rows part by part, each case once."""
         seen = np.zeros(self.count, np.bool_)
         for path in self.parts():
             table = self._load(path, list(dict.fromkeys(["case", *columns])))
@@ -113,59 +86,39 @@ class Dataset:
             return table
 
     def _together(self, tables: Sequence[pa.Table]) -> pa.Table:
-        """Return the rows of tables sorted by case; of rows of one case the first."""
+        """Return rows sorted by case; of several of one case the first."""
         table = pa.concat_tables([self.schema.empty_table(), *tables])
         _, first = np.unique(table["case"].to_numpy(), return_index=True)
         return table.take(pa.array(first))
 
-    # --- writing
-
     def append(self, rows: Sequence[Mapping[str, Any]]) -> None:
-        """Add rows as a part; when this returns they are on the disk.
-
-        Raises
-        ------
-        FmuidError
-            If they cannot be written.
-        """
+        """Add rows as a part, on the disk on return."""
         with self._writing():
             self._write(self._together([pa.Table.from_pylist([dict(row) for row in rows], self.schema)]))
             if len(self.parts()) > LOOSE_PARTS:
                 self._merge([path for path in self.parts() if self._load(path, ["case"]).num_rows < PART_ROWS])
 
     def compact(self) -> None:
-        """Merge all parts into as few as there can be, sorted by case; only a few are in memory at a time.
-
-        Raises
-        ------
-        FmuidError
-            If they cannot be written.
-        """
+        """Merge all parts into full ones, a few in memory at a time."""
         with self._writing():
             self._merge(self.parts())
 
     def log(self, case: int, text: str) -> None:
-        """Keep what a case printed.
-
-        Raises
-        ------
-        FmuidError
-            If it cannot be written.
-        """
+        """Keep the log of a case."""
         with self._writing():
             self.logs.mkdir(exist_ok=True)
             self.log_path(case).write_text(text, encoding="utf-8", errors="replace")
 
     def log_path(self, case: int) -> Path:
-        """Return the file of what a case printed."""
+        """Return the file of the log of a case."""
         return self.logs / f"case-{case:06d}.txt"
 
     def log_count(self) -> int:
-        """Return how many cases printed something."""
+        """Return the number of logs."""
         return sum(1 for _ in self.logs.glob("case-*.txt"))
 
     def repair(self) -> tuple[Path, ...]:
-        """Remove what an ended run left half written; return the damaged parts that are lost."""
+        """Remove unfinished files of an ended run; return the damaged parts, removed too."""
         lost = []
         for path in self._drafts():
             path.unlink(missing_ok=True)
@@ -188,22 +141,16 @@ class Dataset:
         return [*self.cases.glob(".part-*"), *self.folder.glob(f".{MANIFEST}.*")]
 
     def files(self) -> list[Path]:
-        """Return what a run leaves, each case's log aside."""
+        """Return the files of a run without logs."""
         return [self.folder / MANIFEST, *self.parts()]
 
     def write_manifest(self, text: str) -> None:
-        """Write ``batch.json``.
-
-        Raises
-        ------
-        FmuidError
-            If it cannot be written.
-        """
+        """Write ``batch.json``."""
         with self._writing():
             self._put(self.folder / MANIFEST, text.encode())
 
     def _merge(self, paths: Sequence[Path]) -> None:
-        """Merge parts into full ones; in memory are only those whose cases interleave."""
+        """Merge parts into full ones; only those whose cases interleave are in memory."""
         paths = sorted(paths, key=_first_case)
         kept, table = set[Path](), self.schema.empty_table()
         for path, following in zip(paths, [*paths[1:], None], strict=True):
@@ -219,7 +166,7 @@ class Dataset:
                 path.unlink()
 
     def _write(self, table: pa.Table) -> Path:
-        """Write a part and return its path; the name has a digest, so that no two parts differ under one name."""
+        """Write a part, named by first case and digest; return its path."""
         sink = pa.BufferOutputStream()
         pq.write_table(table, sink, compression="zstd", write_page_checksum=True)
         content = sink.getvalue().to_pybytes()
@@ -229,7 +176,7 @@ class Dataset:
         return path
 
     def _put(self, path: Path, content: bytes) -> None:
-        """Write a file so that it is complete under its name, or not there."""
+        """Write a file that is complete under its name, or absent."""
         draft = path.with_name(f".{path.name}.{os.getpid()}")
         try:
             with draft.open("wb") as file:
@@ -248,51 +195,24 @@ class Dataset:
         try:
             yield
         except OSError as error:
-            raise FmuidError(
-                f"{self.folder} cannot be written to: {error.strerror or error}; the cases finished so far are kept, "
-                "make room and give the same command to go on"
-            ) from None
+            why = f"{self.folder} cannot be written to: {error.strerror or error}"
+            raise FmuidError(f"{why}; the cases finished so far are kept: make room, and repeat the command") from None
 
 
 def parts_in(folder: Path) -> list[Path]:
-    """Return the parts of a batch's folder, in the order of their names; files that others have put there are none."""
+    """Return the parts of a batch's folder by name, without files of others."""
     return sorted(path for path in (folder / CASES).glob("part-*.parquet") if _PART_NAME.fullmatch(path.name))
 
 
-def read_rows(folder: Path, wanted: Callable[[str], bool]) -> pd.DataFrame:
-    """Return some columns of all rows of a batch's folder, sorted by case, each case once.
-
-    Parameters
-    ----------
-    folder : Path
-    wanted : callable
-        Whether a column is to be there; ``case`` is.
-
-    Raises
-    ------
-    InputError
-        If a part is damaged.
-    """
-    tables = [read_part(path, wanted) for path in parts_in(folder)]
-    frame: pd.DataFrame = pa.concat_tables(tables).to_pandas() if tables else pd.DataFrame({"case": []})
-    return frame.drop_duplicates("case").sort_values("case", ignore_index=True)
-
-
 def read_part(path: Path, wanted: Callable[[str], bool] = lambda _: True) -> pa.Table:
-    """Return some columns of a part, after a check of all its bytes; ``case`` is among them.
-
-    Raises
-    ------
-    InputError
-        If it is damaged, or not there any more.
-    """
+    """Return ``case`` and wanted columns of a part, checked by its digest."""
     with _whole(path):
         part = _opened(path)
         return part.read([name for name in part.schema_arrow.names if name == "case" or wanted(name)])
 
 
 def _opened(path: Path) -> pq.ParquetFile:
-    """Return a part to read from, after a check of all its bytes: its name has their digest."""
+    """Return a part to read from, after a check of all its bytes."""
     content = path.read_bytes()
     if path.stem.rpartition("-")[2] != _digest(content):
         raise ValueError("its content is not what was written")
@@ -301,13 +221,12 @@ def _opened(path: Path) -> pq.ParquetFile:
 
 @contextlib.contextmanager
 def _whole(path: Path) -> Iterator[None]:
-    """Have what shows that a part is damaged be one sentence."""
+    """Turn the errors of a damaged part into one sentence."""
     try:
         yield
     except _DAMAGED as error:
-        raise InputError(
-            f"{path} is damaged ({str(error).splitlines()[0]}): give the batch again, which runs its cases anew"
-        ) from None
+        why = str(error).splitlines()[0]
+        raise InputError(f"{path} is damaged ({why}): give the batch again, which runs its cases anew") from None
 
 
 def _digest(content: bytes) -> str:
@@ -319,7 +238,7 @@ def _first_case(part: Path) -> int:
 
 
 def _sync_folder(folder: Path) -> None:
-    """Have a new name reach the disk (POSIX; elsewhere the system sees to it)."""
+    """Have a new name reach the disk (POSIX)."""
     if os.name != "posix":
         return
     handle = os.open(folder, os.O_RDONLY)
@@ -327,13 +246,3 @@ def _sync_folder(folder: Path) -> None:
         os.fsync(handle)
     finally:
         os.close(handle)
-
-
-def bounded(text: str) -> str:
-    """Return a log cut to `LOG_BYTES`: its beginning and its end."""
-    content = text.encode(errors="replace")
-    if len(content) <= LOG_BYTES:
-        return text
-    half = LOG_BYTES // 2 - 40
-    ends = content[:half].decode(errors="ignore"), content[-half:].decode(errors="ignore")
-    return f"{ends[0]}\n... {len(content) - 2 * half} bytes left out ...\n{ends[1]}"

@@ -1,4 +1,4 @@
-"""Statistics over the cases of a batch: which of them are repetitions, and whether they spread as they state."""
+"""Statistics over the cases of a batch: repetitions, and spread against stated standard deviations."""
 
 from __future__ import annotations
 
@@ -15,55 +15,38 @@ from scipy import special
 
 from fmuid.array_types import Floats
 
-# Of the intervals that are counted, and half their width in standard deviations.
+# Level of the counted intervals, and half their width in standard deviations.
 INTERVAL_LEVEL = 0.95
 INTERVAL_STDS = float(special.ndtri(0.5 + INTERVAL_LEVEL / 2.0))
-# Searches end at the same optimum where no estimate differs by more than this share of its standard deviation, or of
-# its own size where that is more; as in `fmuid.estimation.global_search`.
+# Estimates of one optimum differ by less than these fractions of their std or magnitude;
+# as in `fmuid.estimation.global_search`.
 SAME_STDS, SAME_SHARE = 0.3, 1e-4
-# Two-sided probability behind the limits of a binomial share.
+# Two-sided probability outside the limits of a binomial fraction.
 OUTSIDE_PROBABILITY = 0.05
-# Probability, over all that is tested, of a doubt where there is nothing.
+# Probability of any false doubt over all tests of a table.
 FALSE_DOUBT_PROBABILITY = 0.01
-# Less than this is not worth a doubt, however many cases there are: of spread against stated std, and of the bias in
-# stated std (coverage falls from 95 to 94.3 %, and to 94.8 %).
+# Smaller defects are irrelevant: ratio of spread and stated std (coverage 94.3 %), bias in stated std (94.8 %).
 WORTH_RATIO, WORTH_BIAS, WORTH_COVERAGE = 1.05, 0.15, 0.01
 
 
 class EstimateWarning(Enum):
-    """What is surely not as stated of a parameter's estimates."""
+    """Significant defects of a parameter's estimates."""
 
-    STD_TOO_SMALL = "std too small"
-    """They spread more than their stated standard deviation says."""
+    STD_TOO_SMALL = "std too small"  # the spread is larger than the stated standard deviation
     STD_TOO_LARGE = "std too large"
-    """They spread less."""
-    BIASED = "biased"
-    """Their mean is not the truth."""
-    COVERAGE_OFF = "coverage off"
-    """Their 95 % intervals hold the truth in another share of the cases."""
+    BIASED = "biased"  # the mean is not the true value
+    COVERAGE_OFF = "coverage off"  # 95 % intervals contain the true value in another fraction of cases
 
 
 @dataclass(frozen=True)
 class BatchColumns:
-    """What the columns of a batch's frame stand for.
+    """Columns of a batch's frame by their role."""
 
-    Attributes
-    ----------
-    parameters, outputs : tuple of str
-        Names of the parameters (``value.<name>``) and of the outputs (``noise.<name>``).
-    starts : tuple of str
-        The columns ``start.<parameter>``.
-    design : tuple of str
-        The columns that make another experiment of a case: ``set.<variable>`` and ``free``.
-    repeats : tuple of str
-        The columns that give the same experiment other data: ``table`` and ``draw``.
-    """
-
-    parameters: tuple[str, ...]
-    outputs: tuple[str, ...]
-    starts: tuple[str, ...]
-    design: tuple[str, ...]
-    repeats: tuple[str, ...]
+    parameters: tuple[str, ...]  # names of columns ``value.<name>``
+    outputs: tuple[str, ...]  # names of columns ``noise.<name>``
+    starts: tuple[str, ...]  # columns ``start.<parameter>``
+    design: tuple[str, ...]  # another experiment: ``set.<variable>``, ``free``
+    repeats: tuple[str, ...]  # other data of an experiment: ``table``, ``draw``
 
     @classmethod
     def of(cls, frame: pd.DataFrame) -> BatchColumns:
@@ -83,7 +66,7 @@ class BatchColumns:
 
     @property
     def data(self) -> list[str]:
-        """The columns that tell one data set from another; cases that share them differ in their starts at most."""
+        """The columns that identify a data set."""
         return [*self.repeats, *self.design]
 
 
@@ -93,18 +76,9 @@ def converged(frame: pd.DataFrame) -> pd.DataFrame:
 
 
 def fit_cost(frame: pd.DataFrame, *, given_noise: bool) -> Floats:
-    """Return how badly each case fits (n,), to rank cases of the same data; infinite where that is not known.
+    """Return the cost of each case (n,), infinite where unknown.
 
-    The criterion (1.37) where all noise variances are given. Where they are estimated, each case weighs its residual by
-    variances of its own and criteria do not compare: Σ ln σ̂² over the outputs is the likelihood's measure then
-    (docs/method.md section 7), up to a factor and to what a prior adds.
-
-    Parameters
-    ----------
-    frame : DataFrame
-        Of a batch.
-    given_noise : bool
-        Whether the study gives the noise variance of every output.
+    (1.37) where all noise variances are given, else Σ ln σ̂² over the outputs (docs/method.md section 7).
     """
     if given_noise:
         badness = frame["criterion"].to_numpy(np.float64)
@@ -115,17 +89,7 @@ def fit_cost(frame: pd.DataFrame, *, given_noise: bool) -> Floats:
 
 
 def estimates(frame: pd.DataFrame, *, given_noise: bool) -> pd.DataFrame:
-    """Return one converged case for every data set, that of its starts which fits best, in the order of the cases.
-
-    Searches from several starts see the same noise: as cases of their own they would make everything look surer.
-
-    Parameters
-    ----------
-    frame : DataFrame
-        Of a batch.
-    given_noise : bool
-        See `fit_cost`.
-    """
+    """Return the best converged case of every data set."""
     found, columns = converged(frame), BatchColumns.of(frame)
     if not columns.starts:
         return found
@@ -135,34 +99,18 @@ def estimates(frame: pd.DataFrame, *, given_noise: bool) -> pd.DataFrame:
 
 
 def is_repetition(frame: pd.DataFrame, columns: BatchColumns) -> bool:
-    """Return whether the cases of a frame repeat one experiment, so that their spread can be held against their std."""
+    """Return True if the cases repeat one experiment."""
     return all(len(frame[name].unique()) <= 1 for name in columns.design)
-
-
-# --- one parameter
 
 
 def statistics(values: Floats, stds: Floats, truth: float, *, repeated: bool) -> dict[str, float]:
     """Return the statistics of one parameter over cases.
 
-    Parameters
-    ----------
-    values, stds : (n,) arrays
-        Estimates and their stated standard deviations; those without a finite one are not determined and left out.
-    truth : float
-        NaN where it is not known.
-    repeated : bool
-        Whether the cases repeat one experiment; if not, nothing is tested.
-
-    Returns
-    -------
-    dict
-        ``cases``, ``undetermined``, ``mean``, ``median``, ``spread`` (standard deviation over the cases, NaN of one),
-        ``stated_std`` (root mean square of the stated ones: what the spread is where they are right), ``ratio`` of the
-        two and ``ratio_p``; ``truth``, ``bias``, ``bias_std``, ``bias_p``, ``rms_error``, ``coverage`` (share of
-        the intervals value ± 1.96 std that hold the truth), its 95 % limits ``coverage_lower`` and ``coverage_upper``
-        by Clopper and Pearson (Biometrika 26, 1934), and ``coverage_p``. The ``_p`` are two-sided probabilities that
-        chance alone takes a figure as far from 1, from 0, or from 95 %.
+    `values` and `stds` are (n,); those without a finite std count as undetermined. `truth` is NaN where unknown. Tests
+    need `repeated` cases. Keys: ``cases``, ``undetermined``, ``mean``, ``median``, ``spread`` (standard deviation over
+    cases), ``stated_std`` (root mean square), their ``ratio``, ``ratio_p``; ``truth``, ``bias``, ``bias_std``,
+    ``bias_p``, ``rms_error``, ``coverage`` of the intervals value ± 1.96 std, its 95 % limits ``coverage_lower``,
+    ``coverage_upper`` (Clopper and Pearson, Biometrika 26, 1934), ``coverage_p``. The ``_p`` are two-sided.
     """
     there = np.isfinite(values)
     known = there & np.isfinite(stds)
@@ -171,17 +119,9 @@ def statistics(values: Floats, stds: Floats, truth: float, *, repeated: bool) ->
     mean, spread = _mean(x), _spread(x)
     stated = math.sqrt(_mean(s**2)) if n else math.nan
     ratio = spread / stated if repeated and n > 1 and stated > 0 else math.nan
-    found = {
-        "cases": n,
-        "undetermined": int(there.sum()) - n,
-        "mean": mean,
-        "median": float(np.median(x)) if n else math.nan,
-        "spread": spread,
-        "stated_std": stated,
-        "ratio": ratio,
-        "ratio_p": _spread_probability(ratio, s),
-        "truth": truth,
-    }
+    found = {"cases": n, "undetermined": int(there.sum()) - n, "mean": mean}
+    found |= {"median": float(np.median(x)) if n else math.nan, "spread": spread, "stated_std": stated}
+    found |= {"ratio": ratio, "ratio_p": _spread_probability(ratio, s), "truth": truth}
     return found | _against_truth(x, s, truth, spread, repeated)
 
 
@@ -213,10 +153,10 @@ def _spread(x: Floats) -> float:
 
 
 def _spread_probability(ratio: float, s: Floats) -> float:
-    """Return the probability of a ratio as far from 1 where the estimates are normal with the stated std.
+    """Return the two-sided probability of a ratio for normal estimates.
 
-    ratio² follows F. The degrees of freedom above are n − 1 for equal std and, by Satterthwaite's rule (Biometrics
-    Bulletin 2, 1946), fewer for unequal ones; those below are of the mean of the stated variances, from their scatter.
+    ratio² follows F. The degrees of freedom above are n − 1, fewer for unequal std (Satterthwaite, Biometrics Bulletin
+    2, 1946); those below are of the mean of the stated variances, from their scatter.
     """
     if math.isnan(ratio):
         return math.nan
@@ -241,13 +181,7 @@ def _binomial_probability(held: int, n: int) -> float:
 
 
 def doubted(table: pd.DataFrame) -> pd.DataFrame:
-    """Return a table of statistics with a last column ``doubts``, a tuple of `EstimateWarning` for each row.
-
-    Parameters
-    ----------
-    table : DataFrame
-        With the figures of `statistics` as columns; the more of its rows are tested, the surer each doubt must be.
-    """
+    """Return a table of `statistics` with a column ``doubts``; more tests need surer doubts."""
     tested = [name for name in table if str(name).endswith("_p")]
     tests = max(1, int(table[tested].notna().to_numpy().sum()))
     found = [_doubts(row, tests) for row in table.to_dict("records")]
@@ -255,7 +189,7 @@ def doubted(table: pd.DataFrame) -> pd.DataFrame:
 
 
 def _doubts(row: Mapping[Any, Any], tests: int) -> tuple[EstimateWarning, ...]:
-    """Return what is sure of one parameter and large enough to matter."""
+    """Return the significant and relevant defects of one parameter."""
 
     def sure(name: str) -> bool:
         return bool(row.get(name, math.nan) * tests < FALSE_DOUBT_PROBABILITY)
@@ -270,21 +204,8 @@ def _doubts(row: Mapping[Any, Any], tests: int) -> tuple[EstimateWarning, ...]:
     return tuple(found)
 
 
-# --- optima of several starts
-
-
 def optimum_numbers(frame: pd.DataFrame, *, given_noise: bool) -> NDArray[np.int64]:
-    """Return for each case which optimum of its data set it ended at (n,): 1 is the best; 0 if it did not converge.
-
-    Two cases are at the same optimum if their estimates are the same within a share of their standard deviations.
-
-    Parameters
-    ----------
-    frame : DataFrame
-        Of a batch.
-    given_noise : bool
-        See `fit_cost`.
-    """
+    """Return the optimum of each case (n,): 1 best, 0 not converged."""
     columns = BatchColumns.of(frame)
     numbers = np.zeros(len(frame), np.int64)
     values = frame[[f"value.{name}" for name in columns.parameters]].to_numpy(np.float64)
@@ -308,7 +229,7 @@ def data_sets(frame: pd.DataFrame, columns: BatchColumns) -> Sequence[NDArray[np
 
 
 def _numbered(values: Floats, stds: Floats) -> NDArray[np.int64]:
-    """Return the numbers of the optima of one data set's cases, which come best first."""
+    """Return the numbers of the optima of one data set's cases, best first."""
     numbers = np.zeros(len(values), np.int64)
     count = 0
     while (left := np.flatnonzero(numbers == 0)).size:

@@ -1,4 +1,4 @@
-"""A study with its files by content, so that it can be run where its files are not, and be told from every other."""
+"""A study with its files by content, to be run elsewhere."""
 
 from __future__ import annotations
 
@@ -18,64 +18,24 @@ from fmuid.version import __version__
 
 # Keys of a study file that name a file.
 FILE_KEYS = ("fmu", "data", "result")
-# What a study says beside that no row of a batch depends on.
+# Keys of a study that no row of a batch depends on.
 NOT_IN_ROWS = ("title", "uncertainty", "diagnosis")
 CHANGES_TOLD = 4
 _MISSING = object()
 
 
-@dataclass(frozen=True)
-class CopiedFiles:
-    """Files below a folder that are copies of the user's, by whose names they go in messages.
-
-    Attributes
-    ----------
-    folder : Path
-    originals : mapping of str to str
-        The user's names of the files, by theirs below the folder.
-    """
-
-    folder: Path
-    originals: Mapping[str, str]
-
-    def original(self, path: Path) -> Path:
-        """Return the user's file that a file is a copy of; the file itself where it is none."""
-        name = path.relative_to(self.folder).as_posix() if path.is_relative_to(self.folder) else ""
-        return Path(self.originals.get(name, path))
-
-
 @dataclass(eq=False)
 class StudyPackage:
-    """A study as it travels to workers: its words, and the content of all its files but the records.
-
-    Attributes
-    ----------
-    token : str
-        Tells it from all others.
-    path : str
-        The user's study file.
-    data : dict
-        The study with names of files in the parcel's folder.
-    files : dict of str to bytes
-        Their content, by these names.
-    originals : dict of str to str
-        The user's names of all files and records, by those in the parcel's folder.
-    isolated : bool
-        Whether FMUs run in processes of their own.
-    versions : dict of str to str
-        What the sender runs, which the receiver must run too.
-    unpacked : object
-        What a worker keeps with it, and drops with it; it does not travel.
-    """
+    """A study as it travels to workers, with all files but records."""
 
     token: str
-    path: str
-    data: dict[str, Any]
+    path: str  # the user's study file
+    data: dict[str, Any]  # the study with the names of `files`
     files: dict[str, bytes]
-    originals: dict[str, str]
+    originals: dict[str, str]  # the user's names of files and records
     isolated: bool
-    versions: dict[str, str | None]
-    unpacked: Any = None
+    versions: dict[str, str | None]  # of the sender
+    unpacked: Any = None  # kept by a worker; does not travel
 
     def __getstate__(self) -> dict[str, Any]:
         return self.__dict__ | {"unpacked": None}
@@ -84,36 +44,26 @@ class StudyPackage:
         return sum(map(len, self.files.values()))
 
     def unpack(self, folder: Path) -> Study:
-        """Write the files below a folder and return the study there; records come with the cases that need them."""
-        for name, content in self.files.items():
-            path = folder / name
-            path.parent.mkdir(parents=True, exist_ok=True)
-            path.write_bytes(content)
+        """Write the files below a folder; return the study there, without records."""
+        put(folder, self.files)
         data = _renamed(self.data, lambda name: str(folder / name) if name in self.originals else name)
         return Study.of(data, self.path, isolated=self.isolated)
 
-    def copies(self, folder: Path) -> CopiedFiles:
-        """Return whose copies the files below the folder are."""
-        return CopiedFiles(folder, self.originals)
+    def originals_of(self, folder: Path) -> dict[str, str]:
+        """Return the user's names of the files below a folder."""
+        return {str(folder / name): original for name, original in self.originals.items()}
+
+
+def put(folder: Path, files: Mapping[str, bytes]) -> None:
+    """Write files below a folder."""
+    for name, content in files.items():
+        path = folder / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_bytes(content)
 
 
 class BatchStudy:
-    """A study of a batch, with the digests of its files.
-
-    Parameters
-    ----------
-    study : Study
-        With ``[batch]``.
-    isolated : bool
-        Whether FMUs run in processes of their own.
-    versions : mapping of str to str
-        What runs here.
-
-    Raises
-    ------
-    InputError
-        If a pattern of tables matches no file.
-    """
+    """A study of a batch, with the digests of its files."""
 
     def __init__(self, study: Study, *, isolated: bool, versions: Mapping[str, str | None]) -> None:
         self.study, self._base = study, study.path.parent
@@ -127,35 +77,22 @@ class BatchStudy:
         self.digests = {path: _digest(path) for path in (*self._names, *self._records)}
         files = {name: content for path, name in self._names.items() if (content := self._content(path)) is not None}
         originals = {name: str(path) for path, name in (*self._names.items(), *self._records.items())}
-        self.parcel = StudyPackage(
-            uuid.uuid4().hex,
-            str(study.path),
-            data,
-            files,
-            originals,
-            isolated,
-            dict(versions),
-        )
+        token = uuid.uuid4().hex
+        self.parcel = StudyPackage(token, str(study.path), data, files, originals, isolated, dict(versions))
 
     def record(self, path: Path | None) -> dict[str, bytes]:
-        """Return name and content of a record; nothing where there is none, which is for its cases to say.
-
-        Raises
-        ------
-        InputError
-            If it is not what it was when the batch began.
-        """
+        """Return name and unchanged content of a record, nothing if absent."""
         content = self._content(path) if path is not None and path in self._records else None
         return {} if path is None or content is None else {self._records[path]: content}
 
     def manifest(self) -> dict[str, Any]:
-        """Return what the rows of the batch depend on, as it can be written as JSON."""
+        """Return all that the rows of the batch depend on, as JSON."""
         told = {key: value for key, value in self.study.data.items() if key not in NOT_IN_ROWS}
         files = {_relative(path, self._base): digest for path, digest in self.digests.items()}
         return {"fmuid": __version__, "study": told, "files": files}
 
     def _name_of(self, name: str) -> str:
-        """Return the parcel's name of a file that the study names."""
+        """Return the parcel's name of a file of the study."""
         path = self._base / name
         if path not in self._known:
             return name
@@ -167,14 +104,13 @@ class BatchStudy:
         except OSError:
             content = None
         if (hashlib.sha256(content).hexdigest() if content is not None else None) != self.digests[path]:
-            raise InputError(
-                f"{path} has changed while the batch ran: put its former content back, or begin anew with --no-resume"
-            )
+            remedy = "put its former content back, or begin anew with --no-resume"
+            raise InputError(f"{path} has changed while the batch ran: {remedy}")
         return content
 
 
 def changes(earlier: Mapping[str, Any], now: Mapping[str, Any]) -> list[str]:
-    """Return in words what differs between the manifests of two batches; nothing where they are the same."""
+    """Return the differences between the manifests of two batches as texts."""
     found = []
     if earlier.get("fmuid") != now["fmuid"]:
         found.append(f"it was run by fmuid {earlier.get('fmuid')}, this is {now['fmuid']}")
@@ -210,7 +146,7 @@ def _renamed(node: Any, rename: Callable[[str], str], key: str = "") -> Any:
 
 
 def _leaves(node: Any, above: str = "") -> Iterator[tuple[str, Any]]:
-    """Give the values of nested tables by their dotted names."""
+    """Yield the values of nested tables by their dotted names."""
     if isinstance(node, Mapping) and node:
         for key, value in node.items():
             yield from _leaves(value, f"{above}.{key}" if above else str(key))

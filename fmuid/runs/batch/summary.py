@@ -1,19 +1,21 @@
-"""What a batch found, in tables: estimates over the cases, failures, groups, optima of several starts."""
+"""Tables of a batch: estimates over the cases, failures, groups, optima of several starts."""
 
 from __future__ import annotations
 
 import math
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pandas as pd
 
-from fmuid.estimation import AccuracyOutcome, Identifiability
+from fmuid import codec
+from fmuid.estimation import AccuracyOutcome
+from fmuid.runs.batch.case import VOLATILE, directions_of
 from fmuid.runs.batch.dataset import Dataset
-from fmuid.runs.batch.run_case import VOLATILE, directions_of
 from fmuid.runs.batch.statistics import (
     BatchColumns,
     converged,
@@ -26,13 +28,14 @@ from fmuid.runs.batch.statistics import (
 )
 from fmuid.runs.findings import Provenance
 
-# A setting with more levels than this is no heading of a group; nor are there more groups than that.
+# Most levels of a setting that makes groups, and most groups.
 MAX_LEVELS, MAX_GROUPS = 20, 100
-# The spread of fewer cases is uncertain by more than 13 %, which is said.
+# The spread of fewer cases is uncertain by more than 13 %.
 FEW_CASES = 30
-# Optima whose residuals differ by less than this share fit equally well: 1000 samples cannot tell them apart.
+# Relative difference of residuals of equally good optima: 1000 samples cannot tell them apart.
 EQUAL_FIT_SHARE = 5e-4
 
+OVERVIEW_FILE, BATCH_SCHEMA = "summary.json", "fmuid/batch/2"
 STATUSES = ["converged", "not converged", "failed"]
 # Columns that no statistics are made of.
 NOT_SUMMARIZED = {"message", "undetermined", "iterations", "simulations", "rejected", "shift", *VOLATILE} - {"checked"}
@@ -40,33 +43,13 @@ NOT_SUMMARIZED = {"message", "undetermined", "iterations", "simulations", "rejec
 _KIND = ["status", "message", "undetermined"]
 _NO_FAILURES = pd.DataFrame([("", "", (), 0, 0)], columns=[*_KIND, "cases", "first"]).iloc[:0]
 _NUMBER = re.compile(r"(?<![\w.])[-+]?(?:0x[0-9a-fA-F]++|\d++(?:\.\d++)?+(?:[eE][-+]?\d++)?+)(?!\w)")
-_TRUTH_COLUMNS = (
-    "truth",
-    "bias",
-    "bias_std",
-    "bias_p",
-    "rms_error",
-    "coverage",
-    "coverage_lower",
-    "coverage_upper",
-    "coverage_p",
-)
+_TRUTH_COLUMNS = ["truth", "bias", "bias_std", "bias_p", "rms_error"]
+_TRUTH_COLUMNS += ["coverage", "coverage_lower", "coverage_upper", "coverage_p"]
 
 
 @dataclass(frozen=True)
 class Dependence:
-    """How far the mean of a parameter moves with what is set.
-
-    Attributes
-    ----------
-    parameter, unit : str
-    low, high : float
-        The least and the largest mean of a group.
-    at_low, at_high : mapping
-        What is set in these groups, by setting.
-    stated_std : float
-        Root mean square over the groups.
-    """
+    """Range of a parameter's mean over groups, and the RMS of stated σ."""
 
     parameter: str
     unit: str
@@ -79,20 +62,7 @@ class Dependence:
 
 @dataclass(frozen=True)
 class BatchOverview:
-    """What the tables of a batch do not say.
-
-    Attributes
-    ----------
-    statuses : mapping of str to int
-        How many cases there are of each.
-    truth : mapping of str to float
-        True values of parameters that are known.
-    units : mapping of str to str
-        Of the parameters.
-    given_noise : bool
-        Whether the noise was given, not estimated.
-    origin : Provenance or None
-    """
+    """Content of ``summary.json``: facts that the tables of a batch lack."""
 
     statuses: Mapping[str, int]
     truth: Mapping[str, float]
@@ -103,64 +73,35 @@ class BatchOverview:
 
 @dataclass(frozen=True, eq=False)
 class Summary:
-    """What a batch found.
+    """Findings of a batch."""
 
-    Attributes
-    ----------
-    columns : BatchColumns
-        What the batch varied.
-    cases, data_sets : int
-        Finished cases, and data sets with an estimate; fewer where several starts share one.
-    statuses : DataFrame
-        ``status``, ``cases`` and ``share``, a row each of converged, not converged and failed.
-    failures : DataFrame
-        ``status``, ``message`` with ``#`` in place of numbers, ``undetermined`` (pairs of an `Identifiability` and the
-        names along a direction, a tuple of them), ``cases``, and ``first``, the number of the first of them; the most
-        frequent first.
-    parameters : DataFrame
-        A row a parameter: its name, ``unit``, and `fmuid.runs.batch.statistics.statistics` over all data sets (what
-        has to do with the truth only where one is known), and ``doubts``, a tuple of
-        `fmuid.runs.batch.statistics.EstimateWarning`.
-    groups : DataFrame
-        The same for every combination of those settings that have few levels, after columns of the settings and, in
-        ``failed``, how many cases of the group have no estimate; empty where no setting varies.
-    settings : tuple of str
-        The first columns of `groups`.
-    optima : DataFrame
-        Where starts vary, a row an optimum, numbered in each data set by how well it fits: ``optimum``, ``cases``,
-        ``data_sets``, ``criterion`` (median), ``residual`` (root mean square of the residual against the best's,
-        geometric mean over outputs, median), and where no setting varies the median of each parameter. Empty where
-        starts do not vary.
-    dependences : tuple of Dependence
-        Of the parameters whose mean moves with the settings by more than their stated std.
-    wide : mapping of str to float
-        Where settings have too many levels for groups: how many times their stated std parameters spread, those that
-        do so by more than it.
-    accuracy : mapping of str to int
-        How many cases have which outcome of the check of their simulation (`fmuid.estimation.AccuracyOutcome`),
-        were ``checked`` by simulations of their own, and searched by ``finer`` ones; empty where none was looked at.
-    fits : DataFrame
-        ``output``, ``median`` and ``least`` of its fit over the converged cases, %, and the ``case`` of the least; of
-        outputs whose fit has a meaning.
-    """
-
-    columns: BatchColumns
-    cases: int
-    data_sets: int
-    statuses: pd.DataFrame
+    columns: BatchColumns  # varied columns
+    cases: int  # finished cases
+    data_sets: int  # data sets with an estimate
+    statuses: pd.DataFrame  # ``status``, ``cases`` and ``share``, a row each of converged, not converged and failed
+    # ``status``, ``message`` with ``#`` for numbers, ``undetermined`` (pairs of an `IdentifiabilityLevel` and names),
+    # ``cases`` and ``first``, the number of the first; the most frequent first
     failures: pd.DataFrame
+    # A row a parameter: name, ``unit``, `statistics` over all data sets (true values only if known), and ``doubts``.
     parameters: pd.DataFrame
+    # The same for each combination of settings of few levels, after columns of settings and ``failed``, the cases
+    # without an estimate.
     groups: pd.DataFrame
-    settings: tuple[str, ...]
+    settings: tuple[str, ...]  # the first columns of `groups`
+    # A row an optimum where starts vary, best first: ``optimum``, ``cases``, ``data_sets``, ``criterion`` (median),
+    # ``residual`` (RMS against the best, median), and the median of each parameter where no setting varies.
     optima: pd.DataFrame
+    # Of the parameters whose mean varies with the settings by more than their stated std.
     dependences: tuple[Dependence, ...]
-    wide: Mapping[str, float]
-    accuracy: Mapping[str, int] = field(default_factory=dict)
-    fits: pd.DataFrame = field(default_factory=pd.DataFrame)
+    wide: Mapping[str, float]  # without groups: spread over stated std of parameters, where above 1
+    # Cases by outcome of the solver check, ``checked`` by own simulations, and searched by ``finer`` ones.
+    accuracy: Mapping[str, int]
+    # ``output``, ``median`` and ``least`` of its fit over converged cases, %, and the ``case`` of the least
+    fits: pd.DataFrame
 
     @property
     def has_truth(self) -> bool:
-        """Whether the truth of any parameter is known."""
+        """True if a true value of any parameter is known."""
         return "truth" in self.parameters
 
     @property
@@ -170,13 +111,18 @@ class Summary:
 
     @property
     def few(self) -> bool:
-        """Whether there are so few estimates that their spread says little of their stated std."""
+        """True if there are too few estimates to compare their spread with their std."""
         return self.most == 1 or (1 < self.most < FEW_CASES and bool(self.parameters["ratio"].notna().any()))
 
     @property
     def rivals(self) -> bool:
-        """Whether optima with other values than the best fit equally well."""
+        """True if optima with other values fit as well as the best."""
         return len(self.optima) > 1 and bool((self.optima["residual"].iloc[1:] < 1.0 + EQUAL_FIT_SHARE).any())
+
+
+def write_overview(folder: Path, found: BatchOverview) -> Path:
+    """Write ``summary.json``; return its path."""
+    return codec.write(folder / OVERVIEW_FILE, BATCH_SCHEMA, found)
 
 
 def summarize(
@@ -187,22 +133,7 @@ def summarize(
     given_noise: bool = False,
     failures: pd.DataFrame | None = None,
 ) -> Summary:
-    """Summarize the cases of a batch.
-
-    Parameters
-    ----------
-    frame : DataFrame
-        A row a case, as a batch's dataset has them.
-    truth : mapping of str to float, optional
-        Of the parameters, where the measurements were simulated.
-    units : mapping of str to str, optional
-        Of the parameters.
-    given_noise : bool
-        Whether the study gives all noise variances, so that criteria of several starts compare; see
-        `fmuid.runs.batch.statistics.fit_cost`.
-    failures : DataFrame, optional
-        Those of `condensed`, whose frame has no messages.
-    """
+    """Summarize the cases of a batch, a row each; `failures` are those of `condensed`."""
     columns = BatchColumns.of(frame)
     found = estimates(frame, given_noise=given_noise)
     truth = {name: value for name, value in (truth or {}).items() if name in columns.parameters}
@@ -228,9 +159,6 @@ def summarize(
     )
 
 
-# --- tables
-
-
 def _table(
     found: pd.DataFrame, columns: BatchColumns, truth: Mapping[str, float], units: Mapping[str, str | None]
 ) -> pd.DataFrame:
@@ -242,11 +170,11 @@ def _table(
         told = statistics(values, stds, truth.get(name, math.nan), repeated=repeated)
         rows.append({"parameter": name, "unit": units.get(name) or "", **told})
     table = pd.DataFrame(rows)
-    return table if truth else table.drop(columns=list(_TRUTH_COLUMNS))
+    return table if truth else table.drop(columns=_TRUTH_COLUMNS)
 
 
 def _settings(frame: pd.DataFrame, columns: BatchColumns) -> tuple[str, ...]:
-    """Return the settings with few levels, by which the cases are grouped; those of fewest levels come first."""
+    """Return the settings with few levels, by which cases are grouped, fewest levels first."""
     names = [*columns.design, *(name for name in columns.repeats if name == "table")]
     levels = {name: len(frame[name].unique()) for name in names}
     chosen: list[str] = []
@@ -321,10 +249,7 @@ def _statuses(frame: pd.DataFrame) -> pd.DataFrame:
 
 
 def condensed(dataset: Dataset) -> tuple[pd.DataFrame, pd.DataFrame]:
-    """Return of each case what a summary and figures need, and `Summary.failures`, with one part in memory at a time.
-
-    Some 10 bytes a number; texts that differ from case to case, but for names of tables, are counted on the way.
-    """
+    """Return the columns of each case for a summary, and `Summary.failures`."""
     parts, failures = [], []
     for part in dataset.stream([name for name in dataset.schema.names if name in _KIND or name not in NOT_SUMMARIZED]):
         failures.append(_failures(part))
@@ -346,7 +271,10 @@ def _failures(frame: pd.DataFrame) -> pd.DataFrame:
         {
             "status": failed["status"].astype(str),
             "message": [_pattern(*pair) for pair in zip(failed["message"].astype(str), tables, strict=True)],
-            "undetermined": [_open(text) for text in failed.get("undetermined", pd.Series("", failed.index))],
+            "undetermined": [
+                tuple((each.level, each.names) for each in directions_of(text))
+                for text in failed.get("undetermined", pd.Series("", failed.index))
+            ],
             "case": failed["case"],
         }
     )
@@ -360,13 +288,8 @@ def _counted(failures: Sequence[pd.DataFrame]) -> pd.DataFrame:
     return grouped.sort_values(["cases", "first"], ascending=[False, True], ignore_index=True)
 
 
-def _open(text: str) -> tuple[tuple[Identifiability, tuple[str, ...]], ...]:
-    """Return what is not determined by a row, its numbers left out."""
-    return tuple((each.determined, each.names) for each in directions_of(text))
-
-
 def _pattern(message: str, table: str) -> str:
-    """Return a message with ``#`` for numbers and for the name of the case's own table."""
+    """Return a message with ``#`` for numbers and table names."""
     if table and table in message:
         message = re.sub(rf"(?<!\w){re.escape(str(table))}(?!\w)", "#", message)
     return _NUMBER.sub("#", message)

@@ -1,47 +1,38 @@
-"""What a worker does for a batch: unpack the study once, and run groups of cases."""
+"""Work of one worker: groups of cases, out of reach of crashing FMUs."""
 
 from __future__ import annotations
 
 import gc
+import os
 import shutil
 import tempfile
 import threading
 import time
 import weakref
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-from distributed import get_worker
-from distributed.versions import get_package_info
-
 from fmuid.errors import FmuidError, InputError
-from fmuid.processes import AVAILABLE
-from fmuid.runs.batch.dataset import bounded
-from fmuid.runs.batch.run_case import CaseOutcome, CaseRunner
-from fmuid.runs.batch.study_package import CopiedFiles, StudyPackage
+from fmuid.models import Isolation
+from fmuid.processes import AVAILABLE, LIMITS, HostExitError
+from fmuid.runs.batch.case import CaseOutcome, CaseRunner
+from fmuid.runs.batch.study_package import StudyPackage, put
+from fmuid.simulation import FIRST_TIME_LIMIT, FmuHost, HostManager, executor_of, watch
 from fmuid.studies import Study
 
 # What must be the same on both sides, to how many places of the version.
 VERSION_PLACES = {"python": 2, "fmuid": 9, "dask": 9, "distributed": 9, "numpy": 1, "pandas": 1}
+# Kept of the log of a case, bytes: an FMU that prints in every step would fill the disk.
+LOG_BYTES = 64 * 1024
+# Time of one order to a process, s; an order costs 0.3 ms. Where the process ends, its cases run one by one.
+ORDER_SECONDS = 0.2
 
 
 @dataclass(frozen=True)
 class GroupResult:
-    """What a group of cases gave.
-
-    Attributes
-    ----------
-    rows : list of dict
-        One a case.
-    logs : dict of int to str
-        What cases printed, of those that did.
-    seconds : float
-        How long it took, without unpacking.
-    given_up : tuple of int
-        Cases that ended their worker again and again.
-    """
+    """Rows, logs by case, duration in s, and cases given up."""
 
     rows: Sequence[dict[str, Any]] = ()
     logs: Mapping[int, str] = field(default_factory=dict)
@@ -50,13 +41,15 @@ class GroupResult:
 
 
 def versions() -> dict[str, str | None]:
-    """Return what runs in this process, as far as it must be alike on all sides."""
+    """Return the versions here that must be alike on all sides."""
+    from distributed.versions import get_package_info
+
     found = get_package_info(VERSION_PLACES)
     return {name: found.get(name) for name in VERSION_PLACES}
 
 
 def difference(here: Mapping[str, str | None], there: Mapping[str, str | None]) -> str | None:
-    """Return in words what a worker runs that differs from what runs here; None where all is alike."""
+    """Return the first difference of versions as text; None where all are alike."""
     for name, places in VERSION_PLACES.items():
         mine, theirs = here.get(name), there.get(name)
         if theirs is None and mine is not None:
@@ -68,30 +61,19 @@ def difference(here: Mapping[str, str | None], there: Mapping[str, str | None]) 
 
 
 def run_group(parcel: StudyPackage, cases: Sequence[int], records: Mapping[str, bytes]) -> GroupResult:
-    """Run cases one after the other.
-
-    Parameters
-    ----------
-    parcel : StudyPackage
-    cases : sequence of int
-    records : mapping of str to bytes
-        Names and content of the records that they need.
-
-    Raises
-    ------
-    InputError
-        If this worker is not like the sender, or the study is wrong here.
-    """
-    _check_worker(parcel)
+    """Run cases one after the other with the contents of their records."""
+    said = difference(parcel.versions, versions())
+    if said is not None:
+        raise InputError(f"the worker {_worker('address', 'here')} {said}")
     opened = _open_studies(parcel).opened(parcel)
     try:
-        for name, content in records.items():
-            opened.put(name, content)
+        put(opened.folder, records)
         began = time.perf_counter()
         outcomes = opened.run(cases)
         seconds = time.perf_counter() - began
     except OSError as error:
-        raise FmuidError(f"the worker {_address()} cannot write below {opened.folder}: {error.strerror}") from None
+        where = f"the worker {_worker('address', 'here')} cannot write below {opened.folder}"
+        raise FmuidError(f"{where}: {error.strerror}") from None
     finally:
         for name in records:
             (opened.folder / name).unlink(missing_ok=True)
@@ -100,45 +82,51 @@ def run_group(parcel: StudyPackage, cases: Sequence[int], records: Mapping[str, 
     return GroupResult(rows, logs, seconds)
 
 
-def _check_worker(parcel: StudyPackage) -> None:
-    said = difference(parcel.versions, versions())
-    if said is not None:
-        raise InputError(f"the worker {_address()} {said}")
+def bounded(text: str) -> str:
+    """Return a log cut to `LOG_BYTES`: its beginning and its end."""
+    content = text.encode(errors="replace")
+    if len(content) <= LOG_BYTES:
+        return text
+    half = LOG_BYTES // 2 - 40
+    ends = content[:half].decode(errors="ignore"), content[-half:].decode(errors="ignore")
+    return f"{ends[0]}\n... {len(content) - 2 * half} bytes left out ...\n{ends[1]}"
 
 
-def _runner_of(study: Study, copies: CopiedFiles, isolated: bool) -> Callable[[Sequence[int]], list[CaseOutcome]]:
-    if not (isolated and AVAILABLE):
-        runner = CaseRunner(study, copies)
-        return lambda cases: [runner(case) for case in cases]
-    from fmuid.runs.batch.isolated_cases import IsolatedCases  # for Linux and macOS only
+def _worker(attribute: str, default: Any) -> Any:
+    """Return an attribute of the Dask worker of this thread; the default outside one."""
+    from distributed import get_worker
 
-    return IsolatedCases(study, copies).run
+    try:
+        return getattr(get_worker(), attribute)
+    except ValueError:
+        return default
 
 
 class _OpenStudy:
-    """The study of one thread of a worker, in a folder of its own, and what runs its cases."""
+    """The study of one thread of a worker, in its own folder."""
 
     def __init__(self, parcel: StudyPackage, folder: Path) -> None:
         self.folder = folder
-        self.run = _runner_of(parcel.unpack(folder), parcel.copies(folder), parcel.isolated)
-
-    def put(self, name: str, content: bytes) -> None:
-        path = self.folder / name
-        path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_bytes(content)
+        study, originals = parcel.unpack(folder), parcel.originals_of(folder)
+        self.run: Callable[[Sequence[int]], list[CaseOutcome]]
+        if parcel.isolated and AVAILABLE:
+            self.run = IsolatedCases(study, originals).run
+        else:
+            runner = CaseRunner(study, originals)
+            self.run = lambda cases: [runner(case) for case in cases]
 
 
 class _OpenStudies:
-    """The open studies of a worker for one batch, in a private folder that goes with them."""
+    """The open studies of a worker for one batch, in a private folder."""
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
         self._opened: dict[int, _OpenStudy] = {}
-        self._folder = Path(tempfile.mkdtemp(prefix="fmuid-", dir=_local_directory()))
+        self._folder = Path(tempfile.mkdtemp(prefix="fmuid-", dir=_worker("local_directory", None)))
         self._end = weakref.finalize(self, shutil.rmtree, self._folder, ignore_errors=True)
 
     def opened(self, parcel: StudyPackage) -> _OpenStudy:
-        """Return the study of this thread: an FMU's instances stay with the thread that made them."""
+        """Return the study of this thread, which owns its FMU instances."""
         thread = threading.get_ident()
         with self._lock:
             if thread not in self._opened:
@@ -152,8 +140,8 @@ class _OpenStudies:
         self._end()
 
 
-# Whose studies are open here. They go with their parcel, which the scheduler has its workers drop when the sender ends,
-# however it does; that may take until Python's next collection, so a sender that can says so itself.
+# Parcels with studies open here. Workers drop a parcel when its sender ends, however it does;
+# as that may take until Python's next collection, a sender that can calls `forget`.
 _parcels: weakref.WeakSet[StudyPackage] = weakref.WeakSet()
 _opening = threading.Lock()
 
@@ -177,15 +165,77 @@ def forget(token: str) -> None:
     gc.collect()  # errors that are kept hold on to what met them
 
 
-def _local_directory() -> str | None:
-    try:
-        return get_worker().local_directory
-    except ValueError:  # outside a worker
-        return None
+_runner: list[CaseRunner] = []  # of a process that runs cases
 
 
-def _address() -> str:
-    try:
-        return str(get_worker().address)
-    except ValueError:
-        return "here"
+def open_cases(data: Mapping[str, Any], path: Path, originals: Mapping[str, str] | None) -> None:
+    """Make this process one that runs the cases of a study."""
+    _runner[:] = [CaseRunner(Study.of(data, path), originals)]
+
+
+def run_cases(indices: Sequence[int]) -> tuple[list[tuple[dict[str, object], str]], float]:
+    """Return row and log of each case, and the longest simulation, s."""
+    outcomes, position = [], 0
+    for index in indices:
+        outcome = _runner[0](index)
+        printed, position = _printed_since(position)
+        outcomes.append((outcome.row, "\n".join(filter(None, [outcome.log, printed]))))
+    return outcomes, getattr(executor_of(_runner[0].study.system), "longest", 0.0)
+
+
+def _printed_since(position: int) -> tuple[str, int]:
+    """Return the output printed since a position, and the position now."""
+    size = os.fstat(1).st_size
+    if size == position:
+        return "", size
+    position = position if position < size else 0  # the other side has emptied the file
+    return os.pread(1, min(size - position, LIMITS.printed_kept), position).decode("utf-8", errors="replace"), size
+
+
+class IsolatedCases:
+    """Runs cases in a process of their own, identification and FMU together.
+
+    A case that ends the process runs again, with the FMU alone in its process: that shows the simulation to blame.
+    """
+
+    def __init__(self, study: Study, originals: Mapping[str, str] | None = None) -> None:
+        settings = study.model.isolation or Isolation()
+        self._opened = study.data, study.path, originals
+        self._careful = CaseRunner(replace(study, model=replace(study.model, isolation=settings)), originals)
+        self._keeper = HostManager(settings, [__name__])
+        # the number of simulations of a case is known only afterwards
+        self._alone = settings.max_simulations_per_process is not None
+        self._size = 1  # of the next order
+
+    def run(self, indices: Sequence[int]) -> list[CaseOutcome]:
+        """Run cases one after the other."""
+        found: list[CaseOutcome] = []
+        while len(found) < len(indices):
+            found += self._ordered(indices[len(found) : len(found) + self._size])
+        return found
+
+    def _ordered(self, indices: Sequence[int]) -> list[CaseOutcome]:
+        """Run cases in one order to the process."""
+        keeper, began = self._keeper, time.perf_counter()
+        try:
+            host = keeper.host(self._begin)
+            rows, keeper.longest = host.order(run_cases, indices, limit=keeper.time_limit, computes=True)
+            outcomes = [CaseOutcome(row, log) for row, log in rows]
+            host.simulations += sum(int(str(outcome.row["simulations"])) for outcome in outcomes)
+            keeper.replace_outgrown()
+        except HostExitError:
+            keeper.bury()
+            self._size = 1
+            if len(indices) > 1:
+                keeper.printed()  # they print it again
+                return [outcome for index in indices for outcome in self._ordered([index])]
+            outcome = self._careful(indices[0])
+            return [replace(outcome, log="\n".join(filter(None, [outcome.log, keeper.printed()])))]
+        keeper.printed()  # is in the logs
+        fitting = int(ORDER_SECONDS * len(indices) / max(time.perf_counter() - began, 1e-6))
+        self._size = 1 if self._alone else max(1, min(fitting, 2 * len(indices)))
+        return outcomes
+
+    def _begin(self, host: FmuHost) -> None:
+        host.order(watch, limit=FIRST_TIME_LIMIT)
+        host.order(open_cases, *self._opened, limit=FIRST_TIME_LIMIT)

@@ -1,17 +1,15 @@
-"""Where the cases of a batch run: workers of this machine, or of a Dask scheduler that is there already."""
+"""Dask: groups of cases on workers of this machine, or of a scheduler."""
 
 from __future__ import annotations
 
 import contextlib
 import logging
 import queue
-import subprocess
 import time
 import warnings
 from collections import deque
 from collections.abc import Callable, Generator, Iterator, Sequence
 from concurrent.futures import CancelledError
-from pathlib import Path
 from typing import Any, TypeAlias
 
 import dask
@@ -20,36 +18,28 @@ from dask.system import CPU_COUNT
 
 from fmuid.array_types import Indices
 from fmuid.errors import FmuidError, InputError
-from fmuid.processes import MEMORY_KEPT, Child
-from fmuid.runs.batch.local_workers import CALM
+from fmuid.runs.batch.local_workers import CALM, LocalWorkers, scratch_folder
 from fmuid.runs.batch.study_package import StudyPackage
-from fmuid.runs.batch.temporary_folder import scratch_folder
 from fmuid.runs.batch.worker import GroupResult, difference, forget, run_group, versions
 
-# How long a scheduler may take to answer, and to name its first worker, s: Dask's own limit for connecting is 30 s, and
-# who gave a wrong address should not wait so long.
+# Time for a scheduler to answer, and to name its first worker, s; Dask's 30 s are long for a wrong address.
 ANSWER_SECONDS = 10.0
-# So many groups wait or run for each thread of a worker: it goes on while results and the next group travel.
+# Groups that wait or run for each thread: a worker goes on while results and the next group travel.
 GROUPS_PER_THREAD = 3
-# A group takes about so long, s: what scheduling it costs, some ms, is nothing beside; what its loss costs, little.
+# Time of a group, s: scheduling it costs some ms, its loss little.
 GROUP_SECONDS = 3.0
-# Cases of a group, however short each is: their rows are small beside `GROUP_MB`.
+# Cases of a group: their rows are small beside `GROUP_MB`.
 MOST_GROUP_CASES = 5000
 # Records of a group, MB: it waits in the memory of the scheduler.
 GROUP_MB = 16.0
-# A group whose worker ended more often than the first is taken apart: five times by chance is a machine that fails; and
-# a case alone that does so again, so many times after the group, is given up.
+# A group whose worker ended more often than the first is taken apart: so often by chance is a machine that fails.
+# A case alone that ends its worker so many times after the group is given up.
 MOST_WORKER_ENDS = 5
 MOST_LOSSES = 1
-# The workers of this machine that end within `ANSWER_SECONDS` are started so often again in a row: what takes memory
-# from them for a moment ends no batch.
-MOST_RESTARTS = 12
-# How often the state of the cluster is looked at, and what waits for results told that there are none, s.
-# Both cost a message at most, and are soon enough for a person who watches.
+# Intervals at which the cluster is looked at, and at which who waits for results is told that there are none, s.
 LOOK_SECONDS, TICK_SECONDS = 1.0, 0.25
 
-DASK: Any = distributed
-"""Dask, parts of which have no types."""
+DASK: Any = distributed  # parts of it have no types
 Client: TypeAlias = Any
 Future: TypeAlias = Any
 RecordOf = Callable[[int], dict[str, bytes]]
@@ -57,66 +47,36 @@ Results = Generator[GroupResult | None, None, None]
 
 
 class GroupSizes:
-    """How many cases a group has: one at first, then as many as take `GROUP_SECONDS`, fewer towards the end."""
+    """Cases of a group: one at first, then `GROUP_SECONDS` long."""
 
     def __init__(self) -> None:
         self._size, self._seconds = 1, float("inf")
 
     def learn(self, count: int, seconds: float) -> None:
-        """Take note of how long a group of `count` cases took, s."""
+        """Note the duration of a group of `count` cases, s."""
         each = seconds / count
         self._seconds = min(each, 0.5 * (each + self._seconds))  # the first of a worker are slow
         fitting = int(GROUP_SECONDS / max(self._seconds, 1e-9))
         self._size = max(1, min(fitting, MOST_GROUP_CASES, max(self._size, 2 * count)))
 
     def next(self, left: int, threads: int) -> int:
-        """Return the size of the next group where so many cases are left for so many threads."""
+        """Return the size of the next group."""
         return max(1, min(self._size, left // (2 * threads)))
 
 
 class WorkerPool:
-    """The workers that a batch has.
+    """The workers of a batch; `local` is None where the scheduler has its own."""
 
-    Parameters
-    ----------
-    client : Client
-        Connected to their scheduler.
-    address : str
-        Of the scheduler, for messages.
-    local : _LocalWorkers or None
-        What keeps workers of this machine; None where the scheduler has its own.
-
-    Attributes
-    ----------
-    dashboard : str
-        Address of the page on which Dask shows what a scheduler's workers do; "" where there is none.
-    """
-
-    def __init__(self, client: Client, address: str, local: _LocalWorkers | None) -> None:
+    def __init__(self, client: Client, address: str, local: LocalWorkers | None) -> None:
         self._client, self._local, self._address = client, local, address
-        self.dashboard = "" if local is not None else str(client.dashboard_link or "")
+        self.dashboard = "" if local is not None else str(client.dashboard_link or "")  # address of Dask's page
         self._looked, self.threads = 0.0, 0
         self._flying: dict[Future, list[int]] = {}
         self._done: queue.SimpleQueue[Future] = queue.SimpleQueue()
         self._killed: dict[int, int] = {}
 
     def run(self, parcel: StudyPackage, cases: Indices, record_of: RecordOf) -> Results:
-        """Run cases in groups, and give what comes back in the order in which it does; None now and then in between.
-
-        Parameters
-        ----------
-        parcel : StudyPackage
-        cases : (M,) array
-        record_of : callable
-            Returns name and content of the record that a case needs.
-
-        Raises
-        ------
-        InputError
-            If a worker is not like this process, or a record has changed.
-        FmuidError
-            If the scheduler is lost.
-        """
+        """Run cases in groups; yield results as they come, None in between."""
         try:
             yield from self._run(parcel, cases, record_of)
         finally:
@@ -160,7 +120,7 @@ class WorkerPool:
         future.add_done_callback(self._done.put)
 
     def _result(self, future: Future, group: list[int]) -> GroupResult | None:
-        """Return what a group gave; None where it is to be run again, case by case."""
+        """Return the result of a group; None to run its cases one by one."""
         with self._watched():
             error = future.exception()
         if error is None:
@@ -176,7 +136,7 @@ class WorkerPool:
         return GroupResult(given_up=(group[0],))
 
     def _look(self) -> None:
-        """See how many threads there are, and that there is still a scheduler."""
+        """Update the number of threads; check the scheduler."""
         if self._local is not None:
             self._local.look()
         if time.monotonic() - self._looked < LOOK_SECONDS:
@@ -187,7 +147,7 @@ class WorkerPool:
 
     @contextlib.contextmanager
     def _watched(self) -> Iterator[None]:
-        """Have whatever a lost scheduler leads to be one sentence."""
+        """Turn the errors of a lost scheduler into one sentence."""
         lost = FmuidError(
             f"the scheduler at {self._address} was lost: the cases finished so far are kept, give the same command to "
             "go on once there is a scheduler again"
@@ -200,62 +160,9 @@ class WorkerPool:
             raise lost
 
 
-class _LocalWorkers:
-    """Keeps the process that keeps workers of this machine."""
-
-    def __init__(self, address: str, count: int, folder: Path, locks: Sequence[int] = ()) -> None:
-        self._address, self._count, self._folder, self._locks = address, count, folder, locks
-        self._log = folder / "log.txt"
-        self._starts = 0
-        self._start()
-
-    def _start(self) -> None:
-        self._folder.mkdir(mode=0o700, exist_ok=True)
-        self._starts, self._started = self._starts + 1, time.monotonic()
-        with self._log.open("ab") as log:
-            self._process = Child(
-                "fmuid.runs.batch.local_workers",
-                *(self._address, str(self._count), str(self._folder)),
-                environment={"OMP_NUM_THREADS": "1", **MEMORY_KEPT},
-                stdout=log,
-                stderr=subprocess.STDOUT,
-                pass_fds=self._locks,  # the folder is in use as long as this process or that one lives
-            )
-
-    def look(self) -> None:
-        """Start the process again where something has ended it."""
-        if self._process.running:
-            return
-        if time.monotonic() - self._started > ANSWER_SECONDS:
-            self._starts = 0
-        if self._starts > MOST_RESTARTS:
-            said = self._log.read_text(encoding="utf-8", errors="replace").splitlines()
-            reason = next((line.strip() for line in reversed(said) if "Error: " in line), "they do not say why")
-            raise FmuidError(f"the workers end as soon as they begin: {reason}")
-        self.close()
-        self._start()
-
-    def close(self) -> None:
-        """End the process, and with it the workers and all that they have started."""
-        self._process.end(ANSWER_SECONDS)
-
-
 @contextlib.contextmanager
 def crew(scheduler: str | None = None, workers: int | None = None) -> Iterator[WorkerPool]:
-    """Give the workers of a scheduler, or of this machine, for the time of a batch.
-
-    Parameters
-    ----------
-    scheduler : str, optional
-        Address, as in ``tcp://host:8786``; default: workers of this machine.
-    workers : int, optional
-        How many there are of this machine; default: one a core.
-
-    Raises
-    ------
-    InputError
-        If the scheduler cannot be reached, has no workers, or they are not like this process.
-    """
+    """Give the workers of a scheduler, or of this machine."""
     with _quiet(), contextlib.ExitStack() as stack:
         if scheduler is not None:
             client = stack.enter_context(_client(scheduler))
@@ -266,12 +173,11 @@ def crew(scheduler: str | None = None, workers: int | None = None) -> Iterator[W
         stack.enter_context(dask.config.set({"temporary-directory": str(folder)} | CALM))
         options = {"host": "127.0.0.1", "port": 0, "dashboard": False, "dashboard_address": "127.0.0.1:0"}
         options["allowed_failures"] = MOST_WORKER_ENDS
-        cluster = stack.enter_context(
-            DASK.SpecCluster(workers={}, scheduler={"cls": DASK.Scheduler, "options": options})
-        )
+        described = {"cls": DASK.Scheduler, "options": options}
+        cluster = stack.enter_context(DASK.SpecCluster(workers={}, scheduler=described))
         _quieten(cluster)
         client = stack.enter_context(_client(cluster.scheduler_address))
-        local = _LocalWorkers(cluster.scheduler_address, workers or CPU_COUNT, folder, locks)
+        local = LocalWorkers(cluster.scheduler_address, workers or CPU_COUNT, folder, locks)
         stack.callback(local.close)
         yield WorkerPool(client, cluster.scheduler_address, local)
 
@@ -281,10 +187,8 @@ def _client(address: str) -> Iterator[Client]:
     try:
         client = DASK.Client(address, timeout=ANSWER_SECONDS, set_as_default=False)
     except (OSError, TimeoutError, ValueError, RuntimeError) as error:
-        raise InputError(
-            f"there is no Dask scheduler at {address} ({(str(error).splitlines() or ['no answer'])[0]}): check the "
-            "address, as in tcp://host:8786, and that it runs"
-        ) from None
+        why = f"there is no Dask scheduler at {address} ({(str(error).splitlines() or ['no answer'])[0]})"
+        raise InputError(f"{why}: check the address, as in tcp://host:8786, and that it runs") from None
     _quieten(client)
     try:
         yield client
@@ -293,7 +197,7 @@ def _client(address: str) -> Iterator[Client]:
 
 
 def _check(client: Client, address: str) -> None:
-    """Check that a scheduler has workers, and that they and it run what this process runs."""
+    """Check that scheduler and workers run the versions of this process."""
     until = time.monotonic() + ANSWER_SECONDS
     while not client.scheduler_info(n_workers=0)["n_workers"]:
         if time.monotonic() > until:
@@ -311,10 +215,9 @@ def _check(client: Client, address: str) -> None:
 
 @contextlib.contextmanager
 def _quiet() -> Iterator[None]:
-    """Keep Dask's own log lines and warnings, which are about its inside, off the terminal."""
-    # Its loop speaks through tornado: a call that is interrupted before the loop has taken it up is cancelled by a name
-    # that does not exist yet (`distributed.utils.sync`).
-    # Dask gives some of its loggers levels and handlers of their own, which their parents' do not change.
+    """Keep Dask's own log lines and warnings off the terminal."""
+    # Dask's loop speaks through tornado: an interrupted call is cancelled by a name that does not exist yet.
+    # Some of Dask's loggers have levels and handlers of their own.
     names = ["distributed", *(name for name in logging.root.manager.loggerDict if name.startswith("distributed."))]
     loggers = [logging.getLogger(name) for name in (*names, "tornado.application")]
     levels = [logger.level for logger in loggers]
@@ -330,12 +233,12 @@ def _quiet() -> Iterator[None]:
 
 
 def _quieten(part: Any) -> None:
-    """Keep off the terminal what asyncio says of tasks of Dask's loop, now or when they are collected at the end."""
+    """Silence messages of asyncio about tasks of Dask's loop."""
     part.loop.asyncio_loop.set_exception_handler(lambda _loop, _context: None)
 
 
 def _gather(cases: Sequence[int], record_of: RecordOf) -> tuple[list[int], dict[str, bytes]]:
-    """Return the first of some cases, and the records that they need: as many as may wait in memory."""
+    """Return the first cases and their records, as many as memory allows."""
     group: list[int] = []
     records: dict[str, bytes] = {}
     for case in cases:
@@ -348,5 +251,5 @@ def _gather(cases: Sequence[int], record_of: RecordOf) -> tuple[list[int], dict[
 
 
 def _as_it_is(parcel: StudyPackage) -> StudyPackage:
-    """Return a parcel: what a scheduler can have done anew, unlike data laid down, is not lost with a worker."""
+    """Return a parcel: a task's result survives a lost worker, scattered data do not."""
     return parcel

@@ -9,5 +9,5 @@ CODE = "fmuid.simulation.executor"
 
 
 def start_server() -> None:
-    """Start the server of isolated processes; it loads its code while this process loads its own."""
+    """Start the server of isolated processes, which loads its code meanwhile."""
     SERVER.start(CODE)

@@ -1,4 +1,4 @@
-"""The near side of isolation: one watched process of FMUs, and who keeps it."""
+"""Near side of process isolation: one watched process of FMUs, its keeper."""
 
 from __future__ import annotations
 
@@ -35,10 +35,9 @@ from fmuid.simulation.isolation import server
 
 
 def end_words(end: HostExitError) -> str:
-    """Return an end as a sentence goes on after the simulation.
+    """Return the end of a process as a clause of a sentence.
 
-    Of the limits, only those are named that were given (`HostExitError.number` is 0 otherwise): the others depend on
-    the machine and on what ran before, and the same failure is to read the same.
+    Only given limits are named (`HostExitError.number` is 0 otherwise): defaults vary, and messages must not.
     """
     if end.kind == EXITED:
         return f"it ended its process with exit code {end.number}"
@@ -70,16 +69,10 @@ Value = TypeVar("Value")
 
 
 class HostWatchdog(Watchdog):
-    """Watches over one order to a process that runs FMUs.
+    """Watches one order to a process of FMUs.
 
-    Parameters
-    ----------
-    limit : float
-        How long it may take until a thread begins with something else, or one more report is done, s.
-    doing : (`server.DOING_WORDS`,) array of intp
-    reports : (m, codes.REPORT) array, optional
-    computes : bool
-        Whether it may calculate for any time while no thread simulates.
+    `limit`, s, is the time until a thread does something else, or one more of the `reports` is done. A process that
+    `computes` may calculate for any time while no thread simulates.
     """
 
     def __init__(self, limit: float, doing: Indices, reports: Indices | None = None, computes: bool = False) -> None:
@@ -91,12 +84,12 @@ class HostWatchdog(Watchdog):
         return self._computes and not self._doing[::2].any()
 
     def state(self, condition: ProcessStatus) -> Hashable:
-        """Return what all threads are doing, how many reports are left, and CPU time where that counts, s."""
+        """Return states of threads, number of open reports, and CPU time, s."""
         undone = 0 if self._reports is None else int((self._reports[:, 2] == codes.UNDONE).sum())
         return self._doing.tobytes(), undone, int(condition.computed) if self._at_rest else 0
 
     def allowed(self) -> float:
-        """Return how long it may do what it is doing, s."""
+        """Return the time limit of the current state, s."""
         if self._at_rest:
             return AT_REST_SECONDS
         preparing = (self._doing[::2] == codes.PREPARING).any()
@@ -109,20 +102,20 @@ class FmuHost(HostProcess):
     Parameters
     ----------
     modules : sequence of str
-        What it needs to have loaded.
+        Modules to load.
     memory_limit : float
-        How much memory it may take with all that it starts, bytes.
+        With all that it starts, bytes.
     told : set of str, optional
-        What was logged, and is not to be logged again; default: nothing that it logs is.
+        Logged messages, not to be repeated; default: nothing is logged.
 
     Attributes
     ----------
     doing : (`server.DOING_WORDS`,) array of intp
-        What each of its threads is doing, and how often it has begun.
+        State and number of beginnings of each thread.
     simulations : int
-        How many it was given.
+        Number of given simulations.
     records : dict of int to int
-        Bytes of the large arrays of each run that it knows.
+        Bytes of the large arrays of each known run.
     """
 
     def __init__(self, modules: Sequence[str], memory_limit: float, told: set[str] | None = None) -> None:
@@ -136,11 +129,11 @@ class FmuHost(HostProcess):
 
     @property
     def states(self) -> Indices:
-        """What each of its threads is doing."""
+        """State of each thread."""
         return self.doing[::2]
 
     def room(self, shape: tuple[int, int, int, int]) -> tuple[server.Arrays, int]:
-        """Return reports, thetas and outputs in shared memory that is large enough, and its size."""
+        """Return reports, thetas and outputs in shared memory, and its size."""
         needed = server.layout(*shape)[-1]
         if needed > len(self._memory):
             self._show(needed)
@@ -154,18 +147,17 @@ class FmuHost(HostProcess):
         reports: Indices | None = None,
         computes: bool = False,
     ) -> Value:
-        """Give an order (`HostProcess.call`) under the limits of a `HostWatchdog`; return the answer.
+        """Call a function in the process under a `HostWatchdog`; return the answer.
 
         Raises
         ------
-        End
-            If the process comes to an end over it, also since the system refuses it what it needs or code of fmuid
-            fails in it; it is gone then.
+        HostExitError
+            If the process ends, lacks resources, or fails in code of fmuid.
         """
         return self.call(function, *arguments, watchdog=HostWatchdog(limit, self.doing, reports, computes))
 
     def failure(self, error: Exception) -> Exception:
-        """Return its end unless it says something in words: code beside an FMU fails where that spoils its memory."""
+        """Return an FMU's error in words, else the end of its process."""
         if isinstance(error, FmuidError):
             return error
         if isinstance(error, OSError | MemoryError):
@@ -176,11 +168,11 @@ class FmuHost(HostProcess):
 
     @property
     def given(self) -> float:
-        """What of its memory `fmuid` itself has given it, bytes: it is not the FMU's."""
+        """Its memory that belongs to `fmuid`, not to the FMU, bytes."""
         return super().given + sum(self.records.values())
 
     def close(self) -> None:
-        """Let it free its instances and end it."""
+        """Let it free its instances, and end it."""
         if self.alive:
             with contextlib.suppress(HostExitError):  # it is killed below either way
                 self.order(server.close, limit=LIMITS.closing)
@@ -198,20 +190,20 @@ _left: list[str] = []  # what FMUs printed whose keepers are gone
 
 
 class HostManager(HostKeeper[FmuHost]):
-    """Keeps one process for FMUs, which ends with it.
+    """Keeps one process for FMUs, and ends it.
 
     Parameters
     ----------
     settings : Isolation
     modules : sequence of str
-        What the process needs to have loaded.
+        Modules to load.
     told : set of str, optional
-        What was logged, and is not to be logged again; default: nothing that it logs is.
+        Logged messages, not to be repeated; default: nothing is logged.
 
     Attributes
     ----------
     longest : float
-        Duration of the longest simulation so far, s.
+        Duration of the longest simulation, s.
     """
 
     def __init__(self, settings: Isolation, modules: Sequence[str], told: set[str] | None = None) -> None:
@@ -220,18 +212,18 @@ class HostManager(HostKeeper[FmuHost]):
 
     @property
     def time_limit(self) -> float:
-        """How long a simulation like those before may take, s."""
+        """Time limit of a simulation like earlier ones, s."""
         if self._settings.time_limit:
             return self._settings.time_limit
         return max(LEAST_TIME_LIMIT, SLOWER_FACTOR * self.longest) if self.longest else FIRST_TIME_LIMIT
 
     def states_at_end(self) -> Indices:
-        """Part with a process that has come to its end; return what its threads were doing, nothing without one."""
+        """Part with an ended process; return the states of its threads."""
         host = self.bury()
         return np.zeros(0, np.intp) if host is None else host.states.copy()
 
     def replace(self) -> None:
-        """End the process if it has simulated anything; what comes next has a new one."""
+        """End the process if it has simulated."""
         if self._hosts and self._hosts[0].simulations:
             super().replace()
 
@@ -240,7 +232,7 @@ class HostManager(HostKeeper[FmuHost]):
         super().replace()
 
     def replace_outgrown(self) -> None:
-        """End the process after as many simulations as the settings say, or where it has grown."""
+        """End the process after too many simulations, or grown too large."""
         recycle = self._settings.max_simulations_per_process
         if self._hosts and recycle is not None and self._hosts[0].simulations >= recycle:
             self.replace()
@@ -249,7 +241,7 @@ class HostManager(HostKeeper[FmuHost]):
 
 
 def left() -> list[str]:
-    """Return and forget what FMUs printed whose keepers are gone."""
+    """Return and forget printed text of FMUs without keeper."""
     found = _left[:]
     _left.clear()
     return found

@@ -1,6 +1,6 @@
-"""The far side of isolation: what a process that runs the FMUs of one system is ordered to do.
+"""Far side of process isolation: orders to a process of FMUs.
 
-Thetas, outputs and reports are in memory that both sides share (`layout`).
+Thetas, outputs and reports are in memory shared by both sides (`layout`).
 """
 
 from __future__ import annotations
@@ -11,13 +11,15 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from fmuid.array_types import Floats, Indices
 from fmuid.errors import SimulationError
 from fmuid.processes import shared_memory
 from fmuid.simulation.codes import REPORT
+from fmuid.simulation.instance_registry import Renewal
+from fmuid.simulation.simulation_plan import GridSimulation, SimulationJob
 
 if TYPE_CHECKING:
     from fmuid.simulation.executor import InProcessExecutor
-    from fmuid.simulation.simulation_plan import GridSimulation
 
 DOING_WORDS = 512
 """Words at the beginning of the shared memory: two for each thread, what it is doing and how often it has begun."""
@@ -30,7 +32,7 @@ _runs: dict[int, GridSimulation] = {}
 
 
 def layout(m: int, n_theta: int, n_times: int, n_outputs: int) -> tuple[int, int, int, int]:
-    """Return where reports, thetas and outputs begin in the shared memory, and its size, bytes."""
+    """Return offsets of reports, thetas and outputs, and the size, bytes."""
     reports = 8 * DOING_WORDS
     thetas = reports + 8 * REPORT * m
     outputs = thetas + 8 * m * n_theta
@@ -38,7 +40,7 @@ def layout(m: int, n_theta: int, n_times: int, n_outputs: int) -> tuple[int, int
 
 
 def arrays(memory: mmap.mmap, shape: tuple[int, int, int, int]) -> Arrays:
-    """Return reports (m, REPORT), thetas (m, N) and outputs (m, K, n_outputs) of shape (m, N, K, n_outputs)."""
+    """Return reports, thetas and outputs of shape (m, N, K, n_outputs)."""
     m, n_theta, n_times, n_outputs = shape
     reports, thetas, outputs, _ = layout(*shape)
     return (
@@ -49,11 +51,10 @@ def arrays(memory: mmap.mmap, shape: tuple[int, int, int, int]) -> Arrays:
 
 
 def start(components: dict[str, Any], limit: int, renewal: int | None) -> None:
-    """Make the system that this process runs (`fmuid.simulation.executor.InProcessExecutor`)."""
+    """Make the executor of this process."""
     from fmuid.simulation.executor import InProcessExecutor
-    from fmuid.simulation.instance_registry import Renewal
 
-    _executor[:] = [InProcessExecutor(components, limit, None if renewal is None else Renewal(renewal))]
+    _executor[:] = [InProcessExecutor(components, limit, set(), None if renewal is None else Renewal(renewal))]
 
 
 def know(number: int, simulation: GridSimulation, forgotten: Sequence[int]) -> None:
@@ -66,7 +67,7 @@ def know(number: int, simulation: GridSimulation, forgotten: Sequence[int]) -> N
 def run(
     number: int, shape: tuple[int, int, int, int], size: int, varying: Sequence[Sequence[Any]]
 ) -> tuple[list[int], float, int | None]:
-    """Simulate; return which components were found stiff, the longest simulation, s, and what it takes (`Renewal`)."""
+    """Simulate; return stiff components, longest simulation, s, and `Renewal`."""
     simulation, (executor,) = _runs[number], _executor
     if not _memory or len(_memory[0]) != size:
         _memory[:] = [shared_memory(size)]
@@ -76,16 +77,17 @@ def run(
             array[:] = values
     reports, thetas, outputs = arrays(_memory[0], shape)
     before = [each and each.integrator for each in simulation.plan.integrations]
-    executor.run(simulation, thetas, outputs, reports)
+    executor.run(SimulationJob(simulation, thetas, outputs, reports))
     after = [each and each.integrator for each in simulation.plan.integrations]
     stiff = [i for i, pair in enumerate(zip(before, after, strict=True)) if pair[0] != pair[1]]
     return stiff, executor.longest, None if executor.renewal is None else int(executor.renewal)
 
 
-def failure(number: int, *arguments: Any) -> SimulationError | None:
-    """Return what outputs and report of a simulation say (`InProcessExecutor.failure`)."""
-    (executor,) = _executor
-    return executor.failure(_runs[number], *arguments)
+def failure(
+    number: int, thetas: Floats, outputs: Floats, reports: Indices, parameters: dict[str, float], explain: bool
+) -> SimulationError | None:
+    """Return the error of a simulation (`InProcessExecutor.failure`)."""
+    return _executor[0].failure(SimulationJob(_runs[number], thetas, outputs, reports), parameters, explain)
 
 
 def close() -> None:
@@ -95,7 +97,7 @@ def close() -> None:
 
 
 def watch() -> None:
-    """Let all threads of this process write what they are doing where the other side sees it."""
+    """Let this process's threads write their states where others see them."""
     from fmuid.simulation.worker import shared_words
 
     shared_words.append(np.frombuffer(shared_memory(8 * DOING_WORDS), np.intp, DOING_WORDS))

@@ -1,7 +1,6 @@
-"""Compiles the core: for this machine where its sources lie beside it, and for the platform of a wheel that is built.
+"""Compiler of the core, for this machine or a wheel's platform.
 
-It stands alone: it is called where fmuid is not installed. ``python -m fmuid.simulation.native.build`` compiles by
-hand.
+It stands alone: it also runs without an installed fmuid. ``python -m fmuid.simulation.native.build`` compiles here.
 """
 
 from __future__ import annotations
@@ -15,6 +14,7 @@ import shutil
 import subprocess
 import sys
 import tempfile
+from contextlib import suppress
 from pathlib import Path
 
 HERE = Path(__file__).parent
@@ -45,11 +45,11 @@ _ENDINGS = {"linux": ".so", "macos": ".dylib", "windows": ".dll"}
 
 
 class BuildError(Exception):
-    """The core cannot be compiled; what it says is one sentence."""
+    """A failed compilation, as one sentence."""
 
 
 def tag_here() -> str | None:
-    """Return what the wheel of this platform is called; None where there is none."""
+    """Return the wheel tag of this platform; None without one."""
     machine, system = platform.machine().lower(), _SYSTEMS.get(platform.system(), "")
     if platform.libc_ver()[0] != "glibc" and system == "linux":
         return None
@@ -57,13 +57,19 @@ def tag_here() -> str | None:
     return next((tag for tag, (target, _) in TARGETS.items() if target.startswith(begin)), None)
 
 
+def target_here() -> str | None:
+    """Return this platform as ziglang calls it."""
+    tag = tag_here()
+    return TARGETS[tag][0] if tag else None
+
+
 def sources() -> list[Path]:
-    """Return the files that the core is compiled from; none where it was installed without them."""
+    """Return the source files; none in an installation without them."""
     return sorted(HERE.glob("*.c"))
 
 
 def library_name(ending: str | None = None) -> str:
-    """Return the name of the library of these sources, which carries their digest; by default that of this platform."""
+    """Return the library's name with the digest of its sources."""
     digest = hashlib.sha256()
     for path in (*sources(), *sorted(HERE.glob("*.h")), Path(__file__)):
         digest.update(path.read_bytes())
@@ -73,19 +79,9 @@ def library_name(ending: str | None = None) -> str:
 
 
 def compiler(target: str | None) -> list[str]:
-    """Return the command of a compiler.
+    """Return the compiler's command for a ziglang target, or this machine (``CC``).
 
-    The target is always named to ziglang: without it the compiler would use whatever the machine that builds has.
-
-    Parameters
-    ----------
-    target : str, optional
-        The platform; without it this machine, by the compiler of the environment (``CC``).
-
-    Raises
-    ------
-    BuildError
-        If there is no compiler.
+    ziglang always gets a target: otherwise it would use features of the building machine.
     """
     if target is not None and importlib.util.find_spec("ziglang") is not None:
         return [sys.executable, "-m", "ziglang", "cc", "-target", target]
@@ -96,53 +92,18 @@ def compiler(target: str | None) -> list[str]:
 
 
 def compiler_here() -> list[str]:
-    """Return the command of a compiler for this machine, without instructions that only its own processor has.
-
-    Raises
-    ------
-    BuildError
-        If there is no compiler.
-    """
-    tag = tag_here()
-    return compiler(TARGETS[tag][0] if tag else None)
+    """Return the compiler's command for this machine, without its processor's own instructions."""
+    return compiler(target_here())
 
 
 def build(output: Path, target: str | None, flags: tuple[str, ...] = FLAGS) -> Path:
-    """Compile the library.
-
-    Parameters
-    ----------
-    output : Path
-        Where it goes; it is there whole or not at all.
-    target : str, optional
-        The platform as ziglang calls it; without it this machine.
-    flags : tuple of str
-
-    Returns
-    -------
-    Path
-        The output.
-
-    Raises
-    ------
-    BuildError
-        If there is no compiler, or it fails.
-    """
+    """Compile the library into `output`, whole or not at all."""
     windows = target is not None and "windows" in target
-    more = [] if windows else ["-fPIC"]
     # on Windows the linker leaves an import library beside what it links
     with tempfile.TemporaryDirectory(dir=output.parent, ignore_cleanup_errors=True) as folder:
         made = Path(folder) / output.name
-        command = [
-            *compiler(target),
-            *flags,
-            *more,
-            DEFINED,
-            *map(str, sources()),
-            *([] if windows else ["-lm"]),
-            "-o",
-            str(made),
-        ]
+        system = [] if windows else ["-fPIC", "-lm"]
+        command = [*compiler(target), *flags, DEFINED, *map(str, sources()), *system, "-o", str(made)]
         done = subprocess.run(command, capture_output=True, text=True, check=False)
         if done.returncode:
             raise BuildError(f"{shlex.join(command[:4])} fails to compile the core: {done.stderr.strip()[:2000]}")
@@ -151,21 +112,12 @@ def build(output: Path, target: str | None, flags: tuple[str, ...] = FLAGS) -> P
 
 
 def build_here() -> Path:
-    """Compile the library for this machine beside its sources, in place of older ones; return its path.
-
-    Raises
-    ------
-    BuildError
-        If there is no compiler, or it fails.
-    """
-    tag, name = tag_here(), library_name()
-    path = build(HERE / name, TARGETS[tag][0] if tag else None)
+    """Compile the library beside its sources, in place of older ones."""
+    path = build(HERE / library_name(), target_here())
     for other in HERE.glob("core-*"):
-        if other.name != name:
-            try:
+        if other != path:
+            with suppress(OSError):  # another process has it loaded, or deletes it too
                 other.unlink()
-            except OSError:
-                continue  # another process has it loaded, or deletes it too
     return path
 
 

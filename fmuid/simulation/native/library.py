@@ -1,7 +1,7 @@
-"""The compiled core: its library loaded, and the structures that it works on.
+"""The compiled core: its library and structures.
 
-`core()` returns the library; its structures are attributes of it, such as ``core().Plan``, made as the library says
-that they are laid out. Its sources are beside this file; docs/native-core.md describes them.
+`core()` returns the library with its structures as attributes, laid out as the library says.
+Its sources are beside this file; docs/native-core.md describes them.
 """
 
 from __future__ import annotations
@@ -36,13 +36,7 @@ class _FieldLayout(Structure):
 
 @cache
 def core() -> Any:
-    """Return the library; where it lies beside changed sources, it is compiled first.
-
-    Raises
-    ------
-    InputError
-        If it is missing or of other sources, and cannot be compiled.
-    """
+    """Return the library, compiled first if its sources have changed."""
     with _loading:
         path = _path()
         try:
@@ -98,7 +92,7 @@ def _declare(library: Any) -> None:
 
 
 def _structures(library: Any) -> dict[str, type[Structure]]:
-    """Return the structures as the library has them; what is none of their fields cannot be given to them."""
+    """Return the structures as laid out by the library; unknown fields are refused."""
     made: dict[str, type[Structure]] = {}
     fields: list[tuple[str, Any]] = []
     offsets: list[int] = []
@@ -119,7 +113,7 @@ def _structures(library: Any) -> dict[str, type[Structure]]:
 
 
 def _difference(library: Any) -> str:
-    """Return what the library has otherwise: its version, or the name of a code."""
+    """Return the library's other version, or the name of another code."""
     version = library.version().decode()
     if version != __version__:
         return str(version)

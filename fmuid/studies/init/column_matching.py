@@ -1,13 +1,12 @@
-"""Which column of a table is which variable of an FMU: guessed from names and units, one step of doubt after another.
+"""Columns of a data file matched with variables of an FMU, by names and units.
 
-A guess must be the only one at its step, from either side: two columns that could be the same variable are left to who
-knows them.
+A guess must be the only one at its step, from either side.
 """
 
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from enum import Enum
 from typing import TYPE_CHECKING
@@ -34,7 +33,7 @@ _HUMP = re.compile(r"(?<=[a-zäöüß\d])(?=[A-ZÄÖÜ])")
 
 
 class Reason(Enum):
-    """Why a column is taken for a variable, the surest first."""
+    """Reason for a match, the surest first."""
 
     GIVEN = "given"
     NAME = "name"
@@ -54,22 +53,7 @@ SURE = (Reason.GIVEN, Reason.NAME)
 
 @dataclass(frozen=True)
 class ColumnMatch:
-    """A variable of the FMU and the column that is taken for it.
-
-    Attributes
-    ----------
-    variable : str
-    role : "input" or "output"
-    column : str or None
-        None where there is none.
-    reason : Reason or None
-    unit : str or None
-        Of the variable.
-    column_unit : str or None
-        What the table says.
-    choices : tuple of str
-        The columns between which nothing decides, where there are several.
-    """
+    """Variable and its column; `choices` are columns that nothing decides between."""
 
     variable: str
     role: str
@@ -81,30 +65,14 @@ class ColumnMatch:
 
     @property
     def sure(self) -> bool:
-        """Whether nobody need be asked."""
+        """Whether no doubt is left."""
         return self.reason in SURE
 
 
 def guess(
     description: Description, columns: Sequence[str], units: Mapping[str, str], given: Mapping[str, str]
 ) -> tuple[ColumnMatch, ...]:
-    """Return for each input and output which column it is, and local variables that are columns.
-
-    Parameters
-    ----------
-    description : Description
-    columns : sequence of str
-        Of the table, without time.
-    units : mapping of str to str
-        What the table says of them.
-    given : mapping of str to str
-        Variables whose column is known; an empty text for none.
-
-    Raises
-    ------
-    InputError
-        If a variable or a column that is given is not there.
-    """
+    """Return the column of each input and output, and of measured local variables."""
     roles = {name: role for role in ("input", "output") for name in of_tables(description, role)}
     local = of_tables(description, "local")
     for variable, column in given.items():
@@ -131,7 +99,7 @@ def guess(
 
 
 def of_tables(description: Description, causality: str) -> list[str]:
-    """Return the variables of one causality that the column of a table can stand for."""
+    """Return the variables of a causality that a column can be."""
     return [
         variable.name
         for variable in description.with_causality(causality)
@@ -150,28 +118,19 @@ def _check_given(variable: str, column: str, variables: Sequence[str], columns: 
         raise InputError(f"mapping {variable}={column}: the table has no column {column!r}{near}")
 
 
-Step = Callable[["Variable", str, str], bool]
-
-
 class _Guesses:
-    """Looks for pairs of variables and columns step by step, and keeps between which columns it cannot decide."""
+    """Matcher of variables and columns, step by step."""
 
     def __init__(self, description: Description, roles: Mapping[str, str], units: Mapping[str, str]) -> None:
         self.description, self.roles, self.units = description, roles, units
         self.choices: dict[str, tuple[str, ...]] = {}
-        self.steps: Mapping[Reason, Step] = {
-            Reason.SPELLING: self._same_spelling,
-            Reason.ADDITION: self._same_without_addition,
-            Reason.BEGINNING: self._begins_so,
-            Reason.QUANTITY: self._same_quantity,
-        }
 
     def run(self, variables: Sequence[str], columns: Sequence[str]) -> dict[str, tuple[str, Reason]]:
         found: dict[str, tuple[str, Reason]] = {}
-        for reason, step in self.steps.items():
+        for reason in (Reason.SPELLING, Reason.ADDITION, Reason.BEGINNING, Reason.QUANTITY):
             rest = [name for name in variables if name not in found]
             free = [each for each in columns if each not in {column for column, _ in found.values()}]
-            pairs = {name: [column for column in free if self._fits(step, name, column)] for name in rest}
+            pairs = {name: [column for column in free if self._fits(reason, name, column)] for name in rest}
             claimed = [column for several in pairs.values() for column in several]
             for name, several in pairs.items():
                 if len(several) == 1 and claimed.count(several[0]) == 1:
@@ -180,14 +139,26 @@ class _Guesses:
                     self.choices.setdefault(name, tuple(several))
         return found
 
-    def _fits(self, step: Step, name: str, column: str) -> bool:
-        variable, role = self.description.variables[name], self.roles.get(name, "output")
-        if role == "output" and not _COMMANDED.isdisjoint(set(_words(column)) - set(_words(name))):
+    def _fits(self, reason: Reason, name: str, column: str) -> bool:
+        variable, role, words = self.description.variables[name], self.roles.get(name, "output"), _words(column)
+        if role == "output" and not _COMMANDED.isdisjoint(set(words) - set(_words(name))):
             return False  # what is commanded is not measured
-        return self._converts(variable, column) is not False and step(variable, role, column)
+        converts = self._converts(variable, column)
+        if converts is False:
+            return False
+        if reason is Reason.SPELLING:
+            return "".join(_words(name)) == "".join(words)
+        if reason is Reason.QUANTITY:
+            meant = {_QUANTITIES[word] for word in words if word in _QUANTITIES}
+            known = variable.unit not in (None, "", "1") and not self.units.get(column)
+            return bool(converts) or (known and any(self._has_unit(variable, unit) for unit in meant))
+        bare, own = _bare(column, role), _bare(name, role)
+        if reason is Reason.ADDITION:
+            return not bare.isdisjoint(own)
+        return bool(converts) and any(a.startswith(b) or b.startswith(a) for a in own for b in bare)
 
     def _converts(self, variable: Variable, column: str) -> bool | None:
-        """Return whether the unit of a column is one of the variable's; None where one of the two is not known."""
+        """Return whether a column's unit converts to the variable's; None if unknown."""
         unit = self.units.get(column)
         if not unit or variable.unit in (None, "", "1"):
             return None
@@ -200,33 +171,14 @@ class _Guesses:
             return False
         return True
 
-    def _same_spelling(self, variable: Variable, role: str, column: str) -> bool:  # noqa: ARG002
-        return "".join(_words(variable.name)) == "".join(_words(column))
-
-    def _same_without_addition(self, variable: Variable, role: str, column: str) -> bool:
-        return not _bare(column, role).isdisjoint(_bare(variable.name, role))
-
-    def _begins_so(self, variable: Variable, role: str, column: str) -> bool:
-        if not self._converts(variable, column):
-            return False
-        pairs = ((a, b) for a in _bare(variable.name, role) for b in _bare(column, role))
-        return any(a.startswith(b) or b.startswith(a) for a, b in pairs)
-
-    def _same_quantity(self, variable: Variable, role: str, column: str) -> bool:  # noqa: ARG002
-        if self._converts(variable, column):
-            return True
-        meant = {_QUANTITIES[word] for word in _words(column) if word in _QUANTITIES}
-        known = variable.unit not in (None, "", "1") and not self.units.get(column)
-        return known and any(self._has_unit(variable, unit) for unit in meant)
-
 
 def _words(name: str) -> list[str]:
-    """Return the words of a name in small letters: ``IdMeas_2`` is id, meas, 2."""
+    """Return the lower-case words of a name: ``IdMeas_2`` is id, meas, 2."""
     return [word.casefold() for part in _WORDS.findall(name) for word in _HUMP.split(part)]
 
 
 def _bare(name: str, role: str) -> set[str]:
-    """Return a name without what is added to a measured quantity, or commanded as an input is; whole and its end."""
+    """Return a name without additions such as meas or set; whole and last part."""
     words, added = _words(name), _MEASURED | (_COMMANDED if role == "input" else set())
     last = _words(name.rpartition(".")[2])
     forms = ([word for word in some if word not in added] for some in (words, last))

@@ -1,4 +1,4 @@
-"""A first study file for an FMU and tables, with everything in it that they say of themselves."""
+"""First study file, drafted from an FMU and data files."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from fmuid.studies.init.lines import (
     rest,
     role,
     text,
-)
+)  # fmt: skip
 from fmuid.studies.init.parameter_survey import (
     FREE,
     SHOWN_CHANGE,
@@ -34,7 +34,7 @@ from fmuid.studies.init.parameter_survey import (
     is_solver_setting,
     proposal,
     survey,
-)
+)  # fmt: skip
 
 if TYPE_CHECKING:
     from fmuid.models import Description
@@ -42,17 +42,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Draft:
-    """A study file to begin with, and what could not be matched.
-
-    Attributes
-    ----------
-    text : str
-        The file.
-    records : tuple of MatchedDataFile
-        The tables, and what their columns are taken for.
-    survey : Survey
-        What the parameters change; empty where the tables cannot be simulated and compared yet.
-    """
+    """Study file with its data files and the parameter survey."""
 
     text: str
     records: tuple[MatchedDataFile, ...]
@@ -67,13 +57,7 @@ class Draft:
 def match_data_files(
     fmu: Path, tables: Sequence[Path], asked: InitOptions | None = None
 ) -> tuple[MatchedDataFile, ...]:
-    """Read an FMU's description and tables, and guess which columns are which variables.
-
-    Raises
-    ------
-    InputError
-        If a file cannot be read, or something asked for is not there.
-    """
+    """Read data files, and match their columns with the variables of an FMU."""
     from fmuid.models import read_description
 
     description = read_description(fmu)
@@ -84,17 +68,7 @@ def match_data_files(
 
 
 def draft(fmu: Path, records: Sequence[MatchedDataFile], output: Path) -> Draft:
-    """Write down a study of an FMU and tables, without writing the file.
-
-    Parameters
-    ----------
-    fmu
-        The file.
-    records
-        What `begin` returned.
-    output
-        Where the study file is to be: its paths are relative to that.
-    """
+    """Return a study for an FMU and data files; paths are relative to `output`."""
     description = records[0].description
     lines = [
         f"# A study of {description.model_name}, begun by `fmuid init`.",
@@ -113,27 +87,14 @@ def draft(fmu: Path, records: Sequence[MatchedDataFile], output: Path) -> Draft:
     for k, record in enumerate(records):
         again = stems[:k].count(stems[k])
         lines += [*_experiment(record, output, f"{stems[k]} {again + 1}" if again else "", first=k == 0), ""]
-    found = (
-        survey(fmu, [each for record in records if (each := record.experiment) is not None])
-        if _ready(records)
-        else Survey()
-    )
+    ready = [each.experiment for each in records if each.experiment is not None and not each.lacking("input")]
+    found = survey(fmu, ready) if len(ready) == len(records) else Survey()
     lines += [*_parameters(description, found, len(records)), "", *rest()]
     return Draft("\n".join(lines) + "\n", tuple(records), found)
 
 
-def _ready(records: Sequence[MatchedDataFile]) -> bool:
-    return all(record.experiment is not None and not record.lacking("input") for record in records)
-
-
 def write_draft(made: Draft, output: Path) -> None:
-    """Write the study file that `draft` made up.
-
-    Raises
-    ------
-    InputError
-        If a file of that name is there already, or it cannot be written.
-    """
+    """Write the study file, which must be new."""
     if exists(output):
         raise InputError(f"{output} is there already: choose another name with --output, or remove it")
     try:
@@ -144,19 +105,12 @@ def write_draft(made: Draft, output: Path) -> None:
 
 
 def check_output(output: Path) -> None:
-    """Check that a study file can be written, before it is made up.
-
-    Raises
-    ------
-    InputError
-        As `write_draft`.
-    """
+    """Check that a new study file can be written."""
     write_draft(Draft("", ()), output)
     output.unlink()
 
 
 def _experiment(record: MatchedDataFile, output: Path, name: str, *, first: bool) -> list[str]:
-    """Return the table of one experiment, with a name where its own is another's too."""
     from fmuid.studies.model import ExperimentSettings
 
     asked = record.asked
@@ -174,23 +128,21 @@ def _experiment(record: MatchedDataFile, output: Path, name: str, *, first: bool
         *([f"preprocess = {inline(asked.prepare)}"] if asked.prepare else []),
         *(['# where a column has another name: outputs = { fmu_variable = "column" }'] if first else []),
         _interpolation(record),
-        example(ExperimentSettings, "experiments", "warmup"),
+        example(ExperimentSettings, "warmup"),
     ]
 
 
 def _interpolation(record: MatchedDataFile) -> str:
-    """Return the line on how inputs go between samples."""
     from fmuid.studies.model import ExperimentSettings
 
     found = record.interpolation
     if found == "linear":
-        return example(ExperimentSettings, "experiments", "interpolation")
+        return example(ExperimentSettings, "interpolation")
     said = text(found) if isinstance(found, str) else role("", found).removeprefix(" = ")
     return f'interpolation = {said}  # guessed: over most samples it stays what it was; "linear" for what is measured'
 
 
 def _role(record: MatchedDataFile, which: str) -> list[str]:
-    """Return inputs or outputs, with what of them is a guess and what is missing."""
     lines = [role(f"{which}s", record.roles(which))]
     guessed = [link.variable for link in record.links if link.role == which and link.column and not link.sure]
     if guessed:
@@ -202,7 +154,6 @@ def _role(record: MatchedDataFile, which: str) -> list[str]:
 
 
 def _parameters(description: Description, found: Survey, experiments: int) -> list[str]:
-    """Return the table of parameters: those that are proposed, and all others commented out."""
     lines = [
         "# Start, min, max and unit are the FMU's. Further keys: nominal = 1.0 (size, needed where the start is 0),",
         '# prior = { mean = 1.0, std = 0.1 } or { result = "healthy/result.json", std_factor = 10 },',
@@ -214,29 +165,20 @@ def _parameters(description: Description, found: Survey, experiments: int) -> li
             "# their spread, at the FMU's values; of its nominal where it is 0. A min of 0 that is not the FMU's is",
             "# the sign of its value.",
         ]
-    lines.append("[parameters]")
-    lines += [_candidate(each, experiments) for each in found.candidates]
+    lines += ["[parameters]", *(_candidate(each, experiments) for each in found.candidates)]
+    looked_at = {each.variable.name for each in found.candidates}
+    others = [v for v in free(description) if v.name not in looked_at and not is_solver_setting(v)]
+    fixed = ["# " + parameter(v) for v in others if v.causality == "parameter"]
     if found.candidates:
-        states = {name for name in description.states if name not in found.names}
-        others = [v for v in free(description) if v.name not in found.names | states and not is_solver_setting(v)]
-        others = [v for v in others if v.causality == "parameter"]
-        return lines + (["# not looked at:"] if others else []) + ["# " + parameter(v) for v in others]
-    others = [v for v in free(description) if not is_solver_setting(v)]
-    lines += ["# " + parameter(variable) for variable in others if variable.causality == "parameter"]
-    starts = [variable for variable in others if variable.causality != "parameter"]
-    if starts:
-        lines += ["# start values of variables:", *("# " + parameter(variable) for variable in starts)]
-    return lines
+        return lines + (["# not looked at:"] if fixed else []) + fixed
+    starts = ["# " + parameter(v) for v in others if v.causality != "parameter"]
+    return [*lines, *fixed, *(["# start values of variables:"] if starts else []), *starts]
 
 
 def _candidate(given: Candidate, experiments: int) -> str:
-    """Return the line of a parameter that was looked at."""
     said = [f"{two_digits(100 * given.effect)} %"] if given.effect else []
     said += [proposal(given)] if given.use is not ParameterProposal.FREED else []
-    more = (
-        "per_experiment = true"
-        if given.use in (ParameterProposal.START_FREED, ParameterProposal.START_OPEN) and experiments > 1
-        else ""
-    )
+    begins = given.use in (ParameterProposal.START_FREED, ParameterProposal.START_OPEN)
+    more = "per_experiment = true" if begins and experiments > 1 else ""
     line = parameter_line(given.variable, given.start, bounds(given), more, "; ".join(said))
     return line if given.use in FREE else "# " + line

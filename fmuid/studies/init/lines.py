@@ -1,18 +1,17 @@
-"""The lines of a study file that an FMU can say of itself, most of them commented out."""
+"""Lines of a study file from an FMU, most of them commented out."""
 
 from __future__ import annotations
 
 import json
 import os
-import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from textwrap import shorten
 from typing import TYPE_CHECKING
 
 from fmuid.studies.init.column_matching import of_tables
-from fmuid.studies.section import keys_of, meaning, summary, table_of
-from fmuid.studies.toml import show
+from fmuid.studies.section import keys_of, meaning, own_first, summary, table_of
+from fmuid.studies.toml import quoted_key, show
 
 if TYPE_CHECKING:
     from fmuid.models import FMU, Description, Variable
@@ -22,37 +21,14 @@ OBSERVED = ("output", "local")
 # How many names a comment lists, and how many parameters a skeleton: what can be read at a glance.
 NAMES_LISTED, PARAMETERS_LISTED = 20, 12
 LINE_LENGTH, REMARK_LENGTH = 110, 80
-_BARE = re.compile(r"[A-Za-z0-9_-]+")
-EXAMPLES: Mapping[str, Mapping[str, object]] = {
-    "model": {"interface": "model-exchange", "solver": "cvode", "tolerance": 1e-7, "step_size": 1e-3},
-    "experiments": {"interpolation": "linear", "warmup": 0.0},
-    "prior": {"names": ["a", "b"], "result": "healthy/result.json", "std_factor": 10},
-    "noise": {"variance": "estimate", "excitation_period": 4.0, "initial_variance": 0.01},
-    "estimation": {
-        "method": "levenberg-marquardt",
-        "n_starts": 50,
-        "loss": "soft_l1",
-        "jacobian": "finite-difference",
-        "solver_check": "refine",
-        "observer_memory": 3.0,
-    },
-    "uncertainty": {
-        "confidence_level": 0.95,
-        "profile_likelihood": True,
-        "posterior": True,
-        "cost_map": [["a", "b"]],
-    },
-}
-"""The keys that a first study file shows, with an example."""
+NOISE_EXAMPLES: Mapping[str, object] = {"variance": "estimate", "excitation_period": 4.0, "initial_variance": 0.01}
+"""Examples of a settings class; tables of `fmuid.studies` have their own."""
 # Modelica tools write their largest numbers for bounds that are none.
 NO_BOUND = 1e60
 
 
 def skeleton(fmu: FMU) -> str:
-    """Return a short study of an FMU and a table that is still to come: what `fmuid info` shows to be pasted.
-
-    An FMU without outputs is observed by its states, which may be measured like any local variable.
-    """
+    """Return a short study of an FMU without data, for `fmuid info`."""
     description = fmu.description
     outputs, remark = of_tables(description, "output"), ""
     if not outputs:
@@ -78,9 +54,9 @@ def skeleton(fmu: FMU) -> str:
 
 
 def inline(value: object) -> str:
-    """Return a value as it stands in a line of a study file."""
+    """Return a value as in one line of a study file."""
     if isinstance(value, Mapping):
-        pairs = (f"{key if _BARE.fullmatch(key) else text(key)} = {inline(each)}" for key, each in value.items())
+        pairs = (f"{quoted_key(name)} = {inline(each)}" for name, each in value.items())
         return f"{{ {', '.join(pairs)} }}"
     if isinstance(value, list):
         return f"[{', '.join(map(inline, value))}]"
@@ -88,23 +64,24 @@ def inline(value: object) -> str:
 
 
 def numerics(description: Description) -> list[str]:
-    """Return the keys on how the FMU is run, commented out, as far as its interfaces have use for them."""
+    """Return the keys of the solver that the FMU can use, commented out."""
     from fmuid.studies.model import NumericsSection
 
     words = ["interface"] if len(description.interfaces) > 1 else []
     words += ["solver"] if "model-exchange" in description.interfaces else []
-    return [example(NumericsSection, "model", word) for word in (*words, "tolerance", "step_size")]
+    return [example(NumericsSection, word) for word in (*words, "tolerance", "step_size")]
 
 
 def rest() -> list[str]:
-    """Return what does not depend on FMU and table; the sections that few studies need are commented out."""
+    """Return the tables that depend on neither FMU nor data."""
     from fmuid.studies.study_file import StudyFile
 
     lines: list[str] = []
     for name, asked in (("prior", False), ("noise", True), ("estimation", True), ("uncertainty", False)):
         table = table_of(keys_of(StudyFile)[name].annotation)
         assert table is not None
-        some, about = [example(table, name, key) for key in EXAMPLES[name]], summary(table).rstrip(".")
+        keys = NOISE_EXAMPLES if name == "noise" else [key for key, each in own_first(table) if each.examples]
+        some, about = [example(table, key) for key in keys], summary(table).rstrip(".")
         if not asked:
             some = [f"# {line.removeprefix('# ')}" for line in some]
         said = f"[{name}]" if asked else f"# [{name}]  # {about[0].lower()}{about[1:]}"
@@ -112,16 +89,17 @@ def rest() -> list[str]:
     return lines[:-1]
 
 
-def example(table: type, section: str, key: str) -> str:
-    """Return a line with an example of a key and its meaning, commented out where that is not the default."""
-    value = EXAMPLES[section][key]
-    return f"{'' if value == keys_of(table)[key].default else '# '}{key} = {show(value)}  # {meaning(table, key)}"
+def example(table: type, key: str) -> str:
+    """Return a line with an example of a key, commented out unless default."""
+    known = keys_of(table)[key]
+    value = known.examples[0] if known.examples else NOISE_EXAMPLES[key]
+    return f"{'' if value == known.default else '# '}{key} = {show(value)}  # {meaning(table, key)}"
 
 
 def role(word: str, columns: Mapping[str, str]) -> str:
-    """Return inputs or outputs: a list of names, on several lines where it is long, or a table where columns differ."""
+    """Return inputs or outputs as a list of names, or as a table."""
     if any(variable != column for variable, column in columns.items()):
-        return f"{word} = {{ " + ", ".join(f"{key(name)} = {text(column)}" for name, column in columns.items()) + " }"
+        return f"{word} = {inline(columns)}"
     lines = [f"{word} = ["]
     for name in columns:
         item = text(name) + ", "
@@ -134,13 +112,13 @@ def role(word: str, columns: Mapping[str, str]) -> str:
 
 
 def listed(names: Sequence[str]) -> str:
-    """Return the first names and how many more there are."""
+    """Return the first names and the number of others."""
     more = len(names) - NAMES_LISTED
     return ", ".join(names[:NAMES_LISTED]) + (f" and {more} more" if more > 0 else "")
 
 
 def free(description: Description) -> list[Variable]:
-    """Return all that can be identified: Real parameters, then other variables whose start values can be set."""
+    """Return parameters, then other variables with settable start values."""
     settable = [
         variable
         for variable in description.variables.values()
@@ -150,7 +128,7 @@ def free(description: Description) -> list[Variable]:
 
 
 def parameter(variable: Variable) -> str:
-    """Return the line of one parameter as the FMU has it."""
+    """Return the line of a parameter as in the FMU."""
     start = float(variable.start) if isinstance(variable.start, int | float) else 0.0
     return parameter_line(variable, start, declared_bounds(variable, start))
 
@@ -158,7 +136,7 @@ def parameter(variable: Variable) -> str:
 def parameter_line(
     variable: Variable, start: float, bounds: Mapping[str, float], more: str = "", said: str = ""
 ) -> str:
-    """Return the line of a parameter with a start, bounds, further words, and what is said of it first."""
+    """Return the line of a parameter."""
     keys = {"start": start, **bounds}
     if start == 0:
         keys["nominal"] = abs(variable.nominal or 1.0)
@@ -166,11 +144,11 @@ def parameter_line(
     unit = variable.unit if variable.unit not in (None, "1") else ""
     remark = shorten(": ".join(part for part in (unit, variable.description) if part), REMARK_LENGTH, placeholder="…")
     remark = "; ".join(part for part in (remark, said) if part)
-    return f"{key(variable.name)} = {{ {given} }}" + (f"  # {remark}" if remark else "")
+    return f"{quoted_key(variable.name)} = {{ {given} }}" + (f"  # {remark}" if remark else "")
 
 
 def declared_bounds(variable: Variable, start: float) -> dict[str, float]:
-    """Return the FMU's min and max as far as they are bounds: those that its own start breaks would only be refused."""
+    """Return the FMU's bounds that its own start keeps."""
     found = {}
     for word in ("min", "max"):
         bound = getattr(variable, word)
@@ -180,7 +158,7 @@ def declared_bounds(variable: Variable, start: float) -> dict[str, float]:
 
 
 def relative(path: Path, output: Path) -> str:
-    """Return a path as a study file at `output` names it."""
+    """Return a path relative to a study file."""
     try:
         return Path(os.path.relpath(path.resolve(), output.resolve().parent)).as_posix()
     except ValueError:  # another drive
@@ -188,10 +166,5 @@ def relative(path: Path, output: Path) -> str:
 
 
 def text(given: str | float) -> str:
-    """Return a text or a number as TOML has it."""
+    """Return a text or number as in TOML."""
     return json.dumps(given, ensure_ascii=False)
-
-
-def key(name: str) -> str:
-    """Return a name as the key of a TOML table."""
-    return name if re.fullmatch(r"[A-Za-z0-9_-]+", name) else text(name)

@@ -1,10 +1,8 @@
-"""Which parameters are worth to be freed: what each changes at the FMU's own values, and which can be told apart.
+"""Parameters worth freeing: effects at the FMU's own values.
 
-The columns of one Jacobian, for relative changes of the parameters and in the spread of each measured output, are
-taken one by one, the one first of which the most is left once those before it are projected out: QR with column
-pivoting (G. H. Golub, C. F. Van Loan, Matrix Computations, 4th ed., section 5.4.2, and subset selection, 5.5.7). A
-column of which next to nothing is left acts as others do. Each is judged against the noise of the records: one of which
-less is left than their noise would be estimated with a standard deviation of more than its magnitude.
+Columns of one Jacobian, relative to the parameters and the spread of each output, are chosen by QR with column
+pivoting (G. H. Golub, C. F. Van Loan, Matrix Computations, 4th ed., 5.4.2 and subset selection, 5.5.7). A column with
+little left acts as others do. With less left than the noise, σ would exceed the magnitude.
 """
 
 from __future__ import annotations
@@ -12,7 +10,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from enum import Enum
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -51,26 +49,18 @@ _PLACE = re.compile(r"position|offset|bias|(^|[._])flange|\[\d+, ?\d", re.I)  # 
 
 
 class ParameterProposal(Enum):
-    """What is proposed for a parameter."""
+    """Proposal for a parameter, as in the study file."""
 
-    FREED = "freed"
-    START_FREED = "start_freed"
-    """A start value, freed because the records begin elsewhere."""
-    START_OPEN = "start_open"
-    """A start value, freed because the model has no input, or nothing else acts: it does what it begins with."""
-    START = "start"
-    """A start value, which the records do not contradict."""
-    NO_EFFECT = "no_effect"
-    ALIKE = "alike"
-    """It acts as others do."""
-    NOISE = "noise"
-    """What it does, or of that what others do not, is less than the noise of the records."""
-    ZERO = "zero"
-    """It is 0 in the FMU: most often something that is not there."""
-    FAILS = "fails"
-    """The simulation fails when it is changed."""
-    ENOUGH = "enough"
-    """There are as many free ones as can be looked over."""
+    FREED = "free"
+    START_FREED = "free: the records begin elsewhere"
+    START_OPEN = "free: all begins with it"
+    START = "a start value that the records do not contradict"
+    NO_EFFECT = "no effect"
+    ALIKE = "acts like"
+    NOISE = "lost in the noise"
+    ZERO = "0 in the FMU: free it by hand where it is something"
+    FAILS = "the simulation fails when it is changed"
+    ENOUGH = "others change more"
 
 
 FREE = (ParameterProposal.FREED, ParameterProposal.START_FREED, ParameterProposal.START_OPEN)
@@ -78,19 +68,7 @@ FREE = (ParameterProposal.FREED, ParameterProposal.START_FREED, ParameterProposa
 
 @dataclass(frozen=True)
 class Candidate:
-    """A parameter, and what is proposed for it.
-
-    Attributes
-    ----------
-    variable : Variable
-    use : ParameterProposal
-    start : float
-        Where the search is to begin.
-    effect : float
-        Root mean square of what a change by `SHOWN_CHANGE` changes, in spreads of the outputs.
-    like : tuple of str
-        The parameters that act as it does.
-    """
+    """Parameter with its proposal; `effect` is the RMS effect of `SHOWN_CHANGE`, in output spreads."""
 
     variable: Variable
     use: ParameterProposal
@@ -99,60 +77,28 @@ class Candidate:
     like: tuple[str, ...] = ()
 
 
-_PROPOSALS = {
-    ParameterProposal.FREED: "free",
-    ParameterProposal.START_FREED: "free: the records begin elsewhere",
-    ParameterProposal.START_OPEN: "free: all begins with it",
-    ParameterProposal.NOISE: "lost in the noise",
-    ParameterProposal.START: "a start value that the records do not contradict",
-    ParameterProposal.NO_EFFECT: "no effect",
-    ParameterProposal.ZERO: "0 in the FMU: free it by hand where it is something",
-    ParameterProposal.FAILS: "the simulation fails when it is changed",
-    ParameterProposal.ENOUGH: "others change more",
-}
-
-
 def proposal(given: Candidate) -> str:
-    """Return what is proposed for a parameter in words, for the study file and the terminal."""
-    return f"acts like {' and '.join(given.like)}" if given.use is ParameterProposal.ALIKE else _PROPOSALS[given.use]
+    """Return the proposal for a parameter in words."""
+    return " ".join([given.use.value, " and ".join(given.like)]).strip()
 
 
 @dataclass(frozen=True)
 class Survey:
-    """What the parameters change, the strongest first.
-
-    Attributes
-    ----------
-    candidates : tuple of Candidate
-    doubts : tuple of TimeScaleWarning
-        The records that last much longer or shorter than what the model does.
-    sizes : tuple of (str, str, float)
-        The measured columns, each with its table, than which the model moves `FAR_OFF` times as far, or as little.
-    failure : str
-        Why there are none: the simulation that failed, empty where none did.
-    """
+    """Effects of the parameters, strongest first; `failure` is the failed simulation."""
 
     candidates: tuple[Candidate, ...] = ()
     doubts: tuple[TimeScaleWarning, ...] = ()
     sizes: tuple[tuple[str, str, float], ...] = ()
     failure: str = ""
-    names: frozenset[str] = field(init=False, repr=False)
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "names", frozenset(each.variable.name for each in self.candidates))
 
     @property
     def freed(self) -> tuple[Candidate, ...]:
-        """Those that are proposed."""
+        """Proposed parameters."""
         return tuple(each for each in self.candidates if each.use in FREE)
 
 
 def survey(fmu: Path, experiments: Sequence[Experiment]) -> Survey:
-    """Simulate experiments at the FMU's own values, change one parameter after the other, and propose what to free.
-
-    The FMU runs in a process of its own. A simulation that fails ends nothing, and neither does an FMU or a table that
-    do not go together: `Survey.failure` says it.
-    """
+    """Simulate the FMU at its own values, vary each parameter, and propose which to free."""
     from fmuid.models import KINDS, Isolation, Numerics, System, read_description
     from fmuid.simulation import closing
 
@@ -184,7 +130,7 @@ def _surveyed(system: System, description: Description, experiments: Sequence[Ex
 
 
 def candidates_of(description: Description) -> list[Variable]:
-    """Return the parameters that may be proposed, and the states whose start no parameter fixes."""
+    """Return parameters, and states whose start no parameter fixes."""
     variables = description.variables.values()
     parameters = [v for v in variables if v.type == "Real" and v.causality == "parameter" and v.settable]
     parameters = [v for v in parameters if not is_solver_setting(v) and _number(v.start) is not None]
@@ -194,17 +140,16 @@ def candidates_of(description: Description) -> list[Variable]:
 
 
 def is_solver_setting(variable: Variable) -> bool:
-    """Return whether a parameter is one of a tool's solver, and not of what is modelled."""
+    """Return whether a parameter belongs to a tool's solver."""
     return _SOLVER.search(variable.name) is not None
 
 
 @dataclass(frozen=True, eq=False)
 class _Changes:
-    """Samples (n,) at the FMU's values and how they change (n, N) with each relative change, in spreads of the outputs.
+    """Jacobian (n, N) by relative changes, in spreads of the outputs.
 
-    `weights` (n,) has the spreads in standard deviations of the noise. `first`, `first_changes`: of the outputs that
-    have a first sample, how far the measured ones are from the simulated, (m,), (m, N), and what counts as a
-    difference (m,). `sizes` has the columns of `Survey.sizes`.
+    `weights` (n,) are spreads in σ of the noise. `first` (m,), `first_changes` (m, N) and `first_limits` (m,) are
+    differences of first samples, measured less simulated, their changes and their limits.
     """
 
     variables: tuple[Variable, ...]
@@ -258,38 +203,33 @@ def _changes(
 
 
 def _moved(variables: Sequence[Variable], starts: Floats) -> Floats:
-    """Return starts (1 + N, N), and with each of them moved by its step."""
+    """Return starts (1 + N, N): unchanged, and each moved by its step."""
     return np.vstack([starts, starts + np.diag([_step(v, start) for v, start in zip(variables, starts, strict=True)])])
 
 
 def _proposed(
     changes: _Changes, begun: Sequence[int], freed: Mapping[int, float], *, driven: bool
 ) -> tuple[Candidate, ...]:
-    """Return what is proposed for each variable, the strongest first."""
     variables, jacobian = changes.variables, changes.jacobian
     finite = [bool(np.isfinite(column).all()) for column in jacobian.T]
     columns = np.where(finite, jacobian, 0.0) / math.sqrt(max(len(jacobian), 1))
     effects = np.sqrt(np.sum(columns**2, axis=0))
     starts = changes.starts.tolist()
-    uses: list[ParameterProposal | None] = [
-        ParameterProposal.FAILS
-        if not finite[k]
-        else ParameterProposal.NO_EFFECT
-        if effects[k] == 0
-        else ParameterProposal.ZERO
-        if starts[k] == 0
-        else None
-        for k in range(len(variables))
-    ]
+    uses: list[ParameterProposal | None] = [None] * len(variables)
+    for k in range(len(variables)):
+        if not finite[k]:
+            uses[k] = ParameterProposal.FAILS
+        elif effects[k] == 0:
+            uses[k] = ParameterProposal.NO_EFFECT
+        elif starts[k] == 0:
+            uses[k] = ParameterProposal.ZERO
     for k in begun:
         if uses[k] in (None, ParameterProposal.ZERO):
             uses[k] = ParameterProposal.START_FREED if k in freed else ParameterProposal.START if driven else None
     weighted = np.where(finite, jacobian, 0.0) * changes.weights[:, None]
     likes = _select(columns, effects, uses, list(freed), weighted)
-    for last in (
-        ParameterProposal.ZERO,
-        ParameterProposal.START,
-    ):  # a study without free parameters cannot be identified
+    # a study without free parameters cannot be identified
+    for last in (ParameterProposal.ZERO, ParameterProposal.START):
         if not any(use in FREE for use in uses):
             uses = [None if use is last else use for use in uses]
             likes = _select(columns, effects, uses, [], weighted)
@@ -304,29 +244,23 @@ def _proposed(
 
 
 def _freed_starts(changes: _Changes, which: Sequence[int]) -> dict[int, float]:
-    """Return the start values that the first samples contradict, and what they would have to be."""
+    """Return the start values that first samples contradict, with their new values."""
     if not which or not (np.abs(changes.first) > changes.first_limits).any():
         return {}
     effects = changes.first_changes[:, which]
     moves: Floats = np.asarray(np.linalg.lstsq(np.nan_to_num(effects), changes.first)[0])
-    acts = [
-        bool((np.abs(effect * move) > changes.first_limits).any())
-        for effect, move in zip(effects.T, moves, strict=True)
-    ]
     found = {}
-    for k, move in ((k, move) for k, move, act in zip(which, moves.tolist(), acts, strict=True) if act):
-        start = float(changes.starts[k])
-        found[k] = float(f"{start + move * abs(_step(changes.variables[k], start)) / STEP:.4g}")
+    for k, effect, move in zip(which, effects.T, moves.tolist(), strict=True):
+        if (np.abs(effect * move) > changes.first_limits).any():
+            start = float(changes.starts[k])
+            found[k] = float(f"{start + move * abs(_step(changes.variables[k], start)) / STEP:.4g}")
     return found
 
 
 def _select(
     columns: Floats, effects: Floats, uses: list[ParameterProposal | None], first: Sequence[int], weighted: Floats
 ) -> list[list[int]]:
-    """Decide on the parameters on which nothing is decided yet, and return which of the freed ones each acts like.
-
-    `weighted` has the columns in standard deviations of the noise, not divided by the number of samples.
-    """
+    """Decide on open parameters; return the freed ones that each acts like."""
     likes: list[list[int]] = [[] for _ in uses]
     r: Floats = np.asarray(np.linalg.qr(columns, mode="r"))
     own: Floats = np.asarray(np.linalg.qr(weighted, mode="r"))
@@ -352,14 +286,14 @@ def _select(
 
 
 def _left(columns: Floats, chosen: Sequence[int], k: int) -> Floats:
-    """Return what of a column others do not explain."""
+    """Return the part of a column that others do not explain."""
     if not chosen:
         return columns[:, k]
     return np.asarray(columns[:, k] - columns[:, chosen] @ np.linalg.lstsq(columns[:, chosen], columns[:, k])[0])
 
 
 def _project_out(rest: Floats, k: int) -> None:
-    """Take from all columns what is along one of them."""
+    """Subtract from all columns their part along one."""
     size = float(np.linalg.norm(rest[:, k]))
     if size > 0:
         along = rest[:, k] / size
@@ -371,36 +305,32 @@ def _number(start: object) -> float | None:
 
 
 def _step(variable: Variable, start: float) -> float:
-    """Return the change of a parameter, to the side that its bounds leave open."""
+    """Return the step of a parameter, away from its bound."""
     size = STEP * (abs(start) or abs(variable.nominal or 1.0))
     return -size if variable.max is not None and start + size > variable.max else size
 
 
 def _spread(experiment: Experiment, j: int) -> float:
-    """Return the standard deviation of a measured output, its size where it never changes."""
+    """Return the standard deviation of an output, its size if constant."""
     values = experiment.output_values[experiment.counted[:, j], j]
     return float(np.std(values) or np.abs(values).max() or 1.0)
 
 
 def _noise(experiment: Experiment, j: int) -> float:
-    """Return the standard deviation of a measured output's noise, from the median of its second differences."""
+    """Return the noise level of an output, from second differences."""
     values = experiment.output_values[:, j]
     second = np.diff(values[np.isfinite(values)], 2)
     return float(np.median(np.abs(second)) / (0.6745 * math.sqrt(6.0))) if second.size else 0.0
 
 
 def bounds(given: Candidate) -> dict[str, float]:
-    """Return min and max of a parameter: the FMU's, else the sign that it has there, where the sign has a meaning."""
+    """Return the FMU's bounds, else the sign of a signed quantity."""
     from fmuid.studies.init.lines import declared_bounds
 
     variable, start = given.variable, given.start
     found = declared_bounds(variable, start)
     signed = (variable.unit or "") in _SIGNED or _PLACE.search(f"{variable.name} {variable.description}")
-    if (
-        found
-        or signed
-        or given.use in (ParameterProposal.START, ParameterProposal.START_FREED, ParameterProposal.START_OPEN)
-        or not start
-    ):
+    started = (ParameterProposal.START, ParameterProposal.START_FREED, ParameterProposal.START_OPEN)
+    if found or signed or given.use in started or not start:
         return found
     return {"min": 0.0} if start > 0 else {"max": 0.0}

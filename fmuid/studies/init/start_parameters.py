@@ -1,4 +1,4 @@
-"""Which parameters of an FMU are the values that something starts at: by their names, and by what they do."""
+"""Parameters that are start values: by name and by effect."""
 
 from __future__ import annotations
 
@@ -18,10 +18,7 @@ _START = re.compile(r"([._](start|init|initial|0)|(?<=[a-z\d])(Start|Init)|(?<=[
 
 
 def is_start(variable: Variable, description: Description) -> bool:
-    """Return whether a parameter says that it is the value that something starts at, by its name or description.
-
-    One that ends in 0 is doubtful: ``s_rel0`` may be where ``s_rel`` starts, or the length of a spring at rest.
-    """
+    """Return whether a parameter names itself a start value."""
     if variable.causality != "parameter":
         return variable.is_state or variable.name in description.states
     if not _START.search(variable.name):
@@ -30,15 +27,12 @@ def is_start(variable: Variable, description: Description) -> bool:
 
 
 def started(variable: Variable, description: Description) -> str | None:
-    """Return the name of the variable that a parameter is the start of, in the letters that it is written with."""
+    """Return the variable that a parameter is the start of, by name."""
     return _origin(variable.name, description) if _START.search(variable.name) else None
 
 
 def _origin(name: str, description: Description) -> str | None:
-    """Return the variable that ``ids_start``, ``ids0`` (of ``ids``) or ``mass_v0`` (of ``mass.v``) may be the start of.
-
-    A parameter of the whole model may be that of a state of a part of it: ``v0`` of ``mass.v``, where there is one.
-    """
+    """Return the variable of ``ids_start``, ``ids0`` or ``mass_v0``; ``v0`` may be that of ``mass.v``."""
     said = _plain(_START.sub("", name))
     for v in description.variables.values():
         if v.variability == "continuous" and _plain(v.name) == said:
@@ -54,19 +48,7 @@ def _plain(name: str) -> str:
 def starts_of(
     system: System, experiment: Experiment, description: Description, names: Sequence[str], thetas: Floats
 ) -> list[int]:
-    """Return which parameters are start values: each by its name, and of those in doubt that move where it begins.
-
-    Parameters
-    ----------
-    system : System
-    experiment : Experiment
-        By whose first samples the model is initialised.
-    description : Description
-    names : sequence of str
-        The parameters.
-    thetas : array (1 + N, N)
-        Their values, and those with each of them moved.
-    """
+    """Return the start values among `names`; doubtful ones must move an initial value."""
     by_name = [k for k, name in enumerate(names) if is_start(description.variables[name], description)]
     doubtful = {k: started(description.variables[names[k]], description) for k in by_name if names[k].endswith("0")}
     origins = {k: origin for k, origin in doubtful.items() if origin is not None}
@@ -82,11 +64,7 @@ def starts_of(
 
 
 def direct_effects(system: System, experiment: Experiment) -> Floats:
-    """Return how far each output's first sample moves (n_outputs,) as the inputs move by their largest values.
-
-    What an input changes of it at once, an offset or a gain of that input does too: so much tells of no start value.
-    Zero where that cannot be simulated.
-    """
+    """Return the first-sample effect of each input's largest value (n_outputs,); 0 if it fails."""
     moves = np.diag(np.abs(experiment.input_values).max(axis=0, initial=0.0))
     outputs, at = experiment.output_names, np.zeros((1, 0))
     effects, base = np.zeros(len(outputs)), _first_samples(system, experiment, (), outputs, at)
@@ -107,7 +85,7 @@ def _first_samples(
     thetas: Floats,
     move: Floats | None = None,
 ) -> Floats | None:
-    """Return what variables begin at, (N, K), with the inputs moved; None where that cannot be simulated."""
+    """Return initial values (N, K) with inputs moved; None if the simulation fails."""
     from fmuid.data import Experiment
     from fmuid.errors import InputError, SimulationError
     from fmuid.simulation import Simulator

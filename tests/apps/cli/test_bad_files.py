@@ -66,10 +66,9 @@ def test_names_that_no_file_has(coil_folder: Path, capsys: pytest.CaptureFixture
 
 RESULT = """{"schema": "fmuid/result/2", "outcome": "converged", "converged": true,
 "parameters": {"R": {"value": 4.0, "std": 0.1, "start": 3.0, "lower": "-inf", "upper": "inf"}},
-"covariance": {"names": ["R"], "matrix": [[0.01]], "white": [[0.01]]}, "noise_variance": {"i": 1e-6},
-"given_variance": {}, "criterion": 1.0, "log_likelihood": null, "degrees_of_freedom": "inf", "iterations": 1,
-"undetermined": [], "weak": [], "prior_determined": [], "at_bounds": [],
-"simulations": 2, "elapsed_s": 0.1, "version": "0"}"""
+"covariance": {"names": ["R"], "matrix": [[0.01]], "white_noise": [[0.01]]}, "fit": {"noise_variance": {"i": 1e-6},
+"given_variance": {}, "cost": 1.0, "log_likelihood": null, "degrees_of_freedom": "inf"}, "identifiability": {},
+"history": {"iterations": 1, "simulations": 2, "elapsed_s": 0.1}, "setup": {"version": "0"}}"""
 
 
 @pytest.mark.parametrize(

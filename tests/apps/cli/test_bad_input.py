@@ -84,7 +84,7 @@ def test_fixed_parameter_set(coil_folder: Path, capsys: pytest.CaptureFixture[st
         ('"run.csv"', '"Coil.fmu"', ("Coil.fmu", ".csv")),
         ('variance = "estimate"', "variance = 0", ("[noise]", "variance")),
         ('variance = "estimate"', "variance = { j = 1.0 }", ("noise.variance", "'j'")),
-        ('inputs = ["u"]', 'inputs = ["u"]\nwarmup = 5.0', ("discard", "run.csv")),
+        ('inputs = ["u"]', 'inputs = ["u"]\nwarmup = 5.0', ("warmup", "run.csv")),
         ('inputs = ["u"]', 'inputs = ["u"]\ninterpolation = { i = "zoh" }', ("interpolation", "'i'")),
         ('inputs = ["u"]', 'inputs = ["w"]', ("'w'", "run.csv")),
         ('"levenberg-marquardt"', '"linear"', ("[estimation]", "linear")),

@@ -49,7 +49,8 @@ def test_on_the_same_data(made: Path, tmp_path: Path, capsys: pytest.CaptureFixt
     assert "The data do not tell" in out or "is the best, not clearly, by Akaike's criterion" in out
     content = json.loads((tmp_path / "comparison.json").read_text())
     likelihoods = {
-        name: json.loads((made / name / "result.json").read_text())["log_likelihood"] for name in ("both", "right")
+        name: json.loads((made / name / "result.json").read_text())["fit"]["log_likelihood"]
+        for name in ("both", "right")
     }
     tests = {test["smaller"]: test for test in content["comparison"]["tests"]}
     assert tests["right"]["freed"] == ["L"]

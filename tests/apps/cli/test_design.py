@@ -44,7 +44,7 @@ def test_what_healthy_records_cost_the_best_excitation(folder: Path, capsys: pyt
     words = ("--fault", "turns", "-o", folder / "out", "--no-isolation", "--no-report")
     assert fmuid_("design", study, *tables, *words) == DONE
     said = " ".join(capsys.readouterr().out.split())
-    square = fmuid.planned_experiment(pd.read_csv(folder / "square.csv"), ["u"], ["i"])
+    square = fmuid.diagnosis.planned_experiment(pd.read_csv(folder / "square.csv"), ["u"], ["i"])
     cost = design_of(fmuid.Study.read(study), "turns").cost(square, [1.0])
     (size,), (times,) = cost["turns.dR"], cost["turns.dR.times"]
     assert "in lengths of square" in said

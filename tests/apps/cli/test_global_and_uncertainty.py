@@ -9,7 +9,7 @@ import pytest
 
 from experiments.batches.campaign import R
 from fmuid.apps.cli.options import DONE, NOT_SUCCEEDED, WRONG_INPUT
-from fmuid.progress import Event
+from fmuid.events import Event
 from fmuid.reports.render import progress
 from fmuid.runs import read_identification
 from fmuid.studies.study import Study
@@ -27,25 +27,25 @@ def test_global_search(folder: Path, capsys: pytest.CaptureFixture[str]) -> None
     study.write_text(BOUNDED + '[estimation]\nmethod = "multi-start"\nn_starts = 6\nseed = 3\n')
     assert fmuid_("identify", study) == DONE
     found = result(folder / "results")
-    best = dict(zip(found["parameters"], found["optima"][0]["theta"], strict=True))
-    assert sum(optimum["hits"] for optimum in found["optima"]) == 6
+    best = dict(zip(found["parameters"], found["history"]["optima"][0]["theta"], strict=True))
+    assert sum(optimum["hits"] for optimum in found["history"]["optima"]) == 6
     assert best["R"] == pytest.approx(R, rel=0.05)
     assert found["parameters"]["R"]["value"] == best["R"]
     table = pd.read_csv(folder / "results/optima.csv")
     assert list(table.columns) == ["criterion", "hits", "converged", "R", "L"]
-    assert len(table) == len(found["optima"])
+    assert len(table) == len(found["history"]["optima"])
     out = capsys.readouterr().out
     assert "Optima found by 6 searches" in out
     assert "fits" in out
     api = Study.read(study)
     assert api.identify()["R"] == found["parameters"]["R"]["value"]
-    assert len(api.identify().optima) == len(table)
+    assert len(api.identify().history.optima) == len(table)
 
     capsys.readouterr()
     assert fmuid_("identify", study, "--resume") == DONE
     again = result(folder / "results")
     assert again["parameters"]["R"]["start"] == found["parameters"]["R"]["value"]
-    assert not again["optima"]
+    assert not again["history"]["optima"]
     assert not (folder / "results/optima.csv").exists()
 
 

@@ -15,7 +15,7 @@ from scipy import stats
 import fmuid
 from experiments.batches.campaign import NOISE, L, R, coil_current
 from fmuid.apps.cli.options import DONE, NOT_SUCCEEDED, WRONG_INPUT
-from fmuid.progress import Event, SearchStep
+from fmuid.events import Event, SearchStep
 from fmuid.reports.render import progress
 from fmuid.studies.study import Study
 from tests.support.coil_study import STUDY, fmuid_, result
@@ -37,18 +37,19 @@ def test_identify(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
         assert abs(estimate["value"] - truth) < 4 * estimate["std"]
         assert 0 < estimate["std"] < 0.03 * truth
         assert estimate["start"] == start
-        assert estimate["pull"] is None
+        assert estimate["prior_z_score"] is None
     assert found["covariance"]["names"] == ["R", "L"]
     diagonal = np.sqrt(np.diag(found["covariance"]["matrix"]))
     np.testing.assert_allclose(diagonal, [found["parameters"][name]["std"] for name in ("R", "L")])
-    assert found["noise_variance"]["i"] == pytest.approx(NOISE**2, rel=0.2)
-    assert found["version"] == fmuid.__version__
-    assert {"criterion", "iterations", "simulations", "elapsed_s"} <= set(found)
+    assert found["fit"]["noise_variance"]["i"] == pytest.approx(NOISE**2, rel=0.2)
+    assert found["setup"]["version"] == fmuid.__version__
+    assert {"cost", "log_likelihood"} <= set(found["fit"])
+    assert {"iterations", "simulations", "elapsed_s"} <= set(found["history"])
 
     out, error = capsys.readouterr()
     assert error == ""
     assert "iteration 0 " in out
-    assert f"iteration {found['iterations']} " in out
+    assert f"iteration {found['history']['iterations']} " in out
     for word in ("parameter", "rel. std", "95 % interval", "Ohm", "Converged", "Residual: i std 0.0", "result.json"):
         assert word in out
 
@@ -70,15 +71,15 @@ def test_identify_writes_tables_and_figures(folder: Path) -> None:
     assert estimates["parameter"].tolist() == ["R", "L"]
     assert estimates["unit"].tolist() == ["Ohm", "H"]
     assert estimates["value"].tolist() == [found["parameters"][name]["value"] for name in ("R", "L")]
-    freedom = [each["degrees_of_freedom"] for each in found["parameters"].values()]
+    freedom = [each["variance_dof"] for each in found["parameters"].values()]
     half = stats.t.ppf(0.975, freedom) * estimates["std"]
     np.testing.assert_allclose(estimates["lower"], estimates["value"] - half, rtol=1e-6)
     np.testing.assert_allclose(estimates["upper"], estimates["value"] + half, rtol=1e-6)
 
     trace = pd.read_csv(out / "trace.csv")
     assert {"iteration", "criterion", "lambda", "accepted", "R", "L"} <= set(trace.columns)
-    assert trace["iteration"].iloc[-1] == found["iterations"]
-    assert trace["criterion"].iloc[-1] == pytest.approx(found["criterion"])
+    assert trace["iteration"].iloc[-1] == found["history"]["iterations"]
+    assert trace["criterion"].iloc[-1] == pytest.approx(found["fit"]["cost"])
     assert (trace["R"].iloc[0], trace["L"].iloc[0]) == (6.0, 0.05)
 
     fit, table = pd.read_csv(out / "fit.csv"), pd.read_csv(folder / "first.csv")
@@ -108,11 +109,11 @@ def test_identify_with_prior(folder: Path, capsys: pytest.CaptureFixture[str]) -
     assert fmuid_("identify", folder / "study.toml", "--set", prior, "--set", "noise.variance=4e-4") == DONE
     found = result(folder / "results")["parameters"]["R"]
     assert (found["prior_mean"], found["prior_std"]) == (5.0, 0.01)
-    assert found["pull"] == pytest.approx((found["value"] - 5.0) / 0.01)
-    assert found["pull"] < -1
+    assert found["prior_z_score"] == pytest.approx((found["value"] - 5.0) / 0.01)
+    assert found["prior_z_score"] < -1
     out = capsys.readouterr().out
     assert "5.000 ± 0.010" in out
-    assert f"{found['pull']:+.2f} std" in out
+    assert f"{found['prior_z_score']:+.2f} std" in out
 
 
 def test_api_gives_what_the_command_writes(folder: Path) -> None:
@@ -124,7 +125,7 @@ def test_api_gives_what_the_command_writes(folder: Path) -> None:
     assert {name: found[name] for name in found.names} == {
         name: values["value"] for name, values in written["parameters"].items()
     }
-    assert seen[-1].number == found.iterations
+    assert seen[-1].number == found.history.iterations
 
 
 def test_not_converged(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -225,7 +226,7 @@ def test_prior_from_an_earlier_result(folder: Path, capsys: pytest.CaptureFixtur
     study = folder / "study.toml"
     assert fmuid_("identify", study, "--output", folder / "healthy") == DONE
     healthy = result(folder / "healthy")
-    assert healthy["models"][""]["name"] == "Coil"
+    assert healthy["setup"]["models"][""]["name"] == "Coil"
     capsys.readouterr()
     study.write_text(STUDY.replace("first", "second") + '[prior]\nresult = "healthy/result.json"\nstd_factor = 2\n')
     assert fmuid_("identify", study, "--set", "model.fixed.i_start=0.2") == DONE
@@ -234,9 +235,9 @@ def test_prior_from_an_earlier_result(folder: Path, capsys: pytest.CaptureFixtur
         prior, estimate = healthy["parameters"][name], found["parameters"][name]
         assert estimate["prior_mean"] == prior["value"]
         # the standard deviation whose normal interval is that of the first estimate
-        std = 2 * prior["std"] * stats.t.ppf(0.975, prior["degrees_of_freedom"]) / stats.norm.ppf(0.975)
+        std = 2 * prior["std"] * stats.t.ppf(0.975, prior["variance_dof"]) / stats.norm.ppf(0.975)
         assert estimate["prior_std"] == pytest.approx(std)
-        assert estimate["pull"] == pytest.approx((estimate["value"] - prior["value"]) / std)
+        assert estimate["prior_z_score"] == pytest.approx((estimate["value"] - prior["value"]) / std)
     reading = pd.DataFrame(found["assessment"]["prior_and_data"]["parameters"]).T
     inside = (reading["combined"] - reading["prior_mean"]) * (reading["data"] - reading["combined"])
     assert reading.index.tolist() == ["R", "L"]
@@ -264,13 +265,13 @@ def test_prior_from_the_result_of_another_model(folder: Path, capsys: pytest.Cap
     study = folder / "study.toml"
     assert fmuid_("identify", study, "--output", folder / "healthy") == DONE
     content = result(folder / "healthy")
-    content["models"][""]["name"] = "Spool"
+    content["setup"]["models"][""]["name"] = "Spool"
     (folder / "healthy/result.json").write_text(json.dumps(content))
     capsys.readouterr()
     study.write_text(STUDY + '[prior]\nresult = "healthy/result.json"\n')
     assert fmuid_("identify", study) == WRONG_INPUT
     assert "is a result of another model, Spool, and this study has Coil" in capsys.readouterr().err
-    content["models"][""] = {"name": "Coil", "digest": "of an earlier build"}
+    content["setup"]["models"][""] = {"name": "Coil", "digest": "of an earlier build"}
     (folder / "healthy/result.json").write_text(json.dumps(content))
     assert fmuid_("identify", study) == DONE
     assert "was made with another build of Coil" in capsys.readouterr().err

@@ -15,9 +15,9 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 
 from fmuid.apps.cli.options import DONE, NOT_SUCCEEDED, WRONG_INPUT
 from fmuid.apps.cli.signals import answering, handled, stopping
-from fmuid.estimation import cost_function as criterion
 from fmuid.estimation.evaluator import Evaluator
 from fmuid.estimation.problem import LeastSquares
+from fmuid.identification import conditional_optimum
 from fmuid.reports.render import progress
 from tests.support.coil_study import COIL, STUDY, coil_table, fmuid_, result
 from tests.support.interrupting import SIGNALS, command, killing
@@ -112,7 +112,7 @@ def test_what_follows(folder: Path, number: int, monkeypatch: pytest.MonkeyPatch
     text = STUDY.replace("min = 0.0", "min = 0.0, prior = { mean = 4.0, std = 1.0 }")
     (folder / "study.toml").write_text(text + '[uncertainty]\nprofile_likelihood = ["L"]\n')
     monkeypatch.setattr(
-        "fmuid.identification.prior_and_data.prepare", killing(number, lambda *_: True, criterion.prepare)
+        "fmuid.identification.prior_and_data.cost_at", killing(number, lambda *_: True, conditional_optimum.cost_at)
     )
     assert command("identify", folder / "study.toml") == (DONE if number == signal.SIGINT else NOT_SUCCEEDED)
     found = result(folder / "results")

@@ -87,7 +87,7 @@ def test_the_record_of_the_result_is_no_prediction(
     assert [each for each in told if each not in page] == []
     identified = json.loads((made / "results" / "result.json").read_text())
     rmse = json.loads((tmp_path / "prediction.json").read_text())["predictions"][0]["scores"][0]["rmse"]
-    assert rmse**2 == pytest.approx(identified["noise_variance"]["i"] * 598 / 600, rel=1e-3)
+    assert rmse**2 == pytest.approx(identified["fit"]["noise_variance"]["i"] * 598 / 600, rel=1e-3)
     assert "as noise and estimates let expect" in out
     page = (tmp_path / "report.html").read_text(encoding="utf-8")
     assert "The result was made from first: this is no prediction" in page

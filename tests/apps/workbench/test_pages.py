@@ -29,7 +29,7 @@ from fmuid.apps.workbench.pages.remedy_panel import UndeterminedResult
 from fmuid.apps.workbench.pages.results import PredictAction, WriteAction, _compared, build
 from fmuid.apps.workbench.project_folder import FoundResult, FoundStudy
 from fmuid.estimation import Result
-from fmuid.progress import EVENTS, BatchStep, Event, GlobalStep, SearchStep, of_line, to_line
+from fmuid.events import EVENTS, BatchStep, Event, GlobalStep, SearchStep, of_line, to_line
 from fmuid.reports.render.document_json import read_documents
 from fmuid.reports.render.progress import Display
 from fmuid.reports.topics.fit import fit_charts

@@ -19,7 +19,7 @@ from bokeh.models import Button
 
 from fmuid.apps.workbench import Folder
 from fmuid.apps.workbench.jobs import Jobs
-from fmuid.apps.workbench.pages.latest_only_worker import LatestOnlyWorker
+from fmuid.apps.workbench.pages.live import LatestOnlyWorker
 from fmuid.apps.workbench.pages.sliders import PLACES, reach_of
 from fmuid.apps.workbench.pages.study import StudyPage
 from fmuid.data import Normal, Parameter
@@ -243,7 +243,7 @@ def test_the_last_result_is_shown_behind(path: Path, tmp_path: Path) -> None:
     assert "at the optimum" in page.rows["R"].title.text
     assert "<b>0 std</b>" in page.page.scores.text
     assert "converged" in page.page.identifying.text.text
-    noise = Result.from_json(tmp_path / "results/result.json").noise_variance["i"]
+    noise = Result.from_json(tmp_path / "results/result.json").fit.noise_variance["i"]
     counted = page.page.live.record.counted[:, 0]
     left = (page.page.live.record.measured[:, 0] - page.shown())[counted]
     assert f"{np.sqrt(np.mean(left**2) / noise):.3g} std of the noise" in page.page.scores.text

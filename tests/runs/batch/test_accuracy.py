@@ -10,7 +10,7 @@ import pandas as pd
 import pytest
 
 import fmuid
-from fmuid.runs.batch.run_case import VOLATILE, CaseRunner
+from fmuid.runs.batch.case import VOLATILE, CaseRunner
 from fmuid.runs.batch.summary import summarize
 from fmuid.simulation import executor_of
 from fmuid.studies.study import Study
@@ -61,9 +61,9 @@ def test_cases_simulate_what_they_have_in_common_once(monkeypatch: pytest.Monkey
     executor, simulated = executor_of(runner.study.system), list[int]()
     run = executor.run
 
-    def counting(simulation: Any, thetas: Any, *rest: Any) -> None:
-        simulated.append(len(thetas))
-        run(simulation, thetas, *rest)
+    def counting(job: Any) -> None:
+        simulated.append(len(job))
+        run(job)
 
     monkeypatch.setattr(executor, "run", counting)
     counted = sum(int(str(runner(case).row["simulations"])) for case in range(1, 9))

@@ -9,10 +9,10 @@ from typing import Any
 
 import pytest
 
-from fmuid.progress import BatchStep
+from fmuid.events import BatchStep
 from fmuid.reports.render.progress import Display
 from fmuid.runs.batch.batch import Batch
-from fmuid.runs.batch.run_case import CaseRunner
+from fmuid.runs.batch.case import CaseRunner
 from tests.support.coil_batches import (
     DRAWS,
     expected,

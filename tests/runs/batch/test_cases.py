@@ -11,7 +11,7 @@ import pytest
 from scipy.stats import qmc
 
 from fmuid.errors import InputError
-from fmuid.runs.batch.cases import CaseList
+from fmuid.runs.batch.case_list import CaseList
 from fmuid.studies.study import Study
 from tests.support.coil_cases import COIL, STD, record, study_of
 

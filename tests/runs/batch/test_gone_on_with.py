@@ -13,7 +13,7 @@ import pandas as pd
 import pytest
 
 from fmuid.errors import FmuidError, InputError
-from fmuid.progress import BatchStep, Event
+from fmuid.events import BatchStep, Event
 from fmuid.runs.batch.batch import Batch
 from fmuid.runs.batch.study_package import BatchStudy, changes
 from fmuid.studies.study import Study
@@ -156,7 +156,7 @@ def test_another_batch_is_refused(folder: Path, here: Any, change: Any, told: st
         run(folder)
     said = str(raised.value)
     assert said.startswith(f"{folder / 'out'} has the cases of another batch ({told}")
-    assert said.endswith("choose another folder with --output, or have the earlier cases removed with --no-resume")
+    assert said.endswith("choose another folder with --output, or remove its cases with --no-resume")
 
 
 @pytest.mark.slow

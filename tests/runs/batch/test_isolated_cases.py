@@ -10,7 +10,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from fmuid.runs.batch.run_case import CaseRunner
+from fmuid.runs.batch.case import CaseRunner
 from fmuid.studies.study import Study
 from tests.support.coil_cases import bits
 from tests.support.misbehaving import Mode, Where, misbehaving_fmu
@@ -18,7 +18,7 @@ from tests.support.misbehaving import Mode, Where, misbehaving_fmu
 if sys.platform == "win32":
     pytest.skip("processes of their own need fork", allow_module_level=True)
 
-from fmuid.runs.batch.isolated_cases import IsolatedCases
+from fmuid.runs.batch.worker import IsolatedCases
 
 
 def study_of(folder: Path, modes: list[int], **other: Any) -> Study:
@@ -61,7 +61,8 @@ def test_what_several_cases_of_an_order_print_is_told_apart(tmp_path: Path, monk
     found = cases.run(range(5))
     assert sizes == [1, 4]
     assert [bool(outcome.log) for outcome in found] == [False, False, True, False, True]
-    assert set(found[2].log.splitlines()) == set(found[4].log.splitlines())
+    assert found[4].log
+    assert found[2].log.startswith(found[4].log)
     plain = CaseRunner(study)
     for k in (0, 1, 3):
         assert found[k].row["value.gain"] == plain(k).row["value.gain"]

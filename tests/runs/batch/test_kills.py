@@ -21,11 +21,12 @@ from experiments.batches.campaign import command, family, left_over, rows
 from fmuid.apps.workbench import Folder
 from fmuid.apps.workbench.pages.batch import BatchPage
 from fmuid.errors import FmuidError
+from fmuid.events import Event
 from fmuid.files import replacing
-from fmuid.progress import Event
+from fmuid.runs.batch import local_workers
 from fmuid.runs.batch import worker_pool as cluster
 from fmuid.runs.batch.batch import Batch
-from fmuid.runs.batch.run_case import VOLATILE, CaseRunner
+from fmuid.runs.batch.case import VOLATILE, CaseRunner
 from fmuid.runs.batch.worker import versions
 from fmuid.studies.study import Study
 from tests.support.coil_batches import (
@@ -170,9 +171,9 @@ def test_workers_that_cannot_begin(tmp_path: Path, monkeypatch: pytest.MonkeyPat
     python.write_text("#!/bin/sh\necho ImportError: no numpy >&2\necho more >&2\nexit 1\n")
     python.chmod(0o755)
     monkeypatch.setattr(sys, "executable", str(python))
-    monkeypatch.setattr(cluster, "MOST_RESTARTS", 3)
-    monkeypatch.setattr(cluster, "ANSWER_SECONDS", 600.0)
-    host, until = cluster._LocalWorkers("tcp://127.0.0.1:9", 1, tmp_path / "workers"), time.monotonic() + 600
+    monkeypatch.setattr(local_workers, "MOST_RESTARTS", 3)
+    monkeypatch.setattr(local_workers, "SOON_SECONDS", 600.0)
+    host, until = local_workers.LocalWorkers("tcp://127.0.0.1:9", 1, tmp_path / "workers"), time.monotonic() + 600
     with pytest.raises(FmuidError, match=r"^the workers end as soon as they begin: ImportError: no numpy$"):
         while time.monotonic() < until:
             host.look()

@@ -18,9 +18,9 @@ from fmuid.data.experiment import Experiment
 from fmuid.errors import InputError
 from fmuid.estimation.evaluator import Evaluator
 from fmuid.identification import Problem, identify
+from fmuid.runs.batch.case import VOLATILE, CaseRunner, directions_of
+from fmuid.runs.batch.case_list import CaseList, truth_of
 from fmuid.runs.batch.case_problem import problem_of
-from fmuid.runs.batch.cases import CaseList, truth_of
-from fmuid.runs.batch.run_case import VOLATILE, CaseRunner, directions_of
 from fmuid.simulation.simulator import Simulator
 from fmuid.studies.study import Study
 from tests.support.coil_cases import COIL, STD, TIMES, L, R, bits, current, record, study_of
@@ -79,12 +79,12 @@ def test_records_are_identified_as_studies_of_their_own(case_folder: Path) -> No
         row = runner(k).row
         alone = study_of(case_folder, None)
         table = Experiment(read_data(case_folder / "records" / f"{name}.csv"), ["u"], ["i"], interpolation="zoh")
-        result = identify(Problem(alone.system, table, alone.parameters), remedies=False)
+        result = identify(Problem(alone.system, table, alone.parameters), restart=False)
         assert (row["table"], row["status"], row["message"]) == (name, "converged", "converged")
         assert [row["value.R"], row["value.L"]] == result.values.tolist()
         assert [row["std.R"], row["std.L"]] == result.std.tolist()
-        assert (row["noise.i"], row["criterion"]) == (result.noise_variance["i"], result.criterion)
-        assert (row["iterations"], row["simulations"]) == (result.iterations, result.simulations)
+        assert (row["noise.i"], row["criterion"]) == (result.fit.noise_variance["i"], result.fit.cost)
+        assert (row["iterations"], row["simulations"]) == (result.history.iterations, result.history.simulations)
 
 
 def test_values_held_and_subsets_are_those_of_a_study_that_says_so(case_folder: Path) -> None:
@@ -93,15 +93,15 @@ def test_values_held_and_subsets_are_those_of_a_study_that_says_so(case_folder: 
     for k, (held, start) in enumerate(itertools.product((0.1, 0.12), (2.0, 5.0))):
         row = runner(k).row
         parameters = {"R": Parameter(start, min=0.5, max=8.0)}
-        result = identify(Problem(study.system, study.tables, parameters, values={"L": held}), remedies=False)
+        result = identify(Problem(study.system, study.tables, parameters, values={"L": held}), restart=False)
         assert (row["value.R"], row["set.L"], row["start.R"]) == (result["R"], held, start)
         assert math.isnan(row["value.L"])  # type: ignore[arg-type]
     runner = CaseRunner(study_of(case_folder, {"free_parameters": [["R"], ["R", "L"]]}))
     alone, both = runner(0).row, runner(1).row
     held_at_start = Problem(study.system, study.tables, {"R": study.parameters["R"]}, values={"L": 0.2})
-    assert alone["value.R"] == identify(held_at_start, remedies=False)["R"]
+    assert alone["value.R"] == identify(held_at_start, restart=False)["R"]
     assert math.isnan(alone["std.L"])  # type: ignore[arg-type]
-    assert both["value.L"] == identify(study.problem(), remedies=False)["L"]
+    assert both["value.L"] == identify(study.problem(), restart=False)["L"]
 
 
 def disturbed(study: Study, truth: dict[str, float], words: list[int]) -> Experiment:
@@ -126,7 +126,7 @@ def test_truth_takes_the_values_swept_unless_it_has_its_own(case_folder: Path) -
         for k, (held, draw) in enumerate(itertools.product((0.1, 0.13), (0, 1))):
             experiment = disturbed(study, {"L": held} | truth, [9, 3, draw, 0])
             parameters = {"R": study.parameters["R"]}
-            result = identify(Problem(study.system, experiment, parameters, values={"L": held}), remedies=False)
+            result = identify(Problem(study.system, experiment, parameters, values={"L": held}), restart=False)
             # the steps of the first differences are rounded in a batch
             assert runner(k).row["value.R"] == pytest.approx(result.values[0], abs=1e-5 * result.std[0])
 

@@ -15,16 +15,15 @@ import psutil
 import pytest
 
 from fmuid.errors import FmuidError
-from fmuid.runs.batch import temporary_folder as scratch
-from fmuid.runs.batch.local_workers import CALM
-from fmuid.runs.batch.temporary_folder import scratch_folder
+from fmuid.runs.batch import local_workers as scratch
+from fmuid.runs.batch.local_workers import CALM, scratch_folder
 from fmuid.runs.batch.worker_pool import crew
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="no locks of this kind")
 
 HOLD = """
 import subprocess, sys
-from fmuid.runs.batch.temporary_folder import scratch_folder
+from fmuid.runs.batch.local_workers import scratch_folder
 with scratch_folder() as (folder, locks):
     (folder / "inside").mkdir()
     child = subprocess.Popen([sys.executable, "-c", "input()"], stdin=sys.stdin, pass_fds=locks)

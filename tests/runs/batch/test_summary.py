@@ -12,10 +12,10 @@ import pandas as pd
 import pytest
 from scipy import stats
 
-from fmuid.estimation.covariance import Identifiability, WeakDirection
+from fmuid.estimation.covariance import IdentifiabilityLevel, WeakDirection
 from fmuid.reports.topics.batch_tables import write_tables
+from fmuid.runs.batch.case import directions_of, directions_text
 from fmuid.runs.batch.dataset import Dataset
-from fmuid.runs.batch.run_case import directions_of, directions_text
 from fmuid.runs.batch.statistics import EstimateWarning, statistics
 from fmuid.runs.batch.summary import condensed, summarize
 from tests.support.drawn_batches import TRUTH, UNITS, batch, doubts, fail, row, show_batch, summary_words
@@ -190,16 +190,16 @@ def test_what_is_not_determined_is_told_by_its_names(tmp_path: Path, capsys: pyt
     frame = fail(batch({"draw": np.arange(20)}), [3, 5, 8], ["undetermined"] * 3, "not converged")
     frame = fail(frame, [9, 11], ["iteration_limit"] * 2, "not converged")
     values = (4.0, 0.1)
-    apart = [WeakDirection(Identifiability.NOT, ("R", "L"), (1.0, 0.1), math.inf, values, values)]
-    single = [WeakDirection(Identifiability.NOT_IN_EFFECT, ("L",), (1.0,), 30.0, values[1:], values[1:])]
+    apart = [WeakDirection(IdentifiabilityLevel.NOT, ("R", "L"), (1.0, 0.1), math.inf, values, values)]
+    single = [WeakDirection(IdentifiabilityLevel.NOT_IN_EFFECT, ("L",), (1.0,), 30.0, values[1:], values[1:])]
     other = [replace(apart[0], coefficients=(1.0, -7.0))]
     frame["undetermined"] = ""
     frame.loc[[3, 5, 8], "undetermined"] = [directions_text(each) for each in (apart, single, other)]
     summary = summarize(frame)
     assert summary.failures["undetermined"].tolist() == [
-        ((Identifiability.NOT, ("R", "L")),),
+        ((IdentifiabilityLevel.NOT, ("R", "L")),),
         (),
-        ((Identifiability.NOT_IN_EFFECT, ("L",)),),
+        ((IdentifiabilityLevel.NOT_IN_EFFECT, ("L",)),),
     ]
     assert summary.failures["cases"].tolist() == [2, 2, 1]
     write_tables(summary, tmp_path)

@@ -97,7 +97,7 @@ def test_a_variable_without_a_unit_takes_what_needs_no_conversion(probe: ProbeMa
     ],
 )
 def test_what_may_be_set(causality: str, variability: str, initial: str | None, settable: bool) -> None:
-    assert Variable("v", 0, "Real", "Float64", causality, variability, initial).settable is settable
+    assert Variable("v", 0, "Float64", causality, variability, initial).settable is settable
 
 
 def test_unpacked_once_by_content(probe: ProbeMaker, own_cache: Path, tmp_path: Path) -> None:
@@ -185,10 +185,3 @@ def test_wrong_guid_gives_the_message_of_the_fmu() -> None:
     object.__setattr__(fmu.description, "guid", "{another}")
     with pytest.raises(InputError, match=r"cannot be instantiated: .*the FMU says: .*wrong token"):
         Instance(fmu, "co-simulation", "coil")
-
-
-def test_model_exchange_only_is_refused(probe: ProbeMaker) -> None:
-    fmu = FMU(probe())
-    object.__setattr__(fmu.description, "interfaces", {})
-    with pytest.raises(InputError, match="offers no co-simulation interface"):
-        Instance(fmu, "co-simulation", "probe")

@@ -126,9 +126,9 @@ def test_sensitivities_of_the_fmu_serve_the_search(tmp_path: Path) -> None:
     assert by_fmu.converged
     assert np.abs((by_fmu.values - by_differences.values) / by_differences.std).max() < 1e-4
     assert by_fmu.std == pytest.approx(by_differences.std, rel=1e-5)
-    assert by_fmu.simulations < by_differences.simulations
-    assert by_fmu.sensitivity == SensitivityMethod("fmu")
-    assert by_differences.sensitivity == SensitivityMethod("finite-difference")
+    assert by_fmu.history.simulations < by_differences.history.simulations
+    assert by_fmu.setup.sensitivity == SensitivityMethod("fmu")
+    assert by_differences.setup.sensitivity == SensitivityMethod("finite-difference")
 
 
 def test_missing_sensitivities_are_one_sentence() -> None:

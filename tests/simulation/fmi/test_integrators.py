@@ -17,7 +17,7 @@ from scipy.integrate._ivp.rk import RK45
 from fmuid.simulation import codes
 from fmuid.simulation.native.library import core
 from fmuid.simulation.simulation_plan import Integration
-from fmuid.simulation.solver import Integrator, function_table
+from fmuid.simulation.solver import IntegratedModel, Integrator, function_table
 from tests.support.closed_forms import park_rates
 from tests.support.integrating import (
     BACKWARDS,
@@ -71,20 +71,18 @@ def test_induction_machine_against_dop853(settings: dict[str, Any], tmp_path: Pa
     fmu.exitInitializationMode()
     references = {variable.name: variable.valueReference for variable in description.modelVariables}
     slopes = [unknown.variable for unknown in description.derivatives]
-    memory = Integrator(
+    model = IntegratedModel(
         2,
         fmu.component,
         function_table(2, lambda name: ctypes.cast(getattr(fmu.dll, f"fmi2{name}"), ctypes.c_void_p).value or 0),
         len(slopes),
         description.numberOfEventIndicators,
-        Integration(
-            inputs=np.array([references[name] for name in ("uds", "uqs", "w")], np.uint32),
-            input_starts=np.zeros(3),
-            **settings | {"step_size": 1e-4},
-        ),
-        state_references=np.array([slope.derivative.valueReference for slope in slopes], np.uint32),
-        derivative_references=np.array([slope.valueReference for slope in slopes], np.uint32),
+        np.array([slope.derivative.valueReference for slope in slopes], np.uint32),
+        np.array([slope.valueReference for slope in slopes], np.uint32),
     )
+    inputs = np.array([references[name] for name in ("uds", "uqs", "w")], np.uint32)
+    settings = settings | {"step_size": 1e-4}
+    memory = Integrator(model, Integration(inputs=inputs, input_starts=np.zeros(3), **settings))
     for function in (core().integrator_begin, core().integrator_leave_events):
         assert function(memory.handle, 0.0) == 0
     theta = fmu.getReal([references[name] for name in ("Rs", "Rr", "Lm", "Lf")])

@@ -24,7 +24,15 @@ from fmuid.simulation.instance import Instance
 from fmuid.simulation.native import build, library
 from fmuid.simulation.plan_builder import simulation_of
 from fmuid.simulation.simulation_loop import SimulationLoop
-from fmuid.simulation.simulation_plan import GridSimulation, Operation, check_arrays, check_plan, new_reports
+from fmuid.simulation.simulation_plan import (
+    GridSimulation,
+    Operation,
+    SimulationPlan,
+    TimeGrid,
+    check_arrays,
+    check_plan,
+    new_reports,
+)
 from fmuid.simulation.simulation_task import task_of
 from fmuid.simulation.simulator import Simulator
 from fmuid.version import __version__
@@ -178,13 +186,21 @@ def test_no_index_that_points_nowhere_gets_through(
     runs: dict[str, tuple[GridSimulation, list[int]]], name: str
 ) -> None:
     simulation, versions = runs[name]
+    plan, grid = simulation.plan, simulation.grid
+
+    def spoilt(part: str, kind: str, array: Any) -> tuple[SimulationPlan, TimeGrid]:
+        if part == "inputs":
+            return plan._replace(inputs=plan.inputs._replace(**{kind: array})), grid
+        changed = {"plan": plan, "grid": grid} | {part: getattr(simulation, part)._replace(**{kind: array})}
+        return changed["plan"], changed["grid"]
+
     for part, kinds in (
-        ("plan", ("stages", "parameter_signals", "input_signals", "input_modes", "derivative_signals")),
-        ("plan", ("output_signals", "output_terms", "groups")),
+        ("plan", ("stages", "parameter_signals", "output_signals", "output_terms", "groups")),
+        ("inputs", ("signals", "modes", "slopes")),
         ("grid", ("substeps", "strides")),
     ):
         for kind in kinds:
-            whole = getattr(simulation, part)
+            whole = plan.inputs if part == "inputs" else getattr(simulation, part)
             given = getattr(whole, kind)
             for place in np.ndindex(given.shape):
                 for wrong in (-7, -(2**62), 2**62):
@@ -192,16 +208,12 @@ def test_no_index_that_points_nowhere_gets_through(
                         continue  # many substeps are not wrong
                     changed = given.copy()
                     changed[place] = wrong
-                    both = {"plan": simulation.plan, "grid": simulation.grid} | {
-                        part: whole._replace(**{kind: changed})
-                    }
                     with pytest.raises(ValueError, match="of a plan"):
-                        check_plan(both["plan"], both["grid"], versions)
+                        check_plan(*spoilt(part, kind, changed), versions)
             for other in (given.astype(np.int32), given[:-1] if kind != "groups" else given[:, :1]):
-                both = {"plan": simulation.plan, "grid": simulation.grid} | {part: whole._replace(**{kind: other})}
                 if other.dtype == np.int32 or kind not in ("parameter_signals", "output_signals", "output_terms"):
                     with pytest.raises(ValueError, match="of a plan"):
-                        check_plan(both["plan"], both["grid"], versions)
+                        check_plan(*spoilt(part, kind, other), versions)
 
 
 def test_random_plans_are_refused_or_run(runs: dict[str, tuple[GridSimulation, list[int]]]) -> None:

@@ -253,6 +253,6 @@ def test_variables_of_one_reference_are_read(tmp_path: Path) -> None:
 
 
 def test_a_variable_is_a_value() -> None:
-    variable = Variable("v", 0, "Real", "Float64", "local", "continuous")
-    assert variable == Variable("v", 0, "Real", "Float64", "local", "continuous")
+    variable = Variable("v", 0, "Float64", "local", "continuous")
+    assert variable == Variable("v", 0, "Float64", "local", "continuous")
     assert hash(variable._replace(name="w")) != hash(variable)

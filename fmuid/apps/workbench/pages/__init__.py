@@ -1,1 +1,1 @@
-"""The pages with figures: a study, its faults, results, a batch, a study that is to be."""
+"""Pages with figures."""

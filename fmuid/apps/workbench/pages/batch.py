@@ -1,4 +1,4 @@
-"""The page of a batch: how far it is, also one of another process, its cases, and what is known of one of them."""
+"""Page of a batch: progress, also of another process; its cases."""
 
 from __future__ import annotations
 
@@ -13,15 +13,15 @@ from typing import Any
 from urllib.parse import quote, urlsplit
 
 import pandas as pd
-from bokeh.layouts import column, row
-from bokeh.models import ColumnDataSource, DataTable, NumberFormatter, Select, TableColumn, TextInput
+from bokeh.layouts import column
+from bokeh.models import ColumnDataSource, DataTable, NumberFormatter, TableColumn, TextInput
 
 from fmuid.apps.workbench.access_control import SCHEME
 from fmuid.apps.workbench.home import address, escaped
-from fmuid.apps.workbench.page_layout import LINE, SHEET, WIDE, argument, dress, words
+from fmuid.apps.workbench.page_layout import argument, dress, sections
 from fmuid.apps.workbench.pages.results_view import EVERY, side_by_side
-from fmuid.apps.workbench.project_folder import Folder, FoundResult, FoundStudy, beside
-from fmuid.apps.workbench.saved import read_json
+from fmuid.apps.workbench.project_folder import Folder, FoundResult, FoundStudy, beside, read_json
+from fmuid.apps.workbench.widgets import SHEET, WIDE, choice, line, on_change, typed, words
 from fmuid.errors import InputError
 from fmuid.files import is_file
 from fmuid.reports.render.bokeh_models import live
@@ -30,16 +30,11 @@ from fmuid.reports.topics.case_charts import over_cases
 from fmuid.runs import BatchColumns, CaseList, parts_in, read_part
 from fmuid.studies import Study
 
-# More rows make a table slow; a filter finds the others.
-MOST_ROWS = 5000
-# A batch writes at least so often, s, while cases end; after a longer silence it is said since when.
-SILENT = 10.0
-WIDTHS = {"case": 60, "status": 110, "criterion": 90, "message": 600}
-"""Of columns, pixels."""
-WIDEST = 1430
-"""Of the table: the last column takes what the others leave."""
-ROW, HEAD, HIGHEST = 25, 45, 420
-"""Heights in pixels: of a row, of the head with the bar that scrolls, of a table at most."""
+MOST_ROWS = 5000  # rows of the table; more are slow, a filter finds them
+SILENT = 10.0  # s; a running batch writes more often than this
+WIDTHS = {"case": 60, "status": 110, "criterion": 90, "message": 600}  # pixels, of columns
+WIDEST = 1430  # pixels, of the table; the last column fills it
+ROW, HEAD, HIGHEST = 25, 45, 420  # Heights, pixels: row, head with scroll bar, largest table
 _GRID = """
 .slick-header-columns,.slick-header-column{background:var(--card)!important;color:var(--soft)!important}
 .slick-row,.slick-cell{background:var(--card)!important;color:var(--ink)!important;border-color:var(--faint)!important}
@@ -48,65 +43,47 @@ _GRID = """
 
 
 def build(doc: Any, bench: Any) -> None:
-    """Fill a document with the page of the batch in the folder that its address names."""
+    """Fill a document with the page of a batch."""
     folder: Folder = bench.folder
     BatchPage(doc, folder, folder.path(argument(doc, "file")), argument(doc, SCHEME))
 
 
 class BatchPage:
-    """What one tab shows of a batch."""
+    """One tab of a batch."""
 
     def __init__(self, doc: Any, folder: Folder, place: Path, scheme: str) -> None:
         if not is_file(place / "batch.json"):
             raise InputError(f"{folder.name(place)} has no batch.json: it is no folder of a batch")
         self.doc, self.folder, self.place, self.scheme = doc, folder, place, scheme
         self.manifest: Mapping[str, Any] = read_json(place / "batch.json")
-        self._wrong: list[str] = []  # what is said of files that cannot be read
+        self._wrong: list[str] = []  # messages on unreadable files
         self.frame, self._seen, self._counts = pd.DataFrame(), object(), list[tuple[float, int]]()
         self.state = words("state")
-        self.status = Select(title="cases", options=["all"], value="all", name="status", stylesheets=[SHEET])
+        self.status = choice("cases", ["all"], "status", "all")
         self.text = TextInput(title="with the text", value="", name="filter", stylesheets=[SHEET])
-        self.number = TextInput(title="show the case", value="", name="number", width=110, stylesheets=[SHEET])
+        self.number = typed("show the case", "", "number", 110)
         self.source = ColumnDataSource({"case": []}, name="cases")
         self.table = DataTable(source=self.source, height=HIGHEST, index_position=None, reorderable=False, **WIDE)
-        self.table.autosize_mode = "none"  # else all columns are squeezed into a narrow window
+        self.table.autosize_mode = "none"  # otherwise a narrow window squeezes all columns
         self.table.stylesheets = [_GRID]
         self.case = words("case", "<p>Choose a case in the table.</p>")
         self.drawn = column([words("none", "<p>No case has converged yet.</p>")], name="drawn", **WIDE)
-        for each in (self.status, self.text):
-            each.on_change("value", lambda _attr, _old, _new: self._filter())
-        self.source.selected.on_change("indices", lambda _attr, _old, new: self._choose(new))
-        self.number.on_change("value", lambda _attr, _old, new: self._sought(new))
-        filters = row(self.status, self.text, self.number, stylesheets=[LINE], sizing_mode="stretch_width")
+        on_change(self._filter, self.status, self.text)
+        on_change(self._choose, self.source.selected, name="indices")
+        on_change(self._sought, self.number)
         self.look()
         doc.add_periodic_callback(self.look, EVERY)
-        cases = column(filters, self.table, name="table", **WIDE)
-        for root in (self.state, cases, self.case, self.drawn):
-            doc.add_root(root)
-        self._dress(cases)
-
-    def _dress(self, cases: Any) -> None:
-        title, more = self.place.name if self.found is None else self.found.title, ""
+        cases = column(line(self.status, self.text, self.number), self.table, name="table", **WIDE)
+        heads = ("", "<h3>Estimates</h3>", "<h3>Cases</h3>", "<h3>The case</h3>")
+        pieces = sections(doc, dict(zip(heads, (self.state, self.drawn, cases, self.case), strict=True)))
         if urlsplit(dashboard := str(self.manifest.get("dashboard") or "")).scheme in ("http", "https"):
-            more = f'<p><a href="{escaped(dashboard)}" target="_blank" rel="noreferrer">What the workers do</a></p>'
-        pieces = [
-            ("<section>", "state"),
-            (f"{more}</section><section><h3>Estimates</h3>", "drawn"),
-            ("</section><section><h3>Cases</h3>", str(cases.name)),
-            ("</section><section><h3>The case</h3>", "case"),
-            ("</section>", ""),
-        ]
-        dress(self.doc, title, pieces, "bokeh-widgets", "bokeh-tables")
-
-    # --- what the folder has
-
-    @property
-    def total(self) -> int:
-        """How many cases it spans."""
-        return int(self.manifest.get("cases") or 0)
+            link = f'<p><a href="{escaped(dashboard)}" target="_blank" rel="noreferrer">What the workers do</a></p>'
+            pieces.insert(1, (link, ""))
+        title = self.place.name if self.found is None else self.found.title
+        dress(doc, title, pieces, "bokeh-widgets", "bokeh-tables")
 
     def look(self) -> None:
-        """Show what has been written since the last look."""
+        """Show the rows written since the last look."""
         parts = parts_in(self.place)
         seen = tuple((path.name, path.stat().st_size) for path in parts if path.exists())
         if seen != self._seen:
@@ -115,7 +92,7 @@ class BatchPage:
                 try:
                     frames.append(_rows(path))
                 except InputError as error:
-                    if path.exists():  # else merged into another one meanwhile
+                    if path.exists():  # otherwise merged by now
                         self._wrong.append(str(error))
             self._seen = seen
             known = pd.concat(frames, ignore_index=True) if frames else pd.DataFrame({"case": [], "status": []})
@@ -126,8 +103,8 @@ class BatchPage:
         self._tell(parts)
 
     def _tell(self, parts: list[Path]) -> None:
-        """Say how far it is, and whether somebody is at it."""
-        done, total = len(self.frame), self.total
+        """Show progress, rate and errors."""
+        done, total = len(self.frame), int(self.manifest.get("cases") or 0)
         failed = int((self.frame["status"].astype(str) == "failed").sum()) if done else 0
         words = [f"{done} of {total} cases" if total else f"{done} cases"] + ([f"{failed} failed"] if failed else [])
         last = max((path.stat().st_mtime for path in parts if path.exists()), default=math.nan)
@@ -155,7 +132,7 @@ class BatchPage:
             self.drawn.children = [side_by_side(live(drawing(charts).figures, dark=self.scheme == "dark"))]
 
     def _units(self) -> Mapping[str, str | None]:
-        """Return the units of the estimates, which are there once the batch has ended."""
+        """Return the units of the estimates, known after the batch."""
         summary = self.place / "summary.json"
         try:
             return read_json(summary).get("units") or {} if is_file(summary) else {}
@@ -163,10 +140,8 @@ class BatchPage:
             self._wrong.append(str(error))
             return {}
 
-    # --- the table
-
     def _filter(self) -> None:
-        """Show the rows that are asked for."""
+        """Show the filtered rows."""
         frame = self.frame
         if not len(frame):
             return
@@ -189,20 +164,21 @@ class BatchPage:
         self.table.height = min(HIGHEST, HEAD + ROW * len(shown))
         self.source.selected.indices = [k for k, case in enumerate(shown["case"]) if case in chosen]
 
-    def _choose(self, indices: list[int]) -> None:
+    def _choose(self) -> None:
         """Show the case of a row of the table."""
-        if indices:
+        if indices := self.source.selected.indices:
             self._show(int(self.source.data["case"][indices[0]]))
 
-    def _sought(self, text: str) -> None:
-        """Show the case whose number was typed, also one that is not in the table."""
+    def _sought(self) -> None:
+        """Show the case with a typed number."""
+        text = self.number.value
         if text.strip().isdecimal() and int(text) in set(self.frame["case"]):
             self._show(int(text))
         elif text.strip():
             self.case.text = f"<p class=error role=alert>there is no case {escaped(text)} yet</p>"
 
     def _show(self, case: int) -> None:
-        """Show one case, and what it printed."""
+        """Show one case and its output."""
         found = self.frame[self.frame["case"] == case].iloc[0]
         cells = "".join(
             f"<tr><th scope=row>{escaped(name)}</th><td>{escaped(value)}</td></tr>"
@@ -211,12 +187,12 @@ class BatchPage:
         )
         log = self.place / "logs" / f"case-{case:06d}.txt"
         said = ""
-        with contextlib.suppress(OSError):  # it has printed nothing
+        with contextlib.suppress(OSError):  # it printed nothing
             said = f"<h3>What it printed</h3><pre>{escaped(log.read_text(errors='replace'))}</pre>"
         self.case.text = f"{self._what_if(found)}<div class=scroll><table><tbody>{cells}</tbody></table></div>{said}"
 
     def _what_if(self, found: pd.Series[Any]) -> str:
-        """Return the link to the study with what a case has been given and has found."""
+        """Return the link to the study with the values of a case."""
         if self.found is None:
             return ""
         study = self.found.path
@@ -230,27 +206,15 @@ class BatchPage:
 
     @cached_property
     def found(self) -> FoundStudy | None:
-        """The study of the folder that the batch is of; None where it was changed since, or is elsewhere."""
+        """The study of the batch; None if it changed or is elsewhere."""
         mine = FoundResult.of(self.place / "batch.json")
         return next((each for each in self.folder.look()[0] if each.has_run(mine)), None)
 
 
 def case_settings(path: Path, number: int, found: pd.Series[Any]) -> list[str]:
-    """Return what ``--set`` has to say for a study to be a case of its batch, at the estimates of the case.
+    """Return the ``--set`` arguments of a case, at its estimates.
 
-    Parameters
-    ----------
-    path : Path
-        The study file.
-    number : int
-        Of the case.
-    found : Series
-        Its row.
-
-    Raises
-    ------
-    InputError
-        If there is no such case.
+    `found` is the row of the case. Raises `InputError` if there is no such case.
     """
     study = Study.read(path)
     cases = CaseList(study)
@@ -273,13 +237,7 @@ def case_settings(path: Path, number: int, found: pd.Series[Any]) -> list[str]:
 
 
 def _rows(path: Path) -> pd.DataFrame:
-    """Return the rows of a part of a batch.
-
-    Raises
-    ------
-    InputError
-        If it is damaged, not there any more, or no table of cases.
-    """
+    """Return the rows of a batch part; raise `InputError` if damaged."""
     frame: pd.DataFrame = read_part(path).to_pandas(ignore_metadata=True)
     numbers = [name for name in map(str, frame) if name == "case" or name.startswith(("value.", "std."))]
     wrong = [name for name in numbers if not _is_numeric(frame[name], "iu" if name == "case" else "iuf")]

@@ -1,4 +1,4 @@
-"""A command that a page begins, follows and cancels; its files are where the command puts them."""
+"""Panel of a command: start, progress, cancel."""
 
 from __future__ import annotations
 
@@ -7,39 +7,22 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from bokeh.layouts import column, row
+from bokeh.layouts import column
 
 from fmuid.apps.workbench.home import escaped
 from fmuid.apps.workbench.jobs import Job, Jobs, command_text
-from fmuid.apps.workbench.page_layout import LINE, button, words
-from fmuid.progress import Event, SearchStep
+from fmuid.apps.workbench.widgets import button, line, words
+from fmuid.events import Event, SearchStep
 from fmuid.reports.render.progress import event_words
 
-EVERY = 150
-"""Milliseconds between two looks at a command that runs."""
+EVERY = 150  # ms between two looks at a command
 
 
 class CommandPanel:
-    """The buttons of commands that write into one folder, and how far the one that runs is.
+    """Buttons and progress of commands that write into one folder.
 
-    Parameters
-    ----------
-    doc : Document
-    jobs : Jobs
-    folder : Path
-        At most one command runs for it; one that is running already is followed.
-    acts : mapping of str to callable
-        The buttons; each calls `begin`.
-    told : callable
-        Called with the events since the last look, while it runs and once it has ended.
-    ended : callable
-        Called then.
-
-    Attributes
-    ----------
-    layout : Bokeh model
-    job : Job or None
-        The last command.
+    At most one command runs per folder; a running one is followed. `acts` are the buttons; each calls `begin`. `told`
+    gets the new events, `ended` the ended command. `job` is the last command.
     """
 
     def __init__(
@@ -54,32 +37,31 @@ class CommandPanel:
         self._doc, self._jobs, self._folder, self._heard, self._ended = doc, jobs, folder, told, ended
         self._position, self._callback = 0, None
         self._event: Event | None = None
-        self._stage = ("", 0.0, 0.0)  # the task that is being done, since when, s, and how much of it was done then
+        self._stage = ("", 0.0, 0.0)  # present task, its begin (s), its completed fraction then
         self.job = jobs.of(folder)
         self.buttons = [button(label, act, button_type="primary") for label, act in acts.items()]
         self.stop = button("Cancel", self.cancel, disabled=True)
         self.state = words("state")
-        line = row(*self.buttons, self.stop, sizing_mode="stretch_width", stylesheets=[LINE])
-        self.layout = column(line, self.state, sizing_mode="stretch_width")
+        self.layout = column(line(*self.buttons, self.stop), self.state, sizing_mode="stretch_width")
 
     def begin(self, study: Path, given: Sequence[str]) -> None:
-        """Begin a command, or follow the one that another tab has begun."""
+        """Start a command, or follow the running one of another tab."""
         self.job = self._jobs.begin(study, self._folder, given)
         self.follow()
 
     def cancel(self) -> None:
-        """Have it end, and save what it has found."""
+        """Ask the command to end and save."""
         if self.job is not None:
             self.job.cancel()
             self.stop.disabled = True
             self._tell()
 
     def refuse(self, error: object) -> None:
-        """Say why nothing is begun."""
+        """Show why nothing is started."""
         self.state.text = f"<p class=error role=alert>{escaped(error)}</p>"
 
     def follow(self) -> None:
-        """Look at the command until it has ended."""
+        """Follow the command until it ends."""
         self._position, self._event = 0, None
         self._begun(running=True)
         self._tell()
@@ -87,12 +69,12 @@ class CommandPanel:
             self._callback = self._doc.add_periodic_callback(self.look, EVERY)
 
     def look(self) -> None:
-        """Show what has happened since the last look."""
+        """Show the progress since the last look."""
         job = self.job
         if job is None:
             return
         job.insist()
-        running = job.running  # before its events are read: none is left out
+        running = job.running  # before its events are read: none is missed
         events, self._position = job.events(self._position)
         self._heard(events)
         if running:
@@ -144,7 +126,7 @@ class CommandPanel:
 
 
 def _words(event: Event | None, job: Job) -> str:
-    """Say where a command stands: by its last event, or by the last line of one that has told none."""
+    """Return the progress of a command: last event, or last output line."""
     if event is None:
         return next((line.strip(" .") for line in reversed(job.printed().splitlines()) if line.strip()), "beginning")
     if isinstance(event, SearchStep):

@@ -1,4 +1,4 @@
-"""Identification from the page of a study: what it is to do, its live iterations, its outcome and what would help."""
+"""Identification on the page of a study: options, iterations, result, remedies."""
 
 from __future__ import annotations
 
@@ -10,21 +10,21 @@ from pathlib import Path
 
 import numpy as np
 from bokeh.layouts import column
-from bokeh.models import ColumnDataSource, Select, Spinner
+from bokeh.models import ColumnDataSource, Spinner
 
 from fmuid.apps.workbench.home import address, escaped, file_address
 from fmuid.apps.workbench.jobs import Job
-from fmuid.apps.workbench.page_layout import SHEET, WIDE, several, words
 from fmuid.apps.workbench.pages.command_panel import CommandPanel
 from fmuid.apps.workbench.pages.remedy_panel import RemedyPanel, StudyPageProtocol
 from fmuid.apps.workbench.pages.results_view import models, side_by_side
 from fmuid.apps.workbench.project_folder import Folder
+from fmuid.apps.workbench.widgets import SHEET, WIDE, choice, on_change, several, words
 from fmuid.errors import InputError
+from fmuid.events import Event, SearchStep
 from fmuid.files import is_file
 from fmuid.formatting import of_parameter
-from fmuid.progress import Event, SearchStep
 from fmuid.reports import documents_of
-from fmuid.reports.chart import MAX_PARAMETERS, Axis, Chart, Data, Layer
+from fmuid.reports.chart import LIMITS, Axis, Chart, Data, Layer
 from fmuid.reports.render.bokeh_models import live
 from fmuid.reports.render.bokeh_renderer import DrawnCharts, drawing
 
@@ -33,43 +33,30 @@ SEARCHES = {
     "whole bounds, evolution": ["estimation.method=differential-evolution"],
     "whole bounds, many starts": ["estimation.method=multi-start"],
 }
-"""What the search may be, and what a study says for it."""
+"""Optimizer options, and their study values."""
 PROFILES, POSTERIOR = "profiles", "posterior"
-MAPS = 28
-"""Pairs of parameters that are offered for a map, at most."""
+MAPS = 28  # offered pairs for cost maps
 STARTS = 20
 OTHERS = " What <code>results</code> has is of another study of this folder, and is written over."
-UNCERTAIN = ("profiles", "maps", "posterior")
-"""The sections of a report on more than standard deviations."""
+UNCERTAIN = ("profiles", "maps", "posterior")  # sections on uncertainty
 
 
 class IdentificationPanel:
-    """Controls, live iterations and outcome of ``fmuid identify``.
-
-    Parameters
-    ----------
-    page : StudyPageProtocol
-
-    Attributes
-    ----------
-    controls, search, found : Bokeh models
-    run : CommandPanel
-    """
+    """Controls, iterations and result of ``fmuid identify``."""
 
     def __init__(self, page: StudyPageProtocol) -> None:
         self.page = page
         self.run = CommandPanel(page.doc, page.bench.jobs, page.results, {"Identify": self.begin}, self._add, self._end)
         names = [each.name for each in page.rows]
-        self.how = Select(title="search", options=list(SEARCHES), value="from here", name="how", stylesheets=[SHEET])
+        self.how = choice("search", list(SEARCHES), "how", "from here")
         self.starts = Spinner(title="starts", value=STARTS, low=1, step=1, visible=False, width=80, name="starts")
         self.starts.stylesheets = [SHEET]
         maps = [f"map of {first}, {second}" for first, second in combinations(names, 2)][:MAPS]
         self.pairs = dict(zip(maps, combinations(names, 2), strict=False))
         self.also = several("then also", [PROFILES, POSTERIOR, *maps], "also")
-        for each in (self.how, self.also, self.starts):
-            each.on_change("value", lambda _attr, _old, _new: self._asked())
+        on_change(self._asked, self.how, self.also, self.starts)
         self.controls = column(self.how, self.starts, self.also, self.run.layout, sizing_mode="stretch_width")
-        self.names = names[: MAX_PARAMETERS - 1]
+        self.names = names[: LIMITS.parameters - 1]
         self.trace: dict[str, list[float]] = {key: [] for key in ("k", "c", *(f"v{i}" for i in range(len(self.names))))}
         self.refused: dict[str, list[float]] = {"x": [], "y": []}
         self.drawn: DrawnCharts | None = None
@@ -79,11 +66,12 @@ class IdentificationPanel:
         self.text, self.remedies, self.more = words("found"), RemedyPanel(page), column([], **WIDE)
         self.found = column(self.text, self.remedies.layout, self.more, **WIDE)
         if self.run.job is not None and self.run.job.running:
-            self._follow()
+            self.run.follow()
+            self._clear()
         self._tell_result()
 
     def _charts(self) -> list[Chart]:
-        """Return the cost and the parameters over the iterations so far."""
+        """Return the cost and the parameters over the iterations."""
         columns = {key: np.array(values, dtype=np.float64) for key, values in self.trace.items()}
         away: Data = {key: np.array(values, dtype=np.float64) for key, values in self.refused.items()}
         free = [i for i, name in enumerate(self.names) if np.isfinite(columns[f"v{i}"]).any() and name]
@@ -106,10 +94,8 @@ class IdentificationPanel:
             self.drawn.refill(charts, self.shown)
         self.shown = charts
 
-    # --- what is asked for
-
     def settings(self) -> list[str]:
-        """Return what of the study is replaced for the search, and for what follows it."""
+        """Return the study values that the options replace."""
         found = list(SEARCHES[self.how.value])
         found += [f"estimation.n_starts={int(self.starts.value or STARTS)}"] if self.starts.visible else []
         found += ["uncertainty.profile_likelihood=true"] if PROFILES in self.also.value else []
@@ -122,15 +108,9 @@ class IdentificationPanel:
         self.starts.visible = "multi-start" in "".join(SEARCHES[self.how.value])
         self.page.note()
 
-    # --- a run
-
     def begin(self) -> None:
-        """Begin, or follow the run that another tab has begun."""
+        """Start, or follow the command of another tab."""
         self.run.begin(self.page.path, self.page.words("identify"))
-        self._clear()
-
-    def _follow(self) -> None:
-        self.run.follow()
         self._clear()
 
     def _clear(self) -> None:
@@ -142,7 +122,7 @@ class IdentificationPanel:
         self.search.children = [self.hint]
 
     def _add(self, events: Sequence[Event]) -> None:
-        """Draw the steps of the search, and move the sliders with them."""
+        """Draw new iterations, and move the sliders."""
         steps = [each for each in events if isinstance(each, SearchStep)]
         taken = [each for each in steps if each.accepted]
         for each in taken:
@@ -162,10 +142,8 @@ class IdentificationPanel:
         self.page.show_result(self.page.results, move=job.code == 0)
         self._tell_result()
 
-    # --- words
-
     def _tell_result(self) -> None:
-        """Show verdict, table, what would help and the figures of uncertainty of what is in the folder of results."""
+        """Show the results folder: verdict, table, remedies, uncertainty."""
         folder: Path = self.page.results
         where: Folder = self.page.bench.folder
         if not self.page.has_result(folder):
@@ -192,7 +170,7 @@ class IdentificationPanel:
 
 
 def _of(values: Mapping[str, float], name: str) -> float:
-    """Return the value of a parameter, of one per experiment the first."""
+    """Return the value of a parameter, the first of several experiments."""
     if name in values:
         return values[name]
     return next((value for each, value in values.items() if of_parameter(each, name)), math.nan)

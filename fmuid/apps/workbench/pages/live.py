@@ -1,67 +1,101 @@
-"""Fits that are drawn anew while somebody looks: of another simulation, within a frame, or another stretch of time.
+"""Figures redrawn within a frame: another simulation, or another time range.
 
-Only what changes is painted: the simulated line and its residual lie on Bokeh's overlay, above the measured dots, the
-axes and the line of the last optimum, which are painted anew when the ranges change. Ranges are those of the server,
-which moves them when a line leaves them.
+Only the simulated line and its residual are repainted, on Bokeh's overlay. The rest is repainted when the ranges
+change, which the server sets.
 """
 
 from __future__ import annotations
 
 import math
+import threading
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from typing import Any
+from typing import Any, Generic, TypeVar
 
 import numpy as np
 from bokeh.models import ColumnDataSource, Range1d
 
+from fmuid.apps.workbench.widgets import on_change
 from fmuid.array_types import Floats
 from fmuid.data import evenly, extremes
 from fmuid.formatting import label
-from fmuid.reports.chart import MAX_OUTPUTS, Axis, Chart, ChartGrid, Figure, Layer, short, stacked
+from fmuid.reports.chart import LIMITS, Axis, Chart, ChartGrid, Figure, Layer, short, stacked
 from fmuid.reports.render.bokeh_models import live
 from fmuid.reports.render.bokeh_renderer import drawing
 from fmuid.reports.topics.fit import uncounted
 from fmuid.simulation import OutputFit
 
-# Rows of lines and dots: so many are painted within a frame on a machine without a graphics card.
-ROWS, DOTS = 1600, 700
-# An upper figure whose lines fill less than this of its height is drawn anew, with so much room around.
+ROWS, DOTS = 1600, 700  # Rows of lines and dots: painted within a frame without a graphics card
+# Least filled fraction of the upper figure's height; room around its lines at a new range.
 LEAST_FILLED, ROOM = 0.35, 0.12
-Later = Callable[[Callable[[], None]], object]
-"""What has a callable called in a moment, as ``add_next_tick_callback`` of a document."""
+Asked = TypeVar("Asked")
+Later = Callable[[Callable[[], None]], object]  # Deferred call, as ``add_next_tick_callback`` of a document
 
 
 def in_scheme(figures: Sequence[Figure], scheme: str) -> list[Any]:
-    """Return Bokeh's own models of charts, in the colors of a page of this scheme, "light" or "dark"."""
+    """Return Bokeh models of charts in the colors of a scheme."""
     return live(drawing(figures).figures, dark=scheme == "dark")
 
 
-class TimeRange:
-    """The stretch of time that is looked at.
+class LatestOnlyWorker(Generic[Asked]):
+    """Worker thread that keeps only the latest pending request.
 
-    Parameters
-    ----------
-    times : (K,) array
-        Of the record, s.
-    later : Later
-    redraw : callable
-        Called when another stretch is looked at, once for both of its ends.
-
-    Attributes
-    ----------
-    across : Range1d
+    `work` takes a request and raises nothing; `interrupt`, from another thread, has it return early; `release` is
+    called at the end of the thread.
     """
+
+    def __init__(
+        self,
+        work: Callable[[Asked], object],
+        interrupt: Callable[[], object] = lambda: None,
+        release: Callable[[], object] = lambda: None,
+    ) -> None:
+        self._work, self._interrupt, self._release = work, interrupt, release
+        self._waiting, self._is_working, self._closed = list[Asked](), False, False
+        self._changed = threading.Condition()
+        self._thread = threading.Thread(target=self._run, daemon=True)
+        self._thread.start()
+
+    def ask(self, what: Asked) -> None:
+        """Replace the pending request."""
+        with self._changed:
+            self._waiting[:] = [what]
+            self._changed.notify()
+
+    def close(self) -> None:
+        """End the work and the thread."""
+        with self._changed:
+            self._closed = True
+            self._changed.notify()
+            if self._is_working:
+                self._interrupt()
+
+    def _run(self) -> None:
+        while (what := self._next()) is not None:
+            self._work(what[0])
+        self._release()
+
+    def _next(self) -> tuple[Asked] | None:
+        """Wait for a request; return None at the end."""
+        with self._changed:
+            self._is_working = False
+            self._changed.wait_for(lambda: self._waiting or self._closed)
+            self._is_working = not self._closed
+            return None if self._closed else (self._waiting.pop(),)
+
+
+class TimeRange:
+    """Visible time range; `redraw` is called once per change of it."""
 
     def __init__(self, times: Floats, later: Later, redraw: Callable[[], None]) -> None:
         self._times, self._later, self._redraw, self._due = times, later, redraw, False
         self.across = Range1d(float(times[0]), float(times[-1]), bounds="auto")
-        for end in ("start", "end"):
-            self.across.on_change(end, lambda _attr, _old, _new: self._moved())
+        on_change(self._moved, self.across, name="start")
+        on_change(self._moved, self.across, name="end")
 
     @property
     def rows(self) -> slice:
-        """The rows of it, and one more at each end."""
+        """The visible rows, and one more at each end."""
         first, last = np.searchsorted(self._times, [self.across.start, self.across.end])
         return slice(max(0, int(first) - 1), min(len(self._times), int(last) + 1))
 
@@ -76,23 +110,7 @@ class TimeRange:
 
 
 class ZoomedFit:
-    """Charts of a fit, thinned anew for each stretch of time that is looked at.
-
-    Parameters
-    ----------
-    later : Later
-    times : (K,) array
-        Of the record, s.
-    grid : ChartGrid
-        That can be thinned anew.
-    scheme : "light" or "dark"
-
-    Attributes
-    ----------
-    figure : Bokeh model
-    grid : ChartGrid
-        As it is shown.
-    """
+    """Charts of a fit, thinned for each visible time range."""
 
     def __init__(self, later: Later, times: Floats, grid: ChartGrid, scheme: str) -> None:
         self._of, self.grid = grid.live, grid
@@ -108,25 +126,11 @@ class ZoomedFit:
 
 
 class LiveFit:
-    """Charts of one experiment, and what to put into them.
-
-    Parameters
-    ----------
-    record : OutputFit
-        What is shown at first.
-    later : Later
-    scheme : "light" or "dark"
-
-    Attributes
-    ----------
-    figure : Bokeh model
-    grid : ChartGrid
-        As it is shown.
-    """
+    """Charts of one experiment whose simulation changes."""
 
     def __init__(self, record: OutputFit, later: Later, scheme: str) -> None:
         self.record, self._ghost = record, np.full_like(record.simulated, np.nan)
-        self.outputs = range(min(len(record.outputs), MAX_OUTPUTS))
+        self.outputs = range(min(len(record.outputs), LIMITS.outputs))
         self.stretch = TimeRange(record.times, later, lambda: self.draw(self.record.simulated))
         self.across = self.stretch.across
         self._shown: tuple[float, float] | None = None
@@ -141,10 +145,8 @@ class LiveFit:
         (self.figure,) = live(self._drawing.figures, dark=scheme == "dark")
         self.draw(record.simulated)
 
-    # --- what is shown
-
     def draw(self, simulated: Floats) -> None:
-        """Show another simulation (K, n_outputs)."""
+        """Show another simulation, (K, n_outputs)."""
         self.record = replace(self.record, simulated=simulated)
         new = self._grid()
         self._drawing.refill([new], [self.grid])
@@ -156,13 +158,16 @@ class LiveFit:
                 self._reach(j, shown[:, j], measured[:, j], measured[:, j] - shown[:, j])
 
     def haunt(self, simulated: Floats | None) -> None:
-        """Show the simulation (K, n_outputs) of the last optimum behind, or nothing."""
+        """Show the simulation (K, n_outputs) of the last optimum, or none."""
         self._ghost = np.full_like(self.record.simulated, np.nan) if simulated is None else simulated
         self._shown = None
         self.draw(self.record.simulated)
 
     def _kept(self, rows: slice) -> tuple[Floats, Floats, Floats, Floats]:
-        """Return what stays while a parameter is dragged: times and measured dots, times and the last optimum."""
+        """Return times and measured dots, times and last optimum.
+
+        They stay the same while a parameter is dragged.
+        """
         if self._still is None or (rows.start, rows.stop) != self._shown:
             times, count = self.record.times[rows], len(self.outputs)
             some, ghost = evenly(len(times), DOTS), self._ghost[rows, :count]
@@ -174,7 +179,7 @@ class LiveFit:
         return self._still
 
     def _grid(self) -> ChartGrid:
-        """Return the charts of the stretch that is looked at."""
+        """Return the charts of the visible time range."""
         rows, count = self.stretch.rows, len(self.outputs)
         t_dots, _, t_ghost, _ = self._kept(rows)
         shown, measured = self.record.simulated[rows, :count], self.record.measured[rows, :count]
@@ -204,7 +209,7 @@ class LiveFit:
         return stacked(charts)
 
     def _reach(self, j: int, simulated: Floats, measured: Floats, residual: Floats) -> None:
-        """Move the ranges of an output where lines leave them, or hardly fill them."""
+        """Fit the ranges of an output to its lines."""
         known = np.concatenate([simulated, measured])
         known = known[np.isfinite(known)]
         if not known.size:

@@ -1,19 +1,20 @@
-"""The page that begins a study from an FMU and tables, by the steps of ``fmuid init``."""
+"""Page of a new study, as by ``fmuid init``."""
 
 from __future__ import annotations
 
 from typing import Any
 
-from bokeh.layouts import column, row
-from bokeh.models import Select, TextInput
+from bokeh.layouts import column
+from bokeh.models import Select
 
 from fmuid.apps.workbench.access_control import SCHEME
 from fmuid.apps.workbench.home import address, escaped
 from fmuid.apps.workbench.jobs import Job, command_text
-from fmuid.apps.workbench.page_layout import LINE, SHEET, WIDE, argument, dress, several, words
+from fmuid.apps.workbench.page_layout import argument, dress, sections
 from fmuid.apps.workbench.pages.command_panel import CommandPanel
 from fmuid.apps.workbench.pages.live import in_scheme
 from fmuid.apps.workbench.project_folder import Folder, choices, tables
+from fmuid.apps.workbench.widgets import WIDE, choice, line, on_change, several, typed, words
 from fmuid.data import first_lines
 from fmuid.errors import FmuidError, InputError
 from fmuid.reports.document import table_of
@@ -24,17 +25,15 @@ from fmuid.runs import prepared_columns
 from fmuid.studies import InitOptions, MatchedDataFile, match_data_files, parse_column, value_of
 from fmuid.units import TIME_UNITS
 
-GUESSED, NONE = "(guess)", "(none)"
-"""What stands for a column that is not said, and for none."""
+GUESSED, NONE = "(guess)", "(none)"  # a guessed column, and none
 LABELS = {
     "lowpass_frequency": "low-pass (Hz)",
     "start_time": "from (s)",
     "end_time": "to (s)",
     "resample_interval": "resample (s)",
 }
-"""Words of ``[experiments.preprocess]`` that are asked for, beside detrend; the file has room for all."""
-ROWS = 5
-"""Of a table that are shown."""
+"""Offered keys of ``[experiments.preprocess]``, beside detrend."""
+ROWS = 5  # shown rows of a data file
 CHARACTERS = 1200
 
 
@@ -44,59 +43,46 @@ def build(doc: Any, bench: Any) -> None:
 
 
 class NewPage:
-    """What one tab shows of a study that is to be."""
+    """One tab of a new study."""
 
     def __init__(self, doc: Any, bench: Any, scheme: str) -> None:
         self.folder: Folder = bench.folder
         self.scheme, self.records = scheme, tuple[MatchedDataFile, ...]()
         fmus = [self.folder.name(path) for path in choices(self.folder, (".fmu",))]
         known = [self.folder.name(path) for path in tables(self.folder)]
-        self.fmu = Select(title="FMU", options=["", *fmus], value=fmus[0] if len(fmus) == 1 else "", name="fmu")
+        self.fmu = choice("FMU", ["", *fmus], "fmu", fmus[0] if len(fmus) == 1 else "")
         self.tables = several("tables, one an experiment", known, "chosen")
-        self.time = _typed("column of time", "time", "time")
-        self.unit = Select(title="its unit", options=["", *TIME_UNITS], value="", name="time-unit")
-        self.rate = _typed("samples per second", "", "rate")
-        self.sheet = _typed("sheet", "", "sheet")
-        self.output = _typed("study file to write", "study.toml", "output")
-        self.prepare = {each: _typed(LABELS[each], "", each) for each in LABELS}
-        self.prepare["detrend"] = Select(title="detrend", options=["", "mean", "linear"], value="", name="detrend")
+        self.time = typed("column of time", "time", "time")
+        self.unit = choice("its unit", ["", *TIME_UNITS], "time-unit")
+        self.rate = typed("samples per second", "", "rate")
+        self.sheet = typed("sheet", "", "sheet")
+        self.output = typed("study file to write", "study.toml", "output")
+        self.prepare: dict[str, Any] = {each: typed(LABELS[each], "", each) for each in LABELS}
+        self.prepare["detrend"] = choice("detrend", ["", "mean", "linear"], "detrend")
         self.maps: dict[str, Select] = {}
-        self.mapping = row([], name="mapping", stylesheets=[LINE], sizing_mode="stretch_width")
+        self.mapping = line([], name="mapping")
         self.said, self.command = words("said"), words("command")
         self.drawn = column([], name="drawn", **WIDE)
         self.run = CommandPanel(
             doc, bench.jobs, self.folder.root / "init", {"Write study": self.write}, ended=self._end
         )
         how = (self.time, self.unit, self.rate, self.sheet)
-        for each in (self.fmu, self.tables, *how, self.output, *self.prepare.values()):
-            each.stylesheets = [SHEET]
-            each.on_change("value", lambda _attr, _old, _new: self.look())
-        lines = [row(*some, stylesheets=[LINE], sizing_mode="stretch_width") for some in (how, self.prepare.values())]
-        first = column(self.fmu, self.tables, lines[0], name="tables", sizing_mode="stretch_width")
-        roots = {"tables": first, "mapping": column(self.mapping, self.said, name="mapping", **WIDE)}
-        roots["prepare"] = column(lines[1], self.drawn, name="prepare", sizing_mode="stretch_width")
-        roots["write"] = column(self.output, self.run.layout, self.command, name="write", sizing_mode="stretch_width")
-        for root in roots.values():
-            doc.add_root(root)
-        heads = ("Model and tables", "Which column is which", "What is done with the tables first", "The study")
-        pieces = [
-            (("</section>" if k else "") + f"<section><h3>{k + 1}. {head}</h3>", root)
-            for k, (head, root) in enumerate(zip(heads, roots, strict=True))
-        ]
-        dress(doc, "New study", [*pieces, ("</section>", "")], "bokeh-widgets")
+        on_change(self.look, self.fmu, self.tables, *how, self.output, *self.prepare.values())
+        lines = [line(*some) for some in (how, self.prepare.values())]
+        wide = {"sizing_mode": "stretch_width"}
+        roots = {
+            "Model and tables": column(self.fmu, self.tables, lines[0], name="tables", **wide),
+            "Which column is which": column(self.mapping, self.said, name="mapping", **WIDE),
+            "What is done with the tables first": column(lines[1], self.drawn, name="prepare", **wide),
+            "The study": column(self.output, self.run.layout, self.command, name="write", **wide),
+        }
+        pieces = sections(doc, {f"<h3>{k}. {head}</h3>": root for k, (head, root) in enumerate(roots.items(), 1)})
+        dress(doc, "New study", pieces, "bokeh-widgets")
         self.look()
-
-    # --- what is asked for
 
     @property
     def asked(self) -> InitOptions:
-        """What is said of the tables.
-
-        Raises
-        ------
-        InputError
-            If what stands for a number is none.
-        """
+        """The options of the form; raises `InputError` for a wrong number."""
         rate = value_of(self.rate.value) if self.rate.value.strip() else None
         if rate is not None and not (isinstance(rate, int | float) and rate > 0):
             raise InputError(f"samples per second are a number above 0, not {rate!r}")
@@ -107,7 +93,7 @@ class NewPage:
         return InitOptions(parse_column(self.time.value or "time"), self.unit.value or None, rate, sheet, columns, how)
 
     def words(self) -> list[str]:
-        """Return the command, to be given in the opened folder."""
+        """Return the command, for the opened folder."""
         asked = self.asked
         options = [("--output", self.output.value), ("--time", str(asked.time) if asked.time != "time" else "")]
         options += [("--time-unit", asked.time_unit or ""), ("--sample-rate", self.rate.value.strip())]
@@ -118,10 +104,8 @@ class NewPage:
         ]
         return ["init", self.fmu.value, *self.tables.value, *(each for pair in options if pair[1] for each in pair)]
 
-    # --- what is shown
-
     def look(self) -> None:
-        """Read the tables as it is said, and show what they are taken for."""
+        """Read the data files, and show how they are understood."""
         self.records, self.drawn.children = (), []
         self.run.buttons[0].disabled = True
         if not self.fmu.value or not self.tables.value:
@@ -141,7 +125,7 @@ class NewPage:
         self.run.buttons[0].disabled = False
 
     def _offer(self) -> None:
-        """Let the column of each variable be chosen, where that is another set of variables than before."""
+        """Offer columns for each variable if the variables changed."""
         options = [GUESSED, NONE, *dict.fromkeys(name for record in self.records for name in record.columns)]
         names = list(dict.fromkeys(link.variable for record in self.records for link in record.links))
         if names == list(self.maps) and all(each.options == options for each in self.maps.values()):
@@ -150,10 +134,9 @@ class NewPage:
         self.maps = {}
         for name in names:
             value = before.get(name, GUESSED)
-            made = Select(title=name, options=options, value=value if value in options else GUESSED, width=150)
-            made.name, made.stylesheets = f"map {name}", [SHEET]
-            made.on_change("value", lambda _attr, _old, _new: self.look())
-            self.maps[name] = made
+            value = value if value in options else GUESSED
+            self.maps[name] = choice(name, options, f"map {name}", value, width=150)
+        on_change(self.look, *self.maps.values())
         self.mapping.children = list(self.maps.values())
 
     def _figure(self, record: MatchedDataFile) -> Any:
@@ -161,10 +144,8 @@ class NewPage:
         drawn = prepared_columns(record.settings, record.experiment, record.frame, whole=True)
         return in_scheme([preprocessing_charts(drawn, record.frame.attrs.get("units", {}))], self.scheme)[0]
 
-    # --- writing
-
     def write(self) -> None:
-        """Begin ``fmuid init``."""
+        """Start ``fmuid init``."""
         try:
             path = self.folder.root / self.output.value
             if path.suffix != ".toml" or not self.folder.has(path):
@@ -180,12 +161,8 @@ class NewPage:
             self.run.state.text += f'<p><a href="{link}">What-if and identify</a></p>'
 
 
-def _typed(title: str, value: str, name: str) -> TextInput:
-    return TextInput(title=title, value=value, name=name, width=150)
-
-
 def _record(record: MatchedDataFile, folder: Folder) -> str:
-    """Return what a table has and what it is taken for, as HTML."""
+    """Return a data file, as read and as matched, as HTML."""
     links = [link_cells(link) for link in record.links]
     taken = table(table_of({head: [cells[k] for cells in links] for k, head in enumerate(LINK_HEADS)}, LINK_HEADS))
     first = record.frame.head(ROWS)

@@ -1,4 +1,4 @@
-"""From "not determined" to what helps: hold the parameter, give it a prior, or find a record that shows it."""
+"""Remedies for parameters that are not identifiable: fix, prior, better excitation."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ from bokeh.layouts import column, row
 
 from fmuid.apps.workbench.home import address, escaped
 from fmuid.apps.workbench.jobs import Job
-from fmuid.apps.workbench.page_layout import LINE, WIDE, button, several, words
 from fmuid.apps.workbench.pages.command_panel import CommandPanel
 from fmuid.apps.workbench.pages.sliders import ParameterRow
 from fmuid.apps.workbench.project_folder import Folder, beside, tables
+from fmuid.apps.workbench.widgets import LINE, WIDE, button, several, words
 from fmuid.errors import InputError
 from fmuid.estimation import Result
 from fmuid.files import is_file
@@ -25,12 +25,11 @@ from fmuid.formatting import of_parameter
 from fmuid.runs import study_of
 from fmuid.studies import Study, read_toml
 
-DESIGN = "design"
-"""The folder in that of the results into which excitations are compared."""
+DESIGN = "design"  # subfolder of the results for the comparison of excitations
 
 
 class StudyPageProtocol(Protocol):
-    """What a part of the page of a study needs of the whole."""
+    """The page of a study, as its parts see it."""
 
     doc: Any
     path: Path
@@ -43,10 +42,10 @@ class StudyPageProtocol(Protocol):
 
     @property
     def results(self) -> Path:
-        """Where the command writes."""
+        """Output folder of the command."""
 
     def has_result(self, folder: Path) -> bool:
-        """Whether a folder has a result of this study."""
+        """Return whether a folder has a result of this study."""
 
     def words(self, command: str) -> list[str]:
         """Return the command."""
@@ -55,28 +54,16 @@ class StudyPageProtocol(Protocol):
         """Move sliders."""
 
     def note(self) -> None:
-        """Keep a state to which one can go back, and say the command anew."""
+        """Store a state for undo, and update the command."""
 
     def show_result(self, folder: Path, *, move: bool = False) -> None:
         """Show a result as the last optimum."""
 
 
 class ExcitationComparison:
-    """What compares excitations for a study, by ``fmuid design``, into the folder of a result.
+    """Comparison of excitations for a study, by ``fmuid design``.
 
-    Parameters
-    ----------
-    doc : Document
-    bench : WorkbenchProtocol
-    study : Path
-    results : Path
-        The folder of the result.
-    settings : callable
-        Returns what ``--set`` has to say, each after the word itself.
-
-    Attributes
-    ----------
-    layout : Bokeh model
+    `results` is the folder of the result; `settings` returns the ``--set`` arguments.
     """
 
     def __init__(self, doc: Any, bench: Any, study: Path, results: Path, settings: Callable[[], Sequence[str]]) -> None:
@@ -92,7 +79,7 @@ class ExcitationComparison:
         self.layout = column(advice, self.tables, self.run.layout, self.compared, name="designing", **WIDE)
 
     def compare(self) -> None:
-        """Begin ``fmuid design`` with the tables that are chosen."""
+        """Start ``fmuid design`` with the chosen data files."""
         if not self.tables.value:
             self.run.refuse("choose tables: what the inputs would be, such as of a faster or longer record")
             return
@@ -107,16 +94,7 @@ class ExcitationComparison:
 
 
 class RemedyPanel:
-    """What stands below a result that does not determine all parameters.
-
-    Parameters
-    ----------
-    page : StudyPageProtocol
-
-    Attributes
-    ----------
-    layout : Bokeh model
-    """
+    """Remedies below a result with parameters that are not identifiable."""
 
     def __init__(self, page: StudyPageProtocol) -> None:
         self.page = page
@@ -126,12 +104,12 @@ class RemedyPanel:
         self.layout = column([], name="remedies", **WIDE)
 
     def tell(self, folder: Path) -> None:
-        """Offer what helps for each parameter that the result in a folder does not determine."""
+        """Offer remedies for each parameter without a reliable estimate."""
         names = undetermined(Result.from_json(folder / "result.json"), [each.name for each in self.page.rows])
         lines = []
         for name in names:
             hold = button(f"Hold {name}", partial(self._hold, name))
-            prior = button(f"Give {name} a prior", partial(self._prior, name))
+            prior = button(f"Give {name} a prior", self._row(name).give_prior)
             text = words("which", f"<p>{_which(name)}</p>")
             lines.append(column(text, row(hold, prior, stylesheets=[LINE]), **WIDE))
         heading = words("remedy", "<h3>What would help</h3>")
@@ -139,41 +117,29 @@ class RemedyPanel:
 
     def _hold(self, name: str) -> None:
         row = self._row(name)
-        self.page.put({name: row.parameter.start}, note=False)  # the data say nothing against it, nor for its estimate
+        self.page.put({name: row.parameter.start}, note=False)  # the data do not determine it
         row.hold.active = True
-
-    def _prior(self, name: str) -> None:
-        self._row(name).give_prior()
 
     def _row(self, name: str) -> Any:
         return next(each for each in self.page.rows if each.name == name)
 
 
 def undetermined(result: Result, parameters: Sequence[str]) -> list[str]:
-    """Return the parameters of a study that a result does not determine, or hardly."""
+    """Return the study's parameters that are not or weakly identifiable."""
     names = {name for name, std in zip(result.names, result.std, strict=True) if not math.isfinite(std)}
-    names.update(name for each in (*result.undetermined, *result.weak) for name in each.names)
+    names.update(
+        name
+        for each in (*result.identifiability.non_identifiable, *result.identifiability.weakly_identifiable)
+        for name in each.names
+    )
     return [each for each in parameters if any(of_parameter(name, each) for name in names)]
 
 
 class UndeterminedResult:
-    """The study of a result that does not determine all parameters, where the folder has it.
+    """Study of a result with parameters that are not identifiable, if in the folder.
 
-    Parameters
-    ----------
-    folder : Folder
-    place : Path
-        The folder of the result.
-
-    Attributes
-    ----------
-    names : list of str
-        The parameters; none where all are determined, or the study is not there any more.
-    study : Path
-    settings : list of str
-        What ``--set`` has to say for the study to be as it was for this result.
-    designing : list of str
-        The same words for excitations to be compared at what is known since: the other estimates, the noise.
+    `names` are the parameters. `settings` are the ``--set`` values of the result, `designing` the arguments for its
+    design at the other estimates and noise.
     """
 
     def __init__(self, folder: Folder, place: Path) -> None:
@@ -194,7 +160,7 @@ class UndeterminedResult:
             self._address = address("study", folder, self.study)
 
     def links(self) -> str:
-        """Return links to the study's page on which one of the parameters is held, or given a prior, as HTML."""
+        """Return HTML links to the study with a remedy for each parameter."""
         more = "".join(f"&set={quote(each, safe='')}" for each in self.settings)
         acts = (("hold", "Hold {}"), ("prior", "Give {} a prior"))
         return "".join(
@@ -210,14 +176,16 @@ class UndeterminedResult:
 
 
 def last_of(*settings: str) -> list[str]:
-    """Return settings without those that a later one replaces."""
+    """Return settings without those replaced by later ones."""
     return list({each.partition("=")[0].replace('"', ""): each for each in settings}.values())
 
 
 def noise_of(study: Study, result: Result | None) -> list[str]:
-    """Return what ``--set`` has to say for the noise to be known: what a study does not say of it, a result does."""
+    """Return the ``--set`` value of noise variances that only the result has."""
     known = study.known_variance
-    found = {} if result is None else {name: each for name, each in result.noise_variance.items() if name not in known}
+    found = (
+        {} if result is None else {name: each for name, each in result.fit.noise_variance.items() if name not in known}
+    )
     return [f"noise.variance={_toml(known | found)}"] if found else []
 
 
@@ -226,9 +194,9 @@ def _which(name: str) -> str:
 
 
 def _settings(before: Any, after: Any, where: str = "") -> Iterator[str]:
-    """Yield what ``--set`` has to say for a study's content to become another one."""
+    """Yield the ``--set`` values that change a study's content into another."""
     if isinstance(before, dict) and isinstance(after, dict):
-        if not where:  # held, which moves it from the parameters to the values of the model
+        if not where:  # fixed parameters move to [model]
             held = before.get("parameters", {}).keys() - after.get("parameters", {}).keys()
             yield from (f"parameters.{_key(name)}={after['model']['fixed'][name]!r}" for name in sorted(held))
         for key, value in after.items():

@@ -1,4 +1,4 @@
-"""The page of results: what a report says of a folder, or several identifications side by side."""
+"""Page of results: the report of a folder, or results side by side."""
 
 from __future__ import annotations
 
@@ -11,25 +11,26 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from bokeh.layouts import column, row
-from bokeh.models import FileInput, Select
+from bokeh.layouts import column
+from bokeh.models import FileInput
 from markupsafe import Markup
 
 from fmuid.apps.workbench.access_control import SCHEME
 from fmuid.apps.workbench.home import address, escaped, file_address
 from fmuid.apps.workbench.jobs import Job, command_text
-from fmuid.apps.workbench.page_layout import LINE, SHEET, WIDE, argument, arguments, dress, words
+from fmuid.apps.workbench.page_layout import argument, arguments, dress, sections
 from fmuid.apps.workbench.pages.command_panel import CommandPanel
 from fmuid.apps.workbench.pages.live import ZoomedFit
 from fmuid.apps.workbench.pages.remedy_panel import ExcitationComparison, UndeterminedResult
 from fmuid.apps.workbench.project_folder import TABLES, Folder, FoundResult, choices, tables
+from fmuid.apps.workbench.widgets import SHEET, WIDE, choice, line, on_change, words
 from fmuid.array_types import Floats
 from fmuid.errors import InputError
 from fmuid.estimation import Result
 from fmuid.files import file_name, is_file, replacing
 from fmuid.formatting import label, with_std
 from fmuid.reports import documents_of
-from fmuid.reports.chart import MAX_DOTS, MAX_ROWS, ChartGrid
+from fmuid.reports.chart import LIMITS, ChartGrid
 from fmuid.reports.document import Document, Section, table_of
 from fmuid.reports.render.html import place_of, written
 from fmuid.reports.render.style import DARK
@@ -39,12 +40,11 @@ from fmuid.reports.topics.prediction import prediction_fits
 from fmuid.runs import estimate_rows, read_identification, read_prediction
 from fmuid.studies import read_toml
 
-# The place of what would help.
-REMEDIES = "remedies"
+REMEDIES = "remedies"  # place of the remedies
 
 
 def build(doc: Any, bench: Any) -> None:
-    """Fill a document with the page of the folders that its address names."""
+    """Fill a document with the page of results folders."""
     folder: Folder = bench.folder
     places = [folder.path(name) for name in dict.fromkeys(arguments(doc, "file"))]
     if not places:
@@ -57,15 +57,15 @@ def build(doc: Any, bench: Any) -> None:
     shown = [(text, live.get(place, "")) for text, place in zip(pieces[::2], [*pieces[1::2], ""], strict=True)]
     if len(places) == 1:
         shown = [_elsewhere(folder, places[0]), *shown, *_acts(doc, bench, places[0])]
-    # the others as in a report: models of a server would take it seconds, in which it answers nobody
+    # other figures are drawn as in a report: server models would block for seconds
     colors = DARK if argument(doc, SCHEME) == "dark" else {}
-    figures = json.dumps({"drawings": drawings, "colors": colors})  # in this order: what is referred to comes before
+    figures = json.dumps({"drawings": drawings, "colors": colors})  # in this order: references come first
     doc.template_variables["figures"] = Markup(figures.replace("<", "\\u003c"))
     dress(doc, title, shown, "bokeh-widgets")
 
 
 def _one(doc: Any, bench: Any, place: Path) -> tuple[str, str, Any, dict[str, str]]:
-    """Return title, HTML and figures of the documents of a folder, and what the document follows, by its place."""
+    """Return title, HTML, figures and live figures of a folder."""
     documents = list(documents_of(place).values())
     title = next((each.title for each in documents if each.title), "") or place.parent.name
     live = _zoomed(doc, place, documents)
@@ -82,7 +82,7 @@ def _one(doc: Any, bench: Any, place: Path) -> tuple[str, str, Any, dict[str, st
 
 
 def _elsewhere(folder: Folder, place: Path) -> tuple[str, str]:
-    """Return the piece of a page that leads from a result to its study and its report."""
+    """Return the links from a result to its study and report."""
     study, report = next(map(FoundResult.of, filter(is_file, [place / "result.json"])), None), place / "report.html"
     links = {}
     if study is not None and study.study is not None and folder.has(study.study):
@@ -93,21 +93,18 @@ def _elsewhere(folder: Folder, place: Path) -> tuple[str, str]:
 
 
 def _acts(doc: Any, bench: Any, place: Path) -> list[tuple[str, str]]:
-    """Add to the document what can be done with a result, and return the pieces of the page that have it."""
+    """Add the actions on a result to the document; return their HTML."""
     found = (
         {"Predict another record": PredictAction(doc, bench, place).layout} if is_file(place / "result.json") else {}
     )
     found["Pass it on"] = WriteAction(doc, bench, place).layout
-    for layout in found.values():
-        doc.add_root(layout)
-    pieces = ((f"<section><h3>{head}</h3>", layout.name) for head, layout in found.items())
-    return [each for piece in pieces for each in (piece, ("</section>", ""))]
+    return sections(doc, {f"<h3>{head}</h3>": layout for head, layout in found.items()})
 
 
 def _zoomed(doc: Any, place: Path, documents: Sequence[Document]) -> list[str]:
-    """Have the document follow fits with more samples than can be seen; return the keys of their sections.
+    """Add fits with many samples to the document; return their keys.
 
-    Such a figure is thinned anew for the stretch of time that is looked at.
+    They are thinned anew for each visible time range.
     """
     found: list[tuple[Section, Floats]] = []
     for each in documents:
@@ -121,7 +118,7 @@ def _zoomed(doc: Any, place: Path, documents: Sequence[Document]) -> list[str]:
     keys = []
     for section, times in found:
         (grid,) = section.charts
-        if len(times) > min(MAX_ROWS, MAX_DOTS) and isinstance(grid, ChartGrid):
+        if len(times) > min(LIMITS.rows, LIMITS.dots) and isinstance(grid, ChartGrid):
             figure = ZoomedFit(doc.add_next_tick_callback, times, grid, argument(doc, SCHEME)).figure
             doc.add_root(column(figure, name=section.key, **WIDE))
             keys.append(section.key)
@@ -138,9 +135,9 @@ def _compared(folder: Folder, places: Sequence[Path]) -> tuple[str, Any]:
             wrong += f"<p class=error>{escaped(error)}</p>"
     if not results:
         return written([Document("compared", "Side by side", "cannot be read", "bad")])[0] + wrong, []
-    units = {name: unit for each in results.values() for name, unit in each.units.items()}
-    labels = {  # of a result that says no unit as others have it; those in another unit are in another row
-        key: [label(name, each.units.get(name, units.get(name))) for name in each.names]
+    units = {name: unit for each in results.values() for name, unit in each.estimates.units.items()}
+    labels = {  # a missing unit is that of other results; other units have other rows
+        key: [label(name, each.estimates.units.get(name, units.get(name))) for name in each.names]
         for key, each in results.items()
     }
     names = list(dict.fromkeys(name for each in labels.values() for name in each))
@@ -149,11 +146,11 @@ def _compared(folder: Folder, places: Sequence[Path]) -> tuple[str, Any]:
         known = dict(zip(labels[key], zip(result.values.tolist(), result.std.tolist(), strict=True), strict=True))
         columns[key] = [_estimate(known.get(name)) for name in names]
     charts = estimate_charts([each for key, result in results.items() for each in estimate_rows(key, result)])
-    sections = (
+    parts = (
         Section("values", "", table=table_of(columns)),
         Section("estimates", "Estimates and their 95 % intervals", charts=tuple(charts), beside=2),
     )
-    document = Document("compared", "Side by side", f"{len(results)} results", "good", (), sections)
+    document = Document("compared", "Side by side", f"{len(results)} results", "good", (), parts)
     words = command_text(["compare", *results])
     note = f"{wrong}<h3>Which of them the data prefer says</h3><pre>{escaped(words)}</pre>"
     note += "".join(f"<h3>{escaped(folder.name(place))}</h3>{_onward(folder, place)}" for place in places)
@@ -162,7 +159,7 @@ def _compared(folder: Folder, places: Sequence[Path]) -> tuple[str, Any]:
 
 
 def _onward(folder: Folder, place: Path) -> str:
-    """Return links from one of several results to its own page, and to what would help."""
+    """Return links from a compared result to its page and remedies."""
     link, open_ = address("results", folder, place), UndeterminedResult(folder, place)
     more = f'<p><a class=go href="{link}#{REMEDIES}">Compare excitations</a></p>' if open_.names else ""
     return f'<p><a class=go href="{link}">All figures</a></p>{open_.links()}{more}'
@@ -175,22 +172,21 @@ def _estimate(known: tuple[float, float] | None) -> str:
 
 
 class PredictAction:
-    """Prediction of a data file that is chosen or dropped, by ``fmuid predict``."""
+    """Prediction of a chosen or dropped data file, by ``fmuid predict``."""
 
     def __init__(self, doc: Any, bench: Any, place: Path) -> None:
         self.folder: Folder = bench.folder
         self.place, self.said = place, words("written")
         self.run = CommandPanel(doc, bench.jobs, self.place / "prediction", {"Predict": self.begin}, ended=self._end)
         known = [self.folder.name(path) for path in tables(self.folder)]
-        self.chosen = Select(title="a table of the folder", options=["", *known], value="", name="table")
+        self.chosen = choice("a table of the folder", ["", *known], "table")
         self.dropped = FileInput(value="", filename="", title="or drop one here", accept=",".join(TABLES), name="drop")
-        for each in (self.chosen, self.dropped):
-            each.stylesheets = [SHEET]
-        inputs = row(self.chosen, self.dropped, sizing_mode="stretch_width", stylesheets=[LINE])
+        self.dropped.stylesheets = [SHEET]
+        inputs = line(self.chosen, self.dropped)
         self.layout = column(inputs, self.run.layout, self.said, name="predict", sizing_mode="stretch_width")
 
     def begin(self) -> None:
-        """Begin with what was chosen or dropped."""
+        """Start with the chosen or dropped file."""
         try:
             path = self._given()
         except InputError as error:
@@ -199,13 +195,7 @@ class PredictAction:
         self.run.begin(self.place / "result.json", ["predict", str(self.place), str(path)])
 
     def _given(self) -> Path:
-        """Return the table; one that was dropped is written beside the predictions.
-
-        Raises
-        ------
-        InputError
-            If there is none, or it is not of a kind that tables are.
-        """
+        """Return the data file; a dropped one is written beside the predictions."""
         if self.dropped.value:
             name = file_name(Path(str(self.dropped.filename)).name)
             if not name.lower().endswith(TABLES):
@@ -228,7 +218,7 @@ class PredictAction:
 
 
 class WriteAction:
-    """Report of a result, by ``fmuid report``, and an FMU with its values, by ``fmuid apply``."""
+    """Report of a result, by ``fmuid report``; an FMU, by ``fmuid apply``."""
 
     def __init__(self, doc: Any, bench: Any, place: Path) -> None:
         self.folder: Folder = bench.folder
@@ -236,8 +226,8 @@ class WriteAction:
         acts = {"Write the report": lambda: self.begin(self.reporting)}
         self.fmus = _fmus(self.folder, self.place) if is_file(self.place / "result.json") else {}
         names = list(self.fmus)
-        self.fmu = Select(title="FMU", options=names, value=names[0] if names else "", name="fmu", stylesheets=[SHEET])
-        self.fmu.on_change("value", lambda _attr, _old, _new: self._tell())
+        self.fmu = choice("FMU", names, "fmu", names[0] if names else "")
+        on_change(self._tell, self.fmu)
         self.command = words("commands")
         if names:
             acts["Apply to the FMU"] = lambda: self.begin(self.applying)
@@ -258,7 +248,7 @@ class WriteAction:
         return ["apply", str(self.place), str(fmu), "--output", str(self.place / f"{fmu.stem}{APPLIED}")]
 
     def begin(self, given: list[str]) -> None:
-        """Begin one of the commands."""
+        """Start a command."""
         self.run.begin(self.place / "result.json", given)
 
     def _tell(self) -> None:
@@ -273,12 +263,11 @@ class WriteAction:
         self.said.text = f"<p>Written: {said}</p>" if job.code == 0 else ""
 
 
-APPLIED = "-identified.fmu"
-"""How the copy of an FMU ends that has the values of a result."""
+APPLIED = "-identified.fmu"  # name ending of a copy of an FMU with the values of a result
 
 
 def _fmus(folder: Folder, place: Path) -> dict[str, Path]:
-    """Return the FMUs that the values of a result may go into, by their names: first that of its study."""
+    """Return the FMUs for a result's values by name, its own first."""
     study = FoundResult.of(place / "result.json").study
     try:
         model = read_toml(study)["model"] if study is not None else {}

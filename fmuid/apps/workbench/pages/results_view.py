@@ -1,4 +1,4 @@
-"""What a folder of results says, on a page that follows it: shown anew when a command has written there."""
+"""View of a results folder that follows its files."""
 
 from __future__ import annotations
 
@@ -6,11 +6,11 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
-from bokeh.layouts import column, row
+from bokeh.layouts import column
 
 from fmuid.apps.workbench.home import escaped
-from fmuid.apps.workbench.page_layout import LINE, SHEET, words
 from fmuid.apps.workbench.pages.live import in_scheme
+from fmuid.apps.workbench.widgets import SHEET, line, words
 from fmuid.errors import InputError
 from fmuid.files import is_file
 from fmuid.reports import documents_of
@@ -18,29 +18,13 @@ from fmuid.reports.document import Document
 from fmuid.reports.render.document_json import DOCUMENT_FILE
 from fmuid.reports.render.html import drawn_sections, section_head, verdict
 
-EVERY = 1000
-"""Milliseconds between two looks at the folder."""
-FILES = {"identification": "result.json"}
-"""What a kind of findings is read from, if not from a file of its name."""
-LEAST_WIDTH = 280
-"""Of a figure beside others."""
+EVERY = 1000  # ms between two looks at the folder
+FILES = {"identification": "result.json"}  # files of kinds with another name
+LEAST_WIDTH = 280  # pixels, of figures side by side
 
 
 class ResultsView:
-    """The documents of a folder, as long as somebody looks at it.
-
-    Parameters
-    ----------
-    doc : Document
-    place : Path
-    scheme : "light" or "dark"
-    kinds : sequence of str
-        The documents that it shows.
-
-    Attributes
-    ----------
-    layout : Bokeh model
-    """
+    """Documents of some kinds in a results folder, kept up to date."""
 
     def __init__(self, doc: Any, place: Path, scheme: str, kinds: Sequence[str]) -> None:
         self.place, self.scheme, self.kinds = place, scheme, kinds
@@ -50,7 +34,7 @@ class ResultsView:
         doc.add_periodic_callback(self.look, EVERY)
 
     def look(self) -> None:
-        """Show what has been written since the last look; a file that is not whole yet is looked at again."""
+        """Show changes since the last look; incomplete files wait."""
         names = (DOCUMENT_FILE, *(FILES.get(kind, f"{kind}.json") for kind in self.kinds))
         seen = [(name, (self.place / name).stat().st_mtime_ns) for name in names if is_file(self.place / name)]
         if seen == self._seen:
@@ -68,7 +52,7 @@ class ResultsView:
 
 
 def models(documents: Iterable[Document], scheme: str) -> list[Any]:
-    """Return what documents say, below each other: words and figures."""
+    """Return documents as Bokeh models: words and figures."""
     found = []
     for document in documents:
         found.append(words("verdict", verdict(document)))
@@ -79,8 +63,8 @@ def models(documents: Iterable[Document], scheme: str) -> list[Any]:
 
 
 def side_by_side(figures: Sequence[Any]) -> Any:
-    """Return figures beside each other, where there is room."""
+    """Return figures side by side, if there is room."""
     for each in figures:
         each.sizing_mode, each.width_policy, each.min_width = "stretch_width", "max", LEAST_WIDTH
         each.styles = {"flex": f"1 1 {LEAST_WIDTH}px"}
-    return row(*figures, sizing_mode="stretch_width", stylesheets=[LINE])
+    return line(*figures)

@@ -1,4 +1,4 @@
-"""A slider for each parameter: its range, shades of what is known of it, a value to type, a switch that holds it."""
+"""A slider per parameter: range, prior and estimate, typed value, hold."""
 
 from __future__ import annotations
 
@@ -6,54 +6,41 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from html import escape
-from typing import Any
 
 from bokeh.layouts import column, row
 from bokeh.models import Div, InlineStyleSheet, Slider, TextInput, Toggle
 
-from fmuid.apps.workbench.page_layout import LINE, SHEET, WIDE, button
+from fmuid.apps.workbench.widgets import SHEET, WIDE, button, line, on_change, typed
 from fmuid.data import Normal, Parameter
 from fmuid.formatting import label
 
-PLACES = 1000
-"""Steps of a slider."""
-# A range that goes over more than this ratio is logarithmic.
-LOG_RATIO = 20.0
-# A range reaches from this part of the estimate, or else of the start, to so many times it.
-SPAN_RATIO = 5.0
-# It has so many standard deviations of the estimate and of the prior.
-ESTIMATE_STDS, PRIOR_STDS = 10.0, 4.0
-# What is shaded: two standard deviations of a prior, and the interval of 95 % of an estimate.
-SHADED_STDS = 1.96
-# A prior that is asked for is proposed with this share of the start as its standard deviation.
-PRIOR_SHARE = 0.5
+PLACES = 1000  # steps of a slider
+LOG_RATIO = 20.0  # ranges over a larger ratio are logarithmic
+SPAN_RATIO = 5.0  # range: centre / ratio to centre * ratio
+ESTIMATE_STDS, PRIOR_STDS = 10.0, 4.0  # half range in σ of the estimate, of the prior
+SHADED_STDS = 1.96  # half width of shades, σ: 95 %
+PRIOR_SHARE = 0.5  # proposed σ of a prior, relative to the initial guess
 
 _CENTRED = ":host{align-items:center}"
 
 
 @dataclass(frozen=True)
 class SliderRange:
-    """The range of a slider.
-
-    Attributes
-    ----------
-    low, high : float
-    logarithmic : bool
-    """
+    """Range of a slider, linear or logarithmic."""
 
     low: float
     high: float
     logarithmic: bool
 
     def value(self, place: float) -> float:
-        """Return the value at a place from 0 to `PLACES`."""
+        """Return the value at a place, 0 to `PLACES`."""
         share = place / PLACES
         if self.logarithmic:
             return float(self.low * (self.high / self.low) ** share)
         return float(self.low + share * (self.high - self.low))
 
     def place(self, value: float) -> float:
-        """Return the place of a value, 0 or `PLACES` where it lies outside."""
+        """Return the place of a value, clipped to 0 and `PLACES`."""
         if value <= self.low:
             return 0.0
         if self.logarithmic:
@@ -63,7 +50,7 @@ class SliderRange:
         return PLACES * min(share, 1.0)
 
     def including(self, value: float) -> SliderRange:
-        """Return a range that has this value too."""
+        """Return a range that includes a value."""
         if self.low <= value <= self.high:
             return self
         low, high = min(self.low, value), max(self.high, value)
@@ -73,17 +60,8 @@ class SliderRange:
 def reach_of(parameter: Parameter, estimate: tuple[float, float] | None = None, *, near: bool = False) -> SliderRange:
     """Return the range of a slider within the bounds.
 
-    Parameters
-    ----------
-    parameter : Parameter
-    estimate : (float, float), optional
-        Value and standard deviation of the last result; without it, two bounds are the range.
-    near : bool
-        Whether the range is that of `ESTIMATE_STDS` alone, where the standard deviation is known.
-
-    Returns
-    -------
-    Reach
+    `estimate` is value and σ of the last result; without it, two finite bounds are the range. `near` limits the range
+    to ± `ESTIMATE_STDS` σ if σ is known.
     """
     if estimate is None or not math.isfinite(estimate[0]):
         bounded = math.isfinite(parameter.min) and math.isfinite(parameter.max)
@@ -94,7 +72,7 @@ def reach_of(parameter: Parameter, estimate: tuple[float, float] | None = None, 
 
 
 def _span(parameter: Parameter, centre: float) -> list[float]:
-    """Return values that a range has around an estimate or a start: the start, a span by ratio, the prior."""
+    """Return values around an estimate or initial guess: ratio, prior."""
     size, prior = abs(parameter.start) or parameter.nominal or 1.0, parameter.prior
     span = [centre / SPAN_RATIO, centre * SPAN_RATIO] if centre else [-2 * size, 2 * size]
     room = [] if prior is None else [prior.mean + side * PRIOR_STDS * prior.std for side in (-1.0, 1.0)]
@@ -102,25 +80,15 @@ def _span(parameter: Parameter, centre: float) -> list[float]:
 
 
 def _within(parameter: Parameter, places: Sequence[float]) -> SliderRange:
-    """Return the range over some values within the bounds; that around the start where they are all outside."""
+    """Return the range of values within the bounds."""
     low, high = max(min(places), parameter.min), min(max(places), parameter.max)
     return SliderRange(low, high, low > 0 and high / low >= LOG_RATIO) if low < high else reach_of(parameter)
 
 
 class ParameterRow:
-    """One parameter on the page.
+    """One parameter on the page; `text` is its name with unit.
 
-    Parameters
-    ----------
-    name, unit : str, str or None
-    parameter : Parameter
-    changed : callable
-        Called when somebody has moved, typed or held something; with True once a drag has ended.
-
-    Attributes
-    ----------
-    text : str
-        The name with its unit.
+    `changed` is called when the user moves, types or holds, with True at the end of a drag.
     """
 
     def __init__(self, name: str, unit: str | None, parameter: Parameter, changed: Callable[[bool], object]) -> None:
@@ -134,38 +102,34 @@ class ParameterRow:
         self.typed = TextInput(value="", name=f"typed {name}", stylesheets=[SHEET], width=104)
         self.hold = Toggle(label="hold", name=f"hold {name}", stylesheets=[SHEET], width=56)
         self.slider.stylesheets = [SHEET, self._shades]
-        self.slider.on_change("value", lambda _attr, _old, new: self._moved(new))
-        self.slider.on_change("value_throttled", lambda _attr, _old, _new: self._told(ended=True))
-        self.typed.on_change("value", lambda _attr, _old, new: self._entered(new))
-        self.hold.on_change("active", lambda _attr, _old, _new: self._told(ended=True))
+        on_change(self._moved, self.slider)
+        on_change(self._told, self.slider, name="value_throttled")
+        on_change(self._entered, self.typed)
+        on_change(self._told, self.hold, name="active")
         self.title = Div(text="", name=f"title {name}", **WIDE)
         head = row(self.title, self.typed, self.hold, sizing_mode="stretch_width", stylesheets=[_CENTRED])
-        self.mean, self.std = (
-            TextInput(title=f"prior {word} of {name}", value="", name=f"{word} {name}", width=120, stylesheets=[SHEET])
-            for word in ("mean", "std")
-        )
-        for each in (self.mean, self.std):
-            each.on_change("value", lambda _attr, _old, _new: self._told(ended=True))
+        self.mean, self.std = (typed(f"prior {word} of {name}", "", f"{word} {name}", 120) for word in ("mean", "std"))
+        on_change(self._told, self.mean, self.std)
         leave = button("no prior", self._take_prior, name=f"no prior {name}")
-        self._given = row(self.mean, self.std, leave, visible=False, stylesheets=[LINE], sizing_mode="stretch_width")
+        self._given = line(self.mean, self.std, leave, visible=False)
         self.layout = column(head, self.slider, self._given, sizing_mode="stretch_width")
         self.know(None)
 
     @property
     def held(self) -> bool:
-        """Whether an identification leaves it alone."""
+        """Whether an identification fixes it."""
         return bool(self.hold.active)
 
     @property
     def prior(self) -> Normal | None:
-        """What was typed as its prior, or else that of the study."""
+        """The typed prior, or else that of the study."""
         mean, std = _number(self.mean.value), _number(self.std.value)
         if self._given.visible and math.isfinite(mean) and std > 0:
             return Normal(mean, std)
         return self.parameter.prior
 
     def give_prior(self) -> None:
-        """Show where to type what is known of it; until then it is the start, to within a half."""
+        """Show fields for a prior, at first the initial guess ± 50 %."""
         size = abs(self.parameter.start) or self.parameter.nominal or 1.0
         self._quiet = True
         try:
@@ -173,26 +137,26 @@ class ParameterRow:
         finally:
             self._quiet = False
         self._given.visible = True
-        self._told(ended=True)
+        self._told()
 
     def _take_prior(self) -> None:
         self._given.visible = False
-        self._told(ended=True)
+        self._told()
 
     def know(self, estimate: tuple[float, float] | None) -> None:
-        """Take the value and standard deviation of the last result: range and shades follow."""
+        """Show value and σ of the last result."""
         self.estimate = estimate
         self.reach = reach_of(self.parameter, estimate, near=self._near).including(self.value)
         self._shade()
         self.put(self.value)
 
     def show_near(self, near: bool) -> None:
-        """Show the values near the estimate alone, or all."""
+        """Show the range near the estimate, or all."""
         self._near = near
         self.know(self.estimate)
 
     def put(self, value: float) -> None:
-        """Show a value; nobody is told of it."""
+        """Show a value without a call of `changed`."""
         self._quiet = True
         try:
             if self.reach.including(value) != self.reach:
@@ -204,11 +168,9 @@ class ParameterRow:
         finally:
             self._quiet = False
 
-    # --- by hand
-
-    def _moved(self, place: float) -> None:
+    def _moved(self) -> None:
         if not self._quiet:
-            self.value = self.reach.value(place)
+            self.value = self.reach.value(self.slider.value)
             self._quiet = True
             try:
                 self._write()
@@ -216,30 +178,28 @@ class ParameterRow:
                 self._quiet = False
             self._told(ended=False)
 
-    def _entered(self, text: str) -> None:
-        """Take what was typed where it is a number within the bounds; else what was there comes back."""
+    def _entered(self) -> None:
+        """Take a typed number within the bounds, or restore the old one."""
         if self._quiet:
             return
-        value = _number(text)
+        value = _number(self.typed.value)
         good = math.isfinite(value) and self.parameter.min <= value <= self.parameter.max
         self.put(value if good else self.value)
         if good:
-            self._told(ended=True)
+            self._told()
 
-    def _told(self, *, ended: bool) -> None:
+    def _told(self, ended: bool = True) -> None:
         if not self._quiet:
             if ended:
                 self._shade()
             self._changed(ended)
-
-    # --- what is shown
 
     def _write(self) -> None:
         self.typed.value = f"{self.value:.6g}"
         self.title.text = f"<b>{escape(self.text)}</b><br><small>{self._distance()}</small>"
 
     def _distance(self) -> str:
-        """Say how far it is from the last optimum."""
+        """Return the distance from the last optimum in words."""
         if self.estimate is None or not self.estimate[1] > 0 or not math.isfinite(self.estimate[1]):
             return ""
         away = (self.value - self.estimate[0]) / self.estimate[1]
@@ -248,7 +208,7 @@ class ParameterRow:
         return f"{away:+.0f} std off" if abs(away) >= 10 else f"{away:+.2g} std off"
 
     def _shade(self) -> None:
-        """Shade the prior amber and the interval of the estimate blue."""
+        """Shade the prior amber and the confidence interval blue."""
         bands = []
         if self.estimate is not None and math.isfinite(self.estimate[1]):
             bands.append((*self.estimate, "#0b61d0"))
@@ -260,7 +220,7 @@ class ParameterRow:
 
     def _band(self, centre: float, std: float, color: str) -> str:
         first, last = (100 * self.reach.place(centre + side * SHADED_STDS * std) / PLACES for side in (-1.0, 1.0))
-        last = max(last, first + 0.8)  # a line at least
+        last = max(last, first + 0.8)  # at least a line
         return (
             f"linear-gradient(90deg,transparent {first:.2f}%,{color}b0 {first:.2f}%,{color}b0 {last:.2f}%,"
             f"transparent {last:.2f}%)"
@@ -268,13 +228,8 @@ class ParameterRow:
 
 
 def _number(text: str) -> float:
-    """Return the number that was typed, NaN for none."""
+    """Return a typed number, NaN for none."""
     try:
         return float(text.replace(",", "."))
     except ValueError:
         return math.nan
-
-
-def stacked(rows: list[ParameterRow]) -> Any:
-    """Return the rows below each other."""
-    return column(*[each.layout for each in rows], sizing_mode="stretch_width", spacing=10)

@@ -1,4 +1,4 @@
-"""The page of one study: what-if by sliders, and its identification."""
+"""Page of one study: simulation by sliders, and identification."""
 
 from __future__ import annotations
 
@@ -12,19 +12,19 @@ from typing import Any, Protocol
 from urllib.parse import quote
 
 import numpy as np
-from bokeh.layouts import column, row
-from bokeh.models import Select, TabPanel, Tabs, Toggle
+from bokeh.layouts import column
+from bokeh.models import TabPanel, Tabs, Toggle
 
 from fmuid.apps.workbench.access_control import SCHEME
 from fmuid.apps.workbench.home import address, escaped
 from fmuid.apps.workbench.jobs import Jobs, command_text
-from fmuid.apps.workbench.page_layout import LINE, SHEET, WIDE, argument, arguments, button, dress, words
+from fmuid.apps.workbench.page_layout import argument, arguments, dress
 from fmuid.apps.workbench.pages.identification_panel import IdentificationPanel
-from fmuid.apps.workbench.pages.latest_only_worker import LatestOnlyWorker
-from fmuid.apps.workbench.pages.live import LiveFit
+from fmuid.apps.workbench.pages.live import LatestOnlyWorker, LiveFit
 from fmuid.apps.workbench.pages.remedy_panel import last_of, noise_of
-from fmuid.apps.workbench.pages.sliders import ParameterRow, stacked
+from fmuid.apps.workbench.pages.sliders import ParameterRow
 from fmuid.apps.workbench.project_folder import Folder, FoundResult
+from fmuid.apps.workbench.widgets import SHEET, WIDE, button, choice, line, on_change, words
 from fmuid.array_types import Floats
 from fmuid.errors import FmuidError, InputError
 from fmuid.estimation import Result
@@ -34,21 +34,19 @@ from fmuid.processes import AVAILABLE
 from fmuid.simulation import Simulator, close, executor_of, fit_of, parameter_units
 from fmuid.studies import Study
 
-# Of so many states one can go back.
-MOST_UNDONE = 100
-# The arguments of the page's address that name a parameter to hold, and one that is to be given a prior.
-HOLD, PRIOR = "hold", "prior"
+MOST_UNDONE = 100  # steps of undo
+HOLD, PRIOR = "hold", "prior"  # Address arguments: a parameter to fix, and one to give a prior
 
 
 class WorkbenchProtocol(Protocol):
-    """What a page needs of the workbench."""
+    """The workbench, as pages see it."""
 
     folder: Folder
     jobs: Jobs
 
 
 def build(doc: Any, bench: WorkbenchProtocol) -> None:
-    """Fill a document with the page of the study that its address names."""
+    """Fill a document with the page of a study."""
     path, given = bench.folder.path(argument(doc, "file")), arguments(doc, "set")
     page = StudyPage(doc, bench, path, Study.read(path, given, isolated=AVAILABLE), argument(doc, SCHEME), given)
     held, doubted = arguments(doc, HOLD), arguments(doc, PRIOR)
@@ -59,14 +57,14 @@ def build(doc: Any, bench: WorkbenchProtocol) -> None:
 
 
 class StudyPage:
-    """What one tab shows of a study."""
+    """One tab of a study."""
 
     def __init__(
         self, doc: Any, bench: WorkbenchProtocol, path: Path, study: Study, scheme: str, given: Sequence[str] = ()
     ) -> None:
         study.check_parameters()
         self.doc, self.bench, self.path, self.study, self.scheme = doc, bench, path, study, scheme
-        self._given = given  # values in place of the file's
+        self._given = given  # values that replace those of the file
         self.simulators = study.simulators()
         self.simulator: Simulator = self.simulators[0]
         units = parameter_units(study.system, list(study.parameters))
@@ -75,7 +73,7 @@ class StudyPage:
             for (name, parameter), unit in zip(study.parameters.items(), units, strict=True)
         ]
         self.optimum: Result | None = None
-        self.shown = np.full(len(self.rows), np.nan)  # the values whose simulation is shown
+        self.shown = np.full(len(self.rows), np.nan)  # values of the shown simulation
         self._undone = [self._state()]
         self._newest: LatestOnlyWorker[Floats] = LatestOnlyWorker(
             self._simulate, executor_of(study.system).cancel, partial(close, study.system)
@@ -88,15 +86,13 @@ class StudyPage:
 
     @property
     def results(self) -> Path:
-        """The folder that the command writes into."""
+        """Output folder of the command."""
         return self.path.parent / "results"
 
     def has_result(self, folder: Path) -> bool:
-        """Whether a folder has a result of this study, and not of another one that writes there too."""
+        """Return whether a folder has a result of this study."""
         path = folder / "result.json"
         return is_file(path) and FoundResult.of(path).study in (None, self.path.resolve())
-
-    # --- parts of the page
 
     def _make(self) -> None:
         self.scores = words("scores", "<p class=soft>simulating …</p>")
@@ -105,11 +101,10 @@ class StudyPage:
         self.to_starts = button("Starts", lambda: self.put({r.name: r.parameter.start for r in self.rows}))
         self.to_optimum = button("Optimum", self._go_to_optimum, disabled=True)
         self.near = Toggle(label="± 10 σ", name="sliders over ± 10 σ", disabled=True, stylesheets=[SHEET])
-        self.near.on_change("active", lambda _attr, _old, new: self._show_near(new))
+        on_change(self._show_near, self.near, name="active")
         names = [each.experiment.name for each in self.simulators]
-        self.experiment = Select(title="experiment", options=names, value=names[0], name="experiment")
-        self.experiment.stylesheets = [SHEET]
-        self.experiment.on_change("value", lambda _attr, _old, _new: self._choose(names.index(self.experiment.value)))
+        self.experiment = choice("experiment", names, "experiment", names[0])
+        on_change(lambda: self._choose(names.index(self.experiment.value)), self.experiment)
         self.live = self._drawing()
         self.fit = column(self.live.figure, name="fit", **WIDE)
 
@@ -119,14 +114,11 @@ class StudyPage:
         return LiveFit(record, self.doc.add_next_tick_callback, self.scheme)
 
     def _lay_out(self) -> None:
-        buttons = row(
-            self.undo, self.to_starts, self.to_optimum, self.near, stylesheets=[LINE], sizing_mode="stretch_width"
-        )
+        buttons = line(self.undo, self.to_starts, self.to_optimum, self.near)
         chosen = [self.experiment] if len(self.simulators) > 1 else []
-        side = column(
-            *chosen, stacked(self.rows), buttons, self.scores, self.identifying.controls, sizing_mode="stretch_width"
-        )
-        side.name = "side"
+        sliders = column(*[each.layout for each in self.rows], sizing_mode="stretch_width", spacing=10)
+        parts = (sliders, buttons, self.scores, self.identifying.controls)
+        side = column(*chosen, *parts, name="side", sizing_mode="stretch_width")
         panels = [
             TabPanel(child=self.fit, title="Fit"),
             TabPanel(child=self.identifying.search, title="Search"),
@@ -146,15 +138,13 @@ class StudyPage:
             pieces.insert(0, (f'<p><a href="{link}">Look for faults</a></p>', ""))
         dress(self.doc, self.study.title or self.path.stem, pieces, "bokeh-widgets")
 
-    # --- what-if
-
     @property
     def theta(self) -> Floats:
-        """The values that the sliders show, (N,)."""
+        """Values of the sliders, (N,)."""
         return np.array([each.value for each in self.rows])
 
     def ask(self) -> None:
-        """Have the sliders' values simulated: only the newest of them are, however many there were."""
+        """Request a simulation; only the latest request is kept."""
         self._newest.ask(self.theta)
 
     def put(self, values: dict[str, float], *, note: bool = True) -> None:
@@ -171,22 +161,22 @@ class StudyPage:
         if ended:
             self.note()
 
-    def _show_near(self, near: bool) -> None:
+    def _show_near(self) -> None:
         for each in self.rows:
-            each.show_near(near)
+            each.show_near(self.near.active)
 
     def _state(self) -> tuple[tuple[float, bool], ...]:
         return tuple((each.value, each.held) for each in self.rows)
 
     def note(self) -> None:
-        """Keep a state to which one can go back, and say the commands anew."""
+        """Store a state for undo, and update the commands."""
         if self._state() != self._undone[-1]:
             self._undone = [*self._undone, self._state()][-MOST_UNDONE:]
         self.undo.disabled = len(self._undone) < 2
         self._tell_command()
 
     def go_back(self) -> None:
-        """Take the last change back."""
+        """Undo the last change."""
         if len(self._undone) > 1:
             self._undone.pop()
         before = self._undone[-1]
@@ -198,7 +188,7 @@ class StudyPage:
         self.ask()
 
     def _simulate(self, theta: Floats) -> None:
-        """Simulate in the thread, and have the page show it."""
+        """Simulate in the worker thread, and show the result on the page."""
         simulator, begun = self.simulator, time.perf_counter()
         try:
             found = simulator.many(theta[None])
@@ -207,13 +197,13 @@ class StudyPage:
         except FmuidError as wrong:
             outputs, words = np.full((len(simulator.experiment.times), len(simulator.output_names)), np.nan), str(wrong)
         seconds = time.perf_counter() - begun
-        # Bokeh tells that a page is dropped only after it has taken its document apart
+        # Bokeh reports a closed page after it has emptied the document
         with contextlib.suppress(AttributeError):
             self.doc.add_next_tick_callback(partial(self._show, simulator, theta, outputs, words, seconds))
 
     def _show(self, simulator: Simulator, theta: Floats, outputs: Floats, error: str, seconds: float) -> None:
         if simulator is not self.simulator:
-            return  # another experiment was chosen meanwhile
+            return  # another experiment is shown by now
         self.shown = theta
         if error:
             self.scores.text = f"<p class=error role=status>{escaped(error)}</p>"
@@ -229,7 +219,7 @@ class StudyPage:
         self.ask()
 
     def _scores(self, theta: Floats, seconds: float) -> str:
-        """Say how well simulation and measurement agree: fit, RMSE, and RMSE in standard deviations of the noise."""
+        """Return fit and RMSE of each output as HTML."""
         record, known = self.live.record, self._noise()
         cells = []
         for name, fit, rmse, unit in zip(record.outputs, record.fit, record.rmse, record.units, strict=True):
@@ -243,11 +233,11 @@ class StudyPage:
         return f"<div class=numbers role=status>{''.join(cells)}</div>"
 
     def _noise(self) -> dict[str, float]:
-        """Return the noise variance of each output, as the last result or the study has it."""
-        return dict(self.optimum.noise_variance) if self.optimum is not None else self.study.known_variance
+        """Return the noise variance of each output: last result, or study."""
+        return dict(self.optimum.fit.noise_variance) if self.optimum is not None else self.study.known_variance
 
     def _distance(self, theta: Floats) -> float:
-        """Return how far all parameters together are from the last optimum, in standard deviations."""
+        """Return the Mahalanobis distance from the last optimum."""
         result = self.optimum
         if result is None or list(result.names) != [each.name for each in self.rows]:
             return math.nan
@@ -256,13 +246,11 @@ class StudyPage:
         away = theta - result.values
         try:
             return math.sqrt(max(0.0, float(away @ np.linalg.solve(result.covariance, away))))
-        except np.linalg.LinAlgError:  # a direction is undetermined: there is no distance along it
+        except np.linalg.LinAlgError:  # not identifiable: no distance along that direction
             return math.nan
 
-    # --- the last optimum
-
     def show_result(self, folder: Path, *, move: bool = False) -> None:
-        """Show a result as the last optimum: its ghost, its intervals, how far one is away from it."""
+        """Show a result as the last optimum; `move` moves the sliders there."""
         try:
             self.optimum = Result.from_json(folder / "result.json") if self.has_result(folder) else None
         except InputError:
@@ -275,7 +263,7 @@ class StudyPage:
             self.ask()
 
     def _at_optimum(self) -> dict[str, tuple[float, float]]:
-        """Return value and standard deviation of the parameters that the result has of the experiment shown."""
+        """Return value and σ of the parameters of the shown experiment."""
         result, found = self.optimum, dict[str, tuple[float, float]]()
         if result is None:
             return found
@@ -287,7 +275,7 @@ class StudyPage:
         return found
 
     def _haunt(self) -> None:
-        """Show what the result says of the experiment shown: at the sliders, and as a ghost in the figure."""
+        """Show the last optimum at the sliders and in the figure."""
         values = self._at_optimum()
         for each in self.rows:
             each.know(values.get(each.name))
@@ -304,23 +292,21 @@ class StudyPage:
     def _go_to_optimum(self) -> None:
         self.put({name: value for name, (value, _) in self._at_optimum().items()})
 
-    # --- the command
-
     def settings(self, command: str = "") -> list[str]:
-        """Return what ``--set`` has to say for a command to begin where the sliders are."""
+        """Return ``--set`` arguments for a command at the slider values."""
         found = [word for each in self.rows for word in _said_of(each, hold=each.held)]
         found += self.identifying.settings() if command == "identify" else []
         found += noise_of(self.study, self.optimum) if command == "design" else []
         return [word for setting in last_of(*self._given, *found) for word in ("--set", setting)]
 
     def words(self, command: str) -> list[str]:
-        """Return a command that does what the page shows, to be given in the study's folder."""
+        """Return a command for the shown state, in the study's folder."""
         return [command, self.path.name, *self.settings(command)]
 
     def _tell_command(self) -> None:
         lines = (command_text(self.words("simulate")), command_text(self.words("identify")))
         self.command.text = f"<pre>{escaped(lines[0])}<br>{escaped(lines[1])}</pre>"
-        # where a page that was cut off goes on
+        # address to continue after a lost connection
         said = [word for each in self.rows for word in _said_of(each, hold=False)]
         shown = [("set", word) for word in last_of(*self._given, *said)]
         shown += [(HOLD, each.name) for each in self.rows if each.held]
@@ -329,7 +315,7 @@ class StudyPage:
 
 
 def _said_of(row: ParameterRow, *, hold: bool) -> list[str]:
-    """Return what ``--set`` has to say of a parameter for it to be as its row shows it."""
+    """Return the ``--set`` values of a parameter as its row shows it."""
     name = f'"{row.name}"' if any(mark in row.name for mark in " '") else row.name
     if hold:
         return [f"parameters.{name}={row.value:.9g}"]

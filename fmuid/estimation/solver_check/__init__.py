@@ -1,1 +1,0 @@
-"""The error of the simulation, and what it does to the estimates (docs/method.md section 5)."""

@@ -1,0 +1,280 @@
+"""Starting points: noise level by second differences, Sobol points, weak form; restarts as values."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from enum import Enum
+
+import numpy as np
+import scipy
+from numpy.typing import NDArray
+
+from fmuid.array_types import Flags, Floats
+from fmuid.data import ParameterSet
+from fmuid.errors import InputError
+from fmuid.estimation.search.loop import TerminationReason
+
+ROBUST = 1.4826  # standard deviation by median |e| of normal noise
+NOISE_SAMPLES = 5  # least for a noise level
+BITS = 30  # of each Sobol coordinate
+WINDOW = 10  # intervals of a window of the weak form; windows overlap by half
+WINDOW_SAMPLES = 3  # least of each state in a window: interpolation over a gap is no information
+MAX_NOISE_RATIO = 3.0  # of a residual by its noise level; a larger one starts a restart
+PRIOR_STDS = 5.0  # of the prior, in place of a bound
+DECADE = 10.0  # ratio of the bounds for a logarithmic range
+
+
+def second_difference_noise(times: Floats, values: Floats) -> float:
+    """Return the noise level of an output, NaN with too few samples.
+
+    Compares each sample with the line through its neighbors, by the median: an upper bound.
+
+    Parameters
+    ----------
+    times : (K,) array
+        Never decreasing.
+    values : (K,) array
+        NaN if a sample is missing.
+    """
+    there = np.flatnonzero(~np.isnan(values))
+    if there.size < NOISE_SAMPLES:
+        return float("nan")
+    t, y = times[there], values[there]
+    whole = t[2:] - t[:-2]
+    moved = whole > 0
+    share = (t[1:-1] - t[:-2])[moved] / whole[moved]
+    line = (1.0 - share) * y[:-2][moved] + share * y[2:][moved]
+    error = (y[1:-1][moved] - line) / np.sqrt(1.0 + share**2 + (1.0 - share) ** 2)
+    return ROBUST * float(np.median(np.abs(error))) if error.size else float("nan")
+
+
+# Primitive polynomial and initial direction numbers of each dimension, from the second one on (Joe and Kuo).
+_TABLE = """
+    3 1; 7 1 3; 11 1 3 1; 13 1 1 1; 19 1 1 3 3; 25 1 3 5 13; 37 1 1 5 5 17; 41 1 1 5 5 5; 47 1 1 7 11 19;
+    55 1 1 5 1 1; 59 1 1 1 3 11; 61 1 3 5 5 31; 67 1 3 3 9 7 49; 91 1 1 1 15 21 21; 97 1 3 1 13 27 49;
+    103 1 1 1 15 7 5; 109 1 3 1 15 13 25; 115 1 1 5 5 19 61; 131 1 3 7 11 23 15 103; 137 1 3 7 13 13 15 69;
+    143 1 1 3 13 7 35 63; 145 1 3 5 9 1 25 53; 157 1 3 1 13 9 35 107; 167 1 3 1 5 27 61 31; 171 1 1 5 11 19 41 61;
+    185 1 3 5 3 3 13 69; 191 1 1 7 13 1 19 1; 193 1 3 7 5 13 19 59; 203 1 1 3 9 25 29 41; 211 1 3 5 13 23 1 55;
+    213 1 3 7 3 13 59 17; 229 1 3 1 3 5 53 69; 239 1 1 5 5 23 33 13; 241 1 1 7 7 1 61 123; 247 1 1 7 9 13 61 49;
+    253 1 3 3 5 3 55 33; 285 1 3 1 15 31 13 49 245; 299 1 3 5 15 31 59 63 97; 301 1 3 1 11 11 11 77 249
+"""
+_ROWS = [[int(number) for number in row.split()] for row in _TABLE.split(";")]
+MAX_DIMENSIONS = 1 + len(_ROWS)  # more: scipy.stats.qmc
+
+
+def spans_decades(lower: float, upper: float) -> bool:
+    """Return True if a positive range spans a decade: to be divided logarithmically."""
+    return lower > 0 and upper >= DECADE * lower
+
+
+class Box:
+    """Box of the parameters as the unit cube, decades logarithmic; a prior replaces missing bounds."""
+
+    def __init__(self, parameters: ParameterSet) -> None:
+        reach = PRIOR_STDS * parameters.prior_std
+        self.lower = np.where(np.isfinite(parameters.lower), parameters.lower, parameters.prior_mean - reach)
+        self.upper = np.where(np.isfinite(parameters.upper), parameters.upper, parameters.prior_mean + reach)
+        for word, side in (("min", self.lower), ("max", self.upper)):
+            for i in np.flatnonzero(np.isnan(side)):
+                raise InputError(
+                    f"a global search needs a bounded box, and parameter {parameters.names[i]!r} has no {word}: "
+                    "give it min and max, or a prior"
+                )
+        pairs = zip(self.lower, self.upper, strict=True)
+        self.logarithmic = np.array([spans_decades(low, high) for low, high in pairs])
+        self._low, self._high = self._scaled(self.lower), self._scaled(self.upper)
+
+    def thetas(self, units: Floats) -> Floats:
+        """Return parameters (m, N) of points of the unit cube (m, N)."""
+        scaled = self._low + units * (self._high - self._low)
+        scaled[:, self.logarithmic] = np.exp(scaled[:, self.logarithmic])
+        return np.clip(scaled, self.lower, self.upper)  # exp(log(x)) is not always x
+
+    def units(self, thetas: Floats) -> Floats:
+        """Return points of the unit cube (m, N) of parameters (m, N), clipped."""
+        scaled = self._scaled(np.clip(thetas, self.lower, self.upper))
+        return np.asarray((scaled - self._low) / (self._high - self._low), dtype=np.float64)
+
+    def _scaled(self, values: Floats) -> Floats:
+        scaled = np.array(values, dtype=np.float64)
+        scaled[..., self.logarithmic] = np.log(scaled[..., self.logarithmic])
+        return scaled
+
+
+def sobol_points(dimensions: int, count: int, seed: int | np.random.Generator) -> Floats:
+    """Return the first points (count, dimensions) of a scrambled Sobol sequence.
+
+    They are those of `scipy.stats.qmc.Sobol`, bit for bit, without its slow import.
+
+    Parameters
+    ----------
+    dimensions, count : int
+    seed : int or numpy.random.Generator
+        Of the scrambling (Matoušek, Journal of Complexity 14, 1998).
+    """
+    if dimensions > MAX_DIMENSIONS:
+        from scipy.stats import qmc  # slow to import
+
+        whole = qmc.Sobol(dimensions, seed=seed).random_base2((count - 1).bit_length())
+        return np.asarray(whole[:count], dtype=np.float64)
+    rng = seed.spawn(1)[0] if isinstance(seed, np.random.Generator) else np.random.default_rng(seed)
+    shift, directions = _scrambled(_directions(dimensions), rng)
+    # Gray's code: points differ by one direction, that of the lowest zero bit
+    counts = np.arange(count - 1)
+    lowest = np.round(np.log2((counts + 1) & ~counts)).astype(np.intp)
+    changes = np.vstack([shift, directions[:, lowest].T])
+    return np.bitwise_xor.accumulate(changes, axis=0) * 2.0**-BITS
+
+
+def _directions(dimensions: int) -> NDArray[np.uint32]:
+    """Return direction numbers (dimensions, BITS) as integers of `BITS` bits."""
+    found = np.ones((dimensions, BITS), dtype=np.uint32)
+    for own, (polynomial, *initial) in zip(found[1:], _ROWS, strict=False):
+        degree = len(initial)
+        own[:degree] = initial
+        for j in range(degree, BITS):
+            value = own[j - degree]
+            for k in range(1, degree + 1):
+                if polynomial >> (degree - k) & 1:
+                    value = value ^ own[j - k] << np.uint32(k)
+            own[j] = value
+    return found << np.arange(BITS, dtype=np.uint32)[::-1]
+
+
+def _scrambled(
+    directions: NDArray[np.uint32], rng: np.random.Generator
+) -> tuple[NDArray[np.uint32], NDArray[np.uint32]]:
+    """Return a random shift (dimensions,) and randomly mapped directions."""
+    dimensions, powers = len(directions), np.uint32(2) ** np.arange(BITS, dtype=np.uint32)
+    shift = rng.integers(2, size=(dimensions, BITS), dtype=np.uint32) @ powers
+    lower = np.tril(rng.integers(2, size=(dimensions, BITS, BITS), dtype=np.uint32))
+    lower[:, np.arange(BITS), np.arange(BITS)] = 1
+    bits = directions[:, :, None] >> np.arange(BITS, dtype=np.uint32)[::-1] & 1  # the highest first
+    return shift, (bits @ lower.transpose(0, 2, 1) & 1) @ powers[::-1]
+
+
+class WeakForm:
+    """Weak form of ẋ = f(x, u, θ) over windows of one record, without derivatives of data.
+
+    ∫ w f dt + ∫ w′ x dt = 0 for w = 4 z (1 − z), z from 0 to 1 along a window (Shinbrot, NACA TN 3288, 1954).
+
+    Parameters
+    ----------
+    times : (K,) array
+        Never decreasing, s.
+    there : (K, n_x) array of bool
+        True if a state was measured.
+
+    Attributes
+    ----------
+    shape : tuple of int
+        Windows and states.
+
+    Raises
+    ------
+    InputError
+        If no window has enough samples.
+    """
+
+    def __init__(self, times: Floats, there: Flags) -> None:
+        last = len(times) - 1
+        firsts = np.arange(0, max(last - WINDOW, 0) + 1, WINDOW // 2)
+        lasts = np.minimum(firsts + WINDOW, last)
+        counts = np.pad(there.cumsum(axis=0), ((1, 0), (0, 0)))  # samples before each time
+        known = (counts[lasts + 1] - counts[firsts] >= WINDOW_SAMPLES).all(axis=1) & (times[lasts] > times[firsts])
+        firsts = firsts[known] if last >= WINDOW else firsts[:0]
+        if not firsts.size:
+            raise InputError("the record has no window with enough samples")
+        self.shape = firsts.size, there.shape[1]
+        inside = firsts[:, None] + np.arange(WINDOW + 1)
+        z = (times[inside] - times[firsts][:, None]) / (times[firsts + WINDOW] - times[firsts])[:, None]
+        weight = 4.0 * z * (1.0 - z)
+        half = 0.5 * np.diff(times[inside], axis=1)
+        rows = np.repeat(np.arange(firsts.size), WINDOW)
+        left, right = inside[:, :-1].ravel(), inside[:, 1:].ravel()
+        slope = 0.5 * np.diff(weight, axis=1).ravel()
+        of_samples, of_intervals = (firsts.size, last + 1), (firsts.size, last)
+        self._states = scipy.sparse.csr_array((slope, (rows, left)), of_samples)
+        self._states = self._states + scipy.sparse.csr_array((slope, (rows, right)), of_samples)
+        self._begins = scipy.sparse.csr_array(((half * weight[:, :-1]).ravel(), (rows, left)), of_intervals)
+        self._ends = scipy.sparse.csr_array(((half * weight[:, 1:]).ravel(), (rows, left)), of_intervals)
+        self.noise = np.sqrt(np.asarray((self._states**2).sum(axis=1))).reshape(-1, 1)
+        """Standard deviation of each window's residual per unit noise of the states (windows, 1)."""
+
+    def residual(self, states: Floats, begins: Floats, ends: Floats) -> Floats:
+        """Return ∫ w′ x + ∫ w f of each window and state (windows, n_x).
+
+        Parameters
+        ----------
+        states : (K, n_x) array
+            Gaps filled.
+        begins, ends : (K − 1, n_x) arrays
+            f at both ends of each interval, with its inputs.
+        """
+        return np.asarray(self._states @ states + self._begins @ begins + self._ends @ ends, dtype=np.float64)
+
+
+class StartingPointSource(Enum):
+    """Origin of a starting point; the values stand in ``result.json``."""
+
+    GIVEN = "given"  # by the user
+    EQUATION_ERROR = "equation_error"  # equation-error estimate at the measured states (`WeakForm`)
+    CORRECTION = "correction"  # best fit of simulations with states corrected at each sample
+    SOBOL = "sobol"  # best of a few points of the box
+
+
+class SearchFailure(Enum):
+    """Defect of a starting point, or of its optimum."""
+
+    NONE = "none"
+    FAR = "far"  # fails or is worse than the mean of an output; not optimized
+    FAILED = "failed"  # the simulation fails
+    NO_EFFECT = "no_effect"  # a parameter has no effect there, or the optimization cannot begin
+    UNFINISHED = "unfinished"  # stalled, or ended at a limit
+    LARGE_RESIDUAL = "large_residual"  # above `MAX_NOISE_RATIO` times the noise level
+    MODEL_ERROR = "model_error"  # likewise, and other starting points lead to the same optimum
+
+
+@dataclass(frozen=True)
+class RestartAttempt:
+    """One starting point that was tried.
+
+    Attributes
+    ----------
+    remedy : StartingPointSource
+    trouble : SearchFailure
+    noise_ratio : float
+        Largest RMS residual of an output by its noise level; NaN if unknown.
+    simulations : int
+    kept : bool
+        True for the starting point of the result.
+    """
+
+    remedy: StartingPointSource
+    trouble: SearchFailure
+    noise_ratio: float = math.nan
+    simulations: int = 0
+    kept: bool = False
+
+
+@dataclass(frozen=True)
+class CombinationFit:
+    """Fit with one combination of discrete parameters.
+
+    Attributes
+    ----------
+    values : mapping of str to float, int, bool or str
+    outcome : TerminationReason or None
+        None if it could not begin.
+    behind : float
+        −2 ln L above the best one's, with the prior; infinite if it did not terminate.
+    estimates : mapping of str to float
+        Of the other parameters.
+    """
+
+    values: Mapping[str, float | int | bool | str]
+    outcome: TerminationReason | None
+    behind: float
+    estimates: Mapping[str, float]

@@ -1,0 +1,111 @@
+"""Documents of single results: remarks, without the files of a command."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+from fmuid.diagnosis import Diagnosis, Monitor
+from fmuid.errors import InputError
+from fmuid.estimation import Estimator, LinearEstimate, Result
+from fmuid.formatting import with_std
+from fmuid.identification import CONFIDENCE_LEVEL, Assessment, Posterior, PriorDataComparison, ResidualAnalysis
+from fmuid.reports.document import Document, Message, Remark, Section, capitalised
+from fmuid.reports.topics.diagnosis import diagnosis_sections
+from fmuid.reports.topics.diagnosis_phrases import diagnosis_notes, verdict
+from fmuid.reports.topics.estimates import estimates_section
+from fmuid.reports.topics.monitoring import monitoring_document
+from fmuid.reports.topics.prior_and_data import reading_words
+from fmuid.reports.topics.residual_analysis import residual_words
+from fmuid.reports.topics.termination import result_words
+from fmuid.reports.topics.uncertainty import posterior_words, uncertainty_words
+from fmuid.runs import findings_of
+
+
+class LinearMessage(Message):
+    """What is to be thought of estimates of models that are linear in their parameters."""
+
+    LEAST_SQUARES = (
+        "unbiased where the regressors are free of noise and the residual is white",
+        "of estimates by `fmuid.estimation.linear_least_squares`",
+    )
+    EQUATION_ERROR = (
+        "noise in measured terms biases these values, which their standard deviations do not show: a start for "
+        "identify, not a result",
+        "of estimates by `fmuid.estimation.equation_error`",
+    )
+    INSTRUMENTAL_VARIABLES = (
+        "free of the bias by noise in measured terms, as far as the model is right",
+        "of estimates by `fmuid.estimation.instrumental_variables`",
+    )
+    UNSETTLED = (
+        "the instruments had not settled after {rounds} rounds: give a start nearer by",
+        "of estimates by `fmuid.estimation.instrumental_variables`",
+    )
+
+
+_ESTIMATORS = {
+    Estimator.LEAST_SQUARES: LinearMessage.LEAST_SQUARES,
+    Estimator.EQUATION_ERROR: LinearMessage.EQUATION_ERROR,
+    Estimator.INSTRUMENTAL_VARIABLES: LinearMessage.INSTRUMENTAL_VARIABLES,
+}
+
+
+def description(found: object) -> Document:
+    """Return the document of a single result.
+
+    Raises
+    ------
+    InputError
+        If there is none of this type.
+    """
+    match found:
+        case Result():
+            return result_document(found)
+        case Diagnosis():
+            said = (verdict(found), *diagnosis_notes(found))
+            names = (*found.mismatched, *found.nominal)
+            return _described("Diagnosis", said, names, found.kind, found.kind == "healthy", diagnosis_sections(found))
+        case Monitor():
+            return monitoring_document(findings_of(found))
+        case Assessment():
+            said = () if found.prior_and_data is None else reading_words(found.prior_and_data)
+            said += () if found.residuals is None else residual_words(found.residuals)
+            said += uncertainty_words(found)
+            sampled = () if found.posterior is None else found.posterior.names
+            return _described("Assessment", said, (*(each.name for each in found.profiles), *sampled))
+        case LinearEstimate():
+            return _described("Linear estimate", _linear_words(found), found.names, "", found.converged)
+        case ResidualAnalysis():
+            return _described("Residuals", residual_words(found))
+        case PriorDataComparison():
+            return _described("Prior and data", reading_words(found), found.names)
+        case Posterior():
+            return _described("Posterior", (posterior_words(found),), found.names, "", found.converged)
+    raise InputError(f"a {type(found).__name__} has no document")
+
+
+def result_document(result: Result, level: float = CONFIDENCE_LEVEL) -> Document:
+    """Return the document of a result, with intervals of a level."""
+    state = "converged" if result.converged else result.outcome.value.replace("_", " ")
+    sections = [estimates_section(result, level)]
+    return _described("Result", result_words(result), result.names, state, result.converged, sections)
+
+
+def _described(
+    heading: str,
+    words: Iterable[str],
+    names: Iterable[str] = (),
+    state: str = "",
+    good: bool = True,
+    sections: Iterable[Section] = (),
+) -> Document:
+    said = tuple(Remark(capitalised(each, names)) for each in words)
+    kind = heading.lower().replace(" ", "-")
+    return Document(kind, heading, state, "good" if good else "bad", said, tuple(sections))
+
+
+def _linear_words(estimate: LinearEstimate) -> tuple[str, ...]:
+    triples = zip(estimate.names, estimate.values.tolist(), estimate.std.tolist(), strict=True)
+    values = ", ".join(f"{name} = {with_std(value, std)}" for name, value, std in triples)
+    said = (values, _ESTIMATORS[estimate.estimator].text)
+    return said if estimate.converged else (*said, LinearMessage.UNSETTLED.text.format(rounds=estimate.rounds))

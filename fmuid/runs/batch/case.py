@@ -1,0 +1,244 @@
+"""One case of a batch to a row of its table."""
+
+from __future__ import annotations
+
+import json
+import logging
+import math
+import os
+import platform
+import threading
+import time
+from collections import OrderedDict
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Generic, TypeVar
+
+import numpy as np
+
+from fmuid.array_types import Floats
+from fmuid.blas import single_threaded
+from fmuid.codec import as_json, from_json
+from fmuid.data import Experiment
+from fmuid.errors import FmuidError
+from fmuid.estimation import Cache, Evaluator, Result, TerminationReason, WeakDirection
+from fmuid.identification import Problem, identify_by
+from fmuid.runs.batch.case_list import Case, CaseList, noise
+from fmuid.runs.batch.case_problem import problem_of, truth_simulators, truth_values
+from fmuid.simulation import executor_of, nrmse_fit, root_mean_square
+from fmuid.studies import MonteCarloSection, Study
+
+Key = TypeVar("Key")
+Item = TypeVar("Item")
+
+# Columns that differ from run to run; all others are the same bit for bit.
+VOLATILE = ("checked", "elapsed_s", "finished", "worker")
+# Tables, and simulations of the truth, that are kept for later cases.
+SYSTEMS_KEPT = 4
+# Errors that fail a case, beside those of this package.
+CASE_ERRORS = MemoryError, ArithmeticError, np.linalg.LinAlgError
+WHOLE, NUMBER, TEXT, FLAG, TIMESTAMP = "int64", "float64", "string", "bool", "datetime64[us, UTC]"
+
+
+@dataclass(frozen=True)
+class CaseOutcome:
+    """Row of a case, and its log: FMU output and warnings."""
+
+    row: dict[str, object]
+    log: str
+
+
+class CaseRunner:
+    """Runs the cases of a study in any order: ``runner(i)``; for one thread.
+
+    FMU instances are kept from case to case, a row depends on its case alone. Tables may be missing: their cases fail.
+    """
+
+    def __init__(self, study: Study, originals: Mapping[str, str] | None = None) -> None:
+        self.study, self.cases = study, CaseList(study)
+        self._originals = originals or {}  # the user's names of copied files, for messages
+        self._drawn, self._seed = self.cases.settings.monte_carlo, self.cases.settings.seed
+        self._outputs = tuple(dict.fromkeys(name for given in study.experiments for name in given.outputs))
+        self._tables: _BoundedCache[Path | None, tuple[Experiment, ...]] = _BoundedCache()
+        self._before: tuple[object, Problem] | None = None  # what the case before had to be simulated, and its problem
+        self._truths: _BoundedCache[object, tuple[Floats, ...]] = _BoundedCache()
+        self._cache = Cache(problems=self._alike())
+        self._worker = f"{platform.node()}:{os.getpid()}"
+        self._system = study.system
+        for model in self._system.components.values():
+            model.fmu.path = Path(self._original(model.fmu.file))
+        self.columns = self._all_columns()
+
+    @single_threaded
+    def __call__(self, index: int) -> CaseOutcome:
+        """Run a case; one that fails has a row with the reason."""
+        case, began = self.cases[index], time.perf_counter()
+        with _warnings_of_this_thread() as warnings:
+            found = self._found(case)
+        elapsed, printed = time.perf_counter() - began, executor_of(self._system).printed()
+        volatile = {"elapsed_s": elapsed, "finished": datetime.now(UTC), "worker": self._worker}
+        row = dict.fromkeys(self.columns, math.nan) | {"case": case.index, **case.settings, **found, **volatile}
+        return CaseOutcome(row, "\n".join([*warnings, *([printed] if printed else [])]))
+
+    def _found(self, case: Case) -> dict[str, object]:
+        """Return the columns that a case finds, without those that have no value."""
+        evaluator: Evaluator[Problem] | None = None
+        words: dict[str, object] = {"status": "failed", "undetermined": ""}
+        try:
+            evaluator = Evaluator(self.problem(case), self._cache)
+            words = self._identify(evaluator)
+        except FmuidError as error:
+            words["message"] = str(error)
+        except CASE_ERRORS as error:
+            words["message"] = f"{type(error).__name__}: {error}" if str(error) else type(error).__name__
+        counted = {} if evaluator is None else {"simulations": evaluator.simulations, "rejected": evaluator.failures}
+        none = dict.fromkeys(("iterations", "simulations", "rejected", "finer", "checked"), 0)
+        return {**none, "accuracy": "", **counted, **words}
+
+    def problem(self, case: Case) -> Problem:
+        """Return the problem of a case, with measured or simulated data."""
+        read = experiments = self._tables.get(case.table, lambda: self._read(case.table))
+        if case.draw is not None and self._drawn is not None:
+            experiments = self._disturbed(case, case.draw, self._drawn, read)
+        key = case.table, case.free, tuple(case.held.items())
+        like = self._before[1] if self._before and self._before[0] == key else None
+        problem = problem_of(self.study, experiments, case.free, case.held, case.starts, like)
+        self._before = key, problem
+        return problem
+
+    def _alike(self) -> int:
+        """Return the number of cases that differ in their noise alone."""
+        study, settings = self.study, self.cases.settings
+        if self._drawn is None or settings.starting_points is not None or settings.combine != "product":
+            return 1
+        return 1 if study.estimator.whole_box or study.model.choices else self._drawn.realizations
+
+    def _identify(self, evaluator: Evaluator[Problem]) -> dict[str, object]:
+        """Identify the parameters of a case; return the columns of the result."""
+        study = self.study
+        result = identify_by(evaluator, study.estimator, solver_check=study.estimation.solver_check, restart=False)
+        if result.outcome is TerminationReason.INTERRUPTED:
+            raise KeyboardInterrupt
+        own = result.accuracy is not None and result.accuracy.simulations > 0
+        return _words_of(result) | _scores(evaluator.problem, result) | {"checked": int(own)}
+
+    def _read(self, table: Path | None) -> tuple[Experiment, ...]:
+        """Read tables; simulated outputs need not be in them."""
+        paths = [(given, table or given.data) for given in self.study.experiments]
+        measured = self._drawn is None
+        return tuple(given.read_experiment(path, self._original(path), measured=measured) for given, path in paths)
+
+    def _original(self, path: Path) -> str:
+        return self._originals.get(str(path), str(path))
+
+    def _disturbed(
+        self, case: Case, draw: int, drawn: MonteCarloSection, experiments: tuple[Experiment, ...]
+    ) -> tuple[Experiment, ...]:
+        """Return the experiments with simulated truth and a noise realization as measurements."""
+        truth = truth_values(self.study, case.held)
+        key = case.table, tuple(truth.items())
+        clean = self._truths.get(
+            key, lambda: tuple(run(theta) for run, theta in truth_simulators(self.study, experiments, truth))
+        )
+        found = []
+        for number, (experiment, outputs) in enumerate(zip(experiments, clean, strict=True)):
+            std = np.array([drawn.std_of(name) for name in experiment.output_names])
+            values = outputs + std * noise(self._seed, case.record, draw, number, outputs.shape)
+            there = experiment.counted | ~np.isnan(experiment.output_values)
+            found.append(experiment.with_outputs(np.where(there, values, np.nan)))
+        return tuple(found)
+
+    def _all_columns(self) -> dict[str, str]:
+        kinds = {bool: FLAG, int: WHOLE, float: NUMBER, str: TEXT}
+        types = {name: kinds[type(value)] for name, value in self.cases[0].settings.items()}
+        names, outputs = self.cases.names, self._outputs
+        return {
+            "case": WHOLE,
+            **{name: types[name] for name in self.cases.columns},
+            **dict.fromkeys(("status", "message", "undetermined"), TEXT),
+            **{f"chosen.{name}": TEXT for name in self.study.model.choices},
+            **{f"{word}.{name}": NUMBER for word in ("value", "std") for name in names},
+            **{f"{word}.{name}": NUMBER for word in ("noise", "fit", "rmse") for name in outputs},
+            **{"criterion": NUMBER, "iterations": WHOLE, "simulations": WHOLE, "rejected": WHOLE},
+            **{"accuracy": TEXT, "shift": NUMBER, "finer": WHOLE, "checked": WHOLE},
+            **{"elapsed_s": NUMBER, "finished": TIMESTAMP, "worker": TEXT},
+        }
+
+
+def _words_of(result: Result) -> dict[str, object]:
+    """Return the columns of a result."""
+    std, check = np.where(np.isfinite(result.std), result.std, np.nan), result.accuracy
+    return {
+        "status": "converged" if result.converged else "not converged",
+        "message": result.outcome.value,
+        "undetermined": directions_text(result.identifiability.non_identifiable),
+        **{f"chosen.{name}": str(value) for name, value in result.chosen.items()},
+        **{f"value.{name}": value for name, value in zip(result.names, result.values.tolist(), strict=True)},
+        **{f"std.{name}": value for name, value in zip(result.names, std.tolist(), strict=True)},
+        **{f"noise.{name}": value for name, value in result.fit.noise_variance.items()},
+        "criterion": result.fit.cost,
+        "iterations": result.history.iterations,
+        **({} if check is None else {"accuracy": check.outcome.value, "shift": check.largest}),
+        **({} if check is None else {"finer": len(check.switches)}),
+    }
+
+
+def _scores(problem: Problem, result: Result) -> dict[str, object]:
+    """Return fit, %, and RMSE of each output over all experiments."""
+    assert result.history is not None, "of a search that has just ended"
+    pairs: dict[str, list[tuple[Floats, Floats]]] = {name: [] for name in problem.output_names}
+    for experiment, simulated in zip(problem.experiments, result.fit.simulated, strict=True):
+        for j, name in enumerate(experiment.output_names):
+            counted = experiment.counted[:, j]
+            pairs[name].append((experiment.output_values[counted, j], simulated[counted, j]))
+    errors = {name: [np.concatenate(each) for each in zip(*own, strict=True)] for name, own in pairs.items()}
+    found: dict[str, object] = {f"fit.{name}": nrmse_fit(own) for name, own in pairs.items()}
+    return found | {f"rmse.{name}": root_mean_square(*both) for name, both in errors.items()}
+
+
+def directions_text(directions: Sequence[WeakDirection]) -> str:
+    """Return directions as JSON; nothing where there are none."""
+    return json.dumps(as_json(directions)) if directions else ""
+
+
+def directions_of(text: str) -> tuple[WeakDirection, ...]:
+    """Return the directions of the ``undetermined`` of a row."""
+    return tuple(from_json(WeakDirection, each) for each in json.loads(text)) if text else ()
+
+
+class _BoundedCache(Generic[Key, Item]):
+    """The last few things made, by key; an error is kept and raised again."""
+
+    def __init__(self) -> None:
+        self._kept: OrderedDict[Key, Item | FmuidError] = OrderedDict()
+
+    def get(self, key: Key, make: Callable[[], Item]) -> Item:
+        """Return the value of a key, made now if need be."""
+        if key not in self._kept:
+            try:
+                self._kept[key] = make()
+            except FmuidError as error:
+                self._kept[key] = error.with_traceback(None)  # which holds on to what was being made
+            while len(self._kept) > SYSTEMS_KEPT:
+                self._kept.popitem(last=False)
+        self._kept.move_to_end(key)
+        item = self._kept[key]
+        if isinstance(item, FmuidError):
+            raise item.with_traceback(None)
+        return item
+
+
+@contextmanager
+def _warnings_of_this_thread() -> Iterator[list[str]]:
+    """Collect the warnings that fmuid gives meanwhile in this thread."""
+    thread, said, log = threading.get_ident(), list[str](), logging.getLogger("fmuid")
+    listener = logging.Handler(logging.WARNING)
+    listener.emit = lambda record: said.append(record.getMessage()) if record.thread == thread else None  # type: ignore[method-assign]
+    log.addHandler(listener)
+    try:
+        yield said
+    finally:
+        log.removeHandler(listener)

@@ -1,0 +1,283 @@
+"""The cases of a batch and its random draws, each computed from its number alone.
+
+The axes of a batch are, in this order: data, each variable of sweep, space_filling, free_parameters, starting_points,
+monte_carlo. In a product the last axis varies fastest; in a list the n-th case has the n-th entry of every axis.
+
+A generator of random numbers is seeded by the batch's seed, a number of the purpose, and the entry. An entry has the
+same numbers with any other axes, in any order and process.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import math
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+
+from fmuid.array_types import Floats
+from fmuid.data import Parameter, ParameterSet
+from fmuid.errors import InputError
+from fmuid.estimation import spans_decades
+from fmuid.files import full, is_file
+from fmuid.runs.batch.case_problem import check_model, flat_names, truth_values
+from fmuid.studies import SpaceFillingSection, Study, Value
+
+# More cases than a float64 counts are a mistake of the study.
+MOST_CASES = 2**53
+# Purposes of random numbers.
+FOR_STARTS, FOR_SAMPLE, FOR_NOISE = 1, 2, 3
+# Range of starts without bounds: standard deviations around the prior's mean, or fraction of the magnitude.
+START_STDS, START_SHARE = 3.0, 0.5
+
+
+@dataclass(frozen=True)
+class Case:
+    """One identification of a batch; `starts` and `held` replace values of the study."""
+
+    index: int
+    free: tuple[str, ...]  # parameters neither free nor held stay at their starts
+    settings: Mapping[str, Value] = field(default_factory=dict)  # by `CaseList.columns`
+    record: str | None = None  # None for the study's own tables, like `table`
+    table: Path | None = None
+    starts: Mapping[str, float] = field(default_factory=dict)
+    held: Mapping[str, Value] = field(default_factory=dict)
+    draw: int | None = None  # number of the noise realization, None where measurements are identified
+
+
+@dataclass(frozen=True)
+class _Axis:
+    """An axis: key in ``[batch]``, number of entries, and their effect on a case."""
+
+    word: str
+    count: int
+    put: Callable[[Case, int], Case]
+
+
+class CaseList:
+    """The cases of a study's ``[batch]``, each made on request, without their tables."""
+
+    def __init__(self, study: Study) -> None:
+        if study.batch is None:
+            raise InputError(f"{study.path} has no [batch]: give it, with the tables, starts, values or noise to vary")
+        study.check_parameters()
+        self.study, self.settings = study, study.batch
+        self.names = tuple(flat_names(study))  # all parameters, those per experiment one by one
+        self._records = list(self.settings.records().items())
+        self._free = tuple(name for name in study.parameters if name not in self.settings.swept)
+        self._axes = [axis for axis in self._all_axes() if axis.count]
+        self._count = self._length()
+        self._check_starts()
+        self.columns = tuple(self._all_columns())
+
+    @classmethod
+    def of(cls, study: Study) -> CaseList:
+        """Return the cases of a study, checked against its files and model."""
+        cases = cls(study)
+        for name, path in cases._records:
+            if not is_file(path):
+                raise cases.settings.error(f"data: there is no file {full(path)}, the record {name!r}")
+        _ = study.notes  # checks that results with priors are of this model
+        subsets = [cases._subset(entry) for entry in range(len(cases.settings.free_parameters))] or [cases._free]
+        check_model(study, cases.settings, subsets, cases[0].held)
+        return cases
+
+    def __len__(self) -> int:
+        return self._count
+
+    def __getitem__(self, index: int) -> Case:
+        """Return the case of a number; negative ones count from the end."""
+        number = range(self._count)[index]
+        case = Case(number, self._free)
+        for axis, entry in zip(self._axes, self._entries(number), strict=True):
+            case = axis.put(case, entry)
+        return replace(case, settings=self._settings_of(case))
+
+    def __iter__(self) -> Iterator[Case]:
+        return map(self.__getitem__, range(self._count))
+
+    def table_of(self, index: int) -> Path | None:
+        """Return the table of a case, None for the study's own."""
+        if not self._records:
+            return None
+        return self._records[self._entries(range(self._count)[index])[0]][1]
+
+    def _entries(self, number: int) -> list[int]:
+        """Return the entry of every axis for a case."""
+        if self.settings.combine == "zip":
+            return [number] * len(self._axes)
+        found = []
+        for axis in reversed(self._axes):
+            number, entry = divmod(number, axis.count)
+            found.append(entry)
+        return found[::-1]
+
+    def _all_axes(self) -> Iterator[_Axis]:
+        settings, records, starts = self.settings, self._records, self.settings.starting_points
+        yield _Axis("data", len(records), lambda case, k: replace(case, record=records[k][0], table=records[k][1]))
+        for name, values in settings.sweep.items():
+            yield _Axis(f"sweep.{name}", len(values), _holding([name], [[value] for value in values]))
+        if settings.space_filling is not None:
+            names = list(settings.space_filling.ranges)
+            yield _Axis(
+                "space_filling", settings.space_filling.points, lambda case, k: _holding(names, self._design)(case, k)
+            )
+        count = len(settings.free_parameters)
+        yield _Axis("free_parameters", count, lambda case, k: replace(case, free=self._subset(k)))
+        if isinstance(starts, list):
+            yield _Axis("starting_points", len(starts), lambda case, k: replace(case, starts=starts[k]))
+        elif starts is not None:
+            yield _Axis(
+                "starting_points",
+                starts,
+                lambda case, k: replace(case, starts=self._start_ranges.draw(settings.seed, k)),
+            )
+        if settings.monte_carlo is not None:
+            yield _Axis("monte_carlo", settings.monte_carlo.realizations, lambda case, k: replace(case, draw=k))
+
+    def _length(self) -> int:
+        counts = {axis.word: axis.count for axis in self._axes}
+        if self.settings.combine == "zip":
+            if len(set(counts.values())) > 1:
+                said = ", ".join(f"{count} of {word}" for word, count in counts.items())
+                wrong = f'has combine = "zip" and axes of different lengths ({said})'
+                raise self.settings.error(f'{wrong}: make them equally long, or combine them as a "product"')
+            return next(iter(counts.values()))
+        length = math.prod(counts.values())
+        if length > MOST_CASES:
+            raise self.settings.error(f"spans {length} cases, more than can be run: take fewer of each axis")
+        return length
+
+    def _subset(self, entry: int) -> tuple[str, ...]:
+        return tuple(name for name in self._free if name in self.settings.free_parameters[entry])
+
+    @cached_property
+    def _design(self) -> list[list[float]]:
+        """The points of the space-filling design."""
+        sample = self.settings.space_filling
+        return [] if sample is None else design(sample, self.settings.seed).tolist()
+
+    @cached_property
+    def _start_ranges(self) -> StartRanges:
+        study = self.study
+        known = ParameterSet(study.parameters, [given.name for given in study.experiments], study.joint_prior)
+        return StartRanges(study.parameters, known)
+
+    @cached_property
+    def _started(self) -> tuple[str, ...]:
+        """The parameters with varied starts."""
+        given = self.settings.starting_points
+        named = self._free if isinstance(given, int) else {name for start in given or () for name in start}
+        return tuple(name for name in self._free if name in named)
+
+    def _all_columns(self) -> list[str]:
+        """Return the keys of `Case.settings`."""
+        settings = self.settings
+        return [
+            *(["table"] if self._records else []),
+            *(f"start.{name}" for name in self._started),
+            *(f"set.{name}" for name in settings.swept),
+            *(["free"] if settings.free_parameters else []),
+            *(["draw"] if settings.monte_carlo is not None else []),
+        ]
+
+    def _settings_of(self, case: Case) -> dict[str, Value]:
+        """Return the settings of a case by column; NaN for starts of fixed parameters."""
+        found: dict[str, Value] = {} if case.record is None else {"table": case.record}
+        for name in self._started:
+            start = case.starts.get(name, self.study.parameters[name].start)
+            found[f"start.{name}"] = start if name in case.free else math.nan
+        found |= {f"set.{name}": value for name, value in case.held.items()}
+        found |= {"free": " ".join(case.free)} if self.settings.free_parameters else {}
+        return found | ({} if case.draw is None else {"draw": case.draw})
+
+    def _check_starts(self) -> None:
+        given = self.settings.starting_points
+        for number, start in enumerate(given if isinstance(given, list) else ()):
+            for name, value in start.items():
+                try:
+                    replace(self.study.parameters[name], start=value)
+                except InputError as error:
+                    raise self.settings.error(f"starting_points[{number}].{name}: {error}") from None
+
+
+def _holding(names: Sequence[str], points: Sequence[Sequence[Value]]) -> Callable[[Case, int], Case]:
+    """Return a function that holds variables at a point."""
+    return lambda case, k: replace(case, held={**case.held, **dict(zip(names, points[k], strict=True))})
+
+
+def truth_of(study: Study) -> dict[str, float]:
+    """Return true values of parameters; a swept one only if ``true_values`` has it."""
+    batch = study.batch
+    if batch is None or batch.monte_carlo is None:
+        return {}
+    truth = truth_values(study, {})
+    return {
+        flat: float(truth[flat])
+        for flat, name in flat_names(study).items()
+        if name not in batch.swept or {flat, name} & set(batch.monte_carlo.true_values)
+    }
+
+
+def generator(seed: int, purpose: int, *numbers: int) -> np.random.Generator:
+    """Return the generator of random numbers for an entry of a purpose."""
+    return np.random.default_rng(np.random.SeedSequence([seed, purpose, *numbers]))
+
+
+def noise(seed: int, record: str | None, draw: int, experiment: int, shape: tuple[int, ...]) -> Floats:
+    """Return standard normal white noise by record, draw and experiment."""
+    words = [] if record is None else np.frombuffer(hashlib.sha256(record.encode()).digest()[:16], "<u4").tolist()
+    return generator(seed, FOR_NOISE, draw, experiment, *words).standard_normal(shape)
+
+
+def design(sample: SpaceFillingSection, seed: int) -> Floats:
+    """Return the points (count, n) of a space-filling design within its ranges (`scipy.stats.qmc`)."""
+    from scipy.stats import qmc  # slow to import
+
+    rng, n = generator(seed, FOR_SAMPLE), len(sample.ranges)
+    if sample.method == "sobol":  # balanced only for a power of two: the first points of the next one
+        units = qmc.Sobol(n, rng=rng).random_base2(math.ceil(math.log2(sample.points)))[: sample.points]
+    else:
+        units = qmc.LatinHypercube(n, rng=rng).random(sample.points)
+    low, high = np.array(list(sample.ranges.values())).T
+    return np.asarray(qmc.scale(units, low, high), dtype=np.float64)
+
+
+class StartRanges:
+    """Ranges of random starts: bounds, else around the prior's mean or the start.
+
+    Bounds of a decade or more are logarithmic. A parameter per experiment has one start for all.
+    """
+
+    def __init__(self, parameters: Mapping[str, Parameter], known: ParameterSet) -> None:
+        self._parameters = dict(parameters)
+        _, columns = known.for_experiment(0)
+        ranges = [
+            _range(each, float(known.prior_mean[i]), float(known.prior_std[i]))
+            for each, i in zip(self._parameters.values(), columns, strict=True)
+        ]
+        self._low, self._high = np.array(ranges).T
+        self._logarithmic = np.array([spans_decades(low, high) for low, high in ranges])
+        for ends in (self._low, self._high):
+            ends[self._logarithmic] = np.log(ends[self._logarithmic])
+
+    def draw(self, seed: int, entry: int) -> dict[str, float]:
+        """Return the starts of a number, of all parameters, free or not."""
+        drawn = generator(seed, FOR_STARTS, entry).uniform(self._low, self._high)
+        drawn[self._logarithmic] = np.exp(drawn[self._logarithmic])
+        return {
+            name: min(max(value, each.min), each.max)  # exp(log(x)) is not always x
+            for (name, each), value in zip(self._parameters.items(), drawn.tolist(), strict=True)
+        }
+
+
+def _range(parameter: Parameter, mean: float, std: float) -> tuple[float, float]:
+    if math.isfinite(parameter.max - parameter.min):
+        return parameter.min, parameter.max
+    middle, reach = mean, START_STDS * std
+    if math.isnan(mean):
+        middle, reach = parameter.start, START_SHARE * (parameter.nominal or abs(parameter.start))
+    return max(parameter.min, middle - reach), min(parameter.max, middle + reach)
