@@ -1,4 +1,4 @@
-"""One instance of every component of a system, kept and reused by one thread, reset between simulations."""
+"""One instance per component, kept by one thread and reset between simulations."""
 
 from __future__ import annotations
 
@@ -14,15 +14,15 @@ from typing import Any
 
 import numpy as np
 
-from fmuid.array_types import Floats, Indices
+from fmuid.array_types import Indices
 from fmuid.errors import InputError, SimulationError
 from fmuid.models import Component
 from fmuid.simulation import codes
 from fmuid.simulation.failures import describe
 from fmuid.simulation.instance import Instance, warn
-from fmuid.simulation.instance_registry import Renewal, is_repeated, needs_process, note_process
+from fmuid.simulation.instance_registry import Renewal, is_repeated, label, labels, needs_process, note_process
 from fmuid.simulation.simulation_loop import SimulationLoop
-from fmuid.simulation.simulation_plan import GridSimulation, new_reports
+from fmuid.simulation.simulation_plan import GridSimulation, SimulationJob
 
 _log = logging.getLogger("fmuid.fmu")
 # Longest that one call of the core should last, s: between calls an interruption gets through.
@@ -45,37 +45,14 @@ def _words() -> Indices:
 
 
 class SimulationThread:
-    """One instance of every component of a system, used by one thread only.
+    """One instance per component, used by one thread: some FMUs keep thread-local data.
 
-    All calls to an instance, from instantiation to freeing, come from the same thread: some FMUs keep
-    thread-local data. The first is the caller's own thread.
-
-    Parameters
-    ----------
-    components : mapping of str to Component
-    index : int
-        Its number; 0 is the caller's own thread.
-    renewal : Renewal, optional
-        What brings it back to its beginning; default: found out with the first simulation.
-    told : set of str, optional
-        The warnings that were passed on, shared by the threads of a system.
-
-    Attributes
-    ----------
-    doing : (2,) array of intp
-        What it is doing now (`codes.IDLE` and so on), and how often it was told to simulate.
-    longest : float
-        Duration of the longest simulation so far, s.
-    renewal : Renewal or None
-        None: not known yet.
+    Thread 0 is the caller's own. `doing` (2,) is its state (`codes.IDLE` ...) and number of simulations, `longest` the
+    longest simulation, s. `renewal` None is not known yet. `told` are warnings passed on by the system's threads.
     """
 
     def __init__(
-        self,
-        components: Mapping[str, Component],
-        index: int,
-        renewal: Renewal | None = None,
-        told: set[str] | None = None,
+        self, components: Mapping[str, Component], index: int, told: set[str], renewal: Renewal | None = None
     ) -> None:
         self._components, self._index = components, index
         self._spent = needs_process(components.values())  # what a process allows only once was done
@@ -86,12 +63,12 @@ class SimulationThread:
         self._used = np.zeros(0, np.intp)
         self._seconds = CALL_SECONDS  # of one simulation, as last measured
         self._cancelled = False
-        self._told = set[str]() if told is None else told
+        self._told = told
         self.doing = _words()
         self.longest = 0.0
 
     def start(self, task: Callable[..., None], *arguments: Any) -> Future[None] | None:
-        """Run a task in this thread: at once, or returning a future; an OSError where it cannot have one."""
+        """Run a task in this thread, or return a future; an OSError without threads."""
         self._cancelled = False
         if self._executor is not None:
             try:
@@ -101,66 +78,65 @@ class SimulationThread:
         task(*arguments)
         return None
 
-    def run(self, simulation: GridSimulation, thetas: Floats, outputs: Floats, reports: Indices) -> None:
-        """Simulate all thetas (m, N) into outputs (m, K, n_y) and reports (m, codes.REPORT)."""
+    def run(self, job: SimulationJob) -> None:
+        """Fill in outputs and reports of a job."""
         done = 0
-        while done < len(thetas) and not self._cancelled:
+        while done < len(job) and not self._cancelled:
             share = max(1, int(CALL_SECONDS / self._seconds)) if self.renewal is Renewal.RESET else 1
-            part = slice(done, min(len(thetas), done + share))
+            part = job[done : done + share]
             began = time.perf_counter()
-            self._call(simulation, thetas[part], outputs[part], reports[part])
+            self._call(part)
             self._seconds = max((time.perf_counter() - began) / share, 1e-6)
-            if (reports[part, 2] == codes.DONE_WELL).all():
-                if self.renewal is None:
-                    self._try_reset(simulation, thetas[part], outputs[part])
+            if (part.reports[:, 2] == codes.DONE_WELL).all():
+                if self.renewal is None and np.isfinite(part.outputs).all():
+                    with self._busy(codes.REPEATING):
+                        self._judge_reset(part)
             else:
-                part = self._valid(part, reports)
-                if (reports[part, 2][reports[part, 0] >= 0] >= FATAL).any():
+                part = self._valid(part)
+                if (part.reports[part.failed, 2] >= FATAL).any():
                     self.close(fatal=True)
-            done = part.stop
-        self._pass_on_warnings(reports)
+            done += len(part)
+        if not job.failed.any():
+            for instance in self._instances:
+                warn(instance, self._told)
+        for instance in self._instances:
+            instance.forget_messages()
 
-    def _valid(self, part: slice, reports: Indices) -> slice:
-        """Return the part of a call that counts; what comes after it is simulated again by another instance."""
-        begun = reports[part]
-        again = begun[:, 2] == codes.UNDONE  # the one before them failed fatally
-        if (
-            self.renewal is Renewal.RESET and self._can_be_replaced
-        ):  # what they were to begin with was spoilt by the one before them
-            stuck = begun[:, 0] == codes.RESET
+    def _valid(self, part: SimulationJob) -> SimulationJob:
+        """Return the valid part of a call; the rest is simulated again."""
+        again = part.reports[:, 2] == codes.UNDONE  # after a fatal failure
+        if self.renewal is Renewal.RESET and self._can_be_replaced:
+            stuck = part.reports[:, 0] == codes.RESET  # spoilt by the simulation before
             if stuck.any():
-                self.close(fatal=bool((begun[stuck, 2] >= FATAL).any()))
+                self.close(fatal=bool((part.reports[stuck, 2] >= FATAL).any()))
             again |= stuck
-        return slice(part.start, part.start + int(np.argmax(again)) if again.any() else part.stop)
+        return part[: int(np.argmax(again))] if again.any() else part
 
-    def _try_reset(self, simulation: GridSimulation, theta: Floats, expected: Floats) -> None:
-        """Repeat the first simulation, after a reset and by a new instance: find out what an FMU needs every time."""
-        if not np.isfinite(expected).all():
-            return
-        with self._busy(codes.REPEATING):
-            self._judge_reset(simulation, theta, expected)
-
-    def _judge_reset(self, simulation: GridSimulation, theta: Floats, expected: Floats) -> None:
-        same, fatal = self._repeats(simulation, theta, expected)
+    def _judge_reset(self, first: SimulationJob) -> None:
+        """Repeat the first simulation after a reset, then by a new instance."""
+        same, fatal = self._repeats(first)
         if same:
             self.renewal = Renewal.RESET
             return
         self.close(fatal)
         if self._can_be_replaced:
             self._prepare()
-            same, fatal = self._repeats(simulation, theta, expected)
+            same, fatal = self._repeats(first)
             self.close(fatal)
+        if self._cancelled:  # a repetition that was cut short says nothing of the FMU
+            return
         if same:
             self._give_up_reset()
         else:
             self.renewal = Renewal.PROCESS
             note_process(self._components.values())
 
-    def _repeats(self, simulation: GridSimulation, theta: Floats, expected: Floats) -> tuple[bool, bool]:
-        """Simulate again; return whether the outputs are the same, and whether the FMU failed fatally."""
-        outputs, report = np.empty_like(expected), new_reports(1)
-        self._simulate(simulation, theta, outputs, report)
-        return report[0, 0] < 0 and is_repeated(outputs, expected), bool(report[0, 0] >= 0 and report[0, 2] >= FATAL)
+    def _repeats(self, first: SimulationJob) -> tuple[bool, bool]:
+        """Simulate again; return whether outputs are the same, and fatality."""
+        again = first.simulation.job(first.thetas)
+        self._simulate(again)
+        failed = again.failed[0]
+        return not failed and is_repeated(again.outputs, first.outputs), bool(failed and again.reports[0, 2] >= FATAL)
 
     def _give_up_reset(self, fatal: bool = False) -> None:
         self.renewal = Renewal.INSTANCE if self._can_be_replaced else Renewal.PROCESS
@@ -169,15 +145,9 @@ class SimulationThread:
             _log.warning(
                 "%s: a reset does not bring it back to its beginning, so it is instantiated anew for every "
                 "simulation, which is slow and, for some FMUs, fails after a thousand times",
-                ", ".join(self._labels),
+                labels(self._components),
                 extra={"no_reset": True},
             )
-
-    def _pass_on_warnings(self, reports: Indices) -> None:
-        for instance in self._instances:
-            if instance.messages and not (reports[:, 0] >= 0).any():
-                warn(instance, self._told)
-            instance.forget_messages()
 
     @contextmanager
     def _busy(self, doing: int) -> Iterator[None]:
@@ -187,47 +157,43 @@ class SimulationThread:
         finally:
             self.doing[0] = before
 
-    def explain(
-        self, simulation: GridSimulation, theta: Floats, parameters: Mapping[str, float]
-    ) -> SimulationError | None:
-        """Repeat a failed simulation with the FMU's debug log on; return the error (None if it succeeds now)."""
-        outputs = np.empty((1, simulation.grid.times.size, len(simulation.output_names)))
-        reports = new_reports(1)
+    def explain(self, failed: SimulationJob, parameters: Mapping[str, float]) -> SimulationError | None:
+        """Repeat a failed simulation with the FMU's debug log; return its error."""
+        job = failed.simulation.job(failed.thetas)
         if self.renewal is not Renewal.RESET and (self.renewal is not None or self._can_be_replaced):
             self.close()  # whether a reset undoes the failure is not known
         self._prepare()
         for instance in self._instances:
             instance.forget_messages()
             instance.set_logging(True)
-        self._simulate(simulation, theta[np.newaxis], outputs, reports)
-        error = self.error(simulation, outputs[0], reports[0], parameters)
-        if reports[0, 0] >= 0 and reports[0, 2] >= FATAL:
+        self._simulate(job)
+        error = self.error(job, parameters)
+        if job.failed[0] and job.reports[0, 2] >= FATAL:
             self.close(fatal=True)
         for instance in self._instances:
             instance.set_logging(False)
             instance.forget_messages()
         return error
 
-    def error(
-        self, simulation: GridSimulation, outputs: Floats, report: Indices, parameters: Mapping[str, float]
-    ) -> SimulationError | None:
-        """Return what a report and the outputs say, as an error; None where the simulation succeeded."""
+    def error(self, job: SimulationJob, parameters: Mapping[str, float]) -> SimulationError | None:
+        """Return the error of a job of one simulation; None without one."""
+        simulation, outputs, report = job.simulation, job.outputs[0], job.reports[0]
         function, component, _, sample = (int(word) for word in report[:4])
         if function >= 0:
             at = float(simulation.grid.times[max(sample, 0)])
             if function == codes.LOOP:
                 loop = simulation.plan.loops[component]
                 what = f"the loop of direct feed-through through {loop.words} ({len(loop.signals)} unknowns) has no "
-                return SimulationError(", ".join(self._labels), at, parameters, what + "solution that is found", [])
+                return SimulationError(labels(self._components), at, parameters, what + "solution that is found", [])
             said = _last_words(self._instances[component]) if self._instances else []
             what = self._describe(simulation, report)
-            return SimulationError(self._labels[component], at, parameters, what, said)
+            return SimulationError(label(*list(self._components.items())[component]), at, parameters, what, said)
         finite = np.isfinite(outputs)
         if not finite.all():
             row, column = np.argwhere(~finite)[0]
             what = f"output {simulation.output_names[column]!r} is not finite"
             said = [text for instance in self._instances for text in _last_words(instance)]
-            return SimulationError(", ".join(self._labels), float(simulation.grid.times[row]), parameters, what, said)
+            return SimulationError(labels(self._components), float(simulation.grid.times[row]), parameters, what, said)
         return None
 
     def _describe(self, simulation: GridSimulation, report: Indices) -> str:
@@ -249,7 +215,7 @@ class SimulationThread:
         self._loops.clear()
 
     def cancel(self, simulation: GridSimulation) -> None:
-        """Let the simulations of a run end soon, as failed; it must be forgotten before its next one."""
+        """End the simulations of a run; it must be forgotten afterwards."""
         self._cancelled = True
         loop = self._loops.get(simulation)
         if loop is not None:
@@ -271,27 +237,17 @@ class SimulationThread:
         used = [model.fmu.description.interfaces[model.kind] for model in self._components.values()]
         return not any(interface.once_per_process for interface in used)
 
-    @property
-    def _labels(self) -> list[str]:
-        paths = {name: model.fmu.path for name, model in self._components.items()}
-        return [f"{name} ({path})" if name else str(path) for name, path in paths.items()]
-
     def check_process(self) -> None:
-        """Refuse to go on where a process allows one simulation only, and that is done.
-
-        Raises
-        ------
-        InputError
-        """
+        """Refuse a second simulation in a process that allows one (InputError)."""
         if self.renewal is not Renewal.PROCESS or not self._spent:
             return
         why = "it declares that a process may instantiate it only once"
         if self._can_be_replaced:
             why = "not even a new instance does: it keeps something outside its instances"
         raise InputError(
-            f"{', '.join(self._labels)} can be simulated only once in a process: a reset does not bring it back to its "
-            f"beginning, and {why}; run it isolated (isolation=fmuid.Isolation(), the default of commands), or export "
-            "it with a reset that works"
+            f"{labels(self._components)} can be simulated only once in a process: a reset does not bring it back to "
+            f"its beginning, and {why}; run it isolated (isolation=fmuid.Isolation(), the default of commands), or "
+            "export it with a reset that works"
         )
 
     def _prepare(self) -> None:
@@ -303,17 +259,18 @@ class SimulationThread:
                     self._instances.append(Instance(model.fmu, model.kind, name))
             self._used = np.zeros(len(self._instances), np.intp)
 
-    def _call(self, simulation: GridSimulation, thetas: Floats, outputs: Floats, reports: Indices) -> None:
+    def _call(self, job: SimulationJob) -> None:
         if self.renewal not in (None, Renewal.RESET):
             self.close()
         self._prepare()
-        self._simulate(simulation, thetas, outputs, reports)
-        if self.renewal is None and reports[0, 0] == codes.RESET:  # the simulation before failed: nothing was known
-            self._give_up_reset(fatal=reports[0, 2] >= FATAL)
+        self._simulate(job)
+        if self.renewal is None and job.reports[0, 0] == codes.RESET:  # the simulation before failed: nothing was known
+            self._give_up_reset(fatal=job.reports[0, 2] >= FATAL)
             self._prepare()
-            self._simulate(simulation, thetas, outputs, reports)
+            self._simulate(job)
 
-    def _simulate(self, simulation: GridSimulation, thetas: Floats, outputs: Floats, reports: Indices) -> None:
+    def _simulate(self, job: SimulationJob) -> None:
+        simulation = job.simulation
         loop = self._loops.get(simulation)
         if loop is None:
             with self._busy(codes.PREPARING):
@@ -326,12 +283,12 @@ class SimulationThread:
         self.doing[1] += 1
         self._spent = True
         with self._busy(max(codes.SIMULATING, int(self.doing[0]))):
-            loop.run(thetas, outputs, reports)
-        self.longest = max(self.longest, (time.perf_counter() - began) / len(thetas))
+            loop.run(job.thetas, job.outputs, job.reports)
+        self.longest = max(self.longest, (time.perf_counter() - began) / len(job))
 
 
 def _last_words(instance: Instance) -> list[str]:
-    """Return the last distinct messages of an instance, warnings and errors before mere information."""
+    """Return the last distinct messages, warnings and errors first."""
     serious = [text for status, text in instance.messages if status > 0]
     words = serious or [text for _, text in instance.messages]
     return list(dict.fromkeys(words))[-MESSAGES_TOLD:]

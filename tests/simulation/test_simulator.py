@@ -17,7 +17,8 @@ from fmuid.data.experiment import Experiment
 from fmuid.errors import InputError, SimulationError
 from fmuid.models.component import Isolation, Numerics
 from fmuid.models.system import System
-from fmuid.simulation.executor_pool import close, closing
+from fmuid.simulation.executor_pool import close, closing, executor_of
+from fmuid.simulation.simulation_plan import SimulationJob
 from fmuid.simulation.simulator import Simulator
 from fmuid.simulation.worker import SimulationThread
 from tests.support.closed_forms import coil_response, park_rates
@@ -197,6 +198,29 @@ def test_an_fmu_that_neither_resets_nor_can_be_replaced_is_simulated_once(
         with pytest.raises(InputError, match=r"probe.*only once in a process: a reset does not .* export it with"):
             simulator([2.0])
     assert not caplog.records
+
+
+@pytest.mark.parametrize("at", [1, 2])
+def test_a_cancelled_repetition_says_nothing_of_the_fmu(
+    at: int, probe: ProbeMaker, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    times = np.arange(4.0)
+    experiment = Experiment(table(times, u=1 + 0 * times, x=0 * times), ["u"], ["x"], interpolation="zoh")
+    system = System(probe())
+    simulator, repeats, asked = Simulator(system, experiment, ["gain"]), SimulationThread._repeats, list[int]()
+
+    def cancelled(thread: SimulationThread, job: SimulationJob) -> tuple[bool, bool]:
+        asked.append(len(asked) + 1)
+        if asked[-1] == at:
+            executor_of(system).cancel()
+        return repeats(thread, job) if at == 1 or asked[-1] > 1 else (False, False)
+
+    monkeypatch.setattr(SimulationThread, "_repeats", cancelled)
+    simulator([2.0])
+    monkeypatch.undo()
+    assert asked == [1, 2]
+    for _ in range(2):
+        assert simulator([2.0])[:, 0].tolist() == [0, 2, 4, 6]
 
 
 def test_a_binary_without_functions_that_nobody_calls_serves(probe: ProbeMaker) -> None:
