@@ -1,7 +1,7 @@
 """How often intervals that claim 95 % hold the truth: ``python -m experiments.interval_coverage``.
 
 The same experiment is drawn many times with fresh noise; each draw is identified, and its local, profile and posterior
-intervals are compared with the truth. Two machines: the coil of docs/method.md section 10, and the induction machine of
+intervals are compared with the truth. Two machines: the coil of docs/method/coil.md, and the induction machine of
 section 8 (its table simulated by `induction_machine/make_table.py`, independently of the FMU). Noise variances are
 estimated, as usual. The time of the identifications alone is printed too.
 """
@@ -39,7 +39,7 @@ MONTE_CARLO = 200
 # Enough to place the ends of an interval within a tenth of a standard deviation, with the fewest walkers that will do.
 SAMPLING = SamplerSettings(effective_size=700, walkers=8)
 
-# The coil's experiment, docs/method.md section 10: ±1 V PRBS, bits of 15 samples, signal-to-noise ratio (of powers) 10.
+# The coil's experiment, docs/method/coil.md: ±1 V PRBS, bits of 15 samples, signal-to-noise ratio (of powers) 10.
 COIL_SAMPLES, COIL_STEP, COIL_BIT, COIL_RATIO = 1200, 1e-3, 15, 10.0
 
 

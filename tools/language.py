@@ -43,9 +43,9 @@ AVOIDED = (
     r"(linear|summar|normal|initial|optim|regular|factor|vector|real|recogn|minim|maxim|serial|parametr)is(e|es|ed|ing|ation)",
 )
 """Terms of the column "do not use" that have one meaning only, and British spelling."""
-_AVOIDED = re.compile(r"\b(" + "|".join(AVOIDED) + r")\b", re.IGNORECASE)
+_AVOIDED = re.compile(r"(?<!\")\b(" + "|".join(AVOIDED) + r")\b", re.IGNORECASE)
 _ABBREVIATIONS = re.compile(
-    r"\b(e\.g|i\.e|cf|vs|eq|eqs|fig|figs|sec|no|al|approx|resp|etc|[A-Z])\.(?=[\s\-,)])", re.IGNORECASE
+    r"\b(e\.g|i\.e|cf|vs|eq|eqs|fig|figs|sec|no|al|approx|resp|etc|(?-i:[A-Z]))\.(?=[\s\-,)])", re.IGNORECASE
 )
 _DOCUMENTED = (ast.Module, ast.ClassDef, ast.FunctionDef, ast.AsyncFunctionDef)
 _END = re.compile(r"(?<=[.!?])[\"')*_]*\s+(?=[\"'(*_`→]*[A-Z0-9`…])")
@@ -94,7 +94,7 @@ def _lines(found: re.Match[str]) -> str:
 def _plain(text: str) -> str:
     text = re.sub(r"!\[[^\]]*\]\([^)]*\)|<[^>]+>", "", text)
     text = re.sub(r"\[([^\]]*)\]\([^)]*\)", r"\1", text)
-    return re.sub(r"`[^`]*`|\$[^$]+\$", "code", text).strip()
+    return re.sub(r"`[^`]*`|\$[^$]+\$", "CODE", text).strip()
 
 
 class Code(NamedTuple):
@@ -155,7 +155,7 @@ def _words(node: ast.expr) -> str:
 
 def docstring_prose(text: Text) -> Iterator[Text]:
     """Yield the paragraphs of a docstring without headings, names of parameters, and code."""
-    for block in re.split(r"\n\s*\n", re.sub(r"``[^`]*``|`[^`]*`|:math:`[^`]*`", "code", text.words)):
+    for block in re.split(r"\n\s*\n", re.sub(r"``[^`]*``|`[^`]*`|:math:`[^`]*`", "CODE", text.words)):
         lines = [line for line in block.splitlines() if not re.match(r"\s*(>>>|\.\.\.? |-+$|[\w, *]+ : )", line)]
         if lines and not re.search(r"^\s*-{3,}\s*$", block, re.MULTILINE):
             yield Text(text.file, text.line, " ".join(lines))

@@ -1,4 +1,4 @@
-"""The bias of an output-error estimate from a closed loop, against signal-to-noise ratio (docs/method.md section 4).
+"""The bias of an output-error estimate from a closed loop, against signal-to-noise ratio (docs/method/covariance.md).
 
     python -m experiments.closed_loop_bias.study
 
@@ -35,7 +35,7 @@ AMBER, BLUE, GREY, INK = (COLORS["amber"], COLORS["blue"], COLORS["grey"], COLOR
 HERE = Path(__file__).parent
 FMUS = HERE.parents[1] / "fmus"
 
-R, L = 4.0, 0.1  # Ω, H: the coil of docs/method.md section 10
+R, L = 4.0, 0.1  # Ω, H: the coil of docs/method/coil.md
 NAMES, TRUTH = ("R", "L"), np.array([R, L])
 STEP, SAMPLES, BIT = 1e-3, 1200, 15  # s; samples of the record and of a bit of the reference, as there
 AMPLITUDE = 0.25  # A, of the reference

@@ -1,4 +1,4 @@
-"""Diagnosis of a coil (docs/method.md section 10, table 1.1): turns lost or gained, told from a warm winding.
+"""Diagnosis of a coil (docs/method/coil.md, table 1.1): turns lost or gained, told from a warm winding.
 
     python -m experiments.coil.study
 

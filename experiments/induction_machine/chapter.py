@@ -1,4 +1,4 @@
-"""Reproduce the chapter's estimates of the induction machine (docs/method.md section 8), with and without prior.
+"""Reproduce the chapter's estimates of the induction machine, with and without prior.
 
     python -m experiments.induction_machine.chapter
 
@@ -79,7 +79,7 @@ def estimate(
     prior_mean: Floats | None = None,
     noise: fmuid.Noise | None = None,
 ) -> fmuid.Result:
-    """Identify the four parameters by the procedure of docs/method.md section 7.
+    """Identify the four parameters by the procedure of docs/method/noise-variances.md.
 
     Parameters
     ----------

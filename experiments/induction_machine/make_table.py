@@ -1,4 +1,4 @@
-"""Make table.csv: a 1.1 kW induction machine under vector control (docs/method.md section 8), measured with noise.
+"""Make table.csv: a 1.1 kW induction machine under vector control, measured with noise.
 
     python experiments/induction_machine/make_table.py
 

@@ -47,7 +47,7 @@ class Experiment(HtmlTableMixin):
     time : str
         Time column, s, never decreasing. A time given twice is a step. No 20 rows in a row may be missing.
     interpolation : str or mapping of str to str
-        Interpolation of all inputs or of each (docs/method.md section 5).
+        Interpolation of all inputs or of each (docs/method/simulation.md).
     warmup : float
         Initial time that is simulated but not scored, s (1.32).
     units : mapping of str to str

@@ -33,7 +33,7 @@ class Noise:
     """Measurement noise of each output, R_b of (1.37), diagonal.
 
     Per output, give one of `variance`, `std`, `relative_std` and `weights`, in units of the data. Without them, the
-    variance is estimated from the residual (docs/method.md section 7), with a robust loss by `robust_variance`. In
+    variance is estimated from the residual (docs/method/noise-variances.md); a robust loss uses `robust_variance`. In
     Python, `std` and `weights` may also hold all samples, (K,).
 
     Raises

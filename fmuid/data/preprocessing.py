@@ -31,7 +31,7 @@ FILLS = ("linear", "zoh")
 
 @dataclass(frozen=True)
 class ParkTransform:
-    """Park transform of three phases, or its inverse (docs/method.md section 8).
+    """Park transform of three phases, or its inverse (docs/method/induction-machine.md).
 
     Examples
     --------

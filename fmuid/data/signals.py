@@ -1,4 +1,4 @@
-"""Excitations, and the Concordia and Park transforms (docs/method.md section 8).
+"""Excitations, and the Concordia and Park transforms (docs/method/induction-machine.md).
 
 Excitations are frames of ``time`` and an input, whose last sample is one step before the end. The Concordia matrix
 keeps power: a balanced set of peak X becomes a vector of length sqrt(3/2) X.

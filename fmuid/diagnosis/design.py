@@ -2,7 +2,7 @@
 
 A fault f makes D noncentral χ² with noncentrality (f/σ_f)²; a parameter of either sign is found with probability 1 − β
 at f = (z_{1−α/2} + z_{1−β}) σ_f, and with z_{1−α} if it has one sign (S. M. Kay, "Fundamentals of Statistical Signal
-Processing, volume II: Detection Theory", 1998, chapter 6). docs/method.md has the rest.
+Processing, volume II: Detection Theory", 1998, chapter 6). docs/method/design.md has the rest.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """Diagnosis by fault models (1.63–1.68).
 
 All causes are examined by their columns (`fmuid.diagnosis.cause_analysis`). Without healthy data the named fault is
-then fitted once by `fmuid.identify`, for its bounds and interval (docs/method.md section 9).
+then fitted once by `fmuid.identify`, for its bounds and interval (docs/method/diagnosis.md).
 """
 
 from __future__ import annotations

@@ -221,7 +221,7 @@ def common_mode(
     parameters: Mapping[str, Parameter] | None = None,
     held: Iterable[str] = (),
 ) -> dict[str, Parameter]:
-    """Return the nominal parameters with the healthy estimates as prior (docs/method.md section 9).
+    """Return the nominal parameters with the healthy estimates as prior (docs/method/diagnosis.md).
 
     Estimates of single experiments and `held` parameters have none; `std_factor` is infinite for no prior.
     """

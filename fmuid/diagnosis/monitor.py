@@ -1,7 +1,7 @@
 """Monitoring of data, window by window, with alarms.
 
 The machine is linearised once over many windows, at its last estimate. A window adds its information and score to
-those of all onsets. Each is simulated from a transient before it (docs/method.md section 5).
+those of all onsets. Each is simulated from a transient before it (docs/method/simulation.md).
 """
 
 from __future__ import annotations

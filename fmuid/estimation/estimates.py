@@ -74,7 +74,7 @@ class Estimates:
     prior_mean, prior_std : (N,) arrays
         NaN where there is no prior.
     covariance : (N, N) array
-        Local covariance under the noise model of the residuals (docs/method.md section 4). Infinite variances: not
+        Local covariance under the noise model of the residuals (docs/method/covariance.md). Infinite variances: not
         identifiable; all NaN: the search stalled.
     covariance_white_noise : (N, N) array
         The same under white noise (1.31).

@@ -1,4 +1,4 @@
-"""Derivatives of simulations by finite differences (docs/method.md section 3).
+"""Derivatives of simulations by finite differences (docs/method/sensitivities.md).
 
 Steps balance the simulation noise ε against curvature; all terms are RMS values over the samples:
 

@@ -1,4 +1,4 @@
-"""Global search: the box, its exploration, fits from the best points (docs/method.md section 4)."""
+"""Global search: the box, its exploration, fits from the best points (docs/method/starting-points.md)."""
 
 from __future__ import annotations
 

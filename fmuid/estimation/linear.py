@@ -1,4 +1,4 @@
-"""Linear estimates in closed form by QR (1.1–1.12; docs/method.md section 1).
+"""Linear estimates in closed form by QR (1.1–1.12; docs/method/linear-models.md).
 
 Zᵀ(y* − Φθ) = 0 with regressors Φ (K, N), measured y* (K,) and instruments Z; Z = Φ is least squares.
 

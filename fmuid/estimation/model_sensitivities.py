@@ -1,4 +1,4 @@
-"""Derivatives by the model (docs/method.md section 3), replaced by differences if refused."""
+"""Derivatives by the model (docs/method/sensitivities.md), replaced by differences if refused."""
 
 from __future__ import annotations
 

@@ -184,7 +184,7 @@ class Result(PlotMixin):
         names : sequence of str, optional
             Default: all parameters.
         inflate : float
-            Factor on the standard deviations (docs/method.md section 7).
+            Factor on the standard deviations (docs/method/noise-variances.md).
 
         Raises
         ------

@@ -67,7 +67,7 @@ class Fit:
     noise_variance : mapping of str to float
         Estimated residual variance of each output, J_j/(K_j − share of N) (1.12).
     given_variance : mapping of str to float
-        Given variances (docs/method.md section 7).
+        Given variances (docs/method/noise-variances.md).
     linearization : LinearizedProblem or None
         Problem linearized at the estimates; None if read from a file.
     noise : ResidualNoise or None
@@ -141,7 +141,7 @@ class History:
     trace : tuple of (int, Iteration)
         All iterations, each with the number of its round.
     rounds : tuple of mapping
-        Noise variances used and estimated in each round (docs/method.md section 7).
+        Noise variances used and estimated in each round (docs/method/noise-variances.md).
     restarts : tuple of RestartAttempt
         Initial guesses that were tried; empty if the given one succeeded.
     optima : tuple of Optimum

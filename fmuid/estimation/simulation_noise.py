@@ -1,4 +1,4 @@
-"""Simulation noise: irregularity of outputs over parameters (docs/method.md section 3).
+"""Simulation noise: irregularity of outputs over parameters (docs/method/sensitivities.md).
 
 Reference: Moré and Wild, "Estimating computational noise", SIAM J. Sci. Comput. 33 (3), 2011.
 """

@@ -1,6 +1,6 @@
 """Solver error of the estimates, from one finer simulation.
 
-An output error d shifts the estimates by (JᵀJ)⁻¹Jᵀ d in whitened rows (docs/method.md section 5).
+An output error d shifts the estimates by (JᵀJ)⁻¹Jᵀ d in whitened rows (docs/method/solver-error.md).
 """
 
 from __future__ import annotations

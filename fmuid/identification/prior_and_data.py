@@ -1,7 +1,7 @@
 """Prior, data and both: three estimates and their agreement.
 
 The estimate is the barycentre of the prior and the optimum of the data alone, weighted by inverse covariances (1.55;
-docs/method.md section 7).
+docs/method/noise-variances.md).
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Prior–data conflict, and residual variance against the known noise (docs/method.md section 7).
+"""Prior–data conflict, and residual variance against the known noise (docs/method/noise-variances.md).
 
 Both tests allow for colored noise: P_opt is larger then, and degrees of freedom are fewer (Bartlett).
 """

@@ -1,4 +1,4 @@
-"""Simulations with sensitivities of the states (docs/method.md section 3)."""
+"""Simulations with sensitivities of the states (docs/method/sensitivities.md)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Sensitivities of outputs by the model (docs/method.md section 3)."""
+"""Sensitivities of outputs by the model (docs/method/sensitivities.md)."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
 """How often intervals hold the truth, and tests reject it, where the noise is coloured: seeded draws, few of them here.
 
-``python -m tests.estimation.test_colour_coverage 400`` prints the table of docs/method.md section 12 over so many.
+``python -m tests.estimation.test_colour_coverage 400`` prints the table of experiments/coverage over so many.
 Behind it may stand of how many draws profile and posterior are made too (one in so many), the cases, and the samples.
 """
 

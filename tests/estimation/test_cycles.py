@@ -1,6 +1,6 @@
 """Errors that return with each cycle of an excitation: periods of inputs, likelihoods and Gram matrices, coverage.
 
-``python -m tests.estimation.test_cycles 400`` prints the table of docs/method.md section 12 over so many seeded draws.
+``python -m tests.estimation.test_cycles 400`` prints the table of experiments/coverage over so many seeded draws.
 """
 
 from __future__ import annotations

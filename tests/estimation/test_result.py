@@ -47,7 +47,7 @@ def test_every_output_gets_its_own_variance() -> None:
 
 
 def test_the_variances_settle_whatever_their_start() -> None:
-    """The repetition of docs/method.md section 7: kept as rounds, one or two of them from any start."""
+    """The repetition of docs/method/noise-variances.md: kept as rounds, one or two of them from any start."""
     results = [identify(two_output_problem(noise=Noise(initial_variance=s))) for s in (1e-8, 1.0, 1e4)]
     for result in results:
         assert result.converged

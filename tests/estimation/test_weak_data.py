@@ -38,7 +38,7 @@ def noise(seed: int, std: float) -> Floats:
     return std * np.random.default_rng(seed).standard_normal(TIMES.size)
 
 
-# --- the coil and its fault (docs/method.md section 10) --------------------------------------
+# --- the coil and its fault (docs/method/coil.md) --------------------------------------
 
 COIL = {"R": Parameter(4.0), "L": Parameter(0.1), "dR": Parameter(0.0, nominal=1.0)}
 

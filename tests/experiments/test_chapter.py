@@ -1,4 +1,4 @@
-"""What the chapter's estimates of the induction machine show (docs/method.md section 8), and that the page says so."""
+"""What the chapter's estimates of the induction machine show, and that the page says so."""
 
 from __future__ import annotations
 

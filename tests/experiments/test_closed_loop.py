@@ -1,4 +1,4 @@
-"""The study of the closed-loop bias (docs/method.md section 4): its loop, its prediction, and what the page says."""
+"""The study of the closed-loop bias (docs/method/covariance.md): its loop, its prediction, and what the page says."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The coil of docs/method.md section 10: the data, table 1.1, and what the draws must show."""
+"""The coil of docs/method/coil.md: the data, table 1.1, and what the draws must show."""
 
 from __future__ import annotations
 

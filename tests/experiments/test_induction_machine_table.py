@@ -108,7 +108,7 @@ def test_the_inverter_gives_the_mean_of_its_voltage(steps: pd.DataFrame) -> None
 
 
 def test_the_park_machine_under_the_table_s_straight_lines(frame: pd.DataFrame) -> None:
-    """Park's equations (docs/method.md section 8) with voltages and speed linear between samples: some mA are left."""
+    """Park's equations (docs/method/induction-machine.md) with linear voltages and speed: some mA are left."""
     times, inputs = frame["time"].to_numpy(), frame[["uds", "uqs", "w"]].to_numpy()
 
     def park_slope(t: float, x: Array, k: int) -> list[float]:

@@ -1,6 +1,6 @@
 """The exported machine models against their equations, written here anew and integrated by scipy.
 
-`Reference` knows nothing of the FMUs: plain formulas of docs/method.md section 8 and of the models' README files. The
+`Reference` has plain formulas of docs/method/induction-machine.md and of the models' README files. The
 FMUs run through FMPy's low-level calls (its `simulate_fmu` does not apply inputs inside an integrator).
 """
 

@@ -97,7 +97,7 @@ def _outputs(noise: ResidualNoise) -> list[int]:
 
 @pytest.mark.parametrize("search", [False, True])
 def test_prior_data_and_combined_of_a_linear_problem(search: bool) -> None:
-    """Closed forms: θ_opt by least squares, the barycentre and the distance of docs/method.md section 7."""
+    """Closed forms: θ_opt by least squares, the barycentre and the distance of docs/method/noise-variances.md."""
     y = noisy(np.random.default_rng(1))
     problem, result = linear(y, joint())
     reading = white_reading(problem, result, search_data=search)

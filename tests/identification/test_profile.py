@@ -50,7 +50,7 @@ def rise_problem(std: float = 0.3, rate: float = 0.8, searched: Parameter | None
 
 
 def coil(least: float = -math.inf) -> tuple[LeastSquares, Result]:
-    """Return the coil with its fault parameter (docs/method.md section 10): only R + dR and L + 2 tau dR act."""
+    """Return the coil with its fault parameter (docs/method/coil.md): only R + dR and L + 2 tau dR act."""
     voltage = np.sign(np.sin(0.13 * np.arange(400)) + 0.1)
     decay_step, tau = 1e-3, 0.025
 

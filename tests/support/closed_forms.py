@@ -37,7 +37,7 @@ def park_rates(
     x: Iterable[float] | NDArray[np.float64], inputs: Sequence[float] | NDArray[np.float64], theta: Sequence[float]
 ) -> list[float]:
     """Rates of ids, iqs and the rotor fluxes of Park's machine under uds, uqs and w; theta is Rs, Rr, Lm, Lf."""
-    d, q, fd, fq = x  # docs/method.md section 8
+    d, q, fd, fq = x  # docs/method/induction-machine.md
     ud, uq, w = inputs
     Rs, Rr, Lm, Lf = theta
     return [

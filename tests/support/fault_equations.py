@@ -14,13 +14,13 @@ def faulty_coil(x: Any, u: Any, p: Any) -> Any:
 
 
 def towards(angle: Any) -> Any:
-    """Q of docs/method.md section 11."""
+    """Q of docs/method/machine-faults.md."""
     c, s = np.cos(angle), np.sin(angle)
     return np.array([[c**2, c * s], [c * s, s**2]])
 
 
 def short_circuit(_: Any, u: Any, p: Any) -> Any:
-    """The sum over phases as it stands in docs/method.md section 11."""
+    """The sum over phases as it stands in docs/method/machine-faults.md."""
     there, back = rotation(u[2]), rotation(-u[2])
     ratios = zip("abc", (0, 2 * np.pi / 3, 4 * np.pi / 3), strict=True)
     return sum(2 / 3 * p[f"eta_{phase}"] / p["Rs"] * back @ towards(angle) @ there @ u[:2] for phase, angle in ratios)

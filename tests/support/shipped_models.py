@@ -77,7 +77,7 @@ def coil(x: Any, u: Any, p: Any) -> Any:
 
 
 def park_machine(x: Any, u: Any, p: Any) -> Any:
-    """docs/method.md section 8, the state equations in Park axes linked to the rotor."""
+    """docs/method/induction-machine.md, the state equations in Park axes linked to the rotor."""
     return np.array(park_rates(x, u, [p[name] for name in ("Rs", "Rr", "Lm", "Lf")]))
 
 

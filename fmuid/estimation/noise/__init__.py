@@ -1,1 +1,1 @@
-"""Noise models of residuals (docs/method.md sections 4 and 12)."""
+"""Noise models of residuals (docs/method/covariance.md)."""

@@ -1,4 +1,4 @@
-"""Autoregressions by Burg's method, order by BIC (docs/method.md section 4).
+"""Autoregressions by Burg's method, order by BIC (docs/method/covariance.md).
 
 x(t) = Σ φ_j x(t − j) + w(t), fitted to weighted second moments of columns; gaps may be anywhere (de Waele and
 Broersen). From 25 samples on the order is at least 1, without Kendall's bias 2 φ/n; fewer samples count as white.

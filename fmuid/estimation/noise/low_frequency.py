@@ -1,4 +1,4 @@
-"""Low-frequency noise beneath an autoregression, by Whittle's likelihood (docs/method.md section 4).
+"""Low-frequency noise beneath an autoregression, by Whittle's likelihood (docs/method/covariance.md).
 
 The innovations' spectrum rises by 1 + c (1 − φ)²/|1 − φ e^(−iω)|² = κ |1 − θ e^(−iω)|²/|1 − φ e^(−iω)|². It is taken
 if twice the log-likelihood gains 0.75 log n: 1 % of white records pass (measured for n = 200 to 4500).

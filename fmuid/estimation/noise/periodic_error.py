@@ -1,4 +1,4 @@
-"""Periodic model error, found in the mean cycle of the residual (docs/method.md section 4).
+"""Periodic model error, found in the mean cycle of the residual (docs/method/periodic-error.md).
 
 With columns C and residual summed over n cycles and divided by √n, C̄ and z (T samples), the error adds to CᵀΓC
 

@@ -1,4 +1,4 @@
-"""Covariance under colored noise, with degrees of freedom (docs/method.md section 4).
+"""Covariance under colored noise, with degrees of freedom (docs/method/covariance.md).
 
 With whitened noise e of covariance Γ, V = R (CᵀΓC + (WR)ᵀWR) Rᵀ, C = J R, R Rᵀ = H⁻¹, H = JᵀJ + WᵀW. Each output is an
 autoregression; innovations of one experiment correlate at equal times only, cov(w_a, w_b) = S_ab (Parks). With Z_a the

@@ -1,4 +1,4 @@
-"""Tests of a series: autocorrelation, whiteness, normality, cross-correlation (docs/method.md section 12).
+"""Tests of a series: autocorrelation, whiteness, normality, cross-correlation (docs/method/residuals.md).
 
 References: Ljung and Box, Biometrika 65 (2), 1978; Stoffer and Toloi, Statistics & Probability Letters 13 (5), 1992;
 Bartlett, Suppl. J. R. Stat. Soc. 8 (1), 1946; Brockwell and Davis, "Time Series", 1991, sections 5.2 and 11.2.

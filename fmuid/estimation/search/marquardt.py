@@ -1,4 +1,4 @@
-"""Levenberg–Marquardt optimization of simulations (1.16) with bounds (docs/method.md section 2).
+"""Levenberg–Marquardt optimization of simulations (1.16) with bounds (docs/method/optimization.md).
 
 Forward differences serve on the way, central ones near the optimum if needed. A failed simulation is a refused step.
 

@@ -78,7 +78,7 @@ def converged(frame: pd.DataFrame) -> pd.DataFrame:
 def fit_cost(frame: pd.DataFrame, *, given_noise: bool) -> Floats:
     """Return the cost of each case (n,), infinite where unknown.
 
-    (1.37) where all noise variances are given, else Σ ln σ̂² over the outputs (docs/method.md section 7).
+    (1.37) where all noise variances are given, else Σ ln σ̂² over the outputs (docs/method/noise-variances.md).
     """
     if given_noise:
         badness = frame["criterion"].to_numpy(np.float64)
