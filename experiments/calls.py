@@ -28,7 +28,7 @@ from fmuid.diagnosis.unexplained_residual import SETTINGS as UNEXPLAINED_RESIDUA
 
 LEVEL, SEED = 0.01, 17
 FALSE, FAULTY = 400, 200  # records of a case without and with a fault
-# Samples in which coloured noise becomes stationary, at least, and so many of its time constants.
+# Samples in which colored noise becomes stationary, at least, and so many of its time constants.
 SETTLING, CONSTANTS = 60, 4.0
 # A point is near one where the machine is linearised: standard deviations away times relative change of a coordinate.
 NEAR = 0.3
@@ -108,10 +108,10 @@ def noise(rng: np.random.Generator, shape: tuple[int, int], std: float, colour: 
     """Return noise (n, outputs) of an autoregression of order 1, or white noise with a share of it."""
     settling = max(SETTLING, math.ceil(-CONSTANTS / math.log(colour))) if colour else SETTLING
     white = std * math.sqrt(1.0 - colour**2) * rng.standard_normal((shape[0] + settling, shape[1]))
-    coloured = np.asarray(lfilter([1.0], [1.0, -colour], white, axis=0)[settling:])
+    colored = np.asarray(lfilter([1.0], [1.0, -colour], white, axis=0)[settling:])
     if share == 1.0:
-        return coloured
-    return np.asarray(math.sqrt(share) * coloured + math.sqrt(1.0 - share) * std * rng.standard_normal(shape))
+        return colored
+    return np.asarray(math.sqrt(share) * colored + math.sqrt(1.0 - share) * std * rng.standard_normal(shape))
 
 
 def noisy(

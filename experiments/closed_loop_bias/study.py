@@ -40,7 +40,7 @@ NAMES, TRUTH = ("R", "L"), np.array([R, L])
 STEP, SAMPLES, BIT = 1e-3, 1200, 15  # s; samples of the record and of a bit of the reference, as there
 AMPLITUDE = 0.25  # A, of the reference
 CONTROL = {"controller.K": 20.0, "controller.Ti": L / R}  # V/A, s: the current follows with L/K = 5 ms
-COLOUR = 0.8  # correlation of the coloured noise from sample to sample: it lasts as long as the loop takes to answer
+COLOR = 0.8  # correlation of the colored noise from sample to sample: it lasts as long as the loop takes to answer
 
 RATIOS = (300.0, 100.0, 30.0, 10.0, 3.0, 1.0)  # power of the current without noise over the power of the noise
 
@@ -64,10 +64,10 @@ class Kind(NamedTuple):
 
 
 KINDS = {
-    "open loop, coloured noise": Kind(False, COLOUR),
+    "open loop, colored noise": Kind(False, COLOR),
     "closed loop, white noise": Kind(True, 0.0),
-    "closed loop, coloured noise": Kind(True, COLOUR),
-    "closed loop identified whole, coloured noise": Kind(True, COLOUR, whole=True),
+    "closed loop, colored noise": Kind(True, COLOR),
+    "closed loop identified whole, colored noise": Kind(True, COLOR, whole=True),
 }
 DRAWS, SEED = 200, 1
 

@@ -1,4 +1,4 @@
-"""Simulate every FMU of some folders with fmuid and compare: a Markdown table.
+"""Simulate every FMU of some folders with fmuid and compare: a CSV table.
 
     python -m experiments.fmu_survey.survey FOLDER... [--json FILE]
 
@@ -9,6 +9,7 @@ crashes or hangs is one row of the table. See the README for where to get FMUs.
 from __future__ import annotations
 
 import argparse
+import csv
 import json
 import re
 import subprocess
@@ -68,17 +69,12 @@ class Row:
             return f"follows the tolerance: at {TIGHT:.0e} {shown}"
         return "deviates"
 
-    def markdown(self) -> str:
-        """Return the row of the table."""
+    def cells(self) -> list[str]:
+        """Return the cells of the row."""
         shown = ", ".join(f"{name} {error:.0e}".strip() for name, error in self.errors.items()) or "-"
-        cells = [
-            self.fmu.path.stem,
-            tool_of(self.fmu),
-            self.fmu.description.fmi_version,
-            SHORT[self.kind],
-            self.against,
-        ]
-        return "| " + " | ".join([*cells, str(self.events or ""), shown, self.verdict()]) + " |"
+        fmu, version = self.fmu.path.stem, self.fmu.description.fmi_version
+        events = str(self.events or "")
+        return [fmu, tool_of(self.fmu), version, SHORT[self.kind], self.against, events, shown, self.verdict()]
 
 
 def run_case(path: Path, kind: str, integrator: str, tolerance: float = TOLERANCE) -> list[dict[str, Any]]:
@@ -144,16 +140,18 @@ def main() -> None:
     parser.add_argument("folders", nargs="+", type=Path)
     parser.add_argument("--json", type=Path, help="write all comparisons here")
     arguments = parser.parse_args()
-    print("| FMU | tool | FMI | kind | checked against | events | error | verdict |\n|---|---|---|---|---|---|---|---|")
+    table = csv.writer(sys.stdout, lineterminator="\n")
+    table.writerow(["FMU", "tool", "FMI", "kind", "checked against", "events", "error", "verdict"])
     everything: dict[str, Any] = {}
     for path in sorted(p for folder in arguments.folders for p in folder.rglob("*.fmu")):
         try:
             everything[str(path)] = run_cases(path)
             for row in rows_of(fmuid.FMU(path), everything[str(path)]):
-                print(row.markdown(), flush=True)
+                table.writerow(row.cells())
         except fmuid.FmuidError as error:
             said = str(error).replace(str(path), path.name)
-            print(f"| {path.stem} | | | | | | - | not simulated: {said} |", flush=True)
+            table.writerow([path.stem, *[""] * 5, "-", f"not simulated: {said}"])
+        sys.stdout.flush()
         if arguments.json:
             arguments.json.write_text(json.dumps(everything, indent=1), encoding="utf-8")
 

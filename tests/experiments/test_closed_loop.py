@@ -10,7 +10,7 @@ import fmuid
 from experiments import pages
 from experiments.closed_loop_bias import study
 
-OPEN, WHITE, COLOURED, WHOLE = study.KINDS
+OPEN, WHITE, COLORED, WHOLE = study.KINDS
 
 
 @pytest.fixture(scope="module")
@@ -41,10 +41,10 @@ def test_the_loop_is_the_sampled_one_of_the_page() -> None:
 
 def test_the_noise_is_stationary_and_as_correlated_as_it_says() -> None:
     rng = np.random.default_rng(5)
-    drawn = np.array([study.noise(rng, study.COLOUR) for _ in range(400)])
+    drawn = np.array([study.noise(rng, study.COLOR) for _ in range(400)])
     for lag in (0, 1, 5):
         products = drawn[:, lag:] * drawn[:, : study.SAMPLES - lag]
-        assert products.mean() == pytest.approx(study.COLOUR**lag, abs=0.02)
+        assert products.mean() == pytest.approx(study.COLOR**lag, abs=0.02)
     assert drawn[:, 0].var() == pytest.approx(1.0, abs=4 * np.sqrt(2 / 400))
 
 
@@ -67,37 +67,37 @@ def test_the_expectations_are_those_of_the_draws() -> None:
     count = 200
     passed, gram = np.empty((count, 2)), np.empty((count, 2, 2))
     for k in range(count):
-        b = study.noise(rng, study.COLOUR)
+        b = study.noise(rng, study.COLOR)
         share = study.sensitivities(study.simulate(b)["u"].to_numpy() - clean)
         passed[k], gram[k] = b @ share, share.T @ share
-    for drawn, expected in zip((passed, gram), study.moments(study.COLOUR), strict=True):
+    for drawn, expected in zip((passed, gram), study.moments(study.COLOR), strict=True):
         error = drawn.std(axis=0) / np.sqrt(count)
         assert (np.abs(expected) > 8 * error).all()
         assert (np.abs(drawn.mean(axis=0) - expected) < 4 * error).all()
     assert study.moments(0.0)[0] == pytest.approx([0.0, 0.0], abs=1e-12)
 
 
-def test_only_coloured_noise_in_closed_loop_makes_a_bias(committed: pd.DataFrame) -> None:
+def test_only_colored_noise_in_closed_loop_makes_a_bias(committed: pd.DataFrame) -> None:
     """At a ratio of 3; other noise is off by chance, and by its squared std (section 4 is of first order)."""
     weak = committed[committed["ratio"] == 3.0]
-    by_chance = weak[weak["kind"] != COLOURED]
+    by_chance = weak[weak["kind"] != COLORED]
     assert {*by_chance["kind"]} == {OPEN, WHITE, WHOLE}
     assert (by_chance["bias"].abs() < 3.5 * by_chance["error"] + by_chance["std"] ** 2).all()
-    biased = weak[weak["kind"] == COLOURED]
+    biased = weak[weak["kind"] == COLORED]
     assert (biased["bias"] > 10 * biased["error"]).all()
     assert biased["bias"].to_numpy() == pytest.approx(biased["predicted"].to_numpy(), rel=0.25)
 
 
 def test_the_bias_grows_as_the_signal_gets_weaker_and_as_predicted(committed: pd.DataFrame) -> None:
-    coloured = committed[committed["kind"] == COLOURED]
-    for _, part in coloured.groupby("parameter"):
+    colored = committed[committed["kind"] == COLORED]
+    for _, part in colored.groupby("parameter"):
         strong = part[part["ratio"] >= 10]
         assert (np.diff(part["bias"]) > 0).all()  # ratios fall
         assert ((strong["bias"] - strong["predicted"]).abs() < 3 * strong["error"]).all()
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("kind", [COLOURED, OPEN, WHITE])
+@pytest.mark.parametrize("kind", [COLORED, OPEN, WHITE])
 def test_the_committed_numbers_are_these(kind: str, committed: pd.DataFrame) -> None:
     """All draws at a signal-to-noise ratio of 3, drawn anew; the loop identified whole takes longer."""
     weak = study.cell(kind, 3.0)
@@ -124,6 +124,6 @@ def test_the_page_shows_them(committed: pd.DataFrame) -> None:
 def test_the_figure_shows_every_case(committed: pd.DataFrame) -> None:
     panels = study.figure(committed).axes
     assert [len(axes.containers) for axes in panels] == [len(study.KINDS)] * 4
-    coloured = committed[(committed["kind"] == COLOURED) & (committed["parameter"] == "L")]
-    predicted = [line for line in panels[1].lines if line.get_label() == f"{COLOURED}: predicted"]
-    assert predicted[0].get_ydata() == pytest.approx(100 * coloured["predicted"].to_numpy())
+    colored = committed[(committed["kind"] == COLORED) & (committed["parameter"] == "L")]
+    predicted = [line for line in panels[1].lines if line.get_label() == f"{COLORED}: predicted"]
+    assert predicted[0].get_ydata() == pytest.approx(100 * colored["predicted"].to_numpy())
