@@ -23,13 +23,11 @@ DOCS = ROOT / "docs"
 REPORTS = ROOT / "fmuid" / "reports"
 # Modules whose sentences are functions; those of the others are messages, which the page is made of, or captions.
 SAID = (
-    "diagnosis_phrases",
     "prior_and_data",
     "residual_analysis",
     "study_notes",
     "termination",
     "uncertainty",
-    "validation",
 )
 # What functions return whose texts are headings and axes.
 DRAWN = re.compile("Chart|Figure|Layer|Section|Table")

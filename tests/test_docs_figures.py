@@ -16,7 +16,7 @@ MADE_UP = {
     ("preprocessing", "anchor"): {"preparation", "prepared", "monitored"},
     ("monitoring", "key"): {"timeline"},
     ("fit", "anchor"): {"fit", "prediction"},
-    ("model_comparison", "key"): {"criteria", "errors"},
+    ("model_comparison", "key"): {"likelihood", "errors"},
     ("design", "key"): {"sensitivities"},
     ("batch", "f'over-{k + 1}'"): {"over"},
 }

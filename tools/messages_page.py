@@ -42,7 +42,7 @@ def kinds() -> Iterator[type[Message]]:
 def table(kind: type[Message]) -> str:
     """Return the messages of a class as a table; those that are filled with a whole sentence are none of their own."""
     rows = [(f"*{_said(each.text)}*", each.meaning, each.action) for each in kind if has_words(each)]
-    heads = ("it says", "that is", "what to do") if any(action for *_, action in rows) else ("it says", "that is")
+    heads = ("it says", "that is", "what to do") if any(remedy for *_, remedy in rows) else ("it says", "that is")
     told = [heads, ("---",) * len(heads), *(row[: len(heads)] for row in rows)]
     lines = ["| " + " | ".join(cell.replace("|", "\\|") for cell in row) + " |" for row in told]
     lines[1] = "|---" * len(heads) + "|"

@@ -9,7 +9,7 @@ from fmuid.errors import InputError
 from fmuid.estimation import Estimator, LinearEstimate, Result
 from fmuid.formatting import with_std
 from fmuid.identification import CONFIDENCE_LEVEL, Assessment, Posterior, PriorDataComparison, ResidualAnalysis
-from fmuid.reports.document import Document, Message, Remark, Section, capitalised
+from fmuid.reports.document import Document, Message, Remark, Section, Tone, capitalised
 from fmuid.reports.topics.diagnosis import diagnosis_sections
 from fmuid.reports.topics.diagnosis_phrases import diagnosis_notes, verdict
 from fmuid.reports.topics.estimates import estimates_section
@@ -22,24 +22,25 @@ from fmuid.runs import findings_of
 
 
 class LinearMessage(Message):
-    """What is to be thought of estimates of models that are linear in their parameters."""
+    """Bias of estimates of linear models."""
 
     LEAST_SQUARES = (
-        "unbiased where the regressors are free of noise and the residual is white",
+        "unbiased if the regressors are free of noise and the residual is white",
         "of estimates by `fmuid.estimation.linear_least_squares`",
     )
     EQUATION_ERROR = (
-        "noise in measured terms biases these values, which their standard deviations do not show: a start for "
-        "identify, not a result",
+        "biased by noise in the measured terms; σ does not include this bias",
         "of estimates by `fmuid.estimation.equation_error`",
+        "Use them as initial guesses of `identify`.",
     )
     INSTRUMENTAL_VARIABLES = (
-        "free of the bias by noise in measured terms, as far as the model is right",
+        "free of the bias by noise in the measured terms if the model is right",
         "of estimates by `fmuid.estimation.instrumental_variables`",
     )
     UNSETTLED = (
-        "the instruments had not settled after {rounds} rounds: give a start nearer by",
+        "not converged: instruments still change after {rounds} rounds",
         "of estimates by `fmuid.estimation.instrumental_variables`",
+        "Improve the initial guess.",
     )
 
 
@@ -62,9 +63,9 @@ def description(found: object) -> Document:
         case Result():
             return result_document(found)
         case Diagnosis():
-            said = (verdict(found), *diagnosis_notes(found))
-            names = (*found.mismatched, *found.nominal)
-            return _described("Diagnosis", said, names, found.kind, found.kind == "healthy", diagnosis_sections(found))
+            tone: Tone = "good" if found.kind == "healthy" else "bad"
+            notes = (verdict(found), *diagnosis_notes(found))
+            return Document("diagnosis", "Diagnosis", found.kind, tone, notes, tuple(diagnosis_sections(found)))
         case Monitor():
             return monitoring_document(findings_of(found))
         case Assessment():

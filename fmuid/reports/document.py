@@ -30,9 +30,9 @@ class Message(Enum):
         self.text, self.meaning, self.action = text, meaning, action
 
     def said(self, tone: Tone = "plain", section: str = "", names: Iterable[str] = (), /, **values: object) -> Remark:
-        """Return the message filled with values, with a capital unless a name begins it."""
-        told = self.text.format(**values)
-        return Remark(capitalised(told, names), tone, section, f"{type(self).__name__}.{self.name}", values)
+        """Return the message with values, capitalized unless a name begins it."""
+        told, remedy = self.text.format(**values), self.action.format(**values)
+        return Remark(capitalised(told, names), tone, section, f"{type(self).__name__}.{self.name}", values, remedy)
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,6 +44,7 @@ class Remark:
     section: str = ""  # key of the section that shows it
     message: str = ""  # key of its `Message`
     values: Mapping[str, Any] = field(default_factory=dict)  # of the message
+    remedy: str = ""
 
 
 @dataclass(frozen=True)

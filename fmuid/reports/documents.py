@@ -7,7 +7,7 @@ from fmuid.runs import ComparisonRun, DiagnosisRun, IdentificationRun, Monitorin
 
 
 def document(found: object) -> Document:
-    """Return the document of the findings of a command, or of a single result.
+    """Return the document of findings or of a single result.
 
     Raises
     ------

@@ -18,7 +18,7 @@ REPORT_FILE = "report.html"
 KINDS = """
 fit preparation prepared monitored residuals parameters criterion optima belief parabolas correlation accuracy profiles
 maps posterior walkers causes changes evidence sizes explained timeline cases distributions spread over starts failures
-prediction criteria errors estimates excitations sensitivities
+prediction likelihood errors estimates excitations sensitivities
 """.split()  # noqa: SIM905  # as a list a line each
 
 

@@ -54,13 +54,13 @@ def study(tmp_path: Path, plate: fmuid.System, healthy: fmuid.Result) -> Path:
 def test_the_command_says_what_it_found(study: Path, look: Look, capsys: pytest.CaptureFixture[str]) -> None:
     assert run(["diagnose", str(study), "--figures", "png"]) == 1
     out = capsys.readouterr().out
-    assert "Fault found: rotor, size = 0.0" in out
+    assert "FAULT: rotor, size = 0.0" in out
     read = fmuid.Diagnosis.from_json(study.parent / "results" / "diagnosis.json")
     direct = look(record(np.random.default_rng(20), size=0.08, angle=1.0))
     assert read["rotor.size"].value == pytest.approx(direct["rotor.size"].value, rel=1e-6)
     figures = {path.stem for path in (study.parent / "results" / "figures").glob("*.png")}
     assert figures == {"causes", "changes", "explained"}
-    assert "Fault found: rotor" in (study.parent / "results" / "report.html").read_text(encoding="utf-8")
+    assert "FAULT: rotor" in (study.parent / "results" / "report.html").read_text(encoding="utf-8")
     explained = pd.read_csv(study.parent / "results" / "diagnosis-residuals.csv")
     assert explained.filter(like="fault.").std().mean() < explained.filter(like="healthy.").std().mean()
     table = pd.read_csv(study.parent / "results" / "diagnosis.csv")
@@ -96,7 +96,7 @@ def files_in(folder: Path) -> set[Path]:
 def test_the_command_finds_nothing_in_a_sound_machine(study: Path, capsys: pytest.CaptureFixture[str]) -> None:
     study.write_text(STUDY.replace("angle = { nominal = 1, ", "angle = { "), encoding="utf-8")  # angles need none
     assert run(["diagnose", str(study), "--set", "experiments.0.data=sound.csv"]) == 0
-    assert "Nothing new found at a false-alarm level of 1 %" in capsys.readouterr().out
+    assert "NO FAULT at 1 % false-alarm rate" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize(

@@ -84,9 +84,7 @@ def test_a_diagnosis_and_a_monitoring_take_it(kept: Path) -> None:
     assert found.evidence is not None
     assert found.evidence.basis is BaselineSource.FILE
     assert {"turns.lost", "gain(i)", "delay(i)"} <= {each.change.label for each in found.evidence.suspects}
-    assert "What the healthy records show is from the baseline.npz beside the healthy result" in str(
-        fmuid.Document.of(found)
-    )
+    assert "from baseline.npz" in str(fmuid.Document.of(found))
     again = fmuid.Diagnosis.from_json(found.to_json(kept / "diagnosis.json"))
     assert again.evidence == found.evidence
     assert run_monitoring(asked(kept), [kept / "test1.csv"]).basis is BaselineSource.FILE
@@ -111,7 +109,7 @@ def test_a_file_that_does_not_fit(kept: Path, said: dict[str, Any], basis: Basel
     study = asked(kept, healthy_data=["healthy.csv"], **own)
     found = made(fmuid.Study.of({**study.data, **top}, study.path))
     assert found.basis is basis
-    assert f"is {UNLIKE[basis]} and was not used" in basis_notes(found.basis)[0]
+    assert f"not used ({UNLIKE[basis]})" in basis_notes(found.basis)[0].text
 
 
 def test_wrong_words(kept: Path) -> None:
@@ -149,7 +147,7 @@ def test_a_damaged_file_serves_nobody_and_ends_nothing(kept: Path, tmp_path: Pat
     assert found.records == ("a", "b")
     assert found.basis is BaselineSource.DAMAGED
     (said,) = basis_notes(found.basis)
-    assert said.startswith("the baseline.npz beside the healthy result is damaged and was not used: the healthy")
+    assert "not used (damaged)" in said.text
     with pytest.raises(fmuid.InputError, match=r"not whole .*: identify the healthy study again"):
         followed()
 

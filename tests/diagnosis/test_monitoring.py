@@ -19,7 +19,7 @@ from fmuid.data.npz import read_arrays
 from fmuid.diagnosis import OnsetShape, SkippedWindow
 from fmuid.diagnosis.alarms import SOMETHING_ELSE, Rule, Trend
 from fmuid.diagnosis.monitor import Monitor
-from fmuid.reports.topics.monitoring import WHITE_NOISE, gap_words, monitoring_document, monitoring_words
+from fmuid.reports.topics.monitoring import MonitoringMessage, gap_remarks, monitoring_document, monitoring_remarks
 from fmuid.runs.faults import build_monitor, findings_of, rule_of
 from tests.support.coil_records import warming
 from tests.support.exported import export_text
@@ -32,7 +32,7 @@ RULE = Rule(window=1.0, transient=0.2)
 
 def told(found: Monitor) -> str:
     """Return the verdict of a monitoring."""
-    return monitoring_words(findings_of(found))
+    return " ".join(each.text for each in monitoring_remarks(findings_of(found)))
 
 
 @pytest.fixture(scope="module")
@@ -64,18 +64,18 @@ def test_a_fault_is_found_soon_and_a_warm_winding_is_none(healthy: fmuid.Result)
     truth = coil.R + (5.0 - coil.R) * np.arange(40) / 40
     assert (np.abs(table["R"] - truth) < 4 * table["R.std"]).all()
     said = told(found)
-    assert said.startswith("Fault: turns, since 30 s of experiment (95 %: 29.9")
-    assert "; alarm at 31 s of experiment; since then turns, dR = 0.5" in said
+    assert said.startswith("ALARM turns since 30 s (95 %: 29.9")
+    assert "raised at 31 s. Size at the alarm: turns.dR = " in said and "Current size: turns, dR = 0.5" in said
 
 
 def test_nothing_is_found_where_nothing_is(healthy: fmuid.Result) -> None:
     found = watch(healthy)
     found.add(coil.experiment(warming(60, to=4.8, seed=2)))
     assert not found.alarms
-    assert told(found) == "No alarm in 60 windows, at a level of 1 % for a false one in a record."
+    assert told(found) == "NO ALARM in 60 windows at 1 % false-alarm rate per recording."
     assert (found.table["significant"] != "").mean() < 0.06
     # from a result alone, which has no noise model
-    assert WHITE_NOISE in [each.text for each in monitoring_document(findings_of(found)).remarks]
+    assert MonitoringMessage.WHITE_NOISE.text in [each.text for each in monitoring_document(findings_of(found)).remarks]
 
 
 # D is that of one linearisation at the estimate without the fault; the sizes are those where the fault is
@@ -128,7 +128,7 @@ def test_a_size_that_grows_has_a_trend_and_a_limit(healthy: fmuid.Result) -> Non
     likely, early, late = trend.reached
     assert early < (1.0 - 0.6) / 0.05 < late
     assert early < likely < late
-    assert "turns.dR reaches its limit of 1 Ohm in " in told(found)
+    assert "turns.dR reaches its limit 1 Ohm in " in told(found)
 
 
 def test_a_trend_is_a_line_of_least_squares() -> None:
@@ -178,7 +178,7 @@ def test_without_prior_it_stays_open(healthy: fmuid.Result) -> None:
     found.add(coil.experiment(warming(4, to=4.0, fails=2)))
     assert not found.alarms
     assert found.undetermined == ("turns",)
-    assert told(found) == "Whether there is a fault stays open: no window determines turns."
+    assert told(found) == "UNDECIDED: no window determines turns."
 
 
 def test_a_gap_is_passed_over(healthy: fmuid.Result) -> None:
@@ -189,10 +189,10 @@ def test_a_gap_is_passed_over(healthy: fmuid.Result) -> None:
     assert found.table["start"].tolist() == pytest.approx([0.0, 2.0, 3.0])
     assert found.table["samples"].tolist() == [700, 899, 1000]
     assert [gap.time for gap in found.gaps] == pytest.approx([1.0])
-    (said,) = gap_words(found.gaps)
-    assert "the windows from 1 s on are left out" in said
-    (many,) = gap_words([SkippedWindow("a", float(k)) for k in range(8)])
-    assert "from 0 s, 1 s, 2 s, 3 s, 4 s and 3 more on are" in many
+    (said,) = gap_remarks(found.gaps)
+    assert "windows from 1 s skipped" in said.text
+    (many,) = gap_remarks([SkippedWindow("a", float(k)) for k in range(8)])
+    assert "from 0 s, 1 s, 2 s, 3 s, 4 s and 3 more skipped" in many.text
 
 
 def test_coloured_noise_is_no_fault(healthy: fmuid.Result) -> None:
@@ -210,7 +210,9 @@ def test_coloured_noise_is_no_fault(healthy: fmuid.Result) -> None:
     found.add(coloured(60, 3))
     assert (found.table["significant"] != "").mean() < 0.05
     assert not found.alarms
-    assert WHITE_NOISE not in [each.text for each in monitoring_document(findings_of(found)).remarks]
+    assert MonitoringMessage.WHITE_NOISE.text not in [
+        each.text for each in monitoring_document(findings_of(found)).remarks
+    ]
 
 
 def test_something_else_is_an_alarm_too(healthy: fmuid.Result) -> None:
@@ -220,7 +222,7 @@ def test_something_else_is_an_alarm_too(healthy: fmuid.Result) -> None:
     found.add(coil.experiment(table))
     assert [alarm.fault for alarm in found.alarms] == [SOMETHING_ELSE]
     assert found.alarms[0].first == 2
-    assert told(found).startswith("Something else is wrong: the residual is larger than the noise")
+    assert told(found).startswith("ALARM unexplained change")
 
 
 def test_a_small_fault_is_found_over_many_windows(healthy: fmuid.Result) -> None:

@@ -86,7 +86,7 @@ def test_what_is_not_cured_is_said_and_kept(motor: fmuid.System, healthy: fmuid.
         assert each.named == ("friction",)
         assert each.accuracy is not None
         assert (each.accuracy.outcome, each.accuracy.kept) == (AccuracyOutcome.SHIFTED, RefinementRefusal.ASKED)
-        assert any(f"F by {each.accuracy.shift[1]:+.2g}" in words for words in diagnosis_notes(each))
+        assert any(f"F by {each.accuracy.shift[1]:+.2g}" in note.text for note in diagnosis_notes(each))
 
 
 def test_windows_are_simulated_as_the_healthy_record_was(motor: fmuid.System, healthy: fmuid.Result) -> None:

@@ -59,7 +59,7 @@ def test_an_alarm_is_told_when_it_is_raised_called_otherwise_and_ended() -> None
         (2, "ended", "bars", 7.0),
     ]
     assert {each["study"] for each in told} == {"Rig"}
-    assert "Something else is wrong" in told[1]["words"]
+    assert "unexplained change" in told[1]["words"]
 
 
 @pytest.mark.parametrize("terminal", [False, True])
@@ -74,6 +74,6 @@ def test_the_console_says_each_line_once(monkeypatch: pytest.MonkeyPatch, termin
         display(FollowStatus(monitor(windows=0), (), (), idle=True))
         seen = display._live
     said = Text.from_ansi(out.getvalue()).plain
-    assert said.count("2026-03-01 12:00:05: alarm 1 raised: Fault: turns") == 1
+    assert said.count("2026-03-01 12:00:05: alarm 1 raised: ALARM turns") == 1
     assert (seen is not None) == terminal
-    assert ("Ctrl-C ends it" in said) == terminal
+    assert ("Ctrl-C: stop" in said) == terminal

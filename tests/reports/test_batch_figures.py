@@ -39,7 +39,7 @@ def test_over_cases() -> None:
     assert [len(bars["x0"]), list(missing["x0"])] == [19 - missed.sum(), list(np.flatnonzero(missed))]
     np.testing.assert_allclose(bars["y1"] - bars["y0"], 2 * 1.959964 * 0.1, rtol=1e-6)
     assert list(layers(few, "points")[1]["x"]) == [19]
-    assert legend(few) == ["interval of 95 %", "misses the truth", "estimate", "failed"]
+    assert legend(few) == ["95 % interval", "misses the true value", "estimate", "failed"]
     assert rules(few) == [("y", 4.0)]
     assert few.y.label == "R (Ohm)"
     some, _ = batch.over_cases(cases(chart.LIMITS.dots), {}, {})
@@ -77,8 +77,8 @@ def test_where_searches_ended() -> None:
     worse, best = (data["y"] for data in layers(above, "points"))
     np.testing.assert_allclose(worse, np.full(6, 100.0))
     np.testing.assert_allclose(best, np.full(13, 0.01))  # the floor
-    assert above.x.label == "searches, the best first; 1 did not converge"
-    assert (ends.x.label, ends.x.kind) == ("start of R", "log")
+    assert above.x.label == "cases, best first; 1 not converged"
+    assert (ends.x.label, ends.x.kind) == ("initial guess of R", "log")
 
 
 def test_distributions_are_densities_beside_what_the_std_promises() -> None:
@@ -88,7 +88,7 @@ def test_distributions_are_densities_beside_what_the_std_promises() -> None:
     assert np.sum(bars["top"] * (bars["right"] - bars["left"])) == pytest.approx(1.0)
     (curve,) = layers(drawn, "line")
     np.testing.assert_allclose(curve["y"], stats.norm.pdf(curve["x"], 4.0, 0.1))
-    assert legend(drawn) == ["estimates", "as the stated std says"]
+    assert legend(drawn) == ["estimates", "normal distribution of the stated σ"]
     alone, _ = batch.distributions(found, {}, {}, repeated=False)
     assert legend(alone) == ["estimates"]
 
@@ -131,6 +131,6 @@ def test_the_page_of_a_batch() -> None:
     sections = [*tables_of(summary), *topic.charts_of(frame, summary, {"R": 4.0}, {}, given_noise=False)]
     found = Document("batch", "Batch", "x", "doubt", tuple(topic.summary_remarks(summary)), tuple(sections))
     text = page("Draws", [found])
-    for words in ("39 of 40 cases converged", "fmi2Error &lt;b&gt;", "Draws", "Without an estimate", "Ohm"):
+    for words in ("39 of 40 cases converged", "fmi2Error &lt;b&gt;", "Draws", "Cases without estimate", "Ohm"):
         assert words in text, words
     assert text.count("data-root-id") == 2 + 2 + 1 + 1

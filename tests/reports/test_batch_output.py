@@ -34,7 +34,12 @@ def test_console(capsys: pytest.CaptureFixture[str]) -> None:
     show_batch(summarize(fail(frame, [0], ["[bad] at t = 3 s"]), TRUTH, UNITS))
     said = capsys.readouterr().out
     assert max(map(len, said.splitlines())) <= 140
-    for words in ("Estimates over the cases", "Against the truth", "By setting, mean ± spread", "[bad] at t = # s"):
+    for words in (
+        "Estimates over all cases",
+        "Estimates and true values",
+        "By setting: mean ± spread",
+        "[bad] at t = # s",
+    ):
         assert words in said
     assert "80 cases, 79 converged, 1 failed" in said
 
@@ -48,7 +53,7 @@ def test_console_says_median_and_least_fit(capsys: pytest.CaptureFixture[str]) -
     show_batch(summary)
     (row,) = summary.fits.to_dict("records")
     assert row == {"output": output, "median": np.nanmedian(frame[f"fit.{output}"]), "least": 90.0, "case": 0}
-    said = f"Fit (NRMSE) of {output}: {row['median']:.4g} % in the median, 90 % at least (case 0)"
+    said = f"Fit (NRMSE) of {output}: median {row['median']:.4g} %, minimum 90 % (case 0)"
     assert said in capsys.readouterr().out
 
 

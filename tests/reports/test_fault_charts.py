@@ -35,17 +35,17 @@ def news() -> ChangeEvidence:
 
 def test_causes_stand_by_their_likelihood_with_the_angle_to_the_nearest(news: ChangeEvidence) -> None:
     plot = diagnosis.cause_evidence(news)
-    assert plot.y.names[::-1] == ("turns (dR)", "the gain of the sensor of i", "an offset of the sensor of i")
+    assert plot.y.names[::-1] == ("turns (dR)", "gain of sensor i", "offset of sensor i")
     red, grey = drawn(plot, "bars")
-    assert (red["x"].tolist(), grey["x"].tolist()) == ([41.0, 38.0], [diagnosis.LEAST_STATISTIC])
+    assert (red["x"].tolist(), grey["x"].tolist()) == ([41.0, 38.0], [diagnosis.MIN_STATISTIC])
     assert red["near"] == ("gain(i), 5°", "turns.dR, 5°")
     assert red["size"][0] == "0.300 ± 0.050 Ohm"
 
 
 def test_changes_have_their_intervals_in_units_that_are_read(news: ChangeEvidence) -> None:
     turns, gain = diagnosis.change_charts(news)
-    assert turns.x.label == "size, with its interval of 95 % (Ohm)"
-    assert gain.x.label == "size, with its interval of 95 % (%)"
+    assert turns.x.label == "size, with 95 % interval (Ohm)"
+    assert gain.x.label == "size, with 95 % interval (%)"
     (data,) = drawn(gain, "points")
     assert [*data["x"], *data["x0"], *data["x1"]] == pytest.approx([-2.0, -3.96, -0.04], abs=1e-3)
 

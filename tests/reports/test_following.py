@@ -24,7 +24,7 @@ from fmuid.diagnosis import SkippedWindow
 from fmuid.files import locked
 from fmuid.reports.render.console import console
 from fmuid.reports.render.following import state
-from fmuid.reports.topics.monitoring import gap_words
+from fmuid.reports.topics.monitoring import gap_remarks
 from fmuid.runs import follow as following
 from fmuid.runs import log_follower as follower
 from fmuid.runs.follow import FollowStatus
@@ -123,12 +123,12 @@ def test_the_console_says_since_when_and_whether_records_come(plant: Path, capsy
     seen: list[FollowStatus] = []
     run_following("study.toml", "records", "out", show=seen.append, until=idle)
     console().print(state(seen[-1], 8.0), state(seen[-1], 1.0))
-    late, soon = capsys.readouterr().out.split("examined")[1:]
+    late, soon = capsys.readouterr().out.split("evaluated")[1:]
     assert "no new window for 8 s" in late
     assert "no new window" not in soon
     said = " ".join(soon.split())
     assert re.search(
-        r"4 windows, up to r, 4 s now ALARM: turns since (1|0\.9\d|1\.0\d) s of r how large turns, dR = ", said
+        r"4 windows, up to r, 4 s now ALARM: turns onset (1|0\.9\d|1\.0\d) s of r current size turns, dR = ", said
     )
     assert re.search(r"last window turns\.dR \S+ ± \S+ Ohm R ", said)
 
@@ -184,8 +184,8 @@ def test_memory_is_of_the_latest_windows(plant: Path, monkeypatch: pytest.Monkey
         monitor = seen[-1].monitor
         assert monitor.gaps == ()
         assert (
-            "the windows from 2 s on are left out"
-            in gap_words([each for one in seen for each in one.remarks if isinstance(each, SkippedWindow)])[0]
+            "windows from 2 s skipped"
+            in gap_remarks([each for one in seen for each in one.remarks if isinstance(each, SkippedWindow)])[0].text
         )
     assert len(monitor.table) == 5
     assert monitor.table.index[-1] == 15

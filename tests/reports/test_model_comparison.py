@@ -1,71 +1,109 @@
-"""Sentences on comparisons, each where it must be said and where it must not."""
+"""Messages on comparisons and predictions, and the conditions that give them."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from types import SimpleNamespace
 from typing import Any
 
+import numpy as np
 import pytest
 
+from fmuid.estimation import TerminationReason
 from fmuid.identification.model_comparison import LikelihoodRatioTest
+from fmuid.reports.document import Remark
 from fmuid.reports.topics.model_comparison import comparison_remarks
+from fmuid.reports.topics.prediction import fold_remark, prediction_remarks
 
 
-def _texts(found: Any, fits: Mapping[str, float]) -> tuple[str, ...]:
-    return tuple(each.text for each in comparison_remarks(found, fits))
+def keys(remarks: list[Remark]) -> list[str]:
+    return [each.message.partition(".")[2] for each in remarks]
 
 
 def comparison(behind: float, **more: Any) -> Any:
-    ranks = [
-        SimpleNamespace(name=name, behind=b, corrected_bic=k) for name, b, k in (("a", 0.0, 1.0), ("b", behind, 2.0))
-    ]
+    ranks = [SimpleNamespace(name="a", behind=0.0, corrected_bic=1.0)]
+    ranks.append(SimpleNamespace(name="b", behind=behind, corrected_bic=2.0))
     own = {"ranks": ranks, "tests": (), "dependence": 1.0, "samples": 600, "with_priors": ()}
     return SimpleNamespace(**own | more)
 
 
-@pytest.mark.parametrize(
-    ("behind", "said"),
-    [
-        (1.9, "The data do not tell a and b apart (Akaike's criterion differs by less than 2): prefer the simplest"),
-        (2.1, "a is the best, not clearly, by Akaike's criterion: b is 2.1 behind"),
-        (10.0, "a is clearly the best by Akaike's criterion: b is 10 behind"),
-    ],
-)
-def test_which_result_the_criteria_speak_for(behind: float, said: str) -> None:
-    assert _texts(comparison(behind), {}) == (said,)
+@pytest.mark.parametrize(("behind", "key"), [(1.9, "ALIKE"), (2.1, "BEST"), (10.0, "CLEARLY_BEST")])
+def test_comparison_verdict_by_aic(behind: float, key: str) -> None:
+    assert keys(comparison_remarks(comparison(behind), {})) == [key]
 
 
-def test_what_else_a_comparison_says() -> None:
+def test_comparison_corrections_are_reported() -> None:
     found = comparison(3.0, dependence=4.0, with_priors=("b",))
     found.ranks[1].corrected_bic = 0.5
-    _, schwarz, coloured, priors = _texts(found, {})
-    assert schwarz == "Schwarz's criterion, which charges more for parameters, prefers b"
-    assert "600 samples are worth 150 independent ones, and log-likelihoods are divided by 4" in coloured
-    assert priors.startswith("Priors cost b likelihood")
+    remarks = comparison_remarks(found, {})
+    assert keys(remarks) == ["BEST", "BY_BIC", "COLORED", "PRIORS"]
+    assert "600 samples count as 150 (log-likelihoods divided by 4)" in remarks[2].text
 
 
 @pytest.mark.parametrize(
-    ("probability", "said"),
-    [
-        (
-            1e-9,
-            "b is rejected against a: were it right, freeing L would gain as much with a probability of less than 1e-6",
-        ),
-        (0.005, "a probability of 0.005"),
-        (0.2, "b is not rejected against a: freeing L gains no more than chance would (probability 0.2)"),
-    ],
+    ("p", "key", "said"), [(1e-9, "REJECTED", "below 1e-6"), (0.005, "REJECTED", "0.005"), (0.2, "NOT_REJECTED", "0.2")]
 )
-def test_a_smaller_model_is_rejected_or_not(probability: float, said: str) -> None:
-    test = LikelihoodRatioTest("b", "a", ("L",), 3.0, probability, probability)
-    assert _texts(comparison(5.0, tests=(test,)), {})[1].endswith(said)
+def test_smaller_model_by_likelihood_ratio(p: float, key: str, said: str) -> None:
+    test = LikelihoodRatioTest("b", "a", ("L",), 3.0, p, p)
+    _, remark = comparison_remarks(comparison(5.0, tests=(test,)), {})
+    assert keys([remark]) == [key]
+    assert remark.text.endswith(f"(p = {said}).")
 
 
-def test_which_result_common_tables_speak_for() -> None:
-    (clear,) = _texts(None, {"a": math.nan, "b": 98.0, "c": 97.0})
-    assert clear == "On the common tables b is the best: a fit of 98 % against 97 % (c) and – (a)"
-    (near,) = _texts(None, {"a": 97.95, "b": 98.0})
-    assert near.startswith("On the common tables b and a do as well as each other: a fit of 98 % (b) and 97.95 % (a)")
-    (constant,) = _texts(None, {"a": math.nan, "b": math.nan})
-    assert constant == "On the common tables no fit has a meaning: compare the RMSE"
+def test_comparison_on_common_data() -> None:
+    for fits, key, said in (
+        ({"a": math.nan, "b": 98.0, "c": 97.0}, "BEST_FIT", "b is best (fit 98 %; 97 % (c) and – (a))"),
+        ({"a": 97.95, "b": 98.0}, "AS_GOOD", "b and a equally good (fit 98 % for b; 97.95 % (a))"),
+        ({"a": math.nan, "b": math.nan}, "NO_FIT", "fit undefined"),
+    ):
+        (remark,) = comparison_remarks(None, fits)
+        assert keys([remark]) == [key]
+        assert said in remark.text
+
+
+def prediction(ratio: float, **more: Any) -> Any:
+    expected = 0.2 / ratio if ratio > 0 else math.nan
+    score = SimpleNamespace(output="i", fit=93.5, rmse=0.2, unit="A", expected=expected, inside=0.94, samples=50)
+    score.ratio = ratio
+    own = {"scores": [score], "undetermined": (), "estimated": None, "level": 0.95, "residuals": None}
+    return SimpleNamespace(fit=SimpleNamespace(experiment="run", outputs=("i",), units=("A",)), **own | more)
+
+
+@pytest.fixture
+def no_residuals(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("fmuid.reports.topics.prediction.residual_words", lambda *_: ())
+
+
+@pytest.mark.usefixtures("no_residuals")
+def test_prediction_against_its_expected_size() -> None:
+    good, band = prediction_remarks(prediction(1.2))
+    assert good.text == "run: i predicted as expected (fit 93.5 %, RMSE 0.2 A)."
+    assert band.text == "run: 94 % of 50 samples of i are in the 95 % band."
+    worse, _ = prediction_remarks(prediction(2.0))
+    assert worse.text.startswith("run: i predicted 2 × worse than expected") and worse.tone == "doubt" and worse.remedy
+    constant = prediction(math.nan)
+    constant.scores[0].fit = math.nan
+    (unknown,) = prediction_remarks(constant)
+    assert keys([unknown]) == ["OPEN"]
+    assert "RMSE 0.2 A; constant" in unknown.text
+
+
+@pytest.mark.usefixtures("no_residuals")
+def test_prediction_with_refit_that_does_not_converge() -> None:
+    one = np.array([0.1])
+    again = SimpleNamespace(converged=False, names=("i0",), values=one, std=one)
+    again.outcome = TerminationReason.ITERATION_LIMIT
+    remarks = prediction_remarks(prediction(1.0, undetermined=("R",), estimated=again))
+    assert keys(remarks)[2:] == ["UNDETERMINED", "REFITTED", "REFIT_ENDED"]
+    assert remarks[3].text == "run: estimated again: i0 = 0.10 ± 0.10."
+
+
+def test_cross_validation_verdict() -> None:
+    for ratios, key, times in (
+        ((math.nan,), "FOLDS_OPEN", ""),
+        ((0.9, 1.1), "FOLDS", "1.1"),
+        ((0.9, 3.5), "FOLDS_WORSE", "3.5"),
+    ):
+        remark = fold_remark([prediction(each) for each in ratios])
+        assert keys([remark]) == [key]
+        assert times in remark.text

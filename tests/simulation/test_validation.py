@@ -145,11 +145,11 @@ STEP_FAULTS = r"""
     ("fault", "name", "result", "sentence"),
     [
         ("licence", "instantiation", "failed", "no license found (7)"),
-        ("licence", "instantiation", "failed", "get a licence"),
+        ("licence", "instantiation", "failed", "check the tool's license"),
         ("load", "instantiation", "failed", "out of luck"),
-        ("crash", "simulation", "failed", "while it was being simulated"),
+        ("crash", "simulation", "failed", "during the simulation"),
         ("nan", "simulation", "failed", "failed at t = 0.52 s: output 'x' is not finite"),
-        ("warning", "simulation", "ok", "0 to 1 s: 101 samples, outputs finite (6)"),
+        ("warning", "simulation", "ok", "0 to 1 s: 101 samples, 6 outputs finite"),
         ("warning", "messages", "warning", "mind the gap (7)"),
     ],
 )
@@ -198,7 +198,7 @@ def test_a_hang_is_ended(troubled: Path, monkeypatch: pytest.MonkeyPatch) -> Non
     monkeypatch.setattr(validation, "DURATION_SHARES", (1.0,))
     checks = validate(troubled)
     assert not checks.passed
-    assert any("did not end within 2 s" in text for check in checks.checks for text in check_words(check))
+    assert any("stopped after 2 s" in text for check in checks.checks for text in check_words(check))
 
 
 def test_an_instance_that_cannot_be_reset(probe: ProbeMaker) -> None:
@@ -238,7 +238,7 @@ def test_a_slow_model_is_tried_for_a_shorter_time(scripted: list[InterfaceTest])
     scripted += [InterfaceTest(1.0, slow, code=None), InterfaceTest(0.01, done, code=None)]
     _, simulation, reset = interface("co-simulation")
     assert (simulation.result, reset.result) == ("warning", "warning")
-    assert "did not end within 60 s" in check_words(simulation)[0]
+    assert "stopped after 60 s" in check_words(simulation)[0]
     assert "1 % of the default experiment" in check_words(simulation)[1]
 
 

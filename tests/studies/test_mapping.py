@@ -97,9 +97,9 @@ def test_init_guesses_and_shows(tmp_path: Path, capsys: pytest.CaptureFixture[st
     table, study = write(bench(tmp_path), tmp_path / "bench.csv"), tmp_path / "study.toml"
     assert fmuid_("init", COIL, table, "--output", study) == DONE
     out = capsys.readouterr().out
-    assert "the only one of its quantity" in out
-    assert "same name but for an addition" in out
-    assert "columns that are no input or output: T" in out
+    assert "only column of this quantity" in out
+    assert "same name with an addition" in out
+    assert "Columns without role: T" in out
     (experiment,) = Study.read(study).tables
     assert experiment.columns == {"u": "Spannung_soll", "i": "I_mess"}
     assert experiment.units == {"i": "mA"}

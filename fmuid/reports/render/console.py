@@ -109,6 +109,8 @@ def show_remarks(remarks: Iterable[Remark], out: Console | None = None) -> None:
     for each in remarks:
         mark = "[yellow]note:[/] " if each.tone in ("doubt", "bad") else ""
         out.print(f"{mark}{escape(each.text)}", soft_wrap=True)
+        if each.remedy:
+            out.print(f"→ {escape(each.remedy)}", soft_wrap=True)
 
 
 def rich_table(columns: Table, title: str, out: Console) -> RichTable:

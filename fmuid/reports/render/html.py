@@ -20,9 +20,6 @@ from fmuid.formatting import visible
 from fmuid.reports.chart import Figure
 from fmuid.reports.document import Document, Remark, Section, Table
 
-# Compression level: more takes longer than it makes smaller.
-PACKED = 6
-
 
 def page(title: str, documents: Sequence[Document]) -> str:
     """Return documents as one page."""
@@ -44,7 +41,7 @@ def page(title: str, documents: Sequence[Document]) -> str:
 
 
 def written(documents: Sequence[Document], live: frozenset[str] = frozenset()) -> tuple[str, list[tuple[Any, Any]]]:
-    """Return documents as HTML, and the Bokeh JSON of each section with charts."""
+    """Return documents as HTML, and the charts as Bokeh JSON."""
     drawings: list[tuple[Any, Any]] = []
     body = "".join(_document(each, drawings, live, several=len(documents) > 1) for each in documents)
     return body, drawings
@@ -88,7 +85,7 @@ def verdict(document: Document) -> str:
     )
     badge = f'<span class="badge {"good" if document.tone == "good" else "bad"}">{text(document.state)}</span>'
     heading = f"<h2>{text(document.heading)} {badge}</h2>"
-    unsure = f"<h3>What is doubtful, and what would help</h3><ul class=doubts>{doubts}</ul>" if doubts else ""
+    unsure = f"<h3>Doubts</h3><ul class=doubts>{doubts}</ul>" if doubts else ""
     tables = ""
     for each in document.sections:
         rows = table(each.table) if not each.charts and "page" in each.shown else ""
@@ -119,7 +116,8 @@ def _document(document: Document, drawings: list[Any], live: frozenset[str], *, 
 def _sentence(said: Remark, here: set[str]) -> str:
     words = text(said.text.rstrip("."))
     link = f' <a href="#{said.section}">see the figure</a>' if said.section in here else ""
-    return f"<li>{words}.{link}</li>"
+    remedy = f"<br>→ {text(said.remedy)}" if said.remedy else ""
+    return f"<li>{words}.{link}{remedy}</li>"
 
 
 def _section(section: Section, drawings: list[Any], live: frozenset[str]) -> str:
@@ -142,7 +140,7 @@ def _origin(document: Document, *, several: bool) -> str:
 
 
 def embedded(figures: Sequence[Figure]) -> tuple[dict[str, Any], list[Any], list[str]]:
-    """Return Bokeh's JSON of figures and places, and the elements of these places."""
+    """Return Bokeh's JSON of figures and places, and their elements."""
     from fmuid.reports.render.bokeh_models import written as as_json
     from fmuid.reports.render.bokeh_renderer import drawing
 
@@ -159,7 +157,7 @@ def embedded(figures: Sequence[Figure]) -> tuple[dict[str, Any], list[Any], list
 
 
 def _drawing(drawings: Sequence[Any]) -> tuple[str, str]:
-    """Return the digests of the scripts, and the elements with scripts and figures."""
+    """Return digests of the scripts; elements with scripts and figures."""
     from fmuid.reports.render.style import DARK
 
     library, own = bokeh_library(), f"const DARK = {json.dumps(DARK)};\n{_file('page.js')}"
@@ -170,7 +168,7 @@ def _drawing(drawings: Sequence[Any]) -> tuple[str, str]:
 
 
 def _packed(name: str, content: str) -> str:
-    packed = base64.b64encode(gzip.compress(content.encode(), compresslevel=PACKED, mtime=1)).decode()
+    packed = base64.b64encode(gzip.compress(content.encode(), compresslevel=6, mtime=1)).decode()
     return f'<script type="text/plain" id="{name}">{packed}</script>\n'
 
 

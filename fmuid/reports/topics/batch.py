@@ -29,126 +29,118 @@ from fmuid.studies import Study
 Row = Mapping[Any, Any]
 
 CASES = (
-    "Estimates of the cases that converged, with their intervals where there are few; of very many, the fuller a cell, "
-    "the more lie there; the amber line is the truth. At the lower edge are cases without an estimate."
+    "Estimates of the converged cases, with their intervals if there are few cases. Darker cells: more estimates. "
+    "Amber line: true value. Marks at the lower edge: cases without estimate."
 )
 DISTRIBUTIONS = (
-    "How the estimates are distributed. The curve is what their stated standard deviations promise: wider bars "
-    "than the curve mean that the std are too small, bars beside the amber line, the truth, a bias."
+    "Distribution of the estimates. Curve: normal distribution of the stated σ. Bars wider than the curve: σ too "
+    "small. Bars beside the amber line (true value): bias."
 )
-SPREAD = "In the band the spread over the cases is what the stated std say; to the right of it they are too small."
+SPREAD = "Band: spread of the estimates if the stated σ is right. Right of it: σ too small."
 SETTING = (
-    "Each dot is a case, red are means, with the spread of the cases and, between the dashes, what their std "
-    "promise. A mean that moves with the setting depends on it."
+    "Dots: cases. Red: mean and spread of the cases; dashes: spread of the stated σ. A mean that changes with the "
+    "setting depends on it."
 )
 STARTS = (
-    "How much worse than the best each search fits, in order, and where it ended over where it began. A level line is "
-    "an optimum that any start leads to; red ones are others."
+    "Cost above the best of each case, in order, and estimate over initial guess. Red: other optima than the best. "
+    "A level line: all initial guesses lead to one optimum."
 )
-FAILURES = "Why cases have no estimate: red failed, amber did not converge."
+FAILURES = "Reasons for missing estimates. Red: failed. Amber: not converged."
 
 
 class BatchMessage(Message):
-    """What the numbers of a batch mean."""
+    """Statistics of a batch."""
 
     LEFT_OUT = (
-        "{done} of {total} cases converged, {others} and are left out of what follows",
-        "`failures` has the reasons of the cases without an estimate",
+        "{done} of {total} cases converged; the statistics omit {others}.",
+        "reasons of the other cases: `failures.csv`",
     )
     BEST_OF_STARTS = (
-        "searches from several starts share a data set: of each of the {sets} data sets the one that fits best is "
-        "counted",
-        "starts are no draws",
+        "Statistics use the best of all starting points for each of {sets} data sets.",
+        "cases with the same data are not independent",
     )
     FIT = (
-        "fit (NRMSE) of {output}: {median} in the median, {least} at least (case {case})",
-        "of the cases that converged",
-        "look at the case with the least",
+        "Fit (NRMSE) of {output}: median {median}, minimum {least} (case {case}).",
+        "converged cases",
+        "Inspect the case with the lowest fit.",
     )
-    ONE = (
-        "one estimate has no spread: nothing can be said of how sure the stated std are",
-        "a batch of a single estimate",
-        "draw more",
-    )
+    ONE = ("One estimate has no spread: the stated σ is not checked.", "a single estimate", "Add realizations.")
     FEW = (
-        "{count} cases are few: their spread is itself uncertain by {share:.0f} %",
-        "the spread is a rough number",
-        "draw more",
+        "{count} cases are few: their spread is uncertain by {share:.0f} %.",
+        "relative σ of a standard deviation from so many cases",
+        "Add realizations.",
     )
     STD_TOO_SMALL = (
-        "{name}: varies {ratio:.3g} times as much {among} ({spread}) as its stated std ({stated}): {why}",
-        "from case to case: the noise is not what it is taken for, or the problem is far from linear; from table to "
-        "table: machines or operating points may differ, too",
+        "{name}: spread {spread} is {ratio:.3g} × the stated σ ({stated}) {among}.",
+        "from case to case: wrong noise, or a strongly nonlinear problem; from data file to data file: also different "
+        "machines or operating points",
     )
     STD_TOO_LARGE = (
-        "{name}: varies less ({spread}) than its stated std says ({stated}): that is too large",
-        "the noise is less than stated, or was drawn without what the real one has",
+        "{name}: spread {spread} is below the stated σ ({stated}).",
+        "the noise is smaller than stated, or the realizations lack a part of it",
     )
-    BIASED = ("{name}: biased by {size}, {share:.2g} times its stated std", "the mean misses the truth that is known")
+    BIASED = (
+        "{name}: biased by {size} ({share:.2g} × the stated σ).",
+        "the mean differs from the true value by more than chance",
+    )
     COVERAGE = (
-        "{name}: the 95 % intervals hold the truth in {held:.3g} % ({low:.3g} to {high:.3g} %)",
-        "counted, with the interval of such a count",
+        "{name}: {held:.3g} % of the 95 % intervals contain the true value ({low:.3g} to {high:.3g} %).",
+        "coverage, with its 95 % confidence interval",
     )
-    WIDE = (
-        "{name} varies {times:.2g} times its stated std over what is set",
-        "the settings matter more than the noise",
-    )
+    WIDE = ("{name} varies by {times:.2g} × its stated σ over the settings.", "settings matter more than noise")
     DEPENDS = (
-        "{name} depends on what is set: its mean goes from {low} to {high}{times}",
-        "the settings matter more than the noise",
+        "{name} depends on the settings: mean {low} to {high}{times}.",
+        "lowest and highest mean, with their settings",
     )
     IN_GROUPS = (
-        "{name}: {what} in {count} of {groups} groups",
-        "its stated std is too small or too large, or the mean misses the truth, in so many groups of the cases",
+        "{name}: {what} in {count} of {groups} groups.",
+        "groups: cases with the same settings",
     )
-    ONE_OPTIMUM = (
-        "all {total} searches that converged ended at the same optimum{of}",
-        "the start does not decide where a search ends",
-    )
+    ONE_OPTIMUM = ("All {total} converged cases found the same optimum{of}.", "the initial guess does not matter")
     OTHER_OPTIMA = (
-        "of {total} searches that converged, {others} ended at another optimum than the best",
-        "the start decides where a search ends",
+        "{others} of {total} converged cases found another optimum than the best.",
+        "the result depends on the initial guess",
     )
-    RIVALS = (
-        "optima with different values fit equally well: the data do not tell which is true; give bounds or priors",
-        "one number would hide the others",
-        "give bounds or priors",
+    EQUAL_OPTIMA = (
+        "Several optima fit equally well.",
+        "the data do not distinguish them",
+        "Narrow the bounds or add priors.",
     )
     CHECKED = (
-        "the error of the simulation was looked at in {total} cases, in {checked} by new simulations: the others lie "
-        "where it was known",
-        "see [the error of the simulation](#the-error-of-the-simulation)",
+        "Solver error checked in {total} cases, in {checked} by new simulations.",
+        "the other cases lie where it was known; see [the error of the simulation](#the-error-of-the-simulation)",
     )
-    FINER = ("{count} of them were searched by a finer simulation", "the one of the study was too coarse there")
+    REFINED = ("Solver refined in {count} cases.", "the solver of the study was too inaccurate")
     SHIFTED = (
-        "{count} of them are shifted by that error, which their std include",
-        "it is larger than a tenth of a standard deviation",
-        "give a smaller step, or model exchange",
+        "Solver error shifts estimates in {count} cases; σ includes it.",
+        "shift above 0.1 σ",
+        "Reduce `step_size`, or use Model Exchange.",
     )
     UNKNOWN = (
-        "{count} of them may be shifted by that error: not all their std are known",
-        "there is nothing to compare it with",
-        "look at what is undetermined first",
+        "Solver error unknown in {count} cases: some σ are unknown.",
+        "no σ to compare the shift with",
+        "Check the parameters that are not identifiable first.",
     )
     COUPLED = (
-        "{count} of them depend on how often the FMUs exchange values: give samples = true or false for the components",
-        "controllers that act at each sample are other plants at another step",
+        "{count} cases depend on the communication step.",
+        "a discrete-time component is another system at another step",
+        "Set `discrete_time` of the components to true or false.",
     )
     UNCHECKABLE = (
-        "{count} of them cannot be checked: nothing finer is offered, or it gives the same to the last bit",
-        "nothing is known of that error",
-        "export the FMU for model exchange, too",
+        "Solver error unknown in {count} cases: no more accurate solver exists.",
+        "or a smaller step gives identical outputs",
+        "Export the FMU for Model Exchange.",
     )
     CHECK_FAILED = (
-        "{count} of them could not be checked: the finer simulation fails",
-        "nothing is known of that error",
+        "Solver error unknown in {count} cases: the more accurate simulation fails.",
+        "the solver check needs this simulation",
     )
 
 
 IN_GROUPS = {
-    EstimateWarning.STD_TOO_SMALL: "its stated std is too small",
-    EstimateWarning.STD_TOO_LARGE: "its stated std is too large",
-    EstimateWarning.BIASED: "it is biased",
+    EstimateWarning.STD_TOO_SMALL: "stated σ too small",
+    EstimateWarning.STD_TOO_LARGE: "stated σ too large",
+    EstimateWarning.BIASED: "biased",
 }
 ACCURACY = {
     AccuracyOutcome.SHIFTED: BatchMessage.SHIFTED,
@@ -157,7 +149,6 @@ ACCURACY = {
     AccuracyOutcome.UNCHECKABLE: BatchMessage.UNCHECKABLE,
     AccuracyOutcome.FAILED: BatchMessage.CHECK_FAILED,
 }
-"""What is to be said of cases whose simulation did not pass its check."""
 
 
 def batch_document(found: BatchResult, summary: Summary, frame: pd.DataFrame, study: Study) -> Document:
@@ -191,13 +182,13 @@ def charts_of(
     """Return the sections with charts; one without any is left out."""
     found, columns = estimates(frame, given_noise=given_noise), BatchColumns.of(frame)
     over = charts.over_cases(frame, truth, units)
-    sections = [Section("cases", "Estimates over the cases", CASES, charts=tuple(over), beside=2)]
+    sections = [Section("cases", "Estimates by case", CASES, charts=tuple(over), beside=2)]
     if len(found) > 1:
         drawn = charts.distributions(found, truth, units, repeated=is_repetition(found, columns))
         sections.append(Section("distributions", "Distributions", DISTRIBUTIONS, charts=tuple(drawn)))
     if len(summary.parameters) and np.isfinite(summary.parameters["ratio"].astype(float)).any():
         ratio = charts.spread(summary.parameters)
-        sections.append(Section("spread", "Spread against stated std", SPREAD, charts=(ratio,), beside=1))
+        sections.append(Section("spread", "Spread and stated σ", SPREAD, charts=(ratio,), beside=1))
     tables = ("table",) if "table" in columns.repeats else ()
     settings = [name for name in (*columns.design, *tables) if len(found[name].unique()) > 1]
     for k, name in enumerate(settings):
@@ -206,10 +197,10 @@ def charts_of(
         sections.append(Section(f"over-{k + 1}", heading, SETTING if k == 0 else "", charts=tuple(drawn)))
     if columns.starts:
         drawn = charts.over_starts(frame, truth, units, given_noise=given_noise)
-        sections.append(Section("starts", "Where the searches ended", STARTS, charts=tuple(drawn)))
+        sections.append(Section("starts", "Starting points", STARTS, charts=tuple(drawn)))
     if len(summary.failures):
         bars = charts.failures(summary.failures, failure_texts(summary.failures))
-        sections.append(Section("failures", "Without an estimate", FAILURES, charts=(bars,), beside=1))
+        sections.append(Section("failures", "Cases without estimate", FAILURES, charts=(bars,), beside=1))
     return [each for each in sections if each.charts]
 
 
@@ -253,9 +244,8 @@ def _not_as_stated(row: Row, *, tables: bool) -> Iterator[Remark]:
         return message.said("doubt", "distributions", (name,), **more)
 
     if EstimateWarning.STD_TOO_SMALL in doubts:
-        why = "what was measured differs, or the stated std is too small" if tables else "that is too small"
-        among = "from table to table" if tables else "from case to case"
-        yield said(BatchMessage.STD_TOO_SMALL, **values, ratio=row["ratio"], among=among, why=why)
+        among = "across data files" if tables else "across cases"
+        yield said(BatchMessage.STD_TOO_SMALL, **values, ratio=row["ratio"], among=among)
     if EstimateWarning.STD_TOO_LARGE in doubts:
         yield said(BatchMessage.STD_TOO_LARGE, **values)
     if EstimateWarning.BIASED in doubts:
@@ -288,7 +278,7 @@ def _dependence(found: Dependence) -> Remark:
         where = ", ".join(f"{name.removeprefix('set.')} = {level_text(level)}" for name, level in at.items())
         ends.append(f"{rounded(mean, found.stated_std)}{_after(found.unit)} ({where})")
     share = (found.high - found.low) / found.stated_std if found.stated_std > 0 else math.nan
-    times = f", {share:.2g} times its stated std" if share > 0 else ""
+    times = f", {share:.2g} σ apart" if share > 0 else ""
     name = found.parameter
     return BatchMessage.DEPENDS.said("doubt", "over-1", (name,), name=name, low=ends[0], high=ends[1], times=times)
 
@@ -303,7 +293,7 @@ def _ends(summary: Summary) -> Iterator[Remark]:
         return
     yield BatchMessage.OTHER_OPTIMA.said("plain", "starts", total=total, others=total - best)
     if summary.rivals:
-        yield BatchMessage.RIVALS.said("doubt", "starts")
+        yield BatchMessage.EQUAL_OPTIMA.said("doubt", "starts")
 
 
 def _accuracy(summary: Summary) -> Iterator[Remark]:
@@ -312,7 +302,7 @@ def _accuracy(summary: Summary) -> Iterator[Remark]:
         return
     yield BatchMessage.CHECKED.said(total=total, checked=counts["checked"])
     if counts["finer"]:
-        yield BatchMessage.FINER.said(count=counts["finer"])
+        yield BatchMessage.REFINED.said(count=counts["finer"])
     for outcome, message in ACCURACY.items():
         if count := counts.get(outcome.value, 0):
             yield message.said("doubt", count=count)

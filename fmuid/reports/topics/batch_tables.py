@@ -20,7 +20,7 @@ from fmuid.studies import Study
 Row = Mapping[Any, Any]
 
 MAX_COLUMNS = 6
-"""Parameters side by side in a table of groups or optima; the files have all."""
+"""Parameters in a table of groups or optima; the files contain all."""
 MAX_KINDS = 8
 """Kinds of failures and optima in a table."""
 TABLES = ("summary", "groups", "failures", "optima")
@@ -55,15 +55,15 @@ def note(row: Row) -> str:
     """Return the deviations of a row of statistics."""
     ratio, doubts, notes = row["ratio"], row["doubts"], []
     if EstimateWarning.STD_TOO_SMALL in doubts:
-        notes.append(f"std {ratio:.3g} x too small")
+        notes.append(f"σ {ratio:.3g} × too small")
     if EstimateWarning.STD_TOO_LARGE in doubts:
-        notes.append(f"std {1.0 / ratio:.3g} x too large" if ratio else "std too large")
+        notes.append(f"σ {1.0 / ratio:.3g} × too large" if ratio else "σ too large")
     if EstimateWarning.BIASED in doubts:
         notes.append("biased")
     if doubts == (EstimateWarning.COVERAGE_OFF,):
-        notes.append(f"95 % intervals hold {100 * row['coverage']:.3g} %")
+        notes.append(f"coverage {100 * row['coverage']:.3g} %")
     if row["undetermined"]:
-        notes.append(f"not determined in {row['undetermined']}")
+        notes.append(f"not identifiable in {row['undetermined']}")
     return ", ".join(notes)
 
 
@@ -89,23 +89,23 @@ def _estimates(rows: Sequence[Row]) -> Section:
         "mean": [rounded(row["mean"], _scale(row)) for row in rows],
         "median": [rounded(row["median"], _scale(row)) for row in rows],
         "spread": [_two(row["spread"]) for row in rows],
-        "stated std": [_two(row["stated_std"]) for row in rows],
-        "spread / stated": [_short(row["ratio"], 3) for row in rows],
+        "stated σ": [_two(row["stated_std"]) for row in rows],
+        "spread / stated σ": [_short(row["ratio"], 3) for row in rows],
         "unit": [unit_text(row["unit"]) for row in rows],
         "note": [note(row) for row in rows],
     }
-    return Section("parameters", "Estimates over the cases", table=table_of(columns, ("unit", "note")))
+    return Section("parameters", "Estimates over all cases", table=table_of(columns, ("unit", "note")))
 
 
 def _against_truth(rows: Sequence[Row]) -> Section:
     columns = {
         "parameter": [str(row["parameter"]) for row in rows],
-        "truth": [f"{row['truth']:.6g}" for row in rows],
+        "true value": [f"{row['truth']:.6g}" for row in rows],
         "bias": [
             with_std(row["bias"], row["bias_std"]) if row["bias_std"] > 0 else _short(row["bias"], 3) for row in rows
         ],
         "RMS error": [_two(row["rms_error"]) for row in rows],
-        "95 % intervals hold it": [
+        "coverage (95 %)": [
             f"{100 * row['coverage']:.1f} %"
             + f" ({100 * row['coverage_lower']:.1f} to {100 * row['coverage_upper']:.1f})"
             * (not math.isnan(row["coverage_lower"]))
@@ -113,11 +113,11 @@ def _against_truth(rows: Sequence[Row]) -> Section:
         ],
         "unit": [unit_text(row["unit"]) for row in rows],
     }
-    return Section("truth", "Against the truth", table=table_of(columns, ("unit",)))
+    return Section("truth", "Estimates and true values", table=table_of(columns, ("unit",)))
 
 
 def _groups(summary: Summary, names: Sequence[str]) -> Section:
-    """Return a row per group with mean ± spread, or ± stated σ of one case."""
+    """Return a row per group: mean ± spread or stated σ."""
     settings = list(summary.settings)
     heads = [*(name.removeprefix("set.") for name in settings), "cases", "failed", *names]
     cells = []
@@ -128,7 +128,7 @@ def _groups(summary: Summary, names: Sequence[str]) -> Section:
         counts = (str(max(row["cases"] for row in rows.values())), str(part["failed"].iloc[0] or ""))
         cells.append((*(level_text(level) for level in levels), *counts, *values))
     single = summary.groups["cases"].max() == 1
-    title = "By setting, " + ("estimate ± stated std" if single else "mean ± spread over the cases")
+    title = "By setting: " + ("estimate ± stated σ" if single else "mean ± spread")
     return Section("groups", title, table=table_of({head: [row[k] for row in cells] for k, head in enumerate(heads)}))
 
 
@@ -140,7 +140,7 @@ def _optima(summary: Summary, names: Sequence[str]) -> Section:
         "residual / best": [f"{row['residual']:.4g}" for row in rows],
     }
     columns |= {name: [_short(row[name], 5) for row in rows] for name in names if name in summary.optima}
-    return Section("optima", "Optima that the starts led to, medians", table=table_of(columns))
+    return Section("optima", "Optima (medians)", table=table_of(columns))
 
 
 def _failures(failures: pd.DataFrame) -> Section:
@@ -151,7 +151,7 @@ def _failures(failures: pd.DataFrame) -> Section:
         cells.append((str(rest["cases"].sum()), str(rest["first"].min()), "", f"{len(rest)} other messages"))
     heads = ("cases", "first case", "status", "message")
     columns = {head: [row[k] for row in cells] for k, head in enumerate(heads)}
-    return Section("kinds", "Cases without an estimate", table=table_of(columns, ("status", "message")))
+    return Section("kinds", "Cases without estimate", table=table_of(columns, ("status", "message")))
 
 
 def failure_texts(failures: pd.DataFrame) -> list[str]:

@@ -17,26 +17,18 @@ from fmuid.data import evenly
 from fmuid.reports.chart import LIMITS, Axis, Chart, Color, Data, Layer, Units, named, normal, picked, rows_of
 from fmuid.runs import INTERVAL_STDS, BatchColumns, data_sets, fit_cost, optimum_numbers
 
-MIN_BINS, MAX_BINS = 8, 60
-"""Bars of a histogram, from few cases to many."""
-CELLS, PALEST = (90, 45), 0.12
-"""Cells of a chart of many estimates, across and up, and how full the one with the fewest is painted."""
-LEAST_COUNTED, LEAST_REPEATED = 30, 3
-"""Fewer estimates make no histogram, they are drawn themselves; fewer at a setting have no spread."""
-OUTSIDE_QUARTILES, RARE_SHARE = 6.0, 0.05
-"""Values beyond so many quartile distances are outside the chart, if they are less than such a share of all."""
-MAX_NAMED, LONGEST_LABEL = 25, 24
-"""Data files that are named at the axis, and letters of a name that it has room for."""
+CELLS = (90, 45)
+"""Cells of a chart of many estimates, across and up."""
+OUTSIDE_QUARTILES = 6.0
+"""Values farther away, in quartile distances, are outside the chart if they are rare."""
+MAX_LABEL = 24
+"""Letters of a name at an axis."""
 LOOKS: tuple[tuple[Color, Any], ...] = (("blue", "solid"), ("red", "solid"), ("amber", "solid"), ("grey", "dashed"))
-"""Outlines of different settings in one chart; more cannot be told apart."""
-MAX_FAILURES, LONGEST = 12, 70
-"""Kinds of failures drawn, and letters of their messages."""
-MAX_OPTIMA = 5
-"""Optima of which all is inside the chart."""
-LEAST_EXCESS = 0.01
-"""Lower end of the logarithmic axis of fits, in per cent or in units of the cost: less is rounding."""
-WIDE_RANGE = 100.0
-"""Starting points that range over this ratio are shown on a logarithmic axis."""
+"""Outlines of the settings in one chart."""
+MAX_FAILURES = 12
+"""Bars of a chart of failures."""
+MIN_EXCESS = 0.01
+"""Lower end of the logarithmic cost axis, in % or units of the cost: below is rounding."""
 HEIGHT = 220
 
 
@@ -51,7 +43,7 @@ def over_cases(frame: pd.DataFrame, truth: Mapping[str, float], units: Units) ->
     """Return a chart per parameter over the converged cases."""
     good = frame[frame["status"].to_numpy(str) == "converged"]
     tables = [_short(each) for each in frame["table"].astype(str)] if "table" in frame else []
-    named_cases = len(set(tables)) == len(frame) <= MAX_NAMED
+    named_cases = len(set(tables)) == len(frame) <= 25
     labels = dict(zip(frame["case"], tables, strict=True)) if named_cases else {}
     across = Axis(kind="names", names=tuple(tables), turned=0.8) if labels else Axis("case")
     charts = []
@@ -67,7 +59,7 @@ def over_cases(frame: pd.DataFrame, truth: Mapping[str, float], units: Units) ->
         missed = np.abs(value - truth.get(name, math.nan)) > half
         bars: Data = {"x0": places, "y0": low, "x1": places, "y1": high}
         looks: tuple[tuple[str, Color, Flags], ...]
-        looks = (("interval of 95 %", "blue", ~missed), ("misses the truth", "red", missed))
+        looks = (("95 % interval", "blue", ~missed), ("misses the true value", "red", missed))
         for text, color, mine in looks:
             if np.isfinite(half[mine]).any():
                 layers.append(Layer("segments", picked(bars, mine), color, alpha=0.5, label=text))
@@ -108,11 +100,11 @@ def _cells(x: Floats, y: Floats, limits: tuple[float, float]) -> Layer:
     count = counts[i, j]
     data: Data = {"left": across[i], "right": across[i + 1], "top": up[j + 1], "bottom": up[j], "count": count}
     hover = (("estimates", "@count"), ("around", "@bottom{0.000000} to @top{0.000000}"))
-    return Layer("cells", {**data, "alpha": PALEST + (1.0 - PALEST) * count / count.max()}, hover=hover)
+    return Layer("cells", {**data, "alpha": 0.12 + 0.88 * count / count.max()}, hover=hover)
 
 
 def _short(text: str) -> str:
-    return text if len(text) <= LONGEST_LABEL else f"…{text[1 - LONGEST_LABEL :]}"
+    return text if len(text) <= MAX_LABEL else f"…{text[1 - MAX_LABEL :]}"
 
 
 def limits_of(values: Floats, true: float | None = None) -> tuple[float, float]:
@@ -122,7 +114,7 @@ def limits_of(values: Floats, true: float | None = None) -> tuple[float, float]:
         first, third = np.quantile(values, [0.25, 0.75])
         far = OUTSIDE_QUARTILES * (third - first)
         near = (values >= first - far) & (values <= third + far)
-        values = values[near] if far > 0 and np.mean(~near) < RARE_SHARE else values
+        values = values[near] if far > 0 and np.mean(~near) < 0.05 else values
     if true is not None:
         values = np.append(values, true)
     return _with_room(float(values.min()), float(values.max())) if values.size else (0.0, 1.0)
@@ -144,7 +136,7 @@ def _truth(name: str, truth: Mapping[str, float], side: str = "y", dash: Any = "
 
 
 def distributions(found: pd.DataFrame, truth: Mapping[str, float], units: Units, *, repeated: bool) -> list[Chart]:
-    """Return histograms of the estimates and the normal curve of their stated σ."""
+    """Return histograms of the estimates with the normal curve of σ."""
     charts, groups = [], _groups(found)
     for name in parameters_of(found):
         value, std = (found[f"{kind}.{name}"].to_numpy(np.float64) for kind in ("value", "std"))
@@ -153,7 +145,7 @@ def distributions(found: pd.DataFrame, truth: Mapping[str, float], units: Units,
         for (text, rows), (color, dash) in zip(groups, LOOKS, strict=False):
             edges, density = _histogram(value[rows], low, high)
             label, few, base = f"{text}{outside(value[rows], (low, high))}", value[rows], np.zeros(len(density))
-            if len(rows) < LEAST_COUNTED:
+            if len(rows) < 30:
                 lines: Data = {"x0": few, "y0": 0.0 * few, "x1": few, "y1": np.full(len(few), density.max())}
                 layers.append(Layer("segments", lines, color, label=label))
             elif len(groups) == 1:
@@ -167,7 +159,7 @@ def distributions(found: pd.DataFrame, truth: Mapping[str, float], units: Units,
             center = float(truth.get(name, float(np.nanmean(value))))
             grid = np.linspace(low, high, 161)
             curve: Data = {"x": grid, "y": normal(grid, center, stated)}
-            layers.append(Layer("line", curve, "ink", width=1.4, label="as the stated std says"))
+            layers.append(Layer("line", curve, "ink", width=1.4, label="normal distribution of the stated σ"))
         layers += _truth(name, truth, "x")
         charts.append(Chart(Axis(named(name, units), reach=(low, high)), Axis(shown=False), tuple(layers), HEIGHT))
     return charts
@@ -190,7 +182,7 @@ def _groups(found: pd.DataFrame) -> list[tuple[str, Any]]:
 
 def _histogram(values: Floats, low: float, high: float) -> tuple[Floats, Floats]:
     inside = values[(values >= low) & (values <= high)]
-    count = min(MAX_BINS, max(MIN_BINS, round(2 * inside.size ** (1 / 3))))
+    count = min(60, max(8, round(2 * inside.size ** (1 / 3))))
     edges = np.linspace(low, high, count + 1)
     counts, _ = np.histogram(inside, bins=edges)
     return edges, counts / max(inside.size, 1) / (edges[1] - edges[0])
@@ -204,13 +196,13 @@ def spread(statistics: pd.DataFrame) -> Chart:
     low, high = (np.sqrt(special.chdtri(freedom, beyond) / freedom) for beyond in (0.975, 0.025))
     ratio = known["ratio"].to_numpy(np.float64)
     reach = (0.0, 1.1 * float(max(ratio.max(initial=1.0), high.max(initial=1.0))))
-    hover = (("parameter", "@y"), ("spread / stated std", "@x{0.000}"))
+    hover = (("parameter", "@y"), ("spread / stated σ", "@x{0.000}"))
     layers = (
-        Layer("bars", {"y": names, "x0": low, "x": high}, alpha=0.16, label="95 % of chance, where the std is right"),
-        Layer("points", {"x": ratio, "y": names}, "red", size=9, label="spread / stated std", hover=hover),
+        Layer("bars", {"y": names, "x0": low, "x": high}, alpha=0.16, label="95 % range if σ is right"),
+        Layer("points", {"x": ratio, "y": names}, "red", size=9, label="spread / stated σ", hover=hover),
         Layer("rule", {"x": 1.0}, "ink", dash="dashed"),
     )
-    return rows_of(names, Axis("spread over the cases / stated std", reach=reach), layers)
+    return rows_of(names, Axis("spread of the cases / stated σ", reach=reach), layers)
 
 
 def over_setting(found: pd.DataFrame, name: str, truth: Mapping[str, float], units: Units) -> list[Chart]:
@@ -246,7 +238,7 @@ def _means(place: pd.Series[Any], value: Floats, std: Floats, *, number: bool) -
     y = mean.to_numpy(np.float64)
     layers = [Layer("points", {"x": x, "y": y}, "red", size=8, label="mean")]
     layers += [Layer("line", {"x": x, "y": y}, "red", width=1.4, label="mean")] if number else []
-    if counts.min() < LEAST_REPEATED:
+    if counts.min() < 3:
         return layers
     half = (INTERVAL_STDS * groups["value"].std(ddof=1)).to_numpy(np.float64)
     promised = INTERVAL_STDS * np.sqrt(groups["variance"].mean().to_numpy(np.float64))
@@ -256,7 +248,7 @@ def _means(place: pd.Series[Any], value: Floats, std: Floats, *, number: bool) -
     return [*layers, *(Layer("points", each, "ink", 1.6, size=14, marker="dash", label=STATED) for each in ends)]
 
 
-STATED = "± 1.96 stated std"
+STATED = "± 1.96 stated σ"
 
 
 def over_starts(
@@ -269,7 +261,7 @@ def over_starts(
     for name in (name for each in columns.starts if (name := each.removeprefix("start.")) in columns.parameters):
         begin, end = (frame[f"{kind}.{name}"].to_numpy(np.float64) for kind in ("start", "value"))
         limits = _optimum_limits(end, INTERVAL_STDS * frame[f"std.{name}"].to_numpy(np.float64), number)
-        wide = np.nanmax(begin) > WIDE_RANGE * np.nanmin(begin) > 0  # NaN where the parameter is not free
+        wide = np.nanmax(begin) > 100.0 * np.nanmin(begin) > 0  # NaN where the parameter is not free
         text = named(name, units)
         layers = []
         for mine, color, words in _kinds(number):
@@ -277,7 +269,7 @@ def over_starts(
         astray = lost & np.isfinite(end)
         layers += _points(begin[astray], np.clip(end[astray], *limits), "amber", "not converged", "x")
         layers += _truth(name, truth)
-        across = Axis(f"start of {text}", "log" if wide else "linear")
+        across = Axis(f"initial guess of {text}", "log" if wide else "linear")
         charts.append(Chart(across, Axis(text, reach=limits), tuple(layers), HEIGHT))
     return charts
 
@@ -297,14 +289,14 @@ def _points(x: Floats, y: Floats, color: Color, label: str, marker: Any = "circl
 
 def _optimum_limits(end: Floats, half: Floats, number: npt.NDArray[np.int64]) -> tuple[float, float]:
     """Return limits around the intervals of the best optima."""
-    near = (number > 0) & (number <= MAX_OPTIMA) & np.isfinite(end)
+    near = (number > 0) & (number <= 5) & np.isfinite(end)
     half = np.where(np.isfinite(half), half, 0.0)
     low, high = float((end - half)[near].min(initial=np.inf)), float((end + half)[near].max(initial=-np.inf))
     return _with_room(low, high) if low <= high else (0.0, 1.0)
 
 
 def _excess(frame: pd.DataFrame, columns: BatchColumns, *, given_noise: bool) -> Floats:
-    """Return cost above the best of the same data, NaN if not converged."""
+    """Return cost above the best of the same data, or NaN."""
     fits = np.where(frame["status"] == "converged", fit_cost(frame, given_noise=given_noise), np.nan)
     for rows in data_sets(frame, columns):
         known = rows[np.isfinite(fits[rows])]
@@ -314,10 +306,10 @@ def _excess(frame: pd.DataFrame, columns: BatchColumns, *, given_noise: bool) ->
 
 def _waterfall(excess: Floats, number: npt.NDArray[np.int64], lost: Flags, *, given_noise: bool) -> Chart:
     order = np.argsort(np.where(lost, np.inf, excess), kind="stable")[: int((~lost).sum())]
-    x, y = np.arange(1.0, order.size + 1), np.maximum(excess[order] * (1.0 if given_noise else 100.0), LEAST_EXCESS)
-    text = "searches, the best first" + (f"; {lost.sum()} did not converge" if lost.any() else "")
+    x, y = np.arange(1.0, order.size + 1), np.maximum(excess[order] * (1.0 if given_noise else 100.0), MIN_EXCESS)
+    text = "cases, best first" + (f"; {lost.sum()} not converged" if lost.any() else "")
     words = "cost above the best" if given_noise else "residual above the best (%)"
-    reach = (0.7 * LEAST_EXCESS, max(100 * LEAST_EXCESS, 1.5 * float(y.max(initial=0.0))))
+    reach = (0.7 * MIN_EXCESS, max(100 * MIN_EXCESS, 1.5 * float(y.max(initial=0.0))))
     layers = [each for mine, color, label in _kinds(number[order]) for each in _points(x[mine], y[mine], color, label)]
     return Chart(Axis(text), Axis(words, "log", reach=reach), tuple(layers), HEIGHT)
 
@@ -325,7 +317,7 @@ def _waterfall(excess: Floats, number: npt.NDArray[np.int64], lost: Flags, *, gi
 def failures(found: pd.DataFrame, messages: list[str]) -> Chart:
     """Return the number of cases without an estimate by reason."""
     most = found.iloc[:MAX_FAILURES]
-    texts = tuple(f"{k + 1}. {each[:LONGEST]}" for k, each in enumerate(messages[:MAX_FAILURES]))
+    texts = tuple(f"{k + 1}. {each[:70]}" for k, each in enumerate(messages[:MAX_FAILURES]))
     data: Data = {"y": texts, "x": most["cases"].to_numpy(np.float64)}
     layers = []
     kinds: tuple[tuple[str, Color], ...] = (("failed", "red"), ("not converged", "amber"))

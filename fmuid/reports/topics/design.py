@@ -15,39 +15,42 @@ from fmuid.reports.document import Document, Message, Remark, Section, Table, or
 from fmuid.reports.topics.model_comparison import ranked_bars
 from fmuid.runs import Provenance
 
-ENOUGH = 1.1
-"""A healthy record is long enough where a longer one lowers the smallest size found by no more than this."""
-WORST = "The shorter, the better: the largest of the parameters' relative standard deviations, the best excitation red."
-FOUND = "The shorter, the better: the smallest size of the fault that is found, over its magnitude; the best is red."
+LONG_ENOUGH = 1.1
+"""Healthy data are long enough if endless data lower the detectable size by less than this factor."""
+WORST = "Largest relative σ of the parameters. Shorter is better; the best excitation is red."
+FOUND = "Minimum detectable fault size over its magnitude. Shorter is better; the best excitation is red."
 SENSITIVITIES = (
-    "What a relative change of a parameter does to each output, θ ∂y/∂θ. A parameter whose line is small is hardly "
-    "determined by this excitation; two whose lines look alike are hardly told apart."
+    "Effect of a relative change of a parameter on each output, θ ∂y/∂θ. Small lines: weakly identifiable parameters. "
+    "Similar lines: strongly correlated parameters."
 )
 HEADS = {"duration": "duration (s)", "log_determinant": "log-determinant"}
 _COLORS: tuple[Color, ...] = ("blue", "red", "amber", "grey")
 _DASHES: tuple[Dash, ...] = ("solid", "dashed")
 LOOKS = [(color, dash) for dash in _DASHES for color in _COLORS]
-"""Lines of a chart: those that are largest. More cannot be told apart."""
+"""Lines of a chart: the largest ones."""
 
 
 class DesignMessage(Message):
-    """Which excitation is the best, and how long the healthy record should be."""
+    """Ranking of excitations, and length of the healthy data."""
 
-    ACCURATE = ("{excitation} leaves no relative std above {worst:.3g} %", "smaller is better")
-    SHOWS = ("{excitation} shows faults from this share of their magnitude on: {worst:.3g} %", "smaller is better")
+    ACCURATE = ("{excitation}: relative σ of all parameters at most {worst:.3g} %.", "smaller is better")
+    SHOWS = (
+        "{excitation}: faults detectable from {worst:.3g} % of their magnitude.",
+        "largest minimum detectable fault size; smaller is better",
+    )
     BLIND = (
-        "{size}: this excitation does not show it, however long the healthy record is",
-        "the fault does not act on the outputs, or just as something else that may change",
-        "another excitation",
+        "{size}: not detectable with this excitation.",
+        "the fault has no effect on the outputs, or that of another cause; longer healthy data do not help",
+        "Use another excitation.",
     )
     LENGTH = (
-        "{size}: with a healthy record as long as the test the smallest size found is {times:.3g} times that with an "
-        "endless one; with one {length:g} times as long, {longer:.3g} times",
-        "errors of the healthy machine look like a fault; from the second length on a longer one gains 10 % at most",
+        "{size}: detectable size is {times:.3g} × its limit; with {length:g} × longer healthy data, {longer:.3g} ×.",
+        "the limit is that of endless healthy data, the first factor that of data as long as the test; beyond the "
+        "second length the gain is below 10 %",
     )
     SENSITIVITIES = (
-        "What relative changes of the parameters do to the outputs at their starts",
-        "small: hardly determined; alike: hardly told apart",
+        "Sensitivities at the initial guesses.",
+        "small: weakly identifiable; similar: strongly correlated",
     )
 
 
@@ -56,16 +59,16 @@ def design_document(
 ) -> Document:
     """Return the document of excitations."""
     names, accuracy = [str(name) for name in ranked["excitation"]], "log_determinant" in ranked
-    text, caption = ("largest relative std", WORST) if accuracy else ("smallest fault found / its magnitude", FOUND)
+    text, caption = ("largest relative σ", WORST) if accuracy else ("detectable fault size / magnitude", FOUND)
     worst = 100.0 * ranked["worst"].to_numpy(np.float64)
-    one = f"{names[0]} is the best of {len(names)} excitations: it" if len(names) > 1 else names[0]
+    one = f"{names[0]}, best of {len(names)} excitations" if len(names) > 1 else names[0]
     how = DesignMessage.ACCURATE if accuracy else DesignMessage.SHOWS
     said = [how.said("plain", "excitations", names, excitation=one, worst=worst[0])]
     chart = ranked_bars(names, worst, f"{text} (%)")
-    heading = "Excitations, the best first"
+    heading = "Excitations, best first"
     sections = [Section("excitations", heading, caption, _numbers(ranked), (chart,), 1)]
     if cost is not None:
-        title = f"Healthy records, in lengths of {names[0]}: the smallest size found"
+        title = f"Minimum detectable size by length of the healthy data (1: as long as {names[0]})"
         sections.append(Section("lengths", title, table=_numbers(cost)))
         said += healthy_record_remarks(cost)
     return Document("design", "Design", f"best: {names[0]}", "good", tuple(said), tuple(sections), **origin_of(origin))
@@ -79,7 +82,7 @@ def healthy_record_remarks(cost: pd.DataFrame) -> list[Remark]:
         if not times.notna().all():
             said.append(DesignMessage.BLIND.said("doubt", "lengths", (name,), size=name))
             continue
-        enough = next((k for k in range(1, len(times)) if times.iloc[k] <= ENOUGH), len(times) - 1)
+        enough = next((k for k in range(1, len(times)) if times.iloc[k] <= LONG_ENOUGH), len(times) - 1)
         values = {"times": times.iloc[0], "length": lengths.iloc[enough], "longer": times.iloc[enough]}
         said.append(DesignMessage.LENGTH.said("doubt", "lengths", (name,), size=name, **values))
     return said

@@ -27,8 +27,9 @@ from fmuid.reports.chart import (
     short,
     stacked,
 )
-from fmuid.reports.document import PAGE, Document, Message, Remark, Section, Tone, origin_of, table_of
+from fmuid.reports.document import PAGE, Document, Section, Tone, origin_of, table_of
 from fmuid.reports.topics.diagnosis_phrases import (
+    DiagnosisMessage,
     causes_columns,
     change_name,
     change_size,
@@ -39,49 +40,32 @@ from fmuid.reports.topics.diagnosis_phrases import (
 from fmuid.reports.topics.preprocessing import preprocessing_sections
 from fmuid.runs import DiagnosisRun
 
-RESIDUAL = (
-    "What the healthy model leaves unexplained, and what is left with the fault. With the right fault only noise stays."
-)
+RESIDUAL = "Residual of the healthy model, and with the cause. With the right cause only noise remains."
 CAUSES = (
-    "Every cause by itself: faults, sensors, the supply, parameters. Red is what explains the record; the table has "
-    "what else the record does not exclude, with its odds. The pointer shows which other cause looks most alike: at a "
-    "small angle the two can hardly be told apart."
+    "Decrease of the cost by each cause alone. Red causes explain the data; the table contains other explanations "
+    "and their odds. The pointer shows the most similar cause: signatures at a small angle are indistinguishable."
 )
-CHANGES = "The sizes of what explains the record, with their intervals of 95 %."
+CHANGES = "Sizes of the causes in the verdict, with 95 % intervals."
 TONES: dict[str, Tone] = {"healthy": "good", "undecided": "doubt"}
-
-
-class DiagnosisMessage(Message):
-    """Numbers beside the verdict."""
-
-    COMMON = ("Common mode: {values}", "the parameters of the healthy machine that may differ from record to record")
-    RESIDUAL = (
-        "Residual: {size} the noise of the healthy machine (variance {ratio:.3g} times it, probability "
-        "{probability:.2g})",
-        "larger: something is left that the verdict does not explain",
-    )
-    MODEL_ERROR = (
-        "Error of the fault models along other signatures: {share:.2g} % of their effect",
-        "how far a fault's effect may differ from that of its model",
-    )
 
 
 def diagnosis_document(found: DiagnosisRun) -> Document:
     """Return the document of a diagnosis."""
     result = found.diagnosis
-    said = [Remark(verdict(result), "plain", "causes")]
     values = ", ".join(f"{name} = {with_std(value, std)}" for name, (value, std) in result.nominal.items())
-    said.append(DiagnosisMessage.COMMON.said(values=values))
-    left = result.unexplained
-    noisy = {"size": "larger than" if left.larger else "as large as", "ratio": left.ratio}
-    said.append(DiagnosisMessage.RESIDUAL.said("plain", "explained", (), **noisy, probability=left.probability))
-    said.append(DiagnosisMessage.MODEL_ERROR.said(share=100 * result.evidence.model_error))
-    said += [Remark(text, "doubt", "changes") for text in diagnosis_notes(result)]
+    left = {"ratio": result.unexplained.ratio, "probability": result.unexplained.probability}
+    said = [
+        verdict(result),
+        DiagnosisMessage.COMMON.said(values=values),
+        DiagnosisMessage.RESIDUAL.said("plain", "explained", (), **left),
+        DiagnosisMessage.MODEL_ERROR.said(share=100 * result.evidence.model_error),
+        *diagnosis_notes(result),
+    ]
     sections = diagnosis_sections(result)
     if result.residuals is not None and result.evidence.explanations:
         best = " and ".join(change_name(each) for each in result.evidence.explanations[0].changes)
         drawn = explained_charts(result.residuals, best, found.units)
-        sections.append(Section("explained", "What the fault explains", RESIDUAL, charts=(drawn,), beside=1))
+        sections.append(Section("explained", "Residual with the cause", RESIDUAL, charts=(drawn,), beside=1))
     sections += preprocessing_sections(found.prepared, len(found.prepared) > 1, "prepared")
     tone = TONES.get(result.kind, "bad")
     return Document(
@@ -94,32 +78,32 @@ def diagnosis_sections(found: Diagnosis) -> list[Section]:
     evidence, columns = found.evidence, causes_columns(found)
     odds: dict[str, Any] = {
         "explanation": [explanation_words(each) for each in evidence.explanations],
-        "odds against the best": [f"{each.odds:.2g}" for each in evidence.explanations],
+        "odds": [f"{each.odds:.2g}" for each in evidence.explanations],
     }
     words = [head for head in columns if head not in ("D", "probability")]
     sections = [
-        Section("looked-at", "What may be new", table=table_of(columns, words, ("interval (95 %)",))),
-        Section("causes", "What may be new", CAUSES, table_of(odds), (cause_evidence(evidence),), 1, shown=PAGE),
-        Section("changes", "How large it is", CHANGES, charts=tuple(change_charts(evidence)), beside=2),
+        Section("looked-at", "Causes", table=table_of(columns, words, ("interval (95 %)",))),
+        Section("causes", "Causes", CAUSES, table_of(odds), (cause_evidence(evidence),), 1, shown=PAGE),
+        Section("changes", "Sizes", CHANGES, charts=tuple(change_charts(evidence)), beside=2),
     ]
     return [each for each in sections if each.charts or each.table]
 
 
-MAX_FAULTS = 12
-"""More hypotheses make a chart nobody reads: the most significant are kept."""
-LEAST_STATISTIC = 0.1
-"""D is drawn logarithmically from here on; less is as good as nothing."""
+MAX_CAUSES = 12
+"""Bars of the chart: the most significant causes."""
+MIN_STATISTIC = 0.1
+"""Lower end of the logarithmic axis of D."""
 
 
 def cause_evidence(found: ChangeEvidence) -> Chart:
     """Return the decrease of the cost by each cause alone."""
-    kept = sorted(found.suspects, key=lambda each: each.probability)[:MAX_FAULTS]
+    kept = sorted(found.suspects, key=lambda each: each.probability)[:MAX_CAUSES]
     names = [change_name(each.change) for each in kept]
     named = {change_name(change) for each in found.explanations for change in each.changes}
-    numbers = (("D", "@told{0.000}"), ("probability by chance", "@p{0.0e}"))
+    numbers = (("D", "@told{0.000}"), ("p", "@p{0.0e}"))
     hover = (*numbers, ("size", "@size"), ("nearest signature", "@near"))
     layers = []
-    kinds: tuple[tuple[str, Color, bool], ...] = (("explains the record", "red", True), ("other causes", "grey", False))
+    kinds: tuple[tuple[str, Color, bool], ...] = (("in the verdict", "red", True), ("other causes", "grey", False))
     for text, color, mine in kinds:
         here = [(name, each) for name, each in zip(names, kept, strict=True) if (name in named) is mine]
         if here:
@@ -127,12 +111,12 @@ def cause_evidence(found: ChangeEvidence) -> Chart:
             near = [f"{e.rival}, {math.degrees(e.rival_angle):.0f}°" if e.rival else "" for _, e in here]
             sizes = tuple(change_size(each.change) for _, each in here)
             chance = _array([each.probability for _, each in here])
-            bars: Data = {"y": tuple(name for name, _ in here), "x": np.maximum(told, LEAST_STATISTIC)}
-            more: Data = {"x0": LEAST_STATISTIC, "told": told, "p": chance, "size": sizes, "near": tuple(near)}
+            bars: Data = {"y": tuple(name for name, _ in here), "x": np.maximum(told, MIN_STATISTIC)}
+            more: Data = {"x0": MIN_STATISTIC, "told": told, "p": chance, "size": sizes, "near": tuple(near)}
             layers.append(Layer("bars", {**bars, **more}, color, label=text, hover=hover))
     most = max((each.statistic for each in kept), default=1.0)
-    reach = (LEAST_STATISTIC, 2.0 * max(most, 1.0))
-    return rows_of(names, Axis("D, by how much the cause alone lowers the criterion", "log", reach=reach), layers, 110)
+    reach = (MIN_STATISTIC, 2.0 * max(most, 1.0))
+    return rows_of(names, Axis("D: decrease of the cost by the cause alone", "log", reach=reach), layers, 110)
 
 
 def _array(values: Sequence[float]) -> Floats:
@@ -146,7 +130,7 @@ def change_charts(found: ChangeEvidence) -> list[Chart]:
         name = change_name(each)
         if name not in charts and math.isfinite(each.std):
             scale, unit = (100.0, "%") if each.kind.is_share else (1.0, each.unit)
-            text = label("size, with its interval of 95 %", unit)
+            text = label("size, with 95 % interval", unit)
             value, low, high = (scale * _array([number]) for number in (each.value, *each.interval()))
             layers = (*intervals((name,), value, low, high, "red", "size"), Layer("rule", {"x": 0.0}, "ink"))
             least, most = min(0.0, float(low[0])), max(0.0, float(high[0]))

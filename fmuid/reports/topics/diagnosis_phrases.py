@@ -1,4 +1,4 @@
-"""A diagnosis as text: verdict, causes, notes."""
+"""A diagnosis as messages: verdict, causes, notes."""
 
 from __future__ import annotations
 
@@ -6,67 +6,163 @@ import math
 
 from fmuid.diagnosis import BaselineDeviation, BaselineSource, Diagnosis, EstimatedChange, Explanation
 from fmuid.formatting import has_unit, listed, rounded, with_std
+from fmuid.reports.document import Message, Remark
 from fmuid.reports.topics.solver_check import accuracy_words
 
 
-def diagnosis_notes(found: Diagnosis) -> tuple[str, ...]:
-    """Return the notes beside the verdict."""
-    notes = [*deviation_words(found.deviation), *accuracy_words(found.fitted, found.accuracy)]
-    notes += [
-        f"{name}: without its fault this model is not the healthy machine: check its names and values"
-        for name in found.mismatched
-    ]
-    return *notes, *scope_notes(found)
+class DiagnosisMessage(Message):
+    """Verdict of a diagnosis, and its notes."""
 
-
-def verdict(found: Diagnosis) -> str:
-    """Return the verdict in one sentence."""
-    evidence = found.evidence
-    said = [explanation_words(each) for each in evidence.explanations]
-    likely = f"probability if nothing is new {chance(evidence.probability)}"
-    if found.kind == "unexplained" and evidence.basis is BaselineSource.RESULT:
-        head = (
-            f"Something else is wrong: the residual's variance is {found.unexplained.ratio:.3g} times the noise "
-            f"of the healthy machine (probability {chance(found.unexplained.probability)})"
-        )
-        return f"{head} even with {said[0]}" if said else f"{head}, and no fault that was looked for explains it"
-    if found.kind == "unexplained":
-        return (
-            "Something else has changed: the residual goes with the inputs otherwise than in the healthy records "
-            f"(probability {chance(found.unexplained.probability)}), and no cause explains most of it"
-        )
-    if found.kind == "ambiguous":
-        head = "Fault found" if all(each.faults for each in evidence.explanations) else "Something has changed"
-        return f"{head}, but the record cannot tell what: {'; or '.join(said)} ({likely}){_rest(found)}"
-    if evidence.alarm:
-        head = "Fault found" if found.kind == "fault" else "No fault, but something else has changed"
-        return f"{head}: {said[0]} ({likely}){_rest(found)}"
-    if found.kind == "undecided":
-        which = listed(list(found.undetermined))
-        return (
-            f"Whether there is a fault stays open: this record cannot tell {which} from what may change in a sound "
-            "machine"
-        )
-    return (
-        f"Nothing new found at a false-alarm level of {100 * found.level:g} %, of {len(evidence.suspects)} "
-        f"causes looked at (probability of as much by chance {chance(evidence.probability)})"
+    FAULT = ("FAULT: {causes} (p = {p}).", "p: probability of such a change without a fault")
+    EQUAL_FAULTS = (
+        "FAULT, indistinguishable: {causes} (p = {p}).",
+        "the faults have similar signatures in these data",
+        "Use another excitation.",
+    )
+    EQUAL_CAUSES = (
+        "CHANGE, indistinguishable: {causes} (p = {p}).",
+        "the causes have similar signatures in these data",
+        "Use another excitation.",
+    )
+    CHANGE = ("CHANGE without fault: {causes} (p = {p}).", "a sensor, an input or a parameter has changed")
+    UNEXPLAINED = (
+        "UNEXPLAINED CHANGE: residual variance is {ratio:.3g} × baseline{even} (p = {p}).",
+        "a fault without a model",
+        "Add a fault model, or check sensors and inputs.",
+    )
+    UNEXPLAINED_INPUTS = (
+        "UNEXPLAINED CHANGE: residual–input correlation differs from healthy data (p = {p}).",
+        "a fault without a model, or another operating point than in the healthy data",
+        "Add a fault model, or healthy data of this operating point.",
+    )
+    UNDECIDED = (
+        "UNDECIDED: {sizes} indistinguishable from allowed changes of the healthy machine.",
+        "allowed: by the baseline's uncertainty, times `std_factor`",
+        "Reduce `std_factor`, or use another excitation.",
+    )
+    NO_FAULT = (
+        "NO FAULT at {level:g} % false-alarm rate (p = {p}){likely}.",
+        "smaller faults remain possible: `fmuid design` shows the minimum detectable size",
+    )
+    PARTLY = (
+        "The causes explain {share:.0%} of the change; their sizes are approximate.",
+        "right kind of fault, imprecise model",
+    )
+    COMMON = ("Healthy parameters: {values}.", "parameters of the healthy machine that may differ between data files")
+    RESIDUAL = (
+        "Residual variance: {ratio:.3g} × baseline (p = {probability:.2g}).",
+        "after the verdict's causes; a small p means an unexplained rest",
+    )
+    MODEL_ERROR = (
+        "Fault-model error: {share:.2g} % along other signatures.",
+        "difference between a fault's effect and that of its model",
+    )
+    DEVIATION = (
+        "{name} is {distance:.2g} σ from its baseline.",
+        "more than the healthy data and `std_factor` allow",
+        "Raise `std_factor`, or look for a change of the machine.",
+    )
+    MISMATCHED = (
+        "{name}: the fault model without fault differs from the healthy model.",
+        "its outputs with all fault sizes zero are not those of the healthy model",
+        "Check its `variable_map` and `fixed` values.",
+    )
+    NOT_TESTED = (
+        "Sensor and supply errors were not tested; they can mimic faults.",
+        "without healthy data their effect is unknown",
+        "List healthy data in `diagnosis.healthy_data`.",
+    )
+    UNSTEADY = (
+        "The cause depends on the linearization point: it is one of several.",
+        "several causes explain the change almost equally well",
+    )
+    FROM_FILE = ("Healthy data taken from baseline.npz.", "`fmuid identify` of the healthy study has written it")
+    FILE_UNUSED = (
+        "baseline.npz not used ({how}): healthy data evaluated again.",
+        "the file beside the baseline result does not fit this study",
+        "Identify the healthy study again with the same faults.",
     )
 
 
+UNLIKE = {
+    BaselineSource.DAMAGED: "damaged",
+    BaselineSource.OTHER_MODELS: "other models or values",
+    BaselineSource.OTHER_CAUSES: "other faults or causes",
+    BaselineSource.OTHER_NOISE: "other noise variance",
+    BaselineSource.OTHER_RECORDS: "other data files",
+}
+CHANGES = {
+    "gain": "gain of sensor {}",
+    "offset": "offset of sensor {}",
+    "delay": "delay of sensor {}",
+    "input gain": "gain of input {}",
+    "parameter": "drift of parameter {}",
+}
+
+
+def verdict(found: Diagnosis) -> Remark:
+    """Return the verdict."""
+    evidence = found.evidence
+    said = [explanation_words(each) for each in evidence.explanations]
+    given: dict[str, object] = {"p": chance(evidence.probability)}
+    if found.kind == "unexplained":
+        given["p"] = chance(found.unexplained.probability)
+        given |= {"ratio": found.unexplained.ratio, "even": f" even with {said[0]}" if said else ""}
+        from_result = evidence.basis is BaselineSource.RESULT
+        how = DiagnosisMessage.UNEXPLAINED if from_result else DiagnosisMessage.UNEXPLAINED_INPUTS
+    elif found.kind == "ambiguous":
+        given["causes"] = " or ".join(said)
+        faults = all(each.faults for each in evidence.explanations)
+        how = DiagnosisMessage.EQUAL_FAULTS if faults else DiagnosisMessage.EQUAL_CAUSES
+    elif evidence.alarm:
+        given["causes"] = said[0]
+        how = DiagnosisMessage.FAULT if found.kind == "fault" else DiagnosisMessage.CHANGE
+    elif found.kind == "undecided":
+        given["sizes"] = listed(list(found.undetermined))
+        how = DiagnosisMessage.UNDECIDED
+    else:
+        likely = min(evidence.suspects, key=lambda each: each.probability, default=None)
+        given["likely"] = "" if likely is None else f"; most likely: {change_name(likely.change)}"
+        given["level"] = 100 * found.level
+        how = DiagnosisMessage.NO_FAULT
+    return how.said("plain", "causes", (), **given)
+
+
+def diagnosis_notes(found: Diagnosis) -> list[Remark]:
+    """Return the notes beside the verdict."""
+    evidence = found.evidence
+    notes = deviation_notes(found.deviation)
+    notes += [Remark(text, "doubt", "changes") for text in accuracy_words(found.fitted, found.accuracy)]
+    notes += [DiagnosisMessage.MISMATCHED.said("doubt", "changes", (name,), name=name) for name in found.mismatched]
+    if evidence.alarm and found.unexplained.larger and found.kind != "unexplained":
+        notes.append(DiagnosisMessage.PARTLY.said("doubt", "explained", share=evidence.explained))
+    if evidence.basis is BaselineSource.RESULT:
+        notes.append(DiagnosisMessage.NOT_TESTED.said("doubt", "causes"))
+    notes += basis_notes(evidence.basis)
+    if evidence.alarm and not evidence.steady:
+        notes.append(DiagnosisMessage.UNSTEADY.said("doubt", "causes"))
+    return notes
+
+
+def basis_notes(basis: BaselineSource) -> list[Remark]:
+    """Return the origin of the baseline, if it is a file."""
+    if basis is BaselineSource.FILE:
+        return [DiagnosisMessage.FROM_FILE.said()]
+    return [DiagnosisMessage.FILE_UNUSED.said("doubt", how=UNLIKE[basis])] if basis in UNLIKE else []
+
+
+def deviation_notes(deviation: BaselineDeviation | None) -> list[Remark]:
+    """Return the healthy parameter far from its prior, if any."""
+    if deviation is None:
+        return []
+    given = {"name": deviation.name, "distance": deviation.distance}
+    return [DiagnosisMessage.DEVIATION.said("doubt", "changes", (deviation.name,), **given)]
+
+
 def explanation_words(each: Explanation) -> str:
-    """Return the changes that explain a record together, with their sizes."""
+    """Return the changes that explain data together, with their sizes."""
     said = [f"{e.fault}, {e.variable} =" if e.fault else f"{change_name(e)}," for e in each.changes]
     return " together with ".join(f"{name} {change_size(e)}" for name, e in zip(said, each.changes, strict=True))
-
-
-# What a change is called; {} is its variable.
-CHANGES = {
-    "gain": "the gain of the sensor of {}",
-    "offset": "an offset of the sensor of {}",
-    "delay": "a delay of the sensor of {}",
-    "input gain": "the gain of the input {}",
-    "parameter": "the parameter {} beyond what was foreseen",
-}
 
 
 def change_size(change: EstimatedChange) -> str:
@@ -83,60 +179,6 @@ def change_name(change: EstimatedChange) -> str:
     if change.fault:
         return f"{change.fault} ({change.variable})"
     return CHANGES[change.kind.value].format(change.variable)
-
-
-def _rest(found: Diagnosis) -> str:
-    if not found.unexplained.larger:
-        return ""
-    return (
-        f"; its model explains {found.evidence.explained:.0%} of what exceeds the noise, not all of it: "
-        "the size is that of a model that is nearly right"
-    )
-
-
-def scope_notes(found: Diagnosis) -> list[str]:
-    """Return the limits of a diagnosis."""
-    said = basis_notes(found.evidence.basis)
-    if found.evidence.basis is BaselineSource.RESULT:
-        said = [
-            "errors of sensors and of the supply were not looked at, and may look like a fault: name the tables of the "
-            "healthy machine as [diagnosis] records"
-        ]
-    if found.evidence.alarm and not found.evidence.steady:
-        said.append("the name changes with the point where the models are linearised: take it for one of several")
-    return said
-
-
-# What the file of the healthy study is of, where it does not serve.
-UNLIKE = {
-    BaselineSource.DAMAGED: "damaged",
-    BaselineSource.OTHER_MODELS: "of other models or values",
-    BaselineSource.OTHER_CAUSES: "of other faults or causes",
-    BaselineSource.OTHER_NOISE: "of another noise variance",
-    BaselineSource.OTHER_RECORDS: "of other records",
-}
-
-
-def basis_notes(basis: BaselineSource) -> list[str]:
-    """Return the origin of the baseline, if it is a file."""
-    if basis in (BaselineSource.RECORDS, BaselineSource.RESULT):
-        return []
-    if basis is BaselineSource.FILE:
-        return ["what the healthy records show is from the baseline.npz beside the healthy result"]
-    return [
-        f"the baseline.npz beside the healthy result is {UNLIKE[basis]} and was not used: "
-        "the healthy records were examined again"
-    ]
-
-
-def deviation_words(deviation: BaselineDeviation | None) -> list[str]:
-    """Return the healthy parameter far from its prior, if any."""
-    if deviation is None:
-        return []
-    return [
-        f"{deviation.name} lies {deviation.distance:.2g} standard deviations from what the healthy record and inflate "
-        "foresee: it has changed more than was expected, or something else has"
-    ]
 
 
 def chance(probability: float) -> str:
@@ -158,12 +200,12 @@ def causes_columns(found: Diagnosis) -> dict[str, list[str]]:
         rows.append(
             (
                 change_name(change),
-                change_size(change) if known else "not determined",
+                change_size(change) if known else "unknown",
                 f"{rounded(low, width)} to {rounded(high, width)}" if known else "",
                 f"{each.statistic:.4g}",
                 chance(each.probability),
                 near,
-                "named" if change.label in named else "",
+                "in the verdict" if change.label in named else "",
             )
         )
     return {head: [row[k] for row in rows] for k, head in enumerate(heads)}

@@ -11,30 +11,72 @@ from rich.prompt import Prompt
 
 from fmuid.errors import InputError
 from fmuid.formatting import two_digits, unit_text
-from fmuid.reports.document import Document, Remark, Section, table_of
+from fmuid.reports.document import Document, Message, Remark, Section, table_of
 from fmuid.reports.render.console import console, show_remarks, show_section
 from fmuid.reports.topics.study_notes import dropout_words, size_words, time_words
 from fmuid.studies import SHOWN_CHANGE, ColumnMatch, Draft, MatchedDataFile, Reason, proposal
 
+
+class InitMessage(Message):
+    """Notes of `fmuid init` on a data file."""
+
+    UNUSED = ("Columns without role: {columns}.", "neither inputs nor outputs")
+    REFUSED = ("{words}", "the data file cannot be used")
+    NO_INPUT = (
+        "{file}: no column for the input {names}.",
+        "the simulation needs its values",
+        "Add --map {first}=COLUMN, or --map {first}= to keep its start value.",
+    )
+    NO_OUTPUT = (
+        "{file}: no column for the output {names}.",
+        "nothing is compared with it",
+        "Add --map {first}=COLUMN.",
+    )
+    NO_OUTPUTS = (
+        "{file}: the FMU declares no outputs, and no column has a variable's name.",
+        "any variable of the FMU can be an output",
+        "Add --map VARIABLE=COLUMN.",
+    )
+    MISSING = (
+        "{file}: {count} of {rows} samples of {column!r} are missing.",
+        "missing samples are not scored",
+    )
+    HELD = (
+        "{file}: zero-order hold assumed for {names}.",
+        "their values stay constant over most sampling intervals",
+        'Set interpolation = "linear" for measured inputs.',
+    )
+    CONSTANT = (
+        "{file}: output {column!r} is constant ({value:g}).",
+        "a channel without signal",
+        "Remove it from the outputs if nothing was measured.",
+    )
+    MARKS = (
+        "{file}: {count} samples of {column!r} are {value:g}, far from all others.",
+        "a logger's mark for missing samples",
+        "Leave these cells empty if the samples are missing.",
+    )
+    NO_SURVEY = ("Effects of the parameters unknown: {failure}", "the FMU cannot be simulated at its start values")
+
+
 REASONS: Mapping[Reason, str] = {
     Reason.GIVEN: "given",
     Reason.NAME: "same name",
-    Reason.SPELLING: "same name but for case and separators",
-    Reason.ADDITION: "same name but for an addition",
-    Reason.BEGINNING: "same beginning, and the units convert",
-    Reason.QUANTITY: "the only one of its quantity",
+    Reason.SPELLING: "same name except case and separators",
+    Reason.ADDITION: "same name with an addition",
+    Reason.BEGINNING: "same beginning, convertible units",
+    Reason.QUANTITY: "only column of this quantity",
 }
-LINK_HEADS = ("variable", "unit", "is the", "column", "unit of the column", "because")
-QUESTION = "Is this right? Enter to go on, or variable=column to change it (variable= for none)"
+LINK_HEADS = ("variable", "unit", "role", "column", "column unit", "reason")
+QUESTION = "Correct? Enter: continue; variable=column: change; variable=: no column"
 
 
 def record_section(record: MatchedDataFile) -> Section:
     """Return matched columns and warnings of a data file."""
     cells = [link_cells(link) for link in record.links]
     columns = {head: [row[k] for row in cells] for k, head in enumerate(LINK_HEADS)}
-    said = [Remark(each, "doubt") for each in remarks(record)]
-    if record.unused:
-        said.insert(0, Remark(f"columns that are no input or output: {', '.join(record.unused)}"))
+    said = [InitMessage.UNUSED.said(columns=", ".join(record.unused))] if record.unused else []
+    said += remarks(record)
     title = heading(record, str(record.path))
     return Section("columns", title, table=table_of(columns, columns), remarks=tuple(said))
 
@@ -49,52 +91,39 @@ def link_cells(link: ColumnMatch) -> tuple[str, ...]:
     """Return the cells of a variable, in the order of `LINK_HEADS`."""
     unit = unit_text(link.unit)
     if link.column is None or link.reason is None:
-        why = f"may be {' or '.join(link.choices)}: undecided" if link.choices else "no such column"
+        why = f"undecided: {' or '.join(link.choices)}" if link.choices else "no column"
         return link.variable, unit, link.role, "", "", why
-    said = link.column_unit or (f"taken for {unit}" if unit else "")
+    said = link.column_unit or (f"assumed {unit}" if unit else "")
     return link.variable, unit, link.role, link.column, said, REASONS[link.reason]
 
 
-def remarks(record: MatchedDataFile) -> list[str]:
+def remarks(record: MatchedDataFile) -> list[Remark]:
     """Return the warnings about a data file."""
-    said = [record.refusal] if record.refusal else []
-    for role in ("input", "output"):
+    found, file = list[Remark](), str(record.path)
+
+    def say(message: InitMessage, **values: object) -> None:
+        found.append(message.said("doubt", "columns", (file,), file=file, **values))
+
+    if record.refusal:
+        say(InitMessage.REFUSED, words=record.refusal)
+    for role, message in (("input", InitMessage.NO_INPUT), ("output", InitMessage.NO_OUTPUT)):
         lacking = record.lacking(role)
         if lacking and (role == "input" or not record.roles(role) or record.unused):
-            left = "" if not record.roles(role) else ", or nothing is compared with it"
-            left = f", or --map {lacking[0]}= to leave it at its start" if role == "input" else left
-            said.append(
-                f"{record.path}: no column is the {role} {', '.join(lacking)}: "
-                f"say which is by --map {lacking[0]}=COLUMN{left}"
-            )
+            say(message, names=", ".join(lacking), first=lacking[0])
     if not record.roles("output") and not record.lacking("output"):
-        said.append(
-            f"{record.path}: the FMU declares no outputs, and no column is called like one of its variables: say which "
-            "is measured by --map VARIABLE=COLUMN"
-        )
+        say(InitMessage.NO_OUTPUTS)
     rows = 0 if record.experiment is None else record.experiment.times.size
-    said += [
-        f"{record.path}: {count} of {rows} samples of {column!r} are missing; they do not count"
-        for column, count in record.missing.items()
-    ]
+    for column, count in record.missing.items():
+        say(InitMessage.MISSING, column=column, count=count, rows=rows)
     if record.interpolation != "linear":
-        said.append(
-            f"{record.path}: taken as held between samples, since over most of them it stays what it was: "
-            f'{", ".join(record.held)}; interpolation = "linear" for what was measured'
-        )
+        say(InitMessage.HELD, names=", ".join(record.held))
     if record.dropouts:
-        said.append(dropout_words(str(record.path), record.dropouts))
-    said += [
-        f"{record.path}: the output {column!r} is {value:g} throughout: if its channel measured nothing, remove it "
-        "from the outputs"
-        for column, value in record.constant.items()
-    ]
-    said += [
-        f"{record.path}: {count} samples of {column!r} are {value:g}, far from all others: if that stands for missing "
-        "ones, leave those cells empty"
-        for column, (value, count) in record.marks.items()
-    ]
-    return said
+        found.append(Remark(dropout_words(file, record.dropouts), "doubt"))
+    for column, value in record.constant.items():
+        say(InitMessage.CONSTANT, column=column, value=value)
+    for column, (value, count) in record.marks.items():
+        say(InitMessage.MARKS, column=column, value=value, count=count)
+    return found
 
 
 def on_terminal() -> bool:
@@ -111,7 +140,7 @@ def asked_about(record: MatchedDataFile) -> MatchedDataFile:
         variable, equals, column = (part.strip() for part in answer.partition("="))
         try:
             if not equals:
-                raise InputError(f"{answer!r} is not understood: write variable=column")
+                raise InputError(f"{answer!r}: not understood. Write variable=column.")
             record = record.with_columns({variable: column})
             show_section(record_section(record))
         except InputError as error:
@@ -120,7 +149,7 @@ def asked_about(record: MatchedDataFile) -> MatchedDataFile:
 
 
 def draft_document(made: Draft, output: Path) -> Document:
-    """Return the proposed parameters and the next step."""
+    """Return the proposed parameters and the next command."""
     found = made.survey
     rows = [
         (name, f"{one.start:.6g}", unit_text(unit), f"{two_digits(100 * one.effect)} %", proposal(one))
@@ -129,9 +158,9 @@ def draft_document(made: Draft, output: Path) -> Document:
     ]
     heads = ["parameter", "start", "unit", f"{100 * SHOWN_CHANGE:g} % change", "proposed"]
     table = table_of({head: [row[k] for row in rows] for k, head in enumerate(heads)}, ("unit", "proposed"))
-    section = Section("parameters", "What the parameters change of the outputs' spread", table=table if rows else ())
-    said = [*map(time_words, found.doubts), *(size_words(*each) for each in found.sizes)]
-    said += [f"nothing is known of the parameters: {found.failure}"] if found.failure else []
-    text = f"fmuid identify {output}" if made.runs else "free the parameters to identify in it, under [parameters]."
-    doubts = tuple(Remark(each, "doubt") for each in said)
-    return Document("draft", "Written", f"{output}. Next: {text}", "plain", doubts, (section,))
+    section = Section("parameters", "Effect of the parameters (% of the outputs' spread)", table=table if rows else ())
+    said = [Remark(time_words(each), "doubt") for each in found.doubts]
+    said += [Remark(size_words(*each), "doubt") for each in found.sizes]
+    said += [InitMessage.NO_SURVEY.said("doubt", failure=found.failure)] if found.failure else []
+    text = f"fmuid identify {output}" if made.runs else "list the parameters to identify under [parameters]."
+    return Document("draft", "Written", f"{output}. Next: {text}", "plain", tuple(said), (section,))

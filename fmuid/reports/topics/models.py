@@ -12,54 +12,57 @@ from fmuid.reports.document import TERMINAL_ROWS, Document, Remark, Section, tab
 from fmuid.reports.topics.solver_check import capability_words, run_words
 from fmuid.studies import skeleton
 
-# Inputs that are named where an output depends on them; how many there are besides is said.
-INPUTS_NAMED = 4
-# Letters that a description has at least on a terminal; it ends where the line does.
-SHORT_DESCRIPTION = 25
-# Between two columns.
-COLUMN_GAP = 3
-SETTABLE = "start can be set"
-# Letters of a name, and of any other text: an FMU can have names of any length.
-NAME_LENGTH, TEXT_LENGTH = 200, 1000
+MIN_DESCRIPTION = 25
+"""Letters of a description on a narrow terminal."""
+SETTABLE = "start settable"
+MAX_NAME, MAX_TEXT = 200, 1000
+"""Letters of a name and of other texts; an FMU can have names of any length."""
 
 CellText = Callable[[Variable], str]
-"""What a column of a table says of a variable."""
+"""Cell of a variable in a column."""
 
 
 def facts_document(found: FmuSummary, width: int | None = None) -> Document:
-    """Return the declarations of an FMU and a first study, for a terminal of a width or without limits."""
+    """Return the declarations of an FMU and a first study.
+
+    Parameters
+    ----------
+    found : FmuSummary
+    width : int, optional
+        Columns of the terminal; default: no limits.
+    """
     described = found.fmu.description
     rows = list(_declared(found))
     head = table_of({"": [row[0] for row in rows], " ": [row[1] for row in rows]}, (" ",))
     sections = [Section("declarations", "", table=head)]
     for key, title, variables, columns in (
-        ("fixed", "Parameters ({}), fixed: set before the initialisation", found.fixed, {}),
-        ("tunable", "Parameters ({}), tunable: set before the initialisation, too", found.tunable, {}),
-        ("calculated", "Parameters ({}), calculated from others: they cannot be set", found.calculated, {}),
-        ("sizes", "Parameters ({}), structural: they size arrays and keep their start values", found.structural, {}),
+        ("fixed", "Parameters ({}), fixed", found.fixed, {}),
+        ("tunable", "Parameters ({}), tunable", found.tunable, {}),
+        ("calculated", "Parameters ({}), calculated: not settable", found.calculated, {}),
+        ("sizes", "Parameters ({}), structural: kept at their start values", found.structural, {}),
         ("inputs", "Inputs ({})", found.inputs, {"changes": _changes}),
         ("outputs", "Outputs ({})", found.outputs, {"depends directly on": _direct(found), SETTABLE: _settable}),
         ("states", "States ({})", found.states, {SETTABLE: _settable}),
-        ("starts", "Other variables ({}) whose start values can be set", found.starts, {}),
+        ("starts", "Other variables ({}) with settable start values", found.starts, {}),
     ):
         if variables:
             sections.append(_variables(key, title.format(len(variables)), variables, columns, width))
     others = {_name(unit): _text(", ".join(names)) for unit, names in found.units.items() if names}
     if others:
-        units = table_of({"unit": others, "instead": others.values()}, ("instead",))
-        sections.append(Section("units", "Units that a table may have instead", table=units))
+        units = table_of({"unit": others, "accepted instead": others.values()}, ("accepted instead",))
+        sections.append(Section("units", "Accepted units of data files", table=units))
     said = (Remark(f"{found.others} other variable{'s' * (found.others != 1)}"),) if found.others else ()
-    study = "\n".join(line if len(line) <= TEXT_LENGTH else _text(line) for line in skeleton(found.fmu).splitlines())
+    study = "\n".join(line if len(line) <= MAX_TEXT else _text(line) for line in skeleton(found.fmu).splitlines())
     state = _text(described.description.removeprefix(described.model_name).lstrip(": "))
     return Document("fmu", _name(described.model_name), state, "plain", said, tuple(sections), study=study)
 
 
 def _name(text: str) -> str:
-    return bounded(text, NAME_LENGTH)
+    return bounded(text, MAX_NAME)
 
 
 def _text(text: str) -> str:
-    return bounded(text, TEXT_LENGTH)
+    return bounded(text, MAX_TEXT)
 
 
 def _declared(found: FmuSummary) -> Iterator[tuple[str, str]]:
@@ -67,21 +70,21 @@ def _declared(found: FmuSummary) -> Iterator[tuple[str, str]]:
     described, platforms = found.fmu.description, found.fmu.platforms
     yield "FMI version", described.fmi_version
     for kind, declared in found.capabilities.items():
-        unused = "" if kind in described.interfaces else " (fmuid does not use it)"
+        unused = "" if kind in described.interfaces else " (not used)"
         yield kind, (_text(", ".join(capability_words(kind, declared))) or "no optional capabilities") + unused
-    yield "fmuid runs it as", run_words(found.run_as)
+    yield "simulated by", run_words(found.run_as)
     there = ", ".join(f"{name} (this machine)" if name == found.here else _name(name) for name in platforms)
     if found.here is None:
-        there = f"{there or 'no binaries at all'}; none for this machine ({found.machine})"
+        there = f"{there or 'no binaries'}; none for this machine ({found.machine})"
     yield "platforms", _text(there)
     if found.states or described.indicators:
-        yield "continuous states", f"{len(found.states)}, with {described.indicators} event indicators"
+        yield "continuous states", f"{len(found.states)}, {described.indicators} event indicators"
     if given := described.default_experiment:
         texts = {"start": "start {:g} s", "stop": "stop {:g} s", "step_size": "step {:g} s"}
         texts["tolerance"] = "tolerance {:g}"
         yield "default experiment", ", ".join(text.format(given[key]) for key, text in texts.items() if key in given)
     if described.generation_tool:
-        yield "made by", _name(described.generation_tool)
+        yield "generated by", _name(described.generation_tool)
 
 
 def _variables(
@@ -101,17 +104,17 @@ def _variables(
     cells |= {head: _cells(rows, column) for head, column in columns.items()}
     if width is not None:
         *widths, _ = (max(map(len, [head, *texts])) for head, texts in cells.items())
-        room = max(width - sum(widths) - COLUMN_GAP * len(widths), SHORT_DESCRIPTION)
+        room = max(width - sum(widths) - 3 * len(widths), MIN_DESCRIPTION)
         cells["description"] = [shorten(text, room, placeholder="…") for text in cells["description"]]
     left = len(every) - len(rows)
-    said = (Remark(f"and {left} more; all of them: fmuid info FMU | less"),) if left else ()
+    said = (Remark(f"{left} more; all: fmuid info FMU | less"),) if left else ()
     table = table_of(cells, [head for head in cells if head not in ("start", "min", "max")])
     return Section(key, title, table=table, remarks=said)
 
 
 def _cells(rows: Sequence[VariableRow], column: CellText) -> list[str]:
     said = [column(line.variables[0]) if len(line.variables) == 1 else _cell(line, column) for line in rows]
-    return [text if len(text) <= TEXT_LENGTH and text.isprintable() else _text(text) for text in said]
+    return [text if len(text) <= MAX_TEXT and text.isprintable() else _text(text) for text in said]
 
 
 def _cell(line: VariableRow, column: CellText) -> str:
@@ -151,10 +154,10 @@ def _direct(found: FmuSummary) -> CellText:
         if not found.inputs:
             return ""
         if names is None:
-            return "all inputs (nothing is declared)"
+            return "all inputs (none declared)"
         if len(names) == len(found.inputs) > 1:
             return "all inputs"
-        more = len(names) - INPUTS_NAMED
-        return ", ".join(names[:INPUTS_NAMED]) + (f" and {more} more" if more > 0 else "") or "none"
+        more = len(names) - 4
+        return ", ".join(names[:4]) + (f" and {more} more" if more > 0 else "") or "none"
 
     return words

@@ -13,106 +13,164 @@ from fmuid.data import evenly, extremes
 from fmuid.diagnosis import SOMETHING_ELSE, Alarm, BaselineSource, Onset, OnsetShape, RecordTime, SkippedWindow, Trend
 from fmuid.formatting import label, listed, rounded, unit_text, with_std
 from fmuid.reports.chart import LIMITS, Axis, Chart, ChartGrid, Data, Layer, stacked
-from fmuid.reports.document import CONSOLE, Document, Remark, Section, Tone, origin_of, table_of
+from fmuid.reports.document import CONSOLE, Document, Message, Remark, Section, Tone, origin_of, table_of
 from fmuid.reports.topics.diagnosis_phrases import basis_notes, explanation_words
 from fmuid.reports.topics.preprocessing import preprocessing_sections
 from fmuid.runs import MonitoringRun
 
-# Of more windows that are left out, the first are named.
-MOST_GAPS = 5
+
+class MonitoringMessage(Message):
+    """Verdict of a monitoring, alarms and notes."""
+
+    NO_WINDOW = ("No window evaluated.", "the recording is shorter than a window, or samples are missing")
+    UNDECIDED = (
+        "UNDECIDED: no window determines {names}.",
+        "fault sizes with unknown σ in every window",
+        "Use longer windows or another excitation.",
+    )
+    NO_ALARM = (
+        "NO ALARM in {windows} windows at {level:g} % false-alarm rate {per}.",
+        "smaller faults remain possible: see [monitoring](monitoring.md)",
+    )
+    ALARM = (
+        "ALARM {cause}{onset}, raised at {time:.6g} s{record}.",
+        "cause, onset with its 95 % interval, and end of the first window with a change",
+    )
+    UNEXPLAINED = (
+        "ALARM unexplained change, raised at {time:.6g} s of {record}.",
+        "the residual exceeds the noise and no cause explains it: a fault without a model",
+        "Add a fault model, or check sensors and inputs.",
+    )
+    SIZE_AT_ALARM = ("Size at the alarm: {sizes}.", "estimate of the window that raised the alarm, alone")
+    SIZE_NOW = ("Current size: {sizes}.", "estimate of all data since the onset")
+    RATE = ("{column} changes by {rate}.", "trend since the onset")
+    LIMIT_REACHED = ("{column} has reached its limit {limit}.", "limit: `monitoring.size_limits`")
+    LIMIT_SAFE = ("{column} stays below its limit {limit}.", "the trend does not lead to the limit")
+    LIMIT_AHEAD = ("{column} reaches its limit {limit} in {when} (95 %: {early} to {late}).", "if the trend continues")
+    LIMIT_OPEN = (
+        "{column} does not reach its limit {limit} at this rate (95 %: {early} to {late}).",
+        "a faster trend remains possible",
+    )
+    SKIPPED = ("{source}: windows from {times} skipped.", "missing samples: an output has none in these windows")
+    WHITE_NOISE = (
+        "White noise assumed: the baseline is a result alone.",
+        "colored noise raises more false alarms than stated",
+        "List healthy data in `diagnosis.healthy_data`.",
+    )
 
 
-def monitoring_words(found: MonitoringRun) -> str:
-    """Return the verdict in one sentence."""
+def monitoring_remarks(found: MonitoringRun) -> list[Remark]:
+    """Return the verdict, with sizes and trend of the first alarm."""
     table, rule, alarms = found.table, found.rule, found.alarms
     if table.empty:
-        return "No window has been examined."
-    counted = f"{len(table)} windows"
-    if not alarms:
-        if found.undetermined:
-            return f"Whether there is a fault stays open: no window determines {listed(found.undetermined)}."
-        held = "in a record" if rule.horizon is None else f"in {rule.horizon:g} s"
-        return f"No alarm in {counted}, at a level of {100 * rule.level:g} % for a false one {held}."
-    return alarm_sentence(alarms[0], found.units)
+        return [MonitoringMessage.NO_WINDOW.said("plain", "timeline")]
+    if alarms:
+        said = alarm_remarks(alarms[0], found.units)
+        sizes = size_at_alarm(alarms[0], found)
+        return [*said[:1], *([MonitoringMessage.SIZE_AT_ALARM.said(sizes=sizes)] if sizes else []), *said[1:]]
+    if found.undetermined:
+        return [MonitoringMessage.UNDECIDED.said("plain", "timeline", names=listed(found.undetermined))]
+    per = "per recording" if rule.horizon is None else f"per {rule.horizon:g} s"
+    given = {"windows": len(table), "level": 100 * rule.level, "per": per}
+    return [MonitoringMessage.NO_ALARM.said("plain", "timeline", (), **given)]
 
 
 def alarm_sentence(alarm: Alarm, units: Mapping[str, str]) -> str:
     """Return cause, onset, size and trend of an alarm."""
-    raised = f"alarm at {alarm.time:.6g} s of {alarm.record}"
+    return " ".join(each.text for each in alarm_remarks(alarm, units))
+
+
+def alarm_remarks(alarm: Alarm, units: Mapping[str, str]) -> list[Remark]:
+    """Return cause and onset, size and trend of an alarm."""
     if alarm.fault == SOMETHING_ELSE:
-        return f"Something else is wrong: the residual is larger than the noise and no cause explains it; {raised}."
-    head = "Fault" if all(each.faults for each in alarm.explanations) else "Something has changed"
-    said = f"{head}: {alarm.fault}{'' if alarm.onset is None else onset_words(alarm.onset)}; {raised}"
-    sizes = "; or ".join(map(explanation_words, alarm.explanations))
-    trend = "" if alarm.trend is None else trend_words(alarm.trend, units.get(alarm.trend.column, ""))
-    return f"{said}; since then {sizes}{trend}."
+        return [MonitoringMessage.UNEXPLAINED.said("plain", "timeline", time=alarm.time, record=alarm.record)]
+    onset, record = "", f" of {alarm.record}"
+    if alarm.onset is not None:
+        onset, likely = onset_words(alarm.onset), alarm.onset.likely
+        record = "" if likely.record == alarm.record else record
+    given = {"cause": alarm.fault, "onset": onset, "time": alarm.time, "record": record}
+    said = [MonitoringMessage.ALARM.said("plain", "timeline", (), **given)]
+    if alarm.explanations:
+        said.append(MonitoringMessage.SIZE_NOW.said(sizes=" or ".join(map(explanation_words, alarm.explanations))))
+    return said + ([] if alarm.trend is None else trend_remarks(alarm.trend, units.get(alarm.trend.column, "")))
+
+
+def size_at_alarm(alarm: Alarm, found: MonitoringRun) -> str:
+    """Return the sizes in the first window of an alarm."""
+    row, said = found.table.loc[alarm.first].to_dict(), []
+    for change in alarm.explanations[0].changes if alarm.explanations else ():
+        value, std = (float(row.get(f"{change.label}{end}", math.nan)) for end in ("", ".std"))
+        if math.isfinite(std):
+            said.append(f"{change.label} = {with_std(value, std)} {unit_text(found.units.get(change.label))}".strip())
+    return ", ".join(said)
 
 
 def onset_words(onset: Onset) -> str:
     """Return the onset with its 95 % interval."""
-    span = f"{_at(onset.first, onset.likely)} to {_at(onset.last, onset.likely)}"
+    likely = onset.likely
+    first, last = (_at(each, likely) for each in (onset.first, onset.last))
+    date = f" ({_date(likely)})" if likely.date else ""
     how = "" if onset.shape is OnsetShape.STEP else ", growing"
-    return f", since {_moment(onset.likely)} (95 %: {span}){how}"
-
-
-def _moment(each: RecordTime) -> str:
-    return f"{each.time:.6g} s of {each.record}" + (f", {each.date[:19].replace('T', ' ')}" if each.date else "")
+    return f" since {likely.time:.6g} s (95 %: {first} to {last}) of {likely.record}{date}{how}"
 
 
 def _at(each: RecordTime, likely: RecordTime) -> str:
     return f"{each.time:.6g} s" + (f" of {each.record}" if each.record != likely.record else "")
 
 
-def trend_words(trend: Trend, unit: str) -> str:
+def _date(each: RecordTime) -> str:
+    return each.date[:19].replace("T", " ")
+
+
+def trend_remarks(trend: Trend, unit: str) -> list[Remark]:
     """Return the trend of a size and the time to its limit."""
-    said = ""
+    column, said = trend.column, []
     if trend.grows:
-        said = f"; {trend.column} changes by {with_std(trend.rate, trend.rate_std)} {unit}/s".replace(" /s", " 1/s")
-    likely, early, late = trend.reached
+        rate = f"{with_std(trend.rate, trend.rate_std)} {unit}/s".replace(" /s", " 1/s")
+        said.append(MonitoringMessage.RATE.said("plain", "", (column,), column=column, rate=rate))
     if math.isnan(trend.limit):
         return said
-    limit = f"its limit of {trend.limit:g}{f' {unit}' if unit else ''}"
+    likely, early, late = trend.reached
     if likely == 0.0:
-        return f"{said}; {trend.column} has reached {limit}"
-    if math.isinf(early):
-        return f"{said}; {trend.column} stays below {limit}"
-    when = "not at this rate" if math.isinf(likely) else f"in {likely:.3g} s"
-    until = "never" if math.isinf(late) else f"{late:.3g} s"
-    return f"{said}; {trend.column} reaches {limit} {when} (95 %: {early:.3g} s to {until})"
+        how = MonitoringMessage.LIMIT_REACHED
+    elif math.isinf(early):
+        how = MonitoringMessage.LIMIT_SAFE
+    else:
+        how = MonitoringMessage.LIMIT_OPEN if math.isinf(likely) else MonitoringMessage.LIMIT_AHEAD
+    given = {"column": column, "limit": f"{trend.limit:g} {unit}".strip(), "when": f"{likely:.3g} s"}
+    given |= {"early": f"{early:.3g} s", "late": "never" if math.isinf(late) else f"{late:.3g} s"}
+    return [*said, how.said("plain", "", (column,), **given)]
 
 
 def alarm_words(alarm: Alarm) -> tuple[str, str]:
     """Return onset and size of an alarm, for a table."""
-    onset = "" if alarm.onset is None else _moment(alarm.onset.likely)
-    return onset, "; or ".join(map(explanation_words, alarm.explanations))
+    likely = None if alarm.onset is None else alarm.onset.likely
+    onset = "" if likely is None else f"{likely.time:.6g} s of {likely.record}"
+    onset += f", {_date(likely)}" if likely is not None and likely.date else ""
+    return onset, " or ".join(map(explanation_words, alarm.explanations))
 
 
-def gap_words(gaps: Sequence[SkippedWindow]) -> list[str]:
-    """Return the skipped windows, one sentence per recording."""
+def gap_remarks(gaps: Sequence[SkippedWindow]) -> list[Remark]:
+    """Return the skipped windows, a remark per recording; the first five are named."""
     said = []
     for source in dict.fromkeys(gap.source for gap in gaps):
         times = [f"{gap.time:.9g} s" for gap in gaps if gap.source == source]
-        shown = listed(times if len(times) <= MOST_GAPS else [*times[:MOST_GAPS], f"{len(times) - MOST_GAPS} more"])
-        said.append(f"{source}: the windows from {shown} on are left out, as no sample of some output counts in them")
+        shown = listed(times if len(times) <= 5 else [*times[:5], f"{len(times) - 5} more"])
+        said.append(MonitoringMessage.SKIPPED.said("doubt", "", (source,), source=source, times=shown))
     return said
 
 
 TIMELINE = (
-    "Estimates of each window alone, with their intervals of 95 %. Red dots are windows that are significant by "
-    "themselves; the red dashed line is where an alarm was raised, the red ground how long it lasted; dotted lines "
-    "part records. The variance of the residual should be that of the noise: a ratio that stays above 1 is something "
-    "that no fault model explains."
-)
-WHITE_NOISE = (
-    "The noise is taken as white: the baseline is a result alone. Name healthy data in [diagnosis] healthy_data."
+    "Estimates of each window alone, with 95 % intervals. Red dots: windows that are significant alone. Red dashed "
+    "line: alarm raised; red area: its duration. Dotted lines: borders of recordings. A variance ratio that stays "
+    "above 1 is a change that no cause explains."
 )
 
 
 def monitoring_document(found: MonitoringRun) -> Document:
     """Return the document of a monitoring."""
-    said = [Remark(monitoring_words(found), "plain", "timeline")]
-    said += [Remark(text, "doubt") for text in (*basis_notes(found.basis), *gap_words(found.gaps))]
-    said += [Remark(WHITE_NOISE, "doubt")] if found.basis is BaselineSource.RESULT else []
+    said = [*monitoring_remarks(found), *basis_notes(found.basis), *gap_remarks(found.gaps)]
+    said += [MonitoringMessage.WHITE_NOISE.said("doubt")] if found.basis is BaselineSource.RESULT else []
     sections = [_alarms_section(found)] if found.alarms else []
     if len(found.table):
         sections.append(_windows_section(found))
@@ -128,24 +186,23 @@ def monitoring_document(found: MonitoringRun) -> Document:
 def _alarms_section(found: MonitoringRun) -> Section:
     windows, rows = found.table, []
     for alarm in found.alarms:
-        since, size = alarm_words(alarm)
         last = windows.loc[alarm.last]
         until = f"{last['end']:g}" + ("" if last["record"] == alarm.record else f" of {last['record']}")
-        rows.append(
-            (alarm.fault, since, size, alarm.record, f"{alarm.time:g}", until, f"{alarm.last - alarm.first + 1}")
-        )
-    heads = ("what", "since", "size", "record", "alarm (s)", "to (s)", "windows")
+        onset, size = alarm_words(alarm)
+        row = (alarm.fault, onset, size_at_alarm(alarm, found), size, alarm.record, f"{alarm.time:g}", until)
+        rows.append((*row, f"{alarm.last - alarm.first + 1}"))
+    heads = ("cause", "onset", "size at alarm", "current size", "recording", "alarm (s)", "until (s)", "windows")
     columns = {head: [row[k] for row in rows] for k, head in enumerate(heads)}
-    return Section("alarms", "Alarms", table=table_of(columns, heads[:4]))
+    return Section("alarms", "Alarms", table=table_of(columns, heads[:5]))
 
 
 def _windows_section(found: MonitoringRun) -> Section:
-    numbers, frame, rows, before = ("first", "least", "greatest"), found.table, [], ""
+    numbers, frame, rows, before = ("first", "minimum", "maximum"), found.table, [], ""
     columns = [(fault, name) for fault, sizes in found.sizes.items() for name in sizes]
     for fault, name in [*columns, *(("", name) for name in found.common)]:
         values, std = frame[name], frame[f"{name}.std"].tolist()
         cells = [rounded(float(each), std[-1]) for each in (values.iloc[0], values.min(), values.max())]
-        last = with_std(float(values.iloc[-1]), std[-1]) if math.isfinite(std[-1]) else "not determined"
+        last = with_std(float(values.iloc[-1]), std[-1]) if math.isfinite(std[-1]) else "unknown"
         said = (fault if fault != before else "", name.removeprefix(f"{fault}."))
         rows.append((*said, *cells, last, unit_text(found.units.get(name))))
         before = fault
@@ -168,9 +225,9 @@ def _timeline(found: MonitoringRun, fault: str) -> ChartGrid:
     x, few = Axis(text, reach=reach, linked="time"), len(clock) <= LIMITS.bars
     ground = _grounds(found.alarms, clock, half, borders)
     charts = []
-    hover = (("time", "@x{0.000}"), ("estimate", "@y{0.000000}"), ("record", "@record"))
+    hover = (("time", "@x{0.000}"), ("estimate", "@y{0.000000}"), ("recording", "@record"))
     for name, (value, low, high) in estimates.items():
-        said, layers = "estimate, with its interval of 95 %", list(ground)
+        said, layers = "estimate, with 95 % interval", list(ground)
         data: Data = {"x": thin, "y": value[kept], "record": of}
         if few:
             ends: Data = {"x0": thin, "y0": low[kept], "x1": thin, "y1": high[kept]}
@@ -224,4 +281,4 @@ def clock_of(table: pd.DataFrame) -> tuple[Floats, list[float], str]:
         border = float(end[k - 1] + shift[k - 1])
         shift[k:] = border - min(0.0, start[k])
         borders.append(border)
-    return middle + shift, borders, "time over all records (s)"
+    return middle + shift, borders, "time over all recordings (s)"

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
 
 import numpy as np
 
@@ -13,52 +13,51 @@ from fmuid.reports.document import Document, Message, Remark, Section, Table, To
 from fmuid.reports.topics.fit import CONSTANT, Band, fit_sections
 from fmuid.reports.topics.residual_analysis import residual_section, residual_words
 from fmuid.reports.topics.study_notes import source_words
-from fmuid.reports.topics.termination import ENDS
 from fmuid.runs import PredictionRun
 
-LEAST_RATIO = 1.25
-"""Residuals that are larger than expected by this factor are an error of the model rather than chance."""
+MAX_RATIO = 1.25
+"""RMSE over expected RMSE; a larger ratio is an error of the model."""
 CAPTION = (
-    "Dots were measured, the line is simulated with the values of the result; the residual is below. "
-    "In the band a new measurement is expected, by the noise and by how well the parameters are known: about as many "
-    "dots lie in it as its level says, where the model carries over."
+    "Dots: measured. Line: simulated with the values of the result. Below: residual. The band is where a new "
+    "measurement is expected, from noise and uncertainty of the parameters."
 )
 
 
 class PredictionMessage(Message):
-    """How good predictions are."""
+    """Quality of predictions."""
 
     SEEN = (
-        "The result was made from {names}: this is no prediction",
-        "the fit says nothing of other records",
-        "give a file that it has not seen",
+        "The result was estimated from {names}; this is no validation.",
+        "the fit to estimation data says nothing about other data",
+        "Predict data that the result was not estimated from.",
     )
     SOURCE = ("{words}", "see earlier results")
     OPEN = (
-        "{score}; the result was not made from such an output, so nothing says how large the residual should be",
-        "a new sensor",
+        "{record}: {output} predicted ({size}); its expected RMSE is unknown.",
+        "the result was not estimated from such an output",
     )
-    AS_EXPECTED = ("{score}, as noise and estimates let expect ({expected}): {band}", "the model carries over")
+    AS_EXPECTED = (
+        "{record}: {output} predicted as expected ({size}).",
+        "noise and uncertainty of the parameters explain the residual",
+    )
     WORSE = (
-        "{score}, {times} times what noise and estimates let expect ({expected}): {band}; the record shows an error of "
-        "the model, or the machine has changed",
-        "larger by more than a quarter than it should be",
+        "{record}: {output} predicted {times} × worse than expected ({size}).",
+        "the RMSE is more than 1.25 × its expected value: model error, or the machine has changed",
+        "Compare the residual with the inputs, or estimate with both data files.",
     )
-    UNDETERMINED = ("The result leaves {names} undetermined: the band is that of the noise alone", "it is too narrow")
-    AGAIN = ("Estimated again on {record}: {values}", "what `--refit` names, on this record")
-    AGAIN_ENDED = (
-        "Estimated again on this record, {names}: {end}",
-        "the search for what `--refit` names did not end well",
+    COVERAGE = (
+        "{record}: {inside} of {samples} samples of {output} are in the {level} band.",
+        "close to the level of the band if the model holds for these data",
     )
-    FOLDS_OPEN = ("Nothing says how large the residuals should be", "cross-validation of an output that is new")
-    FOLDS = (
-        "Left out in turn, the experiments are predicted as noise and estimates let expect ({times} times)",
-        "cross-validation",
-    )
+    UNDETERMINED = ("{names} not identifiable: the band contains noise only.", "the band is too narrow")
+    REFITTED = ("{record}: estimated again: {values}.", "parameters of `--refit`, estimated from these data")
+    REFIT_ENDED = ("Not converged: {names} on {record} ({end}).", "the optimization of `--refit` did not converge")
+    FOLDS_OPEN = ("Cross-validation: expected RMSE unknown.", "the output has no noise level in the result")
+    FOLDS = ("Cross-validation: experiments predicted as expected ({times} ×).", "largest RMSE over expected RMSE")
     FOLDS_WORSE = (
-        "Left out in turn, experiments are predicted up to {times} times worse than noise and estimates let expect: "
-        "what is identified from the others does not carry over to all of them",
-        "cross-validation",
+        "Cross-validation: experiments predicted up to {times} × worse than expected.",
+        "estimates from the other experiments do not hold for all of them",
+        "Check the model and the operating points of the experiments.",
     )
 
 
@@ -66,9 +65,9 @@ def prediction_document(found: PredictionRun) -> Document:
     """Return the document of predictions."""
     predictions = found.predictions
     ratios = [score.ratio for each in predictions for score in each.scores if math.isfinite(score.ratio)]
-    good = all(ratio <= LEAST_RATIO for ratio in ratios)
+    good = all(ratio <= MAX_RATIO for ratio in ratios)
     seen = bool(found.seen)
-    state = "seen before" if seen else "predicted" if not ratios else "carries over" if good else "worse than expected"
+    state = "no validation" if seen else "predicted" if not ratios else "as expected" if good else "worse than expected"
     tone: Tone = "good" if good and not seen else "bad"
     said = [PredictionMessage.SOURCE.said("doubt", words=source_words(each)) for each in found.notes]
     said += [PredictionMessage.SEEN.said("doubt", names=listed(found.seen))] if seen else []
@@ -76,7 +75,7 @@ def prediction_document(found: PredictionRun) -> Document:
     said += [fold_remark(predictions)] if found.folds else []
     series = tuple(one for each in predictions for one in each.residuals.series)
     sections = (
-        Section("scores", "Predicted against measured", table=_scores(predictions)),
+        Section("scores", "Predicted and measured", table=_scores(predictions)),
         *prediction_fits(found),
         residual_section([each.fit for each in predictions], ResidualAnalysis(series, {}).correlations),
     )
@@ -97,38 +96,40 @@ def prediction_fits(found: PredictionRun) -> list[Section]:
 
 def prediction_remarks(found: Prediction) -> list[Remark]:
     """Return the remarks on a prediction, its errors first."""
-    said = [_score_remark(found, score) for score in found.scores]
+    record = found.fit.experiment
+
+    def said(message: PredictionMessage, tone: Tone = "plain", **values: object) -> Remark:
+        return message.said(tone, "prediction", (record,), record=record, **values)
+
+    remarks = [each for score in found.scores for each in _score_remarks(found, score, said)]
     if found.undetermined:
-        said.append(PredictionMessage.UNDETERMINED.said("plain", "prediction", names=listed(found.undetermined)))
-    again = found.estimated
-    if again is not None:
+        remarks.append(said(PredictionMessage.UNDETERMINED, names=listed(found.undetermined)))
+    if (again := found.estimated) is not None:
         triples = zip(again.names, again.values.tolist(), again.std.tolist(), strict=True)
         values = ", ".join(f"{name} = {with_std(value, std)}" for name, value, std in triples)
-        said.append(PredictionMessage.AGAIN.said("plain", "prediction", record=found.fit.experiment, values=values))
+        remarks.append(said(PredictionMessage.REFITTED, values=values))
         if not again.converged:
-            end = {"names": listed(again.names), "end": ENDS[again.outcome]}
-            said.append(PredictionMessage.AGAIN_ENDED.said("doubt", "prediction", (), **end))
+            end = {"names": listed(again.names), "end": again.outcome.value.replace("_", " ")}
+            remarks.append(said(PredictionMessage.REFIT_ENDED, "doubt", **end))
     units = dict(zip(found.fit.outputs, found.fit.units, strict=True))
-    return [*said, *(Remark(text, "plain", "residuals") for text in residual_words(found.residuals, units))]
+    return [*remarks, *(Remark(text, "plain", "residuals") for text in residual_words(found.residuals, units))]
 
 
-def _score_remark(found: Prediction, score: OutputScore) -> Remark:
-    said, error = f"{score.output} in {found.fit.experiment} is predicted", with_unit(score.rmse, score.unit)
-    if math.isnan(score.fit):
-        said += f" with an RMSE of {error} ({CONSTANT})"
-    else:
-        said += f" with a fit of {score.fit:.4g} % (RMSE {error})"
-    how = ("plain", "prediction", (score.output,))
+def _score_remarks(found: Prediction, score: OutputScore, said: Callable[..., Remark]) -> Iterator[Remark]:
+    """Yield the size of a residual, and the samples in the band."""
+    fit = f"fit {fit_text(score.fit)}, " if math.isfinite(score.fit) else ""
+    constant = "" if fit else f"; {CONSTANT}"
+    size = f"{fit}RMSE {with_unit(score.rmse, score.unit)}{constant}"
     if math.isnan(score.expected):
-        return PredictionMessage.OPEN.said(*how, score=said)  # type: ignore[arg-type]
-    values = {
-        "score": said,
-        "expected": with_unit(score.expected, score.unit),
-        "band": f"{100 * score.inside:.3g} % of {score.samples} samples lie in the {100 * found.level:.4g} % band",
-    }
-    if score.ratio <= LEAST_RATIO:
-        return PredictionMessage.AS_EXPECTED.said(*how, **values)  # type: ignore[arg-type]
-    return PredictionMessage.WORSE.said(*how, **values, times=two_digits(score.ratio))  # type: ignore[arg-type]
+        yield said(PredictionMessage.OPEN, output=score.output, size=size)
+        return
+    if score.ratio <= MAX_RATIO:
+        yield said(PredictionMessage.AS_EXPECTED, output=score.output, size=size)
+    else:
+        size += f", expected {with_unit(score.expected, score.unit)}"
+        yield said(PredictionMessage.WORSE, "doubt", output=score.output, size=size, times=two_digits(score.ratio))
+    inside, level = f"{100 * score.inside:.3g} %", f"{100 * found.level:.4g} %"
+    yield said(PredictionMessage.COVERAGE, output=score.output, inside=inside, samples=score.samples, level=level)
 
 
 def fold_remark(predictions: Sequence[Prediction]) -> Remark:
@@ -137,17 +138,17 @@ def fold_remark(predictions: Sequence[Prediction]) -> Remark:
     if not ratios:
         return PredictionMessage.FOLDS_OPEN.said("plain", "prediction")
     worst = max(ratios)
-    how = PredictionMessage.FOLDS if worst <= LEAST_RATIO else PredictionMessage.FOLDS_WORSE
+    how = PredictionMessage.FOLDS if worst <= MAX_RATIO else PredictionMessage.FOLDS_WORSE
     return how.said("plain", "prediction", times=two_digits(worst))
 
 
 def _scores(predictions: Sequence[Prediction]) -> Table:
-    heads = ("record", "output", "RMSE", "fit", "expected", "ratio", "in the band", "mean", "samples")
+    heads = ("experiment", "output", "RMSE", "fit", "expected RMSE", "ratio", "in band", "mean", "samples")
     rows = []
     for each in predictions:
         for score in each.scores:
             known = not math.isnan(score.expected)
-            expected = f"{score.expected:.4g}" if known else "not known"
+            expected = f"{score.expected:.4g}" if known else "unknown"
             ratio = f"{score.ratio:.3g}" if math.isfinite(score.ratio) else ""
             cells = [each.fit.experiment, score.output, f"{score.rmse:.4g} {unit_text(score.unit)}".strip()]
             cells += [fit_text(score.fit), expected, ratio, f"{100 * score.inside:.3g} %" if known else ""]

@@ -7,25 +7,51 @@ import signal
 from collections.abc import Sequence
 from textwrap import shorten
 
-from fmuid.reports.document import Document, Section, Tone, table_of
+from fmuid.reports.document import Document, Message, Section, Tone, table_of
 from fmuid.reports.topics.solver_check import run_words
 from fmuid.simulation import TIME_LIMIT, Binary, Check, InterfaceTest, Stage, Subject, Tool, Validation
 
-# Remarks of one check on a terminal, and letters of each: FMPy lists all variables of a model in one.
-TERMINAL_REMARKS, REMARK_LENGTH = 5, 300
+MAX_REMARKS, MAX_LETTERS = 5, 300
+"""Remarks of a check on a terminal, and letters of each; FMPy lists all variables in one."""
 
-_DOING = {
-    Stage.START: "was starting",
-    Stage.INSTANTIATION: "was being loaded and instantiated",
-    Stage.SIMULATION: "was being simulated",
-    Stage.REPETITION: "was being simulated a second time",
-    Stage.END: "was being freed",
+_STAGES = {
+    Stage.START: "at the start",
+    Stage.INSTANTIATION: "during instantiation",
+    Stage.SIMULATION: "during the simulation",
+    Stage.REPETITION: "during the second simulation",
+    Stage.END: "when freed",
 }
-LICENCE = "; get a licence of the tool that made it, or export it with one that needs none to run"
+
+
+class ValidationMessage(Message):
+    """Results of the checks of an FMU."""
+
+    STANDARD = ("conforms to the standard (FMPy)", "the model description has no errors")
+    REPEATABLE = ("second simulation: same outputs", "the FMU keeps nothing between simulations")
+    NOT_REPEATABLE = (
+        "second simulation: different outputs",
+        "the FMU keeps data between simulations: with process isolation each simulation has a new process",
+        "Export the FMU again without static variables.",
+    )
+    NEEDS_TOOL = (
+        "runs only with {tool} on this machine ({interfaces})",
+        "the FMU calls the tool that exported it",
+        "Export it as a standalone FMU.",
+    )
+    SIMULATED = ("{run}{span}: {samples} samples, {outputs}{seconds}", "a short simulation without inputs")
+    TIMED_OUT = ("stopped after {limit:g} s {stage}", "the FMU hangs")
+    CRASHED = ("{how} {stage}", "a fault of the FMU's compiled code")
+    LICENSE = (
+        "{error}; check the tool's license",
+        "the FMU needs the license of the tool that exported it",
+        "Get a license, or export the FMU with a tool that needs none.",
+    )
+
+
 _PLAIN = {
-    (Subject.DESCRIPTION, "ok"): "keeps the standard, as FMPy checks it",
-    (Subject.RESET, "ok"): "a second simulation gives the same outputs",
-    (Subject.RESET, "failed"): "a second simulation gives other outputs than the first",
+    (Subject.DESCRIPTION, "ok"): ValidationMessage.STANDARD,
+    (Subject.RESET, "ok"): ValidationMessage.REPEATABLE,
+    (Subject.RESET, "failed"): ValidationMessage.NOT_REPEATABLE,
 }
 
 
@@ -33,21 +59,23 @@ def check_words(check: Check) -> list[str]:
     """Return the results of a check, one sentence each."""
     said = [_evidence_words(check.subject, each) for each in check.evidence]
     plain = _PLAIN.get((check.subject, check.result))
-    return said or ([plain] if plain else [])
+    return said or ([plain.text] if plain else [])
 
 
 def _evidence_words(subject: Subject, evidence: Tool | Binary | InterfaceTest | str) -> str:
     match evidence:
         case Tool():
             interfaces = ", ".join(evidence.interfaces)
-            return f"runs only with {evidence.name or 'the tool that made it'} on this machine ({interfaces})"
+            tool = evidence.name or "the tool that exported it"
+            return ValidationMessage.NEEDS_TOOL.text.format(tool=tool, interfaces=interfaces)
         case Binary():
             return evidence.library + (f"; also for {', '.join(evidence.others)}" if evidence.others else "")
         case InterfaceTest() if subject is Subject.SIMULATION:
             return _simulation_words(evidence)
         case InterfaceTest():
             said = _trouble_words(evidence)
-            return said + LICENCE if re.search(r"licen[cs]", said, re.IGNORECASE) else said
+            licensed = re.search(r"licen[cs]", said, re.IGNORECASE)
+            return ValidationMessage.LICENSE.text.format(error=said) if licensed else said
         case _:
             return evidence
 
@@ -58,43 +86,47 @@ def _simulation_words(trial: InterfaceTest) -> str:
     span = f"{report.start:g} to {report.stop:g} s{part}"
     if not report.simulated:
         return f"{span}: {_trouble_words(trial)}"
-    run = "" if report.run is None else f"{run_words(report.run)}, "
-    seen = f"outputs finite ({report.outputs})" if report.outputs else "no outputs to look at"
     duration = f"{report.seconds:.2g} s" if report.seconds >= 0.1 else f"{1e3 * report.seconds:.2g} ms"
-    took = f", in {duration}" if report.repeated else ""
-    return f"{run}{span}: {report.samples} samples, {seen}{took}"
+    return ValidationMessage.SIMULATED.text.format(
+        run="" if report.run is None else f"{run_words(report.run)}, ",
+        span=span,
+        samples=report.samples,
+        outputs=f"{report.outputs} outputs finite" if report.outputs else "no outputs",
+        seconds=f", in {duration}" if report.repeated else "",
+    )
 
 
 def _trouble_words(trial: InterfaceTest) -> str:
-    doing = f"while it {_DOING[trial.report.doing]}"
+    stage = _STAGES[trial.report.doing]
     if trial.code is None:
-        return f"did not end within {trial.limit:g} s {doing}"
+        return ValidationMessage.TIMED_OUT.text.format(limit=trial.limit, stage=stage)
     if not trial.code:
         return trial.report.error
     try:
         how = f"crashed with {signal.Signals(-trial.code).name}"
     except ValueError:
-        how = f"ended its process with code {trial.code}"
-    return how + (f' (its last words: "{trial.last_words}")' if trial.last_words else "") + f" {doing}"
+        how = f"exited with code {trial.code}"
+    how += f' (last output: "{trial.last_words}")' if trial.last_words else ""
+    return ValidationMessage.CRASHED.text.format(how=how, stage=stage)
 
 
 def binary_notes(checks: Sequence[Check]) -> list[str]:
     """Return missing binaries and the simulations that follow."""
     notes = dict.fromkeys(text for check in checks if check.result == "failed" for text in check_words(check))
     if any(check.result != "failed" for check in checks):
-        notes[f"simulating each interface; one that does not end is stopped after {TIME_LIMIT:g} s"] = None
+        notes[f"simulating each interface (at most {TIME_LIMIT:g} s)"] = None
     return list(notes)
 
 
 def validation_document(found: Validation, *, terminal: bool = False) -> Document:
-    """Return the checks of an FMU; a terminal gets the first remarks of each, shortened."""
+    """Return the checks of an FMU, remarks shortened for a terminal."""
     remarks = []
     for check in found.checks:
         said = check_words(check)
         if terminal:
-            more = len(said) - TERMINAL_REMARKS
-            said = [shorten(text, REMARK_LENGTH, placeholder=" …") for text in said[:TERMINAL_REMARKS]]
-            said += [f"and {more} more; all of them: fmuid validate FMU | less"] if more > 0 else []
+            more = len(said) - MAX_REMARKS
+            said = [shorten(text, MAX_LETTERS, placeholder=" …") for text in said[:MAX_REMARKS]]
+            said += [f"{more} more; all: fmuid validate FMU | less"] if more > 0 else []
         remarks.append("\n".join(said))
     columns = {"check": [e.name for e in found.checks], "result": [e.result for e in found.checks], "remark": remarks}
     failed, warned = found.count("failed"), found.count("warning")

@@ -36,7 +36,7 @@ def test_design(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert list(found["excitation"]) == ["square", "constant"]
     assert found["worst"].is_monotonic_increasing
     assert "square" in capsys.readouterr().out
-    assert "square is the best of 2 excitations" in (folder / "out" / "report.html").read_text(encoding="utf-8")
+    assert "square, best of 2 excitations" in (folder / "out" / "report.html").read_text(encoding="utf-8")
 
 
 def test_what_healthy_records_cost_the_best_excitation(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -47,16 +47,16 @@ def test_what_healthy_records_cost_the_best_excitation(folder: Path, capsys: pyt
     square = fmuid.diagnosis.planned_experiment(pd.read_csv(folder / "square.csv"), ["u"], ["i"])
     cost = design_of(fmuid.Study.read(study), "turns").cost(square, [1.0])
     (size,), (times,) = cost["turns.dR"], cost["turns.dR.times"]
-    assert "in lengths of square" in said
-    assert f"as long as the test the smallest size found is {times:.3g} times that with an endless one" in said
+    assert "as long as square" in said
+    assert f"detectable size is {times:.3g} × its limit" in said
     assert f"{size:.4g}" in said and f"{times:.4g}" in said
 
 
 def test_the_length_of_a_healthy_record_that_is_enough_is_said() -> None:
     cost = pd.DataFrame({"healthy": [1.0, 3.0, 10.0], "a": 1.0, "a.times": [1.4, 1.2, 1.05], "b": np.inf})
     found = [each.text for each in healthy_record_remarks(cost.assign(**{"b.times": np.nan}))]
-    assert found[0].endswith("is 1.4 times that with an endless one; with one 10 times as long, 1.05 times")
-    assert found[1] == "b: this excitation does not show it, however long the healthy record is"
+    assert found[0].endswith("is 1.4 × its limit; with 10 × longer healthy data, 1.05 ×.")
+    assert found[1] == "b: not detectable with this excitation."
 
 
 @pytest.mark.parametrize(

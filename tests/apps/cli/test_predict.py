@@ -34,7 +34,7 @@ def test_records_are_predicted(made: Path, tmp_path: Path, capsys: pytest.Captur
     assert fmuid_("predict", made / "results", *tables, *words, "--figures", "png") == DONE
     out, error = capsys.readouterr()
     assert error == ""
-    for word in ("second", "third", "RMSE", "in the band", "Estimated again on third: i_start = 0.2", "prediction.csv"):
+    for word in ("second", "third", "RMSE", "in band", "third: estimated again: i_start = 0.2", "prediction.csv"):
         assert word in out
     content = json.loads((tmp_path / "prediction.json").read_text())
     names = ("results/result.json", "second.csv", "third.csv")
@@ -64,8 +64,8 @@ def test_predict_constant_output_gives_rmse(made: Path, tmp_path: Path, capsys: 
     words = ("-o", tmp_path / "out", "--no-isolation")
     assert fmuid_("predict", made / "results", tmp_path / "still.csv", *words) == DONE
     out = " ".join(capsys.readouterr().out.split())
-    assert "i in still is predicted with an RMSE of " in out
-    assert "(constant as measured: no fit)" in out
+    assert "still: i predicted" in out
+    assert "constant as measured: no fit" in out
     content = json.loads((tmp_path / "out" / "prediction.json").read_text())
     assert content["predictions"][0]["scores"][0]["fit"] is None
     assert pd.read_csv(tmp_path / "out" / "scores.csv")["fit"].isna().all()
@@ -78,7 +78,7 @@ def test_the_record_of_the_result_is_no_prediction(
 ) -> None:
     assert fmuid_("predict", made / "results", made / "first.csv", "-o", tmp_path, "--no-isolation") == DONE
     out, error = capsys.readouterr()
-    assert "The result was made from first: this is no prediction" in " ".join(out.split())
+    assert "The result was estimated from first; this is no validation." in " ".join(out.split())
     assert not error
     content = json.loads((tmp_path / "prediction.json").read_text())
     page = (tmp_path / "report.html").read_text()
@@ -88,9 +88,9 @@ def test_the_record_of_the_result_is_no_prediction(
     identified = json.loads((made / "results" / "result.json").read_text())
     rmse = json.loads((tmp_path / "prediction.json").read_text())["predictions"][0]["scores"][0]["rmse"]
     assert rmse**2 == pytest.approx(identified["fit"]["noise_variance"]["i"] * 598 / 600, rel=1e-3)
-    assert "as noise and estimates let expect" in out
+    assert "predicted as expected" in out
     page = (tmp_path / "report.html").read_text(encoding="utf-8")
-    assert "The result was made from first: this is no prediction" in page
+    assert "The result was estimated from first; this is no validation." in page
     assert "carries over</span>" not in page
 
 
@@ -104,9 +104,9 @@ def test_folds(made: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -
     code = fmuid_("predict", made / "results", "--folds", "2", *with_both, "-o", tmp_path, "--no-isolation")
     assert code == DONE
     out = capsys.readouterr().out
-    assert "Left out in turn" in " ".join(out.split())
+    assert "Cross-validation" in " ".join(out.split())
     page = (tmp_path / "report.html").read_text(encoding="utf-8")
-    for part in ("Predicted: first", "Predicted: second", "Left out in turn", "i in second is predicted with a fit of"):
+    for part in ("Predicted: first", "Predicted: second", "Cross-validation", "second: i predicted"):
         assert part in page
     folds = json.loads((tmp_path / "prediction.json").read_text())["folds"]
     assert [fold["left_out"] for fold in folds] == [["first"], ["second"]]
@@ -115,7 +115,7 @@ def test_folds(made: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -
 def test_from_python(made: Path) -> None:
     found = run_prediction(made / "results", [made / "second.csv"], free=["i_start"])
     assert found.predictions[0].scores[0].ratio == pytest.approx(1.0, abs=0.1)
-    assert any("is predicted with a fit of" in words for words in (each.text for each in document(found).remarks))
+    assert any("i predicted as expected" in words for words in (each.text for each in document(found).remarks))
 
 
 @pytest.mark.parametrize(

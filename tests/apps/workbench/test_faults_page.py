@@ -80,14 +80,14 @@ def test_a_diagnosis_is_begun_and_a_folder_is_followed(tmp_path: Path) -> None:
     page.run.look()
     assert page.run.job.code == NOT_SUCCEEDED  # a fault
     assert "turns" in text(page.shown)
-    assert "What may be new" in text(page.shown)
+    assert "Causes" in text(page.shown)
 
     elsewhere = threading.Thread(target=run_monitoring, args=(study, [tmp_path / "records"], tmp_path / "results"))
     elsewhere.start()
     elsewhere.join(PATIENCE)
     page.shown.look()
     assert "Monitoring" in text(page.shown)
-    assert "alarm at" in text(page.shown)
-    assert "What may be new" in text(page.shown)
+    assert "ALARM" in text(page.shown)
+    assert "Causes" in text(page.shown)
     found = run_diagnosis(study).diagnosis
     assert found.kind in text(page.shown)

@@ -43,7 +43,7 @@ def test_tables_are_shown_as_they_are_read(page: NewPage) -> None:
     assert page.run.buttons[0].disabled
     page.tables.value = ["bench.csv"]
     assert "600 samples" in page.said.text
-    assert "the only one of its quantity" in page.said.text
+    assert "only column of this quantity" in page.said.text
     assert "time,U_soll,strom" in page.said.text  # of the file
     assert set(page.maps) == {"u", "i"}
     assert not page.run.buttons[0].disabled
@@ -72,7 +72,7 @@ def test_the_beginning_of_a_file_is_decoded_as_it_is_read(
 def test_columns_are_chosen(page: NewPage) -> None:
     page.tables.value = ["bench.csv"]
     page.maps["i"].value = "(none)"
-    assert "no column is the output i" in page.said.text
+    assert "no column for the output i" in page.said.text
     assert page.words() == ["init", "coil.fmu", "bench.csv", "--output", "study.toml", "--map", "i="]
     page.maps["i"].value = "strom"
     page.maps["u"].value = "U_soll"

@@ -100,7 +100,7 @@ def test_a_simulation_that_is_wrong_for_all(tmp_path: Path) -> None:
     assert (found["finer"] == 1).all()
     assert (np.abs(found["value.k"] - truth) < 4.0 * found["std.k"]).all()
     assert same(found, frame_of(CaseRunner(study), [2, 0, 1]))
-    assert any("3 of them were searched by a finer" in sentence for sentence in summary_words(summarize(found)))
+    assert any("refined in 3 cases" in sentence for sentence in summary_words(summarize(found)))
 
 
 @pytest.mark.slow

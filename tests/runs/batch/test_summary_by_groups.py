@@ -28,9 +28,9 @@ def test_groups_of_a_sweep() -> None:
     both = (EstimateWarning.BIASED, EstimateWarning.COVERAGE_OFF)
     assert doubts(summary.groups, "R") == [both, (), both]
     words = " ".join(summary_words(summary))
-    assert "R depends on what is set: its mean goes from" in words
+    assert "R depends on the settings: mean" in words
     assert "(M = 0.4)" in words
-    assert "R: it is biased in 2 of 3 groups" in words
+    assert "R: biased in 2 of 3 groups" in words
     assert "L depends" not in words
 
 
@@ -50,7 +50,7 @@ def test_settings_of_many_levels_are_no_groups() -> None:
     summary = summarize(frame)
     assert summary.groups.empty
     assert summary_words(summary)[0].startswith("R varies ")
-    assert summary_words(summary)[0].endswith("over what is set")
+    assert summary_words(summary)[0].endswith("over the settings.")
 
 
 def test_a_parameter_that_is_held_in_some_cases() -> None:
@@ -69,7 +69,7 @@ def test_one_estimate_a_data_set() -> None:
     assert estimates(frame, given_noise=True)["value.R"].tolist() == [2.0, 2.0]
     summary = summarize(frame, TRUTH)
     assert (summary.cases, summary.data_sets, row(summary, "R")["cases"]) == (20, 2, 2)
-    assert "of each of the 2 data sets the one that fits best is counted" in " ".join(summary_words(summary))
+    assert "the best of all starting points for each of 2 data sets" in " ".join(summary_words(summary))
 
 
 def test_optima() -> None:
@@ -84,7 +84,7 @@ def test_optima() -> None:
     # σ is twice as large where σ² is four times
     np.testing.assert_allclose(table["residual"], [1.0, 2.0], rtol=1e-12)
     assert table["R"].tolist() == [4.1, 2.0]
-    assert "Of 19 searches that converged, 6 ended at another optimum than the best" in summary_words(summary)
+    assert "6 of 19 converged cases found another optimum than the best." in summary_words(summary)
 
 
 def test_optima_of_different_settings_have_no_common_values() -> None:
@@ -96,7 +96,7 @@ def test_optima_of_different_settings_have_no_common_values() -> None:
 
 def test_all_starts_lead_to_one_optimum() -> None:
     frame = batch({"start.R": np.linspace(1, 9, 5)}, spread=1e-6)
-    assert "All 5 searches that converged ended at the same optimum" in summary_words(summarize(frame))
+    assert "All 5 converged cases found the same optimum." in summary_words(summarize(frame))
 
 
 def test_optima_that_fit_equally_well() -> None:

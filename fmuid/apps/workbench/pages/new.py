@@ -173,7 +173,7 @@ def _record(record: MatchedDataFile, folder: Folder) -> str:
     read = table(table_of(columns, columns))
     file = "\n".join(first_lines(record.path, 2 * ROWS))[:CHARACTERS]
     file = details("The beginning of the file", file) if file else ""
-    said = "".join(f"<li>{escaped(each)}</li>" for each in remarks(record))
+    said = "".join(f"<li>{escaped(each.text)}</li>" for each in remarks(record))
     doubts = f"<ul class=doubts>{said}</ul>" if said else ""
     title = escaped(heading(record, folder.name(record.path)))
     return f"<h3>{title}</h3>{taken}{doubts}<p class=soft>As it is read, time in s:</p>{read}{file}"
