@@ -97,7 +97,7 @@ elsewhere("it crashes, or hangs", "tests.simulation.test_validation:test_a_hang_
 def _library(_: Path, __: pytest.CaptureFixture[str]) -> None:
     told = _missing_library(fmuid.FMU(COIL), "libgfortran.so.3: cannot open shared object file: No such file")
     assert told is not None
-    assert "needs the shared library libgfortran.so.3, which is not on this machine; install what provides it" in told
+    assert "needs the shared library libgfortran.so.3, which is missing here" in told
 
 
 @row("it is slow")
@@ -111,7 +111,7 @@ def _slow(_: Path, __: pytest.CaptureFixture[str]) -> None:
 def _not_listed(folder: Path, _: pytest.CaptureFixture[str]) -> None:
     fmu = write_fmu(folder / "Motor.fmu", FMI2)
     table = pd.DataFrame({"time": [0.0, 1.0], "u": 1.0, "i": 1.0})
-    with pytest.raises(InputError, match=r"'tau' cannot be set: .* fixes it \(causality 'calculatedParameter'"):
+    with pytest.raises(InputError, match=r"'tau' cannot be set \(causality 'calculatedParameter'"):
         Simulator(fmu, Experiment(table, ["u"], ["i"]), ["tau"])
 
 

@@ -28,7 +28,7 @@ PROCESS = 59  # that ran the FMU came to an end, or was ended: none of the core'
 REPORT = 7
 """Words of the report of a simulation: failure (-1 without), component, status, sample, state; time and step as reals.
 
-What a failure leaves open is -1, or not a number.
+Unknown words are -1 or NaN.
 """
 UNDONE, DONE_WELL = -2, -1  # the status in a report of a simulation that is not over, or that nothing ended early
 OK, WARNING, DISCARD, ERROR = range(4)  # statuses of the FMI; after an ERROR a reset is allowed

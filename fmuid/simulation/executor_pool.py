@@ -119,7 +119,7 @@ def _executor(system: System, told: set[str]) -> Executor:
             if not concurrent and system.can_be_repeated and processes > 1:
                 return MultiProcessExecutor(system.components, processes, system.isolation, told)
             return IsolatedExecutor(system.components, limit, system.isolation, told)
-        _log.warning("FMUs run inside fmuid's own process: processes of their own need Linux or macOS")
+        _log.warning("FMUs run inside fmuid's process: process isolation needs Linux or macOS")
     from fmuid.simulation.executor import InProcessExecutor  # and with it the core
 
     return InProcessExecutor(system.components, limit, told)

@@ -42,9 +42,9 @@ _TYPES = {
 # The flags of cvode/cvode.h that an FMU can cause.
 _CVODE_WORDS = {
     -1: " (too many steps)",
-    -2: " (more accuracy asked for than the numbers have)",
-    -3: " (the error test fails again and again)",
-    -4: " (its corrector does not converge)",
+    -2: " (tolerance below rounding)",
+    -3: " (repeated error test failures)",
+    -4: " (corrector does not converge)",
     -6: " (no Jacobian)",
     -7: " (the Jacobian is singular)",
 }
@@ -66,7 +66,7 @@ def describe(
     state: str = "",
     at: tuple[float, float] = (0, 0),
 ) -> str:
-    """Return a failure as a sentence, with a remedy if there is one.
+    """Describe a failure, with its remedy if known.
 
     `failure` and `status` are from the report; `integrator` is empty for Co-Simulation.
     `state` is to blame; `at` is the time and the last solver step, s.
@@ -77,32 +77,29 @@ def describe(
         said = f"fmi{version}{STATUS_WORDS[status]}" if known else f"the illegal status {status}"
         return f"fmi{version}{name} returned {said}{_hint(failure, status)}"
     time, step = at
-    smaller = "give a smaller step_size" if integrator == "rk4" else "give a step_size or another tolerance"
+    smaller = "Give a smaller step_size" if integrator == "rk4" else "Give a step_size or another tolerance"
     return {
-        codes.SENSITIVITIES: "the FMU gives no directional derivatives of its outputs",
+        codes.SENSITIVITIES: "the FMU has no directional derivatives of its outputs",
         codes.ENDED: "the FMU ended the simulation",
-        codes.OUT_OF_RANGE: "a value is not within the range of the type of its variable",
-        codes.STUCK: f"fmi{version}DoStep returns early again and again without getting on",
-        codes.ENDLESS_EVENT: "an event does not come to rest in 100 iterations of its discrete states; the model has "
-        "to be mended",
-        codes.ENDLESS_ROUNDS: "events of connected components cause one another without end (20 rounds at one time); "
-        "give one of them a hysteresis or a delay",
-        codes.TOO_MANY_EVENTS: "there are more than 10000 events between two samples: the model chatters; give it a "
-        "hysteresis, or more samples",
-        codes.TOO_MANY_STEPS: f"integrator {integrator} needs more than most_steps between two samples (it got to "
-        f't = {time:.9g} s with steps of {step:.2g} s); choose solver = "cvode" or a larger tolerance',
-        codes.STEP_TOO_SMALL: f"integrator {integrator} finds no step short enough for its tolerance at "
-        f"t = {time:.9g} s (the last one {step:.2g} s; state {state} errs most): the model has a "
-        'discontinuity without an event, or is stiff; choose solver = "cvode" or a larger tolerance',
-        codes.STATE_NOT_FINITE: f"state {state} or its derivative is not a finite number; {smaller}, or keep the "
-        "parameters within bounds where the model has a meaning",
-        codes.STIFF: f'integrator rk45 finds the model stiff at t = {time:.9g} s; choose solver = "cvode"',
-        codes.CVODE_FAILED: f"CVODE gives up at t = {time:.9g} s with flag {status}{_CVODE_WORDS.get(status, '')}; "
+        codes.OUT_OF_RANGE: "a value is out of range for the type of its variable",
+        codes.STUCK: f"fmi{version}DoStep returns early repeatedly, without progress",
+        codes.ENDLESS_EVENT: "an event does not settle in 100 iterations of its discrete states. Correct the model",
+        codes.ENDLESS_ROUNDS: "events of connected components trigger each other endlessly (20 rounds at one time). "
+        "Add a hysteresis or a delay to one of them",
+        codes.TOO_MANY_EVENTS: "more than 10000 events between two samples: the model chatters. Add a hysteresis",
+        codes.TOO_MANY_STEPS: f"solver {integrator} needs more than max_solver_steps between two samples (at "
+        f't = {time:.9g} s, steps of {step:.2g} s). Choose solver = "cvode" or a larger tolerance',
+        codes.STEP_TOO_SMALL: f"solver {integrator} cannot meet its tolerance at t = {time:.9g} s "
+        f"(state {state}, step {step:.2g} s). The model is stiff or has a discontinuity without event: "
+        'choose solver = "cvode" or a larger tolerance',
+        codes.STATE_NOT_FINITE: f"state {state} or its derivative is not finite. {smaller}, or add bounds to the "
+        "parameters",
+        codes.STIFF: f'the model is stiff for solver rk45 at t = {time:.9g} s. Choose solver = "cvode"',
+        codes.CVODE_FAILED: f"CVODE fails at t = {time:.9g} s with flag {status}{_CVODE_WORDS.get(status, '')}. "
         f'{smaller}, or choose solver = "rk45"',
-        codes.JUMP_UNKNOWN: "an event changes the states or their derivatives, and directional derivatives do not tell "
-        "how the sensitivities change",
-        codes.JUMP_REFUSED: "the sensitivities cannot be carried through an event: the states only touch its "
-        "threshold, or it is none for parameters that differ a little",
+        codes.JUMP_UNKNOWN: "an event changes states or their derivatives; directional derivatives do not show the "
+        "change of sensitivities",
+        codes.JUMP_REFUSED: "sensitivities are undefined at an event: the states only touch its threshold",
         codes.CANCELLED: "it was cancelled",
     }[failure]
 
@@ -111,5 +108,5 @@ def _hint(failure: int, status: int) -> str:
     if status != codes.DISCARD:
         return ""
     if failure in (codes.SET_STATES, codes.GET_DERIVATIVES, codes.GET_INDICATORS):
-        return ", however small the step"
+        return ", also with the smallest steps"
     return " (the FMU cannot go on from here)" if failure == codes.DO_STEP else ""

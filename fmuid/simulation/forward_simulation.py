@@ -56,9 +56,7 @@ class SensitivitySimulation:
         with executor.lock:
             executor.run(job)
             if job.reports[0, 0] == codes.SENSITIVITIES:
-                raise SensitivityUnavailableError(
-                    "the FMU gives no directional derivatives of its outputs by parameters"
-                )
+                raise SensitivityUnavailableError("the FMU has no directional derivatives of its outputs")
             error = executor.failure(job, {})
         if error is not None:
             raise SensitivityUnavailableError(f"from t = {error.time:g} s on, {error.call}")
@@ -127,7 +125,7 @@ def initial_states(simulation: GridSimulation, executor: Executor, thetas: Float
 
 
 def twin_simulation(simulator: Simulator) -> SensitivitySimulation:
-    """Return the simulation of N twins with one changed parameter each, and the model.
+    """Return the simulation of the model and one twin per parameter.
 
     Its parameters and outputs are those of all components in turn.
     """

@@ -48,8 +48,8 @@ class Instance:
         interface = fmu.description.interfaces[kind]
         if interface.once_per_process and fmu.digest in _spent:
             raise InputError(
-                f"{fmu.path} can be instantiated only once in a process, and was; share one fmuid.System between "
-                f"simulators, or run the next one in another process"
+                f"{fmu.path}: it can be instantiated only once in a process. Share one fmuid.System between "
+                f"simulators, or use process isolation."
             )
         self.fmu, self.kind, self.name = fmu, kind, name
         self.version = fmu.description.major_version
@@ -72,7 +72,7 @@ class Instance:
             if isinstance(error, InputError):
                 raise
             raise InputError(
-                _missing_library(fmu, str(error)) or f"{fmu.path} cannot be instantiated: {error}"
+                _missing_library(fmu, str(error)) or f"{fmu.path}: instantiation failed: {error}"
             ) from error
         _spent.add(fmu.digest)
         living = self._function("FreeInstance", c_void_p), self.handle, self._log
@@ -105,7 +105,7 @@ class Instance:
         if handle:
             return handle
         told = "; ".join(text for _, text in self.messages)
-        raise OSError("it gives no instance" + (f' (the FMU says: "{told}")' if told else ""))
+        raise OSError("it returns no instance" + (f' (FMU: "{told}")' if told else ""))
 
     def _function(self, name: str, *takes: Any, result: Any = None) -> Any:
         return ctypes.CFUNCTYPE(result, *takes)(self.required(name))
@@ -132,7 +132,7 @@ class Instance:
         """Return the address of an FMI function; an `InputError` without it."""
         found = self.address(name)
         if not found:
-            raise InputError(f"{self.fmu.path}: its binary lacks the function fmi{self.version}{name}, which is needed")
+            raise InputError(f"{self.fmu.path}: its binary lacks the required function fmi{self.version}{name}")
         return found
 
     def set_logging(self, on: bool) -> None:
@@ -172,8 +172,8 @@ def _missing_library(fmu: FMU, error: str) -> str | None:
     if not found:
         return None
     return (
-        f"{fmu.path} cannot be loaded: its binary needs the shared library {found[1]}, which is not on this machine; "
-        f"install what provides it, or export the FMU with its libraries inside"
+        f"{fmu.path}: its binary needs the shared library {found[1]}, which is missing here. "
+        f"Install it, or export the FMU with its libraries."
     )
 
 

@@ -4,7 +4,7 @@ Many tools declare canBeInstantiatedOnlyOncePerProcess wrongly or not at all (FM
 FMUs that declare it, or of tools known to be safe (`in_threads`).
 
 Of any other FMU one instance at a time works in a process (`InstanceLock`). Its two interfaces never live there
-together, and none is freed while another lives: OpenModelica's allocator, error hooks and thread-local pointers are
+together, and none is freed while another lives. OpenModelica's allocator, error hooks and thread-local pointers are
 global to a library. Freeing one instance frees the memory of all; a plain C program with two threads crashes too.
 """
 
@@ -77,7 +77,7 @@ _residents: dict[str, InstanceRegistry] = {}
 
 
 def residents(fmu: FMU, kind: str) -> InstanceRegistry | None:
-    """Return the registry of an FMU that must be kept apart, or None."""
+    """Return the registry of an FMU kept apart, or None."""
     if in_threads(fmu.description, kind) or fmu.description.interfaces[kind].once_per_process:
         return None
     with _counting:
@@ -93,9 +93,8 @@ class InstanceLock:
             there = residents(fmu, kind)
             if there is not None and found.setdefault(fmu.digest, (there, kind))[1] != kind:
                 raise InputError(
-                    f"{fmu.path} is used by co-simulation and by model exchange at once, which an FMU of "
-                    f"{fmu.description.generation_tool or 'unknown make'} may not survive in one process; give its "
-                    f"components one interface"
+                    f"{fmu.path}: Co-Simulation and Model Exchange in one process can crash FMUs of "
+                    f"{fmu.description.generation_tool or 'an unknown tool'}. Give its components one interface."
                 )
         self._held = [found[digest] for digest in sorted(found)]  # always in this order, so that nobody waits for ever
 

@@ -59,7 +59,7 @@ class PlanBuilder:
         return [slots[name] for name in names]
 
     def _allot(self, name: str) -> dict[str, int]:
-        """Return new signals of a variable, or of all elements of its array."""
+        """Return new signals of a variable or all its elements."""
         elements, first = self.task.elements(name), len(self.signals)
         self.signals += [self.task.start(element) for element in elements]
         return {element: first + i for i, element in enumerate(elements)}
@@ -196,7 +196,7 @@ STEP_TOLERANCE = 1e-3
 
 
 def grid_of(task: SimulationTask) -> TimeGrid:
-    """Return the grid of a task, or an `InputError` of an FMU's steps.
+    """Return the grid of a task; an `InputError` if steps must be equal.
 
     Inputs that are linear between samples get `LINEAR_SUBSTEPS` if their FMU cannot interpolate.
     """
@@ -227,8 +227,8 @@ def _check_steps(task: SimulationTask, steps: Floats) -> None:
         interface = model.fmu.description.interfaces[model.kind]
         if model.kind == "co-simulation" and not interface.variable_step:
             raise InputError(
-                f"{model.fmu.path.name} needs communication steps of one length, and {task.experiment.source} "
-                f"is sampled irregularly ({taken.min():g} s to {taken.max():g} s); resample the table"
+                f"{task.experiment.source}: {model.fmu.path.name} needs equal communication steps, but sampling "
+                f"intervals are {taken.min():g} s to {taken.max():g} s. Resample the data."
             )
 
 

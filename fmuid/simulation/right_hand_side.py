@@ -77,9 +77,10 @@ class RightHandSide:
         return cls(simulator, system)
 
     def __call__(self, states: Floats, thetas: Floats) -> tuple[Floats, Floats]:
-        """Return derivatives (m, P, n_x) and outputs (m, P, n_y) at states (P, n_x).
+        """Return derivatives (m, P, n_x) and outputs (m, P, n_y).
 
-        P = 2 (K − 1) points: begin and end of each interval. Failures are NaN. Outputs are in units of the data file.
+        States are (P, n_x), P = 2 (K − 1) points: begin and end of each interval. Failures are NaN. Outputs are in
+        units of the data file.
         """
         simulation = GridSimulation(self._plan, self._grid._replace(states=np.ascontiguousarray(states)), self._names)
         executor, count = executor_of(self._system), len(self.states)
@@ -106,7 +107,9 @@ class RightHandSide:
         return slopes, states, np.vstack([outputs[::2], outputs[-1:]])
 
     def secants(self, theta: Floats) -> tuple[Floats, Floats]:
-        """Return A = ∂f/∂x (n_x, n_x) and C = ∂y/∂x (n_y, n_x) at the beginning.
+        """Return A = ∂f/∂x (n_x, n_x) and C = ∂y/∂x (n_y, n_x).
+
+        Values at the beginning.
 
         Both are differences over the states' nominals, in units of these. Outputs are in units of the data file.
         """
@@ -114,7 +117,7 @@ class RightHandSide:
         return (derivatives - base[:, None]) / self.nominals[:, None], slopes
 
     def _secants(self, theta: Floats) -> tuple[Floats, Floats, Floats, Floats, Floats]:
-        """Return initial states, their f and y, and f and Δy of moved states."""
+        """Return initial states, f, y, and f, Δy of moved states."""
         initial = self.initial(theta[None])
         states = np.zeros(len(self.states)) if initial is None else initial[0]
         points = len(self._grid.times)

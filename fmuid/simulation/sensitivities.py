@@ -51,9 +51,7 @@ class FmuSensitivities:
     def __init__(self, simulator: Simulator) -> None:
         system, experiment = simulator.system, simulator.experiment
         if len(system.components) > 1:
-            raise InputError(
-                'sensitivity = "fmu" goes with a single FMU: coupled ones change each other; use "finite-difference"'
-            )
+            raise InputError('jacobian: "fmu" needs a single FMU, not coupled ones. Use "finite-difference".')
         wanted = [
             " + ".join(f"sens.{p}.{term}" for term in system.terms(y))
             for p in simulator.parameters
@@ -62,8 +60,8 @@ class FmuSensitivities:
         for name in (term for each in wanted for term in system.terms(each)):
             if name not in system.variables:
                 raise InputError(
-                    f'{system.label} has no output {name!r}, the sensitivity that sensitivity = "fmu" needs; export '
-                    f'it with --sensitivities, or use "finite-difference"'
+                    f'{system.label}: jacobian = "fmu" needs the output {name!r}. Export '
+                    f'the FMU with --sensitivities, or use "finite-difference".'
                 )
         extended = extended_by(experiment, wanted)
         self._shape = len(simulator.parameters), len(experiment.output_names)
@@ -110,17 +108,13 @@ class ForwardSensitivities:
     def __init__(self, simulator: Simulator) -> None:
         components = list(simulator.system.components.values())
         if len(components) > 1:
-            raise InputError(
-                'sensitivity = "forward" goes with a single FMU: coupled ones change each other; '
-                'use "finite-difference"'
-            )
+            raise InputError('jacobian: "forward" needs a single FMU, not coupled ones. Use "finite-difference".')
         (model,) = components
         if model.kind != "model-exchange":
             offered = "model-exchange" in model.fmu.description.interfaces
-            remedy = 'give interface = "model-exchange", or ' if offered else ""
+            remedy = 'Set interface = "model-exchange", or use' if offered else "Use"
             raise InputError(
-                f'{model.fmu.path} runs as co-simulation, inside which sensitivity = "forward" cannot see; {remedy}'
-                f'use sensitivity = "finite-difference"'
+                f'{model.fmu.path}: jacobian = "forward" needs Model Exchange. {remedy} jacobian = "finite-difference".'
             )
         self._simulator, self._model = simulator, model
         variables = [simulator.system.variables[name] for name, *_ in simulator.targets]
@@ -205,7 +199,7 @@ class ForwardSensitivities:
     def _by_twins(self, values: Floats, magnitudes: Floats) -> Floats:
         if not self._simulator.system.can_be_repeated:
             name = self._model.fmu.path.name
-            raise SensitivityUnavailableError(f"{name} can be instantiated only once, and differences need twins of it")
+            raise SensitivityUnavailableError(f"{name} can be instantiated only once; twins need several instances")
         if self._twins is None:
             self._twins = twin_simulation(self._simulator)
         simulation, changed = self._twins, values + STEPS.twin * magnitudes

@@ -128,8 +128,8 @@ class TimeGrid(NamedTuple):
     """The experiment as `SampleGrid` of the core.
 
     Times (K,), substeps per interval (K-1,), substeps per component's step (n_components,), inputs (K, n_u), slopes of
-    cubic inputs. A single Model Exchange component may get `states` (K, n_x) instead of integration, or corrections
-    after each sample: `gain` (n_x, n_y) times `measured` (K, n_y) − outputs, except NaN.
+    cubic inputs. A single Model Exchange component may get `states` (K, n_x) instead of integration.
+    Or samples correct its states: `gain` (n_x, n_y) times `measured` (K, n_y) − outputs, except NaN.
     """
 
     times: Floats
@@ -188,7 +188,7 @@ class GridSimulation:
 
 @dataclass(frozen=True, eq=False)
 class SimulationJob:
-    """Thetas (m, N) to simulate, with memory for outputs (m, K, n_outputs) and reports (m, codes.REPORT)."""
+    """Thetas (m, N), outputs (m, K, n_outputs), reports (m, codes.REPORT)."""
 
     simulation: GridSimulation
     thetas: Floats

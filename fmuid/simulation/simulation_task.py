@@ -66,8 +66,8 @@ class SimulationTask:
             held = [element for element in elements if self.modes.get(element, mode) != mode]
             if held:
                 raise InputError(
-                    f"{held[0]!r} is held between the samples and {name!r} is not, and both are elements of one array "
-                    f"of {self.system.label}; give them one interpolation"
+                    f"{self.system.label}: {held[0]!r} and {name!r} are elements of one array with different "
+                    f"interpolation. Give them the same."
                 )
             rows |= dict.fromkeys(elements)
         return list(rows)
@@ -104,7 +104,7 @@ def task_of(
     """Return the task of a system and an experiment, its variables checked."""
     check_roles(system, experiment, parameters, values)
     if step_size is not None and not (isinstance(step_size, int | float) and step_size > 0):
-        raise InputError(f"step_size must be a positive number of seconds, not {step_size!r}")
+        raise InputError(f"step_size: {step_size!r} is not a positive number of seconds")
     targets = _targets(system, experiment)
     modes = {name: _mode(system, name, bool(experiment.held[each.column])) for name, each in targets.items()}
     applied: dict[str, Value] = {
@@ -127,7 +127,7 @@ def _targets(system: System, experiment: Experiment) -> dict[str, InputTarget]:
     for column, given in enumerate(experiment.input_names):
         for name, factor, offset in system.targets(given):
             if name in found:
-                raise InputError(f"{experiment.source} feeds {name!r} twice, through {given!r} too; keep one")
+                raise InputError(f"{experiment.source}: {name!r} has two inputs, {given!r} is one. Remove one.")
             found[name] = InputTarget(column, factor, offset)
     return found
 

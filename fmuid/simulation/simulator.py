@@ -91,12 +91,12 @@ class Simulator:
     ) -> None:
         self.system = System.of(model, Numerics(interface, integrator, tolerance), isolation)
         check_kind(experiment, Experiment, NO_EXPERIMENT)
-        check_kind(values or {}, Mapping, "values must be a mapping of variables to what they are held at")
+        check_kind(values or {}, Mapping, "values must be a mapping of variables to fixed values")
         self.experiment = experiment
         self.parameters = tuple(parameters)
         repeated = {name for name in self.parameters if self.parameters.count(name) > 1}
         if repeated:
-            raise InputError(f"parameter {sorted(repeated)[0]!r} is given twice")
+            raise InputError(f"parameter {sorted(repeated)[0]!r} is listed twice")
         self._values, self._divisor = dict(values or {}), divisor
         self._tolerance: float | None = None
         self.targets = tuple(
@@ -192,11 +192,10 @@ class Simulator:
         given = np.ascontiguousarray(thetas, dtype=np.float64)
         if given.ndim != 2 or given.shape[1] != len(self.parameters):
             raise InputError(
-                f"theta must have {len(self.parameters)} values (one each for {self._names}); "
-                f"its shape is {given.shape}"
+                f"theta must have {len(self.parameters)} values ({self._names}), not the shape {given.shape}"
             )
         if not np.isfinite(given).all():
-            raise InputError(f"theta must be finite; one of the values for {self._names} is not")
+            raise InputError(f"theta must be finite ({self._names})")
         job = self._simulation.job(self.target_values(given))
         with self._executor.lock:
             self._executor.run(job)
@@ -204,7 +203,7 @@ class Simulator:
         return Simulations(self.in_table_units(job.outputs), errors)
 
     def in_table_units(self, outputs: Floats) -> Floats:
-        """Convert FMU outputs (m, K, n_outputs) to the data file's units, in place."""
+        """Convert outputs (m, K, n_outputs) to the data file's units, in place."""
         for j, (factor, offset) in self._conversions.items():
             outputs[:, :, j] = factor * outputs[:, :, j] + offset
         return outputs
@@ -273,7 +272,7 @@ class Simulator:
 
     @property
     def output_factors(self) -> Floats:
-        """Change of each output in the data file per unit of the FMU (n_outputs,)."""
+        """Factors of outputs from FMU to data file (n_outputs,)."""
         return np.array([self._conversions.get(j, (1.0, 0.0))[0] for j in range(len(self.output_names))])
 
     @property

@@ -77,7 +77,7 @@ class SmokeReport:
 
 
 def default_times(description: Description, kind: str, share: float = 1.0) -> tuple[np.ndarray, float | None]:
-    """Return samples (K,) of a trial and its communication step or None, s.
+    """Return samples (K,) of a trial and its communication step, s.
 
     The `share` of the default experiment is simulated, else `DURATION`. Co-Simulation keeps its step size if given.
     """
@@ -99,7 +99,7 @@ def attempt(path: Path, kind: str, share: float, target: Path) -> SmokeReport:
         try:
             _run(report, FMU(path), kind, share, target)
         except SimulationError as error:
-            said = f'; the FMU says: "{" / ".join(error.messages)}"' if error.messages else ""
+            said = f'; FMU: "{" / ".join(error.messages)}"' if error.messages else ""
             report.error = f"failed at t = {error.time:.6g} s: {error.call}{said}"
         except FmuidError as error:
             report.error = str(error)

@@ -71,7 +71,7 @@ class Integrator:
         twins: Sequence[Integrator] = (),
     ) -> None:
         if not 0.0 < given.tolerance < 1.0:  # `Numerics` has checked the other settings
-            raise InputError(f"tolerance = {given.tolerance:g} must lie between 0 and 1")
+            raise InputError(f"tolerance: {given.tolerance:g} is outside (0, 1)")
         sensitivities = given.sensitivities
         self.curves: Floats = np.zeros((len(given.input_starts), 4))
         self.curves[:, 0] = given.input_starts
@@ -136,8 +136,7 @@ def sundials_table() -> ctypes.Structure:
         from fmpy.sundials import libraries
     except Exception as error:  # FMPy lets through what the loader raises: OSError, AttributeError, its own
         raise InputError(
-            f'solver = "cvode" has no library for this platform ({error}); '
-            'choose solver = "rk45", or "rk4" with a step_size'
+            f'solver: "cvode" has no library for this platform ({error}). Choose "rk45", or "rk4" with a step_size.'
         ) from error
     return _table_of(libraries)
 

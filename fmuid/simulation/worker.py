@@ -143,8 +143,7 @@ class SimulationThread:
         self.close(fatal)
         if self._index == 0 and self.renewal is Renewal.INSTANCE:
             _log.warning(
-                "%s: a reset does not bring it back to its beginning, so it is instantiated anew for every "
-                "simulation, which is slow and, for some FMUs, fails after a thousand times",
+                "%s: its reset does not work; each simulation uses a new instance, which is slow",
                 labels(self._components),
                 extra={"no_reset": True},
             )
@@ -183,8 +182,8 @@ class SimulationThread:
             at = float(simulation.grid.times[max(sample, 0)])
             if function == codes.LOOP:
                 loop = simulation.plan.loops[component]
-                what = f"the loop of direct feed-through through {loop.words} ({len(loop.signals)} unknowns) has no "
-                return SimulationError(labels(self._components), at, parameters, what + "solution that is found", [])
+                what = f"no solution found for the algebraic loop {loop.words} ({len(loop.signals)} unknowns)"
+                return SimulationError(labels(self._components), at, parameters, what, [])
             said = _last_words(self._instances[component]) if self._instances else []
             what = self._describe(simulation, report)
             return SimulationError(label(*list(self._components.items())[component]), at, parameters, what, said)
@@ -241,13 +240,12 @@ class SimulationThread:
         """Refuse a second simulation in a process that allows one (InputError)."""
         if self.renewal is not Renewal.PROCESS or not self._spent:
             return
-        why = "it declares that a process may instantiate it only once"
+        why = "it declares one instance per process"
         if self._can_be_replaced:
-            why = "not even a new instance does: it keeps something outside its instances"
+            why = "it keeps data outside its instances"
         raise InputError(
-            f"{labels(self._components)} can be simulated only once in a process: a reset does not bring it back to "
-            f"its beginning, and {why}; run it isolated (isolation=fmuid.Isolation(), the default of commands), or "
-            "export it with a reset that works"
+            f"{labels(self._components)}: its reset does not work and {why}, so only one simulation is possible. "
+            "Use process isolation (isolation=fmuid.Isolation()), or export the FMU with a working reset."
         )
 
     def _prepare(self) -> None:

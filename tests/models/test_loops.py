@@ -168,6 +168,6 @@ def test_events_that_cause_each_other_without_end_fail(curved: Path, tmp_path: P
         assert simulator([gain])[:, 0].tolist() == [0.0, 0.0, 1.0]
         return
     with pytest.raises(
-        SimulationError, match=r"[ab] \(.*\) failed at t = 2 s.*cause one another without end.*hysteresis"
+        SimulationError, match=r"[ab] \(.*\) failed at t = 2 s.*trigger each other endlessly.*hysteresis"
     ):
         simulator([gain])

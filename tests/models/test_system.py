@@ -59,7 +59,7 @@ def test_a_loop_of_feedthrough_without_a_solution_fails_by_name(probe: ProbeMake
     path = probe()
     system = System(components={"a": path, "b": path}, connections=[("a.y", "b.u"), ("b.y", "a.u")])
     frame = pd.DataFrame({"time": [0.0, 1.0], "x": [0.0, 0.0]})
-    with pytest.raises(SimulationError, match=r"loop of direct feed-through through .*a\.u.* has no solution"):
+    with pytest.raises(SimulationError, match=r"no solution found for the algebraic loop .*a\.u"):
         Simulator(system, Experiment(frame, outputs={"a.x": "x"}), ["a.x"])([1.0])
 
 
@@ -90,9 +90,9 @@ def test_wrong_connections_are_one_sentence(
 def test_a_connected_input_cannot_come_from_the_table_or_be_a_parameter(probe: ProbeMaker) -> None:
     system = System(components={"a": probe(), "b": probe()}, connections=[("a.y", "b.u")])
     frame = pd.DataFrame({"time": [0.0, 1.0], "u": [3.0, 3.0], "y": [0.0, 0.0]})
-    with pytest.raises(InputError, match=r"'b\.u' is fed by a connection"):
+    with pytest.raises(InputError, match=r"'b\.u' has a connection"):
         Simulator(system, Experiment(frame, {"b.u": "u"}, {"b.y": "y"}))
-    with pytest.raises(InputError, match=r"'b\.u' is fed by a connection"):
+    with pytest.raises(InputError, match=r"'b\.u' has a connection"):
         Simulator(system, Experiment(frame, {"a.u": "u"}, {"b.y": "y"}), ["b.u"])
 
 

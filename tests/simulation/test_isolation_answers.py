@@ -65,7 +65,7 @@ def test_a_fork_that_comes_back_costs_none(folder: Path, where: Where) -> None:
 
 def test_a_forged_message_costs_one_simulation(folder: Path) -> None:
     """What was simulated until then is in the memory that both sides share."""
-    words = "it wrote into the connection of its process with fmuid"
+    words = "it corrupted the connection to its process"
     check_costs_only_its_own(misbehaving_fmu(folder), thetas(Mode.FORGE), words, Isolation(time_limit=600.0))
 
 
@@ -85,7 +85,7 @@ def test_an_fmu_that_stops_its_server_costs_none(folder: Path, monkeypatch: pyte
 @pytest.mark.slow
 def test_an_fmu_that_stops_its_process_costs_one_simulation(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("fmuid.processes.limits.STOPPED_SECONDS", 0.2)
-    words = "its process was stopped (SIGSTOP) and did not go on"
+    words = "its process was stopped (SIGSTOP) and did not continue"
     check_costs_only_its_own(misbehaving_fmu(folder), thetas(Mode.STOP), words, Isolation(time_limit=600.0))
 
 

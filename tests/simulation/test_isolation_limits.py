@@ -127,9 +127,9 @@ def test_what_the_system_refuses_this_process_is_one_sentence(folder: Path, monk
     [
         (
             HostExitError(REFUSED, errno.ENOMEM),
-            "the system refused its process what it needs to go on (Cannot allocate memory)",
+            "its process lacks system resources (Cannot allocate memory)",
         ),
-        (HostExitError(REFUSED, 0), "the system refused its process what it needs to go on"),
+        (HostExitError(REFUSED, 0), "its process lacks system resources"),
     ],
 )
 def test_words_of_an_end(end: HostExitError, words: str) -> None:
@@ -137,7 +137,7 @@ def test_words_of_an_end(end: HostExitError, words: str) -> None:
 
 
 def test_what_is_written_into_the_connection_is_told(folder: Path) -> None:
-    words = "it wrote into the connection of its process with fmuid"
+    words = "it corrupted the connection to its process"
     check_costs_only_its_own(misbehaving_fmu(folder), thetas(Mode.GARBLE), words, Isolation(time_limit=600.0))
 
 

@@ -295,7 +295,7 @@ def test_a_host_that_never_begins(folder: Path, monkeypatch: pytest.MonkeyPatch)
 
     simulator = Simulator(misbehaving_fmu(folder), RECORD, NAMES, isolation=Isolation(threads=1))
     monkeypatch.setattr(FmuHost, "order", order)
-    with pytest.raises(FmuidError, match=r"^the process that is to run .* ends again and again before it has begun$"):
+    with pytest.raises(FmuidError, match=r"its process ends repeatedly"):
         simulator([2.0, 0.5, 0.0])
 
 
@@ -303,7 +303,7 @@ def test_simulations_that_were_cancelled_are_not_taken_up(folder: Path) -> None:
     simulator = Simulator(misbehaving_fmu(folder), RECORD, NAMES, isolation=Isolation(threads=1))
     executor: Any = executor_of(simulator.system)
     executor.cancel()
-    with pytest.raises(FmuidError, match=r"^the simulations of .*\.fmu were cancelled$"):
+    with pytest.raises(FmuidError, match=r"\.fmu: simulations cancelled$"):
         executor._host()
 
 

@@ -51,7 +51,7 @@ def test_each_simulation_has_a_new_process(folder: Path, caplog: pytest.LogCaptu
             np.testing.assert_array_equal(simulator(thetas), expected)
             np.testing.assert_array_equal(simulator([1.0]), expected[0])
     (record,) = caplog.records
-    assert "keeps something outside its instances, so that a new process is started for" in record.getMessage()
+    assert "keeps data outside its instances; each simulation uses a new process" in record.getMessage()
 
 
 def test_identify_by_new_processes(folder: Path) -> None:
@@ -76,7 +76,7 @@ def test_one_simulation_in_a_process(folder: Path) -> None:
     """Without new processes it is refused, at once where several simulations were asked for."""
     path, sentence = (
         stepping_fmu(folder, LAG, order=4, memory=2 * MEMORY),
-        r"only once in a process.*outside its inst",
+        r"outside its instances, so only one simulation is possible",
     )
     with pytest.raises(InputError, match=sentence):
         Simulator(path, experiment(), ["k"])([[1.0], [2.0]])
@@ -89,7 +89,7 @@ def test_outputs_at_random_are_refused(folder: Path) -> None:
     path = stepping_fmu(folder, LAG, order=4, memory=MEMORY, seed="getpid()")
     with closing(System(path, isolation=Isolation())) as system:
         simulator = Simulator(system, experiment(), ["k"])
-        with pytest.raises(InputError, match=r"gives other outputs each time .* also in new processes"):
+        with pytest.raises(InputError, match=r"outputs differ between simulations .* also in new processes"):
             simulator([1.0])
 
 
@@ -97,4 +97,4 @@ def test_validate_says_so(folder: Path) -> None:
     found = validate(stepping_fmu(folder, LAG, order=4, memory=3 * MEMORY))
     (check,) = (each for each in found.checks if each.subject is Subject.RESET)
     assert check.result == "failed"
-    assert "it keeps something outside its instances" in check_words(check)[0]
+    assert "it keeps data outside its instances" in check_words(check)[0]

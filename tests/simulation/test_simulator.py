@@ -184,7 +184,7 @@ def test_an_fmu_whose_reset_keeps_something_is_instantiated_anew_and_the_user_to
     simulator = Simulator(probe("LEAKY_RESET"), experiment, ["gain"])
     for gains in ([[1.0]], [[2.0], [3.0], [4.0]], [[5.0]] * 9):
         assert simulator(gains)[:, :, 0].tolist() == [[0, g, 2 * g, 3 * g] for (g,) in gains]
-    assert sum("a reset does not bring it back" in record.getMessage() for record in caplog.records) == 1
+    assert sum("its reset does not work" in record.getMessage() for record in caplog.records) == 1
 
 
 def test_an_fmu_that_neither_resets_nor_can_be_replaced_is_simulated_once(
@@ -195,7 +195,7 @@ def test_an_fmu_that_neither_resets_nor_can_be_replaced_is_simulated_once(
     simulator = Simulator(probe("LEAKY_RESET", canBeInstantiatedOnlyOncePerProcess="true"), experiment, ["gain"])
     assert simulator([2.0])[:, 0].tolist() == [0, 2, 4, 6]
     for _ in range(2):
-        with pytest.raises(InputError, match=r"probe.*only once in a process: a reset does not .* export it with"):
+        with pytest.raises(InputError, match=r"probe.*only one simulation is possible.*working reset"):
             simulator([2.0])
     assert not caplog.records
 
@@ -294,7 +294,7 @@ def test_irregular_sampling_is_refused_where_the_fmu_needs_equal_steps(probe: Pr
     regular = Experiment(table(np.arange(5) * 0.1, x=np.zeros(5)), outputs=["x"])
     assert Simulator(path, regular)([]).shape == (5, 1)
     irregular = Experiment(table(np.array([0, 1.0, 2.5]), x=np.zeros(3)), outputs=["x"])
-    with pytest.raises(InputError, match="needs communication steps of one length"):
+    with pytest.raises(InputError, match="needs equal communication steps"):
         Simulator(path, irregular)
 
 
@@ -304,16 +304,16 @@ def test_irregular_sampling_is_refused_where_the_fmu_needs_equal_steps(probe: Pr
         ({"inputs": ["v"], "outputs": ["x"]}, "no input 'v'"),
         (
             {"inputs": ["gain"], "outputs": ["x"]},
-            "'gain' cannot be an input of .* as 'parameter'; its inputs are u, n, b",
+            "'gain' as 'parameter', not as input. Its inputs are u, n, b",
         ),
-        ({"inputs": ["u"], "outputs": ["gain"]}, "'gain' cannot be an output"),
+        ({"inputs": ["u"], "outputs": ["gain"]}, "'gain' as 'parameter', not as output"),
         ({"inputs": ["u"], "outputs": ["x"], "parameters": ["gian"]}, r"no parameter 'gian' \(did you mean 'gain'"),
         ({"inputs": ["u"], "outputs": ["x"], "parameters": ["twice"]}, "'twice' cannot be set"),
-        ({"inputs": ["u"], "outputs": ["x"], "parameters": ["word"]}, "only Real parameters"),
-        ({"inputs": ["u"], "outputs": ["x"], "parameters": ["u"]}, "'u' is an input from the table"),
+        ({"inputs": ["u"], "outputs": ["x"], "parameters": ["word"]}, "Only Real parameters"),
+        ({"inputs": ["u"], "outputs": ["x"], "parameters": ["u"]}, "'u' is an input of the table"),
         (
             {"inputs": ["u"], "outputs": ["x"], "parameters": ["gain"], "values": {"gain": 2.0}},
-            "both a parameter and held",
+            "both a parameter and fixed",
         ),
         ({"inputs": ["u"], "outputs": ["x"], "values": {"n": 1.5}}, "of type Integer"),
         ({"inputs": ["u"], "outputs": ["x"], "values": {"gain": True}}, "of type Real"),

@@ -204,7 +204,7 @@ def test_a_hang_is_ended(troubled: Path, monkeypatch: pytest.MonkeyPatch) -> Non
 def test_an_instance_that_cannot_be_reset(probe: ProbeMaker) -> None:
     checks = validate(probe("NO_RESET"))
     assert found(checks)["co-simulation: reset"] == "warning"
-    assert "instantiated anew" in remark(checks, "co-simulation: reset")
+    assert "its reset does not work" in remark(checks, "co-simulation: reset")
     assert "co-simulation: messages" not in found(checks)
 
 

@@ -163,7 +163,7 @@ def test_matrices_in_parameters_and_values(linear: Path) -> None:
         ("b", "[[1.0, 2.0]]", "'b' has 1 x 2 values and 2 in"),
         ("b", "[1.0, [2.0]]", r"\[model.fixed\] 'b': the value must be a number, a vector or a matrix with rows"),
         ("b", "[]", "'b': the value must be a number, a vector or a matrix"),
-        ("b", '[1.0, "x"]', r"'b\[2\]' is of type Real and cannot be held at 'x'"),
+        ("b", '[1.0, "x"]', r"'b\[2\]' is of type Real and cannot have the value 'x'"),
         ("s", "[0.4]", r"\[experiments.fixed\]\[0\] 's' has 1 values and 2 in"),
         ("a", "[[-1.5, 1.0]]", "parameters 'A' has 1 x 2 values and 2 x 2 in"),
         ("a", "[-1.5, 1.0, 2.0, 1.0]", "parameters 'A' has 4 values and 2 x 2 in"),

@@ -114,8 +114,8 @@ def test_wrong_groups(tmp_path: Path, u: Floats, groups: str, said: str, capsys:
     ("old", "new", "said"),
     [
         ("i_start = 0.5", "i_strt = 0.5", r"variable 'i_strt'|'i_strt'"),
-        ("i_start = 0.5", 'i_start = "x"', "'i_start' is of type Real and cannot be held at 'x'"),
-        ("i_start = 0.5", "L = 0.5", "'L' is both a parameter and held at a value"),
+        ("i_start = 0.5", 'i_start = "x"', "'i_start' is of type Real and cannot have the value 'x'"),
+        ("i_start = 0.5", "L = 0.5", "'L' is both a parameter and fixed at a value"),
         ("i_start = 0.5", "u = 0.5", "'u' is an input"),
         ("i_start = 0.5", "i_start = [1]", r"'i_start' has 1 values and is one number in"),
         ("i_start = 0.5", "i_start = { a = 1 }", r"\[experiments.fixed\] i_start must be a number, true"),

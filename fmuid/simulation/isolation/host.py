@@ -43,21 +43,21 @@ def end_words(end: HostExitError) -> str:
         return f"it ended its process with exit code {end.number}"
     if end.kind == REFUSED:
         why = f" ({os.strerror(end.number)})" if end.number else ""
-        return f"the system refused its process what it needs to go on{why}"
+        return f"its process lacks system resources{why}"
     if end.kind == GARBLED:
-        return "it wrote into the connection of its process with fmuid"
+        return "it corrupted the connection to its process"
     if end.kind == FAILED:
         return "code of fmuid failed in its process"
     if end.kind == STOPPED:
-        return "its process was stopped (SIGSTOP) and did not go on"
+        return "its process was stopped (SIGSTOP) and did not continue"
     if end.kind == HUNG:
         limit = f"{end.number / 1e3:.4g} s" if end.number else "the default time limit (isolation.time_limit)"
         return f"it did not end within {limit} and was stopped"
     if end.kind == GREW:
-        limit = f"{end.number} MB" if end.number else "the default share of the memory (isolation.memory_limit_mb)"
+        limit = f"{end.number} MB" if end.number else "the default memory limit (isolation.memory_limit_mb)"
         return f"its process took more than {limit} and was stopped"
     if end.kind == KILLED:
-        return f"its process was killed again and again with {end.signal_name}, from outside or for want of memory"
+        return f"its process was killed repeatedly with {end.signal_name}, from outside or for lack of memory"
     return f"its process crashed with {end.signal_name}"
 
 

@@ -104,13 +104,12 @@ class IsolatedExecutor:
             found.append(job.outputs)
         if not is_repeated(*found):
             raise InputError(
-                f"{self._labels} gives other outputs each time it is simulated with the same parameters, also in new "
-                "processes; export it without what is random in it"
+                f"{self._labels}: outputs differ between simulations with the same parameters, also in new "
+                "processes. Export it without random numbers."
             )
         if note_process(self._components.values()):
             _log.warning(
-                "%s: the FMU keeps something outside its instances, so that a new process is started for every "
-                "simulation, which is slow",
+                "%s: it keeps data outside its instances; each simulation uses a new process, which is slow",
                 self._labels,
             )
 
@@ -221,15 +220,13 @@ class IsolatedExecutor:
         try:
             host = self._keeper.host(self._begin)
         except HostExitError:
-            raise FmuidError(
-                f"the process that is to run {self._labels} ends again and again before it has begun"
-            ) from None
+            raise FmuidError(f"{self._labels}: its process ends repeatedly before the first simulation") from None
         self._check_cancelled()  # it could not be struck while it began
         return host
 
     def _check_cancelled(self) -> None:
         if self.cancelled:
-            raise FmuidError(f"the simulations of {self._labels} were cancelled")
+            raise FmuidError(f"{self._labels}: simulations cancelled")
 
     def _begin(self, host: FmuHost) -> None:
         for model in self._components.values():
@@ -270,8 +267,7 @@ class IsolatedExecutor:
     def _give_up_reset(self) -> None:
         self._renewal = Renewal.INSTANCE
         _log.warning(
-            "%s: a reset crashes it, so it is instantiated anew for every simulation, which is slow and, for some "
-            "FMUs, fails after a thousand times",
+            "%s: its reset crashes; each simulation uses a new instance, which is slow",
             self._labels,
         )
 

@@ -87,7 +87,7 @@ def compiler(target: str | None) -> list[str]:
         return [sys.executable, "-m", "ziglang", "cc", "-target", target]
     named = os.environ.get("CC") or shutil.which("cc") or shutil.which("gcc") or shutil.which("clang")
     if not named:
-        raise BuildError("there is no C compiler: install one of the package ziglang's, or name one in CC")
+        raise BuildError("No C compiler found: install the package ziglang, or set CC.")
     return shlex.split(named)
 
 
@@ -106,7 +106,7 @@ def build(output: Path, target: str | None, flags: tuple[str, ...] = FLAGS) -> P
         command = [*compiler(target), *flags, DEFINED, *map(str, sources()), *system, "-o", str(made)]
         done = subprocess.run(command, capture_output=True, text=True, check=False)
         if done.returncode:
-            raise BuildError(f"{shlex.join(command[:4])} fails to compile the core: {done.stderr.strip()[:2000]}")
+            raise BuildError(f"{shlex.join(command[:4])} fails: {done.stderr.strip()[:2000]}")
         made.replace(output)
     return output
 

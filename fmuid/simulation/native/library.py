@@ -42,13 +42,11 @@ def core() -> Any:
         try:
             library = ctypes.CDLL(str(path))
         except OSError as error:
-            raise InputError(f"fmuid's compiled core {path} cannot be loaded ({error}); install fmuid anew") from error
+            raise InputError(f"{path}: fmuid's compiled core cannot be loaded ({error}). Reinstall fmuid.") from error
         _declare(library)
         wrong = _difference(library)
         if wrong:
-            raise InputError(
-                f"fmuid's compiled core {path} is of another version than fmuid ({wrong}); install it anew"
-            )
+            raise InputError(f"{path}: fmuid's compiled core is of another version ({wrong}). Reinstall fmuid.")
         for name, structure in _structures(library).items():
             setattr(library, name, structure)
         return library
@@ -59,17 +57,15 @@ def _path() -> Path:
         found = list(build.HERE.glob("core-*"))
         if len(found) == 1:
             return found[0]
-        raise InputError(
-            f"fmuid's compiled core is missing in {build.HERE}; install fmuid from a wheel of this platform"
-        )
+        raise InputError(f"{build.HERE}: fmuid's compiled core is missing. Install a wheel of this platform.")
     path = build.HERE / build.library_name()
     if path.is_file():
         return path
-    _log.info("compiling the core, which has changed or was not compiled yet")
+    _log.info("compiling the core")
     try:
         return build.build_here()
     except (build.BuildError, OSError) as error:
-        raise InputError(f"fmuid's core is not compiled from the sources in {build.HERE}, and {error}") from error
+        raise InputError(f"{build.HERE}: fmuid's core must be compiled. {error}") from error
 
 
 def _declare(library: Any) -> None:
@@ -107,7 +103,7 @@ def _structures(library: Any) -> dict[str, type[Structure]]:
         name = place.structure.decode()
         made[name] = whole = type(name, (Structure,), {"_fields_": fields, "__slots__": ()})
         if offsets != [getattr(whole, field).offset for field, _ in fields] or ctypes.sizeof(whole) > place.size:
-            raise InputError(f"fmuid's compiled core lays {name} out in a way that ctypes does not; install it anew")
+            raise InputError(f"fmuid's compiled core has another layout of {name}. Reinstall fmuid.")
         fields, offsets = [], []
     return made
 

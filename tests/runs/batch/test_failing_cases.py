@@ -187,8 +187,8 @@ WRONG: list[tuple[dict[str, Any], str]] = [
     ({"sweep": {"i_start": {"from": 1.0, "to": 1.0, "count": 3}}}, "whose from and to differ"),
     ({"sweep": {"R": ["big"]}}, r'sweep.R: a parameter is held at numbers, not at "big"'),
     ({"sweep": {"i_stat": [1.0]}}, r"\[batch\] does not fit: Coil.fmu has no variable 'i_stat' \(did you mean"),
-    ({"sweep": {"i_start": ["big"]}}, "does not fit: 'i_start' is of type Real and cannot be held at 'big'"),
-    ({"sweep": {"u": [1.0]}}, "does not fit: 'u' is an input from .*table.csv; it cannot also be given a value"),
+    ({"sweep": {"i_start": ["big"]}}, "does not fit: 'i_start' is of type Real and cannot have the value 'big'"),
+    ({"sweep": {"u": [1.0]}}, "does not fit: 'u' is an input of .*table.csv and has a value"),
     (
         {"space_filling": {"ranges": {"L": [0.1, 0.2]}}},
         r"\[batch.space_filling\] needs the key 'points': how many",

@@ -88,7 +88,7 @@ def test_cases_that_spoil_the_connection_cost_no_others(tmp_path: Path, monkeypa
     modes: list[int] = [Mode.SOUND, Mode.FORGE, Mode.STOP_PARENT, Mode.SOUND]
     found = IsolatedCases(study_of(tmp_path, modes)).run(range(4))
     assert [outcome.row["status"] == "failed" for outcome in found] == [False, True, False, False]
-    assert "wrote into the connection" in str(found[1].row["message"])
+    assert "corrupted the connection" in str(found[1].row["message"])
     assert len({found[i].row["value.gain"] for i in (0, 2, 3)}) == 1
 
 

@@ -133,11 +133,11 @@ def test_sensitivities_of_the_fmu_serve_the_search(tmp_path: Path) -> None:
 
 def test_missing_sensitivities_are_one_sentence() -> None:
     experiment = Experiment(record(np.arange(5.0), u=0.0, i=0.0), ["u"], ["i"])
-    with pytest.raises(InputError, match=r"no output 'sens\.R\.i'.*--sensitivities"):
+    with pytest.raises(InputError, match=r"output 'sens\.R\.i'.*--sensitivities"):
         Problem(COIL, experiment, {"R": Parameter(start=4.0)}, sensitivity="fmu")
     with pytest.raises(InputError, match=r"sensitivity 'forwards' is not known.*'forward'"):
         Problem(COIL, experiment, {"R": Parameter(start=4.0)}, sensitivity="forwards")
     system = System(components={"a": COIL, "b": COIL})
     coupled = Experiment(record(np.arange(5.0), i=0.0), outputs={"a.i": "i"})
-    with pytest.raises(InputError, match="goes with a single FMU"):
+    with pytest.raises(InputError, match="needs a single FMU"):
         Problem(system, coupled, {"a.R": Parameter(start=4.0)}, sensitivity="fmu")

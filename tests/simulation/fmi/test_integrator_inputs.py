@@ -149,5 +149,5 @@ def test_an_array_of_inputs_of_which_one_varies(settings: dict[str, Any], tmp_pa
     found = Simulator(path, both, values={"p0": 1.0}, **settings)([])[:, 0]
     assert np.abs(found - coil_response(times, 2 * u, 1.0, 1.0, True)).max() < 1e-7
     mixed = Experiment(frame, {"u[1]": "u", "u[2]": "v"}, {"x0": "x"}, interpolation={"u[2]": "zoh"})
-    with pytest.raises(InputError, match=r"'u\[2\]' is held.*'u\[1\]' is not.*give them one interpolation"):
+    with pytest.raises(InputError, match=r"'u\[2\]' and 'u\[1\]' are elements of one array"):
         Simulator(path, mixed)

@@ -196,4 +196,4 @@ def test_stiffness_is_found(make: Maker) -> None:
     with pytest.raises(Failure) as failure:
         trial.advance(500.0)
     assert failure.value.args[0] == codes.STIFF
-    assert 'choose solver = "cvode"' in trial.describe()
+    assert 'Choose solver = "cvode"' in trial.describe()

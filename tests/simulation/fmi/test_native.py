@@ -78,17 +78,17 @@ def test_without_a_compiler_it_is_one_sentence(copied: Path, monkeypatch: pytest
     monkeypatch.setattr("importlib.util.find_spec", lambda _name: None)
     monkeypatch.setenv("PATH", "")
     monkeypatch.delenv("CC", raising=False)
-    with pytest.raises(InputError, match=r"core is not compiled from the sources in .*there is no C compiler: install"):
+    with pytest.raises(InputError, match=r"core must be compiled. No C compiler found"):
         library._path()
     monkeypatch.setenv("CC", f"{sys.executable} -c 'raise SystemExit(3)'")
-    with pytest.raises(InputError, match=r"fails to compile the core"):
+    with pytest.raises(InputError, match=r" fails: "):
         library._path()
     assert not list(copied.glob("core-*"))
 
 
 def test_a_missing_library_is_one_sentence(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(build, "HERE", tmp_path)
-    with pytest.raises(InputError, match=r"fmuid's compiled core is missing in .*; install fmuid"):
+    with pytest.raises(InputError, match=r"fmuid's compiled core is missing"):
         library._path()
 
 
@@ -128,7 +128,7 @@ def test_a_layout_that_ctypes_does_not_know_is_refused(field: str, place: int) -
             setattr(told[0 if field == "offset" else 1], field, place)
             return told
 
-    with pytest.raises(InputError, match=r"lays Made out in a way that ctypes does not; install it anew"):
+    with pytest.raises(InputError, match="another layout of Made"):
         library._structures(Library())
 
 
@@ -287,7 +287,7 @@ def test_a_simulation_is_cancelled_inside_its_integrator(tmp_path: Path, method:
 def test_a_value_that_the_type_of_its_variable_cannot_hold_is_said(probe: ProbeMaker, value: float) -> None:
     frame = pd.DataFrame({"time": TIMES, "n": [0.0, 1.0, 2.0, value, 0.0], "y": 0.0})
     simulator = Simulator(probe(), Experiment(frame, {"n": "n"}, {"ten_n": "y"}))
-    with pytest.raises(SimulationError, match=r"a value is not within the range of the type of its variable") as error:
+    with pytest.raises(SimulationError, match=r"a value is out of range") as error:
         simulator([])
     assert error.value.time == TIMES[3]
 
