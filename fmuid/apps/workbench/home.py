@@ -22,7 +22,7 @@ from fmuid.formatting import listed, visible
 _SERVED = {".html", ".csv", ".json", ".toml", ".txt", ".log", ".ssv", ".png", ".svg", ".pdf"}
 
 
-DONE = {"diagnosis": "diagnosed", "monitoring": "monitored", "batch": "run as a batch"}
+DONE = {"diagnosis": "diagnosed", "monitoring": "monitored", "batch": "batch run"}
 """States of studies by their kind of result."""
 
 
@@ -69,11 +69,11 @@ def badge(word: str, *, good: bool | None = None) -> str:
 def _studies(folder: Folder, studies: Sequence[FoundStudy], results: Sequence[FoundResult], running: set[Path]) -> str:
     if not studies:
         return (
-            "<section><h2>Studies</h2><p>There is no study here yet.</p>"
-            "<a class=go href=/new>Begin one from an FMU and tables</a></section>"
+            "<section><h2>Studies</h2><p>No study in this folder.</p>"
+            "<a class=go href=/new>New study from an FMU and data files</a></section>"
         )
     cards = "".join(_study(folder, each, results, running=each.path.resolve() in running) for each in studies)
-    new = "<section><h2>Another one</h2><a class=go href=/new>New study from an FMU and tables</a></section>"
+    new = "<section><h2>New study</h2><a class=go href=/new>Create from an FMU and data files</a></section>"
     return f'<h2 id="studies">Studies</h2><div class="grid">{cards}{new}</div>'
 
 
@@ -85,9 +85,9 @@ def _study(folder: Folder, study: FoundStudy, results: Sequence[FoundResult], *,
     own = sorted(filter(study.has_run, results), key=lambda each: each.path.stat().st_mtime)
     last = next((each for each in reversed(own) if each.kind == "identification"), own[-1] if own else None)
     state = badge("running") if running else badge("not run yet") if last is None else _state(last, study)
-    what = f"{len(study.parameters)} parameters, {len(study.tables)} table{'' if len(study.tables) == 1 else 's'}"
-    more = f"; also asks for {listed(study.asks)}" if study.asks else ""
-    study_page = f'<a class=go href="{address("study", folder, study.path)}">What-if and identify</a>'
+    what = f"{len(study.parameters)} parameters, {len(study.tables)} data file{'' if len(study.tables) == 1 else 's'}"
+    more = f"; also {listed(study.asks)}" if study.asks else ""
+    study_page = f'<a class=go href="{address("study", folder, study.path)}">Simulate and identify</a>'
     links = study_page if study.parameters else ""
     if "diagnosis" in study.asks:
         links += f'<a class=go href="{address("faults", folder, study.path)}">Faults</a>'
@@ -129,7 +129,7 @@ def _results(folder: Folder, results: Sequence[FoundResult]) -> str:
     if not results:
         return ""
     rows = "".join(_row(folder, each) for each in sorted(results, key=lambda each: -each.path.stat().st_mtime))
-    heads = "".join(f"<th>{each}</th>" for each in ("", "folder", "what", "state", "date", ""))
+    heads = "".join(f"<th>{each}</th>" for each in ("", "folder", "kind", "state", "date", ""))
     return (
         f'<section><h2>Results</h2><form action="/results"><div class=scroll><table><thead><tr>{heads}</tr></thead>'
         f"<tbody>{rows}</tbody></table></div><button>Side by side</button></form></section>"

@@ -24,9 +24,8 @@ RESULTS = {
     "batch.json": "batch",
 }
 """Kinds of results by their files."""
-# Deeper folders and more entries are skipped: a home directory is no folder of studies.
-DEEPEST, MOST_ENTRIES = 6, 20_000
-LARGEST_STUDY = 2**20  # bytes; larger files are no studies
+MAX_DEPTH, MAX_ENTRIES = 6, 20_000
+"""Depth and entries of the folder that are examined; a home directory has more."""
 
 
 @dataclass(frozen=True)
@@ -51,12 +50,12 @@ def read_json(path: Path) -> dict[str, Any]:
     except (OSError, ValueError, RecursionError) as error:
         raise InputError(f"{path} cannot be read: {error}") from None
     if not isinstance(content, dict):
-        raise InputError(f"{path} is not what fmuid writes: it is no JSON object")
+        raise InputError(f"{path} is not a file of fmuid: no JSON object")
     try:
         if path.name in _KINDS:
             from_json(_KINDS[path.name], content)
     except ContentError as error:
-        raise InputError(f"{path}: {error}. Run the command again that has written it.") from None
+        raise InputError(f"{path}: {error}. Run its command again.") from None
     return content
 
 
@@ -115,7 +114,7 @@ class FoundResult:
         given = origin.get("study") if isinstance(origin, dict) else content.get("study")
         file = given.get("file") if isinstance(given, dict) else given
         # files of a diagnosis have only the study's name: they may be moved
-        near = [each / file for each in path.parents[:DEEPEST]] if isinstance(file, str) and file else []
+        near = [each / file for each in path.parents[:MAX_DEPTH]] if isinstance(file, str) and file else []
         study = next((each.resolve() for each in near if is_file(each)), None)
         return cls(path, RESULTS[path.name], study, content, error)
 
@@ -130,7 +129,7 @@ class Folder:
 
     def __init__(self, root: Path) -> None:
         if not is_folder(root):
-            raise InputError(f"{root}: there is no such folder: give a study file, or a folder that has some")
+            raise InputError(f"{root}: folder not found. Give a study file, or a folder with studies.")
         self.root = root.resolve()
 
     def path(self, name: str) -> Path:
@@ -170,10 +169,10 @@ class Folder:
         seen, depth = 0, len(self.root.parts)
         for place, folders, files in os.walk(self.root):
             here = Path(place)
-            deep = len(here.parts) - depth >= DEEPEST
+            deep = len(here.parts) - depth >= MAX_DEPTH
             folders[:] = sorted(f for f in folders if not deep and not f.startswith(".") and f not in _NOT_OURS)
             seen += len(files) + len(folders)
-            if seen > MOST_ENTRIES:
+            if seen > MAX_ENTRIES:
                 return
             yield from (here / name for name in sorted(files) if name.lower().endswith(kinds))
 
@@ -205,7 +204,7 @@ _NOT_OURS = ("cases", "logs", "figures", "node_modules", "__pycache__")
 def read_study(path: Path) -> FoundStudy | None:
     """Return the study of a TOML file, None if it is none."""
     try:
-        if path.stat().st_size > LARGEST_STUDY:
+        if path.stat().st_size > 2**20:  # no study is as large
             return None
         data = read_toml(path)
     except (OSError, InputError) as error:

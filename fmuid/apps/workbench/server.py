@@ -43,7 +43,7 @@ class Workbench:
         try:
             self._sockets = bind_sockets(port, LOCAL)
         except OSError as error:
-            raise InputError(f"port {port} cannot be used ({error.strerror or error}): give a free --port") from None
+            raise InputError(f"port {port} cannot be used ({error.strerror or error}). Give a free --port.") from None
         port = self._sockets[0].getsockname()[1]
         hosts = [f"{LOCAL}:{port}", f"localhost:{port}"]
         self._loop: IOLoop | None = None
@@ -109,7 +109,7 @@ def entry_file(bench: Workbench) -> Iterator[Path]:
 
 
 def start_browser(path: Path, failed: Callable[[], object]) -> threading.Thread:
-    """Open a file in the browser, from a thread that it may block.
+    """Open a file in the browser, in a thread of its own.
 
     `failed` is called in the thread if no browser starts.
     """

@@ -19,7 +19,6 @@ def words(name: str, text: str = "") -> Div:
 
 
 WIDE: dict[str, Any] = {"sizing_mode": "stretch_width", "stylesheets": [SHEET]}  # of wide widgets
-MOST_ROWS = 6  # visible rows of a list
 LINE = ":host{align-items:end;flex-wrap:wrap}"  # style of a row that wraps
 
 
@@ -53,5 +52,5 @@ def button(label: str, act: Callable[[], object], **more: Any) -> Button:
 
 def several(title: str, options: Sequence[str], name: str) -> MultiSelect:
     """Return a list for multiple choice; names are never HTML."""
-    rows = max(2, min(MOST_ROWS, len(options)))
+    rows = max(2, min(6, len(options)))
     return MultiSelect(title=f"{title} (Ctrl for several)", options=list(options), size=rows, name=name, **WIDE)

@@ -1,4 +1,4 @@
-// Begins the page's session, and has pages drawn in the colours of the browser.
+// Begins the page's session, and has pages drawn in the colors of the browser.
 (function () {
   "use strict";
   const AGAIN = 1000; // ms
@@ -23,7 +23,7 @@
   const line = Bokeh.Models.get("GlyphRenderer").prototype.default_view.prototype;
   Object.defineProperty(line, "needs_clip", { value: true });
   const lost = document.getElementById("lost");
-  Bokeh.embed.embed_items({}, [JSON.parse(item.textContent)]).then(drawn, () => say("This page could not begin: load it anew."));
+  Bokeh.embed.embed_items({}, [JSON.parse(item.textContent)]).then(drawn, () => say("This page could not start. Reload it."));
 
   function say(words) {
     lost.textContent = words;
@@ -34,14 +34,14 @@
   // the page is loaded anew, with what its sliders show.
   function cut(doc) {
     say(
-      "The workbench does not answer. This page is loaded anew as soon as it does; if fmuid workbench has ended, start it again " +
-        "and open the address that it prints. What it was running is not lost: it goes on, or has saved what it had found."
+      "The workbench does not answer. This page reloads as soon as it does. If fmuid workbench has ended, start it again and " +
+        "open the address that it prints. Its commands continue, or have saved their results."
     );
     setTimeout(async function ask() {
       const answer = await fetch("/own/workbench.js").catch(() => null);
       if (answer === null) setTimeout(ask, AGAIN);
       else if (answer.ok) location.replace(doc.get_model_by_name("command")?.tags[0] ?? location.href);
-      else say("The workbench was started anew: open the address that it has printed.");
+      else say("The workbench was restarted. Open the address that it has printed.");
     }, AGAIN);
   }
 

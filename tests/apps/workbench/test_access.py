@@ -173,7 +173,7 @@ def test_only_files_of_the_folder_are_given(client: Client) -> None:
 
 
 def test_what_a_folder_refuses_is_said(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="there is no such folder"):
+    with pytest.raises(InputError, match="folder not found"):
         Folder(tmp_path / "nowhere")
     with pytest.raises(InputError, match=r"'\.\.' is not in"):
         Folder(tmp_path).path("..")
@@ -184,5 +184,5 @@ def test_a_port_in_use_is_said(tmp_path: Path) -> None:
     with socket.socket() as taken:
         taken.bind(("127.0.0.1", 0))
         taken.listen()
-        with pytest.raises(InputError, match=r"cannot be used .*: give a free --port"):
+        with pytest.raises(InputError, match=r"cannot be used .*Give a free --port"):
             Workbench(Folder(tmp_path), port=taken.getsockname()[1])

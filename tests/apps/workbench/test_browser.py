@@ -225,7 +225,7 @@ def test_a_page_that_was_cut_off_goes_on_and_one_whose_workbench_ended_says_so(b
     behind(other, wire)
     with running(other):
         wire.mend()
-        wait(browser, "document.getElementById('lost').textContent.includes('started anew')")
+        wait(browser, "document.getElementById('lost').textContent.includes('restarted')")
     wire.cut()
 
 
@@ -264,12 +264,12 @@ def test_a_million_samples_are_zoomed_to_single_ones(browser: Any, address: str,
 
 # What the keyboard must come to on each page, by the names that are read out.
 REACHED = {
-    "": ["What-if and identify", "Faults", "New study from an FMU and tables", "choose old", "Side by side"],
-    "study?file=study.toml": ["R", "typed R", "hold R", "Starts", "search", "Identify", "Fit", "Result"],
-    "results?file=old": ["a table of the folder", "or drop one here", "Predict", "Write the report"],
-    "faults?file=faults.toml": ["records to monitor", "follow", "Diagnose", "Monitor"],
-    "batch?file=out": ["cases", "with the text", "show the case"],
-    "new": ["FMU", "tables, one an experiment (Ctrl for several)", "column of time", "detrend", "study file to write"],
+    "": ["Simulate and identify", "Faults", "Create from an FMU and data files", "choose old", "Side by side"],
+    "study?file=study.toml": ["R", "typed R", "hold R", "Initial guess", "method", "Identify", "Fit", "Result"],
+    "results?file=old": ["data file", "or drop a file here", "Predict", "Write the report"],
+    "faults?file=faults.toml": ["data to monitor", "follow", "Diagnose", "Monitor"],
+    "batch?file=out": ["cases", "containing", "case number"],
+    "new": ["FMU", "data files, one per experiment (Ctrl for several)", "time column", "detrend", "study file"],
 }
 SEEN = """
 const style = getComputedStyle(arguments[0]);
@@ -312,7 +312,7 @@ def test_the_keyboard_reaches_all_of_each_page(browser: Any, address: str, folde
         names = []
         for name, element in tabbed(browser):
             names.append(name)
-            if name == "show the case":
+            if name == "case number":
                 element.send_keys("1", Keys.ENTER)
             if name == "Result":
                 element.send_keys(Keys.ENTER)
@@ -357,7 +357,7 @@ def test_an_identification_inside_a_long_simulation_is_cancelled(browser: Any, a
     (folder / "slow.toml").write_text(text + "[parameters]\ngain = { start = 1.0 }\n[isolation]\ntime_limit = 600\n")
     open_study(browser, address, "slow.toml")
     press(browser, "Identify")
-    wait(browser, f"{MODEL}('state').text.includes('beginning')")
+    wait(browser, f"{MODEL}('state').text.includes('starting')")
     wait(browser, f"!{MODEL}('cancel').disabled")
     press(browser, "Cancel")
     wait(browser, f"{MODEL}('state').text.match(/Cancelled|interrupted/)")

@@ -140,8 +140,8 @@ def test_pages_name_the_value(identified: Path, tmp_path: Path, key: str, value:
 @pytest.mark.parametrize(
     ("column", "value", "said"),
     [
-        ("case", "one", "case: the values are no numbers"),
-        ("value.R", "many", "value.R: the values are no numbers"),
+        ("case", "one", "case: not numeric"),
+        ("value.R", "many", "value.R: not numeric"),
         ("status", None, "has no column status"),
     ],
 )

@@ -32,7 +32,7 @@ def text(shown: ResultsView) -> str:
 
 def test_what_is_written_is_shown_at_the_next_look(tmp_path: Path) -> None:
     shown = ResultsView(Document(), tmp_path, "light", ("identification",))
-    assert "no result yet" in text(shown)
+    assert "No result yet" in text(shown)
     result(tmp_path, {"R": (4.0, 0.1)})
     shown.look()
     assert "4.00 ± 0.10" in text(shown)
@@ -70,7 +70,7 @@ def test_a_diagnosis_is_begun_and_a_folder_is_followed(tmp_path: Path) -> None:
     page = FaultsPage(doc, SimpleNamespace(folder=Folder(tmp_path), jobs=Jobs()), study, "light")
     assert page.records.options == ["", "records/", "records/one.csv"]
     page.monitor()
-    assert "choose a record" in page.run.state.text
+    assert "Choose a data file" in page.run.state.text
     page.records.value, page.follow.active = "records/", True
     assert page.words() == ["monitor", "faults.toml", "records", "--follow"]
 

@@ -53,7 +53,7 @@ def test_tables_are_shown_as_they_are_read(page: NewPage) -> None:
     assert "role=alert" in page.said.text
     assert page.run.buttons[0].disabled
     page.rate.value = "-3"
-    assert "samples per second are a number above 0" in page.said.text
+    assert "sample rate: -3 is not a number above 0" in page.said.text
 
 
 @pytest.mark.parametrize(
@@ -104,7 +104,7 @@ def test_the_study_is_written_by_the_command_that_is_shown(page: NewPage, tmp_pa
     page.prepare["end_time"].value = "0.5"
     page.output.value = "../evil.toml"
     page.write()
-    assert "is a .toml file of this folder" in page.run.state.text
+    assert "not a .toml file in this folder" in page.run.state.text
     page.output.value = "made.toml"
     assert "--output made.toml" in page.command.text
     page.write()

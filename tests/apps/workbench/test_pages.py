@@ -98,7 +98,7 @@ def test_the_first_page_says_what_there_is(tmp_path: Path) -> None:
     assert "R = 4.00 ± 0.10" in page
     assert "/study?file=a/study.toml" in page
     assert "/results?file=a/results" in page
-    assert "2 parameters, 1 table" in page
+    assert "2 parameters, 1 data file" in page
     bare = FoundStudy(tmp_path / "a/broken.toml", "faults")
     for folder_name, kind, word in (("b/c", "monitoring", "monitored"), ("", "diagnosis", "diagnosed")):
         (tmp_path / "a" / folder_name).mkdir(parents=True, exist_ok=True)
@@ -161,7 +161,7 @@ def test_from_results_to_what_would_help(tmp_path: Path) -> None:
     build(doc := asked_for("known"), bench_of(tmp_path))
     assert "designing" not in {each.name for each in doc.roots}
     body, _ = _compared(Folder(tmp_path), [tmp_path / "open", tmp_path / "known"])
-    assert body.count("Hold L") == 1
+    assert body.count("Fix L") == 1
     assert 'href="/results?file=open#remedies"' in body
     path.unlink()
     assert UndeterminedResult(Folder(tmp_path), tmp_path / "open").names == []
@@ -217,12 +217,12 @@ def test_a_long_fit_is_thinned_anew_where_one_looks() -> None:
 
 
 def test_a_page_of_no_results_says_where_they_are_chosen(tmp_path: Path) -> None:
-    with pytest.raises(fmuid.InputError, match="choose results on the first page"):
+    with pytest.raises(fmuid.InputError, match="Choose results on the first page"):
         build(Document(), SimpleNamespace(folder=Folder(tmp_path), jobs=Jobs()))
 
 
 def test_a_folder_without_a_batch_is_no_page_of_one(tmp_path: Path) -> None:
-    with pytest.raises(fmuid.InputError, match=r"has no batch\.json: it is no folder of a batch"):
+    with pytest.raises(fmuid.InputError, match=r"has no batch\.json"):
         BatchPage(Document(), Folder(tmp_path), tmp_path, "light")
 
 
@@ -250,7 +250,7 @@ def test_a_batch_of_another_process_is_followed(tmp_path: Path) -> None:
     page.number.value = "3"
     assert "<td>4.03</td>" in page.case.text
     page.number.value = "7"
-    assert "there is no case 7 yet" in page.case.text
+    assert "No case 7 yet" in page.case.text
 
 
 def test_a_case_leads_to_what_if_with_what_it_was_given_and_found(tmp_path: Path) -> None:
@@ -268,7 +268,7 @@ def test_a_case_leads_to_what_if_with_what_it_was_given_and_found(tmp_path: Path
     doc: Any = Document()
     page = BatchPage(doc, Folder(tmp_path), tmp_path / "out", "light")
     page.source.selected.indices = [2]
-    link = re.search(r'href="([^"]*)">What if', page.case.text)
+    link = re.search(r'href="([^"]*)">Simulate this case', page.case.text)
     assert link is not None
     asked = parse_qs(urlsplit(html.unescape(link[1])).query)
     assert asked["file"] == ["study.toml"]
@@ -288,7 +288,7 @@ def test_a_case_leads_to_what_if_with_what_it_was_given_and_found(tmp_path: Path
     page = BatchPage(doc, Folder(tmp_path), tmp_path / "out", "light")
     page.source.selected.indices = [2]
     assert "javascript" not in " ".join(text for text, _ in doc.template_variables["pieces"])
-    assert "What if" not in page.case.text
+    assert "Simulate this case" not in page.case.text
 
 
 @pytest.mark.slow
@@ -332,9 +332,9 @@ def dropped(name: str, content: bytes) -> FileInput:
 def test_what_is_to_be_predicted_is_looked_at_first(tmp_path: Path) -> None:
     page = PredictAction(Document(), bench_of(tmp_path), tmp_path)
     for given, said in (
-        (FileInput(filename="", value=""), "choose a table, or drop one"),
-        (dropped("../../evil.exe", b"no"), "evil.exe is no table: give a file of the kinds"),
-        (FileInput(filename="torn.csv", value="dGlt%"), "torn.csv did not arrive whole: drop it again"),
+        (FileInput(filename="", value=""), "Choose or drop one"),
+        (dropped("../../evil.exe", b"no"), "evil.exe: not a data file"),
+        (FileInput(filename="torn.csv", value="dGlt%"), "torn.csv: upload incomplete"),
     ):
         page.dropped = given
         page.begin()
@@ -359,7 +359,7 @@ def test_a_dropped_table_is_predicted(tmp_path: Path) -> None:
     assert page.run.job.code == DONE
     assert (tmp_path / "results/prediction/dropped/third.csv").is_file()
     assert "Done" in page.run.state.text
-    assert "The prediction" in page.said.text
+    assert "Prediction" in page.said.text
     (part,) = read_documents(tmp_path / "results/prediction").values()
     scores, *drawn = part.sections
     assert "third" in scores.table[0].cells

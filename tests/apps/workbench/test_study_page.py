@@ -179,14 +179,14 @@ def test_what_another_study_found_is_not_shown_as_this_ones(path: Path, tmp_path
     for name, own in (("study.toml", False), ("other.toml", True)):
         page = Page(tmp_path / name).page
         assert (page.optimum is not None) == own
-        assert ("is of another study" in page.identifying.text.text) != own
+        assert ("of another study" in page.identifying.text.text) != own
         assert bool(page.identifying.remedies.layout.children) == own
 
 
 def test_what_is_asked_for_besides_is_what_a_study_says(page: Page, path: Path) -> None:
     identifying = page.page.identifying
-    identifying.how.value, identifying.starts.value = "whole bounds, many starts", 7
-    identifying.also.value = ["profiles", "posterior", "map of R, L"]
+    identifying.how.value, identifying.starts.value = "multi-start", 7
+    identifying.also.value = ["profile likelihood", "posterior", "cost map of R, L"]
     assert "simulate study.toml<br>" in page.page.command.text  # is for the search alone
     _, _, *words = page.page.words("identify")
     study = Study.read(path, [word for word in words if word != "--set"])
@@ -195,7 +195,7 @@ def test_what_is_asked_for_besides_is_what_a_study_says(page: Page, path: Path) 
     assert asked.profile
     assert asked.posterior is not None
     assert [tuple(pair) for pair in asked.maps] == [("R", "L")]
-    identifying.how.value, identifying.also.value = "from here", []
+    identifying.how.value, identifying.also.value = "local", []
     assert page.page.words("identify") == ["identify", "study.toml"]
 
 
@@ -204,9 +204,9 @@ def test_from_not_determined_to_the_remedy(page: Page, path: Path, tmp_path: Pat
     result(tmp_path, {"R": (4.0, 0.1), "L": (0.1, None)})
     remedies.tell(tmp_path)
     offered = {each.name: each for each in remedies.layout.select({"type": Button})}
-    assert {"hold l", "give l a prior", "compare excitations"} <= set(offered)
-    assert "hold r" not in offered
-    offered["hold l"]._trigger_event(ButtonClick(offered["hold l"]))
+    assert {"fix l", "give l a prior", "compare excitations"} <= set(offered)
+    assert "fix r" not in offered
+    offered["fix l"]._trigger_event(ButtonClick(offered["fix l"]))
     assert page.page.words("identify")[2:] == ["--set", "parameters.L=0.05"]
     page.rows["L"].hold.active = False
     offered["give l a prior"]._trigger_event(ButtonClick(offered["give l a prior"]))
@@ -219,7 +219,7 @@ def test_from_not_determined_to_the_remedy(page: Page, path: Path, tmp_path: Pat
     assert page.page.words("identify")[2:] == []
     page.rows["L"]._take_prior()
     remedies.excitations.compare()
-    assert "choose tables" in remedies.excitations.run.state.text
+    assert "No data files" in remedies.excitations.run.state.text
     result(tmp_path, {"R": (4.0, 0.1), "L": (0.1, 0.1)})
     remedies.tell(tmp_path)
     assert remedies.layout.children == []
@@ -237,16 +237,16 @@ def test_the_last_result_is_shown_behind(path: Path, tmp_path: Path) -> None:
     np.testing.assert_allclose(ghost, simulated(path, values["R"], values["L"])[: len(ghost)], rtol=1e-5, atol=1e-6)
     assert "from the optimum" in page.page.scores.text
     page.page.put({"R": values["R"] + 3 * found.std[found.names.index("R")]})
-    assert "+3 std off" in page.rows["R"].title.text
+    assert "+3 σ" in page.rows["R"].title.text
     page.page.put(values)
     page.settle()
     assert "at the optimum" in page.rows["R"].title.text
-    assert "<b>0 std</b>" in page.page.scores.text
+    assert "<b>0 σ</b>" in page.page.scores.text
     assert "converged" in page.page.identifying.text.text
     noise = Result.from_json(tmp_path / "results/result.json").fit.noise_variance["i"]
     counted = page.page.live.record.counted[:, 0]
     left = (page.page.live.record.measured[:, 0] - page.shown())[counted]
-    assert f"{np.sqrt(np.mean(left**2) / noise):.3g} std of the noise" in page.page.scores.text
+    assert f"{np.sqrt(np.mean(left**2) / noise):.3g} × noise level" in page.page.scores.text
 
 
 def test_a_failing_simulation_is_a_line(page: Page) -> None:
@@ -383,14 +383,14 @@ def test_another_experiment_is_shown_with_what_is_known_of_it(path: Path, tmp_pa
     (tmp_path / "results").mkdir()
     result(tmp_path / "results", {"R[first]": (4.1, 0.1), "L": (0.1, 0.01)})
     page = Page(tmp_path / "study.toml")
-    assert "+19 std off" in page.rows["R"].title.text
+    assert "+19 σ" in page.rows["R"].title.text
     first, chosen = page.page.live.record.measured.copy(), page.page.simulators[1]
     page.page._choose(1)
     page.settle()
     assert page.page.simulator is chosen
     assert not np.array_equal(page.page.live.record.measured, first)
     np.testing.assert_allclose(page.shown(), chosen(page.page.theta)[:, 0], rtol=1e-12)
-    assert "std off" not in page.rows["R"].title.text  # nothing is known of it here
+    assert "σ" not in page.rows["R"].title.text  # nothing is known of it here
     page.page._go_to_optimum()
     assert page.rows["L"].value == 0.1
     shown = page.shown().copy()

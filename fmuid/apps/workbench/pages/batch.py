@@ -30,11 +30,9 @@ from fmuid.reports.topics.case_charts import over_cases
 from fmuid.runs import BatchColumns, CaseList, parts_in, read_part
 from fmuid.studies import Study
 
-MOST_ROWS = 5000  # rows of the table; more are slow, a filter finds them
 SILENT = 10.0  # s; a running batch writes more often than this
 WIDTHS = {"case": 60, "status": 110, "criterion": 90, "message": 600}  # pixels, of columns
-WIDEST = 1430  # pixels, of the table; the last column fills it
-ROW, HEAD, HIGHEST = 25, 45, 420  # Heights, pixels: row, head with scroll bar, largest table
+MAX_HEIGHT = 420  # pixels, of the table
 _GRID = """
 .slick-header-columns,.slick-header-column{background:var(--card)!important;color:var(--soft)!important}
 .slick-row,.slick-cell{background:var(--card)!important;color:var(--ink)!important;border-color:var(--faint)!important}
@@ -53,17 +51,17 @@ class BatchPage:
 
     def __init__(self, doc: Any, folder: Folder, place: Path, scheme: str) -> None:
         if not is_file(place / "batch.json"):
-            raise InputError(f"{folder.name(place)} has no batch.json: it is no folder of a batch")
+            raise InputError(f"{folder.name(place)} has no batch.json. Choose the folder of a batch.")
         self.doc, self.folder, self.place, self.scheme = doc, folder, place, scheme
         self.manifest: Mapping[str, Any] = read_json(place / "batch.json")
         self._wrong: list[str] = []  # messages on unreadable files
         self.frame, self._seen, self._counts = pd.DataFrame(), object(), list[tuple[float, int]]()
         self.state = words("state")
         self.status = choice("cases", ["all"], "status", "all")
-        self.text = TextInput(title="with the text", value="", name="filter", stylesheets=[SHEET])
-        self.number = typed("show the case", "", "number", 110)
+        self.text = TextInput(title="containing", value="", name="filter", stylesheets=[SHEET])
+        self.number = typed("case number", "", "number", 110)
         self.source = ColumnDataSource({"case": []}, name="cases")
-        self.table = DataTable(source=self.source, height=HIGHEST, index_position=None, reorderable=False, **WIDE)
+        self.table = DataTable(source=self.source, height=MAX_HEIGHT, index_position=None, reorderable=False, **WIDE)
         self.table.autosize_mode = "none"  # otherwise a narrow window squeezes all columns
         self.table.stylesheets = [_GRID]
         self.case = words("case", "<p>Choose a case in the table.</p>")
@@ -77,7 +75,7 @@ class BatchPage:
         heads = ("", "<h3>Estimates</h3>", "<h3>Cases</h3>", "<h3>The case</h3>")
         pieces = sections(doc, dict(zip(heads, (self.state, self.drawn, cases, self.case), strict=True)))
         if urlsplit(dashboard := str(self.manifest.get("dashboard") or "")).scheme in ("http", "https"):
-            link = f'<p><a href="{escaped(dashboard)}" target="_blank" rel="noreferrer">What the workers do</a></p>'
+            link = f'<p><a href="{escaped(dashboard)}" target="_blank" rel="noreferrer">Workers (Dask)</a></p>'
             pieces.insert(1, (link, ""))
         title = self.place.name if self.found is None else self.found.title
         dress(doc, title, pieces, "bokeh-widgets", "bokeh-tables")
@@ -113,7 +111,7 @@ class BatchPage:
             (first, before), (now, count) = self._counts[0], self._counts[-1]
             rate = (count - before) / (now - first) if now > first else 0.0
             if rate > 0 and silent < SILENT:
-                words += [f"{rate:.3g} a second", f"about {(total - done) / rate:.0f} s left"]
+                words += [f"{rate:.3g} cases/s", f"about {(total - done) / rate:.0f} s left"]
             elif silent >= SILENT:
                 words.append(f"nothing written for {silent:.0f} s")
         bar = f"<progress value={done} max={max(total, 1)}></progress>" if total else ""
@@ -153,15 +151,15 @@ class BatchPage:
         if sought:
             found = [any(sought in str(each).lower() for each in row) for row in frame.itertuples(index=False)]
             frame = frame[found]
-        shown = frame.iloc[:MOST_ROWS]
+        shown = frame.iloc[:5000]  # more are slow; the filter finds them
         names = [name for name in _columns(frame) if name in shown]
         if [each.field for each in self.table.columns] != names:
             *others, last = (_column(name, shown[name]) for name in names)
-            last.width = max(last.width, WIDEST - sum(each.width for each in others))
+            last.width = max(last.width, 1430 - sum(each.width for each in others))
             self.table.columns = [*others, last]
         chosen = [self.source.data["case"][k] for k in self.source.selected.indices]
         self.source.data = {name: _plain(shown[name]) for name in names}
-        self.table.height = min(HIGHEST, HEAD + ROW * len(shown))
+        self.table.height = min(MAX_HEIGHT, 45 + 25 * len(shown))
         self.source.selected.indices = [k for k, case in enumerate(shown["case"]) if case in chosen]
 
     def _choose(self) -> None:
@@ -175,7 +173,7 @@ class BatchPage:
         if text.strip().isdecimal() and int(text) in set(self.frame["case"]):
             self._show(int(text))
         elif text.strip():
-            self.case.text = f"<p class=error role=alert>there is no case {escaped(text)} yet</p>"
+            self.case.text = f"<p class=error role=alert>No case {escaped(text)} yet.</p>"
 
     def _show(self, case: int) -> None:
         """Show one case and its output."""
@@ -188,7 +186,7 @@ class BatchPage:
         log = self.place / "logs" / f"case-{case:06d}.txt"
         said = ""
         with contextlib.suppress(OSError):  # it printed nothing
-            said = f"<h3>What it printed</h3><pre>{escaped(log.read_text(errors='replace'))}</pre>"
+            said = f"<h3>Output</h3><pre>{escaped(log.read_text(errors='replace'))}</pre>"
         self.case.text = f"{self._what_if(found)}<div class=scroll><table><tbody>{cells}</tbody></table></div>{said}"
 
     def _what_if(self, found: pd.Series[Any]) -> str:
@@ -201,8 +199,8 @@ class BatchPage:
         except InputError as error:
             return f"<p class=error>{escaped(error)}</p>"
         link = address("study", self.folder, study) + "".join(f"&set={quote(each, safe='')}" for each in given)
-        drawn = " (with the table itself: what was drawn for a case is not kept)" if "draw" in found else ""
-        return f'<p><a href="{escaped(link)}">What if, from this case on</a>{drawn}</p>'
+        drawn = " (without its noise realization, which is not stored)" if "draw" in found else ""
+        return f'<p><a href="{escaped(link)}">Simulate this case</a>{drawn}</p>'
 
     @cached_property
     def found(self) -> FoundStudy | None:
@@ -244,7 +242,7 @@ def _rows(path: Path) -> pd.DataFrame:
     if missing := {"case", "status"} - set(frame):
         raise InputError(f"{path.name} has no column {', '.join(sorted(missing))}. Run the same command again.")
     if wrong:
-        raise InputError(f"{path.name}: {', '.join(wrong)}: the values are no numbers. Run the same command again.")
+        raise InputError(f"{path.name}: {', '.join(wrong)}: not numeric. Run the same command again.")
     return frame
 
 

@@ -107,7 +107,7 @@ class CommandPanel:
         said += [f"about {left:.0f} s left"] if math.isfinite(left) else []
         text = f"{bar}<p class=soft>{escaped(', '.join(said))}</p>"
         if job.asked:
-            text = "<p role=status>Cancelling; what it has found is being saved …</p>"
+            text = "<p role=status>Cancelling; saving the results so far …</p>"
         if text != self.state.text:
             self.state.text = text
 
@@ -119,16 +119,16 @@ class CommandPanel:
             self.refuse(error)
         else:
             how = "Cancelled" if job.asked else "Done" if job.code == 0 else "Ended"
-            more = f": {escaped(error)}" if error else "; what it had found is saved" if job.asked else ""
+            more = f": {escaped(error)}" if error else "; results so far are saved" if job.asked else ""
             self.state.text = f"<p role=status>{how} after {job.seconds:.1f} s{more}.</p>"
         log = f"<pre>{escaped(command_text(job.words))}\n{escaped(printed)}</pre>"
-        self.state.text += f"<details><summary>What it printed</summary>{log}</details>"
+        self.state.text += f"<details><summary>Output</summary>{log}</details>"
 
 
 def _words(event: Event | None, job: Job) -> str:
     """Return the progress of a command: last event, or last output line."""
     if event is None:
-        return next((line.strip(" .") for line in reversed(job.printed().splitlines()) if line.strip()), "beginning")
+        return next((line.strip(" .") for line in reversed(job.printed().splitlines()) if line.strip()), "starting")
     if isinstance(event, SearchStep):
-        return f"iteration {event.number}, criterion {event.criterion:.6g}"
+        return f"iteration {event.number}, cost {event.criterion:.6g}"
     return event_words(event)

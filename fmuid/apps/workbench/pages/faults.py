@@ -34,13 +34,13 @@ class FaultsPage:
         self.folder, self.path = bench.folder, path
         study = read_study(path)
         if study is None or study.error or "diagnosis" not in study.asks:
-            raise InputError(f"{path} has no [diagnosis]: it names the faults to look for")
+            raise InputError(f"{path} has no [diagnosis]. Add it with the fault models.")
         self.run = CommandPanel(
             doc, bench.jobs, study.results, {"Diagnose": self.diagnose, "Monitor": self.monitor}, ended=self._look
         )
         found = [self.folder.name(each) for each in tables(self.folder)]
         places = sorted({f"{Path(name).parent.as_posix()}/" for name in found})
-        self.records = choice("records to monitor", ["", *places, *found], "records")
+        self.records = choice("data to monitor", ["", *places, *found], "records")
         self.follow = Toggle(label="follow", name="follow", active=False, stylesheets=[SHEET])
         self.command = words("command")
         on_change(self._tell, self.records)
@@ -51,13 +51,13 @@ class FaultsPage:
         self._tell()
         parts = (line(self.records, self.follow), self.run.layout, self.command)
         controls = column(*parts, name="controls", sizing_mode="stretch_width")
-        link = f'<p><a href="{address("study", self.folder, path)}">What-if and identify</a></p>'
-        pieces = sections(doc, {"<h3>Look for faults</h3>": controls, "": self.shown.layout})
+        link = f'<p><a href="{address("study", self.folder, path)}">Simulate and identify</a></p>'
+        pieces = sections(doc, {"<h3>Diagnosis and monitoring</h3>": controls, "": self.shown.layout})
         dress(doc, f"{study.title}: faults", [(link if study.parameters else "", ""), *pieces], "bokeh-widgets")
 
     def words(self) -> list[str]:
         """Return the command that monitors the chosen data."""
-        where = beside(self.folder.path(self.records.value), self.path) if self.records.value else "RECORDS"
+        where = beside(self.folder.path(self.records.value), self.path) if self.records.value else "DATA"
         return ["monitor", self.path.name, where, *(["--follow"] if self.follow.active else [])]
 
     def diagnose(self) -> None:
@@ -67,7 +67,7 @@ class FaultsPage:
     def monitor(self) -> None:
         """Start ``fmuid monitor`` of the chosen data."""
         if not self.records.value:
-            self.run.refuse("choose a record, or a folder of records")
+            self.run.refuse("No data chosen. Choose a data file or a folder.")
             return
         self.run.begin(self.path, self.words())
 
@@ -76,4 +76,4 @@ class FaultsPage:
 
     def _tell(self) -> None:
         lines = (command_text(["diagnose", self.path.name]), command_text(self.words()))
-        self.command.text = f"<h3>The same from a terminal</h3><pre>{escaped(lines[0])}<br>{escaped(lines[1])}</pre>"
+        self.command.text = f"<h3>Commands</h3><pre>{escaped(lines[0])}<br>{escaped(lines[1])}</pre>"

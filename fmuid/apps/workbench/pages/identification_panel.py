@@ -29,15 +29,13 @@ from fmuid.reports.render.bokeh_models import live
 from fmuid.reports.render.bokeh_renderer import DrawnCharts, drawing
 
 SEARCHES = {
-    "from here": [],
-    "whole bounds, evolution": ["estimation.method=differential-evolution"],
-    "whole bounds, many starts": ["estimation.method=multi-start"],
+    "local": [],
+    "differential evolution": ["estimation.method=differential-evolution"],
+    "multi-start": ["estimation.method=multi-start"],
 }
 """Optimizer options, and their study values."""
-PROFILES, POSTERIOR = "profiles", "posterior"
-MAPS = 28  # offered pairs for cost maps
-STARTS = 20
-OTHERS = " What <code>results</code> has is of another study of this folder, and is written over."
+PROFILES, POSTERIOR = "profile likelihood", "posterior"
+OTHERS = " <code>results</code> contains a result of another study, which will be overwritten."
 UNCERTAIN = ("profiles", "maps", "posterior")  # sections on uncertainty
 
 
@@ -48,12 +46,12 @@ class IdentificationPanel:
         self.page = page
         self.run = CommandPanel(page.doc, page.bench.jobs, page.results, {"Identify": self.begin}, self._add, self._end)
         names = [each.name for each in page.rows]
-        self.how = choice("search", list(SEARCHES), "how", "from here")
-        self.starts = Spinner(title="starts", value=STARTS, low=1, step=1, visible=False, width=80, name="starts")
+        self.how = choice("method", list(SEARCHES), "how", "local")
+        self.starts = Spinner(title="starting points", value=20, low=1, step=1, visible=False, width=80, name="starts")
         self.starts.stylesheets = [SHEET]
-        maps = [f"map of {first}, {second}" for first, second in combinations(names, 2)][:MAPS]
+        maps = [f"cost map of {first}, {second}" for first, second in combinations(names, 2)][:28]
         self.pairs = dict(zip(maps, combinations(names, 2), strict=False))
-        self.also = several("then also", [PROFILES, POSTERIOR, *maps], "also")
+        self.also = several("uncertainty", [PROFILES, POSTERIOR, *maps], "also")
         on_change(self._asked, self.how, self.also, self.starts)
         self.controls = column(self.how, self.starts, self.also, self.run.layout, sizing_mode="stretch_width")
         self.names = names[: LIMITS.parameters - 1]
@@ -61,7 +59,7 @@ class IdentificationPanel:
         self.refused: dict[str, list[float]] = {"x": [], "y": []}
         self.drawn: DrawnCharts | None = None
         self.shown: list[Chart] = []
-        self.hint = words("hint", "<p>Press Identify to see the search go on here.</p>")
+        self.hint = words("hint", "<p>Identify shows its iterations here.</p>")
         self.search = column(self.hint, **WIDE)
         self.text, self.remedies, self.more = words("found"), RemedyPanel(page), column([], **WIDE)
         self.found = column(self.text, self.remedies.layout, self.more, **WIDE)
@@ -76,7 +74,7 @@ class IdentificationPanel:
         away: Data = {key: np.array(values, dtype=np.float64) for key, values in self.refused.items()}
         free = [i for i, name in enumerate(self.names) if np.isfinite(columns[f"v{i}"]).any() and name]
         charts = []
-        for key, text in [("c", "criterion"), *((f"v{i}", self.page.rows[i].text) for i in free)]:
+        for key, text in [("c", "cost"), *((f"v{i}", self.page.rows[i].text) for i in free)]:
             data: Data = {"x": columns["k"], "y": columns[key]}
             layers = [Layer("line", data), Layer("points", data, size=5)]
             layers += [Layer("points", away, "red", marker="x", size=8)] if key == "c" else []
@@ -97,7 +95,7 @@ class IdentificationPanel:
     def settings(self) -> list[str]:
         """Return the study values that the options replace."""
         found = list(SEARCHES[self.how.value])
-        found += [f"estimation.n_starts={int(self.starts.value or STARTS)}"] if self.starts.visible else []
+        found += [f"estimation.n_starts={int(self.starts.value or 20)}"] if self.starts.visible else []
         found += ["uncertainty.profile_likelihood=true"] if PROFILES in self.also.value else []
         found += ["uncertainty.posterior={}"] if POSTERIOR in self.also.value else []
         pairs = [self.pairs[each] for each in self.also.value if each in self.pairs]
@@ -118,7 +116,7 @@ class IdentificationPanel:
             for each in columns.values():
                 each.clear()
         self.drawn = None
-        self.hint.text = "<p>The search begins …</p>"
+        self.hint.text = "<p>Starting …</p>"
         self.search.children = [self.hint]
 
     def _add(self, events: Sequence[Event]) -> None:
@@ -148,7 +146,7 @@ class IdentificationPanel:
         where: Folder = self.page.bench.folder
         if not self.page.has_result(folder):
             more = "" if not is_file(folder / "result.json") else OTHERS
-            self.text.text = f"<p>There is no result yet: press Identify.{more}</p>"
+            self.text.text = f"<p>No result yet. Press Identify.{more}</p>"
             return
         try:
             document = documents_of(folder)["identification"]

@@ -26,8 +26,7 @@ from fmuid.reports.topics.fit import uncounted
 from fmuid.simulation import OutputFit
 
 ROWS, DOTS = 1600, 700  # Rows of lines and dots: painted within a frame without a graphics card
-# Least filled fraction of the upper figure's height; room around its lines at a new range.
-LEAST_FILLED, ROOM = 0.35, 0.12
+ROOM = 0.12  # free fraction above and below the lines, at a new range
 Asked = TypeVar("Asked")
 Later = Callable[[Callable[[], None]], object]  # Deferred call, as ``add_next_tick_callback`` of a document
 
@@ -216,7 +215,7 @@ class LiveFit:
             return
         low, high = float(known.min()), float(known.max())
         upper, span = self.uppers[j], (high - low) or abs(high) or 1.0
-        if low < upper.start or high > upper.end or span < LEAST_FILLED * (upper.end - upper.start):
+        if low < upper.start or high > upper.end or span < 0.35 * (upper.end - upper.start):
             upper.update(start=low - ROOM * span, end=high + ROOM * span)
         left = residual[np.isfinite(residual)]
         most = float(np.abs(left).max()) if left.size else 0.0

@@ -34,7 +34,6 @@ LABELS = {
 }
 """Offered keys of ``[experiments.preprocess]``, beside detrend."""
 ROWS = 5  # shown rows of a data file
-CHARACTERS = 1200
 
 
 def build(doc: Any, bench: Any) -> None:
@@ -51,12 +50,12 @@ class NewPage:
         fmus = [self.folder.name(path) for path in choices(self.folder, (".fmu",))]
         known = [self.folder.name(path) for path in tables(self.folder)]
         self.fmu = choice("FMU", ["", *fmus], "fmu", fmus[0] if len(fmus) == 1 else "")
-        self.tables = several("tables, one an experiment", known, "chosen")
-        self.time = typed("column of time", "time", "time")
-        self.unit = choice("its unit", ["", *TIME_UNITS], "time-unit")
-        self.rate = typed("samples per second", "", "rate")
+        self.tables = several("data files, one per experiment", known, "chosen")
+        self.time = typed("time column", "time", "time")
+        self.unit = choice("time unit", ["", *TIME_UNITS], "time-unit")
+        self.rate = typed("sample rate (Hz)", "", "rate")
         self.sheet = typed("sheet", "", "sheet")
-        self.output = typed("study file to write", "study.toml", "output")
+        self.output = typed("study file", "study.toml", "output")
         self.prepare: dict[str, Any] = {each: typed(LABELS[each], "", each) for each in LABELS}
         self.prepare["detrend"] = choice("detrend", ["", "mean", "linear"], "detrend")
         self.maps: dict[str, Select] = {}
@@ -71,10 +70,10 @@ class NewPage:
         lines = [line(*some) for some in (how, self.prepare.values())]
         wide = {"sizing_mode": "stretch_width"}
         roots = {
-            "Model and tables": column(self.fmu, self.tables, lines[0], name="tables", **wide),
-            "Which column is which": column(self.mapping, self.said, name="mapping", **WIDE),
-            "What is done with the tables first": column(lines[1], self.drawn, name="prepare", **wide),
-            "The study": column(self.output, self.run.layout, self.command, name="write", **wide),
+            "Model and data files": column(self.fmu, self.tables, lines[0], name="tables", **wide),
+            "Columns": column(self.mapping, self.said, name="mapping", **WIDE),
+            "Preprocessing": column(lines[1], self.drawn, name="prepare", **wide),
+            "Study file": column(self.output, self.run.layout, self.command, name="write", **wide),
         }
         pieces = sections(doc, {f"<h3>{k}. {head}</h3>": root for k, (head, root) in enumerate(roots.items(), 1)})
         dress(doc, "New study", pieces, "bokeh-widgets")
@@ -85,7 +84,7 @@ class NewPage:
         """The options of the form; raises `InputError` for a wrong number."""
         rate = value_of(self.rate.value) if self.rate.value.strip() else None
         if rate is not None and not (isinstance(rate, int | float) and rate > 0):
-            raise InputError(f"samples per second are a number above 0, not {rate!r}")
+            raise InputError(f"sample rate: {rate!r} is not a number above 0.")
         given = {name: each.value for name, each in self.maps.items() if each.value != GUESSED}
         columns = {name: "" if value == NONE else value for name, value in given.items()}
         how = {word: value_of(each.value) for word, each in self.prepare.items() if each.value.strip()}
@@ -109,7 +108,7 @@ class NewPage:
         self.records, self.drawn.children = (), []
         self.run.buttons[0].disabled = True
         if not self.fmu.value or not self.tables.value:
-            self.said.text = "<p class=soft>Choose an FMU and tables of this folder.</p>"
+            self.said.text = "<p class=soft>Choose an FMU and data files.</p>"
             self.mapping.children, self.maps = [], {}
             return
         try:
@@ -149,7 +148,7 @@ class NewPage:
         try:
             path = self.folder.root / self.output.value
             if path.suffix != ".toml" or not self.folder.has(path):
-                raise InputError(f"{self.output.value}: a study is a .toml file of this folder")
+                raise InputError(f"{self.output.value}: not a .toml file in this folder.")
             self.run.begin(self.folder.root / "init", self.words())
         except InputError as error:
             self.run.refuse(error)
@@ -158,7 +157,7 @@ class NewPage:
         path = self.folder.root / self.output.value
         if path.is_file() and job.code in (0, 1):
             link = address("study", self.folder, path)
-            self.run.state.text += f'<p><a href="{link}">What-if and identify</a></p>'
+            self.run.state.text += f'<p><a href="{link}">Simulate and identify</a></p>'
 
 
 def _record(record: MatchedDataFile, folder: Folder) -> str:
@@ -171,9 +170,9 @@ def _record(record: MatchedDataFile, folder: Folder) -> str:
         for name in [record.time, *record.columns]
     }
     read = table(table_of(columns, columns))
-    file = "\n".join(first_lines(record.path, 2 * ROWS))[:CHARACTERS]
-    file = details("The beginning of the file", file) if file else ""
+    file = "\n".join(first_lines(record.path, 2 * ROWS))[:1200]
+    file = details("First lines of the file", file) if file else ""
     said = "".join(f"<li>{escaped(each.text)}</li>" for each in remarks(record))
     doubts = f"<ul class=doubts>{said}</ul>" if said else ""
     title = escaped(heading(record, folder.name(record.path)))
-    return f"<h3>{title}</h3>{taken}{doubts}<p class=soft>As it is read, time in s:</p>{read}{file}"
+    return f"<h3>{title}</h3>{taken}{doubts}<p class=soft>As read, time in s:</p>{read}{file}"

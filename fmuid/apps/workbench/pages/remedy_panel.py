@@ -70,18 +70,18 @@ class ExcitationComparison:
         self.where, self.study, self.folder, self._settings = bench.folder, study, results / DESIGN, settings
         self.run = CommandPanel(doc, bench.jobs, self.folder, {"Compare excitations": self.compare}, ended=self._end)
         known = [self.where.name(path) for path in tables(self.where)]
-        self.tables = several("excitations, tables of inputs", known, "excitations")
+        self.tables = several("excitations: data files with inputs", known, "excitations")
         self.compared = words("compared")
         advice = words(
             "advice",
-            "<p>Or measure what shows it: <code>fmuid design</code> compares excitations before they are measured.</p>",
+            "<p>Or use another excitation: <code>fmuid design</code> compares excitations before the measurement.</p>",
         )
         self.layout = column(advice, self.tables, self.run.layout, self.compared, name="designing", **WIDE)
 
     def compare(self) -> None:
         """Start ``fmuid design`` with the chosen data files."""
         if not self.tables.value:
-            self.run.refuse("choose tables: what the inputs would be, such as of a faster or longer record")
+            self.run.refuse("No data files chosen. Choose files with the planned inputs.")
             return
         given = [beside(path, self.study) for path in map(self.where.path, self.tables.value)]
         output = beside(self.folder, self.study)
@@ -90,7 +90,7 @@ class ExcitationComparison:
     def _end(self, job: Job) -> None:
         link = address("results", self.where, self.folder)
         done = job.code == 0 and self.where.has(self.folder)
-        self.compared.text = f'<p><a href="{link}">The excitations compared</a></p>' if done else ""
+        self.compared.text = f'<p><a href="{link}">Comparison of excitations</a></p>' if done else ""
 
 
 class RemedyPanel:
@@ -108,11 +108,11 @@ class RemedyPanel:
         names = undetermined(Result.from_json(folder / "result.json"), [each.name for each in self.page.rows])
         lines = []
         for name in names:
-            hold = button(f"Hold {name}", partial(self._hold, name))
+            hold = button(f"Fix {name}", partial(self._hold, name))
             prior = button(f"Give {name} a prior", self._row(name).give_prior)
             text = words("which", f"<p>{_which(name)}</p>")
             lines.append(column(text, row(hold, prior, stylesheets=[LINE]), **WIDE))
-        heading = words("remedy", "<h3>What would help</h3>")
+        heading = words("remedy", "<h3>Remedies</h3>")
         self.layout.children = [heading, *lines, self.excitations.layout] if names else []
 
     def _hold(self, name: str) -> None:
@@ -136,7 +136,7 @@ def undetermined(result: Result, parameters: Sequence[str]) -> list[str]:
 
 
 class UndeterminedResult:
-    """Study of a result with parameters that are not identifiable, if in the folder.
+    """Study of a result with non-identifiable parameters.
 
     `names` are the parameters. `settings` are the ``--set`` values of the result, `designing` the arguments for its
     design at the other estimates and noise.
@@ -162,7 +162,7 @@ class UndeterminedResult:
     def links(self) -> str:
         """Return HTML links to the study with a remedy for each parameter."""
         more = "".join(f"&set={quote(each, safe='')}" for each in self.settings)
-        acts = (("hold", "Hold {}"), ("prior", "Give {} a prior"))
+        acts = (("hold", "Fix {}"), ("prior", "Give {} a prior"))
         return "".join(
             f"<p>{_which(name)} "
             + "".join(
@@ -190,7 +190,7 @@ def noise_of(study: Study, result: Result | None) -> list[str]:
 
 
 def _which(name: str) -> str:
-    return f"<b>{escaped(name)}</b> is not determined:"
+    return f"<b>{escaped(name)}</b> is not identifiable:"
 
 
 def _settings(before: Any, after: Any, where: str = "") -> Iterator[str]:

@@ -48,7 +48,7 @@ def build(doc: Any, bench: Any) -> None:
     folder: Folder = bench.folder
     places = [folder.path(name) for name in dict.fromkeys(arguments(doc, "file"))]
     if not places:
-        raise InputError("choose results on the first page")
+        raise InputError("No results chosen. Choose results on the first page.")
     if len(places) > 1:
         title, body, drawings, live = "Results side by side", *_compared(folder, places), dict[str, str]()
     else:
@@ -76,7 +76,7 @@ def _one(doc: Any, bench: Any, place: Path) -> tuple[str, str, Any, dict[str, st
         layout = ExcitationComparison(doc, bench, open_.study, place, lambda: open_.designing).layout
         doc.add_root(layout)
         names[place_of(REMEDIES)] = layout.name
-        more = f"<h3 id={REMEDIES}>What would help</h3>{open_.links()}{place_of(REMEDIES)}</section>"
+        more = f"<h3 id={REMEDIES}>Remedies</h3>{open_.links()}{place_of(REMEDIES)}</section>"
         body = body.replace("</section>", more, 1)  # after the verdict
     return title, body, drawings, names
 
@@ -86,18 +86,18 @@ def _elsewhere(folder: Folder, place: Path) -> tuple[str, str]:
     study, report = next(map(FoundResult.of, filter(is_file, [place / "result.json"])), None), place / "report.html"
     links = {}
     if study is not None and study.study is not None and folder.has(study.study):
-        links["What-if and identify"] = address("study", folder, study.study)
+        links["Simulate and identify"] = address("study", folder, study.study)
     if is_file(report):
-        links["The same as a page to be mailed"] = file_address(folder, report)
+        links["Report file"] = file_address(folder, report)
     return "<p>" + " ".join(f'<a class=go href="{link}">{text}</a>' for text, link in links.items()) + "</p>", ""
 
 
 def _acts(doc: Any, bench: Any, place: Path) -> list[tuple[str, str]]:
     """Add the actions on a result to the document; return their HTML."""
     found = (
-        {"Predict another record": PredictAction(doc, bench, place).layout} if is_file(place / "result.json") else {}
+        {"Predict validation data": PredictAction(doc, bench, place).layout} if is_file(place / "result.json") else {}
     )
-    found["Pass it on"] = WriteAction(doc, bench, place).layout
+    found["Export"] = WriteAction(doc, bench, place).layout
     return sections(doc, {f"<h3>{head}</h3>": layout for head, layout in found.items()})
 
 
@@ -148,11 +148,11 @@ def _compared(folder: Folder, places: Sequence[Path]) -> tuple[str, Any]:
     charts = estimate_charts([each for key, result in results.items() for each in estimate_rows(key, result)])
     parts = (
         Section("values", "", table=table_of(columns)),
-        Section("estimates", "Estimates and their 95 % intervals", charts=tuple(charts), beside=2),
+        Section("estimates", "Estimates with 95 % intervals", charts=tuple(charts), beside=2),
     )
     document = Document("compared", "Side by side", f"{len(results)} results", "good", (), parts)
     words = command_text(["compare", *results])
-    note = f"{wrong}<h3>Which of them the data prefer says</h3><pre>{escaped(words)}</pre>"
+    note = f"{wrong}<h3>Model comparison</h3><pre>{escaped(words)}</pre>"
     note += "".join(f"<h3>{escaped(folder.name(place))}</h3>{_onward(folder, place)}" for place in places)
     body, drawings = written([document])
     return body.replace("</section>", f"{note}</section>", 1), drawings
@@ -168,7 +168,7 @@ def _onward(folder: Folder, place: Path) -> str:
 def _estimate(known: tuple[float, float] | None) -> str:
     if known is None:
         return ""
-    return with_std(*known) if math.isfinite(known[1]) else f"{known[0]:.6g}, not determined"
+    return with_std(*known) if math.isfinite(known[1]) else f"{known[0]:.6g}, not identifiable"
 
 
 class PredictAction:
@@ -179,8 +179,10 @@ class PredictAction:
         self.place, self.said = place, words("written")
         self.run = CommandPanel(doc, bench.jobs, self.place / "prediction", {"Predict": self.begin}, ended=self._end)
         known = [self.folder.name(path) for path in tables(self.folder)]
-        self.chosen = choice("a table of the folder", ["", *known], "table")
-        self.dropped = FileInput(value="", filename="", title="or drop one here", accept=",".join(TABLES), name="drop")
+        self.chosen = choice("data file", ["", *known], "table")
+        self.dropped = FileInput(
+            value="", filename="", title="or drop a file here", accept=",".join(TABLES), name="drop"
+        )
         self.dropped.stylesheets = [SHEET]
         inputs = line(self.chosen, self.dropped)
         self.layout = column(inputs, self.run.layout, self.said, name="predict", sizing_mode="stretch_width")
@@ -199,22 +201,22 @@ class PredictAction:
         if self.dropped.value:
             name = file_name(Path(str(self.dropped.filename)).name)
             if not name.lower().endswith(TABLES):
-                raise InputError(f"{name} is no table: give a file of the kinds {', '.join(TABLES)}")
+                raise InputError(f"{name}: not a data file. Supported: {', '.join(TABLES)}.")
             try:
                 content = base64.b64decode(self.dropped.value, validate=True)
             except binascii.Error:
-                raise InputError(f"{name} did not arrive whole: drop it again") from None
+                raise InputError(f"{name}: upload incomplete. Drop it again.") from None
             path = self.place / "prediction" / "dropped" / name.lstrip(".")
             with replacing(path) as draft:
                 draft.write_bytes(content)
             return path
         if not self.chosen.value:
-            raise InputError("choose a table, or drop one")
+            raise InputError("No data file. Choose or drop one.")
         return self.folder.path(self.chosen.value)
 
     def _end(self, job: Job) -> None:
         link = address("results", self.folder, self.place / "prediction")
-        self.said.text = f'<p><a href="{link}">The prediction</a></p>' if job.code == 0 else ""
+        self.said.text = f'<p><a href="{link}">Prediction</a></p>' if job.code == 0 else ""
 
 
 class WriteAction:

@@ -20,7 +20,7 @@ from fmuid.reports.render.html import drawn_sections, section_head, verdict
 
 EVERY = 1000  # ms between two looks at the folder
 FILES = {"identification": "result.json"}  # files of kinds with another name
-LEAST_WIDTH = 280  # pixels, of figures side by side
+MIN_WIDTH = 280  # pixels, of figures side by side
 
 
 class ResultsView:
@@ -46,7 +46,7 @@ class ResultsView:
                 self.layout.children = [words("wrong", f"<p class=error>{escaped(error)}</p>")]
             return
         shown = [each for kind, each in found.items() if kind in self.kinds]
-        nothing = [words("nothing", "<p>There is no result yet.</p>")]
+        nothing = [words("nothing", "<p>No result yet.</p>")]
         self.layout.children = models(shown, self.scheme) if shown else nothing
         self._seen = seen
 
@@ -65,6 +65,6 @@ def models(documents: Iterable[Document], scheme: str) -> list[Any]:
 def side_by_side(figures: Sequence[Any]) -> Any:
     """Return figures side by side, if there is room."""
     for each in figures:
-        each.sizing_mode, each.width_policy, each.min_width = "stretch_width", "max", LEAST_WIDTH
-        each.styles = {"flex": f"1 1 {LEAST_WIDTH}px"}
+        each.sizing_mode, each.width_policy, each.min_width = "stretch_width", "max", MIN_WIDTH
+        each.styles = {"flex": f"1 1 {MIN_WIDTH}px"}
     return line(*figures)

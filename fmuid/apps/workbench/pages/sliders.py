@@ -16,12 +16,8 @@ from fmuid.formatting import label
 
 PLACES = 1000  # steps of a slider
 LOG_RATIO = 20.0  # ranges over a larger ratio are logarithmic
-SPAN_RATIO = 5.0  # range: centre / ratio to centre * ratio
-ESTIMATE_STDS, PRIOR_STDS = 10.0, 4.0  # half range in σ of the estimate, of the prior
-SHADED_STDS = 1.96  # half width of shades, σ: 95 %
-PRIOR_SHARE = 0.5  # proposed σ of a prior, relative to the initial guess
-
-_CENTRED = ":host{align-items:center}"
+SPAN_RATIO = 5.0  # range: center / ratio to center * ratio
+NEAR_STDS = 10.0  # half range around an estimate, σ
 
 
 @dataclass(frozen=True)
@@ -61,21 +57,21 @@ def reach_of(parameter: Parameter, estimate: tuple[float, float] | None = None, 
     """Return the range of a slider within the bounds.
 
     `estimate` is value and σ of the last result; without it, two finite bounds are the range. `near` limits the range
-    to ± `ESTIMATE_STDS` σ if σ is known.
+    to ± `NEAR_STDS` σ if σ is known.
     """
     if estimate is None or not math.isfinite(estimate[0]):
         bounded = math.isfinite(parameter.min) and math.isfinite(parameter.max)
         return _within(parameter, [parameter.min, parameter.max] if bounded else _span(parameter, parameter.start))
-    half = ESTIMATE_STDS * estimate[1] if math.isfinite(estimate[1]) else 0.0
+    half = NEAR_STDS * estimate[1] if math.isfinite(estimate[1]) else 0.0
     places = [estimate[0] - half, estimate[0] + half]
     return _within(parameter, places if near and half > 0 else [*places, *_span(parameter, estimate[0])])
 
 
-def _span(parameter: Parameter, centre: float) -> list[float]:
+def _span(parameter: Parameter, center: float) -> list[float]:
     """Return values around an estimate or initial guess: ratio, prior."""
     size, prior = abs(parameter.start) or parameter.nominal or 1.0, parameter.prior
-    span = [centre / SPAN_RATIO, centre * SPAN_RATIO] if centre else [-2 * size, 2 * size]
-    room = [] if prior is None else [prior.mean + side * PRIOR_STDS * prior.std for side in (-1.0, 1.0)]
+    span = [center / SPAN_RATIO, center * SPAN_RATIO] if center else [-2 * size, 2 * size]
+    room = [] if prior is None else [prior.mean + side * 4.0 * prior.std for side in (-1.0, 1.0)]
     return [parameter.start, *span, *room]
 
 
@@ -107,7 +103,9 @@ class ParameterRow:
         on_change(self._entered, self.typed)
         on_change(self._told, self.hold, name="active")
         self.title = Div(text="", name=f"title {name}", **WIDE)
-        head = row(self.title, self.typed, self.hold, sizing_mode="stretch_width", stylesheets=[_CENTRED])
+        head = row(
+            self.title, self.typed, self.hold, sizing_mode="stretch_width", stylesheets=[":host{align-items:center}"]
+        )
         self.mean, self.std = (typed(f"prior {word} of {name}", "", f"{word} {name}", 120) for word in ("mean", "std"))
         on_change(self._told, self.mean, self.std)
         leave = button("no prior", self._take_prior, name=f"no prior {name}")
@@ -133,7 +131,7 @@ class ParameterRow:
         size = abs(self.parameter.start) or self.parameter.nominal or 1.0
         self._quiet = True
         try:
-            self.mean.value, self.std.value = f"{self.parameter.start:.6g}", f"{PRIOR_SHARE * size:.3g}"
+            self.mean.value, self.std.value = f"{self.parameter.start:.6g}", f"{0.5 * size:.3g}"
         finally:
             self._quiet = False
         self._given.visible = True
@@ -205,7 +203,7 @@ class ParameterRow:
         away = (self.value - self.estimate[0]) / self.estimate[1]
         if abs(away) < 0.05:
             return "at the optimum"
-        return f"{away:+.0f} std off" if abs(away) >= 10 else f"{away:+.2g} std off"
+        return f"{away:+.0f} σ" if abs(away) >= 10 else f"{away:+.2g} σ"
 
     def _shade(self) -> None:
         """Shade the prior amber and the confidence interval blue."""
@@ -218,8 +216,8 @@ class ParameterRow:
         css = f".noUi-base{{background:{','.join(shades)};border-radius:4px}}" if shades else ""
         self._shades.css = css
 
-    def _band(self, centre: float, std: float, color: str) -> str:
-        first, last = (100 * self.reach.place(centre + side * SHADED_STDS * std) / PLACES for side in (-1.0, 1.0))
+    def _band(self, center: float, std: float, color: str) -> str:
+        first, last = (100 * self.reach.place(center + side * 1.96 * std) / PLACES for side in (-1.0, 1.0))
         last = max(last, first + 0.8)  # at least a line
         return (
             f"linear-gradient(90deg,transparent {first:.2f}%,{color}b0 {first:.2f}%,{color}b0 {last:.2f}%,"

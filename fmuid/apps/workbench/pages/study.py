@@ -34,7 +34,6 @@ from fmuid.processes import AVAILABLE
 from fmuid.simulation import Simulator, close, executor_of, fit_of, parameter_units
 from fmuid.studies import Study
 
-MOST_UNDONE = 100  # steps of undo
 HOLD, PRIOR = "hold", "prior"  # Address arguments: a parameter to fix, and one to give a prior
 
 
@@ -98,7 +97,7 @@ class StudyPage:
         self.scores = words("scores", "<p class=soft>simulating …</p>")
         self.command = words("command")
         self.undo = button("Undo", self.go_back, disabled=True)
-        self.to_starts = button("Starts", lambda: self.put({r.name: r.parameter.start for r in self.rows}))
+        self.to_starts = button("Initial guess", lambda: self.put({r.name: r.parameter.start for r in self.rows}))
         self.to_optimum = button("Optimum", self._go_to_optimum, disabled=True)
         self.near = Toggle(label="± 10 σ", name="sliders over ± 10 σ", disabled=True, stylesheets=[SHEET])
         on_change(self._show_near, self.near, name="active")
@@ -121,7 +120,7 @@ class StudyPage:
         side = column(*chosen, *parts, name="side", sizing_mode="stretch_width")
         panels = [
             TabPanel(child=self.fit, title="Fit"),
-            TabPanel(child=self.identifying.search, title="Search"),
+            TabPanel(child=self.identifying.search, title="Optimization"),
             TabPanel(child=self.identifying.found, title="Result"),
         ]
         self.tabs = Tabs(tabs=panels, name="main", **WIDE)
@@ -130,12 +129,12 @@ class StudyPage:
         pieces = [
             ('<div class="bench"><section aria-label="parameters">', "side"),
             ('</section><div><section aria-label="figures">', "main"),
-            ("</section><section><h3>The same from a terminal</h3>", "command"),
+            ("</section><section><h3>Command</h3>", "command"),
             ("</section></div></div>", ""),
         ]
         if self.study.diagnosis is not None:
             link = address("faults", self.bench.folder, self.path)
-            pieces.insert(0, (f'<p><a href="{link}">Look for faults</a></p>', ""))
+            pieces.insert(0, (f'<p><a href="{link}">Diagnosis and monitoring</a></p>', ""))
         dress(self.doc, self.study.title or self.path.stem, pieces, "bokeh-widgets")
 
     @property
@@ -171,7 +170,7 @@ class StudyPage:
     def note(self) -> None:
         """Store a state for undo, and update the commands."""
         if self._state() != self._undone[-1]:
-            self._undone = [*self._undone, self._state()][-MOST_UNDONE:]
+            self._undone = [*self._undone, self._state()][-100:]
         self.undo.disabled = len(self._undone) < 2
         self._tell_command()
 
@@ -224,11 +223,11 @@ class StudyPage:
         cells = []
         for name, fit, rmse, unit in zip(record.outputs, record.fit, record.rmse, record.units, strict=True):
             std = math.sqrt(known[name]) if known.get(name, 0.0) > 0 else math.nan
-            times = f", {rmse / std:.3g} std of the noise" if math.isfinite(rmse / std) else ""
+            times = f", {rmse / std:.3g} × noise level" if math.isfinite(rmse / std) else ""
             more = f"<small>RMSE {escaped(with_unit(rmse, unit))}{times}</small>" if math.isfinite(rmse) else ""
             cells.append(_cell(f"fit of {name}", fit_text(fit), more))
         away = self._distance(theta)
-        cells += [_cell("from the optimum", f"{away:.3g} std")] if math.isfinite(away) else []
+        cells += [_cell("from the optimum", f"{away:.3g} σ")] if math.isfinite(away) else []
         cells.append(_cell("simulated in", f"{seconds:.3g} s" if seconds >= 1.0 else f"{1000 * seconds:.3g} ms"))
         return f"<div class=numbers role=status>{''.join(cells)}</div>"
 
