@@ -1,4 +1,4 @@
-"""FMUs in processes of their own: large records and models, what the system refuses, memory of whole families."""
+"""Limits of processes that run FMUs: time, memory, and resources that the system refuses."""
 
 from __future__ import annotations
 
@@ -16,46 +16,50 @@ import pandas as pd
 import psutil
 import pytest
 
-from fmuid.data.experiment import Experiment
+from fmuid import Experiment, Isolation, Simulator
 from fmuid.errors import FmuidError, InputError
-from fmuid.models.component import Isolation
-from fmuid.processes.limits import REFUSED, Footprint, HostExitError, family
-from fmuid.simulation.executor_pool import executor_of
-from fmuid.simulation.isolation.host import end_words
-from fmuid.simulation.simulator import Simulator
-from tests.support.isolated import (
-    NAMES,
-    PROCESSES,
-    RECORD,
-    check_costs_only_its_own,
-    expected,
-    left_behind,
-    thetas,
+from fmuid.processes import HUNG, STOPPED, HostExitError, ProcessStatus
+from fmuid.processes.limits import (
+    COMPUTED_SHARE,
+    REFUSED,
+    STANDSTILL_SECONDS,
+    Footprint,
+    condition_of,
+    family,
+    wants_processor,
 )
+from fmuid.simulation import codes, executor_of
+from fmuid.simulation.isolation.host import AT_REST_SECONDS, HostWatchdog, end_words
+from tests.support.isolated import NAMES, PROCESSES, RECORD, expected, pair, thetas, wait_until
 from tests.support.misbehaving import Mode, misbehaving_fmu
 
 pytestmark = PROCESSES
+linux = pytest.mark.skipif(sys.platform != "linux", reason="only Linux tells")
 
 
-def test_a_million_rows_are_those_in_process(folder: Path) -> None:
-    times = 1e-3 * np.arange(1_000_000)
-    frame = pd.DataFrame({"time": times, "u": np.sign(np.sin(3 * times + 0.1)), "x": 0.0})
-    record = Experiment(frame, ["u"], ["x"], interpolation="zoh")
+def record_of(samples: int, u: Any = 1.0) -> Experiment:
+    frame = pd.DataFrame({"time": 1e-3 * np.arange(samples), "u": u, "x": 0.0})
+    return Experiment(frame, ["u"], ["x"], interpolation="zoh")
+
+
+# --- size of records and models
+
+
+def test_large_record_equals_in_process(folder: Path) -> None:
+    record = record_of(400_000, np.sign(np.sin(3e-3 * np.arange(400_000) + 0.1)))
     fmu = misbehaving_fmu(folder)
-    alone, isolated = (Simulator(fmu, record, NAMES, isolation=each)([2.0, 0.5, 0.0]) for each in (None, Isolation()))
+    alone, isolated = (Simulator(fmu, record, NAMES, isolation=each)([2.0, 0.5, 0.0]) for each in pair())
     assert np.array_equal(isolated, alone)
     assert np.ptp(alone) > 1
 
 
 @pytest.mark.slow
-def test_a_record_longer_than_all_before_has_the_time_of_a_first_one(
-    folder: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """What the short ones took says little about it."""
+def test_longest_record_has_the_time_of_a_first_one(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Short ones say little about it."""
     monkeypatch.setattr("fmuid.simulation.isolation.host.LEAST_TIME_LIMIT", 0.2)
     monkeypatch.setattr("fmuid.simulation.isolation.host.SLOWER_FACTOR", 1.0)
-    times = 0.1 * np.arange(400)
-    long = Experiment(pd.DataFrame({"time": times, "u": 1.0, "x": 0.0}), ["u"], ["x"], interpolation="zoh")
+    frame = pd.DataFrame({"time": 0.1 * np.arange(400), "u": 1.0, "x": 0.0})
+    long = Experiment(frame, ["u"], ["x"], interpolation="zoh")
     simulator = Simulator(misbehaving_fmu(folder), RECORD, NAMES, values={"amount": 2.0}, isolation=Isolation())
     simulator([2.0, 0.5, 0.0])
     assert simulator.over(long)([2.0, 0.5, Mode.SLOW])[-1] == pytest.approx(2.0)
@@ -68,46 +72,43 @@ def test_twenty_thousand_parameters_cost_no_process(folder: Path) -> None:
     assert np.array_equal(simulator(some), expected(folder, some))
 
 
-@pytest.mark.parametrize("isolation", [None, Isolation()], ids=["in-process", "isolated"])
-def test_a_library_whose_name_no_file_can_have_is_one_sentence(
-    folder: Path, tmp_path: Path, isolation: Isolation | None
-) -> None:
+@pytest.mark.parametrize("isolation", pair(), ids=["in-process", "isolated"])
+def test_library_name_that_no_file_can_have(folder: Path, tmp_path: Path, isolation: Isolation | None) -> None:
     path = tmp_path / "named.fmu"
     with zipfile.ZipFile(misbehaving_fmu(folder)) as source, zipfile.ZipFile(path, "w") as target:
         for name in source.namelist():
             data = source.read(name)
             long = data.replace(b'modelIdentifier="misbehaving"', b'modelIdentifier="%s"' % (5000 * b"a"))
             target.writestr(name, long if name == "modelDescription.xml" else data)
-    with pytest.raises(InputError, match=r"has no binary for this platform .* has no aaaa") as caught:
+    with pytest.raises(InputError, match="no binary for this platform") as caught:
         Simulator(path, RECORD, NAMES, isolation=isolation)([1.0, 1.0, 0.0])
     assert len(str(caught.value)) < 1000
 
 
-# --- what the system refuses, and what an FMU spoils
+# --- resources that the system refuses
 
 
 @pytest.mark.parametrize("count", [12, 6000], ids=["threads", "memory"])
-def test_a_process_that_is_refused_what_it_needs_costs_no_simulation(folder: Path, count: int) -> None:
-    """One that an FMU has forbidden to take more: another thread, more shared memory. The next one can do it all."""
+def test_process_without_resources_costs_no_simulation(folder: Path, count: int) -> None:
+    """An FMU has forbidden it to take more: another thread, more shared memory. The next one can do it all."""
     simulator = Simulator(misbehaving_fmu(folder), RECORD, NAMES, isolation=Isolation(threads=2))
     some = np.tile(thetas(Mode.SOUND), (count // 12, 1))
     assert np.array_equal(simulator([[2.0, 0.5, Mode.LIMIT]]), expected(folder, np.array([[2.0, 0.5, 0.0]])))
     assert np.array_equal(simulator(some), expected(folder, some))
 
 
-def test_processes_that_are_refused_what_they_need_every_time_do_what_they_can(folder: Path) -> None:
+def test_processes_that_never_get_resources_do_what_they_can(folder: Path) -> None:
     """No more memory from the moment the library is loaded: each process still does one simulation."""
     measuring = sys.modules.get("coverage")
     if measuring is not None and measuring.Coverage.current() is not None:
-        pytest.skip("what counts the lines that are run takes memory, too")
+        pytest.skip("measuring coverage takes memory, too")
     some = np.tile(thetas(Mode.SOUND)[:2], (600, 1))
-    fmu = misbehaving_fmu(folder, at_loading=Mode.LIMIT)
-    simulator = Simulator(fmu, RECORD, NAMES, isolation=Isolation(threads=1))
-    assert np.array_equal(simulator(some[:2]), expected(folder, some[:2]))
-    assert np.array_equal(simulator(some), expected(folder, some))
+    simulator = Simulator(misbehaving_fmu(folder, at_loading=Mode.LIMIT), RECORD, NAMES, isolation=Isolation(threads=1))
+    for each in (some[:2], some):
+        assert np.array_equal(simulator(each), expected(folder, each))
 
 
-def test_what_the_system_refuses_this_process_is_one_sentence(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_resources_refused_to_this_process_are_one_sentence(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     simulator = Simulator(misbehaving_fmu(folder), RECORD, NAMES, isolation=Isolation())
     simulator([2.0, 0.5, 0.0])
     simulator.close()
@@ -117,53 +118,21 @@ def test_what_the_system_refuses_this_process_is_one_sentence(folder: Path, monk
         raise OSError(errno.EMFILE, os.strerror(errno.EMFILE))
 
     monkeypatch.setattr("fmuid.processes.host.socket.socketpair", refuse)
-    with pytest.raises(FmuidError, match=r"the system refuses what .* \(Too many open files\)"):
+    with pytest.raises(FmuidError, match="Too many open files"):
         simulator([2.0, 0.5, 0.0])
     assert psutil.Process().num_fds() == files
+    assert end_words(HostExitError(REFUSED, errno.ENOMEM)).endswith("resources (Cannot allocate memory)")
+    assert end_words(HostExitError(REFUSED, 0)).endswith("resources")
 
 
-@pytest.mark.parametrize(
-    ("end", "words"),
-    [
-        (
-            HostExitError(REFUSED, errno.ENOMEM),
-            "its process lacks system resources (Cannot allocate memory)",
-        ),
-        (HostExitError(REFUSED, 0), "its process lacks system resources"),
-    ],
-)
-def test_words_of_an_end(end: HostExitError, words: str) -> None:
-    assert end_words(end) == words
-
-
-def test_what_is_written_into_the_connection_is_told(folder: Path) -> None:
-    words = "it corrupted the connection to its process"
-    check_costs_only_its_own(misbehaving_fmu(folder), thetas(Mode.GARBLE), words, Isolation(time_limit=600.0))
-
-
-# --- memory and relatives
-
-linux = pytest.mark.skipif(sys.platform != "linux", reason="only Linux tells")
+# --- memory
 
 
 @linux
 @pytest.mark.slow
-@pytest.mark.parametrize("mode", [Mode.SHARE, Mode.BROOD])
-def test_memory_that_is_shared_or_that_of_children_counts(folder: Path, mode: Mode) -> None:
-    words = "its process took more than 300 MB and was stopped"
-    check_costs_only_its_own(
-        misbehaving_fmu(folder), thetas(mode), words, Isolation(time_limit=600.0, memory_limit_mb=300.0)
-    )
-
-
-@pytest.mark.slow
-@linux
-def test_what_fmuid_itself_gives_a_process_does_not_count(folder: Path) -> None:
+def test_memory_given_by_fmuid_does_not_count(folder: Path) -> None:
     """Record and outputs take 56 MB: more than the limit leaves above what the process takes without them."""
-    times = 1e-3 * np.arange(1_000_000)
-    frame = pd.DataFrame({"time": times, "u": 1.0, "x": 0.0})
-    record = Experiment(frame, ["u"], ["x"], interpolation="zoh")
-    simulator = Simulator(misbehaving_fmu(folder), record, NAMES, isolation=Isolation(threads=1))
+    simulator = Simulator(misbehaving_fmu(folder), record_of(1_000_000), NAMES, isolation=Isolation(threads=1))
     some = [[2.0, 0.5, 0.0]] * 4
     before = simulator(some)
     executor: Any = executor_of(simulator.system)
@@ -174,26 +143,12 @@ def test_what_fmuid_itself_gives_a_process_does_not_count(folder: Path) -> None:
 
 
 @linux
-@pytest.mark.parametrize("how", ["closed", "crashed"])
-def test_what_has_left_its_session_ends_too(folder: Path, how: str) -> None:
-    simulator = Simulator(misbehaving_fmu(folder), RECORD, NAMES, isolation=Isolation(threads=1))
-    escaped = left_behind(simulator, folder, Mode.ESCAPE)
-    assert [os.getsid(process.pid) == os.getsid(process.ppid()) for process in escaped] == [False]
-    if how == "closed":
-        simulator.close()
-    else:
-        simulator.many([[1.0, 1.0, Mode.ABORT]])
-    _, left = psutil.wait_procs(escaped, timeout=600)
-    assert not left
-
-
-@linux
-def test_what_is_shared_counts_once(tmp_path: Path) -> None:
-    """Four processes that share 200 MB take 200 MB, of which each seems to have all."""
+def test_shared_memory_counts_once(tmp_path: Path) -> None:
+    """Four processes that share 100 MB take 100 MB, of which each seems to have all."""
     script = tmp_path / "share.py"
     script.write_text(
-        "import mmap, os, signal\nroom = mmap.mmap(-1, 200 << 20)\nfor i in range(0, 200 << 20, 4096): room[i] = 1\n"
-        "for i in range(3):\n    if os.fork() == 0:\n        sum(room[i] for i in range(0, 200 << 20, 4096))\n"
+        "import mmap, os, signal\nroom = mmap.mmap(-1, 100 << 20)\nfor i in range(0, 100 << 20, 4096): room[i] = 1\n"
+        "for i in range(3):\n    if os.fork() == 0:\n        sum(room[i] for i in range(0, 100 << 20, 4096))\n"
         "        os.write(1, b'there'); signal.pause()\nos.write(1, b'there')\nsignal.pause()\n"
     )
     with subprocess.Popen([sys.executable, str(script)], stdout=subprocess.PIPE, start_new_session=True) as process:
@@ -202,8 +157,94 @@ def test_what_is_shared_counts_once(tmp_path: Path) -> None:
             assert process.stdout.read(20) == 4 * b"there"
             assert len(family(process.pid)) == 4
             footprint = Footprint(process.pid)
-            assert 200 < footprint.read() / 2**20 < 260
-            assert footprint.exceeds(200 << 20)
-            assert not footprint.exceeds(260 << 20)
+            assert 100 < footprint.read() / 2**20 < 160
+            assert footprint.exceeds(100 << 20)
+            assert not footprint.exceeds(160 << 20)
         finally:
             os.killpg(process.pid, signal.SIGKILL)
+
+
+# --- time: by the clock, but a busy machine is not charged to a simulation
+
+LIMIT = 10.0
+
+
+class Watched:
+    """A host under a watchdog, by a clock of its own."""
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch, state: int = codes.SIMULATING, wants: bool = False) -> None:
+        self.now, self.computed = 100.0, 3.0
+        monkeypatch.setattr("fmuid.processes.limits.time.monotonic", lambda: self.now)
+        monkeypatch.setattr("fmuid.processes.limits.wants_processor", lambda _: wants)
+        self.watchdog = HostWatchdog(LIMIT, np.array([state, 1]), computes=state == codes.IDLE)
+        self.end_after(0.0)
+
+    def end_after(
+        self, seconds: float, share: float = 0.0, status: str = psutil.STATUS_RUNNING, every: float = 0.05
+    ) -> HostExitError | None:
+        """Return the end within some seconds of a process that computes for a share of them."""
+        until = self.now + seconds
+        while True:
+            passed = min(every, until - self.now)
+            self.now, self.computed = self.now + passed, self.computed + share * passed
+            end = self.watchdog.end(ProcessStatus(1, status, self.computed))
+            if end is not None or until - self.now < 1e-9:
+                return end
+
+
+OVER = HostExitError(HUNG, round(1e3 * LIMIT))
+
+
+@pytest.mark.parametrize("wants", [False, True], ids=["waits for something else", "computes"])
+def test_limit_is_by_the_clock(monkeypatch: pytest.MonkeyPatch, wants: bool) -> None:
+    watched = Watched(monkeypatch, wants=wants)
+    assert watched.end_after(0.99 * LIMIT, 0.9 * wants) is None
+    assert watched.end_after(0.02 * LIMIT, 0.9 * wants) == OVER
+
+
+def test_waiting_for_a_processor_is_not_charged(monkeypatch: pytest.MonkeyPatch) -> None:
+    watched = Watched(monkeypatch, wants=True)
+    assert watched.end_after(10 * LIMIT, 0.09 * COMPUTED_SHARE) is None
+    assert watched.end_after(3 * LIMIT, 0.09 * COMPUTED_SHARE) == OVER
+
+
+def test_time_in_which_nobody_looked_is_not_charged(monkeypatch: pytest.MonkeyPatch) -> None:
+    """As where the machine stood still, both processes with it."""
+    watched = Watched(monkeypatch)
+    assert watched.end_after(10 * LIMIT, every=10 * LIMIT) is None
+    assert watched.end_after(LIMIT - 2 * STANDSTILL_SECONDS) is None
+    assert watched.end_after(2 * STANDSTILL_SECONDS) == OVER
+
+
+def test_process_at_rest_that_owes_an_answer_is_ended(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A case of a batch calculates for hours between simulations; one that does not even calculate has no end."""
+    watched = Watched(monkeypatch, codes.IDLE)
+    assert watched.end_after(3600.0, 0.05, every=0.1) is None
+    assert watched.end_after(0.9 * AT_REST_SECONDS, 0.0, psutil.STATUS_SLEEPING, 0.1) is None
+    end = watched.end_after(0.2 * AT_REST_SECONDS, 0.0, psutil.STATUS_SLEEPING, 0.1)
+    assert end == HostExitError(HUNG, round(1e3 * AT_REST_SECONDS))
+
+
+def test_process_stopped_for_a_moment_goes_on(monkeypatch: pytest.MonkeyPatch) -> None:
+    watched = Watched(monkeypatch)
+    for _ in range(3):
+        assert watched.end_after(1.5, status=psutil.STATUS_STOPPED, every=0.1) is None
+        assert watched.end_after(0.5, 1.0, every=0.1) is None
+    assert watched.end_after(2.5, status=psutil.STATUS_STOPPED, every=0.1) == HostExitError(STOPPED, 0)
+
+
+@linux
+@pytest.mark.parametrize(("code", "wants"), [("while True: pass", True), ("input()", False)])
+def test_wants_processor(code: str, wants: bool) -> None:
+    code = f"import threading; threading.Thread(target=lambda: exec({code!r})).start()"
+    with subprocess.Popen([sys.executable, "-c", code], stdin=subprocess.PIPE) as process:
+        try:
+            wait_until(lambda: wants_processor(process.pid) == wants)
+            if wants:
+                wait_until(lambda: condition_of(process.pid).computed > 0.1)
+                assert wants_processor(process.pid)
+        finally:
+            process.kill()
+    assert condition_of(process.pid) == ProcessStatus(process.pid, psutil.STATUS_ZOMBIE, 0.0)
+    assert not wants_processor(process.pid)
+    assert condition_of(os.getpid()).computed > 0.0

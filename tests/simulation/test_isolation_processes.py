@@ -1,4 +1,4 @@
-"""The processes that run FMUs: they end when they should, whoever ends them, and nothing of them is left."""
+"""Processes that run FMUs: they end when they should, whoever ends them, and leave nothing behind."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ import sys
 import threading
 import time
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -21,19 +22,18 @@ import psutil
 import pytest
 
 import fmuid
+from fmuid import Experiment, Isolation, Simulator, System
 from fmuid.array_types import Floats
-from fmuid.data.experiment import Experiment
 from fmuid.errors import FmuidError, SimulationError
-from fmuid.models.component import Isolation
-from fmuid.models.system import System
 from fmuid.processes import MEMORY_KEPT, Child
 from fmuid.processes import host as hosts
 from fmuid.processes.channel import Channel, Look
 from fmuid.processes.host import SERVER, ForkServer
-from fmuid.processes.limits import KILLED, HostExitError
-from fmuid.simulation.executor_pool import executor_of
+from fmuid.processes.limits import KILLED, HostExitError, condition_of, family
+from fmuid.simulation import executor_of
+from fmuid.simulation.isolation import server
 from fmuid.simulation.isolation.host import FmuHost
-from fmuid.simulation.simulator import Simulator
+from tests.support import spoilt_orders
 from tests.support.isolated import (
     NAMES,
     PROCESSES,
@@ -48,15 +48,29 @@ from tests.support.isolated import (
     thetas,
     wait_until,
 )
-from tests.support.misbehaving import Mode, lag, misbehaving_fmu
+from tests.support.misbehaving import Mode, Where, lag, misbehaving_fmu
+from tests.support.quick import first
 
 pytestmark = PROCESSES
+linux = pytest.mark.skipif(sys.platform != "linux", reason="elsewhere a fork shares the memory of its parent")
+ONE = Isolation(threads=1)
+
+
+def simulator_of(folder: Path, isolation: Isolation = ONE, **values: float) -> Simulator:
+    return Simulator(misbehaving_fmu(folder), RECORD, NAMES, values=values, isolation=isolation)
+
+
+def executor_in(simulator: Simulator) -> Any:
+    return executor_of(simulator.system)
+
+
+# --- ends of processes
 
 
 @pytest.mark.slow
-def test_nothing_is_left_of_closed_systems(folder: Path) -> None:
+def test_closed_systems_leave_nothing(folder: Path) -> None:
     def use() -> None:
-        simulators = [Simulator(misbehaving_fmu(folder), RECORD, NAMES, isolation=Isolation()) for _ in range(6)]
+        simulators = [simulator_of(folder, Isolation()) for _ in range(6)]
         for simulator in simulators:
             simulator([2.0, 0.5, 0.0])
         for simulator in simulators[::2]:
@@ -74,11 +88,9 @@ def test_nothing_is_left_of_closed_systems(folder: Path) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("whom", ["leaves", "all"])
-def test_a_process_killed_from_outside_costs_nothing(folder: Path, whom: str) -> None:
+def test_processes_killed_from_outside_cost_nothing(folder: Path, whom: str) -> None:
     some = thetas(Mode.SOUND) * [1, 1, 0] + [0, 0, Mode.SLOW]
-    simulator = Simulator(misbehaving_fmu(folder), RECORD, NAMES, values={"amount": 5.0}, isolation=Isolation())
-    found: list[Floats] = []
-    over, killed = threading.Event(), 0
+    simulator, found, over, killed = simulator_of(folder, Isolation(), amount=5.0), list[Floats](), threading.Event(), 0
 
     def simulate() -> None:
         while not over.is_set():
@@ -101,36 +113,37 @@ def test_a_process_killed_from_outside_costs_nothing(folder: Path, whom: str) ->
     assert all(np.array_equal(each, expected(folder, some)) for each in found)
 
 
-def test_a_process_that_ends_while_nobody_uses_it_costs_nothing(folder: Path) -> None:
-    simulator = Simulator(misbehaving_fmu(folder), RECORD, NAMES, isolation=Isolation(threads=1))
-    some = thetas(Mode.SOUND)
+def test_process_that_ends_while_nobody_uses_it_costs_nothing(folder: Path) -> None:
+    simulator, some = simulator_of(folder), thetas(Mode.SOUND)
     assert np.array_equal(simulator(some), expected(folder, some))
-    executor: Any = executor_of(simulator.system)
-    host = psutil.Process(executor._host().pid)
+    host = psutil.Process(executor_in(simulator)._host().pid)
     host.send_signal(signal.SIGALRM)
     wait_until(lambda: host.status() == psutil.STATUS_ZOMBIE)
     assert np.array_equal(simulator(some), expected(folder, some))
 
 
-def test_a_crash_is_seen_although_the_fmu_has_forked(folder: Path) -> None:
+def test_crash_is_seen_although_the_fmu_has_forked(folder: Path) -> None:
     """The process that an FMU forked holds all its files open; the crash is known at once all the same."""
     fmu = misbehaving_fmu(folder)
-    system = System(
-        components={"forks": fmu, "crashes": fmu}, connections=[("forks.x", "crashes.u")], isolation=Isolation()
-    )
-    record = Experiment(RECORD_FRAME, {"forks.u": "u"}, {"crashes.x": "x"}, interpolation="zoh")
-    values = {"forks.mode": Mode.SPAWN.value, "crashes.mode": Mode.SEGFAULT.value, "crashes.at": 2.0}
-    with pytest.raises(SimulationError, match=r"crashed with SIGSEGV"):
+    system = System(components={"a": fmu, "b": fmu}, connections=[("a.x", "b.u")], isolation=Isolation())
+    record = Experiment(RECORD_FRAME, {"a.u": "u"}, {"b.x": "x"}, interpolation="zoh")
+    values = {"a.mode": Mode.SPAWN.value, "b.mode": Mode.SEGFAULT.value, "b.at": 2.0}
+    with pytest.raises(SimulationError, match="crashed with SIGSEGV"):
         Simulator(system, record, values=values)([])
 
 
-def test_what_the_fmu_has_forked_ends_with_its_process(folder: Path) -> None:
-    simulator = Simulator(misbehaving_fmu(folder), RECORD, NAMES, isolation=Isolation(threads=1))
-    spawned = left_behind(simulator, folder, Mode.SPAWN)
-    assert spawned
-    simulator.close()
-    _, left = psutil.wait_procs(spawned, timeout=600)
-    assert not left
+@linux
+@pytest.mark.parametrize(("mode", "how"), [(Mode.SPAWN, "closed"), (Mode.ESCAPE, "closed"), (Mode.ESCAPE, "crashed")])
+def test_children_end_with_their_process(folder: Path, mode: Mode, how: str) -> None:
+    """Also those that have left its session."""
+    simulator = simulator_of(folder)
+    started = left_behind(simulator, folder, mode)
+    assert [os.getsid(p.pid) == os.getsid(p.ppid()) for p in started] == [mode == Mode.SPAWN]
+    if how == "closed":
+        simulator.close()
+    else:
+        simulator.many([[1.0, 1.0, Mode.ABORT]])
+    assert not psutil.wait_procs(started, timeout=600)[1]
 
 
 SCRIPT = """
@@ -147,14 +160,7 @@ simulator(np.tile([2.0, float(mode)], (4, 1)))
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    ("name", "mode"),
-    [
-        ("SIGKILL", Mode.STUBBORN),
-        ("SIGTERM", Mode.LOOP),
-        pytest.param("SIGINT", Mode.LOOP, marks=pytest.mark.slow),  # as Ctrl-C in a terminal, of the commands' tests
-    ],
-)
+@pytest.mark.parametrize(("name", "mode"), [("SIGKILL", Mode.STUBBORN), ("SIGTERM", Mode.LOOP), ("SIGINT", Mode.LOOP)])
 def test_no_process_is_left_when_fmuid_ends(folder: Path, name: str, mode: Mode) -> None:
     command = [sys.executable, "-c", SCRIPT, str(misbehaving_fmu(folder)), str(int(mode))]
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
@@ -166,12 +172,81 @@ def test_no_process_is_left_when_fmuid_ends(folder: Path, name: str, mode: Mode)
             assert there
             process.send_signal(signal.Signals[name])
             _, said = process.communicate(timeout=600)
-            _, left = psutil.wait_procs(there, timeout=600)
-            assert not left
+            assert not psutil.wait_procs(there, timeout=600)[1]
         finally:
             process.kill()
     assert process.returncode == -signal.Signals[name]
     assert ("KeyboardInterrupt" in said) == (name == "SIGINT")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("how", ["file", "stdin"])
+def test_script_needs_no_guard_and_warns_of_nothing(folder: Path, tmp_path: Path, how: str) -> None:
+    """Without ``if __name__ == "__main__"``, warnings as errors, threads running; and from stdin."""
+    thread = "threading.Thread(target=threading.Event().wait, daemon=True).start()\nsimulator = "
+    text = SCRIPT.replace("simulator = ", thread)
+    (tmp_path / "script.py").write_text(text)
+    command = [sys.executable, "-W", "error", "script.py" if how == "file" else "-", str(misbehaving_fmu(folder)), "0"]
+    given = {"input": text if how == "stdin" else "", "cwd": tmp_path, "timeout": 600}
+    run = subprocess.run(command, capture_output=True, text=True, **given)  # type: ignore[call-overload]
+    assert (run.stderr, run.returncode) == ("", 0)
+    assert float(run.stdout) == pytest.approx(lag(TIMES, U, 2.0, 1.0)[-1], abs=1e-14)
+
+
+def test_default_is_in_process(folder: Path) -> None:
+    there = {process.pid for process in processes()}
+    Simulator(misbehaving_fmu(folder), RECORD, ["gain"])([2.0])
+    assert {process.pid for process in processes()} <= there
+
+
+# --- FMUs that fork, write into the connection, or stop processes
+
+
+@linux
+@pytest.mark.parametrize("where", first(1, [Where.STEP, Where.INITIALIZATION, Where.RESET]))
+def test_fork_that_returns_costs_nothing(folder: Path, where: Where) -> None:
+    """It neither answers in place of its parent nor goes on with an order that is over."""
+    simulator = simulator_of(folder, where=where, amount=100.0)
+    some = thetas(Mode.RETURN_TWICE)
+    for _ in range(2):
+        assert np.array_equal(simulator(some), expected(folder, some))
+        host = executor_in(simulator)._host()
+        there = host._memory[:] = bytes(len(host._memory))
+        forks = family(host.pid)[1:]
+        assert forks
+        wait_until(lambda forks=forks: all(condition_of(f).status == psutil.STATUS_ZOMBIE for f in forks))  # type: ignore[misc]
+        assert host._memory[:] == there
+    assert executor_in(simulator)._host() is host
+
+
+def test_fmu_that_stops_its_server_costs_nothing(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Neither now nor afterwards, and no process is left."""
+    monkeypatch.setattr("fmuid.processes.limits.STOPPED_SECONDS", 0.2)
+    there = {process.pid for process in processes()}
+    simulator = simulator_of(folder, Isolation(time_limit=600.0, threads=1))
+    for seed in (1, 2):
+        some = thetas(Mode.STOP_PARENT, seed)
+        assert np.array_equal(simulator(some), expected(folder, some))
+    simulator.close()
+    assert {process.pid for process in processes()} <= there | {SERVER._process.pid if SERVER._process else 0}
+
+
+def test_failing_code_beside_an_fmu_costs_the_simulation(
+    folder: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    monkeypatch.setattr(server, "run", spoilt_orders.run)
+    simulator, some = simulator_of(folder), thetas(Mode.SOUND)
+    some[:, 0] = np.minimum(some[:, 0], 2.5)
+    some[5, 0] = 2 * spoilt_orders.MOST_GAIN
+    found, good = simulator.many(some), np.arange(len(some)) != 5
+    assert [error is None for error in found.errors] == good.tolist()
+    assert "code of fmuid failed in its process" in str(found.errors[5])
+    assert np.array_equal(found.outputs[good], expected(folder, some)[good])
+    (said,) = caplog.records
+    assert "code of fmuid failed in the process of an FMU: TypeError" in said.getMessage()
+
+
+# --- the server that forks them
 
 
 def called_pid(host: FmuHost) -> int:
@@ -182,19 +257,19 @@ def called_pid(host: FmuHost) -> int:
 def test_memory_is_kept_whatever_the_starter_says(monkeypatch: pytest.MonkeyPatch) -> None:
     """Dask starts workers with a threshold at which each array is mapped anew."""
     monkeypatch.setenv("MALLOC_TRIM_THRESHOLD_", "65536")
-    server = ForkServer()
-    monkeypatch.setattr("fmuid.processes.host.SERVER", server)
+    own = ForkServer()
+    monkeypatch.setattr("fmuid.processes.host.SERVER", own)
     host = FmuHost([], 1e9)
     found = {name: str(host.order(os.getenv, name, limit=20.0)) for name in MEMORY_KEPT}
     host.close()
-    server.stop()
+    own.stop()
     assert found == MEMORY_KEPT
     assert int(found["MALLOC_TRIM_THRESHOLD_"]) > int(found["MALLOC_MMAP_THRESHOLD_"]) > 10**7
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("question", ["fork", "wait"])
-def test_an_interruption_leaves_no_answer_for_the_next(monkeypatch: pytest.MonkeyPatch, question: str) -> None:
+def test_interruption_leaves_no_answer_for_the_next(monkeypatch: pytest.MonkeyPatch, question: str) -> None:
     """Ctrl-C after the server has its order and before its answer is read."""
     host = FmuHost([], 1e9)
     assert called_pid(host) == host.pid
@@ -212,7 +287,7 @@ def test_an_interruption_leaves_no_answer_for_the_next(monkeypatch: pytest.Monke
         each.close()
 
 
-def test_garbage_that_is_collected_in_the_middle_of_a_question_asks_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_garbage_collected_during_a_question_asks_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
     """A system whose host is closed by the collector, in the thread that forks another."""
     garbage, receive = FmuHost([], 1e9), Channel.receive
 
@@ -228,42 +303,18 @@ def test_garbage_that_is_collected_in_the_middle_of_a_question_asks_nothing(monk
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("how", ["file", "stdin"])
-def test_a_script_needs_no_guard_and_warns_of_nothing(folder: Path, tmp_path: Path, how: str) -> None:
-    """A user's script without ``if __name__ == "__main__"``, warnings as errors, threads running; and from stdin."""
-    text = SCRIPT.replace(
-        "simulator = ", "threading.Thread(target=threading.Event().wait, daemon=True).start()\nsimulator = "
-    )
-    (tmp_path / "script.py").write_text(text)
-    command = [sys.executable, "-W", "error", "script.py" if how == "file" else "-", str(misbehaving_fmu(folder)), "0"]
-    run = subprocess.run(
-        command, input=text if how == "stdin" else "", capture_output=True, text=True, cwd=tmp_path, timeout=600
-    )
-    assert run.stderr == ""
-    assert float(run.stdout) == pytest.approx(lag(TIMES, U, 2.0, 1.0)[-1], abs=1e-14)
-    assert run.returncode == 0
-
-
-def test_the_default_is_in_process(folder: Path) -> None:
-    there = {process.pid for process in processes()}
-    fmuid.Simulator(misbehaving_fmu(folder), RECORD, ["gain"])([2.0])
-    assert {process.pid for process in processes()} <= there
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("how", ["closed", "killed", "struck"])
-def test_who_has_the_number_of_a_host_by_now_is_left_alone(how: str) -> None:
+@pytest.mark.parametrize("how", ["close", "kill", "strike"])
+def test_stranger_with_the_number_of_a_host_is_left_alone(how: str) -> None:
     """A host that went with its server, which nobody asks about for long; process numbers come round."""
     host = FmuHost([], 1e9)
     gone = psutil.Process(host.pid)
-    server = SERVER._process
-    assert server is not None
-    psutil.Process(server.pid).kill()
+    assert SERVER._process is not None
+    psutil.Process(SERVER._process.pid).kill()
     wait_until(lambda: not gone.is_running())
     with subprocess.Popen(["sleep", "600"], start_new_session=True) as stranger:
         try:
             host.pid = stranger.pid
-            {"closed": host.close, "killed": host.kill, "struck": host.strike}[how]()
+            getattr(host, how)()
             wait_until(lambda: psutil.Process(stranger.pid).status() == psutil.STATUS_SLEEPING)  # not stopped
             assert stranger.poll() is None
         finally:
@@ -271,48 +322,46 @@ def test_who_has_the_number_of_a_host_by_now_is_left_alone(how: str) -> None:
     host.kill()
 
 
-def test_a_server_that_ends_as_soon_as_it_begins(monkeypatch: pytest.MonkeyPatch) -> None:
-    """One sentence after some starts, not a loop."""
+def test_server_that_ends_at_once_is_one_sentence(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(hosts, "LIMITS", replace(hosts.LIMITS, starts=2))
     monkeypatch.setattr(hosts, "Child", lambda _module, *words, **options: Child("keyword", *words, **options))
-    server = ForkServer()
-    with pytest.raises(FmuidError, match=r"processes\.server, .* ends again and again .*: have FMUs run inside this"):
-        server.fork([], [])
-    assert server.status(1) is None
+    own = ForkServer()
+    with pytest.raises(FmuidError, match=r"processes\.server"):
+        own.fork([], [])
+    assert own.status(1) is None
 
 
-def test_a_system_that_makes_no_more_processes(monkeypatch: pytest.MonkeyPatch) -> None:
-    answer = os.strerror(errno.EAGAIN)
-    monkeypatch.setattr(ForkServer, "_ask", lambda *_words, **_options: answer)
-    with pytest.raises(FmuidError, match=f"^no isolated process can be made: {answer}$"):
+def test_system_without_more_processes_is_one_sentence(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(ForkServer, "_ask", lambda *_words, **_options: os.strerror(errno.EAGAIN))
+    with pytest.raises(FmuidError, match=os.strerror(errno.EAGAIN)):
         ForkServer().fork([], [])
 
 
-def test_a_host_that_never_begins(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_host_that_never_begins_is_one_sentence(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def order(host: FmuHost, *_words: object, **_options: object) -> None:
         host.kill()
         raise HostExitError(KILLED, signal.SIGKILL)
 
-    simulator = Simulator(misbehaving_fmu(folder), RECORD, NAMES, isolation=Isolation(threads=1))
+    simulator = simulator_of(folder)
     monkeypatch.setattr(FmuHost, "order", order)
-    with pytest.raises(FmuidError, match=r"its process ends repeatedly"):
+    with pytest.raises(FmuidError, match=r"\.fmu: its process ends repeatedly"):
         simulator([2.0, 0.5, 0.0])
 
 
-def test_simulations_that_were_cancelled_are_not_taken_up(folder: Path) -> None:
-    simulator = Simulator(misbehaving_fmu(folder), RECORD, NAMES, isolation=Isolation(threads=1))
-    executor: Any = executor_of(simulator.system)
+def test_cancelled_simulations_are_not_taken_up(folder: Path) -> None:
+    executor = executor_in(simulator_of(folder))
     executor.cancel()
-    with pytest.raises(FmuidError, match=r"\.fmu: simulations cancelled$"):
+    with pytest.raises(FmuidError, match=r"\.fmu: simulations cancelled"):
         executor._host()
 
 
-def test_a_path_is_that_of_the_folder_where_it_was_given(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_path_belongs_to_the_folder_where_it_was_given(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     coil = fmuid.datasets.coil()
     shutil.copy(coil.fmu, tmp_path / "Mine.fmu")
+    given = partial(Simulator, experiment=coil.experiment, parameters=list(coil.parameters), isolation=Isolation())
     values = [parameter.start for parameter in coil.parameters.values()]
-    first = fmuid.Simulator(coil.fmu, coil.experiment, list(coil.parameters), isolation=Isolation())(values)
+    expected_outputs = given(coil.fmu)(values)
     monkeypatch.chdir(tmp_path)
-    mine = fmuid.Simulator("Mine.fmu", coil.experiment, list(coil.parameters), isolation=Isolation())
+    mine = given("Mine.fmu")
     monkeypatch.chdir(tmp_path.parent)
-    assert np.array_equal(mine(values), first)
+    assert np.array_equal(mine(values), expected_outputs)

@@ -2,13 +2,9 @@
 
 from __future__ import annotations
 
-import subprocess
-import zipfile
 from pathlib import Path
 
-import fmpy
-
-from fmuid.simulation.native.build import compiler_here
+from tests.support.compiled import write_fmu
 from tests.support.paths import HERE
 
 # Value references as in probe/choices.c.
@@ -28,12 +24,4 @@ _DESCRIPTION = """<?xml version="1.0" encoding="UTF-8"?>
 
 def choices_fmu(folder: Path) -> Path:
     """Return the FMU: x' = gain (u + b − n x), n from 1 to 4."""
-    library, path = folder / f"choices{fmpy.sharedLibraryExtension}", folder / "choices.fmu"
-    headers = Path(fmpy.__file__).parent / "c-code"
-    command = [*compiler_here(), "-O1", "-shared", "-fPIC", f"-I{headers}", "-o", str(library)]
-    subprocess.run([*command, str(HERE / "probe" / "choices.c")], check=True, capture_output=True)
-    with zipfile.ZipFile(path, "w") as archive:
-        archive.writestr("modelDescription.xml", _DESCRIPTION)
-        binary = f"binaries/{fmpy.platform_tuple}/choices{fmpy.sharedLibraryExtension}"
-        archive.writestr(binary, library.read_bytes())
-    return path
+    return write_fmu(folder / "choices.fmu", _DESCRIPTION, HERE / "probe" / "choices.c", version=3)

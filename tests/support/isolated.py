@@ -44,6 +44,11 @@ def thetas(mode: Mode, seed: int = 1) -> Floats:
     return some
 
 
+def pair() -> tuple[None, Isolation]:
+    """Return no isolation, and that of separate processes."""
+    return None, Isolation()
+
+
 def closed_form(some: Floats) -> Floats:
     """Return the outputs (m, K) of thetas where the FMU behaves."""
     return np.array([lag(TIMES, U, gain, T) for gain, T, _ in some])

@@ -2,14 +2,9 @@
 
 from __future__ import annotations
 
-import subprocess
-import zipfile
-from functools import cache
 from pathlib import Path
 
-import fmpy
-
-from fmuid.simulation.native.build import compiler_here
+from tests.support.compiled import real, write_fmu
 from tests.support.paths import HERE
 
 LAG, MOTOR = ("lag", ("x",), ("k",)), ("motor", ("i", "w"), ("R", "L", "K", "J", "F"))
@@ -17,17 +12,6 @@ LAG, MOTOR = ("lag", ("x",), ("k",)), ("motor", ("i", "w"), ("R", "L", "K", "J",
 Model = tuple[str, tuple[str, ...], tuple[str, ...]]
 # Value references, as in probe/stepping.c.
 X, DX, U, P = 0, 2, 4, 5
-
-
-@cache
-def _library(folder: Path, model: str, order: int, internal: float, memory: float, seed: str) -> bytes:
-    path = folder / f"{model}{order}-{internal:g}-{memory:g}-{len(seed)}{fmpy.sharedLibraryExtension}"
-    defines = [f"-DMODEL={model.upper()}", f"-DORDER={order}", f"-DINTERNAL={internal!r}"]
-    defines += [f"-DMEMORY={memory!r}", f"-DSEED={seed}"] * (memory != 0.0)
-    headers = Path(fmpy.__file__).parent / "c-code"
-    command = [*compiler_here(), "-O1", "-shared", "-fPIC", f"-I{headers}", *defines]
-    subprocess.run([*command, "-o", str(path), str(HERE / "probe" / "stepping.c")], check=True, capture_output=True)
-    return path.read_bytes()
 
 
 def stepping_fmu(
@@ -62,11 +46,11 @@ def stepping_fmu(
     """
     name, states, parameters = model
     path = folder / f"{name}{order}-{internal:g}-{exchange}-{told}-{memory:g}-{len(seed)}.fmu"
-    lines = [_real(x, X + i, 'causality="output" initial="exact"', 'start="0"') for i, x in enumerate(states)]
-    lines += [_real(f"der({x})", DX + i, "", f'derivative="{i + 1}"' if told else "") for i, x in enumerate(states)]
-    lines.append(_real("u", U, 'causality="input"', 'start="0"'))
-    fixed = 'causality="parameter" variability="fixed"'
-    lines += [_real(p, P + i, fixed, 'start="1"') for i, p in enumerate(parameters)]
+    lines = [real(x, X + i, "output", said='initial="exact"|start="0"') for i, x in enumerate(states)]
+    known = [f'derivative="{i + 1}"' if told else "" for i in range(len(states))]
+    lines += [real(f"der({x})", DX + i, said=known[i]) for i, x in enumerate(states)]
+    lines.append(real("u", U, "input", said='start="0"'))
+    lines += [real(p, P + i, "parameter", "fixed", 'start="1"') for i, p in enumerate(parameters)]
     unknowns = [f'<Unknown index="{i + 1}"/>' for i in range(2 * len(states))]
     derivatives = f"<Derivatives>{''.join(unknowns[len(states) :])}</Derivatives>" if told else ""
     interfaces = ['<CoSimulation modelIdentifier="stepping" canHandleVariableCommunicationStepSize="true"/>']
@@ -76,12 +60,6 @@ def stepping_fmu(
         f"{''.join(interfaces)}<ModelVariables>{''.join(lines)}</ModelVariables><ModelStructure><Outputs>"
         f"{''.join(unknowns[: len(states)])}</Outputs>{derivatives}</ModelStructure></fmiModelDescription>"
     )
-    with zipfile.ZipFile(path, "w") as archive:
-        archive.writestr("modelDescription.xml", text)
-        library = f"binaries/{fmpy.platform}/stepping{fmpy.sharedLibraryExtension}"
-        archive.writestr(library, _library(folder, name, order, internal, memory, seed))
-    return path
-
-
-def _real(name: str, reference: int, said: str, more: str) -> str:
-    return f'<ScalarVariable name="{name}" valueReference="{reference}" {said}><Real {more}/></ScalarVariable>'
+    defines = [f"-DMODEL={name.upper()}", f"-DORDER={order}", f"-DINTERNAL={internal!r}"]
+    defines += [f"-DMEMORY={memory!r}", f"-DSEED={seed}"] * (memory != 0.0)
+    return write_fmu(path, text, HERE / "probe" / "stepping.c", *defines)

@@ -2,21 +2,14 @@
 
 from __future__ import annotations
 
-import subprocess
-import threading
-import zipfile
-from collections.abc import Mapping
 from enum import IntEnum
-from functools import cache
 from pathlib import Path
-from typing import Any
 
-import fmpy
 import numpy as np
 from numpy.typing import NDArray
 
 from fmuid.processes.channel import MARK
-from fmuid.simulation.native.build import compiler_here
+from tests.support.compiled import real, write_fmu
 
 HERE = Path(__file__).parent
 START_VALUES = {"gain": 1.0, "T": 1.0, "mode": 0.0, "at": 0.0, "bad_from": -1e300, "bad_to": 1e300} | {
@@ -85,19 +78,6 @@ class Where(IntEnum):
     GETTING = 4
 
 
-@cache
-def _library(folder: Path, version: int, at_loading: Mode | None) -> bytes:
-    headers = Path(fmpy.__file__).parent / "c-code"
-    path = folder / f"misbehaving{version}{'' if at_loading is None else at_loading.name}{fmpy.sharedLibraryExtension}"
-    command = [*compiler_here(), "-O1", "-shared", "-fPIC", "-fno-sanitize=undefined"]
-    command += [f"-I{headers}", f"-DFMI={version}", "-DMODES=" + ",".join(mode.name for mode in Mode)]
-    command += [f"-DMARK={','.join(map(str, MARK))}"]
-    command += [f'-DRELEASED="{RELEASED}"']
-    command += [] if at_loading is None else [f"-DAT_LOADING={at_loading.name}"]
-    subprocess.run([*command, "-o", str(path), str(HERE / "misbehaving.c")], check=True, capture_output=True)
-    return path.read_bytes()
-
-
 def misbehaving_fmu(
     folder: Path,
     *,
@@ -127,26 +107,15 @@ def misbehaving_fmu(
     attributes : str
         Further ones of <CoSimulation>.
     """
-    words = [
-        token,
-        tool,
-        *(f"{name}={value}" for name, value in attributes.items()),
-        *([] if at_loading is None else [at_loading.name]),
-        *([str(extra)] if extra else []),
-    ]
+    words = [token, tool, *(f"{name}={value}" for name, value in attributes.items())]
+    words += ([] if at_loading is None else [at_loading.name]) + ([str(extra)] if extra else [])
     path = folder / f"misbehaving{version}-{'-'.join(words)}.fmu"
-    if path.exists():  # somebody may be reading it
-        return path
-    library, draft = _library(folder, version, at_loading), path.with_suffix(f".{threading.get_ident()}")
-    with zipfile.ZipFile(draft, "w") as archive:
-        description = (
-            _description2(token, tool, attributes, extra) if version == 2 else _description3(token, tool, attributes)
-        )
-        archive.writestr("modelDescription.xml", description)
-        system = fmpy.platform if version == 2 else fmpy.platform_tuple
-        archive.writestr(f"binaries/{system}/misbehaving{fmpy.sharedLibraryExtension}", library)
-    draft.replace(path)
-    return path
+    said = " ".join(f'{key}="{value}"' for key, value in attributes.items())
+    text = _description2(token, tool, said, extra) if version == 2 else _description3(token, tool, said)
+    flags = ["-fno-sanitize=undefined", f"-DFMI={version}", f"-DMODES={','.join(mode.name for mode in Mode)}"]
+    flags += [f"-DMARK={','.join(map(str, MARK))}", f'-DRELEASED="{RELEASED}"']
+    flags += [] if at_loading is None else [f"-DAT_LOADING={at_loading.name}"]
+    return write_fmu(path, text, HERE / "misbehaving.c", *flags, version=version)
 
 
 def lag(times: NDArray[np.float64], u: NDArray[np.float64], gain: float, T: float) -> NDArray[np.float64]:
@@ -157,26 +126,12 @@ def lag(times: NDArray[np.float64], u: NDArray[np.float64], gain: float, T: floa
     return x
 
 
-def _description2(token: str, tool: str, attributes: Mapping[str, Any], extra: int) -> str:
-    lines = [
-        f'<ScalarVariable name="{name}" valueReference="{i}" causality="parameter" variability="tunable">'
-        f'<Real start="{start!r}"/></ScalarVariable>'
-        for i, (name, start) in enumerate(START_VALUES.items())
-    ]
-    lines += [
-        '<ScalarVariable name="u" valueReference="8" causality="input" variability="continuous"><Real start="0"/>'
-        "</ScalarVariable>",
-        '<ScalarVariable name="x" valueReference="9" causality="output" variability="continuous" initial="exact">'
-        '<Real start="0"/></ScalarVariable>',
-        '<ScalarVariable name="der(x)" valueReference="10" causality="local" variability="continuous">'
-        '<Real derivative="10"/></ScalarVariable>',
-    ]
-    lines += [
-        f'<ScalarVariable name="group{i // 100}.p{i}" valueReference="{100 + i}" causality="parameter" '
-        'variability="tunable"><Real start="1"/></ScalarVariable>'
-        for i in range(extra)
-    ]
-    said = " ".join(f'{key}="{value}"' for key, value in attributes.items())
+def _description2(token: str, tool: str, said: str, extra: int) -> str:
+    starts = [(name, i, start) for i, (name, start) in enumerate(START_VALUES.items())]
+    lines = [real(name, i, "parameter", "tunable", f'start="{start!r}"') for name, i, start in starts]
+    lines += [real("u", 8, "input", said='start="0"'), real("x", 9, "output", said='initial="exact"|start="0"')]
+    lines += [real("der(x)", 10, said='derivative="10"')]
+    lines += [real(f"group{i // 100}.p{i}", 100 + i, "parameter", "tunable", 'start="1"') for i in range(extra)]
     return (
         f'<?xml version="1.0" encoding="UTF-8"?><fmiModelDescription fmiVersion="2.0" modelName="Misbehaving" '
         f'guid="{token}" generationTool="{tool}" numberOfEventIndicators="0">'
@@ -188,7 +143,7 @@ def _description2(token: str, tool: str, attributes: Mapping[str, Any], extra: i
     )
 
 
-def _description3(token: str, tool: str, attributes: Mapping[str, Any]) -> str:
+def _description3(token: str, tool: str, said: str) -> str:
     lines = [
         f'<Float64 name="{name}" valueReference="{i}" causality="parameter" variability="tunable" start="{start!r}"/>'
         for i, (name, start) in enumerate(START_VALUES.items())
@@ -198,7 +153,6 @@ def _description3(token: str, tool: str, attributes: Mapping[str, Any]) -> str:
         '<Float64 name="x" valueReference="9" causality="output" initial="exact" start="0"/>',
         '<Float64 name="der(x)" valueReference="10" causality="local" derivative="9"/>',
     ]
-    said = " ".join(f'{key}="{value}"' for key, value in attributes.items())
     return (
         f'<?xml version="1.0" encoding="UTF-8"?><fmiModelDescription fmiVersion="3.0" modelName="Misbehaving" '
         f'instantiationToken="{token}" generationTool="{tool}"><ModelExchange modelIdentifier="misbehaving" {said}/>'
