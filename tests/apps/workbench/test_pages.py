@@ -29,7 +29,7 @@ from fmuid.apps.workbench.pages.remedy_panel import UndeterminedResult
 from fmuid.apps.workbench.pages.results import PredictAction, WriteAction, _compared, build
 from fmuid.apps.workbench.project_folder import FoundResult, FoundStudy
 from fmuid.estimation import Result
-from fmuid.events import EVENTS, BatchStep, Event, GlobalStep, SearchStep, of_line, to_line
+from fmuid.events import EVENTS, BatchStep, Event, GlobalStep, SearchStep, of_line
 from fmuid.reports.render.document_json import read_documents
 from fmuid.reports.render.progress import Display
 from fmuid.reports.topics.fit import fit_charts
@@ -52,18 +52,13 @@ EVENTS_SEEN: tuple[Event, ...] = (
 )
 
 
-@pytest.mark.parametrize("event", EVENTS_SEEN)
-def test_an_event_survives_being_a_line(event: Event) -> None:
-    assert repr(of_line(to_line(event))) == repr(event)  # NaN is not itself
-
-
-def test_commands_tell_their_events(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_commands_write_their_events_as_lines(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv(EVENTS, str(tmp_path / "events"))
     with Display() as display:
         for event in EVENTS_SEEN:
             display(event)
     told = (tmp_path / "events").read_text().splitlines()
-    assert repr(tuple(map(of_line, told))) == repr(EVENTS_SEEN)
+    assert repr(tuple(map(of_line, told))) == repr(EVENTS_SEEN)  # NaN is not itself
     with pytest.raises(ValueError, match="no event"):
         of_line("{}")
 
@@ -79,13 +74,12 @@ def asked_for(*files: str) -> Any:
     return doc
 
 
-def test_the_first_page_says_what_there_is(tmp_path: Path) -> None:
+def test_first_page_lists_studies_and_results(tmp_path: Path) -> None:
     evil = "<img src=x onerror=alert(1)>"
-    (tmp_path / "a").mkdir()
+    (tmp_path / "a/results").mkdir(parents=True)
     (tmp_path / "a/study.toml").write_text(STUDY.replace('"Coil"', f'"{evil}"'))
     (tmp_path / "a/broken.toml").write_text("[model\n")
     (tmp_path / "pyproject.toml").write_text('[project]\nname = "none"\n')
-    (tmp_path / "a/results").mkdir()
     told = {"file": "../study.toml", "content": {}}
     result(tmp_path / "a/results", {"R": (4.0, 0.1)}, study=told, outcome="converged")
     folder = Folder(tmp_path)
@@ -93,22 +87,17 @@ def test_the_first_page_says_what_there_is(tmp_path: Path) -> None:
     assert [each.path.name for each in studies] == ["broken.toml", "study.toml"]
     page = _studies(folder, studies, results, set()) + _results(folder, results)
     assert evil not in page
-    assert "&lt;img" in page
-    assert "is not valid TOML" in page
-    assert "R = 4.00 ± 0.10" in page
-    assert "/study?file=a/study.toml" in page
-    assert "/results?file=a/results" in page
-    assert "2 parameters, 1 data file" in page
+    links = ("/study?file=a/study.toml", "/results?file=a/results")
+    for said in ("&lt;img", "is not valid TOML", "R = 4.00 ± 0.10", "2 parameters, 1 data file", *links):
+        assert said in page, said
     bare = FoundStudy(tmp_path / "a/broken.toml", "faults")
-    for folder_name, kind, word in (("b/c", "monitoring", "monitored"), ("", "diagnosis", "diagnosed")):
-        (tmp_path / "a" / folder_name).mkdir(parents=True, exist_ok=True)
-        kept = tmp_path / "a" / folder_name / f"{kind}.json"
+    for name, kind, word in (("b/c", "monitoring", "monitored"), ("", "diagnosis", "diagnosed")):
+        (tmp_path / "a" / name).mkdir(parents=True, exist_ok=True)
+        kept = tmp_path / "a" / name / f"{kind}.json"
         kept.write_text(json.dumps({"study": {"file": "broken.toml", "digest": "0"}}))
         page = _studies(folder, [bare], [FoundResult.of(kept)], set())
-        assert f">{word}<" in page
-        assert "Last result" in page
-    running = _studies(folder, studies, results, {(tmp_path / "a/study.toml").resolve()})
-    assert ">running<" in running
+        assert f">{word}<" in page and "Last result" in page
+    assert ">running<" in _studies(folder, studies, results, {(tmp_path / "a/study.toml").resolve()})
 
 
 def test_results_stand_side_by_side(tmp_path: Path) -> None:
@@ -131,7 +120,6 @@ def test_results_stand_side_by_side(tmp_path: Path) -> None:
 
 
 def test_from_results_to_what_would_help(tmp_path: Path) -> None:
-    """A link leads to the study as it was for the result: started elsewhere, held, with a prior, at another table."""
     for k, name in enumerate(("first.csv", "other.csv")):
         coil_table(tmp_path / name, 0.0, seed=k)
     path = tmp_path / "study.toml"
@@ -216,20 +204,16 @@ def test_a_long_fit_is_thinned_anew_where_one_looks() -> None:
     assert len(shown()["line"]["x"]) < 5000
 
 
-def test_a_page_of_no_results_says_where_they_are_chosen(tmp_path: Path) -> None:
+def test_pages_without_their_files_are_refused(tmp_path: Path) -> None:
     with pytest.raises(fmuid.InputError, match="Choose results on the first page"):
-        build(Document(), SimpleNamespace(folder=Folder(tmp_path), jobs=Jobs()))
-
-
-def test_a_folder_without_a_batch_is_no_page_of_one(tmp_path: Path) -> None:
+        build(Document(), bench_of(tmp_path))
     with pytest.raises(fmuid.InputError, match=r"has no batch\.json"):
         BatchPage(Document(), Folder(tmp_path), tmp_path, "light")
 
 
 def test_a_batch_of_another_process_is_followed(tmp_path: Path) -> None:
     batch(tmp_path / "out", 2)
-    doc: Any = Document()
-    page = BatchPage(doc, Folder(tmp_path), tmp_path / "out", "light")
+    page = BatchPage(Document(), Folder(tmp_path), tmp_path / "out", "light")
     assert "2 of 5 cases, 1 failed" in page.state.text
     batch(tmp_path / "out", 4)
     page.look()
@@ -325,15 +309,11 @@ def test_a_command_is_run_and_what_it_printed_kept(tmp_path: Path) -> None:
     jobs.close()
 
 
-def dropped(name: str, content: bytes) -> FileInput:
-    return FileInput(filename=name, value=base64.b64encode(content).decode())
-
-
 def test_what_is_to_be_predicted_is_looked_at_first(tmp_path: Path) -> None:
     page = PredictAction(Document(), bench_of(tmp_path), tmp_path)
     for given, said in (
         (FileInput(filename="", value=""), "Choose or drop one"),
-        (dropped("../../evil.exe", b"no"), "evil.exe: not a data file"),
+        (FileInput(filename="../../evil.exe", value="bm8="), "evil.exe: not a data file"),
         (FileInput(filename="torn.csv", value="dGlt%"), "torn.csv: upload incomplete"),
     ):
         page.dropped = given
@@ -351,7 +331,8 @@ def test_a_dropped_table_is_predicted(tmp_path: Path) -> None:
     doc: Any = Document()
     page = PredictAction(doc, bench_of(tmp_path), tmp_path / "results")
     assert page.chosen.options == ["", "first.csv", "second.csv"]
-    page.dropped = dropped("../third.csv", (tmp_path / "second.csv").read_bytes())
+    content = base64.b64encode((tmp_path / "second.csv").read_bytes()).decode()
+    page.dropped = FileInput(filename="../third.csv", value=content)
     page.begin()
     assert page.run.job is not None
     page.run.job.close(PATIENCE)

@@ -24,10 +24,10 @@ from fmuid.apps.workbench.pages.sliders import PLACES, reach_of
 from fmuid.apps.workbench.pages.study import StudyPage
 from fmuid.data import Normal, Parameter
 from fmuid.errors import InputError
-from fmuid.estimation import Result
 from fmuid.simulation import Simulator
 from fmuid.studies import Study
 from tests.support.coil_study import STUDY, coil_table
+from tests.support.isolated import wait_until
 from tests.support.results import result
 from tests.support.running import run_study
 
@@ -99,108 +99,108 @@ def page(opened: Page) -> Page:
     return opened
 
 
+@pytest.fixture
+def copied(path: Path, tmp_path: Path) -> Path:
+    """Return a copy of the study, with an empty folder for its result."""
+    for name in ("first.csv", "study.toml"):
+        (tmp_path / name).write_bytes((path.parent / name).read_bytes())
+    (tmp_path / "results").mkdir()
+    return tmp_path / "study.toml"
+
+
 def simulated(path: Path, R: float, L: float) -> np.ndarray[Any, Any]:
     study = Study.read(path)
-    simulator = Simulator(study.system, study.tables[0], ["R", "L"], values=study.model.values)
-    return simulator([R, L])[:, 0]
+    return Simulator(study.system, study.tables[0], ["R", "L"], values=study.model.values)([R, L])[:, 0]
 
 
-def test_a_slider_simulates_and_draws(page: Page, path: Path) -> None:
-    row = page.rows["R"]
+def as_told(page: Page, path: Path) -> Study:
+    """Return the study that the command of the page reads."""
+    return Study.read(path, [word for word in page.page.words("identify")[2:] if word != "--set"])
+
+
+def test_slider_simulates_and_draws(page: Page, path: Path) -> None:
+    row, live = page.rows["R"], page.page.live
     row.slider.value = 250
     page.settle()
     assert row.value == row.reach.value(250) != row.parameter.start
     assert row.typed.value == f"{row.value:.6g}"
-    expected = simulated(path, row.value, page.rows["L"].value)
+    expected, line = simulated(path, row.value, page.rows["L"].value), page.layer("simulated")
     np.testing.assert_allclose(page.shown(), expected, rtol=1e-12)
-    line = page.layer("simulated")
-    drawn, times = line["y"], line["x"]
-    np.testing.assert_allclose(drawn, np.interp(times, page.page.live.record.times, expected), rtol=1e-5, atol=1e-6)
-    np.testing.assert_allclose(line["r"], page.page.live.record.measured[:, 0] - expected, rtol=1e-4, atol=1e-6)
-
-
-def test_the_lines_stay_in_the_ranges(page: Page) -> None:
-    for value in (0.5, 40.0, 4.0):
+    drawn = np.interp(line["x"], live.record.times, expected)
+    np.testing.assert_allclose(line["y"], drawn, rtol=1e-5, atol=1e-6)
+    np.testing.assert_allclose(line["r"], live.record.measured[:, 0] - expected, rtol=1e-4, atol=1e-6)
+    for value in (0.5, 40.0, 4.0):  # the lines stay in the ranges
         page.page.put({"R": value})
         page.settle()
-        upper, lower = page.page.live.uppers[0], page.page.live.lowers[0]
+        upper, lower = live.uppers[0], live.lowers[0]
         assert upper.start <= page.shown().min() <= page.shown().max() <= upper.end
-        residual = page.page.live.record.measured[:, 0] - page.shown()
-        assert np.abs(residual).max() <= lower.end == -lower.start
+        assert np.abs(live.record.measured[:, 0] - page.shown()).max() <= lower.end == -lower.start
 
 
-def test_typing_holding_and_going_back(page: Page) -> None:
-    row = page.rows["R"]
-    start = row.value
-    row.typed.value = "7,5"
-    assert row.value == 7.5
-    row.typed.value = "-3"  # beyond the bound
-    assert row.value == 7.5
-    assert row.typed.value == "7.5"
-    row.typed.value = "many"
-    assert row.typed.value == "7.5"
+def test_zoom_shows_each_sample(page: Page) -> None:
+    times = page.page.live.record.times
+    page.page.live.across.update(start=float(times[100]), end=float(times[200]))
+    page.settle()
+    assert page.layer("simulated")["x"][[0, -1]].tolist() == [times[99], times[200]]
+    assert page.layer("measured")["x"][0] == times[99]
+
+
+def test_typed_values_hold_and_undo(page: Page) -> None:
+    row, start = page.rows["R"], page.rows["R"].value
+    for typed, shown in (("7,5", "7.5"), ("-3", "7.5"), ("many", "7.5")):  # -3 is beyond the bound
+        row.typed.value = typed
+        assert (row.value, row.typed.value) == (7.5, shown)
     row.hold.active = True
     assert page.page.words("identify")[1:] == ["study.toml", "--set", "parameters.R=7.5"]
     assert "parameters.R=7.5" in page.page.command.text
     page.page.go_back()
-    assert not row.held
-    assert row.value == 7.5
+    assert (row.held, row.value) == (False, 7.5)
     page.page.go_back()
     assert row.value == start
     assert page.page.undo.disabled
     assert page.page.settings() == []
 
 
-def test_the_command_says_what_the_page_shows(page: Page, path: Path) -> None:
+def test_command_is_that_of_the_page(page: Page, path: Path) -> None:
     page.rows["R"].hold.active = True
     page.rows["L"].typed.value = "0.2"
-    _, _, *words = page.page.words("identify")
-    study = Study.read(path, [word for word in words if word != "--set"])
+    study = as_told(page, path)
     assert list(study.parameters) == ["L"]
     assert study.parameters["L"].start == 0.2
     assert study.model.values["R"] == page.rows["R"].value
-
-
-def test_what_the_address_gave_is_said_once(path: Path) -> None:
     given = ['parameters."R".start=7', "estimation.max_iterations=9"]
-    page = Page(path, given)
-    page.rows["R"].typed.value = "8"
-    assert page.page.words("identify")[2:] == ["--set", "parameters.R.start=8", "--set", given[1]]
-    asked = parse_qs(urlsplit(page.page.command.tags[0]).query)
-    assert asked["set"] == ["parameters.R.start=8", given[1]]
+    other = Page(path, given)
+    other.rows["R"].typed.value = "8"
+    assert other.page.words("identify")[2:] == ["--set", "parameters.R.start=8", "--set", given[1]]
+    assert parse_qs(urlsplit(other.page.command.tags[0]).query)["set"] == ["parameters.R.start=8", given[1]]
 
 
-def test_what_another_study_found_is_not_shown_as_this_ones(path: Path, tmp_path: Path) -> None:
-    for name in ("first.csv", "study.toml"):
-        (tmp_path / name).write_bytes((path.parent / name).read_bytes())
-    (tmp_path / "other.toml").write_text(path.read_text())
-    (tmp_path / "results").mkdir()
-    result(tmp_path / "results", {"R": (4.0, 0.1), "L": (0.1, None)}, study={"file": "../other.toml"})
-    for name, own in (("study.toml", False), ("other.toml", True)):
-        page = Page(tmp_path / name).page
-        assert (page.optimum is not None) == own
-        assert ("of another study" in page.identifying.text.text) != own
-        assert bool(page.identifying.remedies.layout.children) == own
-
-
-def test_what_is_asked_for_besides_is_what_a_study_says(page: Page, path: Path) -> None:
+def test_options_of_identify_are_study_values(page: Page, path: Path) -> None:
     identifying = page.page.identifying
     identifying.how.value, identifying.starts.value = "multi-start", 7
     identifying.also.value = ["profile likelihood", "posterior", "cost map of R, L"]
-    assert "simulate study.toml<br>" in page.page.command.text  # is for the search alone
-    _, _, *words = page.page.words("identify")
-    study = Study.read(path, [word for word in words if word != "--set"])
-    assert getattr(study.estimator, "starts", None) == 7
+    assert "simulate study.toml<br>" in page.page.command.text  # options are for the optimization alone
+    study = as_told(page, path)
     asked = study.uncertainty_settings
-    assert asked.profile
-    assert asked.posterior is not None
+    assert getattr(study.estimator, "starts", None) == 7
+    assert asked.profile and asked.posterior is not None
     assert [tuple(pair) for pair in asked.maps] == [("R", "L")]
     identifying.how.value, identifying.also.value = "local", []
     assert page.page.words("identify") == ["identify", "study.toml"]
 
 
-def test_from_not_determined_to_the_remedy(page: Page, path: Path, tmp_path: Path) -> None:
-    remedies = page.page.identifying.remedies
+def test_result_of_another_study_is_not_shown(copied: Path) -> None:
+    (copied.parent / "other.toml").write_text(copied.read_text())
+    result(copied.parent / "results", {"R": (4.0, 0.1), "L": (0.1, None)}, study={"file": "../other.toml"})
+    for name, own in (("study.toml", False), ("other.toml", True)):
+        page = Page(copied.with_name(name)).page
+        assert (page.optimum is not None) == own
+        assert ("of another study" in page.identifying.text.text) != own
+        assert bool(page.identifying.remedies.layout.children) == own
+
+
+def test_remedies_of_a_parameter_that_is_not_identifiable(page: Page, path: Path, tmp_path: Path) -> None:
+    remedies, row = page.page.identifying.remedies, page.rows["L"]
     result(tmp_path, {"R": (4.0, 0.1), "L": (0.1, None)})
     remedies.tell(tmp_path)
     offered = {each.name: each for each in remedies.layout.select({"type": Button})}
@@ -208,16 +208,14 @@ def test_from_not_determined_to_the_remedy(page: Page, path: Path, tmp_path: Pat
     assert "fix r" not in offered
     offered["fix l"]._trigger_event(ButtonClick(offered["fix l"]))
     assert page.page.words("identify")[2:] == ["--set", "parameters.L=0.05"]
-    page.rows["L"].hold.active = False
+    row.hold.active = False
     offered["give l a prior"]._trigger_event(ButtonClick(offered["give l a prior"]))
-    _, _, *words = page.page.words("identify")
-    prior = Study.read(path, [word for word in words if word != "--set"]).parameters["L"].prior
-    assert prior == Normal(0.05, 0.025)
-    page.rows["L"].std.value = "0.01"
+    assert as_told(page, path).parameters["L"].prior == Normal(0.05, 0.025)
+    row.std.value = "0.01"
     assert "std = 0.01" in " ".join(page.page.words("identify"))
-    page.rows["L"].std.value = "none"
+    row.std.value = "none"
     assert page.page.words("identify")[2:] == []
-    page.rows["L"]._take_prior()
+    row._take_prior()
     remedies.excitations.compare()
     assert "No data files" in remedies.excitations.run.state.text
     result(tmp_path, {"R": (4.0, 0.1), "L": (0.1, 0.1)})
@@ -226,30 +224,27 @@ def test_from_not_determined_to_the_remedy(page: Page, path: Path, tmp_path: Pat
 
 
 @pytest.mark.slow
-def test_the_last_result_is_shown_behind(path: Path, tmp_path: Path) -> None:
-    (tmp_path / "first.csv").write_bytes((path.parent / "first.csv").read_bytes())
-    (tmp_path / "study.toml").write_text(path.read_text())
-    found = run_study(tmp_path / "study.toml", tmp_path / "results").result
+def test_last_optimum_is_shown_behind(copied: Path) -> None:
+    found = run_study(copied, copied.parent / "results").result
     assert found.converged
-    page = Page(tmp_path / "study.toml")
+    page, R = Page(copied), found.names.index("R")
     values = dict(zip(found.names, found.values.tolist(), strict=True))
     ghost = page.layer("last optimum")["y"]
-    np.testing.assert_allclose(ghost, simulated(path, values["R"], values["L"])[: len(ghost)], rtol=1e-5, atol=1e-6)
-    assert "from the optimum" in page.page.scores.text
-    page.page.put({"R": values["R"] + 3 * found.std[found.names.index("R")]})
+    np.testing.assert_allclose(ghost, simulated(copied, values["R"], values["L"])[: len(ghost)], rtol=1e-5, atol=1e-6)
+    page.page.put({"R": values["R"] + 3 * found.std[R]})
     assert "+3 σ" in page.rows["R"].title.text
     page.page.put(values)
     page.settle()
     assert "at the optimum" in page.rows["R"].title.text
-    assert "<b>0 σ</b>" in page.page.scores.text
     assert "converged" in page.page.identifying.text.text
-    noise = Result.from_json(tmp_path / "results/result.json").fit.noise_variance["i"]
-    counted = page.page.live.record.counted[:, 0]
-    left = (page.page.live.record.measured[:, 0] - page.shown())[counted]
-    assert f"{np.sqrt(np.mean(left**2) / noise):.3g} × noise level" in page.page.scores.text
+    record = page.page.live.record
+    left = (record.measured[:, 0] - page.shown())[record.counted[:, 0]]
+    noise = found.fit.noise_variance["i"]
+    for said in ("from the optimum", "<b>0 σ</b>", f"{np.sqrt(np.mean(left**2) / noise):.3g} × noise level"):
+        assert said in page.page.scores.text
 
 
-def test_a_failing_simulation_is_a_line(page: Page) -> None:
+def test_failing_simulation_is_told(page: Page) -> None:
     before = page.shown().copy()
     page.page.put({"L": 0.0})
     page.settle()
@@ -260,16 +255,7 @@ def test_a_failing_simulation_is_a_line(page: Page) -> None:
     assert "fit of i" in page.page.scores.text
 
 
-def test_zooming_shows_more_of_less(page: Page) -> None:
-    live, times = page.page.live, page.page.live.record.times
-    live.across.update(start=float(times[100]), end=float(times[200]))
-    page.settle()
-    assert page.layer("simulated")["x"][0] == times[99]
-    assert page.layer("simulated")["x"][-1] == times[200]
-    assert page.layer("measured")["x"][0] == times[99]
-
-
-def test_only_the_newest_is_done() -> None:
+def test_worker_does_the_latest_request_only() -> None:
     done, begun, go = list[int](), threading.Event(), threading.Event()
 
     def work(what: int) -> None:
@@ -283,14 +269,11 @@ def test_only_the_newest_is_done() -> None:
     for what in range(1, 50):
         newest.ask(what)
     go.set()
-    end = time.monotonic() + PATIENCE
-    while done != [0, 49]:
-        assert time.monotonic() < end
-        time.sleep(0.001)
+    wait_until(lambda: done == [0, 49], PATIENCE)
     newest.close()
 
 
-def test_a_page_dropped_while_it_simulates_ends_in_silence(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_page_dropped_during_a_simulation_ends_in_silence(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     page, many = Page(path), Simulator.many
     begun, go, raised = threading.Event(), threading.Event(), list[object]()
 
@@ -307,82 +290,65 @@ def test_a_page_dropped_while_it_simulates_ends_in_silence(path: Path, monkeypat
     go.set()
     (tell,) = page.doc.session_destroyed_callbacks
     tell(None)
-    thread = page.page._newest._thread
-    thread.join(PATIENCE)
-    assert not thread.is_alive()
+    page.page._newest._thread.join(PATIENCE)
+    assert not page.page._newest._thread.is_alive()
     assert raised == []
 
 
-def test_ranges_of_sliders() -> None:
-    bounded = reach_of(Parameter(2.0, min=1.0, max=5.0))
-    assert (bounded.low, bounded.high, bounded.logarithmic) == (1.0, 5.0, False)
-    wide = reach_of(Parameter(2.0, min=1e-3, max=1e3))
-    assert wide.logarithmic
-    assert wide.value(PLACES / 2) == pytest.approx(1.0)
-    alone = reach_of(Parameter(10.0, min=0.0))
-    assert alone.logarithmic
-    assert (alone.low, alone.high) == (2.0, 50.0)
-    signed = reach_of(Parameter(0.0, nominal=3.0))
-    assert (signed.low, signed.high) == (-6.0, 6.0)
-    known = reach_of(Parameter(9.0, prior=Normal(10.0, 0.5)), (9.8, 0.1))
-    assert (known.low, known.high) == pytest.approx((1.96, 49.0))
-    bent = reach_of(Parameter(-2.0, max=-1.0), (-3.0, 0.1))
-    assert (bent.low, bent.high) == (-15.0, -1.0)
-    for reach in (bounded, wide, alone, signed, known, bent):
-        for place in (0.0, 123.0, PLACES):
-            assert reach.place(reach.value(place)) == pytest.approx(place)
-    assert wide.including(-1.0).logarithmic is False
+INF = float("inf")
 
 
-def test_reach_of_an_estimate_is_not_its_interval() -> None:
-    """An estimate does not shrink the range of its slider to values that move no curve; a switch does."""
-    resistance, estimate = Parameter(14.7, min=0.0), (9.8, 0.05)
-    reach = reach_of(resistance, estimate)
-    assert (reach.low, reach.high) == pytest.approx((1.96, 49.0))
-    near = reach_of(resistance, estimate, near=True)
-    assert (near.low, near.high) == pytest.approx((9.3, 10.3))
-    assert reach_of(resistance, (0.2, 0.05), near=True).low == 0.0  # the bound
-    for std in (0.0, float("inf")):  # there is no interval
-        assert reach_of(resistance, (9.8, std), near=True) == reach_of(resistance, (9.8, std))
-    zero = reach_of(Parameter(0.0, nominal=3.0), (0.0, 0.1))
-    assert (zero.low, zero.high) == (-6.0, 6.0)
-    tiny = reach_of(Parameter(2.0), (1e-9, 0.1))
-    assert (tiny.low, tiny.high) == pytest.approx((-1.0, 2.0))  # ten standard deviations and the start
-    moved = Parameter(0.5, min=0.1, max=1.0)  # the bounds have changed since
-    assert reach_of(moved, (9.8, 0.05), near=True) == reach_of(moved)
+@pytest.mark.parametrize(
+    ("parameter", "estimate", "near", "low", "high", "logarithmic"),
+    [
+        (Parameter(2.0, min=1.0, max=5.0), None, False, 1.0, 5.0, False),
+        (Parameter(2.0, min=1e-3, max=1e3), None, False, 1e-3, 1e3, True),
+        (Parameter(10.0, min=0.0), None, False, 2.0, 50.0, True),
+        (Parameter(0.0, nominal=3.0), None, False, -6.0, 6.0, False),
+        (Parameter(9.0, prior=Normal(10.0, 0.5)), (9.8, 0.1), False, 1.96, 49.0, True),
+        (Parameter(-2.0, max=-1.0), (-3.0, 0.1), False, -15.0, -1.0, False),
+        (Parameter(14.7, min=0.0), (9.8, 0.05), True, 9.3, 10.3, False),
+        (Parameter(14.7, min=0.0), (0.2, 0.05), True, 0.0, 0.7, False),  # the bound
+        (Parameter(14.7, min=0.0), (9.8, INF), True, 1.96, 49.0, True),  # there is no interval
+        (Parameter(14.7, min=0.0), (9.8, 0.0), True, 1.96, 49.0, True),
+        (Parameter(0.0, nominal=3.0), (0.0, 0.1), False, -6.0, 6.0, False),
+        (Parameter(2.0), (1e-9, 0.1), False, -1.0, 2.0, False),  # ten standard deviations and the start
+        (Parameter(0.5, min=0.1, max=1.0), (9.8, 0.05), True, 0.1, 1.0, False),  # the bounds have changed since
+    ],
+)
+def test_reach_of_a_slider(
+    parameter: Parameter, estimate: tuple[float, float] | None, near: bool, low: float, high: float, logarithmic: bool
+) -> None:
+    reach = reach_of(parameter, estimate, near=near)
+    assert (reach.low, reach.high, reach.logarithmic) == (pytest.approx(low), pytest.approx(high), logarithmic)
+    for place in (0.0, 123.0, PLACES):
+        assert reach.place(reach.value(place)) == pytest.approx(place)
+    assert reach.including(-20.0).logarithmic is False
 
 
-def test_the_switch_shows_ten_standard_deviations(path: Path, tmp_path: Path) -> None:
-    for name in ("first.csv", "study.toml"):
-        (tmp_path / name).write_bytes((path.parent / name).read_bytes())
-    page = Page(tmp_path / "study.toml")
+def test_near_switch_shows_ten_standard_deviations(copied: Path) -> None:
+    page = Page(copied)
     assert page.page.near.disabled
-    (tmp_path / "results").mkdir()
-    result(tmp_path / "results", {"R": (4.0, 0.01), "L": (0.1, None)})
-    page.page.show_result(tmp_path / "results")
-    assert not page.page.near.disabled
+    result(copied.parent / "results", {"R": (4.0, 0.01), "L": (0.1, None)})
+    page.page.show_result(copied.parent / "results")
     page.page.put({"R": 4.05, "L": 0.1})
     reach = {name: row.reach for name, row in page.rows.items()}
     page.page.near.active = True
-    assert (page.rows["R"].reach.low, page.rows["R"].reach.high) == pytest.approx((3.9, 4.1))
-    assert page.rows["R"].slider.value == pytest.approx(750.0)
-    assert page.rows["R"].value == 4.05
-    assert page.rows["L"].reach == reach["L"]  # it is not determined
+    R = page.rows["R"]
+    assert (R.reach.low, R.reach.high, R.slider.value, R.value) == pytest.approx((3.9, 4.1, 750.0, 4.05))
+    assert page.rows["L"].reach == reach["L"]  # it has no σ
     page.page.near.active = False
     assert {name: row.reach for name, row in page.rows.items()} == reach
 
 
-def test_another_experiment_is_shown_with_what_is_known_of_it(path: Path, tmp_path: Path) -> None:
-    text = path.read_text()
+def test_another_experiment_is_shown_with_its_estimates(copied: Path) -> None:
+    text = copied.read_text()
     entry = text[text.index("[[experiments]]") : text.index("[parameters]")]
-    words = text.replace("[parameters]", entry.replace("first.csv", "second.csv") + "[parameters]")
-    words = words.replace("R = {", "R = { per_experiment = true,")
-    for name, seed in (("first", 1), ("second", 2)):
-        coil_table(tmp_path / f"{name}.csv", 0.0, seed=seed)
-    (tmp_path / "study.toml").write_text(words)
-    (tmp_path / "results").mkdir()
-    result(tmp_path / "results", {"R[first]": (4.1, 0.1), "L": (0.1, 0.01)})
-    page = Page(tmp_path / "study.toml")
+    text = text.replace("[parameters]", entry.replace("first.csv", "second.csv") + "[parameters]")
+    coil_table(copied.with_name("second.csv"), 0.0, seed=2)
+    copied.write_text(text.replace("R = {", "R = { per_experiment = true,"))
+    result(copied.parent / "results", {"R[first]": (4.1, 0.1), "L": (0.1, 0.01)})
+    page = Page(copied)
     assert "+19 σ" in page.rows["R"].title.text
     first, chosen = page.page.live.record.measured.copy(), page.page.simulators[1]
     page.page._choose(1)
@@ -390,7 +356,7 @@ def test_another_experiment_is_shown_with_what_is_known_of_it(path: Path, tmp_pa
     assert page.page.simulator is chosen
     assert not np.array_equal(page.page.live.record.measured, first)
     np.testing.assert_allclose(page.shown(), chosen(page.page.theta)[:, 0], rtol=1e-12)
-    assert "σ" not in page.rows["R"].title.text  # nothing is known of it here
+    assert "σ" not in page.rows["R"].title.text  # it has no estimate here
     page.page._go_to_optimum()
     assert page.rows["L"].value == 0.1
     shown = page.shown().copy()
@@ -398,20 +364,18 @@ def test_another_experiment_is_shown_with_what_is_known_of_it(path: Path, tmp_pa
     np.testing.assert_array_equal(page.shown(), shown)
 
 
-def test_a_distance_is_told_only_where_there_is_one(page: Page, tmp_path: Path) -> None:
-    """Of a direction that is open, one that is known for sure, and a file that cannot be read there is none."""
-    for values, told in (((0.1, 0.01), True), ((0.1, None), False), ((0.1, 0.0), False), (None, False)):
-        if values is None:
-            (tmp_path / "result.json").write_text("{")
-        else:
-            result(tmp_path, {"R": (4.0, 0.1), "L": values})
-        page.page.show_result(tmp_path)
-        page.settle()
-        assert ("from the optimum" in page.page.scores.text) == told, values
-        assert page.page.to_optimum.disabled == (values is None)
+@pytest.mark.parametrize(("L", "told"), [((0.1, 0.01), True), ((0.1, None), False), ((0.1, 0.0), False), (None, False)])
+def test_distance_needs_a_covariance(page: Page, tmp_path: Path, L: Any, told: bool) -> None:
+    (tmp_path / "result.json").write_text("{")
+    if L is not None:
+        result(tmp_path, {"R": (4.0, 0.1), "L": L})
+    page.page.show_result(tmp_path)
+    page.settle()
+    assert ("from the optimum" in page.page.scores.text) == told
+    assert page.page.to_optimum.disabled == (L is None)
 
 
-def test_a_study_without_parameters_has_no_sliders(path: Path) -> None:
+def test_study_without_parameters_is_refused(path: Path) -> None:
     study = Study.of({**Study.read(path).data, "parameters": {}}, path)
     with pytest.raises(InputError, match="no parameters: name at least one"):
         StudyPage(Document(), Bench(Folder(path.parent)), path, study, "light")
