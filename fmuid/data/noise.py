@@ -50,22 +50,21 @@ class Noise:
     """
 
     variance: Literal["estimate"] | Positive | Mapping[str, Positive] = "estimate"
-    """of the outputs; or a number for all, or one for each: { output = number }"""
+    """noise variance of the outputs: estimated, one number, or { output = number }"""
     initial_variance: Positive | Mapping[str, Positive] | None = None
-    """of [noise] alone: where the estimation of the variance starts; default: from the residual"""
+    """initial guess of an estimated variance, in [noise] only; default: from the residual"""
     std: Level | Mapping[str, Level] | None = None
-    """standard deviation: a number, a column of the data with one for each sample, or { output = either }"""
+    """noise level: a number, a column with one per sample, or { output = either }"""
     relative_std: Positive | Mapping[str, Positive] | None = None
-    """standard deviation as a fraction of the output's spread, the standard deviation of its counted samples: over all
-    experiments, or over the one that says it"""
+    """noise level as a fraction of the standard deviation of the output"""
     weights: Level | Mapping[str, Level] | None = None
-    """a sample of weight w has the variance σ²/w, with one σ², estimated, for all outputs that have weights"""
+    """column of weights w: variance σ²/w, with one estimated σ² for all weighted outputs"""
     shared_variance: bool | Sequence[str] = False
-    """of [noise] alone: outputs that share one estimated variance, a list of names; true: all of them"""
+    """outputs with one common estimated variance, in [noise] only; true: all"""
     excitation_period: Positive | None = None
-    """s after which the excitation repeats, as errors of the model then do; default: what the inputs show"""
+    """period of the excitation, s, for periodic model errors; default: from the inputs"""
     experiments: Mapping[str, Noise] = field(default_factory=dict, metadata={"key": False})
-    """what holds in an experiment of that name in place of all this; without initial and shared variance"""
+    """noise of single experiments by name; without initial and shared variance"""
 
     def __post_init__(self) -> None:
         for word in (*FORMS, "initial_variance", "excitation_period"):

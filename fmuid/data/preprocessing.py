@@ -43,17 +43,17 @@ class ParkTransform:
     """
 
     source: tuple[str, ...]
-    """three phases, which become two axes, or two axes, which become three phases"""
+    """columns of three phases, or of two axes"""
     target: tuple[str, ...]
-    """the new columns"""
+    """new columns: two axes, or three phases"""
     angle: str | None = None
-    """the column of the angle, rad or what the data say; default: speed is integrated"""
+    """column of the angle, rad by default; without it, speed is integrated"""
     speed: str | None = None
-    """the column of the speed, rad/s or what the data say"""
+    """column of the speed, rad/s by default"""
     pole_pairs: Annotated[float, Gt(0)] = 1.0
-    """what angle or speed are multiplied by; 1 where they are electrical"""
+    """factor on angle and speed; 1 for electrical ones"""
     initial_angle: float = 0.0
-    """the electrical angle where the integration begins, rad"""
+    """initial electrical angle of the integration, rad"""
 
     def __post_init__(self) -> None:
         if sorted((len(self.source), len(self.target))) != [2, 3]:
@@ -69,15 +69,15 @@ class Preprocessing:
     """What is done with the data, in this order."""
 
     computed_columns: Mapping[str, str] = field(default_factory=dict)
-    """columns computed from others, { x = "pulses * 35.1 + vir" }, also in place of what is there"""
+    """columns computed from others, { x = "pulses * 35.1 + vir" }; may replace columns"""
     fill_missing: Mapping[str, Literal["linear", "zoh"]] = field(default_factory=dict)
-    """inputs whose missing samples are filled, { u = "linear" }, or "zoh", the sample before"""
+    """inputs with missing samples to fill, by "linear" or "zoh": { u = "zoh" }"""
     max_gap: Annotated[float, Gt(0)] | None = None
-    """s: a longer gap is not filled but refused; default: 20 usual steps"""
+    """longest gap to fill, s; default: 20 sampling intervals"""
     park: tuple[ParkTransform, ...] = ()
-    """phases transformed to turning axes, or back"""
+    """Park transform of phases to rotating axes, or back"""
     lowpass_frequency: Annotated[float, Gt(0)] | None = None
-    """Hz: inputs and outputs without what is faster, nothing shifted in time"""
+    """cutoff frequency of a zero-phase low-pass filter, Hz"""
     start_time: float | None = None
     """s: the data are kept from there"""
     end_time: float | None = None
@@ -85,7 +85,7 @@ class Preprocessing:
     resample_interval: Annotated[float, Gt(0)] | None = None
     """step of time, s"""
     detrend: Literal["mean", "linear"] | Mapping[str, Literal["mean", "linear"]] | None = None
-    """what is taken from inputs and outputs, or from some columns: { column = trend }"""
+    """trend removed from inputs and outputs, or { column = trend }"""
 
     def __post_init__(self) -> None:
         if self.start_time is not None and self.end_time is not None and self.end_time < self.start_time:

@@ -74,9 +74,9 @@ class CauseScale:
     """
 
     healthy_std: Annotated[float, Gt(0)]
-    """standard deviation of what a sound machine may have at all times"""
+    """σ of the error of a healthy machine"""
     change_std: Annotated[float, Gt(0)]
-    """standard deviation of a change that is worth naming"""
+    """σ of a change of interest"""
 
     def __post_init__(self) -> None:
         for value in (self.healthy_std, self.change_std):
@@ -95,10 +95,9 @@ class Causes:
     sensor_delay: CauseScale | None = field(default_factory=lambda: CauseScale(0.2, 0.2))
     """of each sensor, in sampling intervals"""
     input_gain: CauseScale | None = field(default_factory=lambda: CauseScale(0.02, 0.02))
-    """of each input, as a fraction: a supply whose phases differ"""
+    """of each input, as a fraction"""
     parameter_drift: CauseScale | None = field(default_factory=lambda: CauseScale(1.0, 0.1))
-    """of each parameter beyond std_factor, as a fraction of its value; what is normal is known from the healthy
-    record"""
+    """of each parameter beyond std_factor, as a fraction; healthy_std is not used"""
 
 
 def name_of(kind: CauseKind, variable: str, fault: str) -> str:

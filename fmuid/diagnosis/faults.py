@@ -37,9 +37,9 @@ class FaultAngle:
     """
 
     magnitude: str
-    """the fault parameter that is the size of this fault"""
+    """fault parameter with the size of this fault"""
     period: Annotated[float, Gt(0)] = 2.0 * math.pi
-    """after which the angle is the same, in the unit of the FMU variable"""
+    """period of the angle, in the unit of the FMU variable"""
 
     def __post_init__(self) -> None:
         if not (math.isfinite(self.period) and self.period > 0):

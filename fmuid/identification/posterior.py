@@ -56,16 +56,16 @@ class SamplerSettings:
     """
 
     walkers: Annotated[int, Gt(0)] | None = None
-    """an even number, at least twice the number of parameters; default: four a parameter, 16 at least"""
+    """even number, at least 2 per parameter; default: 4 per parameter, at least 16"""
     max_steps: Annotated[int, Gt(0)] = 20_000
-    """of the longest chain; it ends as soon as it is long enough and converged"""
+    """length of the longest chain; it stops when it has converged"""
     # 2000 give means to 2 % and the ends of 95 % intervals to 6 % of a standard deviation
     effective_size: int = field(default=2000, metadata={"key": False})
-    """the effective sample size that every parameter must reach"""
+    """smallest effective sample size of a parameter"""
     burn_in: Annotated[float, Ge(0), Lt(1)] = 0.25
-    """fraction of the chain, at its start, that is left out"""
+    """fraction of the chain that is discarded at its start"""
     seed: Annotated[int, Ge(0)] = 0
-    """of the random numbers: the same seed gives the same samples"""
+    """seed of the random numbers"""
 
     def __post_init__(self) -> None:
         for name, least in (("walkers", 4), ("max_steps", 10), ("effective_size", 1), ("seed", 0)):

@@ -89,11 +89,11 @@ class Isolation:
     """
 
     time_limit: Annotated[float, Gt(0)] | None = None
-    """s for one simulation; default: by how long earlier ones took"""
+    """time limit of a simulation, s; default: from earlier simulations"""
     memory_limit_mb: Annotated[float, Gt(0)] | None = None
-    """MB, with all that the process starts; default: an equal share of half the machine's for each core"""
+    """memory of a process and its children, MB; default: half the memory divided by the cores"""
     max_simulations_per_process: Annotated[int, Gt(0)] | None = None
-    """simulations after which a process is replaced; default: only for its memory"""
+    """simulations before a process is replaced; default: only at its memory limit"""
     threads: int | None = field(default=None, metadata={"key": False})
     """simulations at a time, in as many processes where the FMU is not safe in threads; default: one for each core"""
 

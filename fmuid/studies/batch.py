@@ -1,4 +1,4 @@
-"""The table ``[batch]``: the cases of a study."""
+"""The section ``[batch]``: the cases of a study."""
 
 from __future__ import annotations
 
@@ -22,18 +22,17 @@ from fmuid.studies.toml import show
 Value = float | int | bool | str
 
 METHODS = ("sobol", "latin-hypercube")
-# Beyond these a space-filling design fills the memory, and a Sobol sequence of 30 bits ends.
-MOST_POINTS = 2**24
-LARGEST_WHOLE = 2**63  # what a column of whole numbers holds
-
+MAX_POINTS = 2**24
+"""Points of a space-filling design; SciPy's Sobol sequence ends at 2**30, memory before."""
+INTEGERS = range(-(2**63), 2**63)
+"""Whole numbers that a column of integers holds."""
 
 # --- kinds of values --------------------------------------------------------------------
 
-
-WHOLE, UP_TO = "a whole number above 0", f"a whole number up to {MOST_POINTS}"
+WHOLE, UP_TO = "a whole number above 0", f"a whole number up to {MAX_POINTS}"
 Points = Annotated[
     int,
-    Field(gt=0, le=MOST_POINTS),
+    Field(gt=0, le=MAX_POINTS),
     kinds.ValueKind(WHOLE, lambda value: UP_TO if type(value) is int and value > 0 else WHOLE),
 ]
 
@@ -41,9 +40,9 @@ Points = Annotated[
 class RangeSection(StudySection):
     """Equally spaced numbers, both ends included."""
 
-    first: kinds.Finite = entry(..., "the first", alias="from")
-    last: kinds.Finite = entry(..., "the last", alias="to")
-    count: Points = entry(..., "how many")
+    first: kinds.Finite = entry(..., "first value", alias="from")
+    last: kinds.Finite = entry(..., "last value", alias="to")
+    count: Points = entry(..., "number of values")
 
 
 TABLES = 'a pattern of files, "records/*.csv", a list of files and patterns, or { name = "file" }'
@@ -61,8 +60,8 @@ def _wrong_starts(value: Any) -> str:
             try:
                 _FINITE.validate_python(item)
             except ValidationError as error:
-                return f"a table of which each entry is {_text(error)} ({name} is {show(item)})"
-    return "a whole number above 0, or a list of starts, [{ Rs = 9.0, Rr = 3.0 }]"
+                return f"a list of {{ parameter = number }}, each {_text(error)} ({name} is {show(item)})"
+    return "a whole number above 0 or a list of starting points, [{ Rs = 9.0, Rr = 3.0 }]"
 
 
 def _text(error: ValidationError) -> str:
@@ -94,7 +93,7 @@ def _axis(value: object) -> tuple[Value, ...]:
             return _range(value)
         types: tuple[tuple[type, ...], ...] = ((bool,), (int,), (int, float), (str,))
         if isinstance(value, list) and value:
-            fits = all(-LARGEST_WHOLE <= item < LARGEST_WHOLE for item in value if isinstance(item, int))
+            fits = all(item in INTEGERS for item in value if isinstance(item, int))
             for kind in types if fits else ():
                 if all(isinstance(item, kind) and (isinstance(item, bool) == (kind == (bool,))) for item in value):
                     return tuple(value if kind != (int, float) else map(_FINITE.validate_python, value))
@@ -106,11 +105,11 @@ def _axis(value: object) -> tuple[Value, ...]:
 def _range(value: dict[str, Any]) -> tuple[float, ...]:
     """Return equally spaced numbers, both ends included."""
     if set(value) != {"from", "to", "count"}:
-        raise kinds.must_be("a list of values, or { from = 0.4, to = 0.5, count = 5 } with just these three")
+        raise kinds.must_be("a list of values, or { from = 0.4, to = 0.5, count = 5 } with these three keys")
     first, last = (_FINITE.validate_python(value[key]) for key in ("from", "to"))
     count = _POINTS.validate_python(value["count"])
     if count == 1 or first == last:
-        raise kinds.must_be("a range of at least two values, whose from and to differ")
+        raise kinds.must_be("a range of at least two different values")
     return tuple(np.linspace(first, last, count).tolist())
 
 
@@ -128,69 +127,64 @@ Limits = Annotated[
     kinds.required(lambda limits: limits[0] < limits[1], LIMITS),
     kinds.ValueKind(LIMITS),
 ]
-Ranges = Annotated[dict[str, Limits], Field(min_length=1), kinds.Entries("a table { variable = [lowest, highest] }")]
+Ranges = Annotated[dict[str, Limits], Field(min_length=1), kinds.Entries("{ variable = [lowest, highest] }")]
 
 
-# --- tables -----------------------------------------------------------------------------
+# --- sections ---------------------------------------------------------------------------
 
 
 class SpaceFillingSection(StudySection):
-    """Values held that fill a box."""
+    """Fixed values that fill a box."""
 
-    method: Annotated[str, kinds.one_of(METHODS)] = entry("sobol", "how the points are spread")
-    points: Points = entry(..., "how many points")
-    ranges: Ranges = entry(..., "the variables that are held at values, as ranges = { Lm = [0.4, 0.5] }")
+    method: Annotated[str, kinds.one_of(METHODS)] = entry("sobol", "sampling method")
+    points: Points = entry(..., "number of points")
+    ranges: Ranges = entry(..., "variables with their limits, { Lm = [0.4, 0.5] }")
 
 
 class MonteCarloSection(StudySection):
-    """Monte Carlo: simulate the truth, disturb it, identify."""
+    """Monte Carlo study: simulate the true values, add noise, identify."""
 
-    realizations: kinds.Count = entry(..., "how many realizations of the noise")
+    realizations: kinds.Count = entry(..., "number of noise realizations")
     std: kinds.PositiveOrEach | None = entry(
-        None, "standard deviation of the white normal noise, or one for each output; default: as [noise] says"
+        None, "σ of the white noise, for all outputs or each; default: from [noise]"
     )
-    true_values: kinds.Finites = entry(
-        {}, "values in the simulation of the truth, where they are not those of the case"
-    )
+    true_values: kinds.Finites = entry({}, "true values that differ from those of the case")
 
     def std_of(self, output: str) -> float:
-        """Return the standard deviation of an output, in the unit of the data."""
+        """Return σ of an output, in the unit of the data."""
         assert isinstance(self.std, dict), "of a study, by `of`"
         return self.std[output]
 
     def of(self, experiments: Sequence[ExperimentSettings], noise: Noise) -> Self:
-        """Return the table with the standard deviation of every output."""
+        """Return the section with σ of every output."""
         outputs = tuple(dict.fromkeys(name for given in experiments for name in given.outputs))
         given = self.std if isinstance(self.std, dict) else dict.fromkeys(outputs, self.std)
         for name in given:
             if name not in outputs:
-                raise self.error(f"std names {name!r}, which is no measured output{nearest(name, outputs)}")
+                raise self.error(f"unknown output {name!r}{nearest(name, outputs)}", "std")
         variances = zip(outputs, noise.known(outputs).tolist(), strict=True)
         stds = {name: given.get(name) or math.sqrt(variance) for name, variance in variances}
         for name, std in stds.items():
             if math.isnan(std):
-                raise self.error(
-                    f"needs the standard deviation of the noise of {name!r}: give std = {{ {name} = ... }}, or its "
-                    "variance in [noise]"
-                )
+                raise self.error(f"unknown noise level of {name!r}. Set std = {{ {name} = ... }} or noise.variance.")
         return self.model_copy(update={"std": stds})
 
 
 class BatchSettings(StudySection):
     """Many identifications, called cases."""
 
-    data: Tables = entry([], "one identification a record: files, patterns of files, or names and files")
-    starting_points: Starts | None = entry(None, "how many starts are drawn, or the starts themselves by parameter")
-    free_parameters: Subsets = entry([], "the parameters that are free, one set after the other; default: all")
-    sweep: Annotated[dict[str, Axis], kinds.Entries("a table { name = values }")] = entry(
-        {}, "variables, and the values at which they are held one after the other"
+    data: Tables = entry([], "data files, one case each: files, patterns, or names and files")
+    starting_points: Starts | None = entry(None, "number of random starting points, or a list of them")
+    free_parameters: Subsets = entry([], "sets of free parameters, one case each; default: all free")
+    sweep: Annotated[dict[str, Axis], kinds.Entries("{ name = values }")] = entry(
+        {}, "variables with their values, one case each"
     )
-    space_filling: SpaceFillingSection | None = entry(None, "values held that fill a box")
-    monte_carlo: MonteCarloSection | None = entry(None, "Monte Carlo: simulate the truth, disturb it, identify")
+    space_filling: SpaceFillingSection | None = entry(None, "fixed values that fill a box")
+    monte_carlo: MonteCarloSection | None = entry(None, "Monte Carlo study")
     combine: Annotated[str, kinds.one_of(("product", "zip"))] = entry(
-        "product", "each entry of an axis with every entry of the others, or the n-th ones of all together"
+        "product", "all combinations of the axes, or their n-th entries together"
     )
-    seed: kinds.Natural = entry(0, "of all that is drawn")
+    seed: kinds.Natural = entry(0, "seed of all random numbers")
 
     @property
     def swept(self) -> tuple[str, ...]:
@@ -219,21 +213,16 @@ class BatchSettings(StudySection):
         matches = glob.glob(given, root_dir=folder, recursive=True)  # noqa: PTH207  # of Path's none is absolute
         files = sorted((Path(each) for each in matches if is_file(folder / each)), key=lambda path: path.parts)
         if not files:
-            raise self.error(f"data: {show(given)} matches no file in {full(folder)}")
+            raise self.error(f"{show(given)} matches no file in {full(folder)}.", "data")
         return [path.as_posix() for path in files]
 
     def of(self, parameters: Mapping[str, Parameter], experiments: Sequence[ExperimentSettings], noise: Noise) -> Self:
-        """Return the table, checked for a study."""
+        """Return the section, checked for a study."""
         if not self.model_fields_set - {"combine", "seed"}:
-            raise self.error(
-                "varies nothing: give at least one of data, starting_points, free_parameters, sweep, space_filling and "
-                "monte_carlo"
-            )
+            axes = "data, starting_points, free_parameters, sweep, space_filling or monte_carlo"
+            raise self.error(f"nothing varies between cases. Set {axes}.")
         if self.data and len(experiments) > 1:
-            raise self.error(
-                f"has data, each in place of the study's own, and the study has {len(experiments)} [[experiments]]: "
-                "keep one of them, whose words are those of all files"
-            )
+            raise self.error(f"the study has {len(experiments)} experiments. Keep one, for all files.", "data")
         self._check_names(parameters)
         return (
             self
@@ -245,13 +234,12 @@ class BatchSettings(StudySection):
         """Check all names of parameters; some must be left to identify."""
         for name, values in self.sweep.items():
             if name in parameters and any(isinstance(value, bool | str) for value in values):
-                raise self.error(f"sweep.{name}: a parameter is held at numbers, not at {show(values[0])}")
+                raise self.error(f"a parameter takes numbers, not {show(values[0])}.", "sweep", name)
             if self.space_filling is not None and name in self.space_filling.ranges:
-                raise self.error(f"holds {name!r} both by sweep and by space_filling: keep one of the two")
+                raise self.error(f"{name!r} is in sweep and in space_filling. Keep one of the two.")
         if parameters and not set(parameters) - set(self.swept):
             raise self.error(
-                "holds all parameters of the study at values, so that none is left to identify: leave one of "
-                f"{', '.join(parameters)} out of sweep and space_filling"
+                f"no parameter is free. Remove one of {', '.join(parameters)} from sweep or space_filling."
             )
         for subset in self.free_parameters:
             self._check_parameters("free_parameters", subset, parameters)
@@ -261,14 +249,9 @@ class BatchSettings(StudySection):
     def _check_parameters(self, key: str, names: Iterable[str], parameters: Mapping[str, Parameter]) -> None:
         for name in names:
             if name not in parameters:
-                raise self.error(
-                    f"{key} names {name!r}, which is no parameter of this study{nearest(name, parameters)}"
-                )
+                raise self.error(f"unknown parameter {name!r}{nearest(name, parameters)}", key)
             if name in self.swept:
-                raise self.error(
-                    f"{key} names {name!r}, which sweep or space_filling hold, so that it is not identified: keep one "
-                    "of the two"
-                )
+                raise self.error(f"{name!r} is also in sweep or space_filling. Keep one of the two.", key)
 
 
 _NAMES: tuple[Callable[[str], str], ...] = (

@@ -1,4 +1,4 @@
-"""The table ``[diagnosis]``: the healthy machine and the faults to look for."""
+"""The section ``[diagnosis]``: baseline and fault models."""
 
 from __future__ import annotations
 
@@ -27,27 +27,23 @@ if TYPE_CHECKING:
     from fmuid.diagnosis import Baseline, Fault
 
 BASELINE_FILE = "baseline.npz"
-"""Beside the ``result.json`` of a healthy study with faults: what its tables show."""
-
+"""Beside the ``result.json`` of a healthy study with faults: the baseline of its data."""
 RULE = Rule()
-"""What is not said of a test."""
-
-
 FACTOR = "a number above 0, inf for no prior"
 Factor = Annotated[float, kinds.required(lambda value: value > 0, FACTOR), kinds.ValueKind(FACTOR)]
-Factors = Annotated[dict[str, Factor], kinds.Entries("a table { parameter = number }")]
+Factors = Annotated[dict[str, Factor], kinds.Entries("{ parameter = number }")]
 
 
 class FaultParameterSection(StudySection):
-    """A parameter of a fault."""
+    """Parameter of a fault model."""
 
-    nominal: kinds.Positive | None = entry(None, "size that is worth naming; of an angle not needed")
+    nominal: kinds.Positive | None = entry(None, "scale: a fault size of interest; not for an angle")
     min: kinds.Number = entry(-math.inf, "lower bound")
     max: kinds.Number = entry(math.inf, "upper bound")
 
     def parameter(self, *, is_angle: bool) -> Parameter:
         """Return the parameter; angles need no nominal."""
-        with self.place.located(" is refused:"):
+        with self.place.located():
             return Parameter(0.0, self.min, self.max, self.nominal or (1.0 if is_angle else None))
 
 
@@ -55,16 +51,16 @@ Angles = dict[str, Annotated[FaultAngle, Settings()]]
 
 
 class FaultSection(ModelSection):
-    """A fault to look for: a model of it, or parameters of the study's own model."""
+    """Fault model: a model of its own, or parameters of the study's model."""
 
     parameters: Annotated[dict[str, FaultParameterSection], BeforeValidator(by_element)] = entry(
-        {}, "those of the fault, zero where it is not there"
+        {}, "fault sizes, zero without the fault"
     )
     angles: Annotated[kinds.Names | Angles, kinds.BY_SHAPE] = entry(
-        [], 'the parameters that are angles, ["theta0"]; or each with the size that it belongs to'
+        [], 'parameters that are angles, ["theta0"]; or each with its fault size'
     )
-    variable_map: kinds.Texts = entry({}, "what the study calls a variable, and what this model calls it")
-    inputs: kinds.Columns = entry({}, "inputs that only this model has")
+    variable_map: kinds.Texts = entry({}, "variable of the study = variable of this model")
+    inputs: kinds.Columns = entry({}, "further inputs of this model")
 
     @property
     def own_model(self) -> ParsedModel | None:
@@ -73,30 +69,24 @@ class FaultSection(ModelSection):
         return replace(self.settings(), values={}, sources=()) if own else None
 
     def check(self) -> None:
-        """Refuse a fault without parameters, or with words on a model that it has not."""
+        """Refuse a fault without parameters, or keys of a model without one."""
         for key in ModelSection.model_fields if self.own_model is None else ():
             if key in self.model_fields_set and key != "fixed":
-                raise self.error(f"has {key} and no model: give fmu or components, or leave {key} out")
+                raise self.error(f"needs a model. Set fmu or components, or remove {key}.", key)
         if not self.parameters:
-            raise self.error(
-                "has no parameters: name those of the fault, zero without it, as in "
-                "parameters = { dR = { nominal = 1.0 } }"
-            )
+            raise self.error("no fault parameters. Set parameters = { dR = { nominal = 1.0 } }.")
         self.held()
         for name, each in self.parameters.items():
             each.parameter(is_angle=name in self.angles)
 
     def fault(self, system: System, model: ParsedModel) -> Fault:
         """Return the fault; `system` and `model` are the study's own."""
-        from fmuid.diagnosis import Fault  # and all that decides, only where faults are looked for
+        from fmuid.diagnosis import Fault
 
         own, (values, _) = self.own_model, self.held()
         for name in self.parameters if own is None else ():
             if name not in system.variables:
-                raise InputError(
-                    f"{self.place}: the study's own model, {system.label}, has no {name!r}, and the fault no model of "
-                    "its own: give it, as fmu or as components"
-                )
+                raise self.error(f"{system.label} has no variable {name!r}. Set the fault's own fmu or components.")
         with self.place.located():
             return Fault(
                 system if own is None else replace(own, isolation=model.isolation).system(),
@@ -109,54 +99,51 @@ class FaultSection(ModelSection):
 
 
 class DiagnosisSection(StudySection):
-    """Which fault, and how large."""
+    """Fault diagnosis against a baseline."""
 
     baseline: kinds.File | None = entry(
         None,
-        "the result.json of an identification of the healthy machine; without, fmuid identify keeps beside its "
-        "result.json what the tables of this study, all of the healthy machine, show of the faults",
+        "result.json of the healthy machine; without it, identify stores a baseline of this study",
         "healthy/result.json",
     )
     std_factor: Annotated[Factor | Factors, kinds.BY_SHAPE] = entry(
-        1.0, "factor on its standard deviations, or one for each parameter: for changes that are no fault"
+        1.0, "factor on the baseline's σ, for all parameters or each: allowed healthy changes"
     )
     false_alarm_rate: kinds.Share = entry(RULE.level, "probability of a false alarm", RULE.level)
-    healthy_data: kinds.Files = entry(
-        [], "tables of the healthy machine: sensors and supply are told from faults by them"
-    )
+    healthy_data: kinds.Files = entry([], "data files of the healthy machine, for sensor and supply errors")
     known_fault_data: dict[str, kinds.Files] = entry(
-        {}, "cause to tables in which it alone is new: they show fault_model_error", {}
+        {}, "data files with one known cause each, for fault_model_error", {}
     )
-    causes: Annotated[Causes, Settings()] = entry(Causes(), "what may have changed beside the faults")
+    causes: Annotated[Causes, Settings()] = entry(Causes(), "possible causes other than faults")
     fault_model_error: kinds.NotNegative = entry(
-        MODEL_ERROR, "of a fault model along other signatures, a share of its effect; a quarter of it in its size"
+        MODEL_ERROR, "fault-model error along other signatures, fraction of the effect; a quarter of it in size"
     )
-    faults: dict[str, FaultSection] = entry({}, "the faults to look for, by their names")
+    faults: dict[str, FaultSection] = entry({}, "fault models by name")
 
     _source: PriorSource | None = PrivateAttr(default=None)
 
     @property
     def source(self) -> PriorSource | None:
-        """Result of the healthy machine, None where the study is of it."""
+        """Result of the healthy machine; None without ``baseline``."""
         return self._source
 
     def of(self, model: ParsedModel, loss: str, known: ParsedParameters) -> Self:
-        """Return the table, checked for a study, with the result of the healthy machine."""
-        for said, there in (
+        """Return the section, checked for a study, with its baseline result."""
+        for other, there in (
             ("[prior]", known.joint_prior is not None),
             (f'loss = "{loss}"', loss != "linear"),
             (f"choices of {next(iter(known.choices), '')}", bool(known.choices)),
         ):
             if there:
-                raise self.error(f"does not go with {said} in this version: remove one of the two")
+                raise self.error(f"cannot be combined with {other}. Remove one of the two.")
         if not self.faults:
-            raise self.error("has no faults: describe at least one as [diagnosis.faults.<name>]")
+            raise self.error("no faults. Add a section [diagnosis.faults.<name>].")
         found = self.model_copy()
         if self.baseline is None:
             for key in sorted({"healthy_data", "known_fault_data"} & self.model_fields_set):
-                raise self.error(f"has {key} and no baseline: give the result.json of the healthy machine, too")
+                raise self.error('needs a baseline. Set baseline = "healthy/result.json".', key)
         else:
-            with self.place.located(" baseline:"):
+            with self.place.below("baseline").located():
                 result = Result.from_json(self.baseline)
             names = tuple(name for name in result.names if not of_one_experiment(name) and name not in model.values)
             found._source = PriorSource(str(self.place), self.baseline, result, names)
@@ -166,7 +153,7 @@ class DiagnosisSection(StudySection):
 
     @property
     def tables(self) -> tuple[Path, ...]:
-        """Data files of the healthy machine and known faults, and the stored baseline."""
+        """Data files of the baseline and known faults, and the stored baseline."""
         kept = () if self.kept is None else (self.kept,)
         return (*kept, *self.healthy_data, *(path for paths in self.known_fault_data.values() for path in paths))
 
@@ -190,9 +177,7 @@ class DiagnosisSection(StudySection):
         from fmuid.diagnosis import Baseline, StoredBaseline
 
         if self.source is None:
-            raise InputError(
-                'there is no healthy machine: give baseline = "healthy/result.json", of its identification'
-            )
+            raise InputError("missing key 'baseline'. Set baseline = \"healthy/result.json\".")
         records = [read(path) for path in self.healthy_data]
         trials = {name: [read(path) for path in paths] for name, paths in self.known_fault_data.items()}
         variance = noise.given_variance()

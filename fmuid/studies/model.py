@@ -1,4 +1,4 @@
-"""The tables ``[model]`` and ``[[experiments]]`` of a study file."""
+"""The sections ``[model]`` and ``[[experiments]]`` of a study file."""
 
 from __future__ import annotations
 
@@ -80,27 +80,25 @@ class ParsedModel:
 
 
 class NumericsSection(StudySection):
-    """How an FMU is run."""
+    """Solver of an FMU."""
 
     interface: Annotated[str, kinds.one_of(KINDS)] | None = entry(
         None,
-        'which of its two; default: "co-simulation" where the FMU offers it, with the solver inside the FMU',
+        'FMI interface type; default: "co-simulation" if the FMU has it',
         "model-exchange",
     )
     solver: Annotated[str, kinds.one_of(INTEGRATORS)] | None = entry(
         None,
-        f'of model exchange: "rk4" (fixed steps), "rk45" or "cvode" (stiff models); default: "{DEFAULT_INTEGRATOR}", '
-        'and "cvode" once that finds the model stiff',
+        f'for Model Exchange; default: "{DEFAULT_INTEGRATOR}", and "cvode" for stiff models',
         "cvode",
     )
     tolerance: kinds.Share | None = entry(
-        None, f"relative; default: {DEFAULT_TOLERANCE!r}, or what the FMU has inside", DEFAULT_TOLERANCE
+        None, f"relative solver tolerance; default: {DEFAULT_TOLERANCE!r}, or that of the FMU", DEFAULT_TOLERANCE
     )
-    step_size: kinds.Positive | None = entry(None, "largest step, s; default: from sample to sample", 1e-3)
+    step_size: kinds.Positive | None = entry(None, "communication step, s; default: the sampling interval", 1e-3)
     max_solver_steps: kinds.Count | None = entry(
         None,
-        'of "rk45" and "cvode" between two samples: a simulation that needs more fails, and a search goes another way; '
-        f"default: {MOST_STEPS}",
+        f'largest number of "rk45" and "cvode" steps between samples; default: {MOST_STEPS}',
         10_000,
     )
 
@@ -111,14 +109,13 @@ class NumericsSection(StudySection):
 
 
 class ComponentSection(NumericsSection):
-    """One of several FMUs."""
+    """One of several coupled FMUs."""
 
-    name: kinds.Text = entry(..., "what its variables are prefixed with")
-    fmu: kinds.File = entry(..., "the path of the FMU")
+    name: kinds.Text = entry(..., "prefix of its variables")
+    fmu: kinds.File = entry(..., "the FMU")
     discrete_time: kinds.Flag | None = entry(
         None,
-        "whether it acts once a communication step, as a sampled controller does: finer simulations leave its steps as "
-        "they are; default: an FMU without continuous states does, of others it is not known",
+        "acts once per communication step, like a sampled controller; default: true without continuous states",
         True,
     )
 
@@ -129,12 +126,12 @@ class ComponentSection(NumericsSection):
 
 
 class ConnectionSection(StudySection):
-    """An output that feeds an input."""
+    """Connection from an output to an input."""
 
-    source: kinds.Text = entry(..., "an output", alias="from")
-    target: kinds.Text = entry(..., "the input that it feeds", alias="to")
-    factor: kinds.Number = entry(1.0, "what the output is multiplied by")
-    offset: kinds.Number = entry(0.0, "what is added then")
+    source: kinds.Text = entry(..., "output", alias="from")
+    target: kinds.Text = entry(..., "input", alias="to")
+    factor: kinds.Number = entry(1.0, "gain of the connection")
+    offset: kinds.Number = entry(0.0, "offset after the gain")
 
     @property
     def connection(self) -> tuple[str, str] | tuple[str, str, float, float]:
@@ -148,23 +145,19 @@ OneOrMore = Annotated[kinds.Names, BeforeValidator(kinds.as_list, json_schema_in
 
 
 ScalarOrEstimate = Annotated[kinds.Scalar | ResultValueSection, kinds.BY_SHAPE]
-Held = Annotated[dict[str, ScalarOrEstimate], kinds.Entries("a table { name = value }"), BeforeValidator(by_element)]
+Held = Annotated[dict[str, ScalarOrEstimate], kinds.Entries("{ name = value }"), BeforeValidator(by_element)]
 
 
 class ModelSection(NumericsSection):
-    """The model: one FMU, or several coupled ones."""
+    """Model: one FMU, or several coupled ones."""
 
-    fmu: kinds.File | None = entry(None, "the path of the FMU, or of a system, .ssp")
-    coupling: Annotated[str, kinds.one_of(MASTERS)] = entry("jacobi", "in which order several FMUs step")
-    fixed: Held = entry(
-        {}, 'FMU variables held at a value, or at rows of them, or at an estimate, { result = "drive/result.json" }'
-    )
-    components: list[ComponentSection] = entry(
-        [], "several FMUs in place of fmu; their variables are component.variable"
-    )
-    connections: list[ConnectionSection] = entry([], "what feeds what")
-    shared_variables: Annotated[dict[str, OneOrMore], kinds.Entries("a table { name = variables }")] = entry(
-        {}, "names of the system's own, and the variables that each of them sets"
+    fmu: kinds.File | None = entry(None, "the FMU, or an SSP package, .ssp")
+    coupling: Annotated[str, kinds.one_of(MASTERS)] = entry("jacobi", "order of several FMUs in a step")
+    fixed: Held = entry({}, 'FMU variables with a value, an array, or an estimate, { result = "drive/result.json" }')
+    components: list[ComponentSection] = entry([], "several FMUs, instead of fmu; variables are component.variable")
+    connections: list[ConnectionSection] = entry([], "connections of components")
+    shared_variables: Annotated[dict[str, OneOrMore], kinds.Entries("{ name = variables }")] = entry(
+        {}, "name of the system = variables that share its value"
     )
 
     def settings(self) -> ParsedModel:
@@ -190,18 +183,16 @@ class ModelSection(NumericsSection):
         if self.fmu is not None:
             for key in ("components", "connections", "shared_variables"):
                 if key in self.model_fields_set:
-                    raise self.error(f"has both 'fmu' (one FMU) and {key} (of several): keep one of the two")
+                    raise self.error("cannot be combined with fmu. Keep one of the two.", key)
             return {"": (self.fmu, self.numerics)}
         if "components" not in self.model_fields_set:
-            raise self.error(
-                "needs the key 'fmu', the path of the FMU, or [[model.components]] where there are several"
-            )
+            raise self.error("missing key 'fmu'. For several FMUs, add sections [[model.components]].")
         if not self.components:
-            raise self.error("has no components: name them with [[model.components]]")
+            raise self.error("no components. Add sections [[model.components]].")
         found: dict[str, tuple[Path, Numerics]] = {}
         for each in self.components:
             if each.name in found:
-                raise each.error(f"has the name {each.name!r} of an earlier component: give each its own")
+                raise each.error(f"{each.name!r} is also the name of an earlier component.", "name")
             found[each.name] = each.fmu, each.numerics
         return found
 
@@ -211,54 +202,50 @@ class ModelSection(NumericsSection):
 
 @dataclass(frozen=True)
 class PreprocessSection(Preprocessing):
-    """What is done with the data first, in this order."""
+    """Preprocessing, in this order."""
 
     segments: kinds.Segments = field(default_factory=list)
-    """in place of start_time and end_time: several segments, each an experiment of its own"""
+    """segments instead of start_time and end_time, each an experiment"""
 
     def split(self) -> list[PreprocessSection]:
         """Return the preprocessing of each segment."""
         for key in ("start_time", "end_time") if self.segments else ():
             if getattr(self, key) is not None:
-                raise InputError(f"has both segments and {key}: keep one of the two")
+                raise InputError(f"segments and {key} cannot be combined. Keep one of the two.")
         if not self.segments:
             return [self]
         return [replace(self, segments=[], start_time=begin, end_time=end) for begin, end in self.segments]
 
 
 Interpolation = Annotated[str, kinds.one_of(INTERPOLATIONS)]
-Interpolations = Annotated[dict[str, Interpolation], kinds.Entries("a table { input = interpolation }")]
+Interpolations = Annotated[dict[str, Interpolation], kinds.Entries("{ input = interpolation }")]
 
 
 class ExperimentSettings(StudySection):
-    """A table of measurements, with the words of `fmuid.Experiment`; as many as there are."""
+    """Experiment: a data file with the roles of its columns."""
 
-    data: kinds.File = entry(..., "the file of measurements")
-    name: kinds.Text = entry("", "what messages and figures call it; default: the file's name without suffix")
-    time: kinds.NameOrPlace = entry("time", "the column of time, by its name or its place from 1")
+    data: kinds.File = entry(..., "data file")
+    name: kinds.Text = entry("", "name in messages and figures; default: the file name without suffix")
+    time: kinds.NameOrPlace = entry("time", "time column, by name or number from 1")
     time_unit: Annotated[str, kinds.one_of(TIME_UNITS)] | None = entry(
-        None, "unit of the time column; default: what the file says, else s"
+        None, "unit of the time column; default: that of the file, else s"
     )
-    sample_rate: kinds.Positive | None = entry(None, "samples per second, of a table without times")
-    sheet: kinds.NameOrPlace | None = entry(
-        None, "of a spreadsheet, by name or place from 1; default: the first with a table"
-    )
-    inputs: kinds.Columns = entry({}, "variables of the FMU that columns drive")
-    outputs: kinds.Columns = entry(..., "the measured outputs, a list of names")
+    sample_rate: kinds.Positive | None = entry(None, "samples per second, for data without times")
+    sheet: kinds.NameOrPlace | None = entry(None, "sheet, by name or number from 1; default: the first with data")
+    inputs: kinds.Columns = entry({}, "measured inputs of the FMU")
+    outputs: kinds.Columns = entry(..., "measured outputs of the FMU")
     interpolation: Annotated[Interpolation | Interpolations, kinds.BY_SHAPE] = entry(
-        "linear", 'between samples; "zoh" for commands of a digital controller', "linear"
+        "linear", 'of inputs between samples; "zoh" for commands of a digital controller', "linear"
     )
-    warmup: kinds.NotNegative = entry(0.0, "s of transient at the beginning, simulated but not counted", 0.0)
+    warmup: kinds.NotNegative = entry(0.0, "initial time that is simulated but not scored, s", 0.0)
     fixed: Annotated[kinds.Scalars, BeforeValidator(by_element)] = entry(
-        {}, "FMU variables held at a value, or at rows of them, in this experiment"
+        {}, "FMU variables with a value or an array, in this experiment"
     )
-    noise: Annotated[Noise, Settings()] = entry(Noise(), "of this experiment, where it is not as [noise] says")
+    noise: Annotated[Noise, Settings()] = entry(Noise(), "noise that differs from [noise]")
     preprocess: Annotated[PreprocessSection, Settings()] = entry(
-        PreprocessSection(), "what is done with the data first"
+        PreprocessSection(), "operations on the data before the fit"
     )
-    units: kinds.Texts = entry(
-        {}, "of columns whose unit the table does not say and that are not in the FMU's: { variable = unit }"
-    )
+    units: kinds.Texts = entry({}, "units of columns, { variable = unit }; default: that of the file or the FMU")
 
     def read_experiment(self, table: Path, source: str | None = None, *, measured: bool = True) -> Experiment:
         """Read a data file as an experiment."""
@@ -292,20 +279,18 @@ def named(experiments: Sequence[ExperimentSettings], top: SectionLocation) -> tu
     for each in experiments:
         name = each.name or each.data.stem
         if not each.outputs:
-            raise each.error('has no outputs: name those that are measured, outputs = ["..."]')
+            raise each.error('no outputs. Name the measured ones, outputs = ["..."].')
         for output, column in each.outputs.items():
             if column in each.preprocess.fill_missing:
-                raise each.place.below("preprocess").error(
-                    f"fills {column!r}, what was measured of the output {output!r}: leave it out of fill_missing, "
-                    "missing samples of an output do not count"
-                )
-        with each.place.below("preprocess").located(""):
+                text = f"{column!r} is the output {output!r}. Remove it: missing samples of outputs are ignored."
+                raise each.error(text, "preprocess", "fill_missing")
+        with each.place.below("preprocess").located():
             segments = each.preprocess.split()
         for k, segment in enumerate(segments, start=1):
             called = f"{name} {k}" if len(segments) > 1 else name
             if called in found:
-                raise each.error(f'is called {called!r} like an earlier one: give it a name of its own, name = "..."')
+                raise each.error(f"{called!r} is also the name of an earlier experiment. Set another name.")
             found[called] = each.model_copy(update={"name": called, "preprocess": segment})
     if not found:
-        raise top.error("has no experiments: name at least one table with [[experiments]]")
+        raise top.error("no experiments. Add a section [[experiments]].")
     return tuple(found.values())

@@ -25,7 +25,7 @@ def override(data: dict[str, Any], setting: str, file: str) -> None:
     path, equals, text = setting.partition("=")
     segments = _segments(path)
     if not equals or not segments:
-        raise InputError(f"--set {setting}: expected path=value, as in --set parameters.Rs.start=9")
+        raise InputError(f"--set {setting}: no path=value. Write, for example, --set parameters.Rs.start=9.")
     value, name = value_of(text.strip()), ".".join(segments[1:])
     known = data.get("parameters")
     one = isinstance(known, dict) and name in known and not (len(segments) > 2 and segments[1] in known)
@@ -57,14 +57,14 @@ def value_of(text: str) -> Any:
 
 
 def _assign(node: Any, segments: Sequence[str], value: Any, above: tuple[str, ...], shape: Any, where: str) -> None:
-    """Set the value at the end of `segments` below `node` of type `shape`."""
+    """Set the value at the path `segments` below `node` of type `shape`."""
     key: Any
     if isinstance(node, list):
         key, rest = _index(node, segments, above, where), segments[1:]
     elif isinstance(node, dict):
         key, rest = _key(node, segments, value, above, shape, where)
     else:
-        raise InputError(f"{where} has {show(node)} for {'.'.join(above)}, which has no key {segments[0]!r}")
+        raise InputError(f"{where}: {'.'.join(above)} is {show(node)} and has no key {segments[0]!r}.")
     if rest:
         below = shape if isinstance(node, list) else _below(shape, str(key))
         _assign(node[key], rest, value, (*above, str(key)), below, where)
@@ -75,9 +75,7 @@ def _assign(node: Any, segments: Sequence[str], value: Any, above: tuple[str, ..
 def _index(node: list[Any], segments: Sequence[str], above: tuple[str, ...], where: str) -> int:
     if not segments[0].isdecimal() or int(segments[0]) >= len(node):
         name = ".".join(above)
-        raise InputError(
-            f"{where} has no {name}.{segments[0]}: the entries of {name} are numbered 0 to {len(node) - 1}"
-        )
+        raise InputError(f"{where}: {name}.{segments[0]} not found. Entries have numbers from 0 to {len(node) - 1}.")
     return int(segments[0])
 
 
@@ -90,21 +88,20 @@ def _key(
     present = [count for count, name in enumerate(joined) if name in node]
     if len(present) > 1:
         names = " or ".join(f'"{joined[count]}"' for count in present)
-        raise InputError(f"{where} has several keys this path may mean in {here}: quote the one meant, {names}")
+        raise InputError(f"{where}: {here} has several keys for this path. Quote one of them, {names}.")
     if present:
         return joined[present[0]], segments[present[0] + 1 :]
-    named = entries_of(shape)  # all that is left is one name there
+    named = entries_of(shape)
     if named is not None and (isinstance(value, dict) or not only_tables(named)):
         return joined[-1], ()
     if named is None and len(segments) == 1:
-        return segments[0], ()  # a new key: whether it is a known one is for the check of its table to say
+        return segments[0], ()  # the check of its section knows whether it exists
     below = _below(shape, segments[0])
     if named is None and (table_of(below) is not None or entries_of(below) is not None):
         node[segments[0]] = {}
         return segments[0], segments[1:]
     name = joined[-2] if named is not None and len(segments) > 1 else segments[0]
-    place = f"[{here}] has" if here else "the file has"
-    raise InputError(f"{where}: {place} no {name!r}{nearest(name, node)}")
+    raise InputError(f"{where}: {here + ': ' if here else ''}unknown key {name!r}{nearest(name, node)}")
 
 
 def _below(shape: Any, key: str) -> Any:

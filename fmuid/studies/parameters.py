@@ -1,4 +1,4 @@
-"""The tables ``[parameters]`` and ``[prior]``, and results that priors are taken from."""
+"""The sections ``[parameters]`` and ``[prior]``, and results that priors are taken from."""
 
 from __future__ import annotations
 
@@ -24,75 +24,72 @@ from fmuid.studies.toml import show
 
 
 class ResultPriorSection(StudySection):
-    """A prior that may come from an earlier result."""
+    """Prior that may come from an earlier result."""
 
-    result: kinds.File | None = entry(None, "the result.json of an earlier identification", "healthy/result.json")
-    std_factor: kinds.Positive = entry(1.0, "factor on its standard deviations, for changes to be expected", 10)
+    result: kinds.File | None = entry(None, "result.json of an earlier identification", "healthy/result.json")
+    std_factor: kinds.Positive = entry(1.0, "factor on its σ, for expected changes", 10)
 
     def comes_from_result(self, given: Sequence[str], needed: Sequence[str]) -> bool:
-        """Return whether it is from a result; refuse missing and conflicting keys."""
+        """Return whether it is from a result; check the keys."""
         if self.result is not None:
             for key in given:
                 if key in self.model_fields_set:
-                    raise self.error(f"has both result and {key}: keep one of the two")
+                    raise self.error(f"result and {key} cannot be combined. Keep one of the two.")
             return True
         if "std_factor" in self.model_fields_set:
-            raise self.error("has std_factor, which goes with result: name the result.json, or remove it")
+            raise self.error("needs a result. Set result or remove std_factor.", "std_factor")
         for key in needed:
             if key not in self.model_fields_set:
-                raise self.error(f"needs the key {key!r}: {type(self).model_fields[key].description}")
+                raise self.error(f"missing key {key!r}: {type(self).model_fields[key].description}.")
         return False
 
 
 class PriorSection(ResultPriorSection):
-    """What is known of one parameter."""
+    """Prior of one parameter."""
 
-    mean: kinds.Finite | None = entry(None, "its mean")
-    std: kinds.Positive | None = entry(None, "its standard deviation")
+    mean: kinds.Finite | None = entry(None, "mean")
+    std: kinds.Positive | None = entry(None, "standard deviation")
 
 
 class JointPriorSection(ResultPriorSection):
-    """What is known of several parameters together."""
+    """Joint prior of several parameters."""
 
-    names: kinds.Names | None = entry(
-        None, "the parameters that it is about; with result, by default all that both have", ["a", "b"]
-    )
-    mean: kinds.Numbers | None = entry(None, "the means of the parameters that it names")
-    covariance: kinds.Matrix | None = entry(None, "the covariance of the parameters that it names, row by row")
+    names: kinds.Names | None = entry(None, "its parameters; default with result: all common ones", ["a", "b"])
+    mean: kinds.Numbers | None = entry(None, "means of these parameters")
+    covariance: kinds.Matrix | None = entry(None, "covariance of these parameters, row by row")
 
 
-Groups = Annotated[dict[str, kinds.Names], kinds.Entries("a table { group = experiments }")]
+Groups = Annotated[dict[str, kinds.Names], kinds.Entries("{ group = experiments }")]
 
 
 class ParameterSection(StudySection):
-    """A parameter to identify, by its name in the FMU."""
+    """Free parameter, by its name in the FMU."""
 
     start: kinds.Number | None = entry(
         None,
-        "where the search begins; of a vector or a matrix, rows of numbers: [[1.0, 0.0], [0.0, 1.0]]",
+        "initial guess; for a matrix, rows of numbers, [[1.0, 0.0], [0.0, 1.0]]",
         json_schema_extra={"type": ["number", "array"]},
     )
     choices: Annotated[list[kinds.Scalar], BeforeValidator(kinds.as_list)] = entry(
         [],
-        "in place of all else, of an Integer, a Boolean or an enumeration: its values, of which each is tried; "
-        '"all" that the FMU declares',
+        'values of a discrete parameter, instead of all other keys; "all": all that the FMU declares',
         [1, 2, 3],
     )
     min: kinds.Number = entry(-math.inf, "lower bound")
     max: kinds.Number = entry(math.inf, "upper bound")
-    nominal: kinds.Positive | None = entry(None, "size, needed where the start is 0")
+    nominal: kinds.Positive | None = entry(None, "scale; required if start is 0")
     per_experiment: Annotated[kinds.Flag | Groups, kinds.BY_SHAPE] = entry(
-        False, 'one value for each experiment, or for each group of them: { cold = ["run1", "run2"], warm = ["run3"] }'
+        False, 'one value per experiment, or per group, { cold = ["run1", "run2"], warm = ["run3"] }'
     )
-    prior: PriorSection | None = entry(None, "what is known of it")
+    prior: PriorSection | None = entry(None, "prior of this parameter")
 
 
 class ResultValueSection(StudySection):
-    """A value that is an estimate of an earlier identification."""
+    """Value from an earlier identification."""
 
-    result: kinds.File = entry(..., "the result.json of an earlier identification", "drive/result.json")
+    result: kinds.File = entry(..., "result.json of an earlier identification", "drive/result.json")
     name: kinds.Text | None = entry(
-        None, "the parameter of that result; default: that of the same name, with or without its component", "M"
+        None, "parameter of that result; default: the same name, with or without component", "M"
     )
 
     def value(self, variable: str, result: Result) -> float:
@@ -100,26 +97,27 @@ class ResultValueSection(StudySection):
         wanted = [self.name] if self.name is not None else [variable, variable.partition(".")[2]]
         found = next((name for name in wanted if name in result.names), None)
         if found is None:
-            raise self.error(
-                f"takes {wanted[0]!r} from {self.result}, which has no such parameter"
-                f"{nearest(wanted[0], result.names)}; it has {', '.join(result.names)}"
-            )
+            raise self.error(_missing(wanted[0], self.result, result))
         return result[found]
 
 
+def _missing(name: str, path: Path, result: Result) -> str:
+    return f"{path} has no parameter {name!r}{nearest(name, result.names)}. It has {', '.join(result.names)}."
+
+
 class SourceIssue(Enum):
-    """Doubt about an earlier result."""
+    """Issue of an earlier result."""
 
     DID_NOT_SUCCEED = "did_not_succeed"
     NO_MODEL = "no_model"
-    """It does not say of which model it is."""
+    """Its model is unknown."""
     OTHER_BUILD = "other_build"
     """It was made with another build of the FMU."""
 
 
 @dataclass(frozen=True)
 class SourceWarning:
-    """Doubt about an earlier result; `fmu` is the study's, of another build."""
+    """Issue of an earlier result; `fmu` is the study's, of another build."""
 
     path: Path
     doubt: SourceIssue
@@ -137,7 +135,7 @@ class PriorSource:
     names: tuple[str, ...]
 
     def compare(self, system: System) -> list[SourceWarning]:
-        """Return doubts; refuse a result of another model."""
+        """Return issues; refuse a result of another model."""
         note = partial(SourceWarning, self.path, outcome=self.result.outcome)
         notes = [] if self.result.converged else [note(SourceIssue.DID_NOT_SUCCEED)]
         if not self.result.setup.models:
@@ -150,8 +148,7 @@ class PriorSource:
                 theirs = ", ".join(model["name"] for model in made.values())
                 as_ = f" as {component!r}" if component else ""
                 raise InputError(
-                    f"{self.where}: {self.path} is a result of another model, {theirs}, and this study has "
-                    f"{fmu.name}{as_}: give the result of an identification of {fmu.name}"
+                    f"{self.where}: {self.path} is of another model, {theirs}. This study has {fmu.name}{as_}."
                 )
             if earlier["digest"] != fmu.digest:
                 notes.append(note(SourceIssue.OTHER_BUILD, fmu=fmu))
@@ -183,7 +180,7 @@ class ParameterReader:
         """Return the parameters of a study with these experiments."""
         if not words:
             if prior is not None:
-                raise self.top.error("has a [prior] and no parameters: name those to identify under [parameters]")
+                raise self.top.below("prior").error("no free parameters. Add them under [parameters].")
             return ParsedParameters({}, None, (), (), {})
         choices = {name: self._values(name, each) for name, each in words.items() if each.choices}
         parameters = {name: self._parameter(name, each) for name, each in words.items() if not each.choices}
@@ -201,14 +198,14 @@ class ParameterReader:
 
     def _values(self, name: str, words: ParameterSection) -> tuple[Value, ...] | str:
         for key in sorted(words.model_fields_set - {"choices"}):
-            raise words.error(f"has both choices and {key}: a parameter that takes few values has nothing else")
+            raise words.error(f"choices and {key} cannot be combined. Remove {key}.")
         if name in self.held:
-            raise words.error(f"is also held at {show(self.held[name])} by [model.fixed]: keep one of the two")
+            raise words.error(f"also fixed at {show(self.held[name])} in [model.fixed]. Keep one of the two.")
         return "all" if words.choices == ["all"] else tuple(words.choices)
 
     def _parameter(self, name: str, words: ParameterSection) -> Parameter:
         if words.start is None:
-            raise words.error(f"needs the key 'start': {type(words).model_fields['start'].description}")
+            raise words.error(f"missing key 'start': {type(words).model_fields['start'].description}.")
         prior = None if words.prior is None else self._normal(name, words.prior)
         with words.place.located():  # a Parameter does not know its name
             return Parameter(words.start, words.min, words.max, words.nominal, prior, words.per_experiment)
@@ -219,18 +216,16 @@ class ParameterReader:
             return Normal(words.mean, words.std)
         path, result = self._result(words)
         self._take(words, path, result, [name])
-        with words.place.located(f": {path}:"):
+        with words.place.located(path):
             return result.normal(name, inflate=words.std_factor)
 
     def _joint(self, words: JointPriorSection, names: Sequence[str]) -> JointPrior:
         for name in words.names or ():
             if name in self.held:
-                raise words.error(
-                    f"names {name!r}, which [model.fixed] holds at {show(self.held[name])}: a prior is for "
-                    "parameters to identify, so move it to [parameters] or leave it out here"
-                )
+                fixed = f"{name!r} is fixed at {show(self.held[name])} in [model.fixed]"
+                raise words.error(f"{fixed}. Move it to [parameters] or remove it here.", "names")
             if name not in names:
-                raise words.error(f"names {name!r}, which is no parameter of this study{nearest(name, names)}")
+                raise words.error(f"unknown parameter {name!r}{nearest(name, names)}", "names")
         if words.comes_from_result(("mean", "covariance"), ("names", "mean", "covariance")):
             return self._joint_from_result(words, names)
         assert words.names is not None and words.mean is not None and words.covariance is not None
@@ -241,12 +236,10 @@ class ParameterReader:
         path, result = self._result(words)
         shared = words.names or [name for name in names if name in result.names]
         if not shared:
-            raise words.error(
-                f"takes nothing from {path}: it has {', '.join(result.names)}, and this study {', '.join(names)}; "
-                "give the result of an identification of the same model"
-            )
+            theirs, ours = ", ".join(result.names), ", ".join(names)
+            raise words.error(f"{path} has {theirs}; this study has {ours}. Give a result of the same model.")
         self._take(words, path, result, shared)
-        with words.place.located(f" cannot be taken from {path}:"):
+        with words.place.located(path):
             return result.prior(shared, inflate=words.std_factor)
 
     def _result(self, words: ResultPriorSection) -> tuple[Path, Result]:
@@ -259,8 +252,5 @@ class ParameterReader:
         """Note parameters taken from a result that must have them."""
         for name in names:
             if name not in result.names:
-                raise words.error(
-                    f"takes {name!r} from {path}, which has no such parameter{nearest(name, result.names)}; "
-                    f"it has {', '.join(result.names)}"
-                )
+                raise words.error(_missing(name, path, result))
         self.sources.append(PriorSource(str(words.place), path, result, tuple(names)))

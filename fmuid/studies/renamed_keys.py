@@ -5,8 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from fmuid.errors import InputError
-
 _MODEL = {
     "master": "coupling",
     "integrator": "solver",
@@ -53,9 +51,7 @@ RENAMED_KEYS: Mapping[str, Mapping[str, str]] = {
 }  # fmt: skip
 """Of each section, the old names of its keys and the new ones; ``*`` is any name."""
 
-DROPPED_KEYS: Mapping[str, Mapping[str, str]] = {
-    "noise": {"coloured": "confidence intervals allow for colored noise without it"}
-}
+DROPPED_KEYS: Mapping[str, Mapping[str, str]] = {"noise": {"coloured": "confidence intervals allow for colored noise"}}
 """Keys without a new name, and why they are not needed."""
 
 _HOLD = {"hold": "zoh", "hold-previous": "zoh-next", "cubic": "pchip"}
@@ -71,7 +67,7 @@ RENAMED_VALUES: Mapping[str, Mapping[str, str]] = {
 
 
 def refuse_renamed(data: Any, place: Any, path: str = "") -> None:
-    """Refuse old keys and values in a section, `path` of `RENAMED_KEYS`, and below it."""
+    """Refuse old keys and values in and below the section `path`."""
     if isinstance(data, list):
         for k, each in enumerate(data):
             refuse_renamed(each, place.below(k), path)
@@ -79,23 +75,17 @@ def refuse_renamed(data: Any, place: Any, path: str = "") -> None:
         return
     for key, value in data.items():
         if key in RENAMED_KEYS.get(path, {}):
-            raise renamed(place, path, key)
+            raise place.below(key).error(f"this key is now {RENAMED_KEYS[path][key]}.")
         if key in DROPPED_KEYS.get(path, {}):
-            raise place.error_of(key, f"has been dropped, remove it: {DROPPED_KEYS[path][key]}")
+            raise place.below(key).error(f"dropped: {DROPPED_KEYS[path][key]}. Remove it.")
         below = f"{path}.{key}".lstrip(".")
         if below not in _PATHS:
             below = f"{path}.*"
         new = RENAMED_VALUES.get(below, {}).get(value) if isinstance(value, str) else None
         if new is not None:
-            raise place.error_of(key, f'= "{value}" is now "{new}"')
+            raise place.below(key).error(f'"{value}" is now "{new}".')
         if below in _PATHS:
             refuse_renamed(value, place.below(key), below)
-
-
-def renamed(place: Any, path: str, key: str) -> InputError:
-    """Return the refusal of an old key."""
-    found: InputError = place.error_of(key, f"is now {RENAMED_KEYS[path][key]}")
-    return found
 
 
 _PATHS = {

@@ -20,10 +20,10 @@ from fmuid.studies.study_file import StudyFile
 from fmuid.studies.toml import show
 from fmuid.studies.value_kinds import ValueKind
 
-HEAD = """# The words of the study file
+HEAD = """# Keys of the study file
 
-Every table with its keys, as `fmuid` checks them; `fmuid schema` prints the same for editors.
-[The study file](study-file.md) shows how they go together. Paths are relative to the file.
+All sections and keys. `fmuid schema` prints the same for editors.
+[The study file](study-file.md) shows examples. Paths are relative to the study file.
 """
 
 
@@ -41,7 +41,7 @@ def schema() -> dict[str, Any]:
 
 
 def _plain(value: Any) -> Any:
-    """Return a schema without titles and defaults that say nothing."""
+    """Return a schema without titles and empty defaults."""
     if isinstance(value, list):
         return [_plain(item) for item in value]
     if not isinstance(value, dict):
@@ -60,13 +60,16 @@ def _plain(value: Any) -> Any:
 
 def reference() -> str:
     """Return the reference page, in Markdown."""
-    parts = [HEAD]
+    parts, shown = [HEAD], dict[type, str]()
     for name, table in _tables(StudyFile, ""):
+        if shown.setdefault(table, name) != name:
+            parts.append(f"## `{name}`\n\nKeys as in `{shown[table]}`.\n")
+            continue
         rows = [
             f"| `{key}` | {_cell(_kind(key, each, name))} | {_cell(_default(each))} | {_cell(meaning(table, key))} |"
             for key, each in own_first(table)
         ]
-        head = f"## `{name}`\n\n{summary(table)}\n" if name else "## The file\n"
+        head = f"## `{name}`\n\n{summary(table)}\n" if name else "## Top level\n"
         parts.append("\n".join([head, "| key | value | default | meaning |", "| --- | --- | --- | --- |", *rows, ""]))
     return "\n".join(parts)
 
@@ -80,7 +83,7 @@ def _tables(table: type, name: str) -> Iterator[tuple[str, type]]:
 
 
 def _below(key: str, type_: Any, above: str) -> tuple[str, type] | None:
-    """Return name and class of the table below a key."""
+    """Return name and class of the section below a key."""
     path = f"{above.strip('[]')}.{key}".lstrip(".")
     table = table_of(type_)
     if table is not None:
@@ -92,7 +95,7 @@ def _below(key: str, type_: Any, above: str) -> tuple[str, type] | None:
 def _kind(key: str, field: FieldInfo, above: str) -> str:
     below = _below(key, field.annotation, above)
     if below is not None:
-        return "a table"
+        return "section"
     return " or ".join(
         [each.name for each in field.metadata if isinstance(each, ValueKind)][-1:] or _kinds(field.annotation)
     )
@@ -108,7 +111,7 @@ def _kinds(type_: Any) -> list[str]:
 
 def _default(field: FieldInfo) -> str:
     if field.is_required():
-        return "must be given"
+        return "required"
     default: Any = field.default
     if is_dataclass(default) and any(each.is_required() for each in keys_of(default.__class__).values()):
         return f"`{{ {', '.join(f'{key} = {show(value)}' for key, value in vars(default).items())} }}`"

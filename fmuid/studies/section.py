@@ -1,6 +1,6 @@
-"""Tables of a study file as classes with their keys as fields.
+"""Sections of a study file as classes with their keys as fields.
 
-A table is a settings class (`Settings`) of the package that uses it, or a `StudySection`. Checks, schema, reference
+A section is a settings class (`Settings`) of the package that uses it, or a `StudySection`. Checks, schema, reference
 page and template come from these classes.
 """
 
@@ -41,7 +41,7 @@ from fmuid.studies.toml import quoted_key, show
 
 @dataclass(frozen=True)
 class SectionLocation:
-    """Table of a study file, for messages and relative paths."""
+    """Section or key of a study file, for messages and relative paths."""
 
     file: str = field(compare=False)
     folder: Path
@@ -53,33 +53,28 @@ class SectionLocation:
 
     @property
     def name(self) -> str:
-        """Table as in messages: ``[model.components][1]``."""
-        names = [quoted_key(each) for each in self.keys if isinstance(each, str)]
-        entry = f"[{self.keys[-1]}]" if self.keys and isinstance(self.keys[-1], int) else ""
-        return f"[{'.'.join(names)}]{entry}" if names else "the file"
+        """Name as in messages: ``model.components[1].fmu``."""
+        parts = (f"[{each}]" if isinstance(each, int) else f".{quoted_key(each)}" for each in self.keys)
+        return "".join(parts).lstrip(".")
 
     def __str__(self) -> str:
-        return f"{self.file}: {self.name}"
+        return f"{self.file}: {self.name}".removesuffix(": ")
 
     def error(self, text: str) -> InputError:
-        """Return an error on this table."""
-        return InputError(f"{self} {text}")
+        """Return an error on this section or key."""
+        return InputError(f"{self}: {text}")
 
     @contextmanager
-    def located(self, said: str = ":") -> Iterator[None]:
-        """Begin the sentences of errors with this table."""
+    def located(self, source: Path | None = None) -> Iterator[None]:
+        """Begin errors with this location, and with the source of a value."""
         try:
             yield
         except InputError as error:
-            raise InputError(f"{self}{said} {error}") from None
-
-    def error_of(self, key: str, text: str) -> InputError:
-        """Return an error on a key of this table."""
-        return InputError(f"{self.file}: {key} {text}") if not self.keys else self.error(f"{key} {text}")
+            raise self.error(str(error) if source is None else f"{source}: {error}") from None
 
 
 class StudySection(BaseModel):
-    """Table of a study file; its fields are the keys."""
+    """Section of a study file; its fields are the keys."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, strict=True, defer_build=True)
     _place: SectionLocation = PrivateAttr(default=SectionLocation("the study", Path()))
@@ -89,13 +84,13 @@ class StudySection(BaseModel):
         """Location in the file."""
         return self._place
 
-    def error(self, text: str) -> InputError:
-        """Return an error on this table."""
-        return self._place.error(text)
+    def error(self, text: str, *keys: str) -> InputError:
+        """Return an error on this section, or on a key of it."""
+        return self._place.below(*keys).error(text)
 
     @classmethod
     def read(cls, data: object, place: SectionLocation) -> Self:
-        """Return a checked table and those below it."""
+        """Return a checked section and those below it."""
         try:
             read = cls.model_validate(data, context=place)
         except ValidationError as error:
@@ -111,10 +106,10 @@ class StudySection(BaseModel):
 
 @dataclass(frozen=True)
 class Settings:
-    """Annotation of a settings class as a table; fields with ``key=False`` are no keys."""
+    """Annotation of a settings class as a section; fields with ``key=False`` are no keys."""
 
     def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
-        """Return a validator that is built with the first table of its class."""
+        """Return a validator, built with the first section of its class."""
         if not isinstance(source, type):
             return handler.generate_schema(kind_of(source))
         return core_schema.with_info_plain_validator_function(
@@ -134,7 +129,7 @@ class _Table:
             try:
                 return source(**values)
             except InputError as error:
-                raise kinds.said_of_table(f"is refused: {error}") from None
+                raise kinds.refusal(str(error)) from None
 
         entries = {name: _entry(source, name, each, handler) for name, each in keys.items()}
         config = core_schema.CoreConfig(strict=True, title=source.__name__)
@@ -165,19 +160,19 @@ def _entry(source: type, name: str, key: FieldInfo, handler: GetCoreSchemaHandle
 def checked_keys(table: type, known: Mapping[str, FieldInfo], data: Any) -> Any:
     """Refuse unknown keys first, then missing ones."""
     if not isinstance(data, dict):
-        raise kinds.said_of_table(f"must be a table, not {show(data)}")
+        raise kinds.refusal(f"must be a section, not {show(data)}.")
     for key in data:
         if key not in known:
-            near = nearest(key, known) or f"; its keys are {', '.join(known)}"
-            raise kinds.said_of_table(f"has no key {key!r}{near}")
+            near = nearest(key, known) or f". Use one of {', '.join(known)}."
+            raise kinds.refusal(f"unknown key {key!r}{near}")
     for key, asked in known.items():
         if asked.is_required() and key not in data:
-            raise kinds.said_of_table(f"needs the key {key!r}: {meaning(table, key)}")
+            raise kinds.refusal(f"missing key {key!r}: {meaning(table, key)}.")
     return data
 
 
 def entry(default: Any, meaning: str, example: Any = None, **more: Any) -> Any:
-    """Return a field of a table; ``...`` as default for a required key."""
+    """Return a field of a section; ``...`` as default for a required key."""
     return Field(default, description=meaning, examples=None if example is None else [example], **more)
 
 
@@ -186,7 +181,7 @@ def entry(default: Any, meaning: str, example: Any = None, **more: Any) -> Any:
 
 @cache
 def keys_of(table: type) -> dict[str, FieldInfo]:
-    """Return the keys of a table, with types and defaults."""
+    """Return the keys of a section, with types and defaults."""
     if issubclass(table, StudySection):
         return {each.alias or name: each for name, each in table.model_fields.items()}
     hints, found = get_type_hints(table, include_extras=True), {}
@@ -198,7 +193,7 @@ def keys_of(table: type) -> dict[str, FieldInfo]:
 
 
 def own_first(table: type) -> list[tuple[str, FieldInfo]]:
-    """Return the keys of a table, inherited ones last."""
+    """Return the keys of a section, inherited ones last."""
     own = table.__annotations__
     return sorted(keys_of(table).items(), key=lambda item: item[0] not in own and item[1].alias is None)
 
@@ -210,7 +205,7 @@ def meaning(table: type, key: str) -> str:
 
 
 def summary(table: type) -> str:
-    """Return the first paragraph of the docstring of a table."""
+    """Return the first paragraph of the docstring of a section."""
     return " ".join((table.__doc__ or "").partition("\n\n")[0].split())
 
 
@@ -237,7 +232,7 @@ def _alternatives(type_: Any) -> list[Any]:
 
 
 def table_of(type_: Any) -> type | None:
-    """Return the table class of a type, or of its list entries."""
+    """Return the section class of a type, or of its list entries."""
     for each in _alternatives(type_):
         part = _alternatives(get_args(each)[0])[0] if get_origin(each) is list else each
         if isinstance(part, type) and (issubclass(part, StudySection) or is_dataclass(part)):
@@ -246,12 +241,12 @@ def table_of(type_: Any) -> type | None:
 
 
 def only_tables(type_: Any) -> bool:
-    """Return whether all values of a type are tables."""
+    """Return whether all values of a type are sections."""
     return all(table_of(each) is not None for each in _alternatives(type_) if each is not type(None))
 
 
 def entries_of(type_: Any) -> Any:
-    """Return the type of the entries of a table of names, if it is one."""
+    """Return the type of the entries of ``{ name = value }``, else None."""
     return next((get_args(each)[1] for each in _alternatives(type_) if get_origin(each) is dict), None)
 
 
@@ -274,7 +269,7 @@ def kind_of(type_: Any) -> Any:
     if isinstance(origin, type) and issubclass(origin, Mapping):
         entries: Any = dict.__class_getitem__((str, kind_of(inner[1])))
         noun = {str: "text", float: "number"}.get(inner[1], "number" if get_origin(inner[1]) is Annotated else "value")
-        return Annotated[entries, kinds.Entries(f"a table {{ name = {noun} }}")]
+        return Annotated[entries, kinds.Entries(f"{{ name = {noun} }}")]
     if isinstance(origin, type) and issubclass(origin, Sequence):
         some: Any = list.__class_getitem__(kind_of(inner[0])) if is_dataclass(inner[0]) else kinds.Names
         return Annotated[some, AfterValidator(tuple)] if origin is tuple else some
@@ -286,7 +281,7 @@ def kind_of(type_: Any) -> Any:
 
 
 def _switched(value: Any) -> Any:
-    """Return an optional table given as true or false."""
+    """Return an optional section given as true or false."""
     return value if not isinstance(value, bool) else {} if value else None
 
 
@@ -317,7 +312,7 @@ def _number(base: type, limits: Sequence[Any]) -> kinds.ValueKind:
 
 
 def _put(value: object, place: SectionLocation) -> None:
-    """Set the location of all tables below `value`."""
+    """Set the location of all sections below `value`."""
     if isinstance(value, StudySection):
         value._place = place
         for name, field in type(value).model_fields.items():
@@ -328,16 +323,12 @@ def _put(value: object, place: SectionLocation) -> None:
 
 
 def _refusal(error: ValidationError, place: SectionLocation) -> InputError:
-    """Return pydantic's first error as a sentence."""
+    """Return the first error of pydantic as one of fmuid."""
     first = error.errors(include_url=False)[0]
     kind, tags = first["type"], (kinds.VALUE_TAG, kinds.TABLE_TAG)
     there = place.below(*(key for key in first["loc"] if key not in tags))
-    if kind == "dict_type":
-        return there.error(f"must be a table, not {show(first['input'])}")
-    text = first["ctx"]["text"] if kind in (kinds.MUST_BE, kinds.KEY, kinds.TABLE) else first["msg"]
-    if kind == kinds.TABLE:
-        return there.error(text)
-    if kind == "list_type":
-        text = f"a list of tables, each begun with [{there.name}]"
-    table, key = SectionLocation(place.file, place.folder, there.keys[:-1]), str(there.keys[-1])
-    return table.error_of(key, text if kind == kinds.KEY else f"must be {text}, not {show(first['input'])}")
+    if kind == kinds.REFUSAL:
+        return there.error(first["ctx"]["text"])
+    expected = {"dict_type": "a section", "list_type": f"a list of sections [[{there.name}]]"}.get(kind, first["msg"])
+    expected = first["ctx"]["text"] if kind == kinds.MUST_BE else expected
+    return there.error(f"must be {expected}, not {show(first['input'])}.")

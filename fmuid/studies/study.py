@@ -223,8 +223,7 @@ class Study(HtmlTableMixin):
     def check_parameters(self) -> None:
         """Refuse by an `InputError` a study that names no parameters."""
         if not self.parameters:
-            remedy = "name at least one under [parameters], such as R = { start = 4.0 }"
-            raise InputError(f"{self.path}: no parameters: {remedy}")
+            raise InputError(f"{self.path}: parameters: no free parameter. Add one, such as R = {{ start = 4.0 }}.")
 
     def problem(self, experiments: Sequence[Experiment] | None = None) -> Problem:
         """Return the least-squares problem of the study.
@@ -240,7 +239,7 @@ class Study(HtmlTableMixin):
             If model, data, parameters and priors do not fit together.
         """
         self.check_parameters()
-        _ = self.notes  # checks that the results which priors are taken from are of this model
+        _ = self.notes  # refuses results of another model
         tables = self.tables if experiments is None else experiments
         problem = Problem(
             self.system,
@@ -257,7 +256,7 @@ class Study(HtmlTableMixin):
 
     @cached_property
     def notes(self) -> tuple[SourceWarning, ...]:
-        """Doubts about results that values and priors are taken from.
+        """Issues of results that values and priors are taken from.
 
         Raises
         ------
@@ -312,8 +311,7 @@ class Study(HtmlTableMixin):
         """Table ``[diagnosis]``; `InputError` without one."""
         if self.diagnosis is not None:
             return self.diagnosis
-        remedy = 'give it, with baseline = "healthy/result.json" and the fault models as [diagnosis.faults.<name>]'
-        raise InputError(f"{self.path} has no [diagnosis]: {remedy}")
+        raise InputError(f"{self.path}: no [diagnosis]. Add it with baseline and [diagnosis.faults.<name>].")
 
     def diagnose(self, progress: Progress | None = None) -> Diagnosis:
         """Search for the faults of ``[diagnosis]``.
@@ -330,7 +328,7 @@ class Study(HtmlTableMixin):
         SimulationError
             If the simulation fails at the healthy estimate.
         """
-        from fmuid.diagnosis import DiagnosisSettings, diagnose  # and all that decides
+        from fmuid.diagnosis import DiagnosisSettings, diagnose
 
         settings = self.fault_search
         faults = settings.fault_models(self.system, self.model, self.data)
@@ -366,7 +364,7 @@ class Study(HtmlTableMixin):
         return assess(self.problem(), result, self.uncertainty_settings, progress)
 
     def simulators(self) -> tuple[Simulator, ...]:
-        """Return the simulator of each experiment, a function of the parameters in order."""
+        """Return the simulator of each experiment, a function of the parameters."""
         names, values = tuple(self.parameters), self.model.values
         return tuple(Simulator(self.system, table, names, values=values) for table in self.tables)
 

@@ -1,4 +1,4 @@
-"""The study file: all its tables."""
+"""The study file: all its sections."""
 
 from __future__ import annotations
 
@@ -20,27 +20,23 @@ from fmuid.studies.value_kinds import Text
 
 
 class StudyFile(StudySection):
-    """A study: model, experiments, parameters, and what is asked of them."""
+    """Study: model, experiments, parameters and settings."""
 
     @classmethod
     def read(cls, data: object, place: SectionLocation) -> Self:
-        """Return the tables of a file; refuse old names first."""
+        """Return the sections of a file; refuse old names first."""
         refuse_renamed(data, place)
         return super().read(data, place)
 
-    title: Text = entry("", "what the study is about")
-    model: ModelSection = entry({}, "the model", validate_default=True)
-    experiments: list[ExperimentSettings] = entry([], "the measurements")
-    parameters: Annotated[dict[str, ParameterSection], BeforeValidator(by_element)] = entry(
-        {}, "the parameters to identify"
-    )
-    prior: JointPriorSection | None = entry(None, "what is known of several parameters together")
-    noise: Annotated[Noise, Settings()] = entry(Noise(), "the noise of the measurements")
-    estimation: EstimationSection = entry({}, "how the parameters are searched for", validate_default=True)
-    uncertainty: UncertaintySection = entry(
-        {}, "more than the standard deviations, which are local", validate_default=True
-    )
-    diagnosis: DiagnosisSection | None = entry(None, "which fault, and how large")
-    monitoring: MonitoringSection = entry({}, "the same in windows of long records", validate_default=True)
-    batch: BatchSettings | None = entry(None, "many identifications")
-    isolation: Annotated[Isolation, Settings()] = entry(Isolation(), "what FMUs in a process of their own may do")
+    title: Text = entry("", "title of the study")
+    model: ModelSection = entry({}, "model", validate_default=True)
+    experiments: list[ExperimentSettings] = entry([], "data files")
+    parameters: Annotated[dict[str, ParameterSection], BeforeValidator(by_element)] = entry({}, "free parameters")
+    prior: JointPriorSection | None = entry(None, "joint prior of several parameters")
+    noise: Annotated[Noise, Settings()] = entry(Noise(), "measurement noise")
+    estimation: EstimationSection = entry({}, "optimization of the parameters", validate_default=True)
+    uncertainty: UncertaintySection = entry({}, "intervals beyond the local standard deviations", validate_default=True)
+    diagnosis: DiagnosisSection | None = entry(None, "fault diagnosis against a baseline")
+    monitoring: MonitoringSection = entry({}, "diagnosis of long recordings", validate_default=True)
+    batch: BatchSettings | None = entry(None, "many identifications, called cases")
+    isolation: Annotated[Isolation, Settings()] = entry(Isolation(), "limits of FMU processes")

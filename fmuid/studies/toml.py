@@ -23,46 +23,46 @@ class TomlReadError(Exception):
 def parsed(text: str) -> dict[str, Any]:
     """Return the content of a TOML text."""
     if _LONG_KEY.search(text):
-        raise TomlReadError("a key has more than 100 parts, of which no study has more than ten")
+        raise TomlReadError("a key has more than 100 parts")
     try:
         return tomllib.loads(text)
     except RecursionError:
-        raise TomlReadError("its lists or tables are nested too deeply") from None
+        raise TomlReadError("lists or sections are nested too deeply") from None
     except tomllib.TOMLDecodeError:
         raise
     except ValueError:  # of `int`
-        raise TomlReadError("a number in it has thousands of digits") from None
+        raise TomlReadError("a number has thousands of digits") from None
 
 
 def read_toml(path: Path) -> dict[str, Any]:
-    """Return the content of a TOML file, or refuse it with file and line."""
+    """Return the content of a TOML file; errors name file and line."""
     try:
         text = path.read_text(encoding="utf-8")
         return parsed(text)
     except FileNotFoundError:
         beside = sorted(p.name for p in path.parent.glob("*.toml")) if path.parent.is_dir() else []
-        raise InputError(f"{path}: there is no such study file{nearest(path.name, beside)}") from None
+        raise InputError(f"{path}: file not found{nearest(path.name, beside)}") from None
     except IsADirectoryError:
-        raise InputError(f"{path} is a folder, not a study file (.toml)") from None
+        raise InputError(f"{path}: is a folder. Give a study file (.toml).") from None
     except UnicodeDecodeError:
-        raise InputError(f"{path} is not a study file: it is not UTF-8 text") from None
+        raise InputError(f"{path}: not UTF-8 text. Give a study file (.toml).") from None
     except OSError as error:
-        raise InputError(f"{path} cannot be read: {error.strerror}") from None
+        raise InputError(f"{path}: cannot be read: {error.strerror}.") from None
     except TomlReadError as error:
-        raise InputError(f"{path} is not a study file: {error}") from None
+        raise InputError(f"{path}: not a study file: {error}.") from None
     except tomllib.TOMLDecodeError as error:
         said = str(error)
         line = re.search(r"at line (\d+)", said)
         there = text.split("\n")[int(line[1]) - 1].strip() if line else ""
         raise InputError(
-            f"{path} is not valid TOML: {said[0].lower()}{said[1:]}" + (f": {there}" if there else "")
+            f"{path}: not valid TOML: {said[0].lower()}{said[1:]}" + (f": {there}" if there else "")
         ) from None
 
 
 def show(value: object) -> str:
     """Return a value as in a TOML file, shortened for messages."""
     if isinstance(value, Mapping):
-        return "a table"
+        return "a section"
     if isinstance(value, list):
         return "a list" if len(value) > 4 else "[" + ", ".join(show(item) for item in value) + "]"
     if isinstance(value, str | bool):

@@ -15,11 +15,10 @@ from pydantic_core import CoreSchema, PydanticCustomError, core_schema
 
 from fmuid.files import full, is_file
 from fmuid.formatting import nearest
-from fmuid.studies.toml import show
 
-# What the text of an error follows in its sentence: "[table] key must be", "[table] key", "[table]".
-MUST_BE, KEY, TABLE = "must_be", "key", "table"
-# Where a value may be a table or not, pydantic names the branch it took.
+# Text of an error: the expected kind of value, or a whole message.
+MUST_BE, REFUSAL = "must_be", "refusal"
+# Names of pydantic's branches for a value that may be a section.
 VALUE_TAG, TABLE_TAG = "<value>", "<table>"
 
 
@@ -39,19 +38,19 @@ def required(is_valid: Callable[[Any], bool], expected: str) -> AfterValidator:
     return AfterValidator(checked)
 
 
-def said_of_table(text: str) -> PydanticCustomError:
-    """Return an error on a whole table, for a check of that table."""
-    return PydanticCustomError(TABLE, "{text}", {"text": text})
+def refusal(text: str) -> PydanticCustomError:
+    """Return an error with a whole message."""
+    return PydanticCustomError(REFUSAL, "{text}", {"text": text})
 
 
 @dataclass(frozen=True)
 class ValueKind:
-    """Name of a type's values, last in its annotation; `of_wrong` may depend on the value."""
+    """Name of the values of a type, last in its annotation; `of_wrong` may depend on the value."""
 
     name: str
     of_wrong: Callable[[Any], str] | None = None
     names_keys: ClassVar[bool] = False
-    """Whether an error below a value is left as it is, which names a key and not the value."""
+    """Whether errors below a value are kept: they name a key."""
 
     def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
         """Return the type's schema, with all errors as one."""
@@ -62,7 +61,7 @@ class ValueKind:
             return inner(value)
         except ValidationError as error:
             first = error.errors(include_url=False)[0]
-            if first["type"] in (MUST_BE, KEY) and not first["loc"]:
+            if first["type"] in (MUST_BE, REFUSAL) and not first["loc"]:
                 raise PydanticCustomError(first["type"], "{text}", first["ctx"]) from None
             if self.names_keys and first["loc"]:
                 raise
@@ -70,7 +69,7 @@ class ValueKind:
 
 
 class Entries(ValueKind):
-    """Kind of a table of names; errors name the entry."""
+    """Kind of ``{ name = value }``; errors name the entry."""
 
     names_keys: ClassVar[bool] = True
 
@@ -107,12 +106,12 @@ ROWS = "a list of rows of numbers, [[4.0, 0.1], [0.1, 2.0]]"
 def _once(value: list[str]) -> list[str]:
     for name in value:
         if value.count(name) > 1:
-            raise must_be(f"a list that names each variable once ({name!r} is there twice)")
+            raise must_be(f"a list with each name once ({name!r} is there twice)")
     return value
 
 
 def _columns(value: Any) -> Any:
-    """Return a list of names as a table of names and columns."""
+    """Return a list of names as a mapping of names to columns."""
     if isinstance(value, list) and all(isinstance(item, str) for item in value):
         return {name: name for name in _once(value)}
     return value
@@ -130,12 +129,12 @@ def existing_file(value: object, info: ValidationInfo) -> Path:
     assert info.context is not None, "the section's location"
     path: Path = info.context.folder / value
     if not is_file(path):
-        raise PydanticCustomError(KEY, "{text}", {"text": f"= {show(value)}: there is no file {full(path)}"})
+        raise refusal(f"file {full(path)} not found.")
     return path
 
 
 class _ByShape:
-    """Annotation of a union of values and, last, a table."""
+    """Annotation of a union of values and, last, a section."""
 
     def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
         *values, table = get_args(source)
@@ -167,7 +166,7 @@ Names = Annotated[list[Text], Field(min_length=1), ValueKind('a list of names, [
 Columns = Annotated[
     dict[str, Text],
     BeforeValidator(_columns, json_schema_input_type=list[str] | dict[str, str]),
-    ValueKind('a list of names, ["u", "w"], or a table { fmu_variable = "column" }'),
+    ValueKind('a list of names, ["u", "w"], or { fmu_variable = "column" }'),
 ]
 NAME_OR_PLACE = "a name, or a place from 1"
 NameOrPlace = Annotated[
@@ -178,23 +177,19 @@ NameOrPlace = Annotated[
     ),
     ValueKind(NAME_OR_PLACE),
 ]
-Texts = Annotated[dict[str, Text], Entries("a table { name = text }")]
-Scalars = Annotated[dict[str, Scalar], Entries("a table { name = value }")]
-Finites = Annotated[dict[str, Finite], Entries("a table { name = number }")]
-Positives = Annotated[dict[str, Positive], Entries("a table { name = number }")]
+Texts = Annotated[dict[str, Text], Entries("{ name = text }")]
+Scalars = Annotated[dict[str, Scalar], Entries("{ name = value }")]
+Finites = Annotated[dict[str, Finite], Entries("{ name = number }")]
+Positives = Annotated[dict[str, Positive], Entries("{ name = number }")]
 PositiveOrEach = Annotated[Positive | Positives, BY_SHAPE]
 FILES = BeforeValidator(
-    required(lambda value: isinstance(value, list), "a list of paths of files").func, json_schema_input_type=list[str]
+    required(lambda value: isinstance(value, list), "a list of files").func, json_schema_input_type=list[str]
 )
 File = Annotated[Path, BeforeValidator(existing_file, json_schema_input_type=str), ValueKind("the path of a file")]
 Files = Annotated[list[File], FILES]
 SEGMENTS = "a list of pairs of times, [[0.0, 1.5], [2.0, 3.5]]"
-
-
 Segments = Annotated[
     list[Annotated[list[Finite], Field(min_length=2, max_length=2)]],
     ValueKind(SEGMENTS),
-    required(
-        lambda segments: all(begin < end for begin, end in segments), f"{SEGMENTS}, each with the earlier time first"
-    ),
+    required(lambda segments: all(begin < end for begin, end in segments), f"{SEGMENTS}, earlier time first"),
 ]

@@ -293,10 +293,10 @@ def test_a_study_with_healthy_records(tmp_path: Path, capsys: pytest.CaptureFixt
 @pytest.mark.parametrize(
     ("words", "message"),
     [
-        ('diagnosis.healthy_data=["nothing.csv"]', "there is no file"),
-        ('diagnosis.healthy_data="healthy.csv"', "healthy_data must be a list of paths of files"),
-        ("diagnosis.causes.sensor_gain=0.3", "sensor_gain] must be a table, not 0.3"),
-        ("diagnosis.fault_model_error=-1", "fault_model_error must be a number, 0 or above"),
+        ('diagnosis.healthy_data=["nothing.csv"]', "not found"),
+        ('diagnosis.healthy_data="healthy.csv"', "healthy_data: must be a list of files"),
+        ("diagnosis.causes.sensor_gain=0.3", "sensor_gain: must be a section, not 0.3"),
+        ("diagnosis.fault_model_error=-1", "fault_model_error: must be a number, 0 or above"),
     ],
 )
 def test_wrong_words(words: str, message: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

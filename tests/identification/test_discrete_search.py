@@ -207,7 +207,7 @@ def test_a_batch(study: Path) -> None:
     ("words", "told"),
     [
         ("n = { choices = [1, 2], start = 1 }", "has both choices and start"),
-        ("n = { min = 1 }", "needs the key 'start'"),
+        ("n = { min = 1 }", "missing key 'start'"),
         ("n = { choices = [[1]] }", "choices"),
     ],
 )

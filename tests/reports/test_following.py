@@ -199,7 +199,7 @@ def test_memory_is_of_the_latest_windows(plant: Path, monkeypatch: pytest.Monkey
         (["records", "--resume"], "--follow and --resume do not go together"),
         (["records", "--figures", "png"], "--follow and --figures do not go together"),
         (["nowhere"], "nowhere: there is no such folder or file"),
-        (["records", "--set", "monitoring.alarm_command=3"], "[monitoring] alarm_command must be a list of a program"),
+        (["records", "--set", "monitoring.alarm_command=3"], "monitoring.alarm_command: must be a list of a program"),
         (["records", "--set", "diagnosis.faults.turns.fixed.tau=0.02"], "of a run with another study or other models"),
         (
             ["records", "--set", "diagnosis.false_alarm_rate=0.2"],

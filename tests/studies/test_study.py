@@ -1,4 +1,4 @@
-"""Study files: every key, every refusal in one sentence, overrides."""
+"""Study files: every key, and what it becomes."""
 
 from __future__ import annotations
 
@@ -20,6 +20,8 @@ from fmuid.studies.study import Study
 from fmuid.studies.toml import show
 from tests.support.study_files import FULL, write
 
+METHOD = 'method = "levenberg-marquardt"'
+
 
 def test_every_key(folder: Path) -> None:
     study = Study.read(write(folder))
@@ -38,59 +40,79 @@ def test_every_key(folder: Path) -> None:
         "dR": Parameter(0.0, max=math.inf, nominal=1.0, per_experiment=True),
         "drive.M": Parameter(95.0),
     }
+    assert repr(study) == "Study('Coil': run1, second; R, dR, drive.M)"
+    assert study.files() == tuple(folder / name for name in ("sub/Coil.fmu", "run1.csv", "run2.csv"))
+    assert not study.uncertainty_settings.explores
 
 
-def test_estimators(folder: Path) -> None:
-    def estimator(words: str) -> Method:
-        return Study.read(write(folder, FULL.replace('method = "levenberg-marquardt"', words))).estimator
-
-    assert estimator("max_iterations = 7") == Marquardt(max_iterations=7)
-    assert estimator('method = "differential-evolution"') == GlobalSearch("differential-evolution")
-    assert estimator("n_starts = 20\nseed = 4") == GlobalSearch("multi-start", 20, 4)
-    assert estimator('method = "multi-start"') == GlobalSearch("multi-start")
-    assert estimator(
-        'method = "differential-evolution"\nn_starts = 20\nrelative_step_tolerance = 1e-4'
-    ) == GlobalSearch("differential-evolution", 20, marquardt=Marquardt(tolerance=1e-4))
-    study = Study.read(write(folder, FULL.replace('"levenberg-marquardt"', '"levenberg-marquardt"\nloss = "cauchy"')))
-    assert (study.estimation.loss, study.estimator.marquardt) == ("cauchy", Marquardt())
+EVOLUTION = 'method = "differential-evolution"'
 
 
-def test_noise(folder: Path) -> None:
-    text = FULL.replace('variance = "estimate"', "variance = { i = 0.04 }\ninitial_variance = { i = 1.0 }")
-    assert Study.read(write(folder, text)).noise == Noise({"i": 0.04}, {"i": 1.0})
-    text = FULL.replace('variance = "estimate"', "initial_variance = 2")
-    assert Study.read(write(folder, text)).noise == Noise("estimate", 2.0)
-    own = 'outputs = ["i"]\nnoise = { weights = { i = "w" } }'
-    text = FULL.replace('variance = "estimate"', 'shared_variance = ["i"]').replace('outputs = ["i"]', own)
-    assert Study.read(write(folder, text)).noise == Noise(
-        shared_variance=["i"], experiments={"second": Noise(weights={"i": "w"})}
-    )
-    for words, noise in (
+@pytest.mark.parametrize(
+    ("keys", "expected"),
+    [
+        ("max_iterations = 7", Marquardt(max_iterations=7)),
+        (EVOLUTION, GlobalSearch("differential-evolution")),
+        ("n_starts = 20\nseed = 4", GlobalSearch("multi-start", 20, 4)),
+        ('method = "multi-start"', GlobalSearch("multi-start")),
+        (
+            f"{EVOLUTION}\nn_starts = 20\nrelative_step_tolerance = 1e-4",
+            GlobalSearch("differential-evolution", 20, marquardt=Marquardt(tolerance=1e-4)),
+        ),
+    ],
+)
+def test_estimators(folder: Path, keys: str, expected: Method) -> None:
+    assert Study.read(write(folder, FULL.replace(METHOD, keys))).estimator == expected
+
+
+def test_keys_of_the_estimation(folder: Path) -> None:
+    text = FULL.replace(METHOD, f'{METHOD}\nloss = "cauchy"').replace("finite-difference", "forward")
+    study = Study.read(write(folder, text))
+    assert (study.estimation.loss, study.estimation.jacobian) == ("cauchy", "forward")
+
+
+@pytest.mark.parametrize(
+    ("keys", "noise"),
+    [
+        ("variance = { i = 0.04 }\ninitial_variance = { i = 1.0 }", Noise({"i": 0.04}, {"i": 1.0})),
+        ("initial_variance = 2", Noise("estimate", 2.0)),
+        ('shared_variance = ["i"]', Noise(shared_variance=["i"])),
         ('std = { i = "sd" }', Noise(std={"i": "sd"})),
         ("std = 0.2", Noise(std=0.2)),
         ("relative_std = 0.01", Noise(relative_std=0.01)),
         ('weights = "w"', Noise(weights="w")),
         ("excitation_period = 4.0", Noise(excitation_period=4.0)),
-    ):
-        assert Study.read(write(folder, FULL.replace('variance = "estimate"', words))).noise == noise
+    ],
+)
+def test_noise(folder: Path, keys: str, noise: Noise) -> None:
+    assert Study.read(write(folder, FULL.replace('variance = "estimate"', keys))).noise == noise
 
 
-def test_uncertainty_words(folder: Path) -> None:
-    def asked(words: str) -> AssessmentSettings:
-        return Study.read(write(folder, FULL + f"[uncertainty]\n{words}")).uncertainty_settings
+def test_noise_of_an_experiment(folder: Path) -> None:
+    text = FULL.replace('outputs = ["i"]', 'outputs = ["i"]\nnoise = { weights = { i = "w" } }')
+    assert Study.read(write(folder, text)).noise == Noise(experiments={"second": Noise(weights={"i": "w"})})
 
-    assert not Study.read(write(folder)).uncertainty_settings.explores
-    assert not asked("profile_likelihood = false\nposterior = false\ncost_map = []").explores
-    assert asked("profile_likelihood = true").profile == ("R", "dR[run1]", "dR[second]", "drive.M")
-    assert asked('profile_likelihood = ["dR[run1]", "R", "R"]').profile == ("dR[run1]", "R")
-    assert asked('confidence_level = 0.9\ncost_map = [["R", "drive.M"], ["R", "dR[run1]"]]') == AssessmentSettings(
-        0.9, maps=(("R", "drive.M"), ("R", "dR[run1]"))
-    )
-    assert asked('cost_map = ["R", "drive.M"]').maps == (("R", "drive.M"),)
-    assert asked("posterior = true").posterior == SamplerSettings()
-    assert asked(
-        "posterior = { walkers = 32, max_steps = 2000, burn_in = 0.5, seed = 3 }"
-    ).posterior == SamplerSettings(32, 2000, burn_in=0.5, seed=3)
+
+@pytest.mark.parametrize(
+    ("keys", "expected"),
+    [
+        ("profile_likelihood = false\nposterior = false\ncost_map = []", AssessmentSettings()),
+        ("profile_likelihood = true", AssessmentSettings(profile=("R", "dR[run1]", "dR[second]", "drive.M"))),
+        ('profile_likelihood = ["dR[run1]", "R", "R"]', AssessmentSettings(profile=("dR[run1]", "R"))),
+        (
+            'confidence_level = 0.9\ncost_map = [["R", "drive.M"], ["R", "dR[run1]"]]',
+            AssessmentSettings(0.9, maps=(("R", "drive.M"), ("R", "dR[run1]"))),
+        ),
+        ('cost_map = ["R", "drive.M"]', AssessmentSettings(maps=(("R", "drive.M"),))),
+        ("posterior = true", AssessmentSettings(posterior=SamplerSettings())),
+        (
+            "posterior = { walkers = 32, max_steps = 2000, burn_in = 0.5, seed = 3 }",
+            AssessmentSettings(posterior=SamplerSettings(32, 2000, burn_in=0.5, seed=3)),
+        ),
+    ],
+)
+def test_uncertainty(folder: Path, keys: str, expected: AssessmentSettings) -> None:
+    assert Study.read(write(folder, FULL + f"[uncertainty]\n{keys}")).uncertainty_settings == expected
 
 
 def test_components(folder: Path) -> None:
@@ -133,16 +155,7 @@ outputs = ["drive.q"]
 
 def test_show() -> None:
     values: list[object] = ["ü", True, 1.5, [1, "a"], [1] * 9, {}]
-    assert [show(value) for value in values] == ['"ü"', "true", "1.5", '[1, "a"]', "a list", "a table"]
-
-
-def test_forward_sensitivities_of_a_study(folder: Path) -> None:
-    """Model exchange and forward sensitivities are words of the file."""
-    text = FULL.replace('interface = "co-simulation"', 'interface = "model-exchange"')
-    for word in ("finite-difference", "forward"):
-        study = Study.read(write(folder, text.replace('jacobian = "finite-difference"', f'jacobian = "{word}"')))
-        assert study.estimation.jacobian == word
-        assert study.model.section.numerics.interface == "model-exchange"
+    assert [show(value) for value in values] == ['"ü"', "true", "1.5", '[1, "a"]', "a list", "a section"]
 
 
 def test_uncertainty_of_a_result(tmp_path: Path) -> None:
@@ -155,5 +168,5 @@ def test_uncertainty_of_a_result(tmp_path: Path) -> None:
     local = result.intervals(0.95).loc["R"].to_numpy(float)
     assert [profile.lower, profile.upper] == pytest.approx(local, abs=0.005 * (local[1] - local[0]))
     other = Study.of(asked | {"parameters": {"R": {"start": 3.0}}}, tmp_path / "other.toml")
-    with pytest.raises(InputError, match="its parameters are R, L, and the problem's are R"):
+    with pytest.raises(InputError, match="parameters are R, L, and the problem's are R"):
         other.assess(result)

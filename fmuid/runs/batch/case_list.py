@@ -79,7 +79,7 @@ class CaseList:
         cases = cls(study)
         for name, path in cases._records:
             if not is_file(path):
-                raise cases.settings.error(f"data: there is no file {full(path)}, the record {name!r}")
+                raise cases.settings.error(f"file {full(path)} of {name!r} not found.", "data")
         _ = study.notes  # checks that results with priors are of this model
         subsets = [cases._subset(entry) for entry in range(len(cases.settings.free_parameters))] or [cases._free]
         check_model(study, cases.settings, subsets, cases[0].held)

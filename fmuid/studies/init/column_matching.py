@@ -1,4 +1,4 @@
-"""Columns of a data file matched with variables of an FMU, by names and units.
+"""Columns of data matched with FMU variables, by name and unit.
 
 A guess must be the only one at its step, from either side.
 """
@@ -17,13 +17,13 @@ from fmuid.formatting import nearest
 if TYPE_CHECKING:
     from fmuid.models import Description, Variable
 
-# What test benches add to the name of a measured quantity (in English and German), and to that of a commanded one.
+# Additions to names of measured and commanded quantities, in English and German.
 _MEASURED = {
     "meas", "measured", "measurement", "mes", "mess", "messung", "messwert", "gemessen", "ist", "istwert", "act",
     "actual", "sensor", "value", "val", "wert", "signal", "sig", "raw", "data", "filt", "filtered",
 }  # fmt: skip
 _COMMANDED = {"set", "setpoint", "sp", "soll", "sollwert", "ref", "reference", "cmd", "command"}
-# Words that mean a quantity, by a unit of it. Speed is none: without its unit nobody knows what a number of it is.
+# Quantities with a unit; speed is left out, as its unit varies.
 _QUANTITIES = {
     "voltage": "V", "spannung": "V", "current": "A", "strom": "A", "torque": "N.m", "drehmoment": "N.m",
     "temperature": "K", "temperatur": "K", "temp": "K", "pressure": "Pa", "druck": "Pa",
@@ -33,27 +33,27 @@ _HUMP = re.compile(r"(?<=[a-zäöüß\d])(?=[A-ZÄÖÜ])")
 
 
 class Reason(Enum):
-    """Reason for a match, the surest first."""
+    """Reason for a match, the most certain first."""
 
     GIVEN = "given"
     NAME = "name"
     SPELLING = "spelling"
-    """The same but for case and separators."""
+    """Equal except for case and separators."""
     ADDITION = "addition"
-    """The same without what says that it is measured or commanded, or without the component before it."""
+    """Equal without additions such as "meas" or "set", or without the component."""
     BEGINNING = "beginning"
     """One name begins with the other, and the units convert."""
     QUANTITY = "quantity"
-    """No other column and no other variable is of this quantity."""
+    """The only column and the only variable of this quantity."""
 
 
 SURE = (Reason.GIVEN, Reason.NAME)
-"""Reasons that leave no doubt."""
+"""Reasons without doubt."""
 
 
 @dataclass(frozen=True)
 class ColumnMatch:
-    """Variable and its column; `choices` are columns that nothing decides between."""
+    """Variable and its column; `choices` are equally likely columns."""
 
     variable: str
     role: str
@@ -65,20 +65,20 @@ class ColumnMatch:
 
     @property
     def sure(self) -> bool:
-        """Whether no doubt is left."""
+        """Whether the match is certain."""
         return self.reason in SURE
 
 
 def guess(
     description: Description, columns: Sequence[str], units: Mapping[str, str], given: Mapping[str, str]
 ) -> tuple[ColumnMatch, ...]:
-    """Return the column of each input and output, and of measured local variables."""
+    """Return the columns of inputs, outputs and measured local variables."""
     roles = {name: role for role in ("input", "output") for name in of_tables(description, role)}
     local = of_tables(description, "local")
     for variable, column in given.items():
         _check_given(variable, column, [*roles, *local], columns)
         roles.setdefault(variable, "output")
-    local = [name for name in local if name not in description.derivatives]  # simulators write them, nobody measures
+    local = [name for name in local if name not in description.derivatives]  # written by simulators
     found = {name: (column, Reason.GIVEN) for name, column in given.items() if column}
     exact = set(columns) - {column for column, _ in found.values()}
     found |= {name: (name, Reason.NAME) for name in [*roles, *local] if name in exact and name not in given}
@@ -110,12 +110,11 @@ def of_tables(description: Description, causality: str) -> list[str]:
 def _check_given(variable: str, column: str, variables: Sequence[str], columns: Sequence[str]) -> None:
     if variable not in variables:
         raise InputError(
-            f"mapping {variable}={column}: the FMU has no input or output {variable!r}{nearest(variable, variables)}: "
-            "write variable=column"
+            f"mapping {variable}={column}: the FMU has no input or output {variable!r}{nearest(variable, variables)}"
         )
     if column and column not in columns:
-        near = nearest(column, columns) or f"; it has {', '.join(columns[:12])}{', …' if len(columns) > 12 else ''}"
-        raise InputError(f"mapping {variable}={column}: the table has no column {column!r}{near}")
+        near = nearest(column, columns) or f". Columns: {', '.join(columns[:12])}{', …' if len(columns) > 12 else ''}"
+        raise InputError(f"mapping {variable}={column}: column {column!r} not found{near}")
 
 
 class _Guesses:
@@ -142,7 +141,7 @@ class _Guesses:
     def _fits(self, reason: Reason, name: str, column: str) -> bool:
         variable, role, words = self.description.variables[name], self.roles.get(name, "output"), _words(column)
         if role == "output" and not _COMMANDED.isdisjoint(set(words) - set(_words(name))):
-            return False  # what is commanded is not measured
+            return False  # a commanded column is not a measured output
         converts = self._converts(variable, column)
         if converts is False:
             return False

@@ -24,21 +24,21 @@ if TYPE_CHECKING:
     from fmuid.studies.model import ExperimentSettings
 
 
-HELD_SHARE = 0.5
-"""An input that is the same as before in more than this share of the samples is a command that is held."""
+HELD_FRACTION = 0.5
+"""An input equal to its predecessor in more than this fraction of the samples is held."""
 
-FAR = 10.0
-"""A value that is so many times the range of all others away from them is no sample, but a mark."""
+MARK_DISTANCE = 10.0
+"""A repeated value at this distance from all others, in their ranges, marks missing samples."""
 
 
 def parse_column(name: str) -> str | int:
-    """Return a place from 1 as a number, a name as it is."""
+    """Return a column number from 1, or a name."""
     return int(name) if name.isdecimal() and int(name) > 0 else name
 
 
 @dataclass(frozen=True)
 class InitOptions:
-    """Known facts on the data files, with keys of ``[[experiments]]``.
+    """Given keys of ``[[experiments]]``.
 
     `columns` and `units` go by FMU variable; an empty column is none. `prepare` is ``[experiments.preprocess]``.
     """
@@ -93,7 +93,7 @@ class MatchedDataFile:
         return {link.variable: link.column for link in self.links if link.role == role and link.column is not None}
 
     def lacking(self, role: str) -> tuple[str, ...]:
-        """Return the variables of a role without column, except inputs given as none."""
+        """Return variables without column, except inputs given as none."""
         none = self.asked.columns if role == "input" else ()
         links = (link for link in self.links if link.role == role and link.column is None)
         return tuple(link.variable for link in links if link.variable not in none)
@@ -114,8 +114,8 @@ class MatchedDataFile:
             series = self.frame[column]
             if is_numeric_dtype(series.dtype):
                 same = np.diff(series.to_numpy(dtype=np.float64, na_value=np.nan)) == 0
-                found += [variable] if HELD_SHARE * same.size < same.sum() < same.size else []
-        # elements of one array are set at once: they hold together or not at all
+                found += [variable] if HELD_FRACTION * same.size < same.sum() < same.size else []
+        # elements of an array share their interpolation
         arrays = ({*self.description.variables[name].array} & inputs.keys() for name in found)
         return tuple(name for name, array in zip(found, arrays, strict=True) if array <= {*found})
 
@@ -189,7 +189,10 @@ class MatchedDataFile:
             values = samples[np.isfinite(samples)]
             for odd in (values.min(), values.max()):
                 rest = values[values != odd]
-                far = rest.size > 1 and min(abs(odd - rest.min()), abs(odd - rest.max())) > FAR * np.ptp(rest) > 0
+                far = (
+                    rest.size > 1
+                    and min(abs(odd - rest.min()), abs(odd - rest.max())) > MARK_DISTANCE * np.ptp(rest) > 0
+                )
                 if far and values.size - rest.size > 1:
                     found[column] = float(odd), int(values.size - rest.size)
         return found

@@ -50,14 +50,14 @@ class Draft:
 
     @property
     def runs(self) -> bool:
-        """Whether the study can be identified as it is."""
+        """Whether the study has free parameters."""
         return bool(self.survey.freed)
 
 
 def match_data_files(
     fmu: Path, tables: Sequence[Path], asked: InitOptions | None = None
 ) -> tuple[MatchedDataFile, ...]:
-    """Read data files, and match their columns with the variables of an FMU."""
+    """Read data files, and match their columns with FMU variables."""
     from fmuid.models import read_description
 
     description = read_description(fmu)
@@ -71,8 +71,8 @@ def draft(fmu: Path, records: Sequence[MatchedDataFile], output: Path) -> Draft:
     """Return a study for an FMU and data files; paths are relative to `output`."""
     description = records[0].description
     lines = [
-        f"# A study of {description.model_name}, begun by `fmuid init`.",
-        f"# Look at what is free below [parameters] (without # before it), and run: fmuid identify {output.name}",
+        f"# Study of {description.model_name}, written by `fmuid init`.",
+        f"# Check the free parameters below [parameters], then run: fmuid identify {output.name}",
         "",
         f"title = {text(description.model_name)}",
         "",
@@ -80,7 +80,7 @@ def draft(fmu: Path, records: Sequence[MatchedDataFile], output: Path) -> Draft:
         f"fmu = {text(relative(fmu, output))}  # paths are relative to this file",
         *numerics(description),
         "",
-        "[model.fixed]  # parameters held at another value than the FMU's own: name = value",
+        "[model.fixed]  # fixed parameters that differ from the FMU: name = value",
         "",
     ]
     stems = [record.path.stem for record in records]
@@ -96,12 +96,12 @@ def draft(fmu: Path, records: Sequence[MatchedDataFile], output: Path) -> Draft:
 def write_draft(made: Draft, output: Path) -> None:
     """Write the study file, which must be new."""
     if exists(output):
-        raise InputError(f"{output} is there already: choose another name with --output, or remove it")
+        raise InputError(f"{output}: file exists. Choose another name with --output, or remove it.")
     try:
         with output.open("x", encoding="utf-8") as file:
             file.write(made.text)
     except OSError as error:
-        raise InputError(f"{output} cannot be written: {error.strerror}") from None
+        raise InputError(f"{output}: cannot be written: {error.strerror}.") from None
 
 
 def check_output(output: Path) -> None:
@@ -116,17 +116,17 @@ def _experiment(record: MatchedDataFile, output: Path, name: str, *, first: bool
     asked = record.asked
     said = {"time_unit": asked.time_unit, "sample_rate": asked.sample_rate, "sheet": asked.sheet}
     return [
-        "[[experiments]]" + ("  # repeat this table for further experiments" if first else ""),
+        "[[experiments]]" + ("  # repeat this section for each experiment" if first else ""),
         f"data = {text(relative(record.path, output))}",
         *([f"name = {text(name)}"] if name else []),
-        f"time = {text(asked.time)}" + ("  # or what the table calls so: Time (ms), t, timestamp" if first else ""),
+        f"time = {text(asked.time)}" + ("  # or the name of the time column: Time (ms), t, timestamp" if first else ""),
         *(f"{word} = {text(value)}" for word, value in said.items() if value is not None),
         *_role(record, "input"),
         *_role(record, "output"),
-        *([f"# columns that are no input or output of the FMU: {listed(record.unused)}"] if record.unused else []),
+        *([f"# unused columns: {listed(record.unused)}"] if record.unused else []),
         *([f"units = {inline(asked.units)}"] if asked.units else []),
         *([f"preprocess = {inline(asked.prepare)}"] if asked.prepare else []),
-        *(['# where a column has another name: outputs = { fmu_variable = "column" }'] if first else []),
+        *(['# for other column names: outputs = { fmu_variable = "column" }'] if first else []),
         _interpolation(record),
         example(ExperimentSettings, "warmup"),
     ]
@@ -139,7 +139,7 @@ def _interpolation(record: MatchedDataFile) -> str:
     if found == "linear":
         return example(ExperimentSettings, "interpolation")
     said = text(found) if isinstance(found, str) else role("", found).removeprefix(" = ")
-    return f'interpolation = {said}  # guessed: over most samples it stays what it was; "linear" for what is measured'
+    return f'interpolation = {said}  # guessed from constant stretches; "linear" for measured inputs'
 
 
 def _role(record: MatchedDataFile, which: str) -> list[str]:
@@ -149,28 +149,27 @@ def _role(record: MatchedDataFile, which: str) -> list[str]:
         lines[0] += f"  # guessed: {listed(guessed)}"
     lacking = record.lacking(which)
     if lacking:
-        lines.append(f"# {which}s of the FMU that are no column: {listed(lacking)}")
+        lines.append(f"# {which}s without column: {listed(lacking)}")
     return lines
 
 
 def _parameters(description: Description, found: Survey, experiments: int) -> list[str]:
     lines = [
-        "# Start, min, max and unit are the FMU's. Further keys: nominal = 1.0 (size, needed where the start is 0),",
+        "# start, min, max and unit come from the FMU. Further keys: nominal = 1.0 (scale, required if start is 0),",
         '# prior = { mean = 1.0, std = 0.1 } or { result = "healthy/result.json", std_factor = 10 },',
-        "# per_experiment = true (one value for each experiment).",
+        "# per_experiment = true (one value per experiment).",
     ]
     if found.candidates:
         lines += [
-            f"# The percentage is what {100 * SHOWN_CHANGE:g} % of a parameter change of the outputs, in terms of",
-            "# their spread, at the FMU's values; of its nominal where it is 0. A min of 0 that is not the FMU's is",
-            "# the sign of its value.",
+            f"# Percentages: change of the outputs, relative to their spread, for {100 * SHOWN_CHANGE:g} % more of a",
+            "# parameter (of nominal if start is 0). A min or max of 0 keeps the sign of start.",
         ]
     lines += ["[parameters]", *(_candidate(each, experiments) for each in found.candidates)]
     looked_at = {each.variable.name for each in found.candidates}
     others = [v for v in free(description) if v.name not in looked_at and not is_solver_setting(v)]
     fixed = ["# " + parameter(v) for v in others if v.causality == "parameter"]
     if found.candidates:
-        return lines + (["# not looked at:"] if fixed else []) + fixed
+        return lines + (["# not examined:"] if fixed else []) + fixed
     starts = ["# " + parameter(v) for v in others if v.causality != "parameter"]
     return [*lines, *fixed, *(["# start values of variables:"] if starts else []), *starts]
 

@@ -1,4 +1,4 @@
-"""Lines of a study file from an FMU, most of them commented out."""
+"""Lines of a study file from an FMU, mostly commented out."""
 
 from __future__ import annotations
 
@@ -16,14 +16,16 @@ from fmuid.studies.toml import quoted_key, show
 if TYPE_CHECKING:
     from fmuid.models import FMU, Description, Variable
 
-# What an output of an experiment can be.
 OBSERVED = ("output", "local")
-# How many names a comment lists, and how many parameters a skeleton: what can be read at a glance.
-NAMES_LISTED, PARAMETERS_LISTED = 20, 12
+"""Causalities of outputs of an experiment."""
+NAMES_LISTED = 20
+"""Names in a comment."""
+PARAMETERS_LISTED = 12
+"""Parameters in a skeleton."""
 LINE_LENGTH, REMARK_LENGTH = 110, 80
 NOISE_EXAMPLES: Mapping[str, object] = {"variance": "estimate", "excitation_period": 4.0, "initial_variance": 0.01}
-"""Examples of a settings class; tables of `fmuid.studies` have their own."""
-# Modelica tools write their largest numbers for bounds that are none.
+"""Examples of a settings class; sections of `fmuid.studies` have their own."""
+# Modelica tools write their largest numbers for missing bounds.
 NO_BOUND = 1e60
 
 
@@ -33,23 +35,23 @@ def skeleton(fmu: FMU) -> str:
     outputs, remark = of_tables(description, "output"), ""
     if not outputs:
         outputs = [name for name in description.states if description.variables[name].causality in OBSERVED]
-        remark = "  # the FMU declares no outputs: states or other local variables that are measured"
+        remark = "  # the FMU declares no outputs: name measured states or local variables"
     lines = [
         "[model]",
         f"fmu = {text(fmu.path.name)}  # relative to the study file",
         *numerics(description),
         "",
         "[[experiments]]",
-        'data = "table.csv"  # its first column is time, s',
+        'data = "data.csv"  # first column: time, s',
         role("inputs", {name: name for name in of_tables(description, "input")}),
         role("outputs", {name: name for name in outputs}) + remark,
         "",
     ]
     freed = free(description)
-    lines.append("[parameters]  # " + ("remove the # before those to identify" if freed else "none can be set"))
+    lines.append("[parameters]  # " + ("remove the # before free parameters" if freed else "none can be set"))
     lines += ["# " + parameter(variable) for variable in freed[:PARAMETERS_LISTED]]
     if len(freed) > PARAMETERS_LISTED:
-        lines.append(f"# and {len(freed) - PARAMETERS_LISTED} more, all of which `fmuid init` writes")
+        lines.append(f"# and {len(freed) - PARAMETERS_LISTED} more; `fmuid init` writes all")
     return "\n".join(lines) + "\n"
 
 
@@ -64,7 +66,7 @@ def inline(value: object) -> str:
 
 
 def numerics(description: Description) -> list[str]:
-    """Return the keys of the solver that the FMU can use, commented out."""
+    """Return the possible solver keys of the FMU, commented out."""
     from fmuid.studies.model import NumericsSection
 
     words = ["interface"] if len(description.interfaces) > 1 else []
@@ -73,7 +75,7 @@ def numerics(description: Description) -> list[str]:
 
 
 def rest() -> list[str]:
-    """Return the tables that depend on neither FMU nor data."""
+    """Return the sections without keys from FMU or data."""
     from fmuid.studies.study_file import StudyFile
 
     lines: list[str] = []
@@ -90,14 +92,14 @@ def rest() -> list[str]:
 
 
 def example(table: type, key: str) -> str:
-    """Return a line with an example of a key, commented out unless default."""
+    """Return an example of a key, commented out unless default."""
     known = keys_of(table)[key]
     value = known.examples[0] if known.examples else NOISE_EXAMPLES[key]
     return f"{'' if value == known.default else '# '}{key} = {show(value)}  # {meaning(table, key)}"
 
 
 def role(word: str, columns: Mapping[str, str]) -> str:
-    """Return inputs or outputs as a list of names, or as a table."""
+    """Return inputs or outputs as a list or ``{ name = column }``."""
     if any(variable != column for variable, column in columns.items()):
         return f"{word} = {inline(columns)}"
     lines = [f"{word} = ["]

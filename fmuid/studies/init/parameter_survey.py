@@ -27,40 +27,40 @@ if TYPE_CHECKING:
     from fmuid.models import Description, System, Variable
 
 STEP = 1e-3
-"""Relative change of a parameter: short against the curvature, long against the tolerance of integrators."""
+"""Relative change of a parameter: small for the curvature, large for the solver tolerance."""
 SHOWN_CHANGE = 0.1
-"""The relative change whose effect is shown."""
-APART = 0.01
-"""A parameter of whose effect less than this share is its own is not proposed."""
+"""Relative change of a parameter for the effects shown."""
+MIN_OWN_EFFECT = 0.01
+"""Smallest fraction of an effect that other parameters must not explain."""
 STARTS_OFF = 4.0
-"""Standard deviations of the noise by which a first sample must differ before start values are freed ..."""
+"""Deviation of a first sample, in noise levels, that frees start values ..."""
 STARTS_FLOOR = 1e-3
-"""... and the share of an output's spread, where there is hardly noise."""
-FAR_OFF = 300.0
-"""So many times as far, or as little, as was measured: a thousand is milli, and models are rarely that far off."""
-LEAST_NOISE = 1e-4
-"""Share of an output's spread that counts as noise at least: the solver's error may be as large."""
-MOST_FREED, MOST_LOOKED_AT = 12, 200
+"""... and as a fraction of the output's spread, for low noise."""
+UNIT_RATIO = 300.0
+"""Ratio of simulated to measured spread that suggests a wrong unit (milli is 1000)."""
+MIN_NOISE = 1e-4
+"""Smallest noise level, as a fraction of the output's spread: solver errors may be as large."""
+MAX_FREE, MAX_EXAMINED = 12, 200
 # Settings of solvers that tools put among the parameters.
 _SOLVER = re.compile(r"^_|(^|[._])(nle|solver|tol|tolerance|[ar]tol|eps|max_?iter\w*|step_?size|log\w*)([._]|$)", re.I)
-# Quantities with a sign or an origin that are chosen by whoever measures.
+# Quantities with a conventional sign or origin.
 _SIGNED = ("degC", "°C", "degF", "rad", "deg")
-_PLACE = re.compile(r"position|offset|bias|(^|[._])flange|\[\d+, ?\d", re.I)  # or of a matrix, which is no quantity
+_PLACE = re.compile(r"position|offset|bias|(^|[._])flange|\[\d+, ?\d", re.I)
 
 
 class ParameterProposal(Enum):
     """Proposal for a parameter, as in the study file."""
 
     FREED = "free"
-    START_FREED = "free: the records begin elsewhere"
-    START_OPEN = "free: all begins with it"
-    START = "a start value that the records do not contradict"
+    START_FREED = "free: first samples differ"
+    START_OPEN = "free: the only excitation"
+    START = "start value, agrees with first samples"
     NO_EFFECT = "no effect"
     ALIKE = "acts like"
-    NOISE = "lost in the noise"
-    ZERO = "0 in the FMU: free it by hand where it is something"
-    FAILS = "the simulation fails when it is changed"
-    ENOUGH = "others change more"
+    NOISE = "effect below the noise"
+    ZERO = "0 in the FMU: free it if it matters"
+    FAILS = "simulation fails after a change"
+    ENOUGH = "others have more effect"
 
 
 FREE = (ParameterProposal.FREED, ParameterProposal.START_FREED, ParameterProposal.START_OPEN)
@@ -98,12 +98,12 @@ class Survey:
 
 
 def survey(fmu: Path, experiments: Sequence[Experiment]) -> Survey:
-    """Simulate the FMU at its own values, vary each parameter, and propose which to free."""
+    """Propose free parameters from their effects at the FMU's values."""
     from fmuid.models import KINDS, Isolation, Numerics, System, read_description
     from fmuid.simulation import closing
 
     failure, description = "", read_description(fmu)
-    # solvers inside FMUs are often too coarse for differences, so model exchange goes first
+    # solvers inside FMUs are often too inaccurate for differences
     for interface in sorted(set(KINDS) & set(description.interfaces), reverse=True):
         try:
             with closing(System(fmu, numerics=Numerics(interface), isolation=Isolation())) as system:
@@ -117,11 +117,11 @@ def _surveyed(system: System, description: Description, experiments: Sequence[Ex
     from fmuid.identification import doubt_of_time
     from fmuid.simulation import Simulator
 
-    names = [v.name for v in candidates_of(description)][:MOST_LOOKED_AT]
+    names = [v.name for v in candidates_of(description)][:MAX_EXAMINED]
     changes = _changes(system, experiments, description, names, {})
     begun = starts_of(system, experiments[0], description, names, _moved(changes.variables, changes.starts))
     freed = _freed_starts(changes, begun)
-    if freed:  # what a parameter changes may depend on where the record begins
+    if freed:  # effects may depend on the initial state
         changes = _changes(system, experiments, description, names, freed)
     doubts = (doubt_of_time(Simulator(system, each), ()) for each in experiments)
     driven = any(each.input_names for each in experiments)
@@ -187,9 +187,9 @@ def _changes(
             counted = experiment.counted[:, j]
             rows.append((moved[:, counted, j] - base[counted, j]).T / (relative * spread))
             size = float(np.std(base[counted, j])) / spread
-            if size > FAR_OFF or 0.0 < size < 1 / FAR_OFF:
+            if size > UNIT_RATIO or 0.0 < size < 1 / UNIT_RATIO:
                 sizes.append((experiment.source, experiment.columns[experiment.output_names[j]], size))
-            noise = max(_noise(experiment, j) / spread, LEAST_NOISE)
+            noise = max(_noise(experiment, j) / spread, MIN_NOISE)
             weights.append(np.full(int(counted.sum()), 1.0 / noise))
             measured = experiment.output_values[0, j]
             if np.isfinite(measured):
@@ -267,12 +267,12 @@ def _select(
     rest, chosen = r.copy(), list(first)
     for k in chosen:
         _project_out(rest, k)
-    while (open_ := [k for k, use in enumerate(uses) if use is None]) and len(chosen) < MOST_FREED:
+    while (open_ := [k for k, use in enumerate(uses) if use is None]) and len(chosen) < MAX_FREE:
         left = np.sqrt(np.sum(rest[:, open_] ** 2, axis=0))
         k = open_[int(np.argmax(left))]
         if np.linalg.norm(own[:, k]) < 1.0:
-            uses[k] = ParameterProposal.NOISE  # its standard deviation would be more than its magnitude
-        elif left.max() < APART * effects[k]:
+            uses[k] = ParameterProposal.NOISE  # σ would exceed the magnitude
+        elif left.max() < MIN_OWN_EFFECT * effects[k]:
             uses[k] = ParameterProposal.ALIKE
             shares = np.abs(np.linalg.lstsq(r[:, chosen], r[:, k])[0]) * effects[chosen]
             likes[k] = [i for i, share in zip(chosen, shares, strict=True) if share > 0.1 * shares.max()]

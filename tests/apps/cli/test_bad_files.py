@@ -27,12 +27,12 @@ from tests.support.bad_input import SOUND, refused, rezip, table
         ("a = " + "9" * 5000, "thousands of digits"),
         ("[" + "a." * 100_000 + "a]", "more than 100 parts"),  # which took minutes
         ("a.'b c'.\"d\" . " * 100 + "e = 1", "more than 100 parts"),
-        (SOUND.replace("start = 3.0", "start = 1" + "0" * 400), "[parameters.R] start must be a number"),
-        (SOUND.replace("min = 0.0", "min = -1" + "0" * 400), "[parameters.R] min must be a number"),
-        (SOUND.replace('"estimate"', "1" + "0" * 400), "[noise] variance must be"),
-        (SOUND.replace("Coil.fmu", "C" * 300), "there is no file"),
-        (SOUND.replace("Coil.fmu", "C\\u0000"), "there is no file"),
-        (SOUND.replace("run.csv", "r\\u0000"), "there is no file"),
+        (SOUND.replace("start = 3.0", "start = 1" + "0" * 400), "parameters.R.start: must be a number"),
+        (SOUND.replace("min = 0.0", "min = -1" + "0" * 400), "parameters.R.min: must be a number"),
+        (SOUND.replace('"estimate"', "1" + "0" * 400), "noise.variance: must be"),
+        (SOUND.replace("Coil.fmu", "C" * 300), "not found"),
+        (SOUND.replace("Coil.fmu", "C\\u0000"), "not found"),
+        (SOUND.replace("run.csv", "r\\u0000"), "not found"),
     ],
 )
 def test_studies_beyond_what_readers_take(
@@ -47,7 +47,7 @@ def test_studies_beyond_what_readers_take(
 def test_override_beyond_what_readers_take(coil_folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     for value in ("[" * 5000, "9" * 5000):
         sentence = refused(capsys, "simulate", coil_folder / "study.toml", "--set", f"parameters.R.start={value}")
-        assert "[parameters.R] start must be a number" in sentence
+        assert "parameters.R.start: must be a number" in sentence
 
 
 @pytest.mark.parametrize("name", ["x" * 300, "x" * 300 + ".fmu"])

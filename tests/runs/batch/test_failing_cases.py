@@ -151,67 +151,67 @@ def test_other_measurements_of_an_experiment() -> None:
 # --- refusals
 
 WRONG: list[tuple[dict[str, Any], str]] = [
-    ({}, r"\[batch\] varies nothing: give at least one of data"),
-    ({"seed": 3, "combine": "zip"}, "varies nothing"),
-    ({"stats": 3}, r"has no key 'stats' \(did you mean 'starting_points'"),
-    ({"combine": "zipp", "starting_points": 2}, r'combine must be "product" or "zip" \(did you mean'),
-    ({"starting_points": 2, "seed": -1}, r"\[batch\] seed must be a whole number, 0 or above, not -1"),
-    ({"starting_points": 0}, r"starting_points must be a whole number above 0, or a list of starts, .*, not 0"),
-    ({"starting_points": []}, "starting_points must be a whole number above 0, or a list"),
-    ({"starting_points": [{"R": "x"}]}, "starting_points must be a table of which each entry is a number"),
-    ({"starting_points": [{"Q": 1.0}]}, "starting_points names 'Q', which is no parameter of this study"),
+    ({}, r"batch: nothing varies between cases. Set data"),
+    ({"seed": 3, "combine": "zip"}, "nothing varies"),
+    ({"stats": 3}, r"unknown key 'stats' \(did you mean 'starting_points'"),
+    ({"combine": "zipp", "starting_points": 2}, r'combine: must be "product" or "zip" \(did you mean'),
+    ({"starting_points": 2, "seed": -1}, r"batch.seed: must be a whole number, 0 or above, not -1"),
+    ({"starting_points": 0}, r"starting_points: must be a whole number above 0 or a list of starting points, .*, not 0"),
+    ({"starting_points": []}, "starting_points: must be a whole number above 0 or a list"),
+    ({"starting_points": [{"R": "x"}]}, "starting_points: must be a list of .*, each a number"),
+    ({"starting_points": [{"Q": 1.0}]}, "starting_points: unknown parameter 'Q'"),
     ({"starting_points": [{"R": 9.0}]}, r"starting_points\[0\].R: start 9 lies outside its bounds, 0.5 to 8"),
-    ({"data": 3}, 'data must be a pattern of files, "records/\\*.csv"'),
-    ({"data": []}, "data must be a pattern of files"),
-    ({"data": "nothing/*.csv"}, r'\[batch] data: "nothing/\*.csv" matches no file in '),
-    ({"data": ["records/run9.csv"]}, r"data: there is no file .*run9.csv, the record 'run9'"),
-    ({"free_parameters": ["R"]}, "free_parameters must be a list of different lists of parameters"),
-    ({"free_parameters": [["R", "L"], ["L", "R"]]}, "free_parameters must be a list of different lists"),
+    ({"data": 3}, 'data: must be a pattern of files, "records/\\*.csv"'),
+    ({"data": []}, "data: must be a pattern of files"),
+    ({"data": "nothing/*.csv"}, r'batch.data: "nothing/\*.csv" matches no file in '),
+    ({"data": ["records/run9.csv"]}, r"data: file .*run9.csv of 'run9' not found"),
+    ({"free_parameters": ["R"]}, "free_parameters: must be a list of different lists of parameters"),
+    ({"free_parameters": [["R", "L"], ["L", "R"]]}, "free_parameters: must be a list of different lists"),
     (
         {"free_parameters": [["R", "l"]]},
-        r"free_parameters names 'l', which is no parameter of this study \(did you mean 'L'",
+        r"free_parameters: unknown parameter 'l' \(did you mean 'L'",
     ),
     (
         {"free_parameters": [["R"]], "sweep": {"R": [1.0]}},
-        "free_parameters names 'R', which sweep or space_filling hold",
+        "free_parameters: 'R' is also in sweep",
     ),
     (
         {"starting_points": [{"R": 2.0}], "sweep": {"R": [1.0]}},
-        "starting_points names 'R', which sweep or space_filling hold",
+        "starting_points: 'R' is also in sweep",
     ),
-    ({"sweep": {"R": [1.0], "L": [1.0]}}, "holds all parameters of the study at values"),
-    ({"sweep": {"R": []}}, r"\[batch.sweep\] R must be a list of values of one type"),
+    ({"sweep": {"R": [1.0], "L": [1.0]}}, "no parameter is free"),
+    ({"sweep": {"R": []}}, r"batch.sweep.R: must be a list of values of one type"),
     ({"sweep": {"i_start": [1.0, True]}}, "a list of values of one type"),
     ({"sweep": {"i_start": [0.1, math.inf]}}, "finite number"),
-    ({"sweep": {"i_start": {"from": 1.0, "to": 2.0}}}, "with just these three"),
-    ({"sweep": {"i_start": {"from": 1.0, "to": 1.0, "count": 3}}}, "whose from and to differ"),
-    ({"sweep": {"R": ["big"]}}, r'sweep.R: a parameter is held at numbers, not at "big"'),
-    ({"sweep": {"i_stat": [1.0]}}, r"\[batch\] does not fit: Coil.fmu has no variable 'i_stat' \(did you mean"),
+    ({"sweep": {"i_start": {"from": 1.0, "to": 2.0}}}, "with these three keys"),
+    ({"sweep": {"i_start": {"from": 1.0, "to": 1.0, "count": 3}}}, "of at least two different values"),
+    ({"sweep": {"R": ["big"]}}, r'sweep.R: a parameter takes numbers, not "big"'),
+    ({"sweep": {"i_stat": [1.0]}}, r"batch: does not fit: Coil.fmu has no variable 'i_stat' \(did you mean"),
     ({"sweep": {"i_start": ["big"]}}, "does not fit: 'i_start' is of type Real and cannot have the value 'big'"),
     ({"sweep": {"u": [1.0]}}, "does not fit: 'u' is an input of .*table.csv and has a value"),
     (
         {"space_filling": {"ranges": {"L": [0.1, 0.2]}}},
-        r"\[batch.space_filling\] needs the key 'points': how many",
+        r"batch.space_filling: missing key 'points': number",
     ),
-    ({"space_filling": {"points": 3}}, r"\[batch.space_filling\] needs the key 'ranges': the variables that are held"),
-    ({"space_filling": {"points": 10**8, "ranges": {"L": [0.1, 0.2]}}}, "points must be a whole number up to 16777216"),
-    ({"space_filling": {"points": 3, "ranges": {}}}, "ranges must be a table { variable ="),
+    ({"space_filling": {"points": 3}}, r"batch.space_filling: missing key 'ranges': variables"),
+    ({"space_filling": {"points": 10**8, "ranges": {"L": [0.1, 0.2]}}}, "points: must be a whole number up to 16777216"),
+    ({"space_filling": {"points": 3, "ranges": {}}}, "ranges: must be { variable ="),
     (
         {"space_filling": {"points": 3, "ranges": {"L": [0.2, 0.1]}}},
-        r"\[batch.space_filling.ranges\] L must be \[lowest, highest\]",
+        r"batch.space_filling.ranges.L: must be \[lowest, highest\]",
     ),
-    ({"space_filling": {"points": 3, "method": "halton", "ranges": {"L": [0.1, 0.2]}}}, 'method must be "sobol" or'),
+    ({"space_filling": {"points": 3, "method": "halton", "ranges": {"L": [0.1, 0.2]}}}, 'method: must be "sobol" or'),
     (
         {"space_filling": {"points": 3, "ranges": {"L": [0.1, 0.2]}}, "sweep": {"L": [0.1]}},
-        "'L' both by sweep and by space_filling",
+        "'L' is in sweep and in space_filling",
     ),
-    ({"monte_carlo": {"std": 0.1}}, r"\[batch.monte_carlo\] needs the key 'realizations': how many realizations"),
+    ({"monte_carlo": {"std": 0.1}}, r"batch.monte_carlo: missing key 'realizations'"),
     (
         {"monte_carlo": {"realizations": 2}},
-        r"needs the standard deviation of the noise of 'i': give std = { i = ... }, or its",
+        r"unknown noise level of 'i'",
     ),
-    ({"monte_carlo": {"realizations": 2, "std": {"j": 0.1}}}, "std names 'j', which is no measured output"),
-    ({"monte_carlo": {"realizations": 2, "std": 0}}, "std must be a number above 0"),
+    ({"monte_carlo": {"realizations": 2, "std": {"j": 0.1}}}, "std: unknown output 'j'"),
+    ({"monte_carlo": {"realizations": 2, "std": 0}}, "std: must be a number above 0"),
     (
         {"monte_carlo": {"realizations": 2, "std": 0.1, "true_values": {"Q": 1.0}}},
         "does not fit: Coil.fmu has no variable 'Q'",
@@ -235,10 +235,10 @@ def test_refusals_are_one_sentence(case_folder: Path, batch: dict[str, Any], sen
 def test_refusals_of_the_whole_study(case_folder: Path) -> None:
     with pytest.raises(InputError, match=r"has no \[batch\]: give it"):
         CaseList.of(study_of(case_folder, None))
-    with pytest.raises(InputError, match="no parameters: name at least one"):
+    with pytest.raises(InputError, match="no free parameter"):
         CaseList.of(study_of(case_folder, {"starting_points": 2}, parameters={}))
     twice = [{"data": f"records/run{k}.csv", "inputs": ["u"], "outputs": ["i"]} for k in (1, 2)]
-    with pytest.raises(InputError, match=r"has data, each in place of .* the study has 2 \[\[experiments\]\]"):
+    with pytest.raises(InputError, match=r"the study has 2 experiments"):
         CaseList.of(study_of(case_folder, {"data": "records/*.csv"}, experiments=twice))
     with pytest.raises(InputError, match="has no parameter 'Q'"):
         CaseList.of(study_of(case_folder, {"starting_points": 2}, parameters={"Q": {"start": 1.0}}))
