@@ -38,20 +38,20 @@ class EstimationSection(StudySection):
 
     method: Annotated[str, kinds.one_of(METHODS)] = entry(
         METHODS[0],
-        'optimizer; the last two use the whole box; default with n_starts: "multi-start"',
+        '"multi-start" and "differential-evolution" use the whole box; default with n_starts: "multi-start"',
         METHODS[0],
     )
     n_starts: kinds.Count | None = entry(None, "starting points of multi-start, or members of the evolution", 50)
     seed: kinds.Natural = entry(0, "seed of a global search")
     loss: Annotated[str, kinds.one_of(tuple(LOSSES))] = entry(
-        "linear", "loss function of one residual; all but linear reduce the effect of outliers", "soft_l1"
+        "linear", 'of one residual; "soft_l1", "huber" and "cauchy" reduce the effect of outliers', "soft_l1"
     )
     jacobian: Annotated[str, kinds.one_of(SENSITIVITIES)] = entry(
-        "finite-difference", "source of the Jacobian", "finite-difference"
+        "finite-difference", '"forward": sensitivity equations; "fmu": derivatives by the FMU', "finite-difference"
     )
     solver_check: Annotated[str, kinds.one_of(ACCURACIES)] = entry(
         "refine",
-        "solver error above 0.1 σ of an estimate: use a more accurate solver, report it, or skip the check",
+        'for solver errors above 0.1 σ: "refine" the solver, or "report" them; "off": no check',
         "refine",
     )
     restarts: bool = entry(

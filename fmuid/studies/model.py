@@ -89,7 +89,7 @@ class NumericsSection(StudySection):
     )
     solver: Annotated[str, kinds.one_of(INTEGRATORS)] | None = entry(
         None,
-        f'for Model Exchange; default: "{DEFAULT_INTEGRATOR}", and "cvode" for stiff models',
+        f'"rk4" (fixed steps), "rk45" or "cvode"; default: "{DEFAULT_INTEGRATOR}", "cvode" for stiff models',
         "cvode",
     )
     tolerance: kinds.Share | None = entry(
