@@ -72,7 +72,7 @@ def read(folder: Path, extra: str = "", *, prior_of_r: str = "", overrides: Sequ
 def refused(folder: Path, *said: str, **how: str) -> None:
     """Check the refusal of a study, or of its problem."""
     with pytest.raises(InputError) as refusal:
-        read(folder, **how).problem()  # type: ignore[arg-type]
+        read(folder, **how).problem()
     assert str(refusal.value).startswith(str(folder / "study.toml"))
     assert [each for each in said if each not in str(refusal.value)] == [], refusal.value
 
@@ -90,7 +90,7 @@ def test_prior_of_one_parameter_from_a_result(folder: Path) -> None:
     study = read(folder, prior_of_r='{ result = "healthy.json", std_factor = 10 }')
     prior = study.parameters["R"].prior
     assert prior is not None
-    assert (prior.mean, prior.std) == (4.0, pytest.approx(0.2))
+    assert [prior.mean, prior.std] == pytest.approx([4.0, 0.2])
     assert study.parameters["L"].prior is None
     assert study.problem().parameters.prior_std[0] == pytest.approx(0.2)
     set_ = read(folder, overrides=[f"parameters.R.prior={OF_RESULT}"])
