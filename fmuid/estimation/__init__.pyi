@@ -79,3 +79,7 @@ from .starting_points import WeakForm as WeakForm
 from .starting_points import second_difference_noise as second_difference_noise
 from .starting_points import sobol_points as sobol_points
 from .starting_points import spans_decades as spans_decades
+from .verdict import Doubt as Doubt
+from .verdict import Grade as Grade
+from .verdict import Reason as Reason
+from .verdict import Verdict as Verdict

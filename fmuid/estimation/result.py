@@ -22,6 +22,7 @@ from fmuid.estimation.estimates import Estimates, ParameterEstimate
 from fmuid.estimation.result_groups import Fit, History, Identifiability, Setup
 from fmuid.estimation.search.loop import TerminationReason
 from fmuid.estimation.solver_check import SolverCheck
+from fmuid.estimation.verdict import Verdict
 from fmuid.formatting import with_std
 
 # Level of the intervals that an estimate keeps when it becomes a prior.
@@ -45,6 +46,8 @@ class Result(PlotMixin):
     setup : Setup
     accuracy : SolverCheck or None
         Effect of the solver error on the estimates, included in `covariance`; None if it was not checked.
+    verdict : Verdict or None
+        Grade and reasons (`fmuid.identification.judge`); None before that.
 
     Examples
     --------
@@ -60,6 +63,7 @@ class Result(PlotMixin):
     history: History
     setup: Setup
     accuracy: SolverCheck | None = None
+    verdict: Verdict | None = None
 
     json_layout: ClassVar = codec.Layout(inlined={"estimates"}, derived=("converged",))
 

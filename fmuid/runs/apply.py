@@ -9,9 +9,10 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from fmuid.errors import InputError
-from fmuid.estimation import Result
+from fmuid.estimation import Grade, Result
 from fmuid.files import exists, is_folder, replacing
 from fmuid.formatting import nearest
+from fmuid.identification import judge
 from fmuid.models import (
     DESCRIPTION_FILE,
     FMU,
@@ -84,14 +85,17 @@ def _units(system: System) -> dict[str, Unit]:
     return {name: unit for name, unit in found.items() if name not in clashing}
 
 
-def apply_result(result: Path, fmu: Path, output: Path, component: str | None = None) -> tuple[AppliedValue, ...]:
+def apply_result(
+    result: Path, fmu: Path, output: Path, component: str | None = None, *, force: bool = False
+) -> tuple[AppliedValue, ...]:
     """Write a copy of an FMU that starts at the estimates of a result.
 
     Only start values and their annotation in the modelDescription.xml differ (`fmuid.models.start_values`): simulators
     must set the start values of the XML. `component` is the FMU's name in a system; `result` may be an ``.ssv`` file.
+    `force` applies a result that is not usable.
     """
     model = FMU(fmu)
-    estimates, units = _read(result, model.description.model_name, component)
+    estimates, units = _read(result, model.description.model_name, component, force)
     if exists(output) and output.samefile(fmu):
         raise InputError(f"{output} is the FMU itself; choose another name for the copy with --output")
     description = model.description
@@ -105,7 +109,9 @@ def apply_result(result: Path, fmu: Path, output: Path, component: str | None = 
     return tuple(applied)
 
 
-def _read(path: Path, model: str, component: str | None) -> tuple[dict[str, _Estimate], Mapping[str, Unit]]:
+def _read(
+    path: Path, model: str, component: str | None, force: bool
+) -> tuple[dict[str, _Estimate], Mapping[str, Unit]]:
     """Return values by their names in the FMU, and the units of the file."""
     if is_folder(path):
         path = path / "result.json"
@@ -120,13 +126,10 @@ def _read(path: Path, model: str, component: str | None) -> tuple[dict[str, _Est
     identified = model if used is None else used["name"]
     if identified != model:
         raise InputError(f"{path} is a result for the model {identified}, and the FMU is {model}; give its own FMU")
-    lost = [name for name, estimate in found.items() if math.isinf(estimate.std)]
-    if lost:
-        raise InputError(
-            f"{path}: the data do not determine {', '.join(lost)}; hold or give a prior, and identify again"
-        )
-    if not result.converged:
-        raise InputError(f"{path} has not converged ({result.outcome.value}): continue with fmuid identify --resume")
+    verdict = result.verdict or judge(result)
+    if verdict.grade is Grade.NOT_USABLE and not force:
+        why = "; ".join(": ".join((each.reason.value, *each.subject)) for each in verdict.doubts if each.is_fatal)
+        raise InputError(f"{path}: the verdict is NOT USABLE ({why}). Identify again, or add --force.")
     return found, {}
 
 

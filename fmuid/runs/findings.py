@@ -12,7 +12,7 @@ import pandas as pd
 
 from fmuid.codec import Layout
 from fmuid.display_mixins import PlotMixin
-from fmuid.estimation import Result, TerminationReason, optima_table
+from fmuid.estimation import Result, TerminationReason, Verdict, optima_table
 from fmuid.identification import Assessment
 from fmuid.simulation import OutputFit
 
@@ -302,6 +302,7 @@ class ComparisonRun:
     units: Mapping[str, str] = field(default_factory=dict)  # of the outputs of the common tables
     apart: str = ""  # reason why likelihoods were not compared, "" where they were
     estimates: tuple[ComparedEstimate, ...] = ()
+    verdicts: Mapping[str, Verdict] = field(default_factory=dict)  # of each result
     origin: Provenance | None = None
     files: tuple[Path, ...] = ()  # written files
 
@@ -316,4 +317,6 @@ class ComparisonRun:
         for name, found in self.tables.items():
             rows[name] = rows.get(name, {"name": name}) | {f"rmse.{key}": rmse for key, rmse in found.rmse.items()}
             rows[name]["fit"] = found.fit
+        for name, verdict in self.verdicts.items():
+            rows[name]["verdict"] = verdict.grade.value
         return pd.DataFrame(rows.values())

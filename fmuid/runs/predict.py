@@ -23,6 +23,7 @@ from fmuid.identification import (
     Prediction,
     compare_models,
     estimates_for,
+    judge,
     predict_by_model,
     refinement_of,
 )
@@ -272,7 +273,8 @@ def compared(
         units |= {score.output: score.unit for one in predictions for score in one.scores}
     estimates = tuple(row for each in candidates for row in estimate_rows(each.name, each.result))
     origin = made_now(files=digests([*paths, *record_files(records)], Path.cwd()))
-    return ComparisonRun(comparison, scores, units, apart, estimates, origin)
+    verdicts = {each.name: each.result.verdict or judge(each.result) for each in candidates}
+    return ComparisonRun(comparison, scores, units, apart, estimates, verdicts, origin)
 
 
 def estimate_rows(result: str, found: Result) -> list[ComparedEstimate]:

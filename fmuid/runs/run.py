@@ -14,7 +14,7 @@ from fmuid.errors import FmuidError, InputError
 from fmuid.estimation import RESULT_SCHEMA, Result
 from fmuid.events import DataOnlyStep, Progress
 from fmuid.files import WriteError
-from fmuid.identification import Assessment, AssessmentSettings, Problem, assess
+from fmuid.identification import Assessment, AssessmentSettings, Problem, assess, judge
 from fmuid.runs.apply import write_estimates
 from fmuid.runs.findings import IdentificationRun, at_minimum
 from fmuid.runs.folder import RESULT_FILE, write_identification
@@ -61,6 +61,7 @@ def identified(
         found = IdentificationRun(result, assessment=Assessment(asked.level), origin=origin, prepared=done)
         if result.fit.linearization is not None:
             found = _examined(study, problem, found, progress)
+        found = _judged(found)
         if folder is not None:
             try:
                 found = _written(study, folder, found)
@@ -73,7 +74,7 @@ def identified(
                 raise
         yield found
         if asked.explores and result.fit.linearization is not None and at_minimum(result):
-            found = replace(found, assessment=assess(problem, result, asked, progress, found.assessment))
+            found = _judged(replace(found, assessment=assess(problem, result, asked, progress, found.assessment)))
             yield found if folder is None else _written(study, folder, found)
 
 
@@ -103,6 +104,14 @@ def _examined(study: Study, problem: Problem, found: IdentificationRun, progress
     fits = tuple(fit_of(study.system, *each) for each in zip(study.tables, result.fit.simulated, strict=True))
     lost = {each.name: rows for each in study.tables if each.input_names and (rows := dropouts(each.times))}
     return replace(found, fits=fits, assessment=assess(problem, result, asked), dropouts=lost)
+
+
+def _judged(found: IdentificationRun) -> IdentificationRun:
+    fits: dict[tuple[str, ...], float] = {}
+    for each in found.fits:
+        fits |= {(output, each.experiment): fit for output, fit in zip(each.outputs, each.fit, strict=True)}
+    verdict = judge(found.result, found.assessment, fits, found.dropouts)
+    return replace(found, result=replace(found.result, verdict=verdict))
 
 
 def _written(study: Study, folder: Path, found: IdentificationRun) -> IdentificationRun:

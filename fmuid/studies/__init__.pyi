@@ -4,7 +4,7 @@ from .batch import SpaceFillingSection as SpaceFillingSection
 from .batch import Value as Value
 from .faults import BASELINE_FILE as BASELINE_FILE
 from .init.column_matching import ColumnMatch as ColumnMatch
-from .init.column_matching import Reason as Reason
+from .init.column_matching import MatchReason as MatchReason
 from .init.data_file import InitOptions as InitOptions
 from .init.data_file import MatchedDataFile as MatchedDataFile
 from .init.data_file import parse_column as parse_column

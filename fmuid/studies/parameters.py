@@ -14,7 +14,7 @@ from pydantic import BeforeValidator
 
 from fmuid.data import JointPrior, Normal, Parameter, ParameterSet
 from fmuid.errors import InputError
-from fmuid.estimation import Result, TerminationReason
+from fmuid.estimation import Grade, Reason, Result, TerminationReason
 from fmuid.formatting import nearest
 from fmuid.models import FMU, System
 from fmuid.simulation import Value
@@ -109,6 +109,7 @@ class SourceIssue(Enum):
     """Issue of an earlier result."""
 
     DID_NOT_SUCCEED = "did_not_succeed"
+    DOUBTFUL = "doubtful"
     NO_MODEL = "no_model"
     """Its model is unknown."""
     OTHER_BUILD = "other_build"
@@ -117,12 +118,13 @@ class SourceIssue(Enum):
 
 @dataclass(frozen=True)
 class SourceWarning:
-    """Issue of an earlier result; `fmu` is the study's, of another build."""
+    """Issue of an earlier result; `fmu` is the study's, of another build, `reasons` those of its verdict."""
 
     path: Path
     doubt: SourceIssue
     outcome: TerminationReason
     fmu: FMU | None = None
+    reasons: tuple[Reason, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -137,7 +139,10 @@ class PriorSource:
     def compare(self, system: System) -> list[SourceWarning]:
         """Return issues; refuse a result of another model."""
         note = partial(SourceWarning, self.path, outcome=self.result.outcome)
+        verdict = self.result.verdict
         notes = [] if self.result.converged else [note(SourceIssue.DID_NOT_SUCCEED)]
+        if not notes and verdict is not None and verdict.grade is not Grade.PASSED:
+            notes = [note(SourceIssue.DOUBTFUL, reasons=verdict.reasons)]
         if not self.result.setup.models:
             return [*notes, note(SourceIssue.NO_MODEL)]
         for component in dict.fromkeys(system.split(name)[0] for name in self.names):

@@ -24,7 +24,7 @@ def test_result_json_keeps_the_contract(tmp_path: Path) -> None:
     result = identify(two_output_problem(parameters={"k": Parameter(0.8, prior=Normal(1.4, 0.1))}))
     data = as_json(result)
     keys = {"outcome", "converged", "parameters", "covariance", "at_bounds", "fit", "identifiability", "history"}
-    assert set(data) == keys | {"setup", "accuracy"}
+    assert set(data) == keys | {"setup", "accuracy", "verdict"}
     keys = {"value", "std", "std_white_noise", "variance_dof", "start", "lower", "upper"}
     assert set(data["parameters"]["k"]) == keys | {"prior_mean", "prior_std", "prior_z_score", "unit"}
     assert data["parameters"]["gain"]["prior_mean"] is None

@@ -180,7 +180,7 @@ def test_a_stalled_search_claims_nothing(stalled: Result, tmp_path: Path) -> Non
     again = Result.from_json(path)
     assert again.outcome is TerminationReason.STALLED
     assert np.isnan(again.std).all()
-    with pytest.raises(InputError, match=r"has not converged \(stalled\): continue with fmuid identify --resume$"):
+    with pytest.raises(InputError, match=r"NOT USABLE \(not_converged: stalled.*\). Identify again, or add --force.$"):
         apply_result(path, FMUS / "Coil" / "Coil.fmu", tmp_path / "new.fmu")
 
 

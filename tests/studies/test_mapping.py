@@ -11,7 +11,7 @@ from fmuid.apps.cli.options import DONE, NOT_SUCCEEDED, WRONG_INPUT
 from fmuid.errors import InputError
 from fmuid.models import read_description
 from fmuid.reports.topics import init as console_draft
-from fmuid.studies import InitOptions, Reason, Study, match_data_files
+from fmuid.studies import InitOptions, MatchReason, Study, match_data_files
 from fmuid.studies.init.column_matching import guess
 from tests.support.coil_study import COIL, coil_table, fmuid_
 from tests.support.paths import FMUS
@@ -19,7 +19,7 @@ from tests.support.paths import FMUS
 MACHINE = read_description(FMUS / "InductionMachine/InductionMachine.fmu")
 
 
-def guessed(columns: dict[str, str], given: dict[str, str] | None = None) -> dict[str, tuple[str, Reason]]:
+def guessed(columns: dict[str, str], given: dict[str, str] | None = None) -> dict[str, tuple[str, MatchReason]]:
     """Return what is guessed of columns with units for the machine."""
     links = guess(MACHINE, list(columns), {name: unit for name, unit in columns.items() if unit}, given or {})
     return {link.variable: (link.column, link.reason) for link in links if link.column and link.reason}
@@ -28,23 +28,26 @@ def guessed(columns: dict[str, str], given: dict[str, str] | None = None) -> dic
 @pytest.mark.parametrize(
     ("columns", "expected"),
     [
-        ({"w": "", "ids": "A"}, {"w": ("w", Reason.NAME), "ids": ("ids", Reason.NAME)}),
-        ({"IDS": "", "i_qs": "A"}, {"ids": ("IDS", Reason.SPELLING), "iqs": ("i_qs", Reason.SPELLING)}),
-        ({"Ids_meas": "", "qIst": ""}, {"ids": ("Ids_meas", Reason.ADDITION)}),
-        ({"uds_ref": "V", "ids_ref": "A"}, {"uds": ("uds_ref", Reason.ADDITION)}),  # no output is a reference
-        ({"Id": "mA", "Iq_meas": "mA"}, {"ids": ("Id", Reason.BEGINNING), "iqs": ("Iq_meas", Reason.BEGINNING)}),
+        ({"w": "", "ids": "A"}, {"w": ("w", MatchReason.NAME), "ids": ("ids", MatchReason.NAME)}),
+        ({"IDS": "", "i_qs": "A"}, {"ids": ("IDS", MatchReason.SPELLING), "iqs": ("i_qs", MatchReason.SPELLING)}),
+        ({"Ids_meas": "", "qIst": ""}, {"ids": ("Ids_meas", MatchReason.ADDITION)}),
+        ({"uds_ref": "V", "ids_ref": "A"}, {"uds": ("uds_ref", MatchReason.ADDITION)}),  # no output is a reference
+        (
+            {"Id": "mA", "Iq_meas": "mA"},
+            {"ids": ("Id", MatchReason.BEGINNING), "iqs": ("Iq_meas", MatchReason.BEGINNING)},
+        ),
         ({"Id": "", "Iq": ""}, {}),  # of which nobody knows the quantity
         ({"Id": "V"}, {}),
-        ({"Drehzahl": "n/min"}, {"w": ("Drehzahl", Reason.QUANTITY)}),
+        ({"Drehzahl": "n/min"}, {"w": ("Drehzahl", MatchReason.QUANTITY)}),
         ({"Drehzahl": ""}, {}),  # in rpm or rad/s?
         ({"n1": "rpm", "n2": "rpm"}, {}),
         ({"Strom": ""}, {}),  # ids or iqs
         ({"i": "A"}, {}),
-        ({"ids": "", "IDS": ""}, {"ids": ("ids", Reason.NAME)}),
-        ({"phidr": "Wb", "Phi_qr": "Wb"}, {"phidr": ("phidr", Reason.NAME)}),  # local variables are not guessed
+        ({"ids": "", "IDS": ""}, {"ids": ("ids", MatchReason.NAME)}),
+        ({"phidr": "Wb", "Phi_qr": "Wb"}, {"phidr": ("phidr", MatchReason.NAME)}),  # local variables are not guessed
     ],
 )  # fmt: skip
-def test_guesses(columns: dict[str, str], expected: dict[str, tuple[str, Reason]]) -> None:
+def test_guesses(columns: dict[str, str], expected: dict[str, tuple[str, MatchReason]]) -> None:
     assert guessed(columns) == expected
 
 
@@ -55,7 +58,7 @@ def test_undecided_columns_are_choices() -> None:
 
 def test_given_columns_go_first() -> None:
     found = guessed({"w": "rad/s", "speed": "rpm", "phi": "Wb"}, {"w": "speed", "phidr": "phi"})
-    assert found == {"w": ("speed", Reason.GIVEN), "phidr": ("phi", Reason.GIVEN)}
+    assert found == {"w": ("speed", MatchReason.GIVEN), "phidr": ("phi", MatchReason.GIVEN)}
     assert guessed({"w": "rad/s", "speed": "rpm"}, {"w": ""}) == {}
     for given, said in (
         ({"idss": "ids"}, "no input or output 'idss' .*'ids'"),

@@ -132,12 +132,13 @@ def apply(
     fmu: FmuFile,
     output: Annotated[Path, Option("--output", "-o", metavar="NEW.fmu", help="FMU to write.")],
     component: Annotated[str | None, Option(metavar="NAME", help="Component of the system that the FMU is.")] = None,
+    force: Annotated[bool, Option("--force", help="Apply a result that is not usable.")] = False,
 ) -> int:
     """Write identified values as the start values of a copy of an FMU."""
     from fmuid.reports.render import console
     from fmuid.runs import apply_result
 
-    _show_applied(apply_result(result, fmu, output, component))
+    _show_applied(apply_result(result, fmu, output, component, force=force))
     console.show_files([output])
     return DONE
 

@@ -14,7 +14,7 @@ from fmuid.formatting import two_digits, unit_text
 from fmuid.reports.document import Document, Message, Remark, Section, table_of
 from fmuid.reports.render.console import console, show_remarks, show_section
 from fmuid.reports.topics.study_notes import dropout_words, size_words, time_words
-from fmuid.studies import SHOWN_CHANGE, ColumnMatch, Draft, MatchedDataFile, Reason, proposal
+from fmuid.studies import SHOWN_CHANGE, ColumnMatch, Draft, MatchedDataFile, MatchReason, proposal
 
 
 class InitMessage(Message):
@@ -59,13 +59,13 @@ class InitMessage(Message):
     NO_SURVEY = ("Effects of the parameters unknown: {failure}", "the FMU cannot be simulated at its start values")
 
 
-REASONS: Mapping[Reason, str] = {
-    Reason.GIVEN: "given",
-    Reason.NAME: "same name",
-    Reason.SPELLING: "same name except case and separators",
-    Reason.ADDITION: "same name with an addition",
-    Reason.BEGINNING: "same beginning, convertible units",
-    Reason.QUANTITY: "only column of this quantity",
+REASONS: Mapping[MatchReason, str] = {
+    MatchReason.GIVEN: "given",
+    MatchReason.NAME: "same name",
+    MatchReason.SPELLING: "same name except case and separators",
+    MatchReason.ADDITION: "same name with an addition",
+    MatchReason.BEGINNING: "same beginning, convertible units",
+    MatchReason.QUANTITY: "only column of this quantity",
 }
 LINK_HEADS = ("variable", "unit", "role", "column", "column unit", "reason")
 QUESTION = "Correct? Enter: continue; variable=column: change; variable=: no column"

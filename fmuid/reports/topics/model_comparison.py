@@ -137,7 +137,8 @@ def _table(found: ComparisonRun) -> Table:
     frame = found.table
     heads = {"name": "result", "parameters": "k", "log_likelihood": "log-likelihood", "aic": "AIC", "bic": "BIC"}
     heads |= {"corrected_aic": "corrected AIC", "corrected_bic": "corrected BIC", "behind": "AIC above lowest"}
-    heads |= {f"rmse.{output}": label(f"RMSE {output}", unit) for output, unit in found.units.items()} | {"fit": "fit"}
+    heads |= {f"rmse.{output}": label(f"RMSE {output}", unit) for output, unit in found.units.items()}
+    heads |= {"fit": "fit", "verdict": "verdict"}
     shown = [name for name in heads if name in frame]
     columns = {heads[name]: [_cell(name, each) for each in frame[name].tolist()] for name in shown}
     return table_of(columns, ranks=("AIC", "BIC"))
@@ -145,7 +146,7 @@ def _table(found: ComparisonRun) -> Table:
 
 def _cell(name: str, value: object) -> str:
     if not isinstance(value, float):
-        return str(value)
+        return str(value).replace("_", " ").upper() if name == "verdict" else str(value)
     if name == "fit":
         return fit_text(value)
     return f"{value:.4g}" if name.startswith("rmse.") else f"{value:.1f}"

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 
-from fmuid.formatting import two_digits
+from fmuid.formatting import listed, two_digits
 from fmuid.identification import TimeScaleMismatch, TimeScaleWarning
 from fmuid.simulation import Simulator
 from fmuid.studies import SourceIssue, SourceWarning, Study
@@ -69,6 +69,9 @@ def source_words(note: SourceWarning) -> str:
     match note.doubt:
         case SourceIssue.DID_NOT_SUCCEED:
             return f"{note.path}, an earlier result, did not succeed: {note.outcome.value}"
+        case SourceIssue.DOUBTFUL:
+            why = listed([each.value.replace("_", " ") for each in note.reasons])
+            return f"{note.path}: the verdict on this earlier result is DOUBTFUL ({why})"
         case SourceIssue.NO_MODEL:
             return f"{note.path} does not say of which model it is a result"
         case SourceIssue.OTHER_BUILD:

@@ -25,7 +25,7 @@ from fmuid.codec import as_json, from_json
 from fmuid.data import Experiment
 from fmuid.errors import FmuidError
 from fmuid.estimation import Cache, Evaluator, Result, TerminationReason, WeakDirection
-from fmuid.identification import Problem, identify_by
+from fmuid.identification import Problem, identify_by, judge
 from fmuid.runs.batch.case_list import Case, CaseList, noise
 from fmuid.runs.batch.case_problem import problem_of, truth_simulators, truth_values
 from fmuid.simulation import executor_of, nrmse_fit, root_mean_square
@@ -86,7 +86,7 @@ class CaseRunner:
     def _found(self, case: Case) -> dict[str, object]:
         """Return the columns that a case finds, without those that have no value."""
         evaluator: Evaluator[Problem] | None = None
-        words: dict[str, object] = {"status": "failed", "undetermined": ""}
+        words: dict[str, object] = {"status": "failed", "undetermined": "", "verdict": "not_usable", "reasons": ""}
         try:
             evaluator = Evaluator(self.problem(case), self._cache)
             words = self._identify(evaluator)
@@ -123,7 +123,11 @@ class CaseRunner:
         if result.outcome is TerminationReason.INTERRUPTED:
             raise KeyboardInterrupt
         own = result.accuracy is not None and result.accuracy.simulations > 0
-        return _words_of(result) | _scores(evaluator.problem, result) | {"checked": int(own)}
+        scores = _scores(evaluator.problem, result)
+        verdict = judge(result, fits={(name,): scores[f"fit.{name}"] for name in self._outputs})
+        reasons = " ".join(each.value for each in verdict.reasons)
+        judged = {"verdict": verdict.grade.value, "reasons": reasons, "checked": int(own)}
+        return _words_of(result) | scores | judged
 
     def _read(self, table: Path | None) -> tuple[Experiment, ...]:
         """Read tables; simulated outputs need not be in them."""
@@ -158,7 +162,7 @@ class CaseRunner:
         return {
             "case": WHOLE,
             **{name: types[name] for name in self.cases.columns},
-            **dict.fromkeys(("status", "message", "undetermined"), TEXT),
+            **dict.fromkeys(("status", "message", "undetermined", "verdict", "reasons"), TEXT),
             **{f"chosen.{name}": TEXT for name in self.study.model.choices},
             **{f"{word}.{name}": NUMBER for word in ("value", "std") for name in names},
             **{f"{word}.{name}": NUMBER for word in ("noise", "fit", "rmse") for name in outputs},
@@ -186,7 +190,7 @@ def _words_of(result: Result) -> dict[str, object]:
     }
 
 
-def _scores(problem: Problem, result: Result) -> dict[str, object]:
+def _scores(problem: Problem, result: Result) -> dict[str, float]:
     """Return fit, %, and RMSE of each output over all experiments."""
     assert result.history is not None, "of a search that has just ended"
     pairs: dict[str, list[tuple[Floats, Floats]]] = {name: [] for name in problem.output_names}
@@ -195,7 +199,7 @@ def _scores(problem: Problem, result: Result) -> dict[str, object]:
             counted = experiment.counted[:, j]
             pairs[name].append((experiment.output_values[counted, j], simulated[counted, j]))
     errors = {name: [np.concatenate(each) for each in zip(*own, strict=True)] for name, own in pairs.items()}
-    found: dict[str, object] = {f"fit.{name}": nrmse_fit(own) for name, own in pairs.items()}
+    found = {f"fit.{name}": nrmse_fit(own) for name, own in pairs.items()}
     return found | {f"rmse.{name}": root_mean_square(*both) for name, both in errors.items()}
 
 

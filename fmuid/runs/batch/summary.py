@@ -38,7 +38,8 @@ EQUAL_FIT_SHARE = 5e-4
 OVERVIEW_FILE, BATCH_SCHEMA = "summary.json", "fmuid/batch/2"
 STATUSES = ["converged", "not converged", "failed"]
 # Columns that no statistics are made of.
-NOT_SUMMARIZED = {"message", "undetermined", "iterations", "simulations", "rejected", "shift", *VOLATILE} - {"checked"}
+_TEXTS = {"message", "undetermined", "verdict", "reasons"}
+NOT_SUMMARIZED = {*_TEXTS, "iterations", "simulations", "rejected", "shift", *VOLATILE} - {"checked"}
 
 _KIND = ["status", "message", "undetermined"]
 _NO_FAILURES = pd.DataFrame([("", "", (), 0, 0)], columns=[*_KIND, "cases", "first"]).iloc[:0]

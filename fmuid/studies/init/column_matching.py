@@ -32,7 +32,7 @@ _WORDS = re.compile(r"[^\W\d_]+|\d+")
 _HUMP = re.compile(r"(?<=[a-zäöüß\d])(?=[A-ZÄÖÜ])")
 
 
-class Reason(Enum):
+class MatchReason(Enum):
     """Reason for a match, the most certain first."""
 
     GIVEN = "given"
@@ -47,7 +47,7 @@ class Reason(Enum):
     """The only column and the only variable of this quantity."""
 
 
-SURE = (Reason.GIVEN, Reason.NAME)
+SURE = (MatchReason.GIVEN, MatchReason.NAME)
 """Reasons without doubt."""
 
 
@@ -58,7 +58,7 @@ class ColumnMatch:
     variable: str
     role: str
     column: str | None = None
-    reason: Reason | None = None
+    reason: MatchReason | None = None
     unit: str | None = None
     column_unit: str | None = None
     choices: tuple[str, ...] = ()
@@ -79,9 +79,9 @@ def guess(
         _check_given(variable, column, [*roles, *local], columns)
         roles.setdefault(variable, "output")
     local = [name for name in local if name not in description.derivatives]  # written by simulators
-    found = {name: (column, Reason.GIVEN) for name, column in given.items() if column}
+    found = {name: (column, MatchReason.GIVEN) for name, column in given.items() if column}
     exact = set(columns) - {column for column, _ in found.values()}
-    found |= {name: (name, Reason.NAME) for name in [*roles, *local] if name in exact and name not in given}
+    found |= {name: (name, MatchReason.NAME) for name in [*roles, *local] if name in exact and name not in given}
     roles |= {name: "output" for name in found if name not in roles}
     names = list(roles) if any(role == "output" for role in roles.values()) else [*roles, *local]
     search = _Guesses(description, roles, units)
@@ -124,9 +124,9 @@ class _Guesses:
         self.description, self.roles, self.units = description, roles, units
         self.choices: dict[str, tuple[str, ...]] = {}
 
-    def run(self, variables: Sequence[str], columns: Sequence[str]) -> dict[str, tuple[str, Reason]]:
-        found: dict[str, tuple[str, Reason]] = {}
-        for reason in (Reason.SPELLING, Reason.ADDITION, Reason.BEGINNING, Reason.QUANTITY):
+    def run(self, variables: Sequence[str], columns: Sequence[str]) -> dict[str, tuple[str, MatchReason]]:
+        found: dict[str, tuple[str, MatchReason]] = {}
+        for reason in (MatchReason.SPELLING, MatchReason.ADDITION, MatchReason.BEGINNING, MatchReason.QUANTITY):
             rest = [name for name in variables if name not in found]
             free = [each for each in columns if each not in {column for column, _ in found.values()}]
             pairs = {name: [column for column in free if self._fits(reason, name, column)] for name in rest}
@@ -138,21 +138,21 @@ class _Guesses:
                     self.choices.setdefault(name, tuple(several))
         return found
 
-    def _fits(self, reason: Reason, name: str, column: str) -> bool:
+    def _fits(self, reason: MatchReason, name: str, column: str) -> bool:
         variable, role, words = self.description.variables[name], self.roles.get(name, "output"), _words(column)
         if role == "output" and not _COMMANDED.isdisjoint(set(words) - set(_words(name))):
             return False  # a commanded column is not a measured output
         converts = self._converts(variable, column)
         if converts is False:
             return False
-        if reason is Reason.SPELLING:
+        if reason is MatchReason.SPELLING:
             return "".join(_words(name)) == "".join(words)
-        if reason is Reason.QUANTITY:
+        if reason is MatchReason.QUANTITY:
             meant = {_QUANTITIES[word] for word in words if word in _QUANTITIES}
             known = variable.unit not in (None, "", "1") and not self.units.get(column)
             return bool(converts) or (known and any(self._has_unit(variable, unit) for unit in meant))
         bare, own = _bare(column, role), _bare(name, role)
-        if reason is Reason.ADDITION:
+        if reason is MatchReason.ADDITION:
             return not bare.isdisjoint(own)
         return bool(converts) and any(a.startswith(b) or b.startswith(a) for a in own for b in bare)
 

@@ -156,7 +156,10 @@ WRONG: list[tuple[dict[str, Any], str]] = [
     ({"stats": 3}, r"unknown key 'stats' \(did you mean 'starting_points'"),
     ({"combine": "zipp", "starting_points": 2}, r'combine: must be "product" or "zip" \(did you mean'),
     ({"starting_points": 2, "seed": -1}, r"batch.seed: must be a whole number, 0 or above, not -1"),
-    ({"starting_points": 0}, r"starting_points: must be a whole number above 0 or a list of starting points, .*, not 0"),
+    (
+        {"starting_points": 0},
+        r"starting_points: must be a whole number above 0 or a list of starting points, .*, not 0",
+    ),
     ({"starting_points": []}, "starting_points: must be a whole number above 0 or a list"),
     ({"starting_points": [{"R": "x"}]}, "starting_points: must be a list of .*, each a number"),
     ({"starting_points": [{"Q": 1.0}]}, "starting_points: unknown parameter 'Q'"),
@@ -194,7 +197,10 @@ WRONG: list[tuple[dict[str, Any], str]] = [
         r"batch.space_filling: missing key 'points': number",
     ),
     ({"space_filling": {"points": 3}}, r"batch.space_filling: missing key 'ranges': variables"),
-    ({"space_filling": {"points": 10**8, "ranges": {"L": [0.1, 0.2]}}}, "points: must be a whole number up to 16777216"),
+    (
+        {"space_filling": {"points": 10**8, "ranges": {"L": [0.1, 0.2]}}},
+        "points: must be a whole number up to 16777216",
+    ),
     ({"space_filling": {"points": 3, "ranges": {}}}, "ranges: must be { variable ="),
     (
         {"space_filling": {"points": 3, "ranges": {"L": [0.2, 0.1]}}},

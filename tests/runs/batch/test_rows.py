@@ -60,7 +60,7 @@ def test_estimates_of_a_monte_carlo_scatter_as_the_closed_form_says(case_folder:
 
 def test_rows_have_the_columns_that_the_runner_names(case_folder: Path) -> None:
     runner = CaseRunner(study_of(case_folder, {"data": ["records/run1.csv", "records/none.csv"], "starting_points": 1}))
-    expected = "case table start.R start.L status message undetermined value.R value.L std.R "
+    expected = "case table start.R start.L status message undetermined verdict reasons value.R value.L std.R "
     expected += "std.L noise.i fit.i rmse.i criterion iterations simulations rejected accuracy shift finer"
     assert [*runner.columns] == [*expected.split(), *VOLATILE]
     rows = [runner(k).row for k in range(2)]

@@ -1,0 +1,168 @@
+"""Verdict on a result from all its checks."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+
+import numpy as np
+
+from fmuid.estimation import AccuracyOutcome, Doubt, Reason, Result, SearchFailure, TerminationReason, Verdict
+from fmuid.identification.assessment import Assessment, better_point
+from fmuid.identification.prior_and_data import PriorDataComparison
+from fmuid.identification.prior_data_tests import Deviation
+from fmuid.identification.residual_analysis import ResidualAnalysis, ResidualDefect
+from fmuid.identification.residual_series import InputCorrelation, ResidualSeries
+from fmuid.identification.solver_check import RIVAL_CRITERION
+
+MIN_FIT = 50.0  # NRMSE fit of each output, %; MATLAB's `compare` gives 0 for the mean
+
+_UNCHECKED = frozenset(AccuracyOutcome) - {AccuracyOutcome.PASSED, AccuracyOutcome.SHIFTED}
+_DEFECTS = {
+    ResidualDefect.COLOURED: Reason.COLORED_RESIDUAL,
+    ResidualDefect.OFFSET: Reason.OFFSET,
+    ResidualDefect.INPUT: Reason.INPUT_CORRELATION,
+    ResidualDefect.SHAPE: Reason.DISTRIBUTION,
+}
+
+
+def judge(
+    result: Result,
+    assessment: Assessment | None = None,
+    fits: Mapping[tuple[str, ...], float] | None = None,
+    gaps: Mapping[str, Sequence[float]] | None = None,
+) -> Verdict:
+    """Return the verdict on a result.
+
+    Parameters
+    ----------
+    result : Result
+    assessment : Assessment, optional
+        Its checks; without them, the reasons that the result itself gives.
+    fits : mapping of tuple of str to float
+        NRMSE fit of each output, %, by output, or output and experiment.
+    gaps : mapping of str to sequence of float
+        Times before missing rows of each experiment, s.
+
+    Examples
+    --------
+    >>> problem = fmuid.datasets.coil().problem()
+    >>> result = fmuid.identify(problem)
+    >>> fmuid.identification.judge(result, fmuid.assess(problem, result)).grade.value
+    'passed'
+    """
+    doubts = [*_of_search(result), *_of_identifiability(result), *_of_solver(result)]
+    doubts += [Doubt(Reason.POOR_FIT, key, {"fit": fit}) for key, fit in (fits or {}).items() if fit < MIN_FIT]
+    doubts += [Doubt(Reason.MISSING_ROWS, (name,), {"first": float(times[0])}) for name, times in (gaps or {}).items()]
+    if assessment is not None:
+        doubts += _of_uncertainty(assessment)
+        doubts += [] if assessment.residuals is None else _of_residuals(assessment.residuals)
+        doubts += [] if assessment.prior_and_data is None else _of_prior(assessment.prior_and_data)
+    return Verdict.of(doubts)
+
+
+def _of_search(result: Result) -> Iterator[Doubt]:
+    history = result.history
+    if result.outcome is TerminationReason.INTERRUPTED:
+        yield Doubt(Reason.INTERRUPTED)
+    elif not result.converged and result.outcome is not TerminationReason.UNDETERMINED:
+        yield Doubt(Reason.NOT_CONVERGED, (result.outcome.value,))
+    kept = next((each for each in history.restarts if each.kept), None)
+    if kept is not None and kept.trouble in (SearchFailure.LARGE_RESIDUAL, SearchFailure.MODEL_ERROR):
+        yield Doubt(Reason.LARGE_RESIDUAL, (), {"ratio": kept.noise_ratio, "starts": float(len(history.restarts))})
+    for other in history.optima[1:]:
+        behind = other.criterion - history.optima[0].criterion
+        if behind < RIVAL_CRITERION:
+            yield Doubt(Reason.SECOND_OPTIMUM, (), dict(zip(result.names, other.theta.tolist(), strict=True)))
+    if len(history.combinations) > 1 and history.combinations[1].behind < RIVAL_CRITERION:
+        yield Doubt(Reason.SECOND_OPTIMUM, tuple(history.combinations[1].values))
+    if result.setup.observer is not None:
+        yield Doubt(Reason.OBSERVER, (), {"samples": result.setup.observer})
+
+
+def _of_identifiability(result: Result) -> Iterator[Doubt]:
+    found = result.identifiability
+    lost = tuple(name for name, std in zip(result.names, result.std.tolist(), strict=True) if math.isinf(std))
+    if lost and not found.non_identifiable:
+        yield Doubt(Reason.NON_IDENTIFIABLE, lost)
+    for reason, directions in (
+        (Reason.NON_IDENTIFIABLE, found.non_identifiable),
+        (Reason.WEAKLY_IDENTIFIABLE, found.weakly_identifiable),
+        (Reason.PRIOR_DOMINATED, found.prior_dominated),
+    ):
+        yield from (Doubt(reason, each.names, {"std": each.std}) for each in directions)
+    yield from (Doubt(Reason.AT_BOUND, (each.name,), {"bound": each.value}) for each in result.estimates.at_bounds)
+
+
+def _of_solver(result: Result) -> Iterator[Doubt]:
+    check = result.accuracy
+    if check is None:
+        return
+    if check.outcome in _UNCHECKED:
+        yield Doubt(Reason.SOLVER_UNCHECKED, (check.outcome.value,))
+    elif check.doubtful:
+        i = int(np.argmax(np.abs(np.nan_to_num(check.shift))))
+        yield Doubt(Reason.SOLVER_ERROR, (result.names[i],), {"shift": float(check.shift[i])})
+
+
+def _of_residuals(found: ResidualAnalysis) -> Iterator[Doubt]:
+    for each in (finding for finding in found.findings if finding.large):
+        subject = (each.output, each.experiment, *([each.input_name] if each.input_name else []))
+        yield Doubt(_DEFECTS[each.trait], subject, _size(each.trait, each.series, each.input))
+    for periodic in found.returning:
+        values = {"period": periodic.period, "fraction": periodic.share}
+        yield Doubt(Reason.PERIODIC_ERROR, (periodic.output, periodic.experiment), values)
+    for slow in found.slow:
+        values = {"time_constant": slow.time_constant, "fraction": slow.share}
+        yield Doubt(Reason.LOW_FREQUENCY_NOISE, (slow.output, *slow.experiments), values)
+    for long in found.long_memory:
+        values = {"time_constant": long.time_constant, "length": long.record}
+        yield Doubt(Reason.LONG_MEMORY, (long.output, *long.experiments), values)
+
+
+def _size(trait: ResidualDefect, series: ResidualSeries, at: InputCorrelation | None) -> dict[str, float]:
+    match trait:
+        case ResidualDefect.COLOURED:
+            lag, largest = series.whiteness.strongest
+            return {"correlation": largest, "lag": float(lag)}
+        case ResidualDefect.OFFSET:
+            return {"mean": series.mean, "std": series.std}
+        case ResidualDefect.INPUT if at is not None:
+            return {"correlation": at.correlation, "lag_s": at.lag, "limit": at.band}
+        case _:
+            shape = series.normality
+            return {"skewness": shape.skewness, "kurtosis": shape.kurtosis, "outliers": float(series.outliers)}
+
+
+def _of_prior(found: PriorDataComparison) -> Iterator[Doubt]:
+    test = found.agreement
+    if test is not None and not test.holds:
+        distances = {
+            name: each for name, each in zip(found.names, found.conflict.tolist(), strict=True) if each == each
+        }
+        largest = max(distances, key=lambda name: abs(distances[name]), default="")
+        values = {"probability": test.probability, "distance": abs(distances.get(largest, math.nan))}
+        yield Doubt(Reason.PRIOR_DATA_CONFLICT, (largest,) if largest else (), values)
+    for each in found.variances:
+        if each.output and each.deviation is not Deviation.NONE:
+            values = {"residual": math.sqrt(each.estimated), "given": math.sqrt(each.known)}
+            yield Doubt(Reason.NOISE_LEVEL, (each.output,), values)
+    for influence in found.influences:
+        if influence.rests:
+            yield Doubt(Reason.PRIOR_DOMINATED, (influence.name,), {})
+    if found.bent:
+        i = found.names.index(found.bent)
+        yield Doubt(Reason.NONLINEAR, (found.bent,), {"distance": float(abs(found.nonlinearity[i]))})
+
+
+def _of_uncertainty(found: Assessment) -> Iterator[Doubt]:
+    if found.interrupted:
+        yield Doubt(Reason.INTERRUPTED)
+    for each in found.profiles:
+        if math.isnan(each.lower) or math.isnan(each.upper):
+            yield Doubt(Reason.BETTER_OPTIMUM, (each.name,))
+    for chart in found.maps:
+        if (better := better_point(chart)) is not None:
+            yield Doubt(Reason.BETTER_OPTIMUM, chart.names, {"x": better[0], "y": better[1], "lower_by": better[2]})
+    if found.posterior is not None and not found.posterior.converged:
+        yield Doubt(Reason.SAMPLING, (found.posterior.doubtful,) if found.posterior.doubtful else ())
