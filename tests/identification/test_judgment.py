@@ -125,7 +125,7 @@ def test_the_gravest_reason_decides() -> None:
 def coil(shift: int = 0, offset: float = 0.0, noise: float = 2e-3) -> fmuid.Problem:
     """Return the coil under a random held voltage, its current late by samples and off by A."""
     rng = np.random.default_rng(4)
-    times: Floats = np.arange(1000) * 1e-3
+    times = np.linspace(0.0, 0.999, 1000)
     u: Floats = np.repeat(np.where(rng.uniform(size=100) < 0.5, -1.0, 1.0), 10)
     i = np.roll(coil_response(times, u, 4.0, 0.1, False), shift)
     frame = pd.DataFrame({"time": times, "u": u, "i": i + offset + noise * rng.standard_normal(1000)})
