@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import Enum
 from pathlib import PurePosixPath
@@ -155,6 +155,14 @@ def table_of(columns: Mapping[str, Iterable[str]], words: Iterable[str] = (), ra
         Column(head, tuple(cells), k > 0 and head not in words, order.index(head) + 1 if head in order else 0)
         for k, (head, cells) in enumerate(columns.items())
     )
+
+
+def table_of_rows(
+    heads: Sequence[str], rows: Iterable[Sequence[str]], words: Iterable[str] = (), ranks: Iterable[str] = ()
+) -> Table:
+    """Return a table from its rows."""
+    cells = list(rows)
+    return table_of({head: [row[k] for row in cells] for k, head in enumerate(heads)}, words, ranks)
 
 
 def capitalised(words: str, names: Iterable[str] = ()) -> str:

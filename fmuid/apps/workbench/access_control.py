@@ -24,7 +24,6 @@ from tornado.web import ErrorHandler, OutputTransform, RequestHandler
 from tornado.websocket import WebSocketClosedError
 
 SCHEME = "fmuid-scheme"  # cookie and page argument: "dark" or "light"
-SESSION_SECONDS = 300  # s from a page request to its websocket
 LARGEST_MESSAGE = 64 * 2**20  # bytes, of an upload
 
 
@@ -50,7 +49,7 @@ class Guard(BokehTornado):  # type: ignore[misc]
             sign_sessions=True,
             include_headers=[],
             include_cookies=[],
-            session_token_expiration=SESSION_SECONDS,
+            session_token_expiration=300,
             keep_alive_milliseconds=10_000,
             check_unused_sessions_milliseconds=500,
             unused_session_lifetime_milliseconds=15_000,

@@ -16,7 +16,8 @@ from fmuid.apps.workbench.jobs import Jobs
 from fmuid.apps.workbench.page_layout import own_file, style, template, variables
 from fmuid.apps.workbench.project_folder import Folder, FoundResult, FoundStudy
 from fmuid.errors import InputError
-from fmuid.formatting import listed, visible
+from fmuid.formatting import listed
+from fmuid.reports.render.html import text as escaped
 
 # Readable files that commands write; models and others are not served.
 _SERVED = {".html", ".csv", ".json", ".toml", ".txt", ".log", ".ssv", ".png", ".svg", ".pdf"}
@@ -42,13 +43,6 @@ class HomeHandler(RequestHandler):
         title = folder.root.name or str(folder.root)
         scheme = self.get_argument(SCHEME, "light")
         self.write(template().render(variables(title, pieces, scheme)))
-
-
-def escaped(text: object) -> str:
-    """Return a text as HTML."""
-    from html import escape
-
-    return escape(visible(str(text)))
 
 
 def address(page: str, folder: Folder, path: Path) -> str:

@@ -179,7 +179,6 @@ class Folder:
 
 TABLES = (".csv", ".parquet", ".mat", ".xlsx", ".ods", ".h5", ".tdms", ".mf4")
 """Endings of data files that can be chosen."""
-MOST_CHOICES = 200
 
 
 def tables(folder: Folder) -> list[Path]:
@@ -193,8 +192,8 @@ def beside(path: Path, study: Path) -> str:
 
 
 def choices(folder: Folder, kinds: tuple[str, ...]) -> list[Path]:
-    """Return the files with these endings, at most `MOST_CHOICES`."""
-    return list(islice((path for path in folder.files(kinds) if folder.has(path)), MOST_CHOICES))
+    """Return the files with these endings, at most 200."""
+    return list(islice((path for path in folder.files(kinds) if folder.has(path)), 200))
 
 
 _MARKS = (*RESULTS, "simulated.csv", "design.csv", "report.html")

@@ -20,11 +20,12 @@ from tornado.ioloop import IOLoop
 from tornado.netutil import bind_sockets
 
 from fmuid.apps.workbench.access_control import LARGEST_MESSAGE, Guard, redirecting_page
-from fmuid.apps.workbench.home import AssetHandler, FileHandler, HomeHandler, escaped
+from fmuid.apps.workbench.home import AssetHandler, FileHandler, HomeHandler
 from fmuid.apps.workbench.jobs import Jobs
 from fmuid.apps.workbench.page_layout import argument, dress
 from fmuid.apps.workbench.project_folder import Folder
 from fmuid.errors import FmuidError, InputError
+from fmuid.reports.render.html import text as escaped
 
 _ADDRESSES = ("/study", "/results", "/batch", "/faults", "/new")
 LOCAL = "127.0.0.1"

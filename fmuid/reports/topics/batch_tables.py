@@ -11,7 +11,7 @@ import pandas as pd
 
 from fmuid.files import write_table
 from fmuid.formatting import rounded, unit_text, with_std
-from fmuid.reports.document import Section, table_of
+from fmuid.reports.document import Section, table_of, table_of_rows
 from fmuid.reports.shared_phrases import open_words
 from fmuid.reports.topics.termination import ENDS
 from fmuid.runs import BatchOverview, BatchResult, EstimateWarning, Summary, made_from, write_overview
@@ -21,8 +21,8 @@ Row = Mapping[Any, Any]
 
 MAX_COLUMNS = 6
 """Parameters in a table of groups or optima; the files contain all."""
-MAX_KINDS = 8
-"""Kinds of failures and optima in a table."""
+MAX_ROWS = 8
+"""Kinds of failures and optima in a table; the files contain all."""
 TABLES = ("summary", "groups", "failures", "optima")
 
 
@@ -129,11 +129,11 @@ def _groups(summary: Summary, names: Sequence[str]) -> Section:
         cells.append((*(level_text(level) for level in levels), *counts, *values))
     single = summary.groups["cases"].max() == 1
     title = "By setting: " + ("estimate ± stated σ" if single else "mean ± spread")
-    return Section("groups", title, table=table_of({head: [row[k] for row in cells] for k, head in enumerate(heads)}))
+    return Section("groups", title, table=table_of_rows(heads, cells))
 
 
 def _optima(summary: Summary, names: Sequence[str]) -> Section:
-    rows = summary.optima.head(MAX_KINDS).to_dict("records")
+    rows = summary.optima.head(MAX_ROWS).to_dict("records")
     columns = {
         "optimum": [str(row["optimum"]) for row in rows],
         "cases": [str(row["cases"]) for row in rows],
@@ -144,14 +144,13 @@ def _optima(summary: Summary, names: Sequence[str]) -> Section:
 
 
 def _failures(failures: pd.DataFrame) -> Section:
-    rows = failures.head(MAX_KINDS).to_dict("records")
+    rows = failures.head(MAX_ROWS).to_dict("records")
     cells = [(str(row["cases"]), str(row["first"]), row["status"], failure_words(row)) for row in rows]
-    if len(failures) > MAX_KINDS:
-        rest = failures.iloc[MAX_KINDS:]
+    if len(failures) > MAX_ROWS:
+        rest = failures.iloc[MAX_ROWS:]
         cells.append((str(rest["cases"].sum()), str(rest["first"].min()), "", f"{len(rest)} other messages"))
     heads = ("cases", "first case", "status", "message")
-    columns = {head: [row[k] for row in cells] for k, head in enumerate(heads)}
-    return Section("kinds", "Cases without estimate", table=table_of(columns, ("status", "message")))
+    return Section("kinds", "Cases without estimate", table=table_of_rows(heads, cells, ("status", "message")))
 
 
 def failure_texts(failures: pd.DataFrame) -> list[str]:

@@ -19,14 +19,10 @@ from fmuid.runs import INTERVAL_STDS, BatchColumns, data_sets, fit_cost, optimum
 
 CELLS = (90, 45)
 """Cells of a chart of many estimates, across and up."""
-OUTSIDE_QUARTILES = 6.0
-"""Values farther away, in quartile distances, are outside the chart if they are rare."""
 MAX_LABEL = 24
 """Letters of a name at an axis."""
 LOOKS: tuple[tuple[Color, Any], ...] = (("blue", "solid"), ("red", "solid"), ("amber", "solid"), ("grey", "dashed"))
 """Outlines of the settings in one chart."""
-MAX_FAILURES = 12
-"""Bars of a chart of failures."""
 MIN_EXCESS = 0.01
 """Lower end of the logarithmic cost axis, in % or units of the cost: below is rounding."""
 HEIGHT = 220
@@ -112,7 +108,7 @@ def limits_of(values: Floats, true: float | None = None) -> tuple[float, float]:
     values = values[np.isfinite(values)]
     if values.size:
         first, third = np.quantile(values, [0.25, 0.75])
-        far = OUTSIDE_QUARTILES * (third - first)
+        far = 6.0 * (third - first)  # rare values farther away are outside the chart
         near = (values >= first - far) & (values <= third + far)
         values = values[near] if far > 0 and np.mean(~near) < 0.05 else values
     if true is not None:
@@ -316,8 +312,8 @@ def _waterfall(excess: Floats, number: npt.NDArray[np.int64], lost: Flags, *, gi
 
 def failures(found: pd.DataFrame, messages: list[str]) -> Chart:
     """Return the number of cases without an estimate by reason."""
-    most = found.iloc[:MAX_FAILURES]
-    texts = tuple(f"{k + 1}. {each[:70]}" for k, each in enumerate(messages[:MAX_FAILURES]))
+    most = found.iloc[:12]
+    texts = tuple(f"{k + 1}. {each[:70]}" for k, each in enumerate(messages[:12]))
     data: Data = {"y": texts, "x": most["cases"].to_numpy(np.float64)}
     layers = []
     kinds: tuple[tuple[str, Color], ...] = (("failed", "red"), ("not converged", "amber"))

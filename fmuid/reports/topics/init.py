@@ -11,7 +11,7 @@ from rich.prompt import Prompt
 
 from fmuid.errors import InputError
 from fmuid.formatting import two_digits, unit_text
-from fmuid.reports.document import Document, Message, Remark, Section, table_of
+from fmuid.reports.document import Document, Message, Remark, Section, Table, table_of_rows
 from fmuid.reports.render.console import console, show_remarks, show_section
 from fmuid.reports.topics.study_notes import dropout_words, size_words, time_words
 from fmuid.studies import SHOWN_CHANGE, ColumnMatch, Draft, MatchedDataFile, MatchReason, proposal
@@ -73,18 +73,21 @@ QUESTION = "Correct? Enter: continue; variable=column: change; variable=: no col
 
 def record_section(record: MatchedDataFile) -> Section:
     """Return matched columns and warnings of a data file."""
-    cells = [link_cells(link) for link in record.links]
-    columns = {head: [row[k] for row in cells] for k, head in enumerate(LINK_HEADS)}
     said = [InitMessage.UNUSED.said(columns=", ".join(record.unused))] if record.unused else []
     said += remarks(record)
     title = heading(record, str(record.path))
-    return Section("columns", title, table=table_of(columns, columns), remarks=tuple(said))
+    return Section("columns", title, table=links_table(record), remarks=tuple(said))
 
 
 def heading(record: MatchedDataFile, name: str) -> str:
     """Return the heading of a data file."""
     span = record.frame[record.time]
     return f"{name}: {len(record.frame)} samples, {span.min():.6g} to {span.max():.6g} s"
+
+
+def links_table(record: MatchedDataFile) -> Table:
+    """Return the matched columns of a data file."""
+    return table_of_rows(LINK_HEADS, map(link_cells, record.links), LINK_HEADS)
 
 
 def link_cells(link: ColumnMatch) -> tuple[str, ...]:
@@ -157,7 +160,7 @@ def draft_document(made: Draft, output: Path) -> Document:
         for name, unit in [(one.variable.name, one.variable.unit)]
     ]
     heads = ["parameter", "start", "unit", f"{100 * SHOWN_CHANGE:g} % change", "proposed"]
-    table = table_of({head: [row[k] for row in rows] for k, head in enumerate(heads)}, ("unit", "proposed"))
+    table = table_of_rows(heads, rows, ("unit", "proposed"))
     section = Section("parameters", "Effect of the parameters (% of the outputs' spread)", table=table if rows else ())
     said = [Remark(time_words(each), "doubt") for each in found.doubts]
     said += [Remark(size_words(*each), "doubt") for each in found.sizes]

@@ -19,7 +19,6 @@ ALIKE_AIC = 2.0
 """Models with a smaller difference of AIC are equally good (Burnham and Anderson, section 2.6)."""
 CLEAR_AIC = 10.0
 """A larger difference of AIC is clear (same source)."""
-MAX_BARS = 24
 BEHIND = "AIC of each result minus the lowest AIC. Differences below 2 are small, above 10 clear."
 ERRORS = "100 % − fit of each result on the common data files. Shorter is better."
 ESTIMATES = "Estimates that several results have, with 95 % intervals. The intervals should overlap."
@@ -154,7 +153,7 @@ def _cell(name: str, value: object) -> str:
 
 def ranked_bars(names: Sequence[str], values: Floats, text: str) -> Chart:
     """Return a bar per name in their order, the first red."""
-    names, values = names[:MAX_BARS], values[:MAX_BARS]
+    names, values = names[: LIMITS.parameters], values[: LIMITS.parameters]
     best = np.arange(len(names)) == 0
     data: Data = {"y": tuple(names), "x": values}
     hover = (("", "@y"), ("value", "@x{0.0000}"))

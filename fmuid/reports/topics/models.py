@@ -12,8 +12,6 @@ from fmuid.reports.document import TERMINAL_ROWS, Document, Remark, Section, tab
 from fmuid.reports.topics.solver_check import capability_words, run_words
 from fmuid.studies import skeleton
 
-MIN_DESCRIPTION = 25
-"""Letters of a description on a narrow terminal."""
 SETTABLE = "start settable"
 MAX_NAME, MAX_TEXT = 200, 1000
 """Letters of a name and of other texts; an FMU can have names of any length."""
@@ -104,7 +102,7 @@ def _variables(
     cells |= {head: _cells(rows, column) for head, column in columns.items()}
     if width is not None:
         *widths, _ = (max(map(len, [head, *texts])) for head, texts in cells.items())
-        room = max(width - sum(widths) - 3 * len(widths), MIN_DESCRIPTION)
+        room = max(width - sum(widths) - 3 * len(widths), 25)  # letters, on a narrow terminal
         cells["description"] = [shorten(text, room, placeholder="…") for text in cells["description"]]
     left = len(every) - len(rows)
     said = (Remark(f"{left} more; all: fmuid info FMU | less"),) if left else ()

@@ -13,7 +13,7 @@ from fmuid.data import evenly, extremes
 from fmuid.diagnosis import SOMETHING_ELSE, Alarm, BaselineSource, Onset, OnsetShape, RecordTime, SkippedWindow, Trend
 from fmuid.formatting import label, listed, rounded, unit_text, with_std
 from fmuid.reports.chart import LIMITS, Axis, Chart, ChartGrid, Data, Layer, stacked
-from fmuid.reports.document import CONSOLE, Document, Message, Remark, Section, Tone, origin_of, table_of
+from fmuid.reports.document import CONSOLE, Document, Message, Remark, Section, Tone, origin_of, table_of_rows
 from fmuid.reports.topics.diagnosis_phrases import basis_notes, explanation_words
 from fmuid.reports.topics.preprocessing import preprocessing_sections
 from fmuid.runs import MonitoringRun
@@ -192,8 +192,7 @@ def _alarms_section(found: MonitoringRun) -> Section:
         row = (alarm.fault, onset, size_at_alarm(alarm, found), size, alarm.record, f"{alarm.time:g}", until)
         rows.append((*row, f"{alarm.last - alarm.first + 1}"))
     heads = ("cause", "onset", "size at alarm", "current size", "recording", "alarm (s)", "until (s)", "windows")
-    columns = {head: [row[k] for row in rows] for k, head in enumerate(heads)}
-    return Section("alarms", "Alarms", table=table_of(columns, heads[:5]))
+    return Section("alarms", "Alarms", table=table_of_rows(heads, rows, heads[:5]))
 
 
 def _windows_section(found: MonitoringRun) -> Section:
@@ -207,8 +206,8 @@ def _windows_section(found: MonitoringRun) -> Section:
         rows.append((*said, *cells, last, unit_text(found.units.get(name))))
         before = fault
     heads = ("fault", "parameter", *numbers, "last", "unit")
-    table = {head: [row[k] for row in rows] for k, head in enumerate(heads)}
-    return Section("windows", "Windows", table=table_of(table, ("parameter", "last", "unit")), shown=CONSOLE)
+    table = table_of_rows(heads, rows, ("parameter", "last", "unit"))
+    return Section("windows", "Windows", table=table, shown=CONSOLE)
 
 
 def _timeline(found: MonitoringRun, fault: str) -> ChartGrid:

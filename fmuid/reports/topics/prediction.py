@@ -9,7 +9,7 @@ import numpy as np
 
 from fmuid.formatting import fit_text, listed, two_digits, unit_text, with_std, with_unit
 from fmuid.identification import OutputScore, Prediction, ResidualAnalysis
-from fmuid.reports.document import Document, Message, Remark, Section, Table, Tone, origin_of, table_of
+from fmuid.reports.document import Document, Message, Remark, Section, Table, Tone, origin_of, table_of_rows
 from fmuid.reports.topics.fit import CONSTANT, Band, fit_sections
 from fmuid.reports.topics.residual_analysis import residual_section, residual_words
 from fmuid.reports.topics.study_notes import source_words
@@ -153,5 +153,4 @@ def _scores(predictions: Sequence[Prediction]) -> Table:
             cells = [each.fit.experiment, score.output, f"{score.rmse:.4g} {unit_text(score.unit)}".strip()]
             cells += [fit_text(score.fit), expected, ratio, f"{100 * score.inside:.3g} %" if known else ""]
             rows.append([*cells, f"{score.mean:.3g}", str(score.samples)])
-    columns = {head: [row[k] for row in rows] for k, head in enumerate(heads)}
-    return table_of(columns, ("output",), ("mean", "ratio"))
+    return table_of_rows(heads, rows, ("output",), ("mean", "ratio"))

@@ -88,7 +88,7 @@ def test_first_page_lists_studies_and_results(tmp_path: Path) -> None:
     page = _studies(folder, studies, results, set()) + _results(folder, results)
     assert evil not in page
     links = ("/study?file=a/study.toml", "/results?file=a/results")
-    for said in ("&lt;img", "is not valid TOML", "R = 4.00 ± 0.10", "2 parameters, 1 data file", *links):
+    for said in ("&lt;img", "broken.toml: ", "R = 4.00 ± 0.10", "2 parameters, 1 data file", *links):
         assert said in page, said
     bare = FoundStudy(tmp_path / "a/broken.toml", "faults")
     for name, kind, word in (("b/c", "monitoring", "monitored"), ("", "diagnosis", "diagnosed")):
@@ -305,7 +305,7 @@ def test_a_command_is_run_and_what_it_printed_kept(tmp_path: Path) -> None:
     wait_until(lambda: not job.running)
     assert jobs.running() == []
     assert job.code == WRONG_INPUT
-    assert job.printed().startswith("error: study.toml: there is no such study file")
+    assert job.printed().startswith("error: study.toml: file not found")
     jobs.close()
 
 

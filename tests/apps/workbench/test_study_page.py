@@ -377,5 +377,5 @@ def test_distance_needs_a_covariance(page: Page, tmp_path: Path, L: Any, told: b
 
 def test_study_without_parameters_is_refused(path: Path) -> None:
     study = Study.of({**Study.read(path).data, "parameters": {}}, path)
-    with pytest.raises(InputError, match="no parameters: name at least one"):
+    with pytest.raises(InputError, match="no free parameter"):
         StudyPage(Document(), Bench(Folder(path.parent)), path, study, "light")

@@ -17,7 +17,7 @@ from bokeh.layouts import column
 from bokeh.models import ColumnDataSource, DataTable, NumberFormatter, TableColumn, TextInput
 
 from fmuid.apps.workbench.access_control import SCHEME
-from fmuid.apps.workbench.home import address, escaped
+from fmuid.apps.workbench.home import address
 from fmuid.apps.workbench.page_layout import argument, dress, sections
 from fmuid.apps.workbench.pages.results_view import EVERY, side_by_side
 from fmuid.apps.workbench.project_folder import Folder, FoundResult, FoundStudy, beside, read_json
@@ -26,13 +26,12 @@ from fmuid.errors import InputError
 from fmuid.files import is_file
 from fmuid.reports.render.bokeh_models import live
 from fmuid.reports.render.bokeh_renderer import drawing
+from fmuid.reports.render.html import text as escaped
 from fmuid.reports.topics.case_charts import over_cases
 from fmuid.runs import BatchColumns, CaseList, parts_in, read_part
 from fmuid.studies import Study
 
-SILENT = 10.0  # s; a running batch writes more often than this
 WIDTHS = {"case": 60, "status": 110, "criterion": 90, "message": 600}  # pixels, of columns
-MAX_HEIGHT = 420  # pixels, of the table
 _GRID = """
 .slick-header-columns,.slick-header-column{background:var(--card)!important;color:var(--soft)!important}
 .slick-row,.slick-cell{background:var(--card)!important;color:var(--ink)!important;border-color:var(--faint)!important}
@@ -61,7 +60,7 @@ class BatchPage:
         self.text = TextInput(title="containing", value="", name="filter", stylesheets=[SHEET])
         self.number = typed("case number", "", "number", 110)
         self.source = ColumnDataSource({"case": []}, name="cases")
-        self.table = DataTable(source=self.source, height=MAX_HEIGHT, index_position=None, reorderable=False, **WIDE)
+        self.table = DataTable(source=self.source, height=420, index_position=None, reorderable=False, **WIDE)
         self.table.autosize_mode = "none"  # otherwise a narrow window squeezes all columns
         self.table.stylesheets = [_GRID]
         self.case = words("case", "<p>Choose a case in the table.</p>")
@@ -110,9 +109,9 @@ class BatchPage:
         if done < total:
             (first, before), (now, count) = self._counts[0], self._counts[-1]
             rate = (count - before) / (now - first) if now > first else 0.0
-            if rate > 0 and silent < SILENT:
+            if rate > 0 and silent < 10.0:
                 words += [f"{rate:.3g} cases/s", f"about {(total - done) / rate:.0f} s left"]
-            elif silent >= SILENT:
+            elif silent >= 10.0:
                 words.append(f"nothing written for {silent:.0f} s")
         bar = f"<progress value={done} max={max(total, 1)}></progress>" if total else ""
         text = f"{bar}<p>{escaped(', '.join(words))}</p>"
@@ -159,7 +158,7 @@ class BatchPage:
             self.table.columns = [*others, last]
         chosen = [self.source.data["case"][k] for k in self.source.selected.indices]
         self.source.data = {name: _plain(shown[name]) for name in names}
-        self.table.height = min(MAX_HEIGHT, 45 + 25 * len(shown))
+        self.table.height = min(420, 45 + 25 * len(shown))
         self.source.selected.indices = [k for k, case in enumerate(shown["case"]) if case in chosen]
 
     def _choose(self) -> None:

@@ -9,10 +9,10 @@ from typing import Any
 
 from bokeh.layouts import column
 
-from fmuid.apps.workbench.home import escaped
 from fmuid.apps.workbench.jobs import Job, Jobs, command_text
 from fmuid.apps.workbench.widgets import button, line, words
 from fmuid.events import Event, SearchStep
+from fmuid.reports.render.html import text as escaped
 from fmuid.reports.render.progress import event_words
 
 EVERY = 150  # ms between two looks at a command

@@ -9,7 +9,7 @@ from bokeh.layouts import column
 from bokeh.models import Toggle
 
 from fmuid.apps.workbench.access_control import SCHEME
-from fmuid.apps.workbench.home import address, escaped
+from fmuid.apps.workbench.home import address
 from fmuid.apps.workbench.jobs import command_text
 from fmuid.apps.workbench.page_layout import argument, dress, sections
 from fmuid.apps.workbench.pages.command_panel import CommandPanel
@@ -17,6 +17,7 @@ from fmuid.apps.workbench.pages.results_view import ResultsView
 from fmuid.apps.workbench.project_folder import Folder, beside, read_study, tables
 from fmuid.apps.workbench.widgets import SHEET, choice, line, on_change, words
 from fmuid.errors import InputError
+from fmuid.reports.render.html import text as escaped
 
 KINDS = ("monitoring", "diagnosis")
 

@@ -12,7 +12,7 @@ import numpy as np
 from bokeh.layouts import column
 from bokeh.models import ColumnDataSource, Spinner
 
-from fmuid.apps.workbench.home import address, escaped, file_address
+from fmuid.apps.workbench.home import address, file_address
 from fmuid.apps.workbench.jobs import Job
 from fmuid.apps.workbench.pages.command_panel import CommandPanel
 from fmuid.apps.workbench.pages.remedy_panel import RemedyPanel, StudyPageProtocol
@@ -27,6 +27,7 @@ from fmuid.reports import documents_of
 from fmuid.reports.chart import LIMITS, Axis, Chart, Data, Layer
 from fmuid.reports.render.bokeh_models import live
 from fmuid.reports.render.bokeh_renderer import DrawnCharts, drawing
+from fmuid.reports.render.html import text as escaped
 
 SEARCHES = {
     "local": [],

@@ -8,7 +8,7 @@ from bokeh.layouts import column
 from bokeh.models import Select
 
 from fmuid.apps.workbench.access_control import SCHEME
-from fmuid.apps.workbench.home import address, escaped
+from fmuid.apps.workbench.home import address
 from fmuid.apps.workbench.jobs import Job, command_text
 from fmuid.apps.workbench.page_layout import argument, dress, sections
 from fmuid.apps.workbench.pages.command_panel import CommandPanel
@@ -19,7 +19,8 @@ from fmuid.data import first_lines
 from fmuid.errors import FmuidError, InputError
 from fmuid.reports.document import table_of
 from fmuid.reports.render.html import details, table
-from fmuid.reports.topics.init import LINK_HEADS, heading, link_cells, remarks
+from fmuid.reports.render.html import text as escaped
+from fmuid.reports.topics.init import heading, links_table, remarks
 from fmuid.reports.topics.preprocessing import preprocessing_charts
 from fmuid.runs import prepared_columns
 from fmuid.studies import InitOptions, MatchedDataFile, match_data_files, parse_column, value_of
@@ -33,7 +34,6 @@ LABELS = {
     "resample_interval": "resample (s)",
 }
 """Offered keys of ``[experiments.preprocess]``, beside detrend."""
-ROWS = 5  # shown rows of a data file
 
 
 def build(doc: Any, bench: Any) -> None:
@@ -162,17 +162,15 @@ class NewPage:
 
 def _record(record: MatchedDataFile, folder: Folder) -> str:
     """Return a data file, as read and as matched, as HTML."""
-    links = [link_cells(link) for link in record.links]
-    taken = table(table_of({head: [cells[k] for cells in links] for k, head in enumerate(LINK_HEADS)}, LINK_HEADS))
-    first = record.frame.head(ROWS)
+    first = record.frame.head(5)
     columns = {
         str(name): [f"{each:.6g}" if isinstance(each, float) else str(each) for each in first[name]]
         for name in [record.time, *record.columns]
     }
     read = table(table_of(columns, columns))
-    file = "\n".join(first_lines(record.path, 2 * ROWS))[:1200]
+    file = "\n".join(first_lines(record.path, 10))[:1200]
     file = details("First lines of the file", file) if file else ""
     said = "".join(f"<li>{escaped(each.text)}</li>" for each in remarks(record))
     doubts = f"<ul class=doubts>{said}</ul>" if said else ""
     title = escaped(heading(record, folder.name(record.path)))
-    return f"<h3>{title}</h3>{taken}{doubts}<p class=soft>As read, time in s:</p>{read}{file}"
+    return f"<h3>{title}</h3>{table(links_table(record))}{doubts}<p class=soft>As read, time in s:</p>{read}{file}"

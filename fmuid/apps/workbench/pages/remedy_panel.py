@@ -12,7 +12,7 @@ from urllib.parse import quote
 
 from bokeh.layouts import column, row
 
-from fmuid.apps.workbench.home import address, escaped
+from fmuid.apps.workbench.home import address
 from fmuid.apps.workbench.jobs import Job
 from fmuid.apps.workbench.pages.command_panel import CommandPanel
 from fmuid.apps.workbench.pages.sliders import ParameterRow
@@ -22,6 +22,7 @@ from fmuid.errors import InputError
 from fmuid.estimation import Result
 from fmuid.files import is_file
 from fmuid.formatting import of_parameter
+from fmuid.reports.render.html import text as escaped
 from fmuid.runs import study_of
 from fmuid.studies import Study, read_toml
 

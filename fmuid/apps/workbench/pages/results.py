@@ -16,7 +16,7 @@ from bokeh.models import FileInput
 from markupsafe import Markup
 
 from fmuid.apps.workbench.access_control import SCHEME
-from fmuid.apps.workbench.home import address, escaped, file_address
+from fmuid.apps.workbench.home import address, file_address
 from fmuid.apps.workbench.jobs import Job, command_text
 from fmuid.apps.workbench.page_layout import argument, arguments, dress, sections
 from fmuid.apps.workbench.pages.command_panel import CommandPanel
@@ -33,6 +33,7 @@ from fmuid.reports import documents_of
 from fmuid.reports.chart import LIMITS, ChartGrid
 from fmuid.reports.document import Document, Section, table_of
 from fmuid.reports.render.html import place_of, written
+from fmuid.reports.render.html import text as escaped
 from fmuid.reports.render.style import DARK
 from fmuid.reports.topics.fit import fit_sections, worst
 from fmuid.reports.topics.model_comparison import estimate_charts

@@ -8,7 +8,6 @@ from typing import Any
 
 from bokeh.layouts import column
 
-from fmuid.apps.workbench.home import escaped
 from fmuid.apps.workbench.pages.live import in_scheme
 from fmuid.apps.workbench.widgets import SHEET, line, words
 from fmuid.errors import InputError
@@ -17,10 +16,10 @@ from fmuid.reports import documents_of
 from fmuid.reports.document import Document
 from fmuid.reports.render.document_json import DOCUMENT_FILE
 from fmuid.reports.render.html import drawn_sections, section_head, verdict
+from fmuid.reports.render.html import text as escaped
 
 EVERY = 1000  # ms between two looks at the folder
 FILES = {"identification": "result.json"}  # files of kinds with another name
-MIN_WIDTH = 280  # pixels, of figures side by side
 
 
 class ResultsView:
@@ -65,6 +64,6 @@ def models(documents: Iterable[Document], scheme: str) -> list[Any]:
 def side_by_side(figures: Sequence[Any]) -> Any:
     """Return figures side by side, if there is room."""
     for each in figures:
-        each.sizing_mode, each.width_policy, each.min_width = "stretch_width", "max", MIN_WIDTH
-        each.styles = {"flex": f"1 1 {MIN_WIDTH}px"}
+        each.sizing_mode, each.width_policy, each.min_width = "stretch_width", "max", 280
+        each.styles = {"flex": "1 1 280px"}
     return line(*figures)

@@ -15,8 +15,6 @@ from fmuid.data import Normal, Parameter
 from fmuid.formatting import label
 
 PLACES = 1000  # steps of a slider
-LOG_RATIO = 20.0  # ranges over a larger ratio are logarithmic
-SPAN_RATIO = 5.0  # range: center / ratio to center * ratio
 NEAR_STDS = 10.0  # half range around an estimate, σ
 
 
@@ -70,7 +68,7 @@ def reach_of(parameter: Parameter, estimate: tuple[float, float] | None = None, 
 def _span(parameter: Parameter, center: float) -> list[float]:
     """Return values around an estimate or initial guess: ratio, prior."""
     size, prior = abs(parameter.start) or parameter.nominal or 1.0, parameter.prior
-    span = [center / SPAN_RATIO, center * SPAN_RATIO] if center else [-2 * size, 2 * size]
+    span = [center / 5.0, center * 5.0] if center else [-2 * size, 2 * size]
     room = [] if prior is None else [prior.mean + side * 4.0 * prior.std for side in (-1.0, 1.0)]
     return [parameter.start, *span, *room]
 
@@ -78,7 +76,7 @@ def _span(parameter: Parameter, center: float) -> list[float]:
 def _within(parameter: Parameter, places: Sequence[float]) -> SliderRange:
     """Return the range of values within the bounds."""
     low, high = max(min(places), parameter.min), min(max(places), parameter.max)
-    return SliderRange(low, high, low > 0 and high / low >= LOG_RATIO) if low < high else reach_of(parameter)
+    return SliderRange(low, high, low > 0 and high / low >= 20.0) if low < high else reach_of(parameter)
 
 
 class ParameterRow:

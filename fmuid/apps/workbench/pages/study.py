@@ -8,7 +8,7 @@ import time
 from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 from urllib.parse import quote
 
 import numpy as np
@@ -16,14 +16,14 @@ from bokeh.layouts import column
 from bokeh.models import TabPanel, Tabs, Toggle
 
 from fmuid.apps.workbench.access_control import SCHEME
-from fmuid.apps.workbench.home import address, escaped
-from fmuid.apps.workbench.jobs import Jobs, command_text
+from fmuid.apps.workbench.home import address
+from fmuid.apps.workbench.jobs import command_text
 from fmuid.apps.workbench.page_layout import argument, arguments, dress
 from fmuid.apps.workbench.pages.identification_panel import IdentificationPanel
 from fmuid.apps.workbench.pages.live import LatestOnlyWorker, LiveFit
 from fmuid.apps.workbench.pages.remedy_panel import last_of, noise_of
 from fmuid.apps.workbench.pages.sliders import ParameterRow
-from fmuid.apps.workbench.project_folder import Folder, FoundResult
+from fmuid.apps.workbench.project_folder import FoundResult
 from fmuid.apps.workbench.widgets import SHEET, WIDE, button, choice, line, on_change, words
 from fmuid.array_types import Floats
 from fmuid.errors import FmuidError, InputError
@@ -31,20 +31,14 @@ from fmuid.estimation import Result
 from fmuid.files import is_file
 from fmuid.formatting import fit_text, with_unit
 from fmuid.processes import AVAILABLE
+from fmuid.reports.render.html import text as escaped
 from fmuid.simulation import Simulator, close, executor_of, fit_of, parameter_units
 from fmuid.studies import Study
 
 HOLD, PRIOR = "hold", "prior"  # Address arguments: a parameter to fix, and one to give a prior
 
 
-class WorkbenchProtocol(Protocol):
-    """The workbench, as pages see it."""
-
-    folder: Folder
-    jobs: Jobs
-
-
-def build(doc: Any, bench: WorkbenchProtocol) -> None:
+def build(doc: Any, bench: Any) -> None:
     """Fill a document with the page of a study."""
     path, given = bench.folder.path(argument(doc, "file")), arguments(doc, "set")
     page = StudyPage(doc, bench, path, Study.read(path, given, isolated=AVAILABLE), argument(doc, SCHEME), given)
@@ -58,9 +52,7 @@ def build(doc: Any, bench: WorkbenchProtocol) -> None:
 class StudyPage:
     """One tab of a study."""
 
-    def __init__(
-        self, doc: Any, bench: WorkbenchProtocol, path: Path, study: Study, scheme: str, given: Sequence[str] = ()
-    ) -> None:
+    def __init__(self, doc: Any, bench: Any, path: Path, study: Study, scheme: str, given: Sequence[str] = ()) -> None:
         study.check_parameters()
         self.doc, self.bench, self.path, self.study, self.scheme = doc, bench, path, study, scheme
         self._given = given  # values that replace those of the file
