@@ -66,7 +66,7 @@ def test_the_sample_that_is_shown(tmp_path: Path) -> None:
 
 
 def test_the_isolation_that_is_shown(tmp_path: Path) -> None:
-    (words,) = blocks("isolation.md", "toml")
+    (words,) = blocks("isolation-limits.md", "toml")
     study_of(words, tmp_path)
     assert (
         f"{SLOWER_FACTOR:g} times the longest so far, at least {LEAST_TIME_LIMIT:g} s; {FIRST_TIME_LIMIT:g} s before"
@@ -74,7 +74,7 @@ def test_the_isolation_that_is_shown(tmp_path: Path) -> None:
     )
 
 
-@pytest.mark.parametrize("code", [*blocks("clusters.md", "python"), *blocks("batches.md", "python")])
+@pytest.mark.parametrize("code", [*blocks("clusters.md", "python"), *blocks("kubernetes.md", "python"), *blocks("batches.md", "python")])
 def test_scripts_are_python(code: str) -> None:
     compile(code, "page", "exec")
 

@@ -41,7 +41,7 @@ def has_charts(section: ast.Call) -> bool:
 
 def test_each_figure_says_how_it_is_read() -> None:
     """The names on the page are those that a report can draw, each of them and no other; a new run clears them all."""
-    said = {name for names, *_ in rows("report.md", 4) for name in re.findall(r"`(\w+)`", names)}
+    said = {name for names, *_ in rows("figures.md", 4) for name in re.findall(r"`(\w+)`", names)}
     found = set().union(*(drawn(module) for module in TOPICS.glob("*.py")))
     assert said == found
     assert found <= set(KINDS)

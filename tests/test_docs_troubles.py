@@ -88,7 +88,7 @@ def test_row(head: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> N
 # --- the FMU does not run -----------------------------------------------------------------
 
 elsewhere("`has no binary for` this platform", "tests.apps.cli.test_newcomers:test_fmus_that_are_none")
-elsewhere("it asks for a licence, or for the tool that made it", "tests.simulation.test_validation:test_faults")
+elsewhere("it asks for a license, or for its tool", "tests.simulation.test_validation:test_faults")
 elsewhere("`declares … more than once`", "tests.apps.cli.test_bad_fmus:test_two_variables_of_one_name")
 elsewhere("it crashes, or hangs", "tests.simulation.test_validation:test_a_hang_is_ended")
 
@@ -139,7 +139,7 @@ def _dies_out(_: Path, __: pytest.CaptureFixture[str]) -> None:
     assert size(residual(experiment(table, warmup=0.3))) < 0.006
 
 
-@row("is a copy of the signal, smaller")
+@row("a smaller copy of the signal")
 def _copy(_: Path, __: pytest.CaptureFixture[str]) -> None:
     given = experiment(recorded())
     left = residual(given, {"L": FREE["L"]}, R=5.0)
@@ -170,7 +170,7 @@ def _grows(_: Path, __: pytest.CaptureFixture[str]) -> None:
     assert left.iloc[-1] > 3 * left.iloc[100] > 9 * left.iloc[50] > 0
 
 
-@row("all zero or all of the signal")
+@row("equals the whole signal")
 def _unfed(_: Path, capsys: pytest.CaptureFixture[str]) -> None:
     given = Experiment(recorded(), [], ["i"], source="run.csv")
     simulator = Simulator(COIL, given)
@@ -194,14 +194,14 @@ def wave(start: float, low: float = 0.1, high: float = 40.0) -> LeastSquares:
     return LeastSquares.from_function(lambda theta: np.sin(theta[0] * TIMES), WAVE, free)
 
 
-@row("it converges, to values that cannot be")
+@row("it converges to impossible values")
 def _wrong_optimum(_: Path, __: pytest.CaptureFixture[str]) -> None:
     assert abs(identify(wave(20.0))["w"] - 9.0) > 3.0
     for problem, method in ((wave(11.0, 6.0, 12.0), None), (wave(20.0), EVERYWHERE)):
         assert identify(problem, method)["w"] == pytest.approx(9.0, abs=0.05)
 
 
-@row("another start gives other values")
+@row("another initial guess gives other values")
 def _other_start(_: Path, __: pytest.CaptureFixture[str]) -> None:
     assert abs(identify(wave(20.0))["w"] - identify(wave(8.0))["w"]) > 3.0
     optima = identify(wave(20.0), EVERYWHERE).history.optima
@@ -218,7 +218,7 @@ def both(prior: Normal | None = None, held: bool = False) -> fmuid.Result:
     )
 
 
-@row("`cannot be told apart`")
+@row("parameters are not identifiable")
 def _apart(_: Path, __: pytest.CaptureFixture[str]) -> None:
     assert "a and b cannot be told apart: only a + b is determined" in str(Document.of(both()))
     assert np.isinf(both().std).all()
@@ -226,7 +226,7 @@ def _apart(_: Path, __: pytest.CaptureFixture[str]) -> None:
     assert both(held=True)["a"] == pytest.approx(1.0, abs=0.05)
 
 
-@row("standard deviations of more than 100 %")
+@row("σ above 100 %")
 def _weak(_: Path, __: pytest.CaptureFixture[str]) -> None:
     measured = TIMES + 0.5 * np.random.default_rng(1).standard_normal(TIMES.size)
 
@@ -264,7 +264,7 @@ def _long(_: Path, __: pytest.CaptureFixture[str]) -> None:
 
 # --- a run ended early ----------------------------------------------------------------------
 
-elsewhere("Ctrl-C, SIGTERM, or the terminal was closed (SIGHUP)", "tests.apps.cli.test_interruption:test_a_search")
+elsewhere("Ctrl-C, SIGTERM, or a closed terminal (SIGHUP)", "tests.apps.cli.test_interruption:test_a_search")
 elsewhere(
     "the output went to `head`, or to a full disk", "tests.apps.cli.test_outputs:test_a_search_ends_whoever_reads"
 )

@@ -13,12 +13,11 @@ from fmuid.apps.cli.app import app
 
 HEAD = """# The commands
 
-`fmuid COMMAND --help` says the same. Exit codes: 0 done; 1 ran but did not succeed, such as not converged or a fault
-found; 2 wrong input. `--version` prints the version.
+`fmuid COMMAND --help` prints the same. `fmuid --version` prints the version.
 
-Results and iterations go to the standard output: tables first, then sentences, `note:` before those that are doubtful,
-and at the end the verdict in a word and the files that were written. Notes on a study, warnings and progress go to the
-standard error.
+Exit codes: 0 done; 1 ran without success, such as not converged, or a fault found; 2 wrong input.
+
+Results go to standard output. Notes, warnings and progress go to standard error.
 """
 
 
@@ -26,7 +25,7 @@ def page() -> str:
     """Return the page, in Markdown."""
     commands = [each.callback for each in app.registered_commands if each.callback is not None]
     rows = [f"| [`{_name(each)}`](#fmuid-{_name(each)}) | {_text(each.__doc__)} |" for each in commands]
-    return "\n".join([HEAD, "| command | what it does |", "|---|---|", *rows, "", *map(_section, commands)])
+    return "\n".join([HEAD, "| command | effect |", "|---|---|", *rows, "", *map(_section, commands)])
 
 
 def _name(command: Callable[..., Any]) -> str:
@@ -40,7 +39,7 @@ def _section(command: Callable[..., Any]) -> str:
     head = [f"## fmuid {_name(command)}", "", _text(command.__doc__), ""]
     usage = " ".join(["    fmuid", _name(command), *places, *(["[OPTIONS]"] if len(places) < len(taken) else [])])
     return "\n".join(
-        [*head, usage, "", *(["| word | meaning | default |", "|---|---|---|", *rows, ""] if rows else [])]
+        [*head, usage, "", *(["| argument | meaning | default |", "|---|---|---|", *rows, ""] if rows else [])]
     )
 
 

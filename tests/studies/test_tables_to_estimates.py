@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from pathlib import Path
 
 import pytest
@@ -11,18 +10,15 @@ from fmuid.apps.cli.options import DONE
 from tests.support.coil_study import fmuid_, result
 from tests.support.exported import export_text
 from tests.support.paths import ROOT
-from tests.support.table_variants import MODEL, TRUTH, listed, said, writers
+from tests.support.table_variants import MODEL, SAID, TRUTH, writers
 
-WRITERS, SAID = writers(), said()
+WRITERS = writers()
 
 
-def test_the_page_has_all_forms() -> None:
-    assert len(WRITERS) >= 60
-    assert len(SAID) <= 5 * len(WRITERS) / 60
-    assert sorted([*listed(), *SAID]) == sorted(WRITERS)
+def test_the_page_counts_all_forms() -> None:
     page = (ROOT / "docs/tables.md").read_text(encoding="utf-8")
-    assert re.findall(r"(\d+) forms", page) == [str(len(WRITERS))] * 2
-    assert re.findall(r"lead from (\d+) of them", page) == [str(len(WRITERS) - len(SAID))]
+    assert SAID.keys() <= WRITERS.keys()
+    assert f"one recording in {len(WRITERS)} forms. From {len(WRITERS) - len(SAID)} of them" in page
 
 
 @pytest.fixture(scope="module")
@@ -68,4 +64,6 @@ def test_a_sentence(motor: Path, tmp_path: Path, capsys: pytest.CaptureFixture[s
     name, write = WRITERS[variant]
     write(tmp_path / name)
     fmuid_("init", motor, tmp_path / name, "--output", tmp_path / "study.toml")
-    assert f"{name}: {SAID[variant]}" in "".join(capsys.readouterr()).replace(f"{name} lasts", f"{name}: lasts")
+    said = "".join(capsys.readouterr())
+    assert f"{name}: " in said.replace(f"{name} lasts", f"{name}: lasts")
+    assert SAID[variant] in said

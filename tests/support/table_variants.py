@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import gzip
 import json
-import re
 import zipfile
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -18,7 +17,6 @@ from scipy.io import savemat
 from scipy.linalg import expm
 
 from tests.support.mat4 import characters, write_mat4
-from tests.support.paths import ROOT
 
 MODEL = """
 model Motor "permanent-magnet motor without inductance"
@@ -367,15 +365,16 @@ def writers() -> Mapping[str, tuple[str, Write]]:
     }
 
 
-def said() -> dict[str, str]:
-    """Return what the page on tables has `fmuid init` say of the variants that do not lead to the same estimates."""
-    lines = (ROOT / "docs/tables.md").read_text(encoding="utf-8").partition("## One record")[2].splitlines()
-    rows = [line.strip("| ").split(" | ") for line in lines if line.startswith("| ") and line.endswith("* |")]
-    return {name: sentence.strip("*… ") for name, sentence in rows}
-
-
-def listed() -> list[str]:
-    """Return the variants that the page lists as those that do."""
-    page = (ROOT / "docs/tables.md").read_text(encoding="utf-8").partition("## One record")[2]
-    names = re.findall(r"^- [^:]*: (.*(?:\n  .*)*)", page, re.MULTILINE)
-    return [each.strip("`") for group in names for each in " ".join(group.split()).split("; ")]
+SAID = {
+    "shuffled": "'time' decreases in row 2",
+    "sums at the end": "'time' holds 'Mean' in row 121",
+    "times without fractions": "'time' has 0 s more than twice",
+    "no times": "'time' is missing (there is u, i, w)",
+    "units and no names": "'time' is missing (there is [s], [V], [A], [rad/s])",
+    "numbers alone": "the first line holds numbers",
+    "ms, unsaid": "(ms?)",
+    "rpm, unsaid": "no column for the output w",
+    "-999 for missing": "3 samples of 'i' are -999",
+    "unnamed.mat": "the file holds no numeric vectors",
+}
+"""Words that `fmuid init` says of the variants that do not lead to the same estimates."""
