@@ -74,7 +74,9 @@ def test_the_isolation_that_is_shown(tmp_path: Path) -> None:
     )
 
 
-@pytest.mark.parametrize("code", [*blocks("clusters.md", "python"), *blocks("kubernetes.md", "python"), *blocks("batches.md", "python")])
+@pytest.mark.parametrize(
+    "code", [*blocks("clusters.md", "python"), *blocks("kubernetes.md", "python"), *blocks("batches.md", "python")]
+)
 def test_scripts_are_python(code: str) -> None:
     compile(code, "page", "exec")
 

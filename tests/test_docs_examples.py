@@ -40,7 +40,19 @@ def blocks(page: str, kind: str) -> list[str]:
     return re.findall(rf"```{kind}\n(.*?)```", (DOCS / page).read_text(encoding="utf-8"), re.DOTALL)
 
 
-@pytest.mark.parametrize("page", ["api.md", "coupled.md", "faults.md", "how-it-works.md", "monitoring.md", "preprocessing.md", "priors.md", "tables.md"])
+@pytest.mark.parametrize(
+    "page",
+    [
+        "api.md",
+        "coupled.md",
+        "faults.md",
+        "how-it-works.md",
+        "monitoring.md",
+        "preprocessing.md",
+        "priors.md",
+        "tables.md",
+    ],
+)
 def test_python_runs(page: str) -> None:
     found = blocks(page, "python")
     assert found
