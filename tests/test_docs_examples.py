@@ -1,13 +1,11 @@
-"""What the pages of docs show is run, Python, commands and what they print; and each sentence of fmuid is explained."""
+"""Python, commands and output on the pages of docs; the page of messages."""
 
 from __future__ import annotations
 
-import ast
 import re
 import shlex
 import shutil
 import tomllib
-from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -20,19 +18,6 @@ from tools import messages_page
 from tools.commands_page import page as commands_page
 
 DOCS = ROOT / "docs"
-REPORTS = ROOT / "fmuid" / "reports"
-# Modules whose sentences are functions; those of the others are messages, which the page is made of, or captions.
-SAID = (
-    "prior_and_data",
-    "residual_analysis",
-    "study_notes",
-    "termination",
-    "uncertainty",
-)
-# What functions return whose texts are headings and axes.
-DRAWN = re.compile("Chart|Figure|Layer|Section|Table")
-# Fewer words in a row say nothing by themselves.
-LEAST_WORDS = 4
 
 
 def blocks(page: str, kind: str) -> list[str]:
@@ -124,41 +109,6 @@ def test_every_public_name_has_its_page() -> None:
     packages = {"data", "datasets", "diagnosis", "estimation", "identification", "runs", "signals"}
     assert sorted(listed) == sorted(set(public) - {"__version__", *packages})
     assert len(public) <= 45 + len(packages - {"datasets", "signals"})
-
-
-# --- sentences ---------------------------------------------------------------------------
-
-
-def fragments(source: Path) -> Iterator[str]:
-    """Yield of each text of a module the longest part that stands fast; neither docstrings nor charts."""
-    tree = ast.parse(source.read_text(encoding="utf-8"))
-    skipped = {id(node.value) for node in ast.walk(tree) if isinstance(node, ast.Expr)}
-    skipped |= {id(node.value) for node in tree.body if isinstance(node, ast.Assign)}
-    functions = [node for node in tree.body if isinstance(node, ast.FunctionDef) and node.returns is not None]
-    drawn = [node for node in functions if node.returns and DRAWN.search(ast.unparse(node.returns))]
-    skipped |= {id(part) for function in drawn for part in ast.walk(function)}
-    skipped |= {id(part) for node in ast.walk(tree) if isinstance(node, ast.JoinedStr) for part in node.values}
-    for node in ast.walk(tree):
-        if id(node) in skipped:
-            continue
-        if isinstance(node, ast.JoinedStr):
-            parts = [str(part.value) for part in node.values if isinstance(part, ast.Constant)]
-        elif isinstance(node, ast.Constant) and isinstance(node.value, str):
-            parts = re.split(r"\{[^}]*\}", node.value)
-        else:
-            continue
-        longest = max(parts, key=len, default="")
-        if len(longest.split()) >= LEAST_WORDS:
-            yield longest.strip(" ,;:()")
-
-
-@pytest.mark.parametrize("name", ["shared_phrases", *(f"topics/{each}" for each in SAID)])
-def test_every_sentence_is_explained(name: str) -> None:
-    """What fmuid says of a result stands on docs/messages.md, with what it means and what to do."""
-    page = " ".join((DOCS / "messages.md").read_text(encoding="utf-8").split())
-    said = list(fragments(REPORTS / f"{name}.py"))
-    assert said
-    assert [each for each in said if each not in page] == []
 
 
 def test_the_messages_are_those_that_there_are() -> None:

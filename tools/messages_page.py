@@ -1,7 +1,6 @@
-"""The messages of the topics, as tables of a page: ``python -m tools.messages_page`` writes docs/messages.md anew.
+"""Write the messages of the topics as tables into docs/messages.md: ``python -m tools.messages_page``.
 
-The page has a comment before and after each table, ``<!-- BatchMessage -->`` and ``<!-- end -->``; the rest of it is
-kept as it is.
+Comments enclose each table: ``<!-- BatchMessage -->`` and ``<!-- end -->``. The rest of the page is kept.
 """
 
 from __future__ import annotations
@@ -13,7 +12,7 @@ from pathlib import Path
 from pkgutil import walk_packages
 
 from fmuid import reports
-from fmuid.reports.document import Message, capitalised
+from fmuid.reports.document import Message, capitalized
 
 PAGE = Path(__file__).parents[1] / "docs" / "messages.md"
 MARKED = re.compile(r"<!-- (\w+Message) -->\n.*?<!-- end -->", re.DOTALL)
@@ -41,8 +40,8 @@ def kinds() -> Iterator[type[Message]]:
 
 def table(kind: type[Message]) -> str:
     """Return the messages of a class as a table; those that are filled with a whole sentence are none of their own."""
-    rows = [(f"*{_said(each.text)}*", each.meaning, each.action) for each in kind if has_words(each)]
-    heads = ("it says", "that is", "what to do") if any(remedy for *_, remedy in rows) else ("it says", "that is")
+    rows = [(f"*{_said(each.text)}*", each.meaning, _open(each.remedy)) for each in kind if has_words(each)]
+    heads = ("it says", "meaning", "what to do") if any(remedy for *_, remedy in rows) else ("it says", "meaning")
     told = [heads, ("---",) * len(heads), *(row[: len(heads)] for row in rows)]
     lines = ["| " + " | ".join(cell.replace("|", "\\|") for cell in row) + " |" for row in told]
     lines[1] = "|---" * len(heads) + "|"
@@ -54,9 +53,13 @@ def has_words(message: Message) -> bool:
     return re.search(r"\w", re.sub(r"\{[^}]*\}", "", message.text)) is not None
 
 
+def _open(text: str) -> str:
+    return re.sub(r"\{[^}]*\}( ?\{[^}]*\})*", "…", text)
+
+
 def _said(text: str) -> str:
-    """Return a template as it is read: an ellipsis for each place to be filled."""
-    return capitalised(re.sub(r"\{[^}]*\}( ?\{[^}]*\})*", "…", text))
+    """Return a template with an ellipsis for each value."""
+    return capitalized(_open(text))
 
 
 if __name__ == "__main__":

@@ -6,18 +6,18 @@ from collections.abc import Iterable
 
 from fmuid.diagnosis import Diagnosis, Monitor
 from fmuid.errors import InputError
-from fmuid.estimation import Estimator, LinearEstimate, Result
+from fmuid.estimation import LinearEstimate, Result
 from fmuid.formatting import with_std
 from fmuid.identification import CONFIDENCE_LEVEL, Assessment, Posterior, PriorDataComparison, ResidualAnalysis
-from fmuid.reports.document import Document, Message, Remark, Section, Tone, capitalised
+from fmuid.reports.document import Document, Message, Remark, Section, Tone
 from fmuid.reports.topics.diagnosis import diagnosis_sections
 from fmuid.reports.topics.diagnosis_phrases import diagnosis_notes, verdict
 from fmuid.reports.topics.estimates import estimates_section
 from fmuid.reports.topics.monitoring import monitoring_document
-from fmuid.reports.topics.prior_and_data import reading_words
-from fmuid.reports.topics.residual_analysis import residual_words
-from fmuid.reports.topics.termination import result_words
-from fmuid.reports.topics.uncertainty import posterior_words, uncertainty_words
+from fmuid.reports.topics.prior_and_data import reading_remarks
+from fmuid.reports.topics.residual_analysis import residual_remarks
+from fmuid.reports.topics.termination import result_remarks, state_and_reason
+from fmuid.reports.topics.uncertainty import posterior_remarks, uncertainty_remarks
 from fmuid.runs import findings_of
 
 
@@ -44,13 +44,6 @@ class LinearMessage(Message):
     )
 
 
-_ESTIMATORS = {
-    Estimator.LEAST_SQUARES: LinearMessage.LEAST_SQUARES,
-    Estimator.EQUATION_ERROR: LinearMessage.EQUATION_ERROR,
-    Estimator.INSTRUMENTAL_VARIABLES: LinearMessage.INSTRUMENTAL_VARIABLES,
-}
-
-
 def description(found: object) -> Document:
     """Return the document of a single result.
 
@@ -69,44 +62,35 @@ def description(found: object) -> Document:
         case Monitor():
             return monitoring_document(findings_of(found))
         case Assessment():
-            said = () if found.prior_and_data is None else reading_words(found.prior_and_data)
-            said += () if found.residuals is None else residual_words(found.residuals)
-            said += uncertainty_words(found)
-            sampled = () if found.posterior is None else found.posterior.names
-            return _described("Assessment", said, (*(each.name for each in found.profiles), *sampled))
+            said = [] if found.prior_and_data is None else reading_remarks(found.prior_and_data)
+            said += [] if found.residuals is None else residual_remarks(found.residuals)
+            return _described("Assessment", [*said, *uncertainty_remarks(found)])
         case LinearEstimate():
-            return _described("Linear estimate", _linear_words(found), found.names, "", found.converged)
+            return _described("Linear estimate", _linear_remarks(found), "", found.converged)
         case ResidualAnalysis():
-            return _described("Residuals", residual_words(found))
+            return _described("Residuals", residual_remarks(found))
         case PriorDataComparison():
-            return _described("Prior and data", reading_words(found), found.names)
+            return _described("Prior and data", reading_remarks(found))
         case Posterior():
-            return _described("Posterior", (posterior_words(found),), found.names, "", found.converged)
+            return _described("Posterior", posterior_remarks(found), "", found.converged)
     raise InputError(f"a {type(found).__name__} has no document")
 
 
 def result_document(result: Result, level: float = CONFIDENCE_LEVEL) -> Document:
     """Return the document of a result, with intervals of a level."""
-    state = "converged" if result.converged else result.outcome.value.replace("_", " ")
-    sections = [estimates_section(result, level)]
-    return _described("Result", result_words(result), result.names, state, result.converged, sections)
+    state, _ = state_and_reason(result)
+    return _described("Result", result_remarks(result), state, result.converged, [estimates_section(result, level)])
 
 
 def _described(
-    heading: str,
-    words: Iterable[str],
-    names: Iterable[str] = (),
-    state: str = "",
-    good: bool = True,
-    sections: Iterable[Section] = (),
+    heading: str, said: Iterable[Remark], state: str = "", good: bool = True, sections: Iterable[Section] = ()
 ) -> Document:
-    said = tuple(Remark(capitalised(each, names)) for each in words)
     kind = heading.lower().replace(" ", "-")
-    return Document(kind, heading, state, "good" if good else "bad", said, tuple(sections))
+    return Document(kind, heading, state, "good" if good else "bad", tuple(said), tuple(sections))
 
 
-def _linear_words(estimate: LinearEstimate) -> tuple[str, ...]:
+def _linear_remarks(estimate: LinearEstimate) -> list[Remark]:
     triples = zip(estimate.names, estimate.values.tolist(), estimate.std.tolist(), strict=True)
     values = ", ".join(f"{name} = {with_std(value, std)}" for name, value, std in triples)
-    said = (values, _ESTIMATORS[estimate.estimator].text)
-    return said if estimate.converged else (*said, LinearMessage.UNSETTLED.text.format(rounds=estimate.rounds))
+    said = [Remark(values), LinearMessage[estimate.estimator.name].said()]
+    return said if estimate.converged else [*said, LinearMessage.UNSETTLED.said(rounds=estimate.rounds)]

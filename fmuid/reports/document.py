@@ -15,29 +15,34 @@ if TYPE_CHECKING:
     from fmuid.runs import Provenance
 
 Tone = Literal["plain", "good", "doubt", "bad"]
-Place = Literal["console", "page"]
-EVERYWHERE: frozenset[Place] = frozenset(("console", "page"))
-CONSOLE: frozenset[Place] = frozenset(("console",))
+Place = Literal["console", "detail", "page"]
+EVERYWHERE: frozenset[Place] = frozenset(("console", "detail", "page"))
+CONSOLE: frozenset[Place] = frozenset(("console", "detail"))
+DETAIL: frozenset[Place] = frozenset(("detail",))
+"""On a terminal with ``--verbose`` only."""
 PAGE: frozenset[Place] = frozenset(("page",))
 TERMINAL_ROWS = 60
 """Rows of a table on a terminal; more scroll away the first. A pipe gets them all."""
 
 
 class Message(Enum):
-    """Sentences of a topic: a template each, what it means, and what to do. ``docs/messages.md`` is made of them."""
+    """Messages of a topic: template, meaning, remedy and tone of each. ``docs/messages.md`` lists them."""
 
-    def __init__(self, text: str, meaning: str = "", action: str = "") -> None:
-        self.text, self.meaning, self.action = text, meaning, action
+    def __init__(self, text: str, meaning: str = "", remedy: str = "", tone: Tone = "plain") -> None:
+        self.text, self.meaning, self.remedy, self.tone = text, meaning, remedy, tone
 
-    def said(self, tone: Tone = "plain", section: str = "", names: Iterable[str] = (), /, **values: object) -> Remark:
+    def said(
+        self, tone: Tone | None = None, section: str = "", names: Iterable[str] = (), /, **values: object
+    ) -> Remark:
         """Return the message with values, capitalized unless a name begins it."""
-        told, remedy = self.text.format(**values), self.action.format(**values)
-        return Remark(capitalised(told, names), tone, section, f"{type(self).__name__}.{self.name}", values, remedy)
+        told = capitalized(self.text.format(**values), names)
+        key, remedy = f"{type(self).__name__}.{self.name}", self.remedy.format(**values)
+        return Remark(told, tone or self.tone, section, key, values, remedy)
 
 
 @dataclass(frozen=True, eq=False)
 class Remark:
-    """A sentence."""
+    """A sentence with its remedy."""
 
     text: str
     tone: Tone = "plain"
@@ -45,6 +50,9 @@ class Remark:
     message: str = ""  # key of its `Message`
     values: Mapping[str, Any] = field(default_factory=dict)  # of the message
     remedy: str = ""
+
+    def __str__(self) -> str:
+        return f"{self.text}\n→ {self.remedy}" if self.remedy else self.text
 
 
 @dataclass(frozen=True)
@@ -87,6 +95,10 @@ class Document:
         Verdict in a word, and its tone.
     remarks : tuple of Remark
         The verdict first.
+    reason : str
+        What follows the verdict in its line.
+    summary : tuple of (str, str)
+        Lines for a terminal: a word and a text each. Without them it shows all remarks.
     sections : tuple of Section
         The first ones, without charts, are tables of the verdict.
     origin, study, title : tuple of Column, str, str
@@ -104,6 +116,8 @@ class Document:
     origin: Table = ()
     study: str = ""
     title: str = ""
+    reason: str = ""
+    summary: tuple[tuple[str, str], ...] = ()
 
     @classmethod
     def of(cls, found: object) -> Document:
@@ -123,13 +137,13 @@ class Document:
         --------
         >>> problem = fmuid.datasets.coil().problem()
         >>> print(fmuid.Document.of(fmuid.identify(problem)))
-        Converged
+        Converged after 8 iterations.
         """
         made: Document = renderer().document(found)
         return made
 
     def __str__(self) -> str:
-        return "\n".join(each.text for each in self.remarks)
+        return "\n".join(map(str, self.remarks))
 
     def html(self) -> str:
         """Return heading, remarks and tables as HTML, without charts."""
@@ -157,6 +171,7 @@ def table_of(columns: Mapping[str, Iterable[str]], words: Iterable[str] = (), ra
     )
 
 
+<<<<<<< HEAD
 def table_of_rows(
     heads: Sequence[str], rows: Iterable[Sequence[str]], words: Iterable[str] = (), ranks: Iterable[str] = ()
 ) -> Table:
@@ -166,6 +181,9 @@ def table_of_rows(
 
 
 def capitalised(words: str, names: Iterable[str] = ()) -> str:
+=======
+def capitalized(words: str, names: Iterable[str] = ()) -> str:
+>>>>>>> fb544b91 (Messages of an identification are data; the console shows verdict, table, five lines and one remedy)
     """Return words with a capital, unless one of the names begins them."""
     kept = any(words.startswith(name) and not words[len(name) :][:1].isalnum() for name in names)
     return words if kept else words[:1].upper() + words[1:]

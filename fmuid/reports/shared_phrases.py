@@ -1,4 +1,4 @@
-"""Phrases that topics share: identifiability."""
+"""Messages that topics share: identifiability."""
 
 from __future__ import annotations
 
@@ -6,94 +6,153 @@ from collections.abc import Sequence
 
 from fmuid.estimation import IdentifiabilityLevel, WeakDirection
 from fmuid.formatting import listed
+from fmuid.reports.document import Message, Remark
 
-# Steps along a direction are told in percent of values, but of magnitudes where values are below this share of them.
-# The largest is 1 %, which is small enough for the linear model: that of the first parameter within this share of it.
-NEAR_ZERO_SHARE, AS_LARGE_SHARE = 0.5, 0.99
-# Beyond so many magnitudes a standard deviation is told in its unit: a percentage of next to nothing says nothing.
-FAR_MAGNITUDES = 10.0
-# Of all coefficients, so many digits are shown.
-DIGITS = 3
+NEAR_ZERO = 0.5
+"""Below this fraction of its scale, a value is no base for a percentage."""
+FAR_SCALES = 10.0
+"""Above this multiple of the scale, σ is given in the parameter's unit."""
+
+_FIX = "Fix one of them, add a prior, or use another excitation."
+_FINER = "Reduce the solver `tolerance` or `step_size`, add a prior, or fix {names}."
+_LONGER = "Use a longer or stronger excitation."
 
 
-def direction_words(direction: WeakDirection) -> str:
-    """Return the identifiability of a direction as text."""
-    if direction.level in (IdentifiabilityLevel.NOT, IdentifiabilityLevel.HIDDEN):
-        return _lost(direction)
-    return _open(direction) if direction.level is IdentifiabilityLevel.NOT_IN_EFFECT else _weak(direction)
+class IdentifiabilityMessage(Message):
+    """Parameters that the data determine poorly or not at all."""
+
+    NO_EFFECT = (
+        "{names} is not identifiable: it has no effect on any output.",
+        "the excitation does not reach it",
+        "Fix {names}, add a prior, or measure an output that {names} affects.",
+        "bad",
+    )
+    HIDDEN = (
+        "{names} is not identifiable: its effect is below the solver error.",
+        "the solver's error hides its effect",
+        _FINER,
+        "bad",
+    )
+    COMBINATION = (
+        "{names} are not identifiable; only {combinations} {verb}.",
+        "for example a ratio or a sum acts, each alone does not",
+        _FIX,
+        "bad",
+    )
+    HIDDEN_COMBINATION = (
+        "{names} are not identifiable within the solver error; only {combinations} {verb}.",
+        "the solver's error hides how they differ",
+        _FINER,
+        "bad",
+    )
+    PRACTICALLY = (
+        "{names} is practically non-identifiable: σ is {std} × its scale.",
+        "its effect is ten times smaller than the noise",
+        _LONGER,
+        "bad",
+    )
+    PRACTICALLY_COMBINATION = (
+        "{names} are practically non-identifiable (σ is {std} × scale); only {combinations} {verb}.",
+        "the same, of a combination",
+        _FIX,
+        "bad",
+    )
+    WEAK = (
+        "{names} is weakly identifiable: σ is {std} of its scale.",
+        "σ is between one and ten times its scale",
+        _LONGER,
+        "doubt",
+    )
+    WEAK_NEAR_ZERO = (
+        "{names} is weakly identifiable: σ is {std}, far above its value.",
+        "the same, of a value near zero",
+        _LONGER,
+        "doubt",
+    )
+    WEAK_COMBINATION = (
+        "{names} are weakly identifiable (σ is {std} of scale); {combinations} {verb} identifiable.",
+        "the combination is known better than each of them",
+        "Use the combination, or a longer or stronger excitation.",
+        "doubt",
+    )
+    CHANGE = ("No output changes along {change}.", "the direction that is not identifiable, as changes in %")
+    PRIOR = (
+        "{names} {verb} identifiable only through the prior.",
+        "the data add nothing along this direction",
+        "",
+        "doubt",
+    )
+    CORRELATED = (
+        "{one} and {other} are strongly correlated ({correlation}).",
+        "|correlation| is above 0.95",
+        "Use their joint confidence region.",
+    )
+
+
+def direction_remark(direction: WeakDirection) -> Remark:
+    """Return the identifiability of a direction."""
+    names, level = direction.names, direction.level
+    alone = len(names) == 1
+    values = {
+        "names": listed(names),
+        "combinations": _combinations(direction),
+        "verb": "is" if len(names) == 2 else "are",
+    }
+    values["std"] = f"{direction.std:.3g}"
+    match level:
+        case IdentifiabilityLevel.NOT:
+            message = IdentifiabilityMessage.NO_EFFECT if alone else IdentifiabilityMessage.COMBINATION
+        case IdentifiabilityLevel.HIDDEN:
+            message = IdentifiabilityMessage.HIDDEN if alone else IdentifiabilityMessage.HIDDEN_COMBINATION
+        case IdentifiabilityLevel.NOT_IN_EFFECT:
+            kind = IdentifiabilityMessage
+            message = kind.PRACTICALLY if alone else kind.PRACTICALLY_COMBINATION
+        case _ if alone and direction.std > FAR_SCALES:  # it happens to lie near zero, as at a bound
+            message = IdentifiabilityMessage.WEAK_NEAR_ZERO
+            values["std"] = f"{direction.std * abs(direction.coefficients[0]):.3g}"
+        case _:
+            message = IdentifiabilityMessage.WEAK if alone else IdentifiabilityMessage.WEAK_COMBINATION
+            values["std"] = f"{direction.std:.0%}".replace("%", " %")
+    return message.said(None, "correlation", names, **values)
+
+
+def prior_remark(direction: WeakDirection) -> Remark:
+    """Return the parameters that only the prior determines."""
+    verb = "is" if len(direction.names) == 1 else "are"
+    return IdentifiabilityMessage.PRIOR.said(
+        None, "correlation", direction.names, names=listed(direction.names), verb=verb
+    )
 
 
 def open_words(determined: IdentifiabilityLevel, names: Sequence[str]) -> str:
     """Return the parameters that are not identifiable, without numbers."""
-    effect = " in effect" if determined is IdentifiabilityLevel.NOT_IN_EFFECT else ""
-    return f"{listed(names)} {'is not determined' if len(names) == 1 else 'cannot be told apart'}{effect}"
+    how = "practically non-identifiable" if determined is IdentifiabilityLevel.NOT_IN_EFFECT else "not identifiable"
+    return f"{listed(names)} {'is' if len(names) == 1 else 'are'} {how}"
 
 
-def _lost(direction: WeakDirection) -> str:
+def change_remark(direction: WeakDirection) -> Remark:
+    """Return the changes of at least three parameters that change no output."""
     names = direction.names
-    who = listed(names)
-    no_output = "no output"
-    if direction.level is IdentifiabilityLevel.HIDDEN:
-        no_output = "the outputs by no more than the simulation's errors"
-    if len(names) == 1:
-        return f"{who} is not determined: changing it changes {no_output}"
-    only = _combinations(direction)
-    if len(names) == 2:
-        return f"{who} cannot be told apart: only {only} is determined"
     pairs = list(zip(direction.values, direction.magnitudes, strict=True))
-    sizes = [abs(value) if abs(value) > NEAR_ZERO_SHARE * magnitude else magnitude for value, magnitude in pairs]
+    sizes = [abs(value) if abs(value) > NEAR_ZERO * scale else scale for value, scale in pairs]
     shares = [c / size for c, size in zip(direction.coefficients, sizes, strict=True)]
     largest = max(map(abs, shares))
-    first = next(i for i, share in enumerate(shares) if abs(share) >= AS_LARGE_SHARE * largest)
-    shares = [share / shares[first] for share in shares]
-    # a percentage of what is negative or near zero would mislead
-    steps = [
-        f"{abs(share):.{DIGITS}g} %" + ("" if value >= size else f" of its magnitude {size:.{DIGITS}g}")
-        for share, value, size in zip(shares, direction.values, sizes, strict=True)
+    first = next(i for i, share in enumerate(shares) if abs(share) >= 0.99 * largest)
+    steps = [  # a percentage of a negative value, or of one near zero, would mislead
+        f"{name} {share / shares[first]:+.3g} %" + ("" if value >= size else f" of its scale {size:.3g}")
+        for name, share, value, size in zip(names, shares, direction.values, sizes, strict=True)
     ]
-    moves = [
-        f"{name} {'rises' if share > 0 else 'falls'} by {step}"
-        for i, (name, share, step) in enumerate(zip(names, shares, steps, strict=True))
-        if i != first
-    ]
-    return (
-        f"{who} cannot be told apart: raising {names[first]} by {steps[first]} while {listed(moves)} changes "
-        f"{no_output}; only {only} are determined"
-    )
-
-
-def _open(direction: WeakDirection) -> str:
-    who, std = listed(direction.names), f"{direction.std:.{DIGITS}g}"
-    if len(direction.names) == 1:
-        return f"{who} is not determined in effect: its standard deviation is {std} times its magnitude"
-    return (
-        f"{who} cannot be told apart in effect: only {_combinations(direction)} {_verb(direction)} determined, and "
-        f"their standard deviation together is {std} times their magnitude"
-    )
-
-
-def _weak(direction: WeakDirection) -> str:
-    who, std = listed(direction.names), f"{direction.std:.0%}"
-    if len(direction.names) == 1 and direction.std > FAR_MAGNITUDES:  # it happens to lie near zero, as at a bound
-        own = direction.std * abs(direction.coefficients[0])
-        return f"{who} is hardly determined: its standard deviation, {own:.{DIGITS}g}, is far more than its value"
-    if len(direction.names) == 1:
-        return f"{who} is hardly determined: its standard deviation is {std} of its magnitude"
-    return (
-        f"{who} can hardly be told apart: {_combinations(direction)} {_verb(direction)} determined better than each "
-        f"of them, whose standard deviation together is {std} of their magnitude"
-    )
-
-
-def _verb(direction: WeakDirection) -> str:
-    return "is" if len(direction.names) == 2 else "are"
+    ordered = ", ".join([steps[first], *steps[:first], *steps[first + 1 :]])
+    return IdentifiabilityMessage.CHANGE.said(None, "correlation", change=ordered)
 
 
 def _combinations(direction: WeakDirection) -> str:
     """Return the identifiable combinations θ_i − (v_i/v_last) θ_last."""
+    if len(direction.names) == 1:
+        return ""
     last = direction.coefficients[-1]
     said = []
     for name, coefficient in zip(direction.names[:-1], direction.coefficients[:-1], strict=True):
-        factor = f"{abs(coefficient / last):.{DIGITS}g} ".removeprefix("1 ")
+        factor = f"{abs(coefficient / last):.3g} ".removeprefix("1 ")
         said.append(f"{name} {'-' if -coefficient / last < 0 else '+'} {factor}{direction.names[-1]}")
     return listed(said)

@@ -16,7 +16,7 @@ from fmuid.estimation.covariance import IdentifiabilityLevel, WeakDirection
 from fmuid.estimation.search.loop import TerminationReason
 from fmuid.identification.prior_and_data import ExtrapolationReason
 from fmuid.models import SolverConfiguration
-from fmuid.reports.document import capitalised
+from fmuid.reports.document import capitalized
 from fmuid.reports.shared_phrases import direction_words
 from fmuid.reports.topics.prior_and_data import obstacle_words
 from fmuid.reports.topics.solver_check import passed_words
@@ -134,7 +134,7 @@ def test_why_the_data_alone_are_extrapolated(obstacle: ExtrapolationReason, said
     ],
 )
 def test_a_name_at_the_beginning_of_a_sentence_is_kept_as_it_is(words: str, said: str) -> None:
-    assert capitalised(words, ("R", "id_start")) == said
+    assert capitalized(words, ("R", "id_start")) == said
 
 
 @pytest.mark.parametrize(

@@ -6,6 +6,7 @@ import atexit
 import copy
 import gc
 import inspect
+import os
 import sys
 from collections.abc import Sequence
 from typing import Annotated, Any
@@ -20,14 +21,13 @@ from fmuid.files import noted
 from fmuid.formatting import listed, visible
 from fmuid.version import __version__
 
-# Thresholds of garbage collection: cycles are rare, and Python's defaults cost a tenth of
-# the start.
-COLLECTIONS = 100_000, 20, 20
+COMPLETION = "_FMUID_COMPLETE"
+"""Environment variable by which a shell asks for completions."""
 
 app = typer.Typer(
     name="fmuid",
-    help="Identify the physical parameters of FMUs from measured data.",
-    epilog="Exit code: 0 done, 1 ran but did not succeed (such as not converged), 2 wrong input.",
+    help="Identify physical parameters of FMUs from measured data.",
+    epilog="Exit codes: 0 success, 1 no success (not converged, fault found, doubt with --strict), 2 wrong input.",
     add_completion=False,
     rich_markup_mode=None,  # the import of rich is slow
     pretty_exceptions_enable=False,
@@ -47,7 +47,19 @@ def fmuid(
         bool, typer.Option("--version", help="Print the version.", callback=_version, is_eager=True)
     ] = False,
 ) -> None:
-    """Identify the physical parameters of FMUs from measured data."""
+    """Identify physical parameters of FMUs from measured data."""
+
+
+def completion(
+    shell: Annotated[str, typer.Argument(metavar="SHELL", help="bash, zsh or fish.", show_default=False)],
+) -> int:
+    """Print the completion script of a shell."""
+    from typer.completion import get_completion_script
+
+    if shell not in ("bash", "zsh", "fish"):
+        raise InputError(f"{shell}: no completion for this shell. Choose bash, zsh or fish.")
+    print(get_completion_script(prog_name="fmuid", complete_var=COMPLETION, shell=shell))
+    return DONE
 
 
 for command in (
@@ -67,6 +79,7 @@ for command in (
     results.apply,
     models.export,
     studies.workbench,
+    completion,
 ):
     app.command(short_help=inspect.getdoc(command))(command)  # typer would cut it
 
@@ -74,7 +87,7 @@ for command in (
 def main(arguments: Sequence[str] | None = None) -> None:
     """Run the command line and exit with its code."""
     open_descriptors()
-    gc.set_threshold(*COLLECTIONS)
+    gc.set_threshold(100_000, 20, 20)  # cycles are rare; the defaults cost a tenth of the start
     atexit.register(gc.freeze)  # saves 0.3 s at exit
     with handled():
         code = run(arguments)
@@ -89,7 +102,7 @@ def run(arguments: Sequence[str] | None = None) -> int:
         output.flush()
         if output.lost is not None:
             places = sorted({str(path.parent) for path in written})
-            kept = f"; the files are written, in {listed(places)}" if places else ""
+            kept = f". Files are written to {listed(places)}" if places else ""
             return _refuse(f"the standard output: {output.lost.strerror or output.lost}{kept}", code or NOT_SUCCEEDED)
         return code
 
@@ -122,6 +135,11 @@ def _ran(given: Sequence[str]) -> int:
 
 def _with_command(given: Sequence[str]) -> typer.Typer:
     """Return an app with the requested command only: typer builds all."""
+    if COMPLETION in os.environ:
+        from typer.completion import completion_init
+
+        completion_init()
+        return app
     named = [each for each in app.registered_commands if given and given[0] == getattr(each.callback, "__name__", "")]
     narrow = copy.copy(app)
     narrow.registered_commands = named or app.registered_commands

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 from typer import Option
 
-from fmuid.apps.cli.options import DONE, NOT_SUCCEEDED, Figures, NoReport, Overrides, StudyFile
+from fmuid.apps.cli.options import DONE, NOT_SUCCEEDED, Figures, NoReport, Overrides, StudyFile, showing_findings
 from fmuid.apps.cli.signals import answering
 from fmuid.apps.cli.studies import telling_files
 
@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from fmuid.runs import Batch, BatchResult
 
 
+@showing_findings
 def batch(
     study: StudyFile,
     output: Annotated[Path, Option("--output", "-o", metavar="DIR", help="Folder of the batch.", show_default=False)],
@@ -34,7 +35,7 @@ def batch(
     figures: Figures = None,
     no_report: NoReport = False,
 ) -> int:
-    """Run the many identifications of a study's [batch]; the same command resumes them."""
+    """Run the identifications of a study's [batch]; the same command resumes them."""
     from fmuid.reports.render import console
     from fmuid.reports.render.progress import Display
     from fmuid.reports.topics.study_notes import source_notes
@@ -44,7 +45,7 @@ def batch(
     read = Study.read(study, set_ or ())
     job = Batch(read, output, scheduler=scheduler, workers=workers, max_cases=max_cases, isolated=not no_isolation)
     console.show_notes(source_notes(read))
-    with answering("saving the finished cases, then ending the workers, then their summary (Ctrl-C leaves it out)"):
+    with answering("saving the finished cases, then their summary (Ctrl-C skips it)"):
         with Display() as display:
             found = job.run(display, resume=resume)
         with telling_files():
@@ -56,8 +57,8 @@ def _show(job: Batch, found: BatchResult, figures: str | None, *, report: bool) 
     from fmuid.reports.render import console
 
     logs = job.dataset.log_count()
-    said = [f"{path} was damaged and is removed: its cases are run again" for path in found.lost]
-    said += [f"what {logs} cases printed, and warnings, are in {job.dataset.logs}"] if logs else []
+    said = [f"{path}: damaged, removed. Its cases run again." for path in found.lost]
+    said += [f"Output and warnings of {logs} cases: {job.dataset.logs}"] if logs else []
     console.show_notes(said)
     if found.finished:
         from fmuid.reports.publish import publish
@@ -72,7 +73,7 @@ def _show(job: Batch, found: BatchResult, figures: str | None, *, report: bool) 
         console.show_files([*job.dataset.files(), *written])
     if found.interrupted:
         print(
-            f"interrupted: {found.finished} of {found.total} cases are finished; the same command goes on",
+            f"interrupted: {found.finished} of {found.total} cases are finished; the same command resumes",
             file=sys.stderr,
         )
         return NOT_SUCCEEDED

@@ -9,22 +9,24 @@ from typing import Annotated
 
 from typer import Argument, Option
 
-from fmuid.apps.cli.options import DONE, NOT_SUCCEEDED, FmuFile
+from fmuid.apps.cli.options import DONE, NOT_SUCCEEDED, FmuFile, showing_findings
 
 
+@showing_findings
 def info(fmu: FmuFile) -> int:
-    """Show parameters, inputs, outputs and units of an FMU, with a first study."""
+    """Show variables and units of an FMU, with a first study."""
     from fmuid.models import FMU, facts, uncollected
     from fmuid.reports.render.console import console, show_listing
     from fmuid.reports.topics.models import facts_document
 
     with uncollected():
         width = console().width if console().is_terminal else None
-        more = "[bold]A study to begin with[/] [dim](fmuid init FMU TABLE writes a longer one)[/]"
+        more = "[bold]A first study[/] [dim](fmuid init FMU DATA writes a longer one)[/]"
         show_listing(facts_document(facts(FMU(fmu)), width), more)
     return DONE
 
 
+@showing_findings
 def validate(fmu: FmuFile) -> int:
     """Check an FMU: description, binaries, and a short simulation of each interface."""
     from fmuid.models import FMU
@@ -34,7 +36,7 @@ def validate(fmu: FmuFile) -> int:
 
     model = FMU(fmu)
     notes = binary_notes(list(check_binaries(model).values()))
-    console.show_notes(notes)  # at once: FMPy takes its time for a large description
+    console.show_notes(notes)  # before FMPy checks a large description
     found = validate(model)
     console.show(validation_document(found, terminal=console.console().is_terminal))
     return DONE if found.passed else NOT_SUCCEEDED
@@ -99,7 +101,7 @@ def _pairs(given: Sequence[str], option: str, form: str, example: str) -> dict[s
     for each in given:
         name, equals, text = (part.strip() for part in each.partition("="))
         if not equals or not name:
-            raise InputError(f"{option} {each}: write {option} {form}, such as {option} {example}")
+            raise InputError(f"{option} {each}: no value. Write {option} {form}, for example {option} {example}.")
         found[name] = text
     return found
 
@@ -109,7 +111,7 @@ def schema(
         str, Argument(metavar="[FILE]", help="'study', or 'result': result.json.", show_default=False)
     ] = "study",
 ) -> int:
-    """Print the JSON schema of study files, for editors, or of a result.json."""
+    """Print the JSON schema of study files or of result.json."""
     if of == "result":
         from fmuid.runs import result_schema_text
 
@@ -118,7 +120,7 @@ def schema(
     if of != "study":
         from fmuid.errors import InputError
 
-        raise InputError(f"there is no schema of {of!r}: give 'study' or 'result'")
+        raise InputError(f"{of}: no such schema. Choose study or result.")
     from fmuid.studies import schema_text
 
     print(schema_text())

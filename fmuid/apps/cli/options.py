@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import functools
+import inspect
+from collections.abc import Callable, Sequence
 from enum import StrEnum
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 from typer import Argument, Option
 
@@ -66,6 +68,35 @@ def changed_option(given: Sequence[str]) -> str | None:
         if name in _CHANGED:
             return f"{name} {_CHANGED[name]}"
     return None
+
+
+_SCREEN_OPTIONS = {
+    "verbose": Annotated[bool, Option("--verbose", help="Also print details, all remedies, files and progress lines.")],
+    "quiet": Annotated[bool, Option("--quiet", help="Print errors only.")],
+    "json": Annotated[bool, Option("--json", help="Print the findings as JSON, without charts.")],
+    "strict": Annotated[bool, Option("--strict", help="Exit with code 1 if the findings contain a doubt.")],
+}
+
+
+def showing_findings(command: Callable[..., int]) -> Callable[..., int]:
+    """Add the output options to a command that shows a document."""
+
+    @functools.wraps(command)
+    def shown(*, verbose: bool, quiet: bool, json: bool, strict: bool, **given: Any) -> int:
+        from fmuid.reports.render.screen import Screen, showing
+
+        with showing(Screen(verbose=verbose, quiet=quiet, json=json)) as screen:
+            code = command(**given)
+            return NOT_SUCCEEDED if strict and code == DONE and screen.doubtful else code
+
+    signature = inspect.signature(command, eval_str=True)
+    added = [
+        inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=False, annotation=kind)
+        for name, kind in _SCREEN_OPTIONS.items()
+    ]
+    shown.__signature__ = signature.replace(parameters=[*signature.parameters.values(), *added])  # type: ignore[attr-defined]
+    shown.__annotations__ = {**command.__annotations__, **_SCREEN_OPTIONS}
+    return shown
 
 
 def folder_of(output: Path | None, study: Path) -> Path:

@@ -9,7 +9,17 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from typer import Argument, Option
 
-from fmuid.apps.cli.options import DONE, Figures, FmuFile, NoIsolation, NoReport, Overrides, Refit, ResultFile
+from fmuid.apps.cli.options import (
+    DONE,
+    Figures,
+    FmuFile,
+    NoIsolation,
+    NoReport,
+    Overrides,
+    Refit,
+    ResultFile,
+    showing_findings,
+)
 from fmuid.apps.cli.studies import logged
 
 if TYPE_CHECKING:
@@ -17,6 +27,7 @@ if TYPE_CHECKING:
     from fmuid.studies import Study
 
 
+@showing_findings
 def predict(
     result: ResultFile,
     data: Annotated[
@@ -59,7 +70,7 @@ def predict(
 
         records = data or []
         if records and folds is not None:
-            raise InputError("with --folds the experiments of the study are predicted: leave the tables out")
+            raise InputError("--folds: predicts the experiments of the study. Remove DATA.")
         read = _study(path, study, set_, records, isolated=isolated)
         with Display() as display:
             shared: dict[str, Any] = {"study": read, "free": refit or (), "level": confidence}
@@ -77,6 +88,7 @@ def predict(
         return DONE
 
 
+@showing_findings
 def compare(
     results: Annotated[
         list[Path], Argument(metavar="RESULT", help="result.json files, or their folders.", show_default=False)
@@ -134,7 +146,7 @@ def apply(
     component: Annotated[str | None, Option(metavar="NAME", help="Component of the system that the FMU is.")] = None,
     force: Annotated[bool, Option("--force", help="Apply a result that is not usable.")] = False,
 ) -> int:
-    """Write identified values as the start values of a copy of an FMU."""
+    """Write estimates as start values into a copy of an FMU."""
     from fmuid.reports.render import console
     from fmuid.runs import apply_result
 
@@ -155,7 +167,7 @@ def _show_applied(applied: Sequence[AppliedValue]) -> None:
         cells = ["" if old is None else f"{old:.6g}" if isinstance(old, float) else str(old), new]
         cells += [rounded(each.std, each.std) if known else "", unit_text(each.unit)]
         rows.append((each.variable, *cells))
-    heads = ("variable", "old start", "new start", "std", "unit")
+    heads = ("variable", "old start", "new start", "σ", "unit")
     columns = {head: [row[k] for row in rows] for k, head in enumerate(heads)}
     console.show_section(Section("starts", "Start values", table=table_of(columns, ("unit",))))
 

@@ -21,6 +21,7 @@ from fmuid.apps.cli.options import (
     Overrides,
     StudyFile,
     folder_of,
+    showing_findings,
 )
 from fmuid.apps.cli.signals import answering, stopping
 from fmuid.errors import InputError
@@ -36,6 +37,7 @@ if TYPE_CHECKING:
 FMU_LOG = "fmu.log"  # output of FMUs, in the output folder
 
 
+@showing_findings
 def simulate(
     study: StudyFile,
     output: Folder = None,
@@ -47,13 +49,13 @@ def simulate(
     ] = False,
     figures: Annotated[FigureFormat, Option(help="Format of the figures.")] = FigureFormat.PNG,
 ) -> int:
-    """Simulate a study at its initial guesses or at a result, and compare with the measurements."""
+    """Simulate a study at its initial guesses or a result; compare with data."""
     folder = folder_of(output, study)
     with opened(study, set_, no_isolation, folder) as read:
         from fmuid import files
         from fmuid.reports.publish import publish, write_figures
         from fmuid.reports.render import console
-        from fmuid.reports.topics.fit import fit_sections, scores_section
+        from fmuid.reports.topics.fit import fit_sections, simulation_document
         from fmuid.runs import stacked
 
         files.make_folder(folder)
@@ -61,7 +63,7 @@ def simulate(
         fits = read.fits() if result is None else _fits_at(read, result)
         table = stacked([fit.experiment for fit in fits], [fit.simulated_frame() for fit in fits])
         written = [files.write_table(folder / "simulated.csv", table)]
-        console.show_section(scores_section(fits))
+        console.show(simulation_document(fits))
         sections = fit_sections(fits, caption="")
         if sensitivities:
             more, shown = _sensitivities(read, folder)
@@ -104,6 +106,7 @@ def _fits_at(study: Study, result: Path) -> tuple[OutputFit, ...]:
     return fits_at(study, estimates)
 
 
+@showing_findings
 def identify(
     study: StudyFile,
     output: Folder = None,
@@ -127,14 +130,14 @@ def identify(
         _warn(read)
         found, left_out = None, read.uncertainty_settings.explores
         shown: Document | None = None
-        with answering("saving what has been found (Ctrl-C again ends it without)"), Display() as display:
+        with answering("saving the results so far (Ctrl-C again: stop without)"), Display() as display:
             for each in identified(read, folder, resume=resume, progress=partial(_show_event, display)):
                 display.pause()
                 before, shown = shown, document(each)
                 console.show(shown, before)
                 known = each.assessment.residuals is not None
                 if left_out and known and not at_minimum(each.result):
-                    console.show_notes(["[uncertainty] is left out: it needs a search that has ended at a minimum"])
+                    console.show_notes(["[uncertainty] was skipped: it needs a converged optimization."])
                 found = published(each, shown, folder, report=known and not no_report, figures=figures)
         assert found is not None, "a run yields, or raises an error"
         console.show_files(found.files)
@@ -149,13 +152,14 @@ def _show_event(display: Display, event: Event, /) -> None:
     match event:
         case DataOnlyStep():
             display.pause()
-            console.show_notes(["searching the optimum of the data alone, for comparison; Ctrl-C leaves it out"])
+            console.show_notes(["Optimizing with the data alone, for comparison. Ctrl-C skips it."])
         case _ if stopping():
             raise KeyboardInterrupt
         case _:
             display(event)
 
 
+@showing_findings
 def diagnose(
     study: StudyFile,
     output: Folder = None,
@@ -176,6 +180,7 @@ def diagnose(
         return _report(partial(diagnosed, read, folder), folder, report=not no_report, figures=figures)
 
 
+@showing_findings
 def monitor(
     study: StudyFile,
     data: Annotated[
@@ -204,7 +209,7 @@ def monitor(
             show_notes(source_notes(read))
         if follow:
             return _follow(read, data, folder, resume=resume, figures=figures, report=not no_report)
-        saving = "saving the records examined so far, with which --resume goes on"
+        saving = "saving the recordings evaluated so far; continue with --resume"
         with answering(saving):
             run = partial(monitored, read, data, folder, append=resume)
             return _report(run, folder, report=not no_report, figures=figures)
@@ -240,11 +245,9 @@ def _follow(
 
     for word, given in (("several folders", len(data) > 1), ("--resume", resume), ("--figures", bool(figures))):
         if given:
-            raise InputError(
-                f"--follow and {word} do not go together: it follows one folder or file, and goes on by itself"
-            )
+            raise InputError(f"--follow: excludes {word}. It follows one folder or file, and resumes by itself.")
     watching, looks = None, followed(study, data[0], folder, alarm_sentence)
-    saving = answering("saving where it is; the same command goes on")
+    saving = answering("saving the state; the same command resumes")
     with saving, FollowingDisplay() as display, suppress(KeyboardInterrupt), closing(looks):
         for watching in looks:
             display(watching)
@@ -255,6 +258,7 @@ def _follow(
     return NOT_SUCCEEDED if monitor.alarms or monitor.undetermined else DONE
 
 
+@showing_findings
 def design(
     study: StudyFile,
     data: Annotated[
@@ -311,7 +315,7 @@ def workbench(
 
     study = None if is_folder(target) else target
     if study is not None and not study.is_file():
-        raise InputError(f"{target}: there is no such study file or folder")
+        raise InputError(f"{target}: no such study file or folder.")
     bench = Workbench(Folder(target if study is None else study.parent), study, port=port)
 
     def ready() -> None:
@@ -321,10 +325,10 @@ def workbench(
 
     def refused() -> None:
         if bench.awaits_browser:
-            show_notes(["No browser could be started. Open the address above by hand."])
+            show_notes(["No browser could be started. Open the address above."])
 
-    print("Ctrl-C ends the workbench; what it is running then is interrupted and saved.", flush=True)
-    print("Until then this address opens it:", flush=True)
+    print("Ctrl-C: stop the workbench; its running command is interrupted and saved.", flush=True)
+    print("Address of the workbench:", flush=True)
     with ExitStack() as kept, suppress(KeyboardInterrupt):  # the regular end
         bench.run(ready)
     return DONE
@@ -386,5 +390,5 @@ def _write_log(log: Path, text: str) -> list[str]:
         with replacing(log) as draft:
             draft.write_text(text, encoding="utf-8")
     except InputError as error:
-        return [f"what the FMUs printed is lost: {error}"]
-    return [f"what the FMUs printed is in {log}"]
+        return [f"The output of the FMUs is lost: {error}"]
+    return [f"Output of the FMUs: {log}"]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import os
 import sys
 from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
@@ -16,14 +17,18 @@ from rich.table import Table as RichTable
 from rich.text import Text
 
 from fmuid.formatting import visible
-from fmuid.reports.document import TERMINAL_ROWS, Column, Document, Remark, Section, Table
+from fmuid.reports.document import TERMINAL_ROWS, Column, Document, Remark, Section, Table, capitalized
+from fmuid.reports.publish import REPORT_FILE
+from fmuid.reports.render.screen import screen
 
-# Into a file or a pipe, where nobody can widen the window: what a README shows without scrolling.
 PLAIN_WIDTH = 110
-# Into a pipe, where lines are searched: one line a variable, however long.
+"""Width without a terminal and COLUMNS, as a README shows it without scrolling."""
 PIPE_WIDTH = 1000
-# To ask how wide a table would be.
+"""Width of a listing in a pipe: one line a variable."""
 UNLIMITED_WIDTH = 10_000
+"""Width to measure a table."""
+LABEL_WIDTH = 13
+"""Columns of the labels before the lines of a summary."""
 RESULTS = {"ok": "green", "warning": "yellow", "failed": "bold red"}
 """Style of results of checks."""
 TONES = {"good": "green", "doubt": "yellow", "bad": "red", "plain": ""}
@@ -35,27 +40,62 @@ class _Console(Console):
 
 
 def console() -> Console:
-    """Return the console on standard output as it is now."""
-    return _Console(highlight=False, width=None if sys.stdout.isatty() else PLAIN_WIDTH)
+    """Return the console on standard output as it is now; COLUMNS gives its width."""
+    fixed = not sys.stdout.isatty() and not os.environ.get("COLUMNS")
+    return _Console(highlight=False, width=PLAIN_WIDTH if fixed else None, quiet=screen().silent)
 
 
 def show(document: Document, before: Document | None = None) -> None:
     """Print a document without the parts that were shown `before`."""
+    screen().document = document
+    if document.reason:
+        _show_summary(document, before)
+        return
     out = console()
-    keys = set() if before is None else {each.key for each in before.sections}
-    said = set() if before is None else {each.text for each in before.remarks}
-    for section in (each for each in document.sections if each.key not in keys):
+    known, told = _known(before)
+    for section in (each for each in document.sections if each.key not in known):
         show_section(section, out)
     out.print()
-    show_remarks(each for each in document.remarks if each.text not in said)
+    show_remarks((each for each in document.remarks if each.text not in told), out)
     color = TONES[document.tone]
     out.print(f"[bold {color}]{escape(document.heading)}: {escape(document.state)}[/]", soft_wrap=True)
 
 
-def show_listing(document: Document, what: str) -> None:
-    """Print the head of a document, its tables whole, its remarks, and its study file below a title."""
+def _known(before: Document | None) -> tuple[set[str], set[str]]:
+    if before is None:
+        return set(), set()
+    return {each.key for each in before.sections}, {each.text for each in before.remarks}
+
+
+def _show_summary(document: Document, before: Document | None) -> None:
+    """Print state and reason, tables, labeled lines and the most severe remedy; with ``--verbose`` all remarks."""
     out = console()
-    if not out.is_terminal:
+    known, told = _known(before)
+    if before is None or (document.state, document.reason) != (before.state, before.reason):
+        color, state = TONES[document.tone], capitalized(document.state)
+        out.print(f"[bold {color}]{state:<{LABEL_WIDTH}}[/]{escape(document.reason)}", soft_wrap=True)
+    for section in (each for each in document.sections if each.key not in known):
+        show_section(section, out)
+    lines = [each for each in document.summary if before is None or each not in before.summary]
+    if lines:
+        out.print()
+    for label, text in lines:
+        out.print(f"{label:<{LABEL_WIDTH}}{escape(text)}", soft_wrap=True)
+    new = [each for each in document.remarks if each.text not in told]
+    if screen().verbose or not document.summary:
+        out.print()
+        show_remarks(new, out)
+        return
+    remedies = [each.remedy for tone in ("bad", "doubt") for each in new if each.tone == tone and each.remedy]
+    if remedies:
+        out.print(f"→ {escape(remedies[0])}", soft_wrap=True)
+
+
+def show_listing(document: Document, what: str) -> None:
+    """Print a document with whole tables, and its study file."""
+    screen().document = document
+    out = console()
+    if not out.is_terminal and not os.environ.get("COLUMNS"):
         out.width = PIPE_WIDTH
     out.print(f"[bold]{escape(document.heading)}[/]" + (f": {escape(document.state)}" if document.state else ""))
     for each in document.sections:
@@ -63,7 +103,7 @@ def show_listing(document: Document, what: str) -> None:
             out.print(f"\n[bold]{escape(each.heading)}[/]")  # a title of the table itself would wrap
         if not each.heading or out.is_terminal:
             out.print(rich_table(each.table, "", out))
-        else:
+        elif not out.quiet:
             out.file.writelines(plain_lines(each.table))
         show_remarks(each.remarks, out)
     for remark in document.remarks:
@@ -97,14 +137,14 @@ def _filled(texts: Sequence[str], *, flush_right: bool) -> list[str]:
 def show_section(section: Section, out: Console | None = None) -> None:
     """Print the table of a section and the sentences on it."""
     out = out or console()
-    if section.table and "console" in section.shown:
+    if section.table and ("detail" if screen().verbose else "console") in section.shown:
         out.print()
         out.print(rich_table(section.table, section.heading, out))
         show_remarks(section.remarks, out)
 
 
 def show_remarks(remarks: Iterable[Remark], out: Console | None = None) -> None:
-    """Print sentences, one a line; doubts after a mark."""
+    """Print sentences, one a line; doubts after a mark, remedies below."""
     out = out or console()
     for each in remarks:
         mark = "[yellow]note:[/] " if each.tone in ("doubt", "bad") else ""
@@ -163,15 +203,20 @@ def plain_table(columns: Table, rows: int | None = None) -> list[str]:
 
 
 def show_files(paths: Iterable[Path]) -> None:
-    """Print written files, one line per folder."""
+    """Print the path of the report; with ``--verbose`` or without report, all files."""
+    files, out = list(paths), console()
+    report = next((path for path in files if path.name == REPORT_FILE), None)
+    if report is not None and not screen().verbose:
+        out.print(f"{'Report':<{LABEL_WIDTH}}[bold]{escape(str(report))}[/]", soft_wrap=True)
+        return
     folders: dict[Path, list[str]] = {}
-    for path in paths:
+    for path in files:
         folders.setdefault(path.parent, []).append(path.name)
     for folder, names in folders.items():
-        console().print(f"Written to [bold]{escape(str(folder))}/[/]: {escape(', '.join(names))}", soft_wrap=True)
+        out.print(f"Written to [bold]{escape(str(folder))}/[/]: {escape(', '.join(names))}", soft_wrap=True)
 
 
-def show_notes(notes: Iterable[str]) -> None:
-    """Print notes to standard error."""
-    for note in notes:
+def show_notes(notes: Iterable[Remark | str]) -> None:
+    """Print notes to standard error, remedies below."""
+    for note in () if screen().quiet else notes:
         print(visible(f"note: {note}"), file=sys.stderr)

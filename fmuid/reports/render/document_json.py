@@ -48,6 +48,12 @@ def to_json(documents: Mapping[str, Document]) -> str:
     return json.dumps({"schema": SCHEMA, "documents": content, "arrays": packed}, allow_nan=False) + "\n"
 
 
+def table_json(document: Document) -> str:
+    """Return a document without its charts as JSON."""
+    plain = (dataclasses.replace(each, charts=(), zoom=None) for each in document.sections)
+    return to_json({document.kind: dataclasses.replace(document, sections=tuple(plain))})
+
+
 def read_documents(folder: Path) -> dict[str, Document]:
     """Return the documents of a folder by their kind."""
     from pydantic import TypeAdapter, ValidationError

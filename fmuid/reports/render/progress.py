@@ -1,4 +1,4 @@
-"""Progress of long work: live on a terminal, elsewhere as lines."""
+"""Progress of long work on standard error: live on a terminal, elsewhere as lines with ``--verbose``."""
 
 from __future__ import annotations
 
@@ -8,12 +8,13 @@ import os
 import sys
 import time
 from collections.abc import Mapping
+from dataclasses import replace
 from datetime import timedelta
 from pathlib import Path
 from types import TracebackType
 from typing import Self
 
-from rich.console import Group, RenderableType
+from rich.console import Console, Group, RenderableType
 from rich.live import Live
 from rich.markup import escape
 from rich.progress_bar import ProgressBar
@@ -34,26 +35,24 @@ from fmuid.events import (
     WindowStep,
     to_line,
 )
-from fmuid.reports.render.console import console
+from fmuid.reports.render.screen import screen
 
-# More parameters than these would push the first lines off the terminal.
-LIVE_ROWS = 20
 LINE_VALUES = 6
-"""Values on a plain line; of more parameters only the first ones fit."""
-
-KEEPS = "Ctrl-C ends it and keeps what there is"
+"""Values on a line; of more parameters only the first ones fit."""
+KEEPS = "Ctrl-C: stop and keep the results so far"
 
 
 class Display:
     """Progress display: a context, called with each event."""
 
-    # Off a terminal, a line each time so many of these parts of a task are done, or of a batch so often, s.
-    PARTS, EVERY = 10, 10.0
+    PARTS = 10
+    """Lines of a task without a terminal."""
+    EVERY = 10.0
+    """Seconds between lines of a batch without a terminal."""
 
     def __init__(self) -> None:
-        self._terminal = sys.stdout.isatty()
+        self._terminal = sys.stderr.isatty() and not screen().quiet
         self._live: Live | None = None
-        self._starts: Mapping[str, float] = {}
         self._best: Mapping[str, float] = {}
         self._said: tuple[str, int] | None = None
         self._next = time.monotonic() + self.EVERY
@@ -79,19 +78,18 @@ class Display:
             with contextlib.suppress(OSError), Path(self._told).open("a", encoding="utf-8") as file:
                 file.write(to_line(event))  # a full disk ends no search
         if isinstance(event, SearchStep):
-            self._starts = event.values if event.number == 0 else self._starts
             self._best = event.values if event.accepted else self._best
         if not self._terminal:
-            if self._due(event):
-                print(_line(event), flush=True)
+            if screen().verbose and self._due(event):
+                print(_line(event), file=sys.stderr, flush=True)
             return
         if self._live is None:
-            self._live = Live(console=console(), refresh_per_second=8, transient=True)
+            self._live = Live(console=Console(stderr=True, highlight=False), refresh_per_second=8, transient=True)
             self._live.start()
         self._live.update(self._drawn(event), refresh=isinstance(event, SearchStep))
 
     def _due(self, event: Event) -> bool:
-        """Tell if an event is worth a line of a file."""
+        """Return whether an event is worth a line."""
         if isinstance(event, BatchStep):
             if time.monotonic() < self._next:
                 return False
@@ -105,29 +103,19 @@ class Display:
 
     def _drawn(self, event: Event) -> RenderableType:
         if isinstance(event, SearchStep):
-            return Group(Text(_head(event)), self._values())
+            return Text(_line(replace(event, values=self._best)), no_wrap=True, overflow="ellipsis")
         bar = Table.grid(padding=(0, 2))
         if isinstance(event, BatchStep):
             bar.add_row(ProgressBar(event.total, event.done, width=30), event_words(event))
-            return Group(bar, Text(f"{KEEPS}; the same command goes on", style="dim"))
+            return Group(bar, Text(f"{KEEPS}; the same command resumes", style="dim"))
         if math.isnan(event.share) or isinstance(event, FaultStep | WindowStep):
             return Spinner("dots", escape(event_words(event)))
         bar.add_row(event.task, ProgressBar(1.0, event.share, width=30), escape(event_words(event)))
         return Group(bar, Text(KEEPS, style="dim"))
 
-    def _values(self) -> Table:
-        """Return the parameters of the best step so far beside their starts."""
-        table = Table.grid(padding=(0, 3))
-        for name, value in list(self._best.items())[:LIVE_ROWS]:
-            start = self._starts.get(name, math.nan)
-            table.add_row(f"  {escape(name)}", f"{value:.6g}", f"[dim]start {start:.6g}[/]")
-        if len(self._best) > LIVE_ROWS:
-            table.add_row(f"  [dim]and {len(self._best) - LIVE_ROWS} more[/]")
-        return table
-
 
 def _line(event: Event) -> str:
-    """Return an event as a line of a file."""
+    """Return an event as a line."""
     if isinstance(event, SearchStep):
         more = "  ..." if len(event.values) > LINE_VALUES else ""
         return f"{_head(event)}  {_listed(event.values)}{more}"
@@ -138,10 +126,10 @@ def _line(event: Event) -> str:
 
 def _head(step: SearchStep) -> str:
     renewed = math.isnan(step.damping) and step.number > 0
-    what = "noise variances renewed" if renewed else f"iteration {step.number}"
+    what = "noise variances updated" if renewed else f"iteration {step.number}"
     damping = "" if math.isnan(step.damping) else f"{step.damping:.3g}"
     fate = "" if step.accepted else "rejected"
-    return f"{what:<23}  criterion {step.criterion:<11.6g}  λ {damping:<9} {fate:<8}"
+    return f"{what:<23}  cost {step.criterion:<11.6g}  damping {damping:<9} {fate:<8}"
 
 
 def _listed(values: Mapping[str, float]) -> str:
@@ -155,17 +143,16 @@ def event_words(event: Event) -> str:
             best = _listed(event.values)
             return f"{event.done} of {event.total}, {event.simulations} simulations, best: {best}"
         case MapStep():
-            return f"criterion over {event.first} and {event.second}"
+            return f"cost over {event.first} and {event.second}"
         case ProfileStep():
-            rise = f"criterion risen by {event.rise:.3g} of {event.threshold:.3g}"
+            rise = f"cost + {event.rise:.3g} of {event.threshold:.3g}"
             return f"{event.name} = {event.value:.6g}: {rise}"
         case SamplingStep() if not math.isnan(event.effective_size):
-            worth = f"worth {event.effective_size:.0f} of {event.wanted} independent samples"
-            return f"step {event.step}, {worth}"
+            return f"step {event.step}, {event.effective_size:.0f} of {event.wanted} independent samples"
         case SamplingStep():
             return f"step {event.step}"
         case FaultStep():
-            return f"fitting {event.fault or 'the healthy machine'}"
+            return f"fit of {event.fault or 'the healthy machine'}"
         case WindowStep():
             return f"{event.record}: window {event.number + 1} of {event.total}"
         case BatchStep():

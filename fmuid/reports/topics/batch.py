@@ -108,7 +108,7 @@ class BatchMessage(Message):
     )
     CHECKED = (
         "Solver error checked in {total} cases, in {checked} by new simulations.",
-        "the other cases lie where it was known; see [the error of the simulation](#the-error-of-the-simulation)",
+        "the other cases lie where it was known; see [solver error](#solver-error)",
     )
     REFINED = ("Solver refined in {count} cases.", "the solver of the study was too inaccurate")
     SHIFTED = (

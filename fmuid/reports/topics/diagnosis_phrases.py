@@ -7,7 +7,7 @@ import math
 from fmuid.diagnosis import BaselineDeviation, BaselineSource, Diagnosis, EstimatedChange, Explanation
 from fmuid.formatting import has_unit, listed, rounded, with_std
 from fmuid.reports.document import Message, Remark
-from fmuid.reports.topics.solver_check import accuracy_words
+from fmuid.reports.topics.solver_check import solver_remarks
 
 
 class DiagnosisMessage(Message):
@@ -132,7 +132,7 @@ def diagnosis_notes(found: Diagnosis) -> list[Remark]:
     """Return the notes beside the verdict."""
     evidence = found.evidence
     notes = deviation_notes(found.deviation)
-    notes += [Remark(text, "doubt", "changes") for text in accuracy_words(found.fitted, found.accuracy)]
+    notes += solver_remarks(found.fitted, found.accuracy)
     notes += [DiagnosisMessage.MISMATCHED.said("doubt", "changes", (name,), name=name) for name in found.mismatched]
     if evidence.alarm and found.unexplained.larger and found.kind != "unexplained":
         notes.append(DiagnosisMessage.PARTLY.said("doubt", "explained", share=evidence.explained))

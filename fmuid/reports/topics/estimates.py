@@ -10,8 +10,8 @@ import pandas as pd
 
 from fmuid.array_types import Floats
 from fmuid.estimation import Result, TerminationReason
-from fmuid.formatting import listed, rounded, two_digits, unit_text, with_std
-from fmuid.identification import CONFIDENCE_LEVEL, LEAST_STD_FACTOR, region_rise
+from fmuid.formatting import listed, rounded, unit_text, with_std
+from fmuid.identification import CONFIDENCE_LEVEL, region_rise
 from fmuid.reports.chart import LIMITS, Axis, Chart, Data, Layer, Shades, Units, named
 from fmuid.reports.document import Message, Remark, Section, Table, table_of
 from fmuid.reports.render.style import ON_PALE, ON_STRONG
@@ -25,21 +25,19 @@ MOST_TEXTS = 12
 """Of more parameters the cells of the matrix have no numbers."""
 ELLIPSE_POINTS = 121
 CAPTION = (
-    "Near ±1 two estimates are hardly told apart: their intervals (dashed) do not hold one by one, the "
-    "ellipse does. Shown are the pairs that are correlated most."
+    "Near ±1 two estimates are strongly correlated: use the ellipse instead of their intervals (dashed). Drawn are the "
+    "pairs with the largest correlations."
 )
-SHIFT = "numerical shift"
-"""The column of what the error of the simulation moves each estimate by, in its standard deviations."""
 
 
 class EstimateMessage(Message):
-    """How precisely parameters are known."""
+    """Precision of the estimates."""
 
-    LOST = ("{names} {verb} not determined", "the data do not determine it; see what they leave open")
-    ONE = ("{name} is known to {share}", "one standard deviation as a share of the value")
+    NONE = ("No σ for {names}.", "the data do not identify them")
+    ONE = ("Relative σ of {name}: {share}.", "σ as a fraction of the value")
     SEVERAL = (
-        "{count} parameters are known to between {least} ({best}) and {most} ({worst}), one standard deviation",
-        "one standard deviation as a share of the value, of the best and of the worst",
+        "Relative σ: {least} ({best}) to {most} ({worst}).",
+        "σ as a fraction of the value, of the best and of the worst parameter",
     )
 
 
@@ -48,15 +46,14 @@ def precision_remarks(result: Result) -> list[Remark]:
     pairs = zip(result.names, result.values.tolist(), result.std.tolist(), strict=True)
     shares = {name: std / abs(value) for name, value, std in pairs if value and math.isfinite(std)}
     lost = [name for name, std in zip(result.names, result.std.tolist(), strict=True) if math.isinf(std)]
-    verb, keep = "is" if len(lost) == 1 else "are", ("plain", "correlation", result.names)
-    said = [EstimateMessage.LOST.said(*keep, names=listed(lost), verb=verb)] if lost else []  # type: ignore[arg-type]
+    said = [EstimateMessage.NONE.said("plain", "correlation", names=listed(lost))] if lost else []
     if len(shares) == 1:
         ((name, share),) = shares.items()
-        said.append(EstimateMessage.ONE.said("plain", "correlation", result.names, name=name, share=_percent(share)))
+        said.append(EstimateMessage.ONE.said("plain", "correlation", name=name, share=_percent(share)))
     elif shares:
         best, worst = min(shares, key=shares.__getitem__), max(shares, key=shares.__getitem__)
         ends = {"least": _percent(shares[best]), "best": best, "most": _percent(shares[worst]), "worst": worst}
-        said.append(EstimateMessage.SEVERAL.said("plain", "correlation", (), count=len(shares), **ends))
+        said.append(EstimateMessage.SEVERAL.said("plain", "correlation", **ends))
     return said
 
 
@@ -73,34 +70,28 @@ def estimates_table(result: Result, level: float = CONFIDENCE_LEVEL) -> Table:
     """Return the table of estimates with intervals of a level."""
     rows = list(zip(result.names, result.values.tolist(), result.std.tolist(), strict=True))
     ends = result.intervals(level).to_numpy().tolist()
-    # where nothing is known of a value, its digits must not look as if there were
+    # digits of a value without σ would be misleading
     value = [f"{value:.2g} ± ?" if std == math.inf else with_std(value, std) for _, value, std in rows]
-    columns = {"parameter": list(result.names), "value": value}
+    columns = {"parameter": list(result.names), "estimate": value}
     if result.outcome is not TerminationReason.STALLED:  # which has no intervals
-        columns["rel. std"] = [
+        columns["relative σ"] = [
             f"{100 * std / abs(value):.2g} %" if value and math.isfinite(std) else "" for _, value, std in rows
         ]
         columns[f"{100 * level:.4g} % interval"] = [
-            f"{rounded(low, std)} to {rounded(high, std)}" if math.isfinite(std) else "not determined"
+            f"{rounded(low, std)} to {rounded(high, std)}" if math.isfinite(std) else "not identifiable"
             for (low, high), (_, _, std) in zip(ends, rows, strict=True)
         ]
     if result.accuracy is not None:
-        columns[SHIFT] = [shift_text(shift) for shift in result.solver_error.tolist()]
+        columns["solver error"] = [shift_text(shift) for shift in result.solver_error.tolist()]
     columns["unit"] = [unit_text(result.estimates.units.get(name)) for name in result.names]
     if np.isfinite(result.estimates.prior_mean).any():
         pairs = zip(result.estimates.prior_mean.tolist(), result.estimates.prior_std.tolist(), strict=True)
         columns["prior"] = [with_std(mean, std) if math.isfinite(mean) else "" for mean, std in pairs]
-    columns["start"] = [f"{start:.6g}" for start in result.estimates.start.tolist()]
+    columns["initial"] = [f"{start:.6g}" for start in result.estimates.start.tolist()]
     bounded = {bound.name for bound in result.estimates.at_bounds}
-    columns["note"] = [
-        ", ".join(
-            ["at its bound"] * (name in bounded)
-            + [f"std {two_digits(factor)} x white noise's"] * bool(factor >= LEAST_STD_FACTOR)
-        )
-        for name, factor in zip(result.names, result.estimates.colored_noise_factor, strict=True)
-    ]
-    words = [head for head in columns if head not in ("rel. std", SHIFT, "start")]
-    return table_of(columns, words, ("start", "prior", "rel. std", SHIFT, "note"))
+    columns["note"] = ["at bound" * (name in bounded) for name in result.names]
+    words = [head for head in columns if head not in ("relative σ", "solver error", "initial")]
+    return table_of(columns, words, ("initial", "prior", "relative σ", "solver error", "note"))
 
 
 def correlation_sections(result: Result, units: Units, level: float = CONFIDENCE_LEVEL) -> list[Section]:
@@ -131,7 +122,10 @@ def _matrix(matrix: pd.DataFrame) -> Chart:
 
 
 def _ellipses(result: Result, units: Units, level: float) -> list[Chart]:
-    """Return the regions (θ − θ̂)ᵀ P⁻¹ (θ − θ̂) = χ²(2), or 2 F(2, ν) with estimated noise."""
+    """Return confidence ellipses of pairs.
+
+    (θ − θ̂)ᵀ P⁻¹ (θ − θ̂) = χ²(2), or 2 F(2, ν) with estimated noise.
+    """
     matrix, intervals = result.estimates.correlation.to_numpy(), result.intervals(level).to_numpy()
     known = [i for i in range(len(result.names)) if math.isfinite(result.std[i]) and result.std[i] > 0]
     pairs = sorted(combinations(known, 2), key=lambda pair: -abs(matrix[pair]))[:MAX_ELLIPSES]

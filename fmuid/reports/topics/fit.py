@@ -12,39 +12,35 @@ from fmuid.array_types import Floats
 from fmuid.data import evenly, extremes
 from fmuid.formatting import fit_text, label, with_unit
 from fmuid.reports.chart import LIMITS, Axis, Chart, ChartGrid, Layer, short, stacked
-from fmuid.reports.document import Message, Remark, Section, table_of
+from fmuid.reports.document import Document, Message, Remark, Section, table_of
 from fmuid.simulation import OutputFit
 
 ZOOM_SHARE, ZOOM_SAMPLES = 0.06, 120
-"""A zoom for print is this share of the record, and at least this many samples."""
+"""Zoom for print: fraction of the experiment, and minimum number of samples."""
 MAX_SAID = 4
-"""Of more outputs the report names the one that fits worst."""
+"""Of more outputs only the lowest fit is named."""
 MANY_DOTS = 600
 """More dots than these are drawn smaller."""
 CAPTION = (
-    "Dots were measured, the line is simulated with the estimates, the residual is below. A good residual is "
-    "noise without a pattern. What does not count is grey. Drag to enlarge a stretch; all outputs follow."
+    "Dots: measured. Line: simulated with the estimates. Below: residual, which should be noise without a pattern. "
+    "The warm-up is grey. Drag to zoom; all outputs follow."
 )
 Band = tuple[Floats | None, float]
 """Half widths (K, n_outputs) of the band around the lines, NaN where there is none, and its level."""
 
 
 class FitMessage(Message):
-    """How well measured and simulated outputs agree."""
+    """Agreement of measured and simulated outputs."""
 
     FIT = (
-        "Fit (NRMSE): {scores}",
-        "100 (1 − ‖y − ŷ‖/‖y − ȳ‖) over the samples that count, as `compare` of MATLAB has it: 100 % is perfect, 0 % "
-        "no better than the mean",
+        "Fit (NRMSE): {scores}.",
+        "100 (1 − ‖y − ŷ‖/‖y − ȳ‖) as in MATLAB; 100 % is perfect, 0 % is no better than the mean",
     )
-    LEAST = (
-        "Least fit (NRMSE): {output} {fit} (RMSE {error})",
-        "the same of the output that agrees least, where there are many",
-    )
+    LEAST = ("Lowest fit (NRMSE): {scores}.", "the same of the output with the lowest fit")
 
 
 CONSTANT = "constant as measured: no fit"
-"""In place of a fit that has no meaning."""
+"""In place of a fit in % of an output without spread."""
 
 
 def fit_remarks(fits: Sequence[OutputFit]) -> list[Remark]:
@@ -54,8 +50,8 @@ def fit_remarks(fits: Sequence[OutputFit]) -> list[Remark]:
     if len(counts) > MAX_SAID and known:
         least, j = min(known, key=lambda each: each[0].fit[each[1]])
         named = f"{least.outputs[j]} in {least.experiment}" if len(fits) > 1 else least.outputs[j]
-        error = with_unit(least.rmse[j], least.units[j])
-        return [FitMessage.LEAST.said("plain", "fit", output=named, fit=fit_text(least.fit[j]), error=error)]
+        scores = f"{named} {_score(least.fit[j], least.rmse[j], least.units[j])}"
+        return [FitMessage.LEAST.said("plain", "fit", scores=scores)]
     scores = fit_scores(fits)
     return [FitMessage.FIT.said("plain", "fit", scores=scores)] if scores else []
 
@@ -74,6 +70,12 @@ def fit_scores(fits: Sequence[OutputFit]) -> str:
 def _score(fit: float, rmse: float, unit: str | None) -> str:
     error = f"RMSE {with_unit(rmse, unit)}"
     return f"{error} ({CONSTANT})" if math.isnan(fit) and math.isfinite(rmse) else f"{fit_text(fit)} ({error})"
+
+
+def simulation_document(fits: Sequence[OutputFit]) -> Document:
+    """Return the document of a simulation: fit and RMSE."""
+    state = f"{len(fits)} experiment{'s' * (len(fits) > 1)}"
+    return Document("simulation", "Simulation", state, "good", tuple(fit_remarks(fits)), (scores_section(fits),))
 
 
 def scores_section(fits: Sequence[OutputFit]) -> Section:
@@ -100,9 +102,9 @@ def fit_sections(
     """Return a section per experiment, of many those that fit worst."""
     shown, sections = worst(fits), []
     if len(shown) < len(fits):
-        caption += f" Of {len(fits)} experiments the {LIMITS.experiments} that fit worst are drawn."
+        caption += f" Drawn: the {LIMITS.experiments} of {len(fits)} experiments with the lowest fit."
     if any(len(fit.outputs) > LIMITS.outputs for fit in shown):
-        caption += f" Of more than {LIMITS.outputs} outputs those that fit worst are drawn."
+        caption += f" Drawn: the {LIMITS.outputs} outputs with the lowest fit."
     for k, fit in enumerate(shown):
         band = (bands or {}).get(fit.experiment)
         words = heading + (f": {fit.experiment}" if len(fits) > 1 else "")

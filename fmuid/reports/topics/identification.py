@@ -8,90 +8,150 @@ from collections.abc import Sequence
 import pandas as pd
 
 from fmuid.estimation import Result
-from fmuid.formatting import unit_text
-from fmuid.identification import SIGNIFICANCE_LEVEL, Deviation, PriorDataComparison, ResidualAnalysis
+from fmuid.formatting import fit_text, unit_text
 from fmuid.models import SolverConfiguration
-from fmuid.reports.document import Document, Message, Remark, Section, Tone, capitalised, origin_of
+from fmuid.reports.document import Document, Message, Remark, Section, origin_of
 from fmuid.reports.topics.estimates import correlation_sections, estimates_section, precision_remarks
 from fmuid.reports.topics.fit import fit_remarks, fit_sections
-from fmuid.reports.topics.optimization import optima_section, optimization_sections
+from fmuid.reports.topics.optimization import optima_remarks, optima_section, optimization_sections
 from fmuid.reports.topics.preprocessing import preprocessing_sections
-from fmuid.reports.topics.prior_and_data import prior_sections, reading_words
-from fmuid.reports.topics.residual_analysis import residual_section, residual_words
-from fmuid.reports.topics.solver_check import run_words, sensitivity_words, solver_section
-from fmuid.reports.topics.study_notes import dropout_words
-from fmuid.reports.topics.termination import effort_words, ending, result_remarks
-from fmuid.reports.topics.uncertainty import interval_section, posterior_words, uncertainty_words
+from fmuid.reports.topics.prior_and_data import prior_sections, reading_remarks
+from fmuid.reports.topics.residual_analysis import residual_phrases, residual_remarks, residual_section, widening_words
+from fmuid.reports.topics.solver_check import SolverMessage, run_words, sensitivity_words, solver_section
+from fmuid.reports.topics.study_notes import gap_remark
+from fmuid.reports.topics.termination import effort_remark, result_remarks, state_and_reason
+from fmuid.reports.topics.uncertainty import interval_section, uncertainty_remarks
 from fmuid.reports.topics.uncertainty_charts import uncertainty_sections
 from fmuid.runs import IdentificationRun
 from fmuid.simulation import OutputFit
 
-_ODD = (Deviation.LARGER, Deviation.SMALLER)
+MAX_LINES = 4
+"""Lines of a terminal between table and report."""
 
 
 class RunMessage(Message):
-    """How models were run, and what is left of the measurements."""
+    """Results of a run as a whole."""
 
-    POINT = ("{point}", "the best point of a search that was interrupted before a fit began from it")
-    NOISE = ("Residual: {noise}", "the standard deviation of each output's residual, beside that given")
-    RUN = (
-        "{model} run as {run}",
-        "how the FMU was simulated; in a new process for each simulation, where it keeps something outside its "
-        "instances, such as a static variable, by which each simulation would change the next",
+    POINT = ("Best point: {point}.", "interrupted before the first fit from it")
+    NOISE = ("Residual: {noise}.", "standard deviation of each output's residual, and of the stated noise")
+    INTERRUPTED = (
+        "Interrupted: the checks of [uncertainty] are incomplete.",
+        "by Ctrl-C; the estimates are complete",
+        "Continue with `--resume`.",
+        "bad",
     )
-    SENSITIVITIES = ("sensitivities by {how}", "how the derivatives by the parameters were found")
-    POSTERIOR = ("Posterior: {words}", "the samples can be used")
-    INTERRUPTED = ("Interrupted: this is what there is", "Ctrl-C ended what was asked for beside the estimates")
 
 
 def identification_document(found: IdentificationRun) -> Document:
     """Return the document of an identification."""
-    result, good = found.result, found.succeeded
-    state = "converged" if result.converged else result.outcome.value.replace("_", " ")
-    tone: Tone = "good" if good else "bad"
-    origin = origin_of(found.origin, _effort(result))
-    sections = identification_sections(found)
-    return Document("identification", "Identification", state, tone, tuple(_remarks(found)), tuple(sections), **origin)
+    result, checks = found.result, found.assessment
+    state, reason = state_and_reason(result)
+    if result.converged and not found.succeeded:
+        reason += (
+            "; interrupted" if checks.interrupted else "; [uncertainty] found a better optimum or did not converge"
+        )
+    said = _remarks(found)
+    return Document(
+        "identification",
+        "Identification",
+        state,
+        "good" if found.succeeded else "bad",
+        tuple(said),
+        tuple(identification_sections(found)),
+        **origin_of(found.origin, _models(result)),
+        reason=reason,
+        summary=_summary(found, said),
+    )
 
 
-def _effort(result: Result) -> dict[str, str]:
-    models = {
+def _models(result: Result) -> dict[str, str]:
+    return {
         f"FMU {name or model['name']}": f"SHA-256 {model.get('digest', '')}"
         for name, model in result.setup.models.items()
     }
-    return {**models, "search": effort_words(result)}
 
 
 def _remarks(found: IdentificationRun) -> list[Remark]:
-    """Return the sentences on an identification, the verdict first."""
+    """Return the remarks on an identification, the verdict first."""
     result, names, checks = found.result, found.result.names, found.assessment
     reading, residuals = checks.prior_and_data, checks.residuals
-    said = [Remark(capitalised(ending(result), names), "plain" if result.converged else "bad", "criterion")]
-    if reading is None or residuals is None:  # interrupted before anything could be examined
+    first, *others = result_remarks(result)
+    if reading is None or residuals is None:  # interrupted before any check
         point = ", ".join(f"{name} = {result[name]:.6g}" for name in names)
-        return [RunMessage.POINT.said("plain", "", names, point=point), *said]
-    said += [*precision_remarks(result), *fit_remarks(found.fits)]
-    said += [Remark(dropout_words(*each), "doubt", "fit") for each in found.dropouts.items()]
-    said += [*result_remarks(result), *_examined(found, reading, residuals)]
+        return [RunMessage.POINT.said("plain", "", names, point=point), first]
+    said = [first, *precision_remarks(result), *fit_remarks(found.fits)]
+    said += [gap_remark(*each) for each in found.dropouts.items()]
+    said += [*others, *optima_remarks(result)]
+    said += [*reading_remarks(reading, found.output_units), *residual_remarks(residuals, found.output_units)]
     said.append(RunMessage.NOISE.said("plain", "residuals", noise=_noise(result, found.fits)))
     for component, model in result.setup.models.items():
         if "run" in model:
             run = run_words(SolverConfiguration(**model["run"]))
-            said.append(RunMessage.RUN.said("plain", "", (), model=component or model["name"], run=run))
+            said.append(
+                SolverMessage.RUN.said(
+                    None, "", (component or model["name"],), model=component or model["name"], run=run
+                )
+            )
     if result.setup.sensitivity is not None:
-        said.append(RunMessage.SENSITIVITIES.said(how=sensitivity_words(result.setup.sensitivity)))
-    said += [Remark(capitalised(text, names), "doubt", "profiles") for text in uncertainty_words(checks)]
-    if checks.posterior is not None and checks.posterior.converged:
-        said.append(RunMessage.POSTERIOR.said("plain", "posterior", words=posterior_words(checks.posterior)))
-    return said + ([RunMessage.INTERRUPTED.said("bad")] if checks.interrupted else [])
+        said.append(SolverMessage.SENSITIVITIES.said(how=sensitivity_words(result.setup.sensitivity)))
+    said += [effort_remark(result), *uncertainty_remarks(checks)]
+    return said + ([RunMessage.INTERRUPTED.said()] if checks.interrupted else [])
 
 
-def _examined(found: IdentificationRun, reading: PriorDataComparison, residuals: ResidualAnalysis) -> list[Remark]:
-    coloured: Tone = "doubt" if any(each.large for each in residuals.findings) else "plain"
-    odd = reading.agreement is not None and reading.agreement.probability < SIGNIFICANCE_LEVEL
-    odd |= any(each.deviation in _ODD for each in reading.variances)
-    said = [Remark(text, "doubt" if odd else "plain", "belief") for text in reading_words(reading, found.output_units)]
-    return said + [Remark(text, coloured, "residuals") for text in residual_words(residuals, found.output_units)]
+def _summary(found: IdentificationRun, said: Sequence[Remark]) -> tuple[tuple[str, str], ...]:
+    """Return at most `MAX_LINES` lines for a terminal, those with doubts first."""
+    residuals = found.assessment.residuals
+    if residuals is None:
+        return ()
+    kinds = {"Prior": "PriorMessage", "Optima": "OptimaMessage", "Solver": "SolverMessage"}
+    own = (*kinds.values(), "ResidualMessage")
+    others = [each for each in said[1:] if _is_doubt(each) and each.message.split(".")[0] not in own]
+    if found.result.identifiability.non_identifiable:  # which the first line tells
+        others = [each for each in others if each.tone != "bad"]
+    factors = widening_words(residuals)
+    lines = [
+        ("Fit", _fits(found.fits), False),
+        ("Residuals", residual_phrases(residuals), any(each.large for each in residuals.findings)),
+        ("Intervals", f"widened {factors} for colored noise" if factors else "", bool(factors)),
+        ("Doubts", _short("", others), True),
+    ]
+    for label, kind in kinds.items():
+        mine = [each for each in said if each.message.split(".")[0] == kind and each.message not in _SETTINGS]
+        doubts = [each for each in mine if _is_doubt(each)]
+        lines.append((label, _short(f"{label} ", doubts or mine), bool(doubts)))
+    shown = [each for each in lines if each[1]]
+    if not any(doubtful for *_, doubtful in shown):
+        shown.append(("Not tested", "model errors that the parameters absorb → fmuid predict RESULT NEW_DATA", True))
+    kept = sorted(shown, key=lambda each: not each[2] and each[0] != "Fit")[:MAX_LINES]
+    return tuple((label, text) for each in shown if each in kept for label, text in [each[:2]])
+
+
+_SETTINGS = ("SolverMessage.CHECKED", "SolverMessage.RUN", "SolverMessage.SENSITIVITIES")
+
+
+def _is_doubt(said: Remark) -> bool:
+    return said.tone in ("doubt", "bad")
+
+
+def _short(prefix: str, said: Sequence[Remark]) -> str:
+    """Return the first two of these sentences, and the number of others."""
+    texts = [each.text.rstrip(".").removeprefix(prefix) for each in said]
+    return "; ".join([*texts[:2], *([f"{len(texts) - 2} more (--verbose)"] if len(texts) > 2 else [])])
+
+
+def _fits(fits: Sequence[OutputFit]) -> str:
+    """Return the fit of each output, or the lowest of many, in %."""
+    scores = [
+        (score, f"{name} in {fit.experiment}" if len(fits) > 1 else name)
+        for fit in fits
+        for name, score, counted in zip(fit.outputs, fit.fit, fit.counted.T, strict=True)
+        if counted.any()
+    ]
+    known = [each for each in scores if math.isfinite(each[0])]
+    if len(scores) > MAX_LINES and known:
+        return f"at least {fit_text(min(known)[0])} ({min(known)[1]}; NRMSE)"
+    words = [f"{name} {fit_text(score) if math.isfinite(score) else 'constant'}" for score, name in scores]
+    return f"{', '.join(words)} (NRMSE)" if words else ""
 
 
 def _noise(result: Result, fits: Sequence[OutputFit]) -> str:

@@ -13,7 +13,7 @@ from fmuid.errors import InputError
 from fmuid.formatting import two_digits, unit_text
 from fmuid.reports.document import Document, Message, Remark, Section, Table, table_of_rows
 from fmuid.reports.render.console import console, show_remarks, show_section
-from fmuid.reports.topics.study_notes import dropout_words, size_words, time_words
+from fmuid.reports.topics.study_notes import gap_remark, size_remark, time_remark
 from fmuid.studies import SHOWN_CHANGE, ColumnMatch, Draft, MatchedDataFile, MatchReason, proposal
 
 
@@ -121,7 +121,7 @@ def remarks(record: MatchedDataFile) -> list[Remark]:
     if record.interpolation != "linear":
         say(InitMessage.HELD, names=", ".join(record.held))
     if record.dropouts:
-        found.append(Remark(dropout_words(file, record.dropouts), "doubt"))
+        found.append(gap_remark(file, record.dropouts))
     for column, value in record.constant.items():
         say(InitMessage.CONSTANT, column=column, value=value)
     for column, (value, count) in record.marks.items():
@@ -162,8 +162,7 @@ def draft_document(made: Draft, output: Path) -> Document:
     heads = ["parameter", "start", "unit", f"{100 * SHOWN_CHANGE:g} % change", "proposed"]
     table = table_of_rows(heads, rows, ("unit", "proposed"))
     section = Section("parameters", "Effect of the parameters (% of the outputs' spread)", table=table if rows else ())
-    said = [Remark(time_words(each), "doubt") for each in found.doubts]
-    said += [Remark(size_words(*each), "doubt") for each in found.sizes]
+    said = [*map(time_remark, found.doubts), *(size_remark(*each) for each in found.sizes)]
     said += [InitMessage.NO_SURVEY.said("doubt", failure=found.failure)] if found.failure else []
     text = f"fmuid identify {output}" if made.runs else "list the parameters to identify under [parameters]."
     return Document("draft", "Written", f"{output}. Next: {text}", "plain", tuple(said), (section,))

@@ -13,51 +13,72 @@ from fmuid.estimation import Result
 from fmuid.formatting import has_unit, label
 from fmuid.identification import RIVAL_CRITERION
 from fmuid.reports.chart import LIMITS, Axis, Chart, Color, Data, Layer, Units, named, picked
-from fmuid.reports.document import CONSOLE, Remark, Section, table_of
+from fmuid.reports.document import DETAIL, Message, Remark, Section, table_of
 
 WIDE_RANGE = 5.0
-"""Variances and criteria are drawn logarithmically where they range over this ratio."""
+"""Variances and costs are drawn logarithmically where they range over this ratio."""
 LEAST_POINT, MOST_POINT = 6.0, 16.0
 """Diameters of the points of optima, from few fits to many, in pixels."""
 PARAMETERS = (
-    "They should come to rest in the blue band, the interval of the estimate; the prior's ± 2 std is "
-    "amber, the circle is the start."
+    "Each parameter should settle in the blue band, the interval of its estimate. Amber: prior ± 2 σ. Circle: initial "
+    "guess."
 )
-CRITERION = (
-    "The criterion falls with each accepted step; rejected trials are crosses. It begins anew where the "
-    "noise variances are estimated again."
+COST = (
+    "The cost decreases with each accepted step; crosses are rejected trials. It restarts where the noise variances "
+    "are estimated again."
 )
 OPTIMA = (
-    "Where the searches from points of the whole box ended; the larger a point, the more of them. Several "
-    "low points apart from each other: the data do not tell which is true."
+    "Optima from starting points of the whole box; larger points were found more often. Several low points apart from "
+    "each other fit equally well."
 )
+
+
+class OptimaMessage(Message):
+    """Optima of a global search."""
+
+    SECOND = (
+        "Second optimum fits equally well: {values} (cost + {excess}).",
+        "the data do not distinguish them",
+        "Narrow the bounds or add a prior.",
+        "doubt",
+    )
+    FOUND = (
+        "{count} from {searches}; best one found {hits} ×.",
+        "how many local optimizations ended at each is in the report",
+    )
+
+
+def optima_remarks(result: Result) -> list[Remark]:
+    """Return the number of local optima, and those that fit equally well."""
+    shown = result.history.optima
+    if not shown:
+        return []
+    searches = sum(optimum.hits for optimum in shown)
+    count, of = _count(len(shown), "optimum", "optima"), _count(searches, "starting point", "starting points")
+    said = [OptimaMessage.FOUND.said(None, "optima", count=count, searches=of, hits=shown[0].hits)]
+    for other in shown[1:]:
+        if (excess := other.criterion - shown[0].criterion) < RIVAL_CRITERION:
+            pairs = zip(result.names, other.theta.tolist(), strict=True)
+            values = ", ".join(f"{name} = {value:.5g}" for name, value in pairs)
+            said.append(OptimaMessage.SECOND.said(None, "optima", values=values, excess=f"{excess:.2g}"))
+    return said
+
+
+def _count(number: int, one: str, several: str) -> str:
+    return f"{number} {one if number == 1 else several}"
 
 
 def optima_section(result: Result) -> Section:
-    """Return the local optima, with a remark on equally good ones."""
-    shown, best = result.history.optima, result.history.optima[0]
+    """Return the table of the local optima."""
+    shown = result.history.optima
     values = {name: [f"{optimum.theta[i]:.5g}" for optimum in shown] for i, name in enumerate(result.names)}
     columns = {
-        "criterion": [f"{optimum.criterion:.6g}" for optimum in shown],
-        "found": [f"{optimum.hits} x" for optimum in shown],
+        "cost": [f"{optimum.criterion:.6g}" for optimum in shown],
+        "found": [f"{optimum.hits} ×" for optimum in shown],
         **values,
         "note": ["" if optimum.converged else "not converged" for optimum in shown],
     }
-    searches = sum(optimum.hits for optimum in shown)
-    rivals = [
-        Remark(
-            f"another optimum fits as well (criterion higher by {other.criterion - best.criterion:.2g}), "
-            + ", ".join(f"{name} = {value:.5g}" for name, value in zip(result.names, other.theta.tolist(), strict=True))
-            + ": the data do not tell which is true; narrow the bounds, give a prior or measure more",
-            "doubt",
-            "optima",
-        )
-        for other in shown[1:]
-        if other.criterion - best.criterion < RIVAL_CRITERION
-    ]
-    title = f"Optima found by {searches} search{'es' if searches > 1 else ''}"
-    table = table_of(columns, ["note"], result.names[::-1])
-    return Section("found", title, table=table, shown=CONSOLE, remarks=tuple(rivals))
+    return Section("found", "Optima", table=table_of(columns, ["note"], result.names[::-1]), shown=DETAIL)
 
 
 def optimization_sections(
@@ -67,12 +88,12 @@ def optimization_sections(
     sections, trace, rounds = [], result.trace, pd.DataFrame(result.history.rounds)
     if len(trace):
         drawn = tuple(_parameters(trace, estimates))
-        sections.append(Section("parameters", "Parameters during the search", PARAMETERS, charts=drawn))
+        sections.append(Section("parameters", "Parameters during the optimization", PARAMETERS, charts=drawn))
         curves = _criterion(trace) + (_rounds(rounds, output_units) if len(rounds) > 1 else [])
-        sections.append(Section("criterion", "The criterion during the search", CRITERION, charts=tuple(curves)))
+        sections.append(Section("criterion", "Cost during the optimization", COST, charts=tuple(curves)))
     if len(optima):
         units = dict(zip(estimates["parameter"], estimates["unit"], strict=True))
-        sections.append(Section("optima", "Optima found", OPTIMA, charts=tuple(_optima(optima, units))))
+        sections.append(Section("optima", "Optima", OPTIMA, charts=tuple(_optima(optima, units))))
     return sections
 
 
@@ -86,7 +107,7 @@ def _parameters(trace: pd.DataFrame, estimates: pd.DataFrame) -> list[Chart]:
     accepted = trace[trace["accepted"].astype(bool)]
     iterations, cost = (accepted[name].to_numpy(np.float64) for name in ("iteration", "criterion"))
     across, charts = _iterations(trace), []
-    hover = (("iteration", "@x"), ("value", "@y{0.000000}"), ("criterion", "@c{0.000}"))
+    hover = (("iteration", "@x"), ("value", "@y{0.000000}"), ("cost", "@c{0.000}"))
     for row in estimates.iloc[: LIMITS.parameters].to_dict("records"):
         values, layers = accepted[str(row["parameter"])].to_numpy(np.float64), []
         half = 2.0 * float(row["prior_std"])
@@ -118,10 +139,10 @@ def _room(values: list[float], std: float) -> tuple[float, float]:
 
 
 def _criterion(trace: pd.DataFrame) -> list[Chart]:
-    """Return cost and λ over the iterations, one line per round of noise variances."""
+    """Return cost and damping over the iterations, one line per round."""
     damped, across = trace[trace["lambda"] > 0], _iterations(trace)
-    found = [_curve(trace, "criterion", "criterion", across)]
-    return found + ([_curve(damped, "lambda", "Marquardt's λ, where it is not 0", across)] if len(damped) else [])
+    found = [_curve(trace, "criterion", "cost", across)]
+    return found + ([_curve(damped, "lambda", "damping λ, where not 0", across)] if len(damped) else [])
 
 
 def _curve(trace: pd.DataFrame, column: str, text: str, across: Axis) -> Chart:
@@ -131,7 +152,7 @@ def _curve(trace: pd.DataFrame, column: str, text: str, across: Axis) -> Chart:
         data = {"x": part["iteration"].to_numpy(np.float64), "y": part[column].to_numpy(np.float64)}
         some = picked(data, taken)
         layers.append(Layer("line", some, label="accepted"))
-        hover = (("iteration", "@x"), (column, "@y{0.0000}"))
+        hover = (("iteration", "@x"), (text, "@y{0.0000}"))
         layers.append(Layer("points", some, label="accepted", hover=hover))
         refused = ~taken & np.isfinite(data["y"])
         if refused.any():
@@ -155,7 +176,7 @@ def _rounds(found: pd.DataFrame, units: Units) -> list[Chart]:
         data: Data = {"x": np.arange(values.size, dtype=np.float64), "y": values}
         hover = (("round", "@x"), ("variance", "@y{0.00000000}"))
         layers = (Layer("line", data), Layer("points", data, hover=hover))
-        charts.append(Chart(Axis("round of the search", whole=True), Axis(text, "log" if wide else "linear"), layers))
+        charts.append(Chart(Axis("round", whole=True), Axis(text, "log" if wide else "linear"), layers))
     return charts
 
 
@@ -166,7 +187,7 @@ def _optima(table: pd.DataFrame, units: Units) -> list[Chart]:
     sizes = LEAST_POINT + (MOST_POINT - LEAST_POINT) * hits / hits.max()
     best = np.arange(len(table)) == 0
     wide = values.max() > WIDE_RANGE * values.min() > 0
-    hover = (("value", "@x{0.000000}"), ("criterion", "@y{0.000}"), ("searches", "@n"))
+    hover = (("value", "@x{0.000000}"), ("cost", "@y{0.000}"), ("starting points", "@n"))
     charts = []
     for name in names:
         data = {"x": table[name].to_numpy(np.float64), "y": values, "size": sizes, "n": hits}
@@ -183,5 +204,5 @@ def _optima(table: pd.DataFrame, units: Units) -> list[Chart]:
             if mine.any()
         ]
         kind: Literal["linear", "log"] = "log" if wide else "linear"
-        charts.append(Chart(Axis(named(name, units)), Axis("criterion", kind), tuple(layers)))
+        charts.append(Chart(Axis(named(name, units)), Axis("cost", kind), tuple(layers)))
     return charts

@@ -11,8 +11,8 @@ from fmuid.formatting import fit_text, listed, two_digits, unit_text, with_std, 
 from fmuid.identification import OutputScore, Prediction, ResidualAnalysis
 from fmuid.reports.document import Document, Message, Remark, Section, Table, Tone, origin_of, table_of_rows
 from fmuid.reports.topics.fit import CONSTANT, Band, fit_sections
-from fmuid.reports.topics.residual_analysis import residual_section, residual_words
-from fmuid.reports.topics.study_notes import source_words
+from fmuid.reports.topics.residual_analysis import residual_remarks, residual_section
+from fmuid.reports.topics.study_notes import source_remark
 from fmuid.runs import PredictionRun
 
 MAX_RATIO = 1.25
@@ -31,7 +31,6 @@ class PredictionMessage(Message):
         "the fit to estimation data says nothing about other data",
         "Predict data that the result was not estimated from.",
     )
-    SOURCE = ("{words}", "see earlier results")
     OPEN = (
         "{record}: {output} predicted ({size}); its expected RMSE is unknown.",
         "the result was not estimated from such an output",
@@ -69,7 +68,7 @@ def prediction_document(found: PredictionRun) -> Document:
     seen = bool(found.seen)
     state = "no validation" if seen else "predicted" if not ratios else "as expected" if good else "worse than expected"
     tone: Tone = "good" if good and not seen else "bad"
-    said = [PredictionMessage.SOURCE.said("doubt", words=source_words(each)) for each in found.notes]
+    said = list(map(source_remark, found.notes))
     said += [PredictionMessage.SEEN.said("doubt", names=listed(found.seen))] if seen else []
     said += [each for prediction in predictions for each in prediction_remarks(prediction)]
     said += [fold_remark(predictions)] if found.folds else []
@@ -112,7 +111,7 @@ def prediction_remarks(found: Prediction) -> list[Remark]:
             end = {"names": listed(again.names), "end": again.outcome.value.replace("_", " ")}
             remarks.append(said(PredictionMessage.REFIT_ENDED, "doubt", **end))
     units = dict(zip(found.fit.outputs, found.fit.units, strict=True))
-    return [*remarks, *(Remark(text, "plain", "residuals") for text in residual_words(found.residuals, units))]
+    return [*remarks, *residual_remarks(found.residuals, units)]
 
 
 def _score_remarks(found: Prediction, score: OutputScore, said: Callable[..., Remark]) -> Iterator[Remark]:

@@ -8,15 +8,11 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from fmuid.formatting import listed
 from fmuid.reports.chart import LIMITS, Axis, Chart, ChartGrid, Color, Layer, Units, named, stacked
-from fmuid.reports.document import Section
+from fmuid.reports.document import Section, capitalized
 from fmuid.runs import PreprocessedTable
 
-CAPTION = (
-    "Grey is what was recorded, blue what the model is driven by and compared with. Columns that stay as they were "
-    "are not drawn."
-)
+CAPTION = "Grey: as recorded. Blue: as used. Unchanged columns are not drawn."
 STAGES: tuple[tuple[str, str, Color, float], ...] = (
     ("before", "as recorded", "grey", 1.2),
     ("after", "as used", "blue", 1.6),
@@ -45,7 +41,7 @@ def preprocessing_sections(
     """Return a section per preprocessed data file."""
     shown: list[Section] = []
     for each in [one for one in prepared if one.words and len(one.table)][: LIMITS.experiments]:
-        heading = "What was done with the table first" + (f": {each.experiment}" if several else "")
+        heading = "Preprocessing" + (f": {each.experiment}" if several else "")
         caption = f"{preparation_words(each.words)}." + ("" if shown else f" {CAPTION}")
         anchor = key if not shown else f"{key}-{len(shown) + 1}"
         charts = (preprocessing_charts(each.table, each.units),)
@@ -56,24 +52,24 @@ def preprocessing_sections(
 def preparation_words(words: Mapping[str, Any]) -> str:
     """Return the preprocessing steps as text."""
     done = list(_done(words))
-    return f"The table was {listed(done)}" if done else "The table was left as it is"
+    return capitalized("; ".join(done)) if done else "None"
 
 
 def _done(words: Mapping[str, Any]) -> Iterator[str]:
     if words.get("computed_columns"):
-        yield f"given the columns {', '.join(f'{name} = {text}' for name, text in words['computed_columns'].items())}"
+        yield f"computed columns: {', '.join(f'{name} = {text}' for name, text in words['computed_columns'].items())}"
     if words.get("fill_missing"):
-        gap = f" of at most {words['max_gap']:g} s" if words.get("max_gap") else ""
-        yield f"filled over gaps{gap} ({', '.join(f'{name}: {how}' for name, how in words['fill_missing'].items())})"
+        gap = f" up to {words['max_gap']:g} s" if words.get("max_gap") else ""
+        yield f"gaps{gap} filled ({', '.join(f'{name}: {how}' for name, how in words['fill_missing'].items())})"
     for each in words.get("park", ()):
-        yield f"turned from {', '.join(each['source'])} to {', '.join(each['target'])}"
+        yield f"transformed from {', '.join(each['source'])} to {', '.join(each['target'])}"
     if "lowpass_frequency" in words:
-        yield f"low-passed at {words['lowpass_frequency']:g} Hz, without a shift in time"
+        yield f"low-pass filter of {words['lowpass_frequency']:g} Hz without delay"
     ends = {"from": "start_time", "to": "end_time"}
     if cut := [f"{word} {words[key]:g} s" for word, key in ends.items() if key in words]:
         yield f"cut {' '.join(cut)}"
     if "resample_interval" in words:
-        yield f"resampled in steps of {words['resample_interval']:g} s"
+        yield f"resampled to {words['resample_interval']:g} s"
     if "detrend" in words:
         given = words["detrend"]
         each = ", ".join(f"{name}: {how}" for name, how in given.items()) if isinstance(given, dict) else given

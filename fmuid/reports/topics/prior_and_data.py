@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 import pandas as pd
 
-from fmuid.estimation import TerminationReason
 from fmuid.formatting import listed, two_digits, unit_text, with_std, with_unit
 from fmuid.identification import (
     Deviation,
@@ -20,98 +19,151 @@ from fmuid.identification import (
     parameters_with_prior_and_data,
 )
 from fmuid.reports.chart import DENSITY, LIMITS, Axis, Chart, Color, Layer, Units, named, normal
-from fmuid.reports.document import CONSOLE, Section, Table, table_of
-from fmuid.reports.shared_phrases import direction_words
+from fmuid.reports.document import DETAIL, Message, Remark, Section, Table, table_of
 from fmuid.reports.topics.termination import ENDS
 
 
-def reading_words(reading: PriorDataComparison, units: Mapping[str, str | None] | None = None) -> tuple[str, ...]:
+class PriorMessage(Message):
+    """Prior, data and known noise."""
+
+    AGREE = ("Prior and data agree (p = {probability}).", "χ² test: both may come from the same parameters")
+    CONFLICT = (
+        "Prior and data conflict (p = {probability}).",
+        "the estimate is a compromise of two that exclude each other",
+        "Check the prior, the model and the machine.",
+        "doubt",
+    )
+    CONFLICT_MOST = (
+        "Prior and data conflict (p = {probability}); largest for {name} ({pull} σ).",
+        "the estimate is a compromise of two that exclude each other",
+        "Check the prior of {name}, the model and the machine.",
+        "doubt",
+    )
+    DOMINATES = (
+        "Prior dominates {name}; data alone give {alone}.",
+        "the data add next to nothing",
+        "",
+        "doubt",
+    )
+    OTHER_DOMINATES = (
+        "Prior of {prior} dominates {name}; data alone give {alone}.",
+        "the data add next to nothing",
+        "",
+        "doubt",
+    )
+    MOVED = (
+        "Prior of {prior} moved {name} from {alone} to {value} ({moved} σ).",
+        "the prior counts as much as the data",
+    )
+    NONLINEAR = (
+        "Linear combination of prior and data gives {name} = {value}, {distance} σ off.",
+        "the model is not linear between prior and data; σ is approximate",
+        'Set `[uncertainty]` profile_likelihood = ["{name}"], or a posterior.',
+        "doubt",
+    )
+    LARGER = (
+        "Residual of {output} exceeds its noise level: {estimated} against {known} (p = {probability}).",
+        "the stated noise does not explain it; σ follows the stated level",
+        "Check the model, the prior and the machine.",
+        "doubt",
+    )
+    SMALLER = (
+        "Residual of {output} is below its noise level: {estimated} against {known}.",
+        "σ follows the stated level and is too large",
+        "State the right noise level: σ is {factor} × too large.",
+        "doubt",
+    )
+    AS_KNOWN = (
+        "Residual of {outputs} matches its noise level (variance × {ratios}, p = {probability}).",
+        "χ² test of the residual variance",
+    )
+    ALONE_BOUND = (
+        "Optimum of the data alone is extrapolated: {names} would reach a bound.",
+        'the column "data alone" is a linear approximation',
+    )
+    ALONE_OPEN = (
+        "Optimum of the data alone is extrapolated: {names} not identifiable.",
+        'the column "data alone" is a linear approximation',
+    )
+    ALONE_ENDED = (
+        "Optimum of the data alone is extrapolated: {end}.",
+        'the column "data alone" is a linear approximation',
+    )
+    ALONE_ROBUST = (
+        "Optimum of the data alone is extrapolated because of the robust loss.",
+        'the column "data alone" is a linear approximation',
+    )
+
+
+_PLACE: tuple[None, str] = None, "belief"
+
+
+def reading_remarks(reading: PriorDataComparison, units: Units | None = None) -> list[Remark]:
     """Return the remarks on prior, data and known noise."""
     said = [] if reading.agreement is None else [_agreement(reading, reading.agreement)]
     said += [_influence(reading, each) for each in reading.influences]
     said += [_bent(reading)] if reading.bent else []
     said += _variances(reading, units or {})
-    said += [obstacle_words(reading.obstacle)] if reading.obstacle is not None else []
-    return tuple(said)
+    return said + ([] if reading.obstacle is None else [obstacle_remark(reading.obstacle)])
 
 
-def _agreement(reading: PriorDataComparison, agreement: PriorDataTest) -> str:
-    chance = (
-        f"χ² {agreement.statistic:.3g} with {agreement.degrees_of_freedom} degrees of freedom, "
-        f"probability {agreement.probability:.2g}"
-    )
+def _agreement(reading: PriorDataComparison, agreement: PriorDataTest) -> Remark:
+    probability = f"{agreement.probability:.2g}"
     if agreement.holds:
-        return f"Prior and data agree ({chance})"
+        return PriorMessage.AGREE.said(*_PLACE, probability=probability)
     sizes = np.abs(np.nan_to_num(reading.conflict))
     i = int(np.argmax(sizes))
-    most = f", most of all on {reading.names[i]}, {sizes[i]:.2g} standard deviations apart" if sizes[i] else ""
-    return (
-        f"Prior and data disagree ({chance}){most}: the system has changed, the model lacks something, or the prior is "
-        "wrong or too sure of itself; the estimate lies between both"
-    )
+    message = PriorMessage.CONFLICT_MOST if sizes[i] else PriorMessage.CONFLICT
+    return message.said(*_PLACE, probability=probability, name=reading.names[i], pull=f"{sizes[i]:.2g}")
 
 
-def _influence(reading: PriorDataComparison, found: PriorInfluence) -> str:
+def _influence(reading: PriorDataComparison, found: PriorInfluence) -> Remark:
     i = reading.names.index(found.name)
     std = float(reading.data_std[i])
     alone = _shown(float(reading.data[i]), std)
-    whose = "its own prior" if found.prior == found.name else f"the prior of {found.prior}"
     if found.rests:
-        return f"{found.name} rests on {whose}: the data alone say {alone} ± {std:.2g}"
-    return (
-        f"The prior moved {found.name} from {alone}, which is what the data alone say, to "
-        f"{_shown(float(reading.combined[i]), std)}, by {abs(reading.moved[i]):.2g} of its standard "
-        f"deviations; {whose} did most of it"
-    )
+        message = PriorMessage.DOMINATES if found.prior == found.name else PriorMessage.OTHER_DOMINATES
+        return message.said(*_PLACE, (found.name,), name=found.name, prior=found.prior, alone=f"{alone} ± {std:.2g}")
+    value, moved = _shown(float(reading.combined[i]), std), f"{abs(reading.moved[i]):.2g}"
+    values = {"name": found.name, "prior": found.prior, "alone": alone, "value": value, "moved": moved}
+    return PriorMessage.MOVED.said(*_PLACE, **values)
 
 
-def _bent(reading: PriorDataComparison) -> str:
+def _bent(reading: PriorDataComparison) -> Remark:
     i = reading.names.index(reading.bent)
-    return (
-        f"Between prior and data the model is not linear: their barycentre has {reading.bent} at "
-        f"{_shown(float(reading.barycentre[i]), float(reading.combined_std[i]))}, "
-        f"{abs(reading.nonlinearity[i]):.2g} standard deviations from its estimate: "
-        "the local standard deviations are an order of magnitude; a profile or the posterior tell more"
-    )
+    value = _shown(float(reading.barycentre[i]), float(reading.combined_std[i]))
+    distance = f"{abs(reading.nonlinearity[i]):.2g}"
+    return PriorMessage.NONLINEAR.said(*_PLACE, name=reading.bent, value=value, distance=distance)
 
 
-def _variances(reading: PriorDataComparison, units: Mapping[str, str | None]) -> list[str]:
-    blame = "the model or the prior" if np.isfinite(reading.prior_mean).any() else "the model"
+def _variances(reading: PriorDataComparison, units: Units) -> list[Remark]:
     said, outputs = [], [test for test in reading.variances if test.output]
     for test in outputs:
         unit = units.get(test.output)
-        levels = " against ".join(with_unit(math.sqrt(each), unit) for each in (test.estimated, test.known))
+        values = {key: with_unit(math.sqrt(getattr(test, key)), unit) for key in ("estimated", "known")}
+        values |= {"output": test.output, "probability": f"{test.probability:.2g}"}
         if test.deviation is Deviation.LARGER:
-            said.append(
-                f"The residual of {test.output} is larger than its stated noise level: {levels} (probability "
-                f"{test.probability:.2g}): the system has changed, or {blame} is wrong"
-            )
+            said.append(PriorMessage.LARGER.said(*_PLACE, **values))
         elif test.deviation is Deviation.SMALLER:
-            said.append(
-                f"The residual of {test.output} is smaller than its stated noise level: {levels}: standard deviations "
-                f"follow the stated level and are {two_digits(1.0 / math.sqrt(test.ratio))} times too large"
-            )
+            values["factor"] = two_digits(1.0 / math.sqrt(test.ratio))
+            said.append(PriorMessage.SMALLER.said(*_PLACE, **values))
     if outputs and not said:
-        shares = listed([f"{test.ratio:.3g}" for test in outputs])
-        which = listed([test.output for test in outputs])
-        said.append(
-            f"The residual of {which} is as large as the known noise says (variance {shares} times it, probability "
-            f"{reading.variances[-1].probability:.2g})"
-        )
+        ratios, names = listed([f"{test.ratio:.3g}" for test in outputs]), listed([test.output for test in outputs])
+        probability = f"{reading.variances[-1].probability:.2g}"
+        said.append(PriorMessage.AS_KNOWN.said(*_PLACE, outputs=names, ratios=ratios, probability=probability))
     return said
 
 
-def obstacle_words(obstacle: ExtrapolationReason) -> str:
-    """Say why the optimum of the data alone is extrapolated."""
+def obstacle_remark(obstacle: ExtrapolationReason) -> Remark:
+    """Return why the optimum of the data alone is extrapolated."""
     if obstacle.at_bounds:
-        return f"The data alone would push {listed(obstacle.at_bounds)} to a bound, so their optimum is extrapolated"
+        return PriorMessage.ALONE_BOUND.said(*_PLACE, names=listed(obstacle.at_bounds))
     if obstacle.undetermined:
-        what = listed(tuple(map(direction_words, obstacle.undetermined)))
-        return f"At the optimum of the data alone {what}, so it is extrapolated"
+        names = dict.fromkeys(name for each in obstacle.undetermined for name in each.names)
+        return PriorMessage.ALONE_OPEN.said(*_PLACE, names=listed(list(names)))
     if obstacle.outcome is not None:
-        why = "interrupted" if obstacle.outcome is TerminationReason.INTERRUPTED else ENDS[obstacle.outcome]
-        return f"The search for the optimum of the data alone did not converge, so it is extrapolated: {why}"
-    return "With a robust loss the optimum of the data alone is extrapolated"
+        return PriorMessage.ALONE_ENDED.said(*_PLACE, end=ENDS[obstacle.outcome])
+    return PriorMessage.ALONE_ROBUST.said(*_PLACE)
 
 
 def _shown(value: float, std: float) -> str:
@@ -121,13 +173,12 @@ def _shown(value: float, std: float) -> str:
 
 
 BELIEF = (
-    "What the prior said, what the data say alone, and both. Prior and data should overlap; where the data's "
-    "curve is wide or missing, the estimate rests on the prior."
+    "Prior, data alone, and both. Prior and data should overlap. Where the data's curve is wide or missing, the prior "
+    "dominates the estimate."
 )
 PARABOLAS = (
-    "The criterion of what the prior says, of what the data say, and of both, over each parameter with a "
-    "prior: the narrower parabola decides where the estimate lies. Where both stands high above zero at its least, "
-    "prior and data contradict each other."
+    "Cost of prior, data and both over each parameter with a prior. The narrower parabola dominates the estimate. A "
+    "minimum of both that is far above zero shows a conflict of prior and data."
 )
 DENSITY_STDS, WIDEST = 4.0, 12.0
 """Densities are drawn so many standard deviations wide; one wider than this many of the narrowest is cut."""
@@ -144,11 +195,11 @@ def prior_sections(reading: PriorDataComparison, units: Units) -> list[Section]:
     """Return prior, data and both: table, densities, cost."""
     table = reading.table
     return [
-        Section("reading", "Prior and data", table=_table(reading, units), shown=CONSOLE),
+        Section("reading", "Prior and data", table=_table(reading, units), shown=DETAIL),
         Section("belief", "Prior, data, and both", BELIEF, charts=tuple(_beliefs(table, units))),
         Section(
             "parabolas",
-            "The criterion of prior, data, and both",
+            "Cost of prior, data, and both",
             PARABOLAS,
             charts=tuple(parabola_charts(table, (), units)),
         ),
@@ -164,19 +215,19 @@ def _table(reading: PriorDataComparison, units: Units) -> Table:
     columns: dict[str, list[str]] = {"parameter": list(reading.names)}
     for head, (values, stds) in rows.items():
         columns[head] = [_known(*pair) for pair in zip(values.tolist(), stds.tolist(), strict=True)]
-    columns["pull"] = [f"{pull:+z.2f} std" if math.isfinite(pull) else "" for pull in reading.pull.tolist()]
+    columns["distance"] = [f"{pull:+z.2f} σ" if math.isfinite(pull) else "" for pull in reading.pull.tolist()]
     moves = zip(reading.moved.tolist(), reading.moved_by, strict=True)
     columns["moved by prior"] = [
-        f"{moved:+z.2f} std ({by})" if math.isfinite(moved) and by else "" for moved, by in moves
+        f"{moved:+z.2f} σ ({by})" if math.isfinite(moved) and by else "" for moved, by in moves
     ]
     columns["unit"] = [unit_text(units.get(name)) for name in reading.names]
-    return table_of(columns, [head for head in columns if head != "pull"], ("unit", "moved by prior"))
+    return table_of(columns, [head for head in columns if head != "distance"], ("unit", "moved by prior"))
 
 
 def _known(value: float, std: float) -> str:
     if not math.isfinite(value):
         return ""
-    return with_std(value, std) if std < math.inf else "not determined"
+    return with_std(value, std) if std < math.inf else "not identifiable"
 
 
 def _beliefs(table: pd.DataFrame, units: Units) -> Iterator[Chart]:
@@ -209,4 +260,4 @@ def parabola_charts(table: pd.DataFrame, names: Sequence[str] = (), units: Units
             if curves[part].notna().all()
         ]
         reach = (0.0, HEIGHT * float(curves["both"].max()))
-        yield Chart(Axis(named(name, units)), Axis("criterion", reach=reach), tuple(layers), 230)
+        yield Chart(Axis(named(name, units)), Axis("cost", reach=reach), tuple(layers), 230)

@@ -20,23 +20,143 @@ from fmuid.identification import (
     ResidualSeries,
 )
 from fmuid.reports.chart import DENSITY, LIMITS, Axis, Chart, Color, Dash, Data, Layer, normal
-from fmuid.reports.document import Section
+from fmuid.reports.document import Message, Remark, Section
 from fmuid.reports.topics.fit import worst
 from fmuid.simulation import OutputFit
 
-# An autocorrelation from which on a residual is called far from white.
 FAR_FROM_WHITE = 0.5
+"""From this autocorrelation on, a residual is strongly colored."""
 
 
-def residual_words(found: ResidualAnalysis, units: Mapping[str, str | None] | None = None) -> tuple[str, ...]:
+class ResidualMessage(Message):
+    """Tests of the residuals, measured − simulated."""
+
+    WHITE = (
+        "{residuals} white and not correlated with the inputs.",
+        "nothing found; parameters can absorb model errors, and weak low-frequency noise hides",
+        "Test on new data: `fmuid predict`.",
+    )
+    WHITE_NO_INPUT = (
+        "{residuals} white.",
+        "nothing found, and no input to compare with; parameters can absorb model errors",
+        "Test on new data: `fmuid predict`.",
+    )
+    TESTS = (
+        "Tests: {tests}; {samples} samples, level {level} %.",
+        "whiteness, mean, correlation with inputs, normality",
+    )
+    STRONGLY_COLORED = (
+        "Residual of {name} is strongly colored (autocorrelation {value} at lag {lag}).",
+        "neighboring samples are alike: a model error, or colored noise",
+        "Check the model structure and sensor filters.",
+        "doubt",
+    )
+    COLORED = (
+        "Residual of {name} is colored (autocorrelation {value} at lag {lag}).",
+        "neighboring samples are alike; if weak, the intervals allow for it",
+        "Check the model structure and sensor filters.",
+        "doubt",
+    )
+    WIDENED = (
+        "σ is {factors} wider because of colored noise.",
+        "fewer independent samples than rows; the intervals are right",
+    )
+    WIDENED_UNSURE = (
+        "σ is {factors} wider because the noise may be colored.",
+        "correlated samples are likely, but chance is not excluded; the intervals allow for it",
+    )
+    NOT_WIDENED = (
+        "Colored noise changes σ little.",
+        "it lies at frequencies where the parameters do not act; σ allows for it",
+    )
+    CORRELATED = (
+        "Residual of {name} correlates with {input} ({value} at {lag}, limit ±{band}).",
+        "part of the effect of this input is not in the model",
+        "Check interpolation, delay and unit of {input}.",
+        "doubt",
+    )
+    OFFSET = (
+        "Residual of {name} has an offset of {mean} ({share} × its standard deviation).",
+        "an offset of the sensor, or a constant effect that the model omits",
+        "Add an offset parameter or `detrend`.",
+        "doubt",
+    )
+    OUTLIERS = (
+        "Residual of {name} has outliers ({outliers} beyond 4 σ; excess kurtosis {kurtosis}).",
+        "heavier tails than normal noise, and more samples far out",
+        "Remove them or set a robust `loss`.",
+        "doubt",
+    )
+    SHAPE = (
+        "Residual of {name} is not normal (skewness {skewness}, excess kurtosis {kurtosis}).",
+        "asymmetric, or with light tails: saturation, for example",
+        "Check for saturation and rectified signals.",
+        "doubt",
+    )
+    LOW_FREQUENCY = (
+        "Residual of {name} contains low-frequency noise ({share} %, {seconds} s); σ includes it.",
+        "a drift that averaging does not remove; one white residual in a hundred looks like it",
+    )
+    LONG_MEMORY = (
+        "Noise of {name} is slow ({seconds} s) for {record} s of data; σ is uncertain.",
+        "its time constant is more than a fifth of the data",
+        "Measure longer; or `detrend` if the sensor drifts.",
+    )
+    PERIODIC = (
+        "Residual of {name} repeats every {period} s ({share} % of variance); σ includes it.",
+        "a model error that repeats with the excitation; more cycles do not reduce it",
+        "Improve the model or vary the excitation.",
+        "doubt",
+    )
+    IRREGULAR = (
+        "{names}: unequal sampling intervals, treated as equal.",
+        "whiteness and σ assume equal intervals",
+        "Set `resample_interval` if they differ much.",
+    )
+    SLIGHT = (
+        "Residual of {name}: significant but small {traits}.",
+        "many samples reveal the smallest defect; harmless",
+    )
+    UNTESTED = (
+        "Residual of {names} is too short, or rounding only: not tested.",
+        "tests need 20 samples above rounding errors",
+    )
+
+
+def residual_remarks(found: ResidualAnalysis, units: Mapping[str, str | None] | None = None) -> list[Remark]:
     """Return the remarks on the residuals, at least one."""
     large = [each for each in found.findings if each.large]
-    coloured = [each for each in large if each.trait is ResidualDefect.COLOURED]
-    said = [_large(found, each, units or {}) for each in coloured]
-    said += _widening(found, coloured=bool(coloured))
-    said += [_large(found, each, units or {}) for each in large if each.trait is not ResidualDefect.COLOURED]
-    said += _correlated(found)
-    return (*said, *_slow(found), *_summary(found, quiet=not said))
+    colored = [each for each in large if each.trait is ResidualDefect.COLOURED]
+    others = [each for each in large if each.trait is not ResidualDefect.COLOURED]
+    said = [_large(found, each, units or {}) for each in colored]
+    said += _widening(found, colored=bool(colored))
+    said += [_large(found, each, units or {}) for each in others]
+    said += _memory(found)
+    return said + _summary(found, quiet=not large and not found.returning)
+
+
+def residual_phrases(found: ResidualAnalysis) -> str:
+    """Return the defects of the residuals for one line of a terminal."""
+    tested = [each for each in found.series if each.is_tested]
+    if not tested:
+        return "not tested: too short, or rounding only"
+    large = [each for each in found.findings if each.large]
+    colored = [
+        f"{_series_name(found, each.series)} {each.series.whiteness.strongest[1]:.2f}"
+        for each in large
+        if each.trait is ResidualDefect.COLOURED
+    ]
+    inputs = list(dict.fromkeys(each.input.input for each in large if each.input is not None))
+    said = [f"colored ({', '.join(colored)})" if colored else "white"]
+    driven = list(dict.fromkeys(one.input for each in tested for one in each.inputs))
+    if driven or inputs:
+        said.append(f"correlated with {', '.join(inputs)}" if inputs else f"not correlated with {', '.join(driven)}")
+    for trait, words in ((ResidualDefect.OFFSET, "offset"), (ResidualDefect.SHAPE, "not normal")):
+        names = [_series_name(found, each.series) for each in large if each.trait is trait]
+        said += [f"{words} ({', '.join(names)})"] if names else []
+    said += ["periodic"] if found.returning else []
+    clean = len(said) == 2 - (not driven) and not colored and not inputs
+    return "; ".join(said) + (f" ({_range([each.samples for each in tested])} samples)" if clean else "")
 
 
 def _name(found: ResidualAnalysis, output: str, *experiments: str) -> str:
@@ -48,147 +168,108 @@ def _series_name(found: ResidualAnalysis, series: ResidualSeries) -> str:
     return _name(found, series.output, series.experiment)
 
 
-def _large(found: ResidualAnalysis, finding: ResidualFinding, units: Mapping[str, str | None]) -> str:
+def _large(found: ResidualAnalysis, finding: ResidualFinding, units: Mapping[str, str | None]) -> Remark:
     series, name = finding.series, _series_name(found, finding.series)
     if finding.trait is ResidualDefect.COLOURED:
         lag, largest = series.whiteness.strongest
-        far = "far from white" if abs(largest) >= FAR_FROM_WHITE else "not white"
-        return (
-            f"The residual of {name} is {far} (autocorrelation {largest:.2f} at a lag of {_count(lag, 'sample')}): "
-            "the model or the noise has dynamics of its own"
-        )
+        message = ResidualMessage.STRONGLY_COLORED if abs(largest) >= FAR_FROM_WHITE else ResidualMessage.COLORED
+        return message.said(*_PLACE, name=name, value=f"{largest:.2f}", lag=lag)
     if finding.trait is ResidualDefect.OFFSET:
         mean = f"{series.mean:.3g} {unit_text(units.get(series.output))}".rstrip()
-        return (
-            f"The residual of {name} has the mean {mean}, {abs(series.mean) / series.std:.2g} of its standard "
-            "deviation: a sensor's offset, or something constant that the model lacks"
-        )
-    if finding.input is not None:
-        one = finding.input
-        delay = f"{one.lag:.3g} s later" if one.lag > 0 else "at the same time"
-        return (
-            f"The residual of {name} is correlated with the input {one.input} ({one.correlation:+.2f}, {delay}; "
-            f"by chance within {one.band:.2g}): part of how {one.input} acts is not in the model"
-        )
+        return ResidualMessage.OFFSET.said(*_PLACE, name=name, mean=mean, share=f"{abs(series.mean) / series.std:.2g}")
+    if (one := finding.input) is not None:
+        values = {"value": f"{one.correlation:+.2f}", "lag": f"{one.lag:.3g} s", "band": f"{one.band:.2g}"}
+        return ResidualMessage.CORRELATED.said(*_PLACE, name=name, input=one.input, **values)
     shape = series.normality
-    traits = ["is lopsided"] if series.is_lopsided else []
-    traits += [f"has {'heavy' if shape.kurtosis > 0 else 'light'} tails"] if series.is_tailed else []
-    remedy = ": look for outliers, or use a robust loss" if shape.kurtosis > RESIDUAL_SETTINGS.large_kurtosis else ""
-    return (
-        f"The residual of {name} {listed(traits)}, unlike normal noise (skewness {two_digits(shape.skewness)}, "
-        f"excess kurtosis {two_digits(shape.kurtosis)}, {_count(series.outliers, 'sample')} beyond "
-        f"{RESIDUAL_SETTINGS.outlier_stds:g} standard deviations){remedy}"
-    )
+    message = ResidualMessage.OUTLIERS if shape.kurtosis > RESIDUAL_SETTINGS.large_kurtosis else ResidualMessage.SHAPE
+    values = {"skewness": two_digits(shape.skewness), "kurtosis": two_digits(shape.kurtosis)}
+    return message.said(*_PLACE, name=name, outliers=series.outliers, **values)
 
 
-def _widening(found: ResidualAnalysis, *, coloured: bool) -> list[str]:
+def widening_words(found: ResidualAnalysis) -> str:
+    """Return the factors of σ for colored noise, if they matter."""
     known = {name: factor for name, factor in found.widening.items() if math.isfinite(factor)}
-    other = {name: f for name, f in known.items() if not 1.0 / LEAST_STD_FACTOR < f < LEAST_STD_FACTOR}
-    if not other:
-        here = "For the estimates this makes little difference; their standard deviations allow for it"
-        return [here] if coloured and known else []
+    if not any(not 1.0 / LEAST_STD_FACTOR < factor < LEAST_STD_FACTOR for factor in known.values()):
+        return ""
     low, high = min(known, key=known.__getitem__), max(known, key=known.__getitem__)
-    about = f"{two_digits(known[high])} times"
     if known[high] > LEAST_STD_FACTOR * known[low]:
-        about = f"{two_digits(known[low])} ({low}) to {two_digits(known[high])} times ({high})"
+        return f"{two_digits(known[low])} ({low}) to {two_digits(known[high])} × ({high})"
+    return f"{two_digits(known[high])} ×"
+
+
+def _widening(found: ResidualAnalysis, *, colored: bool) -> list[Remark]:
+    factors = widening_words(found)
+    if not factors:
+        known = any(math.isfinite(factor) for factor in found.widening.values())
+        return [ResidualMessage.NOT_WIDENED.said(*_PLACE)] if colored and known else []
     sure = any(each.trait is ResidualDefect.COLOURED for each in found.findings)
-    why = "Since neighbouring samples are not independent, the"
-    if not sure:
-        why = "Neighbouring samples of the residual look correlated, if not strongly enough to rule out chance: the"
-    return [f"{why} standard deviations are {about} those that white noise of this size would give"]
+    return [(ResidualMessage.WIDENED if sure else ResidualMessage.WIDENED_UNSURE).said(*_PLACE, factors=factors)]
 
 
-def _correlated(found: ResidualAnalysis) -> list[str]:
-    """Return where the standard deviations allow for samples on no grid, and for periodic model errors."""
-    said = [
-        f"In the residual of {_name(found, each.output, each.experiment)} something comes back with each "
-        f"cycle of the excitation, every {each.period:.3g} s ({two_digits(100 * each.share)} % of its variance): an "
-        "error of the model, which no number of cycles averages out; the standard deviations allow for it"
-        for each in found.returning
-    ]
-    if not found.off_grid:
-        return said
-    names = listed([_name(found, output, experiment) for experiment, output in found.off_grid])
-    return [
-        f"The samples of {names} stand on no grid: how neighbouring ones depend on each other is judged as if "
-        "they were equally spaced",
-        *said,
-    ]
+def _memory(found: ResidualAnalysis) -> list[Remark]:
+    """Return unequal sampling, periodic errors, and noise of low frequency."""
+    names = [_name(found, output, experiment) for experiment, output in found.off_grid]
+    said = [ResidualMessage.IRREGULAR.said(*_PLACE, names=listed(names))] if names else []
+    for returning in found.returning:
+        name, share = _name(found, returning.output, returning.experiment), two_digits(100 * returning.share)
+        said.append(ResidualMessage.PERIODIC.said(*_PLACE, name=name, period=f"{returning.period:.3g}", share=share))
+    for slow in found.slow:
+        values = {"share": two_digits(100 * slow.share), "seconds": f"{slow.time_constant:.1g}"}
+        name = _name(found, slow.output, *slow.experiments)
+        said.append(ResidualMessage.LOW_FREQUENCY.said(*_PLACE, name=name, **values))
+    for long in found.long_memory:
+        values = {"seconds": f"{long.time_constant:.1g}", "record": f"{long.record:.3g}"}
+        name = _name(found, long.output, *long.experiments)
+        said.append(ResidualMessage.LONG_MEMORY.said(*_PLACE, name=name, **values))
+    return said
 
 
-def _slow(found: ResidualAnalysis) -> list[str]:
-    """Return where the standard deviations allow for weak slow noise, and noise that is slow for its data file."""
-    said = [
-        f"In the residual of {_name(found, each.output, *each.experiments)} there is slow noise "
-        f"beneath the rest ({two_digits(100 * each.share)} % of its variance, with a time constant of about "
-        f"{each.time_constant:.1g} s), for which the standard deviations allow; one white residual in a hundred looks "
-        "so by chance"
-        for each in found.slow
-    ]
-    return said + [
-        f"The noise of {_name(found, each.output, *each.experiments)} is slow for its record (a "
-        f"time constant of about {each.time_constant:.1g} s, in {each.record:.3g} s): how slow is hardly told, and the "
-        "standard deviations that it acts on are uncertain themselves; a longer record tells more"
-        for each in found.long_memory
-    ]
-
-
-def _summary(found: ResidualAnalysis, *, quiet: bool) -> list[str]:
+def _summary(found: ResidualAnalysis, *, quiet: bool) -> list[Remark]:
     idle = [_series_name(found, each) for each in found.series if not each.is_tested]
-    lines = [f"The residual of {listed(idle)} is too short, or nothing but rounding, to be examined"] if idle else []
-    examined = [each for each in found.series if each.is_tested]
-    if not quiet or not examined:
-        return lines
-    slight = {
-        _series_name(found, each): [_slight(one) for one in found.findings if one.series is each] for each in examined
-    }
-    slight = {name: traits for name, traits in slight.items() if traits}
-    said = "significant, but slight"
-    lines += [f"The residual of {name} has {listed(traits)}: {said}" for name, traits in slight.items()]
-    names = [_series_name(found, each) for each in examined]
-    which = f"residual of {names[0]} looks" if len(names) == 1 else f"residuals of {listed(names)} look"
-    like = "otherwise like" if slight or found.slow else "like"
-    return [
-        *lines,
-        f"The {which} {like} white normal noise that has nothing to do with the inputs, as far as was tested: "
-        f"{_tested(examined)}; nothing more was tested: an error of the model that the parameters make up for does "
-        "not show there, nor does slow noise too weak for so many samples",
-    ]
+    said = [ResidualMessage.UNTESTED.said(*_PLACE, names=listed(idle))] if idle else []
+    tested = [each for each in found.series if each.is_tested]
+    if not quiet or not tested:
+        return said
+    for each in tested:
+        if traits := [_slight(one) for one in found.findings if one.series is each]:
+            said.append(ResidualMessage.SLIGHT.said(*_PLACE, name=_series_name(found, each), traits=listed(traits)))
+    names = [_series_name(found, each) for each in tested]
+    residuals = f"Residual of {names[0]} is" if len(names) == 1 else f"Residuals of {listed(names)} are"
+    inputs = any(each.inputs for each in tested)
+    message = ResidualMessage.WHITE if inputs else ResidualMessage.WHITE_NO_INPUT
+    return [*said, message.said(*_PLACE, residuals=residuals), _tests(tested)]
 
 
 def _slight(finding: ResidualFinding) -> str:
     series = finding.series
     if finding.trait is ResidualDefect.COLOURED:
         lag, largest = series.whiteness.strongest
-        return f"an autocorrelation of {largest:.2g} at a lag of {_count(lag, 'sample')}"
+        return f"autocorrelation ({largest:.2g} at lag {lag})"
     if finding.trait is ResidualDefect.OFFSET:
-        return f"a mean of {series.mean / series.std:.2g} standard deviations"
+        return f"offset ({series.mean / series.std:.2g} standard deviations)"
     if finding.input is not None:
-        return f"a correlation of {finding.input.correlation:+.2g} with the input {finding.input.input}"
+        return f"correlation with {finding.input.input} ({finding.input.correlation:+.2g})"
     shape = series.normality
-    return f"a skewness of {two_digits(shape.skewness)} and an excess kurtosis of {two_digits(shape.kurtosis)}"
+    return f"skewness ({two_digits(shape.skewness)}) and excess kurtosis ({two_digits(shape.kurtosis)})"
 
 
-def _tested(series: list[ResidualSeries]) -> str:
+def _tests(series: list[ResidualSeries]) -> Remark:
     inputs = list(dict.fromkeys(one.input for each in series for one in each.inputs))
-    lags, samples = _range([each.whiteness.lags for each in series]), _range([each.samples for each in series])
     crossed = [f"correlation with {listed(inputs)}"] if inputs else []
-    tests = listed([f"whiteness (Ljung–Box over {lags} lags)", "mean", *crossed, "normality (Jarque–Bera)"])
-    return f"{tests}, each at a level of {100 * RESIDUAL_LEVEL:g} %, with {samples} samples"
+    lags = _range([each.whiteness.lags for each in series])
+    tests = [f"whiteness (Ljung–Box, {lags} lags)", "mean", *crossed, "normality (Jarque–Bera)"]
+    samples, level = _range([each.samples for each in series]), f"{100 * RESIDUAL_LEVEL:g}"
+    return ResidualMessage.TESTS.said(*_PLACE, tests=", ".join(tests), samples=samples, level=level)
 
 
 def _range(numbers: list[int]) -> str:
     return f"{min(numbers)}" if min(numbers) == max(numbers) else f"{min(numbers)} to {max(numbers)}"
 
 
-def _count(number: int, what: str) -> str:
-    return f"{number} {what}" if number == 1 else f"{number} {what}s"
-
-
+_PLACE: tuple[None, str] = None, "residuals"
 CAPTION = (
-    "Left: the residual's distribution should follow the normal curve. Middle: its autocorrelation should stay in the "
-    "band; else the model or the noise has dynamics of its own and the intervals are not as stated. Right: outside the "
-    "band, the residual depends on an input, which the model does not take up rightly."
+    "Left: the distribution should follow the normal curve. Middle: the autocorrelation should stay in the band; else "
+    "the noise is colored or the model has an error. Right: outside the band, the residual correlates with an input."
 )
 SHOWN_STDS, BARS, FEW_BARS, MANY_SAMPLES = 4.0, 41, 21, 300
 """The histogram reaches so many standard deviations to both sides, with what lies beyond in its last bars; its bars,
@@ -201,7 +282,7 @@ INPUT_LOOKS: tuple[tuple[Color, Dash], ...] = (
     ("amber", "solid"),
     ("grey", "dashed"),
 )
-"""Of the inputs with the largest correlations. More lines cannot be told apart."""
+"""Of the inputs with the largest correlations; more lines are too many."""
 
 
 def residual_section(fits: Sequence[OutputFit], correlations: pd.DataFrame) -> Section:

@@ -12,16 +12,16 @@ from fmuid.array_types import Flags
 from fmuid.estimation import (
     SHIFT_LIMIT,
     AccuracyOutcome,
-    RefinementRefusal,
     RefinementStep,
     RunFields,
     SensitivityMethod,
     SolverCheck,
     SwitchCause,
 )
+from fmuid.formatting import listed
 from fmuid.models import SolverConfiguration
 from fmuid.reports.chart import LIMITS, Axis, Color, Data, Layer, picked, rows_of
-from fmuid.reports.document import Section
+from fmuid.reports.document import Message, Remark, Section, Tone
 
 # Attributes of <CoSimulation>, <ModelExchange> and <ScheduledExecution> in words (FMI 2.0.4, sections 3.3.1 and 4.3.1;
 # FMI 3.0.2, section 2.4.8). The versions of the standard spell some names differently.
@@ -35,8 +35,8 @@ _CAPABILITIES = {
     "needsCompletedIntegratorStep": "is told completed steps",
     "canGetAndSetFMUstate": "gets and sets its state",
     "canGetAndSetFMUState": "gets and sets its state",
-    "canSerializeFMUstate": "serialises its state",
-    "canSerializeFMUState": "serialises its state",
+    "canSerializeFMUstate": "serializes its state",
+    "canSerializeFMUState": "serializes its state",
     "providesDirectionalDerivative": "directional derivatives",
     "providesDirectionalDerivatives": "directional derivatives",
     "providesAdjointDerivatives": "adjoint derivatives",
@@ -59,11 +59,93 @@ def capability_words(interface: str, declared: Mapping[str, str]) -> list[str]:
     return list(dict.fromkeys(words))
 
 
+class SolverMessage(Message):
+    """Solver error of the estimates, and solver refinement."""
+
+    PASSED = ("Solver error is below {shift} σ.", "a more accurate simulation moves no estimate further")
+    PASSED_OUTPUTS = (
+        "Solver error changes all outputs by {change} σ of the noise.",
+        "no estimate has a σ to compare with",
+    )
+    CHECKED = ("Solver check: {finer}.", "the more accurate simulation of the check")
+    REFINED = (
+        "Solver refined to {after} (error was {size} σ).",
+        "the solver was too inaccurate; the results are from the new one",
+    )
+    REFINED_UNKNOWN = (
+        "Solver refined to {after}: its error may exceed σ.",
+        "not all σ are known; the results are from the new solver",
+    )
+    START_FAILED = (
+        "Solver refined to {after}: {before} fails at the initial guess.",
+        "the results are from the new one",
+    )
+    START_DIFFERED = (
+        "Solver refined to {after}: {before} is off by {size} % of the signal.",
+        "measured at the initial guess; the results are from the new one",
+    )
+    REFUSED = (
+        "{count} other optima exist only with the inaccurate solver.",
+        "they fitted as well, but a more accurate solver moves away from them",
+    )
+    SHIFTED = (
+        "Solver error moves {shifts}; σ includes it.",
+        "it is larger than a tenth of σ",
+    )
+    ASKED = (
+        "The solver was kept as the study sets it.",
+        "the settings exclude a refinement",
+        "Leave `interface`, `tolerance` and `solver_check` unset.",
+    )
+    FITS_BETTER = (
+        "The solver was kept: a more accurate one fits clearly worse.",
+        "the data may come from this very solver",
+    )
+    NO_SEARCH = ("The solver was kept: the fit with a more accurate one did not terminate.", "")
+    FINEST = ("The solver was kept: no more accurate one exists.", "", "Export the FMU for Model Exchange.")
+    UNKNOWN = (
+        "Solver error is unknown; it changes all outputs by {change} σ of the noise.",
+        "not all parameters have a σ to compare with",
+        "First make all parameters identifiable.",
+        "doubt",
+    )
+    UNCHECKABLE = (
+        "Solver error is unknown: no more accurate solver exists.",
+        "a Co-Simulation FMU without settings",
+        "Export the FMU for Model Exchange.",
+        "doubt",
+    )
+    FIXED_STEP = (
+        "Solver error is unknown: the FMU ignores shorter communication steps.",
+        "the outputs are identical to the last bit: its internal step is fixed",
+        "Export the FMU for Model Exchange.",
+        "doubt",
+    )
+    COUPLED = (
+        "Solver error is unknown: communication steps of a quarter move {shifts}.",
+        "either an error, or a sampled controller that acts more often",
+        "Set `discrete_time` to true or false for each component.",
+    )
+    FAILED = (
+        "Solver error is unknown: {finer} fails at the estimates.",
+        "the solver check did not finish",
+        "",
+        "doubt",
+    )
+    INTERRUPTED = ("Solver error was not checked: interrupted.", "by Ctrl-C", "", "doubt")
+    RUN = (
+        "{model}: {run}.",
+        "interface and solver; a new process for each simulation serves an FMU whose static variables survive a reset",
+    )
+    SENSITIVITIES = ("Jacobian: {how}.", "method of the derivatives")
+
+
 def run_words(run: SolverConfiguration) -> str:
     """Return interface, solver, tolerance and step of an FMU."""
-    words = f"FMI {run.fmi_version} {run.interface}"
+    interface = {"co-simulation": "Co-Simulation", "model-exchange": "Model Exchange"}.get(run.interface, run.interface)
+    words = f"FMI {run.fmi_version} {interface}"
     if run.integrator is not None:
-        words += f", integrator {run.integrator}" + (" (rk45 found the model stiff)" if run.stiff else "")
+        words += f", {run.integrator}" + (" (rk45 found the model stiff)" if run.stiff else "")
     if run.tolerance is not None:
         words += f", tolerance {run.tolerance:g}"
     if run.step_size is not None:
@@ -82,123 +164,82 @@ def runs_words(runs: Mapping[str, RunFields]) -> str:
 def sensitivity_words(used: SensitivityMethod) -> str:
     """Return the method of the sensitivities."""
     if used.refusal:
-        return f"finite differences ({used.method} sensitivities are refused: {used.refusal})"
+        return f"finite differences ({used.method} refused: {used.refusal})"
     return {
         "finite-difference": "finite differences of whole simulations",
-        "forward": "the sensitivity system, integrated with the model: "
-        + ("differences of its right-hand side" if used.by_differences else "directional derivatives"),
+        "forward": "sensitivity equations, with "
+        + ("differences of the right-hand side" if used.by_differences else "directional derivatives"),
         "fmu": "outputs of the FMU",
     }[used.method]
 
 
-KEPT = {
-    RefinementRefusal.ASKED: (
-        "it is simulated as it was asked for: leave interface, tolerance and accuracy open for a finer search"
-    ),
-    RefinementRefusal.FITS_BETTER: (
-        "the finer simulation fits clearly worse, as if the table came from this very solver"
-    ),
-    RefinementRefusal.NO_SEARCH: "a search by the finer simulation does not end",
-    RefinementRefusal.FINEST: "there is no finer simulation to go on by",
-}
-"""Why a simulation that shifts the estimates serves all the same."""
 LEAST_SHOWN = 0.005
-"""Standard deviations: a smaller shift is none to a reader."""
+"""Smallest shift that is shown, σ."""
+_PLACE: tuple[None, str] = None, "accuracy"
 
 
-def accuracy_words(names: Sequence[str], found: SolverCheck | None) -> tuple[str, ...]:
+def solver_remarks(names: Sequence[str], found: SolverCheck | None) -> list[Remark]:
     """Return the remarks on solver refinement and solver error."""
     if found is None:
-        return ()
+        return []
     finer = runs_words(found.finer)
-    others = "another optimum" if found.refused == 1 else f"{found.refused} other optima"
-    refused = (
-        f"{others} fitted as well, and the finer simulation ({finer}) moves away from "
-        f"{'it' if found.refused == 1 else 'them'}: refused"
-    )
-    words = [*map(_switch, found.switches), *([refused] if found.refused else []), _outcome(names, found)]
-    return tuple(filter(None, words))
+    said = list(map(_refinement, found.switches))
+    if found.refused:
+        said.append(SolverMessage.REFUSED.said(*_PLACE, count=found.refused, finer=finer))
+    return [*said, *_outcome(names, found, finer)]
 
 
-def passed_words(found: SolverCheck) -> str:
-    """Return the remark on a passed solver check, else ""."""
-    if found.outcome is not AccuracyOutcome.PASSED or not found.finer:
-        return ""
-    checked = f"simulation checked by {runs_words(found.finer)}"
-    if math.isnan(found.largest):  # no estimate has a standard deviation
-        return f"{checked}: it changes the outputs by {found.change:.1g} standard deviations in all"
-    return f"{checked}: it moves the estimates by {max(found.largest, LEAST_SHOWN):.1g} std at most"
+def _refinement(switch: RefinementStep) -> Remark:
+    values = {"before": runs_words(switch.before), "after": runs_words(switch.after), "size": f"{switch.size:.2g}"}
+    match switch.cause:
+        case SwitchCause.START_FAILED:
+            return SolverMessage.START_FAILED.said(*_PLACE, **values)
+        case SwitchCause.START_DIFFERED:
+            values["size"] = f"{100 * switch.size:.2g}"
+            return SolverMessage.START_DIFFERED.said(*_PLACE, **values)
+    known = switch.size > SHIFT_LIMIT
+    return (SolverMessage.REFINED if known else SolverMessage.REFINED_UNKNOWN).said(*_PLACE, **values)
 
 
-def _switch(switch: RefinementStep) -> str:
-    before, after = runs_words(switch.before), runs_words(switch.after)
-    if switch.cause is SwitchCause.START_FAILED:
-        return f"simulated by {before} the start fails: the search went by {after}"
-    if switch.cause is SwitchCause.START_DIFFERED:
-        return (
-            f"at the start {before} is off by {100 * switch.size:.2g} % of an output's spread: the search went "
-            f"by {after}"
-        )
-    moved = (
-        f"moves an estimate by {switch.size:.2g} standard deviations"
-        if switch.size > SHIFT_LIMIT
-        else "may move an estimate whose standard deviation is not known"
-    )
-    return f"the error of {before} {moved}: the search went on by {after}, in {switch.simulations} simulations"
-
-
-def _outcome(names: Sequence[str], found: SolverCheck) -> str:
-    used, finer = runs_words(found.used), runs_words(found.finer)
+def _outcome(names: Sequence[str], found: SolverCheck, finer: str) -> list[Remark]:
+    shifts, values = _shifts(names, found), {"finer": finer, "used": runs_words(found.used)}
+    values["change"] = f"{found.change:.1g}"
     match found.outcome:
+        case AccuracyOutcome.PASSED if not finer:
+            return []
         case AccuracyOutcome.PASSED:
-            return ""
+            known = not math.isnan(found.largest)
+            shift = f"{max(found.largest, LEAST_SHOWN):.1g}" if known else ""
+            message = SolverMessage.PASSED if known else SolverMessage.PASSED_OUTPUTS
+            return [message.said(*_PLACE, shift=shift, **values), SolverMessage.CHECKED.said(*_PLACE, **values)]
         case AccuracyOutcome.SHIFTED:
-            why = KEPT.get(found.kept, "") if found.kept else ""
-            return (
-                "the error of the simulation moves estimates, in the standard deviations of noise: "
-                f"{_shifts(names, found)} ({finer} against {used}); that is added to the standard deviations; {why}"
-            )
-        case AccuracyOutcome.UNKNOWN:
-            return (
-                "what the error of the simulation moves the estimates by is not known, as not all have a standard "
-                f"deviation; {finer} changes the outputs by {found.change:.2g} standard deviations in all"
-            )
-        case AccuracyOutcome.UNCHECKABLE:
-            why = (
-                "in shorter steps the FMU gives the same outputs to the last bit, as it steps inside at its own length"
-                if found.finer
-                else "nothing finer is offered"
-            )
-            return f"the error of the simulation cannot be checked: {why}"
+            tone: Tone = "doubt" if found.doubtful else "plain"
+            said = [SolverMessage.SHIFTED.said(tone, "accuracy", shifts=shifts, **values)]
+            return said + ([SolverMessage[found.kept.name].said(tone, "accuracy")] if found.kept else [])
         case AccuracyOutcome.COUPLED:
-            return (
-                "the error of the simulation is not known: a quarter of the communication step would move "
-                f"{_shifts(names, found)} (standard deviations), and the FMUs do not tell whether for less error or "
-                "because a sampled controller would act more often; give samples = true for the components that act "
-                "once a step, or samples = false where none does"
-            )
-        case AccuracyOutcome.FAILED:
-            return f"the error of the simulation is not known: {finer} fails at the estimates"
-        case AccuracyOutcome.INTERRUPTED:
-            return "the error of the simulation was not checked: interrupted"
+            return [SolverMessage.COUPLED.said(*_PLACE, shifts=shifts, **values)]
+        case AccuracyOutcome.UNCHECKABLE if finer:
+            return [SolverMessage.FIXED_STEP.said(*_PLACE)]
+        case outcome:
+            return [SolverMessage[outcome.name].said(*_PLACE, **values)]
 
 
 def _shifts(names: Sequence[str], found: SolverCheck) -> str:
     pairs = zip(names, found.shift.tolist(), strict=True)
-    moved = ", ".join(f"{name} by {shift:+.2g}" for name, shift in pairs if abs(shift) > SHIFT_LIMIT)
-    return moved or f"the outputs by {found.change:.2g} in all"
+    moved = [f"{name} by {shift:+.2g} σ" for name, shift in pairs if abs(shift) > SHIFT_LIMIT]
+    return listed(moved) if moved else f"all outputs by {found.change:.2g} σ of the noise"
 
 
 def shift_text(shift: float) -> str:
     """Return a shift in σ for a table, "?" if unknown."""
     if math.isnan(shift):
         return "?"
-    return f"{shift:+.2f}" if abs(shift) >= LEAST_SHOWN else "0"
+    return f"{shift:+.2f} σ" if abs(shift) >= LEAST_SHOWN else "0.0 σ"
 
 
 CAPTION = (
-    "Each estimate's shift if the finer simulation took the place of the one used, in its standard "
-    "deviations. In the band it spoils no interval."
+    "Shift of each estimate by a more accurate simulation, in its standard deviations. In the band it affects no "
+    "interval."
 )
 
 
@@ -211,15 +252,13 @@ def solver_section(estimates: pd.DataFrame) -> list[Section]:
     names, shifts = tuple(map(str, known["parameter"])), known["solver_error"].to_numpy(np.float64)
     most = max(1.5 * SHIFT_LIMIT, 1.15 * float(np.abs(shifts).max(initial=0.0)))
     layers = [Layer("zone", {"left": -SHIFT_LIMIT, "right": SHIFT_LIMIT}, alpha=0.14), Layer("rule", {"x": 0.0}, "ink")]
-    large, hover = np.abs(shifts) > SHIFT_LIMIT, (("parameter", "@y"), ("shift", "@x{0.000000} std"))
-    kinds: tuple[tuple[Flags, Color, str], ...] = ((~large, "blue", "harmless"), (large, "red", "larger than a tenth"))
+    large, hover = np.abs(shifts) > SHIFT_LIMIT, (("parameter", "@y"), ("shift", "@x{0.000000} σ"))
+    kinds: tuple[tuple[Flags, Color, str], ...] = ((~large, "blue", "harmless"), (large, "red", "above 0.1 σ"))
     for mine, color, text in kinds:
         if mine.any():
             some = picked({"x": shifts, "y": names}, mine)
             lines: Data = {"x0": 0.0, "y0": some["y"], "x1": some["x"], "y1": some["y"]}
             layers.append(Layer("segments", lines, color, width=2))
             layers.append(Layer("points", some, color, size=8, label=text, hover=hover))
-    axis = Axis("shift under the finer simulation (std of the estimate)", reach=(-most, most))
-    return [
-        Section("accuracy", "Error of the simulation", CAPTION, charts=(rows_of(names, axis, layers, 90),), beside=1)
-    ]
+    axis = Axis("shift by a more accurate simulation (σ of the estimate)", reach=(-most, most))
+    return [Section("accuracy", "Solver error", CAPTION, charts=(rows_of(names, axis, layers, 90),), beside=1)]

@@ -6,74 +6,122 @@ from collections.abc import Iterable, Sequence
 
 from fmuid.formatting import listed, two_digits
 from fmuid.identification import TimeScaleMismatch, TimeScaleWarning
+from fmuid.reports.document import Message, Remark
 from fmuid.simulation import Simulator
 from fmuid.studies import SourceIssue, SourceWarning, Study
 
 MOST_TIMED = 5
-"""Records whose time is compared with the model's time constants: each costs a simulation."""
+"""Data files whose time is compared with the model's time constants; each costs a simulation."""
+MOST_GAPS = 3
+"""Gaps that are listed."""
 
 
-def source_notes(study: Study) -> list[str]:
+class StudyMessage(Message):
+    """Notes on a study, its data files and earlier results."""
+
+    GAP = (
+        "{data}: rows missing after {times} s; inputs are interpolated.",
+        "the logger left out samples; the inputs meanwhile are unknown",
+        "Cut the data there if the inputs changed.",
+        "doubt",
+    )
+    TOO_LONG = (
+        "{data}: time unit looks wrong ({duration} s long, model settles in {constant} s).",
+        "probably milliseconds taken for seconds, or a wrong model",
+        'Set `time_unit`, for example "ms".',
+        "doubt",
+    )
+    TOO_SHORT = (
+        "{data}: time unit looks wrong ({duration} s long, model needs {constant} s).",
+        "probably seconds taken for milliseconds, or a wrong model",
+        'Set `time_unit`, for example "s".',
+        "doubt",
+    )
+    SIZE = (
+        "{data}: simulated {column} varies {ratio} times as much as measured.",
+        "by `fmuid init`: a wrong unit, or start values of another machine",
+        'Set the units of {column} and of the inputs, for example U = "mV".',
+        "doubt",
+    )
+    NO_DATA = ("{data}: no column for {inputs}; start value used.", "an input without data stays constant", "", "doubt")
+    NOT_SUCCEEDED = (
+        "{path}: this earlier result did not succeed ({outcome}).",
+        "a prior or a value comes from it",
+        "Identify it again.",
+        "doubt",
+    )
+    DOUBTFUL = (
+        "{path}: the verdict of this earlier result is DOUBTFUL ({reasons}).",
+        "a prior or a value comes from it",
+        "Check it before you use it.",
+        "doubt",
+    )
+    NO_MODEL = (
+        "{path}: this earlier result names no model.",
+        "of an older version: the parameters may mean something else",
+        "Identify it again.",
+        "doubt",
+    )
+    OTHER_BUILD = (
+        "{path}: this earlier result used another build of {model} than {fmu}.",
+        "same model, other file",
+        "Identify it again if the equations changed.",
+        "doubt",
+    )
+
+
+def source_notes(study: Study) -> list[Remark]:
     """Return the warnings about results used as priors."""
-    return [source_words(each) for each in study.notes]
+    return [source_remark(each) for each in study.notes]
 
 
-def input_notes(simulators: Iterable[Simulator]) -> list[str]:
+def input_notes(simulators: Iterable[Simulator]) -> list[Remark]:
     """Return the inputs without data."""
     return [
-        f"{each.experiment.source} feeds no {', '.join(each.unfed_inputs)}: kept at the start value"
+        StudyMessage.NO_DATA.said(None, "", (str(each.experiment.source),), data=each.experiment.source, inputs=names)
         for each in simulators
-        if each.unfed_inputs
+        if (names := ", ".join(each.unfed_inputs))
     ]
 
 
-def time_notes(study: Study, simulators: Sequence[Simulator]) -> list[str]:
+def time_notes(study: Study, simulators: Sequence[Simulator]) -> list[Remark]:
     """Return the data files whose duration does not fit the model."""
     from fmuid.identification import doubt_of_time
 
     starts = [parameter.start for parameter in study.parameters.values()]
     doubts = (doubt_of_time(each, starts) for each in simulators[:MOST_TIMED])
-    return [time_words(doubt) for doubt in doubts if doubt is not None]
+    return [time_remark(doubt) for doubt in doubts if doubt is not None]
 
 
-SHOWN_DROPOUTS = 3
-
-
-def dropout_words(source: str, times: Sequence[float]) -> str:
+def gap_remark(source: str, times: Sequence[float]) -> Remark:
     """Return the gaps of a data file, by the times before, s."""
-    some = ", ".join(f"{time:.6g}" for time in times[:SHOWN_DROPOUTS]) + (", …" if len(times) > SHOWN_DROPOUTS else "")
-    return f"{source}: rows are missing after t = {some} s; inputs go on there as between any samples"
+    some = ", ".join(f"{time:.6g}" for time in times[:MOST_GAPS]) + (", …" if len(times) > MOST_GAPS else "")
+    return StudyMessage.GAP.said(None, "fit", (source,), data=source, times=some)
 
 
-def time_words(doubt: TimeScaleWarning) -> str:
+def time_remark(doubt: TimeScaleWarning) -> Remark:
     """Return the reason to check the time unit of a data file."""
-    lasts = f"{doubt.source} lasts {doubt.duration:.3g} s in steps of {doubt.step:.3g} s"
-    look = 'look at the unit of its time, and say it by time_unit = "ms" or what it is'
-    match doubt.kind:
-        case TimeScaleMismatch.TOO_LONG:
-            return f"{lasts}, and what the model does is over in {doubt.time_constant:.2g} s (ms?): {look}"
-        case TimeScaleMismatch.TOO_SHORT:
-            return f"{lasts}, and the model takes {doubt.time_constant:.2g} s for what it does (s, not ms?): {look}"
+    message = StudyMessage.TOO_LONG if doubt.kind is TimeScaleMismatch.TOO_LONG else StudyMessage.TOO_SHORT
+    values = {"duration": f"{doubt.duration:.3g}", "constant": f"{doubt.time_constant:.2g}"}
+    return message.said(None, "", (doubt.source,), data=doubt.source, **values)
 
 
-def size_words(source: str, column: str, ratio: float) -> str:
+def size_remark(source: str, column: str, ratio: float) -> Remark:
     """Return the reason to check the units of a column."""
-    return (
-        f"{source}: at the FMU's own values what {column!r} measures moves {two_digits(ratio)} times as far as "
-        'measured: look at the units of its column and of the inputs\', and say them by units, as in U = "mV"'
-    )
+    return StudyMessage.SIZE.said(None, "", (source,), data=source, column=repr(column), ratio=two_digits(ratio))
 
 
-def source_words(note: SourceWarning) -> str:
+def source_remark(note: SourceWarning) -> Remark:
     """Return the warning about an earlier result."""
+    path = str(note.path)
     match note.doubt:
         case SourceIssue.DID_NOT_SUCCEED:
-            return f"{note.path}, an earlier result, did not succeed: {note.outcome.value}"
+            return StudyMessage.NOT_SUCCEEDED.said(None, "", (path,), path=path, outcome=note.outcome.value)
         case SourceIssue.DOUBTFUL:
-            why = listed([each.value.replace("_", " ") for each in note.reasons])
-            return f"{note.path}: the verdict on this earlier result is DOUBTFUL ({why})"
+            reasons = listed([each.value.replace("_", " ") for each in note.reasons])
+            return StudyMessage.DOUBTFUL.said(None, "", (path,), path=path, reasons=reasons)
         case SourceIssue.NO_MODEL:
-            return f"{note.path} does not say of which model it is a result"
+            return StudyMessage.NO_MODEL.said(None, "", (path,), path=path)
         case SourceIssue.OTHER_BUILD:
             assert note.fmu is not None
-            return f"{note.path} was made with another build of {note.fmu.name} than {note.fmu.path}"
+            return StudyMessage.OTHER_BUILD.said(None, "", (path,), path=path, model=note.fmu.name, fmu=note.fmu.path)

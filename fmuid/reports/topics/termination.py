@@ -1,4 +1,4 @@
-"""Termination reason, identifiability, restarts, remedies."""
+"""Termination reason, starting points, discrete parameters, correlated estimates."""
 
 from __future__ import annotations
 
@@ -13,161 +13,273 @@ from fmuid.estimation import (
     StartingPointSource,
     TerminationReason,
 )
-from fmuid.formatting import listed
+from fmuid.formatting import with_unit
 from fmuid.identification import RIVAL_CRITERION
-from fmuid.reports.document import Remark, capitalised
-from fmuid.reports.shared_phrases import direction_words
-from fmuid.reports.topics.solver_check import accuracy_words, passed_words
+from fmuid.reports.document import Message, Remark
+from fmuid.reports.shared_phrases import IdentifiabilityMessage, change_remark, direction_remark, prior_remark
+from fmuid.reports.topics.solver_check import solver_remarks
 
 ENDS = {
     TerminationReason.CONVERGED: "converged",
-    TerminationReason.ACCURACY: (
-        "converged to the accuracy of the simulation: make it more accurate (step_size, its tolerance) for more digits"
-    ),
-    TerminationReason.UNDETERMINED: "undetermined",
-    TerminationReason.UNSETTLED: (
-        "the noise variances still move from one repetition of the search to the next: give them as noise.variance"
-    ),
-    TerminationReason.ITERATION_LIMIT: "stopped at the iteration limit: raise max_iterations or start nearer",
-    TerminationReason.RUNAWAY: (
-        "stopped: parameters run away by orders of magnitude, and the fit gains nothing by it: "
-        "give a prior, bounds or a start nearer by, or measure more"
-    ),
-    TerminationReason.STALLED: (
-        "stalled: no step lowers the criterion although its slope says so; "
-        "make the simulation more accurate (step_size, its tolerance) or start elsewhere"
-    ),
-    TerminationReason.FAILING: (
-        "stopped at the edge of what can be simulated, every step that would lower the criterion fails: "
-        "give bounds that keep the search where the model is sound, or start elsewhere"
-    ),
-    TerminationReason.INTERRUPTED: "interrupted: these are the best values so far",
+    TerminationReason.ACCURACY: "converged to solver accuracy",
+    TerminationReason.UNDETERMINED: "not identifiable",
+    TerminationReason.UNSETTLED: "noise variances do not settle",
+    TerminationReason.ITERATION_LIMIT: "iteration limit reached",
+    TerminationReason.RUNAWAY: "parameters diverge",
+    TerminationReason.STALLED: "no step reduces the cost",
+    TerminationReason.FAILING: "simulations fail nearby",
+    TerminationReason.INTERRUPTED: "interrupted",
 }
+"""Termination reasons inside other sentences."""
 
 
-_FINER = ", or make the simulation more accurate (step_size, tolerance, interface)"
+class TerminationMessage(Message):
+    """Why the optimization stopped."""
 
-
-def result_words(result: Result) -> tuple[str, ...]:
-    """Return the termination reason and all remarks."""
-    return ending(result), *remarks(result)
-
-
-def ending(result: Result) -> str:
-    """Return the termination reason and the remedy."""
-    words = [ENDS[result.outcome]]
-    if result.outcome is TerminationReason.INTERRUPTED and result.history.fits is not None:
-        words[0] += f" of a global search, after {result.history.fits} fit{'' if result.history.fits == 1 else 's'}"
-    if open_ := result.identifiability.non_identifiable:
-        told = (
-            "; ".join(map(direction_words, open_))
-            + ": give a prior, hold one of them at a value, or measure more"
-            + (_FINER if any(each.level is IdentifiabilityLevel.HIDDEN for each in open_) else "")
-        )
-        words = [f"{words[0]}: {told}"] if result.outcome is TerminationReason.UNDETERMINED else [*words, told]
-    if result.estimates.at_bounds:
-        bounds = "; ".join(f"{each.name} is at its bound {each.value:g}" for each in result.estimates.at_bounds)
-        words.append(f"{bounds}, and the data would move it further: widen the bound or check the model")
-    return "; ".join(words)
-
-
-def remarks(result: Result) -> tuple[str, ...]:
-    """Return the remarks on a result."""
-    accuracy = accuracy_words(result.names, result.accuracy)
-    return *observer_words(result), *start_words(result), *accuracy, *dependence_words(result)
-
-
-def observer_words(result: Result) -> tuple[str, ...]:
-    """Return the remark on an observer."""
-    if result.setup.observer is None:
-        return ()
-    return (
-        f"an observer with its poles at {result.setup.observer:g} samples kept the simulation with the record: this is "
-        "a fit of predictions over about that time, not of the output error, and noise of the measurements biases it "
-        "the more, the faster the observer is",
+    CONVERGED = ("Converged after {iterations}.", "a further step would gain less than a thousandth of σ")
+    ACCURACY = (
+        "Converged after {iterations}; solver accuracy limits further digits.",
+        "below this the cost is irregular by solver errors; mostly harmless",
+        "Reduce `tolerance` or `step_size` for more digits.",
+    )
+    UNDETERMINED = (
+        "Not all parameters are identifiable.",
+        "some combination of parameters has no effect on the outputs",
+        "",
+        "bad",
+    )
+    UNSETTLED = (
+        "Not converged: noise variances do not settle.",
+        "noise variances and parameters keep changing each other",
+        "Set `noise.variance`.",
+        "bad",
+    )
+    ITERATION_LIMIT = (
+        "Not converged: limit of {iterations} reached.",
+        "the estimates still change; see their figure in the report",
+        "Raise `max_iterations` or improve the initial guess.",
+        "bad",
+    )
+    RUNAWAY = (
+        "Not converged: parameters diverge without improving the fit.",
+        "the data do not limit a direction: too many parameters for these data",
+        "Add bounds or a prior, improve the initial guess, or measure more.",
+        "bad",
+    )
+    STALLED = (
+        "Not converged: no step reduces the cost.",
+        'its slope is noise of events or of a coarse solver; try `interface = "model-exchange"`',
+        "Reduce solver `tolerance` or `step_size`, or change the initial guess.",
+        "bad",
+    )
+    FAILING = (
+        "Not converged: simulations fail near these values.",
+        "each step that reduces the cost ends in a failed simulation; often a unit is wrong",
+        "Add bounds that exclude this region, or change the initial guess.",
+        "bad",
+    )
+    INTERRUPTED = ("Interrupted: best values so far.", "by Ctrl-C or the scheduler", "Continue with `--resume`.", "bad")
+    INTERRUPTED_SEARCH = (
+        "Interrupted after {fits} of a global search: best values so far.",
+        "by Ctrl-C or the scheduler",
+        "Continue with `--resume`.",
+        "bad",
+    )
+    AT_BOUND = (
+        "{name} is at its {end} bound {value}.",
+        "the data would move it further; its interval is one-sided",
+        "Widen the bound or check the model.",
+        "doubt",
+    )
+    EFFORT = (
+        "{iterations}, {simulations} simulations, {seconds} s; cost {cost}{likelihood}.",
+        "effort of the identification, and the cost at its end",
+    )
+    OBSERVER = (
+        "Observer with a memory of {memory} samples: predictions were fitted, not simulations.",
+        "asked for by `estimation.observer_memory`; measurement noise biases the estimates",
+        "Repeat with a longer `observer_memory`; estimates that change show a bias.",
+        "doubt",
     )
 
 
-def start_words(result: Result) -> tuple[str, ...]:
-    """Return the remarks on initial guesses and restarts."""
+class StartMessage(Message):
+    """Starting points and discrete parameters."""
+
+    RESTARTED = (
+        "Initial guess failed; restart {number} of {count} converged.",
+        "the other starting points are listed with `--verbose`",
+    )
+    MODEL_ERROR = (
+        "Residual is {ratio} × noise level; all {count} starting points agree.",
+        "the model, an input or a disturbance is wrong, not the initial guess",
+        "Check the model, input interpolation and units.",
+        "doubt",
+    )
+    LARGE_RESIDUAL = (
+        "Residual is {ratio} × noise level; {count} starting points fit no better.",
+        "the fits are bad and end at different values",
+        "Check the model and unmeasured disturbances, or improve the initial guess.",
+        "doubt",
+    )
+    NONE_CONVERGED = (
+        "None of {count} starting points converged.",
+        "the best one is shown",
+        "Check bounds and model, or improve the initial guess.",
+        "doubt",
+    )
+    ATTEMPTS = (
+        "Starting points: {attempts}.",
+        "origin and end of each; a corrected simulation follows the measured outputs",
+    )
+    REPLACED = (
+        "{name} has no effect at its initial guess; used {name} = {value} instead.",
+        "a dead zone, for example friction below the first motion",
+    )
+    SIGN = (
+        "{name} changed sign, from {start} to {value}.",
+        "an optimization that did not converge crossed zero",
+        "Add a bound at zero if the model requires one sign.",
+        "doubt",
+    )
+    COMBINATION = ("{values} fits best of {count} combinations.", "listed choices of discrete parameters")
+    NEXT = ("Next best is {values}: −2 ln L is higher by {behind}.", "10 and more is clear")
+    AMBIGUOUS = (
+        "{values} fits nearly as well: −2 ln L is higher by only {behind}.",
+        "two combinations explain the data alike",
+        "Measure more, or with another excitation.",
+        "doubt",
+    )
+    NOT_STARTED = (
+        "{count} combinations could not be simulated, first {values}.",
+        "the simulation fails with these choices at the initial guess",
+    )
+
+
+def ending_remarks(result: Result) -> list[Remark]:
+    """Return the termination reason, non-identifiable parameters and active bounds."""
+    message, fits = TerminationMessage[result.outcome.name], result.history.fits
+    values = {"iterations": _count(result.history.iterations, "iteration")}
+    if result.outcome is TerminationReason.INTERRUPTED and fits is not None:
+        message, values = TerminationMessage.INTERRUPTED_SEARCH, {"fits": _count(fits, "fit")}
+    said = [message.said(None, "criterion", **values)]
+    for each in result.identifiability.non_identifiable:
+        said.append(direction_remark(each))
+        if len(each.names) > 2 and each.level is not IdentifiabilityLevel.NOT_IN_EFFECT:
+            said.append(change_remark(each))
+    for bound in result.estimates.at_bounds:
+        i = result.names.index(bound.name)
+        end = "lower" if bound.value == result.estimates.lower[i] else "upper"
+        value = with_unit(bound.value, result.estimates.units.get(bound.name))
+        said.append(TerminationMessage.AT_BOUND.said(None, "", result.names, name=bound.name, end=end, value=value))
+    return said
+
+
+def state_and_reason(result: Result) -> tuple[str, str]:
+    """Return the termination reason for the first line of a report."""
+    iterations = _count(result.history.iterations, "iteration")
+    if result.converged:
+        return "converged", f"after {iterations}"
+    match result.outcome:
+        case TerminationReason.UNDETERMINED:
+            return "not identifiable", "; ".join(
+                direction_remark(each).text.rstrip(".") for each in result.identifiability.non_identifiable
+            )
+        case TerminationReason.INTERRUPTED:
+            return "interrupted", "best values so far"
+        case TerminationReason.ITERATION_LIMIT:
+            return "not converged", f"limit of {iterations}"
+    return "not converged", ENDS[result.outcome]
+
+
+def result_remarks(result: Result) -> list[Remark]:
+    """Return all remarks on a result."""
+    said = [*ending_remarks(result), *observer_remarks(result), *start_remarks(result)]
+    return [*said, *solver_remarks(result.names, result.accuracy), *dependence_remarks(result)]
+
+
+def observer_remarks(result: Result) -> list[Remark]:
+    """Return the remark on an observer."""
+    memory = result.setup.observer
+    return [] if memory is None else [TerminationMessage.OBSERVER.said(None, "criterion", memory=f"{memory:g}")]
+
+
+def start_remarks(result: Result) -> list[Remark]:
+    """Return the remarks on discrete parameters, initial guesses and restarts."""
     starts = list(zip(result.names, result.estimates.start.tolist(), strict=True))
+    place = (None, "criterion", result.names)
     moved = [
-        f"{name} changes no output at the start that was given: the search set out from {name} = {start:g}"
+        StartMessage.REPLACED.said(*place, name=name, value=f"{start:g}")
         for name, start in starts
         if name in result.identifiability.replaced_initial_guess
     ]
     crossed = [
-        f"{name} began at {start:.3g} and has come to {value:.3g}: give it a bound if the model holds on one side of "
-        "zero only"
+        StartMessage.SIGN.said(*place, name=name, start=f"{start:.3g}", value=f"{value:.3g}")
         for (name, start), value in zip(starts, result.values.tolist(), strict=True)
         if start * value < 0 and not result.converged
     ]
-    return *moved, *combination_words(result), *attempt_words(result), *crossed
+    return [*moved, *combination_remarks(result), *attempt_remarks(result), *crossed]
 
 
-def dependence_words(result: Result) -> tuple[str, ...]:
+def dependence_remarks(result: Result) -> list[Remark]:
     """Return the remarks on correlated and weakly identifiable estimates."""
     pairs = [
-        f"estimates of {one} and {other} move together (correlation {share:+.3f}): intervals do not hold one by one"
-        for one, other, share in result.estimates.strong_correlations
+        IdentifiabilityMessage.CORRELATED.said(
+            None, "correlation", result.names, one=one, other=other, correlation=f"{value:+.3f}"
+        )
+        for one, other, value in result.estimates.strong_correlations
     ]
-    prior = [f"without the prior, {direction_words(each)}" for each in result.identifiability.prior_dominated]
-    return *pairs, *map(direction_words, result.identifiability.weakly_identifiable), *prior
+    weak = map(direction_remark, result.identifiability.weakly_identifiable)
+    return [*pairs, *weak, *map(prior_remark, result.identifiability.prior_dominated)]
 
 
-def effort_words(result: Result) -> str:
+def effort_remark(result: Result) -> Remark:
     """Return iterations, simulations, time and cost."""
-    spent = result.history
-    likelihood = f", log-likelihood {result.fit.log_likelihood:.7g}" if math.isfinite(result.fit.log_likelihood) else ""
-    return (
-        f"{spent.iterations} iterations, {spent.simulations} simulations, {spent.elapsed_s:.2f} s; criterion "
-        f"{result.fit.cost:.6g}{likelihood}"
+    spent, likelihood = result.history, result.fit.log_likelihood
+    return TerminationMessage.EFFORT.said(
+        None,
+        "criterion",
+        iterations=_count(spent.iterations, "iteration"),
+        simulations=spent.simulations,
+        seconds=f"{spent.elapsed_s:.2f}",
+        cost=f"{result.fit.cost:.6g}",
+        likelihood=f", log-likelihood {likelihood:.7g}" if math.isfinite(likelihood) else "",
     )
 
 
 PLACES = {
-    StartingPointSource.GIVEN: "the start that was given",
-    StartingPointSource.EQUATION_ERROR: "where the model's equations hold best at the measured states",
-    StartingPointSource.CORRECTION: "where simulations fit best that the measurements correct at each sample",
-    StartingPointSource.SOBOL: "a point of the box",
+    StartingPointSource.GIVEN: "initial guess",
+    StartingPointSource.EQUATION_ERROR: "equation-error estimate",
+    StartingPointSource.CORRECTION: "corrected simulation",
+    StartingPointSource.SOBOL: "point of the box",
 }
-"""Where a search set out from."""
+"""Origins of starting points."""
 
 TROUBLES = {
-    SearchFailure.NONE: "ended well",
-    SearchFailure.FAR: "was put off, for it explains too little of the data",
-    SearchFailure.FAILED: "could not be simulated",
-    SearchFailure.NO_EFFECT: "could not be searched from",
-    SearchFailure.UNFINISHED: "did not come to an end",
-    SearchFailure.LARGE_RESIDUAL: "left {ratio:.3g} times the noise that the data show",
-    SearchFailure.MODEL_ERROR: "left {ratio:.3g} times the noise that the data show",
+    SearchFailure.NONE: "converged",
+    SearchFailure.FAR: "skipped, worse than the mean",
+    SearchFailure.FAILED: "simulation failed",
+    SearchFailure.NO_EFFECT: "a parameter has no effect",
+    SearchFailure.UNFINISHED: "not converged",
+    SearchFailure.LARGE_RESIDUAL: "residual {ratio:.3g} × noise level",
+    SearchFailure.MODEL_ERROR: "residual {ratio:.3g} × noise level",
 }
-"""What became of it."""
-KEPT_START = {
-    SearchFailure.NONE: "",
-    SearchFailure.MODEL_ERROR: (
-        "; the model does not explain the data, other starts end there too: check the model and its inputs"
-    ),
-    SearchFailure.LARGE_RESIDUAL: "; other starts fit no better: look at the model, or at what else moves the outputs",
-}
-"""What the start that is kept tells."""
+"""What became of them."""
 
 
-def combination_words(result: Result) -> tuple[str, ...]:
-    """Return the best combination of discrete parameters."""
+def combination_remarks(result: Result) -> list[Remark]:
+    """Return the best combination of discrete parameters, and the next best."""
     if not result.history.combinations:
-        return ()
+        return []
     best, *others = result.history.combinations
     failed = [each for each in others if each.outcome is None]
-    said = f"{_values(best)} fits best of {len(result.history.combinations)} combinations"
+    said = [StartMessage.COMBINATION.said(values=_values(best), count=len(result.history.combinations))]
     if len(others) > len(failed):
-        behind = others[0].behind
-        said += f"; the next best, {_values(others[0])}, is behind by {behind:.3g} in −2 ln L"
-        if behind < RIVAL_CRITERION:
-            said += ": the data hardly tell which of the two is true, measure more"
+        message = StartMessage.AMBIGUOUS if others[0].behind < RIVAL_CRITERION else StartMessage.NEXT
+        said.append(message.said(values=_values(others[0]), behind=f"{others[0].behind:.3g}"))
     if failed:
-        said += f"; {len(failed)} could not be searched with, {_values(failed[0])} first"
-    return (said,)
+        said.append(StartMessage.NOT_STARTED.said(count=len(failed), values=_values(failed[0])))
+    return said
 
 
 def _values(each: CombinationFit) -> str:
@@ -175,28 +287,31 @@ def _values(each: CombinationFit) -> str:
     return ", ".join(f"{name} = {value}" for name, value in said.items())
 
 
-def attempt_words(result: Result) -> tuple[str, ...]:
+def attempt_remarks(result: Result) -> list[Remark]:
     """Return the restarts and their outcome."""
-    if not result.history.restarts:
-        return ()
-    each_told = groupby(
-        f"{PLACES[each.remedy]} {TROUBLES[each.trouble].format(ratio=each.noise_ratio)}{', which is kept' * each.kept}"
-        for each in result.history.restarts
+    tried = result.history.restarts
+    if not tried:
+        return []
+    kept = next((k for k, each in enumerate(tried) if each.kept), None)
+    ratio = "" if kept is None else f"{tried[kept].noise_ratio:.3g}"
+    trouble = SearchFailure.UNFINISHED if kept is None else tried[kept].trouble
+    message = {
+        SearchFailure.NONE: StartMessage.RESTARTED,
+        SearchFailure.MODEL_ERROR: StartMessage.MODEL_ERROR,
+        SearchFailure.LARGE_RESIDUAL: StartMessage.LARGE_RESIDUAL,
+    }.get(trouble, StartMessage.NONE_CONVERGED)
+    count = len(tried) - 1 if message is StartMessage.RESTARTED else len(tried)
+    ends = (
+        f"{PLACES[each.remedy]} ({TROUBLES[each.trouble].format(ratio=each.noise_ratio)}{', used' * each.kept})"
+        for each in tried
     )
-    counts = ((one, len(list(alike))) for one, alike in each_told)
-    told = [one if count == 1 else f"{one} ({count} times)" for one, count in counts]
-    kept = next((each for each in result.history.restarts if each.kept), None)
-    reason = "" if kept is None else KEPT_START.get(kept.trouble, "; none ended well")
-    return (f"several starts were tried: {listed(told)}{reason}",)
+    counts = ((one, len(list(alike))) for one, alike in groupby(ends))
+    attempts = ", ".join(one if times == 1 else f"{times} × {one}" for one, times in counts)
+    return [
+        message.said(None, "criterion", ratio=ratio, count=count, number=kept),
+        StartMessage.ATTEMPTS.said(None, "criterion", attempts=attempts),
+    ]
 
 
-def result_remarks(result: Result) -> list[Remark]:
-    """Return the remarks on a result with their sections."""
-    said = [(text, "criterion", True) for text in (*observer_words(result), *start_words(result))]
-    if result.accuracy is not None:
-        passed = passed_words(result.accuracy)
-        said += [(passed, "accuracy", False)] if passed else []
-        doubtful = result.accuracy.doubtful
-        said += [(text, "accuracy", doubtful) for text in accuracy_words(result.names, result.accuracy)]
-    said += [(text, "correlation", True) for text in dependence_words(result)]
-    return [Remark(capitalised(text, result.names), "doubt" if doubt else "plain", key) for text, key, doubt in said]
+def _count(number: int, what: str) -> str:
+    return f"{number} {what}" if number == 1 else f"{number} {what}s"

@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from fmuid.estimation import Result
-from fmuid.formatting import rounded, unit_text, with_std
+from fmuid.formatting import listed, rounded, unit_text, with_std
 from fmuid.identification import (
     LARGEST_R_HAT,
     Assessment,
@@ -19,111 +19,168 @@ from fmuid.identification import (
     SamplingWarning,
     better_point,
 )
-from fmuid.reports.document import Section, table_of
-from fmuid.reports.shared_phrases import direction_words
+from fmuid.reports.document import Message, Remark, Section, table_of
 from fmuid.reports.topics.termination import ENDS
 
-# A chain that is advised is longer than what is foreseen to suffice by this factor.
-STEPS_MARGIN = 1.2
 
+class UncertaintyMessage(Message):
+    """Profile likelihoods, cost maps and samples of the posterior."""
 
-def uncertainty_words(found: Assessment) -> tuple[str, ...]:
-    """Return the remarks on intervals, maps and samples."""
-    said = [line for each in found.profiles for line in profile_words(each)]
-    said += [line for chart in found.maps for line in _map_words(chart)]
-    if found.posterior is not None and not found.posterior.converged:
-        said.append(f"posterior: {posterior_words(found.posterior)}")
-    return tuple(said)
-
-
-def profile_words(profile: Profile) -> tuple[str, ...]:
-    """Return the remarks on the ends of a profile."""
-    said = [_remark_words(profile, remark) for remark in profile.remarks]
-    return *said, *([f"interrupted: the profile of {profile.name} is not complete"] if profile.interrupted else [])
-
-
-def _remark_words(profile: Profile, remark: ProfileEndNote) -> str:
-    name, value, end = profile.name, f"{remark.value:.6g}", "upper" if remark.upper else "lower"
-    risen = (
-        f"the criterion has risen by only {max(remark.rise, 0.0):.2g} of the {profile.threshold:.3g} "
-        f"that {100.0 * profile.level:.4g} % need"
+    END_AT_BOUND = (
+        "{end} end of {name} is its bound {value}: cost rises only {rise} of {threshold}.",
+        "the data do not limit this side within the bound",
+        "Widen the bound, or take it as the limit.",
+        "doubt",
     )
-    if remark.kind is EndKind.BOUND:
-        return f"the {end} end of {name} is its bound {remark.value:g}, where {risen}"
-    if remark.kind is EndKind.FLAT:
-        return f"{name} has no {end} end: even at {value} {risen}"
-    if remark.kind is EndKind.FAILING:
-        return (
-            f"the {end} end of {name} is not known: beyond {value}, where {risen}, the simulations fail; "
-            "give a bound within which the model is sound"
-        )
-    if remark.outcome is not None:
-        return (
-            f"at {name} = {value} the search for the other parameters did not converge ({ENDS[remark.outcome]}): "
-            "the criterion there may be lower than found"
-        )
-    if remark.other is not None:
-        return f"at the {end} end of {name}, {remark.other.name} is at its bound {remark.other.value:g}"
-    if remark.kind is EndKind.LOWER:
-        return (
-            f"no interval of {name}: at {value} the criterion is lower than at the estimate, by {-remark.rise:.3g}; "
-            "identify again from the table's row of that value"
-        )
-    return f"the end of {name} near {value} could not be found more precisely"
+    NO_END = (
+        "{name} has no {end} end: up to {value} the cost rises only {rise} of {threshold}.",
+        "the data do not limit this side",
+        "Add a bound or a prior, or measure more.",
+        "doubt",
+    )
+    END_FAILS = (
+        "{end} end of {name} is unknown: simulations fail beyond {value}.",
+        "the cost had risen {rise} of {threshold} there",
+        "Add a bound within which the model is valid.",
+        "doubt",
+    )
+    END_NOT_CONVERGED = (
+        "At {name} = {value} the other parameters did not converge ({reason}).",
+        "the cost there may be lower, and the interval wider",
+        "",
+        "doubt",
+    )
+    OTHER_BOUND = (
+        "At the {end} end of {name}, {other} is at its bound {bound}.",
+        "that bound narrows this interval",
+        "",
+        "doubt",
+    )
+    BETTER = (
+        "No interval of {name}: at {value} the cost is lower by {fall}.",
+        "a better optimum was found on the way",
+        "Identify again from the row of that value in `profiles.csv`.",
+        "doubt",
+    )
+    ROUGH_END = ("End of {name} near {value} is not precise.", "the cost is irregular there", "", "doubt")
+    PROFILE_INTERRUPTED = ("Interrupted: profile of {name} is incomplete.", "by Ctrl-C", "", "doubt")
+    BETTER_ON_MAP = (
+        "Cost is lower by {fall} at {first} = {x}, {second} = {y}.",
+        "the optimization ended at a local optimum",
+        'Use that initial guess, or set `method = "multi-start"`.',
+        "doubt",
+    )
+    SAMPLED = (
+        "Posterior converged: at least {samples} independent samples, R-hat at most {r_hat}.",
+        "the samples can be used",
+    )
+    SAMPLING_INTERRUPTED = ("Sampling interrupted after {steps} steps.", "by Ctrl-C", "", "doubt")
+    RUNAWAY = (
+        "Posterior is unbounded in {name}.",
+        "neither data nor prior limit it",
+        "Add a prior or bounds, or measure more.",
+        "doubt",
+    )
+    TOO_SHORT = (
+        "{steps} steps are too few to judge the posterior.",
+        "the chains are shorter than their correlation",
+        "Raise `max_steps`, or continue with `--resume`.",
+        "doubt",
+    )
+    STUCK = (
+        "Walkers are stuck: {acceptance} of proposals are accepted.",
+        "several optima, or simulations that fail",
+        "Narrow the bounds to the region of interest.",
+        "doubt",
+    )
+    DISAGREEING = (
+        "Posterior of {name} has not converged (R-hat {r_hat}, limit {limit}) after {steps} steps.",
+        "the walkers disagree: several optima, or a direction that is not identifiable",
+        "Raise `max_steps`; if that does not help, add a prior or narrower bounds.",
+        "doubt",
+    )
+    TOO_FEW = (
+        "{name} has {samples} independent samples instead of {wanted}.",
+        "right so far, but too coarse for the tails",
+        "Raise `max_steps` to about {more}.",
+        "doubt",
+    )
+    OTHER_OPTIMUM = (
+        "Another optimum is similarly probable: {values}.",
+        "an interval around one optimum is not the whole posterior",
+        "Narrow the bounds or add a prior.",
+        "doubt",
+    )
+    PRIOR_ONLY = (
+        "{names}: along this direction the samples show priors and bounds only.",
+        "the data do not identify it",
+        "",
+        "doubt",
+    )
 
 
-def _map_words(chart: CostMap) -> list[str]:
+_PROFILES: tuple[None, str] = None, "profiles"
+
+
+def uncertainty_remarks(found: Assessment) -> list[Remark]:
+    """Return the remarks on intervals, maps and samples."""
+    said = [each for profile in found.profiles for each in profile_remarks(profile)]
+    said += [each for chart in found.maps for each in _map_remarks(chart)]
+    return said + ([] if found.posterior is None else posterior_remarks(found.posterior))
+
+
+def profile_remarks(profile: Profile) -> list[Remark]:
+    """Return the remarks on the ends of a profile."""
+    said = [_end_remark(profile, remark) for remark in profile.remarks]
+    if profile.interrupted:
+        said.append(UncertaintyMessage.PROFILE_INTERRUPTED.said(*_PROFILES, name=profile.name))
+    return said
+
+
+def _end_remark(profile: Profile, remark: ProfileEndNote) -> Remark:
+    kinds = {EndKind.BOUND: "END_AT_BOUND", EndKind.FLAT: "NO_END", EndKind.FAILING: "END_FAILS"}
+    values = {"name": profile.name, "value": f"{remark.value:.6g}", "end": "upper" if remark.upper else "lower"}
+    if remark.kind in kinds:
+        values |= {"rise": f"{max(remark.rise, 0.0):.2g}", "threshold": f"{profile.threshold:.3g}"}
+        message = UncertaintyMessage[kinds[remark.kind]]
+    elif remark.outcome is not None:
+        message, values["reason"] = UncertaintyMessage.END_NOT_CONVERGED, ENDS[remark.outcome]
+    elif remark.other is not None:
+        message = UncertaintyMessage.OTHER_BOUND
+        values |= {"other": remark.other.name, "bound": f"{remark.other.value:g}"}
+    elif remark.kind is EndKind.LOWER:
+        message, values["fall"] = UncertaintyMessage.BETTER, f"{-remark.rise:.3g}"
+    else:
+        message = UncertaintyMessage.ROUGH_END
+    return message.said(*_PROFILES, (profile.name,), **values)
+
+
+def _map_remarks(chart: CostMap) -> list[Remark]:
     better = better_point(chart)
     if better is None:
         return []
-    (first, second), (x, y, by) = chart.names, better
-    return [
-        f"the criterion over {first} and {second} is lower at {first} = {x:.6g}, {second} = {y:.6g} than at the "
-        f'estimate, by {by:.3g}: there is a better optimum; start there, or search with method = "multi-start"'
-    ]
+    (first, second), (x, y, fall) = chart.names, better
+    values = {"first": first, "second": second, "x": f"{x:.6g}", "y": f"{y:.6g}", "fall": f"{fall:.3g}"}
+    return [UncertaintyMessage.BETTER_ON_MAP.said(None, "maps", **values)]
 
 
-def posterior_words(found: Posterior) -> str:
-    """Return the convergence of the samples, and the remedy."""
-    words = [f"interrupted after {len(found.chain)} steps"] if found.interrupted else []
-    words.append(_doubt_words(found))
-    if len(found.optima) > 1:
-        others = (", ".join(f"{n} = {v:.4g}" for n, v in zip(found.names, at, strict=True)) for at in found.optima[1:])
-        words.append(f"beside the estimate there are other optima of like probability: {'; '.join(others)}")
-    words += [
-        f"{direction_words(each)}: along this the samples show priors and bounds, not data"
-        for each in found.undetermined
-    ]
-    return "; ".join(words)
-
-
-def _doubt_words(found: Posterior) -> str:
-    length, name = len(found.chain), found.doubtful
-    i = found.names.index(name) if name else int(np.argmin(found.effective_size))
-    if found.doubt is SamplingWarning.RUNAWAY:
-        return f"nothing holds {name}, the samples run away: give a prior or bounds, or measure more"
-    if found.doubt is SamplingWarning.TOO_SHORT:
-        return f"{length} steps are too few to judge: raise steps, or let it go on"
-    if found.doubt is SamplingWarning.STUCK:
-        return (
-            f"the walkers hardly move, {found.acceptance:.1%} of the proposals are accepted: look for several "
-            "optima and for simulations that fail, and narrow the bounds around what is meant"
-        )
-    if found.doubt is SamplingWarning.DISAGREEING:
-        return (
-            f"not converged: the walkers do not agree on {name} (R-hat {found.r_hat[i]:.3f}, {LARGEST_R_HAT} is the "
-            f"most) after {length} steps: raise steps; if that does not help, the data leave it open or there are "
-            "several optima, so give a prior or narrower bounds"
-        )
-    worth = float(found.effective_size[i])
-    if found.doubt is SamplingWarning.TOO_FEW:
-        return (
-            f"not enough: the samples of {name} are worth {worth:.0f} independent ones instead of {found.wanted}: "
-            f"raise steps to about {math.ceil(STEPS_MARGIN * found.wanted / worth * length)}"
-        )
-    return (
-        f"converged: at least {worth:.0f} independent samples of each parameter, R-hat at most {found.r_hat.max():.3f}"
-    )
+def posterior_remarks(found: Posterior) -> list[Remark]:
+    """Return the convergence of the samples, other optima, and directions without data."""
+    place, steps = (None, "posterior", found.names), len(found.chain)
+    said = [UncertaintyMessage.SAMPLING_INTERRUPTED.said(*place, steps=steps)] if found.interrupted else []
+    i = found.names.index(found.doubtful) if found.doubtful else int(np.argmin(found.effective_size))
+    samples = float(found.effective_size[i])
+    values: dict[str, object] = {"name": found.doubtful, "steps": steps, "wanted": found.wanted, "limit": LARGEST_R_HAT}
+    values |= {"acceptance": f"{100 * found.acceptance:.1f} %", "samples": f"{samples:.0f}"}
+    values["r_hat"] = f"{found.r_hat.max() if found.doubt is None else found.r_hat[i]:.3f}"
+    if found.doubt is SamplingWarning.TOO_FEW:  # with a reserve of a fifth
+        values["more"] = math.ceil(1.2 * found.wanted / samples * steps)
+    message = UncertaintyMessage.SAMPLED if found.doubt is None else UncertaintyMessage[found.doubt.name]
+    said.append(message.said(*place, **values))
+    for at in found.optima[1:]:
+        others = ", ".join(f"{name} = {value:.4g}" for name, value in zip(found.names, at, strict=True))
+        said.append(UncertaintyMessage.OTHER_OPTIMUM.said(*place, values=others))
+    return said + [UncertaintyMessage.PRIOR_ONLY.said(*place, names=listed(each.names)) for each in found.undetermined]
 
 
 def interval_section(found: Assessment, result: Result) -> Section:
@@ -140,14 +197,14 @@ def interval_section(found: Assessment, result: Result) -> Section:
         columns["posterior mean"] = [with_std(mean, std) for mean, std in pairs]
     columns["unit"] = [unit_text(result.estimates.units.get(name)) for name in result.names]
     table = table_of(columns, columns, ("unit", "posterior mean"))
-    return Section("intervals", f"Intervals at {100 * found.level:.4g} %", table=table)
+    return Section("intervals", f"{100 * found.level:.4g} % intervals", table=table)
 
 
 def _interval(lower: float, upper: float, value: float) -> str:
     if math.isnan(lower) or math.isnan(upper):
         return ""
     if math.isinf(lower) and math.isinf(upper):
-        return "not determined"
+        return "not identifiable"
     # about the standard deviation to which an interval of 95 % belongs
     if math.isinf(upper):
         return f"above {rounded(lower, 0.5 * (value - lower))}"

@@ -17,20 +17,17 @@ from fmuid.reports.chart import DENSITY, LIMITS, Axis, Chart, ChartGrid, Data, L
 from fmuid.reports.document import Section
 from fmuid.reports.topics.estimates import ellipse
 
-PROFILES = "Where the curve leaves the dashed parabola, the ± std are not the whole truth; the band is the interval."
-MAPS = (
-    "The darker, the better the fit. Where the dashed line leaves the ellipse, the local covariance is not the "
-    "whole truth."
-)
-POSTERIOR = "Contours hold 68 % and 95 % of the samples; red is the local approximation."
+PROFILES = "Where the curve leaves the dashed parabola, ± σ is not enough: use the interval, the band."
+MAPS = "The darker, the better the fit. Where the dashed line leaves the ellipse, the local covariance is not enough."
+POSTERIOR = "Contours contain 68 % and 95 % of the samples; red is the local approximation."
 WALKERS = (
-    "A line a walker; what lies in the grey part takes no part in the samples. Paths that wander off "
-    "together, or walkers that stay where they are, show that there is no convergence."
+    "One line per walker; the grey part, burn-in, is left out. Paths that drift together, or walkers that do not move, "
+    "mean no convergence."
 )
 HEIGHT = 1.8
 """Profiles are drawn up to so many times the rise at which the interval ends."""
 MAX_CORNER = 6
-"""More parameters than these make panels that nobody can read."""
+"""Maximum number of parameters in pairs."""
 SHARES = (0.95, 0.68)
 """Shares of the samples inside the contours, those of two and one standard deviations in one dimension."""
 BINS, SMOOTHING = 32, 1.2
@@ -44,7 +41,7 @@ exceed looks all the same."""
 APART, MAX_HELD = 0.01, 4
 """Optima closer to the estimate than this share of the map are the same; so many parameters that are held are named."""
 MOST_WALKERS, MOST_STEPS = 24, 200
-"""Of the paths of a sampling: more cannot be told apart."""
+"""Of the paths of a sampling: more are too many."""
 
 
 def uncertainty_sections(found: Assessment, result: Result, units: Units, optima: pd.DataFrame) -> list[Section]:
@@ -54,12 +51,12 @@ def uncertainty_sections(found: Assessment, result: Result, units: Units, optima
     maps = tuple(_map(chart, units, optima) for chart in found.maps)
     sections = [
         Section("profiles", "Profiles", PROFILES, charts=profiles, beside=2),
-        Section("maps", "The criterion over two parameters", MAPS, charts=maps, beside=2),
+        Section("maps", "Cost over two parameters", MAPS, charts=maps, beside=2),
     ]
     if found.posterior is not None:
         corner, paths = _corner(found.posterior.table, result, units), tuple(_walkers(found.posterior, units))
-        sections.append(Section("posterior", "Samples of the posterior", POSTERIOR, charts=(corner,), beside=1))
-        sections.append(Section("walkers", "Paths of the sampling", WALKERS, charts=paths, beside=1))
+        sections.append(Section("posterior", "Posterior samples", POSTERIOR, charts=(corner,), beside=1))
+        sections.append(Section("walkers", "Paths of the walkers", WALKERS, charts=paths, beside=1))
     return sections
 
 
@@ -80,12 +77,12 @@ def _profile(found: Profile, result: Result, units: Units) -> Chart:
         grid = np.linspace(low, high, 161)
         parabola: Data = {"x": grid, "y": ((grid - value) / std) ** 2}
         layers.append(Layer("line", parabola, "grey", width=1, dash="dashed", label="local parabola"))
-    reached = f"{100 * found.level:.4g} % level: a rise of {threshold:.3g}"
+    reached = f"{100 * found.level:.4g} % level: cost + {threshold:.3g}"
     layers.append(
         Layer("line", {"x": np.array([low, high]), "y": np.full(2, threshold)}, "red", width=1, label=reached)
     )
     reach = (-0.04 * HEIGHT * threshold, HEIGHT * threshold)
-    axes = Axis(named(found.name, units), reach=(low, high)), Axis("rise of the criterion", reach=reach)
+    axes = Axis(named(found.name, units), reach=(low, high)), Axis("cost above its minimum", reach=reach)
     return Chart(*axes, tuple(layers), 240)
 
 
@@ -207,14 +204,14 @@ def _walkers(posterior: Posterior, units: Units) -> Iterator[Chart]:
 
 
 def _map(chart: CostMap, units: Units, optima: pd.DataFrame) -> Chart:
-    """Return the cost above its minimum over two parameters, and the local ellipse."""
+    """Return the cost over two parameters, and the local ellipse."""
     first, second, values = chart.grid
     excess = values - np.nanmin(values, initial=chart.criterion)
     rise = chart.rise(CONFIDENCE_LEVEL)
     known = excess[np.isfinite(excess) & (excess > 0)]
     low = max(FLOOR_SHARE * rise, float(known.min(initial=FLOOR_SHARE * rise)))
     high = max(float(np.percentile(known, TOP_PERCENTILE)) if known.size else 0.0, 2.0 * low)
-    shades = Shades("blues", low, high, log=True, title="criterion above its minimum")
+    shades = Shades("blues", low, high, log=True, title="cost above its minimum")
     hover = (("point", "@x{0.000000}, @y{0.000000}"), ("above the minimum", "@value{0.000}"))
     layers = [Layer("cells", _cells(chart, excess), shades=shades, hover=hover)]
     border = chart.ellipse(CONFIDENCE_LEVEL)
@@ -223,7 +220,7 @@ def _map(chart: CostMap, units: Units, optima: pd.DataFrame) -> Chart:
         layers.append(Layer("line", {"x": border[:, 0], "y": border[:, 1]}, "red", label=text))
     if np.nanmin(excess, initial=rise) < rise < np.nanmax(excess, initial=0.0):
         held = "".join(f", {name} = {value:.4g}" for name, value in list(chart.held.items())[:MAX_HELD])
-        text = f"criterion raised by {rise:.3g}{held}"
+        text = f"cost + {rise:.3g}{held}"
         for each in _contours((first, second), excess.T, [rise]):
             layers.append(Layer("line", each, "red", dash="dashed", width=1.6, label=text))
     estimate: Data = {"x": chart.estimate[:1], "y": chart.estimate[1:]}
@@ -231,7 +228,7 @@ def _map(chart: CostMap, units: Units, optima: pd.DataFrame) -> Chart:
     places = _others(chart, optima)
     if len(places):
         more: Data = {"x": places[:, 0], "y": places[:, 1]}
-        layers.append(Layer("points", more, "white", size=9, edge="ink", label="other optima found"))
+        layers.append(Layer("points", more, "white", size=9, edge="ink", label="other optima"))
     x, y = (
         Axis(named(name, units), "log" if log else "linear", reach=(float(edges[0]), float(edges[-1])))
         for name, log, middles in zip(chart.names, chart.logarithmic, (first, second), strict=True)
