@@ -21,7 +21,6 @@ from fmuid.estimation import SensitivityMethod
 from fmuid.identification import Problem
 from fmuid.models.component import Numerics
 from fmuid.models.system import System
-from fmuid.reports.topics.solver_check import sensitivity_words
 from fmuid.simulation.sensitivities import ForwardSensitivities, derivatives_of
 from fmuid.simulation.simulator import Simulator
 from tests.support.closed_forms import ball, coil_response
@@ -125,27 +124,6 @@ def test_coil_against_its_closed_form(
     assert worst(found, differences(response, [3.0, 0.05, 0.0])) < 1e-6
 
 
-@both_ways
-@every_integrator
-def test_induction_machine_against_differences_of_simulations(
-    name: str, hidden: bool, clean: pd.DataFrame, folder: Path
-) -> None:
-    names = ["Rs", "Rr", "Lm", "Lf", "ids_start", "phidr_start"]
-    theta = np.array([9.8, 3.8, 0.436, 0.0762, 0.3, 0.0])
-    experiment = Experiment(clean.iloc[:120], ["uds", "uqs", "w"], ["ids", "iqs"])
-    path = without_derivatives(MACHINE, folder) if hidden else MACHINE
-    simulator = Simulator(model_exchange(path, **INTEGRATORS[name]), experiment, names)
-    sensitivities = forward(simulator)
-    found = sensitivities(theta)
-    assert found.shape == (6, 120, 2)
-    assert sensitivities.by_differences == hidden
-    accurate = Simulator(
-        model_exchange(path, **INTEGRATORS["rk45"]), experiment, names
-    )  # CVODE's differences are rough
-    assert worst(found, differences(accurate, theta)) < 1e-6
-    assert np.array_equal(sensitivities(theta), found)  # nothing is left of the call before
-
-
 def test_outputs_that_are_sums_and_connectors_that_set_several(folder: Path) -> None:
     """The output is ids + iqs in a system whose connector R sets both resistances, Rr at half of it."""
     times = np.arange(60) * 7e-4
@@ -181,47 +159,40 @@ def hybrid(folder: Path, model: str, version: int, name: str, parameters: list[s
 both_versions = pytest.mark.parametrize("version", [2, 3])
 
 
-@both_versions
-@every_integrator
-def test_through_bounces(folder: Path, version: int, name: str) -> None:
-    """State events that reinitialise the states: a ball, its gravity and restitution; closed form."""
-    found = forward(hybrid(folder, "ball", version, name, ["p0", "p1", "start0"], "x0"))(np.array([9.81, 0.7, 1.0]))
-
-    def height(theta: Floats) -> Floats:  # from 1 m; from h it takes sqrt(h) times as long, and is h times as much
-        g, e, h = theta
-        return np.array([[h * ball(t / np.sqrt(h), g, e)[0]] for t in TIMES])
-
-    assert ball(TIMES[-1], 9.81, 0.7)[1] >= 5
-    assert worst(found, differences(height, [9.81, 0.7, 1.0], 1e-5)) < 1e-6
+def height(theta: Floats) -> Floats:
+    """Return a ball's height (47, 1) from gravity, restitution and start height."""
+    g, e, h = theta
+    return np.array([[h * ball(t / np.sqrt(h), g, e)[0]] for t in TIMES])
 
 
-@both_versions
-@every_integrator
-def test_through_a_threshold_that_is_a_parameter(folder: Path, version: int, name: str) -> None:
-    """x' = -p0 down to p1, then p2 times as fast."""
-    a, b, c = 1.1, 0.3, 0.4
-    found = forward(hybrid(folder, "threshold", version, name, ["p0", "p1", "p2", "start0"], "x0"))(
-        np.array([a, b, c, 1.0])
-    )[..., 0]
-    late, zero, one = (1 - b) / a < TIMES, np.zeros(47), np.ones(47)
-    # x = 1 - a t before, and b - a c (t - (1 - b)/a) = b - a c t + c (1 - b) after
-    expected = [
-        np.where(late, -c * TIMES, -TIMES),
-        np.where(late, one - c, zero),
-        np.where(late, 1 - b - a * TIMES, zero),
-        np.where(late, c * one, one),
-    ]
-    assert np.abs(found - np.array(expected)).max() < 1e-6
+def threshold(theta: Floats) -> Floats:
+    """Return x' = -p0 down to p1, then p2 times as fast, (47, 1)."""
+    a, b, c, start = theta
+    late = (start - b) / a < TIMES
+    return np.where(late, b - c * (a * TIMES - start + b), start - a * TIMES)[:, None]
+
+
+def triangle(theta: Floats) -> Floats:
+    """Return x' = 1, -1, 1, ... over p0 each, (47, 1)."""
+    phase = TIMES / theta[0] % 2.0
+    return (theta[0] * np.minimum(phase, 2.0 - phase))[:, None]
+
+
+EVENTS: dict[str, tuple[Callable[[Floats], Floats], dict[str, float]]] = {
+    "ball": (height, {"p0": 9.81, "p1": 0.7, "start0": 1.0}),
+    "threshold": (threshold, {"p0": 1.1, "p1": 0.3, "p2": 0.4, "start0": 1.0}),
+    "triangle": (triangle, {"p0": 0.3137}),
+}
 
 
 @both_versions
 @every_integrator
-def test_through_time_events_whose_times_are_a_parameter(folder: Path, version: int, name: str) -> None:
-    """x' = 1, -1, 1, ... over p0 each: dx/dp0 = 2, 4, ... at most, as many times 2 as there were turns downwards."""
-    found = forward(hybrid(folder, "triangle", version, name, ["p0"], "x0"))(np.array([0.3137]))[0, :, 0]
-    turns = np.floor(TIMES / 0.3137)
-    expected = np.where(turns % 2 == 1, turns + 1, -turns)
-    assert np.abs(found - expected).max() < 1e-6
+@pytest.mark.parametrize("model", EVENTS)
+def test_through_events_against_closed_forms(folder: Path, model: str, version: int, name: str) -> None:
+    """State events that reinitialize states, a threshold that is a parameter, time events whose times are one."""
+    closed, values = EVENTS[model]
+    found = forward(hybrid(folder, model, version, name, list(values), "x0"))(np.array(list(values.values())))
+    assert worst(found, differences(closed, list(values.values()), 1e-6)) < 1e-6
 
 
 @pytest.fixture(scope="module")
@@ -325,31 +296,17 @@ def test_what_cannot_be_had_is_refused(folder: Path) -> None:
         forward(simulator)(np.array([0.5]))
 
 
-@pytest.fixture
-def noisy() -> Experiment:
-    rng = np.random.default_rng(8)
-    times: Floats = np.arange(200, dtype=np.float64) * 2e-3
-    u = np.array(rng.choice([-1.0, 1.0], 200), np.float64)
+def test_identification_equals_that_by_differences() -> None:
+    rng, times = np.random.default_rng(8), np.arange(200) * 2e-3
+    u = rng.choice([-1.0, 1.0], 200)
     i = coil_response(times, u, 3.0, 0.05, True) + 1e-3 * rng.normal(size=200)
-    return Experiment(pd.DataFrame({"time": times, "u": u, "i": i}), ["u"], ["i"])
-
-
-def test_identification_is_that_by_differences_and_says_what_served(noisy: Experiment) -> None:
+    noisy = Experiment(pd.DataFrame({"time": times, "u": u, "i": i}), ["u"], ["i"])
+    system = model_exchange(COIL, integrator="rk45", tolerance=1e-9)
     parameters = {"R": Parameter(start=4.0), "L": Parameter(start=0.1)}
-    found = {
-        word: fmuid.identify(
-            Problem(model_exchange(COIL, integrator="rk45", tolerance=1e-9), noisy, parameters, sensitivity=word)
-        )
-        for word in ("forward", "finite-difference")
-    }
-    for j in range(2):
-        other = found["finite-difference"]
-        assert found["forward"].values[j] == pytest.approx(other.values[j], rel=1e-6)
-        assert found["forward"].std[j] == pytest.approx(other.std[j], rel=1e-4)
-    for word, words in (
-        ("forward", "the sensitivity system, integrated with the model: directional derivatives"),
-        ("finite-difference", "finite differences of whole simulations"),
-    ):
-        used = found[word].setup.sensitivity
-        assert used == SensitivityMethod(word)
-        assert sensitivity_words(used) == words
+    found = [fmuid.identify(Problem(system, noisy, parameters, sensitivity=word)) for word in METHODS]
+    assert found[0].values == pytest.approx(found[1].values, rel=1e-6)
+    assert found[0].std == pytest.approx(found[1].std, rel=1e-4)
+    assert [each.setup.sensitivity for each in found] == [SensitivityMethod(word) for word in METHODS]
+
+
+METHODS = ("forward", "finite-difference")

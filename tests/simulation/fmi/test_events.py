@@ -37,13 +37,6 @@ def test_bounces_are_found(make: Maker, settings: dict[str, Any]) -> None:
 
 
 @every_integrator
-def test_several_bounces_between_two_samples(make: Maker, settings: dict[str, Any]) -> None:
-    trial = make(BALL, [1.0, 0.0], [9.81, 0.7], **settings).begin()
-    assert trial.advance(2.0)[0] == pytest.approx(ball(2.0, 9.81, 0.7)[0], abs=1e-6)
-    assert trial.numbers[COUNT] == 4
-
-
-@every_integrator
 def test_events_close_to_each_other_and_twice_of_one_indicator(make: Maker, settings: dict[str, Any]) -> None:
     bounded = settings | {"step_size": min(settings.get("step_size", 0.15), 0.15)}
     trial = make(STAIRS, [0.0], [0.3, 0.3 + 1e-7, 0.5, 0.7], **bounded).begin()
@@ -107,12 +100,3 @@ def test_event_mode_from_outside_in_the_middle_of_a_step(make: Maker, settings: 
     trial.call("leave_events", 0.3)
     exact = van_der_pol([1.2], 1.0, (1.0, 0.5))
     assert trial.advance(1.5) == pytest.approx(exact[0], abs=1e-7)
-
-
-@every_integrator
-def test_beginning_again_repeats_to_the_last_bit(make: Maker, settings: dict[str, Any]) -> None:
-    trial = make(BALL, [1.0, 0.0], [9.81, 0.7], **settings)
-    times = np.linspace(0.1, 1.5, 15)
-    first = trial.begin().trajectory(times)
-    again = trial.begin().trajectory(times)
-    assert first.tolist() == again.tolist()

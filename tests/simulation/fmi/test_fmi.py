@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import stat
 import zipfile
 from dataclasses import replace
 from pathlib import Path
@@ -10,7 +9,6 @@ from pathlib import Path
 import pytest
 
 from fmuid.errors import InputError
-from fmuid.models.archive import file_digest, unpacked
 from fmuid.models.description import Unit, Variable
 from fmuid.models.fmu import FMU
 from fmuid.simulation.instance import Instance
@@ -138,26 +136,6 @@ def test_no_model_description_and_broken_xml(tmp_path: Path) -> None:
 def test_other_fmi_versions(probe: ProbeMaker, version: str) -> None:
     with pytest.raises(InputError, match=rf"FMI {version}, and only FMI 2\.0 and 3\.0 are read"):
         FMU(probe(version=version))
-
-
-@pytest.mark.parametrize("name", ["../evil", "/tmp/evil", "a/../../evil", "C:/evil", "..\\evil"])
-def test_entries_outside_the_folder_are_refused(probe: ProbeMaker, tmp_path: Path, own_cache: Path, name: str) -> None:
-    entry = zipfile.ZipInfo("x")
-    entry.filename = entry.orig_filename = name
-    path = repack(probe(), tmp_path / "evil.fmu", entry)
-    with pytest.raises(InputError, match="would be written outside"):
-        FMU(path)
-    with pytest.raises(InputError, match="would be written outside"):
-        unpacked(path, file_digest(path))
-    assert not own_cache.exists()  # nothing at all was unpacked
-
-
-def test_symbolic_links_are_refused(probe: ProbeMaker, tmp_path: Path) -> None:
-    entry = zipfile.ZipInfo("resources/link")
-    entry.external_attr = (stat.S_IFLNK | 0o777) << 16
-    path = repack(probe(), tmp_path / "link.fmu", entry)
-    with pytest.raises(InputError, match="would be written outside"):
-        unpacked(path, file_digest(path))
 
 
 def test_no_binary_for_this_platform_says_which_there_are(tmp_path: Path) -> None:

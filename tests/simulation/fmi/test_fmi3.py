@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from fmuid.data import Parameter
 from fmuid.data.experiment import Experiment
-from fmuid.errors import InputError, SimulationError
+from fmuid.errors import InputError
 from fmuid.estimation import SensitivityMethod
 from fmuid.identification import Problem, identify
 from fmuid.models.component import Component, Numerics
@@ -104,12 +104,6 @@ def test_event_times_of_a_friction_drive(drives: dict[str, Path], fmi: str, nume
         assert (
             np.abs(got - expected).max() < 2 * 3.0 * 1e-6
         )  # an error dt of the reversal makes one of 2 Fc dt in the impulse, N s
-
-
-def test_wrong_values_of_fmi3_name_the_function(coil3: Path) -> None:
-    experiment = Experiment(record(np.linspace(0.0, 1.0, 5), u=0.0, i=0.0), ["u"], ["i"])
-    with pytest.raises(SimulationError, match=r"fmi3|not finite"):
-        Simulator(coil3, experiment, ["L"])([0.0])
 
 
 def test_sensitivities_of_the_fmu_serve_the_search(tmp_path: Path) -> None:

@@ -159,15 +159,6 @@ def test_tolerances_follow_the_nominal_values(make: Maker, integrator: str) -> N
     assert states == pytest.approx([states[0]] * 3, rel=1e-8)
 
 
-def test_samples_close_to_each_other_do_not_shorten_later_steps(make: Maker) -> None:
-    steps = []
-    for extra in ([], [5.0 + 1e-9]):
-        trial = make(VAN_DER_POL, [2.0, 0.0], [1.0], integrator="rk45").begin()
-        trial.trajectory([5.0, *extra, 6.0])
-        steps.append(trial.memory.state.n_steps - len(extra))
-    assert steps[0] == steps[1]
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("jacobian", ["exact", "differences", "broken"])
 def test_stiff_van_der_pol_against_radau(make: Maker, jacobian: str, stiff: NDArray[np.float64]) -> None:

@@ -213,37 +213,6 @@ def test_components_with_steps_of_their_own(probe: ProbeMaker) -> None:
     assert got[:, 0] == pytest.approx([0.0, one, two])
 
 
-def test_an_output_may_be_a_sum(record: tuple[Array, Array]) -> None:
-    """Two coils side by side, as a fault model beside a healthy one: the table has the sum of their currents."""
-    times, u = record
-    system = System(components={"one": COIL, "other": COIL})
-    experiment = Experiment(
-        frame(times, u=u, i=0.0),
-        {"one.u": "u"},
-        {"one.i + other.i": "i"},
-        interpolation="zoh",
-        units={"one.i + other.i": "A"},
-    )
-    got = Simulator(system, experiment, ["one.R", "other.i_start"])([2.0, 3.0])[:, 0]
-    alone = coil_response(times, u, 2.0, 0.1, False)
-    assert np.abs(got - alone - 3.0 * np.exp(-4.0 / 0.1 * (times - times[0]))).max() < 1e-8
-    wrong = Experiment(frame(times, u=u, i=0.0), {"one.u": "u"}, {"one.i + other.j": "i"})
-    with pytest.raises(InputError, match=r"no output 'other\.j'"):
-        Simulator(system, wrong)
-    mixed = System(components={"drive": DRIVE})
-    with pytest.raises(InputError, match=r"sums different units: 'drive\.q' in m, 'drive\.dq' in m/s"):
-        Simulator(mixed, Experiment(frame(times, i=0.0), outputs={"drive.q + drive.dq": "i"}))
-
-
-def test_units_convert_on_connections(probe: ProbeMaker) -> None:
-    """A rad/s feeds krad/s: the probe's integrator sees a thousandth; a given factor settles it instead."""
-    path = probe()
-    experiment = Experiment(frame(np.arange(3.0), x=0.0), outputs={"b.x": "x"})
-    system = System(components={"a": path, "b": path}, connections=[("a.x", "b.u", 0.5, 1.0)])
-    got = Simulator(system, experiment, values={"a.x": 4.0})([])[:, 0]
-    assert got.tolist() == [0.0, 3.0, 6.0]
-
-
 @pytest.mark.parametrize("way", ["DISCARDS=1", "DISCARDS=2"])
 def test_discarded_steps_are_shortened(probe: ProbeMaker, way: str) -> None:
     """The probe built so takes 0.3 s at most, of a longer step that much or nothing: x' = u, u held."""

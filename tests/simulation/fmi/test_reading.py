@@ -12,7 +12,7 @@ import pytest
 from fmpy import read_model_description
 
 from fmuid.errors import InputError
-from fmuid.models.description import SI_BASE_UNITS, Description, Variable
+from fmuid.models.description import SI_BASE_UNITS, Description
 from fmuid.models.reading import read_description
 from tests.support.fmu_texts import FMI2, FMI3, FMI_3, write_fmu
 from tests.support.paths import FMUS
@@ -250,9 +250,3 @@ def test_variables_of_one_reference_are_read(tmp_path: Path) -> None:
     path = write_fmu(tmp_path / "a.fmu", FMI2.replace("</ModelVariables>", f"{alias}</ModelVariables>"))
     variables = read_description(path).variables
     assert variables["same"].reference == variables["i"].reference
-
-
-def test_a_variable_is_a_value() -> None:
-    variable = Variable("v", 0, "Float64", "local", "continuous")
-    assert variable == Variable("v", 0, "Float64", "local", "continuous")
-    assert hash(variable._replace(name="w")) != hash(variable)
