@@ -14,6 +14,8 @@ import tarfile
 import tempfile
 import venv
 import zipfile
+from collections import deque
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 from tools.build_hook import NATIVE, build_module
@@ -33,11 +35,11 @@ MARKS = {
 
 def make(kind: str, folder: Path, tag: str = "") -> Path:
     """Build a source archive ("sdist") or a wheel ("wheel") of a platform into a folder; return it."""
-    before = set(folder.iterdir())
-    command = [sys.executable, "-m", "hatchling", "build", "-t", kind, "-d", str(folder)]
-    subprocess.run(command, check=True, cwd=ROOT, env=os.environ | {"FMUID_WHEEL_TAG": tag})
-    (made,) = set(folder.iterdir()) - before
-    return made
+    with tempfile.TemporaryDirectory(dir=folder) as own:  # several are built at a time
+        command = [sys.executable, "-m", "hatchling", "build", "-t", kind, "-d", own]
+        subprocess.run(command, check=True, cwd=ROOT, env=os.environ | {"FMUID_WHEEL_TAG": tag})
+        (made,) = Path(own).iterdir()
+        return made.replace(folder / made.name)
 
 
 def check_sources(archive: Path) -> None:
@@ -81,12 +83,16 @@ def main(folder: Path) -> None:
     folder.mkdir(parents=True, exist_ok=True)
     build = build_module(ROOT)
     check_sources(make("sdist", folder))
-    for tag in build.TARGETS:
+
+    def make_wheel(tag: str) -> None:
         wheel = make("wheel", folder, tag)
         check_wheel(wheel, tag)
-        print(f"{wheel.name}: {wheel.stat().st_size / 1e3:.0f} kB")
+        print(f"{wheel.name}: {wheel.stat().st_size / 1e3:.0f} kB", flush=True)
         if tag == build.tag_here():
             check_installed(wheel)
+
+    with ThreadPoolExecutor() as pool:
+        deque(pool.map(make_wheel, build.TARGETS), maxlen=0)
 
 
 if __name__ == "__main__":
