@@ -4,20 +4,15 @@
 from __future__ import annotations
 
 import signal
-import subprocess
-import zipfile
 from collections.abc import Iterator
-from functools import cache
 from pathlib import Path
 from typing import Any
 
-import fmpy
 import pandas as pd
 import pytest
 
-from experiments.induction_machine import make_table
 from fmuid.files import replacing
-from fmuid.simulation.native.build import compiler_here
+from tests.support.compiled import write_fmu
 from tests.support.paths import HERE
 from tests.support.probe_fmu import ProbeMaker
 
@@ -50,16 +45,6 @@ _UNITS = """
 <Unit name="rad"><BaseUnit rad="1"/><DisplayUnit name="deg" factor="57.29577951308232"/></Unit>
 <Unit name="s"><BaseUnit s="1"/></Unit>
 """
-
-
-@cache
-def _probe_library(folder: Path, defines: tuple[str, ...]) -> bytes:
-    headers = Path(fmpy.__file__).parent / "c-code"
-    library = folder / f"probe{'-'.join(defines)}{fmpy.sharedLibraryExtension}"
-    command = [*compiler_here(), "-O1", "-shared", "-fPIC", f"-I{headers}", "-o", str(library)]
-    command += ["-Wno-unused-parameter"] + [f"-D{define}" for define in defines] + [str(HERE / "probe" / "probe.c")]
-    subprocess.run(command, check=True, capture_output=True)
-    return library.read_bytes()
 
 
 @pytest.hookimpl(optionalhook=True)
@@ -96,6 +81,8 @@ def drawn_figures() -> None:
 @pytest.fixture(scope="session")
 def clean() -> pd.DataFrame:
     """The induction machine's record without noise, integrated once for all tests."""
+    from experiments.induction_machine import make_table  # and with it scipy.signal
+
     return make_table.simulate()
 
 
@@ -110,23 +97,19 @@ def nothing_said(capfd: pytest.CaptureFixture[str]) -> Iterator[None]:
 @pytest.fixture(scope="session")
 def probe(tmp_path_factory: pytest.TempPathFactory) -> ProbeMaker:
     """Return a function that builds the probe FMU: probe(*C defines, attributes of <CoSimulation>...)."""
-    folder = tmp_path_factory.mktemp("probe")
+    folder, source = tmp_path_factory.mktemp("probe"), HERE / "probe" / "probe.c"
 
     def make(*defines: str, feedthrough: str = "5", version: str = "2.0", **attributes: str) -> Path:
         attributes.setdefault("canHandleVariableCommunicationStepSize", "true")
         said = " ".join(f'{key}="{value}"' for key, value in attributes.items())
-        outputs = "".join(f'<Unknown index="{i}"/>' for i in (6, 8, 10, 12))
+        outputs = "".join(f'<Unknown index="{i}"/>' for i in (6, 8, 10, 12)) + '<Unknown index="15" dependencies=""/>'
         xml = (
             f'<?xml version="1.0" encoding="UTF-8"?><fmiModelDescription fmiVersion="{version}" modelName="Probe" '
             f'guid="probe"><CoSimulation modelIdentifier="probe" {said}/><UnitDefinitions>{_UNITS}</UnitDefinitions>'
-            f"<ModelVariables>{_VARIABLES}</ModelVariables><ModelStructure><Outputs>"
-            f'{outputs}<Unknown index="15" dependencies=""/><Unknown index="7" dependencies="{feedthrough}"/></Outputs></ModelStructure></fmiModelDescription>'
+            f"<ModelVariables>{_VARIABLES}</ModelVariables><ModelStructure><Outputs>{outputs}"
+            f'<Unknown index="7" dependencies="{feedthrough}"/></Outputs></ModelStructure></fmiModelDescription>'
         )
-        path = folder / f"probe{abs(hash((defines, xml)))}.fmu"
-        with zipfile.ZipFile(path, "w") as archive:
-            archive.writestr("modelDescription.xml", xml)
-            binary = f"binaries/{fmpy.platform}/probe{fmpy.sharedLibraryExtension}"
-            archive.writestr(binary, _probe_library(folder, defines))
-        return path
+        flags = ["-Wno-unused-parameter", *(f"-D{define}" for define in defines)]
+        return write_fmu(folder / f"probe{abs(hash((defines, xml)))}.fmu", xml, source, *flags)
 
     return make

@@ -21,6 +21,7 @@ from fmuid.simulation import validation
 from fmuid.simulation.native.build import compiler_here
 from fmuid.simulation.smoke_test import SmokeReport, Stage
 from fmuid.simulation.validation import Check, InterfaceTest, Validation, validate
+from tests.support.compiled import write_fmu as write_compiled
 from tests.support.fmu_texts import FMI2, FMI3, write_fmu
 from tests.support.paths import FMUS, HERE
 from tests.support.probe_fmu import ProbeMaker
@@ -113,17 +114,9 @@ def troubled(probe: ProbeMaker, tmp_path_factory: pytest.TempPathFactory) -> Pat
         assert source.count(start) == 1
         source = source.replace(start, start + fault if start.endswith("\n") else fault + start)
     (folder / "probe.c").write_text("#include <stdio.h>\n" + source, encoding="utf-8")
-    binary = f"probe{fmpy.sharedLibraryExtension}"
-    headers = Path(fmpy.__file__).parent / "c-code"
-    command = [*compiler_here(), "-O1", "-shared", "-fPIC", f"-I{headers}"]
-    subprocess.run([*command, "-o", str(folder / binary), str(folder / "probe.c")], check=True, capture_output=True)
     with zipfile.ZipFile(probe()) as archive:
-        text = archive.read("modelDescription.xml")
-    path = folder / "troubled.fmu"
-    with zipfile.ZipFile(path, "w") as archive:
-        archive.writestr("modelDescription.xml", text)
-        archive.write(folder / binary, f"binaries/{fmpy.platform}/{binary}")
-    return path
+        text = archive.read("modelDescription.xml").decode()
+    return write_compiled(folder / "troubled.fmu", text, folder / "probe.c")
 
 
 INSTANTIATION_FAULTS = r"""

@@ -3,32 +3,22 @@
 from __future__ import annotations
 
 import ctypes
-import subprocess
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-import fmpy
 import pytest
 
-from fmuid.simulation.native.build import compiler_here
-from tests.support.integrating import (
-    Libraries,
-    Maker,
-    Trial,
-)
+from tests.support.compiled import compiled
+from tests.support.integrating import Libraries, Maker, Trial
 from tests.support.paths import HERE
 
 
-@pytest.fixture(scope="module")
-def libraries(tmp_path_factory: pytest.TempPathFactory) -> Libraries:
-    folder, headers = tmp_path_factory.mktemp("hybrid"), Path(fmpy.__file__).parent / "c-code"
+@pytest.fixture(scope="session")
+def libraries() -> Libraries:
     found = {}
     for version in (2, 3):
-        path = folder / f"hybrid{version}{fmpy.sharedLibraryExtension}"
-        command = [*compiler_here(), "-O1", "-shared", "-fPIC", f"-I{headers}", f"-DFMI={version}"]
-        subprocess.run([*command, "-o", str(path), str(HERE / "probe" / "hybrid.c")], check=True, capture_output=True)
-        found[version] = ctypes.CDLL(str(path))
+        found[version] = ctypes.CDLL(str(compiled(HERE / "probe" / "hybrid.c", f"-DFMI={version}")))
         found[version].make.restype = ctypes.c_void_p
         found[version].make.argtypes = [ctypes.c_double]
     return found
