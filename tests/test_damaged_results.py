@@ -27,7 +27,6 @@ from tests.support.mutations import mutated
 from tests.support.paths import FMUS, ROOT
 from tests.support.running import run_monitoring, run_study
 
-MUTATIONS = 500
 COIL = {
     "model": {"fmu": str(FMUS / "Coil/Coil.fmu")},
     "experiments": [{"data": "healthy.csv", "inputs": ["u"], "outputs": ["i"], "interpolation": "zoh"}],
@@ -129,15 +128,17 @@ FILES: dict[str, tuple[Change, Callable[[Path, Experiment], None]]] = {
 }
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("name", FILES)
-def test_damaged_results(sound: Path, tmp_path: Path, name: str) -> None:
+@pytest.mark.parametrize(
+    "draws", [pytest.param(60, marks=pytest.mark.slow), pytest.param(500, marks=pytest.mark.campaign)]
+)
+def test_damaged_results(sound: Path, tmp_path: Path, name: str, draws: int) -> None:
     folder, (change, read) = tmp_path / "a", FILES[name]
     shutil.copytree(sound, folder)
     (path,) = folder.glob(name)
     given, rng, refused = path.read_bytes(), Random(name), 0
     record = replace(asked(folder).experiments[0].read_experiment(folder / "test1.csv"), name="test1")
-    for _ in range(MUTATIONS):
+    for _ in range(draws):
         content = change(rng, given)
         if content == given:
             continue
@@ -148,4 +149,4 @@ def test_damaged_results(sound: Path, tmp_path: Path, name: str) -> None:
             assert "\n" not in str(error)
             assert len(str(error)) > 8
             refused += 1
-    assert refused > MUTATIONS / 4
+    assert refused > draws / 4

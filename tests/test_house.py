@@ -8,18 +8,16 @@ import inspect
 import re
 import subprocess
 import sys
-from collections.abc import Set
-from functools import cache
 from graphlib import TopologicalSorter
+from itertools import pairwise
 from pathlib import Path
 from types import ModuleType
 
 import pytest
 
 import fmuid
+from tests.support.house import PACKAGE, face, imported, modules, tree, uses
 
-PACKAGE = Path(fmuid.__file__).parent
-FACES = sorted(path.parent.name for path in PACKAGE.glob("*/__init__.pyi"))
 # Packages in a package that others import from module by module: there is no use for one face of all figures.
 OPEN = (
     "fmuid.apps.cli",
@@ -33,41 +31,6 @@ OPEN = (
 EXTRAS = {"casadi", "pymoca", "antlr4", "ziglang"}
 
 
-@cache
-def tree(path: Path) -> ast.Module:
-    """Return what a file says, parsed."""
-    return ast.parse(path.read_text(encoding="utf-8"))
-
-
-@cache
-def imported(path: Path) -> tuple[ast.Import | ast.ImportFrom, ...]:
-    """Return the statements of a file that import, wherever they stand."""
-    return tuple(node for node in ast.walk(tree(path)) if isinstance(node, ast.Import | ast.ImportFrom))
-
-
-@cache
-def modules() -> dict[str, Path]:
-    """Return every module of the package below its name, packages' own files left out."""
-    found = {}
-    for path in sorted(PACKAGE.rglob("*.py")):
-        parts = path.relative_to(PACKAGE).with_suffix("").parts
-        if parts[-1] != "__init__":
-            found[".".join(parts)] = path
-    return found
-
-
-def imports(path: Path) -> set[str]:
-    """Return the modules of the package that a file imports, anywhere in it."""
-    names = set()
-    for node in imported(path):
-        if isinstance(node, ast.Import):
-            names |= {alias.name for alias in node.names}
-        else:
-            assert node.level == 0, f"{path}:{node.lineno}: relative import"
-            names.add(node.module or "")
-    return {name for name in names if name.startswith("fmuid.")}
-
-
 def test_layers() -> None:
     """The contracts in pyproject.toml: arrows run one way, and some never."""
     command = [str(Path(sys.executable).parent / "lint-imports"), "--no-cache"]
@@ -76,24 +39,12 @@ def test_layers() -> None:
     assert "0 broken" in run.stdout
 
 
-def uses(path: Path, known: Set[str]) -> set[str]:
-    """Return the modules that a file imports or whose names it imports, for annotations alone too."""
-    found = set()
-    for node in imported(path):
-        if isinstance(node, ast.Import):
-            found |= {alias.name.removeprefix("fmuid.") for alias in node.names}
-        elif node.module:
-            above = node.module.removeprefix("fmuid").removeprefix(".")
-            found |= {above, *(f"{above}.{alias.name}".removeprefix(".") for alias in node.names)}
-    return found & known
-
-
 def test_no_circles_between_modules() -> None:
     """Not even through annotations: who reads one module need not read all others of its package at once."""
     found = modules()
-    order = TopologicalSorter({name: uses(path, found.keys()) - {name} for name, path in found.items()})
+    order = TopologicalSorter({name: uses(path) & found.keys() - {name} for name, path in found.items()})
     order.prepare()  # raises CycleError, which names a circle
-    assert "estimation.result" in uses(found["estimation.estimate"], found.keys())
+    assert "estimation.result" in uses(found["estimation.estimate"])
 
 
 def test_no_circles_between_files_of_the_core() -> None:
@@ -113,24 +64,21 @@ def test_no_circles_between_files_of_the_core() -> None:
 
 def test_other_packages_are_seen_by_their_faces() -> None:
     for module, path in modules().items():
-        for other in imports(path):
-            package, _, inner = other.removeprefix("fmuid.").partition(".")
-            seen = package == module.partition(".")[0] or not inner or other.startswith(OPEN)
-            assert seen, f"{module} imports {other}: give the name to the face of {package}, import it there"
+        for node in imported(path):
+            others = [alias.name for alias in node.names] if isinstance(node, ast.Import) else [node.module or ""]
+            assert not getattr(node, "level", 0), f"{path}:{node.lineno}: relative import"
+            for other in (each for each in others if each.startswith("fmuid.")):
+                package, _, inner = other.removeprefix("fmuid.").partition(".")
+                seen = package == module.partition(".")[0] or not inner or other.startswith(OPEN)
+                assert seen, f"{module} imports {other}: give the name to the face of {package}, import it there"
 
 
-def test_imports_are_seen() -> None:
-    assert {"fmuid.errors", "fmuid.data", "fmuid.identification"} <= imports(PACKAGE / "studies" / "study.py")
-
-
-@pytest.mark.parametrize("face", FACES)
-def test_what_a_face_names_is_there(face: str) -> None:
-    stub = PACKAGE / face / "__init__.pyi"
-    named = [a.name for n in ast.parse(stub.read_text()).body if isinstance(n, ast.ImportFrom) for a in n.names]
-    package = importlib.import_module(f"fmuid.{face}")
-    assert named
-    for name in named:
-        assert getattr(package, name) is not None
+def test_names_of_faces_are_there() -> None:
+    for stub in PACKAGE.glob("*/__init__.pyi"):
+        package = importlib.import_module(f"fmuid.{stub.parent.name}")
+        assert face(stub.parent.name)
+        for name in face(stub.parent.name):
+            assert getattr(package, name) is not None, name
 
 
 def test_no_two_classes_share_a_name() -> None:
@@ -172,53 +120,45 @@ def check_documented(module: ModuleType) -> None:
                     assert said, f"{module.__name__}.{name}.{member}"
 
 
-@pytest.mark.parametrize("name", sorted(set(dir(fmuid)) - {"__version__"}))
-def test_public_names_resolve(name: str) -> None:
-    value = getattr(fmuid, name)
-    if inspect.ismodule(value):
-        return
-    assert callable(value)
-    assert value.__module__ != "fmuid"
-
-
-def test_the_listing_of_names_is_the_public_ones() -> None:
+def test_public_names_are_those_of_the_stub() -> None:
     """Also where a package below has been imported, or a helper is in use."""
-    stub = ast.parse((PACKAGE / "__init__.pyi").read_text())
-    named = [alias.name for node in stub.body if isinstance(node, ast.ImportFrom) for alias in node.names]
+    stub = [node for node in imported(PACKAGE / "__init__.pyi") if isinstance(node, ast.ImportFrom)]
     importlib.import_module("fmuid.reports.render.notebook")
-    assert dir(fmuid) == sorted(named)
-
-
-def test_unknown_name() -> None:
-    name = "Fmu"
+    assert dir(fmuid) == sorted(alias.name for node in stub for alias in node.names)
+    for value in (getattr(fmuid, name) for name in set(dir(fmuid)) - {"__version__"}):
+        assert inspect.ismodule(value) or (callable(value) and value.__module__ != "fmuid")
     with pytest.raises(AttributeError, match="Fmu"):
-        getattr(fmuid, name)
+        fmuid.Fmu  # noqa: B018
 
 
-@pytest.mark.parametrize("module", ["fmuid", "fmuid.apps.cli.app"])
-def test_imports_nothing_heavy(module: str) -> None:
-    code = f"import sys, {module}; print(*(name for name in sys.modules if '.' not in name))"
-    run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    loaded = set(run.stdout.split())
-    assert "fmuid" in loaded
-    assert not loaded & {"numpy", "pandas", "matplotlib", "fmpy", "scipy", "pyarrow", "pydantic", "bokeh", *EXTRAS}
+HEAVY = {"numpy", "pandas", "matplotlib", "fmpy", "scipy", "pyarrow", "pydantic", "bokeh", *EXTRAS}
+FACES = "fmuid.Simulator, fmuid.Experiment, fmuid.simulation.executor_of, fmuid.simulation.executor"
+IDENTIFY = "fmuid.identify(fmuid.datasets.coil().problem())"
 
 
-def test_simulating_imports_nothing_that_only_others_need() -> None:
-    faces = "fmuid.Simulator, fmuid.Experiment, fmuid.simulation.executor_of, fmuid.simulation.executor"
-    code = f"import sys, fmuid, fmuid.simulation.executor; {faces}; print(*sys.modules)"
-    run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    loaded = set(run.stdout.split())
-    assert {"fmuid.simulation.native.library", "pandas"} <= loaded
-    assert not loaded & {"fmpy", "scipy", "pydantic", "matplotlib", "psutil", "urllib.request"}
-
-
-def test_identifying_imports_nothing_that_only_others_need() -> None:
-    code = "import sys, fmuid; fmuid.identify(fmuid.datasets.coil().problem()); print(*sys.modules)"
-    run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    loaded = set(run.stdout.split())
-    assert {"fmuid.identification.identify", "scipy.linalg"} <= loaded
-    assert not loaded & {"fmuid.diagnosis.monitor", "scipy.optimize", "scipy.stats", "emcee", "distributed", "bokeh"}
+@pytest.mark.parametrize(
+    ("code", "needed", "unneeded"),
+    [
+        ("import fmuid", {"fmuid"}, HEAVY),
+        ("import fmuid.apps.cli.app", {"fmuid"}, HEAVY),
+        (
+            f"import fmuid, fmuid.simulation.executor; {FACES}",
+            {"fmuid.simulation.native.library", "pandas"},
+            {"fmpy", "scipy", "pydantic", "matplotlib", "psutil", "urllib.request"},
+        ),
+        (
+            f"import fmuid; {IDENTIFY}",
+            {"fmuid.identification.identify", "scipy.linalg"},
+            {"fmuid.diagnosis.monitor", "scipy.optimize", "scipy.stats", "emcee", "distributed", "bokeh"},
+        ),
+    ],
+    ids=["import", "command", "simulation", "identification"],
+)
+def test_imports_are_only_the_needed_ones(code: str, needed: set[str], unneeded: set[str]) -> None:
+    command = [sys.executable, "-c", f"import sys; {code}; print(*sys.modules)"]
+    loaded = set(subprocess.run(command, capture_output=True, text=True, check=True).stdout.split())
+    assert needed <= loaded
+    assert not loaded & unneeded
 
 
 def test_tests_mirror_the_packages() -> None:
@@ -228,3 +168,37 @@ def test_tests_mirror_the_packages() -> None:
     assert {path.name for path in tests.iterdir() if path.is_dir() and path.name != "__pycache__"} <= packages
     for path in tests.rglob("*.py"):
         assert not re.search(r"^\s*(from|import) tests\.[\w.]*test_", path.read_text(encoding="utf-8"), re.M), path
+
+
+# --- two walks: each step is an import, so that a reader can follow it, and neither is long
+
+COLUMN = (
+    *("studies.study", "studies.model", "data.data_file", "data.readers.text", "data.headers", "data.clock"),
+    *("data.preprocessing", "data.experiment", "identification.problem", "estimation.problem"),
+    *("estimation.cost_function", "estimation.estimate", "estimation.result"),
+    *("runs.findings", "reports.topics.fit", "reports.chart", "reports.render.bokeh_renderer", "reports.render.html"),
+)
+"""From a column of a CSV file to its figure in the report."""
+PRIOR = (
+    *("studies.parameters", "data.priors", "data.parameters", "estimation.problem", "estimation.cost_function"),
+    *("identification.conditional_optimum", "identification.sampler", "identification.posterior"),
+    *("identification.assessment", "runs.findings", "reports.topics.uncertainty_charts", "reports.chart"),
+    *("reports.render.bokeh_renderer", "reports.render.html"),
+)
+"""From a parameter's prior to the figure of its posterior."""
+
+
+def is_step(one: str, other: str) -> bool:
+    """Return whether one of two modules imports the other, or a module of the package of one imports both."""
+    if other in uses(modules()[one]) or one in uses(modules()[other]):
+        return True
+    packages = {each.rpartition(".")[0] for each in (one, other)}
+    beside = [path for package in packages for path in (PACKAGE / package.replace(".", "/")).glob("*.py")]
+    return any({one, other} <= uses(path) for path in beside)
+
+
+@pytest.mark.parametrize(("walk", "most"), [(COLUMN, 18), (PRIOR, 14)], ids=["column", "prior"])
+def test_a_walk_is_short_and_no_room_is_entered_twice(walk: tuple[str, ...], most: int) -> None:
+    assert len(walk) == len(set(walk)) <= most
+    assert [step for step in pairwise(walk) if not is_step(*step)] == []
+    assert not is_step("data.clock", "reports.chart")

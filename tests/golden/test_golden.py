@@ -11,8 +11,13 @@ from tests.support.paths import HERE
 KEPT = load(HERE.parent / "golden" / "numbers.json")
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("name", RUNS)
+LONG = "start im 4 100"
+"""As long as all others together."""
+
+
+@pytest.mark.parametrize(
+    "name", [pytest.param(name, marks=pytest.mark.campaign if name == LONG else pytest.mark.slow) for name in RUNS]
+)
 def test_a_run_gives_its_numbers(name: str) -> None:
     if name in RECORDED and not DATA.is_dir():
         pytest.skip("recorded data of others, which the project does not have")

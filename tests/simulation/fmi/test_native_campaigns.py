@@ -19,22 +19,17 @@ from fmuid.simulation.simulator import Simulator
 from tests.support.paths import FMUS
 from tests.support.sanitizers import SANITIZE, assert_nothing_found, needs_sanitizers
 
-pytestmark = pytest.mark.slow
 TESTS = [
     *(
         f"simulation/fmi/test_{name}"
         for name in ("native", "integrators", "model_exchange", "fmi3", "float_environment")
     ),
-    *(
-        "models/test_system",
-        "models/test_loops",
-        "simulation/test_state_sizes",
-        "simulation/test_sensitivities",
-        "simulation/test_simulator",
-    ),
+    *(f"simulation/test_{name}" for name in ("state_sizes", "sensitivities", "simulator")),
+    *("models/test_system", "models/test_loops"),
 ]
 
 
+@pytest.mark.slow
 @needs_sanitizers
 def test_sanitizers_find_nothing(tmp_path: Path) -> None:
     library = tmp_path / "core.so"
@@ -45,8 +40,11 @@ def test_sanitizers_find_nothing(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("kind", ["co-simulation", "model-exchange"])
 @pytest.mark.parametrize("name", sorted(path.stem for path in FMUS.glob("*/*.fmu")))
-def test_simulations_leave_nothing_behind(name: str, kind: str) -> None:
-    """20,000 simulations are the same bit for bit, and take no more memory than the first 2,000."""
+@pytest.mark.parametrize(
+    "count", [pytest.param(200, marks=pytest.mark.slow), pytest.param(2000, marks=pytest.mark.campaign)]
+)
+def test_simulations_leave_nothing_behind(name: str, kind: str, count: int) -> None:
+    """Ten times as many simulations are the same bit for bit, and take no more memory than the first tenth."""
     fmu = FMU(FMUS / name / f"{name}.fmu")
     if kind not in fmu.description.interfaces:
         pytest.skip("it has no such interface")
@@ -62,7 +60,7 @@ def test_simulations_leave_nothing_behind(name: str, kind: str) -> None:
     first = simulator([])
     process, sizes = psutil.Process(), []
     for _ in range(10):
-        found = simulator(np.zeros((2000, 0)))
+        found = simulator(np.zeros((count, 0)))
         assert (found == first).all()
         sizes.append(process.memory_info().rss)
     simulator.close()
