@@ -22,13 +22,13 @@ from fmuid.data import Preprocessing
 from fmuid.errors import InputError
 from fmuid.estimation import LeastSquares
 from fmuid.reports.render.console import show_notes
-from fmuid.reports.topics.solver_check import passed_words
 from fmuid.reports.topics.study_notes import input_notes
 from fmuid.simulation.instance import _missing_library
 from tests.support.coil_study import COIL
 from tests.support.docs_rows import rows
 from tests.support.fmu_texts import FMI2, write_fmu
 from tests.support.paths import FMUS
+from tests.support.said import solver_words
 
 Check = Callable[[Path, pytest.CaptureFixture[str]], None]
 ROWS: dict[str, Check | str] = {}
@@ -154,9 +154,7 @@ def _mean(_: Path, __: pytest.CaptureFixture[str]) -> None:
     given = experiment(recorded(offset=0.1, noise=0.2))
     problem = Problem(COIL, given, free, values={"R": 4.0})
     found = str(Document.of(fmuid.analyze_residuals(problem, identify(problem, solver_check="off", restart=False))))
-    assert re.search(
-        r"The residual of i has the mean 0\.10\d, 0\.5 of its standard deviation: a sensor's offset", found
-    )
+    assert re.search(r"Residual of i has an offset of 0\.10\d \(0\.5 × its standard deviation\)", found)
     assert abs(np.mean(residual(fmuid.data.preprocess(given, Preprocessing(detrend="mean")), free, R=4.0))) < 0.05
 
 
@@ -176,7 +174,7 @@ def _unfed(_: Path, capsys: pytest.CaptureFixture[str]) -> None:
     simulator = Simulator(COIL, given)
     np.testing.assert_array_equal(simulator([]), 0.0)  # the residual is all of the signal
     show_notes(input_notes([simulator]))  # as `fmuid simulate` does
-    assert "run.csv feeds no u: kept at the start value" in capsys.readouterr().err
+    assert "run.csv: no column for u; start value used." in capsys.readouterr().err
 
 
 # --- the search does not end well ---------------------------------------------------------
@@ -220,7 +218,7 @@ def both(prior: Normal | None = None, held: bool = False) -> fmuid.Result:
 
 @row("parameters are not identifiable")
 def _apart(_: Path, __: pytest.CaptureFixture[str]) -> None:
-    assert "a and b cannot be told apart: only a + b is determined" in str(Document.of(both()))
+    assert "a and b are not identifiable; only a + b is." in str(Document.of(both()))
     assert np.isinf(both().std).all()
     assert (both(Normal(1.0, 0.05)).std < 0.1).all()
     assert both(held=True)["a"] == pytest.approx(1.0, abs=0.05)
@@ -234,7 +232,7 @@ def _weak(_: Path, __: pytest.CaptureFixture[str]) -> None:
         free = {"gain": Parameter(0.8), "bend": Parameter(0.1, prior=prior)}
         return identify(LeastSquares.from_function(lambda x: x[0] * TIMES + x[1] * TIMES**3 / 9, measured, free))
 
-    assert "end is hardly determined: its standard deviation" in str(Document.of(found(None)))
+    assert "end is weakly identifiable: σ is" in str(Document.of(found(None)))
     assert found(Normal(0.0, 0.05)).std[1] < 0.06 < found(None).std[1]
 
 
@@ -286,7 +284,7 @@ def _again(_: Path, __: pytest.CaptureFixture[str]) -> None:
 def _tool(_: Path, __: pytest.CaptureFixture[str]) -> None:
     found = identify(Problem(COIL, experiment(recorded()), FREE)).accuracy
     assert found is not None
-    assert re.search("simulation checked by .*: it moves the estimates by .* std at most", passed_words(found))
+    assert solver_words(FREE, found)[0].startswith("Solver error is below ")
 
 
 @row("intervals of another program")

@@ -35,7 +35,8 @@ class Message(Enum):
         self, tone: Tone | None = None, section: str = "", names: Iterable[str] = (), /, **values: object
     ) -> Remark:
         """Return the message with values, capitalized unless a name begins it."""
-        told = capitalized(self.text.format(**values), names)
+        told = self.text.format(**values)
+        told = told if self.text[0] in "{σ" else capitalized(told, names)
         key, remedy = f"{type(self).__name__}.{self.name}", self.remedy.format(**values)
         return Remark(told, tone or self.tone, section, key, values, remedy)
 
@@ -171,7 +172,6 @@ def table_of(columns: Mapping[str, Iterable[str]], words: Iterable[str] = (), ra
     )
 
 
-<<<<<<< HEAD
 def table_of_rows(
     heads: Sequence[str], rows: Iterable[Sequence[str]], words: Iterable[str] = (), ranks: Iterable[str] = ()
 ) -> Table:
@@ -180,10 +180,7 @@ def table_of_rows(
     return table_of({head: [row[k] for row in cells] for k, head in enumerate(heads)}, words, ranks)
 
 
-def capitalised(words: str, names: Iterable[str] = ()) -> str:
-=======
 def capitalized(words: str, names: Iterable[str] = ()) -> str:
->>>>>>> fb544b91 (Messages of an identification are data; the console shows verdict, table, five lines and one remedy)
     """Return words with a capital, unless one of the names begins them."""
     kept = any(words.startswith(name) and not words[len(name) :][:1].isalnum() for name in names)
     return words if kept else words[:1].upper() + words[1:]

@@ -34,8 +34,8 @@ from fmuid.estimation.problem import LeastSquares
 from fmuid.estimation.result import Result
 from fmuid.identification import identify
 from fmuid.identification.residual_analysis import analyze_residuals
-from fmuid.reports.topics.residual_analysis import residual_words
 from tests.support.problems import ar1
+from tests.support.said import residual_words
 
 STEP, PERIOD, CYCLES = 0.032, 125, 8
 COUNT = PERIOD * CYCLES
@@ -217,8 +217,8 @@ def test_an_error_of_two_outputs_acts_at_once(signs: tuple[float, float], least:
     wider = np.sqrt(np.diag(result.covariance) / np.diag(apart.covariance))
     assert (wider > least).all()
     assert (wider < most).all()
-    said = [line for line in residual_words(analyze_residuals(problem, result)) if "comes back" in line]
-    assert {line.split()[4] for line in said} == {"y", "y1"}
+    said = [line for line in residual_words(analyze_residuals(problem, result)) if "repeats every" in line]
+    assert {line.split()[2] for line in said} == {"y", "y1"}
 
 
 def test_an_error_that_returns_is_found_said_and_allowed_for() -> None:
@@ -233,7 +233,7 @@ def test_an_error_that_returns_is_found_said_and_allowed_for() -> None:
     root = result.fit.linearization.root
     gram = result.fit.noise.gram(result.fit.linearization.jacobian @ root)
     np.testing.assert_allclose(root @ gram @ root.T, result.covariance, rtol=1e-9)
-    (said,) = (line for line in residual_words(analyze_residuals(problem, result)) if "comes back" in line)
+    (said,) = (line for line in residual_words(analyze_residuals(problem, result)) if "repeats every" in line)
     assert "every 4 s" in said
 
 

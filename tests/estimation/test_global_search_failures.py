@@ -12,7 +12,7 @@ from fmuid.estimation.global_search import GlobalSearch, Strategy
 from fmuid.estimation.problem import LeastSquares
 from fmuid.estimation.search.loop import TerminationReason
 from fmuid.events import Event
-from fmuid.reports.topics.termination import ending
+from tests.support.said import ending
 from tests.support.sinusoids import METHODS, RANGE, TIMES, dense_minima, of_search, searched, sinusoid
 
 # --- failing simulations ----------------------------------------------------------------
@@ -99,7 +99,7 @@ def test_interruption_keeps_what_is_found(method: Strategy, calls: int, complete
     assert len(seen) == calls  # who interrupts waits for nothing more to be simulated
     assert not found.converged
     assert found.outcome is TerminationReason.INTERRUPTED
-    said = f"interrupted: these are the best values so far of a global search, after {found.history.fits} fit"
+    said = f"Interrupted after {found.history.fits} fit"
     assert ending(found).startswith(said)
     assert sum(o.hits for o in found.history.optima) == found.history.fits
     assert len(found.history.optima) < 40

@@ -22,9 +22,9 @@ from fmuid.estimation.result import Result
 from fmuid.estimation.search.loop import TerminationReason
 from fmuid.events import Event, SearchStep
 from fmuid.identification import identify
-from fmuid.reports.topics.termination import ending
 from fmuid.runs.findings import at_minimum
 from tests.support.problems import Fake
+from tests.support.said import ending
 from tests.support.two_outputs import TIMES, two_output_problem, two_outputs
 
 
@@ -203,7 +203,7 @@ def test_the_iteration_limit_is_not_convergence() -> None:
     result = identify(two_output_problem(), Marquardt(max_iterations=1))
     assert not result.converged
     assert result.outcome is TerminationReason.ITERATION_LIMIT
-    assert "raise max_iterations" in ending(result)
+    assert "Raise `max_iterations`" in ending(result)
     assert result.history.iterations == 1
 
 
@@ -213,7 +213,7 @@ def test_variances_that_do_not_settle_are_not_convergence(monkeypatch: pytest.Mo
     assert result.outcome is TerminationReason.UNSETTLED
     assert not result.converged
     assert not at_minimum(result)
-    assert "give them as noise.variance" in ending(result)
+    assert "Set `noise.variance`" in ending(result)
 
 
 def test_the_trace() -> None:

@@ -21,10 +21,10 @@ from fmuid.estimation.problem import LeastSquares
 from fmuid.estimation.result import Result
 from fmuid.estimation.search.loop import TerminationReason
 from fmuid.identification import identify
-from fmuid.reports.topics.termination import ending
 from fmuid.runs.apply import apply_result
 from tests.support.paths import FMUS
 from tests.support.results import RESULT
+from tests.support.said import ending
 
 Function = Callable[[Floats], Floats]
 
@@ -191,7 +191,7 @@ def test_what_is_as_accurate_as_the_simulation_may_be_applied(tmp_path: Path) ->
     assert result.outcome is TerminationReason.ACCURACY
     content = RESULT | as_json(result)
     assert content["outcome"] == "accuracy"
-    assert ending(result).startswith("converged to the accuracy of the simulation: make it more accurate")
+    assert "solver accuracy limits further digits" in ending(result)
     del content["parameters"]["brake"]
     content["covariance"] = {"names": ["R", "L"], "matrix": np.eye(2).tolist(), "white_noise": np.eye(2).tolist()}
     path = tmp_path / "result.json"

@@ -2,6 +2,7 @@
 
 import json
 import math
+import re
 from collections.abc import Callable
 
 import numpy as np
@@ -20,11 +21,11 @@ from fmuid.estimation.problem import LeastSquares
 from fmuid.estimation.result import Result
 from fmuid.estimation.search.loop import TerminationReason
 from fmuid.identification import identify
-from fmuid.reports.shared_phrases import direction_words
-from fmuid.reports.topics.termination import ending
+from fmuid.reports.shared_phrases import change_remark
 from tests.support.paths import FMUS
 from tests.support.problems import Fake, coil
 from tests.support.results import RESULT
+from tests.support.said import direction_words, ending
 
 TIMES = 1e-3 * np.arange(600)
 STEPS = np.repeat(np.random.default_rng(1).choice([-1.0, 1.0], 40), 15)
@@ -56,10 +57,7 @@ def test_a_fault_that_looks_like_another_resistance() -> None:
     result = identify(either)
     assert not result.converged
     assert result.outcome is TerminationReason.UNDETERMINED
-    assert ending(result) == (
-        "undetermined: R and dR cannot be told apart: only R + dR is determined: "
-        "give a prior, hold one of them at a value, or measure more"
-    )
+    assert "R and dR are not identifiable; only R + dR is.\n→ Fix one of them" in ending(result)
     assert np.isinf(result.std).all()
     assert result["R"] + result["dR"] == pytest.approx(5.0, rel=1e-3)
 
@@ -80,7 +78,7 @@ def test_any_prior_on_the_direction_determines_it() -> None:
 def test_a_vague_prior_leaves_it_undetermined_in_effect() -> None:
     result = coil_result(STEPS, dR=Normal(0.0, 200.0))
     assert not result.converged
-    assert ending(result).startswith("undetermined: R, L and dR cannot be told apart in effect: only R + dR and L + ")
+    assert re.search(r"R, L and dR are practically non-identifiable .*; only R \+ dR and L \+ ", ending(result))
     assert result.std[2] == pytest.approx(200.0, rel=0.01)
 
 
@@ -104,8 +102,7 @@ def test_a_runaway_is_stopped_and_named() -> None:
     """As R and L grow together the model becomes a straight line, which fits that noise better than any coil."""
     result = resting_coil()
     assert not result.converged
-    assert ending(result).startswith("undetermined: R and L cannot be told apart in effect: only R - 0.006")
-    assert "times their magnitude: give a prior" in ending(result)
+    assert re.search(r"R and L are practically non-identifiable .*× scale\); only R - 0\.006", ending(result))
     assert (result.std[:2] > UNDETERMINED_STD * np.abs(result.values[:2])).all()
     assert result.history.iterations < 60
     assert result.trace.loc[result.trace["accepted"], "L"].max() < 1e4
@@ -115,7 +112,7 @@ def test_a_runaway_is_stopped_and_named() -> None:
 def test_a_bound_holds_a_runaway() -> None:
     result = resting_coil(L=10.0)
     assert result.estimates.at_bounds == (ActiveBound("L", 10.0),)
-    assert "widen the bound or check the model" in ending(result)
+    assert "Widen the bound or check the model" in ending(result)
 
 
 def test_parameters_may_travel_far_for_a_gain() -> None:
@@ -152,17 +149,16 @@ def test_weak_and_undetermined() -> None:
     (direction,) = weak.identifiability.weakly_identifiable
     assert (direction.level, direction.names) == (IdentifiabilityLevel.HARDLY, ("bend",))
     assert direction.std == pytest.approx(9.0, rel=1e-5)
-    assert direction_words(direction) == "bend is hardly determined: its standard deviation is 900% of its magnitude"
+    assert direction_words(direction).startswith("bend is weakly identifiable: σ is 900 % of its scale.")
     (direction,) = bend(3.0, truth=1e-4).identifiability.weakly_identifiable  # which happens to lie near zero
-    said = "bend is hardly determined: its standard deviation, 3, is far more than its value"
-    assert (direction.level, direction_words(direction)) == (IdentifiabilityLevel.HARDLY, said)
+    assert direction.level is IdentifiabilityLevel.HARDLY
+    assert direction_words(direction).startswith("bend is weakly identifiable: σ is 3, far above its value.")
     lost = bend(11.0)
     assert not lost.converged
     assert lost.identifiability.weakly_identifiable == ()
     (direction,) = lost.identifiability.non_identifiable
     assert direction.level is IdentifiabilityLevel.NOT_IN_EFFECT
-    said = "bend is not determined in effect: its standard deviation is 11 times its magnitude"
-    assert direction_words(direction) == said
+    assert direction_words(direction).startswith("bend is practically non-identifiable: σ is 11 × its scale.")
     assert lost.std == pytest.approx([weak.std[0], weak.std[1], 11.0], rel=1e-5)
 
 
@@ -180,7 +176,7 @@ def test_nearly_alike_parameters_are_named_together() -> None:
     parameters = {"R": Parameter(4.0), "dR": Parameter(0.5, nominal=1.0)}
     result = identify(of(lambda p: 1.0 / (p[0] + p[1] * (1.0 + 1e-6 * TIMES)), y, **parameters))
     assert not result.converged
-    assert ending(result).startswith("undetermined: R and dR cannot be told apart in effect: only R + dR is determined")
+    assert re.search(r"R and dR are practically non-identifiable .*; only R \+ dR is\.", ending(result))
     assert (result.std > 0.3 * np.abs(result.values)).all()
     assert result.values.sum() == pytest.approx(5.0, rel=1e-3)
 
@@ -198,10 +194,10 @@ def test_singular_and_weak_directions_together() -> None:
     assert none.coefficients[0] == pytest.approx(-none.coefficients[1])
     assert (in_effect.level, in_effect.names) == (IdentifiabilityLevel.NOT_IN_EFFECT, ("c",))
     assert in_effect.std == pytest.approx(20.0)
-    assert tuple(map(direction_words, found.undetermined)) == (
-        "a and b cannot be told apart: only a + b is determined",
-        "c is not determined in effect: its standard deviation is 20 times its magnitude",
-    )
+    assert [direction_words(each).splitlines()[0] for each in found.undetermined] == [
+        "a and b are not identifiable; only a + b is.",
+        "c is practically non-identifiable: σ is 20 × its scale.",
+    ]
     std = np.sqrt(np.diag(found.covariance))
     assert std[:2].tolist() == [math.inf, math.inf]
     assert std[2:] == pytest.approx([20.0, 1.0 / 30.0], rel=1e-9)
@@ -223,8 +219,8 @@ def test_what_errors_hide_does_not_count_as_without_effect(
     found = local_covariance("ab", rows * [100.0, effect], np.ones(2), np.array([0.0, error]))
     (direction,) = found.undetermined
     assert (direction.level, direction.names) == (determined, ("b",))
-    said = "the outputs by no more than the simulation's errors" if effect == 3.0 else "no output"
-    assert direction_words(direction) == f"b is not determined: changing it changes {said}"
+    said = "its effect is below the solver error" if effect == 3.0 else "it has no effect on any output"
+    assert direction_words(direction).startswith(f"b is not identifiable: {said}.")
 
 
 def test_a_sum_of_parameters_does_not_stall_the_search() -> None:
@@ -239,7 +235,7 @@ def test_a_sum_of_parameters_does_not_stall_the_search() -> None:
     parameters = {name: Parameter(value) for name, value in zip("ab", start.tolist(), strict=True)}
     result = identify(LeastSquares.from_function(lambda theta: t * (theta[0] + theta[1]), y, parameters))
     assert result.outcome is TerminationReason.UNDETERMINED
-    assert "only a + b is determined" in ending(result)
+    assert "only a + b is." in ending(result)
 
 
 def test_directions_are_told_relative_to_the_values() -> None:
@@ -252,9 +248,8 @@ def test_directions_are_told_relative_to_the_values() -> None:
     (direction,) = found.undetermined
     along = np.array(direction.coefficients) / (null * magnitudes)
     np.testing.assert_allclose(along, along[0], rtol=1e-6)
-    assert direction_words(direction).startswith(
-        "k, y, z and x cannot be told apart: raising x by 1 % while k rises by 0.5 %, "
-        "y rises by 0.25 % of its magnitude 3 and z falls by 0.125 % of its magnitude 5 changes no output; only "
+    assert str(change_remark(direction)) == (
+        "No output changes along x +1 %, k +0.5 %, y +0.25 % of its scale 3, z -0.125 % of its scale 5."
     )
 
 
@@ -284,7 +279,7 @@ def test_a_parameter_with_a_prior_and_no_data(variance: object) -> None:
     assert both.std[0] == pytest.approx(single.std[0], rel=1e-6)
     (direction,) = both.identifiability.prior_dominated
     assert (direction.level, direction.names) == (IdentifiabilityLevel.NOT, ("idle",))
-    assert direction_words(direction) == "idle is not determined: changing it changes no output"
+    assert direction_words(direction).startswith("idle is not identifiable: it has no effect on any output.")
 
 
 def test_priors_and_no_useful_data_at_all() -> None:

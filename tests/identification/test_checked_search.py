@@ -89,7 +89,7 @@ def test_the_start_shows_it(folder: Path) -> None:
     used, finer = result.setup.models[""]["run"], found.finer[""]
     assert used["integrator"] == finer["integrator"] == "rk45"
     assert [used["tolerance"], finer["tolerance"]] == pytest.approx([1e-9, 1e-11])
-    assert "integrator rk45, tolerance 1e-11" in runs_words(found.finer)
+    assert "rk45, tolerance 1e-11" in runs_words(found.finer)
     assert refinement_of(result) == Refinement(1e-9)
     assert not problem.refinement.any
 

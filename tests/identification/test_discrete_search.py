@@ -13,13 +13,13 @@ import pytest
 import fmuid
 from fmuid.estimation import Evaluator, TerminationReason
 from fmuid.identification.problem import MOST_COMBINATIONS, choices_of
-from fmuid.reports.topics.termination import result_words
 from fmuid.runs.batch.case import CaseRunner
 from tests.support.choices import choices_fmu
 from tests.support.fmu_texts import FMI2, write_fmu
 from tests.support.probe_fmu import ProbeMaker
 from tests.support.quick import first
 from tests.support.running import run_prediction, run_study
+from tests.support.said import result_words
 from tests.support.stepping import LAG, stepping_fmu
 
 GAIN, N, B = 2.0, 3, True
@@ -109,7 +109,7 @@ def test_values_that_cannot_be_simulated_are_left_out(fmu: Path, experiment: fmu
     result = fmuid.identify(problem(fmu, experiment, {"n": [9, 3]}, values={"b": True}))
     assert result.chosen == {"n": 3}
     assert (result.history.combinations[1].outcome, result.history.combinations[1].behind) == (None, np.inf)
-    assert "1 could not be searched with, n = 9 first" in str(fmuid.Document.of(result))
+    assert "1 combinations could not be simulated, first n = 9." in str(fmuid.Document.of(result))
     with pytest.raises(fmuid.SimulationError):
         fmuid.identify(problem(fmu, experiment, {"n": [9]}))
 
@@ -188,7 +188,7 @@ def test_a_study(study: Path) -> None:
     kept = fmuid.Result.from_json(study.parent / "out" / "result.json")
     assert kept.history.combinations == result.history.combinations
     words = result_words(result)
-    assert any(each.startswith("n = 3, b = true fits best of 6 combinations; the next best, ") for each in words)
+    assert "n = 3, b = true fits best of 6 combinations." in words
     predicted = run_prediction(study.parent / "out", [study.parent / "table.csv"])
     assert predicted.predictions[0].scores[0].rmse < 2 * NOISE
 

@@ -17,9 +17,9 @@ from fmuid.errors import InputError
 from fmuid.estimation.problem import LeastSquares
 from fmuid.identification.posterior import Posterior, SamplerSettings, SamplingWarning
 from fmuid.identification.sampler import sample_posterior
-from fmuid.reports.topics.uncertainty import posterior_words
 from tests.support.posteriors import Array, linear, sampled
 from tests.support.results import identify_white as identify
+from tests.support.said import posterior_words
 
 # Sampling errors are normal: four of their standard deviations are passed once in 16,000 times.
 ERRORS = 4.0
@@ -54,7 +54,7 @@ def test_linear_gaussian() -> None:
     posterior, _ = sampled(problem)
     assert_moments(posterior, mean, covariance)
     assert posterior.r_hat.max() < 1.01
-    assert posterior_words(posterior).startswith("converged: at least ")
+    assert posterior_words(posterior).startswith("Posterior converged: at least ")
 
 
 @pytest.mark.slow
@@ -187,11 +187,11 @@ def test_two_optima(prior: Normal | None) -> None:
     if prior is None:
         np.testing.assert_allclose(found.optima, [[2.0], [-2.0]], atol=0.01)
         assert np.mean(found.samples > 0.0) == pytest.approx(0.5, abs=0.15)
-        assert "beside the estimate there are other optima of like probability: a = -2" in words
+        assert "Another optimum is similarly probable: a = -2" in words
     else:
         assert len(found.optima) == 1
         assert (found.samples > 0.0).all()
-        assert "other optima" not in words
+        assert "Another optimum" not in words
 
 
 @pytest.mark.slow
@@ -209,8 +209,7 @@ def test_bounds_alone_hold_what_data_leave_open() -> None:
     posterior, result = sampled(problem, effective_size=1000)
     assert not np.isfinite(result.std).any()
     assert posterior.converged
-    assert "a and b cannot be told apart" in posterior_words(posterior)
-    assert "along this the samples show priors and bounds, not data" in posterior_words(posterior)
+    assert "a and b: along this direction the samples show priors and bounds only." in posterior_words(posterior)
     distance = stats.kstest(posterior.samples[:, 0], stats.uniform(0.0, 2.0).cdf).statistic
     assert distance < stats.kstwo.ppf(0.9999, round(posterior.effective_size.min()))
     assert posterior.samples.sum(axis=1).std() == pytest.approx(0.1, rel=0.1)
@@ -219,7 +218,7 @@ def test_bounds_alone_hold_what_data_leave_open() -> None:
 def test_nothing_holds_what_data_leave_open() -> None:
     posterior, _ = sampled(sum_only(Parameter(1.0), Parameter(1.0)))
     assert (posterior.doubt, posterior.doubtful) == (SamplingWarning.RUNAWAY, "a")
-    assert posterior_words(posterior).startswith("nothing holds a, the samples run away: give a prior or bounds")
+    assert posterior_words(posterior).startswith("Posterior is unbounded in a.\n→ Add a prior")
     assert posterior.intervals().to_numpy().tolist() == [[-math.inf, math.inf]] * 2
 
 

@@ -3,6 +3,7 @@
 import dataclasses
 import json
 import math
+import re
 from typing import Any
 
 import numpy as np
@@ -30,11 +31,11 @@ from fmuid.identification.prior_and_data import (
 )
 from fmuid.identification.prior_data_tests import Deviation
 from fmuid.identification.residual_analysis import ResidualAnalysis, analyze_residuals
-from fmuid.reports.topics.prior_and_data import reading_words
 from fmuid.studies.study import Study
 from tests.support.paths import ROOT
 from tests.support.problems import ar1, coil_problem
 from tests.support.results import changed
+from tests.support.said import reading_words
 
 STUDY = ROOT / "experiments" / "induction_machine" / "study.toml"
 COUNT = 120
@@ -167,8 +168,8 @@ def test_the_kalman_form_of_the_induction_machine() -> None:
     assert reading.agreement.holds
     assert all(each.deviation is Deviation.NONE for each in reading.variances)
     said = reading_words(reading)
-    assert said[0].startswith("Prior and data agree (χ² ")
-    assert said[-1].startswith("The residual of ids and iqs is as large as the known noise says")
+    assert said[0].startswith("Prior and data agree (p = ")
+    assert said[-1].startswith("Residual of ids and iqs matches its noise level")
 
 
 def test_a_changed_machine_is_noticed() -> None:
@@ -180,9 +181,9 @@ def test_a_changed_machine_is_noticed() -> None:
     assert not reading.agreement.holds
     assert PriorInfluence("Rr", "Rr", rests=False) in reading.influences
     said = reading_words(reading)
-    assert "Prior and data disagree" in said[0]
-    assert "most of all on Rr" in said[0]
-    assert any(line.startswith("The prior moved Rr from 3.8") and "its own prior did most" in line for line in said)
+    assert "Prior and data conflict" in said[0]
+    assert "largest for Rr" in said[0]
+    assert any(line.startswith("Prior of Rr moved Rr from 3.8") for line in said)
 
 
 def test_the_data_alone_are_searched() -> None:
@@ -205,7 +206,7 @@ def test_the_data_alone_are_searched() -> None:
     # far from each other, the paraboloids of both do not describe what lies between
     assert np.abs(reading.nonlinearity).max() > 0.5
     assert reading.bent
-    assert any(line.startswith("Between prior and data the model is not linear") for line in reading_words(reading))
+    assert any(line.startswith("Linear combination of prior and data gives") for line in reading_words(reading))
     extrapolated = compare_prior_and_data(problem, result)
     assert np.abs((extrapolated.data - alone.values) / alone.std).max() > 0.5
 
@@ -222,8 +223,8 @@ def test_whose_prior_moved_what() -> None:
     force = (1.3 - result["a"]) / 0.02**2
     np.testing.assert_allclose(reading.moves[:, 0], np.linalg.inv(information())[:, 0] * force, rtol=1e-5)
     assert ("b", "a") in {(each.name, each.prior) for each in reading.influences}
-    said = [line for line in reading_words(reading) if "the prior of a" in line]
-    assert any(line.startswith(("b rests on", "The prior moved b")) for line in said)
+    said = [line for line in reading_words(reading) if "Prior of a" in line]
+    assert any(re.search("dominates b|moved b", line) for line in said)
 
 
 def test_one_prior_is_compared_with_its_own_parameter() -> None:
@@ -312,13 +313,13 @@ def test_the_known_variance() -> None:
     said = reading_words(reading)
     levels = f"{np.sqrt(result.fit.noise_variance['i']):.4g} A against {np.sqrt(VARIANCE):.4g} A"
     (told,) = (line for line in reading_words(reading, {"i": "A"}) if "noise level" in line)
-    assert told.startswith(f"The residual of i is larger than its stated noise level: {levels} (probability ")
-    assert said[0].startswith("The residual of i is larger than its stated noise level: 0.")
-    assert said[0].endswith("the system has changed, or the model is wrong")
-    assert all(not line.startswith("The residual of u") for line in said)
+    assert told.startswith(f"Residual of i exceeds its noise level: {levels} (p = ")
+    assert said[0].startswith("Residual of i exceeds its noise level: 0.")
+    assert said[0].endswith("\n→ Check the model, the prior and the machine.")
+    assert all(not line.startswith("Residual of u") for line in said)
     smaller = white_reading(problem, result, healthy={"u": 4.0 * VARIANCE})
     assert smaller.variances[0].deviation is Deviation.SMALLER
-    assert reading_words(smaller)[0].startswith("The residual of u is smaller than its stated noise level: ")
+    assert reading_words(smaller)[0].startswith("Residual of u is below its noise level: ")
     with pytest.raises(InputError, match="healthy names 'x', which is no measured output"):
         compare_prior_and_data(problem, result, healthy={"x": 1.0})
     with pytest.raises(InputError, match="healthy variance of 'u' must be positive"):
@@ -332,7 +333,7 @@ def test_a_robust_loss_is_extrapolated() -> None:
     problem, result = linear(y, joint(), loss="huber")
     reading = compare_prior_and_data(problem, result, search_data=True)
     assert reading.obstacle == ExtrapolationReason(robust=True)
-    assert reading_words(reading)[-1] == "With a robust loss the optimum of the data alone is extrapolated"
+    assert reading_words(reading)[-1] == "Optimum of the data alone is extrapolated because of the robust loss."
     alone = linear(y, loss="huber")[1]
     assert (np.abs(reading.data - alone.values) < 0.5 * alone.std).all()
     np.testing.assert_allclose(reading.data_std, alone.std, rtol=0.1)
@@ -347,8 +348,7 @@ def test_a_search_that_ends_at_a_bound_is_said() -> None:
     reading = compare_prior_and_data(problem, result, search_data=True)
     assert not reading.searched
     assert reading.obstacle == ExtrapolationReason(at_bounds=("a",))
-    said = "The data alone would push a to a bound, so their optimum is extrapolated"
-    assert reading_words(reading)[-1] == said
+    assert reading_words(reading)[-1] == "Optimum of the data alone is extrapolated: a would reach a bound."
     np.testing.assert_allclose(reading.data, linear_least_squares(PHI, y).values, rtol=1e-5)
 
 

@@ -20,8 +20,8 @@ from fmuid.estimation.problem import LeastSquares
 from fmuid.estimation.result import Result
 from fmuid.events import Event, ProfileStep
 from fmuid.identification.profile_likelihood import EndKind, Profile, profile_likelihood
-from fmuid.reports.topics.uncertainty import profile_words
 from tests.support.results import identify_white as identify
+from tests.support.said import profile_words
 
 Array = npt.NDArray[np.float64]
 TIMES = np.linspace(0.0, 4.0, 25)
@@ -203,7 +203,7 @@ def test_flat_is_not_given_a_number() -> None:
     for profile in profile_likelihood(problem, result):
         assert (profile.lower, profile.upper) == (-math.inf, math.inf)
         assert [each.kind for each in profile.remarks] == [EndKind.FLAT, EndKind.FLAT]
-        assert f"{profile.name} has no upper end: even at " in profile_words(profile)[1]
+        assert f"{profile.name} has no upper end: up to " in profile_words(profile)[1]
         assert (profile.criterion - profile.minimum).max() < 1e-3
 
 
@@ -215,7 +215,7 @@ def test_ends_by_the_bounds_of_others() -> None:
     total = result["L"] + 0.05 * result["dR"]
     assert profile.upper == pytest.approx((total - 1e-3) / 0.05, rel=0.1)
     assert profile.remarks[-1].other == ActiveBound("L", 1e-3)
-    assert profile_words(profile)[-1] == "at the upper end of dR, L is at its bound 0.001"
+    assert profile_words(profile)[-1] == "At the upper end of dR, L is at its bound 0.001."
 
 
 def test_saturates_below_the_level() -> None:
@@ -226,7 +226,7 @@ def test_saturates_below_the_level() -> None:
     assert profile.upper == math.inf
     assert math.isfinite(profile.lower)
     (note,) = profile_words(profile)
-    assert note.startswith("rate has no upper end: even at ")
+    assert note.startswith("rate has no upper end: up to ")
     at_infinity = problem.measured.copy()
     at_infinity[1:] -= at_infinity[1:].mean()
     rise = at_infinity @ at_infinity / result.fit.noise_variance["y"] - profile.minimum
@@ -249,7 +249,7 @@ def test_simulations_fail_before_the_level(edge: float) -> None:
     assert len(profile.table) < 30
     assert profile.upper == math.inf
     assert profile.remarks[0].kind is EndKind.FAILING
-    assert "simulations fail; give a bound" in profile_words(profile)[0]
+    assert "simulations fail beyond" in profile_words(profile)[0]
     assert profile.values[-1] == pytest.approx(edge, abs=0.005)
 
 
@@ -281,9 +281,7 @@ def test_ends_at_its_own_bound() -> None:
     profile = only(problem, identify(problem), "rate")
     assert profile.upper == bound
     assert profile.lower == pytest.approx(free.lower, rel=1e-5)
-    assert profile_words(profile)[0].startswith(
-        f"the upper end of rate is its bound {bound:g}, where the criterion has risen"
-    )
+    assert profile_words(profile)[0].startswith(f"The upper end of rate is its bound {bound:g}: cost")
 
 
 def test_estimate_on_its_bound() -> None:
@@ -317,7 +315,7 @@ def test_better_optimum_is_said() -> None:
     profile = only(problem, result, "w")
     assert math.isnan(profile.lower)
     assert math.isnan(profile.upper)
-    assert any("identify again from the table's row" in note for note in profile_words(profile))
+    assert any("Identify again from the row" in note for note in profile_words(profile))
     better = profile.values[np.argmin(profile.criterion)]
     assert identify(problem, start=[better])["w"] == pytest.approx(3.0, abs=0.02)
 
@@ -338,7 +336,7 @@ def test_interrupted_keeps_what_there_is() -> None:
     assert not found[0].remarks
     assert [each.interrupted for each in found] == [False, True]
     assert math.isnan(found[1].lower)
-    assert profile_words(found[1]) == ("interrupted: the profile of b is not complete",)
+    assert profile_words(found[1]) == ("Interrupted: profile of b is incomplete.",)
     assert len(found[1].table) > 1
     assert seen[0].threshold == found[0].threshold
 

@@ -22,9 +22,9 @@ from fmuid.estimation.result import Result
 from fmuid.identification import identify
 from fmuid.identification.residual_analysis import ResidualAnalysis, ResidualDefect, analyze_residuals
 from fmuid.identification.residual_series import ResidualSeries, examine_outputs
-from fmuid.reports.topics.residual_analysis import residual_words
 from tests.support.problems import ar1
 from tests.support.results import changed
+from tests.support.said import residual_words
 
 COUNT = 1000
 TIMES: Floats = 0.01 * np.arange(float(COUNT))
@@ -59,13 +59,9 @@ def only(found: ResidualAnalysis) -> ResidualSeries:
 
 def test_of_white_noise_words_say_what_was_tested() -> None:
     found = examined(white(1))
-    (sentence,) = residual_words(found)
-    assert sentence == (
-        "The residual of y looks like white normal noise that has nothing to do with the inputs, as far as was tested: "
-        "whiteness (Ljung–Box over 25 lags), mean, correlation with u and normality (Jarque–Bera), each at a level of "
-        "1 %, with 1000 samples; nothing more was tested: an error of the model that the parameters make up for does "
-        "not show there, nor does slow noise too weak for so many samples"
-    )
+    white_, tests = residual_words(found)
+    assert white_.startswith("Residual of y is white and not correlated with the inputs.\n→ Test on new data")
+    assert re.search("25 lags.*correlation with u.*1000 samples, level 1 %", tests)
     assert found.widening == {name: pytest.approx(1.0, abs=0.15) for name in ("level", "slow", "fast")}
     series = only(found)
     assert series.samples == COUNT
@@ -76,7 +72,7 @@ def test_of_white_noise_words_say_what_was_tested() -> None:
 @pytest.mark.slow
 def test_words_are_rarely_wrong() -> None:
     """Of 100 draws of white normal noise, hardly any is called anything else."""
-    quiet = "The residual of y looks like white normal noise"
+    quiet = "Residual of y is white"
     wrong = [words for seed in range(100) if not (words := residual_words(examined(white(seed))))[0].startswith(quiet)]
     assert len(wrong) <= 2
 
@@ -103,11 +99,8 @@ def test_coloured_noise_in_words() -> None:
     found = examined(ar1(np.random.default_rng(3), 0.9, COUNT))
     far, factor = residual_words(found)
     assert [(each.trait, each.large) for each in found.findings] == [(ResidualDefect.COLOURED, True)]
-    assert far.startswith("The residual of y is far from white (autocorrelation 0.9")
-    assert far.endswith("at a lag of 1 sample): the model or the noise has dynamics of its own")
-    assert factor.startswith("Since neighbouring samples are not independent, the standard deviations are 0.")
-    assert "(fast) to 4" in factor
-    assert factor.endswith(") those that white noise of this size would give")
+    assert far.startswith("Residual of y is strongly colored (autocorrelation 0.9")
+    assert re.search(r"^σ is 0\..* \(fast\) to 4.* wider because of colored noise", factor)
     assert only(found).noise.variance_factor() == pytest.approx(19.0, rel=0.4)
     assert found.table["correlation_time"][0] == pytest.approx(0.19, rel=0.4)
 
@@ -117,8 +110,8 @@ def test_slightly_coloured_noise_is_no_matter() -> None:
     found = examined(ar1(np.random.default_rng(4), 0.2, COUNT))
     assert only(found).whiteness.probability < 0.01
     first, second = residual_words(found)
-    assert first.startswith("The residual of y is not white (autocorrelation 0.1")
-    assert second == "For the estimates this makes little difference; their standard deviations allow for it"
+    assert first.startswith("Residual of y is colored (autocorrelation 0.1")
+    assert second == "Colored noise changes σ little."
 
 
 def test_what_is_significant_but_slight_is_not_called_white() -> None:
@@ -133,12 +126,9 @@ def test_what_is_significant_but_slight_is_not_called_white() -> None:
         (ResidualDefect.COLOURED, False),
         (ResidualDefect.INPUT, False),
     ]
-    first, second = residual_words(found)
-    assert first == (
-        "The residual of y has an autocorrelation of 0.07 at a lag of 1 sample and a correlation of +0.05 with the "
-        "input u: significant, but slight"
+    assert residual_words(found)[0] == (
+        "Residual of y: significant but small autocorrelation (0.07 at lag 1) and correlation with u (+0.05)."
     )
-    assert second.startswith("The residual of y looks otherwise like white normal noise")
 
 
 @pytest.mark.parametrize("probability", [1e-9, 0.02, 0.5])
@@ -146,13 +136,10 @@ def test_no_residual_is_called_white_where_its_colour_counts(probability: float)
     """Small autocorrelations over many lags, none of them worth a sentence, add up where sensitivities are slow."""
     series = only(examined(white(1)))
     series = dataclasses.replace(series, whiteness=dataclasses.replace(series.whiteness, probability=probability))
-    (said,) = residual_words(ResidualAnalysis((series,), {"level": 1.3, "slow": 1.0}))
-    sure = "Since neighbouring samples are not independent, the"
-    chance = "Neighbouring samples of the residual look correlated, if not strongly enough to rule out chance: the"
-    assert said == (
-        f"{sure if probability < 0.01 else chance} standard deviations are 1 (slow) to 1.3 times (level) those that "
-        "white noise of this size would give"
-    )
+    said = residual_words(ResidualAnalysis((series,), {"level": 1.3, "slow": 1.0}))
+    why = "because of colored noise" if probability < 0.01 else "because the noise may be colored"
+    assert said[0] == f"σ is 1 (slow) to 1.3 × (level) wider {why}."
+    assert not any("is white" in each for each in said)
 
 
 def test_samples_on_no_grid_are_said() -> None:
@@ -164,7 +151,7 @@ def test_samples_on_no_grid_are_said() -> None:
     found = analyze_residuals(problem, identify(problem))
     assert found.off_grid == (("experiment", "y"),)
     assert as_json(found)["off_grid"] == [["experiment", "y"]]
-    assert any(line.startswith("The samples of y stand on no grid: ") for line in residual_words(found))
+    assert any(line.startswith("y: unequal sampling intervals") for line in residual_words(found))
 
 
 @pytest.mark.parametrize("share", [0.0, 0.2])
@@ -173,7 +160,7 @@ def test_slow_noise_is_said_where_the_intervals_allow_for_it(share: float) -> No
     rng = np.random.default_rng(3)
     noise = np.sqrt(1.0 - share) * white(23) + np.sqrt(share) * ar1(rng, 0.98, COUNT)
     found = examined(noise)
-    said = [line for line in residual_words(found) if line.startswith("In the residual of y there is slow noise")]
+    said = [line for line in residual_words(found) if line.startswith("Residual of y contains low-frequency noise")]
     assert len(said) == len(found.slow) == (share > 0.0)
     for each in found.slow:
         assert each.time_constant == pytest.approx(0.5, rel=0.5)
@@ -185,7 +172,7 @@ def test_slow_noise_is_said_where_the_intervals_allow_for_it(share: float) -> No
 def test_noise_too_slow_for_its_record_is_said(share: float) -> None:
     """A time constant of 1000 samples in 1000; of 4.5, and none."""
     found = examined(ar1(np.random.default_rng(2), share, COUNT))
-    said = [line for line in residual_words(found) if "is slow for its record (a time constant of about" in line]
+    said = [line for line in residual_words(found) if line.startswith("Noise of y is slow")]
     assert len(said) == len(found.long_memory) == (share > 0.9)
     for each in found.long_memory:
         assert (each.output, each.experiments) == ("y", ("experiment",))
@@ -200,7 +187,7 @@ def test_standard_deviations_that_are_smaller_for_the_colour() -> None:
     for name, omega in (("level", 0.0), ("slow", 0.02), ("fast", 2.0)):
         density = (1.0 - share**2) / (1.0 + share**2 - 2.0 * share * math.cos(omega))
         assert found.widening[name] == pytest.approx(math.sqrt(density), rel=0.2)
-    assert "the standard deviations are 0.3" in residual_words(found)[1]
+    assert residual_words(found)[1].startswith("σ is 0.3")
 
 
 def test_a_prior_feels_no_colour() -> None:
@@ -243,8 +230,8 @@ def test_an_offset_is_named() -> None:
     predictor = FunctionPredictor(lambda theta: REGRESSORS[:, 1] * theta[0], (COUNT, 1))
     problem = LeastSquares([predictor], [Experiment(frame, outputs=["y"])], {"slow": Parameter(2.0)})
     found = analyze_residuals(problem, identify(problem))
-    assert any(line.startswith("The residual of y has the mean 0.4") for line in residual_words(found))
-    assert any(re.search(r"the mean 0\.4\d+ A, ", line) for line in residual_words(found, {"y": "A"}))
+    assert any(line.startswith("Residual of y has an offset of 0.4") for line in residual_words(found))
+    assert any(re.search(r"an offset of 0\.4\d+ A ", line) for line in residual_words(found, {"y": "A"}))
     assert only(found).mean_probability < 1e-10
 
 
@@ -256,9 +243,7 @@ def test_a_forgotten_input_is_named() -> None:
     assert one.input == "u"
     assert one.lag == pytest.approx(0.05)
     assert one.correlation == pytest.approx(0.6 / math.sqrt(1.36), abs=0.08)
-    assert any(
-        "is correlated with the input u (+0.4" in line and "0.05 s later" in line for line in residual_words(found)
-    )
+    assert any("correlates with u (+0.4" in line and "at 0.05 s" in line for line in residual_words(found))
     assert found.inputs["lag"].tolist() == [one.lag]
     assert found.table["input"].tolist() == ["u"]
 
@@ -267,16 +252,14 @@ def test_outliers_are_named() -> None:
     noise = white(9)
     noise[::100] *= 12.0
     found = examined(noise)
-    assert any(
-        "has heavy tails, unlike normal noise" in line and "robust loss" in line for line in residual_words(found)
-    )
+    assert any("has outliers" in line and "robust `loss`" in line for line in residual_words(found))
     assert [each.trait for each in found.findings if each.large] == [ResidualDefect.SHAPE]
     assert 5 <= only(found).outliers <= 10
 
 
 @pytest.mark.parametrize(
     ("shape", "said"),
-    [(np.exp, "is lopsided and has heavy tails"), (lambda z: z**3, "has heavy tails"), (np.sign, "has light tails")],
+    [(np.exp, "has outliers"), (lambda z: z**3, "has outliers"), (np.sign, "is not normal")],
 )
 def test_distributions_in_words(shape: Any, said: str) -> None:
     found = examined(shape(white(10)))
@@ -285,7 +268,7 @@ def test_distributions_in_words(shape: Any, said: str) -> None:
 
 def test_what_cannot_be_examined_is_said() -> None:
     (sentence,) = residual_words(examined(np.zeros(COUNT), noise=Noise(1.0)))
-    assert sentence == "The residual of y is too short, or nothing but rounding, to be examined"
+    assert sentence == "Residual of y is too short, or rounding only: not tested."
     series = only(examined(white(1), warmup=TIMES[-1] - 0.1))
     assert series.samples == 11
     assert not series.is_tested
@@ -325,9 +308,7 @@ def test_rows_of_several_outputs_and_experiments() -> None:
         kept = np.flatnonzero(np.isfinite(each.residual))
         np.testing.assert_array_equal(each.noise.series.places, kept)
         assert each.noise.series.step == pytest.approx(0.01)
-    assert (
-        "residuals of a in first, b in first, a in second and b in second look like white" in residual_words(found)[0]
-    )
+    assert "Residuals of a in first, b in first, a in second and b in second are white" in residual_words(found)[0]
 
 
 def several_outputs() -> tuple[Experiment, Floats]:

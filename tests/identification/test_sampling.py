@@ -16,9 +16,9 @@ from fmuid.estimation.problem import LeastSquares
 from fmuid.events import Event, SamplingStep
 from fmuid.identification.posterior import SamplerSettings, SamplingWarning, effective_size, r_hat
 from fmuid.identification.sampler import sample_posterior
-from fmuid.reports.topics.uncertainty import posterior_words
 from tests.support.posteriors import Array, linear, sampled
 from tests.support.results import identify_white as identify
+from tests.support.said import posterior_words
 
 # --- the run
 
@@ -74,10 +74,10 @@ def test_too_few_steps_are_not_trusted() -> None:
     problem, _ = linear()
     posterior, _ = sampled(problem, max_steps=12)
     assert not posterior.converged
-    assert "raise steps" in posterior_words(posterior)
+    assert "Raise `max_steps`" in posterior_words(posterior)
     few, _ = sampled(problem, max_steps=900, effective_size=1_000_000)
     assert few.doubt is SamplingWarning.TOO_FEW
-    assert "independent ones instead of 1000000: raise steps to about" in posterior_words(few)
+    assert "independent samples instead of 1000000.\n→ Raise `max_steps` to about" in posterior_words(few)
 
 
 def test_interrupted_keeps_what_there_is() -> None:
@@ -93,7 +93,7 @@ def test_interrupted_keeps_what_there_is() -> None:
     posterior = sample_posterior(problem, identify(problem), progress=stop)
     assert len(posterior.chain) == 40
     assert posterior.interrupted
-    assert posterior_words(posterior).startswith("interrupted after 40 steps; ")
+    assert posterior_words(posterior).startswith("Sampling interrupted after 40 steps.")
     assert not posterior.converged
     assert posterior.samples.shape == (30 * 16, 2)
     assert seen[-1].acceptance > 0.2

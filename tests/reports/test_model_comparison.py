@@ -71,7 +71,7 @@ def prediction(ratio: float, **more: Any) -> Any:
 
 @pytest.fixture
 def no_residuals(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("fmuid.reports.topics.prediction.residual_words", lambda *_: ())
+    monkeypatch.setattr("fmuid.reports.topics.prediction.residual_remarks", lambda *_: [])
 
 
 @pytest.mark.usefixtures("no_residuals")

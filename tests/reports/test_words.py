@@ -1,151 +1,202 @@
-"""What is found, in words: every kind of value has them, and the same way in Python, on the terminal and in files."""
+"""Messages on a result: identifiability, termination, starting points, solver check."""
 
 from __future__ import annotations
 
 import math
 from dataclasses import asdict, replace
-from typing import cast
+from typing import Any, cast
 
 import numpy as np
 import pytest
 
 import fmuid
 from fmuid.codec import as_json, from_json
-from fmuid.estimation import AccuracyOutcome, RunFields, SolverCheck
-from fmuid.estimation.covariance import IdentifiabilityLevel, WeakDirection
-from fmuid.estimation.search.loop import TerminationReason
+from fmuid.estimation import (
+    AccuracyOutcome,
+    IdentifiabilityLevel,
+    RefinementRefusal,
+    RefinementStep,
+    Result,
+    RunFields,
+    SolverCheck,
+    SwitchCause,
+    TerminationReason,
+    WeakDirection,
+)
 from fmuid.identification.prior_and_data import ExtrapolationReason
 from fmuid.models import SolverConfiguration
-from fmuid.reports.document import capitalized
-from fmuid.reports.shared_phrases import direction_words
-from fmuid.reports.topics.prior_and_data import obstacle_words
-from fmuid.reports.topics.solver_check import passed_words
-from fmuid.reports.topics.termination import ENDS, ending, remarks
+from fmuid.reports.document import Message, Remark, capitalized
+from fmuid.reports.topics.prior_and_data import obstacle_remark
+from fmuid.reports.topics.solver_check import shift_text
+from fmuid.reports.topics.termination import ENDS, state_and_reason
 from tests.support.results import changed
+from tests.support.said import direction_words, ending, result_words, solver_words
 
 TIMES = np.linspace(0.0, 1.0, 60)
+END, LEVEL = TerminationReason, IdentifiabilityLevel
 
 
-def line() -> tuple[fmuid.estimation.LeastSquares, fmuid.Result]:
+@pytest.fixture(scope="module")
+def problem() -> fmuid.estimation.LeastSquares:
     y = 2.0 * TIMES + 0.1 * np.random.default_rng(0).standard_normal(60)
     parameters = {"slope": fmuid.Parameter(1.0, prior=fmuid.Normal(2.0, 0.5))}
-    problem = fmuid.estimation.LeastSquares.from_function(lambda theta: theta[0] * TIMES, y, parameters)
-    return problem, fmuid.identify(problem)
+    return fmuid.estimation.LeastSquares.from_function(lambda theta: theta[0] * TIMES, y, parameters)
 
 
-def test_whatever_is_found_is_described() -> None:
-    problem, result = line()
-    diagnostics = fmuid.analyze_residuals(problem, result)
-    assert str(fmuid.Document.of(result)) == "Converged"
-    assert str(fmuid.Document.of(diagnostics)).startswith("Neighbouring samples of the residual look correlated")
+@pytest.fixture(scope="module")
+def result(problem: fmuid.estimation.LeastSquares) -> Result:
+    return fmuid.identify(problem)
+
+
+def direction(level: IdentifiabilityLevel, names: str, values: list[float], std: float = math.inf) -> WeakDirection:
+    ones = (1.0,) * len(names)
+    return WeakDirection(level, tuple(names), tuple(values), std, ones, ones)
+
+
+def test_documents_of_findings(problem: fmuid.estimation.LeastSquares, result: Result) -> None:
+    found = str(fmuid.Document.of(fmuid.analyze_residuals(problem, result)))
+    assert found.startswith("σ is ")
+    assert "may be colored" in found
     assert str(fmuid.Document.of(fmuid.compare_prior_and_data(problem, result))).startswith("Prior and data agree")
-    assert "raise steps" in str(
-        fmuid.Document.of(fmuid.sample_posterior(problem, result, fmuid.identification.SamplerSettings(max_steps=20)))
-    )
+    settings = fmuid.identification.SamplerSettings(max_steps=20)
+    assert "→ Raise `max_steps`" in str(fmuid.Document.of(fmuid.sample_posterior(problem, result, settings)))
 
 
-@pytest.mark.parametrize("outcome", TerminationReason)
-def test_every_outcome_has_words(outcome: TerminationReason) -> None:
-    _, result = line()
-    assert str(fmuid.Document.of(replace(result, outcome=outcome))).startswith(
-        ENDS[outcome][0].upper() + ENDS[outcome][1:]
-    )
+@pytest.mark.parametrize("outcome", END)
+def test_termination_reasons(result: Result, outcome: TerminationReason) -> None:
+    ended = replace(result, outcome=outcome)
+    state, reason = state_and_reason(ended)
+    assert (state == "converged") == ended.converged
+    assert reason.startswith("after") == ended.converged
+    assert ENDS[outcome]
+    assert str(fmuid.Document.of(ended)).startswith("Not " if state.startswith("not") else state.capitalize())
 
 
-def test_an_end_names_directions_and_bounds() -> None:
-    _, result = line()
-    direction = WeakDirection(IdentifiabilityLevel.NOT, ("a", "b"), (1.0, -2.0), math.inf, (1.0, 1.0), (1.0, 1.0))
-    assert direction_words(direction) == "a and b cannot be told apart: only a + 0.5 b is determined"
-    open_ = changed(result, outcome=TerminationReason.UNDETERMINED, non_identifiable=(direction,))
-    assert ending(open_) == f"undetermined: {direction_words(direction)}: " + (
-        "give a prior, hold one of them at a value, or measure more"
-    )
-    hidden = replace(direction, level=IdentifiabilityLevel.HIDDEN)
-    assert ending(changed(open_, non_identifiable=(hidden,))).endswith(
-        "or make the simulation more accurate " + ("(step_size, tolerance, interface)")
-    )
-    # where the search did not even end, that comes first
-    assert ending(changed(open_, outcome=TerminationReason.STALLED)).startswith(
-        f"{ENDS[TerminationReason.STALLED]}; a and b"
-    )
-
-
-def test_a_sign_that_changed_is_told_where_the_search_came_to_nothing() -> None:
-    _, result = line()
-    crossed = changed(result, outcome=TerminationReason.STALLED, start=-result.values)
-    assert any("give it a bound if the model holds on one side of zero only" in said for said in remarks(crossed))
-    assert not any("side of zero" in said for said in remarks(replace(crossed, outcome=TerminationReason.CONVERGED)))
+def test_ending_names_directions_first_reason_and_sign_changes(result: Result) -> None:
+    both = direction(LEVEL.NOT, "ab", [1.0, -2.0])
+    lost = changed(result, outcome=END.UNDETERMINED, non_identifiable=(both,))
+    assert direction_words(both) in ending(lost)
+    assert state_and_reason(lost)[1] == "a and b are not identifiable; only a + 0.5 b is"
+    assert ending(changed(lost, outcome=END.STALLED)).startswith("Not converged: no step reduces the cost.\n→ ")
+    crossed = changed(result, outcome=END.STALLED, start=-result.values)
+    assert any("slope changed sign" in each for each in result_words(crossed))
+    assert not any("changed sign" in each for each in result_words(replace(crossed, outcome=END.CONVERGED)))
 
 
 @pytest.mark.parametrize(
-    ("direction", "said"),
+    ("given", "said"),
     [
-        (
-            WeakDirection(IdentifiabilityLevel.NOT, ("c",), (1.0,), math.inf, (1.0,), (1.0,)),
-            "c is not determined: changing it changes no output",
-        ),
-        (
-            WeakDirection(IdentifiabilityLevel.NOT_IN_EFFECT, ("a", "b"), (1.0, 1.0), 25.0, (1.0, 1.0), (1.0, 1.0)),
-            "a and b cannot be told apart in effect: only a - b is determined, and their standard deviation together "
-            "is 25 times their magnitude",
-        ),
-        (
-            WeakDirection(IdentifiabilityLevel.HARDLY, ("a", "b", "c"), (1.0, 1.0, -1.0), 3.0, (1.0,) * 3, (1.0,) * 3),
-            "a, b and c can hardly be told apart: a + c and b + c are determined better than each of them, whose "
-            "standard deviation together is 300% of their magnitude",
-        ),
+        (direction(LEVEL.NOT, "c", [1.0]), "c is not identifiable: it has no effect on any output."),
+        (direction(LEVEL.NOT, "ab", [1.0, -2.0]), "a and b are not identifiable; only a + 0.5 b is."),
+        (direction(LEVEL.HIDDEN, "ab", [1.0, 1.0]), "a and b are not identifiable within the solver error"),
+        (direction(LEVEL.HIDDEN, "c", [1.0]), "c is not identifiable: its effect is below the solver error."),
+        (direction(LEVEL.NOT_IN_EFFECT, "ab", [1.0, 1.0], 25.0), "a and b are practically non-identifiable (σ is 25 ×"),
+        (direction(LEVEL.HARDLY, "abc", [1.0, 1.0, -1.0], 3.0), "a, b and c are weakly identifiable (σ is 300 % of"),
     ],
 )
-def test_directions(direction: WeakDirection, said: str) -> None:
-    assert direction_words(direction) == said
-    assert from_json(WeakDirection, as_json(direction)) == direction
+def test_directions(given: WeakDirection, said: str) -> None:
+    assert direction_words(given).startswith(said)
+    assert "\n→ " in direction_words(given)
+    assert from_json(WeakDirection, as_json(given)) == given
 
 
 @pytest.mark.parametrize(
     ("obstacle", "said"),
     [
-        (
-            ExtrapolationReason(outcome=TerminationReason.STALLED),
-            "did not converge, so it is extrapolated: stalled: no step lowers",
-        ),
-        (
-            ExtrapolationReason(outcome=TerminationReason.INTERRUPTED),
-            "did not converge, so it is extrapolated: interrupted",
-        ),
-        (
-            ExtrapolationReason(
-                undetermined=(WeakDirection(IdentifiabilityLevel.NOT, ("c",), (1.0,), math.inf, (1.0,), (1.0,)),)
-            ),
-            "optimum of the data alone c is not determined: changing it changes no output, so it is extrapolated",
-        ),
+        (ExtrapolationReason(outcome=END.STALLED), "no step reduces the cost"),
+        (ExtrapolationReason(outcome=END.INTERRUPTED), "interrupted"),
+        (ExtrapolationReason(undetermined=(direction(LEVEL.NOT, "c", [1.0]),)), "c not identifiable"),
     ],
 )
-def test_why_the_data_alone_are_extrapolated(obstacle: ExtrapolationReason, said: str) -> None:
-    assert said in obstacle_words(obstacle)
+def test_extrapolation_of_the_data_alone(obstacle: ExtrapolationReason, said: str) -> None:
+    assert obstacle_remark(obstacle).text == f"Optimum of the data alone is extrapolated: {said}."
 
 
 @pytest.mark.parametrize(
     ("words", "said"),
-    [
-        ("id_start and R can hardly be told apart", "id_start and R can hardly be told apart"),
-        ("id_starting from nowhere", "Id_starting from nowhere"),
-        ("id_start[cold] is not determined", "id_start[cold] is not determined"),
-        ("without the prior, id_start is lost", "Without the prior, id_start is lost"),
-    ],
+    [("id_start is open", "id_start is open"), ("id_starting", "Id_starting"), ("id_start[a] is", "id_start[a] is")],
 )
-def test_a_name_at_the_beginning_of_a_sentence_is_kept_as_it_is(words: str, said: str) -> None:
+def test_capitals_keep_names(words: str, said: str) -> None:
     assert capitalized(words, ("R", "id_start")) == said
+
+
+def test_message_fills_text_and_remedy() -> None:
+    class Sample(Message):
+        ONE = ("{name} is low: {value}.", "", "Raise {name}.", "doubt")
+
+    said = Sample.ONE.said(None, "fit", name="x", value=3)
+    assert (str(said), said.tone, said.section, said.message) == (
+        "x is low: 3.\n→ Raise x.",
+        "doubt",
+        "fit",
+        "Sample.ONE",
+    )
+    assert Sample.ONE.said("plain", name="x", value=3).tone == "plain"
+    assert str(Remark("Alone.")) == "Alone."
+
+
+# --- solver check -------------------------------------------------------------------------
+
+
+def runs(**changes: Any) -> dict[str, RunFields]:
+    fields = asdict(SolverConfiguration("2.0", "co-simulation", None, False, None, None, 1)) | changes
+    return {"": cast(RunFields, fields)}
+
+
+USED = runs()
+FINER = runs(interface="model-exchange", integrator="rk45", tolerance=1e-9)
+
+
+def solver_said(outcome: AccuracyOutcome, shift: list[float], **more: Any) -> tuple[str, ...]:
+    return solver_words(("R", "L"), SolverCheck(outcome, np.array(shift), USED, FINER, change=0.02, **more))
 
 
 @pytest.mark.parametrize(
     ("shift", "said"),
     [
-        ([7e-8, 0.0], "it moves the estimates by 0.005 std at most"),
-        ([0.01, math.nan], "it moves the estimates by 0.01 std at most"),
-        ([math.nan, math.nan], "it changes the outputs by 0.02 standard deviations in all"),
+        ([7e-8, 0.0], "Solver error is below 0.005 σ."),
+        ([0.01, math.nan], "Solver error is below 0.01 σ."),
+        ([math.nan, math.nan], "Solver error changes all outputs by 0.02 σ of the noise."),
     ],
 )
-def test_a_check_without_standard_deviations_tells_what_it_changes(shift: list[float], said: str) -> None:
-    finer = {"": cast(RunFields, asdict(SolverConfiguration("2.0", "co-simulation", None, False, None, None, 4)))}
-    found = SolverCheck(AccuracyOutcome.PASSED, np.array(shift), finer, finer, change=0.02)
-    assert passed_words(found) == f"simulation checked by FMI 2.0 co-simulation, each step divided by 4: {said}"
+def test_passed_check(shift: list[float], said: str) -> None:
+    assert solver_said(AccuracyOutcome.PASSED, shift) == (
+        said,
+        "Solver check: FMI 2.0 Model Exchange, rk45, tolerance 1e-09.",
+    )
+    assert solver_words(("R", "L"), None) == ()
+
+
+@pytest.mark.parametrize("kept", RefinementRefusal)
+def test_shifted_estimates(kept: RefinementRefusal) -> None:
+    moved, why = solver_said(AccuracyOutcome.SHIFTED, [0.01, -3.21], kept=kept)
+    assert moved == "Solver error moves L by -3.2 σ; σ includes it."
+    assert why.startswith("The solver was kept")
+
+
+@pytest.mark.parametrize("outcome", [*AccuracyOutcome][2:])
+def test_unknown_solver_error(outcome: AccuracyOutcome) -> None:
+    (said,) = solver_said(outcome, [math.nan, math.nan])
+    assert said.startswith("Solver error ")
+    (bare,) = solver_words(("R",), SolverCheck(outcome, np.full(1, math.nan)))
+    assert bare.startswith("Solver error ")
+
+
+@pytest.mark.parametrize(
+    ("cause", "size", "said"),
+    [
+        (SwitchCause.START_FAILED, math.nan, "FMI 2.0 Co-Simulation fails at the initial guess"),
+        (SwitchCause.START_DIFFERED, 0.25, "FMI 2.0 Co-Simulation is off by 25 % of the signal"),
+        (SwitchCause.SHIFT, 0.25, "(error was 0.25 σ)"),
+        (SwitchCause.SHIFT, math.nan, "its error may exceed σ"),
+    ],
+)
+def test_refinements(cause: SwitchCause, size: float, said: str) -> None:
+    first = solver_said(AccuracyOutcome.PASSED, [0.0, 0.0], switches=(RefinementStep(cause, size, USED, FINER, 17),))[0]
+    assert first.startswith("Solver refined to FMI 2.0 Model Exchange, rk45")
+    assert said in first
+
+
+def test_refused_optima_and_shifts_in_tables() -> None:
+    assert solver_said(AccuracyOutcome.PASSED, [0.0, 0.0], refused=3)[0].startswith("3 other optima exist only with")
+    assert [shift_text(each) for each in (math.nan, 1e-9, -0.25, 77.4)] == ["?", "0.0 σ", "-0.25 σ", "+77.40 σ"]

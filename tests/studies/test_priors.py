@@ -14,11 +14,11 @@ from fmuid.data import Normal
 from fmuid.errors import InputError
 from fmuid.estimation import TerminationReason
 from fmuid.models import FMU
-from fmuid.reports.topics.study_notes import source_words
 from fmuid.studies import SourceIssue
 from fmuid.studies.study import Study
 from tests.support.coil_study import COIL
 from tests.support.results import result
+from tests.support.said import source_words
 
 COVARIANCE = [[4.0e-4, 1.0e-6], [1.0e-6, 1.0e-8]]
 ESTIMATES: dict[str, tuple[float, float | None]] = {"R": (4.0, 0.02), "L": (0.1, 1e-4)}

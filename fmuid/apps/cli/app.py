@@ -54,7 +54,7 @@ def completion(
     shell: Annotated[str, typer.Argument(metavar="SHELL", help="bash, zsh or fish.", show_default=False)],
 ) -> int:
     """Print the completion script of a shell."""
-    from typer.completion import get_completion_script
+    from typer.completion import get_completion_script  # type: ignore[attr-defined]
 
     if shell not in ("bash", "zsh", "fish"):
         raise InputError(f"{shell}: no completion for this shell. Choose bash, zsh or fish.")
@@ -136,7 +136,7 @@ def _ran(given: Sequence[str]) -> int:
 def _with_command(given: Sequence[str]) -> typer.Typer:
     """Return an app with the requested command only: typer builds all."""
     if COMPLETION in os.environ:
-        from typer.completion import completion_init
+        from typer.completion import completion_init  # type: ignore[attr-defined]
 
         completion_init()
         return app

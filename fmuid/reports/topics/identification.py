@@ -135,7 +135,7 @@ def _is_doubt(said: Remark) -> bool:
 
 def _short(prefix: str, said: Sequence[Remark]) -> str:
     """Return the first two of these sentences, and the number of others."""
-    texts = [each.text.rstrip(".").removeprefix(prefix) for each in said]
+    texts = [each.text.rstrip(".").removeprefix(prefix).replace("error is below", "error below") for each in said]
     return "; ".join([*texts[:2], *([f"{len(texts) - 2} more (--verbose)"] if len(texts) > 2 else [])])
 
 

@@ -131,8 +131,8 @@ def residual_remarks(found: ResidualAnalysis, units: Mapping[str, str | None] | 
     said = [_large(found, each, units or {}) for each in colored]
     said += _widening(found, colored=bool(colored))
     said += [_large(found, each, units or {}) for each in others]
-    said += _memory(found)
-    return said + _summary(found, quiet=not large and not found.returning)
+    quiet = not said and not found.returning and not found.off_grid
+    return [*said, *_memory(found), *_summary(found, quiet=quiet)]
 
 
 def residual_phrases(found: ResidualAnalysis) -> str:
@@ -147,7 +147,8 @@ def residual_phrases(found: ResidualAnalysis) -> str:
         if each.trait is ResidualDefect.COLOURED
     ]
     inputs = list(dict.fromkeys(each.input.input for each in large if each.input is not None))
-    said = [f"colored ({', '.join(colored)})" if colored else "white"]
+    white = "not clearly white" if widening_words(found) else "white"
+    said = [f"colored ({', '.join(colored)})" if colored else white]
     driven = list(dict.fromkeys(one.input for each in tested for one in each.inputs))
     if driven or inputs:
         said.append(f"correlated with {', '.join(inputs)}" if inputs else f"not correlated with {', '.join(driven)}")

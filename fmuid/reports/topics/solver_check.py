@@ -101,8 +101,15 @@ class SolverMessage(Message):
         "The solver was kept: a more accurate one fits clearly worse.",
         "the data may come from this very solver",
     )
-    NO_SEARCH = ("The solver was kept: the fit with a more accurate one did not terminate.", "")
-    FINEST = ("The solver was kept: no more accurate one exists.", "", "Export the FMU for Model Exchange.")
+    NO_SEARCH = (
+        "The solver was kept: the fit with a more accurate one did not terminate.",
+        "the solver error remains, and σ includes it",
+    )
+    FINEST = (
+        "The solver was kept: no more accurate one exists.",
+        "the solver error remains, and σ includes it",
+        "Export the FMU for Model Exchange.",
+    )
     UNKNOWN = (
         "Solver error is unknown; it changes all outputs by {change} σ of the noise.",
         "not all parameters have a σ to compare with",

@@ -27,7 +27,7 @@ class UncertaintyMessage(Message):
     """Profile likelihoods, cost maps and samples of the posterior."""
 
     END_AT_BOUND = (
-        "{end} end of {name} is its bound {value}: cost rises only {rise} of {threshold}.",
+        "The {end} end of {name} is its bound {value}: cost rises only {rise} of {threshold}.",
         "the data do not limit this side within the bound",
         "Widen the bound, or take it as the limit.",
         "doubt",
@@ -39,7 +39,7 @@ class UncertaintyMessage(Message):
         "doubt",
     )
     END_FAILS = (
-        "{end} end of {name} is unknown: simulations fail beyond {value}.",
+        "The {end} end of {name} is unknown: simulations fail beyond {value}.",
         "the cost had risen {rise} of {threshold} there",
         "Add a bound within which the model is valid.",
         "doubt",

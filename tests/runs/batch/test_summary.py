@@ -202,7 +202,7 @@ def test_what_is_not_determined_is_told_by_its_names(tmp_path: Path, capsys: pyt
     told = pd.read_csv(tmp_path / "failures.csv")
     assert list(told) == ["status", "message", "cases", "first"]
     assert told["message"].tolist() == [
-        "undetermined: R and L cannot be told apart",
+        "not identifiable: R and L are not identifiable",
         "stopped at the iteration limit: raise max_iterations or start nearer",
         "undetermined: L is not determined in effect",
     ]
