@@ -25,11 +25,7 @@ from fmuid.processes import python_command
 
 _LINUX, _WINDOWS, _INTEL, _APPLE = "x86_64-linux-gnu.2.17", "x86_64-windows-gnu", "x86_64-macos", "aarch64-macos"
 PLATFORMS: dict[str, dict[str, tuple[str, tuple[str, ...]]]] = {
-    "2.0": {
-        "linux64": (".so", (_LINUX,)),
-        "win64": (".dll", (_WINDOWS,)),
-        "darwin64": (".dylib", (_INTEL, _APPLE)),
-    },
+    "2.0": {"linux64": (".so", (_LINUX,)), "win64": (".dll", (_WINDOWS,)), "darwin64": (".dylib", (_INTEL, _APPLE))},
     "3.0": {
         "x86_64-linux": (".so", (_LINUX,)),
         "x86_64-windows": (".dll", (_WINDOWS,)),

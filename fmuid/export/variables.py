@@ -25,12 +25,7 @@ _DERIVED_UNITS = {
     "H": "kg.m2.s-2.A-2",
     "Wb": "kg.m2.s-2.A-1",
 }
-_DISPLAY_UNITS = {
-    "rad": ("deg", 180 / math.pi),
-    "rad/s": ("rpm", 30 / math.pi),
-    "m": ("mm", 1e3),
-    "m/s": ("mm/s", 1e3),
-}
+_DISPLAY_UNITS = {"rad": ("deg", 180 / math.pi), "rad/s": ("rpm", 30 / math.pi), "m": ("mm", 1e3), "m/s": ("mm/s", 1e3)}
 """Unit -> display unit, and its number per unit."""
 
 

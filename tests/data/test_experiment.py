@@ -168,11 +168,7 @@ WRONG: list[tuple[dict[str, Any], dict[str, Any], str]] = [
     ({}, {"outputs": ["u"]}, "'u' is both an input and an output: give it one role"),
     # the words
     ({}, {"interpolation": "lin"}, r"interpolation 'lin' is not known \(did you mean 'linear'\?\)"),
-    (
-        {},
-        {"interpolation": {"u": 1}},
-        'interpolation 1 is not known: write "linear", "zoh", "zoh-next" or',
-    ),
+    ({}, {"interpolation": {"u": 1}}, 'interpolation 1 is not known: write "linear", "zoh", "zoh-next" or'),
     ({}, {"interpolation": {"U": "zoh"}}, r"interpolation names 'U', which is no input \(did you mean 'u'\?\)"),
     ({}, {"warmup": -0.1}, r"warmup is -0\.1: give a duration in seconds, zero or more"),
     ({}, {"warmup": NAN}, "warmup is nan"),

@@ -79,9 +79,7 @@ def test_curved_loops_in_signals_of_every_size(curved: Path, size: float, kind: 
     d = size * np.array([0.5, 0.9, -3.0, 0.0, 1e-6, 0.999, 1e-12, -1e-12, 0.3, 0.3, 0.0, -0.7])
     frame = pd.DataFrame({"time": 1e-3 * np.arange(d.size), "d": d, "y": 0.0})
     system = System(
-        components={"a": curved, "b": curved},
-        numerics=Numerics(kind),
-        connections=[("a.y", "b.u"), ("b.y", "a.u")],
+        components={"a": curved, "b": curved}, numerics=Numerics(kind), connections=[("a.y", "b.u"), ("b.y", "a.u")]
     )
     experiment = Experiment(frame, {"a.d": "d"}, {"a.y": "y"}, interpolation="zoh")
     y = Simulator(system, experiment, ["a.k", "b.g"])([1.0 / size, 0.5])[:, 0]

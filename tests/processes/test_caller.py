@@ -100,10 +100,7 @@ def test_a_dict_of_another_kind_is_a_dict() -> None:
 
 @pytest.mark.parametrize(
     ("function", "arguments", "end"),
-    [
-        (os.abort, (), HostExitError(CRASHED, signal.SIGABRT)),
-        (os._exit, (3,), HostExitError(EXITED, 3)),
-    ],
+    [(os.abort, (), HostExitError(CRASHED, signal.SIGABRT)), (os._exit, (3,), HostExitError(EXITED, 3))],
 )
 def test_a_process_that_is_lost_costs_one_call(function: Any, arguments: Any, end: HostExitError) -> None:
     before = CALLER.call(os.getpid)

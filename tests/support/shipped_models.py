@@ -100,10 +100,7 @@ def three_phase(x: Any, u: Any, p: Any) -> Any:
     rotor = np.linalg.solve(T23 @ Lr @ J, phi - T23 @ M.T @ currents)
     whole = np.block([[Ls, M @ J], [T23 @ M.T, T23 @ Lr @ J]])
     right = np.concatenate(
-        [
-            u[:3] - p["Rs"] * currents - w * dM @ J @ rotor,
-            -p["Rr"] * rotor - w * T23 @ dM.T @ currents,
-        ]
+        [u[:3] - p["Rs"] * currents - w * dM @ J @ rotor, -p["Rr"] * rotor - w * T23 @ dM.T @ currents]
     )
     derivatives = np.linalg.solve(whole, right)
     return np.concatenate([derivatives[:3], [w], -p["Rr"] * rotor])
