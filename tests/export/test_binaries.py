@@ -8,35 +8,14 @@ import subprocess
 from pathlib import Path
 
 import fmpy
-import fmpy.fmi2
+import pytest
 
+from fmuid.export import export_fmu
 from fmuid.simulation.native.build import compiler_here
 from tests.support.exporting import description, members, models
 from tests.support.paths import FMUS
 
-# ---- the binaries
-
-
-@models
-def test_binaries_of_every_platform(model: str) -> None:
-    files = members(FMUS / model / f"{model}.fmu")
-    functions = set(re.findall(rb"\bfmi2\w+(?=TYPE )", files["sources/fmi2Functions.h"]))
-    assert len(functions) == 44
-    elf = files[f"binaries/linux64/{model}.so"]
-    assert elf[:5] == b"\x7fELF\x02"
-    assert struct.unpack_from("<H", elf, 18) == (62,)  # x86-64
-    versions = {tuple(map(int, v.split(b"."))) for v in re.findall(rb"GLIBC_([\d.]+)\0", elf)}
-    assert versions
-    assert max(versions) <= (2, 17)
-    dll = files[f"binaries/win64/{model}.dll"]
-    assert dll[:2] == b"MZ"
-    (start,) = struct.unpack_from("<I", dll, 0x3C)
-    assert struct.unpack_from("<4sH", dll, start) == (b"PE\0\0", 0x8664)
-    mac = files[f"binaries/darwin64/{model}.dylib"]
-    for data in (elf, dll, *slices(mac).values()):
-        assert all(b"\0" + name + b"\0" in data or b"\0_" + name + b"\0" in data for name in functions)
-        for path in (str(Path.home()), str(FMUS.parent), "/tmp", "sources/fmi2.c"):
-            assert path.encode() not in data
+INTEL, ARM = 0x01000007, 0x0100000C
 
 
 def slices(data: bytes) -> dict[int, bytes]:
@@ -53,12 +32,18 @@ def slices(data: bytes) -> dict[int, bytes]:
     return parts
 
 
-@models
-def test_universal_binary_for_intel_and_apple_silicon(model: str) -> None:
-    parts = slices(members(FMUS / model / f"{model}.fmu")[f"binaries/darwin64/{model}.dylib"])
-    intel, arm = 0x01000007, 0x0100000C
-    assert [*parts] == [intel, arm]
-    for part in parts.values():
+def check_binaries(elf: bytes, dll: bytes, macs: dict[int, bytes], functions: set[bytes]) -> None:
+    """Check machine types and exported functions, and that no path of this machine is in them."""
+    assert elf[:5] == b"\x7fELF\x02"
+    assert struct.unpack_from("<H", elf, 18) == (62,)  # x86-64
+    versions = {tuple(map(int, v.split(b"."))) for v in re.findall(rb"GLIBC_([\d.]+)\0", elf)}
+    assert max(versions) <= (2, 17)
+    assert dll[:2] == b"MZ"
+    (start,) = struct.unpack_from("<I", dll, 0x3C)
+    assert struct.unpack_from("<4sH", dll, start) == (b"PE\0\0", 0x8664)
+    assert {*macs} == {INTEL, ARM}
+    for cpu, part in macs.items():
+        assert struct.unpack_from("<2I", part) == (0xFEEDFACF, cpu)
         filetype, count = struct.unpack_from("<2I", part, 12)
         assert filetype == 6  # dylib
         offset, commands = 32, set()
@@ -66,8 +51,35 @@ def test_universal_binary_for_intel_and_apple_silicon(model: str) -> None:
             command, size = struct.unpack_from("<2I", part, offset)
             commands.add(command)
             offset += size
-        if part is parts[arm]:
-            assert 0x1D in commands  # a code signature: Apple silicon loads nothing without
+        assert cpu == INTEL or 0x1D in commands  # a code signature: Apple silicon loads nothing without
+    for data in (elf, dll, *macs.values()):
+        assert not [f for f in functions if b"\0" + f + b"\0" not in data and b"\0_" + f + b"\0" not in data]
+        for path in (str(Path.home()), str(FMUS.parent), "/tmp", "sources/fmi2.c"):
+            assert path.encode() not in data
+
+
+@models
+def test_binaries_of_every_platform(model: str) -> None:
+    files = members(FMUS / model / f"{model}.fmu")
+    functions = set(re.findall(rb"\bfmi2\w+(?=TYPE )", files["sources/fmi2Functions.h"]))
+    assert len(functions) == 44
+    binaries = [files[f"binaries/{each}"] for each in (f"linux64/{model}.so", f"win64/{model}.dll")]
+    check_binaries(*binaries, slices(files[f"binaries/darwin64/{model}.dylib"]), functions)
+
+
+@pytest.mark.slow
+def test_binaries_of_fmi_3(tmp_path: Path) -> None:
+    """All functions of FMI 3.0; the same bytes again from elsewhere."""
+    first = export_fmu(FMUS / "Coil" / "Coil.mo", tmp_path / "first.fmu", fmi="3.0")
+    (tmp_path / "Moved.mo").write_bytes((FMUS / "Coil" / "Coil.mo").read_bytes())
+    assert export_fmu(tmp_path / "Moved.mo", fmi="3.0").read_bytes() == first.read_bytes()
+    files = members(first)
+    functions = set(re.findall(rb"\bfmi3\w+(?=TYPE\s+fmi3)", files["sources/fmi3Functions.h"]))
+    assert len(functions) > 70
+    binaries = {name.split("/")[1]: data for name, data in files.items() if name.startswith("binaries/")}
+    macs = {INTEL: binaries.pop("x86_64-darwin"), ARM: binaries.pop("aarch64-darwin")}
+    check_binaries(binaries.pop("x86_64-linux"), binaries.pop("x86_64-windows"), macs, functions)
+    assert not binaries
 
 
 def test_sources_rebuild(tmp_path: Path) -> None:

@@ -11,20 +11,20 @@ import scipy.integrate
 
 from fmuid.errors import ModelicaError
 from fmuid.export import export_fmu
-from tests.support.exported import both_versions, export_text, running
-from tests.support.modelica import FRICTION, friction, model
+from tests.export.conftest import Exporter
+from tests.support.exported import both_versions, running
+from tests.support.modelica import FRICTION, friction, integrals, model
 
 solve_ivp: Any = scipy.integrate.solve_ivp  # its types do not allow for what events take
 
 
-@pytest.mark.slow
 @both_versions
-@pytest.mark.parametrize("step", [0.0037, 0.01, 0.1, 0.35])
-def test_coulomb_friction_against_its_closed_form(tmp_path: Path, fmi: str, step: float) -> None:
+@pytest.mark.parametrize("step", [pytest.param(0.0037, marks=pytest.mark.slow), 0.35])
+def test_coulomb_friction_against_its_closed_form(exported: Exporter, fmi: str, step: float) -> None:
     """The impulse has the time of the reversal, wherever it falls in the internal steps."""
-    with running(export_text(tmp_path, FRICTION, fmi=fmi)) as drive:
+    with running(exported(FRICTION, fmi=fmi)) as drive:
         for force in (-4.0, -7.3, -31.0):
-            drive.initialise({"F": force})
+            drive.initialize({"F": force})
             t = 0.0
             while t < 0.99:
                 t = drive.run(step, start=t)
@@ -32,12 +32,12 @@ def test_coulomb_friction_against_its_closed_form(tmp_path: Path, fmi: str, step
             drive.fmu.reset()
 
 
-def test_results_are_smooth_functions_of_the_parameters(tmp_path: Path) -> None:
+def test_results_are_smooth_functions_of_the_parameters(exported: Exporter) -> None:
     """Central differences across the event give the derivative of the closed form, to their own rounding."""
-    with running(export_text(tmp_path, FRICTION)) as drive:
+    with running(exported(FRICTION, fmi="2.0")) as drive:
 
         def final(m: float, Fc: float) -> np.ndarray:
-            drive.initialise({"F": -7.3, "m": m, "Fc": Fc})
+            drive.initialize({"F": -7.3, "m": m, "Fc": Fc})
             drive.run(*[0.05] * 20)
             found = np.array(drive.get("x", "v"))
             drive.fmu.reset()
@@ -52,38 +52,38 @@ def test_results_are_smooth_functions_of_the_parameters(tmp_path: Path) -> None:
             assert np.all(np.abs(difference) > 1e-2)
 
 
-@pytest.mark.parametrize(
-    ("equation", "expected"),
-    [
-        ("y = if u > 0.25 then 1 else 0;", 0.75),
-        ("y = if 0.25 < u then 1 else 0;", 0.75),
-        ("y = if u <= 0.25 then 0 else 1;", 0.75),
-        ("y = if not 0.25 >= u then 1 else 0;", 0.75),
-        ("y = if u > 0.21 and w > 0.77 then 1 else 0;", 0.02),  # both within one internal step
-        ("y = if u < 0.33 or (not w > 0.25) then 1 else 0;", 0.58),
-        ("y = if u < 0.25 then 1 elseif u < 0.5 then 2 elseif u < 0.875 then 3 else 4;", 0.25 + 0.5 + 1.125 + 0.5),
-        ("y = if u > 0.25 then (if u > 0.75 then 3 else 2) else if w > 0.9 then 1 else 0;", 0.1 + 1.0 + 0.75),
-        ("y = 2*(if time < 0.3 then a else -a) + time;", 2 * (0.3 - 0.7) + 0.5),
-        ("0.5*y = (if u < 0.25 then y else -y) + 1;", -2 * 0.25 + 0.75 * 2 / 3),
-        ("y = if x > 0.2 then 2 else 1;", 0.2 + 2 * 0.8),
-        ("y = if (if u > 0.25 then w else u) > 0.5 then 1 else 0;", 0.25),
-        ("y = noEvent(if u > 0.25 then sqrt(u - 0.25) else -sqrt(0.25 - u));", 2 / 3 * (0.75**1.5 - 0.25**1.5)),
-    ],
-)
-def test_events_are_located(tmp_path: Path, equation: str, expected: float) -> None:
-    """With u = t and w = 1 - t: the integral of y over one second has the times of all changes."""
-    accuracy = 1e-3 if "sqrt" in equation else 1e-11  # a square root's slope is infinite where it begins
-    with running(export_text(tmp_path, model(equation))) as test:
+LOCATED = {
+    "if u > 0.25 then 1 else 0": 0.75,
+    "if 0.25 < u then 1 else 0": 0.75,
+    "if u <= 0.25 then 0 else 1": 0.75,
+    "if not 0.25 >= u then 1 else 0": 0.75,
+    "if u > 0.21 and w > 0.77 then 1 else 0": 0.02,  # both within one internal step
+    "if u < 0.33 or (not w > 0.25) then 1 else 0": 0.58,
+    "if u < 0.25 then 1 elseif u < 0.5 then 2 elseif u < 0.875 then 3 else 4": 0.25 + 0.5 + 1.125 + 0.5,
+    "if u > 0.25 then (if u > 0.75 then 3 else 2) else if w > 0.9 then 1 else 0": 0.1 + 1.0 + 0.75,
+    "2*(if time < 0.3 then a else -a) + time": 2 * (0.3 - 0.7) + 0.5,
+    "(1 + (if u < 0.25 then y10 else -y10))*2": -2 * 0.25 + 0.75 * 2 / 3,
+    "if x11 > 0.2 then 2 else 1": 0.2 + 2 * 0.8,
+    "if (if u > 0.25 then w else u) > 0.5 then 1 else 0": 0.25,
+    "noEvent(if u > 0.25 then sqrt(u - 0.25) else -sqrt(0.25 - u))": 2 / 3 * (0.75**1.5 - 0.25**1.5),
+}
+"""Expressions, and their integrals over one second with u = t and w = 1 - t."""
+
+
+def test_events_are_located(exported: Exporter) -> None:
+    with running(exported(integrals(LOCATED))) as test:
         for steps in ([1.0], [0.125] * 8, [0.3, 0.5, 0.2]):
-            test.initialise({"u": 0.0, "w": 1.0})
+            test.initialize({"u": 0.0, "w": 1.0})
             test.slope("u", 1.0)
             test.slope("w", -1.0)
             test.run(*steps)
-            assert test.get("x")[0] == pytest.approx(expected, abs=accuracy)
+            for k, (expression, expected) in enumerate(LOCATED.items(), 1):
+                accuracy = 1e-3 if "sqrt" in expression else 1e-11  # a root's slope is infinite where it begins
+                assert test.get(f"x{k}")[0] == pytest.approx(expected, abs=accuracy), expression
             test.fmu.reset()
 
 
-def test_order_is_kept_across_events(tmp_path: Path) -> None:
+def test_order_is_kept_across_events(exported: Exporter) -> None:
     """An oscillator with three springs, against scipy with its own event location."""
     text = """model Springs
   output Real x(start=1, fixed=true), v(start=0, fixed=true);
@@ -116,44 +116,44 @@ end Springs;
             events += 1
             piece = 1 if piece != 1 else 0 if len(done.t_events[0]) else 2
     assert events > 10
-    with running(export_text(tmp_path, text)) as springs:
-        springs.initialise()
+    with running(exported(text)) as springs:
+        springs.initialize()
         springs.run(*[0.5] * 40)
         np.testing.assert_allclose(springs.get("x", "v"), z, atol=1e-8)
 
 
 @both_versions
-def test_relations_are_frozen_in_continuous_time_mode(tmp_path: Path, fmi: str) -> None:
+def test_relations_are_frozen_in_continuous_time_mode(exported: Exporter, fmi: str) -> None:
     text = model("y = if x > a and not w >= 2 then 10 else -10*x;")
-    with running(export_text(tmp_path, text, fmi=fmi), model_exchange=True) as test:
-        test.initialise({"a": 0.5})
+    with running(exported(text, fmi=fmi), model_exchange=True) as test:
+        test.initialize({"a": 0.5})
         test.update()
+
+        def check(indicators: list[float], rate: float) -> None:
+            assert test.indicators() == indicators  # x - a; w >= 2 is not 2 - w > 0
+            assert test.derivatives() == [rate]
+
         test.at(0.0, 0.25)
-        assert test.indicators() == [-0.25, 2.0]  # x - a; w >= 2 is not 2 - w > 0
-        assert test.derivatives() == [-2.5]
+        check([-0.25, 2.0], -2.5)
         test.at(0.1, 0.75)  # beyond the event: the indicator says so, the branch stays
-        assert test.indicators() == [0.25, 2.0]
-        assert test.derivatives() == [-7.5]
+        check([0.25, 2.0], -7.5)
         test.fmu.enterEventMode()
         assert test.get("y") == [10.0]
         test.update()
-        assert test.derivatives() == [10.0]
+        check([0.25, 2.0], 10.0)
         test.at(0.2, 0.5)  # not above a any more, in continuous-time mode still so
-        assert test.indicators() == [0.0, 2.0]
-        assert test.derivatives() == [10.0]
+        check([0.0, 2.0], 10.0)
         test.set({"w": 3.0})
-        assert test.indicators() == [0.0, -1.0]
-        assert test.derivatives() == [10.0]
+        check([0.0, -1.0], 10.0)
         test.fmu.enterEventMode()
         test.update()
-        assert test.derivatives() == [-5.0]
+        check([0.0, -1.0], -5.0)
 
 
-def test_model_exchange_and_co_simulation_agree(tmp_path: Path) -> None:
+def test_model_exchange_and_co_simulation_agree(exported: Exporter) -> None:
     """An importer that stops where an indicator changes sign gets what the co-simulation gets."""
-    fmu = export_text(tmp_path, FRICTION)
-    with running(fmu, model_exchange=True) as drive:
-        drive.initialise({"F": -7.3})
+    with running(exported(FRICTION, fmi="2.0"), model_exchange=True) as drive:
+        drive.initialize({"F": -7.3})
         drive.update()
 
         def rates(t: float, z: np.ndarray) -> list[float]:
@@ -175,118 +175,98 @@ def test_model_exchange_and_co_simulation_agree(tmp_path: Path) -> None:
         np.testing.assert_allclose(last.y[:, -1], friction(1.0, -7.3), atol=1e-11)
 
 
-def test_no_event_and_parameters_alone_make_no_events(tmp_path: Path) -> None:
+def test_no_event_and_parameters_alone_make_no_events(exported: Exporter) -> None:
     text = model(
         "y = noEvent(if x > 0.5 then 1 else -1) + (if noEvent(x > 0.5) then 10 else 0) + (if a > 0 then 100 else 0);",
         "parameter Real b = if 2 > 1 then 7 else 8; Real q(start=if a > 2 then a else b, fixed=true);",
     )
-    fmu = export_text(tmp_path, text.replace("\nequation", "\nequation der(q) = 0;"))
-    with running(fmu, model_exchange=True) as test:
+    with running(exported(text.replace("\nequation", "\nequation der(q) = 0;")), model_exchange=True) as test:
         assert test.description.numberOfEventIndicators == 0
-        test.initialise({"a": 3.0})
+        test.initialize({"a": 3.0})
         assert test.get("q", "b") == [3.0, 7.0]
         test.update()
-        test.at(0.0, 0.0, 0.5)
-        assert test.get("y") == [99.0]
-        test.at(0.0, 0.0, 0.51)
-        assert test.get("y") == [111.0]
+        for x, y in ((0.5, 99.0), (0.51, 111.0)):
+            test.at(0.0, 0.0, x)
+            assert test.get("y") == [y]
         test.fmu.enterEventMode()
         test.set({"a": -1.0})
         assert test.get("y") == [11.0]
         test.fmu.reset()
-        test.initialise()
+        test.initialize()
         assert test.get("q") == [7.0]
 
 
-def test_equal_relations_share_an_indicator(tmp_path: Path) -> None:
-    fmu = export_text(tmp_path, model("y = (if x > a then 1 else 0) + (if x <= a then u else w);"))
-    with running(fmu) as test:
+def test_relations_that_share_an_indicator_and_derivatives_of_the_branch_in_force(exported: Exporter) -> None:
+    """Equal relations have one indicator, abs and sign none."""
+    shared = "y = (if x > a then 1 else 0) + (if x <= a then u else w); z = 10*abs(u) + sign(u);"
+    text = model(f"{shared}\nv = if x > a then 3*x*u else sqrt(-x)*u;", "output Real z, v;")
+    with running(exported(text)) as test:
         assert test.description.numberOfEventIndicators == 1
-        test.initialise({"u": 5.0, "w": 7.0})
+        test.initialize({"u": 5.0, "w": 7.0})
         assert test.get("y") == [5.0]
         test.set({"a": -1.0})
         assert test.get("y") == [8.0]
-
-
-def test_abs_and_sign(tmp_path: Path) -> None:
-    with running(export_text(tmp_path, model("y = 10*abs(u) + sign(u);"))) as test:
-        assert test.description.numberOfEventIndicators == 0
-        test.initialise()
-        for u, y in ((2.0, 21.0), (-2.0, 19.0), (0.0, 0.0)):
+        for u, z in ((2.0, 21.0), (-2.0, 19.0), (0.0, 0.0)):
             test.set({"u": u})
-            assert test.get("y") == [y]
-            known, unknown = [test.references["u"]], [test.references["y"]]
-            assert test.fmu.getDirectionalDerivative(unknown, known, [1.0]) == [10 * np.sign(u)]
-
-
-def test_directional_derivatives_are_of_the_branch_in_force(tmp_path: Path) -> None:
-    with running(export_text(tmp_path, model("y = if x > a then 3*x*u else sqrt(-x)*u;"))) as test:
-        test.initialise({"a": -1.0, "u": 2.0})
-        references = [test.references[name] for name in ("x", "u", "a")]
-        unknown = [test.references["y"]]
-        found = [test.fmu.getDirectionalDerivative(unknown, [each], [1.0])[0] for each in references]
-        assert found == [6.0, 0.0, 0.0]
+            assert test.get("z") == [z]
+            assert test.slopes(["z"], "u") == [10 * np.sign(u)]
+        test.set({"u": 2.0})
+        assert [*(test.slopes(["v"], each)[0] for each in "xua")] == [6.0, 0.0, 0.0]
 
 
 @both_versions
-def test_chattering_is_an_error_that_names_the_relation_and_the_time(tmp_path: Path, fmi: str) -> None:
+def test_chattering_is_an_error_that_names_the_relation_and_the_time(exported: Exporter, fmi: str) -> None:
     """Friction that holds has no solution in this form: the speed would change its sign without end."""
-    with running(export_text(tmp_path, FRICTION, fmi=fmi)) as drive:
-        drive.initialise({"F": -1.0})  # v = 0 after 0.5 s, then friction holds
-        text = drive.refused(lambda: drive.run(*[0.1] * 10))
-        assert "relation v > 0 (line 11) chatters at t = 0.5: more than 100 events within one integration" in text
+    with running(exported(FRICTION, fmi=fmi)) as drive:
+        drive.initialize({"F": -1.0})  # v = 0 after 0.5 s, then friction holds
+        assert "relation v > 0 (line 11) chatters at t = 0.5: " in drive.refused(lambda: drive.run(*[0.1] * 10))
         drive.fmu.reset()
-        drive.initialise({"F": -7.3})
+        drive.initialize({"F": -7.3})
         drive.run(0.5)
         np.testing.assert_allclose(drive.get("x", "v", "impulse"), friction(0.5, -7.3), atol=1e-11)
 
 
-def test_relation_that_is_not_finite(tmp_path: Path) -> None:
-    with running(export_text(tmp_path, model("y = if sqrt(0.25 - u) > 2 then 1 else 0;"))) as test:
-        test.initialise()
+def test_relation_that_is_not_finite(exported: Exporter) -> None:
+    with running(exported(model("y = if sqrt(0.25 - u) > 2 then 1 else 0;"))) as test:
+        test.initialize()
         test.slope("u", 1.0)
         text = test.refused(lambda: test.run(1.0))
         assert "relation sqrt(0.25 - u) > 2 (line 4) is not finite at t = 0.25" in text
 
 
 @both_versions
-def test_saved_state_has_the_relations(tmp_path: Path, fmi: str) -> None:
-    text = model("y = if x > 0.5 then 1 else 0.25;")
-    with running(export_text(tmp_path, text, fmi=fmi)) as test:
-        get, put = (getattr(test.fmu, f"{what}FMU{'S' if test.fmi3 else 's'}tate") for what in ("get", "set"))
-        test.initialise()
+def test_saved_state_has_relations_and_whole_numbers(exported: Exporter, fmi: str) -> None:
+    text = model("y = (if x > 0.5 then 1 else 0.25) + z - z; z = floor(4*x);", "output Real z;")
+    with running(exported(text, fmi=fmi)) as test:
+        test.initialize()
         test.run(1.9)
-        state = get()
-        test.run(1.0, start=1.9)
-        assert test.get("x", "y") == pytest.approx([0.5 + 0.9, 1.0], abs=1e-12)
-        put(state)
-        assert test.get("x", "y") == pytest.approx([0.475, 0.25], abs=1e-12)
-        test.run(1.0, start=1.9)
-        assert test.get("x", "y") == pytest.approx([0.5 + 0.9, 1.0], abs=1e-12)
-        (test.fmu.freeFMUState if test.fmi3 else test.fmu.freeFMUstate)(state)
+        with test.saved_state() as restore:
+            for _ in range(2):
+                assert test.get("x", "y", "z") == pytest.approx([0.475, 0.25, 1.0], abs=1e-12)
+                test.run(1.0, start=1.9)
+                assert test.get("x", "y", "z") == pytest.approx([0.5 + 0.9, 1.0, 5.0], abs=1e-12)
+                restore()
 
 
-def test_relation_true_from_the_start_time_on(tmp_path: Path) -> None:
+def test_relation_true_from_the_start_time_on(exported: Exporter) -> None:
     """An experiment that starts late has passed the event; one that starts on it has it at once."""
-    with running(export_text(tmp_path, model("y = if time > 5 then 1 else 0;"))) as test:
+    with running(exported(model("y = if time > 5 then 1 else 0;"))) as test:
         for start, expected in ((6.0, 1.0), (5.0, 1.0), (4.5, 0.5), (1.0, 0.0)):
-            test.initialise(start=start)
+            test.initialize(start=start)
             test.run(0.5, 0.5, start=start)
             assert test.get("x")[0] == pytest.approx(expected, abs=1e-12)
             test.fmu.reset()
 
 
-def test_events_have_no_sensitivities(tmp_path: Path) -> None:
-    for equation in (
-        "y = if x > 0 then 1 else 0;",
-        "y = noEvent(if x > 0 then 1 else 0);",
-        "y = sign(u);",
-        "y = mod(u, 2);",
-    ):
-        (tmp_path / "Test.mo").write_text(model(equation))
-        with pytest.raises(
-            ModelicaError, match="sensitivities jump where relations, sign, floor, ceil and mod do: smooth these"
-        ) as caught:
-            export_fmu(tmp_path / "Test.mo", sensitivities=["a"])
-        assert caught.value.line == 4
-    export_text(tmp_path, model("y = if a > 0 then u else abs(u);"), sensitivities=["a"])
+@pytest.mark.parametrize("jump", ["if x > 0 then 1 else 0", "noEvent(if x > 0 then 1 else 0)", "sign(u)", "mod(u, 2)"])
+def test_jumps_have_no_sensitivities(tmp_path: Path, jump: str) -> None:
+    (tmp_path / "Test.mo").write_text(model(f"y = {jump};"))
+    with pytest.raises(ModelicaError, match="sensitivities jump where") as caught:
+        export_fmu(tmp_path / "Test.mo", sensitivities=["a"])
+    assert caught.value.line == 4
+
+
+def test_branches_of_parameters_have_sensitivities(exported: Exporter) -> None:
+    with running(exported(model("y = if a > 0 then a*u else abs(u);"), sensitivities="all")) as test:
+        test.initialize({"u": 3.0})
+        assert test.get("sens.a.y") == [3.0]

@@ -13,66 +13,67 @@ from fmpy.validation import validate_fmu
 
 from fmuid.errors import ModelicaError
 from fmuid.export import export_fmu
-from tests.support.exported import Running, both_versions, export_text, running
-from tests.support.modelica import model
+from tests.export.conftest import Exporter
+from tests.support.exported import Running, both_versions, running
+from tests.support.modelica import integrals, model
 
 solve_ivp: Any = scipy.integrate.solve_ivp  # its types do not allow for what events take
 ACCURATE = {"method": "DOP853", "rtol": 1e-12, "atol": 1e-13}
 
 
 @both_versions
-def test_values_at_and_between_whole_numbers(tmp_path: Path, fmi: str) -> None:
+def test_values_at_and_between_whole_numbers(exported: Exporter, fmi: str) -> None:
     text = """model Values input Real u, w; parameter Real a = 2; output Real y1, y2, y3, y4, y5;
 equation y1 = floor(u); y2 = ceil(u); y3 = mod(u, w); y4 = mod(floor(a), 3)*u; y5 = noEvent(floor(u) + mod(u, a));
 end Values;
 """
-    fmu = export_text(tmp_path, text, fmi=fmi)
+    fmu = exported(text, fmi=fmi)
     assert validate_fmu(str(fmu)) == []
     rng = np.random.default_rng(3)
     values = [0.0, 1.0, -1.0, 3.0, -3.5, 0.3, 2.0**-40, -(2.0**-40), 1e6, -1e6 - 0.5, 1e17, math.nextafter(3.0, 0.0)]
     with running(fmu) as test:
-        test.initialise({"w": 1.0, "a": 5.5})
-        for u in [*values, *rng.uniform(-50, 50, 50)]:  # from each to the next, however far it is
+        test.initialize({"w": 1.0, "a": 5.5})
+        for u in [*values, *rng.uniform(-50, 50, 20)]:  # from each to the next, however far it is
             for w in (1.0, -2.5, 0.75):
                 test.set({"u": u, "w": w})
                 expected = [math.floor(u), math.ceil(u), u - w * math.floor(u / w), 2.0 * u, math.floor(u) + u % 5.5]
                 assert test.get("y1", "y2", "y3", "y4", "y5") == pytest.approx(expected, rel=1e-15, abs=1e-15)
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    ("equation", "expected"),
-    [
-        ("y = floor(10*u);", 4.5),
-        ("y = ceil(10*u);", 5.5),
-        ("y = mod(u, 0.3);", 0.15 * 0.9 + 0.1 * 0.05),
-        ("y = mod(-u, 0.3);", 0.15 * 0.9 + 0.1 * 0.25),
-        ("y = floor(-10*u) + floor(10*u);", -1.0),
-        ("y = (if floor(4*u) >= 2 then 1 else 0) + floor(3*x);", None),
-        ("y = floor(5*u - 10*u*u + a);", None),
-        ("y = if mod(u, 0.25) > 0.1 then 1 else 0;", 0.6),
-        ("y = floor(2*u + floor(4*u));", (0 + 1 + 3 + 4) / 4),
-        ("y = noEvent(floor(10*u))*0 + floor(40*u)/40;", 39 / 80),
-    ],
-)
-def test_jumps_are_located(tmp_path: Path, equation: str, expected: float | None) -> None:
-    """With u = t: the integral of y over one second has the times of all jumps; some steps hold more than one."""
-    if "3*x" in equation:  # rests until 0.5, then x grows at a rate of 1, from 1/3 on at one of 2
-        expected = 1 / 3 + 2 * (0.5 - 1 / 3)
-    if "10*u*u" in equation:  # a parabola that rises from 1 to 1.625 and falls to -4
-        roots = [(5 + math.sqrt(25 - 40 * (level - 1))) / 20 for level in (1, 0, -1, -2, -3)]
-        widths = np.diff([0.0, *roots, 1.0])
-        expected = float(widths @ [1, 0, -1, -2, -3, -4])
-    with running(export_text(tmp_path, model(equation))) as test:
+def parabola() -> float:
+    """Return the integral of floor(5 t - 10 t² + 1), which rises from 1 to 1.625 and falls to -4."""
+    roots = [(5 + math.sqrt(25 - 40 * (level - 1))) / 20 for level in (1, 0, -1, -2, -3)]
+    return float(np.diff([0.0, *roots, 1.0]) @ [1, 0, -1, -2, -3, -4])
+
+
+JUMPS = {
+    "floor(10*u)": 4.5,
+    "ceil(10*u)": 5.5,
+    "mod(u, 0.3)": 0.15 * 0.9 + 0.1 * 0.05,
+    "mod(-u, 0.3)": 0.15 * 0.9 + 0.1 * 0.25,
+    "floor(-10*u) + floor(10*u)": -1.0,
+    "(if floor(4*u) >= 2 then 1 else 0) + floor(3*x6)": 1 / 3 + 2 * (0.5 - 1 / 3),  # rests until 0.5
+    "floor(5*u - 10*u*u + a)": parabola(),
+    "if mod(u, 0.25) > 0.1 then 1 else 0": 0.6,
+    "floor(2*u + floor(4*u))": (0 + 1 + 3 + 4) / 4,
+    "noEvent(floor(10*u))*0 + floor(40*u)/40": 39 / 80,
+}
+"""Expressions, and their integrals over one second with u = t."""
+
+
+def test_jumps_are_located(exported: Exporter) -> None:
+    """Some steps hold more than one jump."""
+    with running(exported(integrals(JUMPS))) as test:
         for steps in ([1.0], [0.125] * 8, [0.3, 0.5, 0.2]):
-            test.initialise()
+            test.initialize()
             test.slope("u", 1.0)
             test.run(*steps)
-            assert test.get("x")[0] == pytest.approx(expected, abs=1e-11)
+            for k, (expression, expected) in enumerate(JUMPS.items(), 1):
+                assert test.get(f"x{k}")[0] == pytest.approx(expected, abs=1e-11), expression
             test.fmu.reset()
 
 
-def test_bouncing_between_whole_numbers_against_scipy(tmp_path: Path) -> None:
+def test_bouncing_between_whole_numbers_against_scipy(exported: Exporter) -> None:
     """An oscillator whose spring is a staircase: floor changes in both directions, many times."""
     text = """model Stairs
   output Real x(start=0.3, fixed=true), v(start=2, fixed=true);
@@ -101,17 +102,16 @@ end Stairs;
             events += 1
             step += 1 if len(done.t_events[0]) else -1
     assert events == 22
-    with running(export_text(tmp_path, text)) as stairs:
-        stairs.initialise()
+    with running(exported(text)) as stairs:
+        stairs.initialize()
         stairs.run(*[0.25] * 40)
         np.testing.assert_allclose(stairs.get("x", "v"), z, atol=1e-9)
 
 
 @both_versions
-def test_whole_numbers_are_held_in_continuous_time_mode(tmp_path: Path, fmi: str) -> None:
-    fmu = export_text(tmp_path, model("y = floor(x) - 10*mod(u, 2);"), fmi=fmi)
-    with running(fmu, model_exchange=True) as test:
-        test.initialise()
+def test_whole_numbers_are_frozen_in_continuous_time_mode(exported: Exporter, fmi: str) -> None:
+    with running(exported(model("y = floor(x) - 10*mod(u, 2);"), fmi=fmi), model_exchange=True) as test:
+        test.initialize()
         test.update()
         test.at(0.0, 0.75)
         assert test.indicators() == [0.25, -0.75, 1.0, 0.0]
@@ -132,112 +132,79 @@ def test_whole_numbers_are_held_in_continuous_time_mode(tmp_path: Path, fmi: str
 
 
 @both_versions
-def test_model_exchange_and_co_simulation_agree(tmp_path: Path, fmi: str) -> None:
+def test_model_exchange_and_co_simulation_agree(exported: Exporter, fmi: str) -> None:
     """An importer that stops where an indicator changes sign gets what the co-simulation gets."""
-    text = model("y = 4 - mod(x, 0.3) - floor(a*x);", interval="0.01")
-    fmu = export_text(tmp_path, text, fmi=fmi)
+    fmu = exported(model("y = 4 - mod(x, 0.3) - floor(a*x);", interval="0.01"), fmi=fmi)
     with running(fmu) as test:
-        test.initialise({"a": 2.2})
+        test.initialize({"a": 2.2})
         test.run(0.8)
         expected = test.get("x")[0]
+
+    def at(t: float, states: np.ndarray) -> Running:
+        test.at(t, *states)
+        return test
+
+    def crossing(k: int) -> Any:
+        def indicator(t: float, z: np.ndarray) -> float:
+            return at(t, z).indicators()[k]
+
+        indicator.terminal, indicator.direction = True, -1.0 if k % 2 == 0 else 1.0  # type: ignore[attr-defined]
+        return indicator
+
     with running(fmu, model_exchange=True) as test:
-        test.initialise({"a": 2.2})
+        test.initialize({"a": 2.2})
         test.update()
-        t, x, events = 0.0, 0.0, 0
+        t, x, events, crossings = 0.0, 0.0, 0, [crossing(k) for k in range(4)]
         while t < 0.8:
-            events_of = [crossing(test, k) for k in range(4)]
-            last = solve_ivp(
-                lambda t, z: at(test, t, z).derivatives(), (t, 0.8), [x], events=events_of, max_step=0.01, **ACCURATE
-            )
+            rest = {"events": crossings, "max_step": 0.05, **ACCURATE}
+            last = solve_ivp(lambda t, z: at(t, z).derivatives(), (t, 0.8), [x], **rest)
             t, x = last.t[-1], last.y[0, -1]
             if last.status == 1:
                 events += 1
-                at(test, t, np.array([x + 1e-13]))
-                test.fmu.enterEventMode()
+                at(t, np.array([x + 1e-13])).fmu.enterEventMode()
                 test.update()
         assert events == 8
         assert x == pytest.approx(expected, abs=1e-11)
 
 
-def at(test: Running, t: float, states: np.ndarray) -> Running:
-    test.at(t, *states)
-    return test
+def test_derivatives_and_where_there_are_no_events(exported: Exporter) -> None:
+    """Derivatives are those of the piece in force."""
+    quiet = "z = noEvent(floor(x)) + noEvent(mod(u, 2)) + ceil(a) + b;"
+    text = model(
+        f"y = mod(u, a) + 7*floor(x + a) + 3*ceil(u); {quiet}", "output Real z; parameter Real b = mod(-7, 3);"
+    )
+    with running(exported(text)) as test:
+        assert test.description.numberOfEventIndicators == 6  # two each for mod, floor and ceil outside noEvent
+        test.initialize({"a": 0.4, "u": 1.0})
+        assert [test.slopes(["y"], each)[0] for each in "uax"] == [1.0, -2.0, 0.0]
+        test.set({"u": 3.5})
+        assert test.get("b", "z") == [2.0, 0.0 + 1.5 + 1.0 + 2.0]
 
 
-def crossing(test: Running, k: int) -> Any:
-    def indicator(t: float, z: np.ndarray) -> float:
-        return at(test, t, z).indicators()[k]
-
-    indicator.terminal, indicator.direction = True, -1.0 if k % 2 == 0 else 1.0  # type: ignore[attr-defined]
-    return indicator
-
-
-def test_directional_derivatives_are_of_the_piece_in_force(tmp_path: Path) -> None:
-    with running(export_text(tmp_path, model("y = mod(u, a) + 7*floor(x + a) + 3*ceil(u);"))) as test:
-        test.initialise({"a": 0.4, "u": 1.0})
-        references = [test.references[name] for name in ("u", "a", "x")]
-        unknown = [test.references["y"]]
-        found = [test.fmu.getDirectionalDerivative(unknown, [each], [1.0])[0] for each in references]
-        assert found == [1.0, -2.0, 0.0]
-
-
-def test_where_there_are_no_events(tmp_path: Path) -> None:
-    text = model("y = noEvent(floor(x)) + noEvent(mod(u, 2)) + ceil(a) + b;", "parameter Real b = mod(-7, 3);")
-    with running(export_text(tmp_path, text), model_exchange=True) as test:
-        assert test.description.numberOfEventIndicators == 0
-        test.initialise({"a": 1.5, "u": 3.5})
-        assert test.get("b") == [2.0]
-        test.update()
-        test.at(0.0, 4.5)
-        assert test.get("y") == [4.0 + 1.5 + 2.0 + 2.0]
-
-
-def test_equal_arguments_share_a_whole_number(tmp_path: Path) -> None:
-    fmu = export_text(tmp_path, model("y = mod(u, a) + floor(u/a);"), fmi="3.0")
-    with running(fmu) as test:
+def test_equal_arguments_share_a_whole_number(exported: Exporter) -> None:
+    with running(exported(model("y = mod(u, a) + floor(u/a);"), fmi="3.0")) as test:
         found = [v for v in test.description.modelVariables if v.name.startswith("integer")]
         assert [v.name for v in found] == ["integer[1].up", "integer[1].down"]
         assert found[0].description == "event indicator: not positive where mod(u, a) jumps up"
-        test.initialise({"u": 5.0, "a": 2.0})
+        test.initialize({"u": 5.0, "a": 2.0})
         assert test.get("y") == [3.0]
 
 
 @both_versions
-def test_failures_name_the_function_and_the_time(tmp_path: Path, fmi: str) -> None:
-    with running(export_text(tmp_path, model("y = floor(1000*time);"), fmi=fmi)) as test:
-        test.initialise()
+def test_chattering_and_not_finite_name_function_and_time(exported: Exporter, fmi: str) -> None:
+    with running(exported(model("y = floor(1000*time) + 0*ceil(sqrt(a - time));"), fmi=fmi)) as test:
+        test.initialize()
         text = test.refused(lambda: test.run(1.0))
         assert "jump of floor(1000*time) (line 4) chatters at t = 0.1" in text
         assert text.endswith("or give a shorter Interval")
         test.fmu.reset()
-        test.initialise()
+        test.initialize()
         test.run(*[0.05] * 4)
         assert test.get("x")[0] == pytest.approx(sum(range(200)) / 1000, abs=1e-11)
-    (tmp_path / "root").mkdir()
-    with running(
-        export_text(tmp_path / "root", model("y = ceil(sqrt(0.25 - time)*a);", interval="0.2"), fmi="2.0")
-    ) as test:
-        test.initialise()
-        assert "jump of ceil(sqrt(0.25 - time)*a) (line 4) is not finite at t = 0.25" in test.refused(
-            lambda: test.run(1.0)
-        )
-
-
-@both_versions
-def test_saved_state_has_the_whole_numbers(tmp_path: Path, fmi: str) -> None:
-    with running(export_text(tmp_path, model("y = 1 + floor(x);"), fmi=fmi), model_exchange=True) as test:
-        get, put = (getattr(test.fmu, f"{what}FMU{'S' if test.fmi3 else 's'}tate") for what in ("get", "set"))
-        test.initialise()
-        test.update()
-        state = get()
-        test.at(0.0, 3.5)
-        test.fmu.enterEventMode()
-        test.update()
-        assert test.derivatives() == [4.0]
-        put(state)
-        test.at(0.0, 3.5)
-        assert test.derivatives() == [1.0]
-        (test.fmu.freeFMUState if test.fmi3 else test.fmu.freeFMUstate)(state)
+        test.fmu.reset()
+        test.initialize({"a": 0.05})
+        text = test.refused(lambda: test.run(*[0.04] * 2))
+        assert "jump of ceil(sqrt(a - time)) (line 4) is not finite at t = 0.05" in text
 
 
 @pytest.mark.parametrize(

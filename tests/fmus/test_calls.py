@@ -41,10 +41,10 @@ def test_tuning_a_parameter_between_steps(opened: Opener, model: str) -> None:
     reference = REFERENCES[model]
     times, inputs = reference.signals(10)
     tuned, fresh = opened(model), opened(model)
-    tuned.initialise()
+    tuned.initialize()
     tuned.run(reference, times, inputs, True)
     tuned.set(reference.parameters)
-    fresh.initialise(reference.parameters | {f"{n}_start": float(tuned.get(n)[0]) for n in reference.states})
+    fresh.initialize(reference.parameters | {f"{n}_start": float(tuned.get(n)[0]) for n in reference.states})
     assert np.array_equal(tuned.run(reference, times, inputs, True), fresh.run(reference, times, inputs, True))
 
 
@@ -55,7 +55,7 @@ def test_reset_repeats_bit_for_bit(opened: Opener, model: str) -> None:
     instance = opened(model)
     runs = []
     for values in ({}, reference.parameters, {}, reference.parameters):
-        instance.initialise(values)
+        instance.initialize(values)
         runs.append(instance.run(reference, times, inputs, True))
         instance.fmu.reset()
     assert np.array_equal(runs[0], runs[2])
@@ -69,8 +69,8 @@ def test_instances_are_independent(opened: Opener, model: str) -> None:
     times, inputs = reference.signals(20)
     alone, one, other = opened(model), opened(model), opened(model)
     for instance in (alone, one):
-        instance.initialise(reference.parameters)
-    other.initialise()
+        instance.initialize(reference.parameters)
+    other.initialize()
     expected = alone.run(reference, times, inputs, True)
     other.run(reference, times, -inputs, True)
     assert np.array_equal(one.run(reference, times, inputs, True), expected)
@@ -81,8 +81,8 @@ def test_state_is_saved_restored_and_serialised(opened: Opener, model: str) -> N
     reference = REFERENCES[model]
     times, inputs = reference.signals(40)
     instance, second = opened(model), opened(model)
-    instance.initialise(reference.parameters)
-    second.initialise()
+    instance.initialize(reference.parameters)
+    second.initialize()
     instance.run(reference, times[:20], inputs[:20], True)
     state = instance.fmu.getFMUstate()
     data = instance.fmu.serializeFMUstate(state)
@@ -145,7 +145,7 @@ def test_model_exchange_integrated_by_scipy(opened: Opener, model: str) -> None:
         assert instance.fmu.completedIntegratorStep() == (False, False)
         rows.append(reference.evaluate(x, inputs[k + 1], reference.parameters))
     slave = opened(model)
-    slave.initialise(reference.parameters)
+    slave.initialize(reference.parameters)
     assert relative_error(slave.run(reference, times, inputs, True), np.array(rows)) < TOLERANCE
 
 
@@ -205,7 +205,7 @@ def refused(instance: Instance, call: Callable[[], Any]) -> str:
         instance.get("i")
     assert "after an error (reset the instance or restore a state)" in instance.messages[1]
     instance.fmu.reset()
-    instance.initialise()
+    instance.initialize()
     assert list(instance.get("i")) == [0.0]
     return instance.messages[0]
 
@@ -235,7 +235,7 @@ def refused(instance: Instance, call: Callable[[], Any]) -> str:
 )
 def test_refusals(opened: Opener, call: Callable[[Instance], Any], text: str) -> None:
     instance = opened("Coil")
-    instance.initialise()
+    instance.initialize()
     assert text in refused(instance, lambda: call(instance))
 
 

@@ -25,7 +25,7 @@ def test_co_simulation_follows_the_equations(opened: Opener, model: str, linear:
     reference = REFERENCES[model]
     times, inputs = reference.signals()
     instance = opened(model)
-    instance.initialise(reference.parameters)
+    instance.initialize(reference.parameters)
     found = instance.run(reference, times, inputs, linear)
     expected = reference.integrate(times, inputs, linear)
     assert relative_error(found, expected) < TOLERANCE
@@ -40,7 +40,7 @@ def test_coil_against_its_closed_form(opened: Opener) -> None:
     A = (u0 - L * B) / R
     expected = A + B * t + (i0 - A) * np.exp(-R / L * t)
     instance = opened("Coil")
-    instance.initialise({"R": R, "L": L, "i_start": i0})
+    instance.initialize({"R": R, "L": L, "i_start": i0})
     found = instance.run(REFERENCES["Coil"], t, (u0 + a * t)[:, None], linear=True)
     assert relative_error(found, expected[:, None]) < 1e-10
 
@@ -57,14 +57,14 @@ def test_induction_machine_at_constant_speed_against_its_matrix_exponential(open
         x = steady + step @ (x - steady)
         rows.append(x)
     instance = opened("InductionMachine")
-    instance.initialise(p)
+    instance.initialize(p)
     found = instance.run(REFERENCES["InductionMachine"], h * np.arange(count), np.tile(u, (count, 1)), linear=False)
     assert relative_error(found, np.array(rows)) < TOLERANCE
 
 
 def test_controller_is_limited(opened: Opener) -> None:
     instance = opened("PositionController")
-    instance.initialise()
+    instance.initialize()
     for reference_position, expected in ((0.0, 0.0), (1e-4, 160.18 * 243.45 * 1e-4), (1.0, 10.0), (-1.0, -10.0)):
         instance.set({"qg": reference_position})
         assert instance.get("v") == pytest.approx(expected, rel=1e-14)
@@ -98,7 +98,7 @@ def test_limits_of_the_controllers(
 def test_inputs_move_on_along_their_slopes(opened: Opener) -> None:
     """The value of an input is that at the present time, also after a step; a slope holds until it is changed."""
     instance = opened("PositionController")
-    instance.initialise()
+    instance.initialize()
     instance.set({"qg": 1e-5})
     instance.slopes(["qg"], np.array([1e-2]))
     for k in (1, 2, 3):
@@ -114,7 +114,7 @@ def test_long_steps_are_divided(opened: Opener, model: str) -> None:
     results = []
     for parts in (1, 3):
         instance = opened(model)
-        instance.initialise(reference.parameters)
+        instance.initialize(reference.parameters)
         instance.set(dict(zip(reference.inputs, np.array(reference.amplitudes) / 3, strict=True)))
         for k in range(parts):
             instance.fmu.doStep(k * 3 * interval / parts, 3 * interval / parts)
@@ -135,7 +135,7 @@ def test_three_phase_machine_is_the_park_machine(opened: Opener, speed: float, s
         frame[name] = 310 * np.cos(314 * t - phase * 2 * np.pi / 3) + 20  # the 20 V: a zero sequence
     three = REFERENCES["ThreePhaseInductionMachine"]
     machine = opened("ThreePhaseInductionMachine")
-    machine.initialise(MACHINE | FLUXES | PHASES)
+    machine.initialize(MACHINE | FLUXES | PHASES)
     phases = machine.run(three, t, frame[list(three.inputs)].to_numpy(), linear=True)
     frame[list(three.outputs)] = phases
     np.testing.assert_allclose(frame["theta"], 0.7 + speed * t, rtol=1e-12)
@@ -144,7 +144,7 @@ def test_three_phase_machine_is_the_park_machine(opened: Opener, speed: float, s
     two = REFERENCES["InductionMachine"]
     machine = opened("InductionMachine")
     starts = {f"{name}_start": float(frame[name].iloc[0]) for name in ("ids", "iqs")}
-    machine.initialise(MACHINE | FLUXES | starts)
+    machine.initialize(MACHINE | FLUXES | starts)
     found = machine.run(two, t, frame[list(two.inputs)].to_numpy(), linear=True)
     assert relative_error(found, frame[list(two.outputs)].to_numpy()) < tolerance
 
@@ -155,7 +155,7 @@ def test_zero_sequence_current_sees_resistance_and_leakage_only(opened: Opener) 
     t = 7e-4 * np.arange(100)
     inputs = np.tile([50.0, 50.0, 50.0, 150.0], (100, 1))
     machine = opened("ThreePhaseInductionMachine")
-    machine.initialise(reference.parameters)
+    machine.initialize(reference.parameters)
     found = machine.run(reference, t, inputs, linear=False)[:, :3].mean(1)
     final, start = 50 / MACHINE["Rs"], (1.1 + 0.3 - 0.8) / 3
     expected = final + (start - final) * np.exp(-MACHINE["Rs"] / MACHINE["Lf"] * t)

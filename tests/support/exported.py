@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import ctypes
 import warnings
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -74,7 +74,7 @@ class Running:
         )
         self.fmu.instantiate(callbacks=self.callbacks)
 
-    def initialise(self, values: Mapping[str, float] | None = None, start: float = 0.0) -> None:
+    def initialize(self, values: Mapping[str, float] | None = None, start: float = 0.0) -> None:
         if not self.fmi3:
             self.fmu.setupExperiment(startTime=start)
         self.set(values or {})
@@ -88,6 +88,11 @@ class Running:
     def get(self, *names: str) -> list[float]:
         call = self.fmu.getFloat64 if self.fmi3 else self.fmu.getReal
         return list(call([self.references[name] for name in names]))
+
+    def slopes(self, unknowns: Sequence[str], known: str) -> list[float]:
+        """Return the directional derivatives of variables along another one."""
+        unknown, size = [self.references[name] for name in unknowns], (len(unknowns),) if self.fmi3 else ()
+        return list(self.fmu.getDirectionalDerivative(unknown, [self.references[known]], [1.0], *size))
 
     def slope(self, name: str, value: float) -> None:
         """Let an input move on along a slope (FMI 2.0 only)."""
@@ -127,6 +132,14 @@ class Running:
         values = (ctypes.c_double * count)()
         self.fmu.getEventIndicators(values, count)
         return list(values)
+
+    @contextmanager
+    def saved_state(self) -> Iterator[Callable[[], Any]]:
+        """Save the state; give a function that restores it, and free it at the end."""
+        kind = "FMUState" if self.fmi3 else "FMUstate"
+        state = getattr(self.fmu, f"get{kind}")()
+        yield lambda: getattr(self.fmu, f"set{kind}")(state)
+        getattr(self.fmu, f"free{kind}")(state)
 
     def refused(self, call: Callable[[], Any]) -> str:
         """Return what the FMU says when a call fails."""

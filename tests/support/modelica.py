@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+
 FRICTION = """model Friction "Mass under a force, with Coulomb's friction"
   parameter Real m = 2;
   parameter Real Fc = 3;
@@ -54,3 +56,12 @@ def model(equations: str, declarations: str = "", interval: str = "0.1") -> str:
         f"output Real y; output Real x(start=0, fixed=true);\nequation der(x) = y;\n{equations}\n"
         f"annotation(experiment(StopTime=1, Interval={interval})); end Test;"
     )
+
+
+def integrals(expressions: Iterable[str]) -> str:
+    """Return a model that integrates each expression, y1, y2, …, to x1, x2, …"""
+    numbered = list(enumerate(expressions, 1))
+    declared = "".join(f"Real y{k}; output Real x{k}(start=0, fixed=true);\n" for k, _ in numbered)
+    equations = "".join(f"der(x{k}) = y{k}; y{k} = {expression};\n" for k, expression in numbered)
+    end = "annotation(experiment(StopTime=1, Interval=0.1)); end Integrals;"
+    return f"model Integrals input Real u; input Real w; parameter Real a = 1;\n{declared}equation\n{equations}{end}"

@@ -37,14 +37,14 @@ class Instance:
         assert (name, status, category) == (b"one", fmpy.fmi2.fmi2Error, b"logStatusError")
         self.messages.append(text.decode())
 
-    def initialise(self, values: dict[str, float] | None = None) -> None:
+    def initialize(self, values: dict[str, float] | None = None) -> None:
         self.fmu.setupExperiment()
         self.set(values or {})
         self.fmu.enterInitializationMode()
         self.fmu.exitInitializationMode()
 
     def start_model_exchange(self, values: dict[str, float]) -> None:
-        self.initialise(values)
+        self.initialize(values)
         assert self.fmu.newDiscreteStates() == (False, False, False, False, False, 0.0)
         self.fmu.enterContinuousTimeMode()
 
@@ -78,7 +78,7 @@ class Instance:
         return np.array(self.fmu.getDirectionalDerivative(self.numbers(unknowns), self.numbers([known]), [1.0]))
 
     def run(self, reference: Reference, times: Array, inputs: Array, linear: bool) -> Array:
-        """Co-simulate from the initialised state; outputs at the times."""
+        """Co-simulate from the initialized state; outputs at the times."""
         names, rows = reference.inputs, []
         for k in range(len(times)):
             self.set(dict(zip(names, inputs[k], strict=True)))
