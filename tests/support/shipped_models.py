@@ -207,165 +207,72 @@ CAGE = {"bars": 22.0, "p": 2.0, "ring": 0.03, "crack0": 0.6, "crack1": 0.3, "the
 FLUXES = {"phidr_start": 0.6, "phiqr_start": -0.4}
 SPEED = {"K": 0.8, "Ti": 0.1, "Tr": 0.006, "torque_max": 60.0}
 SPEED_STARTS = {"halfway_start": 76.0, "smooth_start": 75.0, "integral_start": 3.0}
-CURRENT = {
-    "Rs": 9.0,
-    "Rr": 4.2,
-    "Lm": 0.41,
-    "Lf": 0.08,
-    "p": 3.0,
-    "flux_reference": 0.5,
-    "gain": 12.0,
-    "T": 0.004,
-    "Tf": 0.012,
-}
+CURRENT = {"Rs": 9.0, "Rr": 4.2, "Lm": 0.41, "Lf": 0.08, "p": 3.0, "flux_reference": 0.5, "gain": 12.0}
+CURRENT |= {"T": 0.004, "Tf": 0.012}
 CURRENT_LIMITS = {"i_max": 30.0, "u_max": 2000.0}  # never reached: a bend is integrated less precisely than 1e-7
 CURRENT_STARTS = {"phid_start": 0.6, "phiq_start": -0.4, "wanted_start": 1.4, "vf_start": 20.0, "vt_start": -30.0}
 DRIVE = {"M": 88.0, "Fv": 230.0, "Fc": 23.0, "offset": -4.0, "gtau": 33.0, "dq_eps": 1.2e-3}
+MACHINE_STARTS = {"ids_start": 1.2, "iqs_start": -0.7} | FLUXES
+RATIOS = {"eta_a": 0.011, "eta_b": 0.024, "eta_c": 0.043, "Rs": 8.5}
+COIL = {"R": 3.3, "L": 0.08, "i_start": -0.4}
+MOVES = {"q_start": 0.1, "dq_start": -0.02}
+SHAFT = {"J": 0.017, "f": 0.06, "p": 3.0, "period": 1e-4, "speed_start": 70.0, "angle_start": 0.3}
+INVERTER = {"T": 1.5e-3, "period": 1e-4, "uds_start": 40.0, "uqs_start": -70.0}
+
+
+def machine(more: dict[str, float], rates: Callable[..., Any]) -> Reference:
+    """Return a machine in Park axes linked to the rotor."""
+    states, amplitudes = "ids iqs phidr phiqr", (300.0, 300.0, 10.0)
+    values = MACHINE | more | MACHINE_STARTS
+    return reference(states, "uds uqs w", states, values, (rates, first), amplitudes, 7e-4, (0.0, 0.0, 157.0))
+
+
+def reference(
+    states: str, inputs: str, outputs: str, parameters: dict[str, float], functions: Any, *signals: Any
+) -> Reference:
+    """Return a reference whose names are given in one text each."""
+    return Reference(*(tuple(text.split()) for text in (states, inputs, outputs)), parameters, *functions, *signals)
+
+
 REFERENCES = {
-    "Coil": Reference(("i",), ("u",), ("i",), {"R": 3.3, "L": 0.08, "i_start": -0.4}, coil, first, (1.0,), 1e-3),
-    "FaultyCoil": Reference(
-        ("i",),
-        ("u",),
-        ("i",),
-        {"R": 3.3, "L": 0.08, "dR": 0.7, "tau": 0.021, "i_start": -0.4},
-        faulty_coil,
-        first,
-        (1.0,),
-        1e-3,
+    "Coil": reference("i", "u", "i", COIL, (coil, first), (1.0,), 1e-3),
+    "FaultyCoil": reference("i", "u", "i", COIL | {"dR": 0.7, "tau": 0.021}, (faulty_coil, first), (1.0,), 1e-3),
+    "CoilTurns": reference("i", "u", "i", COIL | {"lost": 0.2}, (coil_turns, first), (1.0,), 1e-3),
+    "InductionMachine": machine({}, park_machine),
+    "InductionMachineRotorFault": machine({"eta0": 0.3, "theta0": 0.7}, broken_bars),
+    "InductionMachineBrokenBars": machine(CAGE, cracked_bars),
+    "StatorShortCircuit": reference(
+        "", "uds uqs theta", "ids iqs", RATIOS, (nothing, short_circuit), (300.0, 300.0, 3.0), 7e-4
     ),
-    "CoilTurns": Reference(
-        ("i",), ("u",), ("i",), {"R": 3.3, "L": 0.08, "lost": 0.2, "i_start": -0.4}, coil_turns, first, (1.0,), 1e-3
+    "StatorShortCircuitContact": reference(
+        "", "uds uqs theta", "ids iqs", RATIOS | {"contact": 0.4}, (nothing, short_circuit_with_contact),
+        (300.0, 300.0, 3.0), 7e-4,
     ),
-    "InductionMachine": Reference(
-        ("ids", "iqs", "phidr", "phiqr"),
-        ("uds", "uqs", "w"),
-        ("ids", "iqs", "phidr", "phiqr"),
-        MACHINE | {"ids_start": 1.2, "iqs_start": -0.7} | FLUXES,
-        park_machine,
-        first,
-        (300.0, 300.0, 10.0),
-        7e-4,
-        (0.0, 0.0, 157.0),
+    "ThreePhaseInductionMachine": reference(
+        "ia ib ic theta phidr phiqr", "ua ub uc w", "ia ib ic theta phidr phiqr torque", MACHINE | PHASES | FLUXES,
+        (three_phase, phases_and_torque), (300.0, 300.0, 300.0, 10.0), 7e-4, (0.0, 0.0, 0.0, 157.0),
     ),
-    "InductionMachineRotorFault": Reference(
-        ("ids", "iqs", "phidr", "phiqr"),
-        ("uds", "uqs", "w"),
-        ("ids", "iqs", "phidr", "phiqr"),
-        MACHINE | {"eta0": 0.3, "theta0": 0.7, "ids_start": 1.2, "iqs_start": -0.7} | FLUXES,
-        broken_bars,
-        first,
-        (300.0, 300.0, 10.0),
-        7e-4,
-        (0.0, 0.0, 157.0),
+    "SpeedController": reference(
+        "halfway smooth integral", "reference speed", "torque", SPEED | SPEED_STARTS,
+        (speed_controller, speed_control), (9.0, 9.0), 7e-4, (78.0, 78.0),
     ),
-    "StatorShortCircuit": Reference(
-        (),
-        ("uds", "uqs", "theta"),
-        ("ids", "iqs"),
-        {"eta_a": 0.011, "eta_b": 0.024, "eta_c": 0.043, "Rs": 8.5},
-        nothing,
-        short_circuit,
-        (300.0, 300.0, 3.0),
-        7e-4,
+    "CurrentController": reference(
+        "phid phiq wanted vf vt", "torque ia ib ic theta w", "uds uqs", CURRENT | CURRENT_LIMITS | CURRENT_STARTS,
+        (current_controller, current_control), (4.0, 3.0, 3.0, 3.0, 0.05, 10.0), 7e-4, (0.0, 0.0, 0.0, 0.0, 0.7, 157.0),
     ),
-    "InductionMachineBrokenBars": Reference(
-        ("ids", "iqs", "phidr", "phiqr"),
-        ("uds", "uqs", "w"),
-        ("ids", "iqs", "phidr", "phiqr"),
-        MACHINE | CAGE | {"ids_start": 1.2, "iqs_start": -0.7} | FLUXES,
-        cracked_bars,
-        first,
-        (300.0, 300.0, 10.0),
-        7e-4,
-        (0.0, 0.0, 157.0),
+    "CoilController": reference(
+        "integral", "reference i", "u", {"K": 17.0, "Ti": 0.03, "integral_start": 1.3},
+        (coil_controller, coil_control), (0.5, 0.5), 1e-3,
     ),
-    "StatorShortCircuitContact": Reference(
-        (),
-        ("uds", "uqs", "theta"),
-        ("ids", "iqs"),
-        {"eta_a": 0.011, "eta_b": 0.024, "eta_c": 0.043, "contact": 0.4, "Rs": 8.5},
-        nothing,
-        short_circuit_with_contact,
-        (300.0, 300.0, 3.0),
-        7e-4,
+    "CurrentSensor": reference("", "i noise", "measured", {"gain": 0.9}, (nothing, sensor), (1.0, 0.1), 1e-3),
+    "Inverter": reference(
+        "uds uqs", "uds_wanted uqs_wanted theta w", "ua ub uc uds uqs", INVERTER, (inverter, modulated),
+        (300.0, 300.0, 3.0, 10.0), 7e-4, (0.0, 0.0, 0.7, 157.0),
     ),
-    "ThreePhaseInductionMachine": Reference(
-        ("ia", "ib", "ic", "theta", "phidr", "phiqr"),
-        ("ua", "ub", "uc", "w"),
-        ("ia", "ib", "ic", "theta", "phidr", "phiqr", "torque"),
-        MACHINE | PHASES | FLUXES,
-        three_phase,
-        phases_and_torque,
-        (300.0, 300.0, 300.0, 10.0),
-        7e-4,
-        (0.0, 0.0, 0.0, 157.0),
+    "MechanicalLoad": reference("speed angle", "torque", "speed angle w", SHAFT, (shaft, shaft_speeds), (8.0,), 7e-4),
+    "PositionDrive": reference("q dq", "v", "q dq", DRIVE | MOVES, (drive, first), (10.0,), 1e-3),
+    "PositionController": reference(
+        "", "qg q dq", "v", {"kp": 150.0, "kv": 230.0, "v_max": 9.0}, (nothing, controller), (3e-4, 3e-4, 0.03), 1e-3
     ),
-    "SpeedController": Reference(
-        ("halfway", "smooth", "integral"),
-        ("reference", "speed"),
-        ("torque",),
-        SPEED | SPEED_STARTS,
-        speed_controller,
-        speed_control,
-        (9.0, 9.0),
-        7e-4,
-        (78.0, 78.0),
-    ),
-    "CurrentController": Reference(
-        ("phid", "phiq", "wanted", "vf", "vt"),
-        ("torque", "ia", "ib", "ic", "theta", "w"),
-        ("uds", "uqs"),
-        CURRENT | CURRENT_LIMITS | CURRENT_STARTS,
-        current_controller,
-        current_control,
-        (4.0, 3.0, 3.0, 3.0, 0.05, 10.0),
-        7e-4,
-        (0.0, 0.0, 0.0, 0.0, 0.7, 157.0),
-    ),
-    "CoilController": Reference(
-        ("integral",),
-        ("reference", "i"),
-        ("u",),
-        {"K": 17.0, "Ti": 0.03, "integral_start": 1.3},
-        coil_controller,
-        coil_control,
-        (0.5, 0.5),
-        1e-3,
-    ),
-    "CurrentSensor": Reference((), ("i", "noise"), ("measured",), {"gain": 0.9}, nothing, sensor, (1.0, 0.1), 1e-3),
-    "Inverter": Reference(
-        ("uds", "uqs"),
-        ("uds_wanted", "uqs_wanted", "theta", "w"),
-        ("ua", "ub", "uc", "uds", "uqs"),
-        {"T": 1.5e-3, "period": 1e-4, "uds_start": 40.0, "uqs_start": -70.0},
-        inverter,
-        modulated,
-        (300.0, 300.0, 3.0, 10.0),
-        7e-4,
-        (0.0, 0.0, 0.7, 157.0),
-    ),
-    "MechanicalLoad": Reference(
-        ("speed", "angle"),
-        ("torque",),
-        ("speed", "angle", "w"),
-        {"J": 0.017, "f": 0.06, "p": 3.0, "period": 1e-4, "speed_start": 70.0, "angle_start": 0.3},
-        shaft,
-        shaft_speeds,
-        (8.0,),
-        7e-4,
-    ),
-    "PositionDrive": Reference(
-        ("q", "dq"), ("v",), ("q", "dq"), DRIVE | {"q_start": 0.1, "dq_start": -0.02}, drive, first, (10.0,), 1e-3
-    ),
-    "PositionController": Reference(
-        (),
-        ("qg", "q", "dq"),
-        ("v",),
-        {"kp": 150.0, "kv": 230.0, "v_max": 9.0},
-        nothing,
-        controller,
-        (3e-4, 3e-4, 0.03),
-        1e-3,
-    ),
-}
+}  # fmt: skip
 models = pytest.mark.parametrize("model", REFERENCES)
