@@ -18,7 +18,7 @@ from fmuid.formatting import nearest
 from fmuid.units import SECONDS, TIME_UNITS
 
 _LISTED_NAMES = 12
-"""Names listed in a message: enough to recognise the table, short enough for one sentence."""
+"""Names listed in a message."""
 _WITH_SUFFIX = re.compile(rf"(.*\S)[_ ]({'|'.join(SECONDS)})", re.IGNORECASE)
 _ORDERS = ("%d{0}%m{0}%Y", "%m{0}%d{0}%Y", "%Y{0}%m{0}%d", "%d{0}%b{0}%Y")
 _CLOCKS = (" %H:%M:%S.%f", " %H:%M:%S", " %H:%M", " %I:%M:%S.%f %p", " %I:%M:%S %p", " %I:%M %p")
@@ -37,15 +37,15 @@ def time_name(time: str | int) -> str:
 def with_time(
     raw: RawTable, time: str | int, unit: str | None, sample_rate: float | None, source: str
 ) -> tuple[pd.DataFrame, pd.Timestamp | None]:
-    """Return a table with its time in s, and the date of second 0."""
+    """Return a table with time in s, and the first date."""
     name = time_name(time)
     if sample_rate is not None:
         if name in raw.frame.columns:
-            raise InputError(f"{source}: there are a column {name!r} and a sample rate: leave out one of the two")
+            raise InputError(f"{source}: column {name!r} and sample_rate are both given. Give one of them.")
         return raw.frame.assign(**{name: np.arange(len(raw.frame)) / sample_rate}), None
     column = _column(raw, time, source)
     if unit is not None and unit not in SECONDS:
-        raise InputError(f"{source}: the unit of time {unit!r} is not known: write one of {', '.join(TIME_UNITS)}")
+        raise InputError(f"{source}: time_unit {unit!r} is unknown. Use {', '.join(TIME_UNITS)}.")
     values, begin = _as_numbers(raw.frame[column], column, source)
     if begin is not None and begin.tzinfo is None:
         _check_clock(raw.frame[column], np.asarray(values, dtype=np.float64), column, source)
@@ -53,17 +53,14 @@ def with_time(
     if begin is None and (since_1970 := _since_1970(values, said_unit)):
         values, begin = _seconds(pd.to_datetime(values, unit=since_1970))
     if said_unit is None and column in raw.days:
-        raise InputError(
-            f"{source}: the time column {column or '(no name)'!r} may be in days, as pandas writes durations into "
-            'spreadsheets: say which by time_unit = "d" or "s"'
-        )
+        raise InputError(f'{source}: column {column or "(no name)"!r} may be in days. Set time_unit = "d" or "s".')
     factor = 1.0 if begin is not None else SECONDS[said_unit or "s"]
     frame = raw.frame.assign(**{column: values if factor == 1.0 else _scaled(values, factor)})
     return frame.rename(columns={column: name}), begin
 
 
 def _are_times(values: Any, source: str) -> bool:
-    """Return whether an unnamed column holds dates, or numbers other than row numbers."""
+    """Return whether an unnamed column holds dates or times, not row numbers."""
     try:
         numbers, begin = _as_numbers(values, "", source)
         steps = np.diff(np.asarray(numbers, dtype=np.float64))
@@ -81,11 +78,13 @@ def _column(raw: RawTable, time: str | int, source: str) -> str:
     names = [str(name) for name in raw.frame.columns]
     if isinstance(time, int):
         if not 1 <= time <= len(names):
-            raise InputError(f"{source}: there is no column {time}: the table has {len(names)}")
+            raise InputError(
+                f"{source}: no time column {time}; the table has {len(names)} columns. Give a name or a place from 1."
+            )
         if time_name(time) in set(names) - {names[time - 1]}:
             raise InputError(
-                f"{source}: the time is asked for in column {time}, {names[time - 1]!r}, and another column is called "
-                f"{time_name(time)!r}: give the name of the one that holds it"
+                f"{source}: time is column {time}, {names[time - 1]!r}, "
+                f"but there is a column {time_name(time)!r}. Give the right name."
             )
         return names[time - 1]
     found = column_of(names, time)
@@ -103,7 +102,7 @@ def _column(raw: RawTable, time: str | int, source: str) -> str:
             return "T"
         if names[0] == "" and _are_times(raw.frame[""], source):  # an index of pandas
             return ""
-    raise InputError(f"{source}: {missing_column('time', time, names)}, or give the sample_rate")
+    raise InputError(f"{source}: {missing_column('time', time, names, 'Name it, or give sample_rate.')}")
 
 
 def column_of(columns: Iterable[object], wanted: str) -> str | None:
@@ -112,12 +111,12 @@ def column_of(columns: Iterable[object], wanted: str) -> str | None:
     return next((each for each in (wanted, split_header(wanted)[0]) if each in names), None)
 
 
-def missing_column(role: str, column: str, known: Iterable[object]) -> str:
-    """Return the sentence part on a missing column, with near names."""
+def missing_column(role: str, column: str, known: Iterable[object], remedy: str = "Name the right column.") -> str:
+    """Return the sentences on a missing column, with near names."""
     names = [str(name) or "(no name)" for name in known]
     listed = ", ".join(names[:_LISTED_NAMES]) + (", …" if len(names) > _LISTED_NAMES else "")
-    found = nearest(column, names) or f" (there is {listed or 'nothing numeric'})"
-    return f"the {role} column {column!r} is missing{found}: name the column that holds it"
+    found = nearest(column, names) or f" (columns: {listed or 'nothing numeric'})"
+    return f"{role} column {column!r} not found{found}. {remedy}"
 
 
 def _bare(name: str) -> str:
@@ -136,7 +135,7 @@ def _unit_said(raw: RawTable, column: str) -> str | None:
 
 
 def _since_1970(values: Any, unit: str | None) -> Literal["s", "ms", "us", "ns"] | None:
-    """Return the unit of epoch times of this century, None for other times."""
+    """Return the unit of this century's epoch times, else None."""
     first = values.iloc[0] if pd.api.types.is_numeric_dtype(values.dtype) and len(values) else 0
     units: tuple[Literal["s", "ms", "us", "ns"], ...] = ("s", "ms", "us", "ns")
     possible = [each for each in units if unit is None or SECONDS[unit] == SECONDS[each]]
@@ -144,7 +143,7 @@ def _since_1970(values: Any, unit: str | None) -> Literal["s", "ms", "us", "ns"]
 
 
 def _as_numbers(series: pd.Series[Any], column: str, source: str) -> tuple[Any, pd.Timestamp | None]:
-    """Return dates and times of day in s from the first, and all else unchanged."""
+    """Return dates and times of day in s; else the series unchanged."""
     if pd.api.types.is_timedelta64_dtype(series.dtype):
         return series.dt.total_seconds(), None
     if pd.api.types.is_datetime64_any_dtype(series.dtype):
@@ -176,8 +175,9 @@ def _check_clock(dates: pd.Series[Any], seconds: Floats, column: str, source: st
     if back.size == 1 and 0 <= steps[back[0]] + _HOUR <= 2 * np.median(steps):
         before, after = dates.iloc[back[0] : back[0] + 2]
         raise InputError(
-            f"{source}: the time column {column!r} goes back by an hour in row {back[0] + 2}, where {after} follows "
-            f"{before}, as where the clock is put back: write its times in UTC or with their offset, +01:00"
+            f"{source}: time column {column!r} goes back by an hour in row {back[0] + 2} "
+            f"({before} to {after}). "
+            "Write times in UTC or with offsets (+01:00)."
         )
 
 
@@ -204,7 +204,7 @@ def _dates(texts: pd.Series[Any], column: str, source: str) -> pd.Series[Any] | 
         return None
     if any(not (read == readings[0]).all() for read in readings[1:]):
         raise InputError(
-            f"{source}: column {column!r} holds {texts.iloc[0]!r}, where day and month may be either way round: write "
-            "dates as 2026-02-28 12:00:00"
+            f"{source}: column {column!r}: day and month of {texts.iloc[0]!r} are ambiguous. "
+            "Write dates as 2026-02-28 12:00:00."
         )
     return readings[0]

@@ -1,4 +1,4 @@
-"""Data files of many formats as frames, with time in seconds and units."""
+"""Data files as frames, with time in seconds and units."""
 
 from __future__ import annotations
 
@@ -45,8 +45,8 @@ def read_data(
       are skipped. Empty cells and ``-`` are missing samples.
     - ``.parquet``, ``.feather``, ``.json``: a named index becomes a column.
     - ``.xlsx``, ``.xls``, ``.ods`` (``pip install "fmuid[excel]"``).
-    - ``.mat`` of MATLAB (``fmuid[hdf]`` for version 7.3): vectors of the most common length, also in structures, and
-      matrices with named columns.
+    - ``.mat`` of MATLAB (``fmuid[hdf]`` for version 7.3): vectors of the most common length and matrices with named
+      columns, also in structures.
     - ``.mat`` of OpenModelica and Dymola (results): each variable becomes a column.
     - ``.h5``, ``.hdf5`` (``fmuid[hdf]``), ``.tdms`` (``fmuid[tdms]``), ``.mf4``, ``.mdf`` (``fmuid[mdf]``).
 
@@ -89,19 +89,16 @@ def read_data(
     text = suffix in TEXT or (suffix in (".gz", ".zip") and (inner in TEXT or not inner))
     if not (text or suffix in TABLE_SUFFIXES):
         raise InputError(
-            f"{source}: tables of the kind {path.suffix or 'without suffix'!r} are not read: "
-            f"save it as one of {', '.join(TABLE_SUFFIXES)}"
+            f"{source}: unknown format {path.suffix or 'without suffix'!r}. Use {', '.join(TABLE_SUFFIXES)}."
         )
     if sheet is not None and suffix not in WITH_SHEETS:
-        raise InputError(f"{source}: the sheet {sheet!r} is asked for, and only spreadsheets have sheets: leave it out")
+        raise InputError(f"{source}: sheet {sheet!r}: this format has no sheets. Remove it.")
     if not is_file(path):
-        raise InputError(
-            f"{source}: {'this is a folder' if is_folder(path) else 'there is no such file'}: give a table"
-        )
+        raise InputError(f"{source}: {'is a folder' if is_folder(path) else 'file not found'}. Give a data file.")
     try:
         path.open("rb").close()  # before libraries that say something else of it
     except PermissionError:
-        raise InputError(f"{source}: the file may not be read: change its permissions") from None
+        raise InputError(f"{source}: permission denied. Change the permissions of the file.") from None
     if text:
         raw = read_text(path, source)
     elif suffix == ".json":
@@ -109,7 +106,7 @@ def read_data(
     else:
         raw = _raw_table(read_binary(path, source, sheet), source)
     if len(raw.frame) == 0:
-        raise InputError(f"{source}: the table has a header but no rows: give measured samples")
+        raise InputError(f"{source}: no samples below the header. Give measured samples.")
     frame, begin = with_time(raw, time, time_unit, sample_rate, source)
     numeric_column(frame, time_name(time), source)
     others = set(raw.frame.columns) & set(frame.columns) - {time}
@@ -123,7 +120,7 @@ def _read_json(path: Path, source: str) -> RawTable:
     try:
         frame = pd.read_json(path)
     except Exception:  # pandas has no error of its own for it
-        raise InputError(f"{source}: the file is no readable JSON table: write it again") from None
+        raise InputError(f"{source}: not a readable JSON table. Write it again.") from None
     dated = isinstance(frame.index, pd.DatetimeIndex)
     if dated and "time" not in frame.columns:
         frame = frame.rename_axis("time").reset_index()
@@ -132,7 +129,7 @@ def _read_json(path: Path, source: str) -> RawTable:
 
 
 def _raw_table(found: FileColumns, source: str) -> RawTable:
-    """Return columns of a binary file as a table with names and units."""
+    """Return columns of a binary file with names and units."""
     names, units = named(found.headers, found.below) if found.units_in_headers else ([*found.headers], {})
     check_once(source, names)
     columns: dict[str, Any] = {}
@@ -148,7 +145,7 @@ def _in_zone(dates: np.ndarray[Any, Any], zone: str, source: str) -> Any:
     try:
         return pd.Series(dates).dt.tz_localize("UTC").dt.tz_convert(zone)
     except Exception:  # pandas, pytz and zoneinfo have errors of their own
-        raise InputError(f"{source}: dates have the unknown time zone {zone!r}: write them in UTC") from None
+        raise InputError(f"{source}: unknown time zone {zone!r} of dates. Write them in UTC.") from None
 
 
 def numeric_column(frame: pd.DataFrame, column: str, source: str) -> Floats:
@@ -169,14 +166,14 @@ def numeric_column(frame: pd.DataFrame, column: str, source: str) -> Floats:
         return series.to_numpy(dtype=np.float64, na_value=np.nan)
     if pd.api.types.is_datetime64_any_dtype(kind) or pd.api.types.is_timedelta64_dtype(kind):
         raise InputError(
-            f"{source}: column {column!r} holds dates or durations ({kind}): convert it to numbers, times to seconds"
+            f"{source}: column {column!r} holds dates or durations ({kind}). Convert it to numbers, times to seconds."
         )
     row, cell = _first_text(series)
     if "," in cell and is_number(cell, ","):
-        remedy = "write numbers with decimal points"
+        remedy = "Write decimal points."
     else:
-        remedy = "give numbers only, and leave cells without a sample empty"
-    raise InputError(f"{source}: column {column!r} holds {cell!r} in row {row}, which is no real number: {remedy}")
+        remedy = "Give numbers; leave missing cells empty."
+    raise InputError(f"{source}: column {column!r}: {cell!r} in row {row} is no real number. {remedy}")
 
 
 def _first_text(series: pd.Series[Any]) -> tuple[int, str]:
@@ -209,13 +206,13 @@ def record_files(paths: Sequence[Path]) -> list[Path]:
     for path in paths:
         inside = tables_in(path) if path.is_dir() else [path]
         if not inside:
-            raise InputError(f"{path} has no table: give a folder with files of the kinds {', '.join(TABLE_SUFFIXES)}")
+            raise InputError(f"{path}: no data file in this folder. Known formats: {', '.join(TABLE_SUFFIXES)}.")
         found += inside
     names: dict[str, Path] = {}
     for path in found:
         if path in names.values():
-            raise InputError(f"{path} is given twice: give each table once")
+            raise InputError(f"{path}: given twice. Give each file once.")
         if path.stem in names:
-            raise InputError(f"{names[path.stem]} and {path} are of one name: records go by it, rename one of the two")
+            raise InputError(f"{path}: {names[path.stem]} has the same name. Rename one.")
         names[path.stem] = path
     return found

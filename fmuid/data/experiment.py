@@ -24,13 +24,6 @@ from fmuid.errors import InputError
 from fmuid.formatting import nearest
 from fmuid.units import unit_in_name
 
-_TIME_TOLERANCE = 1e-9
-"""Share of the table's duration by which a sample may come before the end of `warmup`: times are rounded decimals."""
-
-
-# Hexadecimal digits: that two different series share them has a probability of 1 in 10^19.
-DIGITS = 16
-
 
 @dataclass(frozen=True, eq=False)
 class Experiment(HtmlTableMixin):
@@ -131,7 +124,7 @@ class Experiment(HtmlTableMixin):
 
     @cached_property
     def input_slopes(self) -> Floats:
-        """Slopes (K, n_inputs) of ``"pchip"`` inputs, in units of the data over s; else NaN."""
+        """Slopes (K, n_inputs) of ``"pchip"`` inputs, data units per s; else NaN."""
         return _frozen(slopes(self.source, self.times, self.input_values, self.curved))
 
     def __repr__(self) -> str:
@@ -145,7 +138,7 @@ class Experiment(HtmlTableMixin):
         inputs, outputs = _roles(source, "inputs", self.inputs), _roles(source, "outputs", self.outputs)
         for variable in inputs:
             if variable in outputs:
-                raise InputError(f"{source}: {variable!r} is both an input and an output: give it one role")
+                raise InputError(f"{source}: {variable!r} is both input and output. Give it one role.")
         frame = _frame(source, self.frame, self.time)
         inputs, outputs = (
             {variable: column_of(frame.columns, column) or column for variable, column in roles.items()}
@@ -201,8 +194,9 @@ class Experiment(HtmlTableMixin):
         """
         given = np.array(values, dtype=np.float64, order="C")
         if given.shape != self.output_values.shape or np.isinf(given).any():
-            shape = self.output_values.shape
-            raise InputError(f"{self.source}: outputs must be finite or NaN, of shape {shape}; theirs is {given.shape}")
+            raise InputError(
+                f"{self.source}: outputs must be finite or NaN, of shape {self.output_values.shape}, not {given.shape}."
+            )
         outputs = {name: self.columns[name] for name in self.output_names}
         taken = [self.time, *self.columns.values()]
         for variable, column in outputs.items():
@@ -249,7 +243,7 @@ def measured_series(experiment: Experiment) -> tuple[MeasuredSeries, ...]:
         counted = experiment.counted[:, j]
         samples = np.empty((np.count_nonzero(counted), 2), "<f8")
         samples[:, 0], samples[:, 1] = experiment.times[counted], experiment.output_values[counted, j]
-        digest = hashlib.sha256(samples.data).hexdigest()[:DIGITS]
+        digest = hashlib.sha256(samples.data).hexdigest()[:16]  # equal by chance once in 10^19
         found.append(MeasuredSeries(experiment.name, output, experiment.units.get(output, ""), len(samples), digest))
     return tuple(found)
 
@@ -262,14 +256,16 @@ def _frozen(values: npt.NDArray[Any]) -> npt.NDArray[Any]:
 def _roles(source: str, word: str, given: Sequence[str] | Mapping[str, str]) -> dict[str, str]:
     """Return FMU variables to columns."""
     if isinstance(given, str) or not isinstance(given, Iterable):
-        raise InputError(f'{source}: {word} is {given!r}: give a list of names, such as ["u", "w"]')
+        raise InputError(f'{source}: {word} = {given!r} is no list. Give names, such as ["u", "w"].')
     pairs = list(given.items()) if isinstance(given, Mapping) else [(name, name) for name in given]
     roles: dict[str, str] = {}
     for variable, column in pairs:
         if not isinstance(variable, str) or not isinstance(column, str):
-            raise InputError(f"{source}: {word} holds {variable!r} = {column!r}: give names of variables and columns")
+            raise InputError(
+                f"{source}: {word}: {variable!r} = {column!r} is no name. Give names of variables and columns."
+            )
         if variable in roles:
-            raise InputError(f"{source}: {word} names {variable!r} twice: remove one of the two")
+            raise InputError(f"{source}: {word}: {variable!r} is given twice. Remove one.")
         roles[variable] = column
     return roles
 
@@ -277,39 +273,39 @@ def _roles(source: str, word: str, given: Sequence[str] | Mapping[str, str]) -> 
 def _frame(source: str, given: pd.DataFrame, time: str) -> pd.DataFrame:
     """Return a copy of the frame with the time as a column."""
     if not isinstance(given, pd.DataFrame):
-        raise InputError(f"{source} is of type {type(given).__name__}: give a pandas DataFrame")
+        raise InputError(f"{source}: type {type(given).__name__}. Give a pandas DataFrame.")
     frame = given.copy()
     if time not in frame.columns and frame.index.name == time:
         frame = frame.reset_index()
     twice = frame.columns[frame.columns.duplicated()]
     if len(twice):
-        raise InputError(f"{source}: the column {twice[0]!r} is there twice: rename or remove one of the two")
+        raise InputError(f"{source}: column {twice[0]!r} occurs twice. Rename or remove one.")
     return frame
 
 
 def _times(source: str, frame: pd.DataFrame, time: str) -> Floats:
     """Return the checked time column."""
     times = np.array(numeric_column(frame, time, source))
-    column = f"{source}: the time column {time!r}"
+    column = f"{source}: time column {time!r}"
     bad = np.flatnonzero(~np.isfinite(times))
     if bad.size:
-        raise InputError(f"{column} has {times[bad[0]]} in row {bad[0] + 1}: give every row a time in seconds")
+        raise InputError(f"{column}: {times[bad[0]]} in row {bad[0] + 1}. Give every row a time in seconds.")
     steps = np.diff(times)
     back = np.flatnonzero(steps < 0)
     if back.size:
         before, after = times[back[0] : back[0] + 2]
         raise InputError(
-            f"{column} decreases in row {back[0] + 2}, where {after:.9g} s follows {before:.9g} s: "
-            f"sort the rows, or make two experiments of them"
+            f"{column}: row {back[0] + 2} goes back from {before:.9g} s to {after:.9g} s. "
+            "Sort the rows or split the data."
         )
     thrice = np.flatnonzero((steps[:-1] == 0) & (steps[1:] == 0))
     if thrice.size:
         raise InputError(
-            f"{column} has {times[thrice[0]]:.9g} s more than twice, from row {thrice[0] + 1} on: "
-            f"keep two rows, with the values before and after the step"
+            f"{column}: {times[thrice[0]]:.9g} s more than twice from row {thrice[0] + 1}. "
+            "Keep the rows before and after the step."
         )
     if times.size < 2 or times[0] == times[-1]:
-        raise InputError(f"{column} has fewer than two different times: give a longer record")
+        raise InputError(f"{column}: fewer than two different times. Give longer data.")
     return times
 
 
@@ -320,9 +316,9 @@ def _check_rows(source: str, times: Floats, inputs: Mapping[str, str], words: Se
         how = zip(map(json.dumps, inputs.values()), words, strict=True)
         fill = ", ".join(f'{name} = "{"zoh" if word in HELD else "linear"}"' for name, word in how)
         raise InputError(
-            f"{source}: rows are missing between t = {begin:.9g} s (row {row + 1}) and {end:.9g} s, where most steps "
-            f"are {usual_step(times):.3g} s, and with them what drives the model: cut the table there, or fill the "
-            f"gap, preprocess = {{ fill_missing = {{ {fill} }}, max_gap = {end - begin:.9g} }}"
+            f"{source}: rows missing from {begin:.9g} s (row {row + 1}) to {end:.9g} s; "
+            f"usual interval {usual_step(times):.3g} s. "
+            f"Cut the data or set preprocess = {{ fill_missing = {{ {fill} }}, max_gap = {end - begin:.9g} }}."
         )
 
 
@@ -340,10 +336,10 @@ def _values(
             row = bad[0]
             found = "has no value" if np.isnan(values[row, k]) else f"is {values[row, k]}"
             fill = f'fill_missing = {{ {json.dumps(column)} = "linear" }}'
-            fill = f"fill the gap, preprocess = {{ {fill} }}, or cut the table there"
-            remedy = fill if role == "input" else "leave cells without a sample empty"
+            fill = f"Fill the gap, preprocess = {{ {fill} }}, or cut the data there."
+            remedy = fill if role == "input" else "Leave missing cells empty."
             raise InputError(
-                f"{source}: the {role} column {column!r} {found} in row {row + 1} (t = {times[row]:.9g} s): {remedy}"
+                f"{source}: {role} column {column!r} {found} in row {row + 1} (t = {times[row]:.9g} s). {remedy}"
             )
     return values
 
@@ -353,17 +349,17 @@ def _counted(
 ) -> Flags:
     """Return scored samples; each output must have one."""
     if isinstance(warmup, bool) or not isinstance(warmup, int | float) or not 0 <= warmup < np.inf:
-        raise InputError(f"{source}: warmup is {warmup!r}: give a duration in seconds, zero or more")
+        raise InputError(f"{source}: warmup = {warmup!r} is no duration. Give seconds, zero or more.")
     there = ~np.isnan(values) | np.array([name not in measured for name in outputs], dtype=np.bool_)
-    late = times >= times[0] + warmup - _TIME_TOLERANCE * (times[-1] - times[0])
+    late = times >= times[0] + warmup - 1e-9 * (times[-1] - times[0])  # times are rounded decimals
     counted: Flags = there & late[:, np.newaxis]
     for k, column in enumerate(outputs.values()):
         if not there[:, k].any():
-            raise InputError(f"{source}: the output column {column!r} has no sample: remove it from the outputs")
+            raise InputError(f"{source}: output column {column!r} has no sample. Remove it from the outputs.")
         if not counted[:, k].any():
             raise InputError(
-                f"{source}: warmup = {warmup:.9g} s leaves no sample of the output column {column!r}, "
-                f"whose last is at t = {times[there[:, k]][-1]:.9g} s: make warmup shorter"
+                f"{source}: warmup = {warmup:.9g} s leaves no sample of {column!r}; its last is at "
+                f"{times[there[:, k]][-1]:.9g} s. Make warmup shorter."
             )
     return counted
 
@@ -375,10 +371,10 @@ def _units(
     for variable, unit in given.items():
         if variable not in columns:
             raise InputError(
-                f"{source}: units names {variable!r}, which is no input or output{nearest(str(variable), columns)}: "
-                f"name inputs and outputs only"
+                f"{source}: units: {variable!r} is no input or output{nearest(str(variable), columns)}. "
+                "Name inputs and outputs only."
             )
         if not isinstance(unit, str):
-            raise InputError(f'{source}: the unit of {variable!r} is {unit!r}: write it as a text, such as "rad/s"')
+            raise InputError(f'{source}: units: {variable} = {unit!r} is no text. Write it as "rad/s".')
     found = {variable: said.get(column) or unit_in_name(column, variable) for variable, column in columns.items()}
     return {variable: unit for variable, unit in found.items() if unit} | dict(given)

@@ -12,10 +12,8 @@ import numpy as np
 
 from fmuid.array_types import Floats
 from fmuid.errors import InputError
-from fmuid.formatting import nearest
+from fmuid.formatting import bounded, nearest
 
-LONGEST = 1000
-"""Characters of an expression."""
 FUNCTIONS: Mapping[str, tuple[int, Callable[..., Any]]] = {
     "abs": (1, np.abs), "sign": (1, np.sign), "sqrt": (1, np.sqrt), "exp": (1, np.exp), "log": (1, np.log),
     "sin": (1, np.sin), "cos": (1, np.cos), "tan": (1, np.tan), "asin": (1, np.arcsin), "acos": (1, np.arccos),
@@ -36,22 +34,22 @@ _OPERATORS: Mapping[type[ast.AST], Callable[..., Any]] = {
 
 
 def evaluate(text: str, column: Callable[[str], Floats], count: int) -> Floats:
-    """Return an expression of columns as (K,), not finite after a division by zero."""
-    if len(text) > LONGEST:
-        raise InputError(f"an expression has {len(text)} characters: write at most {LONGEST}")
+    """Return an expression of columns as (K,); divisions by zero are not finite."""
+    if len(text) > 1000:
+        raise InputError(f"expression has {len(text)} characters. Write at most 1000.")
     try:
         tree = ast.parse(text.strip(), mode="eval")
         with np.errstate(all="ignore"):
             value = _value(tree.body, text, column)
     except (SyntaxError, ValueError, RecursionError, MemoryError):
-        raise _refusal(text, "it is no expression") from None
+        raise _refusal(text, "no expression") from None
     return np.array(np.broadcast_to(np.asarray(value, dtype=np.float64), (count,)))
 
 
 def _value(node: ast.expr, text: str, column: Callable[[str], Floats]) -> Any:
     match node:
         case ast.Constant(value=bool()):
-            raise _refusal(text, "it holds a truth value")
+            raise _refusal(text, "holds a truth value")
         case ast.Constant(value=int() | float() as number):
             return np.float64(number)
         case ast.Constant(value=str() as name):
@@ -64,12 +62,12 @@ def _value(node: ast.expr, text: str, column: Callable[[str], Floats]) -> Any:
             return _OPERATORS[type(kind)](_value(operand, text, column))
         case ast.Call(func=ast.Name(id=name), args=arguments, keywords=[]):
             return _call(name, arguments, text, column)
-    raise _refusal(text, f"{ast.unparse(node)!r} is not known there")
+    raise _refusal(text, f"unknown part {bounded(ast.unparse(node), 60)!r}")
 
 
 def _call(name: str, arguments: list[ast.expr], text: str, column: Callable[[str], Floats]) -> Any:
     if name not in FUNCTIONS:
-        raise _refusal(text, f"there is no function {name!r}{nearest(name, FUNCTIONS)}")
+        raise _refusal(text, f"unknown function {name!r}{nearest(name, FUNCTIONS)}")
     wanted, function = FUNCTIONS[name]
     if len(arguments) != wanted:
         raise _refusal(text, f"{name} takes {wanted} argument{'s' * (wanted != 1)}, not {len(arguments)}")
@@ -78,6 +76,6 @@ def _call(name: str, arguments: list[ast.expr], text: str, column: Callable[[str
 
 def _refusal(text: str, why: str) -> InputError:
     return InputError(
-        f"the expression {text!r} cannot be computed ({why}): write numbers, columns, + - * / ** %, parentheses, pi "
-        f"and {', '.join(FUNCTIONS)}"
+        f"expression {bounded(text, 60)!r}: {why}. "
+        f"Use numbers, columns, + - * / ** %, parentheses, pi and {', '.join(FUNCTIONS)}."
     )

@@ -11,18 +11,10 @@ from fmuid.array_types import Flags, Floats, Indices
 from fmuid.data.interpolation import HELD
 from fmuid.errors import InputError
 
-ORDER = 2
-"""Of the Butterworth filter, which is run forwards and backwards: twice that in all."""
-EQUAL = 0.01
-"""Steps that differ by no more than this share are equal: clocks of loggers jitter."""
 GAP = 1.5
 """A step longer than so many usual ones is a gap, in which samples are missing."""
-MOST_FILLED = 20
-"""Usual steps that a gap may last to be filled where nobody says how long: a dropout of a logger, and no pause."""
-RARE = 0.02
-"""Share of the steps up to which long ones are gaps: a record with more of them is sampled so."""
-SHORTEST = 4
-"""Samples in a row that can be filtered."""
+FILLED = 20
+"""Sampling intervals that a filled gap may last by default: an interruption of a logger, not a pause."""
 SAME = 1e-6
 """Share of a step by which times that are the same may differ: they are rounded decimals."""
 
@@ -33,8 +25,8 @@ def usual_step(times: Floats) -> float:
     return float(np.median(steps[steps > 0])) if (steps > 0).any() else 0.0
 
 
-def missing_rows(times: Floats, most: float = MOST_FILLED) -> Indices:
-    """Return the rows (from 0) after which more than `most` samples are missing.
+def missing_rows(times: Floats, most: float = FILLED) -> Indices:
+    """Return the rows (from 0) before gaps of more than `most` samples.
 
     A gap lies between equal steps. Frequent or adjacent long steps are the sampling itself.
     """
@@ -42,7 +34,8 @@ def missing_rows(times: Floats, most: float = MOST_FILLED) -> Indices:
     usual = usual_step(times)
     alone = (steps > 0) & (steps <= GAP * usual)
     found = np.flatnonzero((steps[1:-1] > most * usual * (1 + SAME)) & alone[:-2] & alone[2:]) + 1
-    return found if found.size <= max(1.0, RARE * steps.size) else found[:0]
+    # more long steps than 2 % are the sampling itself
+    return found if found.size <= max(1.0, 0.02 * steps.size) else found[:0]
 
 
 def dropouts(times: Floats) -> tuple[float, ...]:
@@ -63,33 +56,36 @@ def with_missing_rows(times: Floats, longest: float) -> tuple[Floats, Indices]:
 def check_equal_steps(times: Floats, word: str, source: str) -> None:
     """Refuse unequal steps of time other than gaps."""
     steps, usual = np.diff(times), usual_step(times)
-    odd = np.flatnonzero((np.abs(steps - usual) > EQUAL * usual) & (steps <= GAP * usual))
+    # clocks of loggers jitter
+    odd = np.flatnonzero((np.abs(steps - usual) > 0.01 * usual) & (steps <= GAP * usual))
     if usual <= 0 or odd.size:
         row = int(odd[0]) if odd.size else 0
         raise InputError(
-            f"{source}: {word} needs equal steps of time, and after row {row + 1} there is one of {steps[row]:.6g} s "
-            f"where most are {usual:.6g} s: filter the signals as they are recorded, or leave {word} out"
+            f"{source}: {word}: unequal sampling, {steps[row]:.6g} s after row {row + 1}, "
+            f"usually {usual:.6g} s. "
+            f"Filter before resampling, or remove {word}."
         )
 
 
 def low_passed(times: Floats, values: Floats, frequency: float, source: str) -> Floats:
-    """Return columns (K, n), low-passed at a frequency, Hz, from gap to gap."""
+    """Return columns (K, n), low-passed between gaps; frequency in Hz."""
     from scipy.signal import butter, sosfiltfilt
 
-    check_equal_steps(times, "low_pass", source)
+    check_equal_steps(times, "lowpass_frequency", source)
     rate = 1.0 / usual_step(times)
     if not 0 < frequency < rate / 2:
         raise InputError(
-            f"{source}: lowpass_frequency = {frequency:g} Hz must lie below half the sample rate, {rate / 2:g} Hz: "
-            "give a lower frequency, or leave it out"
+            f"{source}: lowpass_frequency = {frequency:g} Hz must be below half the sampling rate, "
+            f"{rate / 2:g} Hz. "
+            "Lower or remove it."
         )
-    sections = butter(ORDER, frequency, fs=rate, output="sos")
+    sections = butter(2, frequency, fs=rate, output="sos")
     reach = 3 * (2 * len(sections) + 1)  # what scipy continues at either end by default
     found = np.full_like(values, np.nan)
     breaks = np.diff(times) > GAP / rate
     for k in range(values.shape[1]):
         for stretch in _stretches(np.isfinite(values[:, k]), breaks):
-            if stretch.size >= SHORTEST:
+            if stretch.size >= 4:
                 ends = min(reach, stretch.size - 1)
                 found[stretch, k] = sosfiltfilt(sections, values[stretch, k], padlen=ends)
     return found
@@ -106,7 +102,7 @@ def _stretches(there: Flags, breaks: Flags) -> list[Indices]:
 def filled(
     times: Floats, values: Floats, how: str, longest: float | None, within: tuple[float, float], called: str
 ) -> Floats:
-    """Return a column (K,) with gaps filled ("linear" or "zoh"), none longer than `longest`, s."""
+    """Return a column (K,) with gaps up to `longest`, s, filled."""
     there, gone = np.flatnonzero(np.isfinite(values)), np.flatnonzero(~np.isfinite(values))
     if not gone.size:
         return values
@@ -117,18 +113,16 @@ def filled(
     length = times[after] - times[before]
     alone = first | (last if how == "linear" else False)
     needed = (times[gone] >= within[0]) & (times[gone] <= within[1])
-    limit, said_so = (
-        (MOST_FILLED * usual_step(times), f"{MOST_FILLED} usual steps") if longest is None else (longest, "max_gap")
-    )
+    limit, said_so = (FILLED * usual_step(times), f"{FILLED} intervals") if longest is None else (longest, "max_gap")
     long = ~alone & (length > limit * (1 + SAME))
     for bad in np.flatnonzero((alone | long) & needed)[:1]:
-        said = f"{called} has no value at t = {times[gone[bad]]:.9g} s"
+        said = f"{called}: no value at t = {times[gone[bad]]:.9g} s"
         if alone[bad]:
             side = "before" if first[bad] else "after"
-            raise InputError(f"{said} and none {side} it to fill it from: cut the table there")
+            raise InputError(f"{said} and none {side} it. Cut the data there.")
         raise InputError(
-            f"{said}, in a gap of {length[bad]:.6g} s, more than {said_so} = {limit:g} s: make max_gap longer, or "
-            "cut the table there"
+            f"{said} in a gap of {length[bad]:.6g} s; limit {said_so} = {limit:g} s. "
+            "Raise max_gap or cut the data there."
         )
     share = np.where(length > 0, (times[gone] - times[before]) / np.where(length > 0, length, 1.0), 0.0)
     found, slope = values.copy(), values[after] - values[before] if how == "linear" else 0.0
@@ -144,12 +138,11 @@ def resampled(
     twice = np.flatnonzero(np.diff(times) == 0)
     if twice.size:
         raise InputError(
-            f"{source}: resample cannot tell which of the two samples at t = {times[twice[0]]:.9g} s is meant: "
-            "leave it out, or keep one of them"
+            f"{source}: resample_interval: two samples at t = {times[twice[0]]:.9g} s. Keep one, or do not resample."
         )
     count = int((times[-1] - times[0]) / step + SAME) + 1
     if count < 2:
-        raise InputError(f"{source}: resample_interval = {step:g} s is longer than the record: give a shorter step")
+        raise InputError(f"{source}: resample_interval = {step:g} s is longer than the data. Reduce it.")
     at = np.minimum(times[0] + step * np.arange(count), times[-1])
     before = np.searchsorted(times, at + SAME * step, side="right") - 1
     same = np.abs(times[before] - at) <= SAME * step
@@ -171,8 +164,8 @@ def detrended(times: Floats, values: Floats, degree: int) -> Floats:
     for k in range(values.shape[1]):
         there = np.isfinite(values[:, k])
         if there.sum() > degree:
-            centred = times - times[there].mean()
-            found[:, k] -= np.polyval(np.polyfit(centred[there], values[there, k], degree), centred)
+            centered = times - times[there].mean()
+            found[:, k] -= np.polyval(np.polyfit(centered[there], values[there, k], degree), centered)
     return found
 
 
@@ -198,7 +191,7 @@ def extremes(columns: Floats, count: int) -> Indices:
 
 
 def _ends(blocks: Floats) -> tuple[Indices, ...]:
-    """Return where each block (n, size, m) has its minimum and maximum, (n, m) each."""
+    """Return places of minima and maxima of blocks (n, size, m)."""
     if not blocks.shape[1]:
         return ()
     missing = np.isnan(blocks)

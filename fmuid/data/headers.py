@@ -52,7 +52,7 @@ class RawTable:
 
 @dataclass(frozen=True)
 class TableHeader:
-    """Cells of the header and of the row of units, and the first row of samples."""
+    """Header cells, unit cells and the first row of samples."""
 
     names: tuple[str, ...]
     units: tuple[str, ...]
@@ -94,12 +94,12 @@ def check_once(source: str, names: Sequence[str]) -> None:
     """Refuse columns of one name."""
     for name in names:
         if names.count(name) > 1:
-            called = f"the column {name!r} is there twice" if name else "two columns have no name"
-            raise InputError(f"{source}: {called}: rename or remove one of the two")
+            called = f"column {name!r} occurs twice" if name else "two columns have no name"
+            raise InputError(f"{source}: {called}. Rename or remove one.")
 
 
 def find_head(rows: Sequence[Sequence[Cell]], decimal: str = ".") -> TableHeader | None:
-    """Return the header above the most rows of its length with numbers, if any."""
+    """Return the header above most numeric rows of its length, if any."""
     numeric = [any(is_number(cell, decimal) for cell in row) for row in rows]
     begins = [
         k

@@ -12,11 +12,9 @@ from fmuid.errors import InputError
 from fmuid.formatting import nearest
 
 INTERPOLATIONS = ("linear", "zoh", "zoh-next", "pchip")
-"""Linear (measured signals); held from each sample to the next (numerical commands); held during the step that ends at
-its sample, as recorders write that note a command after it has acted (the convention of OMSysIdent); or along a smooth
-curve without overshoot (Fritsch and Butland's monotone cubic interpolation)."""
+"""Linear is for measured signals, zero-order hold for numerical commands. "zoh-next" holds during the step that ends at
+its sample (recorders that note commands late, OMSysIdent). "pchip" is Fritsch and Butland's monotone cubic."""
 HELD = ("zoh", "zoh-next")
-"""Those that are constant between samples."""
 
 
 def as_held(values: Floats, words: Sequence[str]) -> Floats:
@@ -34,14 +32,15 @@ def interpolation_words(source: str, given: str | Mapping[str, str], inputs: Map
     for variable in words:
         if variable not in inputs:
             raise InputError(
-                f"{source}: interpolation names {variable!r}, which is no input{nearest(str(variable), inputs)}: "
-                f"name inputs only"
+                f"{source}: interpolation: {variable!r} is no input{nearest(str(variable), inputs)}. Name inputs only."
             )
     for word in words.values() if isinstance(given, Mapping) else [given]:
         if word not in INTERPOLATIONS:
             near = nearest(str(word), INTERPOLATIONS)
             *some, last = (f'"{each}"' for each in INTERPOLATIONS)
-            raise InputError(f"{source}: interpolation {word!r} is not known{near}: write {', '.join(some)} or {last}")
+            raise InputError(
+                f"{source}: interpolation: unknown value {word!r}{near}. Choose {', '.join(some)} or {last}."
+            )
     return [words.get(variable, "linear") for variable in inputs]
 
 
@@ -60,7 +59,7 @@ def slopes(source: str, times: Floats, values: Floats, curved: Flags) -> Floats:
                 )
         if not np.isfinite(slopes[:, curved]).all():
             raise InputError(
-                f'{source}: an input with interpolation = "pchip" changes too fast for double precision: check its '
-                'values and the times, or write "linear"'
+                f'{source}: an input changes too fast for interpolation = "pchip". '
+                'Check its values and times, or use "linear".'
             )
     return slopes

@@ -25,10 +25,6 @@ from fmuid.array_types import Floats
 from fmuid.errors import InputError
 from fmuid.formatting import nearest
 
-# Mean of min(x², 1) over the standard normal distribution: what Huber's proposal 2 compares with.
-NORMAL_SHARE = 1.0 - math.sqrt(2.0 / (math.pi * math.e))
-
-
 Function = Callable[[Floats], Floats]
 
 
@@ -92,7 +88,7 @@ def get_loss(name: str) -> Loss | None:
         If the name is unknown.
     """
     if name not in LOSSES:
-        raise InputError(f"loss must be one of {', '.join(LOSSES)}, not {name!r}{nearest(str(name), LOSSES)}")
+        raise InputError(f"loss: unknown value {name!r}{nearest(str(name), LOSSES)}. Choose {', '.join(LOSSES)}.")
     return LOSSES[name]
 
 
@@ -111,7 +107,7 @@ def robust_variance(residual: Floats, free: float) -> float:
     squares = np.sort(residual**2)
     sums = np.cumsum(squares)
     beyond = np.arange(squares.size - 1, -1, -1.0)
-    wanted = max(free, np.finfo(float).eps) * NORMAL_SHARE
+    wanted = max(free, np.finfo(float).eps) * (1.0 - math.sqrt(2.0 / (math.pi * math.e)))  # E[min(x², 1)]
     # the left side with σ² at each square in turn, from n downwards; between two squares it is sums/σ² + beyond
     left = np.divide(sums, squares, out=np.full_like(sums, np.inf), where=squares > 0) + beyond
     last = int(np.searchsorted(-left, -wanted)) - 1  # the last square that lies below σ²

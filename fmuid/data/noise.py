@@ -77,7 +77,7 @@ class Noise:
         for name, own in self.experiments.items():
             if own.initial_variance is not None or own.shared_variance or own.experiments:
                 words = ", ".join((*FORMS, "excitation_period"))
-                raise InputError(f"the noise of experiment {name!r} has {words} only: say the rest of all")
+                raise InputError(f"noise of experiment {name!r}: only {words} are allowed. Set other keys in [noise].")
 
     def form(self, output: str) -> tuple[str, Any]:
         """Return the form of noise of an output and its value; "" and None if not given.
@@ -90,7 +90,7 @@ class Noise:
         found = [(word, _of(getattr(self, word), output)) for word in FORMS]
         said = [(word, level) for word, level in found if level is not None]
         if len(said) > 1:
-            raise InputError(f"noise has both {said[0][0]} and {said[1][0]} of output {output!r}: keep one of the two")
+            raise InputError(f"noise: {said[0][0]} and {said[1][0]} of output {output!r} are both given. Keep one.")
         return said[0] if said else ("", None)
 
     def period_in(self, experiment: str) -> float | None:
@@ -112,7 +112,7 @@ class Noise:
         """
         for word in ("std", "relative_std", "weights", "shared_variance", "excitation_period", "experiments"):
             if getattr(self, word):
-                raise InputError(f"a diagnosis takes the noise as noise.variance alone: leave noise.{word} out")
+                raise InputError(f"noise.{word}: not supported by diagnosis. Use noise.variance.")
         return None if isinstance(self.variance, str) else self.variance
 
     def check_names(self, outputs: Sequence[str]) -> None:
@@ -128,11 +128,10 @@ class Noise:
             listed = word == "shared_variance" and not isinstance(given, bool)
             for output in given if listed or isinstance(given, Mapping) else ():
                 if output not in outputs:
-                    near = nearest(output, outputs)
-                    raise InputError(f"noise.{word} names {output!r}, which is no measured output{near}")
+                    raise InputError(f"noise.{word}: {output!r} is no measured output{nearest(output, outputs)}.")
 
     def known(self, outputs: Sequence[str]) -> Floats:
-        """Return the variance of each output that is given as a number, else NaN."""
+        """Return the variances given as numbers, else NaN, (n_outputs,)."""
         self.check_names(outputs)
         found = np.full(len(outputs), math.nan)
         for j, output in enumerate(outputs):
@@ -163,14 +162,14 @@ def _checked(word: str, output: str, value: Any) -> Any:
         try:
             return tuple(np.asarray(value, dtype=np.float64).ravel().tolist())
         except (TypeError, ValueError):
-            raise InputError(f"the noise {word}{of} must be numbers") from None
+            raise InputError(f"noise.{word}{of} must be numbers.") from None
     if isinstance(value, bool) or not isinstance(value, int | float | np.integer | np.floating):
         also = {"variance": ' or "estimate"', "std": " or a column", "weights": " or a column"}.get(word, "")
-        raise InputError(f"the noise {word}{of} must be a positive number{also}, not {value!r}")
+        raise InputError(f"noise.{word}{of} must be a positive number{also}, not {value!r}.")
     if not (math.isfinite(value) and value > 0):
-        raise InputError(f"the noise {word}{of} must be positive and finite, not {value:g}")
+        raise InputError(f"noise.{word}{of} must be positive and finite, not {value:g}.")
     if not 1.0 / LARGEST_VARIANCE < value ** (2 if word == "std" else 1) < LARGEST_VARIANCE:
-        raise InputError(f"the noise {word}{of} is {value:g}, too extreme to calculate with; change the unit")
+        raise InputError(f"noise.{word}{of} = {value:g} is too extreme. Change the unit.")
     return float(value)
 
 
@@ -211,7 +210,7 @@ def noise_levels(noise: Noise, experiments: Sequence[Experiment], outputs: Seque
     names = [each.name for each in experiments]
     for name, own in noise.experiments.items():
         if name not in names:
-            raise InputError(f"noise is given of {name!r}, which is no experiment{nearest(name, names)}")
+            raise InputError(f"noise: {name!r} is no experiment{nearest(name, names)}.")
         own.check_names(experiments[names.index(name)].output_names)
     forms: dict[str, list[str]] = {}  # of each output in each of its experiments
     found: list[list[Any]] = []
@@ -225,8 +224,8 @@ def noise_levels(noise: Noise, experiments: Sequence[Experiment], outputs: Seque
     pool = np.array([_is_pooled(noise, output, forms[output]) for output in outputs])
     if pool.sum() == 1 and scale is None and "weights" in forms[alone := outputs[int(np.argmax(pool))]]:
         raise InputError(
-            f"noise.weights are of output {alone!r} alone and the same for all its samples, which weighs nothing: "
-            "give weights of other outputs, or a column"
+            f"noise.weights: constant weights of output {alone!r} alone have no effect. "
+            "Add weights of other outputs, or a column."
         )
     pools = (np.flatnonzero(pool),) if pool.sum() > 1 else ()
     return NoiseLevels(np.where(given, share, math.nan), noise.first(outputs), scale, share, pools)
@@ -258,9 +257,7 @@ def _spread(experiments: Sequence[Experiment], output: str) -> float:
     values = np.concatenate(parts)
     spread = float(np.std(values)) if values.size else math.nan
     if spread == 0.0:
-        raise InputError(
-            f"output {output!r} is the same in all samples: a share of its spread is no noise; give noise.std"
-        )
+        raise InputError(f"noise.relative_std: output {output!r} is constant. Use noise.std.")
     return spread
 
 
@@ -276,20 +273,20 @@ def _samples(experiment: Experiment, output: str, word: str, level: str | tuple[
         values, where = np.array(level), what
         if values.size != len(counted):
             raise InputError(
-                f"{what} has {values.size} values for {len(counted)} samples of experiment {experiment.name!r}"
+                f"{what}: {values.size} values for {len(counted)} samples of experiment {experiment.name!r}."
             )
     bad = np.flatnonzero(counted & ~((values > 0) & np.isfinite(values)))
     if bad.size:
         found = "has no value" if np.isnan(values[bad[0]]) else f"is {values[bad[0]]:g}"
         raise InputError(
-            f"{where} {found} in row {bad[0] + 1} (t = {experiment.times[bad[0]]:.9g} s), where the output counts: "
-            "give a positive number, or leave the output's cell empty"
+            f"{where} {found} in row {bad[0] + 1} (t = {experiment.times[bad[0]]:.9g} s). "
+            "Give a positive number, or leave the cell of the output empty."
         )
     return np.where(counted, values, 1.0)
 
 
 def _column(experiment: Experiment, output: str, column: str, *, convert: bool) -> tuple[Floats, str]:
-    """Return a noise column in the unit of the output, and its name in messages."""
+    """Return a noise column in the output's unit, and its name."""
     frame, source = experiment.frame, experiment.source
     name = column_of(frame.columns, column) or column
     if name not in frame.columns:
@@ -299,17 +296,16 @@ def _column(experiment: Experiment, output: str, column: str, *, convert: bool) 
     if convert and mine and its and mine != its:
         one, other = parse_unit(mine), parse_unit(its)
         if one is None or other is None or one.exponents != other.exponents:
-            raise InputError(f"{source}: the noise column {name!r} is in {mine}, and output {output!r} in {its}")
+            raise InputError(f"{source}: noise column {name!r} is in {mine}, output {output!r} in {its}. Convert one.")
         values *= one.factor / other.factor
-    return values, f"{source}: the noise column {name!r}"
+    return values, f"{source}: noise column {name!r}"
 
 
 def _is_given(output: str, forms: Sequence[str]) -> bool:
     found = {form in ("variance", "std", "relative_std") for form in forms}
     if len(found) > 1:
         raise InputError(
-            f"the noise of output {output!r} is given in one experiment and to be estimated in another: "
-            "give it in all of them, or weights"
+            f"noise of output {output!r} is given in some experiments only. Give it in all, or use weights."
         )
     return found.pop()
 
@@ -317,16 +313,14 @@ def _is_given(output: str, forms: Sequence[str]) -> bool:
 def _is_pooled(noise: Noise, output: str, forms: Sequence[str]) -> bool:
     common = noise.shared_variance if isinstance(noise.shared_variance, bool) else output in noise.shared_variance
     if common and not isinstance(noise.shared_variance, bool) and _is_given(output, forms):
-        raise InputError(
-            f"noise.shared_variance names output {output!r}, whose noise is given: leave one of the two out"
-        )
+        raise InputError(f"noise.shared_variance: noise of output {output!r} is given already. Remove one of the two.")
     return (common or "weights" in forms) and not _is_given(output, forms)
 
 
 def _proportions(
     experiments: Sequence[Experiment], levels: Sequence[Sequence[Any]], outputs: Sequence[str]
 ) -> tuple[Floats, Floats | None]:
-    """Return the mean variance of each output, and √shares (n,) of the samples (None: 1)."""
+    """Return mean variances by output, and √proportions (n,) of samples (None: 1)."""
     pairs = [
         pair for each, own in zip(experiments, levels, strict=True) for pair in zip(each.output_names, own, strict=True)
     ]

@@ -15,9 +15,6 @@ from fmuid.data.priors import SMALLEST_MAGNITUDE, JointPrior, Normal, checked_nu
 from fmuid.errors import InputError, check_kind
 from fmuid.formatting import nearest
 
-# A parameter near zero keeps this fraction of its start as its magnitude, so that steps do not vanish with it.
-LEAST_MAGNITUDE = 1e-3
-
 
 @dataclass(frozen=True)
 class Parameter:
@@ -69,7 +66,7 @@ class Parameter:
             named = [member for members in self.per_experiment.values() for member in members]
             where = f"in {' and '.join(groups)}" if groups else f"in none{nearest(experiment, named)}"
             raise InputError(
-                f"per_experiment of {name!r} has the experiment {experiment!r} {where}: name each in one group"
+                f"per_experiment of {name!r}: experiment {experiment!r} is {where}. List each in exactly one group."
             )
         return f"{name}[{groups[0]}]"
 
@@ -79,27 +76,21 @@ class Parameter:
         object.__setattr__(self, "max", checked_number(self.max, "max", infinite=True))
         if not self.min < self.max:
             raise InputError(
-                f"min {self.min:g} must be less than max {self.max:g}; to fix a parameter, hold it at a value"
+                f"min {self.min:g} must be less than max {self.max:g}. To fix the parameter, use [model.fixed]."
             )
         if not self.min <= self.start <= self.max:
-            raise InputError(
-                f"start {self.start:g} lies outside its bounds, {self.min:g} to {self.max:g}; "
-                "move the start inside or widen min and max"
-            )
+            raise InputError(f"start {self.start:g} is outside [{self.min:g}, {self.max:g}]. Change start, min or max.")
         if self.nominal is not None:
             object.__setattr__(self, "nominal", checked_number(self.nominal, "nominal"))
             if not self.nominal >= SMALLEST_MAGNITUDE:
-                raise InputError(f"nominal must be greater than 0, not {self.nominal:g}; it is a magnitude")
+                raise InputError(f"nominal must be greater than 0, not {self.nominal:g}.")
         elif abs(self.start) < SMALLEST_MAGNITUDE:
-            raise InputError(
-                f"start {self.start:g} has no magnitude; give nominal, the size that a sizeable value would have"
-            )
+            raise InputError(f"start {self.start:g} gives no scale. Set nominal, the typical magnitude.")
         if self.prior is not None and not isinstance(self.prior, Normal):
-            raise InputError(f"prior must be a Normal(mean, std), not {self.prior!r}")
+            raise InputError(f"prior must be a Normal(mean, std), not {self.prior!r}.")
         if self.prior is not None and not self.min <= self.prior.mean <= self.max:
             raise InputError(
-                f"the prior's mean {self.prior.mean:g} lies outside the bounds, {self.min:g} to {self.max:g}; "
-                "correct one of them"
+                f"prior: mean {self.prior.mean:g} is outside [{self.min:g}, {self.max:g}]. Change prior or bounds."
             )
 
 
@@ -141,16 +132,16 @@ class ParameterSet:
         check_kind(parameters, Mapping, "parameters must be a mapping of names to fmuid.Parameter(start)")
         check_kind(joint_prior, (JointPrior, type(None)), "joint_prior must be a fmuid.JointPrior")
         if not parameters:
-            raise InputError("there are no parameters to estimate; name at least one, with its start")
+            raise InputError("no free parameters. Give at least one, with its start.")
         for name, parameter in parameters.items():
             if not isinstance(parameter, Parameter):
-                raise InputError(f"parameter {name!r} must be a Parameter(start=...), not {parameter!r}")
+                raise InputError(f"parameter {name!r} must be a Parameter(start=...), not {parameter!r}.")
         repeated = sorted({name for name in experiments if list(experiments).count(name) > 1})
         own = [name for name, parameter in parameters.items() if parameter.per_experiment]
         if own and repeated:
             raise InputError(
-                f"two experiments are named {repeated[0]!r}, and {own[0]!r} has one value for each experiment; "
-                "give every experiment its own name"
+                f"two experiments are named {repeated[0]!r}, "
+                f"and {own[0]!r} has a value per experiment. Rename one experiment."
             )
         flat: dict[str, Parameter] = {}
         columns: list[list[int]] = [[] for _ in experiments]
@@ -166,14 +157,14 @@ class ParameterSet:
         self.lower = _frozen([p.min for p in flat.values()])
         self.upper = _frozen([p.max for p in flat.values()])
         self.scale = _frozen([p.nominal or abs(p.start) for p in flat.values()])
-        self._least = _frozen([p.nominal or LEAST_MAGNITUDE * abs(p.start) for p in flat.values()])
+        self._least = _frozen([p.nominal or 1e-3 * abs(p.start) for p in flat.values()])  # steps must not vanish
         self._set_prior(flat, joint_prior)
 
     def __len__(self) -> int:
         return len(self.names)
 
     def for_experiment(self, index: int) -> tuple[tuple[str, ...], Indices]:
-        """Return FMU variables of experiment `index`, and where their values are in θ."""
+        """Return FMU variables of experiment `index`, and their places in θ."""
         return self._variables, self._columns[index]
 
     def within(self, lower: Floats, upper: Floats) -> ParameterSet:
@@ -199,7 +190,7 @@ class ParameterSet:
             If it is unknown.
         """
         if name not in self.names:
-            raise InputError(f"{name!r} is not a parameter of the problem{nearest(name, self.names)}")
+            raise InputError(f"{name!r} is not a parameter of the problem{nearest(name, self.names)}.")
         return self.names.index(name)
 
     def _set_prior(self, flat: Mapping[str, Parameter], joint: JointPrior | None) -> None:
@@ -216,15 +207,14 @@ class ParameterSet:
             where = [self.index(name) for name in joint.names]
             for i in where:
                 if not np.isnan(mean[i]):
-                    raise InputError(
-                        f"{self.names[i]!r} has a prior of its own and is in the joint prior too; keep one of them"
-                    )
+                    raise InputError(f"{self.names[i]!r} has its own prior and a joint prior. Keep one.")
             mean[where], std[where] = joint.mean, np.sqrt(np.diag(joint.covariance))
             for i in where:
                 if not self.lower[i] <= mean[i] <= self.upper[i]:
                     raise InputError(
-                        f"the joint prior's mean {mean[i]:g} of {self.names[i]!r} lies outside its bounds, "
-                        f"{self.lower[i]:g} to {self.upper[i]:g}; correct one of them"
+                        f"joint prior: mean {mean[i]:g} of {self.names[i]!r} is "
+                        f"outside [{self.lower[i]:g}, {self.upper[i]:g}]. "
+                        "Change prior or bounds."
                     )
             block = np.zeros((len(where), count))
             block[:, where] = joint.whitening()

@@ -57,11 +57,9 @@ class ParkTransform:
 
     def __post_init__(self) -> None:
         if sorted((len(self.source), len(self.target))) != [2, 3]:
-            raise InputError("source and target are of other lengths: name three phases and two axes, either way round")
+            raise InputError("source and target: give three phases and two axes, or the reverse.")
         if (self.angle is None) == (self.speed is None):
-            raise InputError(
-                f"the axes {', '.join(self.target)} need an angle or a speed, one of the two: name the column"
-            )
+            raise InputError(f"axes {', '.join(self.target)} need an angle or a speed. Name one column.")
 
 
 @dataclass(frozen=True)
@@ -89,10 +87,9 @@ class Preprocessing:
 
     def __post_init__(self) -> None:
         if self.start_time is not None and self.end_time is not None and self.end_time < self.start_time:
-            times = f"start_time = {self.start_time:g} and end_time = {self.end_time:g}"
-            raise InputError(f"{times}: give the earlier time first")
+            raise InputError(f"start_time = {self.start_time:g} is after end_time = {self.end_time:g}.")
         if self.max_gap is not None and not self.fill_missing:
-            raise InputError('max_gap without anything to fill: name the columns, fill_missing = { u = "linear" }')
+            raise InputError('max_gap needs fill_missing, such as { u = "linear" }.')
 
     @property
     def by_rows(self) -> bool:
@@ -144,8 +141,7 @@ class Preprocessing:
             for column in names:
                 if between.get(column) in HELD:
                     raise InputError(
-                        f'{source}: {column!r} holds between samples (interpolation = "zoh") and is low-passed: what '
-                        "is filtered does not hold; leave out one of the two"
+                        f'{source}: lowpass_frequency: {column!r} has interpolation = "zoh". Remove one of the two.'
                     )
             work.put(names, low_passed(work.times, work.values(names), self.lowpass_frequency, source))
         work.cut(self.start_time, self.end_time)
@@ -169,7 +165,7 @@ class _Work:
             raise InputError(f"{source}: {missing_column('time', time, frame.columns)}")
         times = self.times
         if not (np.isfinite(times).all() and (np.diff(times) >= 0).all() and times.size > 1 and times[-1] > times[0]):
-            raise InputError(f"{source}: the times {time!r} must be finite and never decrease: sort the rows")
+            raise InputError(f"{source}: time column {time!r} must be finite and never decrease. Sort the rows.")
 
     @property
     def times(self) -> Floats:
@@ -178,7 +174,7 @@ class _Work:
     def column(self, name: str) -> Floats:
         found = column_of(self.frame.columns, name)
         if found is None:
-            raise InputError(f"{self.source}: {missing_column('prepared', name, self.frame.columns)}")
+            raise InputError(f"{self.source}: {missing_column('preprocessed', name, self.frame.columns)}")
         return numeric_column(self.frame, found, self.source)
 
     def unit(self, name: str) -> str | None:
@@ -202,7 +198,7 @@ class _Work:
         for name, expression in columns.items():
             if name == self.time:
                 raise InputError(
-                    f"{self.source}: the time {name!r} cannot be computed anew: give the column another name"
+                    f"{self.source}: computed_columns: time {name!r} cannot be computed. Use another name."
                 )
             try:
                 values = evaluate(expression, self.column, len(self.frame))
@@ -219,8 +215,8 @@ class _Work:
         within = _kept(self.times, asked.start_time, asked.end_time)
         for name, how in asked.fill_missing.items():
             if how not in FILLS:
-                raise InputError(f'{self.source}: fill_missing = {how!r} is not known: write "linear" or "zoh"')
-            values, called = self.column(name), f"{self.source}: the column {name!r}"
+                raise InputError(f'{self.source}: fill_missing: unknown value {how!r}. Choose "linear" or "zoh".')
+            values, called = self.column(name), f"{self.source}: column {name!r}"
             found = column_of(self.frame.columns, name) or name
             self.put([found], filled(self.times, values, how, asked.max_gap, within, called)[:, None])
 
@@ -228,7 +224,7 @@ class _Work:
         unit = {self.unit(name) for name in axes.source}
         if len(unit) > 1:
             said = ", ".join(f"{name} in {self.unit(name) or 'no unit'}" for name in axes.source)
-            raise InputError(f"{self.source}: {said}: phases and axes that are transformed must have one unit")
+            raise InputError(f"{self.source}: park: units differ ({said}). Give transformed columns one unit.")
         names = [column_of(self.frame.columns, name) or name for name in axes.source]
         angle = "\0"
         frame = self.frame.assign(**{angle: self._angle(axes)})
@@ -245,9 +241,7 @@ class _Work:
         speed = axes.pole_pairs * self._in("rad/s", axes.speed)
         if not np.isfinite(speed).all():
             row = int(np.flatnonzero(~np.isfinite(speed))[0]) + 1
-            raise InputError(
-                f"{self.source}: the speed {axes.speed!r} has no value in row {row}: fill it, to integrate it"
-            )
+            raise InputError(f"{self.source}: speed {axes.speed!r} has no value in row {row}. Fill it to integrate it.")
         steps = np.diff(self.times) * (speed[1:] + speed[:-1]) / 2
         return np.asarray(axes.initial_angle + np.concatenate([[0.0], np.cumsum(steps)]))
 
@@ -256,7 +250,7 @@ class _Work:
         values, said = self.column(name), self.unit(name)
         given, wanted = parse_unit(said or unit), parse_unit(unit)
         if given is None or wanted is None or given.exponents != wanted.exponents:
-            raise InputError(f"{self.source}: the column {name!r} is in {said}, which does not convert to {unit}")
+            raise InputError(f"{self.source}: column {name!r} is in {said}, not convertible to {unit}.")
         return np.asarray(given.factor / wanted.factor * values)
 
     def cut(self, start: float | None, end: float | None) -> None:
@@ -267,8 +261,9 @@ class _Work:
             asked = "" if start is None else f"from {start:g}"
             asked += "" if end is None else f" to {end:g}"
             raise InputError(
-                f"{self.source}: {asked.strip()} s leaves {kept.sum()} samples: the record goes from {times[0]:.6g} to "
-                f"{times[-1]:.6g} s"
+                f"{self.source}: {asked.strip()} s leaves {kept.sum()} samples; "
+                f"data are from {times[0]:.6g} to {times[-1]:.6g} s. "
+                "Change start_time or end_time."
             )
         if not kept.all():
             self.frame = self.frame[kept].reset_index(drop=True)
@@ -279,7 +274,7 @@ class _Work:
         each = asked if isinstance(asked, Mapping) else dict.fromkeys(names, asked)
         for name, how in each.items():
             if how not in TRENDS:
-                raise InputError(f'{self.source}: detrend = {how!r} is not known: write "mean" or "linear"')
+                raise InputError(f'{self.source}: detrend: unknown value {how!r}. Choose "mean" or "linear".')
             found = column_of(self.frame.columns, name) or name
             self.put([found], detrended(self.times, self.column(name)[:, None], TRENDS[how]))
 

@@ -14,19 +14,17 @@ from fmuid.errors import InputError
 
 # Beyond these limits squares overflow or vanish; no unit of measurement needs such numbers.
 LARGEST_NUMBER, SMALLEST_MAGNITUDE = 1e100, 1e-100
-# Largest relative difference of symmetric entries of a covariance: rounding in a printed file.
-SYMMETRY_TOLERANCE = 1e-6
 
 
 def checked_number(value: object, what: str, *, infinite: bool = False) -> float:
     """Return a given number as a checked float."""
     if isinstance(value, bool) or not isinstance(value, int | float | np.integer | np.floating):
-        raise InputError(f"{what} must be a number, not {value!r}")
+        raise InputError(f"{what} must be a number, not {value!r}.")
     number = float(value)
     if math.isnan(number) or (math.isinf(number) and not infinite):
-        raise InputError(f"{what} must be {'a number' if infinite else 'finite'}, not {number:g}")
+        raise InputError(f"{what} must be {'a number' if infinite else 'finite'}, not {number:g}.")
     if abs(number) > LARGEST_NUMBER and not infinite:
-        raise InputError(f"{what} must not exceed {LARGEST_NUMBER:g} in magnitude, not {number:g}; use another unit")
+        raise InputError(f"{what} must not exceed {LARGEST_NUMBER:g}, not {number:g}. Use another unit.")
     return number
 
 
@@ -60,7 +58,7 @@ class Normal:
         object.__setattr__(self, "std", checked_number(self.std, "the std of a prior"))
         if not self.std >= SMALLEST_MAGNITUDE:
             raise InputError(
-                f"the std of a prior must be greater than 0, not {self.std:g}; hold a known parameter at its value"
+                f"the std of a prior must be greater than 0, not {self.std:g}. Fix a known parameter instead."
             )
 
 
@@ -101,27 +99,28 @@ class JointPrior:
         object.__setattr__(self, "covariance", np.array(covariance, dtype=np.float64))
         count = len(self.names)
         if len(set(self.names)) < count:
-            raise InputError(f"the joint prior names a parameter twice: {', '.join(self.names)}")
+            raise InputError(f"joint prior: a parameter is named twice: {', '.join(self.names)}.")
         if self.mean.shape != (count,) or self.covariance.shape != (count, count):
             raise InputError(
-                f"the joint prior of {', '.join(self.names)} needs {count} means and a {count} x {count} covariance, "
-                f"not shapes {self.mean.shape} and {self.covariance.shape}"
+                f"joint prior of {', '.join(self.names)}: "
+                f"needs {count} means and a {count} x {count} covariance, "
+                f"not shapes {self.mean.shape} and {self.covariance.shape}."
             )
         if not (np.isfinite(self.mean).all() and np.isfinite(self.covariance).all()):
-            raise InputError(f"the joint prior of {', '.join(self.names)} has a value that is not finite")
+            raise InputError(f"joint prior of {', '.join(self.names)}: a value is not finite.")
         for name, variance in zip(self.names, np.diag(self.covariance), strict=True):
             if variance <= 0:
                 raise InputError(
-                    f"the joint prior's variance of {name!r} must be greater than 0, not {variance:g}; "
-                    "hold a known parameter at its value"
+                    f"joint prior: variance of {name!r} must be greater than 0, not {variance:g}. "
+                    "Fix a known parameter instead."
                 )
-        unequal = ~np.isclose(self.covariance, self.covariance.T, rtol=SYMMETRY_TOLERANCE, atol=0.0)
+        unequal = ~np.isclose(self.covariance, self.covariance.T, rtol=1e-6, atol=0.0)  # rounding in a printed file
         if unequal.any():
             i, j = np.argwhere(unequal)[0]
             raise InputError(
-                f"the covariance of the joint prior of {', '.join(self.names)} is not symmetric: "
-                f"at row {self.names[i]} and column {self.names[j]} stands {self.covariance[i, j]:g}, "
-                f"at row {self.names[j]} and column {self.names[i]} {self.covariance[j, i]:g}"
+                f"joint prior: covariance is not symmetric; {self.names[i]}, {self.names[j]}: "
+                f"{self.covariance[i, j]:g} and "
+                f"{self.covariance[j, i]:g}."
             )
         self.whitening()
 
@@ -132,7 +131,6 @@ class JointPrior:
             factor = np.linalg.cholesky(self.covariance / np.outer(std, std))
         except np.linalg.LinAlgError:
             raise InputError(
-                f"the covariance of the joint prior of {', '.join(self.names)} is not positive definite; "
-                "its correlations contradict each other or are not less than 1 in magnitude"
+                f"joint prior of {', '.join(self.names)}: covariance is not positive definite. Check its correlations."
             ) from None
         return np.asarray(np.linalg.solve(factor, np.diag(1.0 / std)), dtype=np.float64)

@@ -19,10 +19,6 @@ from fmuid.errors import InputError
 
 SAMPLE_TOLERANCE = 1e-6
 """Share of a sample by which a duration may differ from a whole number of them: both are rounded decimals."""
-MOST_SAMPLES = 100_000_000
-"""More would fill the memory, and come from a duration that is not in seconds."""
-REGISTER_ORDERS = 2, 32
-"""Least and largest order of the shift registers whose feedback scipy knows."""
 T23: Floats = np.sqrt(2 / 3) * np.array([[1, -1 / 2, -1 / 2], [0, np.sqrt(3) / 2, -np.sqrt(3) / 2]])
 """Concordia matrix, three phases to two axes; its rows are orthonormal, so its transpose is the way back."""
 T23.setflags(write=False)
@@ -79,8 +75,7 @@ def prbs(
     times = _times(duration, step, column, amplitude=amplitude, offset=offset)
     bit = _whole(bit, "bit, the samples of one bit,", 1, times.size)
     bits = -(-times.size // bit)
-    least, most = REGISTER_ORDERS
-    order = max(least, bits.bit_length()) if order is None else _whole(order, "order", least, most)
+    order = max(2, bits.bit_length()) if order is None else _whole(order, "order", 2, 32)  # those of scipy
     state = int(np.random.default_rng(_whole(seed, "seed", 0)).integers(1, 2**order))
     sequence, _ = max_len_seq(order, [state >> k & 1 for k in range(order)], bits)
     values = offset + amplitude * (2.0 * np.repeat(sequence, bit)[: times.size] - 1.0)
@@ -135,14 +130,15 @@ def multisine(
     _positive(lowest, "lowest")
     if not lowest <= _positive(highest, "highest") < 0.5 / step:
         raise InputError(
-            f"highest {highest:g} Hz must not be less than lowest {lowest:g} Hz, and less than half the sampling "
-            f"frequency, {0.5 / step:g} Hz; change the band or sample faster"
+            f"highest {highest:g} Hz must be from lowest, {lowest:g} Hz, "
+            f"to below half the sampling rate, {0.5 / step:g} Hz. "
+            "Change the band or sample faster."
         )
     first, last = math.ceil(lowest * period - SAMPLE_TOLERANCE), math.floor(highest * period + SAMPLE_TOLERANCE)
     if last < first:
         raise InputError(
-            f"no multiple of 1/period, {1 / period:g} Hz, lies between {lowest:g} and {highest:g} Hz; "
-            "make the period longer or the band wider"
+            f"no multiple of 1/period = {1 / period:g} Hz from {lowest:g} to {highest:g} Hz. "
+            "Make period longer or the band wider."
         )
     values = np.zeros(times.size)
     for k, line in enumerate(range(first, last + 1)):
@@ -188,18 +184,16 @@ def step_sequence(
     clock = _times(duration, step, column, offset=offset)
     heights = np.array([_check_number(level, "a level") for level in levels])
     if not 1 <= heights.size <= clock.size:
-        raise InputError(f"{heights.size} levels do not fit {clock.size} samples; give from one to that many")
+        raise InputError(f"{heights.size} levels do not fit {clock.size} samples. Give 1 to {clock.size}.")
     if times is None:
         first = np.arange(heights.size) * clock.size // heights.size
     else:
         begins = np.array([_check_number(begin, "a time") for begin in times])
         if begins.size != heights.size:
-            raise InputError(f"there are {heights.size} levels and {begins.size} times; give one time for each level")
+            raise InputError(f"{heights.size} levels but {begins.size} times. Give one time for each level.")
         first = np.ceil(begins / step - SAMPLE_TOLERANCE)
         if first[0] != 0 or (np.diff(first) <= 0).any() or first[-1] >= clock.size:
-            raise InputError(
-                f"the times of the levels must begin with 0, be at least a sample apart and end before {duration:g} s"
-            )
+            raise InputError(f"times must begin with 0, be at least a sample apart and end before {duration:g} s.")
     which = np.searchsorted(first, np.arange(clock.size), side="right") - 1
     return pd.DataFrame({"time": clock, column: offset + heights[which]})
 
@@ -207,14 +201,14 @@ def step_sequence(
 def _times(duration: float, step: float, column: str, **numbers: float) -> Floats:
     """Return the sample times after checks that all excitations need."""
     if not column or column == "time":
-        raise InputError(f"column {column!r} cannot be the name of the excitation; give another")
+        raise InputError(f"column: {column!r} is not allowed. Give another name.")
     samples = _positive(duration, "duration") / _positive(step, "step")
-    if samples > MOST_SAMPLES:
-        raise InputError(f"{duration:g} s are {samples:g} samples of {step:g} s; duration and step are in seconds")
+    if samples > 1e8:  # the memory would not hold them
+        raise InputError(f"duration {duration:g} s has {samples:g} samples of {step:g} s. Give both in seconds.")
     count = round(samples)
     if count < 2 or abs(samples - count) > SAMPLE_TOLERANCE:
         raise InputError(
-            f"duration {duration:g} s is {samples:g} samples of {step:g} s; give a whole number of them, two or more"
+            f"duration {duration:g} s is {samples:g} samples of {step:g} s. Give a whole number, two or more."
         )
     for name, value in numbers.items():
         _check_number(value, name)
@@ -223,13 +217,13 @@ def _times(duration: float, step: float, column: str, **numbers: float) -> Float
 
 def _check_number(value: float, what: str) -> float:
     if isinstance(value, bool) or not isinstance(value, int | float | np.number) or not math.isfinite(value):
-        raise InputError(f"{what} must be a finite number, not {value!r}")
+        raise InputError(f"{what} must be a finite number, not {value!r}.")
     return float(value)
 
 
 def _positive(value: float, what: str) -> float:
     if not _check_number(value, what) > 0:
-        raise InputError(f"{what} must be greater than 0, not {value!r}")
+        raise InputError(f"{what} must be greater than 0, not {value!r}.")
     return float(value)
 
 
@@ -237,7 +231,7 @@ def _whole(value: int, what: str, least: int, most: int | None = None) -> int:
     within = isinstance(value, int | np.integer) and not isinstance(value, bool)
     if not within or value < least or (most is not None and value > most):
         upper = f" from {least} to {most}" if most is not None else f", {least} or more"
-        raise InputError(f"{what} must be a whole number{upper}, not {value!r}")
+        raise InputError(f"{what} must be a whole number{upper}, not {value!r}.")
     return int(value)
 
 
@@ -342,10 +336,10 @@ def _with_columns(frame: pd.DataFrame, values: Floats, names: Sequence[str], cou
     _check_names("names", names, count)
     for name in names:
         if name in frame.columns:
-            raise InputError(f"the frame: there is a column {name!r} already: give the new column another name")
+            raise InputError(f"the frame: column {name!r} exists already. Choose another name.")
     return frame.assign(**dict(zip(names, values.T, strict=True)))
 
 
 def _check_names(word: str, names: Sequence[str], count: int) -> None:
     if isinstance(names, str) or len(names) != count or len(set(names)) != count:
-        raise InputError(f"the frame: {word} is {names!r}: give {count} different names")
+        raise InputError(f"the frame: {word} = {names!r}. Give {count} different names.")

@@ -10,18 +10,15 @@ from fmuid.errors import InputError
 @pytest.mark.parametrize(
     ("words", "said"),
     [
-        ({"start": 12.0, "min": 0.0, "max": 10.0}, "start 12 lies outside its bounds, 0 to 10"),
+        ({"start": 12.0, "min": 0.0, "max": 10.0}, "start 12 is outside \\[0, 10\\]"),
         ({"start": 1.0, "min": 2.0, "max": 2.0}, "min 2 must be less than max 2"),
-        ({"start": 0.0}, "give nominal"),
-        ({"start": 0.0, "nominal": 0.0}, "nominal must be greater than 0"),
+        ({"start": 0.0}, "Set nominal"),
         ({"start": 1.0, "nominal": -1.0}, "nominal must be greater than 0"),
         ({"start": math.nan}, "start must be finite"),
-        ({"start": math.inf}, "start must be finite"),
         ({"start": 1.0, "max": math.nan}, "max must be a number"),
         ({"start": "1"}, "start must be a number, not '1'"),
-        ({"start": True}, "start must be a number, not True"),
         ({"start": 1.0, "prior": 2.0}, "prior must be a Normal"),
-        ({"start": 1.0, "min": 0.0, "prior": Normal(-1.0, 1.0)}, "the prior's mean -1 lies outside the bounds"),
+        ({"start": 1.0, "min": 0.0, "prior": Normal(-1.0, 1.0)}, "prior: mean -1 is outside"),
     ],
 )
 def test_bad_parameters_are_refused_with_the_remedy(words: dict[str, object], said: str) -> None:
@@ -55,11 +52,11 @@ def test_experiments_of_one_name_cannot_have_their_own_parameters() -> None:
 
 
 def test_no_parameters() -> None:
-    with pytest.raises(InputError, match="no parameters"):
+    with pytest.raises(InputError, match="no free parameters"):
         ParameterSet({})
 
 
-def test_prior_rows_are_the_compound_criterion() -> None:
+def test_prior_rows_are_the_cost_of_the_prior() -> None:
     """‖W(θ₀ − θ)‖² = (θ−θ₀)ᵀ M₀⁻¹ (θ−θ₀), J_0 of (1.37), with single and joint priors together."""
     covariance = np.array([[4e-4, 1e-7], [1e-7, 1e-10]])
     parameters = ParameterSet(
@@ -89,8 +86,7 @@ def test_prior_rows_are_the_compound_criterion() -> None:
     [
         (["R", "L"], [1.0, 1.0], [[1.0, 0.5], [0.4, 1.0]], "not symmetric"),
         (["R", "L"], [1.0, 1.0], [[1.0, 2.0], [2.0, 1.0]], "not positive definite"),
-        (["R", "L"], [1.0, 1.0], [[0.0, 0.0], [0.0, 1.0]], "variance of 'R' must be greater than 0, not 0"),
-        (["R", "L"], [1.0, 1.0], [[-1.0, 0.0], [0.0, 1.0]], "variance of 'R' must be greater than 0, not -1"),
+        (["R", "L"], [1.0, 1.0], [[0.0, 0.0], [0.0, 1.0]], "variance of 'R' must be greater than 0"),
         (["R", "L"], [1.0], [[1.0, 0.0], [0.0, 1.0]], "needs 2 means"),
         (["R", "R"], [1.0, 1.0], [[1.0, 0.0], [0.0, 1.0]], "twice"),
         (["R", "L"], [1.0, math.nan], [[1.0, 0.0], [0.0, 1.0]], "not finite"),
@@ -105,8 +101,8 @@ def test_bad_joint_priors(names: list[str], mean: list[float], covariance: list[
     ("name", "said"),
     [
         ("Rr", "did you mean 'R'"),
-        ("k", "prior of its own"),
-        ("L", "joint prior's mean 1 of 'L' lies outside its bounds"),
+        ("k", "its own prior"),
+        ("L", "joint prior: mean 1 of 'L' is outside"),
     ],
 )
 def test_joint_priors_must_fit_the_parameters(name: str, said: str) -> None:

@@ -73,17 +73,17 @@ def test_what_is_no_expression_is_refused(text: str) -> None:
 
 
 def test_refusals_name_the_remedy() -> None:
-    with pytest.raises(InputError, match=r"there is no function 'sinn' \(did you mean 'sin'"):
+    with pytest.raises(InputError, match=r"unknown function 'sinn' \(did you mean 'sin'"):
         value("sinn(a)")
     with pytest.raises(InputError, match="takes 1 argument, not 2"):
         value("exp(a, b)")
-    with pytest.raises(InputError, match=r"'a \+ True' cannot be computed \(it holds a truth value\): write numbers"):
+    with pytest.raises(InputError, match=r"'a \+ True': holds a truth value"):
         value("a + True")
-    with pytest.raises(InputError, match="an expression has 1201 characters: write at most 1000"):
+    with pytest.raises(InputError, match="1201 characters. Write at most 1000"):
         value("a" + "+a" * 600)
-    with pytest.raises(InputError, match="the axes d, q need an angle or a speed"):
+    with pytest.raises(InputError, match="axes d, q need an angle or a speed"):
         reduced(frame(a=1.0, b=1.0, c=1.0), park=(ParkTransform(("a", "b", "c"), ("d", "q")),))
-    with pytest.raises(InputError, match=r"^the frame: column 'x': the prepared column 'pulse' is missing"):
+    with pytest.raises(InputError, match=r"^the frame: column 'x': preprocessed column 'pulse' not found"):
         reduced(frame(pulses=1.0), computed_columns={"x": "pulse * 2"})
 
 
@@ -91,7 +91,7 @@ def test_columns_one_after_the_other() -> None:
     found = reduced(frame(y=2.0, d=1.0), computed_columns={"e": "d * 3", "y": "y + e * time", "bad": "1 / (d - 1)"})
     np.testing.assert_allclose(found["y"], 2.0 + 3.0 * T)
     assert found["bad"].isna().all()  # missing, not infinite
-    with pytest.raises(InputError, match="the time 'time' cannot be computed anew"):
+    with pytest.raises(InputError, match="time 'time' cannot be computed"):
         reduced(frame(y=2.0), computed_columns={"time": "time * 2"})
 
 
@@ -126,13 +126,13 @@ def test_stretches_between_gaps_are_filtered_by_themselves() -> None:
 
 
 def test_low_pass_is_refused() -> None:
-    with pytest.raises(InputError, match="lowpass_frequency = 600 Hz must lie below half the sample rate, 500 Hz"):
+    with pytest.raises(InputError, match="lowpass_frequency = 600 Hz must be below half the sampling rate, 500 Hz"):
         reduced(frame(x=1.0), lowpass_frequency=600.0)
     jumpy = frame(x=1.0).assign(time=np.where(T[7] == T, T + 3e-4, T))
-    with pytest.raises(InputError, match=r"needs equal steps of time, and after row 7 there is one of 0.0013 s"):
+    with pytest.raises(InputError, match=r"unequal sampling, 0.0013 s after row 7"):
         reduced(jumpy, lowpass_frequency=50.0)
     held = Experiment(frame(u=1.0, y=1.0), ["u"], ["y"], interpolation="zoh")
-    with pytest.raises(InputError, match="'u' holds between samples"):
+    with pytest.raises(InputError, match="'u' has interpolation"):
         reduced(held, lowpass_frequency=50.0)
 
 
@@ -142,7 +142,7 @@ def test_low_pass_is_refused() -> None:
 def test_cut() -> None:
     found = reduced(frame(x=T), start_time=0.3, end_time=0.7)
     np.testing.assert_allclose(found["time"], np.linspace(0.3, 0.7, 401))
-    with pytest.raises(InputError, match=r"from 2.5 s leaves 0 samples: the record goes from 0 to 1.999 s"):
+    with pytest.raises(InputError, match=r"from 2.5 s leaves 0 samples; data are from 0 to 1.999 s"):
         reduced(frame(x=T), start_time=2.5)
     with pytest.raises(InputError, match=r"from 0\.1 to 0\.1 s leaves 1 samples"):
         reduced(frame(x=T), start_time=0.1, end_time=0.1)
@@ -165,10 +165,10 @@ def test_resample() -> None:
 
 
 def test_resample_is_refused() -> None:
-    with pytest.raises(InputError, match="resample_interval = 5 s is longer than the record"):
+    with pytest.raises(InputError, match="resample_interval = 5 s is longer than the data"):
         reduced(frame(x=1.0), resample_interval=5.0)
     twice = pd.DataFrame({"time": [0.0, 1.0, 1.0, 2.0], "x": [0.0, 0.0, 1.0, 1.0]})
-    with pytest.raises(InputError, match="which of the two samples at t = 1 s"):
+    with pytest.raises(InputError, match="two samples at t = 1 s"):
         reduced(twice, resample_interval=0.5)
 
 
@@ -180,7 +180,7 @@ def test_detrend() -> None:
     np.testing.assert_allclose(found["x"], x - line(T), atol=1e-9)
     np.testing.assert_array_equal(found["y"], x)
     assert reduced(frame(x=x), detrend="mean")["x"].mean() == pytest.approx(0.0, abs=1e-12)
-    with pytest.raises(InputError, match="detrend = 'cubic' is not known"):
+    with pytest.raises(InputError, match="detrend: unknown value 'cubic'"):
         reduced(frame(x=x), detrend="cubic")
 
 
@@ -232,16 +232,16 @@ def test_axes_by_angle_and_by_speed_of_any_unit() -> None:
 def test_axes_are_refused() -> None:
     table = frame(**phases(T), n=np.where(T == 0.5, np.nan, 1.0))
     axes = ParkTransform(("ia", "ib", "ic"), ("id", "iq"), speed="n")
-    with pytest.raises(InputError, match="the speed 'n' has no value in row 501"):
+    with pytest.raises(InputError, match="speed 'n' has no value in row 501"):
         reduced(table, park=(axes,))
     table.attrs["units"] = {"n": "A", "ia": "A"}
-    with pytest.raises(InputError, match="must have one unit"):
+    with pytest.raises(InputError, match="units differ"):
         reduced(table, park=(axes,))
     table.attrs["units"] = {"n": "A"}
-    with pytest.raises(InputError, match="'n' is in A, which does not convert to rad/s"):
+    with pytest.raises(InputError, match="'n' is in A, not convertible to rad/s"):
         reduced(table, park=(axes,))
     del table.attrs["units"]
-    with pytest.raises(InputError, match="column 'ix' is missing"):
+    with pytest.raises(InputError, match="column 'ix' not found"):
         reduced(table, park=(ParkTransform(("ia", "ib", "ix"), ("id", "iq"), angle="n"),))
 
 
@@ -276,11 +276,11 @@ def test_filling_comes_between_columns_and_axes() -> None:
 @pytest.mark.parametrize(
     ("how", "said"),
     [
-        ({"max_gap": 0.003}, "at t = 0.5 s, in a gap of 0.012 s, more than max_gap = 0.003 s: make"),
-        ({}, "the frame: the column 'u' has no value at t = 1.997 s and none after it to fill it from: cut"),
-        ({"fill_missing": {"none": "linear"}}, "the column 'none' has no value at t = 0 s and none before it"),
-        ({"fill_missing": {"u": "pchip"}}, "fill_missing = 'pchip' is not known: write \"linear\" or \"zoh\""),
-        ({"fill_missing": {"v": "zoh"}}, "the prepared column 'v' is missing"),
+        ({"max_gap": 0.003}, "at t = 0.5 s in a gap of 0.012 s; limit max_gap = 0.003 s"),
+        ({}, "the frame: column 'u': no value at t = 1.997 s and none after it"),
+        ({"fill_missing": {"none": "linear"}}, "column 'none': no value at t = 0 s and none before it"),
+        ({"fill_missing": {"u": "pchip"}}, "fill_missing: unknown value 'pchip'"),
+        ({"fill_missing": {"v": "zoh"}}, "preprocessed column 'v' not found"),
     ],
 )  # fmt: skip
 def test_what_cannot_be_filled_is_refused(how: dict[str, Any], said: str) -> None:
@@ -292,7 +292,7 @@ def test_what_cannot_be_filled_is_refused(how: dict[str, Any], said: str) -> Non
 def test_a_pause_is_not_bridged_unless_its_length_is_said() -> None:
     table = gappy()
     table.loc[600:620, "u"] = np.nan  # from 599 to 621: 22 steps of 1 ms
-    with pytest.raises(InputError, match=r"at t = 0.6 s, in a gap of 0.022 s, more than 20 usual steps = 0.02 s: make"):
+    with pytest.raises(InputError, match=r"at t = 0.6 s in a gap of 0.022 s; limit 20 intervals = 0.02 s"):
         reduced(table, fill_missing={"u": "linear"}, end_time=1.9)
     found = reduced(table, fill_missing={"u": "linear"}, max_gap=0.022, end_time=1.9)
     np.testing.assert_allclose(found["u"], 2 * T[:1901], atol=1e-12)
@@ -318,7 +318,7 @@ def test_missing_rows_of_what_drives_a_model_are_refused_as_missing_samples_are(
     table = lacking((0.5, 0.8))
     with pytest.raises(InputError) as caught:
         fmuid.Experiment(table, ["u"], ["i"], interpolation="zoh")
-    said = r"rows are missing between t = 0\.5 s \(row 501\) and 0\.8 s, where most steps are 0\.001 s"
+    said = r"rows missing from 0\.5 s \(row 501\) to 0\.8 s; usual interval 0\.001 s"
     assert re.search(said, str(caught.value))
     assert 'preprocess = { fill_missing = { "u" = "zoh" }, max_gap = 0.3 }' in str(caught.value)
     assert fmuid.Experiment(table, [], ["i"]).times.size == table.shape[0]  # nothing drives it
@@ -330,14 +330,14 @@ def test_missing_rows_of_what_drives_a_model_are_refused_as_missing_samples_are(
         made = fmuid.Experiment(whole, ["u"], ["i"])
         assert int(np.isnan(made.output_values).sum()) == 299  # nobody measured there
     for longest in (None, 0.29):
-        with pytest.raises(InputError, match=r"no value at t = 0\.501 s, in a gap of 0\.3 s, more than"):
+        with pytest.raises(InputError, match=r"no value at t = 0\.501 s in a gap of 0\.3 s"):
             reduced(table, fill_missing={"u": "linear"}, max_gap=longest)
 
 
 @pytest.mark.parametrize(
     "times",
     [
-        pytest.param(np.delete(T, slice(500, 518)), id="a dropout"),
+        pytest.param(np.delete(T, slice(500, 518)), id="a short gap"),
         pytest.param(np.sort(np.concatenate([T[:300], 0.3 + 0.1 * np.arange(40)])), id="two rates"),
         pytest.param(np.append(T, 60.0), id="one sample at the end"),
         pytest.param(np.cumsum(np.tile([*[0.001] * 9, 0.1], 20)), id="bursts"),

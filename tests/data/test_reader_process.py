@@ -20,11 +20,11 @@ from tests.support.table_variants import FILES, FRAME
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="files are read in the same process there")
 SENTENCES = {
-    "crash": r"the library that reads the file crashed \(SIGSEGV\): the file is damaged, write it again",
-    "hang": "the file was not read within [0-9.]+ s: it is damaged or too large, write it again or in parts",
-    "grow": "reading the file took more than 200 MB: it is damaged or too large",
-    "kill": "the process that read the file was ended from outside: read it again, or free memory",
-    "refuse": "the file needs more memory than there is: it is damaged or too large",
+    "crash": r"crashed \(SIGSEGV\)",
+    "hang": "not read within [0-9.]+ s",
+    "grow": "took more than 200 MB",
+    "kill": "process was killed",
+    "refuse": "not enough memory",
 }
 
 
@@ -48,7 +48,7 @@ def test_read_isolated_refuses_files_over_which_the_process_is_lost(
 def test_read_isolated_refuses_a_file_that_claims_more_than_the_memory(tmp_path: Path) -> None:
     with h5py.File(tmp_path / "a.h5", "w") as file:
         file.create_dataset("time", shape=(1 << 50,), dtype="f8", chunks=(1 << 20,))
-    with pytest.raises(InputError, match=r"a\.h5: the file (needs more memory than there is|is no readable HDF5 file)"):
+    with pytest.raises(InputError, match=r"a\.h5: not (enough memory|a readable HDF5 file)"):
         read_data(tmp_path / "a.h5")
 
 

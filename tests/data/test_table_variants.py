@@ -52,26 +52,26 @@ def test_missing_samples_by_a_dash(tmp_path: Path) -> None:
 
 def test_shuffled_rows_are_refused_with_their_row(tmp_path: Path) -> None:
     FRAME.iloc[[0, 2, 1, *range(3, 12)]].to_csv(tmp_path / "a.csv", index=False)
-    with pytest.raises(InputError, match="the time column 'time' decreases in row 3"):
+    with pytest.raises(InputError, match="time column 'time': row 3 goes back"):
         Experiment(read_data(tmp_path / "a.csv"), ["u"], ["w"])
 
 
 def test_no_times_but_a_rate(tmp_path: Path) -> None:
     FRAME[["u", "i", "w"]].to_csv(tmp_path / "a.csv", index=False)
-    with pytest.raises(InputError, match=r"the time column 'time' is missing \(there is u, i, w\).* sample_rate"):
+    with pytest.raises(InputError, match=r"time column 'time' not found \(columns: u, i, w\).* sample_rate"):
         read_data(tmp_path / "a.csv")
     check(Experiment(read_data(tmp_path / "a.csv", sample_rate=100.0), ["u"], ["i", "w"]))
     FRAME.to_csv(tmp_path / "b.csv", index=False)
-    with pytest.raises(InputError, match="there are a column 'time' and a sample rate"):
+    with pytest.raises(InputError, match="'time' and sample_rate are both given"):
         read_data(tmp_path / "b.csv", sample_rate=100.0)
 
 
 def test_the_time_by_its_place_and_in_a_unit_that_is_given(tmp_path: Path) -> None:
     MS.rename(columns={"time": "clock"}).to_csv(tmp_path / "a.csv", index=False)
     check(Experiment(read_data(tmp_path / "a.csv", 1, time_unit="ms"), ["u"], ["i", "w"]))
-    with pytest.raises(InputError, match="there is no column 5: the table has 4"):
+    with pytest.raises(InputError, match="no time column 5; the table has 4"):
         read_data(tmp_path / "a.csv", 5)
-    with pytest.raises(InputError, match="the unit of time 'fortnight' is not known: write one of s, ms"):
+    with pytest.raises(InputError, match="time_unit 'fortnight' is unknown. Use s, ms"):
         read_data(tmp_path / "a.csv", 1, time_unit="fortnight")
 
 
@@ -110,7 +110,7 @@ def test_dates_over_a_change_of_clocks(tmp_path: Path, day: str, offsets: tuple[
     assert frame.attrs["begin"].isoformat() == f"{local[0]}+0{shifts[0] // 60}:00"
     path.write_text("time,u\n" + "".join(f"{each},1\n" for each in local))
     if offsets[1] < offsets[0]:
-        with pytest.raises(InputError, match=r"goes back by an hour in row 4, where .*02:00:00 follows .* in UTC or"):
+        with pytest.raises(InputError, match=r"goes back by an hour in row 4 .*02:00:00.*UTC"):
             read_data(path)
 
 
@@ -118,7 +118,7 @@ def test_dates_over_a_change_of_clocks(tmp_path: Path, day: str, offsets: tuple[
 def test_a_spreadsheet_that_is_called_a_text(tmp_path: Path, suffix: str) -> None:
     FRAME.to_excel(tmp_path / f"a{suffix}", index=False)
     (tmp_path / f"a{suffix}").rename(tmp_path / "a.csv")
-    with pytest.raises(InputError, match=r"is a spreadsheet or packed, by its first bytes: name it \.xlsx"):
+    with pytest.raises(InputError, match=r"is a spreadsheet or packed file\. Name it \.xlsx"):
         read_data(tmp_path / "a.csv")
 
 
@@ -137,7 +137,7 @@ def test_a_library_that_is_missing_is_named_with_its_extra(
     monkeypatch.setitem(sys.modules, module, None)
     monkeypatch.setattr("fmuid.processes.keeper.AVAILABLE", False)  # read in this process
     (tmp_path / name).write_bytes(b"")
-    with pytest.raises(InputError, match=rf'read by {module}, which is not installed: pip install "fmuid\[{extra}\]"'):
+    with pytest.raises(InputError, match=rf'needs {module}\. Install it: pip install "fmuid\[{extra}\]"'):
         read_data(tmp_path / name)
 
 
@@ -157,7 +157,7 @@ def test_what_cannot_be_unpacked(tmp_path: Path, kind: str) -> None:
         packed[packed.index(b"PK\x01\x02") + 8] |= 1
     path.write_bytes(packed)
     with pytest.raises(
-        InputError, match=r"cannot be unpacked: pack it again|holds 2 files: give one with the table alone"
+        InputError, match=r"cannot be unpacked|2 files in the archive"
     ):
         read_data(path)
 
@@ -182,8 +182,8 @@ def test_a_sheet_by_name_and_by_place(tmp_path: Path) -> None:
     for sheet in given:
         pd.testing.assert_frame_equal(read_data(path, sheet=sheet)[[*FRAME]], FRAME)
     wrong: dict[str | int, str] = {
-        "rum": "there is no sheet 'rum'.*'run'.*the file has idle, run, about",
-        4: "there is no sheet 4: the file has idle, run, about",
+        "rum": "no sheet 'rum'.*'run'.*idle, run, about",
+        4: "no sheet 4.*idle, run, about",
         "about": "the sheet 'about' does not hold a table",
     }
     for other, sentence in wrong.items():
@@ -194,19 +194,19 @@ def test_a_sheet_by_name_and_by_place(tmp_path: Path) -> None:
 @pytest.mark.parametrize("index", [range(3), ["a", "b", "c"], [3.0, 1.0, 2.0]])
 def test_an_index_without_a_name_that_is_no_time(tmp_path: Path, index: object) -> None:
     pd.DataFrame({"u": [1.0, 2.0, 3.0]}, index=index).to_csv(tmp_path / "a.csv")  # type: ignore[call-overload]
-    with pytest.raises(InputError, match=r"column 'time' is missing \(there is \(no name\), u\): name the column"):
+    with pytest.raises(InputError, match=r"column 'time' not found \(columns: \(no name\), u\)"):
         read_data(tmp_path / "a.csv")
 
 
 @pytest.mark.parametrize(
     ("name", "sentence"),
     [
-        ("a.xlsx", "the file is no readable spreadsheet"),
-        ("a.h5", "the file is no readable HDF5 file"),
-        ("a.tdms", "the file is no readable TDMS file|has no channels with samples"),
-        ("a.mf4", "the file is no readable MDF file"),
-        ("a.feather", "the file is no readable Feather table"),
-        ("a.json", "the file is no readable JSON table"),
+        ("a.xlsx", "not a readable spreadsheet"),
+        ("a.h5", "not a readable HDF5 file"),
+        ("a.tdms", "not a readable TDMS file|no channels with samples"),
+        ("a.mf4", "not a readable MDF file"),
+        ("a.feather", "not a readable Feather table"),
+        ("a.json", "not a readable JSON table"),
     ],
 )
 def test_files_that_are_none(tmp_path: Path, name: str, sentence: str) -> None:
@@ -231,7 +231,7 @@ def test_durations_of_pandas_are_no_other_numbers(tmp_path: Path, kind: str, nam
         frame.to_csv(path)
     else:
         frame.to_excel(str(path))
-        with pytest.raises(InputError, match=r"(time|no name\))' may be in days, .* by time_unit = \"d\" or \"s\""):
+        with pytest.raises(InputError, match=r"(time|no name\))' may be in days\. Set time_unit = \"d\" or \"s\""):
             read_data(path)
         unit = "d"
     np.testing.assert_allclose(read_data(path, time_unit=unit)["time"], FRAME["time"], rtol=1e-12)

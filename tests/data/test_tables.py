@@ -47,33 +47,27 @@ def test_a_time_column_of_another_name(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("text", "sentence"),
     [
-        ("", "the table is empty: give a header"),
-        ("\n\n", "the table is empty: give a header"),
-        ("time,u\n", "has a header but no rows: give measured samples"),
-        ("time,u\n0,0,1,5\n0,1,2,5\n", "the header has 2 names but row 1 has 4 cells: .* as the header"),
-        (
-            "time,x[1,2]\n0,1\n1,1\n",
-            r"the header has 3 names but row 1 has 2 cells: .* in quotes, such as \"x\[1,2\]\"",
-        ),
-        ("time,u\n0,1\n1,2,3\n", "the file is no table .*: give every row as many cells as the header"),
-        ("time,u\r0,1\r1,2\r", "lines end in a carriage return alone: end each in a line feed"),
-        (
-            "time,u,y\n0,1,2\n\n1,2,\n2,3\n",
-            "the header has 3 names but row 3 has 2 cells: .* empty ones where samples are missing",
-        ),
-        ("time,u,y\n0,1,2\n1", "the header has 3 names but row 2 has 1 cell: give every row"),
-        ('time,u,text\n0,1,"a\nb,"\n1,2\n', "the header has 3 names but row 2 has 2 cells"),
-        ("0,1\n1,2\n", "the first line holds numbers: put the names there, that of the time among them"),
-        ("Times,u\n0,1\n", r"the time column 'time' is missing \(did you mean 'Times'\?\)"),
-        ("TIME,Time,u\n0,1,2\n", r"the time column 'time' is missing \(did you mean 'Time'"),
-        ("This is\nno table\n", r"the time column 'time' is missing \(did you mean 'This is'|there is This is\)"),
-        ("time,u,u\n0,1,2\n", "the column 'u' is there twice: rename or remove one"),
-        ("time,u\nstart,V\n0,1\n", r"the time column 'time' is missing \(there is start, V\)"),
-        ('time,u\n"0,1",1.5\n', "column 'time' holds '0,1' in row 1, .*: write numbers with decimal points"),
-        ("time,u\n2026-01-01T00:00,1\nsoon,2\n", "column 'time' holds 'soon' in row 2|2026-01-01T00:00' in row 1"),
-        ("time,u\n01.02.2026 10:00,1\n01.02.2026 10:01,2\n", "day and month may be either way round: write dates as"),
-        (b"time,gr\x81\xfce\n0,1\n", "no text in UTF-8, UTF-16 or cp1252: save it as UTF-8"),
-        (b"PK\x03\x04\x00\x00\xff\xfe\x00", "the file is a spreadsheet or packed"),
+        ("", "empty. Give a header"),
+        ("\n\n", "empty. Give a header"),
+        ("time,u\n", "no samples below the header"),
+        ("time,u\n0,0,1,5\n0,1,2,5\n", "2 names in the header, 4 cells in row 1"),
+        ("time,x[1,2]\n0,1\n1,1\n", r"3 names in the header, 2 cells in row 1\. Quote names"),
+        ("time,u\n0,1\n1,2,3\n", "no table .*as many cells as the header"),
+        ("time,u\r0,1\r1,2\r", "lines end in carriage returns"),
+        ("time,u,y\n0,1,2\n\n1,2,\n2,3\n", "3 names in the header, 2 cells in row 3"),
+        ("time,u,y\n0,1,2\n1", "3 names in the header, 1 cell in row 2"),
+        ('time,u,text\n0,1,"a\nb,"\n1,2\n', "3 names in the header, 2 cells in row 2"),
+        ("0,1\n1,2\n", "no header. Write the names"),
+        ("Times,u\n0,1\n", r"time column 'time' not found \(did you mean 'Times'\?\)"),
+        ("TIME,Time,u\n0,1,2\n", r"not found \(did you mean 'Time'"),
+        ("This is\nno table\n", r"not found \(did you mean 'This is'|columns: This is\)"),
+        ("time,u,u\n0,1,2\n", "column 'u' occurs twice"),
+        ("time,u\nstart,V\n0,1\n", r"not found \(columns: start, V\)"),
+        ('time,u\n"0,1",1.5\n', "'time': '0,1' in row 1 .*decimal points"),
+        ("time,u\n2026-01-01T00:00,1\nsoon,2\n", "'time': 'soon' in row 2|2026-01-01T00:00' in row 1"),
+        ("time,u\n01.02.2026 10:00,1\n01.02.2026 10:01,2\n", "day and month of .* are ambiguous"),
+        (b"time,gr\x81\xfce\n0,1\n", "not text in UTF-8, UTF-16 or cp1252"),
+        (b"PK\x03\x04\x00\x00\xff\xfe\x00", "is a spreadsheet or packed file"),
     ],
 )
 def test_csv_that_is_none(tmp_path: Path, text: str | bytes, sentence: str) -> None:
@@ -91,7 +85,7 @@ def test_a_cell_that_only_python_takes_for_a_number_is_named_with_its_row(tmp_pa
     table = read_data(written(tmp_path, "time,u\n" + "".join(rows)))
     with pytest.raises(InputError) as caught:
         numeric_column(table, "u", "file.csv")
-    assert str(caught.value).startswith(f"file.csv: column 'u' holds {cell!r} in row 10, ")
+    assert str(caught.value).startswith(f"file.csv: column 'u': {cell!r} in row 10 ")
 
 
 def test_empty_cells_at_the_end_of_rows_are_missing_samples_and_blank_lines_are_no_rows(tmp_path: Path) -> None:
@@ -100,14 +94,12 @@ def test_empty_cells_at_the_end_of_rows_are_missing_samples_and_blank_lines_are_
 
 
 def test_files_that_cannot_be_read(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match=r"none\.csv: there is no such file"):
+    with pytest.raises(InputError, match=r"none\.csv: file not found"):
         read_data(tmp_path / "none.csv")
     (tmp_path / "folder.csv").mkdir()
-    with pytest.raises(InputError, match=r"folder\.csv: this is a folder"):
+    with pytest.raises(InputError, match=r"folder\.csv: is a folder"):
         read_data(tmp_path / "folder.csv")
-    with pytest.raises(
-        InputError, match=r"run\.docx: tables of the kind '\.docx' are not read: save it as one of \.csv"
-    ):
+    with pytest.raises(InputError, match=r"run\.docx: unknown format '\.docx'\. Use \.csv"):
         read_data(written(tmp_path, "", "run.docx"))
     with pytest.raises(InputError, match="'without suffix'"):
         read_data(written(tmp_path, "", "run"))
@@ -125,12 +117,12 @@ def test_parquet_with_time_as_column_or_index(tmp_path: Path) -> None:
 
 
 def test_parquet_that_is_none(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match=r"run\.parquet: the file is no readable Parquet table"):
+    with pytest.raises(InputError, match=r"run\.parquet: not a readable Parquet table"):
         read_data(written(tmp_path, "time,u\n0,1\n", "run.parquet"))
-    with pytest.raises(InputError, match=r"run\.parquet: the file is no readable Parquet table"):
+    with pytest.raises(InputError, match=r"run\.parquet: not a readable Parquet table"):
         read_data(written(tmp_path, "", "run.parquet"))
     pd.DataFrame({"time": [], "u": []}).to_parquet(tmp_path / "empty.parquet")
-    with pytest.raises(InputError, match="a header but no rows"):
+    with pytest.raises(InputError, match="no samples below the header"):
         read_data(tmp_path / "empty.parquet")
 
 
@@ -151,18 +143,18 @@ def test_mat_vectors_of_the_common_length(tmp_path: Path, version: Any) -> None:
 
 def test_mat_without_the_time_lists_what_there_is(tmp_path: Path) -> None:
     savemat(tmp_path / "run.mat", {"tt": TIMES, "vir": SPEED, "data": {"clock": TIMES}, "A": np.eye(5)})
-    with pytest.raises(InputError, match=r"run\.mat: the time column 'time' is missing \(there is tt, vir, data.clock"):
+    with pytest.raises(InputError, match=r"run\.mat: time column 'time' not found \(columns: tt, vir, data.clock"):
         read_data(tmp_path / "run.mat")
 
 
 def test_mat_that_is_none(tmp_path: Path) -> None:
     header = b"MATLAB 7.3 MAT-file, Platform: GLNXA64".ljust(124) + b"\x00\x02IM"
-    with pytest.raises(InputError, match=r"run\.mat: the file is no readable HDF5 file: write it again"):
+    with pytest.raises(InputError, match=r"run\.mat: not a readable HDF5 file"):
         read_data(written(tmp_path, header.ljust(600, b"\0"), "run.mat"))
     savemat(tmp_path / "whole.mat", {"time": TIMES})
     whole = (tmp_path / "whole.mat").read_bytes()
     for broken in (b"", b"hello", b"time,u\n0,1\n" * 40, whole[:-20], whole[:100]):
-        with pytest.raises(InputError, match=r"run\.mat: the file is no readable MAT file"):
+        with pytest.raises(InputError, match=r"run\.mat: not a readable MAT file"):
             read_data(written(tmp_path, broken, "run.mat"))
 
 
@@ -175,7 +167,7 @@ def test_a_file_that_may_not_be_read(tmp_path: Path, monkeypatch: pytest.MonkeyP
 
     path = written(tmp_path, b"time,u\n0,1\n", name)
     monkeypatch.setattr(Path, "open", refused)
-    with pytest.raises(InputError, match="the file may not be read: change its permissions"):
+    with pytest.raises(InputError, match="permission denied"):
         read_data(path)
 
 
@@ -246,18 +238,16 @@ def test_what_dymola_exports_as_plotted(tmp_path: Path) -> None:
 def test_result_files_without_a_trajectory(tmp_path: Path) -> None:
     linear = characters(["AlinearSystem", "1.0", "", "binNormal"], "nul")
     write_mat4(tmp_path / "dslin.mat", {"Aclass": linear, "ABCD": np.eye(3)})
-    with pytest.raises(InputError, match=r"dslin\.mat: the file holds 'AlinearSystem' data and no trajectories"):
+    with pytest.raises(InputError, match=r"dslin\.mat: holds 'AlinearSystem' data, no trajectories"):
         read_data(tmp_path / "dslin.mat")
     trajectory = characters(["Atrajectory", "1.1", "", "binTrans"], "nul")
     write_mat4(tmp_path / "half.mat", {"Aclass": trajectory, "name": characters(["time"], "nul").T})
-    with pytest.raises(InputError, match=r"half\.mat: the result file is incomplete: simulate again"):
+    with pytest.raises(InputError, match=r"half\.mat: incomplete result file"):
         read_data(tmp_path / "half.mat")
 
 
 def test_a_place_of_the_time_beside_a_column_of_that_name(tmp_path: Path) -> None:
     path = written(tmp_path, "u,time\n0,1\n1,2\n")
-    with pytest.raises(
-        InputError, match="asked for in column 1, 'u', and another column is called 'time': give the name"
-    ):
+    with pytest.raises(InputError, match="time is column 1, 'u', but there is a column 'time'"):
         read_data(path, 1)
     assert [*read_data(path, 2)["time"]] == [1.0, 2.0]

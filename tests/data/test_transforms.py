@@ -84,15 +84,15 @@ def test_the_given_frame_stays_as_it_was() -> None:
 
 def test_wrong_columns_are_named() -> None:
     frame = balanced()
-    with pytest.raises(InputError, match=r"'voltage' is missing \(there is time, a, b, c, theta\)"):
+    with pytest.raises(InputError, match=r"'voltage' not found \(columns: time, a, b, c, theta\)"):
         concordia_transform(frame, ("voltage", "b", "c"), ("x", "y"))
-    with pytest.raises(InputError, match=r"'thet' is missing \(did you mean 'theta' or 'time'\?\)"):
+    with pytest.raises(InputError, match=r"'thet' not found \(did you mean 'theta' or 'time'\?\)"):
         park_transform(frame, PHASES, ("x", "y"), theta="thet")
-    with pytest.raises(InputError, match=r"columns is .*: give 3 different names"):
+    with pytest.raises(InputError, match=r"columns = .*Give 3 different names"):
         concordia_transform(frame, ("a", "b"), ("x", "y"))
-    with pytest.raises(InputError, match="names is 'dq': give 2 different names"):
+    with pytest.raises(InputError, match="names = 'dq'. Give 2 different names"):
         park_transform(frame, PHASES, "dq")
-    with pytest.raises(InputError, match="a column 'time' already"):
+    with pytest.raises(InputError, match="column 'time' exists already"):
         park_transform(frame, PHASES, ("time", "y"))
-    with pytest.raises(InputError, match="column 'a' holds 'x' in row 2"):
+    with pytest.raises(InputError, match="column 'a': 'x' in row 2"):
         concordia_transform(frame.astype({"a": object}).replace({"a": {frame["a"][1]: "x"}}), PHASES, ("x", "y"))

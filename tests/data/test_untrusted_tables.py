@@ -109,7 +109,7 @@ def test_hdf_tables_of_pandas_with_other_headers(tmp_path: Path) -> None:
     FRAME.set_axis(range(3), axis="columns").to_hdf(tmp_path / "a.h5", key="run", mode="w")
     assert [*read_data(tmp_path / "a.h5", "0")] == ["0", "1", "2"]
     FRAME[:0].to_hdf(tmp_path / "b.h5", key="run")
-    with pytest.raises(InputError, match=r"b\.h5: the table has a header but no rows"):
+    with pytest.raises(InputError, match=r"b\.h5: no samples below the header"):
         read_data(tmp_path / "b.h5")
 
 
@@ -117,19 +117,19 @@ def test_hdf_with_several_tables_of_pandas(tmp_path: Path) -> None:
     path = tmp_path / "a.h5"
     FRAME.to_hdf(path, key="bench/cold")
     (FRAME + 1.0).to_hdf(path, key="warm")
-    with pytest.raises(InputError, match=r"a\.h5: the file holds the frames bench/cold, warm: choose one by sheet"):
+    with pytest.raises(InputError, match=r"a\.h5: several frames: bench/cold, warm"):
         read_data(path)
     for sheet, first in (("bench/cold", 0.0), ("warm", 1.0), (2, 1.0)):
         assert read_data(path, sheet=sheet)["u"][0] == first
-    with pytest.raises(InputError, match=r"no sheet 'warn' \(did you mean 'warm'\?\): the file has bench/cold"):
+    with pytest.raises(InputError, match=r"no sheet 'warn' \(did you mean 'warm'\?\)\. Choose one of bench/cold"):
         read_data(path, sheet="warn")
 
 
 LEVELS = pd.MultiIndex.from_product([["a", "b"], [1, 2, 3]], names=["p", "q"])
 REFUSED: dict[str, tuple[Any, Any]] = {
-    "no table": (FRAME["u"], "fixed"),
+    "is no frame": (FRAME["u"], "fixed"),
     "its index in '/run' has levels": (FRAME.set_index(LEVELS), "fixed"),
-    "its index in '/run' has levels,": (FRAME.set_index(LEVELS), "table"),
+    "its index in '.run' has levels": (FRAME.set_index(LEVELS), "table"),
     "its header in '/run' has levels": (FRAME.T.set_axis(LEVELS[:3]).T, "fixed"),
     "its header in '/run' has labels of the type object": (FRAME.set_axis(["time", 1, 2], axis="columns"), "fixed"),
     "'kind' in '/run' has categories": (FRAME.assign(kind=pd.Categorical([*"ababab"])), "table"),
@@ -151,13 +151,13 @@ def test_hdf_headers_that_are_objects(tmp_path: Path) -> None:
     FRAME.to_hdf(tmp_path / "run.h5", key="run")
     with h5py.File(tmp_path / "run.h5", "r+") as file:
         file["run/axis0"].attrs["kind"] = np.bytes_(pickle.dumps(Payload(tmp_path / "mark"), 0))
-    with pytest.raises(InputError, match="its header in '/run' has Python objects, which"):
+    with pytest.raises(InputError, match="its header in '/run' has Python objects"):
         read_data(tmp_path / "run.h5")
 
 
 def test_hdf_tables_of_pandas_by_a_compressor_that_is_missing(tmp_path: Path) -> None:
     FRAME.to_hdf(tmp_path / "run.h5", key="run", format="table", complevel=1, complib="blosc")
-    with pytest.raises(InputError, match=r"run\.h5: 'run/table' is compressed by blosc.*: save it with zlib"):
+    with pytest.raises(InputError, match=r"run\.h5: 'run/table' is compressed by blosc.*Save it with zlib"):
         read_data(tmp_path / "run.h5")
 
 
@@ -225,7 +225,7 @@ def test_mdf_formulas_are_expressions(tmp_path: Path, suffix: str) -> None:
         if sentence is None:
             np.testing.assert_allclose(read_data(path)["u"], 2.0 * np.arange(ROWS) + 1)
             continue
-        with pytest.raises(InputError, match=rf"{sentence}.*converts a channel cannot be computed"):
+        with pytest.raises(InputError, match=rf"conversion formula .*cannot be computed"):
             read_data(path)
         assert not mark.exists()
 

@@ -49,5 +49,5 @@ def _plain_columns(path: Path, source: str, sheet: str | int | None) -> dict[str
     except (InputError, MemoryError, KeyboardInterrupt, SystemExit):
         raise
     except BaseException:  # libraries raise errors of all kinds on damaged files; those in Rust panic
-        raise InputError(f"{source}: the file is no readable {name}: write it again") from None
+        raise InputError(f"{source}: not a readable {name}. Write it again.") from None
     return vars(found) | {"values": [each.tolist() if each.dtype.kind == "O" else each for each in found.values]}

@@ -28,10 +28,7 @@ if TYPE_CHECKING:
 
 READING_SECONDS = 60.0
 """Time in which any file is read, s; larger files have more."""
-_SLOWEST_READING = 1e5
-"""Bytes read in a second at least: a tenth of what spreadsheets take on a slow machine."""
-_SHARE_OF_MEMORY = 0.5
-_REMEDY = "it is damaged or too large, write it again or in parts"
+_REMEDY = "Write it again, or in parts."
 
 
 @dataclass(frozen=True)
@@ -58,28 +55,26 @@ def library(name: str, extra: str, source: str) -> ModuleType:
     try:
         return importlib.import_module(name)
     except ImportError:
-        raise InputError(
-            f'{source}: files of this kind are read by {name}, which is not installed: pip install "fmuid[{extra}]"'
-        ) from None
+        raise InputError(f'{source}: needs {name}. Install it: pip install "fmuid[{extra}]".') from None
 
 
 def chosen(names: Sequence[str], wanted: str | int, source: str) -> str:
-    """Return the name of a sheet given by name or place from 1."""
+    """Return a sheet's name by name or place from 1."""
     if isinstance(wanted, int) and 1 <= wanted <= len(names):
         return names[wanted - 1]
     if isinstance(wanted, str) and wanted in names:
         return wanted
     near = nearest(wanted, names) if isinstance(wanted, str) else ""
-    raise InputError(f"{source}: there is no sheet {wanted!r}{near}: the file has {', '.join(names)}")
+    raise InputError(f"{source}: no sheet {wanted!r}{near}. Choose one of {', '.join(names)}.")
 
 
 def columns_of_vectors(
     source: str, vectors: Mapping[str, Array], units: Mapping[str, str], separator: str
 ) -> FileColumns:
-    """Return vectors of the time's length, else of the most common length, as columns."""
+    """Return vectors of the time's, else the commonest length as columns."""
     lengths = Counter(value.size for value in vectors.values() if value.size > 1)
     if not lengths:
-        raise InputError(f"{source}: the file holds no numeric vectors: save the columns as vectors of one length")
+        raise InputError(f"{source}: no numeric vectors. Save the columns as vectors of one length.")
     timed = {value.size for name, value in vectors.items() if name.rpartition(separator)[2].lower() in TIME_NAMES}
     length = max(lengths, key=lambda size: (size in timed, lengths[size], size))
     columns = {name: value for name, value in vectors.items() if value.size == length}
@@ -106,12 +101,12 @@ def call_reader(function: Callable[..., dict[str, Any]], path: Path, *arguments:
     from fmuid.processes import HostExitError
 
     try:
-        limit = READING_SECONDS + path.stat().st_size / _SLOWEST_READING
+        limit = READING_SECONDS + path.stat().st_size / 1e5  # a tenth of a slow machine's speed with spreadsheets
         return _reader().call(function, path.absolute(), *arguments, time_limit=limit)
     except OSError as error:
-        raise ContentError(f"the file cannot be read: {error.strerror or error}") from None
+        raise ContentError(f"cannot be read: {error.strerror or error}.") from None
     except MemoryError:
-        raise ContentError(f"the file needs more memory than there is: {_REMEDY}") from None
+        raise ContentError(f"not enough memory to read the file. {_REMEDY}") from None
     except HostExitError as end:
         raise ContentError(_lost(end, limit)) from None
 
@@ -120,12 +115,12 @@ def _lost(end: HostExitError, limit: float) -> str:
     from fmuid.processes import CRASHED, GREW, HUNG
 
     if end.kind == CRASHED:
-        return f"the library that reads the file crashed ({end.signal_name}): the file is damaged, write it again"
+        return f"the reading library crashed ({end.signal_name}). {_REMEDY}"
     if end.kind == HUNG:
-        return f"the file was not read within {limit:.3g} s: {_REMEDY}"
+        return f"not read within {limit:.3g} s. {_REMEDY}"
     if end.kind == GREW:
-        return f"reading the file took more than {end.number} MB: {_REMEDY}"
-    return "the process that read the file was ended from outside: read it again, or free memory"
+        return f"reading took more than {end.number} MB. {_REMEDY}"
+    return "the reading process was killed. Read the file again, or free memory."
 
 
 @cache
@@ -134,4 +129,4 @@ def _reader() -> IsolatedCaller:
 
     from fmuid.processes import IsolatedCaller
 
-    return IsolatedCaller(READING_SECONDS, _SHARE_OF_MEMORY * psutil.virtual_memory().total / 1e6)
+    return IsolatedCaller(READING_SECONDS, 0.5 * psutil.virtual_memory().total / 1e6)

@@ -18,14 +18,14 @@ _UNIT_ATTRIBUTES = ("unit", "units", "Unit", "Units")
 
 
 def read_hdf(path: Path, source: str, frame: str | int | None) -> FileColumns:
-    """Read a frame of pandas (by key or place from 1), or vectors with units."""
+    """Read a frame (by key or place from 1), or vectors."""
     with _opened(path, source) as file:
         objects = _objects(file)
         found = [name for name, each in objects if PANDAS_TYPE in each.attrs]
         outer = [name for name in found if not name.startswith(tuple(f"{each}/" for each in found))]
         frames = {name: each for name, each in objects if name in outer}
         if len(frames) > 1 and frame is None:
-            raise InputError(f"{source}: the file holds the frames {', '.join(frames)}: choose one by sheet")
+            raise InputError(f"{source}: several frames: {', '.join(frames)}. Choose one by sheet.")
         try:
             if frames:
                 return read_frame(frames[chosen([*frames], 1 if frame is None else frame, source)], source)
@@ -61,8 +61,9 @@ def _check_compression(objects: list[tuple[str, Any]], source: str) -> None:
             code, *_, name = filters.get_filter(k)
             if not filter_avail(code):
                 raise InputError(
-                    f"{source}: {path!r} is compressed by {name.decode(errors='replace')}, which is not installed: "
-                    "save it with zlib or without compression"
+                    f"{source}: {path!r} is compressed by {name.decode(errors='replace')}, "
+                    "which is not installed. "
+                    "Save it with zlib or uncompressed."
                 )
 
 
@@ -108,4 +109,4 @@ def _opened(path: Path, source: str) -> Any:
     try:
         return h5py.File(path, "r")
     except OSError:  # said of MAT files too, whose version 7.3 is HDF5
-        raise InputError(f"{source}: the file is no readable HDF5 file: write it again") from None
+        raise InputError(f"{source}: not a readable HDF5 file. Write it again.") from None

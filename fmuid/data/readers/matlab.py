@@ -21,7 +21,7 @@ Arrays = dict[str, npt.NDArray[Any]]
 
 
 def read_mat(path: Path, source: str, _sheet: object) -> FileColumns:
-    """Read the numeric vectors of a MAT file, or the variables of a result."""
+    """Read numeric vectors of a MAT file, or variables of a result."""
     try:
         content = _content(path)
     except NotImplementedError:  # version 7.3 is HDF5
@@ -31,8 +31,7 @@ def read_mat(path: Path, source: str, _sheet: object) -> FileColumns:
     vectors = dict(_vectors(content))
     if not vectors and "MatlabOpaque" in str({value.dtype for value in content.values()}):
         raise InputError(
-            f"{source}: MATLAB's tables and timetables cannot be read from MAT files: write it with writetimetable or "
-            "parquetwrite, or save its columns as vectors"
+            f"{source}: MATLAB tables and timetables are not readable. Use writetimetable, parquetwrite or vectors."
         )
     return columns_of_vectors(source, vectors, {}, ".")
 
@@ -62,20 +61,20 @@ def _vectors(arrays: Arrays, prefix: str = "") -> Iterator[tuple[str, npt.NDArra
 
 
 def _names(value: npt.NDArray[Any]) -> list[str]:
-    """Return the texts of a cell array, if it is one of texts."""
+    """Return the texts of a cell array; none for other arrays."""
     cells: Any = value.ravel() if value.dtype.kind == "O" else []
     return ["".join(cell.ravel()).strip() for cell in cells if isinstance(cell, np.ndarray) and cell.dtype.kind == "U"]
 
 
 def _result_columns(source: str, arrays: Arrays) -> FileColumns:
-    """Return the variables of a result (Aclass 1.0 or 1.1), time as ``time``.
+    """Return the variables of a result, Aclass 1.0 or 1.1.
 
     Parameters and constants become constant columns: inputs that do not change are stored so. Of three or more rows at
     one time, the first and last are kept.
     """
     kind = ["".join(row).strip(" \0") for row in arrays["Aclass"]]
     if kind[0] != "Atrajectory" or len(kind) < 4 or kind[3] not in ("binTrans", "binNormal"):
-        raise InputError(f"{source}: the file holds {kind[0]!r} data and no trajectories: give a simulation result")
+        raise InputError(f"{source}: holds {kind[0]!r} data, no trajectories. Give a simulation result.")
     if kind[3] == "binTrans":
         arrays = {name: value if name == "Aclass" else value.T for name, value in arrays.items()}
     try:
@@ -84,10 +83,10 @@ def _result_columns(source: str, arrays: Arrays) -> FileColumns:
         else:
             columns = _version_1_1(arrays)
     except (KeyError, IndexError, ValueError):
-        raise InputError(f"{source}: the result file is incomplete: simulate again") from None
+        raise InputError(f"{source}: incomplete result file. Simulate again.") from None
     names = ["time" if name.lower() == "time" else name for name in columns]
     if "time" not in names:
-        raise InputError(f"{source}: the result file has no time: simulate again")
+        raise InputError(f"{source}: no time in the result file. Simulate again.")
     values = list(columns.values())
     times = values[names.index("time")]
     inside = np.zeros(len(times), dtype=bool)

@@ -21,7 +21,6 @@ from fmuid.errors import InputError
 PANDAS_TYPE = "pandas_type"
 """Attribute of a group that pandas has written."""
 
-_SECONDS_OF_DAY = 86_400
 _NAMED_ZONES = ("zoneinfo.ZoneInfo._unpickle", "pytz._p")
 """Functions that pickles of time zones call with the name of the zone."""
 
@@ -30,7 +29,7 @@ def read_frame(group: Any, source: str) -> FileColumns:
     """Read a frame; its index is a column if it has a name or dates."""
     kind = _attribute(group, PANDAS_TYPE)
     if kind not in ("frame", "frame_table"):
-        raise InputError(f"{source}: {group.name!r} is no table: save a DataFrame")
+        raise InputError(f"{source}: {group.name!r} is no frame. Save a DataFrame.")
     frame = _Frame(group, source)
     return frame.of_table() if kind == "frame_table" else frame.of_blocks()
 
@@ -44,7 +43,7 @@ class PickledObject:
     state: Any = None
 
     def __call__(self, *arguments: Any) -> PickledObject:
-        """Return the object of a call, the one by name of a looked-up method."""
+        """Return the object of a call."""
         if self.name in ("__builtin__.getattr", "builtins.getattr"):
             owner, attribute = arguments
             return PickledObject(f"{owner.name}.{attribute}")
@@ -169,7 +168,7 @@ class _Frame:
     def _zone(self, given: Any) -> str | None:
         if isinstance(given, PickledObject) and given.name == "datetime.timezone":
             days, seconds, _ = given.arguments[0].arguments
-            minutes = round((days * _SECONDS_OF_DAY + seconds) / 60)
+            minutes = round((days * 86_400 + seconds) / 60)
             return f"UTC{'-' if minutes < 0 else '+'}{abs(minutes) // 60:02}:{abs(minutes) % 60:02}"
         if isinstance(given, PickledObject) and given.name in _NAMED_ZONES:
             given = given.arguments[0]
@@ -179,13 +178,12 @@ class _Frame:
 
     def _refusal(self, where: str, what: str) -> InputError:
         return InputError(
-            f"{self._source}: {where} in {self._group.name!r} has {what}, which fmuid does not read from HDF5: "
-            "save numbers, dates and texts"
+            f"{self._source}: {where} in {self._group.name!r} has {what}. Save numbers, dates and texts only."
         )
 
 
 def _with_index(name: Any, index: Array, zone: str | None, columns: dict[str, tuple[Array, str | None]]) -> FileColumns:
-    """Return the columns after the index, if that has a name or dates."""
+    """Return the columns, with an index of dates or with a name."""
     dated = index.dtype.kind in "mM"
     own = "time" if name is None and dated else name
     if own is not None and str(own) not in columns:

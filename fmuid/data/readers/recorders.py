@@ -17,7 +17,6 @@ from fmuid.errors import InputError
 from fmuid.formatting import bounded
 
 _UNIT_PROPERTIES = ("unit_string", "NI_UnitDescription", "unit")
-_FORMULA_SHOWN = 60  # characters
 
 
 def read_tdms(path: Path, source: str, _sheet: object) -> FileColumns:
@@ -44,7 +43,7 @@ def read_tdms(path: Path, source: str, _sheet: object) -> FileColumns:
 
 
 def read_mdf(path: Path, source: str, _sheet: object) -> FileColumns:
-    """Read an MDF file (3 or 4) at the union of its channels' times."""
+    """Read an MDF file (3 or 4) at all times of channels."""
     asammdf = library("asammdf", "mdf", source)
     with _formulas_as_expressions(source), asammdf.MDF(path) as file:
         signals = [signal for signal in file.iter_channels() if signal.samples.dtype.kind in "biuf"]
@@ -97,8 +96,8 @@ def _formulas_as_expressions(source: str) -> Iterator[None]:
             module.evaluate, module.lambdify = functions
     if wrong:
         raise InputError(
-            f"{source}: the formula {bounded(wrong[0], _FORMULA_SHOWN)!r} that converts a channel cannot be computed: "
-            "convert the file with the recorder's own tool"
+            f"{source}: conversion formula {bounded(wrong[0], 60)!r} cannot be computed. "
+            "Convert the file with the recorder's tool."
         )
 
 

@@ -13,11 +13,6 @@ from fmuid.errors import InputError
 from fmuid.units import SECONDS
 
 _CELL = re.compile(r"<c ([^>]*)><v>([-+.\deE]+)</v>")
-_BEGINNING = 1_000_000
-"""Bytes of a sheet in which cells are looked at, its first rows, and of its formats."""
-_LOOKED_AT = 100
-_DIGITS = 12
-"""Significant digits, which times as people and recorders write them do not exceed."""
 
 
 def read_spreadsheet(path: Path, source: str, sheet: str | int | None) -> FileColumns:
@@ -32,14 +27,14 @@ def read_spreadsheet(path: Path, source: str, sheet: str | int | None) -> FileCo
         if head is not None:
             return _columns(rows, head, path)
     which = "no sheet holds" if sheet is None else f"the sheet {sheet!r} does not hold"
-    raise InputError(f"{source}: {which} a table: give a header with the names and rows of samples")
+    raise InputError(f"{source}: {which} a table. Give a header with names, and rows of samples.")
 
 
 def _columns(rows: list[list[Cell]], head: TableHeader, path: Path) -> FileColumns:
     samples = [[None if is_missing(cell) else cell for cell in row] for row in rows[head.first :]]
     cells = [[row[k] for row in samples] for k in range(len(head.names))]
     whole = _shown_as_whole(path)
-    broken = [[each for each in column[:_LOOKED_AT] if isinstance(each, float) and each % 1] for column in cells]
+    broken = [[each for each in column[:100] if isinstance(each, float) and each % 1] for column in cells]
     days = tuple(
         k for k, values in enumerate(broken) if values and (_are_days(values) if whole is None else values[0] in whole)
     )
@@ -55,7 +50,7 @@ def _shown_as_whole(path: Path) -> set[float] | None:
 
         def beginning(name: str) -> str:
             with book.open(name) as file:
-                return file.read(_BEGINNING).decode(errors="ignore")
+                return file.read(1_000_000).decode(errors="ignore")
 
         styles = beginning("xl/styles.xml") if "xl/styles.xml" in book.namelist() else ""
         formats = re.findall(r'<xf [^>]*?numFmtId="(\d+)"', styles.partition("<cellXfs")[2].partition("</cellXfs>")[0])
@@ -76,4 +71,4 @@ def _are_days(values: Sequence[float]) -> bool:
 
 
 def _is_short(value: float) -> bool:
-    return abs(value - float(f"{value:.{_DIGITS}g}")) <= 1e-15 * abs(value)
+    return abs(value - float(f"{value:.12g}")) <= 1e-15 * abs(value)

@@ -35,7 +35,6 @@ from fmuid.errors import InputError
 
 _LOOKED_AT = 1 << 18
 """Bytes that are looked at to find separator and head."""
-_ROWS_LOOKED_AT = 200
 _END = 1 << 14
 """Bytes in which lines after the samples are looked for."""
 _SPACES = r"\s+"
@@ -62,19 +61,17 @@ def read_text(path: Path, source: str) -> RawTable:
     with opened() as file:
         start = file.read(_LOOKED_AT)
     if start.startswith(_SPREADSHEET):
-        raise InputError(
-            f"{source}: the file is a spreadsheet or packed, by its first bytes: name it .xlsx, .ods, .xls or .zip"
-        )
+        raise InputError(f"{source}: is a spreadsheet or packed file. Name it .xlsx, .ods, .xls or .zip.")
     for encoding, text in _decoded(start):
         if "\0" in text:
-            raise InputError(f"{source}: the file is no text: give a table")
+            raise InputError(f"{source}: not a text file. Give a table.")
         whole = text[: text.rfind("\n") + 1] or text if len(start) == _LOOKED_AT else text
         layout = _layout(source, whole)
         names, said = named(layout.head.names, layout.head.units)
         check_once(source, names)
         with suppress(UnicodeDecodeError):  # further down: the next encoding is tried
             return RawTable(_samples(_without_end(opened, encoding, layout), source, layout, encoding, names), said)
-    raise InputError(f"{source}: the file is no text in UTF-8, UTF-16 or cp1252: save it as UTF-8")
+    raise InputError(f"{source}: not text in UTF-8, UTF-16 or cp1252. Save it as UTF-8.")
 
 
 def _decoded(start: bytes) -> Iterator[tuple[str, str]]:
@@ -104,7 +101,7 @@ def head_length(start: bytes, source: str) -> int:
     layout = _layout(source, text)
     lines = start.splitlines(keepends=True)
     if not b"".join(lines[layout.line :]).strip():
-        raise InputError(f"{source}: the table has a header but no rows: give measured samples")
+        raise InputError(f"{source}: no samples below the header. Give measured samples.")
     return len(b"".join(lines[: layout.line]))
 
 
@@ -143,10 +140,10 @@ def _opener(path: Path, source: str) -> Callable[[], IO[bytes]]:
         with zipfile.ZipFile(path) as archive:
             inside = archive.namelist()
             if len(inside) != 1:
-                raise InputError(f"{source}: the archive holds {len(inside)} files: give one with the table alone")
+                raise InputError(f"{source}: {len(inside)} files in the archive. Pack the table alone.")
             return partial(io.BytesIO, archive.read(inside[0]))
     except (OSError, EOFError, zlib.error, zipfile.BadZipFile, RuntimeError):  # the last of what is encrypted
-        raise InputError(f"{source}: the file cannot be unpacked: pack it again, or give the plain text") from None
+        raise InputError(f"{source}: cannot be unpacked. Pack it again, or give the plain text.") from None
 
 
 def _rows(lines: Iterator[str] | IO[str], separator: str) -> Iterator[tuple[int, list[str]]]:
@@ -163,7 +160,7 @@ def _layout(source: str, text: str) -> _Layout:
     best, most = None, 0
     for separator in _SEPARATORS:
         try:
-            read = list(islice(_rows(io.StringIO(text), separator), _ROWS_LOOKED_AT))
+            read = list(islice(_rows(io.StringIO(text), separator), 200))
         except csv.Error:  # no table with this separator
             continue
         rows, blank = _without_blank_ends([_plain(row, separator) for _, row in read])
@@ -179,7 +176,7 @@ def _layout(source: str, text: str) -> _Layout:
 
 
 def _without_blank_ends(rows: list[list[str]]) -> tuple[list[list[str]], int]:
-    """Return rows without a last cell that is always empty, and its count."""
+    """Return rows without an always empty last cell, and its count."""
     usual = Counter(map(len, rows)).most_common(1)
     length = usual[0][0] if usual else 0
     ends = length > 1 and not any(row[-1].strip() for row in rows if len(row) == length)
@@ -213,18 +210,18 @@ def _as_it_is(source: str, text: str) -> _Layout:
         read = list(_rows(io.StringIO(text), ","))
     except csv.Error:  # its sentences are for programmers
         raise InputError(
-            f"{source}: the file is no text table, or its lines end in a carriage return alone: end each in a line feed"
+            f"{source}: no text table, or lines end in carriage returns. End them in line feeds."
         ) from None
     if not read or not any(cell.strip() for cell in read[0][1]):
-        raise InputError(f"{source}: the table is empty: give a header with the names and rows of samples")
+        raise InputError(f"{source}: empty. Give a header with names, and rows of samples.")
     rows = [row for _, row in read]
     header = tuple(cell.strip() for cell in rows[0])
     if all(is_number(name) for name in header) or is_number(header[0], ","):
-        raise InputError(f"{source}: the first line holds numbers: put the names there, that of the time among them")
+        raise InputError(f"{source}: no header. Write the names of the columns into the first line.")
     if len(rows) > 1 and len(rows[1]) != len(header):
         raise InputError(
-            f"{source}: the header has {len(header)} names but row 1 has {_cells(len(rows[1]))}: give every row as "
-            'many cells as the header, names with commas in quotes, such as "x[1,2]"'
+            f"{source}: {len(header)} names in the header, {_cells(len(rows[1]))} in row 1. "
+            'Quote names with commas ("x[1,2]").'
         )
     return _Layout(",", ".", TableHeader(header, (), 1), read[0][0], len(header))
 
@@ -250,8 +247,9 @@ def _samples(
     except pd.errors.EmptyDataError:  # a header alone; how few rows there are is said by who needs them
         return pd.DataFrame({name: [] for name in names})
     except (csv.Error, pd.errors.ParserError) as error:
-        said = f"the file is no table ({str(error).strip()}): give every row as many cells as the header"
-        raise InputError(f"{source}: {said}") from None
+        raise InputError(
+            f"{source}: no table ({str(error).strip()}). Give all rows as many cells as the header."
+        ) from None
     if not any(map(pd.api.types.is_numeric_dtype, frame.dtypes)):  # parts put together, each with the header
         frame = frame[~(frame == list(layout.head.names)).all(axis="columns")].reset_index(drop=True)
     frame = frame.apply(_as_numbers, decimal=layout.decimal)
@@ -262,7 +260,7 @@ def _samples(
 
 
 def _as_numbers(column: pd.Series[Any], decimal: str) -> pd.Series[Any]:
-    """Return a column as numbers if all cells are, NaN where marked as missing."""
+    """Return a numeric column, NaN where marked as missing; else unchanged."""
     if pd.api.types.is_numeric_dtype(column.dtype) or not all(isinstance(cell, str) for cell in column.dropna()):
         return column
     marked = column.where(~column.map(lambda cell: isinstance(cell, str) and is_missing(cell)))
@@ -280,8 +278,7 @@ def _check_rows(rows: Iterator[list[str]], source: str, names: int, first: int) 
     for number, row in enumerate(rows, start=1 - first):
         if number > 0 and len(row) < names:
             raise InputError(
-                f"{source}: the header has {names} names but row {number} has {_cells(len(row))}: give every row as "
-                "many cells as the header, empty ones where samples are missing"
+                f"{source}: {names} names in the header, {_cells(len(row))} in row {number}. Leave missing cells empty."
             )
 
 
