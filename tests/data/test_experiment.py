@@ -43,7 +43,7 @@ def test_roles_arrays_and_masks() -> None:
 
 
 def test_defaults() -> None:
-    """Missing samples do not count; one word of interpolation is for all inputs; without outputs it can be simulated."""
+    """Missing samples do not count; one word of interpolation is for all inputs; outputs are optional."""
     np.testing.assert_array_equal(Experiment(table(), outputs=["y", "w"]).counted, [[1, 1], [0, 1], *[[1, 1]] * 3])
     np.testing.assert_array_equal(Experiment(table(), ["u", "w"], interpolation="zoh").held, [True, True])
     np.testing.assert_array_equal(Experiment(table(), ["u", "w"]).held, [False, False])

@@ -71,7 +71,7 @@ def test_the_time_by_its_place_and_in_a_unit_that_is_given(tmp_path: Path) -> No
     check(Experiment(read_data(tmp_path / "a.csv", 1, time_unit="ms"), ["u"], ["i", "w"]))
     with pytest.raises(InputError, match="no time column 5; the table has 4"):
         read_data(tmp_path / "a.csv", 5)
-    with pytest.raises(InputError, match="time_unit 'fortnight' is unknown. Use s, ms"):
+    with pytest.raises(InputError, match="time_unit 'fortnight' is unknown"):
         read_data(tmp_path / "a.csv", 1, time_unit="fortnight")
 
 
@@ -156,9 +156,7 @@ def test_what_cannot_be_unpacked(tmp_path: Path, kind: str) -> None:
         packed[6] |= 1
         packed[packed.index(b"PK\x01\x02") + 8] |= 1
     path.write_bytes(packed)
-    with pytest.raises(
-        InputError, match=r"cannot be unpacked|2 files in the archive"
-    ):
+    with pytest.raises(InputError, match=r"cannot be unpacked|2 files in the archive"):
         read_data(path)
 
 

@@ -225,7 +225,7 @@ def test_mdf_formulas_are_expressions(tmp_path: Path, suffix: str) -> None:
         if sentence is None:
             np.testing.assert_allclose(read_data(path)["u"], 2.0 * np.arange(ROWS) + 1)
             continue
-        with pytest.raises(InputError, match=rf"conversion formula .*cannot be computed"):
+        with pytest.raises(InputError, match=r"conversion formula .*cannot be computed"):
             read_data(path)
         assert not mark.exists()
 

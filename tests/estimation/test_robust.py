@@ -14,7 +14,7 @@ import fmuid
 from experiments.induction_machine import make_table
 from fmuid.array_types import Floats
 from fmuid.data import Normal, Parameter
-from fmuid.data.losses import LOSSES, NORMAL_SHARE, Loss, robust_variance
+from fmuid.data.losses import LOSSES, Loss, robust_variance
 from fmuid.data.noise import Noise
 from fmuid.errors import InputError
 from fmuid.estimation.cost_function import prepare
@@ -32,6 +32,9 @@ TIMES = np.linspace(0.0, 3.0, 200)
 TRUTH = np.array([3.0, 1.2, 0.5])
 STD = 0.05
 STARTS = {"a": Parameter(1.0), "k": Parameter(3.0), "c": Parameter(-1.0)}
+
+NORMAL_SHARE = 1.0 - np.sqrt(2.0 / (np.pi * np.e))
+"""Mean of min(x², 1) over the standard normal distribution."""
 
 
 def decay(theta: Floats) -> Floats:
