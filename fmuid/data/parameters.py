@@ -212,7 +212,7 @@ class ParameterSet:
             for i in where:
                 if not self.lower[i] <= mean[i] <= self.upper[i]:
                     raise InputError(
-                        f"joint prior: mean {mean[i]:g} of {self.names[i]!r} is "
+                        f"joint prior mean {mean[i]:g} of {self.names[i]!r} is "
                         f"outside [{self.lower[i]:g}, {self.upper[i]:g}]. "
                         "Change prior or bounds."
                     )

@@ -102,7 +102,7 @@ def test_bad_joint_priors(names: list[str], mean: list[float], covariance: list[
     [
         ("Rr", "did you mean 'R'"),
         ("k", "its own prior"),
-        ("L", "joint prior: mean 1 of 'L' is outside"),
+        ("L", "joint prior mean 1 of 'L' is outside"),
     ],
 )
 def test_joint_priors_must_fit_the_parameters(name: str, said: str) -> None:

@@ -228,7 +228,7 @@ def test_wrong_words_are_one_sentence(healthy: fmuid.Result) -> None:
         design(healthy).rank({})
     with pytest.raises(fmuid.InputError, match="'v'"):
         design(healthy).detectable(planned_experiment(prbs(1.0, coil.STEP, 1.0, 15, column="v"), ["v"], ["i"]))
-    with pytest.raises(fmuid.InputError, match="names 'j', which is no measured output"):
+    with pytest.raises(fmuid.InputError, match="'j' is no measured output"):
         unknown = Design({"turns": turns()}, Baseline(healthy, noise_variance={"j": 1.0}), coil.models()[0])
         unknown.detectable(on_coil(prbs(1.0, coil.STEP, 1.0, 15)))
     clash = design(healthy, fmuid.Fault(coil.models()[1], {"R": fmuid.Parameter(0.0, nominal=1.0)}))

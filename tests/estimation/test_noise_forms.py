@@ -225,39 +225,39 @@ def test_bad_columns_are_refused() -> None:
         )
 
     row = int(np.argmax(X >= 1.9)) + 1
-    where = f"run.csv: the noise column 'sd' {{}} in row {row} (t = {X[row - 1] + 1.0:.9g} s), where the output counts"
+    where = f"run.csv: noise column 'sd' {{}} in row {row} (t = {X[row - 1] + 1.0:.9g} s)"
     for value, found in ((np.nan, "has no value"), (-0.1, "is -0.1"), (0.0, "is 0"), (np.inf, "is inf")):
         refused(spoiled(value), where.format(found))
-    refused(lambda: recorded(Noise(std="sb")), "run.csv: the noise column 'sb'")
-    refused(lambda: recorded(Noise(std="time")), "run.csv: the noise column 'time' is in s, and output 'y' in V")
-    refused(lambda: one(Noise(std="sd")), "the noise column 'sd' is missing")
-    refused(lambda: one(Noise(std=[1.0, 2.0])), "noise.std of output 'y' has 2 values for 60 samples")
+    refused(lambda: recorded(Noise(std="sb")), "run.csv: noise column 'sb'")
+    refused(lambda: recorded(Noise(std="time")), "run.csv: noise column 'time' is in s, output 'y' in V")
+    refused(lambda: one(Noise(std="sd")), "noise column 'sd' not found")
+    refused(lambda: one(Noise(std=[1.0, 2.0])), "noise.std of output 'y': 2 values for 60 samples")
 
 
 @pytest.mark.parametrize(
     ("noise", "sentence"),
     [
-        (lambda: Noise(std=-1.0), "the noise std must be positive and finite, not -1"),
+        (lambda: Noise(std=-1.0), "noise.std must be positive and finite, not -1"),
         (
             lambda: Noise(relative_std={"u": np.nan}),
-            "the noise relative_std of output 'u' must be positive and finite, not nan",
+            "noise.relative_std of output 'u' must be positive and finite, not nan",
         ),
-        (lambda: Noise(weights={"u": 0.0}), "the noise weights of output 'u' must be positive and finite, not 0"),
-        (lambda: Noise(relative_std="sd"), "the noise relative_std must be a positive number, not 'sd'"),  # type: ignore[arg-type]
-        (lambda: Noise(std={"w": 1.0}), "noise.std names 'w', which is no measured output"),
-        (lambda: Noise(shared_variance=["u", "w"]), "noise.shared_variance names 'w', which is no measured output"),
-        (lambda: Noise(0.1, std={"u": 1.0}), "noise has both variance and std of output 'u': keep one of the two"),
+        (lambda: Noise(weights={"u": 0.0}), "noise.weights of output 'u' must be positive and finite, not 0"),
+        (lambda: Noise(relative_std="sd"), "noise.relative_std must be a positive number, not 'sd'"),  # type: ignore[arg-type]
+        (lambda: Noise(std={"w": 1.0}), "noise.std: 'w' is no measured output"),
+        (lambda: Noise(shared_variance=["u", "w"]), "noise.shared_variance: 'w' is no measured output"),
+        (lambda: Noise(0.1, std={"u": 1.0}), "noise: variance and std of output 'u' are both given"),
         (
             lambda: Noise({"u": 0.1}, shared_variance=["u"]),
-            "noise.shared_variance names output 'u', whose noise is given",
+            "noise.shared_variance: noise of output 'u' is given",
         ),
-        (lambda: Noise(weights={"u": 2.0}), "noise.weights are of output 'u' alone and the same for all its samples"),
-        (lambda: Noise(experiments={"x": Noise(0.1)}), "noise is given of 'x', which is no experiment"),
+        (lambda: Noise(weights={"u": 2.0}), "noise.weights: constant weights of output 'u' alone"),
+        (lambda: Noise(experiments={"x": Noise(0.1)}), "noise: 'x' is no experiment"),
         (
             lambda: Noise(experiments={"x": Noise(initial_variance=1.0)}),
-            "the noise of experiment 'x' has variance, std, relative_std,",
+            "noise of experiment 'x': only variance, std",
         ),
-        (lambda: Noise(experiments={"experiment": Noise(std={"w": 1.0})}), "noise.std names 'w', which is no measured"),
+        (lambda: Noise(experiments={"experiment": Noise(std={"w": 1.0})}), "noise.std: 'w' is no measured"),
     ],
 )
 def test_what_makes_no_sense_is_refused(noise: Any, sentence: str) -> None:
@@ -267,7 +267,7 @@ def test_what_makes_no_sense_is_refused(noise: Any, sentence: str) -> None:
 def test_noise_is_given_in_all_experiments_or_none() -> None:
     refused(
         lambda: several(Noise(experiments={"first": Noise(0.1)})),
-        "the noise of output 'y' is given in one experiment and to be estimated in another: give it in all of them",
+        "noise of output 'y' is given in some experiments only",
     )
 
 
@@ -276,7 +276,7 @@ def test_an_output_that_never_changes_has_no_spread() -> None:
         lambda: LeastSquares.from_function(
             lambda p: p[0] * np.ones(9), np.ones(9), {"a": Parameter(0.5)}, noise=Noise(relative_std=0.1)
         ),
-        "output 'y' is the same in all samples: a share of its spread is no noise; give noise.std",
+        "output 'y' is constant. Use noise.std",
     )
 
 

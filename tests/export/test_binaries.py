@@ -63,8 +63,8 @@ def test_binaries_of_every_platform(model: str) -> None:
     files = members(FMUS / model / f"{model}.fmu")
     functions = set(re.findall(rb"\bfmi2\w+(?=TYPE )", files["sources/fmi2Functions.h"]))
     assert len(functions) == 44
-    binaries = [files[f"binaries/{each}"] for each in (f"linux64/{model}.so", f"win64/{model}.dll")]
-    check_binaries(*binaries, slices(files[f"binaries/darwin64/{model}.dylib"]), functions)
+    elf, dll = (files[f"binaries/{each}"] for each in (f"linux64/{model}.so", f"win64/{model}.dll"))
+    check_binaries(elf, dll, slices(files[f"binaries/darwin64/{model}.dylib"]), functions)
 
 
 @pytest.mark.slow

@@ -113,8 +113,7 @@ def test_records_in_files_and_an_alarm_that_ends(plant: Path) -> None:
         "study.toml", "records", "out", show=lambda watching: remarks.extend(map(str, watching.remarks)), until=idle
     )
     assert remarks == [
-        f"{Path('records', 's.csv')}: the input column 'u' is missing (there is time, v, i): "
-        "name the column that holds it"
+        f"{Path('records', 's.csv')}: input column 'u' not found (columns: time, v, i). Name the right column."
     ]
 
 

@@ -182,7 +182,7 @@ def test_a_parquet_file_is_taken_when_it_is_whole(
         assert reader.look() == []
     assert reader.seen("a") == list(range(50))
     path.with_name("b.parquet").write_bytes(content[:-10])
-    assert reader.look() == [f"{tmp_path / 'b.parquet'}: the file is no readable Parquet table: write it again"]
+    assert reader.look() == [f"{tmp_path / 'b.parquet'}: not a readable Parquet table. Write it again."]
     assert reader.look() == []
     path.with_name("b.parquet").write_bytes(content)
     reader.look()
@@ -204,9 +204,7 @@ def test_what_is_prepared_as_a_whole_waits_until_it_is(
 
 def test_bad_tables_are_said_once(log: Path, reader: Reader) -> None:
     log.write_text("time,v,i\n" + lines(0, 100))
-    assert reader.look() == [
-        f"{log}: the input column 'u' is missing (there is time, v, i): name the column that holds it"
-    ]
+    assert reader.look() == [f"{log}: input column 'u' not found (columns: time, v, i). Name the right column."]
     assert reader.look() == []
     log.write_text(HEAD + lines(0, 100))
     reader.look()

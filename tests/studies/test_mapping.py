@@ -110,7 +110,7 @@ def test_init_guesses_and_shows(tmp_path: Path, capsys: pytest.CaptureFixture[st
     [
         (lambda f: without(f, "I_mess [mA]"), DONE, "1 of 60 samples of 'I_mess'"),
         (lambda f: without(f, "Spannung_soll"), NOT_SUCCEEDED, "has no value in row 4"),
-        (lambda f: f.iloc[::-1], NOT_SUCCEEDED, "decreases in row 2"),
+        (lambda f: f.iloc[::-1], NOT_SUCCEEDED, "row 2 goes back"),
         (lambda f: f.rename(columns={"Spannung_soll": "X"}), NOT_SUCCEEDED, "--map u=COLUMN"),
         (lambda f: f.rename(columns={"I_mess [mA]": "X"}), NOT_SUCCEEDED, "--map i=COLUMN"),
     ],

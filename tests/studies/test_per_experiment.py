@@ -92,9 +92,9 @@ GROUPS = '{ cold = ["run1", "run2"], warm = ["run3"] }'
 @pytest.mark.parametrize(
     ("old", "new", "said"),
     [
-        (GROUPS, '{ cold = ["run1", "run2"] }', "'run3' in none"),
-        (GROUPS, '{ cold = ["run1", "run2"], warm = ["rum3"] }', r"'run3' in none .*did you mean"),
-        (GROUPS, '{ cold = ["run1", "run2"], warm = ["run2", "run3"] }', "'run2' in cold and warm"),
+        (GROUPS, '{ cold = ["run1", "run2"] }', "'run3' is in none"),
+        (GROUPS, '{ cold = ["run1", "run2"], warm = ["rum3"] }', r"'run3' is in none .*did you mean"),
+        (GROUPS, '{ cold = ["run1", "run2"], warm = ["run2", "run3"] }', "'run2' is in cold and warm"),
         (GROUPS, '{ cold = "run1" }', "per_experiment.cold: must be a list of names"),
         (GROUPS, '"cold"', "per_experiment: must be"),
         ("i_start = 0.5", "i_strt = 0.5", "'i_strt'"),

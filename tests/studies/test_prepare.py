@@ -76,8 +76,8 @@ def test_filtered_and_resampled(folder: Path) -> None:
     [
         ('computed_columns = { current = "shunt +" }', r"'current': .*'shunt \+'"),
         ('computed_columns = { current = "shnt / 50" }', "'shnt' .*'shunt'"),
-        ("lowpass_frequency = 60.0", "'u' holds between samples"),
-        ("start_time = 3.0\nend_time = 1.0", r"experiments\[0\].preprocess: start_time = 3 and end_time = 1"),
+        ("lowpass_frequency = 60.0", "'u' has interpolation"),
+        ("start_time = 3.0\nend_time = 1.0", r"experiments\[0\].preprocess: start_time = 3 is after end_time = 1"),
         ("start_time = 300.0", "300 s .*0 samples"),
         ("segments = [[0.0, 0.2], [0.5, 0.3]]", "segments: must be a list of pairs of times.*earlier time first"),
         ("segments = [[0.0, 0.2, 0.3]]", "segments: must be a list of pairs of times"),

@@ -173,7 +173,7 @@ def changed(old: str, new: str) -> str:
         (JOINT + "[[1.0]]", ("prior: ", "2 means")),
         (JOINT + "[[1.0, 0.0], [0.0]]", ("prior.covariance: must be a list of rows of numbers",)),
         (changed("[4.0, 0.1]", '[4.0, "x"]'), ("prior.mean: must be a list",)),
-        (changed("[4.0, 0.1]", "[12.0, 0.1]"), ("12 of 'R'", "outside its bounds")),
+        (changed("[4.0, 0.1]", "[12.0, 0.1]"), ("12 of 'R'", "is outside [0, 9]")),
         (changed('"L"', '"i_start"'), ("prior.names: 'i_start' is fixed at 0.0 in [model.fixed]",)),
         (changed('"L"', '"R0"'), ("prior.names: unknown parameter 'R0'", "'R'")),
         (changed('"L"', '"R"'), ("'R' is there twice",)),
@@ -193,7 +193,7 @@ def test_joint_prior_refused(folder: Path, extra: str, said: tuple[str, ...]) ->
     ("prior", "said"),
     [
         ("{ mean = 4.0, std = -1.0 }", "parameters.R.prior.std: must be a number above 0, not -1"),
-        ("{ mean = 40.0, std = 1.0 }", "mean 40 lies outside the bounds"),
+        ("{ mean = 40.0, std = 1.0 }", "mean 40 is outside"),
         ("{ mean = 4.0 }", "parameters.R.prior: missing key 'std'"),
         ("{ mean = 4.0, std = 1.0, std_factor = 2 }", "parameters.R.prior.std_factor: needs a result"),
         ('{ mean = 4.0, result = "healthy.json" }', "parameters.R.prior: result and mean cannot be combined"),
@@ -204,7 +204,7 @@ def test_single_prior_refused(folder: Path, prior: str, said: str) -> None:
 
 
 def test_both_a_single_and_a_joint_prior(folder: Path) -> None:
-    refused(folder, "'R' has a prior of its own", extra=FROM_RESULT, prior_of_r="{ mean = 4.0, std = 1.0 }")
+    refused(folder, "'R' has its own prior", extra=FROM_RESULT, prior_of_r="{ mean = 4.0, std = 1.0 }")
 
 
 def test_result_that_does_not_fit(folder: Path) -> None:

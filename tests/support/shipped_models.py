@@ -231,7 +231,8 @@ def reference(
     states: str, inputs: str, outputs: str, parameters: dict[str, float], functions: Any, *signals: Any
 ) -> Reference:
     """Return a reference whose names are given in one text each."""
-    return Reference(*(tuple(text.split()) for text in (states, inputs, outputs)), parameters, *functions, *signals)
+    x, u, y = (tuple(text.split()) for text in (states, inputs, outputs))
+    return Reference(x, u, y, parameters, *functions, *signals)
 
 
 REFERENCES = {

@@ -99,7 +99,7 @@ def test_columns_of_lists(coil_folder: Path, capsys: pytest.CaptureFixture[str])
     frame = pd.DataFrame({"time": [0.0, 1.0], "u": [[1.0, 2.0], [3.0]], "i": [0.0, 0.0]})
     frame.to_parquet(coil_folder / "run.parquet")
     (coil_folder / "study.toml").write_text(SOUND.replace("run.csv", "run.parquet"))
-    assert "column 'u' holds 'list<element: double>'" in refused(capsys, "simulate", coil_folder / "study.toml")
+    assert "column 'u': 'list<element: double>'" in refused(capsys, "simulate", coil_folder / "study.toml")
 
 
 def test_mat_files_with_a_name_twice(coil_folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -108,7 +108,7 @@ def test_mat_files_with_a_name_twice(coil_folder: Path, capsys: pytest.CaptureFi
     content = (coil_folder / "run.mat").read_bytes()
     (coil_folder / "run.mat").write_bytes(content + content[128:])  # after its header
     (coil_folder / "study.toml").write_text(SOUND.replace("run.csv", "run.mat"))
-    assert "run.mat: the file is no readable MAT file" in refused(capsys, "simulate", coil_folder / "study.toml")
+    assert "run.mat: not a readable MAT file" in refused(capsys, "simulate", coil_folder / "study.toml")
 
 
 @pytest.mark.parametrize(
@@ -142,7 +142,7 @@ def test_slopes_that_overflow(coil_folder: Path, capsys: pytest.CaptureFixture[s
     table(coil_folder, pd.DataFrame({"time": [0.0, 1e-10, 1.0, 2.0], "u": [0.0, 1e300, 0.0, 1.0], "i": 0.0}))
     text = SOUND.replace('outputs = ["i"]', 'outputs = ["i"]\ninterpolation = "pchip"')
     (coil_folder / "study.toml").write_text(text)
-    assert "changes too fast for double precision" in refused(capsys, "simulate", coil_folder / "study.toml")
+    assert "changes too fast" in refused(capsys, "simulate", coil_folder / "study.toml")
 
 
 def test_mat_files_nested_deeply(tmp_path: Path) -> None:

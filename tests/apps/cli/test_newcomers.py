@@ -16,22 +16,22 @@ from tests.support.coil_study import COIL, fmuid_
 
 ROWS = "".join(f"{k / 100},{k % 20 // 10},{np.sin(k)}\n" for k in range(50))
 TABLES: dict[str, tuple[str | bytes, str]] = {
-    "empty": ("", "the table is empty: give a header with the names and rows of samples"),
-    "blank lines": ("\n\n\n", "the table is empty"),
-    "a letter": ("hello there\nthis is a letter\n", "the time column 'time' is missing (there is hello there)"),
-    "a page": ("<html><body>Log in</body></html>\n", "the table has a header but no rows"),
-    "a PDF": (b"%PDF-1.4\n%\xe2\xe3\xcf\xd3\n1 0 obj\n", "the time column 'time' is missing (there is %PDF-1.4)"),
-    "a spreadsheet by another name": (b"PK\x03\x04" + bytes(200), "the file is a spreadsheet or packed"),
-    "binary": (bytes(range(1, 256)) * 9, "the file is no text in UTF-8, UTF-16 or cp1252"),
+    "empty": ("", "empty. Give a header"),
+    "blank lines": ("\n\n\n", "empty. Give a header"),
+    "a letter": ("hello there\nthis is a letter\n", "time column 'time' not found (columns: hello there)"),
+    "a page": ("<html><body>Log in</body></html>\n", "no samples below the header"),
+    "a PDF": (b"%PDF-1.4\n%\xe2\xe3\xcf\xd3\n1 0 obj\n", "not found (columns: %PDF-1.4)"),
+    "a spreadsheet by another name": (b"PK\x03\x04" + bytes(200), "is a spreadsheet or packed file"),
+    "binary": (bytes(range(1, 256)) * 9, "not text in UTF-8, UTF-16 or cp1252"),
     "times alone": ("time\n0\n1\n2\n", "no column is the input u: say which is by --map u=COLUMN"),
-    "no sample": ("time,u,i\n0,1,nan\n1,1,nan\n", "the output column 'i' has no sample: remove it from the outputs"),
-    "no time": ("time,u,i\n,1,2\n,1,3\n", "the time column 'time' has nan in row 1: give every row a time"),
-    "one time": ("time,u,i\n1,1,2\n1,1,3\n", "the time column 'time' has fewer than two different times"),
-    "header": ("time,u,i\n", "the table has a header but no rows: give measured samples"),
-    "separators": (",,,\n,,,\n", "the table is empty"),
-    "a name twice": ("time,u,i,i\n0,1,2,3\n1,2,3,4\n", "the column 'i' is there twice: rename or remove one"),
-    "other letters": (f"时间,напряжение,電流\n{ROWS}", "(there is 时间, напряжение, 電流): name the column"),
-    "infinite": ("time,u,i\n0,1,1\n0.1,inf,2\n0.2,1,3\n", "the input column 'u' is inf in row 2 (t = 0.1 s)"),
+    "no sample": ("time,u,i\n0,1,nan\n1,1,nan\n", "output column 'i' has no sample"),
+    "no time": ("time,u,i\n,1,2\n,1,3\n", "time column 'time': nan in row 1"),
+    "one time": ("time,u,i\n1,1,2\n1,1,3\n", "fewer than two different times"),
+    "header": ("time,u,i\n", "no samples below the header"),
+    "separators": (",,,\n,,,\n", "empty. Give a header"),
+    "a name twice": ("time,u,i,i\n0,1,2,3\n1,2,3,4\n", "column 'i' occurs twice"),
+    "other letters": (f"时间,напряжение,電流\n{ROWS}", "(columns: 时间, напряжение, 電流)"),
+    "infinite": ("time,u,i\n0,1,1\n0.1,inf,2\n0.2,1,3\n", "input column 'u' is inf in row 2 (t = 0.1 s)"),
 }
 
 

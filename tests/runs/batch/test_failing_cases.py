@@ -163,7 +163,7 @@ WRONG: list[tuple[dict[str, Any], str]] = [
     ({"starting_points": []}, "starting_points: must be a whole number above 0 or a list"),
     ({"starting_points": [{"R": "x"}]}, "starting_points: must be a list of .*, each a number"),
     ({"starting_points": [{"Q": 1.0}]}, "starting_points: unknown parameter 'Q'"),
-    ({"starting_points": [{"R": 9.0}]}, r"starting_points\[0\].R: start 9 lies outside its bounds, 0.5 to 8"),
+    ({"starting_points": [{"R": 9.0}]}, r"starting_points\[0\].R: start 9 is outside \[0.5, 8\]"),
     ({"data": 3}, 'data: must be a pattern of files, "records/\\*.csv"'),
     ({"data": []}, "data: must be a pattern of files"),
     ({"data": "nothing/*.csv"}, r'batch.data: "nothing/\*.csv" matches no file in '),

@@ -67,7 +67,7 @@ def test_rows_have_the_columns_that_the_runner_names(case_folder: Path) -> None:
     assert [list(row) for row in rows] == [list(runner.columns)] * 2
     frame = pd.DataFrame(rows).astype(runner.columns)
     assert frame["status"].tolist() == ["converged", "failed"]
-    assert frame.loc[1, "message"] == f"{case_folder / 'records/none.csv'}: there is no such file: give a table"
+    assert frame.loc[1, "message"] == f"{case_folder / 'records/none.csv'}: file not found. Give a data file."
     assert frame[["value.R", "std.L", "noise.i", "criterion"]].isna().to_numpy()[1].all()
     assert [rows[1][name] for name in ("iterations", "simulations", "rejected")] == [0, 0, 0]
     assert (frame["elapsed_s"] > 0).all()
