@@ -10,7 +10,7 @@ import pytest
 from scipy.optimize import minimize_scalar
 
 from fmuid.array_types import Floats
-from fmuid.data import Normal, Parameter
+from fmuid.data import Experiment, Normal, Parameter
 from fmuid.data.data_file import read_data
 from fmuid.data.noise import Noise
 from fmuid.errors import InputError
@@ -43,60 +43,58 @@ def frequencies(found: Result) -> Floats:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    ("method", "seed"), [("differential-evolution", 0), ("differential-evolution", 1), ("multi-start", 0)]
-)
-def test_finds_the_best_of_many_optima(method: Strategy, seed: int) -> None:
+@pytest.mark.parametrize("method", METHODS)
+def test_search_finds_the_best_of_many_optima(method: Strategy) -> None:
     """Marquardt's search alone ends in the nearest secondary optimum."""
     minima, squares = dense_minima()
     best = minima[np.argmin(squares)]
-    assert minima.size > 10
     alone = identify(sinusoid())
     assert alone.converged
     assert np.abs(alone["w"] - minima[minima != best]).min() < 2e-3
-    found = searched(sinusoid(), GlobalSearch(method, seed=seed))
+    found = searched(sinusoid(), GlobalSearch(method))
     assert found.converged
-    assert found["w"] == pytest.approx(best, abs=2e-3)
-    assert found["w"] == frequencies(found)[0]
-    assert found.names == ("w",)
+    assert found["w"] == frequencies(found)[0] == pytest.approx(best, abs=2e-3)
+    for w in frequencies(found):  # secondary optima, each once
+        assert np.abs(w - minima).min() < NEAR or not RANGE[0] < w < RANGE[1]
+    assert min(abs(a - b) for a, b in itertools.combinations(frequencies(found), 2)) > 1.0
 
 
 @pytest.mark.slow
-def test_multistart_lists_all_optima_in_order() -> None:
-    """The grid's minima and the ends of the box, each once, their criterion being the grid's sums of squares."""
+@pytest.mark.parametrize("variance", [0.04, None])
+def test_multistart_lists_all_optima_in_order(variance: float | None) -> None:
+    """The minima of the grid and the ends of the box, each once; the cost by the given or the best's variance."""
     minima, squares = dense_minima()
-    found = searched(sinusoid(noise=Noise(0.04)), GlobalSearch("multi-start", starts=100))
+    noise = None if variance is None else Noise(variance)
+    found = searched(sinusoid(noise=noise), GlobalSearch("multi-start", starts=100))
     inside = [o for o in found.history.optima if RANGE[0] < o.theta[0] < RANGE[1]]
-    order = np.argsort(squares)
-    np.testing.assert_allclose([o.theta[0] for o in inside], minima[order], atol=NEAR)
-    np.testing.assert_allclose([o.criterion for o in inside], squares[order] / 0.04, rtol=1e-5)
+    np.testing.assert_allclose([o.theta[0] for o in inside], minima[np.argsort(squares)], atol=NEAR)
+    unit = variance or min(squares) / (TIMES.size - 1)
+    np.testing.assert_allclose([o.criterion for o in inside], np.sort(squares) / unit, rtol=1e-4)
     assert sum(o.hits for o in found.history.optima) == found.history.fits == 100
     assert len(found.history.optima) <= minima.size + 2
     assert all(o.converged for o in found.history.optima)
-    criteria = optima(found)["criterion"].to_numpy()
-    assert (np.diff(criteria) >= 0).all()
+    assert (np.diff(optima(found).iloc[:, 0]) >= 0).all()
 
 
-@pytest.mark.slow
-def test_evolution_lists_secondary_optima_once() -> None:
-    minima, _ = dense_minima()
-    found = searched(sinusoid())
-    assert len(found.history.optima) >= 3
-    for w in frequencies(found):
-        inside = RANGE[0] < w < RANGE[1]
-        assert np.abs(w - minima).min() < NEAR or not inside
-    gaps = [abs(a - b) for a, b in itertools.combinations(frequencies(found), 2)]
-    assert min(gaps) > 1.0
+VALLEY = {"a": Parameter(1.0, min=0.5, max=4.0), "b": Parameter(1.0, min=0.5, max=4.0)}
+DECAY = {"a": Parameter(1.0, min=0.1, max=10.0), "k": Parameter(1.0, min=0.1, max=50.0)}
 
 
-@pytest.mark.slow
-def test_criterion_of_estimated_variance_is_relative_to_the_best() -> None:
-    """With σ̂² = J/(K − 1) of the best, its criterion is K − 1 and the others' are in proportion."""
-    minima, squares = dense_minima()
-    found = searched(sinusoid(), GlobalSearch("multi-start", starts=12))
-    first, second = (squares[np.argmin(np.abs(minima - o.theta[0]))] for o in found.history.optima[:2])
-    assert found.history.optima[0].criterion == pytest.approx(TIMES.size - 1, rel=1e-6)
-    assert found.history.optima[1].criterion == pytest.approx((TIMES.size - 1) * second / first, rel=1e-4)
+@pytest.mark.parametrize("method", METHODS)
+def test_valleys_and_perfect_data_have_one_optimum(method: Strategy) -> None:
+    """Of y = a b t only a b is identifiable; without noise the costs of the fits are rounding."""
+    measured = 2.0 * TIMES + 0.1 * np.random.default_rng(2).normal(size=TIMES.size)
+    valley = LeastSquares.from_function(lambda theta: theta[0] * theta[1] * TIMES, measured, VALLEY)
+    found = searched(valley, GlobalSearch(method, starts=12))
+    (optimum,) = found.history.optima
+    assert optimum.hits == found.history.fits >= (12 if method == "multi-start" else 1)
+    assert not (optimum.converged or found.converged)
+    assert optimum.outcome is TerminationReason.UNDETERMINED
+    assert optimum.theta[0] * optimum.theta[1] == pytest.approx(2.0, abs=0.1)
+    perfect = LeastSquares.from_function(lambda p: p[0] * np.exp(-p[1] * TIMES), 3.0 * np.exp(-5.0 * TIMES), DECAY)
+    found = searched(perfect, GlobalSearch(method, starts=20))
+    assert len(found.history.optima) == 1
+    np.testing.assert_allclose(found.values, [3.0, 5.0], rtol=1e-5)
 
 
 def test_the_start_takes_part() -> None:
@@ -122,79 +120,33 @@ def test_prior_decides_between_equal_optima() -> None:
     assert second.criterion - best.criterion == pytest.approx(rows + data[1] - data[0])
 
 
-@pytest.mark.parametrize("method", METHODS)
-def test_valley_is_one_optimum(method: Strategy) -> None:
-    """Of y = a b t only a b is determined: wherever in the valley the fits end is one optimum, and not converged."""
-    problem = LeastSquares.from_function(
-        lambda theta: theta[0] * theta[1] * TIMES,
-        2.0 * TIMES + 0.1 * np.random.default_rng(2).normal(size=TIMES.size),
-        {"a": Parameter(1.0, min=0.5, max=4.0), "b": Parameter(1.0, min=0.5, max=4.0)},
-    )
-    found = searched(problem, GlobalSearch(method, starts=12))
-    (optimum,) = found.history.optima
-    assert optimum.hits == found.history.fits
-    assert optimum.hits >= (12 if method == "multi-start" else 1)
-    assert not optimum.converged
-    assert not found.converged
-    assert optimum.outcome is TerminationReason.UNDETERMINED
-    assert optimum.theta[0] * optimum.theta[1] == pytest.approx(2.0, abs=0.1)
-
-
-@pytest.mark.parametrize("method", METHODS)
-def test_perfect_data_give_one_optimum(method: Strategy) -> None:
-    """Without noise the criteria of the fits differ by orders of magnitude, being rounding; they are one optimum."""
-    problem = LeastSquares.from_function(
-        lambda theta: theta[0] * np.exp(-theta[1] * TIMES),
-        3.0 * np.exp(-5.0 * TIMES),
-        {"a": Parameter(1.0, min=0.1, max=10.0), "k": Parameter(1.0, min=0.1, max=50.0)},
-    )
-    found = searched(problem, GlobalSearch(method, starts=20))
-    assert len(found.history.optima) == 1
-    np.testing.assert_allclose(found.values, [3.0, 5.0], rtol=1e-5)
-
-
 def test_induction_machine_from_a_wide_box() -> None:
     """From four boxes of a decade and more, the same estimates as from a start beside the truth."""
-    from fmuid.data.experiment import Experiment
-
     table = ROOT / "experiments" / "induction_machine" / "table.csv"
     experiment = Experiment(read_data(table), inputs=["uds", "uqs", "w"], outputs=["ids", "iqs"])
     box = {"Rs": (1.0, 50.0), "Rr": (0.5, 20.0), "Lm": (0.05, 2.0), "Lf": (0.005, 0.5)}
     truth = np.array([9.8, 3.8, 0.436, 0.0762])
-    problem = Problem(
-        ROOT / "fmus" / "InductionMachine" / "InductionMachine.fmu",
-        experiment,
-        {name: Parameter(start=high, min=low, max=high) for name, (low, high) in box.items()},
-    )
+    parameters = {name: Parameter(start=high, min=low, max=high) for name, (low, high) in box.items()}
+    problem = Problem(ROOT / "fmus" / "InductionMachine" / "InductionMachine.fmu", experiment, parameters)
     found = searched(problem, GlobalSearch(starts=32))
     assert found.converged
-    assert (np.abs(found.values - truth) < 4.0 * found.std).all()
     local = identify(problem, start=truth)
+    assert (np.abs(found.values - truth) < 4.0 * found.std).all()
     assert (np.abs(found.values - local.values) < 0.01 * local.std).all()
-    assert not (optima(found)["criterion"][1:] < found.history.optima[0].criterion + 1.0).any()
 
 
 # --- the criterion that is compared -----------------------------------------------------
 
 
-def test_concentrated_criterion_is_the_least_over_the_variance() -> None:
-    """Σ K ln s² + K is the least of J/σ² + K ln σ² over σ² (minus twice the logarithm of the likelihood)."""
-    problem = sinusoid()
-    thetas = np.array([[5.0], [FREQUENCY]])
+def test_concentrated_cost_is_the_least_over_the_variance() -> None:
+    """Σ K ln s² + K is the least of J/σ² + K ln σ² over σ²; known variances and priors enter as they are."""
+    problem, thetas = sinusoid(), np.array([[5.0], [FREQUENCY]])
     got = misfits(Evaluator(problem), thetas).concentrated(problem)
     for theta, value in zip(thetas[:, 0], got, strict=True):
-        squares = np.sum((problem.measured - np.sin(theta * TIMES)) ** 2)
-
-        def negative(log: float, squares: float = squares) -> float:
-            return float(squares * np.exp(-log) + TIMES.size * log)
-
-        assert value + TIMES.size == pytest.approx(minimize_scalar(negative, (-8.0, 3.0)).fun, rel=1e-9)
-
-
-def test_given_variances_and_priors_enter_the_criterion() -> None:
-    """One output of known variance, one of unknown, and a prior."""
-    rng = np.random.default_rng(3)
-    measured = rng.normal(size=(30, 2))
+        squares = float(np.sum((problem.measured - np.sin(theta * TIMES)) ** 2))
+        least = minimize_scalar(lambda log, s=squares: s * np.exp(-log) + TIMES.size * log, (-8.0, 3.0))
+        assert value + TIMES.size == pytest.approx(least.fun, rel=1e-9)
+    measured = np.random.default_rng(3).normal(size=(30, 2))
     problem = LeastSquares.from_function(
         lambda theta: np.full((30, 2), theta[0]),
         measured,
@@ -212,15 +164,10 @@ def test_given_variances_and_priors_enter_the_criterion() -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("method", METHODS)
-def test_seed_makes_it_repeatable(method: Strategy) -> None:
-    steps: dict[int, list[float]] = {}
-    tables = []
-    for run, seed in enumerate((5, 5, 6)):
-        seen: list[Event] = []
-        tables.append(optima(searched(sinusoid(), GlobalSearch(method, starts=20, seed=seed), seen.append)))
-        steps[run] = [step.criterion for step in of_search(seen)]
-    assert steps[0] == steps[1] != steps[2]
+def test_seed_makes_searches_repeatable(method: Strategy) -> None:
+    tables = [optima(searched(sinusoid(), GlobalSearch(method, starts=20, seed=seed))) for seed in (5, 5, 6)]
     assert tables[0].equals(tables[1])
+    assert not tables[0].equals(tables[2])
 
 
 @pytest.mark.parametrize("method", METHODS)
@@ -256,22 +203,20 @@ def test_best_fit_is_finished(monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.mark.parametrize(
     ("settings", "match"),
     [
-        ({"method": "evolutoin"}, "must be 'differential-evolution' or 'multi-start', not 'evolutoin'"),
-        ({"starts": 4}, "starts of a global search must be a whole number from 5 on, not 4"),
-        ({"starts": 0, "method": "multi-start"}, "starts .* from 1 on, not 0"),
-        ({"starts": 5.5}, "starts .* not 5.5"),
-        ({"seed": -1}, "seed .* from 0 on, not -1"),
-        ({"generations": True}, "generations .* not True"),
+        ({"method": "evolutoin"}, "evolutoin"),
+        ({"starts": 4}, "starts.*5.*4"),
+        ({"starts": 0, "method": "multi-start"}, "starts.*1.*0"),
+        ({"starts": 5.5}, "starts.*5.5"),
+        ({"seed": -1}, "seed.*0.*-1"),
+        ({"generations": True}, "generations.*True"),
     ],
 )
-def test_wrong_settings(settings: dict[str, object], match: str) -> None:
+def test_settings_are_refused(settings: dict[str, object], match: str) -> None:
     with pytest.raises(InputError, match=match):
         GlobalSearch(**settings)  # type: ignore[arg-type]
 
 
-def test_a_robust_loss_is_refused() -> None:
-    problem = LeastSquares.from_function(
-        lambda theta: theta * TIMES, TIMES, {"w": Parameter(1.0, 0.5, 2.0)}, loss="huber"
-    )
-    with pytest.raises(InputError, match="a global search knows plain squares only"):
-        searched(problem)
+def test_robust_loss_is_refused() -> None:
+    parameters = {"w": Parameter(1.0, 0.5, 2.0)}
+    with pytest.raises(InputError, match="global search"):
+        searched(LeastSquares.from_function(lambda theta: theta * TIMES, TIMES, parameters, loss="huber"))

@@ -1,4 +1,4 @@
-"""Global searches where simulations fail, and that are interrupted."""
+"""Global searches with failing simulations, and interrupted ones."""
 
 from __future__ import annotations
 
@@ -12,10 +12,7 @@ from fmuid.estimation.global_search import GlobalSearch, Strategy
 from fmuid.estimation.problem import LeastSquares
 from fmuid.estimation.search.loop import TerminationReason
 from fmuid.events import Event
-from tests.support.said import ending
 from tests.support.sinusoids import METHODS, RANGE, TIMES, dense_minima, of_search, searched, sinusoid
-
-# --- failing simulations ----------------------------------------------------------------
 
 
 def fragile(limit: float) -> LeastSquares:
@@ -44,7 +41,7 @@ def test_failing_simulations_are_passed_over(method: Strategy) -> None:
 
 @pytest.mark.parametrize("method", METHODS)
 def test_nothing_but_failures(method: Strategy) -> None:
-    with pytest.raises(InputError, match=r"all \d+ simulations of the global search fail: narrow.*too slow"):
+    with pytest.raises(InputError, match=r"all \d+ simulations.*too slow"):
         searched(fragile(100.0), GlobalSearch(method, starts=6))
 
 
@@ -59,11 +56,12 @@ def test_explosions_are_no_error() -> None:
 
 
 def test_error_where_no_fit_is_possible() -> None:
-    problem = LeastSquares.from_function(
-        lambda theta: theta[0] * TIMES, TIMES, {"a": Parameter(0.5, min=0.1, max=2.0), "idle": Parameter(1, 0.5, 2)}
-    )
-    with pytest.raises(InputError, match=r"'idle'.* changes no measured output"):
-        searched(problem, GlobalSearch("multi-start", starts=3))
+    parameters = {"a": Parameter(0.5, min=0.1, max=2.0), "idle": Parameter(1, 0.5, 2)}
+    with pytest.raises(InputError, match="'idle'"):
+        searched(
+            LeastSquares.from_function(lambda theta: theta[0] * TIMES, TIMES, parameters),
+            GlobalSearch("multi-start", starts=3),
+        )
 
 
 def interrupting(calls: int) -> tuple[LeastSquares, list[float]]:
@@ -87,20 +85,16 @@ def interrupting(calls: int) -> tuple[LeastSquares, list[float]]:
         ("differential-evolution", 150, 120, False),
         ("differential-evolution", 800, 120, True),
         ("multi-start", 48, 40, False),
-        ("multi-start", 700, 40, False),
         ("multi-start", 2400, 2300, True),
     ],
 )
-def test_interruption_keeps_what_is_found(method: Strategy, calls: int, complete: int, fitted: bool) -> None:
-    """It is no worse than any point of a generation or fit that was complete, with its uncertainty if a fit has it."""
+def test_interruption_keeps_the_best(method: Strategy, calls: int, complete: int, fitted: bool) -> None:
+    """No worse than any point of a complete generation or fit, with its uncertainty if a fit has it."""
     problem, seen = interrupting(calls)
     found = searched(problem, GlobalSearch(method, starts=40))
     assert found.outcome is TerminationReason.INTERRUPTED
-    assert len(seen) == calls  # who interrupts waits for nothing more to be simulated
     assert not found.converged
-    assert found.outcome is TerminationReason.INTERRUPTED
-    said = f"Interrupted after {found.history.fits} fit"
-    assert ending(found).startswith(said)
+    assert len(seen) == calls  # who interrupts waits for nothing more to be simulated
     assert sum(o.hits for o in found.history.optima) == found.history.fits
     assert len(found.history.optima) < 40
     squares = [((np.sin(w * TIMES) - problem.measured) ** 2).sum() for w in seen[:complete]]
@@ -108,6 +102,6 @@ def test_interruption_keeps_what_is_found(method: Strategy, calls: int, complete
     assert np.isfinite(found.std).all() == fitted == (found.fit.linearization is not None)
 
 
-def test_interruption_before_anything_is_found() -> None:
+def test_interruption_before_the_first_fit() -> None:
     with pytest.raises(KeyboardInterrupt):
         searched(interrupting(3)[0])

@@ -47,60 +47,48 @@ def check(result: Result, truth: list[float]) -> None:
     assert result.history.simulations < 400
 
 
-@pytest.mark.parametrize("bounds", [{}, {"min": 0.0}, {"min": 0.0, "max": 20.0}])
-@pytest.mark.parametrize("start", [(2.0, 8.0, 1.0), pytest.param((0.5, 5.0, 0.1), marks=pytest.mark.slow)])
+@pytest.mark.parametrize(
+    ("bounds", "start"),
+    [
+        ({}, (2.0, 8.0, 1.0)),
+        ({"min": 0.0, "max": 20.0}, (2.0, 8.0, 1.0)),
+        pytest.param({"min": 0.0}, (0.5, 5.0, 0.1), marks=pytest.mark.slow),
+    ],
+)
 def test_friction_at_rest(bounds: dict[str, Any], start: tuple[float, ...]) -> None:
     """Nothing moves at the start: neither friction nor mass shows until the Coulomb friction is less."""
     parameters = {name: Parameter(value, **bounds) for name, value in zip(SLIDE, start, strict=True)}
     assert not slide(np.array(start)).any()
-    result = identify(LeastSquares.from_function(slide, noisy(slide(np.array(list(SLIDE.values())))), parameters))
+    problem = LeastSquares.from_function(slide, noisy(slide(np.array(list(SLIDE.values())))), parameters)
+    result = identify(problem)
     check(result, list(SLIDE.values()))
-    assert "Fc" in result.identifiability.replaced_initial_guess
+    replaced = result.identifiability.replaced_initial_guess
+    assert "Fc" in replaced
     assert result.estimates.start[1] < 4.0
-    assert as_json(result)["identifiability"]["replaced_initial_guess"] == list(
-        result.identifiability.replaced_initial_guess
-    )
+    assert as_json(result)["identifiability"]["replaced_initial_guess"] == list(replaced)
+    if not bounds:  # the same points every time
+        assert identify(problem).values.tolist() == result.values.tolist()
 
 
-@pytest.mark.parametrize("bounds", [{}, {"min": 0.0, "max": 10.0}])
-def test_a_dead_zone_that_nothing_leaves(bounds: dict[str, Any]) -> None:
+@pytest.mark.parametrize(("bounds", "fragile"), [({}, False), ({"min": 0.0, "max": 10.0}, True)])
+def test_dead_zone_that_nothing_leaves(bounds: dict[str, Any], fragile: bool) -> None:
+    """Points of the box that cannot be simulated are no reason to refuse."""
+
+    def function(theta: Floats) -> Floats:
+        if fragile and theta[1] < 0.5:
+            raise ZeroDivisionError
+        return dead_zone(theta)
+
     parameters = {"gain": Parameter(1.0), "width": Parameter(6.0, **bounds), "drift": Parameter(0.2)}
-    result = identify(LeastSquares.from_function(dead_zone, noisy(dead_zone(np.array([1.5, 0.7, 0.1]))), parameters))
-    check(result, [1.5, 0.7, 0.1])
+    result = identify(LeastSquares.from_function(function, noisy(dead_zone(np.array([1.5, 0.9, 0.1]))), parameters))
+    check(result, [1.5, 0.9, 0.1])
     assert result.identifiability.replaced_initial_guess == ("width",)
     assert result.estimates.start[[0, 2]].tolist() == [1.0, 0.2]
 
 
-def test_the_same_points_are_tried_every_time() -> None:
-    parameters = {name: Parameter(value) for name, value in zip(SLIDE, (2.0, 8.0, 1.0), strict=True)}
-    y = noisy(slide(np.array(list(SLIDE.values()))))
-    first, second = (identify(LeastSquares.from_function(slide, y, parameters)) for _ in range(2))
-    assert first.estimates.start.tolist() == second.estimates.start.tolist()
-    assert first.values.tolist() == second.values.tolist()
-
-
-def test_what_acts_nowhere_is_refused_and_what_was_tried_is_said() -> None:
+def test_parameter_without_effect_anywhere_is_refused() -> None:
     parameters = {"gain": Parameter(1.0), "width": Parameter(6.0), "drift": Parameter(0.2), "idle": Parameter(3.0)}
-    y = noisy(dead_zone(np.array([1.5, 0.7, 0.1])))
-    problem = LeastSquares.from_function(dead_zone, y, parameters)
-    with pytest.raises(InputError) as caught:
+    problem = LeastSquares.from_function(dead_zone, noisy(dead_zone(np.array([1.5, 0.7, 0.1]))), parameters)
+    with pytest.raises(InputError, match=r"'idle'.*40 "):
         Marquardt().search(evaluator := Evaluator(problem))
-    assert str(caught.value) == (
-        "parameter 'idle' (start 3) changes no measured output at the start, nor at 40 other points of its box; check "
-        "that the model uses what is set, start elsewhere, measure an output that depends on it, give a prior, or hold "
-        "it at a value"
-    )
     assert evaluator.simulations < 120
-
-
-def test_where_simulations_fail_no_influence_is_seen() -> None:
-    """Points of the box that cannot be simulated are no reason to refuse, nor to set out from there."""
-
-    def fragile(theta: Floats) -> Floats:
-        if theta[1] < 0.5:
-            raise ZeroDivisionError
-        return dead_zone(theta)
-
-    parameters = {"gain": Parameter(1.0), "width": Parameter(6.0, min=0.0, max=10.0), "drift": Parameter(0.2)}
-    result = identify(LeastSquares.from_function(fragile, noisy(dead_zone(np.array([1.5, 0.9, 0.1]))), parameters))
-    check(result, [1.5, 0.9, 0.1])

@@ -1,6 +1,7 @@
 """Stacking, masks, whitening, priors, and what is refused before the search."""
 
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 import pytest
@@ -103,134 +104,75 @@ def test_first_variances() -> None:
 @pytest.mark.parametrize(
     ("words", "said"),
     [
-        ({"variance": 0.0}, r"noise\.variance must be positive and finite"),
-        ({"variance": {"a": -1.0}}, r"noise\.variance of output 'a' must be positive"),
-        ({"variance": "guess"}, 'a positive number or "estimate"'),
-        ({"initial_variance": "estimate"}, r"noise\.initial_variance must be a positive number"),
-        ({"initial_variance": float("inf")}, "positive and finite"),
-        ({"variance": True}, "must be a positive number"),
+        ({"variance": 0.0}, "variance.*positive.*0"),
+        ({"variance": {"a": -1.0}}, "variance.*'a'.*positive"),
+        ({"variance": "guess"}, "estimate"),
+        ({"initial_variance": "estimate"}, "initial_variance.*positive"),
+        ({"initial_variance": float("inf")}, "finite"),
+        ({"variance": True}, "positive"),
     ],
 )
-def test_bad_noise(words: dict[str, object], said: str) -> None:
+def test_noise_is_refused(words: dict[str, object], said: str) -> None:
     with pytest.raises(InputError, match=said):
         Noise(**words)  # type: ignore[arg-type]
 
 
-def test_noise_of_an_unknown_output() -> None:
-    with pytest.raises(InputError, match="'bb' is no measured output"):
-        LeastSquares([Fake()], [table()], {"k": Parameter(1.0)}, noise=Noise({"bb": 1.0}))
+def ones(count: int, **parameters: Parameter) -> Any:
+    return LeastSquares.from_function(lambda theta: theta[0] * np.ones(count), np.ones(5), parameters)
 
 
-def without_samples() -> LeastSquares:
-    counted = np.ones((50, 2), dtype=np.bool_)
-    counted[:, 1] = False
-    return LeastSquares([Fake()], [table(counted=counted)], {"k": Parameter(1.0)})
+def of(function: Callable[[Floats], Floats], measured: Any, names: str, **words: Any) -> LeastSquares:
+    return LeastSquares.from_function(function, measured, {name: Parameter(1.0) for name in names}, **words)
 
 
-def without_outputs() -> LeastSquares:
-    empty = Experiment.of_arrays("run", TIMES, (), np.zeros((50, 0)), np.zeros((50, 0), dtype=np.bool_))
-    return LeastSquares([Fake()], [empty], {"k": Parameter(1.0)})
+def lonely(theta: Floats) -> Floats:
+    return np.full(5, theta[1] if theta[0] == 1.0 else np.nan)
 
 
-def too_few_samples() -> LeastSquares:
-    return LeastSquares.from_function(lambda theta: theta[:2], [1.0, 2.0], {n: Parameter(1.0) for n in "abc"})
-
-
-def no_freedom() -> LeastSquares:
-    return LeastSquares.from_function(lambda theta: theta, [1.0, 2.0], {n: Parameter(1.0) for n in "ab"})
+K, GAIN = {"k": Parameter(1.0)}, {"gain": Parameter(3.0)}
+EMPTY = Experiment.of_arrays("run", TIMES, (), np.zeros((50, 0)), np.zeros((50, 0), dtype=np.bool_))
+JOINT = JointPrior(["kk"], [1.0], [[1.0]])
 
 
 @pytest.mark.parametrize(
     ("make", "said"),
     [
-        (without_samples, "output 'b' has no sample that counts"),
-        (without_outputs, "no outputs are measured"),
-        (too_few_samples, "2 counted samples are too few for 3 parameters"),
-        (no_freedom, "2 counted samples are too few for 2 parameters"),
-        (lambda: LeastSquares([], [], {"k": Parameter(1.0)}), "no experiments"),
-        (lambda: LeastSquares([Fake()], [table()], {}), "no free parameters"),
+        (lambda: LeastSquares([Fake()], [table(counted=np.tile([True, False], (50, 1)))], K), "'b'.*no sample"),
+        (lambda: LeastSquares([Fake()], [EMPTY], K), "no outputs"),
+        (lambda: of(lambda theta: theta[:2], [1.0, 2.0], "abc"), "2 .*samples are too few for 3"),
+        (lambda: of(lambda theta: theta, [1.0, 2.0], "ab"), "2 .*samples are too few for 2"),
+        (lambda: LeastSquares([], [], K), "no experiments"),
+        (lambda: LeastSquares([Fake()], [table()], {}), "no parameters"),
+        (lambda: LeastSquares([Fake()], [table()], K, noise=Noise({"bb": 1.0})), "'bb'"),
+        (lambda: of(np.sin, np.ones((5, 2)), "k"), "one column for each of y"),
+        (lambda: of(np.sin, np.ones(5), "k", times=[1.0]), "times must have 5"),
+        (lambda: of(np.sin, np.ones(5), "k", joint_prior=JOINT), "'kk'"),
+        (lambda: prepare(Evaluator(ones(4, k=Parameter(1.0)))), "shape"),
+        (lambda: identify(ones(5, k=Parameter(1.0)), start=[1.0, 2.0]), r"1 values.*\(2,\)"),
+        (lambda: prepare(Evaluator(ones(5, k=Parameter(1.0))), [1.0, 2.0]), "1 values"),
+        (lambda: prepare(Evaluator(ones(5, k=Parameter(2.0, max=3.0))), [4.0]), "4 of 'k'.*bounds"),
+        (lambda: prepare(Evaluator(LeastSquares([Fake()], [table()], {"k": Parameter(-1.0), **GAIN}))), "fmi2Error"),
         (
-            lambda: LeastSquares.from_function(np.sin, np.ones((5, 2)), {"k": Parameter(1.0)}),
-            "one column for each of y",
+            lambda: prepare(Evaluator(of(lambda p: np.full(5, p[1] if p[0] == 1.0 else np.nan), np.ones(5), "kg"))),
+            "'k'",
         ),
-        (
-            lambda: LeastSquares.from_function(np.sin, np.ones(5), {"k": Parameter(1.0)}, times=[1.0]),
-            "times must have 5",
-        ),
-        (
-            lambda: LeastSquares.from_function(
-                np.sin, np.ones(5), {"k": Parameter(1.0)}, joint_prior=JointPrior(["kk"], [1.0], [[1.0]])
-            ),
-            "'kk' is not a parameter",
-        ),
+        (lambda: prepare(Evaluator(of(lambda theta: theta[0] * TIMES, TIMES, "gij"))), "'i'.*'j'"),
     ],
 )
-def test_impossible_problems(make: Callable[[], LeastSquares], said: str) -> None:
-    with pytest.raises(InputError, match=said):
+def test_impossible_problem_is_refused(make: Callable[[], object], said: str) -> None:
+    """Before the first step."""
+    with pytest.raises((InputError, SimulationError), match=said):
         make()
 
 
-def test_a_function_of_another_length_is_refused() -> None:
-    problem = LeastSquares.from_function(lambda theta: theta[0] * np.ones(4), np.ones(5), {"k": Parameter(1.0)})
-    with pytest.raises(InputError, match="must return outputs of shape"):
-        prepare(Evaluator(problem))
-
-
-def test_a_start_has_a_value_for_each_parameter() -> None:
-    problem = LeastSquares.from_function(lambda theta: theta[0] * np.ones(5), np.ones(5), {"k": Parameter(1.0)})
-    with pytest.raises(InputError, match=r"the start must have 1 values; its shape is \(2,\)"):
-        identify(problem, start=[1.0, 2.0])
-
-
-def test_a_start_that_cannot_be_simulated_says_why() -> None:
-    parameters = {"k": Parameter(-1.0), "gain": Parameter(3.0)}
-    problem = LeastSquares([Fake()], [table()], parameters)
-    with pytest.raises(SimulationError, match="fmi2DoStep returned fmi2Error"):
-        prepare(Evaluator(problem))
-
-
-def test_a_start_without_neighbours_that_can_be_simulated() -> None:
-    def lonely(theta: Floats) -> Floats:
-        return np.full(5, theta[1] if theta[0] == 2.0 else np.nan)
-
-    problem = LeastSquares.from_function(lonely, np.ones(5), {"k": Parameter(2.0), "gain": Parameter(1.0)})
-    with pytest.raises(InputError, match="not with 'k' moved to either side of 2"):
-        prepare(Evaluator(problem))
-
-
-def test_a_start_outside_the_bounds() -> None:
-    problem = LeastSquares.from_function(
-        lambda theta: theta[0] * np.ones(5), np.ones(5), {"k": Parameter(2.0, max=3.0)}
-    )
-    with pytest.raises(InputError, match="the start 4 of 'k' lies outside its bounds"):
-        prepare(Evaluator(problem), [4.0])
-    with pytest.raises(InputError, match="must have 1 values"):
-        prepare(Evaluator(problem), [1.0, 2.0])
-
-
-def test_parameters_without_influence_are_named_before_the_search() -> None:
-    def function(theta: Floats) -> Floats:
-        return np.asarray(theta[0] * TIMES)
-
-    parameters = {"gain": Parameter(1.0), "idle": Parameter(3.0), "odd": Parameter(0.0, nominal=1.0)}
-    problem = LeastSquares.from_function(function, TIMES, parameters)
-    with pytest.raises(InputError, match=r"parameters 'idle' \(start 3\), 'odd' \(start 0\) change no measured output"):
-        prepare(Evaluator(problem))
-    del parameters["odd"]
-    with pytest.raises(
-        InputError, match=r"parameter 'idle' \(start 3\) changes no measured output .* hold it at a value"
-    ):
-        prepare(Evaluator(LeastSquares.from_function(function, TIMES, parameters)))
-
-
-def test_a_prior_makes_up_for_missing_influence() -> None:
+def test_prior_makes_up_for_a_missing_effect() -> None:
     parameters = {"gain": Parameter(1.0), "idle": Parameter(3.0, prior=Normal(2.5, 0.5))}
     start = prepare(Evaluator(LeastSquares.from_function(lambda theta: theta[0] * TIMES, 2.0 * TIMES, parameters)))
     assert start.residual[-1] == pytest.approx(-1.0)
 
 
-def test_influence_at_a_start_where_the_derivative_vanishes() -> None:
-    """An even function at its centre: the central difference is zero, the outputs still change."""
+def test_effect_shows_where_the_derivative_vanishes() -> None:
+    """An even function at its center: the central difference is zero, the outputs still change."""
     parameters = {"gain": Parameter(1.0), "bend": Parameter(0.0, nominal=1.0)}
     problem = LeastSquares.from_function(lambda theta: theta[0] * TIMES + theta[1] ** 2, 2.0 * TIMES, parameters)
     start = prepare(Evaluator(problem))
