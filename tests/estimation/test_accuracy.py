@@ -6,6 +6,7 @@ import json
 import math
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -19,7 +20,6 @@ from fmuid.estimation import (
     RefinementRefusal,
     RefinementStep,
     Result,
-    RunFields,
     SolverCheck,
     SwitchCause,
     estimate_solver_error,
@@ -103,10 +103,10 @@ def test_the_shift_is_part_of_the_covariance() -> None:
 
 
 def test_solver_check_is_written_and_read(tmp_path: Path) -> None:
-    fields = {"fmi_version": "2.0", "interface": "model-exchange", "integrator": "rk45", "step_size": None}
-    a, b, c = (
-        {"": RunFields(**fields, divisor=1, stiff=False, tolerance=tolerance, new_processes=False)}  # type: ignore[arg-type]
-        for tolerance in (1e-5, 1e-7, 1e-9)
+    fields: Any = {"fmi_version": "2.0", "interface": "model-exchange", "integrator": "rk45", "step_size": None}
+    fields |= {"divisor": 1, "stiff": False, "new_processes": False}
+    a, b, c = (  # RunFields
+        {"": fields | {"tolerance": tolerance}} for tolerance in (1e-5, 1e-7, 1e-9)
     )
     first = RefinementStep(SwitchCause.START_FAILED, math.nan, a, b)
     switches = first, RefinementStep(SwitchCause.SHIFT, 3.0, b, c, 17)

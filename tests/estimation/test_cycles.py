@@ -77,7 +77,8 @@ def test_period_of_inputs() -> None:
 
 def test_period_of_inputs_that_do_not_repeat() -> None:
     n, noise = np.arange(1000), np.random.default_rng(0).standard_normal(1000)
-    for inputs in (0.01 * n, noise, np.ones(1000), (n > 300).astype(float), square(1.7)):
+    signals: list[Any] = [0.01 * n, noise, np.ones(1000), (n > 300).astype(float), square(1.7)]
+    for inputs in signals:
         assert period_of(recorded(inputs)) == 0.0
 
 
@@ -99,7 +100,7 @@ def test_a_period_is_said_where_inputs_do_not_show_it() -> None:
 
 
 def test_excitation_period_is_refused() -> None:
-    def build(period: float, times: Floats) -> LeastSquares:
+    def build(period: float, times: Any) -> LeastSquares:
         noise = Noise(excitation_period=period)
         return LeastSquares.from_function(lambda p: JACOBIAN @ p, times, PARAMETERS, times=times, noise=noise)
 

@@ -240,7 +240,7 @@ def test_filtered_equations_are_biased_and_instruments_are_not(cutoff: float) ->
 def test_the_variance_of_a_mean_of_colored_noise_is_right_and_so_is_its_scatter() -> None:
     """Of an autoregression φ: Var = σ² Σ (1 − |τ|/K) φ^|τ| / K; without what the fit takes it is 12 % too small."""
     count, phi, rng = 150, 0.6, np.random.default_rng(8)
-    noise = signal.lfilter([1.0], [1.0, -phi], rng.standard_normal((400, count + 50)))[:, 50:]
+    noise = signal.lfilter([1.0], [1.0, -phi], rng.standard_normal((600, count + 50)))[:, 50:]
     lags = np.arange(1, count)
     exact = (1.0 + 2.0 * np.sum((1.0 - lags / count) * phi**lags)) / count / (1.0 - phi**2)
     basis, rows = np.full((count, 1), count**-0.5), np.ones((count, 1))

@@ -34,7 +34,7 @@ def test_box_from_a_prior() -> None:
     np.testing.assert_allclose(found.upper, [2.5, 7.0])
 
 
-@pytest.mark.parametrize(("loose", "word"), [(Parameter(1.0, min=0.0), "max"), (Parameter(1.0, max=9.0), "min")])
-def test_box_needs_bounds(loose: Parameter, word: str) -> None:
-    with pytest.raises(InputError, match=f"parameter 'Lf' has no {word}: give it min and max, or a prior"):
-        box(Rs=Parameter(1.0, min=0.0, max=2.0), Lf=loose)
+def test_box_needs_bounds() -> None:
+    for loose, word in ((Parameter(1.0, min=0.0), "max"), (Parameter(1.0, max=9.0), "min")):
+        with pytest.raises(InputError, match=f"'Lf'.*{word}"):
+            box(Rs=Parameter(1.0, min=0.0, max=2.0), Lf=loose)

@@ -13,8 +13,8 @@ from fmuid.estimation import sobol_points
 from fmuid.estimation.starting_points import MAX_DIMENSIONS
 
 
-@pytest.mark.parametrize("dimensions", [1, 2, 7, MAX_DIMENSIONS, MAX_DIMENSIONS + 1])
-@pytest.mark.parametrize("count", [1, 2, 300])
+@pytest.mark.parametrize("dimensions", [1, 7, MAX_DIMENSIONS, MAX_DIMENSIONS + 1])
+@pytest.mark.parametrize("count", [1, 300])
 def test_points_are_those_of_scipy(dimensions: int, count: int) -> None:
     own, other = np.random.default_rng(4), np.random.default_rng(4)
     whole = qmc.Sobol(dimensions, rng=other).random_base2(9)

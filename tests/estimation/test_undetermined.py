@@ -2,7 +2,6 @@
 
 import json
 import math
-import re
 
 import numpy as np
 import pytest
@@ -13,40 +12,41 @@ from fmuid.codec import as_json
 from fmuid.data import Parameter
 from fmuid.estimation.covariance import ActiveBound, IdentifiabilityLevel
 from fmuid.estimation.problem import LeastSquares
+from fmuid.estimation.search.loop import TerminationReason
 from fmuid.identification import identify
+from fmuid.reports.shared_phrases import direction_words
 from tests.support.problems import coil_problem
 from tests.support.said import direction_words, ending
 from tests.support.two_outputs import TIMES, two_output_problem
 
 
-@pytest.mark.slow
-def test_intervals_cover_as_often_as_they_say() -> None:
-    """200 draws of a nonlinear problem with 12 samples, where Student's t differs from the normal distribution."""
-    times = np.linspace(0.0, 2.0, 12)
+@pytest.mark.parametrize(
+    "draws", [pytest.param(50, marks=pytest.mark.slow), pytest.param(200, marks=pytest.mark.campaign)]
+)
+def test_intervals_cover_as_often_as_they_say(draws: int) -> None:
+    """Of a nonlinear problem with 12 samples, where Student's t differs from the normal distribution."""
+    times, inside = np.linspace(0.0, 2.0, 12), np.zeros(2)
 
     def decay(theta: Floats) -> Floats:
         return np.asarray(theta[0] * np.exp(-theta[1] * times))
 
-    inside = np.zeros(2)
-    for seed in range(200):
+    for seed in range(draws):
         y = decay(np.array([3.0, 1.0])) + 0.1 * np.random.default_rng(seed).standard_normal(12)
         result = identify(LeastSquares.from_function(decay, y, {"a": Parameter(2.0), "k": Parameter(1.5)}))
         assert result.converged
         interval = result.intervals()
         inside += (interval["lower"] < [3.0, 1.0]) & (interval["upper"] > [3.0, 1.0])
-    assert (inside >= 182).all()
-    assert (inside <= 197).all()
+    assert (np.abs(inside / draws - 0.95) < 2.6 * math.sqrt(0.05 * 0.95 / draws)).all()
 
 
-def test_what_cannot_be_told_apart_is_named() -> None:
+def test_indistinguishable_parameters_are_named() -> None:
     result = identify(coil_problem(prior=False))
-    assert not result.converged
-    told = re.search(r"No output changes along dR \+1 %, R -(\S+) %, L -(\S+) %\.", ending(result))
-    assert told is not None
-    shares = [result["dR"] / result["R"], 0.0494 * result["dR"] / result["L"]]
-    assert [float(share) for share in told.groups()] == pytest.approx(shares, rel=0.01)
-    assert "R, L and dR are not identifiable; only R + dR and L + 0.0494 dR are." in ending(result)
-    assert "add a prior" in ending(result)
+    assert result.outcome is TerminationReason.UNDETERMINED
+    (direction,) = result.identifiability.non_identifiable
+    assert (direction.level, direction.names) == (IdentifiabilityLevel.NOT, ("R", "L", "dR"))
+    along = np.array(direction.coefficients) / direction.coefficients[2]
+    assert along == pytest.approx([-1.0, -0.0494, 1.0], rel=0.01)
+    assert "R + dR and L + 0.0494 dR" in direction_words(direction)
     assert np.isinf(result.std).all()
     assert result["R"] + result["dR"] == pytest.approx(5.0, abs=0.3)
     assert result["L"] + 0.0494 * result["dR"] == pytest.approx(0.1494, abs=0.01)
@@ -55,45 +55,30 @@ def test_what_cannot_be_told_apart_is_named() -> None:
     json.dumps(written, allow_nan=False)
 
 
-def test_a_prior_tells_them_apart() -> None:
+def test_prior_makes_them_identifiable() -> None:
     result = identify(coil_problem(prior=True))
     assert result.converged
     assert result.identifiability.non_identifiable == ()
-    assert len(result.identifiability.prior_dominated) == 1
-    assert "only R + dR and L + 0.0494 dR are" in direction_words(result.identifiability.prior_dominated[0])
+    (direction,) = result.identifiability.prior_dominated
+    assert direction.names == ("R", "L", "dR")
     assert result["dR"] == pytest.approx(1.0, abs=4 * result.std[2])
     assert result.std[2] < 0.3
     assert result.estimates.correlation.to_numpy()[0, 2] < -0.5
 
 
-def test_two_alike_and_one_lost() -> None:
+def test_two_alike_and_one_without_effect() -> None:
     """Two directions at once: a and b act as a sum, and c acts on nothing beyond the start."""
+    y = 5.0 * TIMES + 0.01 * np.random.default_rng(1).standard_normal(100)
+
+    def line(theta: Floats) -> Floats:
+        return np.asarray((theta[0] + theta[1]) * TIMES + (theta[2] if theta[0] + theta[1] < 3.2 else 0.0))
+
     parameters = {"a": Parameter(1.0), "b": Parameter(2.0), "c": Parameter(1.0)}
-    result = identify(
-        LeastSquares.from_function(
-            lambda theta: (theta[0] + theta[1]) * TIMES + (theta[2] if theta[0] + theta[1] < 3.2 else 0.0),
-            5.0 * TIMES + 0.01 * np.random.default_rng(1).standard_normal(100),
-            parameters,
-        )
-    )
-    assert all(each.level is IdentifiabilityLevel.NOT for each in result.identifiability.non_identifiable)
-    assert {each.names for each in result.identifiability.non_identifiable} == {("c",), ("a", "b")}
-    assert {direction_words(each).splitlines()[0] for each in result.identifiability.non_identifiable} == {
-        "c is not identifiable: it has no effect on any output.",
-        "a and b are not identifiable; only a + b is.",
+    found = identify(LeastSquares.from_function(line, y, parameters)).identifiability.non_identifiable
+    assert {(each.level, each.names) for each in found} == {
+        (IdentifiabilityLevel.NOT, ("c",)),
+        (IdentifiabilityLevel.NOT, ("a", "b")),
     }
-
-
-def test_a_hardly_determined_parameter_is_named() -> None:
-    y = 2.0 * TIMES + 0.1 * np.random.default_rng(1).standard_normal(100)
-    parameters = {"slope": Parameter(1.0), "bend": Parameter(1.0)}
-    result = identify(
-        LeastSquares.from_function(lambda theta: theta[0] * TIMES + 1e-4 * theta[1] * TIMES**2, y, parameters)
-    )
-    assert result.converged
-    (direction,) = result.identifiability.weakly_identifiable
-    assert (direction.level, direction.names) == (IdentifiabilityLevel.HARDLY, ("bend",))
-    assert direction_words(direction).startswith("bend is weakly identifiable: σ is ")
 
 
 def test_strong_correlations_are_listed() -> None:
@@ -107,19 +92,15 @@ def test_strong_correlations_are_listed() -> None:
     assert value == pytest.approx(-np.mean(t) / np.sqrt(np.mean(t**2)), abs=1e-4)
 
 
-def test_bounds_are_named() -> None:
+def test_bounds_are_named_and_end_intervals() -> None:
     result = identify(two_output_problem(parameters={"k": Parameter(0.8, min=0.0, max=1.2)}))
     assert result.converged
     assert result.estimates.at_bounds == (ActiveBound("k", 1.2),)
-    assert "Widen the bound" in ending(result)
     assert result["k"] == 1.2
     # one-sided where the estimate stands on a bound
     lower, upper = result.intervals(0.9).to_numpy()[0].tolist()
     assert upper == 1.2
     assert lower == pytest.approx(1.2 - stats.t.ppf(0.9, result.estimates.variance_dof[0]) * result.std[0])
-
-
-def test_intervals_end_at_bounds() -> None:
     free = identify(two_output_problem())
     lower, upper = free.intervals().to_numpy()[0].tolist()
     bound = 0.5 * (free["k"] + upper)
