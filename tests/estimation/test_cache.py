@@ -90,5 +90,6 @@ def test_the_least_recently_used_goes_first() -> None:
 
 def test_a_problem_does_not_change() -> None:
     problem = LeastSquares.from_function(decay, measured(1, 0.1), STARTS, noise=Noise(0.01))
+    assert problem.as_in(None) is problem
     with pytest.raises(AttributeError, match="a problem does not change"):
         problem.measured = np.zeros(60)

@@ -75,6 +75,7 @@ def test_straight_line_in_closed_form() -> None:
     assert found.residual == pytest.approx(left, abs=1e-12)
     t95 = 3.182446  # Student's t of 3 degrees of freedom, from tables
     assert found.intervals().loc["slope", "upper"] == pytest.approx(slope + t95 * found.std[0], rel=1e-6)
+    assert found["slope"] == found.values[0]
     with pytest.raises(fmuid.InputError, match="'Q'"):
         found["Q"]
 

@@ -85,6 +85,8 @@ def test_standard_deviation_for_each_sample() -> None:
     (found,) = analyze_residuals(problem, result).series
     residual = y - PHI @ result.values
     assert found.std == pytest.approx(float(residual.std()))
+    lag, value = found.whiteness.strongest
+    assert value == found.whiteness.autocorrelation[lag]
     assert found.normality.kurtosis == pytest.approx(float(stats.kurtosis(residual / STD)))
 
 

@@ -261,6 +261,8 @@ def test_samples_off_any_grid_are_counted() -> None:
     assert found.places.tolist() == list(range(50))
     places, step, regular = table_grid(np.array([0.0, 1.0, 1.0, 2.0, 5.0]))  # a time given twice is one place
     assert (places.tolist(), step, regular) == ([0, 1, 1, 2, 5], 1.0, True)
+    (found,) = output_series([table(np.array([0.0, 1.0, 1.0, 2.0]))], ("y0",))
+    assert found.places.tolist() == [0, 1, 2, 3]
 
 
 def test_models_are_shared_by_short_experiments_of_one_step() -> None:
