@@ -366,15 +366,15 @@ def writers() -> Mapping[str, tuple[str, Write]]:
 
 
 SAID = {
-    "shuffled": "'time' decreases in row 2",
-    "sums at the end": "'time' holds 'Mean' in row 121",
-    "times without fractions": "'time' has 0 s more than twice",
-    "no times": "'time' is missing (there is u, i, w)",
-    "units and no names": "'time' is missing (there is [s], [V], [A], [rad/s])",
-    "numbers alone": "the first line holds numbers",
+    "shuffled": "'time': row 2 goes back",
+    "sums at the end": "'time': 'Mean' in row 121",
+    "times without fractions": "'time': 0 s more than twice",
+    "no times": "'time' not found (columns: u, i, w)",
+    "units and no names": "'time' not found (columns: [s], [V], [A], [rad/s])",
+    "numbers alone": "no header",
     "ms, unsaid": "(ms?)",
     "rpm, unsaid": "no column for the output w",
     "-999 for missing": "3 samples of 'i' are -999",
-    "unnamed.mat": "the file holds no numeric vectors",
+    "unnamed.mat": "no numeric vectors",
 }
 """Words that `fmuid init` says of the variants that do not lead to the same estimates."""
