@@ -24,7 +24,7 @@ from fmuid.estimation.simulation_noise import NOISE_POINTS
 from fmuid.identification.prior_data_tests import SAME_VARIANCE_RATIO
 from fmuid.models.component import DEFAULT_TOLERANCE
 from fmuid.runs.batch.case_list import CaseList
-from fmuid.simulation.isolation.host import FIRST_TIME_LIMIT, LEAST_TIME_LIMIT, SLOWER_FACTOR
+from fmuid.simulation.isolation.host import TIME_LIMITS
 from fmuid.simulation.plan_builder import LINEAR_SUBSTEPS
 from fmuid.studies.study import Study
 
@@ -69,8 +69,8 @@ def test_the_isolation_that_is_shown(tmp_path: Path) -> None:
     (words,) = blocks("isolation-limits.md", "toml")
     study_of(words, tmp_path)
     assert (
-        f"{SLOWER_FACTOR:g} times the longest so far, at least {LEAST_TIME_LIMIT:g} s; {FIRST_TIME_LIMIT:g} s before"
-        in words
+        f"{TIME_LIMITS.slower:g} times the longest so far, "
+        f"at least {TIME_LIMITS.least:g} s; {TIME_LIMITS.first:g} s before" in words
     )
 
 

@@ -2,7 +2,7 @@ from .executor_pool import close as close
 from .executor_pool import closing as closing
 from .executor_pool import executor_of as executor_of
 from .isolation import start_server as start_server
-from .isolation.host import FIRST_TIME_LIMIT as FIRST_TIME_LIMIT
+from .isolation.host import TIME_LIMITS as TIME_LIMITS
 from .isolation.host import FmuHost as FmuHost
 from .isolation.host import HostManager as HostManager
 from .isolation.isolated_executor import printed as printed

@@ -16,14 +16,13 @@ N_WIRES = len(WIRES)
 SET_DERIVATIVES, DO_STEP, RESET, SETUP, ENTER_INITIALIZATION, EXIT_INITIALIZATION = range(24, 30)
 ENTER_EVENT_MODE, UPDATE_DISCRETE_STATES, ENTER_STEP_MODE, SET_TIME, SET_STATES, GET_STATES = range(30, 36)
 GET_NOMINALS, GET_DERIVATIVES, GET_INDICATORS, ENTER_CONTINUOUS_TIME_MODE, COMPLETED_STEP = range(36, 41)
-DIRECTIONAL_DERIVATIVE = 41
-COPY, SENSITIVITIES = 42, 43  # no calls: one signal to another; sensitivities of outputs, from the integrator's memory
-LOOP = 44  # of direct feed-through, not solved; the component is its number
+# The last three are no calls: one signal to another; sensitivities of outputs, from the integrator's memory; an
+# algebraic loop that was not solved, whose number is the component.
+DIRECTIONAL_DERIVATIVE, COPY, SENSITIVITIES, LOOP = range(41, 45)
 ENDED, OUT_OF_RANGE, STUCK = 45, 46, 47  # by the FMU; for the type of its variable; steps return early for ever
 ENDLESS_EVENT, ENDLESS_ROUNDS = 48, 49  # of one component; of several that cause each other's
 TOO_MANY_EVENTS, TOO_MANY_STEPS, STEP_TOO_SMALL, STATE_NOT_FINITE, STIFF, CVODE_FAILED = range(50, 56)
-JUMP_UNKNOWN, JUMP_REFUSED, CANCELLED = 56, 57, 58
-PROCESS = 59  # that ran the FMU came to an end, or was ended: none of the core's
+JUMP_UNKNOWN, JUMP_REFUSED, CANCELLED, PROCESS = range(56, 60)  # PROCESS: it ended; none of the core's
 
 REPORT = 7
 """Words of the report of a simulation: failure (-1 without), component, status, sample, state; time and step as reals.
@@ -31,7 +30,7 @@ REPORT = 7
 Unknown words are -1 or NaN.
 """
 UNDONE, DONE_WELL = -2, -1  # the status in a report of a simulation that is not over, or that nothing ended early
-OK, WARNING, DISCARD, ERROR = range(4)  # statuses of the FMI; after an ERROR a reset is allowed
+OK, WARNING, DISCARD, ERROR, FATAL = range(5)  # statuses of the FMI; after an ERROR a reset is allowed
 
 # What a thread is doing: nothing; making instances; simulating; trying whether a reset works; freeing its instances.
 IDLE, PREPARING, SIMULATING, REPEATING, CLOSING = range(5)

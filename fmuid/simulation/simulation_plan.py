@@ -213,7 +213,6 @@ def shares(total: int, count: int) -> list[slice]:
     return [slice(a, b) for a, b in itertools.pairwise(edges)]
 
 
-_STAGES = 5  # start values, inputs, exchange, outputs, input derivatives; then the exchange after each component
 _TYPES: dict[str, type[np.generic]] = {  # of arrays that are no indices
     "references": np.uint32,
     **dict.fromkeys(("signals", "conversions", "tolerances", "times", "inputs", "slopes"), np.float64),
@@ -236,7 +235,7 @@ def check_plan(plan: SimulationPlan, grid: TimeGrid, versions: Sequence[int]) ->
     for operation in plan.operations:
         _check_operation(plan, operation, versions)
     stages = plan.stages
-    _demand(len(stages) == 1 + _STAGES + n and stages[0] == 0, "stages", "do not match the components")
+    _demand(len(stages) == 6 + n and stages[0] == 0, "stages", "do not match the components")
     _demand((np.diff(stages) >= 0).all() and stages[-1] == len(plan.operations), "stages", "are out of order")
     _check_groups(plan)
     _check_signals(plan)

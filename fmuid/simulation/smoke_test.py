@@ -29,10 +29,6 @@ from fmuid.simulation.instance import Instance
 from fmuid.simulation.instance_registry import is_repeated
 from fmuid.simulation.simulator import Simulator
 
-SAMPLES = 100  # sampling intervals of a smoke simulation, about
-DURATION = 1.0  # of an FMU without a default experiment, s
-OBSERVED = 200  # outputs that are looked at: what an FMU has beyond them is of the same kind
-
 
 class Stage(StrEnum):
     """Stages of a trial."""
@@ -79,16 +75,17 @@ class SmokeReport:
 def default_times(description: Description, kind: str, share: float = 1.0) -> tuple[np.ndarray, float | None]:
     """Return samples (K,) of a trial and its communication step, s.
 
-    The `share` of the default experiment is simulated, else `DURATION`. Co-Simulation keeps its step size if given.
+    The `share` of the default experiment is simulated, else 1 s. Co-Simulation keeps its step size if given.
     """
     given = description.default_experiment
     start = given.get("start", 0.0)
-    stop = given.get("stop", start + DURATION)
-    duration = share * (stop - start if stop > start else DURATION)
+    stop = given.get("stop", start + 1.0)
+    duration = share * (stop - start if stop > start else 1.0)
     step = given.get("step_size", 0.0) if kind == "co-simulation" else 0.0
+    intervals = 100  # about
     if not 0 < step <= duration:
-        return np.linspace(start, start + duration, SAMPLES + 1), None
-    interval = step * max(1, round(duration / step / SAMPLES))
+        return np.linspace(start, start + duration, intervals + 1), None
+    interval = step * max(1, round(duration / step / intervals))
     return start + interval * np.arange(max(1, int(duration / interval + 1e-9)) + 1), step
 
 
@@ -138,10 +135,10 @@ def _run(report: SmokeReport, fmu: FMU, kind: str, share: float, target: Path) -
 
 
 def observed(description: Description) -> list[str]:
-    """Return the observed outputs, else the states."""
+    """Return the observed outputs, else the states: the first 200."""
     numbers = [v.name for v in description.with_causality("output") if v.type in ("Real", "Integer", "Boolean")]
     local = [name for name in description.states if description.variables[name].causality == "local"]
-    return (numbers or local)[:OBSERVED]
+    return (numbers or local)[:200]
 
 
 @contextmanager

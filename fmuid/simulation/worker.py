@@ -27,8 +27,6 @@ from fmuid.simulation.simulation_plan import GridSimulation, SimulationJob
 _log = logging.getLogger("fmuid.fmu")
 # Longest that one call of the core should last, s: between calls an interruption gets through.
 CALL_SECONDS = 0.2
-FATAL = 4  # fmi2Fatal
-MESSAGES_TOLD = 3  # of one failed simulation
 
 
 shared_words: list[Indices] = []
@@ -93,7 +91,7 @@ class SimulationThread:
                         self._judge_reset(part)
             else:
                 part = self._valid(part)
-                if (part.reports[part.failed, 2] >= FATAL).any():
+                if (part.reports[part.failed, 2] >= codes.FATAL).any():
                     self.close(fatal=True)
             done += len(part)
         if not job.failed.any():
@@ -108,7 +106,7 @@ class SimulationThread:
         if self.renewal is Renewal.RESET and self._can_be_replaced:
             stuck = part.reports[:, 0] == codes.RESET  # spoilt by the simulation before
             if stuck.any():
-                self.close(fatal=bool((part.reports[stuck, 2] >= FATAL).any()))
+                self.close(fatal=bool((part.reports[stuck, 2] >= codes.FATAL).any()))
             again |= stuck
         return part[: int(np.argmax(again))] if again.any() else part
 
@@ -136,7 +134,13 @@ class SimulationThread:
         again = first.simulation.job(first.thetas)
         self._simulate(again)
         failed = again.failed[0]
-        return not failed and is_repeated(again.outputs, first.outputs), bool(failed and again.reports[0, 2] >= FATAL)
+        return not failed and is_repeated(again.outputs, first.outputs), bool(
+            failed and again.reports[0, 2] >= codes.FATAL
+        )
+
+    @staticmethod
+    def _is_fatal(job: SimulationJob) -> bool:
+        return bool(job.reports[0, 2] >= codes.FATAL)
 
     def _give_up_reset(self, fatal: bool = False) -> None:
         self.renewal = Renewal.INSTANCE if self._can_be_replaced else Renewal.PROCESS
@@ -167,7 +171,7 @@ class SimulationThread:
             instance.set_logging(True)
         self._simulate(job)
         error = self.error(job, parameters)
-        if job.failed[0] and job.reports[0, 2] >= FATAL:
+        if job.failed[0] and self._is_fatal(job):
             self.close(fatal=True)
         for instance in self._instances:
             instance.set_logging(False)
@@ -263,7 +267,7 @@ class SimulationThread:
         self._prepare()
         self._simulate(job)
         if self.renewal is None and job.reports[0, 0] == codes.RESET:  # the simulation before failed: nothing was known
-            self._give_up_reset(fatal=job.reports[0, 2] >= FATAL)
+            self._give_up_reset(self._is_fatal(job))
             self._prepare()
             self._simulate(job)
 
@@ -286,7 +290,7 @@ class SimulationThread:
 
 
 def _last_words(instance: Instance) -> list[str]:
-    """Return the last distinct messages, warnings and errors first."""
+    """Return the last three distinct messages, warnings and errors first."""
     serious = [text for status, text in instance.messages if status > 0]
     words = serious or [text for _, text in instance.messages]
-    return list(dict.fromkeys(words))[-MESSAGES_TOLD:]
+    return list(dict.fromkeys(words))[-3:]

@@ -19,7 +19,7 @@ from fmuid.array_types import Floats
 from fmuid.errors import FmuidError, InputError, SimulationError
 from fmuid.models.component import Numerics
 from fmuid.simulation import derivatives_of, executor_of
-from fmuid.simulation.isolation.host import FmuHost
+from fmuid.simulation.isolation.host import FmuHost, TimeLimits
 from tests.support.isolated import (
     BAD,
     NAMES,
@@ -141,8 +141,7 @@ def test_crash_without_instance_names_the_fmu(folder: Path, how: dict[str, Any])
 
 
 def test_default_time_limit_follows_earlier_simulations(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    for name, value in (("LEAST_TIME_LIMIT", 0.2), ("SLOWER_FACTOR", 1.0), ("FIRST_TIME_LIMIT", 1e6)):
-        monkeypatch.setattr(f"fmuid.simulation.isolation.host.{name}", value)
+    monkeypatch.setattr("fmuid.simulation.isolation.host.TIME_LIMITS", TimeLimits(first=1e6, least=0.2, slower=1.0))
     simulator = Simulator(misbehaving_fmu(folder), RECORD, NAMES, isolation=Isolation())
     simulator([1.0, 1.0, 0.0])
     with pytest.raises(SimulationError, match=r"did not end within the default time limit .* and was stopped"):

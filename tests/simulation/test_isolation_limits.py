@@ -29,7 +29,7 @@ from fmuid.processes.limits import (
     wants_processor,
 )
 from fmuid.simulation import codes, executor_of
-from fmuid.simulation.isolation.host import AT_REST_SECONDS, HostWatchdog, end_words
+from fmuid.simulation.isolation.host import TIME_LIMITS, HostWatchdog, TimeLimits, end_words
 from tests.support.isolated import NAMES, PROCESSES, RECORD, expected, pair, thetas, wait_until
 from tests.support.misbehaving import Mode, misbehaving_fmu
 
@@ -56,8 +56,7 @@ def test_large_record_equals_in_process(folder: Path) -> None:
 @pytest.mark.slow
 def test_longest_record_has_the_time_of_a_first_one(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Short ones say little about it."""
-    monkeypatch.setattr("fmuid.simulation.isolation.host.LEAST_TIME_LIMIT", 0.2)
-    monkeypatch.setattr("fmuid.simulation.isolation.host.SLOWER_FACTOR", 1.0)
+    monkeypatch.setattr("fmuid.simulation.isolation.host.TIME_LIMITS", TimeLimits(least=0.2, slower=1.0))
     frame = pd.DataFrame({"time": 0.1 * np.arange(400), "u": 1.0, "x": 0.0})
     long = Experiment(frame, ["u"], ["x"], interpolation="zoh")
     simulator = Simulator(misbehaving_fmu(folder), RECORD, NAMES, values={"amount": 2.0}, isolation=Isolation())
@@ -220,9 +219,9 @@ def test_process_at_rest_that_owes_an_answer_is_ended(monkeypatch: pytest.Monkey
     """A case of a batch calculates for hours between simulations; one that does not even calculate has no end."""
     watched = Watched(monkeypatch, codes.IDLE)
     assert watched.end_after(3600.0, 0.05, every=0.1) is None
-    assert watched.end_after(0.9 * AT_REST_SECONDS, 0.0, psutil.STATUS_SLEEPING, 0.1) is None
-    end = watched.end_after(0.2 * AT_REST_SECONDS, 0.0, psutil.STATUS_SLEEPING, 0.1)
-    assert end == HostExitError(HUNG, round(1e3 * AT_REST_SECONDS))
+    assert watched.end_after(0.9 * TIME_LIMITS.at_rest, 0.0, psutil.STATUS_SLEEPING, 0.1) is None
+    end = watched.end_after(0.2 * TIME_LIMITS.at_rest, 0.0, psutil.STATUS_SLEEPING, 0.1)
+    assert end == HostExitError(HUNG, round(1e3 * TIME_LIMITS.at_rest))
 
 
 def test_process_stopped_for_a_moment_goes_on(monkeypatch: pytest.MonkeyPatch) -> None:

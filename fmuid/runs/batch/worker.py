@@ -19,7 +19,7 @@ from fmuid.models import Isolation
 from fmuid.processes import AVAILABLE, LIMITS, HostExitError
 from fmuid.runs.batch.case import CaseOutcome, CaseRunner
 from fmuid.runs.batch.study_package import StudyPackage, put
-from fmuid.simulation import FIRST_TIME_LIMIT, FmuHost, HostManager, executor_of, watch
+from fmuid.simulation import TIME_LIMITS, FmuHost, HostManager, executor_of, watch
 from fmuid.studies import Study
 
 # What must be the same on both sides, to how many places of the version.
@@ -237,5 +237,5 @@ class IsolatedCases:
         return outcomes
 
     def _begin(self, host: FmuHost) -> None:
-        host.order(watch, limit=FIRST_TIME_LIMIT)
-        host.order(open_cases, *self._opened, limit=FIRST_TIME_LIMIT)
+        host.order(watch, limit=TIME_LIMITS.first)
+        host.order(open_cases, *self._opened, limit=TIME_LIMITS.first)

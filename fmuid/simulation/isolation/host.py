@@ -7,6 +7,7 @@ import errno
 import logging
 import os
 from collections.abc import Callable, Hashable, Sequence
+from dataclasses import dataclass
 from typing import Any, TypeVar
 
 import numpy as np
@@ -61,9 +62,25 @@ def end_words(end: HostExitError) -> str:
     return f"its process crashed with {end.signal_name}"
 
 
-PREPARATION_LIMIT = 120.0  # s for instantiation and loading code: some FMUs read large files
-AT_REST_SECONDS = 60.0
-"""Time without a simulation and without CPU time after which a process that owes an answer does not answer, s."""
+@dataclass(frozen=True)
+class TimeLimits:
+    """Time limits of processes that run FMUs, s."""
+
+    first: float = 60.0
+    """Default of a simulation before any has ended, or of one with more steps than all before ..."""
+    per_step: float = 1e-4
+    """... and for each of its communication steps: far more than one takes, but of a slow model."""
+    least: float = 5.0
+    """Lower limit of the default: machines are busy at times."""
+    slower: float = 100.0
+    """Default: this multiple of the longest simulation."""
+    preparation: float = 120.0
+    """Instantiation and loading of code: some FMUs read large files."""
+    at_rest: float = 60.0
+    """Without simulation and CPU time, until a process that owes an answer is ended."""
+
+
+TIME_LIMITS = TimeLimits()
 
 Value = TypeVar("Value")
 
@@ -91,9 +108,9 @@ class HostWatchdog(Watchdog):
     def allowed(self) -> float:
         """Return the time limit of the current state, s."""
         if self._at_rest:
-            return AT_REST_SECONDS
+            return TIME_LIMITS.at_rest
         preparing = (self._doing[::2] == codes.PREPARING).any()
-        return max(self.limit, PREPARATION_LIMIT) if preparing else self.limit
+        return max(self.limit, TIME_LIMITS.preparation) if preparing else self.limit
 
 
 class FmuHost(HostProcess):
@@ -179,13 +196,6 @@ class FmuHost(HostProcess):
             self.kill()
 
 
-SLOWER_FACTOR = 100.0
-"""How much longer than all before a simulation may take by default."""
-LEAST_TIME_LIMIT = 5.0
-"""The shortest default time limit, s: machines are busy at times."""
-FIRST_TIME_LIMIT = 60.0
-"""The default time limit before any simulation has ended, or one of more steps than all before, s."""
-
 _left: list[str] = []  # what FMUs printed whose keepers are gone
 
 
@@ -215,7 +225,8 @@ class HostManager(HostKeeper[FmuHost]):
         """Time limit of a simulation like earlier ones, s."""
         if self._settings.time_limit:
             return self._settings.time_limit
-        return max(LEAST_TIME_LIMIT, SLOWER_FACTOR * self.longest) if self.longest else FIRST_TIME_LIMIT
+        limits = TIME_LIMITS
+        return max(limits.least, limits.slower * self.longest) if self.longest else limits.first
 
     def states_at_end(self) -> Indices:
         """Part with an ended process; return the states of its threads."""

@@ -23,13 +23,9 @@ from fmuid.processes import FAILED, GREW, HUNG, KILLED, MOST_KILLS, HostExitErro
 from fmuid.simulation import codes
 from fmuid.simulation.instance_registry import Renewal, is_repeated, labels, needs_process, note_process
 from fmuid.simulation.isolation import CODE, server
-from fmuid.simulation.isolation.host import FIRST_TIME_LIMIT, FmuHost, HostManager, end_words, left
+from fmuid.simulation.isolation.host import TIME_LIMITS, FmuHost, HostManager, end_words, left
 from fmuid.simulation.simulation_plan import GridSimulation, SimulationJob, shares
 
-STEP_LIMIT = 1e-4
-"""What is added to `FIRST_TIME_LIMIT` for each communication step, s: far more than one takes, but of a slow model."""
-CHUNK_BYTES = 1 << 25  # of outputs that are shared at a time: small beside the memory of any machine
-MEASURE_SECONDS = 0.25  # between looks at how much a process has grown
 _log = logging.getLogger("fmuid.fmu")
 _living: weakref.WeakSet[IsolatedExecutor] = weakref.WeakSet()
 
@@ -66,7 +62,8 @@ class IsolatedExecutor:
             self._run_chunks(job)
 
     def _run_chunks(self, job: SimulationJob) -> None:
-        first, largest = 0, max(1, CHUNK_BYTES // max(1, job.outputs[:1].nbytes))
+        # 32 MB of outputs are shared at a time: small beside the memory of any machine
+        first, largest = 0, max(1, (1 << 25) // max(1, job.outputs[:1].nbytes))
         while first < len(job):
             known = self._alone
             part = job[first : first + self._most(largest)]
@@ -88,9 +85,9 @@ class IsolatedExecutor:
             return 1
         if self._renewal is None:
             return 1
-        # the first ones by themselves, so that what they need is known and not taken for growth
+        # the first ones alone: their need is no growth; then a look at the growth every quarter of a second
         before, recycle = self._host().simulations, self._settings.max_simulations_per_process
-        often = 1 if not before else max(1, int(MEASURE_SECONDS / max(self._keeper.longest, 1e-6)))
+        often = 1 if not before else max(1, int(0.25 / max(self._keeper.longest, 1e-6)))
         return min(largest, self._limit * often, max(1, recycle - before) if recycle else largest)
 
     def _try_processes(self, first: SimulationJob) -> None:
@@ -189,7 +186,7 @@ class IsolatedExecutor:
         """Return the limit of a simulation, s; a longer one counts as first."""
         if self._settings.time_limit:
             return self._settings.time_limit
-        first = FIRST_TIME_LIMIT + STEP_LIMIT * simulation.steps if simulation.steps > self._steps else 0.0
+        first = TIME_LIMITS.first + TIME_LIMITS.per_step * simulation.steps if simulation.steps > self._steps else 0.0
         return max(first, self._keeper.time_limit)
 
     def failure(
@@ -232,7 +229,7 @@ class IsolatedExecutor:
         for model in self._components.values():
             _ = model.fmu.directory  # unpacked here, where what is wrong with it can be said
         self._known.clear()
-        host.order(server.start, self._components, self._limit, self._renewal, limit=FIRST_TIME_LIMIT)
+        host.order(server.start, self._components, self._limit, self._renewal, limit=TIME_LIMITS.first)
 
     def _tell(self, host: FmuHost, simulation: GridSimulation) -> int:
         """Return a run's number, after the process knows it."""
@@ -243,7 +240,7 @@ class IsolatedExecutor:
             weakref.finalize(simulation, self._forgotten.append, number).atexit = False
         if number not in self._known:
             forgotten = self._forgotten[:]
-            host.order(server.know, number, simulation, forgotten, limit=FIRST_TIME_LIMIT)
+            host.order(server.know, number, simulation, forgotten, limit=TIME_LIMITS.first)
             host.records[number] = host.sent
             for each in forgotten:
                 host.records.pop(each, None)
