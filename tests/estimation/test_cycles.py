@@ -35,7 +35,6 @@ from fmuid.estimation.result import Result
 from fmuid.identification import identify
 from fmuid.identification.residual_analysis import analyze_residuals
 from tests.support.problems import ar1
-from tests.support.said import residual_words
 
 STEP, PERIOD, CYCLES = 0.032, 125, 8
 COUNT = PERIOD * CYCLES

@@ -142,7 +142,7 @@ JOINT = JointPrior(["kk"], [1.0], [[1.0]])
         (lambda: of(lambda theta: theta[:2], [1.0, 2.0], "abc"), "2 .*samples are too few for 3"),
         (lambda: of(lambda theta: theta, [1.0, 2.0], "ab"), "2 .*samples are too few for 2"),
         (lambda: LeastSquares([], [], K), "no experiments"),
-        (lambda: LeastSquares([Fake()], [table()], {}), "no parameters"),
+        (lambda: LeastSquares([Fake()], [table()], {}), "no free parameters"),
         (lambda: LeastSquares([Fake()], [table()], K, noise=Noise({"bb": 1.0})), "'bb'"),
         (lambda: of(np.sin, np.ones((5, 2)), "k"), "one column for each of y"),
         (lambda: of(np.sin, np.ones(5), "k", times=[1.0]), "times must have 5"),

@@ -24,7 +24,6 @@ from fmuid.identification import identify
 from fmuid.runs.apply import apply_result
 from tests.support.paths import FMUS
 from tests.support.results import RESULT
-from tests.support.said import ending
 
 Function = Callable[[Floats], Floats]
 
