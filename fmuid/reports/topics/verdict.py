@@ -1,0 +1,110 @@
+"""The verdict on a result in one line: grade, and the gravest reasons."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from itertools import groupby
+
+from fmuid.estimation import Doubt, Grade, Reason, Verdict
+from fmuid.formatting import listed
+from fmuid.reports.document import Message, Tone
+
+SHOWN_REASONS = 2
+"""Reasons in the first line; the others are counted."""
+STATES = {Grade.PASSED: "PASSED", Grade.DOUBTFUL: "DOUBTFUL", Grade.NOT_USABLE: "NOT USABLE"}
+GRADE_TONES: dict[Grade, Tone] = {Grade.PASSED: "good", Grade.DOUBTFUL: "doubt", Grade.NOT_USABLE: "bad"}
+
+
+class VerdictMessage(Message):
+    """Reasons of a verdict, the gravest first."""
+
+    INTERRUPTED = ("interrupted", "by Ctrl-C: the best values so far", "Continue with `--resume`.")
+    NOT_CONVERGED = ("not converged: {first}", "no minimum was found", "Follow the message of the termination.")
+    NON_IDENTIFIABLE = (
+        "{subjects} not identifiable",
+        "the data do not determine these parameters, or only a combination",
+        "Fix one of them, add a prior, or use another excitation.",
+    )
+    BETTER_OPTIMUM = (
+        "a better optimum exists near {subjects}",
+        "a profile or a cost map found a lower cost",
+        "Identify again from there.",
+    )
+    POOR_FIT = ("{first} fits only {fit:.0f} % (NRMSE)", "the model explains less than half", "Check the model.")
+    LARGE_RESIDUAL = (
+        "residual is {ratio:.2g} × noise level",
+        "the model does not explain the data from any starting point",
+        "Check the model, input interpolation and units.",
+    )
+    SOLVER_UNCHECKED = ("solver error unknown", "no more accurate simulation", "Export the FMU for Model Exchange.")
+    SOLVER_ERROR = (
+        "solver error moves {first} by {shift:.2g} σ",
+        "σ includes it",
+        "Leave `interface`, `tolerance` and `solver_check` unset.",
+    )
+    PRIOR_DATA_CONFLICT = (
+        "prior and data conflict (p = {probability:.1g})",
+        "prior, model or machine differ",
+        "Check the prior, the model and the machine.",
+    )
+    NOISE_LEVEL = ("residual of {subjects} contradicts its stated noise level", "the stated σ is wrong, or the model")
+    INPUT_CORRELATION = (
+        "model misses effects of {inputs}",
+        "the residual is correlated with inputs",
+        "Check interpolation, delay and unit of these inputs.",
+    )
+    COLORED_RESIDUAL = (
+        "residual of {subjects} is colored",
+        "dynamics of the noise, or of the machine that the model does not have",
+        "Check the model structure and sensor filters.",
+    )
+    PERIODIC_ERROR = ("residual of {subjects} repeats with the excitation", "model error; σ includes it")
+    LOW_FREQUENCY_NOISE = ("residual of {subjects} has low-frequency noise", "noise or model error; σ includes it")
+    LONG_MEMORY = ("noise of {subjects} is slow for its recording", "σ is uncertain", "Record longer.")
+    OFFSET = ("residual of {subjects} has an offset", "of a sensor, or of the model", "Add an offset parameter.")
+    DISTRIBUTION = ("residual of {subjects} is not normal", "outliers, or asymmetric noise", "Set a robust `loss`.")
+    AT_BOUND = ("{subjects} at a bound", "the data point beyond it", "Widen the bound or check the model.")
+    WEAKLY_IDENTIFIABLE = ("{subjects} weakly identifiable", "σ above the scale", "Use a stronger excitation.")
+    PRIOR_DOMINATED = ("{subjects} identifiable only through the prior", "the data alone do not determine them")
+    SECOND_OPTIMUM = ("a second optimum fits equally well", "the data allow both", "Narrow the bounds or add a prior.")
+    NONLINEAR = ("model nonlinear between prior and data", "local σ is an order of magnitude", "Compute a profile.")
+    OBSERVER = ("fit of predictions by an observer", "measurement noise biases it", "Use a slower observer.")
+    SAMPLING = ("posterior samples did not converge", "credible intervals are unreliable", "Raise `steps`.")
+    MISSING_ROWS = ("rows missing in {subjects}", "inputs are interpolated", "Cut the data there.")
+
+
+def verdict_state(verdict: Verdict) -> tuple[str, Tone]:
+    """Return the word of a verdict and its tone."""
+    return STATES[verdict.grade], GRADE_TONES[verdict.grade]
+
+
+def reason_words(verdict: Verdict) -> str:
+    """Return the gravest reasons, and the number of others."""
+    told = list(_phrases(verdict))
+    more = [f"{len(told) - SHOWN_REASONS} more"] if len(told) > SHOWN_REASONS else []
+    return "; ".join([*told[:SHOWN_REASONS], *more])
+
+
+def _phrases(verdict: Verdict) -> Iterator[str]:
+    for reason, doubts in groupby(verdict.doubts, key=lambda each: each.reason):
+        each = list(doubts)
+        first = each[0].subject[:1] or ("",)
+        values = {key: abs(number) for key, number in each[0].values.items() if key in ("shift",)}
+        fields = {**each[0].values, **values, "subjects": _joined(_subjects(reason, each)), "first": first[0]}
+        yield VerdictMessage[reason.name].text.format(**fields, inputs=_joined(_inputs(each)))
+
+
+def _subjects(reason: Reason, doubts: list[Doubt]) -> list[str]:
+    names = (each.subject if reason in _DIRECTIONS else each.subject[:1] for each in doubts)
+    return list(dict.fromkeys(name for each in names for name in each))
+
+
+_DIRECTIONS = {Reason.NON_IDENTIFIABLE, Reason.WEAKLY_IDENTIFIABLE, Reason.PRIOR_DOMINATED, Reason.BETTER_OPTIMUM}
+
+
+def _joined(names: list[str]) -> str:
+    return listed(names) if names else ""
+
+
+def _inputs(doubts: list[Doubt]) -> list[str]:
+    return list(dict.fromkeys(each.subject[2] for each in doubts if len(each.subject) > 2))
