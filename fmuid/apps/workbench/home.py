@@ -98,7 +98,8 @@ def _state(result: FoundResult, study: FoundStudy) -> str:
     if result.error:
         return badge("cannot be read", good=False)
     if result.kind == "identification":
-        told = badge(str(content.get("outcome", "unknown")).replace("_", " "), good=bool(content.get("converged")))
+        grade = str((content.get("verdict") or {}).get("grade", "unknown"))
+        told = badge(grade.replace("_", " ").upper(), good={"passed": True, "not_usable": False}.get(grade))
     else:
         told = badge(DONE.get(result.kind, result.kind))
     changed = study.path.stat().st_mtime > result.path.stat().st_mtime

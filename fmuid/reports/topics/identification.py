@@ -7,8 +7,9 @@ from collections.abc import Sequence
 
 import pandas as pd
 
-from fmuid.estimation import Result
+from fmuid.estimation import Result, Verdict
 from fmuid.formatting import fit_text, unit_text
+from fmuid.identification import judge
 from fmuid.models import SolverConfiguration
 from fmuid.reports.document import Document, Message, Remark, Section, origin_of
 from fmuid.reports.topics.estimates import correlation_sections, estimates_section, precision_remarks
@@ -22,6 +23,7 @@ from fmuid.reports.topics.study_notes import gap_remark
 from fmuid.reports.topics.termination import effort_remark, result_remarks, state_and_reason
 from fmuid.reports.topics.uncertainty import interval_section, uncertainty_remarks
 from fmuid.reports.topics.uncertainty_charts import uncertainty_sections
+from fmuid.reports.topics.verdict import reason_words, verdict_state
 from fmuid.runs import IdentificationRun
 from fmuid.simulation import OutputFit
 
@@ -45,23 +47,28 @@ class RunMessage(Message):
 def identification_document(found: IdentificationRun) -> Document:
     """Return the document of an identification."""
     result, checks = found.result, found.assessment
-    state, reason = state_and_reason(result)
-    if result.converged and not found.succeeded:
-        reason += (
-            "; interrupted" if checks.interrupted else "; [uncertainty] found a better optimum or did not converge"
-        )
+    verdict = result.verdict or judge(result, checks)
+    state, tone = verdict_state(verdict)
     said = _remarks(found)
     return Document(
         "identification",
         "Identification",
         state,
-        "good" if found.succeeded else "bad",
+        tone,
         tuple(said),
         tuple(identification_sections(found)),
         **origin_of(found.origin, _models(result)),
-        reason=reason,
+        reason=_reason(result, verdict),
         summary=_summary(found, said),
     )
+
+
+def _reason(result: Result, verdict: Verdict) -> str:
+    """Return what follows the verdict in its line."""
+    ended, how = state_and_reason(result)
+    if not result.converged:
+        return f"{ended}: {how}"
+    return reason_words(verdict) or f"converged {how}; all checks passed"
 
 
 def _models(result: Result) -> dict[str, str]:
