@@ -65,7 +65,6 @@ def test_the_copy_differs_in_the_start_values_only(tmp_path: Path) -> None:
 
 
 def test_the_copy_simulates_as_the_original_at_the_estimates(tmp_path: Path) -> None:
-    """The binary has its own start values: what the annotation lists is set, and gives the coil of those values."""
     new = tmp_path / "New.fmu"
     resistance, inductance = 4.0 + 1 / 3, 0.1 * math.pi
     apply_result(result(tmp_path, {"R": (resistance, 0.01), "L": (inductance, 0.002)}), COIL, new)

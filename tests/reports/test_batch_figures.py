@@ -30,7 +30,6 @@ def cases(count: int, **columns: Any) -> pd.DataFrame:
 
 
 def test_over_cases() -> None:
-    """Few have their intervals, those that miss the truth in red; failed ones are marked; many are thinned."""
     frame = cases(20)
     frame.loc[2, "value.R"] = 4.25
     few, _ = batch.over_cases(frame, {"R": 4.0}, {"R": "Ohm"})
@@ -68,7 +67,6 @@ def test_few_tables_are_named_at_the_axis() -> None:
 
 
 def test_where_searches_ended() -> None:
-    """In order above: thirteen at the best optimum, six that leave twice the residual; one did not end."""
     frame = cases(20, **{"start.R": np.linspace(1.0, 200.0, 20)})
     frame["noise.i"] = np.where(np.arange(20) < 6, 4.0, 1.0)
     frame["value.R"], frame["value.L"] = np.where(np.arange(20) < 6, 2.0, 4.0), 0.1

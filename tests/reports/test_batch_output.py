@@ -93,7 +93,6 @@ def test_console_of_nothing(capsys: pytest.CaptureFixture[str]) -> None:
     ],
 )
 def test_figures_without_a_warning(frame: pd.DataFrame, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """Whatever there is of cases, they are drawn and summarized, and nothing warns."""
     summary = summarize(frame, TRUTH, UNITS)
     sections = charts_of(frame, summary, TRUTH, {**UNITS}, given_noise=False)
     assert sections
@@ -107,10 +106,3 @@ def test_nothing_to_draw() -> None:
     for none in (frame.iloc[:0], fail(frame, [0, 1, 2], ["no"] * 3)):
         keys = [each.key for each in charts_of(none, summarize(none, TRUTH), TRUTH, {}, given_noise=False)]
         assert keys == (["failures"] if len(none) else [])
-
-
-def test_columns() -> None:
-    frame = batch({"table": ["a"], "start.R": [1.0], "set.m.J": [2.0], "free": ["R"], "draw": [0]})
-    columns = BatchColumns.of(frame)
-    assert (columns.parameters, columns.outputs, columns.starts) == (("R", "L"), ("i",), ("start.R",))
-    assert (columns.design, columns.repeats) == (("set.m.J", "free"), ("table", "draw"))

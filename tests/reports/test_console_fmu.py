@@ -197,7 +197,7 @@ def test_the_skeleton_is_toml_with_the_names_of_the_fmu(name: str, tmp_path: Pat
 def test_the_skeleton_identifies(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """What is pasted from `fmuid info` is a study as soon as a parameter is freed and there is a table."""
     (tmp_path / "Coil.fmu").write_bytes((FMUS / "Coil/Coil.fmu").read_bytes())
-    (tmp_path / "table.csv").write_text("time,u,i\n0,1,0\n0.1,1,0.24\n0.2,1,0.25\n", encoding="utf-8")
+    (tmp_path / "data.csv").write_text("time,u,i\n0,1,0\n0.1,1,0.24\n0.2,1,0.25\n", encoding="utf-8")
     assert run(["info", str(tmp_path / "Coil.fmu")]) == DONE
     text = capsys.readouterr().out
     pasted = text[text.index("[model]") :].replace("# R =", "R =")

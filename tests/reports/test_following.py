@@ -222,7 +222,6 @@ def test_one_at_a_time(plant: Path) -> None:
 
 
 def test_an_interruption_before_the_first_status_counts_the_alarm(plant: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The user's command is told of it when Ctrl-C comes: the alarm is written, and the exit code says so."""
 
     def interrupted(*_: Any) -> list[str]:
         raise KeyboardInterrupt
@@ -235,7 +234,6 @@ def test_an_interruption_before_the_first_status_counts_the_alarm(plant: Path, m
 
 @pytest.mark.slow
 def test_killed_again_and_again(plant: Path) -> None:
-    """A logger writes half lines; the monitoring is killed at any moment. Every window is there once, and the alarm."""
     text = dated(warming(30, to=4.0, fails=20.0, size=1.0, seed=5)).to_csv(index=False)
     log = plant / "records" / "log.csv"
     words = [sys.executable, "-m", "fmuid", "monitor", "study.toml", "records", "--follow", "-o", "out", "--no-report"]

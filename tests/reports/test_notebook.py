@@ -9,15 +9,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pandas as pd
 import pytest
 
 import fmuid
 from fmuid.estimation import Identifiability, IdentifiabilityLevel, WeakDirection
-from fmuid.formatting import with_std
 from fmuid.reports.render.notebook import Drawing, plots
 from fmuid.runs.batch.dataset import Dataset
-from fmuid.runs.folder import write_identification
 from tests.support.coil_study import COIL, STUDY, coil_table
 from tests.support.results import made_up
 from tests.support.running import run_study
@@ -49,7 +46,6 @@ def html(shown: Any) -> str:
 
 
 def test_a_notebook_with_five_figures_can_be_kept(found: fmuid.runs.IdentificationRun) -> None:
-    """The library, 1.3 MB, is in the first of them only."""
     plots = (found.plot.fit, found.plot.residuals, found.plot.criterion, found.plot.correlation, found.plot.belief)
     shown = [html(plot()) for plot in plots]
     assert len(shown[0]) > 1_000_000
@@ -70,7 +66,6 @@ def test_a_result_draws_itself_without_its_findings(found: fmuid.runs.Identifica
 
 
 def test_tables(found: fmuid.runs.IdentificationRun, tmp_path: Path) -> None:
-    """Each shows what it is, and names never become markup."""
     for shown in (found, found.result):
         assert "<th scope=row>R</th>" in html(shown)
         assert "Converged" in html(shown)
@@ -103,26 +98,6 @@ def test_a_parameter_of_a_result_knows_more_than_its_value(found: fmuid.runs.Ide
         result["Rs"]
 
 
-def test_units_are_kept_in_the_file(found: fmuid.runs.IdentificationRun, tmp_path: Path) -> None:
-    write_identification(tmp_path, found)
-    again = fmuid.Result.from_json(tmp_path / "result.json")
-    assert again.estimates.units == found.result.estimates.units == {"R": "Ohm", "L": "H"}
-    table = pd.read_csv(tmp_path / "estimates.csv", index_col="parameter")
-    pd.testing.assert_frame_equal(table, again.to_frame(), check_index_type=False)
-
-
-def test_a_result_is_printed_as_a_table(found: fmuid.runs.IdentificationRun) -> None:
-    lines = str(found.result).splitlines()
-    assert repr(found.result.summary()) == str(found.result)
-    assert lines[0].split()[0] == "parameter"
-    assert lines[2].split()[:3] == ["R", *with_std(*row(found.result)).split()[:2]]
-    assert "Converged" in lines
-
-
-def row(result: fmuid.Result) -> tuple[float, float]:
-    return float(result.values[0]), float(result.std[0])
-
-
 def many(count: int, directions: int) -> fmuid.Result:
     """Return a result of many parameters, of which as much is to be said as there are directions."""
     names = tuple(f"a_parameter_whose_name_takes_room_{i}" for i in range(count))
@@ -149,7 +124,6 @@ def test_a_printed_result_takes_25_lines(count: int, directions: int) -> None:
 
 
 def test_texts_are_short(found: fmuid.runs.IdentificationRun, tmp_path: Path) -> None:
-    """What a notebook keeps beside the HTML is a line; of many parameters the first ones."""
     assert repr(found.result).startswith("Result(converged: R = ")
     coil_table(tmp_path / "first.csv", 0.0, seed=1)
     (tmp_path / "study.toml").write_text(STUDY)

@@ -57,7 +57,6 @@ def plain(value: Any, numbers: dict[str, int]) -> Any:
 
 
 def test_bokeh_reads_what_is_written() -> None:
-    """Its own models, made of the JSON and made of the charts, are alike in every property."""
     given = drawing([every_mark(), fit.fit_charts(record(outputs=1))]).figures
     roots, ids = written(given)
     made = Document()
@@ -86,7 +85,6 @@ def test_a_grid_has_one_toolbar_that_switches_all_its_plots() -> None:
 
 
 def test_names_never_become_columns_or_formats() -> None:
-    """Nor mathematics, for which the library would ask a host."""
     name = "@{t}$$x$${{safe}}<b>"
     data: dict[str, Any] = {"y": (name,), "x": T[:1]}
     layers = [Layer("bars", data, label=name, hover=(("", "@y"), ("value", "@x{0.0}")))]
@@ -163,7 +161,6 @@ def test_scales_rules_and_legends() -> None:
 
 
 def test_shades_are_those_of_the_page() -> None:
-    """The diagonal of the correlation is the last color, what is not known is grey."""
     matrix = pd.DataFrame([[1.0, np.nan], [np.nan, 1.0]], index=["a", "b"], columns=["a", "b"])
     (cells,) = painted(_matrix(matrix)).collections
     assert {to_hex(color) for color in cells.get_facecolor()} == {BLUE_RED[-1], "#bbbbbb"}
@@ -178,7 +175,6 @@ def test_shades_are_those_of_the_page() -> None:
 
 
 def test_a_fit_and_its_zoom() -> None:
-    """Beside each other, the residual below each output; the zoom has the rows of the stretch alone."""
     given = record(samples=2000)
     (section,) = fit.fit_sections([given])
     assert section.zoom is not None
@@ -227,7 +223,6 @@ def test_figures_for_print_are_the_same_file_each_time(tmp_path: Path, kind: str
 
 
 def test_the_least_that_an_experiment_can_have(tmp_path: Path) -> None:
-    """Two samples are drawn without warnings."""
     values = np.ones((2, 1))
     tiny = OutputFit("tiny", np.array([0.0, 1.0]), ("y",), (None,), values, 0 * values, np.ones((2, 1), bool))
     assert len(paint.save({"fit": paint.printed([fit.fit_charts(tiny)], 2)}, tmp_path)) == 1

@@ -14,8 +14,7 @@ import pytest
 
 import fmuid
 from fmuid.apps.cli.options import DONE, WRONG_INPUT
-from fmuid.reports.chart import ChartGrid
-from fmuid.reports.render.document_json import DOCUMENT_FILE, read_documents
+from fmuid.reports.render.document_json import DOCUMENT_FILE
 from tests.support.coil_study import STUDY, coil_table, fmuid_, result
 
 # A report is no larger than this, bytes.
@@ -105,7 +104,6 @@ def test_it_says_where_it_comes_from(results: Path, page: Page) -> None:
 
 
 def test_a_browser_runs_its_scripts_and_nothing_else(results: Path, page: Page) -> None:
-    """The policy names the scripts by their digests, so that none that comes in by a name would run; and no host."""
     digests = {base64.b64encode(hashlib.sha256(each.encode()).digest()).decode() for each in page.scripts}
     assert set(re.findall(r"'sha256-([^']+)'", page.policy)) == digests
     assert len(digests) == 2
@@ -114,12 +112,6 @@ def test_a_browser_runs_its_scripts_and_nothing_else(results: Path, page: Page) 
     assert not page.values("src")
     assert all(link.startswith("#") for link in page.values("href"))
     assert (results / "report.html").stat().st_size < SMALL
-
-
-def test_the_parabolas_are_of_parameters_with_a_prior(results: Path) -> None:
-    (chart,) = read_documents(results)["identification"].section("parabolas").charts
-    assert not isinstance(chart, ChartGrid)
-    assert chart.x.label == "R (Ohm)"  # L has none
 
 
 def test_the_command_writes_the_same_report_again(

@@ -14,13 +14,13 @@ import pytest
 from scipy.signal import lfilter
 from tornado.netutil import bind_sockets
 
-from fmuid.apps.workbench import Folder, Workbench, entry_file
+from fmuid.apps.workbench import Folder, Workbench
 from fmuid.processes import AVAILABLE
 from fmuid.runs import made_from
 from fmuid.studies import Study
 from tests.support.begun_batch import batch
 from tests.support.browser import PATIENCE, chromium
-from tests.support.coil_study import COIL, STUDY, coil_table
+from tests.support.coil_study import STUDY, coil_table
 from tests.support.cut_wire import Wire
 from tests.support.misbehaving import Mode, misbehaving_fmu
 from tests.support.results import result
@@ -140,15 +140,6 @@ def test_pages_open_with_every_other_host_refused(browser: Any, address: str) ->
     asked = browser.execute_script("return performance.getEntriesByType('resource').map(each => each.name)")
     assert asked
     assert all(each.startswith((base, "data:", base.replace("http", "ws"))) for each in asked)
-
-
-def test_an_entry_file_leads_to_the_first_page_once(browser: Any, folder: Path) -> None:
-    with running(Workbench(Folder(folder))) as bench, entry_file(bench) as path:
-        browser.get(path.as_uri())
-        wait(browser, "document.title === 'work' && location.search === ''")
-        browser.delete_all_cookies()
-        browser.get(path.as_uri())
-        wait(browser, "document.title.startsWith('403') && location.search !== ''")
 
 
 def test_a_drag_moves_the_curve(browser: Any, address: str) -> None:
@@ -370,34 +361,6 @@ def test_a_foreign_page_reaches_nothing(browser: Any, address: str, folder: Path
     (folder.parent / "foreign.html").write_text("<title>foreign</title>")
     browser.get((folder.parent / "foreign.html").as_uri())
     assert browser.execute_async_script(FOREIGN, base) == ["refused", "refused"]
-
-
-def test_a_study_is_begun_in_the_browser(browser: Any, address: str, folder: Path) -> None:
-    (folder / "coil.fmu").write_bytes(COIL.read_bytes())
-    browser.get(address)
-    browser.get(f"{address.split('?')[0]}new")
-    wait_until_drawn(browser)
-    browser.execute_script(f"{MODEL}('chosen').value = ['first.csv']; {MODEL}('output').value = 'made.toml'")
-    wait(browser, f"{MODEL}('said').text.includes('600 samples')")
-    wait(browser, f"!{MODEL}('write study').disabled")
-    press(browser, "Write study")
-    wait(browser, f"{MODEL}('state').text.includes('study?file=made.toml')")
-    assert (folder / "made.toml").is_file()
-    assert quiet(browser)
-
-
-def test_a_short_tab_is_not_as_high_as_the_others(browser: Any, address: str) -> None:
-    size = {"width": 360, "height": 800, "deviceScaleFactor": 1, "mobile": False}
-    browser.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", size)
-    open_study(browser, address)
-    wait(browser, f"{MODEL}('scores').text.includes('fit of i')")
-    height = "document.querySelector('[aria-label=figures]').getBoundingClientRect().height"
-    assert browser.execute_script(f"return {height}") > 300
-    browser.execute_script(f"{MODEL}('main').active = 1")  # a sentence: the search has not begun
-    wait(browser, f"{height} < 200")
-    browser.execute_script(f"{MODEL}('main').active = 0")
-    wait(browser, f"{height} > 300")
-    assert quiet(browser)
 
 
 @pytest.mark.parametrize("width", [360, 800, 1920])

@@ -299,7 +299,8 @@ def test_a_result_is_passed_on_by_commands(tmp_path: Path) -> None:
     assert found == pytest.approx(float(Result.from_json(tmp_path / "results/result.json")["R"]))
 
 
-def test_a_command_is_run_and_what_it_printed_kept(tmp_path: Path) -> None:
+@pytest.mark.slow
+def test_command_is_run_and_its_output_kept(tmp_path: Path) -> None:
     jobs = Jobs()
     job = jobs.begin(tmp_path / "study.toml", tmp_path / "results", ["identify", "study.toml"])
     wait_until(lambda: not job.running)
