@@ -97,42 +97,40 @@ def test_a_growing_file_and_restarts_find_what_one_run_finds(plant: Path) -> Non
     assert (plant / "told.txt").read_text() == "1 raised turns\n" * 2  # by either
 
 
-def test_records_in_files_and_an_alarm_that_ends(plant: Path) -> None:
+def follow(study: Any = "study.toml", **more: Any) -> list[str]:
+    """Follow the recordings until nothing is left; return the remarks."""
+    remarks: list[str] = []
+    run_following(study, "records", "out", show=lambda at: remarks.extend(map(str, at.remarks)), until=idle, **more)
+    return remarks
+
+
+def test_alarm_of_one_file_ends_with_the_next(plant: Path) -> None:
     for k in range(3):
         table = warming(3, to=4.0, fails=0.0 if k == 1 else math.inf, size=1.0, seed=k)
         table.to_parquet(plant / "records" / f"r{k}.parquet")
-    run_following("study.toml", "records", "out", until=idle)
-    said = [(each["event"], each["record"], each["id"]) for each in alarms(plant / "out")]
-    assert said[0] == ("raised", "r1", 1)
+    assert follow() == []
+    first, *_ = alarms(plant / "out")
+    assert (first["event"], first["record"], first["id"]) == ("raised", "r1", 1)
     state = json.loads((plant / "out" / "monitoring.json").read_text())
     assert state["windows"] == 9 and [each["fault"] for each in state["alarms"]] == ["turns"]
-    bad = plant / "records" / "s.csv"
-    bad.write_text("time,v,i\n0,1,1\n1,1,1\n2,1,1\n3,1,1\n")
-    remarks: list[str] = []
-    run_following(
-        "study.toml", "records", "out", show=lambda watching: remarks.extend(map(str, watching.remarks)), until=idle
-    )
-    assert remarks == [
-        f"{Path('records', 's.csv')}: input column 'u' not found (columns: time, v, i). Name the right column."
-    ]
+    (plant / "records" / "s.csv").write_text("time,v,i\n0,1,1\n1,1,1\n2,1,1\n3,1,1\n")
+    (remark,) = follow()
+    assert "s.csv: input column 'u' not found" in remark
 
 
-def test_the_console_says_since_when_and_whether_records_come(plant: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_console_shows_onset_and_silence(plant: Path, capsys: pytest.CaptureFixture[str]) -> None:
     warming(4, to=4.0, fails=1.0, size=1.0).to_parquet(plant / "records" / "r.parquet")
     seen: list[FollowStatus] = []
     run_following("study.toml", "records", "out", show=seen.append, until=idle)
     console().print(state(seen[-1], 8.0), state(seen[-1], 1.0))
-    late, soon = capsys.readouterr().out.split("evaluated")[1:]
-    assert "no new window for 8 s" in late
-    assert "no new window" not in soon
-    said = " ".join(soon.split())
-    assert re.search(
-        r"4 windows, up to r, 4 s now ALARM: turns onset (1|0\.9\d|1\.0\d) s of r current size turns, dR = ", said
-    )
-    assert re.search(r"last window turns\.dR \S+ ± \S+ Ohm R ", said)
+    late, soon = (" ".join(each.split()) for each in capsys.readouterr().out.split("evaluated")[1:])
+    assert "no new window for 8 s" in late and "no new window" not in soon
+    at = r"4 windows, up to r, 4 s now ALARM: turns onset (1|0\.9\d|1\.0\d) s of r current size turns, dR = "
+    assert re.search(at, soon)
+    assert re.search(r"last window turns\.dR \S+ ± \S+ Ohm R ", soon)
 
 
-def test_a_command_is_told_again_after_a_break_in_it(plant: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_command_is_called_again_after_an_interruption(plant: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     warming(6, to=4.0, fails=0.0, size=1.0).to_csv(plant / "records" / "a.csv", index=False)
 
     def broken(*_: object, **__: object) -> None:
@@ -140,9 +138,9 @@ def test_a_command_is_told_again_after_a_break_in_it(plant: Path, monkeypatch: p
 
     with monkeypatch.context() as breaking:
         breaking.setattr(following, "run_program", broken)
-        run_following("study.toml", "records", "out", until=idle)
+        follow()
     assert not (plant / "told.txt").exists()
-    run_following("study.toml", "records", "out", until=idle)
+    follow()
     assert (plant / "told.txt").read_text() == "1 raised turns\n"
     assert len(alarms(plant / "out")) == 1
 
@@ -150,24 +148,17 @@ def test_a_command_is_told_again_after_a_break_in_it(plant: Path, monkeypatch: p
 @pytest.mark.parametrize(
     ("command", "said"),
     [
-        (["no-such-program"], "[monitoring] command: 'no-such-program' cannot be run: No such file or directory"),
-        (
-            [sys.executable, "-c", "raise SystemExit('mail is down')"],
-            "failed at alarm 1 (exit code 1): mail is down",
-        ),
-        ([sys.executable, "-c", "import time; time.sleep(60)"], "took more than 0.5 s at alarm 1 and was ended"),
+        (["no-such-program"], "'no-such-program'"),
+        ([sys.executable, "-c", "raise SystemExit('mail is down')"], "mail is down"),
+        ([sys.executable, "-c", "import time; time.sleep(60)"], "0.3 s"),
     ],
 )
-def test_a_command_that_fails_is_said(
+def test_failing_command_is_a_remark(
     plant: Path, monkeypatch: pytest.MonkeyPatch, command: list[str], said: str
 ) -> None:
-    monkeypatch.setattr(following, "COMMAND_SECONDS", 0.5)
+    monkeypatch.setattr(following, "COMMAND_SECONDS", 0.3)
     warming(3, to=4.0, fails=0.0, size=1.0).to_csv(plant / "records" / "a.csv", index=False)
-    remarks: list[str] = []
-
-    study = fmuid.Study.read("study.toml", [f"monitoring.alarm_command={json.dumps(command)}"])
-    run_following(study, "records", "out", show=lambda at: remarks.extend(map(str, at.remarks)), until=idle)
-    (remark,) = remarks
+    (remark,) = follow(fmuid.Study.read("study.toml", [f"monitoring.alarm_command={json.dumps(command)}"]))
     assert said in remark
 
 
