@@ -185,9 +185,9 @@ def test_memory_is_of_the_latest_windows(plant: Path, monkeypatch: pytest.Monkey
 @pytest.mark.parametrize(
     ("words", "said"),
     [
-        (["records", "records"], "--follow and several folders do not go together"),
-        (["records", "--resume"], "--follow and --resume do not go together"),
-        (["records", "--figures", "png"], "--follow and --figures do not go together"),
+        (["records", "records"], "excludes several folders"),
+        (["records", "--resume"], "excludes --resume"),
+        (["records", "--figures", "png"], "excludes --figures"),
         (["nowhere"], "nowhere: there is no such folder or file"),
         (["records", "--set", "monitoring.alarm_command=3"], "monitoring.alarm_command: must be a list of a program"),
         (["records", "--set", "diagnosis.faults.turns.fixed.tau=0.02"], "of a run with another study or other models"),

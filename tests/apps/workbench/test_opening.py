@@ -125,7 +125,7 @@ def test_open_names_a_browser_that_does_not_start(
     monkeypatch.setattr(Workbench, "run", answer_nobody)
     assert workbench(browser / "work") == DONE
     told = capsys.readouterr()
-    assert told.err == "note: No browser could be started. Open the address above by hand.\n"
+    assert "No browser" in told.err and told.err.count("\n") == 1
     assert told.out.splitlines()[-1].startswith("http://127.0.0.1:")
 
 
