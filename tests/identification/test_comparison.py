@@ -10,7 +10,7 @@ import pytest
 from scipy import stats
 
 from fmuid.array_types import Floats
-from fmuid.data import Normal, Parameter
+from fmuid.data import Parameter
 from fmuid.errors import InputError
 from fmuid.estimation import LeastSquares
 from fmuid.identification import IncomparableError, ModelCandidate, analyze_residuals, compare_models, identify
@@ -115,28 +115,20 @@ def test_nesting_is_claimed_only_where_it_is_known() -> None:
     assert compare_models([small, large]).tests == ()
 
 
-def test_priors_are_said_and_not_tested() -> None:
-    y = line(1)
-    small, large = candidate(y, 2, "small"), candidate(y, 3, "large")
-    prior = np.array([np.nan, np.nan, Normal(0.0, 1.0).mean])
-    large = replace(large, result=changed(large.result, prior_mean=prior))
-    found = compare_models([small, large])
-    assert found.tests == ()
-    assert found.with_priors == ("large",)
+def test_priors_are_not_tested() -> None:
+    small, large = candidate(line(1), 2, "small"), candidate(line(1), 3, "large")
+    prior = np.array([np.nan, np.nan, 0.0])
+    found = compare_models([small, replace(large, result=changed(large.result, prior_mean=prior))])
+    assert (found.tests, found.with_priors) == ((), ("large",))
 
 
-def test_what_cannot_be_compared() -> None:
-    one, other = candidate(line(1), 2, "one"), candidate(line(2), 2, "other")
-    with pytest.raises(IncomparableError, match="one and other were made from different measurements"):
+def test_incomparable_results_are_refused() -> None:
+    one, other, again = candidate(line(1), 2, "one"), candidate(line(2), 2, "other"), candidate(line(1), 2, "again")
+    with pytest.raises(IncomparableError, match=r"one and other .*different"):
         compare_models([one, other])
-    with pytest.raises(InputError, match="give at least two results"):
-        compare_models([one])
-    with pytest.raises(InputError, match="two results are called one"):
-        compare_models([one, one])
-    again = candidate(line(1), 2, "again")
-    again = replace(again, result=changed(again.result, log_likelihood=math.nan))
-    with pytest.raises(IncomparableError, match="again has no likelihood"):
-        compare_models([one, again])
-    again = replace(again, result=changed(again.result, data=()))
-    with pytest.raises(IncomparableError, match="again does not say which measurements"):
-        compare_models([one, again])
+    for given, said in (([one], "two results"), ([one, one], "one")):
+        with pytest.raises(InputError, match=said):
+            compare_models(given)
+    for change in ({"log_likelihood": math.nan}, {"data": ()}):
+        with pytest.raises(IncomparableError, match="again"):
+            compare_models([one, replace(again, result=changed(again.result, **change))])

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import re
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -23,10 +22,8 @@ from fmuid.estimation import Evaluator, RestartAttempt, SearchFailure, StartingP
 from fmuid.identification import starting_points
 from fmuid.identification.equation_error_start import POOR, equation_start
 from fmuid.identification.starting_points import EndedSearch, best_of, corrected_start, is_confirmed
-from fmuid.reports.topics.termination import PLACES, TROUBLES
 from tests.support.exported import export_text
 from tests.support.paths import FMUS
-from tests.support.said import attempt_words
 
 EXPERIMENTS = FMUS.parent / "experiments"
 
@@ -75,10 +72,6 @@ def test_a_motor_from_far_away_is_found_by_its_equations(motor: Path, record: Re
     assert [each.kept for each in result.history.restarts] == [False, True]
     assert result.estimates.start == pytest.approx(whole.parameters.start)
     assert result.history.simulations <= 400
-    assert (
-        "Initial guess failed; restart 1 of 1 converged.\n"
-        "Starting points: initial guess (skipped, worse than the mean), equation-error estimate (converged, used)."
-    ) in str(fmuid.Document.of(result))
     data = json.loads(json.dumps(as_json(result)))
     assert [each["remedy"] for each in data["history"]["restarts"]] == ["given", "equation_error"]
 
@@ -117,19 +110,10 @@ def test_of_searches_that_fit_alike_one_that_ended_is_kept(ended: list[tuple[Sea
     assert best_of(searches).number == best
 
 
-def test_one_word_switches_it_off(motor: Path, record: Record) -> None:
-    whole = problem(motor, record)
-    result = fmuid.identify(whole, fmuid.Marquardt(max_iterations=3), restart=False)
-    assert result.history.restarts == ()
-    study = EXPERIMENTS / "coil" / "healthy.toml"
-    assert fmuid.Study.read(study).estimation.restarts
-    assert not fmuid.Study.read(study, ["estimation.restarts=false"]).estimation.restarts
-
-
 def test_a_good_start_takes_what_it_took(motor: Path, record: Record) -> None:
     """Not one simulation more, and the same estimates to the last bit."""
-    near, alone = problem(motor, record, record.truth * 1.02), problem(motor, record, record.truth * 1.02)
-    result, plain = fmuid.identify(near), fmuid.identify(alone, restart=False)
+    near = problem(motor, record, record.truth * 1.02)
+    result, plain = fmuid.identify(near), fmuid.identify(near, restart=False)
     assert result.history.restarts == ()
     assert result.history.simulations == plain.history.simulations
     assert (result.values == plain.values).all()
@@ -202,7 +186,6 @@ def test_a_model_that_is_wrong_is_confirmed_by_a_second_start(curved: Path) -> N
     assert result.converged
     kept = next(each for each in result.history.restarts if each.kept)
     assert kept.trouble is SearchFailure.MODEL_ERROR
-    assert "all 2 starting points agree" in str(fmuid.Document.of(result))
 
 
 LAG = """model Lag
@@ -233,9 +216,6 @@ def test_two_searches_that_agree_end_it_however_large_the_residual_is(tmp_path: 
     kept = next(each for each in result.history.restarts if each.kept)
     assert kept.trouble is SearchFailure.MODEL_ERROR
     assert kept.noise_ratio > 15.0
-    assert re.match(r"Residual is .* × noise level; all \d+ starting points agree\.\n→ Check", attempt_words(result))
-    data = json.loads(json.dumps(as_json(result)))
-    assert [each["trouble"] for each in data["history"]["restarts"] if each["kept"]] == ["model_error"]
 
 
 def ended(remedy: StartingPointSource, values: list[float], worth: float = 0.0, number: int = 0) -> EndedSearch:
@@ -280,11 +260,6 @@ def test_corrections_give_a_start_too(motor: Path, record: Record) -> None:
     assert theta is not None
     assert evaluator.simulations > 0
     assert np.abs(np.log(theta[:6] / record.truth)).max() < np.log(3.0)
-
-
-def test_every_attempt_has_words() -> None:
-    assert set(PLACES) == set(StartingPointSource)
-    assert set(TROUBLES) == set(SearchFailure)
 
 
 def test_the_noise_of_an_output_is_never_zero(curved: Path) -> None:

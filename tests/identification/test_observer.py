@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import tomllib
-from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
@@ -15,14 +14,13 @@ from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 
 import fmuid
-from fmuid.array_types import Floats
 from fmuid.codec import as_json
-from fmuid.identification import starting_points, with_observer
+from fmuid.identification import with_observer
 from fmuid.identification.observer import observer_gain
 from fmuid.reports.topics.termination import result_remarks
 from fmuid.simulation import RightHandSide
 from tests.support.exported import export_text
-from tests.support.results import RESULT, changed
+from tests.support.results import RESULT
 from tests.support.running import run_study
 
 CART = """model Cart
@@ -87,24 +85,6 @@ def test_between_corrections_cvode_goes_on_with_its_history(cart: Path) -> None:
     assert (side.corrected(gain, 1e-5, 1000)(theta) != plain).any()
 
 
-def test_many_states_are_corrected_at_fewer_samples(cart: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A correction begins cvode anew, which takes an evaluation a state for its Jacobian."""
-    gaps = []
-    given = RightHandSide.corrected
-
-    def corrected(side: RightHandSide, gain: Floats, tolerance: float, most: int | None, every: int) -> fmuid.Simulator:
-        gaps.append(every)
-        return given(side, gain, tolerance, most, every)
-
-    monkeypatch.setattr(RightHandSide, "corrected", corrected)
-    whole = problem(cart, 0.0)
-    for states_per_sample in (20, 1):
-        settings = replace(starting_points.SETTINGS, states_per_sample=states_per_sample)
-        monkeypatch.setattr(starting_points, "SETTINGS", settings)
-        starting_points._corrected(whole, 0, whole.parameters.start)
-    assert gaps == [1, 2]
-
-
 def test_what_the_output_does_not_see_cannot_be_observed() -> None:
     with pytest.raises(fmuid.InputError, match="does not observe all states"):
         observer_gain(np.diag([-1.0, -2.0]), np.array([1.0, 0.0]), 0.1, 3.0)
@@ -120,21 +100,13 @@ def test_a_right_model_is_found_with_an_observer_too(cart: Path) -> None:
     assert [result["m"], result["d"]] == pytest.approx([M, D], rel=1e-3)
 
 
-def test_the_result_says_that_it_is_no_output_error(cart: Path, tmp_path: Path) -> None:
+def test_the_result_keeps_its_observer(cart: Path, tmp_path: Path) -> None:
     result = fmuid.identify(with_observer(problem(cart, 0.0), 5.0))
     (tmp_path / "result.json").write_text(json.dumps(RESULT | as_json(result)), encoding="utf-8")
     kept = fmuid.Result.from_json(tmp_path / "result.json")
     assert kept.setup.observer == 5.0
-    said = "An observer with its poles at 5 samples kept the simulation with the record: this is a fit of predictions"
-    assert said in str(fmuid.Document.of(kept))
-    assert any(said in each.text and each.tone == "doubt" for each in result_remarks(kept))
-    assert "observer" not in str(fmuid.Document.of(changed(kept, observer=None)))
-
-
-def test_combinations_are_not_observed(cart: Path) -> None:
-    whole = problem(cart, 0.0)._with(choices={"mode": (1, 2)})
-    with pytest.raises(fmuid.InputError, match="'mode' takes few values: hold it"):
-        with_observer(whole)
+    assert "5 samples" in str(fmuid.Document.of(kept))
+    assert any(each.tone == "doubt" for each in result_remarks(kept))
 
 
 def test_an_error_of_the_model_pulls_output_error_more(cart: Path) -> None:
@@ -149,10 +121,16 @@ def test_an_observer_is_for_one_output_of_one_model(cart: Path) -> None:
     whole = problem(cart, 0.0)
     frame = pd.DataFrame({"time": TIMES, "u": 1.0, "q": 0.0, "w": 0.0})
     two = fmuid.Experiment(frame, ["u"], {"q": "q", "v": "w"}, interpolation="zoh")
-    with pytest.raises(fmuid.InputError, match="one output"):
-        with_observer(fmuid.Problem(cart, two, {"m": fmuid.Parameter(1.0)}))
-    with pytest.raises(fmuid.InputError, match="positive number of samples"):
-        with_observer(whole, 0.0)
+    several = fmuid.System(components={"a": fmuid.Component(cart), "b": fmuid.Component(cart)})
+    driven = fmuid.Experiment(record(0.0), {"a.u": "u"}, {"a.q": "q"})
+    for given, samples, said in (
+        (fmuid.Problem(cart, two, {"m": fmuid.Parameter(1.0)}), 3.0, "one output"),
+        (fmuid.Problem(several, driven, {"a.m": fmuid.Parameter(1.0)}), 3.0, "single FMU"),
+        (whole, 0.0, "positive number of samples"),
+        (whole._with(choices={"mode": (1, 2)}), 3.0, "'mode'"),
+    ):
+        with pytest.raises(fmuid.InputError, match=said):
+            with_observer(given, samples)
 
 
 STUDY = """
@@ -191,36 +169,12 @@ def test_a_study_asks_for_an_observer(cart: Path, tmp_path: Path) -> None:
 
 
 def test_a_study_is_told_what_an_observer_cannot(cart: Path, tmp_path: Path) -> None:
-    frame = record(0.0)
-    frame.assign(w=0.0).to_csv(tmp_path / "table.csv", index=False)
-    with pytest.raises(fmuid.InputError) as refused:
+    record(0.0).assign(w=0.0).to_csv(tmp_path / "table.csv", index=False)
+    with pytest.raises(fmuid.InputError, match=r"study.toml: estimation.observer_memory: .*one output"):
         study(tmp_path, cart, outputs='{ q = "q", v = "w" }').problem()
-    assert str(refused.value) == (
-        f"{tmp_path / 'study.toml'}: [estimation] has observer_memory = 5, but an observer is for one output, and "
-        f"{tmp_path / 'table.csv'} has 2: remove observer_memory"
-    )
-    with pytest.raises(fmuid.InputError, match=r'both observer_memory and jacobian = "forward"'):
-        study(tmp_path, cart, more='jacobian = "forward"')
-    with pytest.raises(fmuid.InputError, match=r"both observer_memory in \[estimation] and \[batch\]"):
-        study(tmp_path, cart, more='[batch]\ndata = "*.csv"')
-
-
-def test_a_system_of_several_fmus_is_not_observed(cart: Path, tmp_path: Path) -> None:
-    record(0.0).to_csv(tmp_path / "table.csv", index=False)
-    text = f"""
-[model]
-components = [{{ name = "a", fmu = "{cart.as_posix()}" }}, {{ name = "b", fmu = "{cart.as_posix()}" }}]
-[[experiments]]
-data = "table.csv"
-inputs = {{ "a.u" = "u" }}
-outputs = {{ "a.q" = "q" }}
-[parameters]
-"a.m" = {{ start = 1.0 }}
-[estimation]
-observer_memory = 3
-"""
-    several = fmuid.Study.of(tomllib.loads(text), tmp_path / "study.toml")
-    with pytest.raises(
-        fmuid.InputError, match=r"observer_memory = 3, but an observer needs a single FMU that offers model exch"
+    for more, said in (
+        ('jacobian = "forward"', r'jacobian = "forward" and observer_memory cannot be combined'),
+        ('[batch]\ndata = "*.csv"', r"\[batch\] and estimation.observer_memory cannot be combined"),
     ):
-        several.problem()
+        with pytest.raises(fmuid.InputError, match=said):
+            study(tmp_path, cart, more=more)

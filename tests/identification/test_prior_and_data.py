@@ -1,9 +1,8 @@
-"""Reading a result: the barycentre, the Kalman form, what the prior moved, and the tests of consistency."""
+"""Reading a result: the optimum, the Kalman form, what the prior moved, and the tests of consistency."""
 
 import dataclasses
 import json
 import math
-import re
 from typing import Any
 
 import numpy as np
@@ -35,7 +34,6 @@ from fmuid.studies.study import Study
 from tests.support.paths import ROOT
 from tests.support.problems import ar1, coil_problem
 from tests.support.results import changed
-from tests.support.said import reading_words
 
 STUDY = ROOT / "experiments" / "induction_machine" / "study.toml"
 COUNT = 120
@@ -98,7 +96,7 @@ def _outputs(noise: ResidualNoise) -> list[int]:
 
 @pytest.mark.parametrize("search", [False, True])
 def test_prior_data_and_combined_of_a_linear_problem(search: bool) -> None:
-    """Closed forms: θ_opt by least squares, the barycentre and the distance of docs/method/noise-variances.md."""
+    """Closed forms: θ_opt by least squares, the optimum and the distance of docs/method/noise-variances.md."""
     y = noisy(np.random.default_rng(1))
     problem, result = linear(y, joint())
     reading = white_reading(problem, result, search_data=search)
@@ -106,10 +104,10 @@ def test_prior_data_and_combined_of_a_linear_problem(search: bool) -> None:
     np.testing.assert_allclose(reading.data, data.values, rtol=1e-6)
     np.testing.assert_allclose(reading.data_std, np.sqrt(np.diag(np.linalg.inv(information()))), rtol=1e-6)
     weight = np.linalg.inv(COVARIANCE)
-    barycentre = np.linalg.solve(weight + information(), weight @ MEAN + information() @ data.values)
-    np.testing.assert_allclose(reading.combined, barycentre, rtol=1e-6)
+    optimum = np.linalg.solve(weight + information(), weight @ MEAN + information() @ data.values)
+    np.testing.assert_allclose(reading.combined, optimum, rtol=1e-6)
     np.testing.assert_allclose(reading.combined_std, np.sqrt(np.diag(np.linalg.inv(weight + information()))), rtol=1e-6)
-    np.testing.assert_allclose(reading.pull, (barycentre - MEAN) / np.sqrt(np.diag(COVARIANCE)), rtol=1e-4)
+    np.testing.assert_allclose(reading.pull, (optimum - MEAN) / np.sqrt(np.diag(COVARIANCE)), rtol=1e-4)
     assert reading.agreement is not None
     apart = data.values - MEAN
     distance = apart @ np.linalg.solve(COVARIANCE + np.linalg.inv(information()), apart)
@@ -118,7 +116,7 @@ def test_prior_data_and_combined_of_a_linear_problem(search: bool) -> None:
     assert reading.agreement.probability == pytest.approx(stats.chi2(3).sf(distance), rel=1e-4)
     assert reading.searched is search
     if search:
-        np.testing.assert_allclose(reading.barycentre, barycentre, rtol=1e-6)
+        np.testing.assert_allclose(reading.barycentre, optimum, rtol=1e-6)
         assert (np.abs(reading.nonlinearity) < 1e-3).all()
     else:
         assert np.isnan(reading.nonlinearity).all()
@@ -167,9 +165,6 @@ def test_the_kalman_form_of_the_induction_machine() -> None:
     assert reading.agreement is not None
     assert reading.agreement.holds
     assert all(each.deviation is Deviation.NONE for each in reading.variances)
-    said = reading_words(reading)
-    assert said[0].startswith("Prior and data agree (p = ")
-    assert said[-1].startswith("Residual of ids and iqs matches its noise level")
 
 
 def test_a_changed_machine_is_noticed() -> None:
@@ -178,12 +173,9 @@ def test_a_changed_machine_is_noticed() -> None:
     reading = compare_prior_and_data(problem, identify(problem), search_data=True)
     assert reading.agreement is not None
     assert reading.agreement.probability < 1e-6
+    assert np.argmax(np.abs(reading.conflict)) == 1
     assert not reading.agreement.holds
     assert PriorInfluence("Rr", "Rr", rests=False) in reading.influences
-    said = reading_words(reading)
-    assert "Prior and data conflict" in said[0]
-    assert "largest for Rr" in said[0]
-    assert any(line.startswith("Prior of Rr moved Rr from 3.8") for line in said)
 
 
 def test_the_data_alone_are_searched() -> None:
@@ -206,7 +198,6 @@ def test_the_data_alone_are_searched() -> None:
     # far from each other, the paraboloids of both do not describe what lies between
     assert np.abs(reading.nonlinearity).max() > 0.5
     assert reading.bent
-    assert any(line.startswith("Linear combination of prior and data gives") for line in reading_words(reading))
     extrapolated = compare_prior_and_data(problem, result)
     assert np.abs((extrapolated.data - alone.values) / alone.std).max() > 0.5
 
@@ -223,8 +214,6 @@ def test_whose_prior_moved_what() -> None:
     force = (1.3 - result["a"]) / 0.02**2
     np.testing.assert_allclose(reading.moves[:, 0], np.linalg.inv(information())[:, 0] * force, rtol=1e-5)
     assert ("b", "a") in {(each.name, each.prior) for each in reading.influences}
-    said = [line for line in reading_words(reading) if "Prior of a" in line]
-    assert any(re.search("dominates b|moved b", line) for line in said)
 
 
 def test_one_prior_is_compared_with_its_own_parameter() -> None:
@@ -251,7 +240,6 @@ def test_data_that_determine_combinations_only() -> None:
     assert reading.agreement.degrees_of_freedom == 1
     assert reading.agreement.holds
     assert reading.obstacle is None
-    assert reading_words(reading)[0].startswith("Prior and data agree")
     json.dumps(as_json(reading), allow_nan=False)
 
 
@@ -268,7 +256,7 @@ def test_nothing_in_common() -> None:
     assert np.isnan(reading.data[3])
 
 
-@pytest.mark.slow
+@pytest.mark.campaign
 @pytest.mark.parametrize("colour", [0.0, 0.8])
 def test_false_alarms_come_as_often_as_the_level_says(colour: float) -> None:
     """Over 300 draws of noise and of the truth from the prior, white noise or not: the tests know its colour."""
@@ -299,7 +287,6 @@ def test_the_known_variance() -> None:
     )
     result = identify(problem)
     assert compare_prior_and_data(problem, result).variances == ()
-    assert reading_words(compare_prior_and_data(problem, result)) == ()
     reading = white_reading(problem, result, healthy={"i": VARIANCE, "u": VARIANCE})
     one, other, both = reading.variances
     assert (one.output, other.output, both.output) == ("u", "i", "")
@@ -310,16 +297,8 @@ def test_the_known_variance() -> None:
     total = one.ratio * one.degrees_of_freedom + other.ratio * other.degrees_of_freedom
     assert both.probability == pytest.approx(stats.chi2(2 * COUNT - 3).sf(total), rel=1e-3)
     assert [each.deviation for each in (one, other)] == [Deviation.NONE, Deviation.LARGER]
-    said = reading_words(reading)
-    levels = f"{np.sqrt(result.fit.noise_variance['i']):.4g} A against {np.sqrt(VARIANCE):.4g} A"
-    (told,) = (line for line in reading_words(reading, {"i": "A"}) if "noise level" in line)
-    assert told.startswith(f"Residual of i exceeds its noise level: {levels} (p = ")
-    assert said[0].startswith("Residual of i exceeds its noise level: 0.")
-    assert said[0].endswith("\n→ Check the model, the prior and the machine.")
-    assert all(not line.startswith("Residual of u") for line in said)
     smaller = white_reading(problem, result, healthy={"u": 4.0 * VARIANCE})
     assert smaller.variances[0].deviation is Deviation.SMALLER
-    assert reading_words(smaller)[0].startswith("Residual of u is below its noise level: ")
     with pytest.raises(InputError, match="healthy names 'x', which is no measured output"):
         compare_prior_and_data(problem, result, healthy={"x": 1.0})
     with pytest.raises(InputError, match="healthy variance of 'u' must be positive"):
@@ -333,7 +312,6 @@ def test_a_robust_loss_is_extrapolated() -> None:
     problem, result = linear(y, joint(), loss="huber")
     reading = compare_prior_and_data(problem, result, search_data=True)
     assert reading.obstacle == ExtrapolationReason(robust=True)
-    assert reading_words(reading)[-1] == "Optimum of the data alone is extrapolated because of the robust loss."
     alone = linear(y, loss="huber")[1]
     assert (np.abs(reading.data - alone.values) < 0.5 * alone.std).all()
     np.testing.assert_allclose(reading.data_std, alone.std, rtol=0.1)
@@ -348,7 +326,6 @@ def test_a_search_that_ends_at_a_bound_is_said() -> None:
     reading = compare_prior_and_data(problem, result, search_data=True)
     assert not reading.searched
     assert reading.obstacle == ExtrapolationReason(at_bounds=("a",))
-    assert reading_words(reading)[-1] == "Optimum of the data alone is extrapolated: a would reach a bound."
     np.testing.assert_allclose(reading.data, linear_least_squares(PHI, y).values, rtol=1e-5)
 
 
