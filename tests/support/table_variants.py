@@ -372,7 +372,7 @@ SAID = {
     "no times": "'time' not found (columns: u, i, w)",
     "units and no names": "'time' not found (columns: [s], [V], [A], [rad/s])",
     "numbers alone": "no header",
-    "ms, unsaid": "(ms?)",
+    "ms, unsaid": "time unit looks wrong",
     "rpm, unsaid": "no column for the output w",
     "-999 for missing": "3 samples of 'i' are -999",
     "unnamed.mat": "no numeric vectors",
