@@ -26,7 +26,6 @@ MANY_ARGUMENTS = {
     "estimation.equation_error.instrumental_variables",
     "estimation.problem.__init__",
     "estimation.problem.from_function",
-    "identification.identify.identify",
     "identification.problem.__init__",
     "models.system.__init__",
     "reports.run.run",

@@ -20,7 +20,6 @@ import fmuid
 from experiments import pages
 from experiments.starts.draws import MACHINES, Record, draw
 from fmuid.estimation import Evaluator, LeastSquares
-from fmuid.identification import identify_by
 
 HERE = Path(__file__).parent
 FMUS = HERE.parents[1] / "fmus"
@@ -77,7 +76,7 @@ def searched(kind: str, seed: int, least: float, most: float, *, remedies: bool)
     evaluator = Evaluator[LeastSquares](whole)
     row: dict[str, object] = {"kind": kind, "seed": seed, "far": most, "remedies": remedies}
     try:
-        result = identify_by(evaluator, fmuid.Marquardt(), solver_check="refine", restart=remedies)
+        result = fmuid.identify(evaluator, restart=remedies)
     except fmuid.FmuidError:
         spent = time.process_time() - began
         return row | {

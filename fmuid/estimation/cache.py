@@ -26,7 +26,7 @@ class Cache:
     Examples
     --------
     >>> coil, cache = fmuid.datasets.coil(), fmuid.Cache(problems=20)
-    >>> fmuid.identify(coil.problem(), cache=cache).converged
+    >>> fmuid.identify(fmuid.estimation.Evaluator(coil.problem(), cache)).converged
     True
     """
 

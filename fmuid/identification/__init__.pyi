@@ -7,7 +7,6 @@ from .cost_map import CostMap as CostMap
 from .cost_map import map_cost as map_cost
 from .cost_map import region_rise as region_rise
 from .identify import identify as identify
-from .identify import identify_by as identify_by
 from .judgment import judge as judge
 from .model_comparison import IncomparableError as IncomparableError
 from .model_comparison import ModelCandidate as ModelCandidate

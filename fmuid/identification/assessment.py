@@ -125,11 +125,11 @@ class Assessment:
 
 
 def better_point(chart: CostMap) -> tuple[float, float, float] | None:
-    """Return the point and cost reduction of a better optimum on a map."""
-    points = chart.table[[*chart.names, "criterion"]].to_numpy()
+    """Return point and cost reduction of a better optimum on a map."""
+    points = chart.table[[*chart.names, "cost"]].to_numpy()
     values = np.where(np.isnan(points[:, 2]), np.inf, points[:, 2])
     x, y, least = points[int(np.argmin(values))]
-    return (float(x), float(y), float(chart.criterion - least)) if least < chart.criterion - LOWER_CRITERION else None
+    return (float(x), float(y), float(chart.cost - least)) if least < chart.cost - LOWER_CRITERION else None
 
 
 @single_threaded

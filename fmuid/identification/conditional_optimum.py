@@ -36,7 +36,7 @@ class ConditionalOptimum:
     at_bounds: tuple[int, ...] = ()  # parameters at a bound that are pushed outwards
 
     @property
-    def criterion(self) -> float:
+    def cost(self) -> float:
         """The cost J_C (1.37)."""
         return float(self.residual @ self.residual)
 
@@ -56,18 +56,18 @@ def evaluator_of(problem: LeastSquares, result: Result) -> Evaluator[LeastSquare
     for what, has, needs in pairs:
         if has != needs:
             raise InputError(
-                f"the result is of another problem: its {what} are {', '.join(has)}, and the problem's are "
-                f"{', '.join(needs)}; give the result of this problem's identification"
+                f"the result is of another problem: its {what} are {', '.join(has)}, not {', '.join(needs)}. "
+                "Give a result of this problem."
             )
     return Evaluator(problem.as_in(result))
 
 
 def best_near(evaluator: Evaluator[LeastSquares], result: Result) -> tuple[CostFunction, ConditionalOptimum]:
     """Return the cost function with the result's variances, and its minimum."""
-    criterion = cost_at(evaluator, result)
+    function = cost_at(evaluator, result)
     theta = np.array(result.values)
-    state = minimized(criterion, State(theta, *criterion.evaluate(theta)))
-    return criterion, ConditionalOptimum(state.theta, state.residual, state.jacobian)
+    state = minimized(function, State(theta, *function.evaluate(theta)))
+    return function, ConditionalOptimum(state.theta, state.residual, state.jacobian)
 
 
 def cost_at(evaluator: Evaluator[LeastSquares], result: Result) -> CostFunction:
@@ -90,10 +90,10 @@ def minimized(function: CostFunction | PartialCost, state: State) -> State:
 class PartialCost:
     """Cost function of some parameters (k,), perhaps of its first rows alone."""
 
-    def __init__(self, criterion: CostFunction, theta: Floats, free: Indices | slice, rows: int | None = None) -> None:
-        self._criterion, self._theta, self.free, self._rows = criterion, theta, free, slice(rows)
-        self.lower, self.upper = criterion.lower[free], criterion.upper[free]
-        self.noise = criterion.noise
+    def __init__(self, function: CostFunction, theta: Floats, free: Indices | slice, rows: int | None = None) -> None:
+        self._function, self._theta, self.free, self._rows = function, theta, free, slice(rows)
+        self.lower, self.upper = function.lower[free], function.upper[free]
+        self.noise = function.noise
         self.whole_jacobian: Floats | None = None  # the last Jacobian, by all parameters
 
     def whole(self, thetas: Floats) -> Floats:
@@ -104,33 +104,31 @@ class PartialCost:
 
     def magnitudes(self, theta: Floats) -> Floats:
         """Return the magnitudes (k,)."""
-        return self._criterion.magnitudes(self.whole(theta))[self.free]
+        return self._function.magnitudes(self.whole(theta))[self.free]
 
     def residuals(self, thetas: Floats) -> Floats:
         """Return (m, n_rows) for thetas (m, k), NaN rows where failed."""
-        return self._criterion.residuals(self.whole(thetas))[:, self._rows]
+        return self._function.residuals(self.whole(thetas))[:, self._rows]
 
     def jacobian(self, theta: Floats, residual: Floats, *, central: bool) -> Floats:
         """Return the derivative (n_rows, k)."""
-        self.whole_jacobian = self._criterion.jacobian(self.whole(theta), residual, central=central)[self._rows]
+        self.whole_jacobian = self._function.jacobian(self.whole(theta), residual, central=central)[self._rows]
         return self.whole_jacobian[:, self.free]
 
     def measure_noise(self, theta: Floats, residual: Floats, steps: Floats) -> tuple[float, bool]:
         """Measure the simulation's noise anew, in steps (k,)."""
         whole = np.zeros(self._theta.size)
         whole[self.free] = steps
-        found = self._criterion.measure_noise(self.whole(theta), residual, whole)
-        self.noise = self._criterion.noise
+        found = self._function.measure_noise(self.whole(theta), residual, whole)
+        self.noise = self._function.noise
         return found
 
     def jacobian_error(self, theta: Floats, residual: Floats, *, central: bool) -> Floats:
-        """Return the norm of the error in each column of the Jacobian (k,)."""
-        return self._criterion.jacobian_error(self.whole(theta), residual, central=central)[self.free]
+        """Return the norm of the error of each Jacobian column (k,)."""
+        return self._function.jacobian_error(self.whole(theta), residual, central=central)[self.free]
 
 
-def best_with(
-    criterion: CostFunction, index: int, value: float, start: ConditionalOptimum
-) -> ConditionalOptimum | None:
+def best_with(function: CostFunction, index: int, value: float, start: ConditionalOptimum) -> ConditionalOptimum | None:
     """Return the optimum with one parameter fixed, None where simulations fail.
 
     The others start where the linear model of the residual at `start` puts them within their bounds.
@@ -138,7 +136,7 @@ def best_with(
     theta = start.theta.copy()
     theta[index] = value
     free = np.delete(np.arange(theta.size), index)
-    rest = PartialCost(criterion, theta, free)
+    rest = PartialCost(function, theta, free)
     inner = start.jacobian[:, free]
     moved = start.residual + (value - start.theta[index]) * start.jacobian[:, index]
     others = _followed(rest, start, inner, moved) if free.size else theta[:0]

@@ -43,13 +43,13 @@ class CostMap:
     ----------
     names : tuple of two str
     table : DataFrame
-        The parameters and ``criterion``, J_C (1.37), NaN where failed; the second parameter changes first.
+        The parameters and ``cost``, J_C (1.37), NaN where failed; the second parameter changes first.
     shape : tuple of two int
         Points along the first and the second parameter.
     logarithmic : tuple of two bool
         Logarithmic division of each range.
     estimate : (2,) array
-    criterion : float
+    cost : float
         At the estimate.
     covariance : (2, 2) array
         Of the two parameters, for white noise.
@@ -64,7 +64,7 @@ class CostMap:
     shape: tuple[int, int]
     logarithmic: tuple[bool, bool]
     estimate: Floats
-    criterion: float
+    cost: float
     covariance: Floats
     scale: float
     degrees_of_freedom: float
@@ -75,11 +75,11 @@ class CostMap:
     @property
     def grid(self) -> tuple[Floats, Floats, Floats]:
         """The first parameter (n_1,), the second (n_2,), and the cost (n_1, n_2)."""
-        first, second, values = (self.table[name].to_numpy().reshape(self.shape) for name in (*self.names, "criterion"))
+        first, second, values = (self.table[name].to_numpy().reshape(self.shape) for name in (*self.names, "cost"))
         return first[:, 0], second[0], values
 
     def rise(self, level: float = 0.95) -> float:
-        """Return the rise of the cost at the border of the confidence region.
+        """Return the rise of the cost at the confidence region.
 
         χ²(2) for known noise variances, else 2 F(2, degrees of freedom), times `scale`.
 
@@ -107,7 +107,7 @@ class CostMap:
 
 
 def region_rise(level: float, freedom: float) -> float:
-    """Return the rise of the cost at the border of a confidence region.
+    """Return the rise of the cost at a confidence region.
 
     For two parameters and white noise: the quantile of χ²(2), or of 2 F(2, ν) with ν degrees of freedom.
     """
@@ -152,14 +152,14 @@ def map_cost(
     >>> fmuid.map_cost(problem, result, "R", "L", points=3).names
     ('R', 'L')
     """
-    refuse_loss(problem, "a map of the criterion")
+    refuse_loss(problem, "a map of the cost")
     parameters = problem.parameters
     evaluator = evaluator_of(problem, result)
     where = [parameters.index(first), parameters.index(second)]
     if first == second:
-        raise InputError(f"a map needs two different parameters, not {first!r} twice")
+        raise InputError(f"a map needs two different parameters, not {first!r} twice.")
     if isinstance(points, bool) or not isinstance(points, int) or points < 2:
-        raise InputError(f"the points of a map along each parameter must be a whole number from 2 on, not {points!r}")
+        raise InputError(f"points of a map: must be a whole number from 2 on, not {points!r}.")
     for name in ranges or {}:
         parameters.index(name)
     spans = [_span(problem, result, i, ranges or {}) for i in where]
@@ -169,11 +169,11 @@ def map_cost(
     values = misfits(evaluator, thetas).compound(variances(problem, result))
     return CostMap(
         names=(first, second),
-        table=pd.DataFrame({first: thetas[:-1, where[0]], second: thetas[:-1, where[1]], "criterion": values[:-1]}),
+        table=pd.DataFrame({first: thetas[:-1, where[0]], second: thetas[:-1, where[1]], "cost": values[:-1]}),
         shape=(points, points),
         logarithmic=(spans_decades(*spans[0]), spans_decades(*spans[1])),
         estimate=result.values[where],
-        criterion=float(values[-1]),
+        cost=float(values[-1]),
         covariance=result.estimates.covariance_white_noise[np.ix_(where, where)],
         scale=result.estimates.test_scale([first, second]),
         degrees_of_freedom=result.estimates.test_dof([first, second]),
@@ -190,8 +190,7 @@ def _span(
         least, most = map(float, ranges[name])
         if not (low <= least < most <= high and math.isfinite(most - least)):
             raise InputError(
-                f"the range {least:g} to {most:g} of {name!r} on the map must rise and lie within its bounds, "
-                f"{low:g} to {high:g}"
+                f"range of {name!r} on the map: {least:g} to {most:g} must rise within the bounds [{low:g}, {high:g}]."
             )
         return least, most
     value, std = float(result.values[i]), float(result.std[i])

@@ -60,7 +60,7 @@ def search_combinations(trial: Trial) -> Searches:
 
 
 def _deviance(problem: Problem, result: Result) -> float:
-    """Return −2 ln L, for robust losses Σ K ln σ², plus the prior's squares."""
+    """Return −2 ln L (or Σ K ln σ²) with the prior."""
     away: Floats = np.nan_to_num(problem.parameters.prior_mean - result.values)
     prior = float(np.sum((problem.parameters.prior_whitening @ away) ** 2))
     if math.isfinite(result.fit.log_likelihood):

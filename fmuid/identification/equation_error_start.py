@@ -1,4 +1,4 @@
-"""Starting point from the weak form of ẋ = f(x, u, θ), without simulation.
+"""Starting point from the weak form of the equations, without simulation.
 
 It needs one Model Exchange FMU. Noise in the states biases it, most for time constants below the sampling interval: it
 gives a starting point, never a result.
@@ -54,7 +54,7 @@ class _WeakRecord:
         simulator, experiment = problem.simulators[index], problem.experiments[index]
         side = RightHandSide.of(simulator)
         if side is None:
-            raise InputError("the model shows no right-hand side")
+            raise InputError("the model has no accessible right-hand side.")
         times, values = experiment.times, experiment.output_values
         there = ~np.isnan(values)
         if (there.sum(axis=0) < FIRST_SAMPLES).any():

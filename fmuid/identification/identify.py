@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike
 
 from fmuid.blas import single_threaded
 from fmuid.errors import InputError, check_kind
-from fmuid.estimation import Cache, Evaluator, LeastSquares, Marquardt, Method, Result
+from fmuid.estimation import Evaluator, LeastSquares, Marquardt, Method, Result
 from fmuid.events import Progress
 from fmuid.formatting import nearest
 from fmuid.identification.discrete_parameters import search_combinations
@@ -21,14 +21,13 @@ from fmuid.identification.strategies import Strategy, Trial, walk
 
 @single_threaded
 def identify(
-    problem: LeastSquares,
+    problem: LeastSquares | Evaluator[LeastSquares],
     optimizer: Method | None = None,
     progress: Progress | None = None,
     start: ArrayLike | None = None,
     *,
     solver_check: str = "refine",
     restart: bool = True,
-    cache: Cache | None = None,
 ) -> Result:
     """Identify the parameters of a problem, and check the solver error.
 
@@ -36,7 +35,8 @@ def identify(
 
     Parameters
     ----------
-    problem : LeastSquares
+    problem : LeastSquares or Evaluator
+        An `fmuid.estimation.Evaluator` of a problem counts its simulations and may share a `Cache`.
     optimizer : Marquardt or GlobalSearch, optional
         Default `Marquardt`.
     progress : callable, optional
@@ -47,8 +47,6 @@ def identify(
         Refine the solver if it moves an estimate by more than `SHIFT_LIMIT` σ, report it, or no check.
     restart : bool
         Restart where a search fails or a residual exceeds `MAX_NOISE_RATIO` times the noise level (`History.restarts`).
-    cache : Cache, optional
-        Shared by problems that differ in their measurements only (`Problem.measuring`).
 
     Returns
     -------
@@ -70,27 +68,14 @@ def identify(
     >>> fmuid.identify(problem)
     Result(converged: R = 3.9989 ± 0.0015, L = 0.100016 ± 0.000050)
     """
-    check_kind(problem, LeastSquares, "what is identified (a study file: fmuid.run) must be a fmuid.Problem")
+    given = problem.problem if isinstance(problem, Evaluator) else problem
+    check_kind(given, LeastSquares, "problem (of a study file: fmuid.run) must be a fmuid.Problem")
     method = optimizer or Marquardt()
     check_kind(method, Method, "optimizer must be fmuid.Marquardt() or fmuid.GlobalSearch()")
     if solver_check not in ACCURACIES:
-        raise InputError(
-            f"solver_check {solver_check!r} is not known{nearest(str(solver_check), ACCURACIES)}: "
-            f"give {' or '.join(ACCURACIES)}"
-        )
-    return identify_by(Evaluator(problem, cache), method, progress, start, solver_check=solver_check, restart=restart)
-
-
-def identify_by(
-    evaluator: Evaluator[LeastSquares],
-    method: Method,
-    progress: Progress | None = None,
-    start: ArrayLike | None = None,
-    *,
-    solver_check: str,
-    restart: bool,
-) -> Result:
-    """Identify as `identify` does, by an evaluator, which counts the simulations."""
+        near = nearest(str(solver_check), ACCURACIES)
+        raise InputError(f"solver_check: unknown value {solver_check!r}{near}. Choose {', '.join(ACCURACIES)}.")
+    evaluator = problem if isinstance(problem, Evaluator) else Evaluator(problem)
     problem = evaluator.problem
     if not isinstance(problem, Problem):
         return method.search(evaluator, progress, start)

@@ -90,6 +90,6 @@ def adjustment(problem: LeastSquares, result: Result, known: float) -> Likelihoo
 
 
 def quantile(freedom: float, level: float) -> float:
-    """Return the end of a two-sided interval of Student's t, normal for infinite freedom."""
+    """Return the two-sided quantile of Student's t, normal for infinite freedom."""
     tail = 0.5 + level / 2.0
     return float(special.stdtrit(freedom, tail) if math.isfinite(freedom) else special.ndtri(tail))

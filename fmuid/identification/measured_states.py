@@ -65,7 +65,7 @@ class MeasuredStates:
 
 
 def _marched(begins: Floats, ends: Floats, defect: Floats) -> Floats:
-    """Return δ of (I − E_k) δ_k = (I + B_k) δ_{k−1} + d_k, from δ = 0."""
+    """Return δ of (I − E_k) δ_k = (I + B_k) δ_{k−1} + d_k."""
     size, one = defect.shape[1], np.eye(defect.shape[1])
     bands = np.zeros((3 * size - 1, defect.size))
     for i, j in np.ndindex(size, size):
@@ -95,12 +95,12 @@ def states_from_outputs(
     """
     slopes, base, at = side.output_slopes(theta)
     if not np.isfinite(at).all() or not np.isfinite(slopes).all():
-        raise InputError("the outputs cannot be had")
+        raise InputError("the outputs are not available.")
     sizes = np.maximum(np.std(outputs, axis=0), 1e-300)
     _, values, directions = np.linalg.svd(slopes / sizes[:, None])
     count = int((values > INDEPENDENT * values.max(initial=0.0)).sum())
     if not count or len(directions) - count > MOST_UNMEASURED:
-        raise InputError("the outputs do not tell the states")
+        raise InputError("the outputs do not determine the states.")
     seen = directions[:count] / side.nominals
     gain = side.nominals[:, None] * np.linalg.pinv(slopes / sizes[:, None], rcond=INDEPENDENT) / sizes
     told = (base @ seen.T) @ (directions[:count] * side.nominals) + (outputs - at) @ gain.T

@@ -173,15 +173,15 @@ def compare_models(candidates: Sequence[ModelCandidate]) -> ModelComparison:
 
 def _check(candidates: Sequence[ModelCandidate]) -> None:
     if len(candidates) < 2:
-        raise InputError("there is nothing to compare: give at least two results")
+        raise InputError("a comparison needs at least two results.")
     names = [each.name for each in candidates]
     for name, each in zip(names, candidates, strict=True):
         if names.count(name) > 1:
-            raise InputError(f"two results are called {name}: give each once, and folders of different names")
+            raise InputError(f"two results have the name {name}. Give each once, in folders with different names.")
         if not each.result.setup.data:
-            raise IncomparableError(f"{each.name} does not say which measurements it was made from")
+            raise IncomparableError(f"{each.name} does not name its data.")
         if not math.isfinite(each.result.fit.log_likelihood):
-            raise IncomparableError(f"{each.name} has no likelihood, as with a robust loss")
+            raise IncomparableError(f"{each.name} has no likelihood (robust loss).")
     first = candidates[0]
     for other in candidates[1:]:
         one, another = (
@@ -189,8 +189,7 @@ def _check(candidates: Sequence[ModelCandidate]) -> None:
         )
         if one != another:
             raise IncomparableError(
-                f"{first.name} and {other.name} were made from different measurements, so that their likelihoods say "
-                "nothing of each other"
+                f"{first.name} and {other.name} have different data. Their likelihoods are not comparable."
             )
 
 

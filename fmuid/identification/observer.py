@@ -23,7 +23,7 @@ TINY = 1e-300
 
 
 def with_observer(problem: Problem, samples: float = 3.0) -> Problem:
-    """Return a problem with an observer that corrects the states at each sample.
+    """Return a problem with a state observer, corrected at each sample.
 
     The result says so (`Setup.observer`). There are no solver check and no restarts.
 
@@ -40,9 +40,9 @@ def with_observer(problem: Problem, samples: float = 3.0) -> Problem:
         If the model shows no right-hand side, has several outputs, unobservable states, or discrete parameters.
     """
     if not samples > 0.0:
-        raise InputError(f"the observer's time constant must be a positive number of samples, not {samples:g}")
+        raise InputError(f"an observer needs a positive memory in samples, not {samples:g}.")
     if problem.choices:
-        raise InputError(f"an observer is for one model, and {next(iter(problem.choices))!r} takes few values: hold it")
+        raise InputError(f"an observer excludes discrete parameters. Fix {next(iter(problem.choices))!r}.")
     start = problem.parameters.start
     simulators = [_observed(problem, index, start, samples) for index in range(len(problem.simulators))]
     return problem.simulated_by(simulators, observer=samples)
@@ -52,10 +52,10 @@ def _observed(problem: Problem, index: int, start: Floats, samples: float) -> Si
     simulator, experiment = problem.simulators[index], problem.experiments[index]
     side = RightHandSide.of(simulator)
     if side is None:
-        raise InputError("an observer needs a single FMU that offers model exchange and shows its states")
+        raise InputError("an observer needs a single FMU with Model Exchange and accessible states.")
     if len(simulator.output_names) != 1:
         raise InputError(
-            f"an observer is for one output, and {simulator.experiment.source} has {len(simulator.output_names)}"
+            f"an observer needs one output; {simulator.experiment.source} has {len(simulator.output_names)}."
         )
     theta = start[problem.parameters.for_experiment(index)[1]]
     slopes, outputs = side.secants(theta)
@@ -80,7 +80,7 @@ def observer_gain(slopes: Floats, output: Floats, interval: float, samples: floa
     rows = np.array([output @ power for power in powers[1:]])
     values = np.linalg.svd(rows / np.maximum(np.abs(rows).max(axis=0), TINY), compute_uv=False)
     if not np.isfinite(rows).all() or not values[-1] > UNOBSERVED * values[0]:
-        raise InputError("the output does not observe all states of the model: they cannot be corrected from it")
+        raise InputError("not all states of the model are observable from the output.")
     pole = math.exp(-1.0 / samples)
     wanted = np.poly(np.full(count, pole))
     polynomial = sum(factor * power for factor, power in zip(wanted, powers[::-1], strict=True))

@@ -73,14 +73,11 @@ class SamplerSettings:
             if name == "walkers" and value is None:
                 continue
             if isinstance(value, bool) or not isinstance(value, int) or value < least:
-                raise InputError(
-                    f"the setting {name} of the sampler must be a whole number from {least} on, not {value!r}"
-                )
+                raise InputError(f"{name}: must be a whole number from {least} on, not {value!r}.")
         if self.walkers is not None and self.walkers % 2:
-            raise InputError(f"the setting walkers of the sampler must be even, not {self.walkers}")
+            raise InputError(f"walkers: must be even, not {self.walkers}.")
         if isinstance(self.burn_in, bool) or not isinstance(self.burn_in, int | float) or not 0.0 <= self.burn_in < 1:
-            said = f"must be a fraction from 0 to below 1, not {self.burn_in!r}"
-            raise InputError(f"the setting burn_in of the sampler {said}")
+            raise InputError(f"burn_in: must be a fraction from 0 to below 1, not {self.burn_in!r}.")
 
 
 class SamplingWarning(Enum):
@@ -270,7 +267,7 @@ class Posterior:
         try:
             from arviz_base import from_dict
         except ImportError:
-            raise InputError("samples for ArviZ need 'arviz-base': pip install 'fmuid[arviz]'") from None
+            raise InputError("arviz-base is missing. Run pip install 'fmuid[arviz]'.") from None
         chains = np.swapaxes(self.chain[self.burn :], 0, 1)  # to (walkers, steps, N)
         groups = {
             "posterior": {name: chains[:, :, i] for i, name in enumerate(self.names)},

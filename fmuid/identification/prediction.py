@@ -142,7 +142,7 @@ def predict_by_model(
     free: Mapping[str, Parameter] | None = None,
     level: float = CONFIDENCE_LEVEL,
 ) -> Prediction:
-    """Predict an experiment with a result and a model, and compare with its measurements.
+    """Predict an experiment by a result and a model.
 
     Parameters
     ----------
@@ -213,8 +213,8 @@ def estimates_for(result: Result, system: System, experiment: Experiment, withou
     for variable, others in missing.items():
         if variable not in found:
             raise InputError(
-                f"the result has a value of {variable!r} for {', '.join(others)} and none for {experiment.name}: "
-                f"have it estimated again on this record (--refit {variable})"
+                f"the result has {variable!r} for {', '.join(others)} but not for {experiment.name}. "
+                f"Estimate it from these data: --refit {variable}."
             )
     return found
 
@@ -241,7 +241,7 @@ class _Record:
         self.noise_std = np.array([self._noise_std(name) for name in experiment.output_names])
 
     def _noise_std(self, output: str) -> float:
-        """Return the noise level in the unit of the recording, NaN if unknown."""
+        """Return the noise level in the recording's unit, NaN if unknown."""
         first = next((series.unit for series in self.result.setup.data if series.output == output), "")
         here = self.experiment.units.get(output, "")
         factors = [column_conversion(self.system, output, unit)[0] if unit else 1.0 for unit in (first, here)]
@@ -285,7 +285,7 @@ class _Record:
         return Prediction(fit, std, self.noise_std, half, level, scores, tests, again, lost)
 
     def _simulated(self, simulator: Simulator, point: Floats, scatter: Floats) -> tuple[Floats, Floats]:
-        """Return outputs (K, n_outputs) and slopes (K, n_outputs, p) at a point (p,)."""
+        """Return outputs (K, n) and slopes (K, n, p) at a point."""
         nominal = [parameter.nominal or abs(parameter.start) for parameter in self.free.values()]
         size = np.abs(point)
         size[len(self.names) :] = np.maximum(size[len(self.names) :], nominal)

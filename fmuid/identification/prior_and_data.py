@@ -1,6 +1,6 @@
 """Prior, data and both: three estimates and their agreement.
 
-The estimate is the barycentre of the prior and the optimum of the data alone, weighted by inverse covariances (1.55;
+The estimate is the mean of the prior and the optimum of the data alone, weighted by inverse covariances (1.55;
 docs/method/noise-variances.md).
 """
 
@@ -40,7 +40,7 @@ from fmuid.identification.residual_analysis import ResidualAnalysis, analyze_res
 class InfluenceLimits:
     """Limits above which the influence of a prior is named."""
 
-    nonlinear_stds: float = 0.5  # distance of barycentre and estimate that shows a nonlinear model
+    nonlinear_stds: float = 0.5  # distance of weighted mean and estimate that shows a nonlinear model
     least_move_stds: float = 1.0  # move of an estimate by the prior, ...
     resting_std_ratio: float = 2.0  # ... or factor of its σ without the prior
 
@@ -49,7 +49,7 @@ SETTINGS = InfluenceLimits()
 REACH = 2.5  # σ of the estimate around the three optima of the parabolas
 POINTS = 161  # of a parabola
 ESTIMATES = ("prior_std", "data", "data_std", "combined", "combined_std")
-EFFECTS = ("pull", "moved", "moved_by", "conflict", "barycentre", "nonlinearity")
+EFFECTS = ("pull", "moved", "moved_by", "conflict", "weighted_mean", "nonlinearity")
 
 
 @dataclass(frozen=True)
@@ -106,7 +106,7 @@ class PriorDataComparison:
         `data` was found by a search, not extrapolated by one Gauss–Newton step.
     combined, combined_std : (N,) arrays
         The estimate.
-    barycentre : (N,) array
+    weighted_mean : (N,) array
         Of the prior and the data's optimum with its own paraboloid; NaN without a search.
     moves : (N, N) array
         Move of each estimate (rows) by the prior of each parameter (columns); NaN where the data do not identify it.
@@ -125,14 +125,14 @@ class PriorDataComparison:
     searched: bool
     combined: Floats
     combined_std: Floats
-    barycentre: Floats
+    weighted_mean: Floats
     moves: Floats
     agreement: PriorDataTest | None
     variances: tuple[VarianceTest, ...]
     obstacle: ExtrapolationReason | None
 
     json_layout: ClassVar = Layout(
-        rows={"parameters": {name: name for name in ("prior_mean", *ESTIMATES, "barycentre", *EFFECTS)}}
+        rows={"parameters": {name: name for name in ("prior_mean", *ESTIMATES, "weighted_mean", *EFFECTS)}}
     )
 
     @property
@@ -158,8 +158,8 @@ class PriorDataComparison:
 
     @property
     def nonlinearity(self) -> Floats:
-        """Distance of the barycentre from the estimate, in its standard deviations (N,)."""
-        return (self.barycentre - self.combined) / self.combined_std
+        """Distance of the weighted mean from the estimate, in its standard deviations (N,)."""
+        return (self.weighted_mean - self.combined) / self.combined_std
 
     @property
     def table(self) -> pd.DataFrame:
@@ -180,7 +180,7 @@ class PriorDataComparison:
 
     @property
     def bent(self) -> str:
-        """The parameter whose barycentre shows a nonlinear model, "" for none."""
+        """The parameter whose weighted mean shows a nonlinear model, "" for none."""
         off = np.abs(np.nan_to_num(self.nonlinearity))
         i = int(np.argmax(off))
         return self.names[i] if off[i] >= SETTINGS.nonlinear_stds else ""
@@ -227,7 +227,7 @@ def compare_prior_and_data(
     """
     local = result.fit.linearization
     if local is None or result.fit.noise is None:
-        raise InputError("a result read from a file cannot be read in this way; identify the study again")
+        raise InputError("a result from a file lacks the residuals. Identify the study again.")
     known = known_variances(problem, result.fit.given_variance if healthy is None else healthy)
     examined = analyze_residuals(problem, result) if diagnostics is None else diagnostics
     variances = variance_tests(problem, result, known, local, examined)
@@ -263,7 +263,7 @@ def compare_prior_and_data(
 
 
 def parabolas(reading: pd.DataFrame, name: str) -> pd.DataFrame:
-    """Compute the cost of prior, data and both over one parameter (figure 1.1; 1.54, 1.57).
+    """Compute the cost of prior, data and both (figure 1.1; 1.54, 1.57).
 
     Parameters
     ----------
@@ -284,12 +284,12 @@ def parabolas(reading: pd.DataFrame, name: str) -> pd.DataFrame:
     """
     known = list(reading["parameter"])
     if name not in known:
-        raise InputError(f"parameter {name!r} is not in the reading{nearest(name, known)}; it has {', '.join(known)}")
+        raise InputError(f"unknown parameter {name!r}{nearest(name, known)}. Choose {', '.join(known)}.")
     row = reading.iloc[known.index(name)]
     parts = {part: (float(row[part]), float(row[f"{part}_std"])) for part in ("prior", "data", "combined")}
     best, std = parts["combined"]
     if not (np.isfinite(best) and 0.0 < std < np.inf):
-        raise InputError(f"the estimate of {name!r} has no standard deviation to draw a parabola by")
+        raise InputError(f"the estimate of {name!r} has no σ for a parabola.")
     least = [mean for mean, spread in parts.values() if np.isfinite(mean) and 0.0 < spread < np.inf]
     grid = np.linspace(min(least) - REACH * std, max(least) + REACH * std, POINTS)
     found = {"value": grid}
@@ -312,8 +312,8 @@ def _search_data(
     """Return the optimum of the data alone, or the reason for none."""
     state = State(result.values.copy(), local.residual, local.jacobian, fresh=False)
     try:
-        criterion = cost_at(Evaluator(problem.as_in(result)), result)
-        alone = PartialCost(criterion, state.theta, slice(None), problem.measured.size)
+        function = cost_at(Evaluator(problem.as_in(result)), result)
+        alone = PartialCost(function, state.theta, slice(None), problem.measured.size)
         state = minimized(alone, state)
     except SensitivityError:
         state = replace(state, outcome=TerminationReason.FAILING)

@@ -67,7 +67,7 @@ class PriorDataTest:
 
 
 def agree(local: LinearizedProblem, noise: ResidualNoise) -> PriorDataTest | None:
-    """Test the prior against the data, best at the optimum of data alone."""
+    """Test prior against data, best at the optimum of data alone."""
     if not len(local.prior_residual):
         return None
     found = local.combine(noise.gram(local.data_basis))
@@ -87,11 +87,9 @@ def known_variances(problem: LeastSquares, given: Mapping[str, float]) -> dict[s
     """
     for output, value in given.items():
         if output not in problem.output_names:
-            raise InputError(
-                f"healthy names {output!r}, which is no measured output{nearest(output, problem.output_names)}"
-            )
+            raise InputError(f"healthy: unknown output {output!r}{nearest(output, problem.output_names)}")
         if not (math.isfinite(value) and value > 0):
-            raise InputError(f"the healthy variance of {output!r} must be positive and finite, not {value!r}")
+            raise InputError(f"healthy: variance of {output!r} must be positive and finite, not {value!r}.")
     return {output: float(given[output]) for output in problem.output_names if output in given}
 
 

@@ -27,7 +27,7 @@ from fmuid.simulation import (
     refined,
 )
 
-MOST_COMBINATIONS = 1000  # of the values of discrete parameters; each is a search of its own
+MAX_COMBINATIONS = 1000  # of discrete parameters; each needs an optimization
 
 
 @dataclass(frozen=True, eq=False)
@@ -119,14 +119,13 @@ class Problem(LeastSquares):
     ) -> None:
         if sensitivity not in SENSITIVITIES:
             near = nearest(sensitivity, SENSITIVITIES)
-            raise InputError(f"sensitivity {sensitivity!r} is not known{near}: give {' or '.join(SENSITIVITIES)}")
+            raise InputError(f"sensitivity: unknown value {sensitivity!r}{near}. Choose {', '.join(SENSITIVITIES)}.")
         self.system, self.step_size = System.of(model), step_size
-        # of what is no experiment a simulator says so
         listed: list[Any] = list(experiments) if isinstance(experiments, list | tuple) else [experiments]
         self.choices = choices_of(self.system, choices or {})
         both = next((name for name in self.choices if name in parameters), None)
         if both is not None:
-            raise InputError(f"{both!r} is to be identified and takes few values: keep one of the two")
+            raise InputError(f"{both!r} is in parameters and in choices. Keep one of the two.")
         self.values: Mapping[str, Value] = dict(values or {}) | {name: few[0] for name, few in self.choices.items()}
         self.refinement, self.observer = AS_ASKED, None
         simulators = self._lay_out(listed, tuple(parameters), self.values)
@@ -285,10 +284,10 @@ def choices_of(system: System, given: Mapping[str, Sequence[Value] | str]) -> di
     """
     found = {name: _choices(system, name, values) for name, values in given.items()}
     count = math.prod(map(len, found.values()))
-    if count > MOST_COMBINATIONS:
+    if count > MAX_COMBINATIONS:
         raise InputError(
-            f"{' and '.join(map(repr, found))} have {count} combinations of values, each a search of its own, and at "
-            f"most {MOST_COMBINATIONS} are tried: give fewer values"
+            f"{' and '.join(map(repr, found))} have {count} combinations of values, more than {MAX_COMBINATIONS}. "
+            "Give fewer values."
         )
     return found
 
@@ -296,16 +295,16 @@ def choices_of(system: System, given: Mapping[str, Sequence[Value] | str]) -> di
 def _choices(system: System, name: str, given: Sequence[Value] | str) -> tuple[Value, ...]:
     variable = system.variables.get(name)
     if variable is None:
-        raise InputError(f"{system.label} has no {name!r}{nearest(name, system.variables)}: values are given for it")
+        raise InputError(f"choices: {system.label} has no {name!r}{nearest(name, system.variables)}")
     if given != "all":
         values = tuple(given)
         if not values or len({(type(each), each) for each in values}) < len(values):
-            raise InputError(f"the values of {name!r} must be one or more, each once, not {list(values)!r}")
+            raise InputError(f"choices: {name!r} needs one or more different values, not {list(values)!r}.")
         return values
     if variable.type == "Boolean":
         return False, True
     if variable.items:
         return variable.items
     if variable.type == "Integer" and variable.min is not None and variable.max is not None:
-        return tuple(range(int(variable.min), int(variable.max) + 1)[: MOST_COMBINATIONS + 1])
-    raise InputError(f"{system.label} does not say which values {name!r} may take: list them in place of 'all'")
+        return tuple(range(int(variable.min), int(variable.max) + 1)[: MAX_COMBINATIONS + 1])
+    raise InputError(f"choices: {system.label} declares no values of {name!r}. List them instead of 'all'.")

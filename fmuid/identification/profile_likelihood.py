@@ -105,7 +105,7 @@ class Profile:
         Empty for an ordinary profile.
     interrupted : bool
     table : DataFrame
-        The points by the parameter's value: all parameters, and ``criterion``.
+        The points by the parameter's value: all parameters, and ``cost``.
     """
 
     name: str
@@ -129,9 +129,9 @@ class Profile:
         return self.table[self.name].to_numpy(np.float64)
 
     @property
-    def criterion(self) -> Floats:
+    def cost(self) -> Floats:
         """Least cost at each of them (n,)."""
-        return self.table["criterion"].to_numpy(np.float64)
+        return self.table["cost"].to_numpy(np.float64)
 
 
 @single_threaded
@@ -180,13 +180,13 @@ def profile_likelihood(
     check_level(level)
     listed = problem.parameters.names if names is None else names
     chosen = [problem.parameters.index(name) for name in dict.fromkeys(listed)]
-    criterion, origin = best_near(evaluator, result)
+    function, origin = best_near(evaluator, result)
     far, scatter = reach(problem, result), _scatter(problem, result)
     thresholds, bends = result.estimates.reaches(level) ** 2 * scatter, result.std / np.sqrt(scatter)
     found: list[Profile] = []
     for k, i in enumerate(chosen):
         std, bend, end, threshold = (float(each[i]) for each in (result.std, bends, far, thresholds))
-        found.append(_Profiler(criterion, origin, i, std, bend, end, threshold, level, k / len(chosen), progress).run())
+        found.append(_Profiler(function, origin, i, std, bend, end, threshold, level, k / len(chosen), progress).run())
         if found[-1].interrupted:
             break
     return tuple(found)
@@ -199,7 +199,7 @@ def _scatter(problem: LeastSquares, result: Result) -> Floats:
     elif result.fit.linearization is not None:
         bend = np.sum(result.fit.linearization.root**2, axis=1)
     else:
-        raise InputError("the result of a robust loss cannot be profiled from its file; identify the study again")
+        raise InputError("a result with robust loss from a file has no profile. Identify the study again.")
     known = np.isfinite(result.std) & np.isfinite(bend) & (bend > 0)
     return np.asarray(np.divide(result.std**2, bend, out=np.ones(len(result.names)), where=known), dtype=np.float64)
 
@@ -215,7 +215,7 @@ def reach(problem: LeastSquares, result: Result) -> Floats:
 
 @dataclass(eq=False)
 class _Side:
-    """One side of a profile, its points in the order of the walk."""
+    """One side of a profile, with its points in order."""
 
     points: list[ConditionalOptimum]
     upper: bool
@@ -229,7 +229,7 @@ class _Side:
 class _Profiler:
     """Walk along one profile; beyond `far` a side is flat."""
 
-    criterion: CostFunction
+    function: CostFunction
     origin: ConditionalOptimum
     index: int
     std: float
@@ -242,7 +242,7 @@ class _Profiler:
 
     @property
     def names(self) -> tuple[str, ...]:
-        return self.criterion.problem.parameters.names
+        return self.function.problem.parameters.names
 
     def run(self) -> Profile:
         sides, interrupted = [_Side([], upper=False), _Side([], upper=True)], False
@@ -255,7 +255,7 @@ class _Profiler:
         lower, upper = (math.nan if is_lost else side.end for side in sides)
         points = sorted([*sides[0].points, self.origin, *sides[1].points], key=self._value)
         table = pd.DataFrame([point.theta for point in points], columns=list(self.names))
-        table["criterion"] = [point.criterion for point in points]
+        table["cost"] = [point.cost for point in points]
         return Profile(
             name=self.names[self.index],
             value=self._value(self.origin),
@@ -264,7 +264,7 @@ class _Profiler:
             level=self.level,
             lower=lower,
             upper=upper,
-            minimum=self.origin.criterion,
+            minimum=self.origin.cost,
             threshold=self.threshold,
             remarks=tuple(remark for side in sides for remark in side.remarks),
             interrupted=interrupted,
@@ -272,8 +272,8 @@ class _Profiler:
         )
 
     def _walk(self, side: _Side, direction: float) -> None:
-        """Step away from the estimate up to the level, a bound, or nowhere."""
-        lower, upper = (float(each[self.index]) for each in (self.criterion.lower, self.criterion.upper))
+        """Step away from the estimate to the level or a bound."""
+        lower, upper = (float(each[self.index]) for each in (self.function.lower, self.function.upper))
         bound = upper if direction > 0 else lower
         here, step = self.origin, self._first_step()
         while True:
@@ -314,25 +314,25 @@ class _Profiler:
             self.progress(ProfileStep(share=self.share, name=name, value=value, rise=rise, threshold=self.threshold))
 
     def _first_step(self) -> float:
-        magnitude = float(self.criterion.magnitudes(self.origin.theta)[self.index])
+        magnitude = float(self.function.magnitudes(self.origin.theta)[self.index])
         wanted = min(
             math.sqrt(self.threshold) * self.bend / SETTINGS.steps_per_side, SETTINGS.first_step_share * magnitude
         )
         return max(wanted, SETTINGS.least_step_share * magnitude)
 
     def _next_step(self, point: ConditionalOptimum, last: float) -> float:
-        """Return the step that raises τ by its share, if not too long."""
+        """Return the step for the next rise of τ, limited."""
         slope, level = self._slope(point), math.sqrt(self.threshold)
         usable = slope > 0 and self._root(point) > SETTINGS.least_root_share * level
         wanted = level / SETTINGS.steps_per_side / slope if usable else math.inf
         return min(max(wanted, SETTINGS.step_reduction * last), SETTINGS.largest_growth * last)
 
     def _next(self, here: ConditionalOptimum, value: float, step: float, bound: float) -> ConditionalOptimum | None:
-        """Return the next point, nearer where simulations fail, None where they all do."""
+        """Return the next point, nearer after failures; None if all fail."""
         for _ in range(SETTINGS.most_reductions):
             there = value + step
             there = bound if (there - bound) * step > 0 else there
-            point = best_with(self.criterion, self.index, there, here)
+            point = best_with(self.function, self.index, there, here)
             if point is not None:
                 return point
             step *= SETTINGS.step_reduction
@@ -349,7 +349,7 @@ class _Profiler:
             a, b = sorted((self._value(low), self._value(high)))
             if not a < value < b:
                 value = 0.5 * (a + b)
-            point = best_with(self.criterion, self.index, value, near)
+            point = best_with(self.function, self.index, value, near)
             if point is None:
                 break
             self._keep(side, point)
@@ -370,7 +370,7 @@ class _Profiler:
         return float(point.theta[self.index])
 
     def _rise(self, point: ConditionalOptimum) -> float:
-        return point.criterion - self.origin.criterion
+        return point.cost - self.origin.cost
 
     def _root(self, point: ConditionalOptimum) -> float:
         return math.sqrt(max(self._rise(point), 0.0))

@@ -247,7 +247,7 @@ def analyze_residuals(problem: LeastSquares, result: Result) -> ResidualAnalysis
     ['i']
     """
     if result.fit.noise is None or result.fit.linearization is None:
-        raise InputError("a result read from a file has no residuals to examine; identify the study again")
+        raise InputError("a result from a file lacks the residuals. Identify the study again.")
     series: list[ResidualSeries] = []
     columns = result.fit.linearization.jacobian @ result.fit.linearization.root
     taken = FitProjection(columns, columns.T @ columns)

@@ -43,7 +43,7 @@ NOT_NORMALITY_TESTED = NormalityTest(math.nan, math.nan, math.nan)
 
 @dataclass(frozen=True, eq=False)
 class InputCorrelation:
-    """Correlation of a residual with an input at the same time and before."""
+    """Correlation of a residual with present and past inputs."""
 
     input: str
     lags: Floats  # (m,), time by which the input comes before, s
@@ -165,7 +165,7 @@ def examine_outputs(
     taken: FitProjection | None = None,
     scale: Floats | None = None,
 ) -> list[ResidualSeries]:
-    """Test measured − simulated of the outputs of an experiment that have counted samples.
+    """Test the residuals of the outputs of an experiment.
 
     Parameters
     ----------
@@ -236,7 +236,7 @@ def _related(experiment: Experiment, series: Sequence[ResidualSeries]) -> dict[s
 
 
 def _lagged_inputs(experiment: Experiment, series: ResidualSeries, lags: Floats) -> Iterator[tuple[str, LaggedSeries]]:
-    """Yield the inputs that move, at the samples of a residual and before."""
+    """Yield moving inputs, at the samples of a residual and before."""
     clock, times = experiment.times, series.times[np.isfinite(series.residual)]
     places = series.noise.series.places - series.noise.series.places[0]
     grid_times = np.interp(np.arange(places[-1] + 1), places, times)

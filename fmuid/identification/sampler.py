@@ -96,7 +96,7 @@ def sample_posterior(
 def log_density(
     evaluator: Evaluator[LeastSquares], variance: Floats | None = None, result: Result | None = None
 ) -> Callable[[Floats], Floats]:
-    """Return the log density of the posterior as a function of thetas (m, N).
+    """Return the posterior log density, a function of thetas (m, N).
 
     It is −∞ outside the bounds and where simulations fail. `variance` (n_outputs,) is NaN where integrated out; default
     the problem's own. A `result` scales the data's part to its colored noise.
@@ -150,9 +150,7 @@ class _Sampler:
         count = len(self.problem.parameters)
         self.walkers = settings.walkers or max(SETTINGS.least_walkers, SETTINGS.walkers_per_parameter * count)
         if self.walkers < 2 * count:
-            raise InputError(
-                f"{self.walkers} walkers are too few for {count} parameters; the sampler needs at least {2 * count}"
-            )
+            raise InputError(f"walkers: {self.walkers} are too few for {count} parameters. Use at least {2 * count}.")
         self.random = np.random.default_rng(settings.seed)
         self.far = reach(self.problem, result)
         # a robust loss is no log density, its variances cannot be integrated out: they stay at their estimates
@@ -215,12 +213,10 @@ class _Sampler:
         at = self.density(self.estimate[None])[0]
         if at == -np.inf:
             raise self.evaluator.failure(self.estimate) or InputError(
-                "the result lies outside the problem's bounds; give the result of this problem's identification"
+                "the result is outside the bounds of the problem. Give a result of this problem."
             )
         if at == np.inf:
-            raise InputError(
-                "the model fits an output exactly, and its noise variance cannot be estimated; give noise.variance"
-            )
+            raise InputError("the model fits an output exactly; its noise variance is unknown. Set noise.variance.")
 
     def _other_optima(self) -> list[Result]:
         """Return other optima with a share of the posterior."""

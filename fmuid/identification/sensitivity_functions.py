@@ -129,7 +129,7 @@ def expected_accuracy(
     variance: Mapping[str, float],
     values: Mapping[str, Value] | None = None,
 ) -> ExpectedAccuracy:
-    """Compute the expected σ of an excitation at the initial guess, with the priors.
+    """Compute the expected σ of an excitation at the initial guess.
 
     Parameters
     ----------
@@ -151,9 +151,7 @@ def expected_accuracy(
     """
     for name in excitation.output_names:
         if name not in variance:
-            raise InputError(
-                f'the noise of {name!r} is not known: give its variance, noise.variance = {{ "{name}" = ... }}'
-            )
+            raise InputError(f'noise level of {name!r} is unknown. Set noise.variance = {{ "{name}" = ... }}.')
     found = sensitivity_functions(model, excitation, parameters, values)
     weights = np.array([variance[name] ** -0.5 for name in excitation.output_names])
     rows = (found.values * weights[:, None])[excitation.counted]
@@ -192,10 +190,10 @@ def rank_excitations(found: Sequence[ExpectedAccuracy], *, by: str = "determinan
     Raises
     ------
     InputError
-        If the criterion is unknown.
+        If `by` is unknown.
     """
     if by not in ("determinant", "worst"):
-        raise InputError(f'excitations are compared by "determinant" or "worst", not by {by!r}')
+        raise InputError(f'by: must be "determinant" or "worst", not {by!r}.')
     rows = [
         {
             "excitation": each.excitation,

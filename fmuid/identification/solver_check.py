@@ -41,7 +41,7 @@ from fmuid.simulation import Refinement, is_controlled, is_free, next_refinement
 ACCURACIES = ("refine", "report", "off")
 """What may be done about the solver error."""
 START_TOLERANCE = 1e-6  # of Model Exchange at the starting point, relative
-START_DIVISIONS = 2  # divisions of the step where a start fails; failures beyond have other reasons
+START_DIVISIONS = 2  # of the step after a failed start; further failures have other reasons
 SURE_SHIFT = SHIFT_LIMIT / 3.0  # σ; smaller shifts stay small within a cell of the cache
 RIVAL_CRITERION = 3.84  # cost above the best optimum, 95 % quantile of χ²(1); optima below it are as good
 MOST_OPTIMA = 10  # optima of a box from which a refined search goes on
@@ -97,9 +97,9 @@ class _SolverChecking:
         if problem.refinement.any or finer is None or not is_free(problem.system):
             return
         if at.shape != (len(problem.parameters),):
-            return  # which the search will say
+            return  # the search refuses it
         before = self.evaluator.simulations
-        predicted = self.evaluator.predict_start(at[None])[0]  # spares the search its own
+        predicted = self.evaluator.predict_start(at[None])[0]  # shared with the search
         self.foreseen = self.evaluator.simulations - before
         if replaces_interface(problem.system, finer):
             wrong = self._wrong_start(finer, at, predicted)
@@ -134,7 +134,7 @@ class _SolverChecking:
         for j in range(problem.counts.size):
             there = problem.groups == j
             spread = max(float(np.std(problem.measured[there])), float(np.std(other[there])))
-            with np.errstate(over="ignore"):  # of what explodes without failing
+            with np.errstate(over="ignore"):  # of diverging simulations
                 gap = math.sqrt(float(np.mean((one[there] - other[there]) ** 2)))
             shares.append(gap / spread if spread > 0 else 0.0)
         return max(shares)
@@ -145,11 +145,11 @@ class _SolverChecking:
         """Check the best optima; refine the solver until one passes."""
         while True:
             best = self.optima[0]
-            rivals = [each for each in self.optima if each is best or each.criterion - best.criterion < RIVAL_CRITERION]
-            checks = [self._check(each.fit) for each in rivals]
+            close = [each for each in self.optima if each is best or each.criterion - best.criterion < RIVAL_CRITERION]
+            checks = [self._check(each.fit) for each in close]
             sound = [found for found in checks if not found.doubtful]
             if sound and len(sound) < len(checks):
-                moved = [each for each, found in zip(rivals, checks, strict=True) if found.doubtful]
+                moved = [each for each, found in zip(close, checks, strict=True) if found.doubtful]
                 self.refused += len(moved)
                 self.optima = tuple(each for each in self.optima if each not in moved)
             self.found = (sound or checks)[0]
@@ -161,7 +161,7 @@ class _SolverChecking:
                 return
 
     def _check(self, fit: Result) -> SolverCheck:
-        """Return the effect of the solver error on the estimates of a fit."""
+        """Return the effect of the solver error on a fit."""
         problem, finer = self.problem, next_refinement(self.problem.system, self.problem.refinement)
         if finer is None:
             exact = not any(map(problem.system.integrates, problem.system.components))

@@ -39,20 +39,20 @@ from fmuid.simulation import RightHandSide, Simulator
 class RestartSettings:
     """Numbers of restarts and of corrected simulations."""
 
-    far_share: float = 1.0  # of an output's variance; a start that leaves more is worse than the output's mean
-    other_start_limit: float = 1e-6  # as `START_LIMIT`, of starting points that nobody gave
+    far_share: float = 1.0  # of an output's variance; larger residuals are worse than the mean of the output
+    other_start_limit: float = 1e-6  # as `START_LIMIT`, of other starting points
     points: int = 16  # of the box that are simulated ...
-    best_points: int = 3  # ... and searched from
+    best_points: int = 3  # ... and optimized from
     seed: int = 0
-    factor: float = 10.0  # how far the box reaches without bounds ...
+    factor: float = 10.0  # reach of the box without bounds ...
     multiple: float = 3.0  # ... or so many nominal magnitudes from zero
     patience: int = 60  # iterations of a restart before the next starting point
     largest_square: float = 1e12  # clip of squared residuals, noise variances; one wild sample must not decide
     same_stds: float = 1.0  # σ; estimates that differ by less agree
     tolerance: float = 1e-5  # of the solver in rough searches
-    most_steps: int = 1000  # of the solver between two samples; a point that needs more is no start
-    states_per_sample: int = 20  # a correction costs a Jacobian of one evaluation a state, as the steps that follow do
-    unseen: float = 1e-6  # directions of the states that change outputs by less, relative, are not corrected
+    most_steps: int = 1000  # of the solver between two samples, for a usable point
+    states_per_sample: int = 20  # a correction costs one evaluation per state
+    unseen: float = 1e-6  # smallest relative effect of a corrected direction
 
 
 SETTINGS = RestartSettings()
@@ -120,11 +120,11 @@ class _Restarts:
             if self._is_settled():
                 return self._concluded(given)
         if not self.ended:
-            raise error or InputError("there is no start to search from")
+            raise error or InputError("no starting point.")
         best = best_of(self.ended)
         if best.result.outcome is TerminationReason.ITERATION_LIMIT and (
             best.result.history.iterations < self.optimizer.max_iterations
-        ):  # patience with it had come to an end
+        ):  # it was stopped early
             self._end(best.attempt.remedy, (yield self._from(best.result.values)))
         return self._concluded(given)
 
@@ -221,7 +221,7 @@ class _Restarts:
         self.spent = self.evaluator.simulations
 
     def _is_settled(self) -> bool:
-        """Tell if the last search fits, was interrupted, or ended where another did."""
+        """Tell if the last search fits, was interrupted or is confirmed."""
         last = self.ended[-1]
         if last.attempt.trouble is SearchFailure.NONE or last.result.outcome is TerminationReason.INTERRUPTED:
             return True
@@ -279,7 +279,7 @@ def _agree(one: EndedSearch, other: EndedSearch) -> bool:
 
 
 def corrected_start(evaluator: Evaluator[Problem], start: Floats, progress: Progress | None = None) -> Floats | None:
-    """Return a starting point (N,) by corrected simulations, None where there is none."""
+    """Return a starting point (N,) by corrected simulations, or None."""
     problem = evaluator.problem
     found = [_corrected(problem, index, start) for index in range(len(problem.experiments))]
     pairs = [each for each in found if each is not None]
@@ -289,7 +289,7 @@ def corrected_start(evaluator: Evaluator[Problem], start: Floats, progress: Prog
     for method, simulators in zip(ROUGH, zip(*pairs, strict=True), strict=True):
         try:
             result = method.search(evaluator.of(problem.simulated_by(simulators, parameters)), progress, theta)
-        except FmuidError:  # the exact search sets out from where this one did
+        except FmuidError:  # the exact search begins at the last point
             break
         if result.outcome is TerminationReason.INTERRUPTED:
             raise KeyboardInterrupt
@@ -317,7 +317,7 @@ def _corrected(problem: Problem, index: int, start: Floats) -> tuple[Simulator, 
         if side is None:
             return None
         slopes, _, _ = side.output_slopes(start[problem.parameters.for_experiment(index)[1]])
-    except FmuidError:  # a start is not worth an error: the search itself says what is wrong with the model
+    except FmuidError:  # the search itself reports errors of the model
         return None
     if not np.isfinite(slopes).all() or not slopes.any():
         return None

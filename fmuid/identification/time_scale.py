@@ -89,7 +89,7 @@ def doubt_of_time(simulator: Simulator, theta: Sequence[float]) -> TimeScaleWarn
 
 
 def _response(simulator: Simulator, theta: Sequence[float], duration: float) -> tuple[Floats, Floats]:
-    """Return times (n,) after a jump of the inputs, and outputs (n, m)."""
+    """Return times (n,) after an input jump, and outputs (n, m)."""
     record = simulator.experiment
     after = np.concatenate([[0.0], duration * np.logspace(-_DECADES, 0, _POINTS)])
     largest = np.abs(record.input_values).argmax(axis=0) if record.input_names else np.zeros(0, dtype=np.intp)

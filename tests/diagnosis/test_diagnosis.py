@@ -297,7 +297,7 @@ def test_what_does_not_fit_together_is_refused(look: Look, plate: fmuid.System) 
             look(experiment, **words)
     with pytest.raises(fmuid.InputError, match=r"nowhere\.json cannot be read"):
         fmuid.diagnose(experiment, "nowhere.json", {"f": fmuid.Fault(plate, {"ea": parameter})}, plate)
-    with pytest.raises(fmuid.InputError, match=r"sensitivity 'forwards' is not known.*'forward'"):
+    with pytest.raises(fmuid.InputError, match=r"sensitivity: unknown value 'forwards'.*'forward'"):
         fmuid.diagnosis.DiagnosisSettings(sensitivity="forwards")
 
 

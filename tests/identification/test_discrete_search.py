@@ -12,7 +12,7 @@ import pytest
 
 import fmuid
 from fmuid.estimation import Evaluator, TerminationReason
-from fmuid.identification.problem import MOST_COMBINATIONS, choices_of
+from fmuid.identification.problem import MAX_COMBINATIONS, choices_of
 from fmuid.runs.batch.case import CaseRunner
 from tests.support.choices import choices_fmu
 from tests.support.fmu_texts import FMI2, write_fmu
@@ -117,11 +117,11 @@ def test_real_values_too(tmp_path: Path) -> None:
     ("choices", "told"),
     [
         ({"m": [1, 2]}, "has no 'm'"),
-        ({"n": []}, "one or more, each once"),
-        ({"n": [1, 1]}, "one or more, each once"),
-        ({"n": "all"}, "does not say which values 'n' may take"),
-        ({"gain": [1.0, 2.0]}, "is to be identified and takes few values"),
-        ({"n": range(MOST_COMBINATIONS), "b": "all"}, "at most 1000 are tried"),
+        ({"n": []}, "one or more different values"),
+        ({"n": [1, 1]}, "one or more different values"),
+        ({"n": "all"}, "declares no values of 'n'"),
+        ({"gain": [1.0, 2.0]}, "in parameters and in choices"),
+        ({"n": range(MAX_COMBINATIONS), "b": "all"}, "more than 1000"),
         ({"n": ["three"]}, "n"),
     ],
 )

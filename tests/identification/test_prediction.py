@@ -145,7 +145,7 @@ def test_values_for_each_experiment_are_those_of_the_record_it_was_made_from() -
     made = identified(i_start=start)
     first = predict_by_model(COIL, made, record(1, name="first"))
     assert first.scores[0].ratio == pytest.approx(1.0, abs=0.1)
-    with pytest.raises(InputError, match=r"a value of 'i_start' for first, second and none for first: .*--refit"):
+    with pytest.raises(InputError, match=r"'i_start' for first, second but not for first.*--refit"):
         predict_by_model(COIL, made, record(9, name="first"))  # another record of that name
     again = predict_by_model(COIL, made, record(9, start=0.3, name="other"), free={"i_start": start})
     assert again.estimated is not None

@@ -116,7 +116,7 @@ def test_prior_data_and_combined_of_a_linear_problem(search: bool) -> None:
     assert reading.agreement.probability == pytest.approx(stats.chi2(3).sf(distance), rel=1e-4)
     assert reading.searched is search
     if search:
-        np.testing.assert_allclose(reading.barycentre, optimum, rtol=1e-6)
+        np.testing.assert_allclose(reading.weighted_mean, optimum, rtol=1e-6)
         assert (np.abs(reading.nonlinearity) < 1e-3).all()
     else:
         assert np.isnan(reading.nonlinearity).all()
@@ -299,9 +299,9 @@ def test_the_known_variance() -> None:
     assert [each.deviation for each in (one, other)] == [Deviation.NONE, Deviation.LARGER]
     smaller = white_reading(problem, result, healthy={"u": 4.0 * VARIANCE})
     assert smaller.variances[0].deviation is Deviation.SMALLER
-    with pytest.raises(InputError, match="healthy names 'x', which is no measured output"):
+    with pytest.raises(InputError, match="healthy: unknown output 'x'"):
         compare_prior_and_data(problem, result, healthy={"x": 1.0})
-    with pytest.raises(InputError, match="healthy variance of 'u' must be positive"):
+    with pytest.raises(InputError, match="variance of 'u' must be positive"):
         compare_prior_and_data(problem, result, healthy={"u": 0.0})
 
 
@@ -340,5 +340,5 @@ def test_written_and_read() -> None:
     table = reading.table
     assert table["parameter"].tolist() == list(NAMES)
     assert table.shape == (3, 13)
-    with pytest.raises(InputError, match="identify the study again"):
+    with pytest.raises(InputError, match="Identify the study again"):
         compare_prior_and_data(problem, changed(result, linearization=None))

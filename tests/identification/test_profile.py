@@ -135,7 +135,7 @@ def test_linear_two_outputs_and_joint_prior() -> None:
 
 
 def brute(problem: LeastSquares, result: Result, index: int, value: float) -> float:
-    """Return the least criterion with one parameter held, by scipy from several starts."""
+    """Return the least cost with one parameter held, by scipy from several starts."""
     sigma = math.sqrt(next(iter(result.fit.noise_variance.values())))
     others = [i for i in range(len(result.names)) if i != index]
 
@@ -164,8 +164,8 @@ def test_nonlinear_against_brute_force(index: int) -> None:
             xtol=1e-9,
         )
         assert end == pytest.approx(wanted, abs=1e-4 * result.std[index])
-    for value, criterion in zip(profile.values, profile.criterion, strict=True):
-        assert criterion == pytest.approx(brute(problem, result, index, value), rel=1e-6)
+    for value, cost in zip(profile.values, profile.cost, strict=True):
+        assert cost == pytest.approx(brute(problem, result, index, value), rel=1e-6)
     # and the profile is not simply the local interval again
     local = result.intervals().to_numpy()[index]
     assert abs(profile.upper - local[1]) > 0.02 * result.std[index]
@@ -175,13 +175,13 @@ def test_table_holds_the_path() -> None:
     problem = rise_problem()
     result = identify(problem)
     profile = only(problem, result, "rate")
-    assert list(profile.table.columns) == ["top", "rate", "criterion"]
+    assert list(profile.table.columns) == ["top", "rate", "cost"]
     assert (np.diff(profile.values) > 0).all()
     sigma = math.sqrt(result.fit.noise_variance["y"])
     for row in profile.table.itertuples():
         residual = (problem.measured - saturating(np.array([row.top, row.rate]))) / sigma
-        assert row.criterion == pytest.approx(float(residual @ residual), rel=1e-12)
-    assert profile.minimum == profile.criterion.min()
+        assert row.cost == pytest.approx(float(residual @ residual), rel=1e-12)
+    assert profile.minimum == profile.cost.min()
     assert profile.values[0] <= profile.lower < profile.value < profile.upper <= profile.values[-1]
 
 
@@ -194,7 +194,7 @@ def test_flat_is_not_given_a_number() -> None:
     for profile in profile_likelihood(problem, result):
         assert (profile.lower, profile.upper) == (-math.inf, math.inf)
         assert [each.kind for each in profile.remarks] == [EndKind.FLAT, EndKind.FLAT]
-        assert (profile.criterion - profile.minimum).max() < 1e-3
+        assert (profile.cost - profile.minimum).max() < 1e-3
 
 
 def test_ends_by_the_bounds_of_others() -> None:
@@ -208,7 +208,7 @@ def test_ends_by_the_bounds_of_others() -> None:
 
 
 def test_saturates_below_the_level() -> None:
-    """A rate faster than the sampling: the criterion stays below the level however fast."""
+    """A rate faster than the sampling: the cost stays below the level however fast."""
     problem = rise_problem(std=0.6, rate=20.0)
     result = identify(problem)
     profile = only(problem, result, "rate")
@@ -219,7 +219,7 @@ def test_saturates_below_the_level() -> None:
     at_infinity[1:] -= at_infinity[1:].mean()
     rise = at_infinity @ at_infinity / result.fit.noise_variance["y"] - profile.minimum
     assert 0.0 < rise < profile.threshold
-    assert profile.criterion[-1] - profile.minimum == pytest.approx(rise, rel=1e-4)
+    assert profile.cost[-1] - profile.minimum == pytest.approx(rise, rel=1e-4)
 
 
 @pytest.mark.parametrize("edge", [0.84, 0.8525])
@@ -303,7 +303,7 @@ def test_better_optimum_is_said() -> None:
     assert math.isnan(profile.lower)
     assert math.isnan(profile.upper)
     assert any(each.kind is EndKind.LOWER for each in profile.remarks)
-    better = profile.values[np.argmin(profile.criterion)]
+    better = profile.values[np.argmin(profile.cost)]
     assert identify(problem, start=[better])["w"] == pytest.approx(3.0, abs=0.02)
 
 

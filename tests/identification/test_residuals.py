@@ -322,5 +322,5 @@ def test_written_and_read() -> None:
     assert [row["output"] for row in written["series"]] == found.table["output"].tolist()
     assert written["series"][3]["inputs"][0]["input"] == "u"
     assert written["series"][0]["std"] == found.table["std"][0]
-    with pytest.raises(InputError, match="identify the study again"):
+    with pytest.raises(InputError, match="Identify the study again"):
         analyze_residuals(problem, changed(result, noise=None))

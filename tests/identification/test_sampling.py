@@ -149,7 +149,7 @@ def test_wrong_use() -> None:
     result = identify(problem)
     six = {name: Parameter(1.0, prior=Normal(0.0, 1.0)) for name in "abcdef"}
     wide = LeastSquares.from_function(lambda theta: phi @ theta[:2], problem.measured, six)
-    with pytest.raises(InputError, match=r"4 walkers .*12"):
+    with pytest.raises(InputError, match=r"walkers: 4 .*12"):
         sample_posterior(wide, identify(wide), SamplerSettings(walkers=4))
     with pytest.raises(InputError, match="parameters are a, b"):
         sample_posterior(wide, result)

@@ -33,7 +33,7 @@ def line() -> LeastSquares:
 
 
 def two_valleys() -> LeastSquares:
-    """Return a problem whose least criterion is at a = 2, and that has a second minimum near a = −2."""
+    """Return a problem whose least cost is at a = 2, and that has a second minimum near a = −2."""
     x = np.linspace(0.0, 1.0, 20)
 
     def model(theta: Floats) -> Floats:
@@ -72,10 +72,10 @@ def test_everything_of_a_linear_problem_agrees() -> None:
     np.testing.assert_allclose(limits["posterior"].to_numpy(), local, atol=0.3 * float(result.std.max()))
 
     table = found.profile_table
-    assert list(table.columns) == ["profiled", "a", "b", "criterion"]
+    assert list(table.columns) == ["profiled", "a", "b", "cost"]
     assert table["profiled"].drop_duplicates().tolist() == ["a", "b"]
     (chart,) = found.maps
-    assert chart.criterion == pytest.approx(result.fit.cost)
+    assert chart.cost == pytest.approx(result.fit.cost)
 
     content = json.loads(json.dumps(as_json(found), allow_nan=False))
     assert content["profiles"][0]["lower"] == pytest.approx(local[0, 0], rel=1e-4)

@@ -131,7 +131,7 @@ def _influence(reading: PriorDataComparison, found: PriorInfluence) -> Remark:
 
 def _bent(reading: PriorDataComparison) -> Remark:
     i = reading.names.index(reading.bent)
-    value = _shown(float(reading.barycentre[i]), float(reading.combined_std[i]))
+    value = _shown(float(reading.weighted_mean[i]), float(reading.combined_std[i]))
     distance = f"{abs(reading.nonlinearity[i]):.2g}"
     return PriorMessage.NONLINEAR.said(*_PLACE, name=reading.bent, value=value, distance=distance)
 

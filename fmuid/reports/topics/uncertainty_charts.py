@@ -64,7 +64,7 @@ def _profile(found: Profile, result: Result, units: Units) -> Chart:
     i = result.names.index(found.name)
     value, std, threshold = float(result.values[i]), float(result.std[i]), found.threshold
     places = found.table[found.name].to_numpy(np.float64)
-    rise = found.table["criterion"].to_numpy(np.float64) - float(found.table["criterion"].min())
+    rise = found.table["cost"].to_numpy(np.float64) - float(found.table["cost"].min())
     low, high = _window(places, (found.lower, found.upper), value)
     layers = []
     if not (math.isnan(found.lower) or math.isnan(found.upper)):
@@ -206,7 +206,7 @@ def _walkers(posterior: Posterior, units: Units) -> Iterator[Chart]:
 def _map(chart: CostMap, units: Units, optima: pd.DataFrame) -> Chart:
     """Return the cost over two parameters, and the local ellipse."""
     first, second, values = chart.grid
-    excess = values - np.nanmin(values, initial=chart.criterion)
+    excess = values - np.nanmin(values, initial=chart.cost)
     rise = chart.rise(CONFIDENCE_LEVEL)
     known = excess[np.isfinite(excess) & (excess > 0)]
     low = max(FLOOR_SHARE * rise, float(known.min(initial=FLOOR_SHARE * rise)))

@@ -25,7 +25,7 @@ from fmuid.codec import as_json, from_json
 from fmuid.data import Experiment
 from fmuid.errors import FmuidError
 from fmuid.estimation import Cache, Evaluator, Result, TerminationReason, WeakDirection
-from fmuid.identification import Problem, identify_by, judge
+from fmuid.identification import Problem, identify, judge
 from fmuid.runs.batch.case_list import Case, CaseList, noise
 from fmuid.runs.batch.case_problem import problem_of, truth_simulators, truth_values
 from fmuid.simulation import executor_of, nrmse_fit, root_mean_square
@@ -119,7 +119,7 @@ class CaseRunner:
     def _identify(self, evaluator: Evaluator[Problem]) -> dict[str, object]:
         """Identify the parameters of a case; return the columns of the result."""
         study = self.study
-        result = identify_by(evaluator, study.estimator, solver_check=study.estimation.solver_check, restart=False)
+        result = identify(evaluator, study.estimator, solver_check=study.estimation.solver_check, restart=False)
         if result.outcome is TerminationReason.INTERRUPTED:
             raise KeyboardInterrupt
         own = result.accuracy is not None and result.accuracy.simulations > 0

@@ -71,7 +71,7 @@ def test_on_a_common_table(made: Path, tmp_path: Path, capsys: pytest.CaptureFix
     words = (made / "both", made / "other", made / "wrong", "--data", made / "third.csv", "-o", tmp_path)
     assert fmuid_("compare", *words, "--no-isolation") == DONE
     out = " ".join(capsys.readouterr().out.split())
-    assert "both and other were made from different measurements" in out
+    assert "both and other have different data" in out
     assert "Common data" in out
     assert "equally good" in out
     table = rows(tmp_path)
@@ -101,7 +101,7 @@ def test_compare_on_constant_output_gives_rmse(made: Path, tmp_path: Path, capsy
     [
         (
             ("both", "other"),
-            "were made from different measurements, so that their likelihoods say nothing of each other",
+            "have different data. Their likelihoods are not comparable",
         ),
         (("both",), "give at least two results"),
         (("both", "both"), "is given twice"),

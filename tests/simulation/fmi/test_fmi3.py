@@ -129,7 +129,7 @@ def test_missing_sensitivities_are_one_sentence() -> None:
     experiment = Experiment(record(np.arange(5.0), u=0.0, i=0.0), ["u"], ["i"])
     with pytest.raises(InputError, match=r"output 'sens\.R\.i'.*--sensitivities"):
         Problem(COIL, experiment, {"R": Parameter(start=4.0)}, sensitivity="fmu")
-    with pytest.raises(InputError, match=r"sensitivity 'forwards' is not known.*'forward'"):
+    with pytest.raises(InputError, match=r"sensitivity: unknown value 'forwards'.*'forward'"):
         Problem(COIL, experiment, {"R": Parameter(start=4.0)}, sensitivity="forwards")
     system = System(components={"a": COIL, "b": COIL})
     coupled = Experiment(record(np.arange(5.0), i=0.0), outputs={"a.i": "i"})

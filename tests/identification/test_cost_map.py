@@ -1,4 +1,4 @@
-"""Maps of the criterion: against direct evaluation, and on linear problems against the exact confidence region."""
+"""Maps of the cost: against direct evaluation, and on linear problems against the exact confidence region."""
 
 from __future__ import annotations
 
@@ -48,17 +48,17 @@ def test_map_is_the_criterion() -> None:
     """Evaluated directly, point by point, the third parameter held at the estimate."""
     problem = linear(noise=Noise(0.02))
     chart, result = chart_of(problem, points=7)
-    assert list(chart.table.columns) == ["a", "b", "criterion"]
+    assert list(chart.table.columns) == ["a", "b", "cost"]
     assert len(chart.table) == 49
     for a, b, value in chart.table.itertuples(index=False):
         direct = np.sum((problem.measured - BASIS @ [a, b, result["c"]]) ** 2) / 0.02
         assert value == pytest.approx(direct, rel=1e-12)
     assert chart.held == {"c": result["c"]}
-    assert chart.criterion == pytest.approx(result.fit.cost, rel=1e-12)
-    assert chart.grid[2][3, 3] == pytest.approx(chart.criterion), "the estimate is in the middle"
+    assert chart.cost == pytest.approx(result.fit.cost, rel=1e-12)
+    assert chart.grid[2][3, 3] == pytest.approx(chart.cost), "the estimate is in the middle"
     first, second, values = chart.grid
     row = chart.table.iloc[2 * 7 + 5]
-    assert (row["a"], row["b"], row["criterion"]) == (first[2], second[5], values[2, 5])
+    assert (row["a"], row["b"], row["cost"]) == (first[2], second[5], values[2, 5])
 
 
 def test_map_includes_the_prior_and_each_output_has_its_variance() -> None:
@@ -76,9 +76,9 @@ def test_map_includes_the_prior_and_each_output_has_its_variance() -> None:
     chart, result = chart_of(problem, points=5)
     used = variances(problem, result)
     assert used.tolist() == [0.012, result.fit.noise_variance["y"]]
-    criterion = prepare(Evaluator(problem)).criterion.reweighted(used)
-    rows = criterion.residuals(chart.table[["a", "b"]].to_numpy())
-    np.testing.assert_allclose(chart.table["criterion"], np.sum(rows**2, axis=1), rtol=1e-12)
+    cost = prepare(Evaluator(problem)).criterion.reweighted(used)
+    rows = cost.residuals(chart.table[["a", "b"]].to_numpy())
+    np.testing.assert_allclose(chart.table["cost"], np.sum(rows**2, axis=1), rtol=1e-12)
 
 
 def test_default_reach() -> None:
@@ -138,8 +138,8 @@ def test_failures_are_nan() -> None:
         (("a", "d"), {}, "'d' is not a parameter of the problem"),
         (("a", "a"), {}, "different parameters"),
         (("a", "b"), {"points": 1}, "whole number.*1"),
-        (("a", "b"), {"ranges": {"b": (2.0, 1.0)}}, "range 2 to 1 of 'b'"),
-        (("a", "b"), {"ranges": {"a": (-10.0, 1.0)}}, "range -10 to 1 of 'a'"),
+        (("a", "b"), {"ranges": {"b": (2.0, 1.0)}}, "range of 'b' .* 2 to 1"),
+        (("a", "b"), {"ranges": {"a": (-10.0, 1.0)}}, "range of 'a' .* -10 to 1"),
         (("a", "b"), {"ranges": {"bb": (1.0, 2.0)}}, "'bb' is not a parameter"),
     ],
 )
@@ -166,10 +166,10 @@ def squares(problem: LeastSquares, theta: Floats) -> float:
 
 
 def test_ellipse_of_known_variance() -> None:
-    """On it, the criterion of a linear problem rises by −2 ln 0.05, the 95 % quantile of χ²(2)."""
+    """On it, the cost of a linear problem rises by −2 ln 0.05, the 95 % quantile of χ²(2)."""
     problem = linear(2, noise=Noise(0.01))
     chart, _ = chart_of(problem)
-    rises = [squares(problem, point) / 0.01 - chart.criterion for point in chart.ellipse()]
+    rises = [squares(problem, point) / 0.01 - chart.cost for point in chart.ellipse()]
     np.testing.assert_allclose(rises, -2.0 * np.log(0.05), rtol=1e-5)
     assert chart.rise() == pytest.approx(-2.0 * np.log(0.05))
     np.testing.assert_allclose(chart.ellipse()[0], chart.ellipse()[-1])
@@ -185,14 +185,14 @@ def test_ellipse_of_estimated_variance() -> None:
 
 
 def test_ellipse_among_more_parameters() -> None:
-    """The others re-optimised, the criterion rises by just the quantile; held, by more."""
+    """The others re-optimised, the cost rises by just the quantile; held, by more."""
     problem = linear(3, noise=Noise(0.01))
     chart, result = chart_of(problem)
     for a, b in chart.ellipse()[::10]:
         rest = problem.measured - BASIS[:, :2] @ [a, b]
         third = np.linalg.lstsq(BASIS[:, 2:], rest)[0]
-        free = np.sum((rest - BASIS[:, 2:] @ third) ** 2) / 0.01 - chart.criterion
-        held = np.sum((rest - BASIS[:, 2] * result["c"]) ** 2) / 0.01 - chart.criterion
+        free = np.sum((rest - BASIS[:, 2:] @ third) ** 2) / 0.01 - chart.cost
+        held = np.sum((rest - BASIS[:, 2] * result["c"]) ** 2) / 0.01 - chart.cost
         assert free == pytest.approx(stats.chi2(2).ppf(0.95), rel=1e-5)
         assert held > free
 
