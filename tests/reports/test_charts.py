@@ -246,7 +246,7 @@ def test_bars_estimates_and_sensitivities() -> None:
 
 
 def profiled(values: Any, cost: Any, ends: tuple[float, float]) -> Any:
-    table = pd.DataFrame({"R": values, "criterion": cost})
+    table = pd.DataFrame({"R": values, "cost": cost})
     return SimpleNamespace(name="R", table=table, lower=ends[0], upper=ends[1], threshold=3.84, level=0.95)
 
 
@@ -280,14 +280,14 @@ def test_corner_with_contours() -> None:
 def test_cost_map() -> None:
     first, second = np.linspace(3.5, 4.5, 5), np.geomspace(0.05, 0.2, 3)
     table = pd.DataFrame([(a, b) for a in first for b in second], columns=["R", "L"])
-    table["criterion"] = 10.0 + 100.0 * (table["R"] - 4.0) ** 2 + np.log(table["L"] / 0.1) ** 2
-    table.loc[0, "criterion"] = np.nan
+    table["cost"] = 10.0 + 100.0 * (table["R"] - 4.0) ** 2 + np.log(table["L"] / 0.1) ** 2
+    table.loc[0, "cost"] = np.nan
     covariance, center = result().covariance, np.array([4.0, 0.1])
     given = CostMap(("R", "L"), table, (5, 3), (False, True), center, 10.0, covariance, 1.0, math.inf, {})
     plot = uncertainty._map(given, {"L": "H"}, pd.DataFrame({"R": [4.0, 3.6], "L": [0.1, 0.1]}))
     assert (*labels(plot), plot.y.kind) == ("R", "L (H)", "log")
     (cells,) = drawn(plot, "cells")
-    near(cells["value"][1:], np.maximum(table["criterion"][1:] - 10.0, 1e-300))
+    near(cells["value"][1:], np.maximum(table["cost"][1:] - 10.0, 1e-300))
     assert np.isnan(cells["value"][0])
     near(np.unique(cells["top"] / cells["bottom"]), 2.0)  # equal ratios on a logarithmic axis
     assert "95 % ellipse" in legend(plot)

@@ -168,5 +168,5 @@ def test_uncertainty_of_a_result(tmp_path: Path) -> None:
     local = result.intervals(0.95).loc["R"].to_numpy(float)
     assert [profile.lower, profile.upper] == pytest.approx(local, abs=0.005 * (local[1] - local[0]))
     other = Study.of(asked | {"parameters": {"R": {"start": 3.0}}}, tmp_path / "other.toml")
-    with pytest.raises(InputError, match="parameters are R, L, and the problem's are R"):
+    with pytest.raises(InputError, match="parameters are R, L, not R"):
         other.assess(result)
