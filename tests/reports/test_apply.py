@@ -37,24 +37,17 @@ def description(fmu: Path) -> bytes:
         return archive.read("modelDescription.xml")
 
 
-# --- fmuid apply
-
-
-def test_the_copy_differs_in_the_start_values_only(tmp_path: Path) -> None:
+def test_copy_differs_in_the_start_values_only(tmp_path: Path) -> None:
     new = tmp_path / "deep" / "New.fmu"
-    applied = apply_result(result(tmp_path, {"R": (4.25, 0.01), "L": (0.125, 0.002)}), COIL, new)
-    assert applied == (
-        AppliedValue("R", 4.0, 4.25, pytest.approx(0.01), "Ohm"),  # type: ignore[arg-type]
-        AppliedValue("L", 0.1, 0.125, pytest.approx(0.002), "H"),  # type: ignore[arg-type]
-    )
+    R, L = apply_result(result(tmp_path, {"R": (4.25, 0.01), "L": (0.125, 0.002)}), COIL, new)
+    assert AppliedValue("R", 4.0, 4.25, pytest.approx(0.01), "Ohm") == R  # type: ignore[arg-type]
+    assert AppliedValue("L", 0.1, 0.125, pytest.approx(0.002), "H") == L  # type: ignore[arg-type]
     with zipfile.ZipFile(COIL) as old, zipfile.ZipFile(new) as copy:
         assert copy.testzip() is None
         for one, other in zip(old.infolist(), copy.infolist(), strict=True):
-            assert (one.filename, one.date_time, one.external_attr, one.compress_type) == (
-                other.filename, other.date_time, other.external_attr, other.compress_type
-            )  # fmt: skip
-            same = old.read(one) == copy.read(other)
-            assert same is (one.filename != "modelDescription.xml")
+            for name in ("filename", "date_time", "external_attr", "compress_type"):
+                assert getattr(one, name) == getattr(other, name)
+            assert (old.read(one) == copy.read(other)) is (one.filename != "modelDescription.xml")
     before, after = description(COIL).decode().splitlines(), description(new).decode().splitlines()
     kept = [line for line in after if "VendorAnnotations" not in line]
     changed = [(a, b) for a, b in zip(before, kept, strict=True) if a != b]
@@ -64,63 +57,55 @@ def test_the_copy_differs_in_the_start_values_only(tmp_path: Path) -> None:
     assert FMU(new).description.applied == {"R": 4.25, "L": 0.125}
 
 
-def test_the_copy_simulates_as_the_original_at_the_estimates(tmp_path: Path) -> None:
-    new = tmp_path / "New.fmu"
-    resistance, inductance = 4.0 + 1 / 3, 0.1 * math.pi
-    apply_result(result(tmp_path, {"R": (resistance, 0.01), "L": (inductance, 0.002)}), COIL, new)
-    times = np.arange(100) * 1e-3
+def test_copy_simulates_as_the_original_at_the_estimates(tmp_path: Path) -> None:
+    """The binary has its own start values: what the annotation lists is set, and gives the coil of those values."""
+    new, R, L, times = tmp_path / "New.fmu", 4.0 + 1 / 3, 0.1 * math.pi, np.arange(100) * 1e-3
+    apply_result(result(tmp_path, {"R": (R, 0.01), "L": (L, 0.002)}), COIL, new)
     experiment = Experiment(pd.DataFrame({"time": times, "u": 1.0, "i": 0.0}), ["u"], ["i"])
     simulated = Simulator(new, experiment)([])
-    np.testing.assert_array_equal(simulated, Simulator(COIL, experiment, values={"R": resistance, "L": inductance})([]))
-    np.testing.assert_allclose(
-        simulated[:, 0], (1 - np.exp(-resistance / inductance * times)) / resistance, rtol=1e-9, atol=1e-12
-    )
+    np.testing.assert_array_equal(simulated, Simulator(COIL, experiment, values={"R": R, "L": L})([]))
+    np.testing.assert_allclose(simulated[:, 0], (1 - np.exp(-R / L * times)) / R, rtol=1e-9, atol=1e-12)
 
 
-def test_an_ssv_file_is_applied_in_the_units_of_the_fmu(tmp_path: Path) -> None:
-    exponents = (1, 2, -2, -2, 0, 0, 0, 0)  # kg.m2.s-2.A-2
-    units = {"mH": Unit("mH", exponents, 1e-3, 0.0, {})}
-    write_ssv(tmp_path / "x.ssv", "n", {"L": Quantity(150.0, "mH"), "R": Quantity(5)}, units)
-    applied = apply_result(tmp_path / "x.ssv", COIL, tmp_path / "New.fmu")
+def ssv(tmp_path: Path, values: dict[str, Quantity], units: Any = None) -> Path:
+    write_ssv(tmp_path / "x.ssv", "n", values, units or {})
+    return tmp_path / "x.ssv"
+
+
+def unit(name: str, factor: float) -> dict[str, Unit]:
+    return {name: Unit(name, (1, 2, -2, -2, 0, 0, 0, 0), factor, 0.0, {})}  # kg.m2.s-2.A-2
+
+
+def test_ssv_file_is_applied_in_the_units_of_the_fmu(tmp_path: Path) -> None:
+    given = ssv(tmp_path, {"L": Quantity(150.0, "mH"), "R": Quantity(5)}, unit("mH", 1e-3))
+    applied = apply_result(given, COIL, tmp_path / "New.fmu")
     assert [each.new for each in applied] == [pytest.approx(0.15, rel=1e-15), 5]
     assert all(math.isnan(each.std) for each in applied)
     assert FMU(tmp_path / "New.fmu").description.applied["R"] == 5.0
 
 
-def test_one_component_of_a_system(tmp_path: Path) -> None:
+def test_component_of_a_system(tmp_path: Path) -> None:
     models = {"drive": {"name": "PositionDrive", "digest": "0"}, "pc": {"name": "PositionController", "digest": "1"}}
     path = result(tmp_path, {"drive.M": (90.0, 1.0), "pc.kp": (150.0, 2.0), "drive.Fv": (200.0, 3.0)}, models=models)
-    applied = apply_result(path, DRIVE, tmp_path / "New.fmu", "drive")
-    assert [each.variable for each in applied] == ["M", "Fv"]
-    with pytest.raises(InputError, match="is a result of the system of drive, pc; say with --component"):
-        apply_result(path, DRIVE, tmp_path / "New.fmu")
-    with pytest.raises(InputError, match=r"no parameters of the component 'drvie' \(did you mean 'drive'"):
-        apply_result(path, DRIVE, tmp_path / "New.fmu", "drvie")
-    with pytest.raises(InputError, match="for the model PositionController, and the FMU is PositionDrive"):
-        apply_result(path, DRIVE, tmp_path / "New.fmu", "pc")
+    assert [each.variable for each in apply_result(path, DRIVE, tmp_path / "New.fmu", "drive")] == ["M", "Fv"]
+    for component, said in (((), "--component"), (("drvie",), "'drive'"), (("pc",), "PositionController")):
+        with pytest.raises(InputError, match=said):
+            apply_result(path, DRIVE, tmp_path / "New.fmu", *component)
 
 
 @pytest.mark.parametrize(
     ("values", "changes", "message"),
     [
-        ({"Rs": (4.0, 0.1)}, {}, r"Coil\.fmu has no variable 'Rs' \(did you mean 'R'"),
-        ({"i": (4.0, 0.1)}, {}, r"start value of 'i' may not be set \(causality output, variability continuous"),
+        ({"Rs": (4.0, 0.1)}, {}, "'Rs'.*'R'"),
+        ({"i": (4.0, 0.1)}, {}, "'i' may not be set"),
         ({"R[first]": (4.0, 0.1)}, {}, r"R\[first\] was estimated for one experiment"),
-        ({"R": (-4.0, 0.1)}, {}, r"'R' = -4 is beyond the min = 0 that .*Coil\.fmu declares; bound the parameter"),
-        ({"R": (4.0, None), "L": (0.1, 0.01)}, {}, r"NOT USABLE"),
-        (
-            {"R": (4.0, 0.1)},
-            {"outcome": "iteration_limit", "converged": False},
-            "NOT USABLE \\(not_converged: iteration_limit\\)",
-        ),
-        (
-            {"R": (4.0, 0.1)},
-            {"models": {"": {"name": "Motor", "digest": "0"}}},
-            "is a result for the model Motor, and the FMU is Coil",
-        ),
+        ({"R": (-4.0, 0.1)}, {}, "-4 .*min = 0"),
+        ({"R": (4.0, None), "L": (0.1, 0.01)}, {}, "R"),
+        ({"R": (4.0, 0.1)}, {"outcome": "iteration_limit", "converged": False}, "iteration_limit"),
+        ({"R": (4.0, 0.1)}, {"models": {"": {"name": "Motor", "digest": "0"}}}, "Motor.*Coil"),
     ],
 )
-def test_what_cannot_be_applied_is_one_sentence(
+def test_result_that_cannot_be_applied_is_refused(
     tmp_path: Path, values: dict[str, tuple[float, float | None]], changes: dict[str, Any], message: str
 ) -> None:
     path = result(tmp_path, values, **changes)
@@ -130,18 +115,17 @@ def test_what_cannot_be_applied_is_one_sentence(
 
 
 @pytest.mark.parametrize(
-    ("given", "message"),
+    ("values", "message"),
     [
-        (Quantity("text"), "'R' is the text 'text'; only numbers and truth values"),
-        (Quantity(True), "variable 'R' is of type Real and cannot start at True"),
-        (Quantity(1.0, "H"), "'R' is in 'H', which does not convert to 'Ohm'"),
+        ({"R": Quantity("text")}, "text 'text'"),
+        ({"R": Quantity(True)}, "cannot start at True"),
+        ({"R": Quantity(1.0, "H")}, "'H', which does not convert to 'Ohm'"),
+        ({}, r"x\.ssv has no parameters$"),
     ],
 )
-def test_wrong_ssv_values(tmp_path: Path, given: Quantity, message: str) -> None:
-    henry = Unit("H", (1, 2, -2, -2, 0, 0, 0, 0), 1.0, 0.0, {})
-    write_ssv(tmp_path / "x.ssv", "n", {"R": given}, {"H": henry})
+def test_wrong_ssv_values_are_refused(tmp_path: Path, values: dict[str, Quantity], message: str) -> None:
     with pytest.raises(InputError, match=message):
-        apply_result(tmp_path / "x.ssv", COIL, tmp_path / "New.fmu")
+        apply_result(ssv(tmp_path, values, unit("H", 1.0)), COIL, tmp_path / "New.fmu")
     assert not (tmp_path / "New.fmu").exists()
 
 
@@ -150,32 +134,24 @@ def test_fmi_3(tmp_path: Path) -> None:
     with zipfile.ZipFile(source, "w") as archive:
         archive.writestr("modelDescription.xml", FMI_3)
         archive.comment = b"made by hand"
-    write_ssv(tmp_path / "x.ssv", "n", {"A[2,3]": Quantity(7.5), "k": Quantity(-3)}, {})
-    applied = apply_result(tmp_path / "x.ssv", source, new)
+    applied = apply_result(ssv(tmp_path, {"A[2,3]": Quantity(7.5), "k": Quantity(-3)}), source, new)
     assert [(each.variable, each.old, each.new) for each in applied] == [("A[2,3]", 6.0, 7.5), ("k", -1, -3)]
     assert description(new) == with_starts(FMI_3.encode(), {"A[2,3]": 7.5, "k": -3})
     with zipfile.ZipFile(new) as archive:
         assert archive.comment == b"made by hand"
-    write_ssv(tmp_path / "x.ssv", "n", {"n": Quantity(2)}, {})
-    with pytest.raises(InputError, match=r"start value of 'n' may not be set \(causality structuralParameter"):
-        apply_result(tmp_path / "x.ssv", source, new)
+    with pytest.raises(InputError, match="structuralParameter"):
+        apply_result(ssv(tmp_path, {"n": Quantity(2)}), source, new)
 
 
-def test_an_ssv_file_without_values(tmp_path: Path) -> None:
-    write_ssv(tmp_path / "x.ssv", "n", {}, {})
-    with pytest.raises(InputError, match=r"x\.ssv has no parameters$"):
-        apply_result(tmp_path / "x.ssv", COIL, tmp_path / "New.fmu")
-
-
-def test_the_fmu_itself_is_not_overwritten(tmp_path: Path) -> None:
+def test_fmu_itself_is_not_overwritten(tmp_path: Path) -> None:
     path = tmp_path / "Coil.fmu"
     path.write_bytes(COIL.read_bytes())
-    with pytest.raises(InputError, match="is the FMU itself; choose another name"):
+    with pytest.raises(InputError, match="is the FMU itself"):
         apply_result(result(tmp_path, {"R": (4.5, 0.1)}), path, path)
     assert path.read_bytes() == COIL.read_bytes()
 
 
-def test_the_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_apply_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     result(tmp_path, {"R": (4.2512, 0.0123), "L": (0.125, 0.002)})
     new = tmp_path / "New.fmu"
     assert run(["apply", str(tmp_path), str(COIL), "-o", str(new)]) == DONE
@@ -187,56 +163,43 @@ def test_the_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None
     assert "New.fmu" in out
     assert FMU(new).description.applied == {"R": 4.2512, "L": 0.125}
     assert run(["apply", str(tmp_path / "gone"), str(COIL), "-o", str(new)]) == WRONG_INPUT
-    assert "error: " in capsys.readouterr().err
 
 
-# --- parameters.ssv
-
-
-def read_result(folder: Path, values: dict[str, tuple[float, float | None]], **changes: Any) -> Result:
+def estimated(folder: Path, values: dict[str, tuple[float, float | None]], **changes: Any) -> Result:
     return Result.from_json(result(folder, values, **changes))
 
 
-def test_estimates_as_ssv(tmp_path: Path) -> None:
-    system = System(components={"a": COIL, "b": COIL})
-    found = read_result(
-        tmp_path, {"a.R": (4.1 / 3, 0.0123), "b.L": (0.1, 1e-3), "b.R": (4.0, None), "a.i_start[x]": (1.0, 0.1)}
-    )
-    assert write_estimates(tmp_path, system, found) == [tmp_path / "parameters.ssv"]
-    read = fmpy_ssd.read_ssv(str(tmp_path / "parameters.ssv"), validate=True)
-    assert [(p.name, float(p.value), p.unit) for p in read.parameters] == [
-        ("a.R", 4.1 / 3, "Ohm"), ("b.L", 0.1, "H")
-    ]  # fmt: skip
-    own = read_ssv(tmp_path / "parameters.ssv")
+def test_estimates_are_written_as_ssv(tmp_path: Path) -> None:
+    values = {"a.R": (4.1 / 3, 0.0123), "b.L": (0.1, 1e-3), "b.R": (4.0, None), "a.i_start[x]": (1.0, 0.1)}
+    (path,) = write_estimates(tmp_path, System(components={"a": COIL, "b": COIL}), estimated(tmp_path, values))
+    assert path == tmp_path / "parameters.ssv"
+    read = fmpy_ssd.read_ssv(str(path), validate=True).parameters
+    assert [(p.name, float(p.value), p.unit) for p in read] == [("a.R", 4.1 / 3, "Ohm"), ("b.L", 0.1, "H")]
+    own = read_ssv(path)
     assert own.values["a.R"].description == "standard deviation 0.0123 Ohm"
     assert own.units["Ohm"].exponents == (1, 2, -3, -2, 0, 0, 0, 0)
 
 
-def test_a_unit_that_two_fmus_define_differently_is_left_out(tmp_path: Path) -> None:
-    with zipfile.ZipFile(COIL) as old, zipfile.ZipFile(tmp_path / "Other.fmu", "w") as other:
-        text = old.read("modelDescription.xml").decode()
+def test_unit_that_two_fmus_define_differently_is_left_out(tmp_path: Path) -> None:
+    with zipfile.ZipFile(tmp_path / "Other.fmu", "w") as other:
+        text = description(COIL).decode()
         changed = text.replace('<Unit name="H"><BaseUnit ', '<Unit name="H"><BaseUnit factor="2" ')
         assert changed != text
         other.writestr("modelDescription.xml", changed)
     system = System(components={"a": COIL, "b": tmp_path / "Other.fmu"})
-    (path,) = write_estimates(tmp_path, system, read_result(tmp_path, {"a.L": (0.1, 0.01), "a.R": (4.0, 0.1)}))
-    assert [(name, quantity.unit) for name, quantity in read_ssv(path).values.items()] == [
-        ("a.L", None),
-        ("a.R", "Ohm"),
-    ]
+    (path,) = write_estimates(tmp_path, system, estimated(tmp_path, {"a.L": (0.1, 0.01), "a.R": (4.0, 0.1)}))
+    assert {name: each.unit for name, each in read_ssv(path).values.items()} == {"a.L": None, "a.R": "Ohm"}
 
 
 def test_estimates_written_and_applied_again_are_the_same(tmp_path: Path) -> None:
-    found = read_result(tmp_path, {"R": (math.pi, 0.01), "L": (math.e / 10, 0.01)})
+    found = estimated(tmp_path, {"R": (math.pi, 0.01), "L": (math.e / 10, 0.01)})
     (path,) = write_estimates(tmp_path, System(COIL), found)
     applied = apply_result(path, COIL, tmp_path / "New.fmu")
     assert {each.variable: each.new for each in applied} == {"R": math.pi, "L": math.e / 10}
 
 
-@pytest.mark.parametrize(("values", "changes"), [({"R": (4.0, 0.1)}, {"outcome": "stalled"}), ({"R": (4.0, None)}, {})])
-def test_no_file_without_a_value_to_trust(
-    tmp_path: Path, values: dict[str, tuple[float, float | None]], changes: dict[str, Any]
-) -> None:
+@pytest.mark.parametrize(("std", "changes"), [(0.1, {"outcome": "stalled"}), (None, {})])
+def test_no_file_without_a_reliable_value(tmp_path: Path, std: float | None, changes: dict[str, Any]) -> None:
     (tmp_path / "parameters.ssv").write_text("of an earlier run")
-    assert write_estimates(tmp_path, System(COIL), read_result(tmp_path, values, **changes)) == []
+    assert write_estimates(tmp_path, System(COIL), estimated(tmp_path, {"R": (4.0, std)}, **changes)) == []
     assert not (tmp_path / "parameters.ssv").exists()

@@ -1,7 +1,8 @@
-"""Charts of a batch, and its page."""
+"""A batch in files, on the console and in charts: their data are what was computed."""
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -11,12 +12,18 @@ from scipy import stats
 
 from fmuid.reports import chart
 from fmuid.reports.document import Document
+from fmuid.reports.publish import write_figures
 from fmuid.reports.render.html import page
 from fmuid.reports.topics import batch as topic
-from fmuid.reports.topics import case_charts as batch
-from fmuid.reports.topics.batch_tables import tables_of
+from fmuid.reports.topics import case_charts
+from fmuid.reports.topics.batch_tables import tables_of, write_tables
+from fmuid.runs.batch.statistics import BatchColumns
 from fmuid.runs.batch.summary import summarize
 from tests.support.charts import layers, legend, rules
+from tests.support.drawn_batches import TRUTH, UNITS, batch, fail, show_batch
+
+near = np.testing.assert_allclose
+Z = stats.norm.ppf(0.975)
 
 
 def cases(count: int, **columns: Any) -> pd.DataFrame:
@@ -29,71 +36,59 @@ def cases(count: int, **columns: Any) -> pd.DataFrame:
     return pd.DataFrame({"case": range(count), **columns, "status": status, **values, **stds})
 
 
-def test_over_cases() -> None:
+def test_few_cases_have_intervals_many_are_thinned() -> None:
     frame = cases(20)
     frame.loc[2, "value.R"] = 4.25
-    few, _ = batch.over_cases(frame, {"R": 4.0}, {"R": "Ohm"})
+    few, _ = case_charts.over_cases(frame, {"R": 4.0}, {"R": "Ohm"})
     bars, missing = layers(few, "segments")
-    missed = np.abs(frame["value.R"] - 4.0) > stats.norm.ppf(0.975) * 0.1
+    missed = np.abs(frame["value.R"] - 4.0) > Z * 0.1
     assert [len(bars["x0"]), list(missing["x0"])] == [19 - missed.sum(), list(np.flatnonzero(missed))]
-    np.testing.assert_allclose(bars["y1"] - bars["y0"], 2 * 1.959964 * 0.1, rtol=1e-6)
+    near(bars["y1"] - bars["y0"], 2 * Z * 0.1, rtol=1e-6)
     assert list(layers(few, "points")[1]["x"]) == [19]
     assert legend(few) == ["95 % interval", "misses the true value", "estimate", "failed"]
     assert rules(few) == [("y", 4.0)]
     assert few.y.label == "R (Ohm)"
-    some, _ = batch.over_cases(cases(chart.LIMITS.dots), {}, {})
+    some, _ = case_charts.over_cases(cases(chart.LIMITS.dots), {}, {})
     assert layers(some, "segments") == []
     assert len(layers(some, "points")[0]["x"]) == chart.LIMITS.dots - 1
-    many, _ = batch.over_cases(cases(30_000), {}, {})
+    many, _ = case_charts.over_cases(cases(30_000), {}, {})
     (cells,) = layers(many, "cells")
     assert cells["count"].sum() == 29_999
     assert len(cells["count"]) < chart.LIMITS.rows
     assert cells["alpha"].max() == 1.0
 
 
-def test_values_far_from_all_others_are_counted_instead_of_drawn() -> None:
+def test_outliers_are_counted_and_data_files_named() -> None:
     frame = cases(3000)
     frame.loc[:99, "value.R"] = 400.0
-    found, _ = batch.over_cases(frame, {}, {})
+    found, _ = case_charts.over_cases(frame, {}, {})
     assert legend(found)[0].endswith(" outside")
-    assert found.y.reach[1] is not None
-    assert found.y.reach[1] < 10.0
-
-
-def test_few_tables_are_named_at_the_axis() -> None:
-    found, _ = batch.over_cases(cases(3, table=["a.csv", "b.csv", "c.csv"]), {}, {})
+    assert found.y.reach[1] is not None and found.y.reach[1] < 10.0
+    found, _ = case_charts.over_cases(cases(3, table=["a.csv", "b.csv", "c.csv"]), {}, {})
     assert found.x.names == ("a.csv", "b.csv", "c.csv")
     assert layers(found, "points")[0]["x"] == ("a.csv", "b.csv")
 
 
-def test_where_searches_ended() -> None:
-    frame = cases(20, **{"start.R": np.linspace(1.0, 200.0, 20)})
-    frame["noise.i"] = np.where(np.arange(20) < 6, 4.0, 1.0)
-    frame["value.R"], frame["value.L"] = np.where(np.arange(20) < 6, 2.0, 4.0), 0.1
+def test_starting_points_and_their_optima() -> None:
+    """In order above: thirteen at the best optimum, six that leave twice the residual; one did not end."""
+    frame, other = cases(20, **{"start.R": np.linspace(1.0, 200.0, 20)}), np.arange(20) < 6
+    frame["noise.i"], frame["value.R"], frame["value.L"] = np.where(other, 4.0, 1.0), np.where(other, 2.0, 4.0), 0.1
     frame.loc[19, ["value.R", "value.L"]] = np.nan
-    above, ends = batch.over_starts(frame, {"R": 4.0}, {})
+    above, ends = case_charts.over_starts(frame, {"R": 4.0}, {})
     worse, best = (data["y"] for data in layers(above, "points"))
-    np.testing.assert_allclose(worse, np.full(6, 100.0))
-    np.testing.assert_allclose(best, np.full(13, 0.01))  # the floor
-    assert above.x.label == "cases, best first; 1 not converged"
+    near(worse, np.full(6, 100.0))
+    near(best, np.full(13, 0.01))  # the floor
+    assert above.x.label.endswith("1 not converged")
     assert (ends.x.label, ends.x.kind) == ("initial guess of R", "log")
 
 
-def test_distributions_are_densities_beside_what_the_std_promises() -> None:
-    found = cases(4001).iloc[:-1]
-    drawn, _ = batch.distributions(found, {"R": 4.0}, {}, repeated=True)
-    (bars,) = layers(drawn, "cells")
+def test_distributions_are_densities() -> None:
+    drawn, _ = case_charts.distributions(cases(4001).iloc[:-1], {"R": 4.0}, {}, repeated=True)
+    (bars,), (curve,) = layers(drawn, "cells"), layers(drawn, "line")
     assert np.sum(bars["top"] * (bars["right"] - bars["left"])) == pytest.approx(1.0)
-    (curve,) = layers(drawn, "line")
-    np.testing.assert_allclose(curve["y"], stats.norm.pdf(curve["x"], 4.0, 0.1))
-    assert legend(drawn) == ["estimates", "normal distribution of the stated σ"]
-    alone, _ = batch.distributions(found, {}, {}, repeated=False)
-    assert legend(alone) == ["estimates"]
-
-
-def test_each_setting_has_an_outline_of_its_own() -> None:
+    near(curve["y"], stats.norm.pdf(curve["x"], 4.0, 0.1))
     found = cases(401, **{"set.M": [1.0, 2.0] * 200 + [1.0]}).iloc[:-1]
-    drawn, _ = batch.distributions(found, {}, {}, repeated=False)
+    drawn, _ = case_charts.distributions(found, {}, {}, repeated=False)
     assert legend(drawn) == ["M = 1", "M = 2"]
     assert len({(each.color, each.dash) for each in drawn.layers}) == 2
 
@@ -101,34 +96,96 @@ def test_each_setting_has_an_outline_of_its_own() -> None:
 def test_spread_has_the_band_of_chance() -> None:
     """(n − 1) s²/σ² is χ² of n − 1 degrees of freedom."""
     summary = pd.DataFrame({"parameter": ["R", "L"], "cases": [11, 101], "ratio": [1.3, 0.9]})
-    (band,) = layers(batch.spread(summary), "bars")
-    np.testing.assert_allclose(stats.chi2.cdf(band["x0"] ** 2 * [10, 100], [10, 100]), 0.025)
-    np.testing.assert_allclose(stats.chi2.cdf(band["x"] ** 2 * [10, 100], [10, 100]), 0.975)
+    (band,) = layers(case_charts.spread(summary), "bars")
+    near(stats.chi2.cdf(band["x0"] ** 2 * [10, 100], [10, 100]), 0.025)
+    near(stats.chi2.cdf(band["x"] ** 2 * [10, 100], [10, 100]), 0.975)
 
 
 def test_over_a_setting() -> None:
     found = cases(301, **{"set.M": np.repeat([1.0, 2.0, 3.0], [100, 100, 101])}).iloc[:-1]
-    drawn, _ = batch.over_setting(found, "set.M", {}, {"M": "H"})
+    drawn, _ = case_charts.over_setting(found, "set.M", {}, {"M": "H"})
     assert drawn.x.label == "M (H)"
-    (line,) = layers(drawn, "line")
-    np.testing.assert_allclose(line["y"], found.groupby("set.M")["value.R"].mean())
-    spread = stats.norm.ppf(0.975) * found.groupby("set.M")["value.R"].std().to_numpy()
-    (bars,) = layers(drawn, "segments")
-    np.testing.assert_allclose(bars["y1"] - bars["y0"], 2 * spread)
-    *_, low, high = layers(drawn, "points")
-    np.testing.assert_allclose(high["y"] - low["y"], 2 * stats.norm.ppf(0.975) * 0.1)
-    words, _ = batch.over_setting(found.assign(table=["a", "b"] * 150), "table", {}, {})
+    (line,), (bars,), (*_, low, high) = (layers(drawn, mark) for mark in ("line", "segments", "points"))
+    groups = found.groupby("set.M")["value.R"]
+    near(line["y"], groups.mean())
+    near(bars["y1"] - bars["y0"], 2 * Z * groups.std().to_numpy())
+    near(high["y"] - low["y"], 2 * Z * 0.1)
+    words, _ = case_charts.over_setting(found.assign(table=["a", "b"] * 150), "table", {}, {})
     assert words.x.names == ("a", "b")
-    single, _ = batch.over_setting(cases(41, **{"set.M": np.arange(41.0)}).iloc[:-1], "set.M", {}, {})
+    single, _ = case_charts.over_setting(cases(41, **{"set.M": np.arange(41.0)}).iloc[:-1], "set.M", {}, {})
     assert legend(single) == ["estimate"]  # a mean of one is the estimate itself
 
 
-def test_the_page_of_a_batch() -> None:
+def test_page_of_a_batch() -> None:
     frame = cases(40, draw=range(40)).assign(message=["converged"] * 39 + ["fmi2Error <b>"])
     summary = summarize(frame, {"R": 4.0}, {"R": "Ohm"})
     sections = [*tables_of(summary), *topic.charts_of(frame, summary, {"R": 4.0}, {}, given_noise=False)]
-    found = Document("batch", "Batch", "x", "doubt", tuple(topic.summary_remarks(summary)), tuple(sections))
-    text = page("Draws", [found])
+    text = page(
+        "Draws", [Document("batch", "Batch", "x", "doubt", tuple(topic.summary_remarks(summary)), (*sections,))]
+    )
     for words in ("39 of 40 cases converged", "fmi2Error &lt;b&gt;", "Draws", "Cases without estimate", "Ohm"):
         assert words in text, words
     assert text.count("data-root-id") == 2 + 2 + 1 + 1
+
+
+def test_tables_are_written_as_csv(tmp_path: Path) -> None:
+    (tmp_path / "groups.csv").write_text("old")
+    (tmp_path / "mine.csv").write_text("the user's")
+    summary = summarize(fail(batch({"draw": range(40)}), [1], ["no"]), TRUTH, UNITS)
+    assert [path.name for path in write_tables(summary, tmp_path)] == ["summary.csv", "failures.csv"]
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["failures.csv", "mine.csv", "summary.csv"]
+    back = pd.read_csv(tmp_path / "summary.csv", keep_default_na=False, na_values=[""], dtype={"note": str})
+    np.testing.assert_array_equal(back["mean"], summary.parameters["mean"])
+
+
+def test_console(capsys: pytest.CaptureFixture[str]) -> None:
+    frame = batch({"set.M": np.repeat([0.4, 0.47], 40), "draw": np.tile(np.arange(40), 2)}, spread=2.0)
+    output = BatchColumns.of(frame).outputs[0]
+    frame[f"fit.{output}"] = np.where(np.arange(80) == 7, np.nan, np.linspace(90.0, 99.0, 80))
+    summary = summarize(fail(frame, [0], ["[bad] at t = 3 s"]), TRUTH, UNITS)
+    show_batch(summary)
+    said = capsys.readouterr().out
+    (row,) = summary.fits.to_dict("records")
+    fit = f"median {row['median']:.4g} %, minimum {row['least']:.4g} % (case {row['case']})"
+    heads = ("Estimates over all cases", "Estimates and true values", "By setting: mean ± spread")
+    for words in (*heads, fit, "[bad] at t = # s", "80 cases, 79 converged, 1 failed"):
+        assert words in said
+    assert max(map(len, said.splitlines())) <= 140
+
+
+def test_batch_without_estimates(capsys: pytest.CaptureFixture[str]) -> None:
+    frame = batch({"draw": range(3)})
+    for none, state in ((frame.iloc[:0], "no case has finished"), (fail(frame, [0, 1, 2], ["no"] * 3), "3 failed")):
+        show_batch(summarize(none, TRUTH))
+        assert state in capsys.readouterr().out
+        keys = [each.key for each in topic.charts_of(none, summarize(none, TRUTH), TRUTH, {}, given_noise=False)]
+        assert keys == (["failures"] if len(none) else [])
+
+
+FRAMES = [
+    batch({"draw": range(1)}),
+    batch({"draw": range(2)}),
+    batch({"set.M": [1.0, 2.0, 3.0], "set.N": [1.0, 1.0, 2.0]}),
+    batch({"set.M": np.linspace(0, 1, 3000), "set.N": np.linspace(1, 0, 3000)}),
+    batch({"set.on": [True, False]}),
+    batch({"free": ["R", "R L"]}),
+    batch({"table": [f"a very long name of a recording of a machine {k}.csv" for k in range(5)]}),
+    batch({"table": np.repeat(["a", "b"], 5), "draw": np.tile(np.arange(5), 2)}),
+    batch({"start.R": [1.0, 2.0, 3.0]}, spread=0.0),
+    fail(batch({"draw": range(3000)}), list(range(1, 3000)), ["no"] * 2999),
+    fail(batch({"start.R": [1.0, 2.0]}), [0], ["no"]),
+    fail(batch({"start.R": [1.0, 200.0] * 500, "free": ["R", "L"] * 500}), list(range(400)), ["no"] * 400),
+    batch({"draw": range(30)}).assign(**{"std.R": np.nan}),
+    batch({}, cases=1),
+]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("frame", FRAMES)
+def test_figures_without_a_warning(frame: pd.DataFrame, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    summary = summarize(frame, TRUTH, UNITS)
+    sections = topic.charts_of(frame, summary, TRUTH, {**UNITS}, given_noise=False)
+    assert sections
+    assert len(write_figures(tmp_path, sections, "png")) == len(sections)
+    show_batch(summary)
+    assert capsys.readouterr().out
