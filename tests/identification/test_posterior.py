@@ -89,23 +89,6 @@ def test_bound_cuts_a_normal() -> None:
     assert distance < stats.kstwo.ppf(0.9999, round(size))
 
 
-@pytest.mark.slow
-def test_estimate_on_a_bound() -> None:
-    """The mean lies beyond the bound, where half of all walkers would start: what remains is the tail."""
-    measured = 3.0 + np.random.default_rng(1).normal(size=20)
-    mean, std = float(measured.mean()), 1.0 / math.sqrt(20.0)
-    bound = mean + std
-    problem = LeastSquares.from_function(
-        lambda theta: theta[0] * np.ones(20), measured, {"a": Parameter(5.0, min=bound)}, noise=Noise(1.0)
-    )
-    posterior, result = sampled(problem, effective_size=1000)
-    assert result["a"] == bound
-    exact = stats.truncnorm(1.0, np.inf, mean, std)
-    assert posterior.converged
-    distance = stats.kstest(posterior.samples[:, 0], exact.cdf).statistic
-    assert distance < stats.kstwo.ppf(0.9999, round(posterior.effective_size.min()))
-
-
 # --- what the data leave open
 
 

@@ -133,12 +133,6 @@ def kalman(problem: LeastSquares, theta: Floats) -> Floats:
     return np.asarray(theta + combined @ sensitivity.T @ residual[:data])
 
 
-def test_the_kalman_form_of_a_linear_problem() -> None:
-    own = {name: Normal(mean, 0.1) for name, mean in zip(NAMES, MEAN, strict=True)}
-    problem, result = linear(noisy(np.random.default_rng(2)), own=own)
-    np.testing.assert_allclose(kalman(problem, MEAN), result.values, rtol=1e-6)
-
-
 def machine(noise: Noise, mean: Floats) -> LeastSquares:
     """Return the induction machine with the chapter's prior covariance around a mean."""
     study = Study.read(STUDY)
@@ -214,18 +208,6 @@ def test_whose_prior_moved_what() -> None:
     force = (1.3 - result["a"]) / 0.02**2
     np.testing.assert_allclose(reading.moves[:, 0], np.linalg.inv(information())[:, 0] * force, rtol=1e-5)
     assert ("b", "a") in {(each.name, each.prior) for each in reading.influences}
-
-
-def test_one_prior_is_compared_with_its_own_parameter() -> None:
-    y = noisy(np.random.default_rng(5))
-    reading = white_reading(*linear(y, own={"b": Normal(2.5, 0.1)}))
-    data = linear_least_squares(PHI, y)
-    variance = np.linalg.inv(information())[1, 1]
-    assert reading.agreement is not None
-    assert reading.agreement.degrees_of_freedom == 1
-    expected = (data.values[1] - 2.5) ** 2 / (0.1**2 + variance)
-    assert reading.agreement.statistic == pytest.approx(expected, rel=1e-5)
-    assert reading.conflict[1] == pytest.approx((data.values[1] - 2.5) / math.sqrt(0.1**2 + variance), rel=1e-5)
 
 
 def test_data_that_determine_combinations_only() -> None:

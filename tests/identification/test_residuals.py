@@ -172,29 +172,6 @@ def test_a_prior_feels_no_colour() -> None:
     assert with_prior["slow"] == pytest.approx(alone["slow"], rel=0.05)
 
 
-def test_a_robust_loss_keeps_the_factors() -> None:
-    """What colour does to the estimates is much the same for Huber's loss; clipping hides some of it."""
-    assert max(examined(white(12), loss="huber").widening.values()) < 1.15
-    noise = ar1(np.random.default_rng(6), 0.9, COUNT)
-    plain, robust = examined(noise).widening, examined(noise, loss="huber").widening
-    assert robust["level"] == pytest.approx(plain["level"], rel=0.25)
-
-
-@pytest.mark.slow
-def test_a_long_record_with_a_long_memory_takes_no_time() -> None:
-    """A drifting residual of 200 000 samples: all lags count, and are transformed rather than summed one by one."""
-    count = 200_000
-    drift = np.cumsum(np.random.default_rng(13).standard_normal(count))
-    times = np.arange(float(count))
-    frame = pd.DataFrame({"time": times, "u": np.sin(1e-3 * times), "y": 1e4 + drift})
-    experiment = Experiment(frame, inputs=["u"], outputs=["y"])
-    predictor = FunctionPredictor(lambda theta: np.full((count, 1), theta[0]), (count, 1))
-    problem = LeastSquares([predictor], [experiment], {"level": Parameter(1e4)})
-    found = analyze_residuals(problem, identify(problem))
-    assert found.widening["level"] > 50.0
-    assert all(each.trait is not ResidualDefect.INPUT for each in found.findings)
-
-
 def test_an_offset_is_named() -> None:
     """Without a parameter for the level, an offset stays in the residual."""
     frame = pd.DataFrame({"time": TIMES, "y": REGRESSORS[:, 1] + 0.5 + white(7)})

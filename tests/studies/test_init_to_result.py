@@ -17,15 +17,8 @@ from fmuid.data import Experiment
 from fmuid.errors import InputError
 from fmuid.models import System, read_description
 from fmuid.studies import Study
-from fmuid.studies.init.parameter_survey import (
-    ParameterProposal,
-    Survey,
-    _Changes,
-    _proposed,
-    _select,
-    is_solver_setting,
-    survey,
-)
+from fmuid.studies.init.parameter_survey import ParameterProposal as Use
+from fmuid.studies.init.parameter_survey import Survey, _Changes, _proposed, _select, is_solver_setting, survey
 from fmuid.studies.init.start_parameters import is_start
 from tests.support.coil_study import COIL, fmuid_, result
 from tests.support.exported import export_text
@@ -34,23 +27,6 @@ from tests.support.paths import FMUS
 
 pytestmark = pytest.mark.usefixtures("blank_figures")
 
-MOTOR = """
-model DCMotor "permanent-magnet motor"
-  parameter Real R(unit="Ohm") = 1.0 "armature resistance";
-  parameter Real L(unit="H") = 2e-3 "armature inductance";
-  parameter Real k(unit="N.m/A") = 0.05 "motor constant";
-  parameter Real J(unit="kg.m2") = 2e-4 "inertia";
-  parameter Real b(unit="N.m.s/rad") = 1e-4 "viscous friction";
-  parameter Real _nle_tolerance = 1e-8 "of the solver";
-  parameter Real w_start(unit="rad/s") = 0 "initial speed";
-  input Real u(unit="V");
-  output Real i(unit="A", start=0, fixed=true);
-  output Real w(unit="rad/s", start=w_start, fixed=true);
-equation
-  L*der(i) = u - R*i - k*w;
-  J*der(w) = k*i - b*w;
-end DCMotor;
-"""
 REACTOR = """
 model BatchReactor "growth on one substrate, after Monod"
   parameter Real mu_max = 0.4 "largest growth rate";
@@ -119,22 +95,6 @@ def machine(folder: Path) -> tuple[Path, dict[str, float]]:
     return FMUS / "InductionMachine/InductionMachine.fmu", truth
 
 
-def motor(folder: Path) -> tuple[Path, dict[str, float]]:
-    truth = {"R": 1.7, "L": 4e-3, "k": 0.08, "J": 1.2e-4, "b": 3e-4}
-    r, l_, k, j, b = truth.values()
-    t = np.arange(600.0) * 1e-3
-    u = 12 + 6 * np.sin(25 * t) + 4 * np.sin(120 * t)
-
-    def rates(at: float, x: Floats) -> list[float]:
-        return [(np.interp(at, t, u) - r * x[0] - k * x[1]) / l_, (k * x[0] - b * x[1]) / j]
-
-    x = integrated(rates, [0.0, 0.0], t)
-    table = {"Time (ms)": 1e3 * t, "Voltage": u, "Current [A]": noisy(x[0], 0.01, 1)}
-    table |= {"Drehzahl [n/min]": noisy(x[1], 0.01, 2) * 30 / np.pi}
-    pd.DataFrame(table).to_csv(folder / "bench.csv", index=False)
-    return export_text(folder, MOTOR), truth
-
-
 def reactor(folder: Path) -> tuple[Path, dict[str, float]]:
     truth = {"mu_max": 0.52, "Y_XS": 0.48, "X0": 0.17, "S0": 16.0}
     mu, y, x0, s0 = truth.values()
@@ -151,10 +111,7 @@ def reactor(folder: Path) -> tuple[Path, dict[str, float]]:
     return export_text(folder, REACTOR), truth
 
 
-SLOW = (machine, motor, reactor)
-
-
-@pytest.mark.parametrize("case", [coil, *(pytest.param(each, marks=pytest.mark.slow) for each in SLOW)])
+@pytest.mark.parametrize("case", [coil, *(pytest.param(each, marks=pytest.mark.slow) for each in (machine, reactor))])
 def test_no_edit_between(case: Callable[[Path], tuple[Path, dict[str, float]]], tmp_path: Path) -> None:
     fmu, truth = case(tmp_path)
     study = tmp_path / "study.toml"
@@ -189,12 +146,12 @@ def test_what_acts_alike_is_left_out() -> None:
     rng = np.random.default_rng(5)
     a, b, c = rng.standard_normal((3, 50))
     columns = np.column_stack([a, 3 * b, a + 3 * b, 1e-5 * c, 0.1 * c])
-    uses: list[ParameterProposal | None] = [None] * 5
+    uses: list[Use | None] = [None] * 5
     likes = _select(columns, np.linalg.norm(columns, axis=0), uses, [], columns / 1e-3)
-    assert uses.count(ParameterProposal.ALIKE) == 1
-    assert uses[:3].count(ParameterProposal.FREED) == 2
-    assert uses[3:] == [ParameterProposal.NOISE, ParameterProposal.FREED]
-    (out,) = (k for k in (0, 1, 2) if uses[k] is ParameterProposal.ALIKE)
+    assert uses.count(Use.ALIKE) == 1
+    assert uses[:3].count(Use.FREED) == 2
+    assert uses[3:] == [Use.NOISE, Use.FREED]
+    (out,) = (k for k in (0, 1, 2) if uses[k] is Use.ALIKE)
     assert sorted(likes[out]) == [k for k in (0, 1, 2) if k != out]
 
 
@@ -202,11 +159,11 @@ def test_what_the_noise_hides_is_left_out() -> None:
     """The second column is as strong as the noise lets it be seen by one standard deviation."""
     a, b = np.random.default_rng(5).standard_normal((2, 50))
     b -= (a @ b) / (a @ a) * a
-    for share, use in ((0.9, ParameterProposal.NOISE), (1.1, ParameterProposal.FREED)):
+    for share, use in ((0.9, Use.NOISE), (1.1, Use.FREED)):
         columns = np.column_stack([a, a + share * 0.1 * b / np.linalg.norm(b)])
-        uses: list[ParameterProposal | None] = [None, None]
+        uses: list[Use | None] = [None, None]
         _select(columns, np.linalg.norm(columns, axis=0), uses, [], columns / 0.1)
-        assert sorted(each.value for each in uses if each) == sorted([ParameterProposal.FREED.value, use.value])
+        assert sorted(each.value for each in uses if each) == sorted([Use.FREED.value, use.value])
 
 
 def changes(columns: Floats, starts: Floats, noise: float) -> _Changes:
@@ -222,19 +179,17 @@ def test_survey_frees_zero_or_start_values_rather_than_nothing() -> None:
     a, b, c = np.random.default_rng(6).standard_normal((3, 50))
     every = changes(np.column_stack([a, b, c]), np.array([0.0, 1.0, 1.0]), 0.1)
 
-    def uses(given: _Changes) -> dict[str, ParameterProposal]:
-        return {each.variable.name: each.use for each in _proposed(given, [2], {}, driven=True)}
+    def uses(given: _Changes) -> tuple[Use, ...]:
+        found = {each.variable.name: each.use for each in _proposed(given, [2], {}, driven=True)}
+        return found["p0"], found["p1"], found["p2"]
 
-    assert uses(every) == {"p0": ParameterProposal.ZERO, "p1": ParameterProposal.FREED, "p2": ParameterProposal.START}
-    hidden = replace(every, jacobian=np.column_stack([a, 1e-3 * b, c]))
-    assert uses(hidden) == {"p0": ParameterProposal.FREED, "p1": ParameterProposal.NOISE, "p2": ParameterProposal.START}
-    both = replace(every, jacobian=np.column_stack([1e-3 * a, 1e-3 * b, c]))
-    assert uses(both) == {
-        "p0": ParameterProposal.NOISE,
-        "p1": ParameterProposal.NOISE,
-        "p2": ParameterProposal.START_OPEN,
-    }
-    assert set(uses(replace(every, jacobian=1e-3 * every.jacobian)).values()) == {ParameterProposal.NOISE}
+    for sizes, expected in (
+        ((1, 1, 1), (Use.ZERO, Use.FREED, Use.START)),
+        ((1, 1e-3, 1), (Use.FREED, Use.NOISE, Use.START)),
+        ((1e-3, 1e-3, 1), (Use.NOISE, Use.NOISE, Use.START_OPEN)),
+        ((1e-3, 1e-3, 1e-3), (Use.NOISE,) * 3),
+    ):
+        assert uses(replace(every, jacobian=np.column_stack([a, b, c]) * sizes)) == expected
 
 
 BIASED = """
@@ -265,15 +220,8 @@ def test_survey_judges_effects_against_noise_and_inputs_against_offsets(tmp_path
         frame = pd.DataFrame({"time": t, "u": u + offset, "y": y + start * np.exp(-a * t)})
         found = survey(fmu, [Experiment(frame, ["u"], ["y"], interpolation="zoh")])
         uses[offset, start] = {each.variable.name: each.use for each in found.candidates}
-        assert [uses[offset, start][name] for name in ("a", "b", "c", "drift")] == [
-            *[ParameterProposal.FREED] * 3,
-            ParameterProposal.ZERO,
-        ]
-    assert [each["x_start"] for each in uses.values()] == [
-        ParameterProposal.START,
-        ParameterProposal.START,
-        ParameterProposal.START_FREED,
-    ]
+        assert [uses[offset, start][name] for name in ("a", "b", "c", "drift")] == [*[Use.FREED] * 3, Use.ZERO]
+    assert [each["x_start"] for each in uses.values()] == [Use.START, Use.START, Use.START_FREED]
 
 
 SPRING = """
@@ -301,15 +249,9 @@ def test_a_length_at_rest_is_no_start_value(tmp_path: Path) -> None:
     record = Experiment(pd.DataFrame({"time": t, "s": s}), [], ["s"])
     found = {each.variable.name: each for each in survey(export_text(tmp_path, SPRING), [record]).candidates}
     uses = {name: each.use for name, each in found.items()}
-    assert [uses[name] for name in ("c", "m")] in (
-        [ParameterProposal.FREED, ParameterProposal.ALIKE],
-        [ParameterProposal.ALIKE, ParameterProposal.FREED],
-    )
-    assert sorted([uses["s_rel0"].value, uses["fixed"].value]) == [
-        ParameterProposal.ALIKE.value,
-        ParameterProposal.FREED.value,
-    ]
-    assert uses["s0"] is ParameterProposal.START_OPEN
+    for pair in (("c", "m"), ("s_rel0", "fixed")):
+        assert {uses[name] for name in pair} == {Use.FREED, Use.ALIKE}
+    assert uses["s0"] is Use.START_OPEN
 
 
 def experiment(table: pd.DataFrame) -> Experiment:
@@ -319,16 +261,12 @@ def experiment(table: pd.DataFrame) -> Experiment:
 def test_start_values_are_freed_where_records_begin_elsewhere() -> None:
     t = np.arange(200.0) * 1e-3
     u: Floats = np.where(np.arange(200) % 40 < 20, 10.0, 0.0)
-    for i0, use in ((0.0, ParameterProposal.START), (0.7, ParameterProposal.START_FREED)):
+    for i0, use in ((0.0, Use.START), (0.7, Use.START_FREED)):
         i = current(t, u, i0, 4.0)
         found = survey(COIL, [experiment(pd.DataFrame({"time": t, "u": u, "i": i}))])
         candidates = {each.variable.name: each for each in found.candidates}
         assert candidates.keys() == {"R", "L", "i_start"}  # the current itself starts at i_start
-        assert [candidates[name].use for name in ("R", "L", "i_start")] == [
-            ParameterProposal.FREED,
-            ParameterProposal.FREED,
-            use,
-        ]
+        assert [candidates[name].use for name in ("R", "L", "i_start")] == [Use.FREED, Use.FREED, use]
         assert candidates["i_start"].start == pytest.approx(i0, abs=1e-4)
     # what 10 % of R change of the current, from the closed form moved by a thousandth
     difference = current(t, u, 0.7, 4.004) - current(t, u, 0.7, 4.0)

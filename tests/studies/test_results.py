@@ -59,24 +59,10 @@ def test_a_table_that_is_gone_needs_another_in_its_place(folder: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("text", "said"),
-    [
-        ("{}", "is of no schema"),
-        ("{", "is not JSON"),
-    ],
-)
-def test_a_file_that_is_no_result_is_refused(folder: Path, text: str, said: str) -> None:
-    (folder / "result.json").write_text(text)
-    with pytest.raises(InputError, match=said):
-        study_of(folder, in_place=folder / "second.csv")
-
-
-@pytest.mark.parametrize(
     ("origin", "said"),
     [
-        (None, "does not say by which study it was made: name the study file with --study"),
-        ({"study": None}, "does not say by which study it was made"),
-        ({"study": {}}, r"it has no 'origin\.study\.file'"),
+        (None, "--study"),
+        ({"study": {}}, r"origin\.study\.file"),
         ({"study": {"content": True}}, r"origin\.study\.content: the value should be"),
         ({"study": {"content": {"experiments": 3}}}, r"s\.toml: .*experiments"),
         ({"study": {"content": {"experiments": [3]}}}, r"s\.toml: .*experiments"),
@@ -90,11 +76,6 @@ def test_a_file_without_a_study_is_refused(folder: Path, origin: dict[str, Any] 
     written(folder, {"R": (4.0, 0.01)}, origin=origin)
     with pytest.raises(InputError, match=said):
         study_of(folder, in_place=folder / "second.csv")
-
-
-def test_there_is_no_such_result(folder: Path) -> None:
-    with pytest.raises(InputError, match=r"there is no such result: give a result\.json"):
-        study_of(folder / "nothing")
 
 
 def test_records_are_read_with_the_words_of_an_experiment(folder: Path) -> None:
