@@ -193,12 +193,6 @@ def test_script_needs_no_guard_and_warns_of_nothing(folder: Path, tmp_path: Path
     assert float(run.stdout) == pytest.approx(lag(TIMES, U, 2.0, 1.0)[-1], abs=1e-14)
 
 
-def test_default_is_in_process(folder: Path) -> None:
-    there = {process.pid for process in processes()}
-    Simulator(misbehaving_fmu(folder), RECORD, ["gain"])([2.0])
-    assert {process.pid for process in processes()} <= there
-
-
 # --- FMUs that fork, write into the connection, or stop processes
 
 

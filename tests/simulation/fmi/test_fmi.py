@@ -6,6 +6,7 @@ import zipfile
 from dataclasses import replace
 from pathlib import Path
 
+import fmpy
 import pytest
 
 from fmuid.errors import InputError
@@ -15,12 +16,7 @@ from fmuid.simulation.instance import Instance
 from tests.support.paths import FMUS
 from tests.support.probe_fmu import ProbeMaker
 
-
-@pytest.fixture(autouse=True)
-def own_cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    cache = tmp_path / "cache"
-    monkeypatch.setattr("platformdirs.user_cache_dir", lambda name: str(cache / name))
-    return cache
+pytestmark = pytest.mark.usefixtures("cache")
 
 
 def repack(source: Path, target: Path, entry: zipfile.ZipInfo | None = None, leave_out: str = "\0") -> Path:
@@ -98,68 +94,39 @@ def test_what_may_be_set(causality: str, variability: str, initial: str | None, 
     assert Variable("v", 0, "Float64", causality, variability, initial).settable is settable
 
 
-def test_unpacked_once_by_content(probe: ProbeMaker, own_cache: Path, tmp_path: Path) -> None:
-    fmu = FMU(probe())
-    assert not own_cache.exists()
-    directory = fmu.directory
-    assert directory.is_relative_to(own_cache)
-    marker = directory / "marker"
-    marker.touch()
-    copy = tmp_path / "copy.fmu"
-    copy.write_bytes(fmu.path.read_bytes())
-    assert FMU(copy).directory == directory
-    assert marker.exists()
-    assert [p.name for p in directory.parent.iterdir()] == [directory.name]  # nothing half unpacked is left
-
-
-def test_missing_file_and_no_zip(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match=r"no\.fmu: there is no such FMU file"):
-        FMU(tmp_path / "no.fmu")
-    (tmp_path / "text.fmu").write_text("hello")
-    with pytest.raises(InputError, match="not a zip archive"):
-        FMU(tmp_path / "text.fmu")
-
-
-def test_no_model_description_and_broken_xml(tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("files", "words"),
+    [
+        (None, r"a\.fmu: there is no such FMU file"),
+        ({}, "not a zip archive"),
+        ({"readme.txt": ""}, r"no modelDescription\.xml"),
+        ({"modelDescription.xml": "<fmiModelDescription"}, "not well-formed"),
+        ({"modelDescription.xml": '<fmiModelDescription fmiVersion="1.0"/>'}, r"FMI 1\.0, and only FMI 2\.0 and 3\.0"),
+        ({"modelDescription.xml": '<fmiModelDescription fmiVersion="4.0"/>'}, r"FMI 4\.0, and only FMI 2\.0 and 3\.0"),
+    ],
+)
+def test_unreadable_fmus_are_refused(tmp_path: Path, files: dict[str, str] | None, words: str) -> None:
     path = tmp_path / "a.fmu"
-    with zipfile.ZipFile(path, "w") as archive:
-        archive.writestr("readme.txt", "")
-    with pytest.raises(InputError, match=r"no modelDescription\.xml"):
+    if files == {}:
+        path.write_text("hello")
+    elif files is not None:
+        with zipfile.ZipFile(path, "w") as archive:
+            for name, text in files.items():
+                archive.writestr(name, text)
+    with pytest.raises(InputError, match=words):
         FMU(path)
-    with zipfile.ZipFile(path, "w") as archive:
-        archive.writestr("modelDescription.xml", "<fmiModelDescription")
-    with pytest.raises(InputError, match="not well-formed"):
-        FMU(path)
 
 
-@pytest.mark.parametrize("version", ["1.0", "4.0"])
-def test_other_fmi_versions(probe: ProbeMaker, version: str) -> None:
-    with pytest.raises(InputError, match=rf"FMI {version}, and only FMI 2\.0 and 3\.0 are read"):
-        FMU(probe(version=version))
-
-
-def test_no_binary_for_this_platform_says_which_there_are(tmp_path: Path) -> None:
-    import fmpy
-
-    fmu = FMU(repack(FMUS / "Coil" / "Coil.fmu", tmp_path / "Coil.fmu", leave_out=f"binaries/{fmpy.platform}/"))
-    others = {"linux64", "win64", "darwin64"} - {fmpy.platform}
-    with pytest.raises(InputError, match=f"no binary for this platform.*{', '.join(sorted(others))}"):
-        Instance(fmu, "co-simulation", "coil")
-
-
-def test_a_damaged_binary_is_one_sentence(tmp_path: Path) -> None:
-    import fmpy
-
-    source = FMUS / "Coil" / "Coil.fmu"
-    entry = zipfile.ZipInfo(f"binaries/{fmpy.platform}/Coil{fmpy.sharedLibraryExtension}")
-    fmu = FMU(repack(source, tmp_path / "Coil.fmu", entry, leave_out=f"binaries/{fmpy.platform}/"))
-    with pytest.raises(InputError, match=r"Coil\.fmu: instantiation failed"):
-        Instance(fmu, "co-simulation", "coil")
-
-
-def test_wrong_guid_gives_the_message_of_the_fmu() -> None:
-    source = FMUS / "Coil" / "Coil.fmu"
-    fmu = FMU(source)
+def test_missing_damaged_and_refusing_binaries_are_one_sentence(tmp_path: Path) -> None:
+    coil, here = FMUS / "Coil" / "Coil.fmu", f"binaries/{fmpy.platform}/"
+    entry = zipfile.ZipInfo(f"{here}Coil{fmpy.sharedLibraryExtension}")
+    others = sorted({"linux64", "win64", "darwin64"} - {fmpy.platform})
+    fmu = FMU(coil)
     object.__setattr__(fmu.description, "guid", "{another}")
-    with pytest.raises(InputError, match=r"instantiation failed: .*FMU: .*wrong token"):
-        Instance(fmu, "co-simulation", "coil")
+    for each, words in (
+        (FMU(repack(coil, tmp_path / "none.fmu", leave_out=here)), f"no binary for this platform.*{', '.join(others)}"),
+        (FMU(repack(coil, tmp_path / "bad.fmu", entry, leave_out=here)), r"bad\.fmu: instantiation failed"),
+        (fmu, "instantiation failed: .*FMU: .*wrong token"),
+    ):
+        with pytest.raises(InputError, match=words):
+            Instance(each, "co-simulation", "coil")

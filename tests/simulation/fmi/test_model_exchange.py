@@ -18,7 +18,7 @@ from fmuid.models.component import Component, Numerics
 from fmuid.models.system import System
 from fmuid.reports.topics.solver_check import run_words
 from fmuid.simulation.simulator import Simulator
-from tests.support.closed_forms import coil_response
+from tests.support.closed_forms import coil_response, park_rates
 from tests.support.paths import FMUS
 from tests.support.probe_fmu import ProbeMaker
 
@@ -110,19 +110,13 @@ def test_interpolation_is_chosen_for_each_input() -> None:
     path = FMUS / "InductionMachine" / "InductionMachine.fmu"
     got = Simulator(path, experiment, interface="model-exchange", integrator="rk45", tolerance=1e-11)([])
     declared = System(path).variables
-    Rs, Rr, Lm, Lf = (float(declared[name].start) for name in ("Rs", "Rr", "Lm", "Lf"))  # type: ignore[arg-type]
+    theta = [float(declared[name].start) for name in ("Rs", "Rr", "Lm", "Lf")]  # type: ignore[arg-type]
     curve = PchipInterpolator(times, uqs)
     x, expected = np.zeros(4), [[0.0, 0.0]]
     for k in range(29):
 
         def slope(t: float, x: Array, k: int = k) -> list[float]:
-            omega, (d, q, fd, fq) = np.interp(t, times, 150 + w), x
-            return [
-                (uds[k] - (Rs + Rr) * d + omega * Lf * q + Rr / Lm * fd + omega * fq) / Lf,
-                (curve(t) - (Rs + Rr) * q - omega * Lf * d + Rr / Lm * fq - omega * fd) / Lf,
-                Rr * d - Rr / Lm * fd,
-                Rr * q - Rr / Lm * fq,
-            ]
+            return park_rates(x, [uds[k], float(curve(t)), np.interp(t, times, 150 + w)], theta)
 
         x = solve_ivp(slope, times[k : k + 2].tolist(), x, "DOP853", rtol=1e-11, atol=1e-12).y[:, -1]
         expected.append([x[0], x[1]])
@@ -220,14 +214,6 @@ def test_discarded_steps_are_shortened(probe: ProbeMaker, way: str) -> None:
     assert Simulator(probe(way), experiment)([])[:, 0] == pytest.approx([0.0, 2.0, 4.0, 6.0])
     with pytest.raises(SimulationError, match="the FMU ended the simulation"):
         Simulator(probe(way, "ENDS"), experiment)([])
-
-
-def test_what_was_used_is_said() -> None:
-    assert run_words(System(COIL).components[""].how_run()) == "FMI 2.0 co-simulation"
-    exchanged = System(COIL, numerics=Numerics("model-exchange", tolerance=1e-5)).components[""]
-    assert run_words(exchanged.how_run()) == "FMI 2.0 model-exchange, integrator rk45, tolerance 1e-05"
-    stepped = System(COIL, numerics=Numerics("model-exchange", "rk4", step_size=1e-3)).components[""]
-    assert run_words(stepped.how_run()) == "FMI 2.0 model-exchange, integrator rk4, steps of at most 0.001 s"
 
 
 def test_a_stiff_model_is_integrated_as_such() -> None:

@@ -105,19 +105,6 @@ def test_a_library_of_other_sources_is_refused(monkeypatch: pytest.MonkeyPatch) 
     assert library._difference(core) == "CANCELLED"
 
 
-def test_structures_are_laid_out_as_the_compiler_did() -> None:
-    """Read back by C: what the first and the last field of a structure get arrives there."""
-    core = library.core()
-    assert ctypes.sizeof(core.Report) == 8 * codes.REPORT
-    assert ctypes.sizeof(core.Message) == 4 + 2048
-    assert core.Plan.slopes.size == ctypes.sizeof(core.Range) == 16
-    assert [type(getattr(core.Report(time=2.0), name)) for name in ("failure", "time")] == [int, float]
-    with pytest.raises(AttributeError):
-        core.Grid(n_tines=3)
-    with pytest.raises(AttributeError):
-        core.Grid().n_tines = 3
-
-
 @pytest.mark.parametrize(("field", "place"), [("offset", 8), ("size", 4)])
 def test_a_layout_that_ctypes_does_not_know_is_refused(field: str, place: int) -> None:
     class Library:

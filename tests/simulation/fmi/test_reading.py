@@ -242,11 +242,3 @@ def test_names_that_two_variables_share_are_refused(tmp_path: Path, text: str, v
     path = write_fmu(tmp_path / "a.fmu", text.replace("</ModelVariables>", f"{variable}</ModelVariables>"))
     with pytest.raises(InputError, match=rf"a\.fmu: its modelDescription.xml declares '{re.escape(name)}' more than"):
         read_description(path)
-
-
-def test_variables_of_one_reference_are_read(tmp_path: Path) -> None:
-    """Two names of one value are legal in FMI 2.0."""
-    alias = '<ScalarVariable name="same" valueReference="9"><Real unit="A"/></ScalarVariable>'
-    path = write_fmu(tmp_path / "a.fmu", FMI2.replace("</ModelVariables>", f"{alias}</ModelVariables>"))
-    variables = read_description(path).variables
-    assert variables["same"].reference == variables["i"].reference

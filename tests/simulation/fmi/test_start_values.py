@@ -124,22 +124,6 @@ def test_annotations_of_others_stay(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("text", "values", "read"),
-    [
-        (FMI_2, {"a": 1.0, "n": 2, 'b & "c"': 3.0}, {"a": "1.0", "n": "2", 'b & "c"': "3.0"}),
-        (FMI_3, {"R": 1.0, "A[2,3]": 2.0}, {"R": "1.0", "A": "1  2 3     4 5 2.0"}),
-    ],
-)
-def test_fmpy_reads_it_and_the_schema_of_the_standard_accepts_it(
-    tmp_path: Path, text: str, values: dict[str, float], read: dict[str, str]
-) -> None:
-    with zipfile.ZipFile(tmp_path / "x.fmu", "w") as archive:
-        archive.writestr("modelDescription.xml", with_starts(text.encode(), values))
-    starts = {v.name: v.start for v in read_model_description(str(tmp_path / "x.fmu"), validate=True).modelVariables}
-    assert {name: starts[name] for name in read} == read
-
-
-@pytest.mark.parametrize(
     ("text", "values", "message"),
     [
         (FMI_2, {"gone": 1.0}, "no scalar variable 'gone'"),
