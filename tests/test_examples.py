@@ -9,6 +9,7 @@ import doctest
 import inspect
 from pathlib import Path
 from types import ModuleType
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -27,19 +28,10 @@ def examples(name: str, found: object) -> list[doctest.DocTest]:
     return [each for each in doctest.DocTestFinder().find(found, name, globs=known) if each.examples]
 
 
-@pytest.mark.parametrize("name", NAMES)
-def test_every_public_name_has_an_example(name: str) -> None:
-    assert examples(name, getattr(fmuid, name)), f"fmuid.{name} has no example in its docstring"
-
-
-@pytest.mark.parametrize("name", [pytest.param(n, marks=pytest.mark.slow) if n in SLOW else n for n in NAMES])
-def test_examples(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    run(examples(name, getattr(fmuid, name)), tmp_path, monkeypatch)
-
-
 SIGNALS = [name for name, each in inspect.getmembers(fmuid.signals, inspect.isfunction)
            if each.__module__ == fmuid.signals.__name__ and not name.startswith("_")]  # fmt: skip
 NAMESPACES = [
+    *((fmuid, name) for name in NAMES),
     *((fmuid.datasets, name) for name in fmuid.datasets.__all__),
     *((fmuid.signals, name) for name in SIGNALS),
     *((fmuid.data, name) for name in ("ParkTransform", "preprocess")),
@@ -51,16 +43,17 @@ NAMESPACES = [
 ]
 
 
-@pytest.mark.parametrize(
-    ("namespace", "name"),
-    [pytest.param(*each, marks=pytest.mark.slow) if each[1] in SLOW else each for each in NAMESPACES],
-)
-def test_examples_of_namespaces(
-    namespace: ModuleType, name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    found = examples(name, getattr(namespace, name))
-    assert found
-    run(found, tmp_path, monkeypatch)
+def marked(namespace: ModuleType, name: str) -> Any:
+    return pytest.param(namespace, name, marks=pytest.mark.slow if name in SLOW else ())
+
+
+@pytest.mark.parametrize(("namespace", "name"), [marked(*each) for each in NAMESPACES])
+def test_examples(namespace: ModuleType, name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    run(examples(name, getattr(namespace, name)), tmp_path, monkeypatch)
+
+
+def test_every_name_has_an_example() -> None:
+    assert not [name for namespace, name in NAMESPACES if not examples(name, getattr(namespace, name))]
 
 
 def run(found: list[doctest.DocTest], folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -130,12 +130,9 @@ def scratch() -> Iterator[Path]:
 def positioning_drive() -> Numbers:
     """Identify the recorded drive in closed loop, from one of its records."""
     with scratch() as folder:
-        for study in ("study.toml",):
-            text = (ROOT / "experiments/emps" / study).read_text(encoding="utf-8")
-            text = text.replace("../../fmus", FMUS.as_posix()).replace(
-                "DATA_EMPS.mat", (DATA / "emps/DATA_EMPS.mat").as_posix()
-            )
-            (folder / study).write_text(text, encoding="utf-8")
+        text = (ROOT / "experiments/emps/study.toml").read_text(encoding="utf-8").replace("../../fmus", FMUS.as_posix())
+        text = text.replace("DATA_EMPS.mat", (DATA / "emps/DATA_EMPS.mat").as_posix())
+        (folder / "study.toml").write_text(text, encoding="utf-8")
         return of_result(fmuid.Study.read(folder / "study.toml").identify())
 
 

@@ -98,13 +98,8 @@ def test_initial_states_and_slopes_of_the_outputs(oscillator: Path) -> None:
 
 
 def test_units_are_those_of_the_table() -> None:
-    given = fmuid.Experiment(
-        pd.DataFrame({"time": TIMES, "u": 1e3 * INPUT, "i": INPUT}),
-        ["u"],
-        ["i"],
-        interpolation="zoh",
-        units={"u": "mV", "i": "mA"},
-    )
+    frame = pd.DataFrame({"time": TIMES, "u": 1e3 * INPUT, "i": INPUT})
+    given = fmuid.Experiment(frame, ["u"], ["i"], interpolation="zoh", units={"u": "mV", "i": "mA"})
     side = side_of(FMUS / "Coil" / "Coil.fmu", given, ["R"])
     states = np.full((78, 1), 2.0)
     slopes, outputs = side(states, np.array([[4.0]]))
@@ -116,10 +111,9 @@ def test_units_are_those_of_the_table() -> None:
 
 def test_without_model_exchange_of_one_fmu_there_is_none() -> None:
     coil = FMUS / "Coil" / "Coil.fmu"
-    pair = fmuid.System(components={"a": fmuid.Component(fmuid.FMU(coil)), "b": fmuid.Component(fmuid.FMU(coil))})
-    given = fmuid.Experiment(
-        pd.DataFrame({"time": TIMES, "u": INPUT, "i": INPUT}), {"a.u": "u"}, {"b.i": "i"}, interpolation="zoh"
-    )
+    pair = fmuid.System(components={"a": coil, "b": coil})
+    frame = pd.DataFrame({"time": TIMES, "u": INPUT, "i": INPUT})
+    given = fmuid.Experiment(frame, {"a.u": "u"}, {"b.i": "i"}, interpolation="zoh")
     assert RightHandSide.of(fmuid.Simulator(pair, given, ["a.R"])) is None
 
 
@@ -135,9 +129,8 @@ def test_corrections_follow_the_closed_form_of_the_coil() -> None:
     """Between samples the coil's exponential, at each measured one a jump of the gain times what is missing."""
     measured = RNG.standard_normal(40)
     measured[[5, 6, 20]] = np.nan
-    given = fmuid.Experiment(
-        pd.DataFrame({"time": TIMES, "u": INPUT, "i": measured}), ["u"], ["i"], interpolation="zoh"
-    )
+    frame = pd.DataFrame({"time": TIMES, "u": INPUT, "i": measured})
+    given = fmuid.Experiment(frame, ["u"], ["i"], interpolation="zoh")
     found = corrected(FMUS / "Coil" / "Coil.fmu", given, np.array([[0.6]]), np.array([4.0, 0.3]), ["R", "L"])[:, 0]
     i = 0.0
     for k in range(40):
