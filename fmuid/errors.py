@@ -30,7 +30,7 @@ class InputError(FmuidError):
     ...     fmuid.Parameter(start=1.0, min=2.0)
     ... except fmuid.InputError as error:
     ...     print(error)
-    start 1 lies outside its bounds, 2 to inf; move the start inside or widen min and max
+    start 1 is outside [2, inf]. Change start, min or max.
     """
 
 

@@ -138,7 +138,9 @@ class Document:
         --------
         >>> problem = fmuid.datasets.coil().problem()
         >>> print(fmuid.Document.of(fmuid.identify(problem)))
-        Converged after 8 iterations.
+        Converged after 4 iterations.
+        Solver error is below 0.005 σ.
+        Solver check: FMI 2.0 Model Exchange, rk45, tolerance 1e-09.
         """
         made: Document = renderer().document(found)
         return made
