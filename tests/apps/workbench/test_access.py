@@ -8,7 +8,6 @@ import http.client
 import json
 import re
 import socket
-import threading
 import zlib
 from collections.abc import Iterator
 from pathlib import Path
@@ -19,9 +18,9 @@ import pytest
 from fmuid.apps.workbench import Folder, Workbench, server
 from fmuid.errors import InputError
 from tests.support import plain_page
+from tests.support.workbench import PATIENCE, running
 
 OTHER_COOKIE = "jupyter=secret-of-another-server"
-PATIENCE = 60.0
 
 
 class Client:
@@ -85,19 +84,14 @@ def client(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Client]:
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(server, "_pages", lambda: {"/study": plain_page.build})
         patch.setenv("BOKEH_ALLOW_WS_ORIGIN", "*")
-        bench, ready = Workbench(Folder(folder / "work")), threading.Event()
-        thread = threading.Thread(target=bench.run, args=(ready.set,))
-        thread.start()
-        try:
-            assert ready.wait(PATIENCE)
+        with running(Workbench(Folder(folder / "work"))) as bench:
             yield Client(bench, folder / "work")
-        finally:
-            bench.stop()
-            thread.join(PATIENCE)
-    assert not thread.is_alive()
 
 
-def test_the_secret_of_the_first_address_becomes_a_cookie(client: Client) -> None:
+STATIC = "/static/js/bokeh.min.js"
+
+
+def test_token_of_the_first_address_becomes_a_cookie(client: Client) -> None:
     assert {"HttpOnly", "SameSite=Strict", "Path=/"} <= {part.strip() for part in client.set_cookie.split(";")}
     assert client.token not in client.cookie
     assert client.status("/", Cookie=client.cookie) == 200
@@ -105,32 +99,32 @@ def test_the_secret_of_the_first_address_becomes_a_cookie(client: Client) -> Non
     assert 'content="0;url=/evil.example/study?file=a%26b"' in page
 
 
-@pytest.mark.parametrize("path", ["/", "/study", "/static/js/bokeh.min.js", "/file/table.csv", "/own/style.css"])
-def test_nobody_is_answered_without_it(client: Client, path: str) -> None:
+@pytest.mark.parametrize("path", ["/", "/study", STATIC, "/file/table.csv", "/own/style.css"])
+def test_nobody_is_answered_without_the_cookie(client: Client, path: str) -> None:
     assert client.status(path) == 403
     assert client.status(path, Cookie=f"{client.cookie.split('=')[0]}=wrong") == 403
     assert client.status(f"{path}?token=wrong") == 403
     assert client.status(path, Cookie=client.cookie) == 200
 
 
-def test_a_foreign_name_of_this_machine_is_refused(client: Client) -> None:
+def test_foreign_hosts_and_pages_are_refused(client: Client) -> None:
     evil = f"evil.example:{client.port}"
-    assert client.status("/", Cookie=client.cookie, Host=evil) == 403
     assert client.status(f"/?token={client.token}", Host=evil) == 403
-    assert client.status("/static/js/bokeh.min.js", Cookie=client.cookie, Host=evil) == 403
-    assert client.status("/", Cookie=client.cookie, Host=f"localhost:{client.port}") == 200
-    assert client.status("/", Cookie=client.cookie, Host="127.0.0.1") == 403
+    for path, headers, status in (
+        ("/", {"Host": evil}, 403),
+        (STATIC, {"Host": evil}, 403),
+        ("/", {"Host": "127.0.0.1"}, 403),
+        ("/", {"Host": f"localhost:{client.port}"}, 200),
+        ("/study/autoload.js?bokeh-autoload-element=1", {}, 403),
+        ("/", {"Origin": "http://evil.example"}, 403),
+        ("/file/table.csv", {"Sec_Fetch_Site": "cross-site"}, 403),
+        ("/file/table.csv", {"Sec_Fetch_Site": "same-site"}, 403),
+        ("/file/table.csv", {"Sec_Fetch_Site": "same-origin"}, 200),
+    ):
+        assert client.status(path, Cookie=client.cookie, **headers) == status, (path, headers)
 
 
-def test_foreign_pages_are_refused(client: Client) -> None:
-    assert client.status("/study/autoload.js?bokeh-autoload-element=1", Cookie=client.cookie) == 403
-    assert client.status("/", Cookie=client.cookie, Origin="http://evil.example") == 403
-    assert client.status("/file/table.csv", Cookie=client.cookie, Sec_Fetch_Site="cross-site") == 403
-    assert client.status("/file/table.csv", Cookie=client.cookie, Sec_Fetch_Site="same-site") == 403
-    assert client.status("/file/table.csv", Cookie=client.cookie, Sec_Fetch_Site="same-origin") == 200
-
-
-def test_websockets_begin_for_the_own_page_alone(client: Client) -> None:
+def test_websockets_begin_for_the_own_page_only(client: Client) -> None:
     session, own = client.session(), f"http://{client.own}"
     assert client.websocket(session, origin=own) == "101 ACK"
     for origin in ("http://evil.example", "http://127.0.0.1:8888", "null", own.replace("http", "https")):
@@ -142,7 +136,7 @@ def test_websockets_begin_for_the_own_page_alone(client: Client) -> None:
     assert client.websocket(forged.rstrip("="), origin=own) == "101"
 
 
-def test_the_sessions_token_has_nothing_of_the_browser(client: Client) -> None:
+def test_session_token_contains_nothing_of_the_browser(client: Client) -> None:
     payload = json.loads(_decoded(client.session().split(".")[0]))
     told = json.dumps(payload) + zlib.decompress(_decoded(payload.get("__bk__zlib_", ""))).decode()
     assert "secret-of-another-server" not in told
@@ -156,7 +150,7 @@ def _decoded(text: str) -> bytes:
 
 
 @pytest.mark.parametrize("path", ["/", "/study", "/nowhere", "/static/js/bokeh.min.js", "/file/table.csv"])
-def test_no_page_frames_ours(client: Client, path: str) -> None:
+def test_pages_cannot_be_framed(client: Client, path: str) -> None:
     _, headers, _ = client.get(path, Cookie=client.cookie)
     assert "frame-ancestors 'none'" in headers["Content-Security-Policy"]
     assert headers["X-Frame-Options"] == "DENY"
@@ -165,22 +159,21 @@ def test_no_page_frames_ours(client: Client, path: str) -> None:
     assert (scripts[1] == "'self'") if scripts else path.startswith("/file/")
 
 
-def test_only_files_of_the_folder_are_given(client: Client) -> None:
+def test_only_files_of_the_folder_are_served(client: Client) -> None:
     assert client.get("/file/table.csv", Cookie=client.cookie)[2] == "time,i\n0,1\n"
     wrong = ["../outside.csv", "..%2Foutside.csv", "%2e%2e/outside.csv", "link.csv", ".secret.csv", "model.fmu", "%00"]
     for name in (*wrong, str(client.folder.parent / "outside.csv"), "/etc/passwd", ""):
         assert client.status(f"/file/{name}", Cookie=client.cookie) == 404, name
 
 
-def test_what_a_folder_refuses_is_said(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="folder not found"):
-        Folder(tmp_path / "nowhere")
-    with pytest.raises(InputError, match=r"'\.\.' is not in"):
-        Folder(tmp_path).path("..")
+def test_folder_refuses_what_is_outside(tmp_path: Path) -> None:
+    for name, said in (("nowhere", "folder not found"), (".", r"'\.\.' is not in")):
+        with pytest.raises(InputError, match=said):
+            Folder(tmp_path / name).path("..")
 
 
 @pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")  # Tornado leaves a socket open
-def test_a_port_in_use_is_said(tmp_path: Path) -> None:
+def test_port_in_use_is_refused(tmp_path: Path) -> None:
     with socket.socket() as taken:
         taken.bind(("127.0.0.1", 0))
         taken.listen()

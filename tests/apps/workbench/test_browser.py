@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import threading
 from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -20,10 +18,11 @@ from fmuid.runs import made_from
 from fmuid.studies import Study
 from tests.support.begun_batch import batch
 from tests.support.browser import PATIENCE, chromium
-from tests.support.coil_study import STUDY, coil_table
+from tests.support.coil_study import STUDY
 from tests.support.cut_wire import Wire
 from tests.support.misbehaving import Mode, misbehaving_fmu
 from tests.support.results import result
+from tests.support.workbench import coil_study, running
 
 pytestmark = pytest.mark.browser
 
@@ -71,30 +70,13 @@ def browser(tmp_path: Path) -> Iterator[Any]:
 
 @pytest.fixture
 def folder(tmp_path: Path) -> Path:
-    found = tmp_path / "work"
-    found.mkdir()
-    coil_table(found / "first.csv", 0.0, seed=1)
-    (found / "study.toml").write_text(STUDY)
-    return found
+    return coil_study(tmp_path / "work").parent
 
 
 @pytest.fixture
 def address(folder: Path) -> Iterator[str]:
     with running(Workbench(Folder(folder))) as bench:
         yield bench.address
-
-
-@contextmanager
-def running(bench: Workbench) -> Iterator[Workbench]:
-    ready = threading.Event()
-    thread = threading.Thread(target=bench.run, args=(ready.set,))
-    thread.start()
-    try:
-        assert ready.wait(PATIENCE)
-        yield bench
-    finally:
-        bench.stop()
-        thread.join(PATIENCE)
 
 
 def wait(driver: Any, script: str, patience: float = PATIENCE) -> None:

@@ -6,8 +6,6 @@ import json
 import shutil
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from types import SimpleNamespace
-from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -16,7 +14,6 @@ from bokeh.document import Document
 
 from fmuid.apps.workbench import Folder
 from fmuid.apps.workbench.home import _results, _studies
-from fmuid.apps.workbench.jobs import Jobs
 from fmuid.apps.workbench.pages import results as results_page
 from fmuid.apps.workbench.pages.batch import BatchPage
 from fmuid.apps.workbench.pages.study import StudyPage
@@ -24,9 +21,10 @@ from fmuid.errors import FmuidError
 from fmuid.studies import Study
 from tests.support.begun_batch import batch, write_part
 from tests.support.changed_types import with_changed_type
-from tests.support.coil_study import STUDY, coil_table
+from tests.support.coil_study import STUDY
 from tests.support.results import result
 from tests.support.running import run_study
+from tests.support.workbench import asked_for, bench_of, coil_study
 
 SEEDS = 65
 
@@ -34,17 +32,12 @@ SEEDS = 65
 @pytest.fixture(scope="module")
 def identified(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("identified")
-    coil_table(folder / "first.csv", 0.0, seed=1)
-    (folder / "study.toml").write_text(STUDY.replace("R = {", "R = { prior = { mean = 4.5, std = 1.0 },"))
-    run_study(folder / "study.toml", folder / "results")
+    study = coil_study(folder, STUDY.replace("R = {", "R = { prior = { mean = 4.5, std = 1.0 },"))
+    run_study(study, folder / "results")
     (folder / "sound").mkdir()
     result(folder / "sound", {"R": (4.25, 0.1)})
     batch(folder / "out", 4)
     return folder
-
-
-def bench_of(folder: Path) -> Any:
-    return SimpleNamespace(folder=Folder(folder), jobs=Jobs())
 
 
 def first_page(folder: Path) -> str:
@@ -53,9 +46,7 @@ def first_page(folder: Path) -> str:
 
 
 def page_of_results(folder: Path, *names: str) -> str:
-    doc: Any = Document()
-    request = SimpleNamespace(arguments={"file": [name.encode() for name in names]})
-    doc._session_context = lambda: SimpleNamespace(request=request)
+    doc = asked_for(*names)
     results_page.build(doc, bench_of(folder))
     return "".join(text for text, _ in doc.template_variables["pieces"])
 

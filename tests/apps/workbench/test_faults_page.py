@@ -5,7 +5,6 @@ from __future__ import annotations
 import shutil
 import threading
 from pathlib import Path
-from types import SimpleNamespace
 
 import pytest
 from bokeh.document import Document
@@ -13,17 +12,13 @@ from bokeh.models import Div
 
 import fmuid
 from fmuid.apps.cli.options import NOT_SUCCEEDED
-from fmuid.apps.workbench import Folder
-from fmuid.apps.workbench.jobs import Jobs
 from fmuid.apps.workbench.pages.faults import FaultsPage
 from fmuid.apps.workbench.pages.results_view import ResultsView
 from fmuid.errors import InputError
 from fmuid.studies import Study
-from tests.support.coil_study import STUDY, coil_table
 from tests.support.results import result
 from tests.support.running import run_diagnosis, run_monitoring, run_study
-
-PATIENCE = 120.0
+from tests.support.workbench import PATIENCE, bench_of, coil_study, finished
 
 
 def text(shown: ResultsView) -> str:
@@ -48,10 +43,8 @@ def test_what_is_written_is_shown_at_the_next_look(tmp_path: Path) -> None:
 
 
 def test_a_study_without_faults_is_refused(tmp_path: Path) -> None:
-    coil_table(tmp_path / "first.csv", 0.0, seed=1)
-    (tmp_path / "study.toml").write_text(STUDY)
     with pytest.raises(InputError, match=r"has no \[diagnosis\]"):
-        FaultsPage(Document(), SimpleNamespace(folder=Folder(tmp_path), jobs=Jobs()), tmp_path / "study.toml", "light")
+        FaultsPage(Document(), bench_of(tmp_path), coil_study(tmp_path), "light")
 
 
 @pytest.mark.slow
@@ -67,7 +60,7 @@ def test_a_diagnosis_is_begun_and_a_folder_is_followed(tmp_path: Path) -> None:
         "false_alarm_rate = 0.01\n"
     )
     study, doc = tmp_path / "faults.toml", Document()
-    page = FaultsPage(doc, SimpleNamespace(folder=Folder(tmp_path), jobs=Jobs()), study, "light")
+    page = FaultsPage(doc, bench_of(tmp_path), study, "light")
     assert page.records.options == ["", "records/", "records/one.csv"]
     page.monitor()
     assert "Choose a data file" in page.run.state.text
@@ -75,10 +68,7 @@ def test_a_diagnosis_is_begun_and_a_folder_is_followed(tmp_path: Path) -> None:
     assert page.words() == ["monitor", "faults.toml", "records", "--follow"]
 
     page.diagnose()
-    assert page.run.job is not None
-    page.run.job.close(PATIENCE)
-    page.run.look()
-    assert page.run.job.code == NOT_SUCCEEDED  # a fault
+    assert finished(page.run).code == NOT_SUCCEEDED  # a fault
     assert "turns" in text(page.shown)
     assert "Causes" in text(page.shown)
 

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import gzip
 from pathlib import Path
-from types import SimpleNamespace
-from typing import Any
 
 import numpy as np
 import pytest
@@ -13,13 +11,10 @@ from bokeh.document import Document
 from bokeh.models import ColumnDataSource
 
 from fmuid.apps.cli.options import DONE
-from fmuid.apps.workbench import Folder
-from fmuid.apps.workbench.jobs import Jobs
 from fmuid.apps.workbench.pages.new import NewPage
 from fmuid.studies import Study
 from tests.support.coil_study import COIL, coil_table
-
-PATIENCE = 120.0
+from tests.support.workbench import bench_of, finished
 
 
 @pytest.fixture
@@ -28,8 +23,7 @@ def page(tmp_path: Path) -> NewPage:
     coil_table(tmp_path / "bench.csv", 0.0, seed=1)
     text = (tmp_path / "bench.csv").read_text().replace("time,u,i", "time,U_soll,strom")
     (tmp_path / "bench.csv").write_text(text)
-    doc: Any = Document()
-    return NewPage(doc, SimpleNamespace(folder=Folder(tmp_path), jobs=Jobs()), "light")
+    return NewPage(Document(), bench_of(tmp_path), "light")
 
 
 def lines(page: NewPage) -> set[float]:
@@ -108,10 +102,7 @@ def test_the_study_is_written_by_the_command_that_is_shown(page: NewPage, tmp_pa
     page.output.value = "made.toml"
     assert "--output made.toml" in page.command.text
     page.write()
-    assert page.run.job is not None
-    page.run.job.close(PATIENCE)
-    page.run.look()
-    assert page.run.job.code == DONE, page.run.state.text
+    assert finished(page.run).code == DONE, page.run.state.text
     assert "study?file=made.toml" in page.run.state.text
     study = Study.read(tmp_path / "made.toml")
     assert sorted(study.parameters) == ["L", "R"]

@@ -8,7 +8,6 @@ import json
 import math
 import re
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 from urllib.parse import parse_qs, urlsplit
 
@@ -42,8 +41,8 @@ from tests.support.coil_study import COIL, STUDY, coil_table
 from tests.support.isolated import wait_until
 from tests.support.results import result
 from tests.support.running import run_study
+from tests.support.workbench import asked_for, bench_of, coil_study, finished
 
-PATIENCE = 120.0
 EVENTS_SEEN: tuple[Event, ...] = (
     Event(task="uncertainty", share=0.0),
     SearchStep(number=2, criterion=math.inf, damping=0.1, accepted=False, values={"R": 4.0}),
@@ -61,17 +60,6 @@ def test_commands_write_their_events_as_lines(tmp_path: Path, monkeypatch: pytes
     assert repr(tuple(map(of_line, told))) == repr(EVENTS_SEEN)  # NaN is not itself
     with pytest.raises(ValueError, match="no event"):
         of_line("{}")
-
-
-def bench_of(path: Path) -> Any:
-    return SimpleNamespace(folder=Folder(path), jobs=Jobs())
-
-
-def asked_for(*files: str) -> Any:
-    doc: Any = Document()
-    request = SimpleNamespace(arguments={"file": [name.encode() for name in files]})
-    doc._session_context = lambda: SimpleNamespace(request=request)
-    return doc
 
 
 def test_first_page_lists_studies_and_results(tmp_path: Path) -> None:
@@ -277,9 +265,7 @@ def test_a_case_leads_to_what_if_with_what_it_was_given_and_found(tmp_path: Path
 
 @pytest.mark.slow
 def test_a_result_is_passed_on_by_commands(tmp_path: Path) -> None:
-    coil_table(tmp_path / "first.csv", 0.0, seed=1)
-    (tmp_path / "study.toml").write_text(STUDY)
-    assert run_study(tmp_path / "study.toml", tmp_path / "results").succeeded
+    assert run_study(coil_study(tmp_path), tmp_path / "results").succeeded
     doc: Any = Document()
     page = WriteAction(doc, bench_of(tmp_path), tmp_path / "results")
     assert page.fmus[page.fmu.value] == COIL.resolve()
@@ -289,10 +275,7 @@ def test_a_result_is_passed_on_by_commands(tmp_path: Path) -> None:
         (tmp_path / "results" / written).unlink(missing_ok=True)
         pressed = next(each for each in page.run.buttons if each.label == act)
         pressed._trigger_event(ButtonClick(pressed))
-        assert page.run.job is not None
-        page.run.job.close(PATIENCE)
-        page.run.look()
-        assert page.run.job.code == DONE
+        assert finished(page.run).code == DONE
         assert (tmp_path / "results" / written).is_file()
         assert f"results/{written}<" in page.said.text
     found = fmuid.FMU(tmp_path / "results/Coil-identified.fmu").description.variables["R"].start
@@ -325,20 +308,15 @@ def test_what_is_to_be_predicted_is_looked_at_first(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_a_dropped_table_is_predicted(tmp_path: Path) -> None:
-    coil_table(tmp_path / "first.csv", 0.0, seed=1)
     coil_table(tmp_path / "second.csv", 0.0, seed=2)
-    (tmp_path / "study.toml").write_text(STUDY)
-    assert run_study(tmp_path / "study.toml", tmp_path / "results").succeeded
+    assert run_study(coil_study(tmp_path), tmp_path / "results").succeeded
     doc: Any = Document()
     page = PredictAction(doc, bench_of(tmp_path), tmp_path / "results")
     assert page.chosen.options == ["", "first.csv", "second.csv"]
     content = base64.b64encode((tmp_path / "second.csv").read_bytes()).decode()
     page.dropped = FileInput(filename="../third.csv", value=content)
     page.begin()
-    assert page.run.job is not None
-    page.run.job.close(PATIENCE)
-    page.run.look()
-    assert page.run.job.code == DONE
+    assert finished(page.run).code == DONE
     assert (tmp_path / "results/prediction/dropped/third.csv").is_file()
     assert "Done" in page.run.state.text
     assert "Prediction" in page.said.text

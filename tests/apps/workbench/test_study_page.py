@@ -5,7 +5,6 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 from urllib.parse import parse_qs, urlsplit
@@ -17,8 +16,6 @@ from bokeh.document.events import SessionCallbackAdded
 from bokeh.events import ButtonClick
 from bokeh.models import Button
 
-from fmuid.apps.workbench import Folder
-from fmuid.apps.workbench.jobs import Jobs
 from fmuid.apps.workbench.pages.live import LatestOnlyWorker
 from fmuid.apps.workbench.pages.sliders import PLACES, reach_of
 from fmuid.apps.workbench.pages.study import StudyPage
@@ -26,18 +23,11 @@ from fmuid.data import Normal, Parameter
 from fmuid.errors import InputError
 from fmuid.simulation import Simulator
 from fmuid.studies import Study
-from tests.support.coil_study import STUDY, coil_table
+from tests.support.coil_study import coil_table
 from tests.support.isolated import wait_until
 from tests.support.results import result
 from tests.support.running import run_study
-
-PATIENCE = 60.0
-
-
-@dataclass
-class Bench:
-    folder: Folder
-    jobs: Jobs = field(default_factory=Jobs)
+from tests.support.workbench import PATIENCE, bench_of, coil_study
 
 
 class Page:
@@ -48,7 +38,7 @@ class Page:
         self.due: list[Any] = []  # in the order in which a server would call them
         self.doc.on_change(self._note)
         study = Study.read(path, given)
-        self.page = StudyPage(self.doc, Bench(Folder(path.parent)), path, study, "light", given)
+        self.page = StudyPage(self.doc, bench_of(path.parent), path, study, "light", given)
         self.rows = {each.name: each for each in self.page.rows}
         self.settle()
 
@@ -76,10 +66,7 @@ class Page:
 
 @pytest.fixture(scope="module")
 def path(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    folder = tmp_path_factory.mktemp("page")
-    coil_table(folder / "first.csv", 0.0, seed=1)
-    (folder / "study.toml").write_text(STUDY)
-    return folder / "study.toml"
+    return coil_study(tmp_path_factory.mktemp("page"))
 
 
 @pytest.fixture(scope="module")
@@ -236,7 +223,7 @@ def test_last_optimum_is_shown_behind(copied: Path) -> None:
     page.page.put(values)
     page.settle()
     assert "at the optimum" in page.rows["R"].title.text
-    assert "converged" in page.page.identifying.text.text
+    assert "Converged" in page.page.identifying.text.text
     record = page.page.live.record
     left = (record.measured[:, 0] - page.shown())[record.counted[:, 0]]
     noise = found.fit.noise_variance["i"]
@@ -379,4 +366,4 @@ def test_distance_needs_a_covariance(page: Page, tmp_path: Path, L: Any, told: b
 def test_study_without_parameters_is_refused(path: Path) -> None:
     study = Study.of({**Study.read(path).data, "parameters": {}}, path)
     with pytest.raises(InputError, match="no free parameter"):
-        StudyPage(Document(), Bench(Folder(path.parent)), path, study, "light")
+        StudyPage(Document(), bench_of(path.parent), path, study, "light")

@@ -4,17 +4,13 @@ from __future__ import annotations
 
 import asyncio
 import logging
-import threading
 from collections.abc import Iterator
 from pathlib import Path
-from types import SimpleNamespace
-from typing import Any
 
 import pytest
 from bokeh.document import Document
 
 from fmuid.apps.workbench import Folder, Workbench, server
-from fmuid.apps.workbench.jobs import Jobs
 from fmuid.apps.workbench.pages.study import StudyPage
 from fmuid.processes import AVAILABLE, SERVER
 from fmuid.studies import Study
@@ -23,24 +19,17 @@ from tests.support.coil_study import coil_table
 from tests.support.isolated import processes, wait_until
 from tests.support.misbehaving import Mode, misbehaving_fmu
 from tests.support.tab import Tab
+from tests.support.workbench import PATIENCE, bench_of, running
 
-PATIENCE = 60.0
 NEEDS_PROCESSES = pytest.mark.skipif(not AVAILABLE, reason="FMUs are not run in processes of their own here")
 
 
 @pytest.fixture
 def bench(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Workbench]:
     monkeypatch.setattr(server, "_pages", lambda: {"/study": waiting_page.build})
-    found, ready = Workbench(Folder(tmp_path)), threading.Event()
-    thread = threading.Thread(target=found.run, args=(ready.set,))
-    thread.start()
-    try:
-        assert ready.wait(PATIENCE)
+    with running(Workbench(Folder(tmp_path))) as found:
         yield found
-    finally:
         waiting_page.go.set()
-        found.stop()
-        thread.join(PATIENCE)
 
 
 def test_closed_tab_is_served_no_more(bench: Workbench, caplog: pytest.LogCaptureFixture) -> None:
@@ -78,8 +67,7 @@ def test_closed_tab_leaves_no_process(tmp_path: Path, isolated: bool, mode: Mode
         SERVER.start()
     before, doc = len(processes()), Document()
     study = Study.read(tmp_path / "study.toml", isolated=isolated)
-    bench: Any = SimpleNamespace(folder=Folder(tmp_path), jobs=Jobs())
-    page = StudyPage(doc, bench, study.path, study, "light")
+    page = StudyPage(doc, bench_of(tmp_path), study.path, study, "light")
     wait_until(lambda: len(processes()) > before or not isolated, PATIENCE)
     if mode is Mode.SOUND:
         wait_until(lambda: doc.session_callbacks, PATIENCE)  # it has simulated

@@ -1,0 +1,62 @@
+"""Workbenches that tests open: served in a thread, or only what pages see of one."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+from bokeh.document import Document
+
+from fmuid.apps.workbench import Folder, Workbench
+from fmuid.apps.workbench.jobs import Jobs
+from tests.support.coil_study import STUDY, coil_table
+
+PATIENCE = 60.0
+
+
+@contextmanager
+def running(bench: Workbench) -> Iterator[Workbench]:
+    """Serve a workbench in a thread."""
+    ready = threading.Event()
+    thread = threading.Thread(target=bench.run, args=(ready.set,))
+    thread.start()
+    try:
+        assert ready.wait(PATIENCE)
+        yield bench
+    finally:
+        bench.stop()
+        thread.join(PATIENCE)
+    assert not thread.is_alive()
+
+
+def bench_of(path: Path) -> Any:
+    """Return what pages see of a workbench."""
+    return SimpleNamespace(folder=Folder(path), jobs=Jobs())
+
+
+def asked_for(*files: str) -> Any:
+    """Return the document of a page that is asked for these files."""
+    doc: Any = Document()
+    request = SimpleNamespace(arguments={"file": [name.encode() for name in files]})
+    doc._session_context = lambda: SimpleNamespace(request=request)
+    return doc
+
+
+def coil_study(folder: Path, text: str = STUDY) -> Path:
+    """Write a study of a coil with its data file."""
+    folder.mkdir(exist_ok=True)
+    coil_table(folder / "first.csv", 0.0, seed=1)
+    (folder / "study.toml").write_text(text)
+    return folder / "study.toml"
+
+
+def finished(panel: Any) -> Any:
+    """Wait for the command of a panel, and show its end; return the command."""
+    assert panel.job is not None, panel.state.text
+    panel.job.close(2 * PATIENCE)
+    panel.look()
+    return panel.job
