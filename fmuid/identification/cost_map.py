@@ -21,14 +21,13 @@ from fmuid.errors import InputError
 from fmuid.estimation import LeastSquares, Result, check_level, misfits, refuse_loss, spans_decades, variances
 from fmuid.identification.conditional_optimum import evaluator_of
 
-POINTS = 41  # along each side of a map; an odd number puts the estimate on the grid
-
 
 @dataclass(frozen=True)
 class CostMapSettings:
     """Numbers of a map."""
 
-    span_stds: float = 4.0  # how far a map reaches from the estimate, in standard deviations
+    points: int = 41  # along each side; an odd number puts the estimate on the grid
+    span_stds: float = 4.0  # reach of a map from the estimate, in σ
     ellipse_points: int = 181  # points of an ellipse, two degrees apart, the last one the first again
 
 
@@ -122,7 +121,7 @@ def map_cost(
     first: str,
     second: str,
     *,
-    points: int = POINTS,
+    points: int = SETTINGS.points,
     ranges: Mapping[str, tuple[float, float]] | None = None,
 ) -> CostMap:
     """Compute the cost on a grid over two parameters around the estimate.

@@ -19,13 +19,21 @@ from fmuid.identification.measured_states import MeasuredStates, both_ends, stat
 from fmuid.identification.problem import Problem
 from fmuid.simulation import RightHandSide
 
-FARTHEST = 300.0  # factor that bounds a parameter from where the search begins
-MOST_ITERATIONS = 50
-# A larger residual, in noise, may be a secondary optimum: shorter searches begin at other points, until it is halved.
-POOR, POINTS, SEED = 15.0, 2, 0
+
+@dataclass(frozen=True)
+class WeakFormSettings:
+    """Numbers of the search by the weak form."""
+
+    reach: float = 300.0  # factor that bounds a parameter from the starting point
+    iterations: int = 50
+    poor: float = 15.0  # noise levels; a larger residual may be a local optimum, and other points are tried ...
+    points: int = 2  # ... until it is halved
+    change: float = 0.01  # of the magnitudes, to find acting parameters
+    first_samples: int = 3  # whose median is the first state
+
+
+SETTINGS = WeakFormSettings()
 SECOND = Marquardt(max_iterations=12)
-CHANGE = 0.01  # shares of the magnitudes, by which acting parameters are found
-FIRST_SAMPLES = 3  # whose median is the first state
 
 
 def equation_start(problem: Problem, start: Floats) -> tuple[Floats, float] | None:
@@ -57,7 +65,7 @@ class _WeakRecord:
             raise InputError("the model has no accessible right-hand side.")
         times, values = experiment.times, experiment.output_values
         there = ~np.isnan(values)
-        if (there.sum(axis=0) < FIRST_SAMPLES).any():
+        if (there.sum(axis=0) < SETTINGS.first_samples).any():
             return None
         filled = np.column_stack(
             [np.interp(times, times[own], column[own]) for own, column in zip(there.T, values.T, strict=True)]
@@ -102,19 +110,19 @@ class _Scaled:
         return np.concatenate([record.residuals(thetas)[0] for record in self.records])
 
     def points(self, lower: Floats, upper: Floats) -> Floats:
-        """Return points (`POINTS`, n_acting) between bounds; shares stay at their start."""
-        units = sobol_points(lower.size, POINTS, SEED)
+        """Return points (n_points, n_acting) between bounds; shares stay at their start."""
+        units = sobol_points(lower.size, SETTINGS.points, seed=0)
         return np.where(self._logs, lower + units * (upper - lower), 0.0)
 
     def parameters(self, lower: Floats, upper: Floats) -> dict[str, Parameter]:
-        """Return the searched values as parameters, within the bounds (N,) and `FARTHEST`."""
+        """Return the searched values as parameters, within the bounds (N,) and the reach."""
         found = {}
         for j, (i, log) in enumerate(zip(self.acting.tolist(), self._logs.tolist(), strict=True)):
             value, scale = float(self.start[i]), float(self._scale[j])
             with np.errstate(divide="ignore", invalid="ignore"):
                 ends = np.array([lower[i], upper[i]]) / (value if log else scale)
                 ends = np.sort(np.log(np.maximum(ends, 0.0)) if log else ends)
-            farthest = np.log(FARTHEST) if log else FARTHEST
+            farthest = np.log(SETTINGS.reach) if log else SETTINGS.reach
             found[f"p{i}"] = Parameter(0.0, max(float(ends[0]), -farthest), min(float(ends[1]), farthest), nominal=1.0)
         return found
 
@@ -124,10 +132,10 @@ def _fitted(problem: Problem, records: list[_WeakRecord], start: Floats) -> tupl
     if not records:
         return None
     every = np.arange(start.size)
-    moved = np.vstack([start, start + np.diag(CHANGE * problem.parameters.magnitudes(start))])
+    moved = np.vstack([start, start + np.diag(SETTINGS.change * problem.parameters.magnitudes(start))])
     moved = np.clip(moved, problem.parameters.lower, problem.parameters.upper)
     still = moved[1:] == start  # at the upper bound
-    moved[1:][still.all(axis=1)] -= np.diag(CHANGE * problem.parameters.magnitudes(start))[still.all(axis=1)]
+    moved[1:][still.all(axis=1)] -= np.diag(SETTINGS.change * problem.parameters.magnitudes(start))[still.all(axis=1)]
     values = np.concatenate([record.residuals(moved) for record in records], axis=1)
     if not np.isfinite(values[0]).all():
         return None
@@ -139,8 +147,8 @@ def _fitted(problem: Problem, records: list[_WeakRecord], start: Floats) -> tupl
     given = scaled.parameters(problem.parameters.lower, problem.parameters.upper)
     search = Evaluator(LeastSquares.from_function(scaled, np.zeros(size), given, noise=Noise(1.0)))
     lower, upper = search.problem.parameters.lower, search.problem.parameters.upper
-    found = Marquardt(max_iterations=MOST_ITERATIONS).search(search)
-    enough = max(0.5 * size * POOR**2, found.fit.cost / 4.0)
+    found = Marquardt(max_iterations=SETTINGS.iterations).search(search)
+    enough = max(0.5 * size * SETTINGS.poor**2, found.fit.cost / 4.0)
     for theta in scaled.points(lower, upper):
         if found.fit.cost <= enough:
             break
@@ -164,7 +172,7 @@ def _with_initial_states(problem: Problem, records: list[_WeakRecord | None], th
         if not free.any():
             continue
         ((known, _),) = record.states(found[None, columns])
-        first = np.median(known[:FIRST_SAMPLES], axis=0)
+        first = np.median(known[: SETTINGS.first_samples], axis=0)
         step = np.linalg.lstsq(slopes[:, free], (first - states[0]) / record.side.nominals, rcond=1e-8)[0]
         where = columns[free]
         found[where] = np.clip(

@@ -17,10 +17,6 @@ from fmuid.errors import InputError
 from fmuid.identification.problem import Problem
 from fmuid.simulation import RightHandSide, Simulator
 
-TOLERANCE = 1e-7  # of the integration
-UNOBSERVED = 1e-12  # least singular value of the observability matrix, relative to the largest
-TINY = 1e-300
-
 
 def with_observer(problem: Problem, samples: float = 3.0) -> Problem:
     """Return a problem with a state observer, corrected at each sample.
@@ -61,7 +57,7 @@ def _observed(problem: Problem, index: int, start: Floats, samples: float) -> Si
     slopes, outputs = side.secants(theta)
     interval = float(np.median(np.diff(experiment.times)))
     gain = observer_gain(slopes, outputs[0] / simulator.output_factors[0], interval, samples)
-    return side.corrected(side.nominals[:, None] * gain, TOLERANCE)
+    return side.corrected(side.nominals[:, None] * gain, tolerance=1e-7)
 
 
 def observer_gain(slopes: Floats, output: Floats, interval: float, samples: float) -> Floats:
@@ -78,8 +74,8 @@ def observer_gain(slopes: Floats, output: Floats, interval: float, samples: floa
     step = scipy.linalg.expm(slopes * interval)
     powers = [np.linalg.matrix_power(step, k) for k in range(count + 1)]
     rows = np.array([output @ power for power in powers[1:]])
-    values = np.linalg.svd(rows / np.maximum(np.abs(rows).max(axis=0), TINY), compute_uv=False)
-    if not np.isfinite(rows).all() or not values[-1] > UNOBSERVED * values[0]:
+    values = np.linalg.svd(rows / np.maximum(np.abs(rows).max(axis=0), 1e-300), compute_uv=False)
+    if not np.isfinite(rows).all() or not values[-1] > 1e-12 * values[0]:
         raise InputError("not all states of the model are observable from the output.")
     pole = math.exp(-1.0 / samples)
     wanted = np.poly(np.full(count, pole))

@@ -37,17 +37,17 @@ from fmuid.identification.residual_analysis import ResidualAnalysis, analyze_res
 
 
 @dataclass(frozen=True)
-class InfluenceLimits:
-    """Limits above which the influence of a prior is named."""
+class PriorDataSettings:
+    """Limits above which the influence of a prior is named; reach of parabolas."""
 
     nonlinear_stds: float = 0.5  # distance of weighted mean and estimate that shows a nonlinear model
     least_move_stds: float = 1.0  # move of an estimate by the prior, ...
     resting_std_ratio: float = 2.0  # ... or factor of its σ without the prior
+    reach_stds: float = 2.5  # of parabolas around the three optima
+    points: int = 161  # of a parabola
 
 
-SETTINGS = InfluenceLimits()
-REACH = 2.5  # σ of the estimate around the three optima of the parabolas
-POINTS = 161  # of a parabola
+SETTINGS = PriorDataSettings()
 ESTIMATES = ("prior_std", "data", "data_std", "combined", "combined_std")
 EFFECTS = ("pull", "moved", "moved_by", "conflict", "weighted_mean", "nonlinearity")
 
@@ -291,10 +291,10 @@ def parabolas(reading: pd.DataFrame, name: str) -> pd.DataFrame:
     if not (np.isfinite(best) and 0.0 < std < np.inf):
         raise InputError(f"the estimate of {name!r} has no σ for a parabola.")
     least = [mean for mean, spread in parts.values() if np.isfinite(mean) and 0.0 < spread < np.inf]
-    grid = np.linspace(min(least) - REACH * std, max(least) + REACH * std, POINTS)
+    grid = np.linspace(min(least) - SETTINGS.reach_stds * std, max(least) + SETTINGS.reach_stds * std, SETTINGS.points)
     found = {"value": grid}
     for part, (mean, spread) in parts.items():
-        curve = ((grid - mean) / spread) ** 2 if spread < np.inf else np.full(POINTS, np.nan)
+        curve = ((grid - mean) / spread) ** 2 if spread < np.inf else np.full(SETTINGS.points, np.nan)
         found["both" if part == "combined" else part] = curve
     found["both"] += np.nan_to_num(float(row["conflict"])) ** 2
     return pd.DataFrame(found)

@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Generator
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import TypeVar
 
 import numpy as np
@@ -40,11 +40,20 @@ from fmuid.simulation import Refinement, is_controlled, is_free, next_refinement
 
 ACCURACIES = ("refine", "report", "off")
 """What may be done about the solver error."""
-START_TOLERANCE = 1e-6  # of Model Exchange at the starting point, relative
-START_DIVISIONS = 2  # of the step after a failed start; further failures have other reasons
-SURE_SHIFT = SHIFT_LIMIT / 3.0  # σ; smaller shifts stay small within a cell of the cache
+
+
+@dataclass(frozen=True)
+class SolverCheckSettings:
+    """Numbers of the solver check."""
+
+    start_tolerance: float = 1e-6  # of Model Exchange at the starting point, relative
+    start_divisions: int = 2  # of the step after a failed start; further failures have other reasons
+    sure_shift: float = SHIFT_LIMIT / 3.0  # σ; smaller shifts stay small within a cell of the cache
+    optima: int = 10  # of a box, from which a refined search goes on
+
+
+SETTINGS = SolverCheckSettings()
 RIVAL_CRITERION = 3.84  # cost above the best optimum, 95 % quantile of χ²(1); optima below it are as good
-MOST_OPTIMA = 10  # optima of a box from which a refined search goes on
 
 Found = TypeVar("Found")
 Steps = Generator[Trial, Result, Found]
@@ -110,7 +119,7 @@ class _SolverChecking:
 
     def _shorten_steps(self, finer: Refinement | None, at: Floats) -> None:
         """Use shorter steps where Co-Simulation fails at a start (N,)."""
-        for _ in range(START_DIVISIONS):
+        for _ in range(SETTINGS.start_divisions):
             if finer is None:
                 break
             if _is_sound(self.evaluator.predict_by(finer, at)):
@@ -120,7 +129,7 @@ class _SolverChecking:
 
     def _wrong_start(self, finer: Refinement, at: Floats, predicted: Floats) -> tuple[SwitchCause, float] | None:
         """Return the reason to leave the solver that gives `predicted` (n,)."""
-        exact = self.evaluator.predict_by(replace(finer, tolerance=START_TOLERANCE), at, start=True)
+        exact = self.evaluator.predict_by(replace(finer, tolerance=SETTINGS.start_tolerance), at, start=True)
         if not np.isfinite(exact).all():
             return None
         if not np.isfinite(predicted).all():
@@ -172,7 +181,11 @@ class _SolverChecking:
         error = self.evaluator.error_near(finer, fit.values, fit.std)
         if error is not None:
             found = estimate_solver_error(problem, fit, error, controlled=controlled)
-            if found.outcome is AccuracyOutcome.UNCHECKABLE or found.change < SHIFT_LIMIT or found.largest < SURE_SHIFT:
+            if (
+                found.outcome is AccuracyOutcome.UNCHECKABLE
+                or found.change < SHIFT_LIMIT
+                or found.largest < SETTINGS.sure_shift
+            ):
                 return replace(found, finer=self._how_run(finer))
         # to the last bit where the FMU may step as it likes: what the fit has kept is rounded
         predicted = stack_simulated(problem, fit) if finer.tolerance else self.evaluator.predict(fit.values[None])[0]
@@ -212,7 +225,7 @@ class _SolverChecking:
     def _optima_by(self, other: Evaluator[Problem]) -> Steps[tuple[tuple[Optimum, ...], int]]:
         """Search on by another solver; return optima and simulations."""
         fits: list[Result] = []
-        for each in self.optima[:MOST_OPTIMA]:
+        for each in self.optima[: SETTINGS.optima]:
             method = self.trial.method.marquardt
             try:
                 found = yield replace(self.trial, evaluator=other, method=method, start=each.fit.values)

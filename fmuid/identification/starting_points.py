@@ -28,7 +28,8 @@ from fmuid.estimation import (
     sobol_points,
 )
 from fmuid.events import Progress
-from fmuid.identification.equation_error_start import FARTHEST, POOR, equation_start
+from fmuid.identification.equation_error_start import SETTINGS as WEAK_FORM
+from fmuid.identification.equation_error_start import equation_start
 from fmuid.identification.problem import Problem
 from fmuid.identification.solver_check import RIVAL_CRITERION
 from fmuid.identification.strategies import START_LIMIT, Searches, Trial
@@ -262,7 +263,7 @@ def is_confirmed(one: EndedSearch, ended: Sequence[EndedSearch], equation_ratio:
         return False
     confirmed = sum(_agree(one, other) for other in ended if other.number != one.number)
     ratio = one.attempt.noise_ratio
-    is_explicable = ratio > POOR and ratio > MAX_NOISE_RATIO * equation_ratio
+    is_explicable = ratio > WEAK_FORM.poor and ratio > MAX_NOISE_RATIO * equation_ratio
     return confirmed > (1 if is_explicable else 0)
 
 
@@ -298,13 +299,13 @@ def corrected_start(evaluator: Evaluator[Problem], start: Floats, progress: Prog
 
 
 def _near(problem: Problem, start: Floats) -> ParameterSet:
-    """Return the parameters within `FARTHEST` of a start.
+    """Return the parameters within the reach of a start.
 
     Rough searches do not come back from vanishing parameters.
     """
     reach, sign = np.abs(start), np.sign(start)
-    least = np.where(sign > 0.0, reach / FARTHEST, -FARTHEST * reach)
-    most = np.where(sign < 0.0, -reach / FARTHEST, FARTHEST * reach)
+    least = np.where(sign > 0.0, reach / WEAK_FORM.reach, -WEAK_FORM.reach * reach)
+    most = np.where(sign < 0.0, -reach / WEAK_FORM.reach, WEAK_FORM.reach * reach)
     zero = sign == 0.0
     return problem.parameters.within(np.where(zero, -np.inf, least), np.where(zero, np.inf, most))
 

@@ -16,12 +16,20 @@ from fmuid.array_types import Floats
 from fmuid.data import Experiment
 from fmuid.simulation import Simulator
 
-TOO_LONG = 1000.0  # time constants; a recording of more, with each step longer than one, is doubted
-TOO_SHORT = 20.0  # recordings in a time constant; a usual one lasts ten to a hundred time constants
-MOVES = 0.2  # of the measured range; a model that moves less within the recording may be too slow
-LONGER = (10.0, 100.0, 1e3, 1e4)  # factors by which a recording is prolonged to see the model settle
-_LEFT, _SETTLED = 0.37, 0.3  # shares: of the way after a time constant, of a simulation in which a model settles
-_DECADES, _POINTS = 7, 150  # of the times after the jump
+
+@dataclass(frozen=True)
+class TimeScaleSettings:
+    """Numbers of the comparison."""
+
+    longest: float = 1000.0  # time constants; a longer recording, with each step longer than one, is doubted
+    shortest: float = 20.0  # recordings in a time constant; a usual one lasts ten to a hundred time constants
+    moves: float = 0.2  # of the measured range; a model that moves less within the recording may be too slow
+    longer: tuple[float, ...] = (10.0, 100.0, 1e3, 1e4)  # factors that prolong a recording until the model settles
+    left: float = 0.37  # fraction of the way after a time constant
+    settled: float = 0.3  # fraction of a simulation in which a model settles
+
+
+SETTINGS = TimeScaleSettings()
 
 
 class TimeScaleMismatch(Enum):
@@ -74,15 +82,15 @@ def doubt_of_time(simulator: Simulator, theta: Sequence[float]) -> TimeScaleWarn
     constants = _constants(times, values)
     if constants.size and np.isfinite(constants).all():
         slowest = float(constants.max())
-        if duration > TOO_LONG * slowest and step > slowest:
+        if duration > SETTINGS.longest * slowest and step > slowest:
             return TimeScaleWarning(TimeScaleMismatch.TOO_LONG, record.source, duration, step, slowest)
     if np.isfinite(constants).any() or not values.size or _moves(values, record):
         return None
-    for factor in LONGER:
+    for factor in SETTINGS.longer:
         found = _constants(*_response(simulator, theta, factor * duration))
         if np.isfinite(found).any():
             fastest = float(np.nanmin(found))
-            if fastest > TOO_SHORT * duration:
+            if fastest > SETTINGS.shortest * duration:
                 return TimeScaleWarning(TimeScaleMismatch.TOO_SHORT, record.source, duration, step, fastest)
             return None
     return None
@@ -91,7 +99,7 @@ def doubt_of_time(simulator: Simulator, theta: Sequence[float]) -> TimeScaleWarn
 def _response(simulator: Simulator, theta: Sequence[float], duration: float) -> tuple[Floats, Floats]:
     """Return times (n,) after an input jump, and outputs (n, m)."""
     record = simulator.experiment
-    after = np.concatenate([[0.0], duration * np.logspace(-_DECADES, 0, _POINTS)])
+    after = np.concatenate([[0.0], duration * np.logspace(-7, 0, 150)])
     largest = np.abs(record.input_values).argmax(axis=0) if record.input_names else np.zeros(0, dtype=np.intp)
     names = {name: f"input {k}" for k, name in enumerate(record.input_names)}
     columns = {names[name]: record.input_values[largest[k], k] for k, name in enumerate(record.input_names)}
@@ -115,8 +123,8 @@ def _constants(times: Floats, values: Floats) -> Floats:
     for y in values.T:
         away = np.abs(y - y[-1])
         if away.max() > 1e-6 * np.abs(y).max():
-            settled = float(times[np.flatnonzero(away > _LEFT * away.max())[-1] + 1])
-            found.append(settled if settled < _SETTLED * times[-1] else np.nan)
+            settled = float(times[np.flatnonzero(away > SETTINGS.left * away.max())[-1] + 1])
+            found.append(settled if settled < SETTINGS.settled * times[-1] else np.nan)
     return np.array(found)
 
 
@@ -126,4 +134,4 @@ def _moves(values: Floats, record: Experiment) -> bool:
         return True
     with np.errstate(over="ignore"):  # numbers beyond all measure move
         measured = np.nanstd(record.output_values, axis=0)
-    return bool((np.ptp(values, axis=0) > MOVES * measured).any())
+    return bool((np.ptp(values, axis=0) > SETTINGS.moves * measured).any())

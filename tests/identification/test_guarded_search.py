@@ -20,7 +20,7 @@ from fmuid.array_types import Floats
 from fmuid.codec import as_json
 from fmuid.estimation import Evaluator, RestartAttempt, SearchFailure, StartingPointSource
 from fmuid.identification import starting_points
-from fmuid.identification.equation_error_start import POOR, equation_start
+from fmuid.identification.equation_error_start import SETTINGS, equation_start
 from fmuid.identification.starting_points import EndedSearch, best_of, corrected_start, is_confirmed
 from tests.support.exported import export_text
 from tests.support.paths import FMUS
@@ -81,7 +81,7 @@ def test_the_equations_give_a_start_and_the_initial_states(motor: Path, record: 
     found = equation_start(whole, whole.parameters.start)
     assert found is not None
     theta, noise_ratio = found
-    assert 1.0 < noise_ratio < POOR
+    assert 1.0 < noise_ratio < SETTINGS.poor
     ratios = theta[:6] / record.truth
     assert (ratios > 1 / 3).all()
     assert (ratios < 3).all()

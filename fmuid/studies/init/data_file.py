@@ -24,13 +24,6 @@ if TYPE_CHECKING:
     from fmuid.studies.model import ExperimentSettings
 
 
-HELD_FRACTION = 0.5
-"""An input equal to its predecessor in more than this fraction of the samples is held."""
-
-MARK_DISTANCE = 10.0
-"""A repeated value at this distance from all others, in their ranges, marks missing samples."""
-
-
 def parse_column(name: str) -> str | int:
     """Return a column number from 1, or a name."""
     return int(name) if name.isdecimal() and int(name) > 0 else name
@@ -106,7 +99,7 @@ class MatchedDataFile:
 
     @cached_property
     def held(self) -> tuple[str, ...]:
-        """Inputs that are constant over most samples and then jump."""
+        """Inputs that are constant over more than half of the samples."""
         from pandas.api.types import is_numeric_dtype
 
         found, inputs = [], self.roles("input")
@@ -114,7 +107,7 @@ class MatchedDataFile:
             series = self.frame[column]
             if is_numeric_dtype(series.dtype):
                 same = np.diff(series.to_numpy(dtype=np.float64, na_value=np.nan)) == 0
-                found += [variable] if HELD_FRACTION * same.size < same.sum() < same.size else []
+                found += [variable] if same.size < 2 * same.sum() < 2 * same.size else []
         # elements of an array share their interpolation
         arrays = ({*self.description.variables[name].array} & inputs.keys() for name in found)
         return tuple(name for name, array in zip(found, arrays, strict=True) if array <= {*found})
@@ -183,16 +176,13 @@ class MatchedDataFile:
 
     @property
     def marks(self) -> dict[str, tuple[float, int]]:
-        """Repeated values far from all others, with their number, by output column."""
+        """Repeated values, ten ranges from all others, with their number, by output."""
         found: dict[str, tuple[float, int]] = {}
         for column, samples in self._measured():
             values = samples[np.isfinite(samples)]
             for odd in (values.min(), values.max()):
                 rest = values[values != odd]
-                far = (
-                    rest.size > 1
-                    and min(abs(odd - rest.min()), abs(odd - rest.max())) > MARK_DISTANCE * np.ptp(rest) > 0
-                )
+                far = rest.size > 1 and min(abs(odd - rest.min()), abs(odd - rest.max())) > 10.0 * np.ptp(rest) > 0
                 if far and values.size - rest.size > 1:
                     found[column] = float(odd), int(values.size - rest.size)
         return found

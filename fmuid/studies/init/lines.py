@@ -25,8 +25,6 @@ PARAMETERS_LISTED = 12
 LINE_LENGTH, REMARK_LENGTH = 110, 80
 NOISE_EXAMPLES: Mapping[str, object] = {"variance": "estimate", "excitation_period": 4.0, "initial_variance": 0.01}
 """Examples of a settings class; sections of `fmuid.studies` have their own."""
-# Modelica tools write their largest numbers for missing bounds.
-NO_BOUND = 1e60
 
 
 def skeleton(fmu: FMU) -> str:
@@ -150,11 +148,11 @@ def parameter_line(
 
 
 def declared_bounds(variable: Variable, start: float) -> dict[str, float]:
-    """Return the FMU's bounds that its own start keeps."""
+    """Return the FMU's bounds around its start; Modelica tools write some 1e60 for none."""
     found = {}
     for word in ("min", "max"):
         bound = getattr(variable, word)
-        if bound is not None and abs(bound) < NO_BOUND and (start >= bound if word == "min" else start <= bound):
+        if bound is not None and abs(bound) < 1e60 and (start >= bound if word == "min" else start <= bound):
             found[word] = bound
     return {} if "min" in found and found["min"] == found.get("max") else found
 

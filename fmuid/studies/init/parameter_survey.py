@@ -26,21 +26,24 @@ if TYPE_CHECKING:
     from fmuid.identification import TimeScaleWarning
     from fmuid.models import Description, System, Variable
 
-STEP = 1e-3
-"""Relative change of a parameter: small for the curvature, large for the solver tolerance."""
+
+@dataclass(frozen=True)
+class SurveySettings:
+    """Numbers of the survey."""
+
+    step: float = 1e-3  # relative change of a parameter: small for the curvature, large for the solver tolerance
+    min_own_effect: float = 0.01  # fraction of an effect that other parameters must not explain
+    starts_off: float = 4.0  # deviation of a first sample, in noise levels, that frees start values ...
+    starts_floor: float = 1e-3  # ... and as a fraction of the output's spread, for low noise
+    unit_ratio: float = 300.0  # of simulated to measured spread, for a wrong unit (milli is 1000)
+    min_noise: float = 1e-4  # noise level, fraction of the output's spread: solver errors may be as large
+    max_free: int = 12
+    max_examined: int = 200
+
+
+SETTINGS = SurveySettings()
 SHOWN_CHANGE = 0.1
 """Relative change of a parameter for the effects shown."""
-MIN_OWN_EFFECT = 0.01
-"""Smallest fraction of an effect that other parameters must not explain."""
-STARTS_OFF = 4.0
-"""Deviation of a first sample, in noise levels, that frees start values ..."""
-STARTS_FLOOR = 1e-3
-"""... and as a fraction of the output's spread, for low noise."""
-UNIT_RATIO = 300.0
-"""Ratio of simulated to measured spread that suggests a wrong unit (milli is 1000)."""
-MIN_NOISE = 1e-4
-"""Smallest noise level, as a fraction of the output's spread: solver errors may be as large."""
-MAX_FREE, MAX_EXAMINED = 12, 200
 # Settings of solvers that tools put among the parameters.
 _SOLVER = re.compile(r"^_|(^|[._])(nle|solver|tol|tolerance|[ar]tol|eps|max_?iter\w*|step_?size|log\w*)([._]|$)", re.I)
 # Quantities with a conventional sign or origin.
@@ -117,7 +120,7 @@ def _surveyed(system: System, description: Description, experiments: Sequence[Ex
     from fmuid.identification import doubt_of_time
     from fmuid.simulation import Simulator
 
-    names = [v.name for v in candidates_of(description)][:MAX_EXAMINED]
+    names = [v.name for v in candidates_of(description)][: SETTINGS.max_examined]
     changes = _changes(system, experiments, description, names, {})
     begun = starts_of(system, experiments[0], description, names, _moved(changes.variables, changes.starts))
     freed = _freed_starts(changes, begun)
@@ -174,7 +177,7 @@ def _changes(
     variables = tuple(description.variables[name] for name in names)
     starts = np.array([moved_starts.get(k, _number(v.start) or 0.0) for k, v in enumerate(variables)])
     thetas = _moved(variables, starts)
-    relative = STEP * np.sign(np.diag(thetas[1:] - starts))
+    relative = SETTINGS.step * np.sign(np.diag(thetas[1:] - starts))
     rows, weights, first, changed, limits, sizes = [], [], [], [], [], []
     for experiment in experiments:
         found = Simulator(system, experiment, names).many(thetas)
@@ -187,15 +190,15 @@ def _changes(
             counted = experiment.counted[:, j]
             rows.append((moved[:, counted, j] - base[counted, j]).T / (relative * spread))
             size = float(np.std(base[counted, j])) / spread
-            if size > UNIT_RATIO or 0.0 < size < 1 / UNIT_RATIO:
+            if size > SETTINGS.unit_ratio or 0.0 < size < 1 / SETTINGS.unit_ratio:
                 sizes.append((experiment.source, experiment.columns[experiment.output_names[j]], size))
-            noise = max(_noise(experiment, j) / spread, MIN_NOISE)
+            noise = max(_noise(experiment, j) / spread, SETTINGS.min_noise)
             weights.append(np.full(int(counted.sum()), 1.0 / noise))
             measured = experiment.output_values[0, j]
             if np.isfinite(measured):
                 first.append((measured - base[0, j]) / spread)
                 changed.append((moved[:, 0, j] - base[0, j]) / (relative * spread))
-                limits.append(max(STARTS_OFF * noise, STARTS_FLOOR) + direct[j] / spread)
+                limits.append(max(SETTINGS.starts_off * noise, SETTINGS.starts_floor) + direct[j] / spread)
     shape = (len(first), len(names))
     jacobian, weight = np.vstack(rows), np.concatenate(weights)
     told = np.array(first), np.array(changed).reshape(shape), np.array(limits)
@@ -253,7 +256,7 @@ def _freed_starts(changes: _Changes, which: Sequence[int]) -> dict[int, float]:
     for k, effect, move in zip(which, effects.T, moves.tolist(), strict=True):
         if (np.abs(effect * move) > changes.first_limits).any():
             start = float(changes.starts[k])
-            found[k] = float(f"{start + move * abs(_step(changes.variables[k], start)) / STEP:.4g}")
+            found[k] = float(f"{start + move * abs(_step(changes.variables[k], start)) / SETTINGS.step:.4g}")
     return found
 
 
@@ -267,12 +270,12 @@ def _select(
     rest, chosen = r.copy(), list(first)
     for k in chosen:
         _project_out(rest, k)
-    while (open_ := [k for k, use in enumerate(uses) if use is None]) and len(chosen) < MAX_FREE:
+    while (open_ := [k for k, use in enumerate(uses) if use is None]) and len(chosen) < SETTINGS.max_free:
         left = np.sqrt(np.sum(rest[:, open_] ** 2, axis=0))
         k = open_[int(np.argmax(left))]
         if np.linalg.norm(own[:, k]) < 1.0:
             uses[k] = ParameterProposal.NOISE  # σ would exceed the magnitude
-        elif left.max() < MIN_OWN_EFFECT * effects[k]:
+        elif left.max() < SETTINGS.min_own_effect * effects[k]:
             uses[k] = ParameterProposal.ALIKE
             shares = np.abs(np.linalg.lstsq(r[:, chosen], r[:, k])[0]) * effects[chosen]
             likes[k] = [i for i, share in zip(chosen, shares, strict=True) if share > 0.1 * shares.max()]
@@ -306,7 +309,7 @@ def _number(start: object) -> float | None:
 
 def _step(variable: Variable, start: float) -> float:
     """Return the step of a parameter, away from its bound."""
-    size = STEP * (abs(start) or abs(variable.nominal or 1.0))
+    size = SETTINGS.step * (abs(start) or abs(variable.nominal or 1.0))
     return -size if variable.max is not None and start + size > variable.max else size
 
 
