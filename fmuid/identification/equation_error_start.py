@@ -115,7 +115,7 @@ class _Scaled:
         return np.where(self._logs, lower + units * (upper - lower), 0.0)
 
     def parameters(self, lower: Floats, upper: Floats) -> dict[str, Parameter]:
-        """Return the searched values as parameters, within the bounds (N,) and the reach."""
+        """Return the searched values as parameters within bounds (N,) and reach."""
         found = {}
         for j, (i, log) in enumerate(zip(self.acting.tolist(), self._logs.tolist(), strict=True)):
             value, scale = float(self.start[i]), float(self._scale[j])

@@ -158,7 +158,7 @@ class PriorDataComparison:
 
     @property
     def nonlinearity(self) -> Floats:
-        """Distance of the weighted mean from the estimate, in its standard deviations (N,)."""
+        """Distance of the weighted mean from the estimate, in σ (N,)."""
         return (self.weighted_mean - self.combined) / self.combined_std
 
     @property
