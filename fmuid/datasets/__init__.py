@@ -99,7 +99,7 @@ def load(name: str) -> ExampleRecord:
 
 
 def coil() -> ExampleRecord:
-    """Return 200 samples of the current of a coil under a pseudo-random voltage.
+    """Return 200 samples of a coil under a pseudo-random voltage.
 
     Examples
     --------
@@ -114,7 +114,7 @@ def coil() -> ExampleRecord:
 
 
 def faulty_coil() -> ExampleRecord:
-    """Return a recording of the same coil with 2 % of its turns lost: ``dR`` is −0.08 ohm.
+    """Return the same coil with 2 % of its turns lost: ``dR`` is −0.08 ohm.
 
     Examples
     --------
@@ -127,7 +127,7 @@ def faulty_coil() -> ExampleRecord:
 
 
 def induction_machine() -> ExampleRecord:
-    """Return 400 samples of an induction machine's currents in rotor axes, under pseudo-random voltages.
+    """Return 400 samples of an induction machine in rotor axes.
 
     Examples
     --------

@@ -1,4 +1,4 @@
-"""The syntax of a model of the subset, parsed but not yet analysed."""
+"""Syntax of a model of the subset, parsed but not yet checked."""
 
 from __future__ import annotations
 

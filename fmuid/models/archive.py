@@ -29,7 +29,7 @@ from fmuid.errors import InputError
 from fmuid.models.untrusted_xml import LARGEST_XML
 
 LARGEST_TOTAL_VARIABLE = "FMUID_LARGEST_ARCHIVE_GB"
-"""The environment variable for another limit of what an archive may unpack to."""
+"""Environment variable: limit of the unpacked size, GB."""
 
 
 @dataclass(frozen=True)
@@ -37,15 +37,15 @@ class ArchiveLimits:
     """Limits of an accepted archive."""
 
     total_gb: float = 4.0
-    """GB (2³⁰ bytes) that it may unpack to, an entry half of it: FMUs have some 100 MB, with an interpreter 2 GB."""
+    """Unpacked size, GB (2³⁰ bytes), an entry half of it. FMUs have about 100 MB, with an interpreter 2 GB."""
     entries: int = 100_000
     """An FMU that carries an interpreter has some ten thousand."""
     directory: int = 16 * 2**20
-    """Bytes of its directory, which is read at once: that of as many entries with names of 120 characters."""
+    """Bytes of its directory, read at once: as many entries with names of 120 characters."""
     ratio: int = 200
-    """How many times larger than itself it may unpack to: text shrinks to a thirtieth, a bomb to a thousandth."""
+    """Largest compression: text shrinks to a thirtieth, a bomb to a thousandth."""
     ratio_from: int = 64 * 2**20
-    """Bytes that it may unpack to whatever its own size."""
+    """Unpacked bytes below which any compression is accepted."""
     name: int = 255
     """Bytes in the name of a file or folder: what file systems take."""
     path: int = 1000
@@ -56,12 +56,10 @@ class ArchiveLimits:
 
 LIMITS = ArchiveLimits()
 
-_REMEDY = f"; if you trust it, set the environment variable {LARGEST_TOTAL_VARIABLE} to the GB that it may have"
+_REMEDY = f"If you trust it, set the environment variable {LARGEST_TOTAL_VARIABLE} to its GB."
 _METHODS = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
 STRICT_NAMES = sys.platform in ("win32", "darwin")  # letter case does not count, or device names are reserved
 _RESERVED = {"CON", "PRN", "AUX", "NUL", *(f"{port}{n}" for port in ("COM", "LPT") for n in range(1, 10))}
-_LOCAL_HEADER = 30
-_SHOWN = 80
 # Errors of zipfile for damaged archives.
 _DAMAGES = (
     *(zipfile.BadZipFile, zlib.error, struct.error),
@@ -96,7 +94,7 @@ class CheckedArchive:
         try:
             self._file = _Bounded(io.FileIO(file))
         except OSError as error:
-            raise InputError(f"{self.path} cannot be read: {error.strerror or error}") from None
+            raise InputError(f"{self.path}: cannot be read: {error.strerror or error}.") from None
         try:
             self._archive = zipfile.ZipFile(self._file)
             self.entries = tuple(self._archive.infolist())
@@ -150,7 +148,7 @@ class CheckedArchive:
                     written += len(chunk)
                     self._written += len(chunk)
                     if written > largest:
-                        raise InputError(f"its entry {_shown(entry)} is larger than {_size(largest)}{_REMEDY}")
+                        raise InputError(f"entry {_shown(entry)} is larger than {_size(largest)}. {_REMEDY}")
                     self._check_total(self._written)
                     yield chunk
         except InputError as error:
@@ -161,16 +159,14 @@ class CheckedArchive:
     # --- checks
 
     def _refused(self, why: str) -> InputError:
-        return InputError(f"{self.path} is refused: {why}")
+        return InputError(f"{self.path}: refused: {why}")
 
     def _damaged(self, error: BaseException) -> InputError:
-        return InputError(
-            f"{self.path} is damaged and cannot be unpacked: {error or type(error).__name__}; export it again"
-        )
+        return InputError(f"{self.path}: damaged archive ({error or type(error).__name__}). Export it again.")
 
     def _check(self) -> None:
         if len(self.entries) > LIMITS.entries:
-            raise InputError(f"it has {len(self.entries)} entries, and at most {LIMITS.entries} are unpacked")
+            raise InputError(f"{len(self.entries)} entries; at most {LIMITS.entries} are unpacked.")
         there: dict[str, zipfile.ZipInfo] = {}
         folders: dict[str, zipfile.ZipInfo] = {}
         for entry in self.entries:
@@ -180,13 +176,12 @@ class CheckedArchive:
                 folders.setdefault(name, entry)
             elif _content(there.setdefault(name, entry)) != _content(entry):  # tools do pack a file twice
                 raise InputError(
-                    f"its entries {_shown(there[name])} and {_shown(entry)} would be the same file, here or on other "
-                    "systems; keep one of the two"
+                    f"entries {_shown(there[name])} and {_shown(entry)} are one file on some systems. Keep one."
                 )
             while (name := name.rpartition("/")[0]) and name not in folders:
                 folders[name] = entry
         for name in there.keys() & folders.keys():
-            raise InputError(f"its entry {_shown(there[name])} is both a file and a folder")
+            raise InputError(f"entry {_shown(there[name])} is both a file and a folder.")
         self._check_overlaps()
         self._check_total(sum(entry.file_size for entry in self.entries))
 
@@ -194,15 +189,15 @@ class CheckedArchive:
         """Refuse overlapping entries: bombs made of them have no suspicious ratio."""
         placed = sorted(self.entries, key=lambda entry: entry.header_offset)
         for entry, following in itertools.pairwise(placed):
-            end = entry.header_offset + _LOCAL_HEADER + len(entry.filename) + entry.compress_size
+            end = entry.header_offset + 30 + len(entry.filename) + entry.compress_size
             if end > following.header_offset:
-                raise InputError(f"its entries {_shown(entry)} and {_shown(following)} overlap in the archive")
+                raise InputError(f"entries {_shown(entry)} and {_shown(following)} overlap.")
 
     def _check_total(self, total: int) -> None:
         if total > self.limit:
-            raise InputError(f"it unpacks to more than {_size(self.limit)}{_REMEDY}")
+            raise InputError(f"unpacks to more than {_size(self.limit)}. {_REMEDY}")
         if total > max(LIMITS.ratio_from, LIMITS.ratio * self._size):
-            raise InputError(f"it unpacks to more than {LIMITS.ratio} times its own size, as zip bombs do")
+            raise InputError(f"unpacks to more than {LIMITS.ratio} times its size, as zip bombs do.")
 
 
 class _Bounded(io.BufferedReader):
@@ -210,7 +205,7 @@ class _Bounded(io.BufferedReader):
 
     def read(self, size: int | None = -1, /) -> bytes:
         if size is not None and size > LIMITS.directory:
-            raise InputError(f"its directory is larger than {_size(LIMITS.directory)}")
+            raise InputError(f"its directory is larger than {_size(LIMITS.directory)}.")
         return super().read(size)
 
 
@@ -226,25 +221,24 @@ def _check_entry(entry: zipfile.ZipInfo) -> None:
     mode = entry.external_attr >> 16
     outside = name.startswith("/") or ":" in name or any(not part.rstrip(". ") for part in parts)
     if outside or stat.S_ISLNK(mode):
-        raise InputError(f"its entry {shown} would be written outside the archive's folder")
+        raise InputError(f"entry {shown} is outside the archive's folder.")
     if stat.S_IFMT(mode) not in (0, stat.S_IFREG, stat.S_IFDIR):
-        raise InputError(f"its entry {shown} is neither a file nor a folder")
+        raise InputError(f"entry {shown} is neither a file nor a folder.")
     if not name.isprintable() and any(unicodedata.category(letter) == "Cc" for letter in name):
-        raise InputError(f"its entry {shown} has a control character in its name")
+        raise InputError(f"entry {shown} has a control character in its name.")
     if not parts and not name.endswith("/"):
-        raise InputError("one of its entries has no name")
+        raise InputError("an entry has no name.")
     if STRICT_NAMES and any(part.partition(".")[0].rstrip().upper() in _RESERVED for part in parts):
-        raise InputError(f"its entry {shown} has a name that Windows keeps for a device; rename it")
+        raise InputError(f"entry {shown} has a name reserved by Windows. Rename it.")
     sizes = [len(part.encode("utf-8", "surrogatepass")) for part in parts]
     if max(sizes, default=0) > LIMITS.name or sum(sizes) + len(sizes) > LIMITS.path:
         raise InputError(
-            f"its entry {shown} has too long a name: {LIMITS.name} bytes for a file or folder and {LIMITS.path} in "
-            "all are possible"
+            f"entry {shown}: name too long. Use at most {LIMITS.name} bytes per part, {LIMITS.path} in all."
         )
     if entry.flag_bits & 0x41:  # encrypted, by the old or the strong method
-        raise InputError(f"its entry {shown} is encrypted; pack it without a password")
+        raise InputError(f"entry {shown} is encrypted. Pack it without a password.")
     if entry.compress_type not in _METHODS:
-        raise InputError(f"its entry {shown} is neither stored nor deflated, as FMI and SSP want it; pack it again")
+        raise InputError(f"entry {shown} is neither stored nor deflated. Pack it again.")
 
 
 def _folded(entry: zipfile.ZipInfo) -> str:
@@ -262,7 +256,7 @@ def _content(entry: zipfile.ZipInfo) -> tuple[str, int, int]:
 
 def _shown(entry: zipfile.ZipInfo) -> str:
     name = entry.orig_filename
-    return repr(name if len(name) <= _SHOWN else f"{name[:_SHOWN]}…")
+    return repr(name if len(name) <= 80 else f"{name[:80]}…")
 
 
 def _size(count: int) -> str:
@@ -276,7 +270,7 @@ def _largest_total() -> int:
         return int(found * 2**30)
     except (ValueError, OverflowError):
         raise InputError(
-            f"the environment variable {LARGEST_TOTAL_VARIABLE} must be a number of GB, such as 8, not {text!r}"
+            f"environment variable {LARGEST_TOTAL_VARIABLE} = {text!r} is no number of GB, such as 8."
         ) from None
 
 
@@ -314,7 +308,7 @@ def unpacked(file: Path, digest: str, path: Path | None = None) -> Path:
                 _make_private(target)
                 _fill(archive, target)
         except (OSError, UnicodeError) as error:  # the latter of names that the file system cannot write
-            raise InputError(f"{archive.path} cannot be unpacked below {shelf}: {error}") from error
+            raise InputError(f"{archive.path}: cannot be unpacked below {shelf}: {error}") from error
     return target
 
 
@@ -322,16 +316,12 @@ def _make_private(folder: Path) -> None:
     """Make a folder private to the user; refuse links and others' folders."""
     folder.mkdir(_PRIVATE, parents=True, exist_ok=True)
     said = folder.lstat()
-    remedy = "remove it, or name another place for caches by the environment variable XDG_CACHE_HOME"
+    remedy = "Remove it, or set the environment variable XDG_CACHE_HOME."
     if not stat.S_ISDIR(said.st_mode):
-        raise InputError(
-            f"the cache folder {folder} is a symbolic link, through which others might be written; {remedy}"
-        )
+        raise InputError(f"cache folder {folder} is a symbolic link. {remedy}")
     if sys.platform != "win32":
         if said.st_uid != os.geteuid():
-            raise InputError(
-                f"the cache folder {folder} belongs to somebody else, who could change FMUs in it; {remedy}"
-            )
+            raise InputError(f"cache folder {folder} belongs to another user. {remedy}")
         if stat.S_IMODE(said.st_mode) != _PRIVATE:
             folder.chmod(_PRIVATE)
 

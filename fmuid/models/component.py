@@ -57,11 +57,11 @@ class Numerics:
             given = getattr(self, word)
             if given is not None and given not in known:
                 near = nearest(str(given), known)
-                raise InputError(f"{word} {given!r} is not known{near}: give {' or '.join(known)}")
+                raise InputError(f"{word}: unknown value {given!r}{near}. Choose {' or '.join(known)}.")
         for word, unit in (("tolerance", "number"), ("step_size", "number of seconds"), ("most_steps", "number")):
             given = getattr(self, word)
             if given is not None and not 0 < given < float("inf"):
-                raise InputError(f"{word} must be a positive {unit}, not {given:g}")
+                raise InputError(f"{word} must be a positive {unit}, not {given:g}.")
 
     def over(self, others: Numerics) -> Numerics:
         """Return these settings, completed by others."""
@@ -101,7 +101,7 @@ class Isolation:
         for each in fields(self):
             given = getattr(self, each.name)
             if given is not None and not 0 < given < float("inf"):
-                raise InputError(f"{each.name} must be a positive number, not {given:g}")
+                raise InputError(f"{each.name} must be a positive number, not {given:g}.")
 
 
 AS_OFFERED = Numerics()
@@ -132,11 +132,11 @@ class Component:
         vars(self).update(fmu=fmu if isinstance(fmu, FMU) else FMU(fmu), numerics=numerics)  # frozen for others
         offered = self.fmu.description.interfaces
         if self.kind not in offered:
-            raise InputError(f"{self.fmu.path} offers no {self.kind} interface; it offers {', '.join(offered)}")
+            raise InputError(f"{self.fmu.path}: no {self.kind} interface; offered: {', '.join(offered)}.")
         if numerics.integrator is not None and self.kind != "model-exchange":
             raise InputError(
-                f"{self.fmu.path} runs as co-simulation, which has its own integrator; take out solver = "
-                f'"{numerics.integrator}", or give interface = "model-exchange"'
+                f'{self.fmu.path}: solver = "{numerics.integrator}" needs '
+                'interface = "model-exchange". Co-Simulation has its own solver.'
             )
 
     @property

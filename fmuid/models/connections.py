@@ -78,8 +78,7 @@ def _loop(loop: Sequence[Connection], descriptions: Mapping[str, Description]) -
             through = " -> ".join(".".join(filter(None, each.source)) for each in loop)
             source = ".".join(filter(None, (component, output)))
             raise InputError(
-                f"the connections close a loop of direct feed-through, {through}, in which {source!r} is of type "
-                f"{kind}: only Real variables can be solved for; break it with a component whose output does not "
-                "depend directly on its input"
+                f"algebraic loop {through}: {source!r} is of type {kind}, not Real. "
+                "Break it with a component without direct feedthrough."
             )
     return tuple(loop)

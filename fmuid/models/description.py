@@ -165,12 +165,13 @@ class Description:
                 return conversion
         if variable.unit:
             raise InputError(
-                f"{unit!r}, the unit of the column of {variable.name!r}, does not convert to {variable.unit!r}, that "
-                f'of {self.model_name}: convert the column, or say its unit by units = {{ {variable.name} = "..." }}'
+                f"{variable.name}: column unit {unit!r} does not convert to {variable.unit!r} of "
+                f"{self.model_name}. "
+                f'Convert the column or set units = {{ {variable.name} = "..." }}.'
             )
         if meant is not None and (meant.factor, meant.offset) == (1.0, 0.0):
             return 1.0, 0.0  # coherent SI, as Modelica computes in
         raise InputError(
-            f"{self.model_name} declares no unit of {variable.name!r}, whose column is in {unit!r}: convert it to the "
-            f'unit that the model computes in, or take it as it is by units = {{ {variable.name} = "1" }}'
+            f"{variable.name}: column unit {unit!r}, but {self.model_name} declares none. "
+            f'Convert the column or set units = {{ {variable.name} = "1" }}.'
         )

@@ -104,7 +104,7 @@ class FMU(HtmlTableMixin):
             if place.lower() in packed and is_file(path := self.directory / place):  # unpacked only where it has one
                 return path
         here = PLATFORMS[2]
-        there = f"it has binaries for {', '.join(self.platforms)}" if self.platforms else "it has no binaries at all"
+        there = f"binaries for {', '.join(self.platforms)}" if self.platforms else "no binaries at all"
         if here in self.platforms:
-            there = f"its folder binaries/{here} has no {name if len(name) < 200 else name[:200] + '…'}"
-        raise InputError(f"{self.path} has no binary for this platform ({here}): {there}; export it for this platform")
+            there = f"binaries/{here} has no {name if len(name) < 200 else name[:200] + '…'}"
+        raise InputError(f"{self.path}: no binary for this platform ({here}): {there}. Export it for this platform.")

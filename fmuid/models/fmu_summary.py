@@ -13,9 +13,6 @@ from fmuid.models.component import Component, SolverConfiguration
 from fmuid.models.description import Description, Variable
 from fmuid.models.fmu import FMU, PLATFORMS
 
-# Most elements of an array that are listed one by one; more of them share a line.
-SINGLE_ELEMENTS = 4
-
 # A number between brackets, alone or beside others.
 _SUBSCRIPT = re.compile(r"(?<=[\[,])\s*\d+(?=\s*[\],])")
 
@@ -163,7 +160,7 @@ def lines(variables: Iterable[Variable]) -> list[VariableRow]:
     for some in alike.values():
         places = [[int(n) for n in _SUBSCRIPT.findall(v.name)] for v in some]
         ranges = [(min(along), max(along)) for along in zip(*places, strict=True)]
-        if len(some) <= SINGLE_ELEMENTS or prod(high - low + 1 for low, high in ranges) != len(some):
+        if len(some) <= 4 or prod(high - low + 1 for low, high in ranges) != len(some):
             found += [VariableRow(v.name, (v,)) for v in some]
         else:
             spans = [f"{low}..{high}" if high > low else str(low) for low, high in ranges]

@@ -20,8 +20,8 @@ from fmuid.models.description import DESCRIPTION_FILE, KINDS, SI_BASE_UNITS, Des
 from fmuid.models.start_values import ANNOTATION, TOOL, Value
 from fmuid.models.untrusted_xml import parse_xml, uncollected
 
-MOST_ELEMENTS = 1_000_000
-"""Variables, with every element of an array: a few words of XML can declare any number."""
+MAX_ELEMENTS = 1_000_000
+"""Variables and elements of arrays: a few words of XML can declare any number."""
 
 _INTEGERS = tuple(f"{sign}Int{bits}" for sign in ("", "U") for bits in (8, 16, 32, 64))
 # version -> type of a variable -> FMI 3.0 type of the binary's functions
@@ -56,7 +56,7 @@ def read_text(path: Path) -> bytes:
     """Return the modelDescription.xml of an FMU; an `InputError` if there is none."""
     with CheckedArchive(path) as archive:
         if DESCRIPTION_FILE not in archive.names:
-            raise InputError(f"{path} is not an FMU: it has no {DESCRIPTION_FILE} at its top level")
+            raise InputError(f"{path}: not an FMU: no {DESCRIPTION_FILE} at its top level.")
         return archive.read(DESCRIPTION_FILE)
 
 
@@ -70,21 +70,19 @@ def read_description(path: Path) -> Description:
         If the file is missing, no zip archive, unreadable, or of another FMI version.
     """
     if not is_file(path):
-        raise InputError(f"{path}: there is no such FMU file; check the path")
+        raise InputError(f"{path}: FMU not found. Check the path.")
     if not zipfile.is_zipfile(path):
-        raise InputError(f"{path} is not an FMU: it is not a zip archive; export the model again")
-    root = parse_xml(read_text(path), f"{path}: its {DESCRIPTION_FILE}")
+        raise InputError(f"{path}: not an FMU: no zip archive. Export the model again.")
+    root = parse_xml(read_text(path), f"{path}: {DESCRIPTION_FILE}")
     version = root.get("fmiVersion") or "of unknown version"
     if not re.fullmatch(r"2\.0|3\.0(\..*)?", version):
-        raise InputError(
-            f"{path} is an FMU of FMI {version}, and only FMI 2.0 and 3.0 are read; export the model as one of these"
-        )
+        raise InputError(f"{path}: FMI {version} is not supported. Export FMI 2.0 or 3.0.")
     try:
         described = _described(root, int(version[0]))
     except InputError as error:
-        raise InputError(f"{path}: its {DESCRIPTION_FILE} {error}") from None
+        raise InputError(f"{path}: {DESCRIPTION_FILE}: {error}") from None
     if not described.interfaces:
-        raise InputError(f"{path} offers neither co-simulation nor model exchange; export it as one of these")
+        raise InputError(f"{path}: neither Co-Simulation nor Model Exchange. Export one of them.")
     return described
 
 
@@ -92,7 +90,7 @@ def _described(root: Element, version: int) -> Description:
     """Return the root's description; refusals continue the file's name."""
     token = root.get("guid" if version == 2 else "instantiationToken")
     if token is None:
-        raise InputError("has no guid or instantiationToken, which the binary asks for")
+        raise InputError("no guid or instantiationToken. Export the model again.")
     declared = _Variables(root, version)
     derivatives = [variable for _, variable in declared.unknowns("Derivatives", "ContinuousStateDerivative")]
     states = [state for each in derivatives if (state := declared.state(each)) is not None]
@@ -151,13 +149,13 @@ class _Variables:
             self.indicators = sum(math.prod(self.shape(each)) for each in indicators)
             count = sum(math.prod(self.shape(each)) for each in (*self.elements, *(each for each, _ in self.aliases)))
         for what, number in (("variables and elements of arrays", count), ("event indicators", self.indicators)):
-            if number > MOST_ELEMENTS:  # before they are built
-                raise InputError(f"declares {number} {what}, and at most {MOST_ELEMENTS} are read")
+            if number > MAX_ELEMENTS:  # before they are built
+                raise InputError(f"{number} {what}; at most {MAX_ELEMENTS} are read.")
 
     def called(self, key: str | None) -> Element:
-        found = self.known.get(_integer(key, "what refers to a variable"))
+        found = self.known.get(_integer(key, "reference to a variable"))
         if found is None:
-            raise InputError(f"refers to {key}, which it does not declare")
+            raise InputError(f"refers to {key}, which is not declared.")
         return found
 
     def unknowns(self, tag_2: str, tag_3: str) -> list[tuple[Element, Element]]:
@@ -199,14 +197,14 @@ class _Variables:
         for each in element:
             if self.version == 2 and each.tag in self.wires:
                 return each
-        raise InputError(f"declares {_name(element)!r} as {element.tag}, which is no type of FMI {self.version}.0")
+        raise InputError(f"variable {_name(element)!r}: {element.tag} is no type of FMI {self.version}.0.")
 
     def _read(self, element: Element, name: str, description: str, is_state: bool) -> list[Variable]:
         typed = self._value(element)
         wire = self.wires[typed.tag]
         declared = self.types.get(typed.get("declaredType"))
         if declared is None:
-            raise InputError(f"declares {name!r} of type {typed.get('declaredType')!r}, which it does not define")
+            raise InputError(f"variable {name!r}: type {typed.get('declaredType')!r} is not defined.")
         roles = self._roles(element, name, wire)
         start, unit = typed.get("start"), typed.get("unit") or declared.get("unit") or None
         names, starts = [name], [start]
@@ -233,7 +231,7 @@ class _Variables:
                 for each, value in zip(names, values, strict=True)
             ]
         except ValueError as error:
-            raise InputError(f"gives {name!r} a value that is none: {error}") from None
+            raise InputError(f"variable {name!r}: wrong value: {error}.") from None
 
     def _roles(self, element: Element, name: str, wire: str) -> tuple[str, str, str | None]:
         causality, variability = element.get("causality", "local"), element.get("variability")
@@ -245,8 +243,7 @@ class _Variables:
         initial = element.get("initial", allowed.get(causality))
         if "initial" not in element.attrib and causality not in allowed:
             raise InputError(
-                f"declares {name!r} with causality {causality!r} and variability {variability!r}, which FMI does "
-                "not allow together"
+                f"variable {name!r}: causality {causality!r} and variability {variability!r} exclude each other in FMI."
             )
         return causality, variability, initial
 
@@ -263,10 +260,7 @@ def _by_name(variables: Iterator[Variable]) -> dict[str, Variable]:
     found: dict[str, Variable] = {}
     for variable in variables:
         if found.setdefault(variable.name, variable) is not variable:
-            raise InputError(
-                f"declares {variable.name!r} more than once, and setting one would set another; export the model again "
-                "with distinct names"
-            )
+            raise InputError(f"variable {variable.name!r} is declared twice. Export the model with distinct names.")
     return found
 
 
@@ -287,7 +281,7 @@ def _applied(root: Element, version: int, variables: Mapping[str, Variable]) -> 
 def _name(element: Element) -> str:
     found = element.get("modelName" if element.tag == "fmiModelDescription" else "name")
     if found is None:
-        raise InputError(f"has a {element.tag} without its name")
+        raise InputError(f"{element.tag} without a name.")
     return found
 
 
@@ -298,7 +292,7 @@ def _integer(text: str | None, what: str) -> int:
     except ValueError:
         number = -1
     if not 0 <= number < 2**32:
-        raise InputError(f"has {what} = {text}, which is no unsigned 32-bit integer")
+        raise InputError(f"{what} = {text} is no unsigned 32-bit integer.")
     return number
 
 
@@ -312,7 +306,7 @@ def _finite(text: str, what: str, *, zero: bool = True) -> float:
     except ValueError:
         number = math.nan
     if not math.isfinite(number) or (number == 0 and not zero):
-        raise InputError(f"has {what} = {text}, which no calculation can use")
+        raise InputError(f"{what} = {text} is not a usable number.")
     return number
 
 
@@ -330,7 +324,7 @@ def _unit(element: Element) -> Unit:
         try:
             exponents = tuple(int(base.get(si, "0")) for si in SI_BASE_UNITS)
         except ValueError as error:
-            raise InputError(f"has a unit {element.get('name')!r} with an exponent that is none: {error}") from None
+            raise InputError(f"unit {element.get('name')!r}: wrong exponent: {error}.") from None
     display_units = {_name(each): _linear(each) for each in element.iterfind("DisplayUnit")}
     return Unit(_name(element), exponents, factor, offset, display_units)
 
@@ -352,7 +346,7 @@ def _interface(kind: str, element: Element, version: int) -> Interface:
 
     identifier = element.get("modelIdentifier")
     if not identifier or set("/\\:\0") & set(identifier):  # it names the binary: a path would lead to another file
-        raise InputError(f"has the modelIdentifier {identifier!r}, which is no name of a binary in it; export it again")
+        raise InputError(f"modelIdentifier {identifier!r} names no binary. Export the model again.")
     of_steps = kind == "co-simulation"
     told = not true("completedIntegratorStepNotNeeded") if version == 2 else true("needsCompletedIntegratorStep")
     return Interface(

@@ -77,7 +77,7 @@ class StructureTree:
         self.bindings: list[tuple[ElementPath, Element]] = []
         systems = children(root, "System")
         if len(systems) != 1:
-            raise InputError(f"{where} has {len(systems)} top-level systems instead of one")
+            raise InputError(f"{where}: {len(systems)} top-level systems instead of one.")
         self._element(systems[0], ())
 
     def error(self, text: str) -> InputError:
@@ -96,7 +96,7 @@ class StructureTree:
         while node in self.incoming:
             edge = self.incoming[node]
             if edge in chain:
-                raise self.error(f"{edge.label} closes a circle without any component; take it out")
+                raise self.error(f"{edge.label} closes a circle without a component. Remove it.")
             chain.append(edge)
             node = edge.source
         return chain[::-1]
@@ -110,7 +110,7 @@ class StructureTree:
         elif kind == "SignalDictionaryReference":
             self.buses[path] = self._bus(xml, path)
         else:
-            raise self.error(f"element {'.'.join(path)!r} is a {kind}, which is not supported; use FMUs and systems")
+            raise self.error(f"element {'.'.join(path)!r} is a {kind}, which is not supported. Use FMUs and systems.")
         for connector in children(xml, "Connectors", "Connector"):
             unit = next((child.get("unit") for child in connector if child.get("unit")), None)
             items = next((child.get("name") for child in children(connector, "Enumeration")), None)
@@ -126,9 +126,9 @@ class StructureTree:
         for child in [child for elements in children(system, "Elements") for child in elements]:
             name = child.get("name", "")
             if not name:
-                raise self.error(f"an element of {_system_name(path)} has no name; give it one")
+                raise self.error(f"{_system_name(path)}: an element has no name. Name it.")
             if name in self.elements_in(path):
-                raise self.error(f"{_system_name(path)} has two elements {name!r}; rename one")
+                raise self.error(f"{_system_name(path)}: two elements {name!r}. Rename one.")
             self._element(child, (*path, name))
         for connection in children(system, "Connections", "Connection"):
             self._connect(connection, path)
@@ -137,11 +137,10 @@ class StructureTree:
         kind, asked = xml.get("type", _FMU_TYPE), xml.get("implementation", "any")
         if kind != _FMU_TYPE:
             raise self.error(
-                f"component {name!r} is of type {kind}, and only FMUs ({_FMU_TYPE}) are supported; "
-                "put its content into this structure as a nested system"
+                f"component {name!r}: type {kind} is not supported. Use FMUs ({_FMU_TYPE}) or nested systems."
             )
         if asked not in _INTERFACES:
-            raise self.error(f"component {name!r} asks for {asked}, and only {', '.join(_INTERFACES)} are supported")
+            raise self.error(f"component {name!r}: {asked} is not supported. Use {', '.join(_INTERFACES)}.")
         return xml.get("source", ""), _INTERFACES[asked]
 
     def _bus(self, xml: Element, path: ElementPath) -> ElementPath:
@@ -151,7 +150,7 @@ class StructureTree:
             if (*path[:depth], name) in self.dictionaries:
                 return (*path[:depth], "", name)  # no element has an empty name
         known = [dictionary[-1] for dictionary in self.dictionaries]
-        raise self.error(f"{'.'.join(path)!r} refers to no signal dictionary {name!r}{nearest(name, known)}")
+        raise self.error(f"{'.'.join(path)!r}: no signal dictionary {name!r}{nearest(name, known)}.")
 
     def _connect(self, xml: Element, system: ElementPath) -> None:
         ends = [self._end(xml, system, which) for which in ("start", "end")]
@@ -159,10 +158,10 @@ class StructureTree:
         directed = self._directed(ends, system, label)
         factor, offset, table = transformation(xml, f"{self.where}: {label}")
         if table is not None:
-            raise self.error(f"{label} maps values by a table, which is supported for parameters only")
+            raise self.error(f"{label}: tables are supported for parameters only.")
         source, target = (Node(self.buses.get(node.element, node.element), node.connector) for node in directed)
         if target in self.incoming:
-            raise self.error(f"{target} is fed twice, by {self.incoming[target].label} and by {label}; keep one")
+            raise self.error(f"{target} is fed twice, by {self.incoming[target].label} and {label}. Keep one.")
         suppress = truth(xml, "suppressUnitConversion", f"{self.where}: {label}")
         self.incoming[target] = Edge(source, target, factor, offset, suppress, label)
 
@@ -171,24 +170,17 @@ class StructureTree:
         path = (*system, element) if element else system
         there = self.elements_in(system)
         if element and element not in there:
-            raise self.error(
-                f"a connection names the element {element!r}, which {_system_name(system)} does not have"
-                f"{nearest(element, there)}"
-            )
+            raise self.error(f"connection: {_system_name(system)} has no element {element!r}{nearest(element, there)}.")
         node = Node(path, name)
         connector = self.connectors.get(node)
         if connector is None:
             owner = f"element {element!r}" if element else _system_name(path)
             known = [node.connector for node in self.connectors if node.element == path]
-            raise self.error(
-                f"a connection names the connector {name!r}, which {owner} does not have{nearest(name, known)}"
-            )
+            raise self.error(f"connection: {owner} has no connector {name!r}{nearest(name, known)}.")
         if connector.is_array:
-            raise self.error(f"connector {node} is an array, which is not supported; connect its elements one by one")
+            raise self.error(f"connector {node} is an array, which is not supported. Connect its elements.")
         if path not in self.buses and connector.kind not in (*_INWARD, *_OUTWARD):
-            raise self.error(
-                f"connector {node} is of kind {connector.kind!r}, which is not supported; use input or output"
-            )
+            raise self.error(f"connector {node}: kind {connector.kind!r} is not supported. Use input or output.")
         return node, connector
 
     def _directed(self, ends: list[tuple[Node, Connector]], system: ElementPath, label: str) -> tuple[Node, Node]:
@@ -201,14 +193,14 @@ class StructureTree:
             first = not second
         if first is None or first == second:
             kinds = " and ".join(f"{node} ({connector.kind})" for node, connector in ends)
-            raise self.error(f"{label} connects {kinds}, between which nothing can flow; connect an output to an input")
+            raise self.error(f"{label} connects {kinds}. Connect an output to an input.")
         (source, given), (target, taken) = ends if first else ends[::-1]
         inner = [node.element != system and node.element not in self.buses for node in (source, target)]
         to_parameter = inner[1] and taken.kind in _PARAMETERS and given.kind not in _PARAMETERS
         if to_parameter or (inner == [True, True] and given.kind != "output"):
             raise self.error(
-                f"{label} leads from {source} ({given.kind}) to {target} ({taken.kind}), which is not supported: "
-                "an input takes an output, and a parameter takes a parameter of the system"
+                f"{label}: {source} ({given.kind}) cannot feed {target} ({taken.kind}). "
+                "Feed inputs by outputs, parameters by parameters of the system."
             )
         return source, target
 

@@ -54,12 +54,12 @@ def read_ssp(path: str | Path) -> SystemStructure:
     """
     path = Path(path)
     if not is_file(path):
-        raise InputError(f"{path}: there is no such SSP file; check the path")
+        raise InputError(f"{path}: SSP file not found. Check the path.")
     if not zipfile.is_zipfile(path):
-        raise InputError(f"{path} is not an SSP: it is not a zip archive; export the system again")
+        raise InputError(f"{path}: not an SSP: no zip archive. Export the system again.")
     folder = unpacked(path, file_digest(path))
     if not (folder / STRUCTURE_FILE).is_file():
-        raise InputError(f"{path} is not an SSP: it has no {STRUCTURE_FILE} at its top level")
+        raise InputError(f"{path}: not an SSP: no {STRUCTURE_FILE} at its top level.")
     where = f"{path}: {STRUCTURE_FILE}"
     root = read_xml(folder / STRUCTURE_FILE, "SystemStructureDescription", "a system structure", where)
     package = _Package(path, folder, root)
@@ -81,7 +81,7 @@ class _Package:
             for element, (source, interface) in self.tree.components.items()
         }
         if not self.components:
-            raise self.error("the structure has no components; add at least one FMU")
+            raise self.error("no components. Add at least one FMU.")
         self.chains = {node: self.tree.chain_to(node) for node in self.tree.connectors}
         self.values: dict[str, Value] = {}
 
@@ -90,11 +90,11 @@ class _Package:
         name = unquote(source)
         parts = PurePosixPath(name).parts
         if not name or ":" in name or "#" in source or name.startswith("/") or "\\" in name or ".." in parts:
-            raise self.error(f"{what} has the source {source!r}; only files inside the archive are supported")
+            raise self.error(f"{what}: source {source!r} is outside the archive. Use a file inside.")
         file = self.folder.joinpath(*parts)
         if not is_file(file):
             there = [p.relative_to(self.folder).as_posix() for p in self.folder.rglob("*") if p.is_file()]
-            raise self.error(f"{what} needs the file {name!r}, which the archive does not have{nearest(name, there)}")
+            raise self.error(f"{what}: file {name!r} is not in the archive{nearest(name, there)}.")
         return file
 
     def _fmu(self, name: str, source: str) -> Path:
@@ -105,10 +105,10 @@ class _Package:
             first = next(started_elements(read_text(file), DESCRIPTION_FILE))
         except (InputError, StopIteration) as error:
             said = str(error).replace(str(file), source) or "it is empty"
-            raise self.error(f"{what}: {source} is not an FMU with a readable modelDescription.xml: {said}") from None
+            raise self.error(f"{what}: {source} is no FMU with a readable {DESCRIPTION_FILE}: {said}") from None
         version = first.get("fmiVersion", "")
         if version.startswith("1"):
-            raise self.error(f"{what} is an FMU of FMI {version}, which is not supported; export it as FMI 2.0 or 3.0")
+            raise self.error(f"{what}: FMI {version} is not supported. Export FMI 2.0 or 3.0.")
         return file
 
     def _description(self, element: ElementPath) -> Description:
@@ -186,7 +186,7 @@ class _Package:
                 known_units |= self.units  # the structure's definitions precede
                 conversion = unit_conversion(known_units.get(unit), known_units.get(end))
                 if conversion is None and not edge.transforms:
-                    raise self.error(f"{edge.label}: the units {unit!r} and {end!r} do not convert into each other")
+                    raise self.error(f"{edge.label}: units {unit!r} and {end!r} do not convert.")
                 if conversion is not None:
                     factor, offset = conversion[0] * factor, conversion[0] * offset + conversion[1]
             factor, offset = edge.factor * factor, edge.factor * offset + edge.offset
@@ -216,15 +216,15 @@ class _Package:
     ) -> list[tuple[Element, str]]:
         """Return root elements, in a file or inline, with their places."""
         if holder.get("type", f"application/x-ssp-{kind}") != f"application/x-ssp-{kind}":
-            raise self.error(f"{owner} is of type {holder.get('type')}, and only application/x-ssp-{kind} is supported")
+            raise self.error(f"{owner}: type {holder.get('type')} is not supported. Use application/x-ssp-{kind}.")
         source = holder.get("source")
         if not source:
             found = children(inline, root)
             if not found:
-                raise self.error(f"{owner} has neither a source nor a {root} in it")
+                raise self.error(f"{owner}: neither a source nor a {root}.")
             return [(each, str(self.path)) for each in found]
         if holder.get("sourceBase", "SSD") != "SSD":
-            raise self.error(f"{owner} takes {source} from inside a component, which is not supported; put it beside")
+            raise self.error(f"{owner}: {source} inside a component is not supported. Put it beside.")
         file = self._file(source, owner)
         return [(read_xml(file, root, f"a {root} file", f"{self.path}: {source}"), f"{self.path}, {source}")]
 
@@ -260,7 +260,7 @@ class _Package:
         entry, value, unit = given.entry, given.quantity.value, given.quantity.unit
         if entry.table is not None:
             if value not in entry.table:
-                raise InputError(f"{given.label} is {value!r}, for which its mapping has no entry")
+                raise InputError(f"{given.label} is {value!r}, which its mapping lacks.")
             value = entry.table[value]
         if isinstance(value, bool | str):
             return value
@@ -270,7 +270,7 @@ class _Package:
             known = {**self._description(target.element).units, **self.units}
             conversion = unit_conversion({**known, **given.units}.get(unit), known.get(wanted))
             if conversion is None:
-                raise InputError(f"{given.label}: the units {unit!r} and {wanted!r} do not convert into each other")
+                raise InputError(f"{given.label}: units {unit!r} and {wanted!r} do not convert.")
             steps.insert(0, conversion)
         for factor, offset in steps:
             if (factor, offset) != (1.0, 0.0):  # keep integers where there is nothing to transform
@@ -297,4 +297,4 @@ def _fitting(value: Value, variable: Variable, label: str) -> Value:
         return value
     if kind == "Boolean" and value in (0, 1):
         return bool(value)
-    raise InputError(f"{label} is {value!r}, which does not fit its type {kind}")
+    raise InputError(f"{label} is {value!r}, which does not fit its type {kind}.")

@@ -111,7 +111,7 @@ def _typed(name: str, quantity: Quantity, defined: set[str]) -> str:
     if isinstance(value, str):
         return f"<ssv:String value={quoteattr(value)}/>"
     if not math.isfinite(value):
-        raise InputError(f"parameter {name!r} is {value}, which no simulation can start from; leave it out")
+        raise InputError(f"parameter {name!r} is {value}. Leave it out.")
     unit = f" unit={quoteattr(quantity.unit)}" if quantity.unit is not None and quantity.unit in defined else ""
     return f'<ssv:Real value="{float(value)!r}"{unit}/>'
 
@@ -148,15 +148,15 @@ def read_xml(path: Path, root: str, what: str, where: str = "") -> Element:
         with path.open("rb") as file:
             text = file.read(LARGEST_XML + 1)
     except OSError as error:
-        raise InputError(f"{where} cannot be read: {error.strerror or error}; check the path") from None
+        raise InputError(f"{where}: cannot be read: {error.strerror or error}. Check the path.") from None
     if len(text) > LARGEST_XML:
-        raise InputError(f"{where} is larger than the {LARGEST_XML} bytes of XML that are read")
+        raise InputError(f"{where}: larger than the limit of {LARGEST_XML} bytes of XML.")
     element = parse_xml(text, where)
     if local(element) != root:
-        raise InputError(f"{where} is not {what}: its root element is {local(element)}, not {root}")
+        raise InputError(f"{where}: not {what}: root element {local(element)}, not {root}.")
     version = element.get("version", "")
     if not version.startswith(("1.", "2.")):
-        raise InputError(f"{where} is {what} of SSP {version or 'of unknown version'}, and only 1.0 and 2.0 are read")
+        raise InputError(f"{where}: SSP {version or 'of unknown version'} is not supported. Use 1.0 or 2.0.")
     return element
 
 
@@ -170,7 +170,7 @@ def number(element: Element, attribute: str, where: str, default: float | None =
     except ValueError:
         found = math.nan
     if not math.isfinite(found):
-        raise InputError(f"{where}: {attribute} of {local(element)} must be a finite number, not {text!r}")
+        raise InputError(f"{where}: {attribute} of {local(element)} must be a finite number, not {text!r}.")
     return found
 
 
@@ -184,7 +184,7 @@ def units_of(root: Element, where: str) -> dict[str, Unit]:
             exponents = tuple(round(number(base, si, at, 0.0)) for si in SI_BASE_UNITS)
             factor = number(base, "factor", at, 1.0)
             if factor == 0:
-                raise InputError(f"{at} has the factor 0, with which nothing can be converted")
+                raise InputError(f"{at}: factor 0 converts nothing.")
             found[name] = Unit(name, exponents, factor, number(base, "offset", at, 0.0), {})
     return found
 
@@ -209,9 +209,9 @@ def parameter_set(
         name = parameter.get("name", "")
         typed = [child for child in parameter if local(child) != "Annotations"]
         if len(typed) != 1 or typed[0].get("value") is None:
-            raise InputError(f"{where}: parameter {name!r} needs one value, such as <Real value=...>")
+            raise InputError(f"{where}: parameter {name!r} needs one value, such as <Real value=...>.")
         if name in values:
-            raise InputError(f"{where}: parameter {name!r} stands there twice; keep one of the two")
+            raise InputError(f"{where}: parameter {name!r} occurs twice. Keep one.")
         value = _value(typed[0], f"{where}, parameter {name!r}")
         items = known.get(typed[0].get("name", "")) if local(typed[0]) == "Enumeration" else None
         values[name] = Quantity(value, typed[0].get("unit") or None, parameter.get("description", ""), items)
@@ -228,7 +228,7 @@ def _value(element: Element, where: str) -> Value:
         return truth(element, "value", where)
     if kind in ("String", "Enumeration"):
         return text
-    raise InputError(f"{where}: values of type {kind} are not read; remove it")
+    raise InputError(f"{where}: type {kind} is not supported. Remove it.")
 
 
 def whole(element: Element, attribute: str, where: str) -> int:
@@ -236,14 +236,14 @@ def whole(element: Element, attribute: str, where: str) -> int:
     try:
         return int(element.get(attribute, ""))
     except ValueError:
-        raise InputError(f"{where}: {element.get(attribute)!r} is not an integer") from None
+        raise InputError(f"{where}: {element.get(attribute)!r} is not an integer.") from None
 
 
 def truth(element: Element, attribute: str, where: str) -> bool:
     """Return an attribute as a Boolean; false if it is missing."""
     text = element.get(attribute, "false").strip()
     if text not in ("true", "1", "false", "0"):
-        raise InputError(f"{where}: {attribute} of {local(element)} must be true or false, not {text!r}")
+        raise InputError(f"{where}: {attribute} of {local(element)} must be true or false, not {text!r}.")
     return text in ("true", "1")
 
 
@@ -253,9 +253,9 @@ def mapping_entries(root: Element, where: str) -> tuple[MappingEntry, ...]:
     for element in children(root, "MappingEntry"):
         source, target = element.get("source"), element.get("target", "")
         if source is None or not target:  # editors write an empty source for a parameter without a value
-            raise InputError(f"{where}: a MappingEntry needs both source and target")
+            raise InputError(f"{where}: a MappingEntry needs both source and target.")
         if target in (entry.target for entry in entries):
-            raise InputError(f"{where}: two entries map to {target!r}; keep one of the two")
+            raise InputError(f"{where}: two entries map to {target!r}. Keep one.")
         at = f"{where}, mapping of {source!r}"
         factor, offset, table = transformation(element, at)
         suppress = truth(element, "suppressUnitConversion", at)
@@ -272,7 +272,7 @@ def transformation(element: Element, where: str) -> tuple[float, float, dict[Val
         if kind.endswith("MappingTransformation"):
             return 1.0, 0.0, _table(child, kind.removesuffix("MappingTransformation"), where)
         if kind.endswith("Transformation"):
-            raise InputError(f"{where}: {kind} is not supported; use a LinearTransformation or a table of values")
+            raise InputError(f"{where}: {kind} is not supported. Use a LinearTransformation or a table.")
     return 1.0, 0.0, None
 
 
@@ -283,5 +283,5 @@ def _table(element: Element, kind: str, where: str) -> dict[Value, Value]:
         return whole(entry, attribute, where) if kind == "Integer" else entry.get(attribute, "")
 
     if kind not in ("Boolean", "Integer", "Enumeration"):
-        raise InputError(f"{where}: {kind}MappingTransformation is not supported; use Boolean, Integer or Enumeration")
+        raise InputError(f"{where}: {kind}MappingTransformation is not supported. Use Boolean, Integer or Enumeration.")
     return {read(entry, "source"): read(entry, "target") for entry in children(element, "MapEntry")}

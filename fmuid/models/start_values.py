@@ -48,7 +48,7 @@ def with_starts(text: bytes, values: Mapping[str, float | int | bool]) -> bytes:
     for name, value in values.items():
         found = located.find(name)
         if found is None:
-            raise InputError(f"the model description has no scalar variable {name!r} with a start value")
+            raise InputError(f"modelDescription.xml: no scalar variable {name!r} with a start value.")
         typed, sizes[typed], element = found
         literals.setdefault(typed, {})[element] = _literal(name, typed.tag, value)
     edits = [located.edited_tag(typed, some, sizes[typed]) for typed, some in literals.items()]
@@ -84,13 +84,13 @@ class _LocatedXml:
             parser.Parse(text, True)
             self.text = text.decode(self.encoding)
         except (expat.ExpatError, UnicodeError, LookupError) as error:
-            raise InputError(f"modelDescription.xml is not well-formed XML: {error}") from None
+            raise InputError(f"modelDescription.xml: not well-formed XML: {error}.") from None
         self.root = tree.close()
         self.version_2 = self.root.get("fmiVersion", "").startswith("2")
         self.variables = {each.get("name", ""): each for each in self.root.iterfind("ModelVariables/*")}
 
     def find(self, name: str) -> tuple[Element, int, int | None] | None:
-        """Return the element with a scalar's start, its size, and the scalar's index in an array."""
+        """Return the element with a scalar's start, its size, and the index."""
         declared, index = self.variables.get(name), None
         match = _ELEMENT.fullmatch(name)
         array = self.variables.get(match["array"]) if match else None
@@ -118,7 +118,7 @@ class _LocatedXml:
         begin = self._character(self.begins[typed])
         tag = _TAG.match(self.text, begin)
         if tag is None:
-            raise InputError(f"modelDescription.xml has a tag that cannot be edited: {self.text[begin : begin + 40]!r}")
+            raise InputError(f"modelDescription.xml: tag cannot be edited: {self.text[begin : begin + 40]!r}.")
         for attribute in _ATTRIBUTE.finditer(self.text, *tag.span("attributes")):
             if attribute["name"] == "start":
                 return *attribute.span("value"), _with_elements(attribute["value"], literals, size)
@@ -187,7 +187,7 @@ def _literal(name: str, kind: str, value: float | int | bool) -> str:
         return repr(float(value))
     if kind in _NUMBERS and kind not in _REALS and not isinstance(value, bool) and float(value).is_integer():
         return str(int(value))
-    raise InputError(f"variable {name!r} is of type {kind} and cannot start at {value!r}")
+    raise InputError(f"variable {name!r}: {value!r} is no start value of type {kind}.")
 
 
 def _with_elements(starts: str, literals: Mapping[int | None, str], size: int) -> str:
@@ -198,7 +198,7 @@ def _with_elements(starts: str, literals: Mapping[int | None, str], size: int) -
     if len(parts) == 1 and starts.strip():
         parts = [*(parts[0], " ") * (size - 1), parts[0]]
     if (len(parts) + 1) // 2 != size or not starts.strip():
-        raise InputError(f"an array of {size} elements has the start values {starts!r}; they must be one or {size}")
+        raise InputError(f"array of {size} elements: start values {starts!r} must be one or {size}.")
     for place, literal in literals.items():
         parts[2 * (place or 0)] = literal
     return "".join(parts)

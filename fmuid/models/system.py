@@ -87,12 +87,14 @@ class System:
         isolation: Isolation | None = None,
     ) -> None:
         if (fmu is None) == (not components):
-            raise InputError("a system needs either one FMU or named components; give exactly one of the two")
+            raise InputError("a system needs either one FMU or named components.")
         if master not in MASTERS:
-            raise InputError(f"master {master!r} is not known{nearest(master, MASTERS)}: give {' or '.join(MASTERS)}")
+            raise InputError(
+                f"master: unknown value {master!r}{nearest(master, MASTERS)}. Choose {' or '.join(MASTERS)}."
+            )
         given: Mapping[str, Component | FMU | str | Path] = {"": fmu} if fmu is not None else dict(components or {})
         if fmu is None and "" in given:
-            raise InputError("a component has an empty name; name it")
+            raise InputError("a component has an empty name. Name it.")
 
         own = vars(self)  # frozen for everybody else
         own |= {"numerics": numerics, "master": master, "isolation": isolation, "values": dict(values or {})}
@@ -106,7 +108,7 @@ class System:
         own["connections"] = tuple(self._connect(*connection) for connection in connections)
         for target, count in Counter(connection.target for connection in self.connections).items():
             if count > 1:
-                raise InputError(f"input {self.full_name(*target)!r} is fed by two connections; keep one")
+                raise InputError(f"input {self.full_name(*target)!r} is fed by two connections. Keep one.")
         self._check_connectors()
         descriptions = {name: model.fmu.description for name, model in self.components.items()}
         own["exchange_order"] = exchange_order(self.connections, descriptions)
@@ -164,7 +166,7 @@ class System:
         if not isinstance(model, System):
             return cls(model, numerics=numerics, isolation=isolation)
         if numerics != AS_OFFERED or isolation is not None:
-            raise InputError("a System says interface, integrator, tolerance and isolation itself: give them to it")
+            raise InputError("a System has its own solver settings and isolation. Give them to the System.")
         return model
 
     def integrates(self, component: str) -> bool:
@@ -281,7 +283,7 @@ class System:
         """
         found = self.variables.get(name)
         if found is None:
-            raise InputError(f"{self.label} has no {role} {name!r}{nearest(name, self.variables)}")
+            raise InputError(f"{self.label}: no {role} {name!r}{nearest(name, self.variables)}.")
         return found
 
     def _connect(self, source: str, target: str, factor: float | None = None, offset: float = 0.0) -> Connection:
@@ -289,11 +291,12 @@ class System:
         for variable, causality in ((output, "output"), (input_, "input")):
             if variable.causality != causality:
                 raise InputError(
-                    f"connection {source} -> {target}: {variable.name!r} is of causality {variable.causality!r}; "
-                    f"connect an output to an input"
+                    f"connection {source} -> {target}: "
+                    f"{variable.name!r} has causality {variable.causality!r}. "
+                    "Connect an output to an input."
                 )
         if output.type != input_.type or output.type not in ("Real", "Integer", "Boolean"):
-            raise InputError(f"connection {source} -> {target}: {output.type} cannot feed {input_.type}")
+            raise InputError(f"connection {source} -> {target}: {output.type} cannot feed {input_.type}.")
         ends = self.split(source), self.split(target)
         if factor is not None:
             return Connection(*ends, factor, offset)
@@ -303,23 +306,24 @@ class System:
         conversion = unit_conversion(gives.get(output.unit), takes.get(input_.unit))
         if conversion is None:
             raise InputError(
-                f"connection {source} -> {target}: the units do not convert ({output.unit} and {input_.unit}); "
-                f"export the models with units of the same dimension"
+                f"connection {source} -> {target}: units {output.unit} and {input_.unit} do not convert. "
+                "Export models with units of one dimension."
             )
         return Connection(*ends, *conversion)
 
     def _check_connectors(self) -> None:
         for name, ports in self.connectors.items():
             if any(name == component or name.startswith(component + ".") for component in self.components):
-                raise InputError(f"connector {name!r} is named like a component or its variable; give it another name")
+                raise InputError(f"connector {name!r} is named like a component or its variable. Rename it.")
             behind = [self.variable(port, f"variable behind {name!r}") for port, _, _ in ports]
             for variable in behind:
                 if variable.name in self.connected_inputs:
-                    raise InputError(f"connector {name!r} sets {variable.name!r}, which a connection feeds; keep one")
+                    raise InputError(f"connector {name!r} sets {variable.name!r}, which a connection feeds. Keep one.")
                 if variable.causality != behind[0].causality or variable.type != behind[0].type:
                     raise InputError(
-                        f"connector {name!r} joins {behind[0].name!r} ({behind[0].causality}, {behind[0].type}) and "
-                        f"{variable.name!r} ({variable.causality}, {variable.type}); join variables of one kind"
+                        f"connector {name!r} joins {behind[0].name!r} ({behind[0].causality}, "
+                        f"{behind[0].type}) and "
+                        f"{variable.name!r} ({variable.causality}, {variable.type}). Join variables of one kind."
                     )
                 if variable.causality == "output" and len(behind) > 1:
-                    raise InputError(f"connector {name!r} joins several outputs; write their sum in the outputs")
+                    raise InputError(f"connector {name!r} joins several outputs. Write their sum in the outputs.")

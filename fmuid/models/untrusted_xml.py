@@ -39,13 +39,13 @@ def parse_xml(text: bytes, what: str) -> ElementTree.Element:
     try:
         root = ElementTree.fromstring(text)
     except (ElementTree.ParseError, UnicodeError, LookupError, ValueError) as error:
-        raise InputError(f"{what} is not well-formed XML: {error}") from None
+        raise InputError(f"{what}: not well-formed XML: {error}.") from None
     level = [root]
     for _ in range(DEEPEST_NESTING):
         level = [child for element in level for child in element]
         if not level:
             return root
-    raise InputError(f"{what} has more than {DEEPEST_NESTING} elements inside each other; nest it less deeply")
+    raise InputError(f"{what}: more than {DEEPEST_NESTING} nested elements. Nest it less deeply.")
 
 
 def started_elements(text: bytes, what: str) -> Iterator[ElementTree.Element]:
@@ -55,17 +55,14 @@ def started_elements(text: bytes, what: str) -> Iterator[ElementTree.Element]:
         for _, element in ElementTree.iterparse(io.BytesIO(text), ("start",)):
             yield element
     except (ElementTree.ParseError, UnicodeError, LookupError, ValueError) as error:
-        raise InputError(f"{what} is not well-formed XML: {error}") from None
+        raise InputError(f"{what}: not well-formed XML: {error}.") from None
 
 
 def xml_parser(what: str) -> expat.XMLParserType:
     """Return a parser with text positions that refuses a document type."""
 
     def refuse(*_: object) -> None:
-        raise InputError(
-            f"{what} has a DOCTYPE, which may make a reader fetch other files or fill its memory; remove it, no FMI or "
-            "SSP file needs one"
-        )
+        raise InputError(f"{what}: DOCTYPE is refused: it may load other files. Remove it.")
 
     made = expat.ParserCreate()
     made.StartDoctypeDeclHandler = refuse
@@ -99,4 +96,4 @@ def _check_head(text: bytes, what: str) -> None:
     except _RootReached:
         return
     except (expat.ExpatError, UnicodeError, LookupError, ValueError) as error:
-        raise InputError(f"{what} is not well-formed XML: {error}") from None
+        raise InputError(f"{what}: not well-formed XML: {error}.") from None

@@ -16,7 +16,7 @@ _shared: list[int] = []  # descriptor of the memory shared with the ordering pro
 
 
 def shared_memory(size: int) -> mmap.mmap:
-    """Return the shared memory of an isolated process, of a size in bytes.
+    """Return the shared memory of an isolated process; size in bytes.
 
     On Linux forks do not have it: native code may fork, and the child continue the order.
     """
