@@ -87,9 +87,9 @@ def test_row(head: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> N
 
 # --- the FMU does not run -----------------------------------------------------------------
 
-elsewhere("`has no binary for` this platform", "tests.apps.cli.test_newcomers:test_fmus_that_are_none")
+elsewhere("`no binary for` this platform", "tests.apps.cli.test_newcomers:test_fmus_that_are_none")
 elsewhere("it asks for a license, or for its tool", "tests.simulation.test_validation:test_faults")
-elsewhere("`declares … more than once`", "tests.apps.cli.test_bad_fmus:test_two_variables_of_one_name")
+elsewhere("`variable … is declared twice`", "tests.apps.cli.test_bad_fmus:test_two_variables_of_one_name")
 elsewhere("it crashes, or hangs", "tests.simulation.test_validation:test_a_hang_is_ended")
 
 

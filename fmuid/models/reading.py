@@ -243,7 +243,7 @@ class _Variables:
         initial = element.get("initial", allowed.get(causality))
         if "initial" not in element.attrib and causality not in allowed:
             raise InputError(
-                f"variable {name!r}: causality {causality!r} and variability {variability!r} exclude each other in FMI."
+                f"variable {name!r}: FMI does not allow causality {causality!r} with variability {variability!r}."
             )
         return causality, variability, initial
 

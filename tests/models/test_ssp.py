@@ -204,41 +204,41 @@ def test_ssp_2_is_read(package: Maker) -> None:
 BOTH = drive() + controller()
 INNER = element("System", "inner", connector("p", "calculatedParameter"), content(drive()))
 BAD = [
-    (content(drive(source="x" * 300)), "component 'drive' needs the file 'x*', which the archive does not have"),
-    (content(drive(source="resources/Drvie.fmu")), "component 'drive' needs the file 'resources/Drvie.fmu', which the archive does not have .*'resources/Drive.fmu'"),
-    (content(drive(source="../Drive.fmu")), r"component 'drive' has the source '\.\./Drive.fmu'; only files inside"),
-    (content(drive(source="file:///Drive.fmu")), "only files inside the archive"),
-    (content(drive(source="#other")), "only files inside the archive"),
-    (content(drive(source="SystemStructure.ssd")), "component 'drive': SystemStructure.ssd is not an FMU"),
-    (content(drive(type="application/x-ssp-package")), "component 'drive' is of type application/x-ssp-package, and only FMUs"),
-    (content(drive() + drive()), "the top system has two elements 'drive'; rename one"),
-    (content(drive("")), "an element of the top system has no name; give it one"),
-    (content(drive() + element("Table", "map", "")), "element 'map' is a Table, which is not supported; use FMUs and systems"),
-    (content(drive(implementation="ScheduledExecution")), "component 'drive' asks for ScheduledExecution, and only any, CoSimulation, ModelExchange"),
+    (content(drive(source="x" * 300)), "component 'drive': file 'x*' is not in the archive"),
+    (content(drive(source="resources/Drvie.fmu")), "file 'resources/Drvie.fmu' is not in the archive .*'resources/Drive.fmu'"),
+    (content(drive(source="../Drive.fmu")), r"component 'drive': source '\.\./Drive.fmu' is outside the archive"),
+    (content(drive(source="file:///Drive.fmu")), "is outside the archive"),
+    (content(drive(source="#other")), "is outside the archive"),
+    (content(drive(source="SystemStructure.ssd")), "component 'drive': SystemStructure.ssd is no FMU"),
+    (content(drive(type="application/x-ssp-package")), "component 'drive': type application/x-ssp-package is not supported"),
+    (content(drive() + drive()), "the top system: two elements 'drive'"),
+    (content(drive("")), "the top system: an element has no name"),
+    (content(drive() + element("Table", "map", "")), "element 'map' is a Table, which is not supported"),
+    (content(drive(implementation="ScheduledExecution")), "component 'drive': ScheduledExecution is not supported"),
     (content(drive(more=connector("a", "output").replace("<ssc", "<ssc:Dimension/><ssc")) + controller(), connection("drive.a", "controller.q")), "connector drive.a is an array, which is not supported"),
-    (content(""), "has no components; add at least one FMU"),
-    (content(BOTH, connection("drvie.q", "controller.q")), r"names the element 'drvie', which the top system does not have \(did you mean 'drive'"),
-    (content(BOTH, connection("drive.p", "controller.q")), r"names the connector 'p', which element 'drive' does not have"),
-    (content(BOTH, connection("drive.dqq", "controller.q")), r"'dqq', which element 'drive' does not have \(did you mean 'dq'"),
-    (content(BOTH, connection("reference", "controller.q")), "'reference', which the top system does not have"),
-    (content(element("System", "inner", "", content(drive(), connection("x", "drive.v")))), "names the connector 'x', which system 'inner' does not"),
-    (content(BOTH, connection("drive.v", "controller.q")), r"connection drive.v -> controller.q connects drive.v \(input\) and controller.q \(input\), between which nothing can flow"),
+    (content(""), "no components"),
+    (content(BOTH, connection("drvie.q", "controller.q")), r"the top system has no element 'drvie' \(did you mean 'drive'"),
+    (content(BOTH, connection("drive.p", "controller.q")), r"element 'drive' has no connector 'p'"),
+    (content(BOTH, connection("drive.dqq", "controller.q")), r"no connector 'dqq' \(did you mean 'dq'"),
+    (content(BOTH, connection("reference", "controller.q")), "the top system has no connector 'reference'"),
+    (content(element("System", "inner", "", content(drive(), connection("x", "drive.v")))), "system 'inner' has no connector 'x'"),
+    (content(BOTH, connection("drive.v", "controller.q")), r"connection drive.v -> controller.q connects drive.v \(input\) and controller.q \(input\)"),
     (content(BOTH, connection("drive.q", "controller.v")), r"drive.q \(output\) and controller.v \(output\)"),
-    (content(BOTH, connection("drive.q", "controller.kp")), r"leads from drive.q \(output\) to controller.kp \(parameter\), which is not supported"),
-    (content(BOTH + INNER, connection("inner.p", "controller.kp")), r"from inner.p \(calculatedParameter\) to controller.kp"),
-    (content(BOTH + INNER, connection("inner.p", "controller.q")), r"from inner.p \(calculatedParameter\) to controller.q \(input\), which is not"),
-    (content(BOTH, connection("drive.q", "controller.q") + connection("drive.dq", "controller.q")), "controller.q is fed twice, by connection drive.q -> controller.q and by connection drive.dq -> controller.q"),
-    (content(drive(unit="m") + controller(unit="V"), connection("drive.q", "controller.q")), "connection drive.q -> controller.q: the units 'm' and 'V' do not convert into each other"),
-    (content(drive(unit="inch") + controller(unit="m"), connection("drive.q", "controller.q")), "the units 'inch' and 'm' do not convert"),
-    (content(drive(more=connector("port", "inout")) + controller(), connection("drive.port", "controller.q")), "connector drive.port is of kind 'inout', which is not supported"),
-    (content(BOTH, connection("drive.q", "controller.q", table("Boolean", true="false"))), "maps values by a table, which is supported for parameters only"),
-    (content(drive(bindings=binding(parameter("M", 1.0, unit="V"), rest=in_ssv(units(V=("A", 1.0, 0.0)))))), "parameter 'M': the units 'V' and 'kg' do not convert"),
-    (content(drive(bindings=binding(""))), "a parameter binding of drive has neither a source nor a ParameterSet"),
-    (content(drive(bindings=binding("", type="text/csv", source="a.csv"))), "is of type text/csv, and only application/x-ssp-parameter-set"),
-    (content(drive(bindings=binding("", sourceBase="component", source="a.ssv"))), "takes a.ssv from inside a component"),
-    (content(drive(bindings=binding("", source="a.ssv"))), "a parameter binding of drive needs the file 'a.ssv'"),
-    (content(drive(bindings=binding("", source="resources/Drive.fmu"))), "resources/Drive.fmu is not well-formed XML"),
-    (content(element("SignalDictionaryReference", "bus", "", dictionary="Bus") + drive()), "'bus' refers to no signal dictionary 'Bus'"),
+    (content(BOTH, connection("drive.q", "controller.kp")), r"drive.q \(output\) cannot feed controller.kp \(parameter\)"),
+    (content(BOTH + INNER, connection("inner.p", "controller.kp")), r"inner.p \(calculatedParameter\) cannot feed controller.kp"),
+    (content(BOTH + INNER, connection("inner.p", "controller.q")), r"inner.p \(calculatedParameter\) cannot feed controller.q"),
+    (content(BOTH, connection("drive.q", "controller.q") + connection("drive.dq", "controller.q")), "controller.q is fed twice, by connection drive.q -> controller.q and connection drive.dq -> controller.q"),
+    (content(drive(unit="m") + controller(unit="V"), connection("drive.q", "controller.q")), "connection drive.q -> controller.q: units 'm' and 'V' do not convert"),
+    (content(drive(unit="inch") + controller(unit="m"), connection("drive.q", "controller.q")), "units 'inch' and 'm' do not convert"),
+    (content(drive(more=connector("port", "inout")) + controller(), connection("drive.port", "controller.q")), "connector drive.port: kind 'inout' is not supported"),
+    (content(BOTH, connection("drive.q", "controller.q", table("Boolean", true="false"))), "tables are supported for parameters only"),
+    (content(drive(bindings=binding(parameter("M", 1.0, unit="V"), rest=in_ssv(units(V=("A", 1.0, 0.0)))))), "parameter 'M': units 'V' and 'kg' do not convert"),
+    (content(drive(bindings=binding(""))), "a parameter binding of drive: neither a source nor a ParameterSet"),
+    (content(drive(bindings=binding("", type="text/csv", source="a.csv"))), "type text/csv is not supported"),
+    (content(drive(bindings=binding("", sourceBase="component", source="a.ssv"))), "a.ssv inside a component is not supported"),
+    (content(drive(bindings=binding("", source="a.ssv"))), "a parameter binding of drive: file 'a.ssv'"),
+    (content(drive(bindings=binding("", source="resources/Drive.fmu"))), "resources/Drive.fmu: not well-formed XML"),
+    (content(element("SignalDictionaryReference", "bus", "", dictionary="Bus") + drive()), "'bus': no signal dictionary 'Bus'"),
 ]  # fmt: skip
 
 
@@ -257,7 +257,7 @@ def test_what_is_wrong_is_one_sentence(package: Maker, body: str, message: str) 
     ("wrong", "message"),
     [
         (connector("w", "output"), r"no connected variable 'drive\.w'"),
-        (connector("M", "output"), r"'drive\.M' is of causality 'parameter'; connect an output to an input"),
+        (connector("M", "output"), r"'drive\.M' has causality 'parameter'"),
     ],
 )
 def test_what_the_fmus_know_is_checked_when_the_system_is_made(package: Maker, wrong: str, message: str) -> None:
@@ -273,30 +273,30 @@ def test_a_circle_without_a_component(package: Maker) -> None:
         "System", "inner", connector("i", "input") + connector("o", "output"), content(drive(), connection("i", "o"))
     )
     path = package(content(through, connection("inner.o", "inner.i")))
-    with pytest.raises(InputError, match="closes a circle without any component"):
+    with pytest.raises(InputError, match="closes a circle without a component"):
         read_ssp(path)
 
 
 def test_fmi_1_is_refused(package: Maker, tmp_path: Path) -> None:
     path = package(content(element("Component", "old", "", source="types.fmu")))
     add_types(path, tmp_path, TYPES.replace('fmiVersion="2.0"', 'fmiVersion="1.0"'))
-    with pytest.raises(InputError, match=r"component 'old' is an FMU of FMI 1\.0, which is not supported"):
+    with pytest.raises(InputError, match=r"component 'old': FMI 1\.0 is not supported"):
         read_ssp(path)
 
 
 @pytest.mark.parametrize(
     ("entries", "message"),
     [
-        (None, "there is no such SSP file"),
-        ({}, "it has no SystemStructure.ssd at its top level"),
-        ({"SystemStructure.ssd": "<a"}, "SystemStructure.ssd is not well-formed XML"),
-        ({"SystemStructure.ssd": "<a version='1.0'/>"}, "SystemStructure.ssd is not a system structure: its root"),
+        (None, "SSP file not found"),
+        ({}, "no SystemStructure.ssd at its top level"),
+        ({"SystemStructure.ssd": "<a"}, "SystemStructure.ssd: not well-formed XML"),
+        ({"SystemStructure.ssd": "<a version='1.0'/>"}, "SystemStructure.ssd: not a system structure"),
         (
             {"SystemStructure.ssd": "<SystemStructureDescription version='3.0'/>"},
-            "system structure of SSP 3.0, and only",
+            "SSP 3.0 is not supported",
         ),
-        ({"SystemStructure.ssd": "<SystemStructureDescription version='1.0'/>"}, "has 0 top-level systems"),
-        ({"SystemStructure.ssd": "", "../evil": ""}, "'../evil' would be written outside"),
+        ({"SystemStructure.ssd": "<SystemStructureDescription version='1.0'/>"}, "0 top-level systems"),
+        ({"SystemStructure.ssd": "", "../evil": ""}, "'../evil' is outside the archive's folder"),
     ],
 )
 def test_files_that_are_no_structure(tmp_path: Path, entries: Mapping[str, str] | None, message: str) -> None:
@@ -312,5 +312,5 @@ def test_files_that_are_no_structure(tmp_path: Path, entries: Mapping[str, str] 
 
 def test_a_file_that_is_no_archive(tmp_path: Path) -> None:
     (tmp_path / "x.ssp").write_text("text")
-    with pytest.raises(InputError, match="is not an SSP: it is not a zip archive"):
+    with pytest.raises(InputError, match="not an SSP: no zip archive"):
         read_ssp(tmp_path / "x.ssp")

@@ -147,7 +147,7 @@ def test_types_and_tables(
         (
             parameter("x", 2, "Integer"),
             ("x", "types.n", table("Integer", _3="4")),
-            "is 2, for which its mapping has no",
+            "is 2, which its mapping lacks",
         ),
     ],
 )

@@ -65,7 +65,7 @@ def test_a_loop_of_feedthrough_without_a_solution_fails_by_name(probe: ProbeMake
 
 def test_undeclared_dependencies_count_as_dependence_on_all_inputs(probe: ProbeMaker) -> None:
     path = probe()
-    with pytest.raises(InputError, match=r"loop of direct feed-through.*'[ab]\.ten_n' is of type Integer"):
+    with pytest.raises(InputError, match=r"algebraic loop.*'[ab]\.ten_n' is of type Integer"):
         System(components={"a": path, "b": path}, connections=[("a.ten_n", "b.n"), ("b.ten_n", "a.n")])
 
 
@@ -73,10 +73,10 @@ def test_undeclared_dependencies_count_as_dependence_on_all_inputs(probe: ProbeM
     ("connections", "message"),
     [
         ([("a.x", "b.v")], r"no connected variable 'b.v'"),
-        ([("a.u", "b.u")], "connect an output to an input"),
-        ([("a.x", "b.x")], "connect an output to an input"),
+        ([("a.u", "b.u")], "Connect an output to an input"),
+        ([("a.x", "b.x")], "Connect an output to an input"),
         ([("a.ten_n", "b.u")], "Integer cannot feed Real"),
-        ([("a.x", "b.u")], r"the units do not convert \(rad and rad/s\)"),
+        ([("a.x", "b.u")], r"units rad and rad/s do not convert"),
         ([("a.y", "b.u"), ("a.y", "b.u")], "fed by two connections"),
     ],
 )

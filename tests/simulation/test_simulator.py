@@ -312,7 +312,7 @@ def test_irregular_sampling_is_refused_where_the_fmu_needs_equal_steps(probe: Pr
         ({"values": {"n": 1.5}}, "of type Integer"),
         ({"values": {"n": 2**40}}, "finite number within Int32"),
         ({"values": {"gain": True}}, "of type Real"),
-        ({"units": {"u": "furlong"}}, "'furlong', the unit of the column of 'u', does not convert to 'rad/s'"),
+        ({"units": {"u": "furlong"}}, "u: column unit 'furlong' does not convert to 'rad/s'"),
     ],
 )
 def test_wrong_roles_are_refused(probe: ProbeMaker, roles: dict[str, Any], message: str) -> None:

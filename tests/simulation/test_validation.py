@@ -81,7 +81,7 @@ def test_a_missing_binary_is_said_before_the_description_is_checked(
     monkeypatch.setattr(validation, "_description", described)
     assert run(["validate", str(path)]) == NOT_SUCCEEDED
     (before,) = said
-    assert before.startswith(f"note: {path} has no binary for this platform")
+    assert before.startswith(f"note: {path}: no binary for this platform")
     assert "simulating" not in before
     assert not (tmp_path / "cache").exists()
 

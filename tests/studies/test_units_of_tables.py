@@ -54,5 +54,5 @@ def test_the_same_estimates_from_other_units(tmp_path: Path, measured: pd.DataFr
 
 
 def test_a_unit_that_does_not_fit_is_refused(tmp_path: Path, measured: pd.DataFrame) -> None:
-    with pytest.raises(InputError, match=r"'rpm', the unit of the column of 'i', does not convert to 'A'"):
+    with pytest.raises(InputError, match=r"i: column unit 'rpm' does not convert to 'A'"):
         study(tmp_path, measured.rename(columns={"i": "i (rpm)"})).problem()

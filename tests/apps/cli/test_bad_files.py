@@ -158,7 +158,7 @@ def test_mat_files_nested_deeply(tmp_path: Path) -> None:
     [
         ('m="1"', 'm="INF"', "m of BaseUnit must be a finite number"),
         ('m="1"', 'm="nan"', "m of BaseUnit must be a finite number"),
-        ('factor="0.001"', 'factor="0"', "has the factor 0"),
+        ('factor="0.001"', 'factor="0"', "factor 0"),
         ('value="4.5"', 'value="INF"', "value of Real must be a finite number"),
     ],
 )
@@ -179,8 +179,8 @@ def test_values_without_finite_numbers(
 @pytest.mark.parametrize(
     ("old", "new", "said"),
     [
-        ("<Unit name=", "<Unit named=", "a Unit without its name"),
-        (" modelName=", " named=", "a fmiModelDescription without its name"),
+        ("<Unit name=", "<Unit named=", "Unit without a name"),
+        (" modelName=", " named=", "fmiModelDescription without a name"),
         (" guid=", " named=", "no guid"),
     ],
 )

@@ -69,7 +69,7 @@ def test_two_variables_of_one_name(coil_folder: Path, capsys: pytest.CaptureFixt
     rezip(coil_folder / "Coil.fmu", repeat)
     name = "study.toml" if command in ("simulate", "identify") else "Coil.fmu"
     sentence = refused(capsys, command, coil_folder / name)
-    assert "Coil.fmu: its modelDescription.xml declares 'R' more than once" in sentence
+    assert "Coil.fmu: modelDescription.xml: variable 'R' is declared twice" in sentence
 
 
 def test_fmi_1(coil_folder: Path, capsys: pytest.CaptureFixture[str]) -> None:

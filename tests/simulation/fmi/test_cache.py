@@ -60,7 +60,7 @@ def test_a_cache_that_leads_elsewhere_is_refused(tmp_path: Path, cache: Path, pl
 def test_a_cache_of_somebody_else_is_refused(tmp_path: Path, cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (cache / "fmuid").mkdir(parents=True)
     monkeypatch.setattr("os.geteuid", lambda: os.getuid() + 1)
-    with pytest.raises(InputError, match=r"belongs to somebody else.*XDG_CACHE_HOME"):
+    with pytest.raises(InputError, match=r"belongs to another user.*XDG_CACHE_HOME"):
         unpacked(pack(tmp_path / "a.fmu", ("a", b"x")), "digest")
 
 

@@ -36,15 +36,15 @@ def test_document_types_are_refused(tmp_path: Path, kind: str, encoding: str) ->
         whole = f'<?xml version="1.0" encoding="{encoding}"?>{kind}{described}'.encode(encoding)
         with zipfile.ZipFile(tmp_path / "a.fmu", "w") as archive:
             archive.writestr("modelDescription.xml", whole)
-        with pytest.raises(InputError, match=r"modelDescription\.xml has a DOCTYPE"):
+        with pytest.raises(InputError, match=r"modelDescription\.xml: DOCTYPE is refused"):
             FMU(tmp_path / "a.fmu")
-        with pytest.raises(InputError, match="has a DOCTYPE"):
+        with pytest.raises(InputError, match="DOCTYPE is refused"):
             with_starts(whole, {})
     (tmp_path / "a.ssv").write_bytes(f"{kind}<ParameterSet version='1.0'>{value}</ParameterSet>".encode(encoding))
-    with pytest.raises(InputError, match=r"a\.ssv has a DOCTYPE"):
+    with pytest.raises(InputError, match=r"a\.ssv: DOCTYPE is refused"):
         read_ssv(tmp_path / "a.ssv")
     pack(tmp_path / "a.ssp", ("SystemStructure.ssd", f"{kind}<SystemStructureDescription/>".encode(encoding)))
-    with pytest.raises(InputError, match=r"SystemStructure\.ssd has a DOCTYPE"):
+    with pytest.raises(InputError, match=r"SystemStructure\.ssd DOCTYPE is refused"):
         read_ssp(tmp_path / "a.ssp")
 
 
@@ -55,7 +55,7 @@ def test_document_type_of_a_build_description(tmp_path: Path) -> None:
         archive.writestr("modelDescription.xml", FMI3)
         archive.writestr("sources/buildDescription.xml", text)
     fmu = FMU(tmp_path / "a.fmu")
-    with pytest.raises(InputError, match=r"buildDescription\.xml has a DOCTYPE"):
+    with pytest.raises(InputError, match=r"buildDescription\.xml: DOCTYPE is refused"):
         _description(fmu)
 
 
@@ -65,11 +65,11 @@ def test_deep_nesting(tmp_path: Path) -> None:
         if fits:
             assert safe_xml.parse_xml(text, "it").tag == "a"
         else:
-            with pytest.raises(InputError, match="it has more than 200 elements inside each other"):
+            with pytest.raises(InputError, match="more than 200 nested elements"):
                 safe_xml.parse_xml(text, "it")
     system = "<System name='s'><Elements>" * 5000 + "</Elements></System>" * 5000
     text = f"<SystemStructureDescription version='1.0'>{system}</SystemStructureDescription>".encode()
-    with pytest.raises(InputError, match="inside each other"):
+    with pytest.raises(InputError, match="nested elements"):
         read_ssp(pack(tmp_path / "a.ssp", ("SystemStructure.ssd", text)))
 
 
@@ -92,26 +92,26 @@ def test_xml_and_archives_are_read_in_one_place() -> None:
 @pytest.mark.parametrize(
     ("old", "new", "said"),
     [
-        ('<Dimension start="5"/>', '<Dimension start="1000000000"/>', "declares 1000000013 variables and elements"),
-        ('<Dimension start="5"/>', '<Dimension start="5"/>' * 20, "and at most 1000000 are read"),
+        ('<Dimension start="5"/>', '<Dimension start="1000000000"/>', "1000000013 variables and elements"),
+        ('<Dimension start="5"/>', '<Dimension start="5"/>' * 20, "at most 1000000 are read"),
         ('valueReference="3" causality', 'valueReference="4294967296" causality', "no unsigned 32-bit integer"),
         ('valueReference="3" causality', 'valueReference="-1" causality', "no unsigned 32-bit integer"),
-        ('valueReference="5" causality', 'valueReference="7" causality', "refers to 5, which it does not declare"),
-        ('modelIdentifier="linear" has', 'modelIdentifier="../../evil" has', "no name of a binary"),
-        ('modelIdentifier="linear" has', 'modelIdentifier="..\\evil" has', "no name of a binary"),
-        ('modelIdentifier="linear" has', "has", "no name of a binary"),
-        ('start="0.5"', 'start="half"', "gives 'length' a value that is none: could not convert"),
-        (' instantiationToken="linear"', "", "has no guid or instantiationToken"),
-        (' modelName="Linear"', "", "has a fmiModelDescription without its name"),
+        ('valueReference="5" causality', 'valueReference="7" causality', "refers to 5, which is not declared"),
+        ('modelIdentifier="linear" has', 'modelIdentifier="../../evil" has', "names no binary"),
+        ('modelIdentifier="linear" has', 'modelIdentifier="..\\evil" has', "names no binary"),
+        ('modelIdentifier="linear" has', "has", "names no binary"),
+        ('start="0.5"', 'start="half"', "'length': wrong value: could not convert"),
+        (' instantiationToken="linear"', "", "no guid or instantiationToken"),
+        (' modelName="Linear"', "", "fmiModelDescription without a name"),
         (
             '<Float64 name="length"',
             '<Float65 name="length"',
-            "'length' as Float65, which is no type of FMI 3.0",
+            "'length': Float65 is no type of FMI 3.0",
         ),
-        (' dependencies="4"', ' dependencies="4 u"', "has what refers to a variable = u"),
-        ('<Dimension start="5"/>', "<Dimension/>", "has what refers to a variable = None"),
+        (' dependencies="4"', ' dependencies="4 u"', "reference to a variable = u"),
+        ('<Dimension start="5"/>', "<Dimension/>", "reference to a variable = None"),
         ('<Dimension start="5"/>', '<Dimension start="-5"/>', "the size of an array = -5"),
-        ('causality="input"', 'causality="input" declaredType="V"', "'u' of type 'V', which it does not define"),
+        ('causality="input"', 'causality="input" declaredType="V"', "'u': type 'V' is not defined"),
         ('causality="input" variability="continuous"', 'causality="input" variability="fixed"', "FMI does not allow"),
     ],
 )
@@ -124,9 +124,9 @@ def test_descriptions_that_are_refused(tmp_path: Path, old: str, new: str, said:
 @pytest.mark.parametrize("factor", ["0", "nan", "INF", "twice"])
 def test_units_that_do_not_convert(tmp_path: Path, factor: str) -> None:
     for old in ('factor="1000"', 'factor="9.549296585513721"'):
-        with pytest.raises(InputError, match="which no calculation can use"):
+        with pytest.raises(InputError, match="is not a usable number"):
             FMU(write_fmu(tmp_path / "a.fmu", FMI2.replace(old, f'factor="{factor}"')))
-    with pytest.raises(InputError, match="has a unit 'A' with an exponent that is none"):
+    with pytest.raises(InputError, match="unit 'A': wrong exponent"):
         FMU(write_fmu(tmp_path / "a.fmu", FMI2.replace('<BaseUnit A="1"/>', '<BaseUnit A="1.5"/>')))
 
 

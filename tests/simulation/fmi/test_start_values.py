@@ -128,11 +128,11 @@ def test_annotations_of_others_stay(tmp_path: Path) -> None:
     [
         (FMI_2, {"gone": 1.0}, "no scalar variable 'gone'"),
         (FMI_2, {"a[1]": 1.0}, r"no scalar variable 'a\[1\]'"),
-        (FMI_2, {"n": 1.5}, "variable 'n' is of type Integer and cannot start at 1.5"),
-        (FMI_2, {"n": True}, "type Integer and cannot start at True"),
-        (FMI_2, {"a": float("nan")}, "type Real and cannot start at nan"),
-        (FMI_2, {"n": float("inf")}, "type Integer and cannot start at inf"),
-        (FMI_2, {"on": 0.5}, "type Boolean and cannot start at 0.5"),
+        (FMI_2, {"n": 1.5}, "variable 'n': 1.5 is no start value of type Integer"),
+        (FMI_2, {"n": True}, "True is no start value of type Integer"),
+        (FMI_2, {"a": float("nan")}, "nan is no start value of type Real"),
+        (FMI_2, {"n": float("inf")}, "inf is no start value of type Integer"),
+        (FMI_2, {"on": 0.5}, "0.5 is no start value of type Boolean"),
         (FMI_3, {"A": 1.0}, "no scalar variable 'A'"),
         (FMI_3, {"A[3,1]": 1.0}, r"no scalar variable 'A\[3,1\]'"),
         (FMI_3, {"A[1]": 1.0}, r"no scalar variable 'A\[1\]'"),
@@ -140,9 +140,9 @@ def test_annotations_of_others_stay(tmp_path: Path) -> None:
         (
             FMI_3.replace("4 5 6", "4 5"),
             {"A[1,1]": 1.0},
-            "an array of 6 elements has the start values .* must be one or 6",
+            "array of 6 elements: start values .* must be one or 6",
         ),
-        ("<a", {"a": 1.0}, "is not well-formed XML"),
+        ("<a", {"a": 1.0}, "not well-formed XML"),
     ],
 )
 def test_what_cannot_be_written_is_one_sentence(text: str, values: dict[str, float], message: str) -> None:

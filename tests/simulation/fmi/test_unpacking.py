@@ -121,7 +121,7 @@ def test_names_of_one_file_are_refused(tmp_path: Path, monkeypatch: pytest.Monke
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # of zipfile, to whoever writes that
         path = pack(tmp_path / "a.fmu", (names[0], b"1"), (names[1], b"2"))
-    assert "would be the same file" in refusal(path)
+    assert "are one file" in refusal(path)
 
 
 def test_a_file_packed_twice_is_the_same(tmp_path: Path) -> None:
@@ -150,7 +150,7 @@ def test_a_bomb_is_refused_by_its_ratio(tmp_path: Path, monkeypatch: pytest.Monk
     monkeypatch.setattr(zipped, "LIMITS", replace(zipped.LIMITS, ratio_from=2**20))
     path = pack(tmp_path / "a.fmu", ("zeros", bytes(3 * 2**20)))
     assert path.stat().st_size * zipped.LIMITS.ratio < 3 * 2**20
-    assert "200 times its own size" in refusal(path)
+    assert "200 times its size" in refusal(path)
 
 
 def test_a_bomb_that_understates_its_size_is_damaged(tmp_path: Path) -> None:
@@ -159,7 +159,7 @@ def test_a_bomb_that_understates_its_size_is_damaged(tmp_path: Path) -> None:
     def understate(content: bytearray) -> None:
         struct.pack_into("<I", content, headers(content)[0] + 24, 100)
 
-    assert "is damaged" in refusal(changed(path, understate))
+    assert "damaged archive" in refusal(changed(path, understate))
 
 
 def test_what_is_read_is_counted(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -204,7 +204,7 @@ def test_large_xml(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         FMU(write_fmu(tmp_path / "a.fmu", FMI2))
     monkeypatch.setattr(ssv, "LARGEST_XML", 100)
     (tmp_path / "a.ssv").write_bytes(bytes(101))
-    with pytest.raises(InputError, match="larger than the 100 bytes"):
+    with pytest.raises(InputError, match="larger than the limit of 100 bytes"):
         read_ssv(tmp_path / "a.ssv")
 
 
@@ -232,10 +232,10 @@ def test_damaged_content(tmp_path: Path) -> None:
         def spoil(content: bytearray, place: int = place, length: int = length) -> None:
             content[place : place + length] = bytes(length)
 
-        assert "is damaged" in refusal(changed(path, spoil))
+        assert "damaged archive" in refusal(changed(path, spoil))
 
 
 def test_an_fmu_for_scheduled_execution_alone_is_refused(tmp_path: Path) -> None:
     text = re.sub(r"<(CoSimulation|ModelExchange) .*/>\n", "", FMI3)
-    with pytest.raises(InputError, match="offers neither co-simulation nor model exchange"):
+    with pytest.raises(InputError, match="neither Co-Simulation nor Model Exchange"):
         FMU(write_fmu(tmp_path / "a.fmu", text))
