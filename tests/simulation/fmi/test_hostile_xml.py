@@ -44,7 +44,7 @@ def test_document_types_are_refused(tmp_path: Path, kind: str, encoding: str) ->
     with pytest.raises(InputError, match=r"a\.ssv: DOCTYPE is refused"):
         read_ssv(tmp_path / "a.ssv")
     pack(tmp_path / "a.ssp", ("SystemStructure.ssd", f"{kind}<SystemStructureDescription/>".encode(encoding)))
-    with pytest.raises(InputError, match=r"SystemStructure\.ssd DOCTYPE is refused"):
+    with pytest.raises(InputError, match=r"SystemStructure\.ssd: DOCTYPE is refused"):
         read_ssp(tmp_path / "a.ssp")
 
 

@@ -179,7 +179,7 @@ def test_what_is_read_is_counted(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 
 
 @pytest.mark.parametrize(
-    ("limit", "words"), [({"entries": 10}, "has 30 entries"), ({"directory": 1000}, "its directory is larger")]
+    ("limit", "words"), [({"entries": 10}, "30 entries"), ({"directory": 1000}, "its directory is larger")]
 )
 def test_large_directories_are_refused(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, limit: dict[str, int], words: str
