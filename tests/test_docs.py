@@ -16,11 +16,11 @@ import pytest
 
 from fmuid.diagnosis.cause_ranking import SETTINGS as CAUSE_RANKING
 from fmuid.diagnosis.unexplained_residual import SETTINGS as UNEXPLAINED_RESIDUAL
-from fmuid.estimation.covariance import UNDETERMINED_STD, WEAK_STD
-from fmuid.estimation.estimate import VARIANCE_CHANGE
+from fmuid.estimation.covariance import LIMITS
+from fmuid.estimation.estimate import ROUNDS
 from fmuid.estimation.noise.whiteness_tests import WhitenessSettings
 from fmuid.estimation.search.stopping import STOPPING
-from fmuid.estimation.simulation_noise import NOISE_POINTS
+from fmuid.estimation.simulation_noise import NOISE
 from fmuid.identification.prior_data_tests import SAME_VARIANCE_RATIO
 from fmuid.models.component import DEFAULT_TOLERANCE
 from fmuid.runs.batch.case_list import CaseList
@@ -102,11 +102,11 @@ def test_the_numbers_of_the_method() -> None:
     text = " ".join(METHOD.split())
     for words in (
         f"still gain is less than $10^{{{math.log10(STOPPING.offset):.0f}}}$ of the parameters' standard deviations",
-        f"a table of differences at {('six', 'seven', 'eight')[NOISE_POINTS - 6]} neighboring points",
-        f"Beyond {WEAK_STD:.0%} the direction is weakly identifiable".replace("%", " %"),
-        f"Beyond {UNDETERMINED_STD:.0%} it is practically non-identifiable".replace("%", " %"),
+        f"a table of differences at {('six', 'seven', 'eight')[NOISE.points - 6]} neighboring points",
+        f"Beyond {LIMITS.weak_std:.0%} the direction is weakly identifiable".replace("%", " %"),
+        f"Beyond {LIMITS.lost_std:.0%} it is practically non-identifiable".replace("%", " %"),
         f"relative tolerance $10^{{{math.log10(DEFAULT_TOLERANCE):.0f}}}$",
-        f"until none moves by more than {VARIANCE_CHANGE:.0%}".replace("%", " %"),
+        f"until none moves by more than {ROUNDS.variance_change:.0%}".replace("%", " %"),
         f"a difference of less than {SAME_VARIANCE_RATIO - 1.0:.0%} is ignored".replace("%", " %"),
         f"all within {CAUSE_RANKING.odds:g} : 1 are named",
         f"over up to {WhitenessSettings().tested_lags} lags",

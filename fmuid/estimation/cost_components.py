@@ -14,8 +14,17 @@ from fmuid.estimation.problem import LeastSquares
 from fmuid.estimation.result import Result
 
 LEAST_RESIDUAL = 1e-6  # minimum residual, share of the measurements; smaller ones are rounding
-CHUNK_SAMPLES = 1_000_000  # simulated samples in memory, 8 MB
-LEAST_BATCH = 64  # minimum simulations at a time, for all processors
+
+
+@dataclass(frozen=True)
+class MemorySettings:
+    """Simulations at a time."""
+
+    samples: int = 1_000_000  # simulated samples in memory, 8 MB
+    least: int = 64  # minimum of simulations, for all processors
+
+
+MEMORY = MemorySettings()
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,7 +62,7 @@ def misfits(evaluator: Evaluator[LeastSquares], thetas: Floats) -> CostComponent
     problem = evaluator.problem
     problem.check_measured()
     members = np.eye(problem.counts.size)[problem.groups]
-    at_a_time = max(LEAST_BATCH, CHUNK_SAMPLES // problem.measured.size)
+    at_a_time = max(MEMORY.least, MEMORY.samples // problem.measured.size)
     squares = np.empty((len(thetas), problem.counts.size))
     for first in range(0, len(thetas), at_a_time):
         rows = evaluator.predict(thetas[first : first + at_a_time])

@@ -17,14 +17,20 @@ from fmuid.array_types import Flags, Floats
 from fmuid.errors import InputError
 from fmuid.estimation.search.trust_region import triangle
 
-WEAK_STD = 1.0  # weakly identifiable: larger relative standard deviation
-UNDETERMINED_STD = 10.0  # not identifiable in effect: larger; the sign and power of ten are unknown
-# The same relative to the initial scale, if it exceeds the estimate too: wandering estimates hide their σ.
-ASTRAY_STD = 100.0
-# Singular values below this multiple of the foreseen error of the differences are zero; usual are 0.1 to 1.
-JACOBIAN_ERRORS = 2.0
-NAMED_SHARE = 0.05  # minimum component of a parameter that is named, of the largest
-INVOLVED_SHARE = 1e-3  # minimum component of a parameter whose variance is infinite
+
+@dataclass(frozen=True)
+class IdentifiabilitySettings:
+    """Limits of identifiability, and of named components."""
+
+    weak_std: float = 1.0  # weakly identifiable: larger relative σ
+    lost_std: float = 10.0  # practically non-identifiable: larger; sign and power of ten are unknown
+    astray_std: float = 100.0  # the same against the initial scale, if σ exceeds the estimate too: wandering hides σ
+    jacobian_errors: float = 2.0  # times the foreseen error: singular values below are zero; usual are 0.1 to 1
+    named_share: float = 0.05  # minimum component of a named parameter, of the largest
+    involved_share: float = 1e-3  # minimum component of a parameter with infinite variance
+
+
+LIMITS = IdentifiabilitySettings()
 
 
 def check_level(level: float, of: str = "an interval") -> None:
@@ -38,8 +44,8 @@ class IdentifiabilityLevel(Enum):
 
     NOT = "not"  # no effect on the outputs
     HIDDEN = "hidden"  # effect below the simulation error
-    NOT_IN_EFFECT = "not_in_effect"  # relative σ above `UNDETERMINED_STD`
-    HARDLY = "hardly"  # relative σ above `WEAK_STD`
+    NOT_IN_EFFECT = "not_in_effect"  # relative σ above `LIMITS.lost_std`
+    HARDLY = "hardly"  # relative σ above `LIMITS.weak_std`
 
 
 @dataclass(frozen=True)
@@ -97,7 +103,7 @@ class WeakDirection:
     ) -> WeakDirection:
         """Return a direction of components (N,) relative to the magnitudes; small ones are dropped."""
         size = np.abs(relative)
-        main = np.flatnonzero(size >= NAMED_SHARE * size.max()).tolist()
+        main = np.flatnonzero(size >= LIMITS.named_share * size.max()).tolist()
         return cls(
             level,
             tuple(names[i] for i in main),
@@ -177,7 +183,7 @@ def local_covariance(
     rounding = np.finfo(float).eps * max(jacobian.shape) * values[0]
     # the errors of the columns have nothing to do with each other
     unseen = values <= np.maximum(
-        rounding, JACOBIAN_ERRORS * np.linalg.norm(directions * jacobian_error * magnitudes, axis=1)
+        rounding, LIMITS.jacobian_errors * np.linalg.norm(directions * jacobian_error * magnitudes, axis=1)
     )
     prior = jacobian[len(jacobian) - prior_rows :] * magnitudes
     by_prior = np.linalg.norm(prior @ directions.T, axis=0)
@@ -189,14 +195,14 @@ def local_covariance(
         middle = np.eye(len(names)) if spread is None else _gram(jacobian @ root, spread, unseen, prior_rows)
         covariance = root @ middle @ root.T
     null = directions[zero]
-    lost = (np.abs(null) > INVOLVED_SHARE).any(axis=0) if zero.any() else np.zeros(len(names), dtype=np.bool_)
+    lost = (np.abs(null) > LIMITS.involved_share).any(axis=0) if zero.any() else np.zeros(len(names), dtype=np.bool_)
     covariance[lost, :] = covariance[:, lost] = np.nan
     covariance[lost, lost] = np.inf
     at = magnitudes if theta is None else theta
     undetermined, weak = [], []
     for row in _sparse(null):
         effect, error = (float(np.linalg.norm(part)) for part in (reduced @ row, jacobian_error * magnitudes * row))
-        none = max(rounding, min(JACOBIAN_ERRORS * error, float(np.linalg.norm(row)) / UNDETERMINED_STD))
+        none = max(rounding, min(LIMITS.jacobian_errors * error, float(np.linalg.norm(row)) / LIMITS.lost_std))
         level = IdentifiabilityLevel.NOT if effect <= none else IdentifiabilityLevel.HIDDEN
         undetermined.append(WeakDirection.of(level, names, row, math.inf, at, magnitudes))
     for direction, std in zip(directions[~zero], (1.0 / values[~zero]).tolist(), strict=True):
@@ -204,7 +210,7 @@ def local_covariance(
             undetermined.append(
                 WeakDirection.of(IdentifiabilityLevel.NOT_IN_EFFECT, names, direction, std, at, magnitudes)
             )
-        elif std > WEAK_STD:
+        elif std > LIMITS.weak_std:
             weak.append(WeakDirection.of(IdentifiabilityLevel.HARDLY, names, direction, std, at, magnitudes))
     rank = len(names) - int(zero.sum())
     return LocalCovariance(covariance, tuple(undetermined), tuple(weak), rank, root[:, ~unseen])
@@ -212,8 +218,8 @@ def local_covariance(
 
 def _lost_in_effect(std: Floats, magnitudes: Floats, scale: Floats) -> bool:
     """Return True if σ (N,) along a direction leaves a parameter not identifiable."""
-    beyond = std > UNDETERMINED_STD * np.maximum(magnitudes, scale)
-    astray = (std > ASTRAY_STD * scale) & (std > magnitudes)
+    beyond = std > LIMITS.lost_std * np.maximum(magnitudes, scale)
+    astray = (std > LIMITS.astray_std * scale) & (std > magnitudes)
     return bool((beyond | astray).any())
 
 

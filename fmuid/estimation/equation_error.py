@@ -28,11 +28,20 @@ from fmuid.estimation.linear import Estimator, LinearEstimate, solve
 from fmuid.formatting import nearest
 
 INTERPOLATIONS = ("linear", "zoh")
-MOST_DERIVATIVES = 20  # more are mistyped
-LONGEST_HOLE = 5.0  # time constants of the filter; interpolation over more is no information
-SETTLED = 1e-3  # share of σ that instruments may still move the estimates ...
-ROUNDING = 1e-9  # ... or, without noise, share of the estimates
-MOST_ROUNDS = 20  # of new instruments
+
+
+@dataclass(frozen=True)
+class EquationErrorSettings:
+    """Limits of terms, and convergence of instruments."""
+
+    most_derivatives: int = 20  # more are mistyped
+    longest_gap: float = 5.0  # time constants of the filter; interpolation over more is no information
+    settled: float = 1e-3  # share of σ that instruments may still move the estimates ...
+    rounding: float = 1e-9  # ... or, without noise, share of the estimates
+    most_rounds: int = 20  # of new instruments
+
+
+SETTINGS = EquationErrorSettings()
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,8 +75,8 @@ class Term:
         if self.interpolation not in INTERPOLATIONS:
             near = nearest(str(self.interpolation), INTERPOLATIONS)
             raise InputError(f"interpolation {self.interpolation!r} is not known{near}: give linear or hold")
-        if self.derivative not in range(MOST_DERIVATIVES + 1):
-            raise InputError(f"derivative must be 0, 1, ... {MOST_DERIVATIVES}, not {self.derivative!r}")
+        if self.derivative not in range(SETTINGS.most_derivatives + 1):
+            raise InputError(f"derivative must be 0, 1, ... {SETTINGS.most_derivatives}, not {self.derivative!r}")
         object.__setattr__(self, "derivative", int(self.derivative))
 
 
@@ -83,8 +92,8 @@ class StateVariableFilter:
             raise InputError("times must be two or more finite numbers that increase from each to the next")
         if not (isinstance(cutoff, int | float | np.integer | np.floating) and math.isfinite(cutoff) and cutoff > 0):
             raise InputError(f"cutoff must be a positive number of rad/s, not {cutoff!r}")
-        if order not in range(1, MOST_DERIVATIVES + 2):
-            raise InputError(f"order must be 1, 2, ... {MOST_DERIVATIVES + 1}, not {order!r}")
+        if order not in range(1, SETTINGS.most_derivatives + 2):
+            raise InputError(f"order must be 1, 2, ... {SETTINGS.most_derivatives + 1}, not {order!r}")
         self.times, self.cutoff, self.order = clock, float(cutoff), int(order)
         self._steps = self._transitions()
 
@@ -138,10 +147,10 @@ class StateVariableFilter:
             return values
         known = np.concatenate([self.times[:1], self.times[there], self.times[-1:]])
         at = int(np.argmax(np.diff(known)))
-        if known[at + 1] - known[at] > max(LONGEST_HOLE / self.cutoff, 2.0 * float(np.diff(self.times).max())):
+        if known[at + 1] - known[at] > max(SETTINGS.longest_gap / self.cutoff, 2.0 * float(np.diff(self.times).max())):
             raise InputError(
                 f"a term has no sample from {known[at]:g} to {known[at + 1]:g} s, which is more than "
-                f"{LONGEST_HOLE:g} times the filter's 1/cutoff: leave that part of the record out"
+                f"{SETTINGS.longest_gap:g} times the filter's 1/cutoff: leave that part of the record out"
             )
         if term.interpolation == "zoh":
             return np.asarray(pd.Series(values).ffill().bfill(), dtype=np.float64)
@@ -257,10 +266,11 @@ def instrumental_variables(
             raise InputError(f"start needs {len(equation.names)} values, one a parameter; its shape is {theta.shape}")
     check_kind(simulated, Callable, "simulated must be a function of theta that returns the terms")  # type: ignore[arg-type]
     kind, rounds, settled = Estimator.INSTRUMENTAL_VARIABLES, 0, False
-    while not settled and rounds < MOST_ROUNDS:
+    while not settled and rounds < SETTINGS.most_rounds:
         instruments = equation.made_of(simulated(theta.copy()), theta)
         found = solve(kind, equation.names, equation.rows, equation.values, instruments)
-        settled = bool((np.abs(found.values - theta) <= SETTLED * found.std + ROUNDING * np.abs(theta)).all())
+        most = SETTINGS.settled * found.std + SETTINGS.rounding * np.abs(theta)
+        settled = bool((np.abs(found.values - theta) <= most).all())
         theta, rounds = found.values, rounds + 1
     return replace(found, rounds=rounds, converged=settled)
 

@@ -28,12 +28,17 @@ from fmuid.estimation.search.marquardt import Descent, MarquardtSettings
 from fmuid.events import Progress, SearchStep
 from fmuid.version import __version__
 
-# Relative change of a noise variance that needs another search; a smaller one moves estimates far below 1 σ.
-VARIANCE_CHANGE = 0.02
-# Maximum number of searches; one repetition is usual.
-MAX_ROUNDS = 10
-# Minimum mean ψ′ of a robust loss; with many outliers it can be 0 or negative.
-LEAST_CURVATURE = 0.05
+
+@dataclass(frozen=True)
+class EstimateSettings:
+    """Numbers of the repetition for the noise variances."""
+
+    variance_change: float = 0.02  # relative; needs another search; a smaller one moves estimates far below 1 σ
+    most_rounds: int = 10  # searches; one repetition is usual
+    least_curvature: float = 0.05  # mean ψ′ of a robust loss; with many outliers it can be 0 or negative
+
+
+ROUNDS = EstimateSettings()
 
 
 @runtime_checkable
@@ -170,11 +175,11 @@ class _Identification:
     def run(self) -> Result:
         settled = True
         try:
-            for number in range(1, MAX_ROUNDS + 1):
+            for number in range(1, ROUNDS.most_rounds + 1):
                 rough = number == 1 and self._repeats()
                 self._search(number, rough)
                 settled = not rough and not self._moved()
-                if settled or not self._outcome.converged or number == MAX_ROUNDS:
+                if settled or not self._outcome.converged or number == ROUNDS.most_rounds:
                     break
                 self._reweight()
         except KeyboardInterrupt:
@@ -250,7 +255,7 @@ class _Identification:
         ratios = self._next_variance() / self.criterion.variance
         if not len(self.problem.parameters.prior_whitening) and self.problem.loss is None:
             ratios = ratios / ratios[0]  # only their proportions matter
-        return bool((np.abs(ratios - 1.0) > VARIANCE_CHANGE).any())
+        return bool((np.abs(ratios - 1.0) > ROUNDS.variance_change).any())
 
     def _reweight(self) -> None:
         """Go on from the same point with the new variances: the rows change their weights, nothing is simulated."""
@@ -320,7 +325,7 @@ class _Identification:
         f = residual[: groups.size]
         influence = loss.influence(f)
         curvature = np.bincount(groups, weights=loss.curvature(f), minlength=counts.size) / counts
-        curvature = np.maximum(curvature, LEAST_CURVATURE)
+        curvature = np.maximum(curvature, ROUNDS.least_curvature)
         free = np.maximum(counts - self.shares, np.finfo(float).eps)
         power = np.bincount(groups, weights=influence**2, minlength=counts.size) / free
         root = np.sqrt(curvature)[groups]

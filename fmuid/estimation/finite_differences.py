@@ -21,11 +21,19 @@ from fmuid.array_types import Flags, Floats, Indices
 from fmuid.errors import FmuidError
 from fmuid.estimation.simulation_noise import Predict, usable
 
-LARGEST_STEP = 0.1  # relative to the magnitude; a wider difference is no derivative
-SMALLEST_STEP = 1e-9  # relative; below, the parameter has too few digits left
-RESOLVED_NOISES = 10.0  # a first difference below this has no good digit; repeated with the largest step
-INFLUENCE_NOISES = 10.0  # an effect exceeds this; 10⁴ normal differences reach 5.5, integrators more
-LARGEST_BEND = 0.5  # of the slope; a stronger bend needs another step
+
+@dataclass(frozen=True)
+class DifferenceSettings:
+    """Limits of steps and effects."""
+
+    largest_step: float = 0.1  # relative to the magnitude; a wider difference is no derivative
+    smallest_step: float = 1e-9  # relative; below, the parameter has too few digits left
+    resolved: float = 10.0  # σ of noise; a smaller first difference is repeated with the largest step
+    effect: float = 10.0  # σ of noise that an effect exceeds; 10⁴ normal differences reach 5.5, integrators more
+    largest_bend: float = 0.5  # of the slope; a stronger bend needs another step
+
+
+DIFFERENCES = DifferenceSettings()
 # Points of a derivative in steps, as tried near bounds and failures: other side first, then closer.
 CLOSER_STEPS = (1.0, 0.1, 1e-2, 1e-4, 1e-6)
 FORWARD = tuple((side * h,) for h in CLOSER_STEPS for side in (1.0, -1.0))
@@ -94,8 +102,8 @@ class FiniteDifferences:
         self._plan_first()
 
     def _plan_first(self) -> None:
-        first = (3.0 * self._rms / self._size) ** (1.0 / 3.0) if self._size > 0 else LARGEST_STEP
-        first = min(max(first, SMALLEST_STEP), LARGEST_STEP)
+        first = (3.0 * self._rms / self._size) ** (1.0 / 3.0) if self._size > 0 else DIFFERENCES.largest_step
+        first = min(max(first, DIFFERENCES.smallest_step), DIFFERENCES.largest_step)
         first = 2.0 ** round(math.log2(first)) if self._alike else first
         self.central_steps = np.full(self.function.lower.shape, first)
         self.forward_steps = self.central_steps.copy()
@@ -139,7 +147,7 @@ class FiniteDifferences:
     def first_jacobian(self, theta: Floats, base: Floats) -> tuple[Floats, Flags]:
         """Return the central Jacobian (N, n) and flags (N,) of acting parameters."""
         steps, (slopes, bends) = self._checked_central(theta, base, self.function.start)
-        floor = INFLUENCE_NOISES * np.maximum(self.noise, np.finfo(float).tiny)
+        floor = DIFFERENCES.effect * np.maximum(self.noise, np.finfo(float).tiny)
         acting = (np.abs(slopes) > floor).any(axis=1) | (np.abs(bends) > floor).any(axis=1)
         return slopes / steps[:, None], acting
 
@@ -153,9 +161,9 @@ class FiniteDifferences:
         steps = self._absolute(theta, self.central_steps)
         found = self._central(predict, theta, base, steps)
         slope, bend = _rms(found)
-        weak = slope < RESOLVED_NOISES * self._rms
-        curved = ~weak & (bend > LARGEST_BEND * slope)
-        largest = np.full(theta.size, LARGEST_STEP)
+        weak = slope < DIFFERENCES.resolved * self._rms
+        curved = ~weak & (bend > DIFFERENCES.largest_bend * slope)
+        largest = np.full(theta.size, DIFFERENCES.largest_step)
         for which, better in ((weak, largest), (curved, self._plan(theta, steps, slope, bend)[1])):
             other = self._absolute(theta, better)
             which &= (other > 2.0 * steps) | (other < 0.5 * steps)
@@ -233,8 +241,8 @@ class FiniteDifferences:
             forward = share * 2.0 * np.sqrt(self._rms / bend)
             central = share * np.cbrt(3.0 * (self._rms / bend) * (np.maximum(slope, self._rms) / bend))
         # 0/0, without effect or noise: any step
-        forward, central = (np.nan_to_num(relative, nan=LARGEST_STEP) for relative in (forward, central))
-        planned = np.clip([forward, central], SMALLEST_STEP, LARGEST_STEP)
+        forward, central = (np.nan_to_num(relative, nan=DIFFERENCES.largest_step) for relative in (forward, central))
+        planned = np.clip([forward, central], DIFFERENCES.smallest_step, DIFFERENCES.largest_step)
         return planned[0], planned[1]
 
     def _adopt(self, theta: Floats, steps: Floats, slope: Floats, bend: Floats) -> None:

@@ -32,17 +32,23 @@ if TYPE_CHECKING:
 
 Strategy = Literal["differential-evolution", "multi-start"]
 
-MOST_TRIES_RATIO = 10  # points tried per wanted point, if simulations fail
-AGREED_SPREAD = 0.01  # relative spread of the cost at which a generation agrees ...
-COLLAPSED_SHARE = 1e-3  # ... or spread of the parameters, share of the box; fits are faster from here on
+
+@dataclass(frozen=True)
+class ExplorationSettings:
+    """Numbers of exploration, fits, and equal optima."""
+
+    most_tries: int = 10  # points tried per wanted point, if simulations fail
+    agreed_spread: float = 0.01  # relative spread of the cost at which a generation agrees ...
+    collapsed_share: float = 1e-3  # ... or spread of the parameters, share of the box; fits are faster from here on
+    least_population: int = 5  # scipy's
+    most_topograph_fits: int = 10  # after an evolution
+    fit_iterations: int = 300  # more only for the best fit
+
+
+SETTINGS = ExplorationSettings()
 # Two optima are one up to these differences: parameters in σ or relative to their magnitude; cost (0.3²).
 SAME_STDS, SAME_SHARE, SAME_CRITERION = 0.3, 1e-4, 0.1
-DEFAULT_STARTS = 50
-MOST_GENERATIONS = 300  # four parameters need 30 to 50
-LEAST_POPULATION = 5  # scipy's
-MAX_TOPOGRAPH_FITS = 10  # after an evolution ...
 WAY_SHARES = np.array([0.1, 0.3, 0.5, 0.7, 0.9])  # ... none if the cost never rises here towards a known optimum
-FIT_ITERATIONS = 300  # more only for the best fit
 
 
 @dataclass(frozen=True)
@@ -76,9 +82,9 @@ class GlobalSearch:
     """
 
     method: Strategy = "differential-evolution"
-    starts: int = DEFAULT_STARTS
+    starts: int = 50
     seed: int = 0
-    generations: int = MOST_GENERATIONS
+    generations: int = 300  # four parameters need 30 to 50
     marquardt: Marquardt = field(default_factory=Marquardt)
 
     def __post_init__(self) -> None:
@@ -86,7 +92,7 @@ class GlobalSearch:
             known = " or ".join(map(repr, get_args(Strategy)))
             hint = nearest(str(self.method), get_args(Strategy))
             raise InputError(f"the method of a global search must be {known}, not {self.method!r}{hint}")
-        starts = LEAST_POPULATION if self.method == "differential-evolution" else 1
+        starts = SETTINGS.least_population if self.method == "differential-evolution" else 1
         for name, value in {"starts": starts, "seed": 0, "generations": 1}.items():
             given = getattr(self, name)
             if isinstance(given, bool) or not isinstance(given, int) or given < value:
@@ -178,7 +184,7 @@ class Exploration:
 
     def spread(self, wanted: int) -> Floats:
         """Return points (wanted, N) with a successful simulation, as far as possible."""
-        points = self._points(MOST_TRIES_RATIO * wanted)
+        points = self._points(SETTINGS.most_tries * wanted)
         while np.isfinite(self.values).sum() < wanted and len(self.values) < len(points):
             done = len(self.values)
             self.evaluate(points[done : done + wanted])
@@ -222,7 +228,8 @@ class Exploration:
             return not good.any()
         given = ~np.isnan(self.problem.variance)
         size = self.problem.counts[~given].sum() + (values.min() if given.all() else 0.0)
-        return bool(values.std() <= AGREED_SPREAD * size or population.std(axis=0).max() <= COLLAPSED_SHARE)
+        agreed = values.std() <= SETTINGS.agreed_spread * size
+        return bool(agreed or population.std(axis=0).max() <= SETTINGS.collapsed_share)
 
     def _topograph(self) -> Floats:
         """Return the points better than all nearest neighbors, the best first."""
@@ -284,7 +291,7 @@ class _BoxSearch:
     def _fit(self, starts: Floats) -> None:
         """Fit from each starting point; an interrupted fit is kept."""
         settings = self.settings.marquardt
-        short = dataclasses.replace(settings, max_iterations=min(FIT_ITERATIONS, settings.max_iterations))
+        short = dataclasses.replace(settings, max_iterations=min(SETTINGS.fit_iterations, settings.max_iterations))
         error: FmuidError | None = None
         for number, start in enumerate(starts, 1):
             try:
@@ -306,7 +313,7 @@ class _BoxSearch:
 
     def _known(self, start: Floats) -> bool:
         """Return True if a known optimum or the limit makes a fit unnecessary."""
-        if not 0 < len(self.fits) < MAX_TOPOGRAPH_FITS:
+        if not 0 < len(self.fits) < SETTINGS.most_topograph_fits:
             return bool(self.fits)
         box = self.explored.box
         here, ends = box.units(start[None]), box.units(np.array([fit.values for _, fit in self.fits]))

@@ -10,9 +10,9 @@ import numpy as np
 from fmuid.array_types import Flags, Floats, Indices
 from fmuid.errors import InputError
 from fmuid.estimation.evaluator import Evaluator
-from fmuid.estimation.finite_differences import INFLUENCE_NOISES, LARGEST_STEP
+from fmuid.estimation.finite_differences import DIFFERENCES
 from fmuid.estimation.problem import LeastSquares
-from fmuid.estimation.simulation_noise import ROUNDING_SHARE, usable
+from fmuid.estimation.simulation_noise import NOISE, usable
 
 # Trial values of a bounded parameter (shares of its range) and of another one (multiples of value or scale).
 RANGE_SHARES = (0.02, 0.1, 0.3, 0.5, 0.7, 0.9, 0.98)
@@ -38,7 +38,7 @@ def find_active_point(
     points = _points(problem, theta, idle)
     values = evaluator.predict(np.vstack([theta, points]))
     base, values = values[0], values[1:]
-    floor = INFLUENCE_NOISES * np.maximum(noise, ROUNDING_SHARE * np.abs(base))
+    floor = DIFFERENCES.effect * np.maximum(noise, NOISE.rounding * np.abs(base))
     with np.errstate(invalid="ignore", over="ignore"):  # what failed is NaN, and not different
         different = usable(np.nan_to_num(values, nan=np.inf)) & (np.abs(values - base) > floor).any(axis=1)
         squares = np.where(different, np.sum(((values - problem.measured) * weights) ** 2, axis=1), np.inf)
@@ -100,12 +100,12 @@ def _acting(evaluator: Evaluator[LeastSquares], points: Floats, values: Floats, 
         return np.zeros((0, idle.size), dtype=np.bool_)
     moved = np.repeat(points[:, None], idle.size, axis=1)
     for k, i in enumerate(idle):
-        step = LARGEST_STEP * parameters.reach(points)[:, i]
+        step = DIFFERENCES.largest_step * parameters.reach(points)[:, i]
         there = points[:, i] + step
         moved[:, k, i] = np.where(
             there <= parameters.upper[i], there, np.maximum(points[:, i] - step, parameters.lower[i])
         )
     found = evaluator.predict(moved.reshape(-1, points.shape[1])).reshape(len(points), idle.size, -1)
-    floor = INFLUENCE_NOISES * np.maximum(noise, ROUNDING_SHARE * np.abs(values))[:, None]
+    floor = DIFFERENCES.effect * np.maximum(noise, NOISE.rounding * np.abs(values))[:, None]
     with np.errstate(invalid="ignore"):
         return np.asarray((np.abs(found - values[:, None]) > floor).any(axis=2))

@@ -24,11 +24,19 @@ from fmuid.errors import InputError, check_kind
 from fmuid.estimation.covariance import check_level
 from fmuid.formatting import listed
 
-DEPENDENT = 1e-10  # length of a combination of dependent unit regressors ...
-WORTH_NAMING = 0.05  # ... and share of the largest part for a name in the message
-LAGS_SHARE = 2  # correlations count up to 1/LAGS_SHARE of the record
-ROUNDS = 4  # of adding the fitted part; a fifth moves no standard deviation by 1 %
-LEAST_FREEDOM = 1.0  # lower limit of degrees of freedom
+
+@dataclass(frozen=True)
+class LinearSettings:
+    """Limits of dependent regressors, and of the correction for the fitted part."""
+
+    dependent: float = 1e-10  # length of a combination of dependent unit regressors ...
+    named_share: float = 0.05  # ... and share of the largest part for a name in the message
+    lags_share: int = 2  # correlations count up to 1/lags_share of the recording
+    rounds: int = 4  # of adding the fitted part; a fifth moves no standard deviation by 1 %
+    least_freedom: float = 1.0  # lower limit of degrees of freedom
+
+
+SETTINGS = LinearSettings()
 
 
 class Estimator(Enum):
@@ -188,9 +196,10 @@ def _lengths(names: Sequence[str], columns: Floats) -> Floats:
         where = int(np.argmin(lengths))
         raise InputError(f"the regressor of {names[where]!r} is zero in the whole record: leave it out, or excite it")
     _, sizes, directions = np.linalg.svd(columns / lengths, full_matrices=False)
-    if sizes[-1] < DEPENDENT:
+    if sizes[-1] < SETTINGS.dependent:
         share = np.abs(directions[-1])
-        involved = [repr(name) for name, part in zip(names, share, strict=False) if part >= WORTH_NAMING * share.max()]
+        named = share >= SETTINGS.named_share * share.max()
+        involved = [repr(name) for name, is_large in zip(names, named, strict=False) if is_large]
         raise InputError(
             f"the regressors of {listed(involved or [repr(name) for name in names])} depend on each other in this "
             "record: hold one at a value, or measure under another excitation"
@@ -206,7 +215,7 @@ def colored_covariance(basis: Floats, solution: Floats, rows: Floats, residual: 
     lags = _Lags(residual.size)
     taken, sums = rows @ solution, lags.products(residual[:, None], residual[:, None])
     missing = np.zeros(residual.size)
-    for _ in range(ROUNDS + 1):
+    for _ in range(SETTINGS.rounds + 1):
         # few pairs at long lags may make the transform improper
         power = np.maximum(lags.spectrum(lags.window * (sums + missing)), 0.0)
         seen = lags.convolved(power, basis)
@@ -226,7 +235,7 @@ class _Lags:
         self.count = count
         self.size = fft.next_fast_len(2 * count, real=True)
         self.pairs = np.arange(count, 0, -1, dtype=np.float64)
-        share = np.arange(count) * LAGS_SHARE / count
+        share = np.arange(count) * SETTINGS.lags_share / count
         inner, outer = 1.0 - 6.0 * share**2 * (1.0 - share), 2.0 * np.maximum(1.0 - share, 0.0) ** 3
         self.window = np.where(share < 0.5, inner, outer) / self.pairs
 
@@ -258,5 +267,5 @@ class _Lags:
         scatter = 2.0 * self.pairs @ along**2 - self.count * along[0] ** 2
         scatter += np.sum(inner * inner.T) - 2.0 * np.sum(other * self.convolved(power, seen))
         if not scatter > 0.0:
-            return LEAST_FREEDOM
-        return float(np.clip(mean**2 / scatter, LEAST_FREEDOM, self.count))
+            return SETTINGS.least_freedom
+        return float(np.clip(mean**2 / scatter, SETTINGS.least_freedom, self.count))

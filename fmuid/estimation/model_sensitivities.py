@@ -11,7 +11,7 @@ import numpy as np
 
 from fmuid.array_types import Flags, Floats
 from fmuid.errors import SensitivityUnavailableError
-from fmuid.estimation.finite_differences import INFLUENCE_NOISES, LARGEST_STEP, FiniteDifferences
+from fmuid.estimation.finite_differences import DIFFERENCES, FiniteDifferences
 
 SENSITIVITIES = ("finite-difference", "forward", "fmu")
 """Methods: differences of simulations, sensitivity equations (1.26), outputs of the FMU."""
@@ -75,8 +75,8 @@ class ModelSensitivities:
         found = self._of_model(theta)
         if found is None:
             return self._differences.first_jacobian(theta, base)
-        change = np.abs(found) * (LARGEST_STEP * self._differences.function.magnitudes(theta))[:, None]
-        floor = INFLUENCE_NOISES * np.maximum(self._differences.noise, np.finfo(float).tiny)
+        change = np.abs(found) * (DIFFERENCES.largest_step * self._differences.function.magnitudes(theta))[:, None]
+        floor = DIFFERENCES.effect * np.maximum(self._differences.noise, np.finfo(float).tiny)
         return found, np.asarray((change > floor).any(axis=1), dtype=np.bool_)
 
     def error(self, theta: Floats, *, central: bool) -> Floats:

@@ -28,7 +28,7 @@ from fmuid.errors import InputError, check_kind
 from fmuid.estimation.noise.output_series import OutputSeries, output_series, period_of
 from fmuid.estimation.noise.periodic_error import check_periods
 from fmuid.estimation.predictors import FunctionPredictor, Predictor
-from fmuid.estimation.simulation_noise import LARGEST_VALUE
+from fmuid.estimation.simulation_noise import NOISE
 from fmuid.estimation.solver_check import UsedModel
 from fmuid.estimation.starting_points import second_difference_noise
 
@@ -273,7 +273,7 @@ class LeastSquares:
                     "shorten warmup or leave the output out"
                 )
             largest = float(np.max(np.abs(self.measured[self.groups == self.output_names.index(name)])))
-            if largest >= LARGEST_VALUE:
+            if largest >= NOISE.largest_value:
                 raise InputError(
                     f"a sample of output {name!r} is {largest:g} in magnitude; leave it empty or change the unit"
                 )

@@ -27,8 +27,6 @@ from fmuid.formatting import with_std
 
 # Level of the intervals that an estimate keeps when it becomes a prior.
 PRIOR_LEVEL = 0.95
-# Maximum number of parameters in the one-line representation.
-LINE_PARAMETERS = 8
 RESULT_SCHEMA = "fmuid/result/2"
 
 
@@ -109,8 +107,8 @@ class Result(PlotMixin):
     def __repr__(self) -> str:
         pairs = zip(self.names, self.values.tolist(), self.std.tolist(), strict=True)
         told = [f"{name} = {with_std(value, std)}" for name, value, std in pairs]
-        more = f", {len(told) - LINE_PARAMETERS} more" if len(told) > LINE_PARAMETERS else ""
-        return f"Result({self.outcome.value}: {', '.join(told[:LINE_PARAMETERS])}{more})"
+        more = f", {len(told) - 8} more" if len(told) > 8 else ""  # one line
+        return f"Result({self.outcome.value}: {', '.join(told[:8])}{more})"
 
     def __str__(self) -> str:
         return str(self.summary())

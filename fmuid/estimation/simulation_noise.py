@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -15,14 +16,22 @@ from fmuid.array_types import Flags, Floats, Indices
 Predict = Callable[[Floats], Floats]
 """Simulates thetas (m, N); returns stacked outputs (m, n), NaN rows if failed."""
 
-NOISE_POINTS = 7  # of the difference table, with the point itself (Moré and Wild 2011, section 5)
-NOISE_SPACING = 3e-4  # relative; integrators decide anew, but sixth differences of the smooth part vanish
-FALLING_RATIO = 0.5  # sixth against fifth differences; if they fall faster, the smooth part hides the noise ...
-NEGLIGIBLE_NOISE = 1e-13  # ... unless it is below this share of the output; ...
-CLOSER_FACTOR = 1.0 / 30.0  # ... the next table is closer by this
-MOST_NOISE_TABLES = 3
-LARGEST_VALUE = 1e100  # norm; larger ones count as failed: squares of their derivatives may overflow
-ROUNDING_SHARE = 2.0**-53  # rounding of a stored output in double precision
+
+@dataclass(frozen=True)
+class SimulationNoiseSettings:
+    """Numbers of a difference table (Moré and Wild 2011, section 5)."""
+
+    points: int = 7  # of the table, with the point itself
+    spacing: float = 3e-4  # relative; integrators decide anew, but sixth differences of the smooth part vanish
+    falling: float = 0.5  # sixth against fifth differences; if they fall faster, the smooth part hides the noise, ...
+    negligible: float = 1e-13  # ... unless it is below this share of the output; ...
+    closer: float = 1.0 / 30.0  # ... the next table is closer by this
+    most_tables: int = 3  # each closer than the last
+    largest_value: float = 1e100  # norm; larger ones count as failed: squares of their derivatives may overflow
+    rounding: float = 2.0**-53  # of a stored output in double precision
+
+
+NOISE = SimulationNoiseSettings()
 
 
 def noise_level(predict: Predict, theta: Floats, steps: Floats, shares: Floats) -> tuple[Floats, Floats]:
@@ -35,35 +44,35 @@ def noise_level(predict: Predict, theta: Floats, steps: Floats, shares: Floats) 
     base = predict(theta[None])[0]  # by itself: where it fails, the others are not worth a simulation
     if not usable(base):
         return np.full_like(base, np.nan), level
-    rounding = ROUNDING_SHARE * np.sqrt(base**2 @ shares)
-    for _ in range(MOST_NOISE_TABLES):
-        table = np.vstack([base, predict(theta + np.arange(1, NOISE_POINTS)[:, None] * steps)])
+    rounding = NOISE.rounding * np.sqrt(base**2 @ shares)
+    for _ in range(NOISE.most_tables):
+        table = np.vstack([base, predict(theta + np.arange(1, NOISE.points)[:, None] * steps)])
         if usable(table).all():
             deviations = _difference_table(table, shares)
             level = np.maximum(np.minimum(level, deviations.min(axis=0)), rounding)
-            falling = deviations[-1] < FALLING_RATIO * deviations[-2]
-            hidden = falling & (level > NEGLIGIBLE_NOISE / ROUNDING_SHARE * rounding)
+            falling = deviations[-1] < NOISE.falling * deviations[-2]
+            hidden = falling & (level > NOISE.negligible / NOISE.rounding * rounding)
             if not hidden.any():
                 break
-        steps = steps * CLOSER_FACTOR
+        steps = steps * NOISE.closer
     else:
         # every table met a failing simulation: with nothing known, the rounding of single precision
-        level = np.where(np.isfinite(level), level, np.sqrt(ROUNDING_SHARE) * np.sqrt(base**2 @ shares))
+        level = np.where(np.isfinite(level), level, np.sqrt(NOISE.rounding) * np.sqrt(base**2 @ shares))
     return base, level
 
 
 def noise_steps(magnitudes: Floats, below: Floats, above: Floats) -> Floats:
     """Return the steps (N,) of a difference table, towards the farther bound."""
-    steps = np.minimum(NOISE_SPACING * magnitudes, np.maximum(above, below) / (NOISE_POINTS - 1))
+    steps = np.minimum(NOISE.spacing * magnitudes, np.maximum(above, below) / (NOISE.points - 1))
     return np.asarray(steps * np.where(above >= below, 1.0, -1.0))
 
 
 def noise_along(predict: Predict, theta: Floats, base: Floats, steps: Floats, room: Floats) -> Floats | None:
     """Simulate a difference table centered at theta, for `table_noise`.
 
-    Returns (NOISE_POINTS, n), or None if a simulation fails.
+    Returns (NOISE.points, n), or None if a simulation fails.
     """
-    half = NOISE_POINTS // 2
+    half = NOISE.points // 2
     places = np.delete(np.arange(-half, half + 1.0), half)
     found = predict(theta + places[:, None] * np.clip(steps, -room / half, room / half))
     return np.insert(found, half, base, axis=0) if usable(found).all() else None
@@ -72,7 +81,7 @@ def noise_along(predict: Predict, theta: Floats, base: Floats, steps: Floats, ro
 def table_noise(table: Floats, shares: Floats) -> Floats:
     """Return each output's noise in a difference table, zero if hidden."""
     deviations = _difference_table(table, shares)
-    return np.where(deviations[-1] < FALLING_RATIO * deviations[-2], 0.0, deviations.min(axis=0))
+    return np.where(deviations[-1] < NOISE.falling * deviations[-2], 0.0, deviations.min(axis=0))
 
 
 def shares_of(groups: Indices, count: int) -> Floats:
@@ -83,7 +92,7 @@ def shares_of(groups: Indices, count: int) -> Floats:
 
 
 def _difference_table(table: Floats, shares: Floats) -> Floats:
-    """Return sqrt(γ_k mean (Δᵏf)²) of each order k and output, (NOISE_POINTS − 1, count)."""
+    """Return sqrt(γ_k mean (Δᵏf)²) of each order k and output, (NOISE.points − 1, count)."""
     deviations = []
     table, squares = table.copy(), np.empty_like(table)  # in place: fresh memory costs more than the differences
     for order in range(1, len(table)):
@@ -98,4 +107,4 @@ def _difference_table(table: Floats, shares: Floats) -> Floats:
 
 def usable(values: Floats) -> Flags:
     """Return True for values (..., n) whose squares are finite."""
-    return np.asarray(np.einsum("...n,...n->...", values, values) < LARGEST_VALUE**2)
+    return np.asarray(np.einsum("...n,...n->...", values, values) < NOISE.largest_value**2)

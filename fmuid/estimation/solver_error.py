@@ -12,7 +12,7 @@ import numpy as np
 
 from fmuid.array_types import Floats
 from fmuid.estimation.cost_components import fitted, misfits
-from fmuid.estimation.estimate import LEAST_CURVATURE
+from fmuid.estimation.estimate import ROUNDS
 from fmuid.estimation.evaluator import Evaluator
 from fmuid.estimation.problem import LeastSquares
 from fmuid.estimation.result import Result
@@ -75,7 +75,7 @@ def _weights(problem: LeastSquares, result: Result) -> Floats:
         (problem.measured - stack_simulated(problem, result)) / np.sqrt(variance)[groups]
     )
     mean = np.bincount(groups, weights=curvature, minlength=variance.size) / problem.counts
-    return np.asarray((weights * np.sqrt(np.maximum(mean, LEAST_CURVATURE)))[groups])
+    return np.asarray((weights * np.sqrt(np.maximum(mean, ROUNDS.least_curvature)))[groups])
 
 
 def with_shift(result: Result, accuracy: SolverCheck) -> Result:

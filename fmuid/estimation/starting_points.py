@@ -16,14 +16,22 @@ from fmuid.data import ParameterSet
 from fmuid.errors import InputError
 from fmuid.estimation.search.loop import TerminationReason
 
-ROBUST = 1.4826  # standard deviation by median |e| of normal noise
-NOISE_SAMPLES = 5  # least for a noise level
-BITS = 30  # of each Sobol coordinate
-WINDOW = 10  # intervals of a window of the weak form; windows overlap by half
-WINDOW_SAMPLES = 3  # least of each state in a window: interpolation over a gap is no information
+
+@dataclass(frozen=True)
+class StartingPointSettings:
+    """Numbers of noise levels, Sobol points, boxes and windows."""
+
+    robust: float = 1.4826  # σ by median |e| of normal noise
+    noise_samples: int = 5  # least for a noise level
+    bits: int = 30  # of each Sobol coordinate
+    window: int = 10  # intervals of a window of the weak form; windows overlap by half
+    window_samples: int = 3  # least of each state in a window: interpolation over a gap is no information
+    prior_stds: float = 5.0  # of the prior, in place of a bound
+    decade: float = 10.0  # ratio of the bounds for a logarithmic range
+
+
+SETTINGS = StartingPointSettings()
 MAX_NOISE_RATIO = 3.0  # of a residual by its noise level; a larger one starts a restart
-PRIOR_STDS = 5.0  # of the prior, in place of a bound
-DECADE = 10.0  # ratio of the bounds for a logarithmic range
 
 
 def second_difference_noise(times: Floats, values: Floats) -> float:
@@ -39,7 +47,7 @@ def second_difference_noise(times: Floats, values: Floats) -> float:
         NaN if a sample is missing.
     """
     there = np.flatnonzero(~np.isnan(values))
-    if there.size < NOISE_SAMPLES:
+    if there.size < SETTINGS.noise_samples:
         return float("nan")
     t, y = times[there], values[there]
     whole = t[2:] - t[:-2]
@@ -47,7 +55,7 @@ def second_difference_noise(times: Floats, values: Floats) -> float:
     share = (t[1:-1] - t[:-2])[moved] / whole[moved]
     line = (1.0 - share) * y[:-2][moved] + share * y[2:][moved]
     error = (y[1:-1][moved] - line) / np.sqrt(1.0 + share**2 + (1.0 - share) ** 2)
-    return ROBUST * float(np.median(np.abs(error))) if error.size else float("nan")
+    return SETTINGS.robust * float(np.median(np.abs(error))) if error.size else float("nan")
 
 
 # Primitive polynomial and initial direction numbers of each dimension, from the second one on (Joe and Kuo).
@@ -66,14 +74,14 @@ MAX_DIMENSIONS = 1 + len(_ROWS)  # more: scipy.stats.qmc
 
 def spans_decades(lower: float, upper: float) -> bool:
     """Return True if a positive range spans a decade: to be divided logarithmically."""
-    return lower > 0 and upper >= DECADE * lower
+    return lower > 0 and upper >= SETTINGS.decade * lower
 
 
 class Box:
     """Box of the parameters as the unit cube, decades logarithmic; a prior replaces missing bounds."""
 
     def __init__(self, parameters: ParameterSet) -> None:
-        reach = PRIOR_STDS * parameters.prior_std
+        reach = SETTINGS.prior_stds * parameters.prior_std
         self.lower = np.where(np.isfinite(parameters.lower), parameters.lower, parameters.prior_mean - reach)
         self.upper = np.where(np.isfinite(parameters.upper), parameters.upper, parameters.prior_mean + reach)
         for word, side in (("min", self.lower), ("max", self.upper)):
@@ -125,33 +133,33 @@ def sobol_points(dimensions: int, count: int, seed: int | np.random.Generator) -
     counts = np.arange(count - 1)
     lowest = np.round(np.log2((counts + 1) & ~counts)).astype(np.intp)
     changes = np.vstack([shift, directions[:, lowest].T])
-    return np.bitwise_xor.accumulate(changes, axis=0) * 2.0**-BITS
+    return np.bitwise_xor.accumulate(changes, axis=0) * 2.0**-SETTINGS.bits
 
 
 def _directions(dimensions: int) -> NDArray[np.uint32]:
-    """Return direction numbers (dimensions, BITS) as integers of `BITS` bits."""
-    found = np.ones((dimensions, BITS), dtype=np.uint32)
+    """Return direction numbers (dimensions, SETTINGS.bits) as integers of `SETTINGS.bits` bits."""
+    found = np.ones((dimensions, SETTINGS.bits), dtype=np.uint32)
     for own, (polynomial, *initial) in zip(found[1:], _ROWS, strict=False):
         degree = len(initial)
         own[:degree] = initial
-        for j in range(degree, BITS):
+        for j in range(degree, SETTINGS.bits):
             value = own[j - degree]
             for k in range(1, degree + 1):
                 if polynomial >> (degree - k) & 1:
                     value = value ^ own[j - k] << np.uint32(k)
             own[j] = value
-    return found << np.arange(BITS, dtype=np.uint32)[::-1]
+    return found << np.arange(SETTINGS.bits, dtype=np.uint32)[::-1]
 
 
 def _scrambled(
     directions: NDArray[np.uint32], rng: np.random.Generator
 ) -> tuple[NDArray[np.uint32], NDArray[np.uint32]]:
     """Return a random shift (dimensions,) and randomly mapped directions."""
-    dimensions, powers = len(directions), np.uint32(2) ** np.arange(BITS, dtype=np.uint32)
-    shift = rng.integers(2, size=(dimensions, BITS), dtype=np.uint32) @ powers
-    lower = np.tril(rng.integers(2, size=(dimensions, BITS, BITS), dtype=np.uint32))
-    lower[:, np.arange(BITS), np.arange(BITS)] = 1
-    bits = directions[:, :, None] >> np.arange(BITS, dtype=np.uint32)[::-1] & 1  # the highest first
+    dimensions, powers = len(directions), np.uint32(2) ** np.arange(SETTINGS.bits, dtype=np.uint32)
+    shift = rng.integers(2, size=(dimensions, SETTINGS.bits), dtype=np.uint32) @ powers
+    lower = np.tril(rng.integers(2, size=(dimensions, SETTINGS.bits, SETTINGS.bits), dtype=np.uint32))
+    lower[:, np.arange(SETTINGS.bits), np.arange(SETTINGS.bits)] = 1
+    bits = directions[:, :, None] >> np.arange(SETTINGS.bits, dtype=np.uint32)[::-1] & 1  # the highest first
     return shift, (bits @ lower.transpose(0, 2, 1) & 1) @ powers[::-1]
 
 
@@ -180,19 +188,20 @@ class WeakForm:
 
     def __init__(self, times: Floats, there: Flags) -> None:
         last = len(times) - 1
-        firsts = np.arange(0, max(last - WINDOW, 0) + 1, WINDOW // 2)
-        lasts = np.minimum(firsts + WINDOW, last)
+        firsts = np.arange(0, max(last - SETTINGS.window, 0) + 1, SETTINGS.window // 2)
+        lasts = np.minimum(firsts + SETTINGS.window, last)
         counts = np.pad(there.cumsum(axis=0), ((1, 0), (0, 0)))  # samples before each time
-        known = (counts[lasts + 1] - counts[firsts] >= WINDOW_SAMPLES).all(axis=1) & (times[lasts] > times[firsts])
-        firsts = firsts[known] if last >= WINDOW else firsts[:0]
+        known = (counts[lasts + 1] - counts[firsts] >= SETTINGS.window_samples).all(axis=1)
+        known &= times[lasts] > times[firsts]
+        firsts = firsts[known] if last >= SETTINGS.window else firsts[:0]
         if not firsts.size:
             raise InputError("the record has no window with enough samples")
         self.shape = firsts.size, there.shape[1]
-        inside = firsts[:, None] + np.arange(WINDOW + 1)
-        z = (times[inside] - times[firsts][:, None]) / (times[firsts + WINDOW] - times[firsts])[:, None]
+        inside = firsts[:, None] + np.arange(SETTINGS.window + 1)
+        z = (times[inside] - times[firsts][:, None]) / (times[firsts + SETTINGS.window] - times[firsts])[:, None]
         weight = 4.0 * z * (1.0 - z)
         half = 0.5 * np.diff(times[inside], axis=1)
-        rows = np.repeat(np.arange(firsts.size), WINDOW)
+        rows = np.repeat(np.arange(firsts.size), SETTINGS.window)
         left, right = inside[:, :-1].ravel(), inside[:, 1:].ravel()
         slope = 0.5 * np.diff(weight, axis=1).ravel()
         of_samples, of_intervals = (firsts.size, last + 1), (firsts.size, last)

@@ -18,7 +18,7 @@ from fmuid.estimation import global_search
 from fmuid.estimation.cost_components import misfits
 from fmuid.estimation.estimate import Marquardt
 from fmuid.estimation.evaluator import Evaluator
-from fmuid.estimation.global_search import GlobalSearch, Strategy, optima_table
+from fmuid.estimation.global_search import ExplorationSettings, GlobalSearch, Strategy, optima_table
 from fmuid.estimation.problem import LeastSquares
 from fmuid.estimation.result import Result
 from fmuid.estimation.search.loop import TerminationReason
@@ -192,7 +192,7 @@ def test_progress(method: Strategy) -> None:
 @pytest.mark.slow
 def test_best_fit_is_finished(monkeypatch: pytest.MonkeyPatch) -> None:
     """Fits get few iterations, but what they leave of the best one's way is gone after them."""
-    monkeypatch.setattr(global_search, "FIT_ITERATIONS", 1)
+    monkeypatch.setattr(global_search, "SETTINGS", ExplorationSettings(fit_iterations=1))
     found = searched(sinusoid(), GlobalSearch("multi-start"))
     assert found.converged
     assert not all(o.converged for o in found.history.optima)

@@ -180,7 +180,7 @@ def test_an_interruption_inside_a_simulation() -> None:
 def test_unsettled_variances_and_iteration_limit_are_not_convergence(monkeypatch: pytest.MonkeyPatch) -> None:
     limited = identify(two_output_problem(), Marquardt(max_iterations=1))
     assert (limited.outcome, limited.history.iterations) == (TerminationReason.ITERATION_LIMIT, 1)
-    monkeypatch.setattr(estimation, "MAX_ROUNDS", 1)
+    monkeypatch.setattr(estimation, "ROUNDS", estimation.EstimateSettings(most_rounds=1))
     unsettled = identify(two_output_problem())
     assert unsettled.outcome is TerminationReason.UNSETTLED
     assert not (limited.converged or unsettled.converged or at_minimum(unsettled))

@@ -7,8 +7,9 @@ import pytest
 
 import fmuid
 from fmuid.estimation import WeakForm, second_difference_noise
-from fmuid.estimation.starting_points import WINDOW
+from fmuid.estimation.starting_points import SETTINGS
 
+WINDOW = SETTINGS.window
 RNG = np.random.default_rng(0)
 TIMES = np.cumsum(RNG.uniform(0.4, 1.6, 400) * 1e-2)
 

@@ -13,7 +13,7 @@ from fmuid.codec import as_json
 from fmuid.data import Experiment, JointPrior, Normal, Parameter
 from fmuid.data.noise import Noise
 from fmuid.errors import InputError
-from fmuid.estimation.covariance import UNDETERMINED_STD, ActiveBound, IdentifiabilityLevel, local_covariance
+from fmuid.estimation.covariance import LIMITS, ActiveBound, IdentifiabilityLevel, local_covariance
 from fmuid.estimation.problem import LeastSquares
 from fmuid.estimation.result import Result
 from fmuid.estimation.search.loop import TerminationReason
@@ -93,7 +93,7 @@ def test_runaway_is_stopped_and_named() -> None:
     assert not result.converged
     (direction,) = result.identifiability.non_identifiable
     assert (direction.level, direction.names[:2]) == (IdentifiabilityLevel.NOT_IN_EFFECT, ("R", "L"))
-    assert (result.std[:2] > UNDETERMINED_STD * np.abs(result.values[:2])).all()
+    assert (result.std[:2] > LIMITS.lost_std * np.abs(result.values[:2])).all()
     assert result.history.iterations < 60
     assert result.trace.loc[result.trace["accepted"], "L"].max() < 1e4
     json.dumps(RESULT | as_json(result), allow_nan=False)

@@ -18,7 +18,7 @@ from fmuid.array_types import Floats
 from fmuid.errors import InputError
 from fmuid.estimation.finite_differences import SensitivityError
 from fmuid.estimation.search.loop import Iteration, ResidualFunction, State, TerminationReason
-from fmuid.estimation.search.stopping import STOPPING, Stagnation, Way
+from fmuid.estimation.search.stopping import RENEWAL, STAGNATION, STOPPING, Stagnation, Way
 from fmuid.estimation.search.trust_region import REGION, LinearModel, Step, TrustRegion, triangle
 
 Known: TypeAlias = Callable[[Floats, Floats], Floats | None]
@@ -130,10 +130,10 @@ class Descent:
         """Return True if the next step needs a new Jacobian."""
         memory, way = _of(state), _of(state).way
         if state.borrowed:
-            return way.offset <= STOPPING.borrowed or memory.region.rejections > 0 or memory.stagnation.stuck
+            return way.offset <= RENEWAL.borrowed or memory.region.rejections > 0 or memory.stagnation.stuck
         if state.fresh:
             # many rejections without failures: suspect forward differences
-            suspicious = memory.region.rejections > STOPPING.suspicious_rejections and not memory.region.failures
+            suspicious = memory.region.rejections > RENEWAL.suspicious_rejections and not memory.region.failures
             close = way.offset <= STOPPING.offset or way.predicted <= _noise(function, state)
             return (suspicious and not state.central) or (close and not way.accurate)
         return memory.region.rejections > 0 or way.remaining(state) != (way.offset, way.change)
@@ -143,7 +143,7 @@ class Descent:
         memory, way, region = _of(state), _of(state).way, _of(state).region
         close = _close(function, state, way.offset if state.fresh else state.rate * way.fresh_offset)
         central = central or (close and not self._suffices(function, state))
-        central = central or region.rejections > STOPPING.suspicious_rejections
+        central = central or region.rejections > RENEWAL.suspicious_rejections
         far = not (central or close or state.fresh or region.rejections)
         jacobian = self.known(state.theta, state.residual) if far and self.known is not None else None
         state = replace(state, borrowed=jacobian is not None)
@@ -172,7 +172,7 @@ class Descent:
         if accepted:
             state = _moved(state, theta, residual, square)
         if not region.failures:
-            worth = max(_worthless(function, state), STOPPING.slow_share * memory.way.predicted)
+            worth = max(_worthless(function, state), STAGNATION.slow_share * memory.way.predicted)
             stagnation = memory.stagnation.after(step.predicted, _of(state).square, worth)
             state = _with(state, stagnation=stagnation)
         return _with(state, renewal="after a step") if accepted and not memory.way.near else state
@@ -206,7 +206,7 @@ class Descent:
             return state
         good = state.central or (_close(function, state, offset) and self._suffices(function, state))
         accurate = not state.borrowed and good
-        near = accurate and offset <= STOPPING.near
+        near = accurate and offset <= RENEWAL.near
         way = replace(way, fresh_offset=offset, fresh_change=change, accurate=accurate, near=near)
         if 0.0 < way.previous_offset < math.inf:
             state = replace(state, rate=min(offset / way.previous_offset, 1.0))
@@ -224,15 +224,15 @@ class Descent:
         if way.accurate and way.predicted <= noise:
             settled = state.fresh and way.offset > STOPPING.settled_ratio * way.previous_offset
             if settled or offset <= STOPPING.noise_margin * _offset_noise(function, state):
-                near = way.offset <= STOPPING.near
+                near = way.offset <= RENEWAL.near
                 return TerminationReason.CONVERGED if near else TerminationReason.ACCURACY
         drowned = way.predicted <= REGION.noise_surprise * noise
         if memory.stagnation.in_vain(_worthless(function, state)):
-            little = way.offset <= STOPPING.in_vain_offset or drowned
+            little = way.offset <= STAGNATION.offset or drowned
             return TerminationReason.ACCURACY if little else TerminationReason.STALLED
         if memory.region.failures >= STOPPING.hopeless_failures:
             return TerminationReason.FAILING
-        if rejections > STOPPING.suspicious_rejections and state.central and way.near:
+        if rejections > RENEWAL.suspicious_rejections and state.central and way.near:
             return TerminationReason.CONVERGED
         size = _length(memory, function.magnitudes(state.theta))
         if state.central and rejections and memory.region.value <= STOPPING.vanishing_step * size:
@@ -276,7 +276,7 @@ def _error(function: ResidualFunction, state: State, lengths: Floats, *, central
 
 def _close(function: ResidualFunction, state: State, offset: float) -> bool:
     """Return True if the optimum is near, or hidden by noise."""
-    return offset <= STOPPING.near or _of(state).way.predicted <= _noise(function, state)
+    return offset <= RENEWAL.near or _of(state).way.predicted <= _noise(function, state)
 
 
 # --- one step
@@ -329,7 +329,7 @@ def _doubtful_steps(function: ResidualFunction, state: State) -> Floats:
     memory, magnitudes = _of(state), function.magnitudes(state.theta)
     _, values, directions = np.linalg.svd(memory.linear.reduced[:, :-1] * magnitudes)
     way = math.sqrt(memory.square / _free(state)) * max(1.0, memory.way.offset)
-    widest, closest = STOPPING.widest_noise, STOPPING.closest_noise
+    widest, closest = STAGNATION.widest_noise, STAGNATION.closest_noise
     share = max(way / values[-1], closest) if way < widest * values[-1] else widest
     return np.asarray(share * magnitudes * directions[-1])
 
@@ -372,7 +372,7 @@ def _offset_noise(function: ResidualFunction, state: State) -> float:
 
 def _worthless(function: ResidualFunction, state: State) -> float:
     """Return the largest cost reduction that is no gain."""
-    return max(_noise(function, state), STOPPING.worthless_share * _of(state).square / _free(state))
+    return max(_noise(function, state), STAGNATION.worthless_share * _of(state).square / _free(state))
 
 
 def _record(

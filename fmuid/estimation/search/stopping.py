@@ -13,31 +13,43 @@ from fmuid.estimation.search.loop import State
 
 @dataclass(frozen=True)
 class StoppingSettings:
-    """Thresholds of termination, of doubt, and of new Jacobians."""
+    """Thresholds of termination."""
 
-    offset: float = 1e-3  # standard deviations that all parameters together have to go at the end
+    offset: float = 1e-3  # σ that all parameters together have to go at the end
     rough_change: float = 5e-4  # a rough search ends where the way left changes the noise variances by no more ...
-    rough_offset: float = 0.1  # ... or at this share of the standard deviations
-    near: float = 0.03  # standard deviations left where the Jacobian hardly changes any more
-    borrowed: float = 0.3  # a Jacobian from a point close by serves no nearer to the optimum
+    rough_offset: float = 0.1  # ... or at this share of σ
     settled_ratio: float = 0.8  # new Jacobians that bring a noisy optimum no nearer than this gain nothing more
-    suspicious_rejections: int = 6  # rejected steps in a row after which forward differences are suspected
-    edge_failures: int = 2  # failures in a row after which the search feels its way with one parameter held
+    noise_margin: float = 3.0  # within which the noise left in the offset is known
+    edge_failures: int = 2  # failures in a row after which the search tries steps with one parameter held
     hopeless_failures: int = 12  # failures in a row after which it gives up
-    in_vain_offset: float = 0.3  # left where nothing is gained: the simulation makes it no better, not the way
+    vanishing_step: float = 1e-13  # relative; changes hardly anything in double precision
+    runaway_growth: float = 100.0  # factor by which a parameter grows that runs away ...
+    runaway_gain: float = 0.01  # ... while the cost falls by a smaller share
+
+
+@dataclass(frozen=True)
+class RenewalSettings:
+    """Thresholds of new Jacobians."""
+
+    near: float = 0.03  # σ left where the Jacobian hardly changes any more
+    borrowed: float = 0.3  # σ left; a Jacobian from a point close by serves no nearer to the optimum
+    suspicious_rejections: int = 6  # in a row, after which forward differences are suspected
+
+
+@dataclass(frozen=True)
+class StagnationSettings:
+    """Thresholds of doubt, and of searches that gain nothing."""
+
+    patient_steps: int = 10  # granted before a search without gain is doubted
+    worthless_share: float = 1e-4  # of the worth of one σ: a hundredth of one, squared
+    slow_share: float = 1e-2  # of the fall predicted, where it matters whether the linear model can be trusted
+    vain_share: float = 0.25  # of the prediction: steps that bring less are useless, not merely slow
+    offset: float = 0.3  # σ left where nothing is gained: the simulation limits the accuracy, not the search
     widest_noise: float = 3e-3  # the noise of a doubted search is measured no farther apart, relative ...
     closest_noise: float = 1e-9  # ... and no closer
-    vanishing_step: float = 1e-13  # relative; changes hardly anything in double precision
-    noise_margin: float = 3.0  # within which the noise left in the offset is known
-    runaway_growth: float = 100.0  # factor by which a parameter grows that runs away ...
-    runaway_gain: float = 0.01  # ... while the criterion falls by a smaller share
-    patient_steps: int = 10  # granted before a search without gain is doubted
-    worthless_share: float = 1e-4  # of what one standard deviation is worth: a hundredth of one, squared
-    slow_share: float = 1e-2  # of the fall predicted, where it matters whether the linear model can be trusted
-    vain_share: float = 0.25  # of what they promised: steps that bring less are useless, not merely slow
 
 
-STOPPING = StoppingSettings()
+STOPPING, RENEWAL, STAGNATION = StoppingSettings(), RenewalSettings(), StagnationSettings()
 
 
 @dataclass(frozen=True)
@@ -72,11 +84,11 @@ class Stagnation:
     last: float  # cost now
     steps: int = 0  # since the last gain or doubt
     promised: float = 0.0  # cost reduction predicted since the last gain
-    patience: int = STOPPING.patient_steps  # steps without gain before a doubt
+    patience: int = STAGNATION.patient_steps  # steps without gain before a doubt
     doubted: bool = False
 
     @classmethod
-    def at(cls, square: float, patience: int = STOPPING.patient_steps) -> Stagnation:
+    def at(cls, square: float, patience: int = STAGNATION.patient_steps) -> Stagnation:
         """Return the initial value at a cost."""
         return cls(square, square, patience=patience)
 
@@ -101,5 +113,5 @@ class Stagnation:
 
     def in_vain(self, worthless: float) -> bool:
         """Return True if the search gains nothing in spite of a doubt."""
-        vain = self.fall < STOPPING.vain_share * self.promised
+        vain = self.fall < STAGNATION.vain_share * self.promised
         return self.doubted and self.stuck and vain and self.fall <= worthless
