@@ -21,7 +21,6 @@ MANY_FIELDS = {
 MANY_ARGUMENTS = {
     "data.signals.multisine",
     "data.signals.prbs",
-    "estimation.covariance.local_covariance",
     "estimation.equation_error.instrumental_variables",
     "estimation.problem.__init__",
     "estimation.problem.from_function",

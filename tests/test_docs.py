@@ -17,7 +17,7 @@ import pytest
 from fmuid.diagnosis.cause_ranking import SETTINGS as CAUSE_RANKING
 from fmuid.diagnosis.unexplained_residual import SETTINGS as UNEXPLAINED_RESIDUAL
 from fmuid.estimation.covariance import LIMITS
-from fmuid.estimation.estimate import ROUNDS
+from fmuid.estimation.local_search import ROUNDS
 from fmuid.estimation.noise.whiteness_tests import WhitenessSettings
 from fmuid.estimation.search.stopping import STOPPING
 from fmuid.estimation.simulation_noise import NOISE

@@ -44,7 +44,7 @@ def test_no_circles_between_modules() -> None:
     found = modules()
     order = TopologicalSorter({name: uses(path) & found.keys() - {name} for name, path in found.items()})
     order.prepare()  # raises CycleError, which names a circle
-    assert "estimation.result" in uses(found["estimation.estimate"])
+    assert "estimation.result" in uses(found["estimation.local_search"])
 
 
 def test_no_circles_between_files_of_the_core() -> None:
@@ -175,7 +175,7 @@ def test_tests_mirror_the_packages() -> None:
 COLUMN = (
     *("studies.study", "studies.model", "data.data_file", "data.readers.text", "data.headers", "data.clock"),
     *("data.preprocessing", "data.experiment", "identification.problem", "estimation.problem"),
-    *("estimation.cost_function", "estimation.estimate", "estimation.result"),
+    *("estimation.cost_function", "estimation.local_search", "estimation.result"),
     *("runs.findings", "reports.topics.fit", "reports.chart", "reports.render.bokeh_renderer", "reports.render.html"),
 )
 """From a column of a CSV file to its figure in the report."""

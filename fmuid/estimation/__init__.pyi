@@ -7,13 +7,12 @@ from .cost_function import prepare as prepare
 from .covariance import ActiveBound as ActiveBound
 from .covariance import IdentifiabilityLevel as IdentifiabilityLevel
 from .covariance import WeakDirection as WeakDirection
+from .covariance import WhitenedJacobian as WhitenedJacobian
 from .covariance import check_level as check_level
 from .covariance import local_covariance as local_covariance
 from .equation_error import Term as Term
 from .equation_error import equation_error as equation_error
 from .equation_error import instrumental_variables as instrumental_variables
-from .estimate import Marquardt as Marquardt
-from .estimate import Method as Method
 from .estimates import Estimates as Estimates
 from .evaluator import Evaluator as Evaluator
 from .finite_differences import SensitivityError as SensitivityError
@@ -25,6 +24,8 @@ from .linear import Estimator as Estimator
 from .linear import LinearEstimate as LinearEstimate
 from .linear import linear_least_squares as linear_least_squares
 from .linearized_problem import LinearizedProblem as LinearizedProblem
+from .local_search import Marquardt as Marquardt
+from .local_search import Method as Method
 from .model_sensitivities import SENSITIVITIES as SENSITIVITIES
 from .model_sensitivities import SensitivityMethod as SensitivityMethod
 from .noise.autoregression import Autoregression as Autoregression

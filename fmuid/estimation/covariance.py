@@ -142,49 +142,61 @@ class LocalCovariance:
         return np.asarray(np.einsum("ij,ij->j", columns, columns), dtype=np.float64)
 
 
+@dataclass(frozen=True, eq=False)
+class WhitenedJacobian:
+    """Jacobian of the whitened residual, with its errors.
+
+    Attributes
+    ----------
+    rows : (n_rows, N) array
+        The prior's rows are the last.
+    error : (N,) array
+        Norm of the error of each column.
+    prior_rows : int
+        Number of rows of the prior, without error.
+    spread : (n_rows,) array, optional
+        Standard deviation of each row; default 1.
+    reduced : (N+1, N+1) array, optional
+        Triangle of the Jacobian and any residual, if known.
+    """
+
+    rows: Floats
+    error: Floats
+    prior_rows: int = 0
+    spread: Floats | None = None
+    reduced: Floats | None = None
+
+
 def local_covariance(
     names: Sequence[str],
-    jacobian: Floats,
+    given: WhitenedJacobian,
     magnitudes: Floats,
-    jacobian_error: Floats,
-    prior_rows: int = 0,
     *,
     theta: Floats | None = None,
     scale: Floats | None = None,
-    spread: Floats | None = None,
-    reduced: Floats | None = None,
 ) -> LocalCovariance:
     """Return covariance and identifiability of a whitened Jacobian.
 
     Parameters
     ----------
     names : sequence of str
-    jacobian : (n_rows, N) array
-        Of the whitened residual; the prior's rows are the last.
+    given : WhitenedJacobian
     magnitudes : (N,) array
         Magnitude of each parameter.
-    jacobian_error : (N,) array
-        Norm of the error of each column.
-    prior_rows : int
-        Number of rows of the prior, which have no error.
     theta : (N,) array, optional
         Parameters. Default: the magnitudes.
     scale : (N,) array, optional
         Initial scale of each parameter; estimates near zero stay identifiable. Default: the magnitudes.
-    spread : (n_rows,) array, optional
-        Standard deviation of each row; default 1.
-    reduced : (N+1, N+1) array, optional
-        Triangle of the Jacobian and any residual, if known.
     """
-    reduced = triangle(jacobian, np.zeros(len(jacobian))) if reduced is None else reduced
+    jacobian, prior_rows = given.rows, given.prior_rows
+    reduced = triangle(jacobian, np.zeros(len(jacobian))) if given.reduced is None else given.reduced
     reduced = reduced[:, :-1] * magnitudes
     _, values, directions = np.linalg.svd(reduced)
     values = np.concatenate([values, np.zeros(len(names) - values.size)])
     rounding = np.finfo(float).eps * max(jacobian.shape) * values[0]
     # the errors of the columns have nothing to do with each other
-    unseen = values <= np.maximum(
-        rounding, LIMITS.jacobian_errors * np.linalg.norm(directions * jacobian_error * magnitudes, axis=1)
-    )
+    seen = LIMITS.jacobian_errors * np.linalg.norm(directions * given.error * magnitudes, axis=1)
+    unseen = values <= np.maximum(rounding, seen)
     prior = jacobian[len(jacobian) - prior_rows :] * magnitudes
     by_prior = np.linalg.norm(prior @ directions.T, axis=0)
     values = np.where(unseen, by_prior, values)
@@ -192,7 +204,9 @@ def local_covariance(
     inverse = np.where(zero, 0.0, 1.0 / np.where(zero, 1.0, values))
     root = magnitudes[:, None] * directions.T * inverse
     with np.errstate(over="ignore"):  # an infinite variance is what it says
-        middle = np.eye(len(names)) if spread is None else _gram(jacobian @ root, spread, unseen, prior_rows)
+        middle = (
+            np.eye(len(names)) if given.spread is None else _gram(jacobian @ root, given.spread, unseen, prior_rows)
+        )
         covariance = root @ middle @ root.T
     null = directions[zero]
     lost = (np.abs(null) > LIMITS.involved_share).any(axis=0) if zero.any() else np.zeros(len(names), dtype=np.bool_)
@@ -201,7 +215,7 @@ def local_covariance(
     at = magnitudes if theta is None else theta
     undetermined, weak = [], []
     for row in _sparse(null):
-        effect, error = (float(np.linalg.norm(part)) for part in (reduced @ row, jacobian_error * magnitudes * row))
+        effect, error = (float(np.linalg.norm(part)) for part in (reduced @ row, given.error * magnitudes * row))
         none = max(rounding, min(LIMITS.jacobian_errors * error, float(np.linalg.norm(row)) / LIMITS.lost_std))
         level = IdentifiabilityLevel.NOT if effect <= none else IdentifiabilityLevel.HIDDEN
         undetermined.append(WeakDirection.of(level, names, row, math.inf, at, magnitudes))

@@ -168,7 +168,7 @@ class StateVariableFilter:
 def equation_error(
     times: ArrayLike, target: Term, terms: Mapping[str, Term], *, cutoff: float, order: int | None = None
 ) -> LinearEstimate:
-    """Estimate D^p0 s_0 = Σ θ_j D^pj s_j by least squares of the filtered equation.
+    """Estimate D^p0 s_0 = Σ θ_j D^pj s_j by filtered least squares.
 
     Use it as initial guess of `identify`. Noise in the terms biases it; `instrumental_variables` has no bias.
 

@@ -158,7 +158,7 @@ class Estimates:
         return (self.values - self.prior_mean) / self.prior_std
 
     def quantiles(self, level: float) -> Floats:
-        """Return half the width (N,) of two-sided intervals in standard deviations (Student's t)."""
+        """Return half the width (N,) of intervals, σ (Student's t)."""
         return self._student(np.full(len(self.names), 0.5 + level / 2.0))
 
     def reaches(self, level: float) -> Floats:
@@ -180,7 +180,7 @@ class Estimates:
         return pd.DataFrame({"lower": lower, "upper": upper}, index=list(self.names))
 
     def test_scale(self, names: Sequence[str]) -> float:
-        """Return the factor of colored noise on a likelihood-ratio statistic of these parameters.
+        """Return the factor of colored noise on a likelihood-ratio statistic.
 
         The largest eigenvalue of [H⁻¹]⁻¹V over identifiable parameters; 1 for white noise. It bounds the weighted sum
         of χ² variables (Kent, "Robust properties of likelihood ratio tests", Biometrika 69, 1982).
@@ -208,7 +208,7 @@ class Estimates:
 
     @property
     def strong_correlations(self) -> tuple[tuple[str, str, float], ...]:
-        """Pairs of parameters with a correlation above 0.95 in magnitude, the strongest first."""
+        """Pairs of parameters with |correlation| above 0.95, strongest first."""
         matrix = self.correlation.to_numpy()
         every = combinations(range(len(self.names)), 2)
         pairs = [(self.names[i], self.names[j], float(matrix[i, j])) for i, j in every]

@@ -187,7 +187,7 @@ class Evaluator(Generic[AnyProblem]):
         return found
 
     def failure(self, theta: Floats) -> Exception | None:
-        """Return the error of the simulation at theta (N,), None if it succeeds."""
+        """Return the simulation error at theta (N,), None if it succeeds."""
         for index, predictor in enumerate(self.problem.predictors):
             _, columns = self.problem.parameters.for_experiment(index)
             known, error = self._reasons.get(index, (None, None))
@@ -206,7 +206,7 @@ class Evaluator(Generic[AnyProblem]):
     # --- derivatives by the model
 
     def derivatives(self, theta: Floats) -> Floats:
-        """Return the model's derivatives (N, n) of all counted samples at theta (N,).
+        """Return the model's derivatives (N, n) of counted samples.
 
         Raises
         ------

@@ -41,7 +41,10 @@ CENTRAL = tuple((a * h, b * h) for h in CLOSER_STEPS for a, b in ((1.0, -1.0), (
 
 
 def parabola_slope(low: Floats, high: Floats, a: float | Floats, b: float | Floats) -> Floats:
-    """Return the slope at 0 of the parabola through (a, low), (0, 0), (b, high)."""
+    """Return the slope at 0 of a parabola through the origin.
+
+    It passes (a, low) and (b, high), too.
+    """
     return np.asarray((low * (b / a) - high * (a / b)) / (b - a), dtype=np.float64)
 
 
@@ -61,7 +64,7 @@ class SensitivityError(FmuidError):
 
 @dataclass(frozen=True)
 class BoundedFunction:
-    """A vector function (n,) of theta (N,) within bounds that no point leaves."""
+    """Vector function (n,) of theta (N,) within strict bounds."""
 
     predict: Predict
     lower: Floats
@@ -180,7 +183,7 @@ class FiniteDifferences:
     def _central(
         self, predict: Predict, theta: Floats, base: Floats, steps: Floats, which: Indices | None = None
     ) -> Floats:
-        """Return weighted f′h and f″h² (2, k, n) of parabolas through three points."""
+        """Return weighted f′h and f″h² (2, k, n) of parabolas."""
         distances, values = self._differences(predict, theta, base, steps, CENTRAL, which)
         (a, b), h = distances.T, steps if which is None else steps[which]
         ratio, unit = b / a, h / a

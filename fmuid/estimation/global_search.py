@@ -17,8 +17,8 @@ from fmuid.array_types import Floats
 from fmuid.blas import single_threaded
 from fmuid.errors import FmuidError, InputError, SimulationError
 from fmuid.estimation.cost_components import CostComponents, fitted, misfits, refuse_loss, variances
-from fmuid.estimation.estimate import Marquardt, estimate, point_result
 from fmuid.estimation.evaluator import Evaluator
+from fmuid.estimation.local_search import Marquardt, estimate, point_result
 from fmuid.estimation.problem import LeastSquares
 from fmuid.estimation.result import Result
 from fmuid.estimation.result_groups import Optimum
@@ -146,7 +146,7 @@ class GlobalSearch:
 
 
 class Exploration:
-    """Tried points (m, N) of the box and their concentrated costs (m,), +inf if failed."""
+    """Tried points (m, N) and concentrated costs (m,), +inf if failed."""
 
     def __init__(self, evaluator: Evaluator[LeastSquares], seed: int, progress: Progress | None) -> None:
         self.evaluator, self.problem, self.progress = evaluator, evaluator.problem, progress
@@ -312,7 +312,7 @@ class _BoxSearch:
             raise KeyboardInterrupt
 
     def _known(self, start: Floats) -> bool:
-        """Return True if a known optimum or the limit makes a fit unnecessary."""
+        """Return True if a known optimum or the limit spares a fit."""
         if not 0 < len(self.fits) < SETTINGS.most_topograph_fits:
             return bool(self.fits)
         box = self.explored.box
@@ -380,7 +380,7 @@ def merge_optima(problem: LeastSquares, results: Sequence[Result]) -> tuple[Opti
 
 
 def _same(problem: LeastSquares, results: Sequence[Result], criteria: Floats, i: int, best: int) -> bool:
-    """Return True if a fit ended at the same optimum as a better one."""
+    """Return True if a better fit ended at the same optimum."""
     # away from the best optimum residuals are larger than their variances, and standard deviations too small
     excess = max(1.0, criteria[best] / max(problem.measured.size - len(problem.parameters), 1))
     there = results[best].values

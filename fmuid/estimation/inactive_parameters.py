@@ -30,7 +30,7 @@ def inactive_parameters(problem: LeastSquares, acting: Flags) -> Indices:
 def find_active_point(
     evaluator: Evaluator[LeastSquares], theta: Floats, idle: Indices, noise: Floats, weights: Floats
 ) -> Floats:
-    """Return the best point near theta with an effect of each idle parameter.
+    """Return the best near point with an effect of idle parameters.
 
     `noise` and `weights` (n,) belong to the samples. Raises `InputError` for a parameter without any effect.
     """
@@ -94,7 +94,7 @@ def _places(problem: LeastSquares, theta: Floats, i: int) -> Floats:
 
 
 def _acting(evaluator: Evaluator[LeastSquares], points: Floats, values: Floats, idle: Indices, noise: Floats) -> Flags:
-    """Return flags (m, k) of idle parameters with an effect at each point."""
+    """Return flags (m, k) of idle parameters with an effect."""
     parameters = evaluator.problem.parameters
     if not len(points):
         return np.zeros((0, idle.size), dtype=np.bool_)

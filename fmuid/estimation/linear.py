@@ -115,7 +115,7 @@ class LinearEstimate:
 
 
 def linear_least_squares(regressors: ArrayLike, measured: ArrayLike, names: Sequence[str] = ()) -> LinearEstimate:
-    """Estimate y = φᵀθ by least squares, θ̂ = (Σ φφᵀ)⁻¹ Σ φ y* (1.6).
+    """Estimate y = φᵀθ by least squares (1.6).
 
     Parameters
     ----------
@@ -208,7 +208,7 @@ def _lengths(names: Sequence[str], columns: Floats) -> Floats:
 
 
 def colored_covariance(basis: Floats, solution: Floats, rows: Floats, residual: Floats) -> tuple[Floats, Floats]:
-    """Return covariance (n, n) and degrees of freedom (n,) of a linear estimate.
+    """Return covariance (n, n) and degrees of freedom (n,).
 
     `basis` is Q (K, n), `solution` A (n, n), `rows` Φ (K, n), `residual` (K,) in order of time.
     """

@@ -54,7 +54,7 @@ class LinearizedProblem:
 
     @cached_property
     def _decomposed(self) -> tuple[Floats, Floats, Floats]:
-        """U (n, k), S (k,) and V (N, k) of the k identifiable directions."""
+        """U (n, k), S (k,), V (N, k) of identifiable directions."""
         u, s, vt = np.linalg.svd(self.jacobian * self.magnitudes, full_matrices=False)
         kept = min(len(s), self.data.rank)
         return u[:, :kept], s[:kept], vt[:kept].T
@@ -82,7 +82,7 @@ class LinearizedProblem:
         return np.nan_to_num(_known(self.data, np.sqrt(np.sum((give @ noise) * give, axis=1))), nan=np.inf)
 
     def moves(self) -> Floats:
-        """Return the shift (N, N) of each estimate (row) by each prior (column).
+        """Return the shift (N, N) of estimates (rows) by priors (columns).
 
         The prior's force Wᵀw acts on the compliance (JᵀJ)⁻¹ of the data. NaN if not identifiable.
         """

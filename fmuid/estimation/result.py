@@ -131,7 +131,7 @@ class Result(PlotMixin):
         return self.estimates.intervals(level)
 
     def to_frame(self, level: float = 0.95) -> pd.DataFrame:
-        """Return the estimates as a table, one row per parameter, with intervals of a level."""
+        """Return the estimates with intervals, one row per parameter."""
         found = self.estimates
         columns = {
             "value": found.values,
@@ -162,7 +162,7 @@ class Result(PlotMixin):
         return pd.DataFrame(columns | dict(zip(self.names, thetas.T, strict=True)))
 
     def made_from(self, experiment: Experiment) -> bool:
-        """Return whether the measurements of an experiment are among those of this result."""
+        """Return True if this result used the measurements of an experiment."""
         return set(measured_series(experiment)) <= set(self.setup.data)
 
     def after(self, earlier: Result) -> Result:
@@ -216,7 +216,7 @@ class Result(PlotMixin):
 
     @classmethod
     def from_json(cls, path: str | Path) -> Result:
-        """Read a ``result.json``, which has no trace, linearization, noise model or simulated outputs.
+        """Read a ``result.json``, without trace, linearization, noise model and outputs.
 
         Raises
         ------

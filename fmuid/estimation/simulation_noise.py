@@ -35,7 +35,7 @@ NOISE = SimulationNoiseSettings()
 
 
 def noise_level(predict: Predict, theta: Floats, steps: Floats, shares: Floats) -> tuple[Floats, Floats]:
-    """Return the simulation (n,) at theta and each output's noise (count,), by a difference table.
+    """Return the simulation (n,) at theta and each output's noise (count,).
 
     All parameters move together, by `steps` (N,). γ_k mean (Δᵏf)², γ_k = (k!)²/(2k)!, estimates ε²; the least over k
     counts. NaN if the simulation at theta fails.
@@ -92,7 +92,7 @@ def shares_of(groups: Indices, count: int) -> Floats:
 
 
 def _difference_table(table: Floats, shares: Floats) -> Floats:
-    """Return sqrt(γ_k mean (Δᵏf)²) of each order k and output, (NOISE.points − 1, count)."""
+    """Return sqrt(γ_k mean (Δᵏf)²) by order and output."""
     deviations = []
     table, squares = table.copy(), np.empty_like(table)  # in place: fresh memory costs more than the differences
     for order in range(1, len(table)):

@@ -12,8 +12,8 @@ import numpy as np
 
 from fmuid.array_types import Floats
 from fmuid.estimation.cost_components import fitted, misfits
-from fmuid.estimation.estimate import ROUNDS
 from fmuid.estimation.evaluator import Evaluator
+from fmuid.estimation.local_search import ROUNDS
 from fmuid.estimation.problem import LeastSquares
 from fmuid.estimation.result import Result
 from fmuid.estimation.solver_check import SHIFT_LIMIT, AccuracyOutcome, SolverCheck
@@ -62,7 +62,7 @@ def estimate_solver_error(
 
 
 def _weights(problem: LeastSquares, result: Result) -> Floats:
-    """Return the weights (n,) of the scored samples in the rows of `Result.fit.linearization`."""
+    """Return the weights (n,) of samples in `Result.fit.linearization`."""
     variance = np.array([result.fit.variance[name] for name in problem.output_names])
     groups = problem.groups
     spread = np.array([np.std(problem.measured[groups == j]) for j in range(variance.size)])
@@ -89,12 +89,12 @@ def with_shift(result: Result, accuracy: SolverCheck) -> Result:
 
 
 def fits_worse(problem: LeastSquares, result: Result, other: Result) -> bool:
-    """Return True if a result fits the data significantly worse than another one."""
+    """Return True if a result fits significantly worse than another."""
     return misfit_of(problem, result) - misfit_of(problem, other) > CLEARLY_BETTER_CRITERION
 
 
 def would_fit_better(problem: LeastSquares, result: Result, other: Evaluator[LeastSquares], shift: Floats) -> bool:
-    """Return True if another simulation, at estimates shifted by shift (N,) σ, fits better than the result."""
+    """Return True if another simulation fits better, with shifted estimates."""
     if not np.isfinite(shift).all():
         return False
     there = np.clip(result.values + shift * result.std, problem.parameters.lower, problem.parameters.upper)

@@ -101,7 +101,7 @@ class Box:
         return np.clip(scaled, self.lower, self.upper)  # exp(log(x)) is not always x
 
     def units(self, thetas: Floats) -> Floats:
-        """Return points of the unit cube (m, N) of parameters (m, N), clipped."""
+        """Return clipped unit-cube points (m, N) of parameters (m, N)."""
         scaled = self._scaled(np.clip(thetas, self.lower, self.upper))
         return np.asarray((scaled - self._low) / (self._high - self._low), dtype=np.float64)
 
@@ -164,7 +164,7 @@ def _scrambled(
 
 
 class WeakForm:
-    """Weak form of ẋ = f(x, u, θ) over windows of one record, without derivatives of data.
+    """Weak form of ẋ = f(x, u, θ) over windows of one recording.
 
     ∫ w f dt + ∫ w′ x dt = 0 for w = 4 z (1 − z), z from 0 to 1 along a window (Shinbrot, NACA TN 3288, 1954).
 

@@ -27,6 +27,7 @@ from fmuid.estimation import (
     State,
     TerminationReason,
     WeakDirection,
+    WhitenedJacobian,
     local_covariance,
     sandwich_of,
 )
@@ -326,7 +327,7 @@ def _search_data(
         return ExtrapolationReason(at_bounds=tuple(held))
     magnitudes = alone.magnitudes(state.theta)
     error = alone.jacobian_error(state.theta, state.residual, central=state.central)
-    data = local_covariance(result.names, state.jacobian, magnitudes, error, theta=state.theta)
+    data = local_covariance(result.names, WhitenedJacobian(state.jacobian, error), magnitudes, theta=state.theta)
     if data.rank < len(result.names):
         return ExtrapolationReason(undetermined=data.undetermined)
     prior = problem.parameters.prior_residual(state.theta[None])[0]

@@ -12,9 +12,9 @@ from fmuid.data import Parameter
 from fmuid.data.data_file import read_data
 from fmuid.data.experiment import Experiment
 from fmuid.errors import InputError
-from fmuid.estimation.estimate import Marquardt
 from fmuid.estimation.evaluator import Evaluator
 from fmuid.estimation.global_search import GlobalSearch
+from fmuid.estimation.local_search import Marquardt
 from fmuid.estimation.predictors import FunctionPredictor
 from fmuid.estimation.problem import LeastSquares
 

@@ -16,9 +16,9 @@ from fmuid.data.noise import Noise
 from fmuid.errors import InputError
 from fmuid.estimation import global_search
 from fmuid.estimation.cost_components import misfits
-from fmuid.estimation.estimate import Marquardt
 from fmuid.estimation.evaluator import Evaluator
 from fmuid.estimation.global_search import ExplorationSettings, GlobalSearch, Strategy, optima_table
+from fmuid.estimation.local_search import Marquardt
 from fmuid.estimation.problem import LeastSquares
 from fmuid.estimation.result import Result
 from fmuid.estimation.search.loop import TerminationReason

@@ -9,8 +9,8 @@ from fmuid.array_types import Floats
 from fmuid.codec import as_json
 from fmuid.data import Parameter
 from fmuid.errors import InputError
-from fmuid.estimation.estimate import Marquardt
 from fmuid.estimation.evaluator import Evaluator
+from fmuid.estimation.local_search import Marquardt
 from fmuid.estimation.problem import LeastSquares
 from fmuid.estimation.result import Result
 from fmuid.identification import identify

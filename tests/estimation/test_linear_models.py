@@ -23,9 +23,9 @@ from fmuid.estimation import (
 )
 from fmuid.estimation.cost_function import prepare
 from fmuid.estimation.equation_error import StateVariableFilter
-from fmuid.estimation.estimate import Marquardt
 from fmuid.estimation.evaluator import Evaluator
 from fmuid.estimation.linear import colored_covariance
+from fmuid.estimation.local_search import Marquardt
 from fmuid.estimation.problem import LeastSquares
 from fmuid.estimation.search.loop import State, iterate
 from fmuid.estimation.search.marquardt import Descent

@@ -11,8 +11,8 @@ from fmuid.array_types import Floats
 from fmuid.data import Parameter
 from fmuid.errors import InputError
 from fmuid.estimation.cost_function import prepare
-from fmuid.estimation.estimate import Marquardt
 from fmuid.estimation.evaluator import Evaluator
+from fmuid.estimation.local_search import Marquardt
 from fmuid.estimation.problem import LeastSquares
 from fmuid.estimation.search.loop import Iteration, State, TerminationReason, iterate, last_state
 from fmuid.estimation.search.marquardt import Descent

@@ -14,9 +14,9 @@ from fmuid.array_types import Floats
 from fmuid.codec import as_json
 from fmuid.data import Experiment, Normal, Parameter
 from fmuid.data.noise import Noise
-from fmuid.estimation import estimate as estimation
-from fmuid.estimation.estimate import Marquardt
+from fmuid.estimation import local_search as estimation
 from fmuid.estimation.linear import linear_least_squares
+from fmuid.estimation.local_search import Marquardt
 from fmuid.estimation.problem import LeastSquares
 from fmuid.estimation.result import Result
 from fmuid.estimation.search.loop import TerminationReason

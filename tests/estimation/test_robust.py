@@ -18,8 +18,8 @@ from fmuid.data.losses import LOSSES, Loss, robust_variance
 from fmuid.data.noise import Noise
 from fmuid.errors import InputError
 from fmuid.estimation.cost_function import prepare
-from fmuid.estimation.estimate import Marquardt
 from fmuid.estimation.evaluator import Evaluator
+from fmuid.estimation.local_search import Marquardt
 from fmuid.estimation.problem import LeastSquares
 from fmuid.estimation.result import Result
 from fmuid.identification import identify

@@ -13,7 +13,7 @@ from fmuid.codec import as_json
 from fmuid.data import Experiment, JointPrior, Normal, Parameter
 from fmuid.data.noise import Noise
 from fmuid.errors import InputError
-from fmuid.estimation.covariance import LIMITS, ActiveBound, IdentifiabilityLevel, local_covariance
+from fmuid.estimation.covariance import LIMITS, ActiveBound, IdentifiabilityLevel, WhitenedJacobian, local_covariance
 from fmuid.estimation.problem import LeastSquares
 from fmuid.estimation.result import Result
 from fmuid.estimation.search.loop import TerminationReason
@@ -162,7 +162,7 @@ def test_singular_and_weak_directions_together() -> None:
     """a + b is known, a − b not at all; c to 20 of its magnitudes, d well."""
     rows, _ = np.linalg.qr(np.random.default_rng(6).standard_normal((50, 3)))
     jacobian = np.column_stack([rows[:, 0], rows[:, 0], rows[:, 1] / 20.0, 30.0 * rows[:, 2]])
-    found = local_covariance("abcd", jacobian, np.ones(4), np.zeros(4))
+    found = local_covariance("abcd", WhitenedJacobian(jacobian, np.zeros(4)), np.ones(4))
     assert found.rank == 3
     none, in_effect = found.undetermined
     assert (none.level, none.names, none.std) == (IdentifiabilityLevel.NOT, ("a", "b"), math.inf)
@@ -184,7 +184,8 @@ def test_singular_and_weak_directions_together() -> None:
 )
 def test_level_of_an_effect_hidden_by_errors(effect: float, error: float, level: IdentifiabilityLevel) -> None:
     rows, _ = np.linalg.qr(np.random.default_rng(6).standard_normal((50, 2)))
-    (found,) = local_covariance("ab", rows * [100.0, effect], np.ones(2), np.array([0.0, error])).undetermined
+    jacobian = WhitenedJacobian(rows * [100.0, effect], np.array([0.0, error]))
+    (found,) = local_covariance("ab", jacobian, np.ones(2)).undetermined
     assert (found.level, found.names) == (level, ("b",))
 
 
@@ -204,7 +205,8 @@ def test_direction_is_relative_to_the_magnitudes() -> None:
     null = np.array([0.5, 0.25, -0.125, 1.0])  # per cent of the magnitudes
     others = np.linalg.svd(null[None])[2][1:]
     jacobian = np.random.default_rng(8).standard_normal((50, 3)) @ others / magnitudes
-    (direction,) = local_covariance(["k", "y", "z", "x"], jacobian, magnitudes, np.zeros(4), theta=theta).undetermined
+    given = WhitenedJacobian(jacobian, np.zeros(4))
+    (direction,) = local_covariance("kyzx", given, magnitudes, theta=theta).undetermined
     along = np.array(direction.coefficients) / (null * magnitudes)
     np.testing.assert_allclose(along, along[0], rtol=1e-6)
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from fmuid.data import Parameter
-from fmuid.estimation.estimate import Marquardt
+from fmuid.estimation.local_search import Marquardt
 from fmuid.estimation.problem import LeastSquares
 from fmuid.estimation.search.loop import TerminationReason
 from fmuid.files import file_name

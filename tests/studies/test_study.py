@@ -12,7 +12,7 @@ from fmuid.data import Normal, Parameter
 from fmuid.data.noise import Noise
 from fmuid.errors import InputError
 from fmuid.estimation import GlobalSearch
-from fmuid.estimation.estimate import Marquardt, Method
+from fmuid.estimation.local_search import Marquardt, Method
 from fmuid.identification.assessment import AssessmentSettings
 from fmuid.identification.posterior import SamplerSettings
 from fmuid.models.component import Numerics

@@ -65,7 +65,10 @@ class Autoregression:
     zero: float = 0.0
 
     def transfer(self, length: int) -> Complexes:
-        """Return (1 − θ e^(−iω))/((1 − φ e^(−iω)) (1 − Σ φ_j e^(−iωj))), frequencies of a real transform."""
+        """Return the transfer function at the frequencies of a real transform.
+
+        (1 − θ e^(−iω))/((1 − φ e^(−iω)) (1 − Σ φ_j e^(−iωj))).
+        """
         found = 1.0 / _spectrum(self.coefficients, length)
         if self.pole:
             found *= _spectrum([self.zero], length) / _spectrum([self.pole], length)
@@ -130,7 +133,7 @@ class Autoregression:
         return -1.0 / math.log(min(slowest, math.nextafter(1.0, 0.0))) if slowest > 0.0 else 0.0
 
     def scatter(self) -> Floats:
-        """Return the covariance of log σ², φ_j, φ and θ, times the samples."""
+        """Return the covariance of log σ², φ_j, φ, θ, times samples."""
         order = self.coefficients.size
         response = self._of_coefficients
         padded = np.concatenate([response, np.zeros(order)])
@@ -170,7 +173,7 @@ def most_orders(samples: int, length: int) -> int:
 
 
 def autoregression(values: Floats, there: Flags) -> Autoregression:
-    """Fit a series on a grid (n,), False in `there` where samples are missing."""
+    """Fit a series (n,) on a grid; `there` flags samples."""
     return fit(np.where(there, values, 0.0)[None], there, np.ones(1), most_orders(int(there.sum()), there.size))
 
 

@@ -47,7 +47,7 @@ class SlowNoise:
 
 
 def line_counts(length: int) -> Floats:
-    """Return the multiplicity (f,) of each line of a real transform in the whole one."""
+    """Return the multiplicity (f,) of lines of a real transform."""
     found = np.full(length // 2 + 1, 2.0)
     found[0] = 1.0
     if length % 2 == 0:
@@ -123,7 +123,7 @@ class Spectrum:
         return float(self.bins.counts @ self.power) / float(self.bins.counts.sum())
 
     def start(self) -> Floats | None:
-        """Return log c and log memory of the largest excess power, if significant."""
+        """Return log c and log memory of significant excess power."""
         bins, level = self.bins, self.level
         if not (level > 0.0 and bins.memories.size):
             return None
@@ -134,7 +134,7 @@ class Spectrum:
         return np.log([found[best] / bins.slopes[best], bins.memories[best]])
 
     def fitted(self, logs: Floats) -> tuple[Floats, Floats]:
-        """Return variances and −2 log likelihoods of (log c, log memory) (g, 2)."""
+        """Return variances and −2 log likelihoods of logs (g, 2)."""
         counts = self.bins.counts
         shapes = 1.0 + np.exp(logs[:, :1]) * rises(np.exp(logs[:, 1]), self.bins.cosines)
         levels = (self.power / shapes) @ counts / counts.sum()

@@ -1,4 +1,4 @@
-"""Residuals as series in time, each output on the grid of its samples.
+"""Residuals as series, each output on its own grid.
 
 Samples without a grid are counted one by one.
 """
@@ -124,7 +124,7 @@ def _thinned(places: Indices) -> tuple[Indices, int, int]:
 
 
 def table_grid(times: Floats) -> tuple[Indices, float, bool]:
-    """Return places of the rows on their grid, its step in s, and regularity.
+    """Return grid places of the rows, step in s, and regularity.
 
     Irregular rows (K,) are counted, with their mean step.
     """

@@ -107,7 +107,7 @@ def check_periods(series: Sequence[OutputSeries], noise: Noise, parameters: int)
 
 @dataclass(frozen=True, eq=False)
 class MeanCycle:
-    """Mean cycle of a series, times the root of the number of cycles."""
+    """Mean cycle of a series times √(number of cycles)."""
 
     series: OutputSeries
     values: Floats  # (T, 1 + k), residual and basis, in units of the noise model
@@ -117,7 +117,7 @@ class MeanCycle:
 
     @classmethod
     def of(cls, rows: Floats, noise: NoiseModel, period: float, *, given: bool) -> MeanCycle | None:
-        """Return the mean cycle of rows (n, 1 + k), None without whole cycles."""
+        """Return the mean cycle of rows (n, 1 + k), if any."""
         series, model = noise.series, noise.process
         time, residual = period / series.step, rows[series.rows, 0]
         samples, square = round(time), float(residual @ residual) / residual.size
@@ -195,7 +195,7 @@ def _together(folded: Sequence[MeanCycle], alone: Sequence[PeriodicError], innov
 
 
 def _floor(folded: Sequence[MeanCycle], weights: Floats, innovations: Floats) -> Floats:
-    """Return the noise spectrum (f,) of a weighted sum of series at harmonics."""
+    """Return the noise spectrum (f,) of weighted series at harmonics."""
     responses = weights[:, None] * np.array([each.response for each in folded])
     period = len(folded[0].values)
     spectrum = np.sum(responses * (innovations @ responses.conj()), axis=0).real
@@ -205,20 +205,20 @@ def _floor(folded: Sequence[MeanCycle], weights: Floats, innovations: Floats) ->
 
 
 def _taken(values: Floats, scale: float) -> Floats:
-    """Return an orthonormal basis of the fitted part of mean cycles (T, k)."""
+    """Return an orthonormal basis (T, k) of fitted mean cycles."""
     vectors, sizes, _ = np.linalg.svd(values, full_matrices=False)
     return np.asarray(vectors[:, sizes**2 > SETTINGS.taken * scale])
 
 
 def _summed(columns: Floats, series: OutputSeries, period: int) -> Floats:
-    """Return columns summed over cycles (T, k), by the root of their number."""
+    """Return column sums over cycles (T, k) by √(number of cycles)."""
     sums = np.zeros((period, columns.shape[1]))
     np.add.at(sums, series.places % period, columns[series.rows])
     return sums / math.sqrt(series.rows.size / period)
 
 
 def _products(cycle: Floats) -> Floats:
-    """Return the parts of CᵀC, C (T, k), at harmonics (f, k, k)."""
+    """Return CᵀC of columns (T, k) by harmonic (f, k, k)."""
     lines, edges = fft.rfft(cycle, axis=0) / math.sqrt(len(cycle)), Bins.of(len(cycle)).edges
     sides, count = line_counts(len(cycle))[:, None], cycle.shape[1]
     parts = np.empty((edges.size, count, count))
@@ -229,7 +229,7 @@ def _products(cycle: Floats) -> Floats:
 
 
 def _weighed(folded: Sequence[MeanCycle], weights: Floats, factors: Floats, innovations: Floats) -> PeriodicError:
-    """Return the error of a weighted sum of series, with its factors (m,)."""
+    """Return the error of weighted series, with its factors (m,)."""
     cycle = np.sum([weight * each.values for weight, each in zip(weights, folded, strict=True)], axis=0)
     period, floor = len(cycle), _floor(folded, weights, innovations)
     bins, counts = Bins.of(period), 2.0 * Bins.of(period).counts

@@ -136,7 +136,7 @@ class SampleGrid:
             self.columns[index] = np.vstack([self.columns[index][:1], own + half, own - half])
 
     def slopes(self) -> list[Floats]:
-        """Return each series' slopes (N, 1 + p) of V_ii by log σ² and φ_j."""
+        """Return each series' slopes of V_ii by log σ² and φ_j."""
         found, size = [], self.spectra.size
         for each, model, transfer, z, c in zip(
             self.series, self.models, self.spectra.transfers, self.spectra.filtered, self.coupled, strict=True

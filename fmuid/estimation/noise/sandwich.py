@@ -65,7 +65,7 @@ class ResidualNoise:
     returning: tuple[PeriodicError, ...] = ()
 
     def gram(self, columns: Floats) -> Floats:
-        """Return XᵀΓX (k, k) of columns X (n, k), Γ the noise covariance."""
+        """Return XᵀΓX (k, k) of columns X (n, k)."""
         total = np.zeros((columns.shape[1], columns.shape[1]))
         for members, common in self.grids():
             spectra = Spectra.of(columns, [each.series for each in members], [each.process for each in members])

@@ -43,7 +43,7 @@ Decomposed: TypeAlias = tuple[Floats, Floats, Floats]
 
 @dataclass(frozen=True, eq=False)
 class Step:
-    """Step p (N,), its λ, predicted reduction of ‖r‖², and flags held at bounds."""
+    """Step p (N,), λ, predicted reduction of ‖r‖², parameters at bounds."""
 
     step: Floats
     damping: float
@@ -52,7 +52,7 @@ class Step:
 
 
 def triangle(jacobian: Floats, residual: Floats) -> Floats:
-    """Return the triangle [R q] (N+1, N+1) with ‖R p + q‖ = ‖J p + r‖.
+    """Return [R q] (N+1, N+1) with ‖R p + q‖ = ‖J p + r‖.
 
     Householder reflections on [J r] (LAPACK geqrf).
     """

@@ -20,8 +20,8 @@ from fmuid.apps.cli.options import DONE, NOT_SUCCEEDED
 from fmuid.data import Parameter
 from fmuid.data.experiment import Experiment
 from fmuid.estimation import GlobalSearch
-from fmuid.estimation.estimate import Marquardt
 from fmuid.estimation.evaluator import Evaluator
+from fmuid.estimation.local_search import Marquardt
 from fmuid.estimation.problem import LeastSquares
 from fmuid.identification import Problem, identify
 from fmuid.models.component import Isolation

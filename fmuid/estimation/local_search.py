@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import time
 from dataclasses import dataclass, replace
-from typing import Protocol, runtime_checkable
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -15,7 +15,7 @@ from fmuid.blas import single_threaded
 from fmuid.data import Loss
 from fmuid.estimation.cost_components import log_likelihood
 from fmuid.estimation.cost_function import CostFunction, prepare
-from fmuid.estimation.covariance import ActiveBound, LocalCovariance, local_covariance
+from fmuid.estimation.covariance import ActiveBound, LocalCovariance, WhitenedJacobian, local_covariance
 from fmuid.estimation.estimates import Estimates
 from fmuid.estimation.evaluator import Evaluator
 from fmuid.estimation.linearized_problem import LinearizedProblem
@@ -122,7 +122,7 @@ def estimate(
 
 
 def point_result(evaluator: Evaluator[LeastSquares], theta: Floats) -> Result:
-    """Return a point theta (N,) of an interrupted search as a result without σ."""
+    """Return theta (N,) of an interrupted search as a result."""
     problem, parameters = evaluator.problem, evaluator.problem.parameters
     covariance, dof = np.full((len(parameters), len(parameters)), np.nan), np.full(len(parameters), math.inf)
     np.fill_diagonal(covariance, np.inf)
@@ -158,11 +158,7 @@ class _Identification:
     """State of one estimation: iterations on the noise variances."""
 
     def __init__(
-        self,
-        evaluator: Evaluator[LeastSquares],
-        settings: MarquardtSettings,
-        progress: Progress | None,
-        start: ArrayLike | None,
+        self, evaluator: Evaluator[LeastSquares], settings: MarquardtSettings, progress: Progress | None, start: Any
     ) -> None:
         self.evaluator, self.problem, self.settings, self.progress = evaluator, evaluator.problem, settings, progress
         self.clock, self.simulations = time.perf_counter(), evaluator.simulations
@@ -216,7 +212,7 @@ class _Identification:
     # --- the repetition on the noise variances
 
     def _end_round(self, number: int) -> None:
-        """Estimate each output's variance from the residual (1.12), and note what this round used and found."""
+        """Estimate the noise variances from the residual (1.12), and record the round."""
         state, problem = self.state, self.problem
         self.local = self._covariance(self.criterion, state.residual, state.jacobian, reduced=state.reduced)
         leverage = self.local.leverage(state.jacobian)[: problem.measured.size]
@@ -226,23 +222,18 @@ class _Identification:
         self.estimated = np.maximum(estimated, self.criterion.least_variance)
         names = problem.output_names
         self.rounds.append(
-            {
-                "round": number,
-                "iterations": state.iterations,
-                "criterion": float(state.residual @ state.residual),
-                **{f"used.{n}": v for n, v in zip(names, self.criterion.variance.tolist(), strict=True)},
-                **{f"estimated.{n}": v for n, v in zip(names, self.estimated.tolist(), strict=True)},
-            }
+            {"round": number, "iterations": state.iterations, "criterion": float(state.residual @ state.residual)}
+            | {f"used.{n}": v for n, v in zip(names, self.criterion.variance.tolist(), strict=True)}
+            | {f"estimated.{n}": v for n, v in zip(names, self.estimated.tolist(), strict=True)}
         )
 
     def _next_variance(self) -> Floats:
         return np.where(np.isnan(self.problem.variance), self.estimated, self.problem.variance)
 
     def _repeats(self) -> bool:
-        """Whether the search has to be repeated with other variances, which will move the optimum.
+        """Return True if other variances will move the optimum.
 
-        Some are estimated and have a rival, or decide what a robust loss takes for outliers; or the search sets out
-        from larger ones than those given.
+        Estimated variances with a rival or a robust loss do, and larger ones than given at the beginning.
         """
         problem = self.problem
         estimated = np.isnan(problem.variance)
@@ -251,14 +242,14 @@ class _Identification:
         return (bool(estimated.any()) and matters) or bool(larger.any())
 
     def _moved(self) -> bool:
-        """Whether the variances moved so much that the optimum moves too."""
+        """Return True if the new variances move the optimum."""
         ratios = self._next_variance() / self.criterion.variance
         if not len(self.problem.parameters.prior_whitening) and self.problem.loss is None:
             ratios = ratios / ratios[0]  # only their proportions matter
         return bool((np.abs(ratios - 1.0) > ROUNDS.variance_change).any())
 
     def _reweight(self) -> None:
-        """Go on from the same point with the new variances: the rows change their weights, nothing is simulated."""
+        """Continue from the same point with the new variances, without simulations."""
         state, before = self.state, self.criterion
         self.criterion = before.reweighted(self._next_variance())
         residual, jacobian = before.converted(self.criterion, state.residual, state.jacobian)
@@ -274,22 +265,15 @@ class _Identification:
         spread: Floats | None = None,
         reduced: Floats | None = None,
     ) -> LocalCovariance:
-        """Analyse a Jacobian at the point found, with or without the prior's rows; the residual is the criterion's."""
+        """Analyze a Jacobian at the point found, with or without prior rows."""
         theta, parameters = self.state.theta, self.problem.parameters
-        return local_covariance(
-            parameters.names,
-            jacobian,
-            parameters.magnitudes(theta),
-            criterion.jacobian_error(theta, residual, central=self.state.central),
-            len(jacobian) - self.problem.measured.size,
-            theta=theta,
-            scale=parameters.scale,
-            spread=spread,
-            reduced=reduced,
-        )
+        error = criterion.jacobian_error(theta, residual, central=self.state.central)
+        found = WhitenedJacobian(jacobian, error, len(jacobian) - self.problem.measured.size, spread, reduced)
+        names, magnitudes = parameters.names, parameters.magnitudes(theta)
+        return local_covariance(names, found, magnitudes, theta=theta, scale=parameters.scale)
 
     def _local_model(self) -> LinearizedProblem:
-        """Make the problem linear at the point found, with the final variances."""
+        """Linearize the problem at the point found, with the final variances."""
         state, data = self.state, self.problem.measured.size
         residual, jacobian, combined, spread = state.residual, state.jacobian, self.local, None
         whole = residual
@@ -304,22 +288,14 @@ class _Identification:
         alone = combined
         if len(jacobian) > data:
             alone = self._covariance(final, whole, jacobian[:data], None if spread is None else spread[:data])
-        magnitudes = self.problem.parameters.magnitudes(state.theta)
-        return LinearizedProblem(
-            residual[:data],
-            jacobian[:data],
-            residual[data:],
-            jacobian[data:],
-            magnitudes,
-            alone,
-            combined,
-        )
+        rows = residual[:data], jacobian[:data], residual[data:], jacobian[data:]
+        return LinearizedProblem(*rows, self.problem.parameters.magnitudes(state.theta), alone, combined)
 
     def _weighed(self, loss: Loss, residual: Floats, jacobian: Floats) -> tuple[Floats, Floats, Floats]:
-        """Return whitened residuals f and their Jacobian, changed, as a robust loss weighs them, and each row's spread.
+        """Return rows and Jacobian as a robust loss weights them, and spread.
 
-        Near the optimum the gradient of the criterion is Σ ψ J + (Σ ψ′ J Jᵀ) p: that of rows ψ/√a and √a J with each
-        output's a its mean ψ′, and of variance mean ψ²/a (see `fmuid.estimation.covariance`).
+        Near the optimum the gradient of the cost is Σ ψ J + (Σ ψ′ J Jᵀ) p: that of rows ψ/√a and √a J, a the mean ψ′
+        of an output, with the variance mean ψ²/a (see `fmuid.estimation.covariance`).
         """
         groups, counts = self.problem.groups, self.problem.counts
         f = residual[: groups.size]
@@ -346,9 +322,8 @@ class _Identification:
         ended = self._outcome.converged or self._outcome is TerminationReason.RUNAWAY
         covariances = (colored.covariance, local.covariance)
         shown = [np.full_like(local.covariance, np.nan) if stalled else each for each in covariances]
-        held = tuple(
-            ActiveBound(problem.parameters.names[i], float(state.theta[i])) for i in np.flatnonzero(state.held)
-        )
+        names, theta = problem.parameters.names, state.theta.tolist()
+        held = tuple(ActiveBound(names[i], theta[i]) for i in np.flatnonzero(state.held))
         estimates = _estimates(problem, state.theta, self.start, shown[0], shown[1], colored.freedom)
         return Result(
             outcome=TerminationReason.UNDETERMINED if undetermined and ended else self._outcome,
