@@ -37,8 +37,8 @@ class Message(Enum):
         """Return the message with values, capitalized unless a name begins it."""
         told = self.text.format(**values)
         told = told if self.text[0] in "{σ" else capitalized(told, names)
-        key, remedy = f"{type(self).__name__}.{self.name}", self.remedy.format(**values)
-        return Remark(told, tone or self.tone, section, key, values, remedy)
+        key, advice = f"{type(self).__name__}.{self.name}", self.remedy.format(**values)
+        return Remark(told, tone or self.tone, section, key, values, advice)
 
 
 @dataclass(frozen=True, eq=False)
