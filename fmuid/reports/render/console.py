@@ -87,8 +87,9 @@ def _show_summary(document: Document, before: Document | None) -> None:
         show_remarks(new, out)
         return
     remedies = [each.remedy for tone in ("bad", "doubt") for each in new if each.tone == tone and each.remedy]
-    if remedies:
-        out.print(f"→ {escape(remedies[0])}", soft_wrap=True)
+    remedy = document.remedy or "".join(remedies[:1])
+    if remedy and (before is None or remedy != before.remedy):
+        out.print(f"→ {escape(remedy)}", soft_wrap=True)
 
 
 def show_listing(document: Document, what: str) -> None:

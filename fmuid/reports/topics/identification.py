@@ -23,7 +23,7 @@ from fmuid.reports.topics.study_notes import gap_remark
 from fmuid.reports.topics.termination import effort_remark, result_remarks, state_and_reason
 from fmuid.reports.topics.uncertainty import interval_section, uncertainty_remarks
 from fmuid.reports.topics.uncertainty_charts import uncertainty_sections
-from fmuid.reports.topics.verdict import reason_words, verdict_state
+from fmuid.reports.topics.verdict import reason_words, remedy_words, verdict_state
 from fmuid.runs import IdentificationRun
 from fmuid.simulation import OutputFit
 
@@ -60,6 +60,7 @@ def identification_document(found: IdentificationRun) -> Document:
         **origin_of(found.origin, _models(result)),
         reason=_reason(result, verdict),
         summary=_summary(found, said),
+        remedy="" if tone == "bad" else remedy_words(verdict),
     )
 
 

@@ -85,6 +85,11 @@ def reason_words(verdict: Verdict) -> str:
     return "; ".join([*told[:SHOWN_REASONS], *more])
 
 
+def remedy_words(verdict: Verdict) -> str:
+    """Return the remedy of the gravest reason that has one."""
+    return next((text for each in verdict.reasons if (text := VerdictMessage[each.name].remedy)), "")
+
+
 def _phrases(verdict: Verdict) -> Iterator[str]:
     for reason, doubts in groupby(verdict.doubts, key=lambda each: each.reason):
         each = list(doubts)

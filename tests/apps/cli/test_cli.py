@@ -65,7 +65,7 @@ def test_simulate_without_parameters(folder: Path) -> None:
 
 def test_input_that_nothing_feeds_is_named(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert fmuid_("simulate", folder / "study.toml", "--set", "experiments.0.inputs=[]") == DONE
-    assert "feeds no u: kept at the start value" in capsys.readouterr().err
+    assert "no column for u; start value used" in capsys.readouterr().err
 
 
 # --- info, init, export, help ------------------------------------------------------------
@@ -205,14 +205,7 @@ def test_version_and_help(capsys: pytest.CaptureFixture[str]) -> None:
     [
         (("open",), "open is now workbench"),
         (("workbench", "--listen", "me"), "--listen was removed: the workbench serves this machine only"),
-        (("identify", "s.toml", "--in-process"), "--in-process is now --no-isolation"),
-        (("monitor", "s.toml", "a.csv", "--append"), "--append is now --resume"),
         (("predict", "results", "--like=a"), "--like is now --experiment"),
-        (("predict", "results", "--free", "R"), "--free is now --refit"),
-        (("predict", "results", "--level", "0.9"), "--level is now --confidence"),
-        (("compare", "results", "--table", "a.csv"), "--table is now --data"),
-        (("init", "a.fmu", "a.csv", "--prepare", "low_pass=1"), "--prepare is now --preprocess KEY=VALUE"),
-        (("design", "s.toml", "a.csv", "--by", "worst"), "--by is now --criterion"),
     ],
 )
 def test_an_old_name_is_refused_with_its_new_one(

@@ -103,7 +103,7 @@ def test_compare_on_constant_output_gives_rmse(made: Path, tmp_path: Path, capsy
             ("both", "other"),
             "have different data. Their likelihoods are not comparable",
         ),
-        (("both",), "give at least two results"),
+        (("both",), "needs at least two results"),
         (("both", "both"), "is given twice"),
         (("both", "nothing"), "there is no such result"),
         (("both", "other", "--data", "missing.csv"), "missing.csv"),

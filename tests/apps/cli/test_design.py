@@ -63,7 +63,7 @@ def test_the_length_of_a_healthy_record_that_is_enough_is_said() -> None:
     ("words", "said"),
     [
         (("--criterion", "size"), '"determinant" or "worst"'),
-        (("--fault", "x"), "has no [diagnosis]"),
+        (("--fault", "x"), "no [diagnosis]"),
         (("--set", "noise.variance=estimate"), "does not say how large the noise of 'i' is"),
     ],
 )

@@ -48,9 +48,8 @@ def test_identify(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
 
     out, error = capsys.readouterr()
     assert error == ""
-    assert "iteration 0 " in out
-    assert f"iteration {found['history']['iterations']} " in out
-    for word in ("parameter", "rel. std", "95 % interval", "Ohm", "Converged", "Residual: i std 0.0", "result.json"):
+    assert out.startswith(f"PASSED       converged after {found['history']['iterations']} iterations")
+    for word in ("parameter", "relative σ", "95 % interval", "Ohm", "Fit  ", "Residuals", "Solver", "report.html"):
         assert word in out
 
 
@@ -113,7 +112,6 @@ def test_identify_with_prior(folder: Path, capsys: pytest.CaptureFixture[str]) -
     assert found["prior_z_score"] < -1
     out = capsys.readouterr().out
     assert "5.000 ± 0.010" in out
-    assert f"{found['prior_z_score']:+.2f} std" in out
 
 
 def test_api_gives_what_the_command_writes(folder: Path) -> None:
@@ -131,13 +129,13 @@ def test_api_gives_what_the_command_writes(folder: Path) -> None:
 def test_not_converged(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert fmuid_("identify", folder / "study.toml", *HASTY) == NOT_SUCCEEDED
     assert result(folder / "results")["converged"] is False
-    assert "raise max_iterations" in capsys.readouterr().out
+    assert "Raise `max_iterations`" in capsys.readouterr().out
 
 
 def test_bound_is_named(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     fmuid_("identify", folder / "study.toml", "--set", "parameters.R.max=3.5", "--set", "parameters.R.start=3")
     assert result(folder / "results")["parameters"]["R"]["value"] == 3.5
-    assert "R is at its bound 3.5" in capsys.readouterr().out
+    assert "R is at its upper bound 3.5 Ohm" in capsys.readouterr().out
 
 
 def test_undetermined(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -167,7 +165,7 @@ def test_interrupted_keeps_the_best_so_far(
     assert first["outcome"] == "interrupted"
     assert first["converged"] is False
     assert first["parameters"]["R"]["value"] != 6.0
-    assert "Interrupted" in capsys.readouterr().out
+    assert "NOT USABLE   interrupted" in capsys.readouterr().out
 
     monkeypatch.undo()
     assert fmuid_("identify", folder / "study.toml", "--resume") == DONE
@@ -229,7 +227,7 @@ def test_prior_from_an_earlier_result(folder: Path, capsys: pytest.CaptureFixtur
     assert healthy["setup"]["models"][""]["name"] == "Coil"
     capsys.readouterr()
     study.write_text(STUDY.replace("first", "second") + '[prior]\nresult = "healthy/result.json"\nstd_factor = 2\n')
-    assert fmuid_("identify", study, "--set", "model.fixed.i_start=0.2") == DONE
+    assert fmuid_("identify", study, "--set", "model.fixed.i_start=0.2", "--verbose") == DONE
     found = result(folder / "results")
     for name in ("R", "L"):
         prior, estimate = healthy["parameters"][name], found["parameters"][name]
@@ -244,9 +242,9 @@ def test_prior_from_an_earlier_result(folder: Path, capsys: pytest.CaptureFixtur
     assert (inside >= -1e-12).any()
     assert (reading["combined_std"] < reading["data_std"]).all()
     out, error = capsys.readouterr()
-    assert error == ""
+    assert "iteration 0" in error
     heads = next(line for line in out.splitlines() if "data alone" in line)
-    columns = ["parameter", "prior", "data alone", "both", "pull", "moved by prior", "unit"]
+    columns = ["parameter", "prior", "data alone", "both", "distance", "moved by prior", "unit"]
     assert re.split(r"\s{2,}", heads.strip()) == columns
 
 
@@ -258,7 +256,7 @@ def test_what_takes_long_says_what_it_does(
     assert capsys.readouterr().err == ""
     prior = "parameters.R.prior={mean = 4.0, std = 0.1}"
     assert fmuid_("identify", folder / "study.toml", "--set", prior) == DONE
-    assert "searching the optimum of the data alone" in capsys.readouterr().err
+    assert "Optimizing with the data alone" in capsys.readouterr().err
 
 
 def test_prior_from_the_result_of_another_model(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -270,8 +268,8 @@ def test_prior_from_the_result_of_another_model(folder: Path, capsys: pytest.Cap
     capsys.readouterr()
     study.write_text(STUDY + '[prior]\nresult = "healthy/result.json"\n')
     assert fmuid_("identify", study) == WRONG_INPUT
-    assert "is a result of another model, Spool, and this study has Coil" in capsys.readouterr().err
+    assert "is of another model, Spool" in capsys.readouterr().err
     content["setup"]["models"][""] = {"name": "Coil", "digest": "of an earlier build"}
     (folder / "healthy/result.json").write_text(json.dumps(content))
     assert fmuid_("identify", study) == DONE
-    assert "was made with another build of Coil" in capsys.readouterr().err
+    assert "another build of Coil" in capsys.readouterr().err

@@ -25,7 +25,7 @@ from tests.support.interrupting import SIGNALS, command, killing
 pytestmark = pytest.mark.usefixtures("blank_figures")
 
 GLOBAL = '[estimation]\nmethod = "differential-evolution"\n'
-ANSWER = "interrupted: saving what has been found (Ctrl-C again ends it without)"
+ANSWER = "interrupted: saving the results so far (Ctrl-C again: stop without)"
 
 
 @pytest.fixture
@@ -84,7 +84,7 @@ def test_a_global_search(folder: Path, number: int, monkeypatch: pytest.MonkeyPa
         assert command("identify", folder / "study.toml") == NOT_SUCCEEDED
     out, error = capsys.readouterr()
     assert error == ANSWER + "\n"
-    assert "Interrupted: these are the best values so far of a global search, after 0 fits" in out
+    assert "Interrupted after 0 fits of a global search: best values so far." in out
     found = result(folder / "results")
     assert (found["outcome"], found["converged"]) == ("interrupted", False)
     assert found["parameters"]["R"]["std"] == "inf"

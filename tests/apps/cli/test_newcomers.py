@@ -23,7 +23,7 @@ TABLES: dict[str, tuple[str | bytes, str]] = {
     "a PDF": (b"%PDF-1.4\n%\xe2\xe3\xcf\xd3\n1 0 obj\n", "not found (columns: %PDF-1.4)"),
     "a spreadsheet by another name": (b"PK\x03\x04" + bytes(200), "is a spreadsheet or packed file"),
     "binary": (bytes(range(1, 256)) * 9, "not text in UTF-8, UTF-16 or cp1252"),
-    "times alone": ("time\n0\n1\n2\n", "no column is the input u: say which is by --map u=COLUMN"),
+    "times alone": ("time\n0\n1\n2\n", "no column for the input u"),
     "no sample": ("time,u,i\n0,1,nan\n1,1,nan\n", "output column 'i' has no sample"),
     "no time": ("time,u,i\n,1,2\n,1,3\n", "time column 'time': nan in row 1"),
     "one time": ("time,u,i\n1,1,2\n1,1,3\n", "fewer than two different times"),
@@ -65,20 +65,18 @@ def started(tmp_path: Path, capsys: pytest.CaptureFixture[str], frame: pd.DataFr
 def test_channels_that_measured_nothing_or_in_another_unit(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     frame = fmuid.datasets.coil().table[["time", "u", "i"]]
     said = started(tmp_path, capsys, frame)
-    assert "throughout" not in said and "times as far as measured" not in said
+    assert "is constant" not in said and "times as much as measured" not in said
     said = started(tmp_path, capsys, frame.assign(i=0.25))
-    assert (
-        "bench.csv: the output 'i' is 0.25 throughout: if its channel measured nothing, remove it from the out" in said
-    )
+    assert "bench.csv: output 'i' is constant (0.25)." in said
     said = started(tmp_path, capsys, frame.assign(u=1000 * frame["u"]))
-    (ratio,) = re.findall(r"bench.csv: at the FMU's own values what 'i' measures moves (\S+) times as far", said)
+    (ratio,) = re.findall(r"bench.csv: simulated 'i' varies (\S+) times as much as measured", said)
     assert float(ratio) == pytest.approx(1000, rel=0.3)
 
 
 def test_an_input_that_is_no_column(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     frame = fmuid.datasets.coil().table[["time", "i"]]
-    assert "by --map u=COLUMN, or --map u= to leave it at its start" in started(tmp_path, capsys, frame)
-    assert "no column is the input" not in started(tmp_path, capsys, frame, "--map", "u=")
+    assert "Add --map u=COLUMN, or --map u= to keep its start value." in started(tmp_path, capsys, frame)
+    assert "no column for the input" not in started(tmp_path, capsys, frame, "--map", "u=")
 
 
 def test_a_header_of_2000_names(tmp_path: Path) -> None:
