@@ -28,7 +28,8 @@ class Screen:
     @property
     def doubtful(self) -> bool:
         """True if the document has a doubt."""
-        return self.document is not None and any(each.tone in ("doubt", "bad") for each in self.document.remarks)
+        found = self.document
+        return found is not None and any(each.tone in ("doubt", "bad") for each in (found, *found.remarks))
 
 
 _current = Screen()
