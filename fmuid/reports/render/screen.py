@@ -29,7 +29,8 @@ class Screen:
     def doubtful(self) -> bool:
         """True if the document has a doubt."""
         found = self.document
-        return found is not None and any(each.tone in ("doubt", "bad") for each in (found, *found.remarks))
+        tones = [] if found is None else [found.tone, *(each.tone for each in found.remarks)]
+        return "doubt" in tones or "bad" in tones
 
 
 _current = Screen()

@@ -83,7 +83,11 @@ def test_json_of_other_commands(said: Said) -> None:
 
 
 def test_all_commands_with_documents_have_the_options() -> None:
-    shown = {each.callback.__name__ for each in app.registered_commands if hasattr(each.callback, "__signature__")}
+    shown = {
+        getattr(each.callback, "__name__", "")
+        for each in app.registered_commands
+        if hasattr(each.callback, "__signature__")
+    }
     analyses = {"simulate", "identify", "diagnose", "monitor", "design", "batch"}
     assert shown == analyses | {"predict", "compare", "info", "validate"}
 
