@@ -27,6 +27,7 @@ from fmuid.runs.batch.case_list import CaseList
 from fmuid.simulation.isolation.host import TIME_LIMITS
 from fmuid.simulation.plan_builder import LINEAR_SUBSTEPS
 from fmuid.studies.study import Study
+from tests.support.docs_rows import blocks
 
 ROOT = Path(__file__).parents[1]
 FOLDERS = ("docs", "experiments", "fmuid", "fmus", "tests")
@@ -36,14 +37,9 @@ METHOD = "\n".join(page.read_text(encoding="utf-8") for page in sorted((ROOT / "
 MACHINE = ROOT / "experiments" / "induction_machine"
 
 
-def blocks(page: str, kind: str) -> list[str]:
-    """Return what stands in a page's blocks of a language."""
-    return re.findall(rf"```{kind}\n(.*?)```", (ROOT / "docs" / page).read_text(encoding="utf-8"), re.DOTALL)
-
-
 def study_of(more: str, folder: Path) -> Study:
     """Return the study of the induction machine, its table among others in a folder, with what a page adds."""
-    (folder / "records").mkdir()
+    (folder / "records").mkdir(exist_ok=True)
     for name in ("a.csv", "b.csv"):
         shutil.copy(MACHINE / "table.csv", folder / "records" / name)
     data = tomllib.loads((MACHINE / "study.toml").read_text(encoding="utf-8"))
@@ -52,33 +48,24 @@ def study_of(more: str, folder: Path) -> Study:
     return Study.of(data | tomllib.loads(more), folder / "study.toml")
 
 
-def test_the_batch_that_is_shown(tmp_path: Path) -> None:
-    whole, _ = blocks("batches.md", "toml")
-    cases = CaseList.of(study_of(whole, tmp_path))
-    # tables, Lm, Lf, subsets, starts, draws
-    assert len(cases) == 2 * 3 * 5 * 2 * 20 * 100
-    assert cases[0].settings["table"] == "a"
-
-
-def test_the_sample_that_is_shown(tmp_path: Path) -> None:
-    _, sample = blocks("batches.md", "toml")
-    assert len(CaseList.of(study_of(sample, tmp_path))) == 64
+def test_the_batches_that_are_shown(tmp_path: Path) -> None:
+    whole, sample = (CaseList.of(study_of(text, tmp_path)) for text in blocks("batches.md", "toml"))
+    assert len(whole) == 2 * 3 * 5 * 2 * 20 * 100  # data, Lm, Lf, free parameters, starting points, realizations
+    assert whole[0].settings["table"] == "a"
+    assert len(sample) == 64
 
 
 def test_the_isolation_that_is_shown(tmp_path: Path) -> None:
-    (words,) = blocks("isolation-limits.md", "toml")
-    study_of(words, tmp_path)
-    assert (
-        f"{TIME_LIMITS.slower:g} times the longest so far, "
-        f"at least {TIME_LIMITS.least:g} s; {TIME_LIMITS.first:g} s before" in words
-    )
+    (text,) = blocks("isolation-limits.md", "toml")
+    study_of(text, tmp_path)
+    limits = TIME_LIMITS
+    assert f"{limits.slower:g} times the longest so far, at least {limits.least:g} s; {limits.first:g} s before" in text
 
 
-@pytest.mark.parametrize(
-    "code", [*blocks("clusters.md", "python"), *blocks("kubernetes.md", "python"), *blocks("batches.md", "python")]
-)
-def test_scripts_are_python(code: str) -> None:
-    compile(code, "page", "exec")
+def test_scripts_are_python() -> None:
+    for page in ("batches.md", "clusters.md", "kubernetes.md", "report.md", "study-file.md", "validation.md"):
+        for code in blocks(page, "python"):
+            compile(code, page, "exec")
 
 
 def anchors(page: Path) -> set[str]:

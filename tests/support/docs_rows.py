@@ -1,4 +1,4 @@
-"""The rows of tables on pages of docs."""
+"""Rows of tables and blocks of code on pages of docs."""
 
 from __future__ import annotations
 
@@ -15,3 +15,8 @@ def rows(page: str, width: int) -> list[tuple[str, ...]]:
     cells = [tuple(cell.strip() for cell in line.strip("|").split(" | ")) for line in lines if line not in heads]
     assert all(len(each) == width for each in cells)
     return cells
+
+
+def blocks(page: str, kind: str) -> list[str]:
+    """Return the blocks of a page in a language."""
+    return re.findall(rf"```{kind}\n(.*?)```", (ROOT / "docs" / page).read_text(encoding="utf-8"), re.DOTALL)
