@@ -52,7 +52,7 @@ from .sensitivity_functions import expected_accuracy as expected_accuracy
 from .sensitivity_functions import rank_excitations as rank_excitations
 from .sensitivity_functions import sensitivity_functions as sensitivity_functions
 from .solver_check import ACCURACIES as ACCURACIES
-from .solver_check import RIVAL_CRITERION as RIVAL_CRITERION
+from .solver_check import EQUAL_COST as EQUAL_COST
 from .time_scale import TimeScaleMismatch as TimeScaleMismatch
 from .time_scale import TimeScaleWarning as TimeScaleWarning
 from .time_scale import doubt_of_time as doubt_of_time

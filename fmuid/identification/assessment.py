@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from fmuid.identification.profile_likelihood import Profile
 
 CONFIDENCE_LEVEL = 0.95
-LOWER_CRITERION = 0.1  # cost below that of the estimate that shows another optimum; less may be rounding
+LOWER_COST = 0.1  # cost below that of the estimate that shows another optimum; less may be rounding
 
 
 @dataclass(frozen=True)
@@ -129,7 +129,7 @@ def better_point(chart: CostMap) -> tuple[float, float, float] | None:
     points = chart.table[[*chart.names, "cost"]].to_numpy()
     values = np.where(np.isnan(points[:, 2]), np.inf, points[:, 2])
     x, y, least = points[int(np.argmin(values))]
-    return (float(x), float(y), float(chart.cost - least)) if least < chart.cost - LOWER_CRITERION else None
+    return (float(x), float(y), float(chart.cost - least)) if least < chart.cost - LOWER_COST else None
 
 
 @single_threaded

@@ -13,13 +13,13 @@ from fmuid.identification.prior_and_data import PriorDataComparison
 from fmuid.identification.prior_data_tests import Deviation
 from fmuid.identification.residual_analysis import ResidualAnalysis, ResidualDefect
 from fmuid.identification.residual_series import InputCorrelation, ResidualSeries
-from fmuid.identification.solver_check import RIVAL_CRITERION
+from fmuid.identification.solver_check import EQUAL_COST
 
 MIN_FIT = 50.0  # NRMSE fit of each output, %; MATLAB's `compare` gives 0 for the mean
 
 _UNCHECKED = frozenset(AccuracyOutcome) - {AccuracyOutcome.PASSED, AccuracyOutcome.SHIFTED}
 _DEFECTS = {
-    ResidualDefect.COLOURED: Reason.COLORED_RESIDUAL,
+    ResidualDefect.COLORED: Reason.COLORED_RESIDUAL,
     ResidualDefect.OFFSET: Reason.OFFSET,
     ResidualDefect.INPUT: Reason.INPUT_CORRELATION,
     ResidualDefect.SHAPE: Reason.DISTRIBUTION,
@@ -72,9 +72,9 @@ def _of_search(result: Result) -> Iterator[Doubt]:
         yield Doubt(Reason.LARGE_RESIDUAL, (), {"ratio": kept.noise_ratio, "starts": float(len(history.restarts))})
     for other in history.optima[1:]:
         behind = other.criterion - history.optima[0].criterion
-        if behind < RIVAL_CRITERION:
+        if behind < EQUAL_COST:
             yield Doubt(Reason.SECOND_OPTIMUM, (), dict(zip(result.names, other.theta.tolist(), strict=True)))
-    if len(history.combinations) > 1 and history.combinations[1].behind < RIVAL_CRITERION:
+    if len(history.combinations) > 1 and history.combinations[1].behind < EQUAL_COST:
         yield Doubt(Reason.SECOND_OPTIMUM, tuple(history.combinations[1].values))
     if result.setup.observer is not None:
         yield Doubt(Reason.OBSERVER, (), {"samples": result.setup.observer})
@@ -122,7 +122,7 @@ def _of_residuals(found: ResidualAnalysis) -> Iterator[Doubt]:
 
 def _size(trait: ResidualDefect, series: ResidualSeries, at: InputCorrelation | None) -> dict[str, float]:
     match trait:
-        case ResidualDefect.COLOURED:
+        case ResidualDefect.COLORED:
             lag, largest = series.whiteness.strongest
             return {"correlation": largest, "lag": float(lag)}
         case ResidualDefect.OFFSET:

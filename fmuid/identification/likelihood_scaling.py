@@ -29,18 +29,18 @@ class LikelihoodScaling:
     """Scaling of the data's log-likelihood."""
 
     at: Indices  # (k,), the identifiable parameters
-    centre: Floats  # (k,), θ_d
+    center: Floats  # (k,), θ_d
     white: Floats  # (k, k), H
-    coloured: Floats  # (k, k), V⁻¹
+    colored: Floats  # (k, k), V⁻¹
     above: float  # l at θ_d less l at the estimate
     known: float  # n − q, infinite where variances are given
     freedom: float  # ν
 
     def __call__(self, thetas: Floats, likelihood: Floats, at_estimate: float) -> Floats:
         """Return the scaled log-likelihood (m,) from that of white noise."""
-        away = thetas[:, self.at] - self.centre
-        white, coloured = (np.einsum("mi,ij,mj->m", away, each, away) for each in (self.white, self.coloured))
-        factor = np.divide(coloured, white, out=np.ones_like(white), where=white > 0)
+        away = thetas[:, self.at] - self.center
+        white, colored = (np.einsum("mi,ij,mj->m", away, each, away) for each in (self.white, self.colored))
+        factor = np.divide(colored, white, out=np.ones_like(white), where=white > 0)
         top, count = at_estimate + self.above, self.at.size
         fall = np.maximum(top - likelihood, 0.0)
         if math.isfinite(self.known):

@@ -23,7 +23,7 @@ class ArchiveSettings:
     poor_acceptance: float = 0.3  # share of accepted moves below which the past proposes better, ...
     share: float = 0.7  # ... in so many of the moves
     points: int = 500  # samples of the past that are kept, ...
-    neighbours: int = 20  # ... and neighbors of each, for the covariance there
+    neighbors: int = 20  # ... and neighbors of each, for the covariance there
     freedom: float = 5.0  # degrees of freedom of the kernels: tails heavier than the posterior's
     least_share: float = 1e-6  # of the whole variance, added to that of neighbors in a plane
 
@@ -40,7 +40,7 @@ class Archive:
         count = self.points.shape[1]
         whole = np.linalg.cholesky(np.atleast_2d(np.cov(self.points.T)))
         flat = np.linalg.solve(whole, (self.points - self.points.mean(axis=0)).T).T
-        _, near = KDTree(flat).query(flat, min(max(ARCHIVE_SETTINGS.neighbours, 2 * count + 2), len(flat)))
+        _, near = KDTree(flat).query(flat, min(max(ARCHIVE_SETTINGS.neighbors, 2 * count + 2), len(flat)))
         around = flat[near] - flat[near].mean(axis=1, keepdims=True)
         local = np.einsum("nki,nkj->nij", around, around) / (near.shape[1] - 1) + ARCHIVE_SETTINGS.least_share * np.eye(
             count
@@ -56,7 +56,7 @@ class Archive:
             found = cls(samples)
         except np.linalg.LinAlgError:
             return None
-        return found if len(found.points) > 2 * ARCHIVE_SETTINGS.neighbours else None
+        return found if len(found.points) > 2 * ARCHIVE_SETTINGS.neighbors else None
 
     def log_density(self, thetas: Floats) -> Floats:
         """Return the log density of proposals at thetas (m, N)."""

@@ -42,7 +42,7 @@ LEAST_STD_FACTOR = 1.25  # of σ for colored noise; smaller ones are not worth a
 class ResidualDefect(Enum):
     """Difference of a residual from white normal noise."""
 
-    COLOURED = "coloured"  # an autocorrelation
+    COLORED = "colored"  # an autocorrelation
     OFFSET = "offset"  # a mean
     INPUT = "input"  # a correlation with an input
     SHAPE = "shape"  # another distribution than the normal one
@@ -93,7 +93,7 @@ def _findings(series: ResidualSeries, outputs: int, inputs: int) -> list[Residua
         found.append(ResidualFinding(trait, large, series, input))
 
     if series.whiteness.probability <= level:
-        note(ResidualDefect.COLOURED, abs(series.whiteness.strongest[1]) >= SETTINGS.large_autocorrelation)
+        note(ResidualDefect.COLORED, abs(series.whiteness.strongest[1]) >= SETTINGS.large_autocorrelation)
     if series.mean_probability < level:
         note(ResidualDefect.OFFSET, abs(series.mean) > SETTINGS.large_offset_stds * series.std)
     for each in series.inputs:

@@ -53,7 +53,7 @@ class SolverCheckSettings:
 
 
 SETTINGS = SolverCheckSettings()
-RIVAL_CRITERION = 3.84  # cost above the best optimum, 95 % quantile of χ²(1); optima below it are as good
+EQUAL_COST = 3.84  # cost above the best optimum, 95 % quantile of χ²(1); optima below it are as good
 
 Found = TypeVar("Found")
 Steps = Generator[Trial, Result, Found]
@@ -154,7 +154,7 @@ class _SolverChecking:
         """Check the best optima; refine the solver until one passes."""
         while True:
             best = self.optima[0]
-            close = [each for each in self.optima if each is best or each.criterion - best.criterion < RIVAL_CRITERION]
+            close = [each for each in self.optima if each is best or each.criterion - best.criterion < EQUAL_COST]
             checks = [self._check(each.fit) for each in close]
             sound = [found for found in checks if not found.doubtful]
             if sound and len(sound) < len(checks):

@@ -31,7 +31,7 @@ from fmuid.events import Progress
 from fmuid.identification.equation_error_start import SETTINGS as WEAK_FORM
 from fmuid.identification.equation_error_start import equation_start
 from fmuid.identification.problem import Problem
-from fmuid.identification.solver_check import RIVAL_CRITERION
+from fmuid.identification.solver_check import EQUAL_COST
 from fmuid.identification.strategies import START_LIMIT, Searches, Trial
 from fmuid.simulation import RightHandSide, Simulator
 
@@ -249,7 +249,7 @@ class _Restarts:
 def best_of(ended: Sequence[EndedSearch]) -> EndedSearch:
     """Return the best fit, finished if several are as good."""
     least = min(each.worth for each in ended)
-    alike = [each for each in ended if each.worth - RIVAL_CRITERION <= least]
+    alike = [each for each in ended if each.worth - EQUAL_COST <= least]
     return min(alike, key=lambda each: (each.attempt.trouble is SearchFailure.UNFINISHED, each.worth))
 
 
@@ -272,7 +272,7 @@ def _agree(one: EndedSearch, other: EndedSearch) -> bool:
     # corrections begin at the given start: the two do not confirm each other
     if {one.attempt.remedy, other.attempt.remedy} == {StartingPointSource.GIVEN, StartingPointSource.CORRECTION}:
         return False
-    if other.attempt.trouble is not SearchFailure.LARGE_RESIDUAL or not abs(one.worth - other.worth) <= RIVAL_CRITERION:
+    if other.attempt.trouble is not SearchFailure.LARGE_RESIDUAL or not abs(one.worth - other.worth) <= EQUAL_COST:
         return False
     std = np.fmax(one.result.std, other.result.std)
     apart = np.abs(one.result.values - other.result.values)

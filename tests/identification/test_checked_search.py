@@ -120,6 +120,12 @@ def test_the_optimum_shows_it(folder: Path) -> None:
     assert result.trace["iteration"].is_monotonic_increasing
 
 
+def test_internal_steps_beside_model_exchange(folder: Path) -> None:
+    result = fmuid.identify(solved(folder, internal=STEP, exchange=True))
+    assert checked(result).outcome is AccuracyOutcome.PASSED
+    assert off(result) < 3.0
+
+
 @pytest.mark.parametrize("told", [True, False])
 def test_shorter_steps_where_there_is_no_model_exchange(folder: Path, told: bool) -> None:
     result = fmuid.identify(solved(folder, told=told))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import sys
 from dataclasses import replace
 
 import numpy as np
@@ -12,6 +13,7 @@ from scipy import stats
 from experiments.interval_coverage import coverage
 from fmuid.data import JointPrior, Normal, Parameter
 from fmuid.data.noise import Noise
+from fmuid.errors import InputError
 from fmuid.estimation.problem import LeastSquares
 from fmuid.identification.posterior import Posterior, SamplerSettings, SamplingWarning
 from fmuid.identification.sampler import sample_posterior
@@ -202,7 +204,7 @@ def test_coverage_of_the_coil() -> None:
     assert coverage("coil", 3, level=0.1, sampling=sampling).to_numpy().mean() < 0.6
 
 
-def test_samples_as_arviz_takes_them() -> None:
+def test_samples_as_arviz_takes_them(monkeypatch: pytest.MonkeyPatch) -> None:
     """A chain a walker, in the order of the steps, without the burn-in."""
     rng = np.random.default_rng(3)
     chain, density = rng.normal(size=(7, 4, 2)), rng.normal(size=(7, 4))
@@ -214,3 +216,6 @@ def test_samples_as_arviz_takes_them() -> None:
     assert dict(tree["posterior"].sizes) == {"chain": 4, "draw": 5}
     np.testing.assert_array_equal(tree["posterior"]["L"].sel(chain=3, draw=1), chain[3, 3, 1])
     np.testing.assert_array_equal(tree["sample_stats"]["lp"].sel(chain=3, draw=1), density[3, 3])
+    monkeypatch.setitem(sys.modules, "arviz_base", None)
+    with pytest.raises(InputError, match="pip install"):
+        posterior.to_arviz()

@@ -93,7 +93,7 @@ def test_the_scatter_of_estimates_in_coloured_noise() -> None:
 
 def test_colored_noise_is_a_defect() -> None:
     found = examined(ar1(np.random.default_rng(3), 0.9, COUNT))
-    assert traits(found) == [(ResidualDefect.COLOURED, True)]
+    assert traits(found) == [(ResidualDefect.COLORED, True)]
     assert only(found).noise.variance_factor() == pytest.approx(19.0, rel=0.4)
     assert found.table["correlation_time"][0] == pytest.approx(0.19, rel=0.4)
 
@@ -102,7 +102,7 @@ def test_slightly_colored_noise_is_no_matter() -> None:
     """With 1000 samples an autocorrelation of 0.2 is significant, but costs little precision."""
     found = examined(ar1(np.random.default_rng(4), 0.2, COUNT))
     assert only(found).whiteness.probability < 0.01
-    assert [trait for trait, _ in traits(found)] == [ResidualDefect.COLOURED]
+    assert [trait for trait, _ in traits(found)] == [ResidualDefect.COLORED]
     assert max(found.widening.values()) < 1.3
 
 
@@ -114,7 +114,7 @@ def test_significant_but_slight_defects() -> None:
     whiteness = dataclasses.replace(series.whiteness, autocorrelation=correlations, probability=1e-9)
     slight = dataclasses.replace(series, whiteness=whiteness, inputs=(u,))
     found = ResidualAnalysis((slight,), {"level": 1.0})
-    assert traits(found) == [(ResidualDefect.COLOURED, False), (ResidualDefect.INPUT, False)]
+    assert traits(found) == [(ResidualDefect.COLORED, False), (ResidualDefect.INPUT, False)]
 
 
 def test_samples_on_no_grid() -> None:

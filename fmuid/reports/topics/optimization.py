@@ -11,7 +11,7 @@ import pandas as pd
 from fmuid.array_types import Flags
 from fmuid.estimation import Result
 from fmuid.formatting import has_unit, label
-from fmuid.identification import RIVAL_CRITERION
+from fmuid.identification import EQUAL_COST
 from fmuid.reports.chart import LIMITS, Axis, Chart, Color, Data, Layer, Units, named, picked
 from fmuid.reports.document import DETAIL, Message, Remark, Section, table_of
 
@@ -57,7 +57,7 @@ def optima_remarks(result: Result) -> list[Remark]:
     count, of = _count(len(shown), "optimum", "optima"), _count(searches, "starting point", "starting points")
     said = [OptimaMessage.FOUND.said(None, "optima", count=count, searches=of, hits=shown[0].hits)]
     for other in shown[1:]:
-        if (excess := other.criterion - shown[0].criterion) < RIVAL_CRITERION:
+        if (excess := other.criterion - shown[0].criterion) < EQUAL_COST:
             pairs = zip(result.names, other.theta.tolist(), strict=True)
             values = ", ".join(f"{name} = {value:.5g}" for name, value in pairs)
             said.append(OptimaMessage.SECOND.said(None, "optima", values=values, excess=f"{excess:.2g}"))

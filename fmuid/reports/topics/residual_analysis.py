@@ -126,8 +126,8 @@ class ResidualMessage(Message):
 def residual_remarks(found: ResidualAnalysis, units: Mapping[str, str | None] | None = None) -> list[Remark]:
     """Return the remarks on the residuals, at least one."""
     large = [each for each in found.findings if each.large]
-    colored = [each for each in large if each.trait is ResidualDefect.COLOURED]
-    others = [each for each in large if each.trait is not ResidualDefect.COLOURED]
+    colored = [each for each in large if each.trait is ResidualDefect.COLORED]
+    others = [each for each in large if each.trait is not ResidualDefect.COLORED]
     said = [_large(found, each, units or {}) for each in colored]
     said += _widening(found, colored=bool(colored))
     said += [_large(found, each, units or {}) for each in others]
@@ -144,7 +144,7 @@ def residual_phrases(found: ResidualAnalysis) -> str:
     colored = [
         f"{_series_name(found, each.series)} {each.series.whiteness.strongest[1]:.2f}"
         for each in large
-        if each.trait is ResidualDefect.COLOURED
+        if each.trait is ResidualDefect.COLORED
     ]
     inputs = list(dict.fromkeys(each.input.input for each in large if each.input is not None))
     white = "not clearly white" if widening_words(found) else "white"
@@ -171,7 +171,7 @@ def _series_name(found: ResidualAnalysis, series: ResidualSeries) -> str:
 
 def _large(found: ResidualAnalysis, finding: ResidualFinding, units: Mapping[str, str | None]) -> Remark:
     series, name = finding.series, _series_name(found, finding.series)
-    if finding.trait is ResidualDefect.COLOURED:
+    if finding.trait is ResidualDefect.COLORED:
         lag, largest = series.whiteness.strongest
         message = ResidualMessage.STRONGLY_COLORED if abs(largest) >= FAR_FROM_WHITE else ResidualMessage.COLORED
         return message.said(*_PLACE, name=name, value=f"{largest:.2f}", lag=lag)
@@ -203,7 +203,7 @@ def _widening(found: ResidualAnalysis, *, colored: bool) -> list[Remark]:
     if not factors:
         known = any(math.isfinite(factor) for factor in found.widening.values())
         return [ResidualMessage.NOT_WIDENED.said(*_PLACE)] if colored and known else []
-    sure = any(each.trait is ResidualDefect.COLOURED for each in found.findings)
+    sure = any(each.trait is ResidualDefect.COLORED for each in found.findings)
     return [(ResidualMessage.WIDENED if sure else ResidualMessage.WIDENED_UNSURE).said(*_PLACE, factors=factors)]
 
 
@@ -243,7 +243,7 @@ def _summary(found: ResidualAnalysis, *, quiet: bool) -> list[Remark]:
 
 def _slight(finding: ResidualFinding) -> str:
     series = finding.series
-    if finding.trait is ResidualDefect.COLOURED:
+    if finding.trait is ResidualDefect.COLORED:
         lag, largest = series.whiteness.strongest
         return f"autocorrelation ({largest:.2g} at lag {lag})"
     if finding.trait is ResidualDefect.OFFSET:

@@ -14,7 +14,7 @@ from fmuid.estimation import (
     TerminationReason,
 )
 from fmuid.formatting import with_unit
-from fmuid.identification import RIVAL_CRITERION
+from fmuid.identification import EQUAL_COST
 from fmuid.reports.document import Message, Remark
 from fmuid.reports.shared_phrases import IdentifiabilityMessage, change_remark, direction_remark, prior_remark
 from fmuid.reports.topics.solver_check import solver_remarks
@@ -275,7 +275,7 @@ def combination_remarks(result: Result) -> list[Remark]:
     failed = [each for each in others if each.outcome is None]
     said = [StartMessage.COMBINATION.said(values=_values(best), count=len(result.history.combinations))]
     if len(others) > len(failed):
-        message = StartMessage.AMBIGUOUS if others[0].behind < RIVAL_CRITERION else StartMessage.NEXT
+        message = StartMessage.AMBIGUOUS if others[0].behind < EQUAL_COST else StartMessage.NEXT
         said.append(message.said(values=_values(others[0]), behind=f"{others[0].behind:.3g}"))
     if failed:
         said.append(StartMessage.NOT_STARTED.said(count=len(failed), values=_values(failed[0])))
