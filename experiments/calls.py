@@ -1,6 +1,6 @@
 """False, missed and wrong calls, counted: many records of one machine, compared with healthy ones of their own.
 
-A campaign simulates nothing twice: what a machine says of its coordinates is linearised once where the estimates of
+A campaign simulates nothing twice: what a machine says of its coordinates is linearized once where the estimates of
 many records come near each other (`Shared`), by the rule by which monitoring takes a linear model for good enough. Each
 record has its own noise, its own model of it, its own healthy record and its own decision, all by `fmuid.diagnosis`.
 """
@@ -30,21 +30,21 @@ LEVEL, SEED = 0.01, 17
 FALSE, FAULTY = 400, 200  # records of a case without and with a fault
 # Samples in which colored noise becomes stationary, at least, and so many of its time constants.
 SETTLING, CONSTANTS = 60, 4.0
-# A point is near one where the machine is linearised: standard deviations away times relative change of a coordinate.
+# A point is near one where the machine is linearized: standard deviations away times relative change of a coordinate.
 NEAR = 0.3
 
 
 class Linearised(Protocol):
-    """What can be linearised: a machine over a record."""
+    """What can be linearized: a machine over a record."""
 
     experiment: fmuid.Experiment
 
-    def linearise(self, point: Floats) -> tuple[Floats, Floats]:
+    def linearize(self, point: Floats) -> tuple[Floats, Floats]:
         """Return the outputs (K, n_outputs) at a point (N,), and their derivatives (K, n_outputs, N)."""
 
 
 class Shared:
-    """A machine that is linearised once for all records of one excitation.
+    """A machine that is linearized once for all records of one excitation.
 
     Parameters
     ----------
@@ -65,11 +65,11 @@ class Shared:
         other.experiment = experiment
         return cast(LinearizedMachine, other)  # all of it that an examination asks for
 
-    def linearise(self, point: Floats) -> tuple[Floats, Floats]:
+    def linearize(self, point: Floats) -> tuple[Floats, Floats]:
         """Return outputs and derivatives, to first order from the nearest point where they are known."""
         near = [(self._distance(point, each), k) for k, each in enumerate(self._anchors)]
         if not near or min(near)[0] > NEAR:
-            outputs, columns = self._machine.linearise(point)
+            outputs, columns = self._machine.linearize(point)
             flat = columns.reshape(-1, columns.shape[-1]) / self._noise
             self._anchors.append((point.copy(), outputs, columns, flat.T @ flat))
             return outputs, columns
@@ -78,7 +78,7 @@ class Shared:
 
     def outputs(self, point: Floats) -> Floats:
         """Return the outputs alone."""
-        return self.linearise(point)[0]
+        return self.linearize(point)[0]
 
     def _distance(self, point: Floats, anchor: tuple[Floats, Floats, Floats, Floats]) -> float:
         off = point - anchor[0]

@@ -95,7 +95,7 @@ def hidden_table() -> str:
     """Return how well a gain of the sensor is seen beside what else may be so, as Markdown."""
     common = coil.setting()
     coordinates = common.coordinates
-    _, columns = common.machine("white noise", True).linearise(coordinates.healthy)
+    _, columns = common.machine("white noise", True).linearize(coordinates.healthy)
     said = InformationMatrix.of(columns[:, 0] / coil.STD, np.zeros(len(columns)))
     names, gain = [each.name for each in coordinates.each], next(c for c in coordinates.causes if c.name == coil.GAIN)
     drifts = {

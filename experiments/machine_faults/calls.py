@@ -162,7 +162,7 @@ class Phases:
         self._inner, self._coordinates, self.experiment = inner, coordinates, experiment
         self._count = len(inner.coordinates.each)
 
-    def linearise(self, point: Floats) -> tuple[Floats, Floats]:
+    def linearize(self, point: Floats) -> tuple[Floats, Floats]:
         """Return the sensors' readings (K, 2) at a point (N,), and their derivatives (K, 2, N)."""
         own, frame = point[: self._count], self.experiment.frame
         supply = self._coordinates.of(CauseKind.INPUT_GAIN)
@@ -174,7 +174,7 @@ class Phases:
         def over(gains: Floats) -> LinearizedMachine:
             return self._inner.over(rotating(supplied(frame, asymmetry(gains))))
 
-        outputs, columns = over(gains).linearise(own)
+        outputs, columns = over(gains).linearize(own)
         outputs = phases(outputs)
         found = np.zeros((*outputs.shape, point.size))
         found[:, :, : self._count] = phases(columns)

@@ -2,7 +2,7 @@
 
     python -m experiments.machine_faults.detectable
 
-Run from the project's folder; it rewrites the table "detectable" in README.md. In the linearised model, over a record
+Run from the project's folder; it rewrites the table "detectable" in README.md. In the linearized model, over a record
 in phases as calls.py has them: what the information of a record and of the healthy one allows, without simulated noise.
 """
 
@@ -57,7 +57,7 @@ def shown() -> str:
     """Return the page's table."""
     setting = calls.setting()
     coordinates = setting.coordinates
-    _, columns = setting.machine("white noise", True).linearise(coordinates.healthy)
+    _, columns = setting.machine("white noise", True).linearize(coordinates.healthy)
     white = columns.reshape(-1, columns.shape[-1]) / calls.STD
     zero = np.zeros(white.shape[1])
     said = InformationMatrix(white.T @ white, zero)

@@ -36,7 +36,7 @@ class Rule:
     Raises
     ------
     InputError
-        If a window is not longer than the transient, or a number is out of its range.
+        If a window is not longer than the warm-up, or a number is out of its range.
 
     Examples
     --------
@@ -58,18 +58,18 @@ class Rule:
     def __post_init__(self) -> None:
         check_level(self.level, "a test")
         if not (math.isfinite(self.transient) and self.transient >= 0):
-            raise InputError(f"the transient must be a duration in seconds, zero or more, not {self.transient!r}")
+            raise InputError(f"the warm-up must be a finite time of 0 s or more, not {self.transient!r}")
         for name, value in (("window", self.window), ("horizon", self.horizon)):
             if value is not None and not (math.isfinite(value) and value > 0):
-                raise InputError(f"the {name} must be a duration in seconds above zero, not {value!r}")
+                raise InputError(f"the {name} must be a finite time above 0 s, not {value!r}")
         if self.window is not None and self.window <= self.transient:
             raise InputError(
-                f"windows of {self.window:g} s are not longer than the transient of {self.transient:g} s: "
-                "make the windows longer"
+                f"windows of {self.window:g} s are not longer than the warm-up of {self.transient:g} s. "
+                "Give longer windows."
             )
 
     def window_level(self, windows: int, length: float) -> float:
-        """Return the false-alarm probability of each of so many windows of a length, s."""
+        """Return the false-alarm probability of one window (length in s)."""
         return self.level / (windows if self.horizon is None else max(1.0, self.horizon / length))
 
 
@@ -155,7 +155,7 @@ class Trend:
 
 
 def _reached(value: float, rate: float, rate_std: float, limit: float) -> tuple[float, float, float]:
-    """Return the times to a limit, at the rate and at the ends of its 95 % interval."""
+    """Return the times to a limit: likeliest, and 95 % interval."""
     if math.isnan(limit):
         return math.nan, math.nan, math.nan
     left, sign = limit - value, math.copysign(1.0, limit)
@@ -205,7 +205,7 @@ def label_of(explanations: tuple[Explanation, ...]) -> str:
 
 
 def with_trend(alarm: Alarm, since: float, table: pd.DataFrame, limits: Mapping[str, float]) -> Alarm:
-    """Return an alarm with the trend of its first size, after its latest onset (s of all data)."""
+    """Return an alarm with its trend since a time, s."""
     if not alarm.explanations:
         return alarm
     column = alarm.explanations[0].changes[0].label

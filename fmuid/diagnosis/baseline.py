@@ -26,7 +26,7 @@ from fmuid.identification import refinement_of
 from fmuid.models import System
 from fmuid.simulation import Refinement
 
-REMEDY = "identify the healthy study again"
+REMEDY = "Identify the healthy study again."
 # Healthy values of the file and of the result beside it are the same numbers, but for their last digits.
 SAME_VALUE = 1e-9
 
@@ -135,7 +135,7 @@ class StoredBaseline:
             return cls(said, owed, Whitening(text.noise), text.of, path)
         except (KeyError, ValueError, TypeError) as error:
             if needed:
-                raise InputError(f"{path} is not of fmuid identify, or not whole ({error}): {REMEDY}") from None
+                raise InputError(f"{path}: no complete file of fmuid identify ({error}). {REMEDY}") from None
             return cls((), InformationMatrix(np.zeros((0, 0)), np.zeros(0)), Whitening({}), None, path)
 
 
@@ -221,7 +221,7 @@ class Baseline:
 
     def __post_init__(self) -> None:
         if self.trials and not self.beside:
-            raise InputError("trials are compared with healthy records: name the tables of the healthy machine, too")
+            raise InputError("known fault data need healthy data for comparison. Give records, too.")
         object.__setattr__(self, "common", common_mode(self.result, self.std_factor, self.parameters, self.values))
 
     @classmethod
@@ -244,7 +244,7 @@ class Baseline:
 
     @property
     def refinement(self) -> Refinement:
-        """Solver refinement of the healthy machine, and of all that is compared with it."""
+        """Solver refinement of the healthy machine and its comparisons."""
         return refinement_of(self.result)
 
     @property
@@ -264,13 +264,13 @@ class Baseline:
             given = dict(zip(outputs, Noise(self.noise_variance).known(tuple(outputs)).tolist(), strict=True))
             for name, value in given.items():
                 if math.isnan(value):
-                    raise InputError(f"noise.variance has none of {name!r}, and a diagnosis needs it: give it too")
+                    raise InputError(f"noise.variance lacks the output {name!r}. Add it.")
             return given
         known = self.result.fit.variance
         for name in outputs:
             if name not in known:
                 raise InputError(
-                    f"the healthy result has no noise variance of {name!r}, only of {', '.join(known)}: "
-                    "measure the same outputs, or give noise.variance"
+                    f"the healthy result has no noise variance of {name!r}, only of {', '.join(known)}. "
+                    "Measure the same outputs, or give noise.variance."
                 )
         return {name: known[name] for name in outputs}

@@ -46,7 +46,7 @@ class BaselineComparator:
     ) -> BaselineComparator:
         """Return the comparator of a baseline and new experiments; without causes the faults alone are compared.
 
-        A design needs no regression on the inputs: a file of more causes serves it, too (`fewer`).
+        A design needs no regression on the inputs: with `fewer` the file may have more causes.
         """
         first = (*baseline.records, *experiments)[0]
         _check(first, [*baseline.records[1:], *experiments], baseline)
@@ -72,7 +72,7 @@ class BaselineComparator:
         return self.healthy.basis
 
     def _shown(self, variance: Mapping[str, float], *, fewer: bool) -> tuple[BaselineSource, StoredBaseline]:
-        """Return the sums of the healthy records, from the file where it fits, and their source."""
+        """Return source and sums of healthy records, from the file if fitting."""
         baseline, coordinates = self.baseline, self.coordinates
         given, known, basis = baseline.noise_variance, baseline.shown, BaselineSource.RECORDS
         asked = MachineDigest.of(self.system, baseline, coordinates)
@@ -82,8 +82,8 @@ class BaselineComparator:
                 return BaselineSource.FILE, known.subject.among(known, asked)
             if not baseline.records:
                 raise InputError(
-                    f"{known.path} is of {unlike.value} than this study: identify the healthy study again with these, "
-                    "or name its tables as records"
+                    f"{known.path}: made with {unlike.value} than in this study. Identify the healthy study again, "
+                    "or list its data in healthy_data."
                 )
             basis = unlike
         elif known is not None and known.path is not None:
@@ -99,12 +99,12 @@ class BaselineComparator:
         causes, found = {cause.name: cause for cause in self.coordinates.causes}, []
         for name, records in self.baseline.trials.items():
             if name not in causes:
-                raise InputError(f"trials have {name!r}, which is no cause{nearest(name, causes)}")
+                raise InputError(f"known_fault_data.{name}: unknown cause{nearest(name, causes)}")
             for each in records:
                 shown = error_of(self.machine(each), self.healthy, self.coordinates, causes[name], level)
                 if math.isnan(shown):
                     raise InputError(
-                        f"the trial {each.source} shows nothing of {name}: take a larger one, or leave it out"
+                        f"{each.source}: no change by {name} found. Use data with a larger fault, or remove it."
                     )
                 found.append(shown)
         return max(found)
@@ -119,7 +119,7 @@ class BaselineComparator:
 def compute_stored_baseline(
     baseline: Baseline, faults: Mapping[str, Fault], system: System, causes: Causes
 ) -> StoredBaseline:
-    """Return the sums of a baseline's records on the healthy machine and all causes.
+    """Return the sums of a baseline's records for all causes.
 
     Raises
     ------
@@ -139,26 +139,25 @@ def _check(first: Experiment, others: Sequence[Experiment], baseline: Baseline) 
             own, wanted = set(getattr(each, f"{role}_names")), set(getattr(first, f"{role}_names"))
             if own != wanted:
                 raise InputError(
-                    f"{each.source} has the {role}s {', '.join(sorted(own)) or 'none'}, and the healthy record "
-                    f"{first.source} {', '.join(sorted(wanted)) or 'none'}: they must be the same"
+                    f"{each.source}: {role}s {', '.join(sorted(own)) or 'none'} differ from those of {first.source}: "
+                    f"{', '.join(sorted(wanted)) or 'none'}. Use the same {role}s."
                 )
     for record in baseline.records:
         # planned outputs count without a value
         there = np.any(record.counted & ~np.isnan(record.output_values), axis=0)
         for j in np.flatnonzero(~there):
             raise InputError(
-                f"{record.source} has no sample of {record.output_names[j]!r}. Leave it out of the healthy data."
+                f"{record.source}: no sample of {record.output_names[j]!r}. Remove it from the healthy data."
             )
     for name, parameter in baseline.common.items():
         if parameter.per_experiment:
             raise InputError(
-                f"the parameter {name!r} is one per experiment, which does not go with a diagnosis: "
-                "diagnose each experiment by itself, with a parameter of its own"
+                f"the parameter {name!r} is one per experiment. Diagnose each experiment alone, without per_experiment."
             )
 
 
 def _of_result(baseline: Baseline, coordinates: ChangeParameterSet) -> tuple[ChangePrior, Floats]:
-    """Return the prior of the healthy result alone, and the standard deviations of sound changes (N,)."""
+    """Return the healthy result's prior, and σ of sound changes (N,)."""
     std, drift = np.zeros(len(coordinates.each)), np.zeros(len(coordinates.each))
     known = dict(zip(baseline.result.names, baseline.result.std.tolist(), strict=True))
     for i, (name, parameter) in enumerate(baseline.common.items()):

@@ -1,7 +1,7 @@
-"""The engine: linearize, test, rank, until the name is stable.
+"""Analysis of causes: linearize, test and rank until the name is stable.
 
 The joint covariance of the healthy coordinates, widened by drift, is the prior of a new record. D at the healthy
-machine is too small for large faults: the models are linearised again at the named cause.
+machine is too small for large faults: the models are linearized again at the named cause.
 """
 
 from __future__ import annotations
@@ -37,8 +37,8 @@ from fmuid.errors import SimulationError
 class AnalysisSettings:
     """Numbers of the analysis."""
 
-    null_steps: int = 2  # linearisations at the estimate without causes
-    name_steps: int = 4  # linearisations at the cause named; an alternating name ends there, too
+    null_steps: int = 2  # linearizations at the estimate without causes
+    name_steps: int = 4  # linearizations at the cause named; an alternating name ends there, too
     settled: float = 0.1  # standard deviations; sizes that move by less have settled
     tolerated: float = 3.0  # the largest error of known faults over κ: three standard deviations
 
@@ -48,7 +48,7 @@ SETTINGS = AnalysisSettings()
 
 @dataclass(frozen=True, eq=False)
 class Linearization:
-    """Statistics of records, linearised at a point."""
+    """Statistics of records, linearized at a point."""
 
     point: Floats  # (N,)
     said: InformationMatrix  # on all coordinates, relative to the healthy ones
@@ -138,7 +138,7 @@ def examine(
 def error_of(
     trial: LinearizedMachine, healthy: BaselineStatistics, coordinates: ChangeParameterSet, cause: Cause, level: float
 ) -> float:
-    """Return κ of a record in which one known cause alone is new; NaN if no change is found.
+    """Return κ by a record with one known cause; NaN without a change.
 
     A third of the largest √(D₂|₁/D₁), less its mean by chance: pairs are named from about 4 κ on.
     """
@@ -167,7 +167,7 @@ class _CauseAnalyzer:
         return self.healthy.known.drifting(self.healthy.drift)
 
     def at(self, point: Floats) -> Linearization:
-        """Return the statistics of the records, linearised at a point (N,)."""
+        """Return the statistics of the records, linearized at a point (N,)."""
         whitening, healthy = self.healthy.whitening, self.coordinates.healthy
         if self.healthy.owed is None:
             variances = {name: whitening.std(name) ** 2 for name in whitening.models}
@@ -179,7 +179,7 @@ class _CauseAnalyzer:
         return Linearization(point, said, news, tuple(causes), whitening)
 
     def null(self, news: ScoreStatistics, new: Floats | None = None) -> Floats:
-        """Return the estimate of all coordinates beside what is new (N,), relative to the healthy machine."""
+        """Return all coordinates beside new changes (N,), relative to the healthy ones."""
         score = news.score if new is None else news.score - news.information @ new
         return np.asarray(self.known.mean + self.known.covariance @ score)
 
@@ -198,7 +198,7 @@ class _CauseAnalyzer:
         return name(at.news, at.causes, self.level, chance=chance, model_error=self.model_error)
 
     def variance(self, point: Floats) -> float:
-        """Return the variance of the residual at a point over that of the noise."""
+        """Return the residual variance at a point over the noise variance."""
         squares, samples = 0.0, 0
         for machine in self.machines:
             residual = residual_of(machine.experiment, machine.outputs(point))
@@ -207,7 +207,7 @@ class _CauseAnalyzer:
         return squares / samples
 
     def remainder(self, at: Linearization, naming: CauseRanking) -> UnexplainedResidual:
-        """Return the change of the regression on the inputs, beside all causes and the models' error."""
+        """Return the change of the regression on inputs, beside all causes."""
         if self.healthy.owed is None:
             return NOTHING_LEFT
         statistic, degrees = change(self.healthy.owed, _owed(self.machines, self.healthy.whitening, at.point))
@@ -217,7 +217,10 @@ class _CauseAnalyzer:
     def settled(
         self, naming: CauseRanking, at: Linearization, chance: MinPDistribution, ratio: float
     ) -> tuple[CauseRanking, Linearization, float, bool]:
-        """Linearise at the named cause until the name stays; return name, place, variance and success."""
+        """Linearize at the named cause until the name is stable.
+
+        Return name, linearization, variance ratio and success.
+        """
         steady = False
         for _ in range(SETTINGS.name_steps):
             best = naming.named[0]
@@ -246,13 +249,13 @@ def _moved(naming: CauseRanking, sizes: Floats) -> float:
 
 
 def _information(machine: LinearizedMachine, whitening: Whitening, point: Floats, healthy: Floats) -> InformationMatrix:
-    """Return the information of a record at a point, relative to the healthy coordinates."""
+    """Return a record's information at a point, relative to healthy coordinates."""
     white = whitening(machine.experiment, residual_and_columns(machine, point, healthy))
     return InformationMatrix.of(white[:, 1:], white[:, 0])
 
 
 def _owed(machines: Sequence[LinearizedMachine], whitening: Whitening, point: Floats) -> InformationMatrix:
-    """Return the regression of residuals on earlier inputs at a point (N,), beside all coordinates."""
+    """Return the regression of residuals on earlier inputs at a point (N,)."""
     each = [_regressed(machine, whitening, point) for machine in machines]
     return sum(each[1:], start=each[0])
 
@@ -281,7 +284,7 @@ def whitening_of(
     """
     residuals = []
     for record in records:
-        outputs, columns = record.linearise(point)
+        outputs, columns = record.linearize(point)
         experiment = record.experiment
         rest = residual_of(experiment, outputs)
         flat = columns[experiment.counted] * width

@@ -72,7 +72,7 @@ def name(
     chance: MinPDistribution | None = None,
     model_error: float = MODEL_ERROR,
 ) -> CauseRanking:
-    """Decide about a change at a level, and rank single causes and pairs.
+    """Decide about a change, and rank single causes and pairs.
 
     The null distribution `chance` is drawn where it is not given. κ is `model_error`.
     """
@@ -92,7 +92,7 @@ def name(
 def rank_with_model_error(
     news: ScoreStatistics, causes: Sequence[Cause], level: float, model_error: float
 ) -> tuple[float, tuple[CauseSet, ...]]:
-    """Return the divisor of the evidence by the models' error, and the causes of a change; arguments as for `name`."""
+    """Return the divisor of the evidence, and the causes; arguments as for `name`."""
     alone = {cause: fit(news, (cause,)).statistic for cause in causes}
     temper = 1.0 + model_error**2 * max((d for cause, d in alone.items() if cause.modelled), default=0.0)
     sets = _pairs(news, causes, max(alone.values()), temper, level) or [(cause,) for cause in causes]
@@ -106,7 +106,7 @@ def rank_with_model_error(
 def _pairs(
     news: ScoreStatistics, causes: Sequence[Cause], single: float, temper: float, level: float
 ) -> list[tuple[Cause, ...]]:
-    """Return the pairs in question, none where the best one explains no more than a single cause."""
+    """Return candidate pairs; none if a single cause explains as much."""
     pairs = list(itertools.combinations(causes, 2))
     if not pairs:
         return []
@@ -137,9 +137,9 @@ def _together(news: ScoreStatistics, pairs: Sequence[tuple[Cause, Cause]]) -> Fl
 
 
 def estimate_sizes(news: ScoreStatistics, causes: Sequence[Cause], model_error: float) -> CauseFit:
-    """Return the sizes of one or two causes, with the fault models' error in their covariance.
+    """Return the sizes of one or two causes, with the models' error.
 
-    κ bounds the misfit of a model at its own best size. Along another's orthogonal part it has κ √D, which the other
+    κ bounds the error of a model at its own best size. Along another's orthogonal part it has κ √D, which the other
     size takes for its own. The own size is wrong by a share of κ.
     """
     found = fit(news, causes)
@@ -164,8 +164,8 @@ def estimate_sizes(news: ScoreStatistics, causes: Sequence[Cause], model_error: 
 def log_bayes_factor(news: ScoreStatistics, causes: Sequence[Cause]) -> float:
     """Return the log Bayes factor of some causes against no change.
 
-    Sizes are N(0, size²), half-normal with a known sign: ½ hᵀ(F + τ⁻²)⁻¹h − ½ ln|I + τFτ|, and the ratio of the
-    probabilities of the right signs, after the record and before.
+    Sizes are N(0, size²): ½ hᵀ(F + τ⁻²)⁻¹h − ½ ln|I + τFτ|. With known signs (half-normal) the ratio of the
+    probabilities of the right signs, after the record and before, is added.
     """
     columns = [i for cause in causes for i in cause.columns]
     slab = np.array([cause.size for cause in causes for _ in cause.columns])
@@ -195,7 +195,7 @@ def _log_right_signs(mean: Floats, covariance: Floats, signs: Floats, signed: np
 
 
 def angle(news: ScoreStatistics, one: Cause, other: Cause) -> float:
-    """Return the smallest angle between two signatures, beside all that may change, rad."""
+    """Return the smallest angle between two signatures, rad."""
     roots = [np.linalg.cholesky(news.part(cause.columns)[0]) for cause in (one, other)]
     between = news.information[np.ix_(list(one.columns), list(other.columns))]
     cosines = np.linalg.solve(roots[0], np.linalg.solve(roots[1], between.T).T)
@@ -203,7 +203,9 @@ def angle(news: ScoreStatistics, one: Cause, other: Cause) -> float:
 
 
 def distinguishable_size(news: ScoreStatistics, one: Cause, other: Cause, model_error: float = MODEL_ERROR) -> float:
-    """Return the size from which the other cause is excluded in 90 % of records; infinite if never.
+    """Return the size that excludes the other cause; infinite if none.
+
+    The other cause is excluded in 90 % of records.
 
     From ½ D sin²φ − z √D sin φ > ln 20 (1 + κ² D), with z the 90 % point of the normal distribution.
     """

@@ -21,7 +21,7 @@ from fmuid.estimation import check_level
 
 
 def _instead(missing: float) -> BeforeValidator:
-    """Return a validator that replaces None, which stands for numbers that are not finite in a file."""
+    """Return a validator that replaces None, a file's infinite number."""
     return BeforeValidator(lambda value: missing if value is None else value)
 
 

@@ -65,7 +65,7 @@ class CauseKind(Enum):
 
 @dataclass(frozen=True)
 class CauseScale:
-    """Standard deviations of an error of a sensor, of the supply or of a parameter.
+    """Standard deviations of a sensor, supply or parameter error.
 
     Raises
     ------
@@ -81,7 +81,7 @@ class CauseScale:
     def __post_init__(self) -> None:
         for value in (self.healthy_std, self.change_std):
             if not (math.isfinite(value) and value > 0):
-                raise InputError(f"what is normal and what is worth naming must be positive, not {value!r}")
+                raise InputError(f"healthy_std and change_std must be finite and above 0, not {value!r}")
 
 
 @dataclass(frozen=True)
@@ -177,7 +177,7 @@ def coordinates_of(
     each, found, healthy = list[ChangeParameter](), list[Cause](), list[float]()
 
     def add(new: Sequence[ChangeParameter], size: float | None, *, start: float = 0.0, sign: int = 0) -> None:
-        """Add a coordinate, or the two of a plane, and their cause unless its size is None."""
+        """Add coordinates, and their cause if it has a size."""
         columns = tuple(range(len(each), len(each) + len(new)))
         each.extend(new)
         healthy.extend([start] * len(new))

@@ -41,7 +41,7 @@ def log_chance(statistics: Floats, cause: Cause) -> Floats:
 
 
 def log_tail(statistics: Floats, degrees: int) -> Floats:
-    """Return the log probability that χ² exceeds statistics, also where the probability underflows."""
+    """Return the log probability of a larger χ², without underflow."""
     at = np.maximum(statistics, 0.0)
     if degrees == 1:
         return np.asarray(special.log_ndtr(-np.sqrt(at)) + math.log(2.0))
@@ -65,10 +65,10 @@ def log_chances(statistics: Floats, causes: Sequence[Cause]) -> Floats:
 
 
 def log_limit(level: float, causes: Sequence[Cause], windows: int) -> float:
-    """Return the log probability of one onset and cause below which a window alarms, at a level and window count.
+    """Return the alarm limit of an onset's and cause's log probability.
 
-    D of an onset is χ²_k. Over all onsets it first rises above b² at a rate of b² f_k(b²) ∫ x ν²(x) dx a window, x from
-    b/√windows to b (Siegmund and Venkatraman for k = 1), beside the newest onset.
+    D of an onset is χ²_k. Over all onsets it first exceeds b² at a rate of b² f_k(b²) ∫ x ν²(x) dx per window, beside
+    the newest onset. There x goes from b/√windows to b (Siegmund and Venkatraman for k = 1).
     """
     from scipy.optimize import brentq  # slow to import
 
@@ -143,7 +143,7 @@ def probability(statistic: float, cause: Cause) -> float:
 
 @dataclass(frozen=True, eq=False)
 class MinPDistribution:
-    """Null distribution of the smallest probability of all causes (min-p, Westfall and Young)."""
+    """Null distribution of the smallest probability (min-p, Westfall and Young)."""
 
     smallest: Floats  # (draws,), sorted
     causes: int
@@ -182,9 +182,10 @@ class MinPDistribution:
 
 
 def detectable(news: ScoreStatistics, cause: Cause, limit: float, miss: float) -> float:
-    """Return the size of a cause that is found in all but a share `miss` (below one half) of records.
+    """Return the detectable size of a cause.
 
-    `limit` is the threshold of the smallest probability (`MinPDistribution.limit`).
+    It is missed in a fraction `miss` (below one half) of records. `limit` is the threshold of the smallest
+    probability (`MinPDistribution.limit`).
     """
     information, _ = news.part(cause.columns)
     std = 1.0 / math.sqrt(float(np.linalg.eigvalsh(information)[0]))  # the direction that shows least

@@ -1,8 +1,11 @@
-"""Design of a test: the smallest fault that an excitation shows.
+"""Design of a test: minimum detectable fault sizes of excitations.
 
-A fault f makes D noncentral χ² with noncentrality (f/σ_f)²; a parameter of either sign is found with probability 1 − β
-at f = (z_{1−α/2} + z_{1−β}) σ_f, and with z_{1−α} if it has one sign (S. M. Kay, "Fundamentals of Statistical Signal
-Processing, volume II: Detection Theory", 1998, chapter 6). docs/method/design.md has the rest.
+A fault f makes D noncentral χ² with noncentrality (f/σ_f)². A parameter of either sign is found with probability 1 − β
+at f = (z_{1−α/2} + z_{1−β}) σ_f, one of known sign with z_{1−α}. See docs/method/design.md.
+
+References
+----------
+S. M. Kay, "Fundamentals of Statistical Signal Processing, volume II: Detection Theory", 1998, chapter 6.
 """
 
 from __future__ import annotations
@@ -91,7 +94,7 @@ class Design:
         miss: float = MISS_PROBABILITY,
     ) -> None:
         if not 0 < miss < 0.5:
-            raise InputError(f"the rate of misses must be above 0 and below 0.5, not {miss!r}")
+            raise InputError(f"the missed-alarm rate must be between 0 and 0.5, not {miss!r}")
         self.faults, self.baseline, self.system = checked_faults(faults), Baseline.of(baseline), System.of(model)
         self.settings, self.miss = settings or DiagnosisSettings(), miss
 
@@ -116,7 +119,7 @@ class Design:
         """
         causes = self.settings.causes if healthy is not None or self.baseline.beside else None
         made = BaselineComparator.of(self.system, self.baseline, self.faults, causes, [excitation], fewer=True)
-        _, columns = made.machine(excitation).linearise(made.coordinates.healthy)
+        _, columns = made.machine(excitation).linearize(made.coordinates.healthy)
         white = made.healthy.whitening(excitation, columns)
         said = InformationMatrix.of(white, np.zeros(len(white)))
         known, drift = made.healthy.known, made.healthy.drift
@@ -151,7 +154,7 @@ class Design:
         return tuple(found)
 
     def cost(self, excitation: Experiment, healthy: Sequence[float] = (1.0, 3.0, 10.0, 100.0)) -> pd.DataFrame:
-        """Compare detectable sizes of finite healthy experiments with those of an endless one.
+        """Compare detectable sizes by the length of the healthy experiment.
 
         Parameters
         ----------
@@ -192,7 +195,7 @@ class Design:
             If the simulation of the healthy machine fails.
         """
         if not candidates:
-            raise InputError("there is no excitation to compare: give at least one")
+            raise InputError("no excitation given. Give at least one.")
         rows = []
         for name, excitation in candidates.items():
             duration, worst = float(excitation.times[-1] - excitation.times[0]), 0.0

@@ -76,10 +76,10 @@ class DiagnosisSettings:
     def __post_init__(self) -> None:
         check_level(self.level, "a test")
         if not (math.isfinite(self.model_error) and self.model_error >= 0):
-            raise InputError(f"model_error is a share of a fault's effect, 0 or more, not {self.model_error!r}")
+            raise InputError(f"model_error must be a fraction of 0 or more, not {self.model_error!r}")
         if self.sensitivity not in SENSITIVITIES:
             near = nearest(self.sensitivity, SENSITIVITIES)
-            raise InputError(f"sensitivity {self.sensitivity!r} is not known{near}: give {' or '.join(SENSITIVITIES)}")
+            raise InputError(f"unknown sensitivity {self.sensitivity!r}{near}. Choose {' or '.join(SENSITIVITIES)}.")
 
 
 @single_threaded
@@ -158,7 +158,7 @@ def diagnose(
 
 
 def _mismatched(machines: Sequence[LinearizedMachine], made: BaselineComparator) -> tuple[str, ...]:
-    """Return the faults whose models without their fault are not the healthy machine."""
+    """Return the faults whose models differ from the healthy machine at zero."""
     squares = dict.fromkeys(made.coordinates.faults, 0.0)
     for machine in machines:
         for name, apart in machine.apart_at_zero().items():
@@ -211,7 +211,7 @@ def _fitted(
     experiments: Sequence[Experiment],
     how: DiagnosisSettings,
 ) -> Result:
-    """Fit the named sizes, the others zero, with the healthy estimates as prior."""
+    """Fit the named sizes, others zero, with healthy estimates as prior."""
     fault, baseline = made.coordinates.faults[best.faults[0]], made.baseline
     named = {each.variable: each.value for each in best.changes}
     named |= {each.angle: each.angle_value for each in best.changes if each.angle}

@@ -100,7 +100,7 @@ class Diagnosis(PlotMixin):
         found = {each.change.label: each.change for each in self.evidence.suspects}
         found |= {each.label: each for one in reversed(self.evidence.explanations) for each in one.changes}
         if name not in found:
-            raise InputError(f"the diagnosis has no cause {name!r}; it has {', '.join(found)}")
+            raise InputError(f"unknown cause {name!r}. Choose {', '.join(found)}.")
         return found[name]
 
     @property

@@ -1,7 +1,7 @@
 """Fault models: parameters of the healthy and the faulty machine (1.63–1.67).
 
-The extended vector θ_e = [θ_n; θ_f] has the nominal parameters, with the healthy estimates as prior, and the fault's
-own, zero without a fault and without prior.
+The extended vector is θ_e = [θ_n; θ_f]. Nominal parameters θ_n have the healthy estimates as prior; fault parameters
+θ_f are zero without a fault and have no prior.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ class FaultAngle:
 
     def __post_init__(self) -> None:
         if not (math.isfinite(self.period) and self.period > 0):
-            raise InputError(f"the period of an angle must be positive and finite, not {self.period!r}")
+            raise InputError(f"the period of an angle must be finite and above 0, not {self.period!r}")
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,31 +88,23 @@ class Fault:
 
     def __post_init__(self) -> None:
         if not self.parameters:
-            raise InputError(
-                "the fault has no parameters: name at least one that is zero without the fault, with its nominal"
-            )
+            raise InputError("the fault has no parameters. Give at least one, with its nominal.")
         for name, parameter in self.parameters.items():
             if not isinstance(parameter, Parameter):
                 raise InputError(
                     f"the fault parameter {name!r} must be a Parameter(start=0, nominal=...), not {parameter!r}"
                 )
             if parameter.prior is not None:
-                raise InputError(
-                    f"the fault parameter {name!r} has a prior, which would hide or feign a fault: remove it"
-                )
+                raise InputError(f"the fault parameter {name!r} has a prior. Remove it.")
             if parameter.per_experiment:
-                raise InputError(
-                    f"the fault parameter {name!r} is one per experiment: diagnose each experiment by itself"
-                )
+                raise InputError(f"the fault parameter {name!r} is one per experiment. Diagnose each experiment alone.")
         for name in self.angles:
             if name not in self.parameters:
-                raise InputError(f"the angle {name!r} is no parameter of the fault{nearest(name, self.parameters)}")
+                raise InputError(f"unknown angle {name!r}{nearest(name, self.parameters)}")
         object.__setattr__(self, "angles", self._angles())
         for name in self.sizes:
             if not self.parameters[name].min <= 0.0 <= self.parameters[name].max:
-                raise InputError(
-                    f"the bounds of the fault parameter {name!r} exclude 0, which is the healthy machine: widen them"
-                )
+                raise InputError(f"the bounds of the fault parameter {name!r} exclude 0. Widen them.")
 
     def _angles(self) -> dict[str, FaultAngle]:
         sizes = [name for name in self.parameters if name not in self.angles]
@@ -124,13 +116,15 @@ class Fault:
                 width = self.parameters[name].max - self.parameters[name].min
                 angle = FaultAngle(sizes[0], width) if math.isfinite(width) else FaultAngle(sizes[0])
             else:
-                raise InputError(f"the angle {name!r} may belong to {' or '.join(sizes) or 'no size'}: name its size")
+                raise InputError(
+                    f"the angle {name!r} has no clear size ({' or '.join(sizes) or 'none'}). Give its magnitude."
+                )
             if angle.magnitude not in sizes:
                 raise InputError(
-                    f"the size {angle.magnitude!r} of the angle {name!r} is no size{nearest(angle.magnitude, sizes)}"
+                    f"unknown size {angle.magnitude!r} of the angle {name!r}{nearest(angle.magnitude, sizes)}"
                 )
             if angle.magnitude in (other.magnitude for other in found.values()):
-                raise InputError(f"the size {angle.magnitude!r} has two angles: one locates it")
+                raise InputError(f"the size {angle.magnitude!r} has two angles. Give one.")
             found[name] = angle
         return found
 
@@ -149,7 +143,7 @@ class Fault:
         return {angle.magnitude: name for name in self.angles if (angle := self.angle(name)) is not None}
 
     def direction(self, size: str, vector: Sequence[float]) -> tuple[str, float, float]:
-        """Return name and value of a size's angle, and its change per radian of the vector (x, y)."""
+        """Return angle name and value of a vector, and period / 2π."""
         name = self.located[size]
         angle = self.angle(name)
         assert angle is not None  # `located` has only angles
@@ -182,11 +176,15 @@ class Fault:
         healthy = list(common)
         for name in self.parameters:
             if name in [self.variable_map.get(each, each) for each in healthy]:
-                raise InputError(f"the parameter {name!r} is the fault's and the healthy machine's: it can be only one")
+                raise InputError(
+                    f"the parameter {name!r} belongs to the fault and the healthy machine. Rename or remove one."
+                )
         known = {*healthy, *columns}
         for name in self.variable_map:
             if name not in known:
-                raise InputError(f"variable_map has {name!r}, which is no variable of the healthy machine")
+                raise InputError(
+                    f"variable_map: unknown variable {name!r} of the healthy machine{nearest(name, known)}"
+                )
 
     def renamed(self, experiment: Experiment) -> Experiment:
         """Return an experiment with this model's names of inputs and outputs."""
@@ -211,7 +209,7 @@ class Fault:
 def checked_faults(faults: Mapping[str, Fault]) -> dict[str, Fault]:
     """Return the faults; an `InputError` if there is none."""
     if not faults:
-        raise InputError("there is no fault to look for: give at least one fault model with its parameters")
+        raise InputError("no fault given. Give at least one fault model with its parameters.")
     return dict(faults)
 
 
@@ -229,21 +227,19 @@ def common_mode(
     known = [name for name in healthy.names if not of_one_experiment(name) and name not in held]
     if not known:
         raise InputError(
-            f"the healthy result knows nothing of this machine: its parameters are {', '.join(healthy.names)}, none of "
-            "which is left to have a prior; give the result of an identification of the healthy machine"
+            f"the healthy result has no free parameter of this machine, only {', '.join(healthy.names)}. "
+            "Give the result of a healthy identification."
         )
     if isinstance(std_factor, Mapping):
         for name in std_factor:
             if name not in known:
-                raise InputError(
-                    f"std_factor names {name!r}, which is no parameter of the healthy result{nearest(name, known)}"
-                )
+                raise InputError(f"std_factor: unknown parameter {name!r} of the healthy result{nearest(name, known)}")
     found = {}
     for name in known:
         factor = std_factor.get(name, 1.0) if isinstance(std_factor, Mapping) else std_factor
         own = given.get(name)
         if own is not None and own.prior is not None:
-            raise InputError(f"{name!r} has a prior of its own and one from the healthy result: keep one of the two")
+            raise InputError(f"{name!r} has two priors: its own and the healthy result's. Remove one.")
         found[name] = _nominal(name, healthy, factor, own)
     return found | {name: parameter for name, parameter in given.items() if name not in found}
 

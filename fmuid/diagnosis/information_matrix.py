@@ -1,8 +1,8 @@
 """Whitened records: their information on all coordinates, its prior, and the score of changes.
 
-A record linearised at coordinates x is r = J x + e. With whitened noise it has the information G = JᵀJ and the score
-g = Jᵀr. Healthy records give the mean m and covariance C of x. Then F = (I + G C)⁻¹ G and h = (I + G C)⁻¹ (g − G m) are
-information and score of changes, with noise, baseline errors and drift in the covariance.
+A record linearized at coordinates x is r = J x + e. With whitened noise it has the information G = JᵀJ and the score
+g = Jᵀr. Healthy records give the mean m and covariance C of x. Information and score of changes are F = (I + G C)⁻¹ G
+and h = (I + G C)⁻¹ (g − G m). Their covariance includes noise, baseline errors and drift.
 
 References
 ----------
@@ -47,7 +47,10 @@ class Whitening:
     def of(
         cls, records: Sequence[tuple[Experiment, Floats]], variances: Mapping[str, float] | None = None
     ) -> Whitening:
-        """Return the noise of healthy records with residuals (K, n_outputs), pooled by output; given variances stay."""
+        """Return the noise of healthy residuals (K, n_outputs), pooled by output.
+
+        Given variances stay.
+        """
         parts: dict[str, list[tuple[OutputSeries, Floats]]] = {}
         for experiment, residual in records:
             for series in output_series([experiment], experiment.output_names):
@@ -65,7 +68,7 @@ class Whitening:
         return float(np.mean(power) ** 2 / np.mean(power**2))
 
     def __call__(self, experiment: Experiment, columns: Floats) -> Floats:
-        """Return the innovations of columns (K, n_outputs, m) at counted samples, in standard deviations (n, m)."""
+        """Return innovations (n, m) of columns (K, n_outputs, m), in σ."""
         return np.vstack([white for _, white in self.of_outputs(experiment, columns)])
 
     def of_outputs(self, experiment: Experiment, columns: Floats) -> Iterator[tuple[Indices, Floats]]:
@@ -78,7 +81,7 @@ class Whitening:
 
 @dataclass(frozen=True, eq=False)
 class InformationMatrix:
-    """Information of a record on the coordinates, linearised at zero."""
+    """Information of a record on the coordinates, linearized at zero."""
 
     matrix: Floats  # (N, N), G = JᵀJ of the whitened Jacobian
     score: Floats  # (N,), g = Jᵀr of the whitened residual at zero
@@ -116,8 +119,8 @@ class ChangePrior:
     def after_several(cls, records: Sequence[InformationMatrix], normal: Floats) -> ChangePrior:
         """Return the distribution after healthy records, with the healthy model's error.
 
-        The error is the positive part of cov(m_i) − mean C_i in the metric of the mean C. It counts once more for the
-        new record, and by (K − 1)/(K − 3) for K records. Fewer than four are pooled, without it.
+        The error is the positive part of cov(m_i) − mean C_i in the metric of mean C. It counts once more for
+        the new record. K records scale it by (K − 1)/(K − 3). Fewer than four are pooled, without it.
         """
         if len(records) < LEAST_RECORDS:
             return cls.after(sum(records[1:], start=records[0]), normal)
@@ -142,7 +145,7 @@ class ChangePrior:
 
 
 def _excess(scatter: Floats, inside: Floats) -> Floats:
-    """Return the positive part of scatter − inside in the metric of the latter."""
+    """Return the positive part of scatter − inside, metric of the latter."""
     std = np.sqrt(np.diag(inside))
     scale = np.outer(std, std)
     values, vectors = scipy.linalg.eigh(scatter / scale, inside / scale)
@@ -159,7 +162,7 @@ class ScoreStatistics:
 
     @classmethod
     def of(cls, record: InformationMatrix, known: ChangePrior) -> ScoreStatistics:
-        """Return F = (I + G C)⁻¹ G and h = (I + G C)⁻¹ (g − G m)."""
+        """Return F and h of a record with G and g."""
         scale = 1.0 / np.sqrt(np.maximum(np.diag(record.matrix), np.finfo(float).tiny))
         matrix = record.matrix * np.outer(scale, scale)
         left = np.eye(scale.size) + matrix @ (known.covariance / np.outer(scale, scale))

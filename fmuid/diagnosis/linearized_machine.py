@@ -1,4 +1,4 @@
-"""Outputs of a machine with all causes, and their derivatives by each coordinate.
+"""Outputs of a machine with all causes, and their derivatives.
 
 Faults of several models add up: y = y_n(θ) + Σ_k [y_k(θ, f_k) − y_n(θ)]. A model is simulated only where its fault is
 not zero; otherwise it gives its own columns alone.
@@ -23,7 +23,7 @@ from fmuid.simulation import AS_ASKED, Refinement, Simulator, refined
 
 
 class LinearizedMachine:
-    """A healthy machine at fixed `values` and its fault models, over one record.
+    """A healthy machine at fixed `values`, with fault models, over one record.
 
     The simulations are as fine (`refinement`) as those of the healthy estimates. Errors are those of `Simulator`.
     """
@@ -45,13 +45,13 @@ class LinearizedMachine:
         ]
 
     def over(self, experiment: Experiment) -> LinearizedMachine:
-        """Return the same machine over another record, with what has been made ready to simulate."""
+        """Return the same machine, ready to simulate, over another record."""
         other = copy(self)
         other.experiment, other._models, other._last = experiment, [model.again() for model in self._models], None
         return other
 
-    def linearise(self, point: Floats) -> tuple[Floats, Floats]:
-        """Return outputs (K, n_outputs) and derivatives (K, n_outputs, N) at a point (N,)."""
+    def linearize(self, point: Floats) -> tuple[Floats, Floats]:
+        """Return outputs (K, n_outputs) and derivatives (K, n_outputs, N)."""
         if self._last is None or self._last[0] != point.tobytes():
             found = _Sum(self.coordinates, point, self.experiment)
             there = [model for model in self._models if model.there(point)]
@@ -69,7 +69,7 @@ class LinearizedMachine:
         return found.sensed()[0]
 
     def apart_at_zero(self) -> dict[str, Floats]:
-        """Return each fault model without its fault minus the healthy machine (K, n_outputs)."""
+        """Return fault models at zero fault minus healthy outputs (K, n_outputs)."""
         found = _Sum(self.coordinates, self.coordinates.healthy, self.experiment)
         sound, *faulty = (model.simulate(found, found.point[None])[0] for model in self._models)
         return {model.name: each - sound for model, each in zip(self._models[1:], faulty, strict=True)}
@@ -133,7 +133,7 @@ class _Model:
             found.columns[:, :, i] += weight * (above - below) / (2.0 * step)
 
     def _offsets(self, point: Floats, i: int) -> tuple[float, float]:
-        """Return the two steps of a difference, both on one side beside a bound."""
+        """Return the two steps of a difference, one-sided beside a bound."""
         coordinate = self.coordinates.each[i]
         if self.fault is None or i not in self.own or coordinate.variable in self.fault.located:
             return -coordinate.step, coordinate.step
@@ -184,8 +184,11 @@ def residual_of(experiment: Experiment, outputs: Floats) -> Floats:
 
 
 def residual_and_columns(machine: LinearizedMachine, point: Floats, origin: Floats | None = None) -> Floats:
-    """Return residual, relative to an origin (N,) where given, and columns (K, n_outputs, 1 + N) at a point (N,)."""
-    outputs, columns = machine.linearise(point)
+    """Return residual and columns (K, n_outputs, 1 + N) at a point (N,).
+
+    The residual is relative to an origin (N,) where given.
+    """
+    outputs, columns = machine.linearize(point)
     residual = residual_of(machine.experiment, outputs)
     if origin is not None:
         residual = residual + columns @ (point - origin)

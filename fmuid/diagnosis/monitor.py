@@ -1,7 +1,7 @@
 """Monitoring of data, window by window, with alarms.
 
-The machine is linearised once over many windows, at its last estimate. A window adds its information and score to
-those of all onsets. Each is simulated from a transient before it (docs/method/simulation.md).
+The machine is linearized once over many windows, at its last estimate. A window adds its information and score to
+those of all onsets. Each is simulated with a warm-up before it (docs/method/simulation.md).
 """
 
 from __future__ import annotations
@@ -38,8 +38,8 @@ from fmuid.models import FMU, System
 class MonitoringSettings:
     """Numbers of a monitoring."""
 
-    batch_samples: int = 32_768  # linearised at once
-    most_steps: int = 4  # linearisations of a window
+    batch_samples: int = 32_768  # linearized at once
+    most_steps: int = 4  # linearizations of a window
 
 
 SETTINGS = MonitoringSettings()
@@ -109,27 +109,25 @@ class Monitor:
         record : Experiment
             With the healthy machine's names. Of a growing one the rows from `needed` on, with no warm-up.
         progress : callable, optional
-            Called with a `fmuid.events.WindowStep` before windows are linearised.
+            Called with a `fmuid.events.WindowStep` before windows are linearized.
         grows : bool
             More of the record may come; only whole windows are examined.
 
         Raises
         ------
         InputError
-            If the record is known already, too short or does not fit the model, its transient is longer than the
-            rule's, or it grows without windows or horizon in the rule.
+            If the record is known already, too short or does not fit the model, its transient is longer than the rule's
+            warm-up, or it grows without windows or horizon in the rule.
         SimulationError
             If the simulation fails at the healthy estimate.
         """
         goes_on = self.goes_on(record.name)
         if record.name in self.records and not goes_on:
-            raise InputError(
-                f"{record.source}: a record named {record.name!r} has been monitored already: leave it out or rename it"
-            )
+            raise InputError(f"{record.source}: {record.name!r} has been monitored already. Remove or rename it.")
         if grows and (self.rule.window is None or self.rule.horizon is None):
             raise InputError(
-                f"{record.source} grows, and nobody knows how long it gets: say in [monitoring] how long a window is "
-                "and in which time the level of false alarms holds, as in window = 1.0 and horizon = 86400.0"
+                f"{record.source}: growing data need window_length and false_alarm_horizon in [monitoring]. "
+                "Give both, in s, for example 1.0 and 86400.0."
             )
         made = self._comparison(record)
         before, gaps = self._now, self.gaps
@@ -154,7 +152,7 @@ class Monitor:
         return last.begin + (self.rule.window or 0.0) * last.windows - self.rule.transient
 
     def forget(self, rows: int, alarms: int) -> None:
-        """Keep the latest rows and alarms, no gaps, and the records of possible onsets."""
+        """Drop old rows, alarms and gaps; keep the records of possible onsets."""
         self._now, self.gaps = self._now.without(rows, alarms), ()
 
     def _comparison(self, record: Experiment) -> BaselineComparator:
@@ -175,15 +173,15 @@ class Monitor:
     def _examined(
         self, made: BaselineComparator, record: Experiment, progress: Progress | None, *, grows: bool
     ) -> list[dict[str, Any]]:
-        """Return the rows of a record, linearising many near windows at once."""
+        """Return the rows of a record, linearizing many near windows at once."""
         begun = self._now.records[-1]
         every = split_windows(record, self.rule.window, self.rule.transient, replace(begun, grows=grows))
         windows = [each for each in every if each.there]
         missing = [each for each in every if not each.there]
         if not windows and not grows and not begun.windows:
             raise InputError(
-                f"{record.source} leaves no window in which every output has a sample that counts: make the transient "
-                "or what the study discards shorter, or leave the record out"
+                f"{record.source}: no window has samples of every output after the warm-up. "
+                "Shorten the warm-up, or remove the data."
             )
         self.gaps += tuple(SkippedWindow(record.source, float(record.times[each.start])) for each in missing)
         self._now = self._now.cut(len(every), grows=grows)
@@ -233,7 +231,7 @@ class Monitor:
             return self._summed(made, record, windows)
 
     def _finish(self, made: BaselineComparator, level: float) -> None:
-        """Decide an alarm at the end of a record again, by all data."""
+        """Repeat the decision about an alarm with all data of a record."""
         now = self._now
         if now.judgement is not None:
             self._now = now.said(decide_alarm(now.watch, made.coordinates, level, self._against.model_error))
@@ -244,11 +242,11 @@ class Monitor:
     def table(self) -> pd.DataFrame:
         """One row a window.
 
-        ``record``, ``window`` (number), ``start``, ``end`` (s), ``clock`` (end, s of all data), ``samples``;
-        ``significant``: cause of this window alone, "" without; ``probability`` by chance, for all causes;
-        ``statistic``: D of the likeliest cause and onset so far; ``variance_ratio`` of residual and noise;
-        ``unexplained``: it is larger; ``alarm``: its name. Healthy parameters and causes (``turns.dR``, ``gain(i)``)
-        have their sizes in this window alone, and ``.std``.
+        ``record``, ``window`` (number), ``start``, ``end`` (s), ``clock`` (end, s of all data), ``samples``.
+        ``significant`` is the cause of this window alone, "" without; ``probability`` is by chance, for all causes.
+        ``statistic`` is D of the likeliest cause and onset so far. ``variance_ratio`` is of residual and noise;
+        ``unexplained`` is true if it is significant. ``alarm`` is the name of the alarm. Healthy parameters and causes
+        (``turns.dR``, ``gain(i)``) have their sizes in this window alone, and ``.std``.
         """
         return self._now.table()
 

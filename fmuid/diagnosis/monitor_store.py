@@ -29,7 +29,7 @@ from fmuid.version import __version__
 
 TABLE_FILE, FOUND_FILE, STATE_FILE = "monitoring.csv", "monitoring.json", "monitoring.npz"
 ALARMS_FILE = "alarms.jsonl"
-REMEDY = "monitor without appending, or into another folder"
+REMEDY = "Monitor without --resume, or choose another folder."
 TEXTS, NUMBERS, TRUTHS = ("record", "significant", "alarm"), ("window", "samples"), ("unexplained",)
 
 
@@ -92,7 +92,7 @@ class MonitorStore:
         self._rows = now.row
 
     def _add(self, name: str, text: str) -> None:
-        """Add text at the state's length of a file, or at its end where it was cut."""
+        """Add text to a file, after its valid part."""
         path = self.folder / name
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
@@ -108,16 +108,18 @@ class MonitorStore:
                 os.fsync(file.fileno())
         except OSError as error:
             why = error.strerror or error
-            raise InputError(f"{path} cannot be written: {why}; make room, or choose another with --output") from None
+            raise InputError(
+                f"{path}: write failed: {why}. Free disk space, or choose another folder with --output."
+            ) from None
         self._lengths[name] += len(text.encode())
         if text:
             note(path)
 
     def read(self, now: MonitorState, same: Mapping[str, Any], rows: int | None) -> tuple[MonitorState, Resumed]:
-        """Return the state of an earlier run, with the last rows of its table (None: all)."""
+        """Return the state of an earlier run; `rows` limits its table (None: all)."""
         path = self.folder / STATE_FILE
         if not is_file(path):
-            raise InputError(f"{self.folder} has no earlier run to append to: {REMEDY} first")
+            raise InputError(f"{self.folder}: no earlier run to resume. {REMEDY}")
         with damage_of(path):
             sums = read_arrays(path)
             earlier = from_json(_State, json.loads(sums.pop("text").tobytes()))
@@ -125,10 +127,10 @@ class MonitorStore:
             return now, Resumed()
         if earlier.same != as_json(same):
             if earlier.version != __version__:
-                raise DamagedStateError(path, f"fmuid {earlier.version} has written it, this is fmuid {__version__}")
+                raise DamagedStateError(path, f"written by fmuid {earlier.version}, this is {__version__}")
             raise InputError(
-                f"{path} is of a run with another rule, other faults or another healthy machine: use the same, or "
-                "another output folder"
+                f"{path}: made with another rule, other faults or another healthy machine. Use the same, or "
+                "another output folder."
             )
         self._rows, self._lengths = earlier.windows, earlier.lengths
         table = _table(self.folder / TABLE_FILE, self._lengths[TABLE_FILE], self._rows, rows)
@@ -147,7 +149,7 @@ class DamagedStateError(InputError):
     """
 
     def __init__(self, path: Path, why: str) -> None:
-        super().__init__(f"{path} is not of fmuid monitor, or not whole ({why}): {REMEDY}")
+        super().__init__(f"{path}: no complete file of fmuid monitor ({why}). {REMEDY}")
         self.path, self.why = path, why
 
 
@@ -157,8 +159,8 @@ def damage_of(path: Path) -> Iterator[None]:
     try:
         yield
     except (OSError, LookupError, ValueError, TypeError, AttributeError, OverflowError, RecursionError) as error:
-        said = f"it has no {error}" if isinstance(error, KeyError) else first_line(error)
-        said = "its content is of other types" if isinstance(error, TypeError | AttributeError) else said
+        said = f"no {error}" if isinstance(error, KeyError) else first_line(error)
+        said = "wrong types" if isinstance(error, TypeError | AttributeError) else said
         raise DamagedStateError(path, said) from None
 
 
@@ -170,10 +172,10 @@ def _table(path: Path, length: int, count: int, most: int | None) -> pd.DataFram
         head, *lines = content.decode().splitlines() or [""]
         kept = lines if most is None else lines[-most:]
         if len(content) < length or len(lines) != count:
-            raise ValueError(f"it has not the {count} windows that {STATE_FILE} is of")
+            raise ValueError(f"not the {count} windows of {STATE_FILE}")
         text = pd.read_csv(io.StringIO("\n".join([head, *kept])), dtype=str, keep_default_na=False)
         if text.isna().to_numpy().any():
-            raise ValueError(f"it has not the {count} windows that {STATE_FILE} is of")
+            raise ValueError(f"not the {count} windows of {STATE_FILE}")
         text = with_formulas(text)
         # Python reads numbers back exactly, as tables are not always
         return pd.DataFrame({name: [_cell(str(name), each) for each in text[name]] for name in text})

@@ -1,7 +1,7 @@
-"""Onset likelihood of a cause, as a step or a ramp, and the confidence set of its time.
+"""Onset likelihood of a cause, and the confidence set of its time.
 
-After a change at t₀ the columns are J − Φ S(t₀), whose second part dies out. Its projection on J is the visible share,
-w(a) = 1 − ρ(a) C(a): ρ is the remaining state difference after a lag a, C the autocorrelation of J.
+After a change at t₀ the columns are J − Φ S(t₀); the second part dies out. The projection on J is the visible share
+w(a) = 1 − ρ(a) C(a). There ρ is the remaining state difference after a lag a, C the autocorrelation of J.
 
 References
 ----------
@@ -67,7 +67,7 @@ class ChangeTransient:
         return float(self.lags[-1])
 
     def shares(self, clock: Floats, edges: Floats) -> Floats:
-        """Return the mean share in blocks (T, B), after changes at some times (T,)."""
+        """Return the mean share in blocks (T, B) after changes (T,)."""
         late = np.maximum(edges - clock[:, None], 0.0)
         shown = np.interp(late, self.lags, self.shown) + np.maximum(late - self.lasts, 0.0)
         return np.asarray(np.diff(shown, axis=1) / np.diff(edges))
@@ -125,7 +125,7 @@ class OnsetLikelihood:
 
 @dataclass(frozen=True, eq=False)
 class OnsetEstimate:
-    """Begin and shape of a cause, by a flat prior over the time."""
+    """Begin and shape of a cause, with a flat prior over time."""
 
     cause: Cause
     shape: OnsetShape  # the likelier one

@@ -79,7 +79,7 @@ class OnsetTracker:
         return other
 
     def building_up(self, build_up: ChangeTransient, slow: Flags) -> OnsetTracker:
-        """Return a tracker with a build-up of changes of some coordinates in its next windows."""
+        """Return a tracker whose next windows have a build-up of changes."""
         other = self.copy()
         other.build_up, other.slow = build_up, slow
         return other
@@ -124,7 +124,7 @@ class OnsetTracker:
         return self.known.after_also(InformationMatrix(self._total, self._score))
 
     def _news(self, at: Any, shape: OnsetShape = OnsetShape.STEP) -> tuple[Floats, Floats]:
-        """Return F (T, N, N) and h (T, N) of some onsets, with all coordinates as causes."""
+        """Return F (T, N, N) and h (T, N) of some onsets."""
         after = self._posterior()
         own, shared, score = _parts(self._of[shape.value][at], self._score.size)
         mixed = np.swapaxes(shared, 1, 2)
@@ -134,7 +134,7 @@ class OnsetTracker:
         )
 
     def _beside_drift(self, information: Floats, score: Floats, rise: float) -> tuple[Floats, Floats]:
-        """Return information and score beside a lasting drift at the onset, in the time `rise` (s) of a ramp."""
+        """Return information and score beside a lasting drift at the onset; `rise` in s."""
         for i in np.flatnonzero(self._drift):
             shared = information[:, :, i]
             share = shared / (shared[:, i] + (rise / self._drift[i]) ** 2)[:, None]
@@ -143,7 +143,7 @@ class OnsetTracker:
         return information, score
 
     def statistics(self, causes: Sequence[Cause]) -> tuple[Floats, Floats]:
-        """Return the begins of windows (T,) and D of each cause as a step from there on (T, m)."""
+        """Return begins of windows (T,) and D of steps (T, m)."""
         at = np.flatnonzero(self._of["begins"])
         information, score = self._news(at)
         clock = self._of["clock"][at]
@@ -162,13 +162,13 @@ class OnsetTracker:
         return found
 
     def news(self, clock: float) -> ScoreStatistics:
-        """Return the changes from the onset nearest to a time, with all causes as steps."""
+        """Return the changes as steps from the onset nearest to a time."""
         at = int(np.argmin(np.abs(self._of["clock"] - clock)))
         information, score = self._news([at])
         return ScoreStatistics(information[0], score[0])
 
     def apart(self, low: float, high: float) -> tuple[ScoreStatistics, float] | None:
-        """Return the changes in the windows after `high`, beside those before `low`, and the begin of the former.
+        """Return changes after `high` against windows before `low`, and their begin.
 
         Windows in between are left out: the cause is there in a part of them. Without a later window the last one
         counts as whole if it can; else None.
@@ -208,7 +208,7 @@ class OnsetTracker:
         for name, own in self.state().items():
             free = name in (*_KEPT, "lags", "shown")  # there are as many as there are
             if state[name].dtype.kind != own.dtype.kind or state[name].shape[free:] != own.shape[free:]:
-                raise ValueError(f"{name!r} is of other coordinates")
+                raise ValueError(f"{name!r} has other coordinates")
         other = self.copy()
         other._of = {name: state[name] for name in _KEPT}
         other._total, other._score, other._least = state["total"], state["score"], state["least"]
@@ -219,7 +219,10 @@ class OnsetTracker:
 
 
 def statistics_of(information: Floats, score: Floats, causes: Sequence[Cause]) -> Floats:
-    """Return D of each cause alone (T, m), of information (T, N, N) and score (T, N); 0 for a wrong sign."""
+    """Return D of each cause alone (T, m); 0 for a wrong sign.
+
+    `information` is (T, N, N), `score` (T, N).
+    """
     found = np.empty((len(score), len(causes)))
     single = [k for k, cause in enumerate(causes) if len(cause.columns) == 1]
     at = [causes[k].columns[0] for k in single]
@@ -240,8 +243,8 @@ def statistics_of(information: Floats, score: Floats, causes: Sequence[Cause]) -
 class _Window:
     """Sums of a window without drift, which M = (P⁻² + G)⁻¹ takes out; `recent` (R,) are onsets still building up.
 
-    `whole` (N, N) is with drift. Of 2 N² + N numbers are `step`, for visible steps, and the rows of `recent` (R),
-    `steps` and `ramps` (B, the onsets at its blocks).
+    `whole` (N, N) is with drift. `step` (visible steps) has 2 N² + N numbers, as each row of `recent` (R), `steps` and
+    `ramps` (B, onsets at its blocks).
     """
 
     def __init__(self, window: Blocks, drift: Floats, slow: Flags, build_up: ChangeTransient, recent: Floats) -> None:
@@ -275,13 +278,13 @@ class _Window:
         _, (self.matrix,), (self.score,) = _parts(sums[:1], n)
 
     def _without(self, own: Floats, shared: Floats, score: Floats) -> Floats:
-        """Return own and shared information and score of columns, without drift, a row each."""
+        """Return rows of own and shared information and score, without drift."""
         drawn, mixed = self._taken @ shared, np.swapaxes(shared, -1, -2)
         parts = (own - mixed @ drawn, shared - self.whole @ drawn, score - mixed @ (self._taken @ self._whole_score))
         return np.hstack([each.reshape(len(score), -1) for each in parts])
 
     def rising(self, clock: Floats) -> Floats:
-        """Return the window's addition to the sums of ramps that begin before it (T,)."""
+        """Return the window's addition to the sums of earlier ramps (T,)."""
         before = self._edges[0] - clock
         # of onsets so long before, all is a polynomial of that time
         mixed = self._once @ self._taken @ self.whole

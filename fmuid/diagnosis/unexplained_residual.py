@@ -53,7 +53,10 @@ NOTHING_LEFT = UnexplainedResidual(0.0, 0, 1.0)
 
 
 def lagged(inputs: Floats, spans: Sequence[int] = SETTINGS.spans) -> Floats:
-    """Return a constant and the inputs (n, m) summed over spans of lags: (n, 1 + (len(spans) − 1) m)."""
+    """Return a constant and inputs (n, m) summed over spans of lags.
+
+    Shape: (n, 1 + (len(spans) − 1) m).
+    """
     sums = np.vstack([np.zeros((1, inputs.shape[1])), np.cumsum(inputs, axis=0)])
     ends = 1 + np.arange(len(inputs))
     until = [sums[np.maximum(ends - lag, 0)] for lag in spans]
@@ -61,7 +64,10 @@ def lagged(inputs: Floats, spans: Sequence[int] = SETTINGS.spans) -> Floats:
 
 
 def regression(residual: Floats, regressors: Floats, jacobian: Floats) -> InformationMatrix:
-    """Return the regression of a residual (n,) on regressors (n, k) beside the Jacobian (n, N); all whitened."""
+    """Return the regression of a whitened residual (n,) on regressors (n, k).
+
+    The Jacobian (n, N) is fitted beside them.
+    """
     norms = np.linalg.norm(jacobian, axis=0)
     basis, values, _ = np.linalg.svd(jacobian / np.where(norms > 0, norms, 1.0), full_matrices=False)
     spanned = basis[:, values > SETTINGS.spanned * values.max(initial=0.0)]
@@ -72,7 +78,7 @@ def regression(residual: Floats, regressors: Floats, jacobian: Floats) -> Inform
 
 
 def change(healthy: InformationMatrix, new: InformationMatrix) -> tuple[float, int]:
-    """Return χ² of the change of the coefficients between two records, and its degrees of freedom.
+    """Return χ² of the coefficients' change, and its degrees of freedom.
 
     Directions that either record does not determine are left out.
     """

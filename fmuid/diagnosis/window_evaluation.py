@@ -28,7 +28,7 @@ from fmuid.diagnosis.windows import WatchedRecord, WindowSums
 class EvaluationSettings:
     """Numbers of the evaluation of a window."""
 
-    far: float = 0.3  # error of the linear model, in standard deviations, beyond which a window is linearised again
+    far: float = 0.3  # error of the linear model, in standard deviations, beyond which a window is linearized again
     grown: float = 0.2  # share by which D grows before an alarm is decided again
     free: float = 1e3  # sizes of a named cause in its prior: free
 
@@ -41,7 +41,7 @@ class MonitorState:
     """State of a monitoring between windows."""
 
     watch: OnsetTracker
-    point: Floats  # (N,), of the next linearisation
+    point: Floats  # (N,), of the next linearization
     records: tuple[WatchedRecord, ...] = ()
     tables: tuple[pd.DataFrame, ...] = ()  # rows of each record
     alarms: tuple[Alarm, ...] = ()
@@ -70,7 +70,7 @@ class MonitorState:
         return found
 
     def without(self, rows: int, alarms: int) -> MonitorState:
-        """Return the state with the latest rows and alarms, and the records of possible onsets."""
+        """Return the state without old rows, alarms and records."""
         table = self.table().tail(rows)
         needed, kept = self.watch.clocks(), []
         for k, each in enumerate(self.records, start=1):
@@ -179,7 +179,7 @@ class WindowEvaluation:
 
     @cached_property
     def target(self) -> Floats:
-        """Best point of linearisation (N,): the estimate, with the named faults only."""
+        """Best point of linearization (N,): the estimate, with the named faults only."""
         mean = self.estimate.mean.copy()
         hidden = self.against.faulty.copy()
         hidden[list(self.free)] = False
@@ -189,7 +189,7 @@ class WindowEvaluation:
 
     @property
     def far(self) -> bool:
-        """True if the window was linearised too far from the target."""
+        """True if the window was linearized too far from the target."""
         off = self.target - self.now.point
         distance = math.sqrt(max(0.0, float(off @ self.sums.whole.matrix @ off)))
         return float(np.max(np.abs(off) / self.against.magnitude)) * distance > SETTINGS.far
@@ -201,7 +201,7 @@ class WindowEvaluation:
 
     @cached_property
     def _ratios(self) -> tuple[float, float]:
-        """Variance of the residual over the noise, without causes and with the named ones."""
+        """Variance of the residual over the noise, without and with named causes."""
         null = self.against.known.after_also(self.sums.whole).mean if self.free else self.estimate.mean
         samples = max(1, self.sums.samples)
         return self.sums.squares(null) / samples, self.sums.squares(self.estimate.mean) / samples

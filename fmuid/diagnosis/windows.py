@@ -1,4 +1,4 @@
-"""Records cut into windows: sums of each window, and the check of the transient."""
+"""Records cut into windows: sums of each window, check of the warm-up."""
 
 from __future__ import annotations
 
@@ -105,8 +105,8 @@ def split_windows(record: Experiment, window: float | None, transient: float, be
         return []
     if count <= 0:
         raise InputError(
-            f"{record.source} lasts {times[-1] - times[0]:g} s, which is shorter than a window of {window:g} s: "
-            "make the windows shorter, or the record longer"
+            f"{record.source}: {times[-1] - times[0]:g} s are shorter than a window of {window:g} s. "
+            "Give shorter windows, or longer data."
         )
     edges = begun.begin + window * np.arange(begun.windows, begun.windows + count + 1)
     borders = np.searchsorted(times, edges - slack)
@@ -116,7 +116,7 @@ def split_windows(record: Experiment, window: float | None, transient: float, be
 
 
 def part_of(whole: Experiment, windows: Sequence[Window], transient: float) -> Experiment:
-    """Return successive windows of a record with the simulation before them, which does not count."""
+    """Return successive windows of a record, with the warm-up before them."""
     times, lead = whole.times, windows[0].lead
     from_begin = lead == windows[0].start
     left = max(whole.warmup, transient) if from_begin else float(times[windows[0].start] - times[lead])
@@ -155,7 +155,10 @@ class WindowSums:
 def summed(
     machine: LinearizedMachine, windows: Sequence[Window], point: Floats, healthy: Floats, whitening: Whitening
 ) -> Iterator[WindowSums]:
-    """Yield the sums of windows, linearised at a point (N,) and relative to the healthy coordinates (N,)."""
+    """Yield the sums of windows, linearized at a point.
+
+    `point` and `healthy`, their origin, are coordinates (N,).
+    """
     part, whole = machine.experiment, residual_and_columns(machine, point, healthy)
     white = [(part.times[rows], values) for rows, values in whitening.of_outputs(part, whole)]
     for window in windows:
@@ -176,28 +179,27 @@ def summed(
 def build_up_of(
     made: BaselineComparator, record: Experiment, windows: Sequence[Window], transient: float, point: Floats
 ) -> tuple[ChangeTransient, Flags]:
-    """Return the build-up of changes in the outputs, and the coordinates (N,) with one.
+    """Return the build-up of changes in outputs, and its coordinates (N,).
 
     It is found from other starts of windows at a point (N,). A column that never depends on the start shows at once.
     """
     compared = windows[: SETTINGS.most_compared + 1]
     whole = part_of(record, compared, transient)
-    early, columns = made.machine(whole).linearise(point)
+    early, columns = made.machine(whole).linearize(point)
     std = np.array([made.healthy.whitening.std(name) for name in record.output_names])
     left, late = [], []
     for each in compared[1:]:
         part = part_of(record, [each], transient)
         rows = slice(each.lead - compared[0].lead, each.stop - compared[0].lead)
-        outputs, started = made.machine(part).linearise(point)
+        outputs, started = made.machine(part).linearize(point)
         late.append(((started - columns[rows]) / std[:, None]) ** 2)
         off = np.abs(outputs - early[rows]) / std
         left.append(np.sum(off**2, axis=1))
         most = off[part.counted].max(initial=0.0)
         if most > SETTINGS.transient_share:
             raise InputError(
-                f"{record.source}: the transient lasts longer than {transient:g} s: what a simulation "
-                f"starts from still shows then, by {most:.2g} standard deviations of the noise; "
-                "give a longer transient, and windows longer than that"
+                f"{record.source}: warm-up of {transient:g} s too short: the initial state still shifts outputs by "
+                f"{most:.2g} × noise level. Give a longer warm-up, and longer windows."
             )
     length = min(each.size for each in left)
     step, slow = float(np.median(np.diff(whole.times))), made.coordinates.slow

@@ -88,7 +88,7 @@ def _units(system: System) -> dict[str, Unit]:
 def apply_result(
     result: Path, fmu: Path, output: Path, component: str | None = None, *, force: bool = False
 ) -> tuple[AppliedValue, ...]:
-    """Write a copy of an FMU that starts at the estimates of a result.
+    """Write a copy of an FMU with the estimates as start values.
 
     Only start values and their annotation in the modelDescription.xml differ (`fmuid.models.start_values`): simulators
     must set the start values of the XML. `component` is the FMU's name in a system; `result` may be an ``.ssv`` file.
@@ -97,7 +97,7 @@ def apply_result(
     model = FMU(fmu)
     estimates, units = _read(result, model.description.model_name, component, force)
     if exists(output) and output.samefile(fmu):
-        raise InputError(f"{output} is the FMU itself; choose another name for the copy with --output")
+        raise InputError(f"{output}: this is the FMU itself. Choose another name with --output.")
     description = model.description
     applied = []
     for name, estimate in estimates.items():
@@ -112,7 +112,7 @@ def apply_result(
 def _read(
     path: Path, model: str, component: str | None, force: bool
 ) -> tuple[dict[str, _Estimate], Mapping[str, Unit]]:
-    """Return values by their names in the FMU, and the units of the file."""
+    """Return values by FMU names, and the units of the file."""
     if is_folder(path):
         path = path / "result.json"
     if path.suffix.lower() == ".ssv":
@@ -125,7 +125,7 @@ def _read(
     used = result.setup.models.get(component or "")
     identified = model if used is None else used["name"]
     if identified != model:
-        raise InputError(f"{path} is a result for the model {identified}, and the FMU is {model}; give its own FMU")
+        raise InputError(f"{path}: result of the model {identified}, not {model}. Give the FMU of the result.")
     verdict = result.verdict or judge(result)
     if verdict.grade is Grade.NOT_USABLE and not force:
         why = "; ".join(": ".join((each.reason.value, *each.subject)) for each in verdict.doubts if each.is_fatal)
@@ -140,7 +140,7 @@ def _of_component(
     if component is None:
         if any(components):
             named = ", ".join(components)
-            raise InputError(f"{path} is a result of the system of {named}; say with --component which is the FMU")
+            raise InputError(f"{path}: result of the system of {named}. Name the FMU's component with --component.")
         chosen = dict(found)
     else:
         prefix = f"{component}."
@@ -148,7 +148,7 @@ def _of_component(
     if not chosen:
         known = sorted({name.rpartition(".")[0] for name in found} | set(components)) if component else []
         whose = f" of the component {component!r}{nearest(component, known)}" if component else ""
-        raise InputError(f"{path} has no parameters{whose}")
+        raise InputError(f"{path}: no parameters{whose}")
     return chosen
 
 
@@ -157,15 +157,15 @@ def _startable(description: Description, name: str, fmu: Path) -> Variable:
     variables = description.variables
     base = name.rpartition("[")[0]
     if name not in variables and base in variables:
-        why = f"{name} was estimated for one experiment, or is no element of {base!r}"
-        raise InputError(f"{why}: take it out of the result, or identify it for all experiments")
+        why = f"{name}: estimated for one experiment only, or no element of {base!r}"
+        raise InputError(f"{why}. Identify it for all experiments.")
     if name not in variables:
-        raise InputError(f"{fmu} has no variable {name!r}{nearest(name, variables)}")
+        raise InputError(f"{fmu}: unknown variable {name!r}{nearest(name, variables)}")
     variable = variables[name]
     if not variable.settable or variable.causality == "structuralParameter":  # which the sizes of arrays hang on
         kind = f"causality {variable.causality}, variability {variable.variability}"
         initial = variable.initial or "not given"
-        raise InputError(f"{fmu}: the start value of {name!r} may not be set ({kind}, initial {initial})")
+        raise InputError(f"{fmu}: {name}: start value is not settable ({kind}, initial {initial}).")
     return variable
 
 
@@ -177,21 +177,21 @@ def _conversion(
         return 1.0, 0.0
     found = unit_conversion({**description.units, **units}.get(unit), description.units.get(variable.unit))
     if found is None:
-        raise InputError(f"{result}: {variable.name!r} is in {unit!r}, which does not convert to {variable.unit!r}")
+        raise InputError(f"{result}: {variable.name}: unit {unit!r} does not convert to {variable.unit!r}.")
     return found
 
 
 def _checked(variable: Variable, value: Value, factor: float, offset: float, fmu: Path) -> float | int | bool:
     """Return a value in its variable's unit, within the FMU's limits."""
     if isinstance(value, str):
-        raise InputError(f"{variable.name!r} is the text {value!r}; only numbers and truth values can be applied")
+        raise InputError(f"{variable.name}: text {value!r}. Only numbers and booleans can be applied.")
     new: float | int | bool = value
     if not isinstance(value, bool) and (variable.type == "Real" or (factor, offset) != (1.0, 0.0)):
         new = factor * value + offset
     for word, limit, sign in (("min", variable.min, 1.0), ("max", variable.max, -1.0)):
         if limit is not None and sign * new < sign * limit:
-            beyond = f"{variable.name!r} = {new:.6g} is beyond the {word} = {limit:.6g} that {fmu} declares"
-            raise InputError(f"{beyond}; bound the parameter in the study")
+            beyond = f"{fmu}: {variable.name}: {new:.6g} is beyond {word} = {limit:.6g} of the FMU"
+            raise InputError(f"{beyond}. Add this bound to the study.")
     return new
 
 

@@ -58,7 +58,7 @@ def design_of(
     """Return the design of a test for one fault of a study."""
     settings = study.fault_search
     if fault not in settings.faults:
-        raise InputError(f"{settings.place} has no fault {fault!r}, only {', '.join(settings.faults)}")
+        raise InputError(f"{settings.place}: unknown fault {fault!r}. Choose {', '.join(settings.faults)}.")
     model = settings.faults[fault].fault(study.system, study.model)
     how = DiagnosisSettings(false_alarm, causes=settings.causes, model_error=settings.fault_model_error)
     return Design({fault: model}, _healthy(study), study.system, how, miss=miss)
@@ -71,7 +71,7 @@ def shown_by(study: Study) -> Callable[[Result], StoredBaseline] | None:
         return None
     for name, parameter in study.parameters.items():
         if parameter.per_experiment:
-            raise InputError(f"{settings.place}: {name} is one per experiment, which does not go with a diagnosis")
+            raise InputError(f"{settings.place}: {name} is one per experiment. Diagnose each experiment alone.")
     faults = settings.fault_models(study.system, study.model, study.data)
     variance = study.noise.given_variance()
 
@@ -117,7 +117,7 @@ def monitored(
 ) -> Iterator[MonitoringRun]:
     """Monitor records: yield the findings once; `append` resumes an earlier run."""
     if folder is None and append:
-        raise InputError("an earlier run is in a folder: say in which one")
+        raise InputError("resume needs the folder of the earlier run. Give it.")
     monitor = build_monitor(study, rule_of(study))
     paths, beside, kept = [Path(table) for table in tables], dict[str, Any](), None
     if folder is not None:
@@ -147,7 +147,7 @@ def findings_of(monitor: Monitor) -> MonitoringRun:
 
 
 class MonitoredTables:
-    """Preprocessing of the first monitored records, kept beside the findings in a folder."""
+    """Preprocessing of the first monitored records, kept with the findings."""
 
     def __init__(self, folder: Path, given: ExperimentSettings, *, append: bool) -> None:
         self.folder, self.given, self._new = folder, given, not append
@@ -157,7 +157,7 @@ class MonitoredTables:
         self._files = {} if earlier is None or earlier.origin is None else dict(earlier.origin.files)
 
     def add(self, record: Experiment, raw: pd.DataFrame) -> None:
-        """Note the preprocessing of a table, or of the new part of a growing one."""
+        """Note the preprocessing of a table or its new part."""
         at = next((k for k, each in enumerate(self.prepared) if each.experiment == record.name), None)
         if not changed(self.given.preprocess) or (at is None and len(self.prepared) >= MOST_PREPARED):
             return
@@ -203,7 +203,7 @@ def ranked_excitations(
     variance = study.known_variance
     for name in words.outputs:
         if name not in variance:
-            raise InputError(f"{study.path} does not say how large the noise of {name!r} is: give it under [noise]")
+            raise InputError(f"{study.path}: noise: no variance of {name!r}. Give it.")
     parameters, values = _shared(study), study.model.values
     found = [expected_accuracy(study.system, each, parameters, variance, values) for each in candidates.values()]
     return rank_excitations(found, by=by)

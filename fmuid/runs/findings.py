@@ -97,7 +97,7 @@ class PreprocessedTable:
 
 
 def at_minimum(result: Result) -> bool:
-    """Return True if a search has ended at a minimum, well determined or not."""
+    """Return True if the optimization ended at a minimum."""
     return result.converged or result.outcome is TerminationReason.UNDETERMINED
 
 
@@ -310,7 +310,7 @@ class ComparisonRun:
 
     @property
     def table(self) -> pd.DataFrame:
-        """A row for each result: criteria, RMSE of each output, mean fit, %."""
+        """A row for each result: information criteria, RMSE of each output, mean fit, %."""
         rows: dict[str, dict[str, Any]] = {}
         for rank in () if self.comparison is None else self.comparison.ranks:
             rows[rank.name] = dict(vars(rank))

@@ -40,7 +40,7 @@ _AGAIN = "run fmuid identify again"
 
 
 def stacked(names: Sequence[str], frames: Sequence[pd.DataFrame]) -> pd.DataFrame:
-    """Return the frames below each other, after a column ``experiment`` where there are several."""
+    """Stack frames; several get a column ``experiment``."""
     if len(frames) == 1:
         return frames[0]
     marked = [frame.assign(experiment=name) for name, frame in zip(names, frames, strict=True)]
@@ -82,7 +82,7 @@ def write_identification(folder: Path, found: IdentificationRun) -> list[Path]:
 
 
 def read_identification(place: Path) -> IdentificationRun:
-    """Read a ``result.json`` with the tables beside it, without linearized problem and burn-in."""
+    """Read a ``result.json`` with its tables, without linearization and burn-in."""
     path = place / RESULT_FILE if is_folder(place) else place
     folder = path.parent
     content = codec.content_of(path, RESULT_SCHEMA, _AGAIN)
@@ -113,7 +113,7 @@ def _fitting(path: Path, again: str) -> Iterator[None]:
     try:
         yield
     except (KeyError, IndexError, TypeError, ValueError, AttributeError) as error:
-        raise InputError(f"{path.parent} has tables that do not go with its {path.name} ({error}); {again}") from None
+        raise InputError(f"{path.parent}: tables contradict {path.name} ({error}); {again}") from None
 
 
 def _fill_fits(fits: Sequence[dict[str, Any]], whole: pd.DataFrame) -> list[pd.DataFrame]:
@@ -201,7 +201,7 @@ def read_monitoring(folder: Path) -> MonitoringRun:
 
 
 def _with_tables(prepared: Any, path: Path) -> Any:
-    """Put the columns of preprocessed tables into the content of a JSON file."""
+    """Put preprocessed tables into the content of a JSON file."""
     if not path.is_file() or not isinstance(prepared, list):
         return prepared
     table = read_table(path)
@@ -255,4 +255,4 @@ def read_table(path: Path) -> pd.DataFrame:
         texts = dict.fromkeys(names.intersection(list(_TEXTS)), str)
         return with_formulas(pd.read_csv(path, converters=texts))
     except (OSError, ValueError) as error:
-        raise InputError(f"{path} cannot be read as a table of results: {error}") from None
+        raise InputError(f"{path}: no readable table of results: {error}") from None

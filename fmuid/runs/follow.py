@@ -104,11 +104,10 @@ class _Running:
         state = self.folder / STATE_FILE
         left = [name for name in (TABLE_FILE, ALARMS_FILE) if files.is_file(self.folder / name)]
         if left and not files.is_file(state):
-            raise DamagedStateError(state, f"it is missing beside {left[0]}")
+            raise DamagedStateError(state, f"missing beside {left[0]}")
         beside = self.monitor.resume(self.folder, KEPT_ROWS) if files.is_file(state) else {}
         if beside.get("key", self.key) != self.key:
-            other = f"{self.folder} is of a run with another study or other models"
-            raise InputError(f"{other} ({self.study.path} has changed since): use the same, or another output folder")
+            raise InputError(f"{self.folder}: {self.study.path} or its models have changed. Use another output folder.")
         with damage_of(state):
             self.follower = LogFollower(given, self.place, rule.window, rule.transient, beside.get("followed"))
             self.alarms = AlarmLines(**beside.get("alarms", {"study": self.study.title}), say=self.say)
@@ -126,8 +125,7 @@ class _Running:
             if files.exists(self.folder / name):
                 (self.folder / name).replace(aside / name)
         self.remarks.append(
-            f"{error.path}: the earlier run cannot be resumed ({error.why}); its files are in {aside}, and all records "
-            "are examined anew"
+            f"{error.path}: earlier run not resumable ({error.why}). Moved to {aside}; all records are examined again."
         )
         self.sound, self.changed = True, False
         self._resume()
@@ -233,13 +231,13 @@ def _told(command: Sequence[str], line: str, folder: Path) -> list[str]:
             timeout=COMMAND_SECONDS,
         )  # fmt: skip
     except TimeoutExpired:
-        return [f"the command {command[0]!r} took more than {COMMAND_SECONDS:g} s at alarm {said['id']} and was ended"]
+        return [f"alarm_command {command[0]!r} exceeded {COMMAND_SECONDS:g} s at alarm {said['id']} and was ended"]
     except (OSError, ValueError) as error:
         why = getattr(error, "strerror", None) or error
-        return [f"[monitoring] command: {command[0]!r} cannot be run: {why}; give a program and its arguments"]
+        return [f"monitoring.alarm_command: {command[0]!r} failed to start: {why}. Give a program and its arguments."]
     if done.returncode:
         last = (done.stdout.strip().splitlines() or ["without a word"])[-1]
-        return [f"the command {command[0]!r} failed at alarm {said['id']} (exit code {done.returncode}): {last}"]
+        return [f"alarm_command {command[0]!r} failed at alarm {said['id']} (exit code {done.returncode}): {last}"]
     return []
 
 

@@ -59,7 +59,7 @@ class LogFile:
         self.done = True
 
     def is_of(self, path: Path) -> bool:
-        """Return True if a file still begins with the bytes that were read."""
+        """Return True if a file still has the bytes read."""
         count, digest = self.begins
         with path.open("rb") as file:
             if _digest(file.read(count)) != digest:
@@ -84,7 +84,7 @@ class NewRows:
 
 
 def good_rows(path: Path, each: LogFile, words: ExperimentSettings, most: int) -> tuple[NewRows | None, int]:
-    """Return new rows before a bad line (or None), and the byte after it."""
+    """Return new rows before a bad line, and the byte after it."""
     with path.open("rb") as file:
         if each.head < 0:
             start = file.read(HEAD_BYTES)
@@ -142,7 +142,9 @@ class _Lines:
             if column in frame.columns and not words.preprocess.computed_columns:
                 numeric_column(frame, column, str(self.path))
         if len(frame) != 1 + np.count_nonzero(there):
-            raise InputError(f"{self.path}: its rows are no lines: save it otherwise, or give it when it is whole")
+            raise InputError(
+                f"{self.path}: some rows span several lines. Save one row per line, or pass the finished file."
+            )
         attributes = frame.attrs
         frame = frame.iloc[1:].reset_index(drop=True)
         frame.attrs = attributes

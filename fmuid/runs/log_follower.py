@@ -1,4 +1,4 @@
-"""New records in the folder of a logger, and rows of a growing file.
+"""New records of a logger, and rows of a growing file.
 
 Files are looked at again and again, which works on network drives too. A text is read as it grows, by whole lines.
 Other files, and texts that are preprocessed as a whole, are read once they have not changed for `SETTLED`. Records are
@@ -60,7 +60,7 @@ class LogFollower:
         state: Mapping[str, Any] | None = None,
     ) -> None:
         if not place.exists():
-            raise InputError(f"{place}: there is no such folder or file: say where the records come in")
+            raise InputError(f"{place}: no such folder or file. Give the folder of the logger.")
         self.words, self.place, self.window, self.transient = words, place, window, transient
         files = [] if state is None else state["files"]
         self._files = {each["file"]: LogFile(**{**each, "begins": tuple(each["begins"])}) for each in files}
@@ -83,7 +83,7 @@ class LogFollower:
         return {"files": files, "numbers": self._numbers}
 
     def look(self) -> Iterator[RecordUpdate | str]:
-        """Yield new pieces, each followed by `taken` or `refused`, and remarks on files."""
+        """Yield new pieces, to be `taken` or `refused`, and remarks."""
         yield from self._found()
         here = [each for _, each in sorted(self._files.items()) if (self.folder / each.file).exists()]
         waiting = [each for each in here if not each.done]
@@ -93,7 +93,7 @@ class LogFollower:
             try:
                 yield from self._of_rows(path, each, others) if self._growing(path) else self._whole(path, each)
             except OSError as error:
-                yield from _say(each, f"{path} cannot be read: {error.strerror or error}")
+                yield from _say(each, f"{path}: read failed: {error.strerror or error}")
             if not each.done:
                 return
 
@@ -158,7 +158,7 @@ class LogFollower:
             whole = rows is None or piece is None or piece.until == rows.starts[-1]
             if skipped and whole:
                 self._end(path, each, skipped)
-                yield f"{path}: a line that is no row of the table is left out; what follows is {each.record!r}"
+                yield f"{path}: invalid line ignored; following rows are record {each.record!r}."
                 more = True
             elif piece is not None and piece.splits and each.record == record:
                 self._end(path, each, piece.until)
@@ -227,7 +227,7 @@ class LogFollower:
             if each is None:
                 each = LogFile(name, self._name(path.stem))
                 if each.record != path.stem:
-                    yield f"{path} is another file than before: its record is {each.record!r}"
+                    yield f"{path}: replaced by another file; its record is {each.record!r}."
             else:
                 lost.remove(each)
                 self._files.pop(each.file, None)
@@ -241,7 +241,7 @@ class LogFollower:
             self._end(path, each, each.end)
         else:
             each.record, each.begun, each.done = self._name(path.stem), False, False
-        return f"{path} has changed after its record was examined: what came in is the record {each.record!r}"
+        return f"{path}: changed after its record was examined; new rows are record {each.record!r}."
 
     def _name(self, stem: str) -> str:
         """Return the name of another record from a file."""

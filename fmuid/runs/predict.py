@@ -41,7 +41,7 @@ def records_like(
     """Read records with an experiment's settings, and their raw tables."""
     names = [given.name for given in study.experiments]
     if like is not None and like not in names:
-        raise InputError(f"{study.path} has no experiment {like!r}{nearest(like, names)}: it has {', '.join(names)}")
+        raise InputError(f"{study.path}: unknown experiment {like!r}{nearest(like, names)}. Choose {', '.join(names)}.")
     given = study.experiments[0 if like is None else names.index(like)]
     for path in record_files(paths):
         if path.stem in known:
@@ -65,13 +65,13 @@ def predict_with(
     taken |= {name.rpartition("[")[0] for name in result.names if name not in taken}
     for name in study.parameters:
         if name not in taken and name not in again:
-            lacking = f"{study.path} has the parameter {name!r}, of which the result has no value"
-            raise InputError(f"{lacking}: estimate it on each record (--refit {name}), or give it under [model.fixed]")
+            lacking = f"{study.path}: parameters.{name}: the result has no value"
+            raise InputError(f"{lacking}. Estimate it on each record (--refit {name}), or set it in model.fixed.")
     return predict_by_model(known, result, experiment, free=again, level=level)
 
 
 def fits_at(study: Study, result: Result) -> tuple[OutputFit, ...]:
-    """Return the fits of a study at a result's estimates, else at starts."""
+    """Return the fits of a study at estimates, else at initial guesses."""
     found = []
     for table in study.tables:
         known = estimates_for(result, study.system, table, ())
@@ -122,7 +122,7 @@ def predict(
     >>> fmuid.predict(fmuid.identify(coil.problem()), coil.experiment).fit.outputs
     ('i',)
     """
-    check_kind(result, Result, "what is predicted with must be a fmuid.Result")
+    check_kind(result, Result, "result must be a fmuid.Result")
     known = ModelReference(System.of(model), {}) if model is not None else _known(result)
     again = free if isinstance(free, Mapping) else _free(known, result, [free] if isinstance(free, str) else free)
     return predict_by_model(known, result, experiment, values=values, free=again, level=level)
@@ -133,15 +133,15 @@ def _of(study: Study) -> ModelReference:
 
 
 def _known(result: Result) -> ModelReference:
-    remedy = "give the model: fmuid.predict(result, experiment, model)"
+    remedy = "Pass model=."
     if isinstance(result.setup.made_with, ModelReference):
         return result.setup.made_with
     if not isinstance(result.setup.made_with, Path):
-        raise InputError(f"the result does not know what it was made with: {remedy}")
+        raise InputError(f"No model recorded in this result. {remedy}")
     try:
         return _of(study_of(result.setup.made_with, in_place=result.setup.made_with))
     except InputError as error:
-        raise InputError(f"{error}, or {remedy}") from None
+        raise InputError(f"{error}, or pass model=") from None
 
 
 def _free(known: ModelReference, result: Result, names: Sequence[str]) -> dict[str, Parameter]:
@@ -157,7 +157,7 @@ def _free(known: ModelReference, result: Result, names: Sequence[str]) -> dict[s
             continue
         value = result[name] if name in result.names else known.values.get(name, variable.start or 0.0)
         if isinstance(value, bool | str):
-            raise InputError(f"{name!r} is held at {value!r}, which is no number: it cannot be estimated again")
+            raise InputError(f"{name!r} is fixed at {value!r}, not a number. Only numbers can be refitted.")
         found[name] = Parameter(float(value), nominal=variable.nominal or abs(float(value)) or 1.0)
     return found
 
@@ -173,9 +173,9 @@ def cross_validate(
     """Predict each part of the experiments by a result of the others."""
     experiments = study.tables
     if not 2 <= folds <= len(experiments):
-        few = "; a study of one experiment has nothing to leave out" if len(experiments) == 1 else ""
+        few = "; one experiment cannot be cross-validated" if len(experiments) == 1 else ""
         wrong = f"{folds} folds of {len(experiments)} experiments"
-        raise InputError(f"{study.path}: {wrong}: give at least 2, and at most one for each{few}")
+        raise InputError(f"{study.path}: {wrong}. Give between 2 and the number of experiments{few}.")
     again = dict.fromkeys([*(name for name, p in study.parameters.items() if p.per_experiment), *free])
     found, predictions = [], dict[str, Prediction]()
     for part in range(folds):
@@ -208,7 +208,7 @@ def predicted_by(
 ) -> PredictionRun:
     """Predict records that a result was not made from."""
     if not tables:
-        raise InputError("name the tables to predict, or give --folds to predict the study's own experiments")
+        raise InputError("no data to predict. Name data files, or cross-validate with --folds.")
     path = result_path(Path(result))
     estimates = Result.from_json(path)
     study = study or study_of(path, in_place=Path(tables[0]))
@@ -229,7 +229,7 @@ def cross_predicted(
     level: float = CONFIDENCE_LEVEL,
     progress: Progress | None = None,
 ) -> PredictionRun:
-    """Predict each part of the experiments of a result's study from the others (`cross_validate`)."""
+    """Predict each part of a study's experiments from the others (`cross_validate`)."""
     path = result_path(Path(result))
     study = study or study_of(path)
     notes = tuple(notes_of(study, path, Result.from_json(path)))
@@ -238,7 +238,7 @@ def cross_predicted(
 
 
 def _common(found: Sequence[Prediction]) -> CommonTables:
-    """Return the RMSE of each output over all records, and the mean fit, %."""
+    """Return the RMSE of each output, and the mean fit, %."""
     scores, sums = [score for each in found for score in each.scores], dict[str, tuple[float, int]]()
     for score in scores:
         squares, samples = sums.get(score.output, (0.0, 0))
@@ -255,7 +255,7 @@ def compared(
     free: Sequence[str] = (),
     isolated: bool = False,
 ) -> ComparisonRun:
-    """Compare results by likelihoods if made from the same data, and on common tables."""
+    """Compare results by likelihoods (same data only), and on common tables."""
     paths, records = [result_path(Path(each)) for each in results], [Path(table) for table in tables]
     candidates = [_candidate(path, name) for path, name in zip(paths, _names(paths), strict=True)]
     comparison, apart = None, ""
@@ -291,7 +291,7 @@ def _names(paths: Sequence[Path]) -> list[str]:
     ways = [path.resolve() for path in paths]
     for path, way in zip(paths, ways, strict=True):
         if ways.count(way) > 1:
-            raise InputError(f"{path} is given twice: give each result once")
+            raise InputError(f"{path}: given twice. Give each result once.")
     parts = [way.parent.parts if way.name == RESULT_FILE else way.parts for way in ways]
     names: list[str] = []
     for depth in range(1, max(map(len, parts)) + 1):

@@ -32,7 +32,7 @@ _GIVE_STUDY = "name the study file with --study"
 
 
 def made_from(study: Study, also: Iterable[Path] = (), folder: Path | None = None) -> Provenance:
-    """Return the provenance of findings now, with the study's content for a `folder`."""
+    """Return the provenance of findings, with the study for a `folder`."""
     content = study.path.read_bytes() if study.path.is_file() else b""  # none of a study made in Python
     text = content.decode("utf-8", errors="replace")
     try:
@@ -56,9 +56,9 @@ def write_origin(path: Path, study: Study, also: Iterable[Path] = ()) -> Path:
 
 
 def digests(files: Iterable[Path], folder: Path) -> dict[str, str]:
-    """Return SHA-256 of the first existing files by the ends of their paths.
+    """Return SHA-256 of existing files by the ends of their paths.
 
-    The whole path might tell whose machine it was.
+    A whole path could disclose its owner.
     """
     found = {}
     for path in [path for path in dict.fromkeys(files) if path.is_file()][:MOST_FILES]:
@@ -111,7 +111,7 @@ def study_of(
     path = result_path(result)
     origin = codec.read(path, RESULT_SCHEMA, _Origin, _GIVE_STUDY).origin
     if origin is None or origin.study is None or origin.study.content is None:
-        raise InputError(f"{path} does not say by which study it was made: {_GIVE_STUDY}")
+        raise InputError(f"{path}: no study recorded; {_GIVE_STUDY}")
     data = _mapped(dict(origin.study.content), _of_json)
     file = Path(os.path.normpath(path.parent / origin.study.file))
     for setting in overrides:
@@ -128,5 +128,5 @@ def result_path(given: Path) -> Path:
     """Return the ``result.json`` of a path or folder."""
     path = given / RESULT_FILE if is_folder(given) else given
     if not is_file(path):
-        raise InputError(f"{path}: there is no such result: give a result.json, or the folder that has it")
+        raise InputError(f"{path}: no such result. Give a result.json or its folder.")
     return path

@@ -25,7 +25,7 @@ def result_schema_text() -> str:
 
 
 def schema(kind: type, schema_name: str) -> dict[str, Any]:
-    """Return the JSON Schema of the files of a class, with docstrings as descriptions."""
+    """Return the JSON Schema of a class's files, described by docstrings."""
     known: dict[str, Any] = {}
     root = _schema(kind, known)
     own = {"schema": {"const": schema_name}}

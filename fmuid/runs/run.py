@@ -28,10 +28,10 @@ QUICK_SECONDS = 2.0
 
 
 class SearchInterruptedError(FmuidError):
-    """The keyboard ended a search before it found anything better than the start."""
+    """Interruption before the optimizer improved the initial guess."""
 
     def __init__(self) -> None:
-        super().__init__("interrupted before anything better than the start was found: nothing is written")
+        super().__init__("interrupted before any improvement: nothing is written")
 
 
 def identified(
@@ -43,7 +43,7 @@ def identified(
     it with the findings so far. If nothing can be written, findings are yielded before the error.
     """
     if folder is None and resume:
-        raise InputError("an earlier result is in a folder: say in which one")
+        raise InputError("resume needs the folder of the earlier result. Give it.")
     problem, shown = study.problem(), None
     if study.diagnosis is not None:
         from fmuid.runs.faults import shown_by  # and all of diagnosis
@@ -84,7 +84,7 @@ def resumed_start(path: Path, parameters: ParameterSet) -> Floats:
     shared = [name for name in parameters.names if name in earlier.names]
     if not shared:
         theirs, ours = ", ".join(earlier.names), ", ".join(parameters.names)
-        raise InputError(f"{path} is of another study: its parameters are {theirs}, not {ours}")
+        raise InputError(f"{path}: result of another study, with parameters {theirs}, not {ours}.")
     start = parameters.start.copy()
     for name in shared:
         start[parameters.index(name)] = earlier[name]
@@ -125,7 +125,7 @@ def _written(study: Study, folder: Path, found: IdentificationRun) -> Identifica
             place = files.rescued(path.name, lambda there: codec.write(there, RESULT_SCHEMA, found))
         if place is None:
             raise
-        raise FmuidError(f"{error}; the result is kept in {place}") from None
+        raise FmuidError(f"{error} The result is kept in {place}.") from None
     if not found.assessment.is_explored:
         written += write_estimates(folder, study.system, found.result)
     return replace(found, files=tuple(dict.fromkeys((*found.files, *written))))

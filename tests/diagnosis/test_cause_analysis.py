@@ -76,7 +76,7 @@ def test_outputs_and_columns_are_those_of_the_closed_form(
 ) -> None:
     machine = LinearizedMachine(coil, {}, coordinates, experiment(current()))
     point = coordinates.healthy + np.array([at.get(name, 0.0) for name in ORDER])
-    outputs, columns = machine.linearise(point)
+    outputs, columns = machine.linearize(point)
     assert outputs[:, 0] == pytest.approx(current(**at), abs=1e-6)
     assert machine.outputs(point) == pytest.approx(outputs)
     for k, name in enumerate(ORDER):
@@ -91,7 +91,7 @@ def test_a_column_that_two_inputs_share_is_scaled_for_one(coil: fmuid.System) ->
     frame = experiment(current()).frame
     shared = fmuid.Experiment(frame, {"u": "u"}, {"i": "i"}, interpolation="zoh")
     made = coordinates_of(coil, NOMINAL, {}, shared, {"i": NOISE}, Causes())
-    LinearizedMachine(coil, {}, made, shared).linearise(made.healthy)
+    LinearizedMachine(coil, {}, made, shared).linearize(made.healthy)
     assert shared.frame["u"].to_numpy() == pytest.approx(VOLTAGE)
     assert [each.variable for each in made.each if each.kind is CauseKind.INPUT_GAIN] == ["u"]
 

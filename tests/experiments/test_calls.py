@@ -59,10 +59,10 @@ def test_columns_in_phases_are_differences() -> None:
     names = [each.name for each in setting.coordinates.each]
     point[names.index("gain(ia)")] = 0.02
     point[names.index("stator.fault.eta_b")] = 0.004
-    _, columns = model.linearise(point)
+    _, columns = model.linearize(point)
     for name, step in (("Rs", 0.02), ("stator.fault.eta_a", 1e-4), ("input gain(uc)", 1e-3), ("delay(ia)", 1e-5)):
         i = names.index(name)
-        ends = [model.linearise(point + sign * step * np.eye(point.size)[i])[0] for sign in (1.0, -1.0)]
+        ends = [model.linearize(point + sign * step * np.eye(point.size)[i])[0] for sign in (1.0, -1.0)]
         slope = (ends[0] - ends[1]) / (2.0 * step)
         assert np.abs(columns[:, :, i] - slope).max() < 2e-3 * np.abs(slope).max(), name
 
@@ -77,7 +77,7 @@ def test_the_models_give_the_machine_s_currents() -> None:
         sizes = machine.Case(off).right
         for name, size in sizes.items():
             point[names.index(name)] = size
-        left = model.experiment.output_values - model.linearise(point)[0]
+        left = model.experiment.output_values - model.linearize(point)[0]
         assert left.std() < most * machine.STD, case
     assert sizes == {"stator.fault.eta_a": 2 / TURNS}
 

@@ -97,8 +97,8 @@ def test_component_of_a_system(tmp_path: Path) -> None:
     ("values", "changes", "message"),
     [
         ({"Rs": (4.0, 0.1)}, {}, "'Rs'.*'R'"),
-        ({"i": (4.0, 0.1)}, {}, "'i' may not be set"),
-        ({"R[first]": (4.0, 0.1)}, {}, r"R\[first\] was estimated for one experiment"),
+        ({"i": (4.0, 0.1)}, {}, "i: start value is not settable"),
+        ({"R[first]": (4.0, 0.1)}, {}, r"R\[first\]: estimated for one experiment"),
         ({"R": (-4.0, 0.1)}, {}, "-4 .*min = 0"),
         ({"R": (4.0, None), "L": (0.1, 0.01)}, {}, "R"),
         ({"R": (4.0, 0.1)}, {"outcome": "iteration_limit", "converged": False}, "iteration_limit"),
@@ -119,8 +119,8 @@ def test_result_that_cannot_be_applied_is_refused(
     [
         ({"R": Quantity("text")}, "text 'text'"),
         ({"R": Quantity(True)}, "True is no start value"),
-        ({"R": Quantity(1.0, "H")}, "'H', which does not convert to 'Ohm'"),
-        ({}, r"x\.ssv has no parameters$"),
+        ({"R": Quantity(1.0, "H")}, "'H' does not convert to 'Ohm'"),
+        ({}, r"x\.ssv: no parameters$"),
     ],
 )
 def test_wrong_ssv_values_are_refused(tmp_path: Path, values: dict[str, Quantity], message: str) -> None:

@@ -188,9 +188,9 @@ def test_memory_is_of_the_latest_windows(plant: Path, monkeypatch: pytest.Monkey
         (["records", "records"], "excludes several folders"),
         (["records", "--resume"], "excludes --resume"),
         (["records", "--figures", "png"], "excludes --figures"),
-        (["nowhere"], "nowhere: there is no such folder or file"),
+        (["nowhere"], "nowhere: no such folder or file"),
         (["records", "--set", "monitoring.alarm_command=3"], "monitoring.alarm_command: must be a list of a program"),
-        (["records", "--set", "diagnosis.faults.turns.fixed.tau=0.02"], "of a run with another study or other models"),
+        (["records", "--set", "diagnosis.faults.turns.fixed.tau=0.02"], "or its models have changed"),
         (
             ["records", "--set", "diagnosis.false_alarm_rate=0.2"],
             "another rule, other faults or another healthy machine",

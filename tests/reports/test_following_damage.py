@@ -201,7 +201,7 @@ def test_damaged_files_are_put_aside_once(stopped: Path, tmp_path: Path, damage:
     here = folder / "out" / ("monitoring.csv" if how == "of too many windows" else name)
     of_record, said = sorted(follow(folder), key=lambda each: "resumed" in each)
     assert "a.parquet" in of_record
-    assert said.startswith(f"{here}: the earlier run cannot be resumed (")
+    assert said.startswith(f"{here}: earlier run not resumable (")
     assert str(folder / "out" / "earlier-1") in said
     assert follow(folder) == []
     after = rows(folder)

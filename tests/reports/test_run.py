@@ -78,9 +78,9 @@ def test_without_a_folder_nothing_is_written(study: Path) -> None:
     assert found.files == ()
     assert math.isfinite(found.assessment.profiles[0].upper)
     assert sorted(study.parent.rglob("*")) == before
-    with pytest.raises(fmuid.InputError, match="in a folder"):
+    with pytest.raises(fmuid.InputError, match="needs the folder"):
         fmuid.run(study, figures="png")
-    with pytest.raises(fmuid.InputError, match="in a folder"):
+    with pytest.raises(fmuid.InputError, match="needs the folder"):
         run_study(study, resume=True)
     with pytest.raises(fmuid.InputError, match="png, svg, pdf"):
         fmuid.run(study, study.parent, figures="jpg")

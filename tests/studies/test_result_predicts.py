@@ -48,9 +48,9 @@ def test_one_that_knows_no_model_asks_for_it(tmp_path: Path) -> None:
     coil = fmuid.datasets.coil()
     result = fmuid.identify(coil.problem())
     sent = pickle.loads(pickle.dumps(result))
-    with pytest.raises(fmuid.InputError, match=r"does not know what it was made with: give the model"):
+    with pytest.raises(fmuid.InputError, match="No model recorded"):
         fmuid.predict(sent, coil.experiment)
     assert fmuid.predict(sent, coil.experiment, coil.fmu).fit.outputs == ("i",)
     (tmp_path / "result.json").write_text(json.dumps(RESULT | as_json(result)))
-    with pytest.raises(fmuid.InputError, match=r"does not say by which study it was made: .*, or give the model"):
+    with pytest.raises(fmuid.InputError, match=r"no study recorded.*, or pass model="):
         fmuid.predict(fmuid.Result.from_json(tmp_path / "result.json"), coil.experiment)

@@ -83,7 +83,7 @@ def test_records_are_read_with_the_words_of_an_experiment(folder: Path) -> None:
     ((record, _),) = records_like(study, [folder / "second.csv"])
     assert record.name == "second"
     assert record.held.all()
-    with pytest.raises(InputError, match=r"has no experiment 'firts' \(did you mean 'first'\?\): it has first"):
+    with pytest.raises(InputError, match=r"unknown experiment 'firts' \(did you mean 'first'\?\)"):
         list(records_like(study, [folder / "second.csv"], "firts"))
     text = (folder / "second.csv").read_text().replace("time,u,i", "time,v,i")
     (folder / "other.csv").write_text(text)
@@ -107,7 +107,7 @@ def test_a_parameter_without_a_value_is_refused(folder: Path) -> None:
     study = Study.read(folder / "study.toml", ["parameters.i_start={start=0.0, nominal=0.1}"])
     result = Result.from_json(kept(study, folder))
     ((record, _),) = records_like(study, [folder / "second.csv"])
-    with pytest.raises(InputError, match=r"has the parameter 'i_start', of which the result has no value: .*--refit"):
+    with pytest.raises(InputError, match=r"i_start: the result has no value.*--refit"):
         predict_with(study, result, record)
     assert predict_with(study, result, record, free=["i_start"]).estimated is not None
 
@@ -125,7 +125,7 @@ def test_each_part_is_predicted_from_the_others(folder: Path) -> None:
     pairs, _ = cross_validate(study, 2)
     assert [len(fold.left_out) for fold in pairs] == [2, 1]
     alone = Study.read(folder / "study.toml", ['experiments=[{data="first.csv", outputs=["i"], inputs=["u"]}]'])
-    with pytest.raises(InputError, match=r"2 folds of 1 experiments: .*nothing to leave out"):
+    with pytest.raises(InputError, match=r"2 folds of 1 experiments.*cannot be cross-validated"):
         cross_validate(alone, 2)
 
 

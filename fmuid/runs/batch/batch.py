@@ -37,7 +37,7 @@ MAX_CASES = 100_000
 WRITE_SECONDS, WRITE_SHARE = 3.0, 20.0
 # Time over which the rate is taken, s.
 RATE_SECONDS = 30.0
-_REMEDY = "choose another folder with --output, or remove its cases with --no-resume"
+_REMEDY = "Choose another folder with --output, or remove its cases with --no-resume."
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,7 +88,7 @@ class BatchResult(PlotMixin):
 
     @cached_property
     def frame(self) -> pd.DataFrame:
-        """One row a finished case, sorted by case, with the columns of `CaseRunner.columns`."""
+        """Finished cases, one row each, sorted (`CaseRunner.columns`)."""
         return self.dataset.read()
 
     def summary(self) -> tuple[Summary, pd.DataFrame]:
@@ -112,7 +112,7 @@ class Batch(HtmlTableMixin):
     workers : int, optional
         Number of workers of this machine; default: one a core.
     max_cases : int
-        More cases are refused.
+        Limit of the number of cases.
     isolated : bool
         Run FMUs in processes of their own: a crash costs one simulation.
 
@@ -142,12 +142,12 @@ class Batch(HtmlTableMixin):
         self.folder = Path(folder)
         self.cases = CaseList.of(self.study)
         if len(self.cases) > max_cases:
-            many = f"{self.study.path} spans {len(self.cases)} cases, and --max-cases allows {max_cases}"
-            raise InputError(f"{many}: check [batch], and allow them with --max-cases {len(self.cases)}")
+            many = f"{self.study.path}: batch: {len(self.cases)} cases exceed the limit of {max_cases}"
+            raise InputError(f"{many}. Check the axes, or pass --max-cases {len(self.cases)}.")
         if workers is not None and workers < 1:
             raise InputError(f"--workers must be a whole number above 0, not {workers}")
         if workers is not None and scheduler is not None:
-            raise InputError("--workers says how many there are of this machine, and --scheduler has its own: keep one")
+            raise InputError("--workers and --scheduler exclude each other. Keep one.")
         self._scheduler, self._workers, self._isolated = scheduler, workers, isolated
         self._columns: Mapping[str, str] = CaseRunner(self.study).columns
         self.dataset = Dataset(self.folder, self._columns, len(self.cases))
@@ -204,10 +204,10 @@ class Batch(HtmlTableMixin):
         path = self.folder / MANIFEST
         if resume and self.dataset.parts():
             if not path.exists():
-                raise InputError(f"{self.folder} has cases and no {MANIFEST} that says of which batch: {_REMEDY}")
+                raise InputError(f"{self.folder}: cases without {MANIFEST}. {_REMEDY}")
             found = changes(_read_manifest(path), bundle.manifest())
             if found:
-                raise InputError(f"{self.folder} has the cases of another batch ({'; '.join(found)}): {_REMEDY}")
+                raise InputError(f"{self.folder}: cases of another batch ({'; '.join(found)}). {_REMEDY}")
             return self.dataset.repair()
         self.dataset.clear()
         told = {"cases": len(self.cases), "begun": datetime.now(UTC).isoformat(timespec="seconds")}
@@ -246,7 +246,7 @@ class Batch(HtmlTableMixin):
         empty: dict[str, Any] = {"int64": 0, "float64": math.nan, "bool": False}
         row = {name: empty.get(kind, "") for name, kind in self._columns.items()}
         row |= {"case": case, **self.cases[case].settings, "status": "failed", "finished": datetime.now(UTC)}
-        return row | {"message": "it ended the process of its worker again and again, as where memory runs out"}
+        return row | {"message": "the worker process ended repeatedly, for example for lack of memory"}
 
 
 class _Writer:
@@ -308,4 +308,4 @@ def _read_manifest(path: Path) -> dict[str, Any]:
         said = "no table"
     except (OSError, ValueError, RecursionError) as error:
         said = str(error)
-    raise InputError(f"{path} cannot be read ({said}): {_REMEDY}")
+    raise InputError(f"{path}: read failed ({said}). {_REMEDY}")

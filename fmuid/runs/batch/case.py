@@ -84,7 +84,7 @@ class CaseRunner:
         return CaseOutcome(row, "\n".join([*warnings, *([printed] if printed else [])]))
 
     def _found(self, case: Case) -> dict[str, object]:
-        """Return the columns that a case finds, without those that have no value."""
+        """Run a case; return its columns with a value."""
         evaluator: Evaluator[Problem] | None = None
         words: dict[str, object] = {"status": "failed", "undetermined": "", "verdict": "not_usable", "reasons": ""}
         try:

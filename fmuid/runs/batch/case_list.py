@@ -1,4 +1,4 @@
-"""The cases of a batch and its random draws, each computed from its number alone.
+"""Cases and random draws of a batch, each computed from its number.
 
 The axes of a batch are, in this order: data, each variable of sweep, space_filling, free_parameters, starting_points,
 monte_carlo. In a product the last axis varies fastest; in a list the n-th case has the n-th entry of every axis.
@@ -58,11 +58,11 @@ class _Axis:
 
 
 class CaseList:
-    """The cases of a study's ``[batch]``, each made on request, without their tables."""
+    """The cases of a study's ``[batch]``, made on request, without data."""
 
     def __init__(self, study: Study) -> None:
         if study.batch is None:
-            raise InputError(f"{study.path} has no [batch]: give it, with the tables, starts, values or noise to vary")
+            raise InputError(f"{study.path}: no [batch]. Add it, with data, starting_points, sweep or monte_carlo.")
         study.check_parameters()
         self.study, self.settings = study, study.batch
         self.names = tuple(flat_names(study))  # all parameters, those per experiment one by one
@@ -143,12 +143,12 @@ class CaseList:
         if self.settings.combine == "zip":
             if len(set(counts.values())) > 1:
                 said = ", ".join(f"{count} of {word}" for word, count in counts.items())
-                wrong = f'has combine = "zip" and axes of different lengths ({said})'
-                raise self.settings.error(f'{wrong}: make them equally long, or combine them as a "product"')
+                wrong = f'combine = "zip" needs axes of one length, not {said}'
+                raise self.settings.error(f'{wrong}. Change them, or choose "product".')
             return next(iter(counts.values()))
         length = math.prod(counts.values())
         if length > MOST_CASES:
-            raise self.settings.error(f"spans {length} cases, more than can be run: take fewer of each axis")
+            raise self.settings.error(f"{length} cases are too many. Shorten the axes.")
         return length
 
     def _subset(self, entry: int) -> tuple[str, ...]:
@@ -234,7 +234,7 @@ def noise(seed: int, record: str | None, draw: int, experiment: int, shape: tupl
 
 
 def design(sample: SpaceFillingSection, seed: int) -> Floats:
-    """Return the points (count, n) of a space-filling design within its ranges (`scipy.stats.qmc`)."""
+    """Return the points (count, n) of a space-filling design (`scipy.stats.qmc`)."""
     from scipy.stats import qmc  # slow to import
 
     rng, n = generator(seed, FOR_SAMPLE), len(sample.ranges)

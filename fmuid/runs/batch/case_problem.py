@@ -62,7 +62,7 @@ def problem_of(
 
 
 def _given(prior: JointPrior, known: Mapping[str, float]) -> JointPrior | None:
-    """Return the conditional normal distribution of unknown parameters, the prior's part of (1.37)."""
+    """Return the conditional normal distribution of unknown parameters (1.37)."""
     there = np.array([name in known for name in prior.names])
     if not there.any():
         return prior
@@ -118,7 +118,7 @@ def check_model(study: Study, settings: BatchSettings, subsets: Sequence[Sequenc
         if settings.monte_carlo is not None:
             truth_simulators(study, experiments, truth_values(study, held))
     except InputError as error:
-        raise settings.error(f"does not fit: {error}") from None
+        raise settings.error(f"{error}") from None
 
 
 def _unmeasured(given: ExperimentSettings, rows: int) -> Experiment:

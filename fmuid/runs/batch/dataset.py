@@ -82,7 +82,7 @@ class Dataset:
             table = table.cast(self.schema if columns is None else pa.schema([self.schema.field(n) for n in columns]))
             cases = table["case"].to_numpy()
             if not ((cases >= 0) & (cases < self.count)).all():
-                raise ValueError(f"it has a case that is none of the {self.count} of the batch")
+                raise ValueError(f"case number not below {self.count}")
             return table
 
     def _together(self, tables: Sequence[pa.Table]) -> pa.Table:
@@ -99,7 +99,7 @@ class Dataset:
                 self._merge([path for path in self.parts() if self._load(path, ["case"]).num_rows < PART_ROWS])
 
     def compact(self) -> None:
-        """Merge all parts into full ones, a few in memory at a time."""
+        """Merge all parts into full ones, few in memory at once."""
         with self._writing():
             self._merge(self.parts())
 
@@ -195,12 +195,12 @@ class Dataset:
         try:
             yield
         except OSError as error:
-            why = f"{self.folder} cannot be written to: {error.strerror or error}"
-            raise FmuidError(f"{why}; the cases finished so far are kept: make room, and repeat the command") from None
+            why = f"{self.folder}: write failed: {error.strerror or error}"
+            raise FmuidError(f"{why}. Finished cases are kept: free disk space, and repeat the command.") from None
 
 
 def parts_in(folder: Path) -> list[Path]:
-    """Return the parts of a batch's folder by name, without files of others."""
+    """Return the parts of a batch's folder by name."""
     return sorted(path for path in (folder / CASES).glob("part-*.parquet") if _PART_NAME.fullmatch(path.name))
 
 
@@ -212,10 +212,10 @@ def read_part(path: Path, wanted: Callable[[str], bool] = lambda _: True) -> pa.
 
 
 def _opened(path: Path) -> pq.ParquetFile:
-    """Return a part to read from, after a check of all its bytes."""
+    """Return a part to read from; check all its bytes."""
     content = path.read_bytes()
     if path.stem.rpartition("-")[2] != _digest(content):
-        raise ValueError("its content is not what was written")
+        raise ValueError("wrong digest")
     return pq.ParquetFile(pa.BufferReader(content))
 
 
@@ -226,7 +226,7 @@ def _whole(path: Path) -> Iterator[None]:
         yield
     except _DAMAGED as error:
         why = str(error).splitlines()[0]
-        raise InputError(f"{path} is damaged ({why}): give the batch again, which runs its cases anew") from None
+        raise InputError(f"{path}: damaged ({why}). Repeat the command to run its cases again.") from None
 
 
 def _digest(content: bytes) -> str:

@@ -1,8 +1,8 @@
 """Workers of this machine, kept by a process of their own.
 
 It is ``python -m fmuid.runs.batch.local_workers ADDRESS COUNT FOLDER``. As workers are started there, the main module
-of the batch need not be importable. Standard input is the lifeline: when it ends, as by a kill of the batch, this
-process ends its workers and all that they have started, and removes the folder.
+of the batch need not be importable. Standard input is the lifeline: it ends with the batch, however that ends. Then
+this process ends its workers and all that they have started, and removes the folder.
 
 The folder is locked while a process uses it; the next batch removes it otherwise. The lock is of the open file
 (``flock``) and inherited: it lasts until the last process that has it ends. A lock file appears under its name with the
@@ -50,7 +50,7 @@ CALM = {
 
 
 class LocalWorkers:
-    """The process that keeps workers of this machine, started again where something ends it."""
+    """Process that keeps workers of this machine; restarted if it ends."""
 
     def __init__(self, address: str, count: int, folder: Path, locks: Sequence[int] = ()) -> None:
         self._address, self._count, self._folder, self._locks = address, count, folder, locks
@@ -79,13 +79,13 @@ class LocalWorkers:
             self._starts = 0
         if self._starts > MOST_RESTARTS:
             said = self._log.read_text(encoding="utf-8", errors="replace").splitlines()
-            reason = next((line.strip() for line in reversed(said) if "Error: " in line), "they do not say why")
-            raise FmuidError(f"the workers end as soon as they begin: {reason}")
+            reason = next((line.strip() for line in reversed(said) if "Error: " in line), "no reason given")
+            raise FmuidError(f"workers end at once: {reason}")
         self.close()
         self._start()
 
     def close(self) -> None:
-        """End the process, and with it the workers and all that they have started."""
+        """End the process, the workers and all that they have started."""
         self._process.end(SOON_SECONDS)
 
 
@@ -96,8 +96,8 @@ def scratch_folder() -> Iterator[tuple[Path, list[int]]]:
     try:
         folder = Path(tempfile.mkdtemp(prefix=PREFIX))
     except OSError as error:
-        why = f"no folder for workers can be made in {tempfile.gettempdir()}: {error.strerror}"
-        raise FmuidError(f"{why}; make room, or name another place by the variable TMPDIR") from None
+        why = f"{tempfile.gettempdir()}: no folder for workers: {error.strerror}"
+        raise FmuidError(f"{why}. Free disk space, or set TMPDIR to another folder.") from None
     with contextlib.ExitStack() as stack:
         stack.callback(shutil.rmtree, folder, ignore_errors=True)
         draft = folder / "draft"

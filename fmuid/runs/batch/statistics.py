@@ -108,9 +108,9 @@ def statistics(values: Floats, stds: Floats, truth: float, *, repeated: bool) ->
 
     `values` and `stds` are (n,); those without a finite std count as undetermined. `truth` is NaN where unknown. Tests
     need `repeated` cases. Keys: ``cases``, ``undetermined``, ``mean``, ``median``, ``spread`` (standard deviation over
-    cases), ``stated_std`` (root mean square), their ``ratio``, ``ratio_p``; ``truth``, ``bias``, ``bias_std``,
-    ``bias_p``, ``rms_error``, ``coverage`` of the intervals value ± 1.96 std, its 95 % limits ``coverage_lower``,
-    ``coverage_upper`` (Clopper and Pearson, Biometrika 26, 1934), ``coverage_p``. The ``_p`` are two-sided.
+    cases), ``stated_std`` (root mean square), their ``ratio``, ``ratio_p``. Against the truth: ``truth``, ``bias``,
+    ``bias_std``, ``bias_p``, ``rms_error``. ``coverage`` is of the intervals value ± 1.96 std; ``coverage_lower`` and
+    ``coverage_upper`` are its 95 % limits (Clopper and Pearson, Biometrika 26, 1934). All ``_p`` are two-sided.
     """
     there = np.isfinite(values)
     known = there & np.isfinite(stds)
@@ -155,8 +155,8 @@ def _spread(x: Floats) -> float:
 def _spread_probability(ratio: float, s: Floats) -> float:
     """Return the two-sided probability of a ratio for normal estimates.
 
-    ratio² follows F. The degrees of freedom above are n − 1, fewer for unequal std (Satterthwaite, Biometrics Bulletin
-    2, 1946); those below are of the mean of the stated variances, from their scatter.
+    ratio² follows F. Its numerator has n − 1 degrees of freedom, fewer for unequal std (Satterthwaite, Biometrics
+    Bulletin 2, 1946). Those of the denominator follow from the scatter of the stated variances.
     """
     if math.isnan(ratio):
         return math.nan
@@ -229,7 +229,7 @@ def data_sets(frame: pd.DataFrame, columns: BatchColumns) -> Sequence[NDArray[np
 
 
 def _numbered(values: Floats, stds: Floats) -> NDArray[np.int64]:
-    """Return the numbers of the optima of one data set's cases, best first."""
+    """Return the optima's numbers for one data set's cases, best first."""
     numbers = np.zeros(len(values), np.int64)
     count = 0
     while (left := np.flatnonzero(numbers == 0)).size:

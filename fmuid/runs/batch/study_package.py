@@ -104,8 +104,8 @@ class BatchStudy:
         except OSError:
             content = None
         if (hashlib.sha256(content).hexdigest() if content is not None else None) != self.digests[path]:
-            remedy = "put its former content back, or begin anew with --no-resume"
-            raise InputError(f"{path} has changed while the batch ran: {remedy}")
+            remedy = "Restore it, or start again with --no-resume."
+            raise InputError(f"{path}: changed while the batch ran. {remedy}")
         return content
 
 
@@ -113,7 +113,7 @@ def changes(earlier: Mapping[str, Any], now: Mapping[str, Any]) -> list[str]:
     """Return the differences between the manifests of two batches as texts."""
     found = []
     if earlier.get("fmuid") != now["fmuid"]:
-        found.append(f"it was run by fmuid {earlier.get('fmuid')}, this is {now['fmuid']}")
+        found.append(f"made by fmuid {earlier.get('fmuid')}, this is {now['fmuid']}")
     old, new = dict(_leaves(earlier.get("study"))), dict(_leaves(json.loads(json.dumps(now["study"]))))
     for key in dict.fromkeys([*new, *old]):
         was, is_ = old.get(key, _MISSING), new.get(key, _MISSING)
@@ -127,11 +127,11 @@ def changes(earlier: Mapping[str, Any], now: Mapping[str, Any]) -> list[str]:
         if name not in files:
             found.append(f"{name} is new")
         elif name not in now["files"]:
-            found.append(f"{name} is no longer part of it")
+            found.append(f"{name} was removed")
         elif files[name] != now["files"][name]:
-            found.append(f"{name} has another content")
+            found.append(f"{name} has changed")
     if len(found) > CHANGES_TOLD:
-        found[CHANGES_TOLD:] = [f"and {len(found) - CHANGES_TOLD} more differences"]
+        found[CHANGES_TOLD:] = [f"{len(found) - CHANGES_TOLD} more differences"]
     return found
 
 

@@ -50,7 +50,7 @@ _TRUTH_COLUMNS += ["coverage", "coverage_lower", "coverage_upper", "coverage_p"]
 
 @dataclass(frozen=True)
 class Dependence:
-    """Range of a parameter's mean over groups, and the RMS of stated σ."""
+    """Range of a parameter's mean over groups; RMS of stated σ."""
 
     parameter: str
     unit: str
@@ -112,7 +112,7 @@ class Summary:
 
     @property
     def few(self) -> bool:
-        """True if there are too few estimates to compare their spread with their std."""
+        """True if there are too few estimates to test stated σ."""
         return self.most == 1 or (1 < self.most < FEW_CASES and bool(self.parameters["ratio"].notna().any()))
 
     @property
@@ -175,7 +175,7 @@ def _table(
 
 
 def _settings(frame: pd.DataFrame, columns: BatchColumns) -> tuple[str, ...]:
-    """Return the settings with few levels, by which cases are grouped, fewest levels first."""
+    """Return the settings for groups: those with few levels."""
     names = [*columns.design, *(name for name in columns.repeats if name == "table")]
     levels = {name: len(frame[name].unique()) for name in names}
     chosen: list[str] = []

@@ -53,10 +53,10 @@ def difference(here: Mapping[str, str | None], there: Mapping[str, str | None]) 
     for name, places in VERSION_PLACES.items():
         mine, theirs = here.get(name), there.get(name)
         if theirs is None and mine is not None:
-            return f"has no {name}: install {name} {mine} there"
+            return f"has no {name}. Install {name} {mine} there."
         if mine is not None and theirs is not None and mine.split(".")[:places] != theirs.split(".")[:places]:
             shown = [".".join(each.split(".")[: max(places, 3)][:3]) for each in (theirs, mine)]
-            return f"runs {name} {shown[0]}, and here it is {shown[1]}: install the same on both sides"
+            return f"runs {name} {shown[0]}, this machine {shown[1]}. Install the same version on both."
     return None
 
 
@@ -72,8 +72,8 @@ def run_group(parcel: StudyPackage, cases: Sequence[int], records: Mapping[str, 
         outcomes = opened.run(cases)
         seconds = time.perf_counter() - began
     except OSError as error:
-        where = f"the worker {_worker('address', 'here')} cannot write below {opened.folder}"
-        raise FmuidError(f"{where}: {error.strerror}") from None
+        where = f"worker {_worker('address', 'here')}: {opened.folder}"
+        raise FmuidError(f"{where}: write failed: {error.strerror}") from None
     finally:
         for name in records:
             (opened.folder / name).unlink(missing_ok=True)
@@ -117,7 +117,7 @@ class _OpenStudy:
 
 
 class _OpenStudies:
-    """The open studies of a worker for one batch, in a private folder."""
+    """Open studies of a worker for one batch, in a private folder."""
 
     def __init__(self) -> None:
         self._lock = threading.Lock()

@@ -149,8 +149,8 @@ class WorkerPool:
     def _watched(self) -> Iterator[None]:
         """Turn the errors of a lost scheduler into one sentence."""
         lost = FmuidError(
-            f"the scheduler at {self._address} was lost: the cases finished so far are kept, give the same command to "
-            "go on once there is a scheduler again"
+            f"connection to the scheduler at {self._address} lost. Finished cases are kept: start a scheduler, "
+            "and repeat the command."
         )
         try:
             yield
@@ -187,8 +187,8 @@ def _client(address: str) -> Iterator[Client]:
     try:
         client = DASK.Client(address, timeout=ANSWER_SECONDS, set_as_default=False)
     except (OSError, TimeoutError, ValueError, RuntimeError) as error:
-        why = f"there is no Dask scheduler at {address} ({(str(error).splitlines() or ['no answer'])[0]})"
-        raise InputError(f"{why}: check the address, as in tcp://host:8786, and that it runs") from None
+        why = f"no Dask scheduler at {address} ({(str(error).splitlines() or ['no answer'])[0]})"
+        raise InputError(f"{why}. Check that it runs, and its address, for example tcp://host:8786.") from None
     _quieten(client)
     try:
         yield client
@@ -201,7 +201,7 @@ def _check(client: Client, address: str) -> None:
     until = time.monotonic() + ANSWER_SECONDS
     while not client.scheduler_info(n_workers=0)["n_workers"]:
         if time.monotonic() > until:
-            raise InputError(f"the scheduler at {address} has no workers: start some, as in dask worker {address}")
+            raise InputError(f"the scheduler at {address} has no workers. Start some: dask worker {address}")
         time.sleep(TICK_SECONDS)
     found: dict[str, Any] = client.get_versions(packages=["fmuid"])
     here = versions()

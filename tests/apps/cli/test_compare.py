@@ -104,8 +104,8 @@ def test_compare_on_constant_output_gives_rmse(made: Path, tmp_path: Path, capsy
             "have different data. Their likelihoods are not comparable",
         ),
         (("both",), "needs at least two results"),
-        (("both", "both"), "is given twice"),
-        (("both", "nothing"), "there is no such result"),
+        (("both", "both"), "given twice"),
+        (("both", "nothing"), "no such result"),
         (("both", "other", "--data", "missing.csv"), "missing.csv"),
     ],
 )

@@ -200,7 +200,7 @@ def test_resume_of_another_study(folder: Path, capsys: pytest.CaptureFixture[str
     (folder / "study.toml").write_text(other)
     capsys.readouterr()
     assert fmuid_("identify", folder / "study.toml", "--resume") == WRONG_INPUT
-    assert "of another study: its parameters are R, L, not i_start" in capsys.readouterr().err
+    assert "of another study, with parameters R, L, not i_start" in capsys.readouterr().err
 
 
 def test_a_failed_write_leaves_the_earlier_result(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -101,7 +101,7 @@ def test_before_the_search(folder: Path, monkeypatch: pytest.MonkeyPatch, capsys
     capsys.readouterr()
     monkeypatch.setattr(Evaluator, "_rows", killing(signal.SIGTERM, lambda *_: True, Evaluator._rows))
     assert command("identify", folder / "study.toml") == NOT_SUCCEEDED
-    said = "error: interrupted before anything better than the start was found: nothing is written"
+    said = "error: interrupted before any improvement: nothing is written"
     assert capsys.readouterr().err.splitlines() == [ANSWER, said]
     assert (folder / "results/result.json").read_bytes() == before
 

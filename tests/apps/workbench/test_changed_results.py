@@ -135,7 +135,7 @@ def test_batch_page_shows_the_sound_rows(tmp_path: Path, column: str, value: str
     page = BatchPage(Document(), Folder(tmp_path), tmp_path / "out", "light")
     assert list(page.frame["case"]) == [0, 1]
     assert said in page.state.text
-    assert f"{damaged.name} is damaged" in page.state.text
+    assert f"{damaged.name}: damaged" in page.state.text
 
 
 def test_batch_page_draws_without_the_truth_of_a_parameter(tmp_path: Path) -> None:
