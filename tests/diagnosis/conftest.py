@@ -1,4 +1,4 @@
-"""Fixtures of the plate, for the tests that have none of their own."""
+"""Machines of these tests, each built once: the plate, which least squares solve exactly, and the coil."""
 
 from __future__ import annotations
 
@@ -8,25 +8,28 @@ import numpy as np
 import pytest
 
 import fmuid
+from experiments.coil import study as coil
 from tests.support.diagnosis_studies import Look
-from tests.support.plate import (
-    Faults,
-    identified,
-    record,
-)
+from tests.support.plate import Faults, identified, record
 from tests.support.plate import faults as faults
 from tests.support.plate import plate as plate
 
 
-@pytest.fixture(scope="module")
-def healthy(plate: fmuid.System) -> fmuid.Result:
+@pytest.fixture(scope="session")
+def sound(plate: fmuid.System) -> fmuid.Result:
+    """Return the healthy plate."""
     return identified(plate, record(np.random.default_rng(0)))
 
 
-@pytest.fixture(scope="module")
-def look(plate: fmuid.System, healthy: fmuid.Result, faults: Faults) -> Look:
+@pytest.fixture(scope="session")
+def healthy_coil() -> fmuid.Result:
+    return fmuid.Result.from_json(coil.HERE / "healthy" / "result.json")
+
+
+@pytest.fixture(scope="session")
+def look(plate: fmuid.System, sound: fmuid.Result, faults: Faults) -> Look:
     def diagnosis(experiment: fmuid.Experiment, **words: Any) -> fmuid.Diagnosis:
-        given: dict[str, Any] = {"result": healthy, "std_factor": {"g": 5.0, "h": 5.0}} | words
+        given: dict[str, Any] = {"result": sound, "std_factor": {"g": 5.0, "h": 5.0}} | words
         settings = fmuid.diagnosis.DiagnosisSettings(given.pop("level", 0.01))
         hypotheses = given.pop("faults", faults)
         return fmuid.diagnose(experiment, fmuid.Baseline(**given), hypotheses, plate, settings)

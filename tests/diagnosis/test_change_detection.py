@@ -4,35 +4,33 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from scipy import optimize, special
+from scipy import optimize, special, stats
 
 from fmuid.diagnosis.causes import Cause
-from fmuid.diagnosis.change_detection import MinPDistribution, detectable, fit, probability
+from fmuid.diagnosis.change_detection import MinPDistribution, detectable, fit, log_tail, probability
 from fmuid.diagnosis.information_matrix import ScoreStatistics
 
 SIGNED = tuple(Cause(f"c{i}", (i,), 1.0, sign) for i, sign in enumerate((1, -1, 1, 0)))
+PLANE, BLANK = Cause("plane", (1, 2), 1.0), ScoreStatistics(np.eye(4), np.zeros(4))
 
 
-def news(seed: int, information: np.ndarray | None = None) -> ScoreStatistics:
+def news(seed: int) -> ScoreStatistics:
     random = np.random.default_rng(seed)
-    if information is None:
-        root = random.standard_normal((7, 4))
-        information = root.T @ root
+    root = random.standard_normal((7, 4))
+    information = root.T @ root
     return ScoreStatistics(information, np.linalg.cholesky(information) @ random.standard_normal(4))
 
 
-@pytest.mark.parametrize("seed", range(12))
-def test_sizes_with_signs(seed: int) -> None:
+def test_sizes_with_signs() -> None:
     """The quadratic form with bounds, by scipy's bounded least squares."""
-    given = news(seed)
-    root = np.linalg.cholesky(given.information).T
-    target = np.linalg.solve(root.T, given.score)
-    low = [0.0 if cause.sign > 0 else -np.inf for cause in SIGNED]
-    high = [0.0 if cause.sign < 0 else np.inf for cause in SIGNED]
-    sizes = optimize.lsq_linear(root, target, (low, high), tol=1e-14).x
-    found = fit(given, SIGNED)
-    assert found.sizes == pytest.approx(sizes, abs=1e-7)
-    assert found.statistic == pytest.approx(2 * given.score @ sizes - sizes @ given.information @ sizes, abs=1e-9)
+    low, high = np.array([(0.0 if c.sign > 0 else -np.inf, 0.0 if c.sign < 0 else np.inf) for c in SIGNED]).T
+    for seed in range(12):
+        given = news(seed)
+        root = np.linalg.cholesky(given.information).T
+        sizes = optimize.lsq_linear(root, np.linalg.solve(root.T, given.score), (low, high), tol=1e-14).x
+        found = fit(given, SIGNED)
+        assert found.sizes == pytest.approx(sizes, abs=1e-7)
+        assert found.statistic == pytest.approx(2 * given.score @ sizes - sizes @ given.information @ sizes, abs=1e-9)
 
 
 def test_a_cause_with_the_wrong_sign_explains_nothing() -> None:
@@ -43,38 +41,41 @@ def test_a_cause_with_the_wrong_sign_explains_nothing() -> None:
     assert probability(4.0, SIGNED[0]) == pytest.approx(special.ndtr(-2.0))
 
 
-def test_the_smallest_probability_of_unlike_and_of_equal_causes() -> None:
+@pytest.mark.parametrize("degrees", [1, 2, 3])
+def test_log_tail(degrees: int) -> None:
+    """Where the probability itself is 0, its logarithm goes on falling."""
+    near, far = log_tail(np.array([40.0, 4000.0]), degrees)
+    assert near == pytest.approx(stats.chi2.logsf(40.0, degrees))
+    assert far == pytest.approx(-2000.0, abs=6.0)
+
+
+@pytest.mark.parametrize(
+    ("causes", "limit"),
+    [
+        ([Cause(str(i), (i,), 1.0) for i in range(4)], 1 - 0.95**0.25),
+        ([Cause(str(i), (0,), 1.0) for i in range(4)], 0.05),
+        ([PLANE], 0.05),
+        ([Cause("up", (0,), 1.0, 1), Cause("down", (0,), 1.0, -1)], 0.025),
+    ],
+    ids=["unlike", "equal", "plane", "signs"],
+)
+def test_smallest_probability(causes: list[Cause], limit: float) -> None:
     """m unlike causes: 1 − (1 − α)^(1/m), m times the same: α."""
-    free = tuple(Cause(str(i), (i,), 1.0) for i in range(4))
-    unlike = MinPDistribution.of(ScoreStatistics(np.eye(4), np.zeros(4)), free)
-    assert unlike.limit(0.05) == pytest.approx(1 - 0.95**0.25, rel=0.08)
-    assert unlike.adjusted(unlike.limit(0.05)) == pytest.approx(0.05, rel=0.02)
-    assert unlike.adjusted(1e-6) == pytest.approx(4e-6)
-    equal = MinPDistribution.of(
-        ScoreStatistics(np.eye(4), np.zeros(4)), tuple(Cause(str(i), (0,), 1.0) for i in range(4))
-    )
-    assert equal.limit(0.05) == pytest.approx(0.05, rel=0.08)
-    pair = MinPDistribution.of(ScoreStatistics(np.eye(4), np.zeros(4)), (Cause("plane", (1, 2), 1.0),))
-    assert pair.limit(0.05) == pytest.approx(0.05, rel=0.08)
-    both = MinPDistribution.of(
-        ScoreStatistics(np.eye(4), np.zeros(4)), (Cause("up", (0,), 1.0, 1), Cause("down", (0,), 1.0, -1))
-    )
-    assert both.limit(0.05) == pytest.approx(0.025, rel=0.08)
+    found = MinPDistribution.of(BLANK, causes)
+    assert found.limit(0.05) == pytest.approx(limit, rel=0.08)
+    assert found.adjusted(found.limit(0.05)) == pytest.approx(0.05, rel=0.08)
+    assert found.adjusted(1e-6) == pytest.approx(len(causes) * 1e-6)
 
 
-@pytest.mark.parametrize("cause", [SIGNED[0], SIGNED[3], Cause("plane", (1, 2), 1.0)], ids=lambda cause: cause.name)
-def test_the_detectable_size_is_called_as_often_as_it_says(cause: Cause) -> None:
-    information = news(3).information
-    limit, miss = 0.002, 0.1
+@pytest.mark.parametrize("cause", [SIGNED[0], SIGNED[3], PLANE], ids=lambda cause: cause.name)
+def test_detectable_size_over_draws(cause: Cause) -> None:
+    information, limit, miss = news(3).information, 0.002, 0.1
     size = detectable(ScoreStatistics(information, np.zeros(4)), cause, limit, miss)
-    values, vectors = np.linalg.eigh(information[np.ix_(cause.columns, cause.columns)])
+    vectors = np.linalg.eigh(information[np.ix_(cause.columns, cause.columns)])[1]
     truth = np.zeros(4)
     truth[list(cause.columns)] = size * vectors[:, 0] * (np.sign(vectors[0, 0]) if cause.sign else 1.0)
-    random, root = np.random.default_rng(9), np.linalg.cholesky(information)
-    called = [
-        probability(fit(ScoreStatistics(information, information @ truth + root @ z), (cause,)).statistic, cause)
-        <= limit
-        for z in random.standard_normal((2000, 4))
-    ]
-    assert values[0] > 0
-    assert np.mean(called) == pytest.approx(1 - miss, abs=0.02)
+    scores = (
+        information @ truth + np.random.default_rng(9).standard_normal((2000, 4)) @ np.linalg.cholesky(information).T
+    )
+    found = [probability(fit(ScoreStatistics(information, each), (cause,)).statistic, cause) for each in scores]
+    assert np.mean(np.array(found) <= limit) == pytest.approx(1 - miss, abs=0.02)

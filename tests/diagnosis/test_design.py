@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 
 import numpy as np
 import pandas as pd
@@ -18,8 +19,7 @@ from fmuid.diagnosis.baseline import Baseline
 from fmuid.diagnosis.design import Design, planned_experiment
 from fmuid.diagnosis.monitor import Monitor
 from fmuid.runs.faults import design_of
-from tests.support.exported import export_text
-from tests.support.plate import COLUMNS, PHASES, PLATE, STD, TRUTH
+from tests.support.plate import COLUMNS, PHASES, STD, TRUTH, Faults
 from tests.support.plate import record as plate_record
 from tests.support.results import changed
 
@@ -28,10 +28,9 @@ VARIANCE = {"i": coil.NOISE_VARIANCE}
 
 
 @pytest.fixture(scope="module")
-def healthy() -> fmuid.Result:
-    """Return a healthy result whose estimates are the truth, with the standard deviations of a record."""
-    found = fmuid.Result.from_json(coil.HERE / "healthy" / "result.json")
-    return changed(found, values=np.array([coil.R, coil.L]))
+def healthy(healthy_coil: fmuid.Result) -> fmuid.Result:
+    """Return a healthy result whose estimates are the true values, with the standard deviations of a record."""
+    return changed(healthy_coil, values=np.array([coil.R, coil.L]))
 
 
 def turns(largest: float = math.inf) -> fmuid.Fault:
@@ -67,7 +66,7 @@ def on_coil(frame: pd.DataFrame) -> fmuid.Experiment:
     return planned_experiment(frame, ["u"], ["i"])
 
 
-def test_the_smallest_fault_of_the_coil(healthy: fmuid.Result) -> None:
+def test_detectable_size_of_the_coil(healthy: fmuid.Result) -> None:
     frame = prbs(1.2, coil.STEP, 1.0, 15, seed=3)
     std = coil_deviation(healthy, frame["u"].to_numpy())
     (found,) = design(healthy).detectable(on_coil(frame))
@@ -107,35 +106,28 @@ def test_nothing_is_detectable_without_excitation(healthy: fmuid.Result) -> None
     assert math.isinf(table["dR"][1]) and math.isfinite(table["dR"][0])
 
 
-@pytest.mark.slow
-def test_the_rates_are_those_of_draws(healthy: fmuid.Result) -> None:
-    """Draws of record and healthy result; R with the errors of its estimate, so not inflated."""
-    rng, count = np.random.default_rng(6), 300
-    experiment = coil.experiment(coil.record(coil.R, 0.0, rng))
+@pytest.mark.parametrize(
+    "draws", [pytest.param(50, marks=pytest.mark.slow), pytest.param(300, marks=pytest.mark.campaign)]
+)
+def test_rates_over_draws(healthy: fmuid.Result, draws: int) -> None:
+    """Draws of record and healthy result; R with the errors of its estimate, so not widened."""
+    rng, settings = np.random.default_rng(6), fmuid.diagnosis.DiagnosisSettings(0.1)
     baseline = Baseline(healthy, noise_variance=VARIANCE)
-    asked = Design({"turns": turns()}, baseline, coil.models()[0], fmuid.diagnosis.DiagnosisSettings(0.1), miss=0.2)
-    (smallest,) = asked.detectable(experiment)
-    root = np.linalg.cholesky(np.diag(healthy.std**2))
-    rates = []
-    for fault in (0.0, smallest.value):
+    asked = Design({"turns": turns()}, baseline, coil.models()[0], settings, miss=0.2)
+    (smallest,) = asked.detectable(coil.experiment(coil.record(coil.R, 0.0, rng)))
+    for fault, expected in ((0.0, 0.1), (smallest.value, 0.8)):
         hits = 0
-        for _ in range(count):
-            known = changed(healthy, values=healthy.values + root @ rng.standard_normal(2))
-            baseline = Baseline(known, noise_variance=VARIANCE)
-            watch = Monitor(baseline, {"turns": turns()}, coil.models()[0], Rule(level=0.1))
+        for _ in range(draws):
+            known = changed(healthy, values=healthy.values + healthy.std * rng.standard_normal(2))
+            watch = Monitor(
+                Baseline(known, noise_variance=VARIANCE), {"turns": turns()}, coil.models()[0], Rule(level=0.1)
+            )
             watch.add(coil.experiment(coil.record(coil.R, fault, rng)))
             hits += watch.table["significant"][0] == "turns"
-        rates.append(hits / count)
-    assert rates[0] == pytest.approx(0.1, abs=3 * math.sqrt(0.1 * 0.9 / count))
-    assert rates[1] == pytest.approx(0.8, abs=3 * math.sqrt(0.8 * 0.2 / count))
+        assert hits / draws == pytest.approx(expected, abs=3 * math.sqrt(expected * (1 - expected) / draws))
 
 
 # --- several parameters -----------------------------------------------------------------
-
-
-@pytest.fixture(scope="module")
-def plate(tmp_path_factory: pytest.TempPathFactory) -> fmuid.System:
-    return fmuid.System.of(export_text(tmp_path_factory.mktemp("plate"), PLATE))
 
 
 @pytest.fixture(scope="module")
@@ -153,57 +145,45 @@ def plate_precision(known: fmuid.Result, which: list[int]) -> np.ndarray:
     return np.asarray(np.linalg.inv(np.linalg.inv(prior + own.T @ own)[2:, 2:]))
 
 
-def test_each_size_is_a_cause_of_its_own(plate: fmuid.System, known: fmuid.Result) -> None:
+NOISE = {"x": STD**2, "y": STD**2}
+
+
+@pytest.mark.parametrize(("least", "tails"), [(-math.inf, 2.0), (0.0, 1.0)])
+def test_each_size_is_a_cause_of_its_own(plate: fmuid.System, known: fmuid.Result, least: float, tails: float) -> None:
     """Without the others; the threshold is that of the smallest of three probabilities, a little below Bonferroni's."""
-    baseline = Baseline(known, noise_variance={"x": STD**2, "y": STD**2})
-    stds = [plate_precision(known, [k])[0, 0] ** 0.5 for k in (2, 3, 4)]
-    z = stats.norm.isf
-    for least, tails in ((-math.inf, 2.0), (0.0, 1.0)):
-        fault = fmuid.Fault(plate, dict.fromkeys(PHASES, fmuid.Parameter(0.0, min=least, nominal=0.01)))
-        found = Design({"stator": fault}, baseline, plate).detectable(plate_record(None))
-        for each, std in zip(found, stds, strict=True):
-            assert each.std == pytest.approx(1.0 / std, rel=1e-4)
-            high, low = (z(0.01 / tails / count) + z(0.05) for count in (3, 1))
-            assert low * each.std < each.value < 1.01 * high * each.std
+    fault = fmuid.Fault(plate, dict.fromkeys(PHASES, fmuid.Parameter(0.0, min=least, nominal=0.01)))
+    found = Design({"stator": fault}, Baseline(known, noise_variance=NOISE), plate).detectable(plate_record(None))
+    for each, column in zip(found, (2, 3, 4), strict=True):
+        assert each.std == pytest.approx(plate_precision(known, [column])[0, 0] ** -0.5, rel=1e-4)
+        high, low = (stats.norm.isf(0.01 / tails / count) + stats.norm.isf(0.05) for count in (3, 1))
+        assert low * each.std < each.value < 1.01 * high * each.std
+    if least < 0:
+        information = plate_precision(known, [2, 3, 4])
+        cosines = np.abs(information / np.sqrt(np.outer(np.diag(information), np.diag(information))))
+        near = 1 + int(np.argmax(cosines[0, 1:]))
+        assert found[0].rival == f"stator.{PHASES[near]}"
+        assert math.cos(found[0].rival_angle) == pytest.approx(cosines[0, near], rel=1e-4)
+        assert math.degrees(found[0].rival_angle) > 80.0
+        assert found[0].apart == found[0].value  # named as soon as it is found
 
 
-def test_angles_and_sizes_that_are_told_apart(plate: fmuid.System, known: fmuid.Result) -> None:
-    baseline = Baseline(known, noise_variance={"x": STD**2, "y": STD**2})
-    fault = fmuid.Fault(plate, dict.fromkeys(PHASES, fmuid.Parameter(0.0, nominal=0.01)))
-    (first, *_) = Design({"stator": fault}, baseline, plate).detectable(plate_record(None))
-    own = COLUMNS / STD
-    prior = np.diag(known.std**-2.0)
-    covariance = np.linalg.inv(prior + own[:, :2].T @ own[:, :2])
-    beside = own[:, 2:5] - own[:, :2] @ covariance @ own[:, :2].T @ own[:, 2:5]
-    information = own[:, 2:5].T @ beside
-    cosines = np.abs(information / np.sqrt(np.outer(np.diag(information), np.diag(information))))
-    near = 1 + int(np.argmax(cosines[0, 1:]))
-    assert first.rival == f"stator.{PHASES[near]}"
-    assert math.cos(first.rival_angle) == pytest.approx(cosines[0, near], rel=1e-4)
-    assert math.degrees(first.rival_angle) > 80.0
-    assert first.apart == first.value  # named as soon as it is called
-
-
-def test_what_a_healthy_record_costs(healthy: fmuid.Result) -> None:
-    """An equally long one a factor √2 where nothing else tells; one ten times as long 5 %."""
-    cost = design(healthy).cost(on_coil(prbs(1.2, coil.STEP, 1.0, 15, seed=3)))
+def test_cost_of_a_healthy_record(healthy: fmuid.Result) -> None:
+    """An equally long one costs a factor of at most √2; one ten times as long 5 %."""
+    record = on_coil(prbs(1.2, coil.STEP, 1.0, 15, seed=3))
+    cost = design(healthy).cost(record)
     times = dict(zip(cost["healthy"], cost["turns.dR.times"], strict=True))
     assert times[1.0] > times[3.0] > times[10.0] > times[100.0] >= 1.0 - 1e-6
     assert times[1.0] <= math.sqrt(2.0) * 1.001
     assert times[10.0] <= 1.1
-    (found,) = design(healthy).detectable(on_coil(prbs(1.2, coil.STEP, 1.0, 15, seed=3)), healthy=1.0)
+    (found,) = design(healthy).detectable(record, healthy=1.0)
     assert math.degrees(found.rival_angle) < 10.0  # a coil's turns, inductance and sensor look alike
     assert found.value < found.apart
 
 
-def test_of_a_turned_fault_the_worst_angle_counts(plate: fmuid.System, known: fmuid.Result) -> None:
-    parameters = {"size": fmuid.Parameter(0.0, min=0.0, nominal=0.01), "angle": fmuid.Parameter(0.0, nominal=1.0)}
-    fault = fmuid.Fault(plate, parameters, angles={"angle": fmuid.diagnosis.FaultAngle("size", math.pi)})
-    baseline = Baseline(known, noise_variance={"x": STD**2, "y": STD**2})
-    (found,) = Design({"rotor": fault}, baseline, plate).detectable(plate_record(None))
-    precision = plate_precision(known, [5, 6])
-    angles = np.linspace(0.0, math.pi, 1001)
-    worst = min(d @ precision @ d for d in np.column_stack([np.cos(2 * angles), np.sin(2 * angles)]))
+def test_worst_angle_of_a_turned_fault(plate: fmuid.System, known: fmuid.Result, faults: Faults) -> None:
+    baseline = Baseline(known, noise_variance=NOISE)
+    (found,) = Design({"rotor": faults["rotor"]}, baseline, plate).detectable(plate_record(None))
+    worst = float(np.linalg.eigvalsh(plate_precision(known, [5, 6]))[0])
     assert found.std == pytest.approx(worst**-0.5, rel=1e-4)
     assert stats.ncx2.sf(stats.chi2.isf(0.01, 2), 2, found.value**2 * worst) == pytest.approx(0.95, abs=1e-4)
 
@@ -219,18 +199,21 @@ def test_a_design_of_a_study() -> None:
     assert found.value == pytest.approx((2.576 + 1.645) * found.std, rel=0.01)
 
 
-def test_wrong_words_are_one_sentence(healthy: fmuid.Result) -> None:
-    with pytest.raises(fmuid.InputError, match=r"misses must be above 0 and below 0\.5, not 0\.7"):
-        Design({"turns": turns()}, healthy, coil.models()[0], miss=0.7)
-    with pytest.raises(fmuid.InputError, match="level"):
-        Design({"turns": turns()}, healthy, coil.models()[0], fmuid.diagnosis.DiagnosisSettings(0.0))
-    with pytest.raises(fmuid.InputError, match="no excitation to compare"):
-        design(healthy).rank({})
-    with pytest.raises(fmuid.InputError, match="'v'"):
-        design(healthy).detectable(planned_experiment(prbs(1.0, coil.STEP, 1.0, 15, column="v"), ["v"], ["i"]))
-    with pytest.raises(fmuid.InputError, match="'j' is no measured output"):
-        unknown = Design({"turns": turns()}, Baseline(healthy, noise_variance={"j": 1.0}), coil.models()[0])
-        unknown.detectable(on_coil(prbs(1.0, coil.STEP, 1.0, 15)))
+def test_wrong_words(healthy: fmuid.Result) -> None:
+    model, settings, still = coil.models()[0], fmuid.diagnosis.DiagnosisSettings, prbs(1.0, coil.STEP, 1.0, 15)
+    unknown = Design({"turns": turns()}, Baseline(healthy, noise_variance={"j": 1.0}), model)
     clash = design(healthy, fmuid.Fault(coil.models()[1], {"R": fmuid.Parameter(0.0, nominal=1.0)}))
-    with pytest.raises(fmuid.InputError, match="it can be only one"):
-        clash.detectable(on_coil(prbs(1.0, coil.STEP, 1.0, 15)))
+    other = planned_experiment(prbs(1.0, coil.STEP, 1.0, 15, column="v"), ["v"], ["i"])
+    cases: list[tuple[Callable[[], object], str]] = [
+        (lambda: Design({"turns": turns()}, healthy, model, miss=0.7), r"between 0 and 0\.5, not 0\.7"),
+        (lambda: Design({"turns": turns()}, healthy, model, settings(0.0)), "level"),
+        (lambda: design(healthy).rank({}), "no excitation"),
+        (lambda: design(healthy).detectable(other), "'v'"),
+        (lambda: unknown.detectable(on_coil(still)), "'j'"),
+        (lambda: clash.detectable(on_coil(still)), "belongs to the fault and the healthy machine"),
+    ]
+    for call, said in cases:
+        with pytest.raises(fmuid.InputError, match=said):
+            call()
+    with pytest.raises(fmuid.InputError, match=r"unknown fault 'bars'\. Choose turns"):
+        design_of(fmuid.Study.read(coil.HERE / "test.toml"), "bars")

@@ -78,7 +78,7 @@ def test_without_a_folder_nothing_is_written(study: Path) -> None:
     assert found.files == ()
     assert math.isfinite(found.assessment.profiles[0].upper)
     assert sorted(study.parent.rglob("*")) == before
-    with pytest.raises(fmuid.InputError, match="needs the folder"):
+    with pytest.raises(fmuid.InputError, match="in a folder"):
         fmuid.run(study, figures="png")
     with pytest.raises(fmuid.InputError, match="needs the folder"):
         run_study(study, resume=True)

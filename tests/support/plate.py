@@ -70,7 +70,7 @@ def record(rng: np.random.Generator | None, **faults: float) -> fmuid.Experiment
     return fmuid.Experiment(frame, ["ux", "uy", "vx", "vy"], ["x", "y"])
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture(scope="session")
 def plate(tmp_path_factory: pytest.TempPathFactory) -> fmuid.System:
     return fmuid.System.of(export_text(tmp_path_factory.mktemp("plate"), PLATE))
 
@@ -84,7 +84,7 @@ def identified(plate: fmuid.System, experiment: fmuid.Experiment) -> fmuid.Resul
 Faults = dict[str, fmuid.Fault]
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture(scope="session")
 def faults(plate: fmuid.System) -> Faults:
     ratio = fmuid.Parameter(0.0, min=0.0, nominal=0.01)
     return {

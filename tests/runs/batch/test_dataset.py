@@ -1,4 +1,4 @@
-"""The rows of a batch on disk: complete or not there, whatever ends the run, and the same however they came."""
+"""The rows of a batch on disk: complete or absent, and the same in any order."""
 
 from __future__ import annotations
 
@@ -69,38 +69,31 @@ def test_rows_come_back_sorted_and_exact(tmp_path: Path) -> None:
     same(found.read(), expected(order))
     plain = pd.read_parquet(tmp_path / "cases")  # what a user does
     same(plain.sort_values("case", ignore_index=True), expected(order))
-
-
-def test_an_empty_dataset_has_its_columns(tmp_path: Path) -> None:
-    frame = filled(tmp_path, [], each=1).read()
-    assert list(frame) == list(COLUMNS)
-    assert frame.dtypes.tolist() == expected([1]).dtypes.tolist()
-
-
-def test_finished(tmp_path: Path) -> None:
-    found = filled(tmp_path, [4, 2, 9], each=1)
-    assert np.flatnonzero(found.finished()).tolist() == [2, 4, 9]
+    assert np.flatnonzero(found.finished()).tolist() == list(range(50))
+    empty = filled(tmp_path / "none", [], each=1)
+    assert (list(empty.read()), list(empty.stream(["case"]))) == (list(COLUMNS), [])
+    assert empty.read().dtypes.tolist() == expected([1]).dtypes.tolist()
 
 
 @pytest.mark.parametrize("rows", [10, 100])
 def test_compact(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, rows: int) -> None:
     monkeypatch.setattr(module, "PART_ROWS", rows)
     order = np.random.default_rng(2).permutation(50).tolist()
-    found = filled(tmp_path, order, each=3)
+    found = filled(tmp_path, order, each=6)
     found.compact()
     sizes = [pq.read_metadata(path).num_rows for path in found.parts()]
     assert sizes == ([10] * 5 if rows == 10 else [50])
     assert pd.concat([pd.read_parquet(path) for path in found.parts()])["case"].tolist() == list(range(50))
     same(found.read(), expected(order))
-    before = {path: path.stat().st_mtime_ns for path in found.parts()}
+    before = found.parts()
     found.compact()
-    assert set(found.parts()) == set(before)
+    assert found.parts() == before
 
 
 def test_few_rows_are_in_memory_while_parts_are_merged(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Parts come nearly in order, as from workers that take the next group each; so are they merged."""
     monkeypatch.setattr(module, "PART_ROWS", 20)
-    order = [case for at in range(0, 400, 10) for case in reversed(range(at, at + 10))]
+    order = [case for at in range(0, 200, 10) for case in reversed(range(at, at + 10))]
     found = filled(tmp_path, order, each=7)
     largest, together = [0], Dataset._together
 
@@ -111,34 +104,25 @@ def test_few_rows_are_in_memory_while_parts_are_merged(tmp_path: Path, monkeypat
     monkeypatch.setattr(Dataset, "_together", watched)
     found.compact()
     assert max(largest) < 60
-    assert [pq.read_metadata(path).num_rows for path in found.parts()] == [20] * 20
+    assert [pq.read_metadata(path).num_rows for path in found.parts()] == [20] * 10
     monkeypatch.undo()
     same(found.read(), expected(order))
 
 
-def test_columns_come_part_by_part_each_case_once(tmp_path: Path) -> None:
-    found = filled(tmp_path, list(range(6)), each=2)
-    found._write(found._together([found._load(path) for path in found.parts()[1:]]))
-    parts = list(found.stream(["set.x", "case"]))
-    assert len(parts) == 4
-    assert [list(part) for part in parts] == [["set.x", "case"]] * 4
-    every = pd.concat(parts).sort_values("case", ignore_index=True)
-    same(every, expected(list(range(6)))[["set.x", "case"]])
-    assert list(filled(tmp_path / "none", [], each=1).stream(["case"])) == []
-
-
 def test_many_small_parts_are_merged_on_the_way(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(module, "LOOSE_PARTS", 5)
-    found = filled(tmp_path, list(range(40)), each=1)
+    found = filled(tmp_path, list(range(20)), each=1)
     assert len(found.parts()) <= 6
-    same(found.read(), expected(list(range(40))))
+    same(found.read(), expected(list(range(20))))
 
 
 def test_rows_that_are_there_twice_count_once(tmp_path: Path) -> None:
     """As after a kill between the writing of merged parts and the end of the old ones."""
     found = filled(tmp_path, list(range(6)), each=2)
-    found._write(found._together([found._load(path) for path in found.parts()]))
-    assert len(found.parts()) == 4
+    found._write(found._together([found._load(path) for path in found.parts()[1:]]))
+    parts = list(found.stream(["set.x", "case"]))
+    assert len(parts) == len(found.parts()) == 4
+    same(pd.concat(parts).sort_values("case", ignore_index=True), expected(list(range(6)))[["set.x", "case"]])
     same(found.read(), expected(list(range(6))))
     found.compact()
     assert len(found.parts()) == 1
@@ -151,7 +135,7 @@ def test_full_disk_keeps_what_was_there(tmp_path: Path, monkeypatch: pytest.Monk
     with monkeypatch.context() as full:
         owner: Any = os if step == "fsync" else Path
         full.setattr(owner, step, full_disk)
-        with pytest.raises(FmuidError, match=r"cannot be written to: No space left on device; .* are kept") as raised:
+        with pytest.raises(FmuidError, match=r"write failed: No space left on device.*are kept") as raised:
             found.append([row(2)])
     assert not isinstance(raised.value, InputError)  # exit code 1: nothing given is wrong
     same(found.read(), expected([0, 1]))
@@ -160,28 +144,18 @@ def test_full_disk_keeps_what_was_there(tmp_path: Path, monkeypatch: pytest.Monk
     same(found.read(), expected([0, 1, 2]))
 
 
-@pytest.mark.parametrize("keep", [0, 10, 500])
-def test_a_half_written_part_is_found_and_removed(tmp_path: Path, keep: int) -> None:
-    found = filled(tmp_path, [0, 1, 2], each=1)
-    broken = found.parts()[1]
-    broken.write_bytes(broken.read_bytes()[:keep])
-    with pytest.raises(InputError, match=rf"{broken.name} is damaged .*: give the batch again"):
-        found.read()
-    assert found.repair() == (broken,)
-    assert np.flatnonzero(found.finished()).tolist() == [0, 2]
-
-
-def test_a_flipped_byte_is_found_wherever_it_is(tmp_path: Path) -> None:
-    """In a page, in its header, in the table of contents: the rows are lost, and nothing else."""
+def test_a_damaged_part_is_found_and_removed(tmp_path: Path) -> None:
+    """Cut, and with a bit flipped in a page, its header or the table of contents: only its rows are lost."""
     found = filled(tmp_path, list(range(9)), each=3)
     part = found.parts()[1]
     whole = part.read_bytes()
-    for place in np.random.default_rng(4).integers(0, len(whole), 60).tolist():
-        part.write_bytes(whole[:place] + bytes([whole[place] ^ 0x10]) + whole[place + 1 :])
-        with pytest.raises(InputError, match=r"is damaged \(its content is not what was written\)"):
-            found.read()
-        with pytest.raises(InputError, match=r"is damaged"):
-            read_part(part, lambda name: name == "set.x")
+    places = np.random.default_rng(4).integers(0, len(whole), 20).tolist()
+    damaged = [whole[:place] + bytes([whole[place] ^ 0x10]) + whole[place + 1 :] for place in places]
+    for content in [b"", whole[:10], whole[:500], *damaged]:
+        part.write_bytes(content)
+        for read in (found.read, lambda: read_part(part, lambda name: name == "set.x")):
+            with pytest.raises(InputError, match=rf"{part.name}: damaged \(wrong digest\)"):
+                read()
     assert found.repair() == (part,)
     assert np.flatnonzero(found.finished()).tolist() == [0, 1, 2, 6, 7, 8]
     rest = [read_part(path, lambda name: name == "set.x").to_pandas() for path in found.parts()]
@@ -189,8 +163,7 @@ def test_a_flipped_byte_is_found_wherever_it_is(tmp_path: Path) -> None:
 
 
 def test_pages_have_checksums_for_other_readers(tmp_path: Path) -> None:
-    found = filled(tmp_path, list(range(9)), each=9)
-    part = found.parts()[0]
+    part = filled(tmp_path, list(range(9)), each=9).parts()[0]
     whole = part.read_bytes()
     column = pq.ParquetFile(part).metadata.row_group(0).column(2)  # set.x
     place = column.data_page_offset + column.total_compressed_size // 2
@@ -199,7 +172,7 @@ def test_pages_have_checksums_for_other_readers(tmp_path: Path) -> None:
         pd.read_parquet(part, page_checksum_verification=True)
 
 
-@pytest.mark.parametrize("case", [10**9, CASES, -1, None])
+@pytest.mark.parametrize("case", [CASES, -1, None])
 def test_a_case_that_the_batch_has_not(tmp_path: Path, case: int | None) -> None:
     found = filled(tmp_path, [0, 1], each=1)
     sink = pa.BufferOutputStream()
@@ -208,31 +181,24 @@ def test_a_case_that_the_batch_has_not(tmp_path: Path, case: int | None) -> None
     alien = found.cases / f"part-000000005-{hashlib.sha256(content).hexdigest()[:12]}.parquet"
     alien.write_bytes(content)
     for read in (found.read, found.finished, lambda: list(found.stream(["status"]))):
-        with pytest.raises(InputError, match=rf"is damaged \(it has a case that is none of the {CASES} of the batch"):
+        with pytest.raises(InputError, match=rf"damaged \(case number not below {CASES}"):
             read()
     assert found.repair() == (alien,)
     same(found.read(), expected([0, 1]))
 
 
-def test_drafts_are_not_read_and_are_removed(tmp_path: Path) -> None:
-    found = filled(tmp_path, [0], each=1)
-    draft = found.cases / ".part-000000001-abc.parquet.77"
-    draft.write_bytes(b"PAR1")
-    same(found.read(), expected([0]))
-    same(pd.read_parquet(tmp_path / "cases"), expected([0]))
-    assert found.repair() == ()
-    assert not draft.exists()
-
-
-@pytest.mark.parametrize("name", ["part-0.parquet", "part-mine.parquet", "part-000000001-copy.parquet"])
-def test_files_of_others_are_no_parts(tmp_path: Path, name: str) -> None:
+def test_other_files_are_no_parts(tmp_path: Path) -> None:
     found = filled(tmp_path, [0, 1], each=1)
-    (found.cases / name).write_bytes(b"PAR1")
+    draft = found.cases / ".part-000000001-abc.parquet.77"
+    others = [found.cases / name for name in ("part-0.parquet", "part-mine.parquet", "part-000000001-copy.parquet")]
+    for path in [draft, *others]:
+        path.write_bytes(b"PAR1")
     same(found.read(), expected([0, 1]))
     assert found.repair() == ()
     found.compact()
     assert len(found.parts()) == 1
-    assert (found.cases / name).is_file()
+    assert not draft.exists()
+    assert all(path.is_file() for path in others)
 
 
 def test_two_writers(tmp_path: Path) -> None:
@@ -242,6 +208,9 @@ def test_two_writers(tmp_path: Path) -> None:
     with second.locked():
         pass
     assert not (tmp_path / files.LOCK).exists()
+    (tmp_path / "file").write_text("")
+    with pytest.raises(InputError, match=r"file.out cannot be made a folder: .*--output"):
+        Dataset(tmp_path / "file" / "out", COLUMNS, CASES).locked().__enter__()
 
 
 def test_a_lock_whose_owner_ends_meanwhile(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -277,12 +246,6 @@ def test_a_killed_writer_leaves_no_lock(tmp_path: Path) -> None:
         pass
 
 
-def test_a_folder_that_cannot_be_made(tmp_path: Path) -> None:
-    (tmp_path / "file").write_text("")
-    with pytest.raises(InputError, match=r"file.out cannot be made a folder: .*; choose another with --output"):
-        Dataset(tmp_path / "file" / "out", COLUMNS, CASES).locked().__enter__()
-
-
 def test_clear_removes_rows_and_logs_and_nothing_else(tmp_path: Path) -> None:
     found = filled(tmp_path, [0, 1], each=1)
     found.write_manifest("{}")
@@ -299,6 +262,5 @@ def test_logs_are_bounded() -> None:
     long = "beginning " + "ä" * LOG_BYTES + " end"
     cut = bounded(long)
     assert len(cut.encode()) <= LOG_BYTES
-    assert cut.startswith("beginning ")
-    assert cut.endswith(" end")
+    assert (cut[:10], cut[-4:]) == ("beginning ", " end")
     assert f"{len(long.encode()) - 2 * (LOG_BYTES // 2 - 40)} bytes left out" in cut

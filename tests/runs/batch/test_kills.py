@@ -174,7 +174,7 @@ def test_workers_that_cannot_begin(tmp_path: Path, monkeypatch: pytest.MonkeyPat
     monkeypatch.setattr(local_workers, "MOST_RESTARTS", 3)
     monkeypatch.setattr(local_workers, "SOON_SECONDS", 600.0)
     host, until = local_workers.LocalWorkers("tcp://127.0.0.1:9", 1, tmp_path / "workers"), time.monotonic() + 600
-    with pytest.raises(FmuidError, match=r"^the workers end as soon as they begin: ImportError: no numpy$"):
+    with pytest.raises(FmuidError, match=r"^workers end at once: ImportError: no numpy$"):
         while time.monotonic() < until:
             host.look()
             time.sleep(0.01)
@@ -203,8 +203,8 @@ def test_a_scheduler_that_is_lost_is_one_sentence(
         _, error = batch.communicate(timeout=120)
     assert batch.returncode == 1
     assert error.splitlines() == [
-        f"error: the scheduler at {address} was lost: the cases finished so far are kept, give the same command to go "
-        "on once there is a scheduler again"
+        f"error: connection to the scheduler at {address} lost. Finished cases are kept: start a scheduler, and repeat "
+        "the command."
     ]
     assert 0 < len(rows(folder / "out")) < 3000
 
@@ -224,7 +224,7 @@ def test_a_cluster(
             older.setattr(cluster, "versions", lambda: versions() | {"fmuid": "0.0.9"})
             said = refused(capsys, *words)
         assert f"the scheduler at {address}" in said
-        assert f"runs fmuid {versions()['fmuid']}, and here it is 0.0.9" in said
+        assert f"runs fmuid {versions()['fmuid']}, this machine 0.0.9" in said
         assert fmuid_("batch", *words) == 0
         assert capsys.readouterr().err == ""
         same(pd.read_parquet(fleet / "out" / "cases"), expected(fleet))
@@ -245,9 +245,7 @@ def test_a_cluster(
                 process.kill()
 
         job = Batch(fleet / "study.toml", fleet / "lost", scheduler=address)
-        with pytest.raises(
-            FmuidError, match=f"the scheduler at {address} was lost: the cases finished so far are kept"
-        ):
+        with pytest.raises(FmuidError, match=f"connection to the scheduler at {address} lost"):
             job.run(kill)
     kept = rows(fleet / "lost")
     assert 0 < len(kept) < 3000
