@@ -164,7 +164,7 @@ def test_parquet_files_are_read_when_whole(tmp_path: Path, reader: Reader, monke
             assert reader.look() == []
     assert reader.seen("a") == list(range(50))
     other.write_bytes(content[:-10])
-    assert "b.parquet: the file is no readable Parquet table" in reader.look()[0]
+    assert "b.parquet: not a readable Parquet table" in reader.look()[0]
     assert reader.look() == []
     other.write_bytes(content)
     reader.look()

@@ -21,7 +21,6 @@ from fmuid.errors import InputError
 from fmuid.estimation import Marquardt
 from fmuid.estimation.evaluator import Evaluator
 from fmuid.estimation.problem import LeastSquares
-from fmuid.identification import identify
 from fmuid.runs.batch import case as case_run
 from fmuid.runs.batch.case import CaseRunner
 from fmuid.runs.batch.case_list import CaseList
@@ -91,15 +90,15 @@ def test_interruptions_and_bugs_pass(case_folder: Path, monkeypatch: pytest.Monk
 
 def test_the_log_has_the_warnings_of_its_own_thread(case_folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     log, runner = logging.getLogger("fmuid.fmu"), CaseRunner(study_of(case_folder, {"starting_points": 1}))
-    handlers = list(logging.getLogger("fmuid").handlers)
+    handlers, search = list(logging.getLogger("fmuid").handlers), Marquardt.search
 
-    def warn(settings: Marquardt, problem: LeastSquares, *_: object) -> Any:
+    def warn(settings: Marquardt, problem: Any, *more: Any) -> Any:
         log.warning("the coil %s", "hums")
         log.info("nothing")
         other = threading.Thread(target=log.warning, args=("another case",))
         other.start()
         other.join()
-        return identify(problem, settings)
+        return search(settings, problem, *more)
 
     with monkeypatch.context() as patch:
         patch.setattr(Marquardt, "search", warn)
