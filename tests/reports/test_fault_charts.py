@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
 
@@ -10,7 +11,8 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from fmuid.diagnosis.alarms import Alarm
+from fmuid.diagnosis import BaselineSource
+from fmuid.diagnosis.alarms import Alarm, Trend
 from fmuid.diagnosis.cause_results import CauseScore, ChangeEvidence, EstimatedChange, Explanation
 from fmuid.diagnosis.causes import CauseKind
 from fmuid.diagnosis.unexplained_residual import NOTHING_LEFT
@@ -98,3 +100,54 @@ def test_timeline(windows: pd.DataFrame) -> None:
     assert (ground["left"].tolist(), ground["right"].tolist()) == ([20.0], [24.0])
     assert size.x.reach == (0.0, 24.0)
     assert sorted([*places(noise), *places(noise, "x")]) == [1.0, 8.0, 16.0, 22.0]
+
+
+@pytest.mark.parametrize(
+    ("kind", "explanations", "basis", "said"),
+    [
+        ("fault", 1, BaselineSource.RECORDS, "FAULT: turns, dR = 0.300 ± 0.050 Ohm (p = 1e-09)."),
+        ("ambiguous", 2, BaselineSource.RECORDS, "CHANGE, indistinguishable: turns, dR = 0.300 ± 0.050 Ohm or gain"),
+        (
+            "unexplained",
+            0,
+            BaselineSource.RESULT,
+            "UNEXPLAINED CHANGE: residual variance is 1.9 ×",
+        ),
+        ("unexplained", 0, BaselineSource.RECORDS, "UNEXPLAINED CHANGE: residual–input correlation"),
+        ("undecided", 0, BaselineSource.RECORDS, "UNDECIDED: turns.dR indistinguishable"),
+        (
+            "healthy",
+            0,
+            BaselineSource.RECORDS,
+            "NO FAULT at 1 % false-alarm rate (p = 1e-09); most likely: turns",
+        ),
+    ],
+)
+def test_diagnosis_verdict(
+    news: ChangeEvidence, kind: str, explanations: int, basis: BaselineSource, said: str
+) -> None:
+    alarm = kind in ("fault", "ambiguous")
+    evidence = replace(news, explanations=news.explanations[:explanations], basis=basis, alarm=alarm, steady=False)
+    left = SimpleNamespace(ratio=1.9, probability=1e-3, larger=True)
+    found: Any = SimpleNamespace(kind=kind, evidence=evidence, unexplained=left, level=0.01, undetermined=("turns.dR",))
+    assert diagnosis.verdict(found).text.startswith(said)
+    found.deviation, found.fitted, found.accuracy, found.mismatched = None, (), None, ("turns",)
+    notes = [each.message.partition(".")[2] for each in diagnosis.diagnosis_notes(found)]
+    expected = ["MISMATCHED", *["PARTLY"] * alarm, *["NOT_TESTED"] * (basis is BaselineSource.RESULT)]
+    assert notes == expected + ["UNSTEADY"] * alarm
+
+
+@pytest.mark.parametrize(
+    ("reached", "said"),
+    [
+        ((0.0, 0.0, 0.0), "has reached its limit 1 Ohm."),
+        ((math.inf, math.inf, math.inf), "stays below its limit 1 Ohm."),
+        ((math.inf, 9.0, math.inf), "does not reach its limit 1 Ohm at this rate (95 %: 9 s to never)."),
+        ((12.0, 9.0, 20.0), "reaches its limit 1 Ohm in 12 s (95 %: 9 s to 20 s)."),
+    ],
+)
+def test_trend_and_its_limit(reached: tuple[float, float, float], said: str) -> None:
+    trend = Trend("turns.dR", 0.3, 0.01, 0.05, 0.01, 1.0, reached)
+    rate, limit = monitoring.trend_remarks(trend, "Ohm")
+    assert rate.text == "turns.dR changes by 0.050 ± 0.010 Ohm/s."
+    assert limit.text == f"turns.dR {said}"

@@ -45,8 +45,8 @@ def html(shown: Any) -> str:
     return text
 
 
-def test_a_notebook_with_five_figures_can_be_kept(found: fmuid.runs.IdentificationRun) -> None:
-    plots = (found.plot.fit, found.plot.residuals, found.plot.criterion, found.plot.correlation, found.plot.belief)
+def test_library_is_in_the_first_figure_only(found: fmuid.runs.IdentificationRun) -> None:
+    plots = (found.plot.fit, found.plot.residuals, found.plot.cost, found.plot.correlation, found.plot.belief)
     shown = [html(plot()) for plot in plots]
     assert len(shown[0]) > 1_000_000
     assert max(map(len, shown[1:])) < 400_000
@@ -54,13 +54,13 @@ def test_a_notebook_with_five_figures_can_be_kept(found: fmuid.runs.Identificati
     assert all("cdn." not in text for text in shown[1:])
 
 
-def test_a_result_draws_itself_without_its_findings(found: fmuid.runs.IdentificationRun) -> None:
+def test_result_has_figures_of_its_own(found: fmuid.runs.IdentificationRun) -> None:
     assert [len(found.result.plot.residuals().charts), len(found.plot.residuals().charts)] == [1, 3]
     assert len(found.result.plot.fit().charts) == len(found.result.plot.accuracy().charts) == 1
-    assert dir(found.result.plot) == ["accuracy", "correlation", "criterion", "fit", "parameters", "residuals"]
+    assert dir(found.result.plot) == ["accuracy", "correlation", "cost", "fit", "parameters", "residuals"]
     with pytest.raises(fmuid.InputError, match=r"fmuid\.run"):
         found.result.plot.parabolas("R")
-    with pytest.raises(AttributeError, match="nothing to draw as 'optima': there is accuracy, correlation, criterion"):
+    with pytest.raises(AttributeError, match="nothing to draw as 'optima': there is accuracy, correlation, cost"):
         found.result.plot.optima()
     assert len(found.plot.parabolas("L").charts) == 1
 
@@ -80,7 +80,7 @@ def test_tables(found: fmuid.runs.IdentificationRun, tmp_path: Path) -> None:
     assert all(f"<th scope=row>{name}</th>" in coil for name in ("R", "L", "u", "i"))
 
 
-def test_a_parameter_of_a_result_knows_more_than_its_value(found: fmuid.runs.IdentificationRun) -> None:
+def test_parameter_of_a_result_is_a_number_with_attributes(found: fmuid.runs.IdentificationRun) -> None:
     result, own = found.result, found.result["R"]
     assert own == own.value == result.values[0]
     assert own + 1.0 == result.values[0] + 1.0
@@ -110,8 +110,8 @@ def many(count: int, directions: int) -> fmuid.Result:
     )
 
 
-@pytest.mark.parametrize(("count", "directions"), [(1, 0), (22, 0), (23, 0), (100, 0), (100, 60), (3, 60), (20, 4)])
-def test_a_printed_result_takes_25_lines(count: int, directions: int) -> None:
+@pytest.mark.parametrize(("count", "directions"), [(22, 0), (23, 0), (100, 60), (3, 60)])
+def test_printed_result_has_at_most_25_lines(count: int, directions: int) -> None:
     text = str(many(count, directions))
     lines = text.splitlines()
     assert len(lines) <= 25

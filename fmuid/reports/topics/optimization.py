@@ -90,7 +90,7 @@ def optimization_sections(
         drawn = tuple(_parameters(trace, estimates))
         sections.append(Section("parameters", "Parameters during the optimization", PARAMETERS, charts=drawn))
         curves = _criterion(trace) + (_rounds(rounds, output_units) if len(rounds) > 1 else [])
-        sections.append(Section("criterion", "Cost during the optimization", COST, charts=tuple(curves)))
+        sections.append(Section("cost", "Cost during the optimization", COST, charts=tuple(curves)))
     if len(optima):
         units = dict(zip(estimates["parameter"], estimates["unit"], strict=True))
         sections.append(Section("optima", "Optima", OPTIMA, charts=tuple(_optima(optima, units))))

@@ -162,7 +162,7 @@ def ending_remarks(result: Result) -> list[Remark]:
     values = {"iterations": _count(result.history.iterations, "iteration")}
     if result.outcome is TerminationReason.INTERRUPTED and fits is not None:
         message, values = TerminationMessage.INTERRUPTED_SEARCH, {"fits": _count(fits, "fit")}
-    said = [message.said(None, "criterion", **values)]
+    said = [message.said(None, "cost", **values)]
     for each in result.identifiability.non_identifiable:
         said.append(direction_remark(each))
         if len(each.names) > 2 and each.level is not IdentifiabilityLevel.NOT_IN_EFFECT:
@@ -201,13 +201,13 @@ def result_remarks(result: Result) -> list[Remark]:
 def observer_remarks(result: Result) -> list[Remark]:
     """Return the remark on an observer."""
     memory = result.setup.observer
-    return [] if memory is None else [TerminationMessage.OBSERVER.said(None, "criterion", memory=f"{memory:g}")]
+    return [] if memory is None else [TerminationMessage.OBSERVER.said(None, "cost", memory=f"{memory:g}")]
 
 
 def start_remarks(result: Result) -> list[Remark]:
     """Return the remarks on discrete parameters, initial guesses and restarts."""
     starts = list(zip(result.names, result.estimates.start.tolist(), strict=True))
-    place = (None, "criterion", result.names)
+    place = (None, "cost", result.names)
     moved = [
         StartMessage.REPLACED.said(*place, name=name, value=f"{start:g}")
         for name, start in starts
@@ -238,7 +238,7 @@ def effort_remark(result: Result) -> Remark:
     spent, likelihood = result.history, result.fit.log_likelihood
     return TerminationMessage.EFFORT.said(
         None,
-        "criterion",
+        "cost",
         iterations=_count(spent.iterations, "iteration"),
         simulations=spent.simulations,
         seconds=f"{spent.elapsed_s:.2f}",
@@ -308,8 +308,8 @@ def attempt_remarks(result: Result) -> list[Remark]:
     counts = ((one, len(list(alike))) for one, alike in groupby(ends))
     attempts = ", ".join(one if times == 1 else f"{times} × {one}" for one, times in counts)
     return [
-        message.said(None, "criterion", ratio=ratio, count=count, number=kept),
-        StartMessage.ATTEMPTS.said(None, "criterion", attempts=attempts),
+        message.said(None, "cost", ratio=ratio, count=count, number=kept),
+        StartMessage.ATTEMPTS.said(None, "cost", attempts=attempts),
     ]
 
 
