@@ -44,7 +44,7 @@ class EstimationSection(StudySection):
     n_starts: kinds.Count | None = entry(None, "starting points of multi-start, or members of the evolution", 50)
     seed: kinds.Natural = entry(0, "seed of a global search")
     loss: Annotated[str, kinds.one_of(tuple(LOSSES))] = entry(
-        "linear", 'of one residual; "soft_l1", "huber" and "cauchy" reduce the effect of outliers', "soft_l1"
+        "linear", 'loss function; "soft_l1", "huber" and "cauchy" reduce the effect of outliers', "soft_l1"
     )
     jacobian: Annotated[str, kinds.one_of(SENSITIVITIES)] = entry(
         "finite-difference", '"forward": sensitivity equations; "fmu": derivatives by the FMU', "finite-difference"

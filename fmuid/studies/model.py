@@ -95,7 +95,9 @@ class NumericsSection(StudySection):
     tolerance: kinds.Share | None = entry(
         None, f"relative solver tolerance; default: {DEFAULT_TOLERANCE!r}, or that of the FMU", DEFAULT_TOLERANCE
     )
-    step_size: kinds.Positive | None = entry(None, "communication step, s; default: the sampling interval", 1e-3)
+    step_size: kinds.Positive | None = entry(
+        None, "largest communication step, s; default: the sampling interval", 1e-3
+    )
     max_solver_steps: kinds.Count | None = entry(
         None,
         f'largest number of "rk45" and "cvode" steps between samples; default: {MOST_STEPS}',

@@ -235,7 +235,7 @@ def ended(remedy: StartingPointSource, values: list[float], worth: float = 0.0, 
         (ended(StartingPointSource.CORRECTION, [1.05, 7.0]), np.nan, False),  # which set out from the given start
     ],
 )
-def test_searches_agree_in_criterion_and_estimates(other: EndedSearch, equation_ratio: float, confirmed: bool) -> None:
+def test_searches_agree_in_cost_and_estimates(other: EndedSearch, equation_ratio: float, confirmed: bool) -> None:
     one = ended(StartingPointSource.GIVEN, [1.0, 2.0], number=1)
     assert is_confirmed(one, [other, one], equation_ratio) == confirmed
 
