@@ -29,8 +29,6 @@ _SUPERSCRIPTS = str.maketrans("⁰¹²³⁴⁵⁶⁷⁸⁹⁻", "0123456789-")
 _POWER_OF_A_NUMBER = re.compile(r"[\d)]\s*(\^|\*\*)")  # in no unit; slow in pint
 _IN_NAMES = re.compile(r".+[_ ](rpm|[mkuµ]A|[mkuµ]V|[mk]W|[mk]?Nm|[kM]Pa|mbar|degC|deg|mOhm|kOhm|[mc]m|kHz)")
 """Column names that end in a unit; ``R_s``, ``i_d`` and ``p_bar`` do not."""
-_ROUNDING = 1e-9
-_LONGEST = 40  # characters of a unit; longer texts are descriptions
 
 
 @dataclass(frozen=True)
@@ -49,7 +47,7 @@ def parse_unit(text: str) -> BaseUnit | None:
     Angles have their own dimension, as in FMI: 1 Hz is not 1 rad/s.
     """
     text = text.strip()
-    if len(text) > _LONGEST or _POWER_OF_A_NUMBER.search(text):
+    if len(text) > 40 or _POWER_OF_A_NUMBER.search(text):  # longer texts are descriptions
         return None
     registry = _registry()
     try:
@@ -62,7 +60,7 @@ def parse_unit(text: str) -> BaseUnit | None:
     if powers or any(power != int(power) for power in exponents):
         return None
     offset, factor = float(origin.magnitude), float(one.magnitude - origin.magnitude)
-    if abs(two.magnitude - one.magnitude - factor) > _ROUNDING * abs(factor):  # such as decibels
+    if abs(two.magnitude - one.magnitude - factor) > 1e-9 * abs(factor):  # such as decibels
         return None
     return BaseUnit(tuple(int(power) for power in exponents), factor, offset)
 

@@ -11,8 +11,6 @@ import numpy as np
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import connected_components, maximum_bipartite_matching
 
-_TRIALS = 5
-
 
 def first_loop(unknowns: Sequence[set[str]]) -> list[int]:
     """Return the first smallest set of equations with as many unknowns.
@@ -43,7 +41,7 @@ def always_singular(matrix: Any, values: Mapping[str, float]) -> bool:
     symbols = ca.symvar(matrix)
     evaluate = ca.Function("matrix", symbols, [ca.densify(matrix)])
     rng = np.random.default_rng(0)
-    for _ in range(_TRIALS):
+    for _ in range(5):
         found = np.array(evaluate.call([values.get(each.name(), rng.uniform(0.1, 1.0)) for each in symbols])[0])
         if not np.all(np.isfinite(found)):
             return False

@@ -16,8 +16,6 @@ from pathlib import Path
 
 import psutil
 
-REMOVAL_SECONDS = 1.0  # s at most, until all processes of a group have ended
-
 
 def own(process: Path = Path("/proc/self")) -> Path | None:
     """Return the folder of this process's group (proc_pid_cgroup(5), proc_pid_mountinfo(5))."""
@@ -59,7 +57,7 @@ def kill(group: Path | None) -> None:
 
 def remove(group: Path | None) -> None:
     """Remove a group and those below it once their processes have ended."""
-    until = time.monotonic() + REMOVAL_SECONDS
+    until = time.monotonic() + 1.0  # s until all processes have ended
     while group is not None and group.exists():
         try:
             for folder, _, _ in os.walk(group, topdown=False):

@@ -16,7 +16,6 @@ from fmuid.processes.limits import HostExitError, Watchdog
 if TYPE_CHECKING:
     from fmuid.processes.host import HostProcess
 
-LEAST_MEMORY = 1e9  # bytes, the default limit on a small machine
 MOST_KILLS = 3  # in a row from outside: more are not by chance
 
 Host = TypeVar("Host", bound="HostProcess")
@@ -35,7 +34,7 @@ class HostKeeper(Generic[Host]):
     ) -> None:
         self._make = make
         fraction = psutil.virtual_memory().total / (2 * (os.cpu_count() or 1))
-        self._memory = 1e6 * memory if memory else max(LEAST_MEMORY, fraction)
+        self._memory = 1e6 * memory if memory else max(1e9, fraction)  # bytes
         self._hosts: list[Host] = []  # at most one, in a list that outlives the keeper
         self._text = ""
         weakref.finalize(self, _shut, self._hosts, left)

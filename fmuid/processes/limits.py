@@ -45,14 +45,10 @@ class HostExitError(Exception):  # no error, but a report
             return f"signal {self.number}"
 
 
-SUBREAPER = 36  # PR_SET_CHILD_SUBREAPER of Linux
-MEASURING_SHARE = 0.1  # largest fraction of time for reading proportional set sizes
-
-
 def adopt_orphans() -> None:
     """Become the parent of orphans below this process (Linux)."""
     if sys.platform == "linux":
-        ctypes.CDLL(None).prctl(SUBREAPER, 1, 0, 0, 0)
+        ctypes.CDLL(None).prctl(36, 1, 0, 0, 0)  # PR_SET_CHILD_SUBREAPER
 
 
 def children(pid: int) -> list[int]:
@@ -139,7 +135,7 @@ class Footprint:
         began = time.monotonic()
         self._resident, self._proportional = resident, sum(map(_proportional, relatives))
         now = time.monotonic()
-        self._next = now + (now - began) / MEASURING_SHARE
+        self._next = now + (now - began) / 0.1  # fraction of time for reading
         return self._proportional
 
 

@@ -25,18 +25,13 @@ from fmuid.processes.channel import TOKEN_BYTES, Channel, answer_parts
 from fmuid.processes.limits import adopt_orphans, children
 from fmuid.processes.service import Service
 
-ORDER_BYTES = 4096  # bytes of an order
-ORPHANS_SECONDS = 2.0  # s at most to end
-DIE_WITH_PARENT = 1  # PR_SET_PDEATHSIG of Linux
-_IOLBF = 1  # of setvbuf: line buffering
-
 
 def _become_host(descriptors: Sequence[int], parent: int, group: Path | None) -> None:
     import resource  # not on Windows
 
     channel, memory, printed = descriptors
     if sys.platform == "linux":
-        ctypes.CDLL(None).prctl(DIE_WITH_PARENT, signal.SIGKILL)
+        ctypes.CDLL(None).prctl(1, signal.SIGKILL)  # PR_SET_PDEATHSIG
         if os.getppid() != parent:
             return
     cgroup.enter(group)
@@ -67,7 +62,7 @@ def _write_lines_at_once() -> None:
     libc = ctypes.CDLL(None)
     for name in ("stdout", "__stdoutp"):
         with contextlib.suppress(ValueError):  # a C library has one of the names
-            libc.setvbuf(ctypes.c_void_p.in_dll(libc, name), None, _IOLBF, 0)
+            libc.setvbuf(ctypes.c_void_p.in_dll(libc, name), None, 1, 0)  # _IOLBF: line buffering
             return
 
 
@@ -85,7 +80,7 @@ class HostForkServer:
         orders, answers = self._channel, Channel(self._channel)
         try:
             while True:
-                data, descriptors, _, _ = socket.recv_fds(orders, ORDER_BYTES, 3)
+                data, descriptors, _, _ = socket.recv_fds(orders, 4096, 3)
                 if not data:
                     return
                 name, *arguments = pickle.loads(data)
@@ -141,7 +136,7 @@ class HostForkServer:
 
         They are children of this process and no hosts; a living host adopts its own orphans.
         """
-        until = time.monotonic() + ORPHANS_SECONDS
+        until = time.monotonic() + 2.0  # s to end
         while time.monotonic() < until:
             orphans = [pid for pid in children(os.getpid()) if pid not in self._hosts]
             if not orphans:

@@ -14,7 +14,6 @@ from fmuid.errors import InputError
 from tests.support import table_variants as variants
 from tests.support.mutations import mutated
 
-MUTATIONS = 500
 SHORT = 12
 """Rows of a table: headers and structure are most of its file."""
 FRAME = variants.FRAME[:SHORT]
@@ -32,10 +31,13 @@ WRITERS: dict[str, Callable[[Path], object]] = {
 }
 
 
-@pytest.mark.slow
+COUNTS = [pytest.param(50, marks=pytest.mark.slow), pytest.param(500, marks=pytest.mark.campaign)]
+
+
+@pytest.mark.parametrize("count", COUNTS)
 @pytest.mark.parametrize("name", WRITERS)
-def test_damaged_tables(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str) -> None:
-    """Five hundred mutations, of which none ends this process."""
+def test_damaged_tables(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str, count: int) -> None:
+    """Mutations, of which none ends this process."""
     for each in ("FRAME", "MS", "IN_RPM", "IN_MA", "DATES"):
         monkeypatch.setattr(variants, each, getattr(variants, each)[:SHORT])
     monkeypatch.setattr("fmuid.data.readers.base.READING_SECONDS", 3.0)  # some damage lets HDF5 run in circles
@@ -43,7 +45,7 @@ def test_damaged_tables(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: s
     WRITERS[name](path)
     sound, rng = path.read_bytes(), Random(name)
     refused = 0
-    for _ in range(MUTATIONS):
+    for _ in range(count):
         path.write_bytes(mutated(rng, sound))
         try:
             frame = read_data(path)
@@ -51,4 +53,4 @@ def test_damaged_tables(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: s
         except InputError as error:
             assert "\n" not in str(error)
             refused += 1
-    assert refused > MUTATIONS / 10
+    assert refused > count / 10

@@ -50,10 +50,6 @@ def test_prbs_order_and_seed() -> None:
     np.testing.assert_array_equal(again[:300], again[15:315])  # a given order repeats itself
 
 
-def test_prbs_of_a_broken_last_bit() -> None:
-    assert len(prbs(0.007, 1e-3, 1.0, 3)) == 7
-
-
 def test_multisine_has_equal_lines_in_its_band_and_none_outside() -> None:
     frame = multisine(2.0, 1e-3, 3.0, 5.0, 40.0, period=1.0, offset=-1.0)
     lines = np.abs(np.fft.rfft(frame["u"] + 1.0)) / 1000  # 0.5 Hz apart; amplitudes

@@ -27,9 +27,6 @@ def reduced(given: Any, **how: Any) -> Any:
     return preprocess(given, Preprocessing(**how))
 
 
-# --- expressions --------------------------------------------------------------------------
-
-
 def value(text: str) -> Floats:
     columns = {"a": np.array([1.0, 4.0]), "b": np.array([2.0, 0.0]), "motor speed": np.array([3.0, 5.0])}
 
@@ -95,9 +92,6 @@ def test_columns_one_after_the_other() -> None:
         reduced(frame(y=2.0), computed_columns={"time": "time * 2"})
 
 
-# --- filtering ----------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize("frequency", [20.0, 5.0, 80.0])
 def test_low_pass_halves_at_its_frequency_and_shifts_nothing(frequency: float) -> None:
     """|H|² = 1 / (1 + (Ω/Ω_c)⁴) of a Butterworth filter of order 2, once in each direction; Ω = tan(π f / f_s)."""
@@ -134,9 +128,6 @@ def test_low_pass_is_refused() -> None:
     held = Experiment(frame(u=1.0, y=1.0), ["u"], ["y"], interpolation="zoh")
     with pytest.raises(InputError, match="'u' has interpolation"):
         reduced(held, lowpass_frequency=50.0)
-
-
-# --- cutting, resampling, trends ----------------------------------------------------------
 
 
 def test_cut() -> None:
@@ -204,9 +195,6 @@ def test_the_order_and_what_is_left_alone() -> None:
     assert reduced(given, resample_interval=0.01).attrs["units"] == {"x": "mV"}
 
 
-# --- axes ---------------------------------------------------------------------------------
-
-
 def phases(angle: Floats) -> dict[str, Floats]:
     """Return a balanced set of peak 10 that turns with an angle, 0.3 rad before it."""
     return {name: 10 * np.cos(angle + 0.3 - k * 2 * np.pi / 3) for k, name in enumerate(("ia", "ib", "ic"))}
@@ -243,9 +231,6 @@ def test_axes_are_refused() -> None:
     del table.attrs["units"]
     with pytest.raises(InputError, match="column 'ix' not found"):
         reduced(table, park=(ParkTransform(("ia", "ib", "ix"), ("id", "iq"), angle="n"),))
-
-
-# --- fill ---------------------------------------------------------------------------------
 
 
 def gappy() -> pd.DataFrame:
@@ -296,16 +281,6 @@ def test_a_pause_is_not_bridged_unless_its_length_is_said() -> None:
         reduced(table, fill_missing={"u": "linear"}, end_time=1.9)
     found = reduced(table, fill_missing={"u": "linear"}, max_gap=0.022, end_time=1.9)
     np.testing.assert_allclose(found["u"], 2 * T[:1901], atol=1e-12)
-
-
-def test_gaps_outside_what_is_kept_do_not_matter() -> None:
-    found = reduced(gappy(), fill_missing={"u": "linear"}, max_gap=0.002, end_time=0.4)
-    np.testing.assert_allclose(found["u"], 2 * T[:401], atol=1e-12)
-    with pytest.raises(InputError, match=r"at t = 0\.5 s"):  # the last time that is kept is in the gap
-        reduced(gappy(), fill_missing={"u": "linear"}, max_gap=0.002, end_time=0.5)
-
-
-# --- rows that are missing ----------------------------------------------------------------
 
 
 def lacking(*without: tuple[float, float]) -> pd.DataFrame:

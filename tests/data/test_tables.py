@@ -22,9 +22,6 @@ def written(tmp_path: Path, text: str | bytes, name: str = "run.csv") -> Path:
     return path
 
 
-# --- CSV ---
-
-
 def test_csv_with_names_as_they_are_and_empty_cells(tmp_path: Path) -> None:
     path = written(tmp_path, '\ufeff\ntime, u,"x[1,2]",der(y)\n0,1.5,2,\n0.1,2.5,3,0.30000000000000004\n')
     table = read_data(path)
@@ -32,16 +29,6 @@ def test_csv_with_names_as_they_are_and_empty_cells(tmp_path: Path) -> None:
     np.testing.assert_array_equal(table["x[1,2]"], [2, 3])
     assert np.isnan(table["der(y)"][0])
     assert table["der(y)"][1] == pytest.approx(0.30000000000000004, rel=1e-15)
-
-
-def test_csv_columns_of_text_are_kept_for_whoever_needs_them(tmp_path: Path) -> None:
-    table = read_data(written(tmp_path, "time,comment\n0,start\n1,end\n"))
-    assert list(table["comment"]) == ["start", "end"]
-
-
-def test_a_time_column_of_another_name(tmp_path: Path) -> None:
-    table = read_data(written(tmp_path, "u,t\n1,0\n2,1\n"), time="t")
-    np.testing.assert_array_equal(table["t"], [0, 1])
 
 
 @pytest.mark.parametrize(
@@ -105,9 +92,6 @@ def test_files_that_cannot_be_read(tmp_path: Path) -> None:
         read_data(written(tmp_path, "", "run"))
 
 
-# --- Parquet ---
-
-
 def test_parquet_with_time_as_column_or_index(tmp_path: Path) -> None:
     frame = pd.DataFrame({"time": TIMES, "w": SPEED, "on": [True, False, True, True, False]})
     frame.to_parquet(tmp_path / "column.parquet")
@@ -124,9 +108,6 @@ def test_parquet_that_is_none(tmp_path: Path) -> None:
     pd.DataFrame({"time": [], "u": []}).to_parquet(tmp_path / "empty.parquet")
     with pytest.raises(InputError, match="no samples below the header"):
         read_data(tmp_path / "empty.parquet")
-
-
-# --- MAT of MATLAB ---
 
 
 @pytest.mark.parametrize("version", ["4", "5"])
@@ -169,9 +150,6 @@ def test_a_file_that_may_not_be_read(tmp_path: Path, monkeypatch: pytest.MonkeyP
     monkeypatch.setattr(Path, "open", refused)
     with pytest.raises(InputError, match="permission denied"):
         read_data(path)
-
-
-# --- MAT of OpenModelica and Dymola ---
 
 
 def result_file(path: Path, transposed: bool, padding: str = "nul", time: str = "time") -> None:

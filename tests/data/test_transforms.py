@@ -43,13 +43,6 @@ def test_park_of_every_row_against_the_explicit_matrices() -> None:
         np.testing.assert_allclose(row[["d", "q"]].to_numpy(dtype=float), expected, rtol=1e-12, atol=1e-14)
 
 
-def test_a_balanced_set_is_a_constant_vector_of_sqrt_three_halves_its_peak() -> None:
-    axes = park_transform(balanced(peak=3.0, delay=0.4), PHASES, ("d", "q"))
-    length = np.sqrt(3 / 2) * 3.0
-    np.testing.assert_allclose(axes["d"], length * np.cos(0.4), rtol=1e-12)
-    np.testing.assert_allclose(axes["q"], -length * np.sin(0.4), rtol=1e-12)  # behind the axis: negative
-
-
 def test_power_is_the_same_in_both() -> None:
     u, i = random_phases(zero_sum=False), random_phases(zero_sum=True)
     u["theta"] = i["theta"]
@@ -73,13 +66,6 @@ def test_the_zero_sequence_is_lost() -> None:
     back = inverse_concordia(concordia_transform(frame, PHASES, ("x", "y")), ("x", "y"), ("a back", "b back", "c back"))
     zero = frame[list(PHASES)].mean(axis=1)
     np.testing.assert_allclose(back["a back"], frame["a"] - zero, atol=1e-13)
-
-
-def test_the_given_frame_stays_as_it_was() -> None:
-    frame = balanced()
-    before = frame.copy()
-    park_transform(frame, PHASES, ("d", "q"))
-    pd.testing.assert_frame_equal(frame, before)
 
 
 def test_wrong_columns_are_named() -> None:

@@ -43,9 +43,6 @@ class Payload:
         return os.system, (f"touch {self.mark}",)
 
 
-# --- pickles ---
-
-
 @pytest.mark.parametrize("protocol", range(pickle.HIGHEST_PROTOCOL + 1))
 def test_plain_value_reads_plain_pickles(protocol: int) -> None:
     value = [1, (0, "index"), {"tz": None, "names": ["ü", True]}, 1.5, 2**70, -3, [], (), (1, 2, 3, 4)]
@@ -66,9 +63,6 @@ def test_plain_value_builds_no_object(tmp_path: Path) -> None:
 def test_plain_value_refuses_other_bytes(data: bytes) -> None:
     with pytest.raises(ValueError):
         plain_value(data)
-
-
-# --- tables of pandas in HDF5 ---
 
 
 @pytest.mark.parametrize(
@@ -201,9 +195,6 @@ def test_hdf_executes_no_pickle_anywhere(tmp_path: Path, layout: Any) -> None:
             outcomes.add(-1)
         assert not mark.exists(), (name, attribute)
     assert outcomes == {-1, ROWS}
-
-
-# --- other formats ---
 
 
 @pytest.mark.parametrize("suffix", [".mf4", ".mdf"])

@@ -15,10 +15,8 @@ from fmuid.errors import ModelicaWarning
 from fmuid.export import build, export_fmu
 from tests.export.conftest import Exporter
 from tests.support.exported import here_only, running
-from tests.support.exporting import BASE, MODELS, description, members, models
+from tests.support.exporting import BASE, description, members, models
 from tests.support.paths import FMUS
-
-# ---- the FMUs
 
 
 @models
@@ -32,7 +30,8 @@ def test_sources_of_a_committed_fmu_are_what_its_model_gives(
     assert new == {name: data for name, data in committed.items() if not name.startswith("binaries/")}
 
 
-@pytest.mark.parametrize("model", ["Coil", *(pytest.param(m, marks=pytest.mark.slow) for m in MODELS if m != "Coil")])
+@pytest.mark.slow
+@models
 def test_committed_fmu_is_what_its_source_gives(tmp_path: Path, model: str) -> None:
     """Byte for byte, in another directory and under another name."""
     elsewhere = tmp_path / "a directory" / "Source.mo"

@@ -14,7 +14,6 @@ from fmuid.export.algebraic_loops import first_loop, solve_linear
 from tests.export.conftest import Exporter
 from tests.support.exported import Running, both_versions, running
 
-# ---- powers
 
 DECAY = """model Decay "dx/dt = -x^a"
   parameter Real a = 2.5, x_start = 2;
@@ -66,9 +65,6 @@ end Powers;
             slopes += [1.5 * abs(u) ** 0.5 * np.sign(u), np.log(8) * 8**u, 2]
             assert model.slopes(names, "u") == pytest.approx(slopes, rel=1e-14)
             assert model.slopes(["y5"], "b") == pytest.approx([np.log(abs(u)) * abs(u) ** 1.5 if u else 0.0], rel=1e-14)
-
-
-# ---- loops: which equations, their solution
 
 
 def test_first_loop_is_the_smallest_that_needs_no_other() -> None:
@@ -134,8 +130,6 @@ def test_pivots_that_vanish_are_avoided() -> None:
             np.testing.assert_allclose(solved(matrix, right), exact(matrix, right), rtol=1e-13, atol=1e-14)
     assert np.all(np.isfinite(solved(np.array([[1e-300, 1.0], [1.0, 1.0]]), np.array([1.0, 2.0]))))
 
-
-# ---- models
 
 COILS = """model Coils "Two coupled coils, fluxes as states"
   parameter Real L1(unit="H") = 0.3, L2(unit="H") = 0.5, M(unit="H") = 0.35;

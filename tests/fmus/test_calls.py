@@ -15,8 +15,6 @@ from scipy.integrate import solve_ivp
 from tests.support.shipped_instances import Instance, Opener, points, relative_error
 from tests.support.shipped_models import REFERENCES, TOLERANCE, Array, drive, models
 
-# ---- start values, life, state
-
 
 @models
 def test_parameters_give_the_start_values(opened: Opener, model: str) -> None:
@@ -192,9 +190,6 @@ def test_directional_derivatives_in_initialization_mode(opened: Opener) -> None:
     instance.set({"R": 3.0, "L": 0.5})
     assert list(instance.directional(["i", "der(i)"], "i_start")) == [1.0, -6.0]
     assert list(instance.directional(["i", "der(i)"], "u")) == [0.0, 2.0]
-
-
-# ---- refusals of the C code: one clear text each, and a way back
 
 
 def refused(instance: Instance, call: Callable[[], Any]) -> str:

@@ -16,8 +16,6 @@ from fmuid.data.signals import park_transform
 from tests.support.shipped_instances import Opener, points, relative_error
 from tests.support.shipped_models import FLUXES, MACHINE, PHASES, REFERENCES, TOLERANCE, models, park_machine
 
-# ---- co-simulation
-
 
 @pytest.mark.parametrize("linear", [True, False], ids=["linear", "held"])
 @models
@@ -120,9 +118,6 @@ def test_long_steps_are_divided(opened: Opener, model: str) -> None:
             instance.fmu.doStep(k * 3 * interval / parts, 3 * interval / parts)
         results.append(instance.get(*reference.outputs))
     np.testing.assert_allclose(results[0], results[1], rtol=1e-12)
-
-
-# ---- machines against each other
 
 
 @pytest.mark.parametrize(("speed", "step", "tolerance"), [(0.0, 7e-4, 1e-8), (157.0, 1e-5, 2e-6)])

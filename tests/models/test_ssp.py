@@ -42,9 +42,6 @@ from tests.support.ssp_texts import (
 pytestmark = pytest.mark.usefixtures("own_cache")
 
 
-# --- what is read
-
-
 def test_a_closed_loop_simulates_as_the_same_system_put_together_by_hand(package: Maker) -> None:
     inputs = connector("reference", "input", "m")
     path = package(
@@ -198,8 +195,6 @@ def test_ssp_2_is_read(package: Maker) -> None:
     path = package(content(part, connection("drive.q", "drive.v", linear(-1.0))), version="2.0", check=False)
     assert read_ssp(path).connections == (("drive.q", "drive.v", -1.0, 0.0),)
 
-
-# --- what is refused
 
 BOTH = drive() + controller()
 INNER = element("System", "inner", connector("p", "calculatedParameter"), content(drive()))

@@ -33,9 +33,6 @@ from tests.support.ssp_texts import (
 pytestmark = pytest.mark.usefixtures("own_cache")
 
 
-# --- parameter bindings
-
-
 def test_later_bindings_win_and_outer_ones_over_inner_ones(package: Maker) -> None:
     inner_bindings = binding(parameter("drive.Fv", 2.0) + parameter("drive.Fc", 2.0) + parameter("drive.offset", 2.0))
     parts = drive(bindings=binding("".join(parameter(name, 1.0) for name in ("M", "Fv", "Fc", "offset", "gtau"))))

@@ -14,8 +14,6 @@ import numpy as np
 from tests.support.paths import FMUS
 from tests.support.shipped_models import Array, Reference, drive
 
-# ---- the FMUs
-
 
 class Instance:
     """One instance of an FMU, variables by name."""
@@ -95,9 +93,6 @@ Opener = Callable[..., Instance]
 
 def relative_error(found: Array, expected: Array) -> float:
     return float(np.max(np.abs(found - expected).max(0) / np.abs(expected).max(0)))
-
-
-# ---- model exchange and derivatives
 
 
 def points(reference: Reference) -> Iterator[tuple[Array, Array]]:

@@ -26,8 +26,6 @@ from tests.support.fault_equations import (
 Array = npt.NDArray[Any]
 TOLERANCE = 1e-7  # of the largest value of each signal: an integration error is a parameter bias
 
-# ---- the reference
-
 
 @dataclass(frozen=True)
 class Reference:
