@@ -14,7 +14,6 @@ from fmuid.export.algebraic_loops import first_loop, solve_linear
 from tests.export.conftest import Exporter
 from tests.support.exported import Running, both_versions, running
 
-
 DECAY = """model Decay "dx/dt = -x^a"
   parameter Real a = 2.5, x_start = 2;
   output Real x(start=x_start, fixed=true);

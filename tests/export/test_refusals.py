@@ -13,7 +13,6 @@ from tests.support.exported import here_only
 from tests.support.exporting import BASE
 from tests.support.paths import FMUS
 
-
 DECLARATIONS = [
     ("parameter Integer n = 2;", "'parameter Integer' is outside the exported subset: declare"),
     ("Boolean b;", "'Boolean' is outside"),
