@@ -218,7 +218,7 @@ def test_time_in_which_nobody_looked_is_not_charged(monkeypatch: pytest.MonkeyPa
 def test_process_at_rest_that_owes_an_answer_is_ended(monkeypatch: pytest.MonkeyPatch) -> None:
     """A case of a batch calculates for hours between simulations; one that does not even calculate has no end."""
     watched = Watched(monkeypatch, codes.IDLE)
-    assert watched.end_after(3600.0, 0.05, every=0.1) is None
+    assert watched.end_after(602.0, 0.05, every=0.1) is None
     assert watched.end_after(0.9 * TIME_LIMITS.at_rest, 0.0, psutil.STATUS_SLEEPING, 0.1) is None
     end = watched.end_after(0.2 * TIME_LIMITS.at_rest, 0.0, psutil.STATUS_SLEEPING, 0.1)
     assert end == HostExitError(HUNG, round(1e3 * TIME_LIMITS.at_rest))
