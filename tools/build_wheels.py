@@ -91,7 +91,7 @@ def main(folder: Path) -> None:
         if tag == build.tag_here():
             check_installed(wheel)
 
-    with ThreadPoolExecutor() as pool:
+    with ThreadPoolExecutor(os.cpu_count()) as pool:
         deque(pool.map(make_wheel, build.TARGETS), maxlen=0)
 
 
