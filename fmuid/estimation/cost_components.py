@@ -58,7 +58,7 @@ class CostComponents:
 
 
 def misfits(evaluator: Evaluator[LeastSquares], thetas: Floats) -> CostComponents:
-    """Return the parts of the cost at thetas (m, N), simulated in batches."""
+    """Return the cost components at thetas (m, N), simulated in batches."""
     problem = evaluator.problem
     problem.check_measured()
     members = np.eye(problem.counts.size)[problem.groups]

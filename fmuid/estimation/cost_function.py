@@ -215,7 +215,7 @@ class CostFunction:
         return residual, self.jacobian(at, residual, central=True)
 
     def _completed(self, derivatives: Floats, residual: Floats) -> Floats:
-        """Return the Jacobian (n_rows, N) with loss and prior, from derivatives (N, n)."""
+        """Return the Jacobian (n_rows, N) with loss and prior."""
         if self.problem.loss is not None:
             derivatives *= self.problem.loss.slope(self._whitened(residual))
         whitening = self.problem.parameters.prior_whitening
@@ -271,7 +271,7 @@ def prepare(evaluator: Evaluator[LeastSquares], theta: ArrayLike | None = None) 
 
 
 def _prepared(evaluator: Evaluator[LeastSquares], at: Floats) -> tuple[InitializedProblem, Flags]:
-    """Return a problem initialized at theta, and flags of parameters with an effect."""
+    """Return a problem initialized at theta, and flags of acting parameters."""
     problem, parameters = evaluator.problem, evaluator.problem.parameters
     base, noise = evaluator.noise_near(at)
     if np.isnan(base).any():

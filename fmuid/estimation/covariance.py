@@ -231,7 +231,7 @@ def local_covariance(
 
 
 def _lost_in_effect(std: Floats, magnitudes: Floats, scale: Floats) -> bool:
-    """Return True if σ (N,) along a direction leaves a parameter not identifiable."""
+    """Return True if σ (N,) along a direction is too large."""
     beyond = std > LIMITS.lost_std * np.maximum(magnitudes, scale)
     astray = (std > LIMITS.astray_std * scale) & (std > magnitudes)
     return bool((beyond | astray).any())

@@ -351,9 +351,9 @@ class _BoxSearch:
 
 
 def optima_table(names: Sequence[str], optima: Sequence[Optimum]) -> pd.DataFrame:
-    """Return the optima as a frame: criterion, hits, converged, parameters."""
+    """Return the optima as a frame: cost, hits, converged, parameters."""
     rows = [(o.criterion, o.hits, o.converged, *o.theta.tolist()) for o in optima]
-    return pd.DataFrame(rows, columns=["criterion", "hits", "converged", *names])
+    return pd.DataFrame(rows, columns=["cost", "hits", "converged", *names])
 
 
 def merge_optima(problem: LeastSquares, results: Sequence[Result]) -> tuple[Optimum, ...]:

@@ -222,7 +222,7 @@ class _Identification:
         self.estimated = np.maximum(estimated, self.criterion.least_variance)
         names = problem.output_names
         self.rounds.append(
-            {"round": number, "iterations": state.iterations, "criterion": float(state.residual @ state.residual)}
+            {"round": number, "iterations": state.iterations, "cost": float(state.residual @ state.residual)}
             | {f"used.{n}": v for n, v in zip(names, self.criterion.variance.tolist(), strict=True)}
             | {f"estimated.{n}": v for n, v in zip(names, self.estimated.tolist(), strict=True)}
         )
@@ -233,7 +233,7 @@ class _Identification:
     def _repeats(self) -> bool:
         """Return True if other variances will move the optimum.
 
-        Estimated variances with a rival or a robust loss do, and larger ones than given at the beginning.
+        Estimated variances do beside others or with a robust loss, and initial ones larger than given.
         """
         problem = self.problem
         estimated = np.isnan(problem.variance)

@@ -149,13 +149,13 @@ class Result(PlotMixin):
 
     @cached_property
     def trace(self) -> pd.DataFrame:
-        """One row per iteration: round, iteration, criterion, lambda, accepted, and each parameter."""
+        """One row per iteration: round, iteration, cost, damping, accepted, and each parameter."""
         steps = [step for _, step in self.history.trace]
         columns: dict[str, object] = {
             "round": [number for number, _ in self.history.trace],
             "iteration": [step.number for step in steps],
-            "criterion": [step.criterion for step in steps],
-            "lambda": [step.damping for step in steps],
+            "cost": [step.criterion for step in steps],
+            "damping": [step.damping for step in steps],
             "accepted": [step.accepted for step in steps],
         }
         thetas = np.array([step.theta for step in steps]).reshape(-1, len(self.names))

@@ -37,7 +37,7 @@ NOISE = SimulationNoiseSettings()
 def noise_level(predict: Predict, theta: Floats, steps: Floats, shares: Floats) -> tuple[Floats, Floats]:
     """Return the simulation (n,) at theta and each output's noise (count,).
 
-    All parameters move together, by `steps` (N,). γ_k mean (Δᵏf)², γ_k = (k!)²/(2k)!, estimates ε²; the least over k
+    All parameters change at once, by `steps` (N,). γ_k mean (Δᵏf)², γ_k = (k!)²/(2k)!, estimates ε²; the least over k
     counts. NaN if the simulation at theta fails.
     """
     level = np.full(shares.shape[1], np.inf)

@@ -146,7 +146,7 @@ def _fill_residuals(diagnostics: Mapping[str, Any] | None, fits: Sequence[Mappin
 
 def _iterations(content: Mapping[str, Any], trace: pd.DataFrame) -> tuple[tuple[int, Iteration], ...]:
     thetas = trace[list(content["parameters"])].to_numpy(np.float64)
-    columns = [trace[name].tolist() for name in ("round", "iteration", "criterion", "lambda", "accepted")]
+    columns = [trace[name].tolist() for name in ("round", "iteration", "cost", "damping", "accepted")]
     return tuple(
         (int(number), Iteration(int(k), criterion, damping, bool(accepted), theta, math.nan, math.nan, False))
         for number, k, criterion, damping, accepted, theta in zip(*columns, thetas, strict=True)

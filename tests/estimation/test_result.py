@@ -174,7 +174,7 @@ def test_an_interruption_inside_a_simulation() -> None:
     y = 3.0 * np.exp(-TIMES) + 0.01 * np.sin(50.0 * TIMES)
     result = identify(LeastSquares.from_function(function, y, {"a": Parameter(1.0), "k": Parameter(3.0)}))
     assert result.outcome is TerminationReason.INTERRUPTED
-    assert result.fit.cost < result.trace["criterion"].iloc[0]
+    assert result.fit.cost < result.trace["cost"].iloc[0]
 
 
 def test_unsettled_variances_and_iteration_limit_are_not_convergence(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -191,7 +191,7 @@ def test_trace() -> None:
     result = identify(two_output_problem(), progress=events.append)
     seen = [event for event in events if isinstance(event, SearchStep)]
     assert len(seen) == len(events)
-    assert list(result.trace.columns) == ["round", "iteration", "criterion", "lambda", "accepted", "k", "gain"]
+    assert list(result.trace.columns) == ["round", "iteration", "cost", "damping", "accepted", "k", "gain"]
     assert result.trace["iteration"].tolist() == [i.number for i in seen]
     assert result.trace["iteration"].iloc[-1] == result.history.iterations
     assert result.trace[["k", "gain"]].iloc[0].tolist() == result.estimates.start.tolist()

@@ -166,7 +166,7 @@ def test_cost_rounds_and_optima() -> None:
     assert drawn(below, "line")[0]["y"].tolist() == [1.0, 1.0]
     trace, table = records.search(("R",))
     rounds = pd.DataFrame({"round": [1, 2], "used.i": [1e-3, 0.05], "estimated.i": [0.05, 0.046]})
-    found = pd.DataFrame({"criterion": [10.0, 40.0, 90.0], "hits": [8, 2, 1], "converged": [True, True, False]})
+    found = pd.DataFrame({"cost": [10.0, 40.0, 90.0], "hits": [8, 2, 1], "converged": [True, True, False]})
     charts = searched(trace, table, rounds=rounds, optima=found.assign(R=[4.0, 2.0, 1.0]))
     last = next(charts[key][-1] for key in ("criterion", "cost") if key in charts)
     assert (last.y.label, last.y.kind) == ("noise variance of i (A²)", "log")

@@ -28,8 +28,8 @@ def search(names: tuple[str, ...] = ("R", "L")) -> tuple[pd.DataFrame, pd.DataFr
         {
             "round": [1, 1, 1, 1, 2],
             "iteration": range(5),
-            "criterion": [900.0, 500.0, 700.0, 110.0, 100.0],
-            "lambda": [np.nan, 1.0, 0.1, 1.0, np.nan],
+            "cost": [900.0, 500.0, 700.0, 110.0, 100.0],
+            "damping": [np.nan, 1.0, 0.1, 1.0, np.nan],
             "accepted": [True, True, False, True, True],
             **values,
         }

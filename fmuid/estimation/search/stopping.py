@@ -1,4 +1,4 @@
-"""Termination criteria and their thresholds.
+"""Termination and its thresholds.
 
 Adaptive integrators and kinks make a Jacobian promise gains that no step brings; `Stagnation` detects this.
 """

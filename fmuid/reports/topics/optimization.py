@@ -105,7 +105,7 @@ def _iterations(trace: pd.DataFrame) -> Axis:
 def _parameters(trace: pd.DataFrame, estimates: pd.DataFrame) -> list[Chart]:
     """Return each parameter over the accepted iterations."""
     accepted = trace[trace["accepted"].astype(bool)]
-    iterations, cost = (accepted[name].to_numpy(np.float64) for name in ("iteration", "criterion"))
+    iterations, cost = (accepted[name].to_numpy(np.float64) for name in ("iteration", "cost"))
     across, charts = _iterations(trace), []
     hover = (("iteration", "@x"), ("value", "@y{0.000000}"), ("cost", "@c{0.000}"))
     for row in estimates.iloc[: LIMITS.parameters].to_dict("records"):
@@ -140,9 +140,9 @@ def _room(values: list[float], std: float) -> tuple[float, float]:
 
 def _criterion(trace: pd.DataFrame) -> list[Chart]:
     """Return cost and damping over the iterations, one line per round."""
-    damped, across = trace[trace["lambda"] > 0], _iterations(trace)
-    found = [_curve(trace, "criterion", "cost", across)]
-    return found + ([_curve(damped, "lambda", "damping λ, where not 0", across)] if len(damped) else [])
+    damped, across = trace[trace["damping"] > 0], _iterations(trace)
+    found = [_curve(trace, "cost", "cost", across)]
+    return found + ([_curve(damped, "damping", "damping λ, where not 0", across)] if len(damped) else [])
 
 
 def _curve(trace: pd.DataFrame, column: str, text: str, across: Axis) -> Chart:
@@ -158,7 +158,7 @@ def _curve(trace: pd.DataFrame, column: str, text: str, across: Axis) -> Chart:
         if refused.any():
             look = Layer("points", picked(data, refused), "red", marker="x", size=8, width=1.6, label="rejected trial")
             layers.append(look)
-        if number and column == "criterion":
+        if number and column == "cost":
             layers.append(Layer("rule", {"x": float(part["iteration"].iloc[0])}, "amber", dash="dashed"))
     return Chart(across, Axis(text, "log"), tuple(layers))
 
@@ -181,8 +181,8 @@ def _rounds(found: pd.DataFrame, units: Units) -> list[Chart]:
 
 
 def _optima(table: pd.DataFrame, units: Units) -> list[Chart]:
-    names = [str(name) for name in table.columns.drop(["criterion", "hits", "converged"])][: LIMITS.parameters]
-    sure, values = table["converged"].to_numpy(bool), table["criterion"].to_numpy(np.float64)
+    names = [str(name) for name in table.columns.drop(["cost", "hits", "converged"])][: LIMITS.parameters]
+    sure, values = table["converged"].to_numpy(bool), table["cost"].to_numpy(np.float64)
     hits = table["hits"].to_numpy(np.float64)
     sizes = LEAST_POINT + (MOST_POINT - LEAST_POINT) * hits / hits.max()
     best = np.arange(len(table)) == 0

@@ -32,7 +32,7 @@ def test_global_search(folder: Path, capsys: pytest.CaptureFixture[str]) -> None
     assert best["R"] == pytest.approx(R, rel=0.05)
     assert found["parameters"]["R"]["value"] == best["R"]
     table = pd.read_csv(folder / "results/optima.csv")
-    assert list(table.columns) == ["criterion", "hits", "converged", "R", "L"]
+    assert list(table.columns) == ["cost", "hits", "converged", "R", "L"]
     assert len(table) == len(found["history"]["optima"])
     out = capsys.readouterr().out
     assert "Optima" in out

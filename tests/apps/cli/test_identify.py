@@ -76,9 +76,9 @@ def test_identify_writes_tables_and_figures(folder: Path) -> None:
     np.testing.assert_allclose(estimates["upper"], estimates["value"] + half, rtol=1e-6)
 
     trace = pd.read_csv(out / "trace.csv")
-    assert {"iteration", "criterion", "lambda", "accepted", "R", "L"} <= set(trace.columns)
+    assert {"iteration", "cost", "damping", "accepted", "R", "L"} <= set(trace.columns)
     assert trace["iteration"].iloc[-1] == found["history"]["iterations"]
-    assert trace["criterion"].iloc[-1] == pytest.approx(found["fit"]["cost"])
+    assert trace["cost"].iloc[-1] == pytest.approx(found["fit"]["cost"])
     assert (trace["R"].iloc[0], trace["L"].iloc[0]) == (6.0, 0.05)
 
     fit, table = pd.read_csv(out / "fit.csv"), pd.read_csv(folder / "first.csv")
