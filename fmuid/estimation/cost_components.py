@@ -94,7 +94,7 @@ def variances(problem: LeastSquares, result: Result) -> Floats:
 def refuse_loss(problem: LeastSquares, what: str) -> None:
     """Raise `InputError` if the problem has a robust loss."""
     if problem.loss is not None:
-        raise InputError(f"{what} knows plain squares only: give the problem no loss, or leave {what} out")
+        raise InputError(f"{what} needs the linear loss. Remove the robust loss, or {what}.")
 
 
 def log_likelihood(problem: LeastSquares, residual: Floats, least: Floats) -> float:

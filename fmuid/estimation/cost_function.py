@@ -211,7 +211,7 @@ class CostFunction:
         at = np.array(theta, dtype=np.float64)
         residual = self.residuals(at[None])[0]
         if np.isnan(residual).any():
-            raise _failure(self.evaluator, at, "evaluate elsewhere")
+            raise _failure(self.evaluator, at, "Choose another point")
         return residual, self.jacobian(at, residual, central=True)
 
     def _completed(self, derivatives: Floats, residual: Floats) -> Floats:
@@ -275,7 +275,7 @@ def _prepared(evaluator: Evaluator[LeastSquares], at: Floats) -> tuple[Initializ
     problem, parameters = evaluator.problem, evaluator.problem.parameters
     base, noise = evaluator.noise_near(at)
     if np.isnan(base).any():
-        raise _failure(evaluator, at, "start elsewhere")
+        raise _failure(evaluator, at, "Choose another initial guess")
     least = np.maximum(noise**2, LEAST_NOISE**2 * problem.output_variances(problem.measured))
     least = np.where(least > 0, least, 1.0)
     from_residual = np.maximum(problem.noise_variances(problem.measured - base), least)
@@ -289,8 +289,8 @@ def _prepared(evaluator: Evaluator[LeastSquares], at: Floats) -> tuple[Initializ
         jacobian, acting = criterion.first_jacobian(at, base, residual)
     except SensitivityError as error:
         raise InputError(
-            f"the simulation succeeds at the start, but not with {parameters.names[error.index]!r} moved to either "
-            f"side of {at[error.index]:g}; start from where the model is sound, or give bounds"
+            f"simulations beside the initial guess fail: {parameters.names[error.index]!r} near "
+            f"{at[error.index]:g}. Choose another initial guess, or give bounds."
         ) from None
     if evaluator.cache.problems > 1:
         evaluator.scatter = _expected_std(problem, jacobian, variance)
@@ -304,7 +304,7 @@ def _failure(evaluator: Evaluator[LeastSquares], theta: Floats, remedy: str) -> 
         return error
     why = f"fails ({error})" if error else "gives outputs that are huge or not finite"
     values = ", ".join(f"{n} = {v:g}" for n, v in zip(names, theta.tolist(), strict=True))
-    return InputError(f"the simulation with {values} {why}; {remedy}")
+    return InputError(f"the simulation with {values} {why}. {remedy}.")
 
 
 def _check_inside(problem: LeastSquares, theta: Floats) -> None:

@@ -74,7 +74,7 @@ class Term:
     def __post_init__(self) -> None:
         if self.interpolation not in INTERPOLATIONS:
             near = nearest(str(self.interpolation), INTERPOLATIONS)
-            raise InputError(f"interpolation {self.interpolation!r} is not known{near}: give linear or hold")
+            raise InputError(f"interpolation {self.interpolation!r} is unknown{near}. Choose linear or zoh.")
         if self.derivative not in range(SETTINGS.most_derivatives + 1):
             raise InputError(f"derivative must be 0, 1, ... {SETTINGS.most_derivatives}, not {self.derivative!r}")
         object.__setattr__(self, "derivative", int(self.derivative))
@@ -133,7 +133,7 @@ class StateVariableFilter:
     def _filled(self, term: Term) -> Floats:
         if term.derivative > self.order:
             raise InputError(
-                f"a filter of order {self.order} knows no derivative {term.derivative}: give a higher order"
+                f"a filter of order {self.order} has no derivative {term.derivative}. Give a higher order."
             )
         values = numbers(term.values, "the values of a term")
         if values.shape != self.times.shape:
@@ -142,15 +142,15 @@ class StateVariableFilter:
             )
         there = ~np.isnan(values)
         if not there.any() or not np.isfinite(values[there]).all():
-            raise InputError("a term needs finite values, NaN only where a sample is missing, and not throughout")
+            raise InputError("a term needs finite values; NaN is a missing sample")
         if there.all():
             return values
         known = np.concatenate([self.times[:1], self.times[there], self.times[-1:]])
         at = int(np.argmax(np.diff(known)))
         if known[at + 1] - known[at] > max(SETTINGS.longest_gap / self.cutoff, 2.0 * float(np.diff(self.times).max())):
             raise InputError(
-                f"a term has no sample from {known[at]:g} to {known[at + 1]:g} s, which is more than "
-                f"{SETTINGS.longest_gap:g} times the filter's 1/cutoff: leave that part of the record out"
+                f"a term has no sample from {known[at]:g} to {known[at + 1]:g} s, over {SETTINGS.longest_gap:g} "
+                "time constants of the filter. Exclude that part."
             )
         if term.interpolation == "zoh":
             return np.asarray(pd.Series(values).ffill().bfill(), dtype=np.float64)
@@ -284,7 +284,7 @@ class _Equation:
         _check_terms(terms, "terms")
         check_kind(target, Term, "target must be a fmuid.estimation.Term(values)")
         if not terms:
-            raise InputError("terms are missing: name each parameter with the term that stands behind it")
+            raise InputError("terms are missing. Give a term for each parameter.")
         highest = max(term.derivative for term in (target, *terms.values()))
         self.filter = StateVariableFilter(times, cutoff, highest + 1 if order is None else order)
         self.names = tuple(terms)
@@ -300,7 +300,7 @@ class _Equation:
                 raise InputError(f"the simulated terms have none for {name!r}{nearest(name, terms)}")
             if not np.isfinite(numbers(terms[name].values, f"the simulated term of {name!r}")).all():
                 values = ", ".join(f"{n} = {v:.6g}" for n, v in zip(self.names, theta.tolist(), strict=True))
-                raise InputError(f"the simulated term of {name!r} is not finite with {values}: give another start")
+                raise InputError(f"the simulated term of {name!r} is not finite with {values}. Give another start.")
         return np.column_stack([self.filter.columns([terms[name] for name in self.names]), self.free])
 
 

@@ -261,8 +261,8 @@ class Exploration:
         if not self.any_succeeded:
             why = self.evaluator.failure(self.thetas[0])
             raise InputError(
-                f"all {len(self.values)} simulations of the global search fail: narrow the bounds to where the model "
-                f"is sound{f' (the first: {why})' if why else ''}"
+                f"all {len(self.values)} simulations of the global search fail{f' (the first: {why})' if why else ''}. "
+                "Narrow the bounds."
             )
 
 

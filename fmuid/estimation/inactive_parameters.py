@@ -60,9 +60,8 @@ def _refusal(problem: LeastSquares, theta: Floats, idle: Indices, tried: int) ->
     if idle.size > 1:
         said, their, them = f"parameters {names} change", "their", "them"
     return InputError(
-        f"{said} no measured output at the start, nor at {tried} other points of {their} box; check that the "
-        f"model uses what is set, start elsewhere, measure an output that depends on {them}, give a prior, or hold "
-        f"{them} at a value"
+        f"{said} no measured output at the start, nor at {tried} other points of {their} box. "
+        f"Fix {them}, give a prior, or measure an output that depends on {them}."
     )
 
 

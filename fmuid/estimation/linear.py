@@ -147,8 +147,7 @@ def linear_least_squares(regressors: ArrayLike, measured: ArrayLike, names: Sequ
     check_kind(names, (list, tuple), "names must be a list, one a regressor")
     if rows.ndim != 2 or not rows.size or values.shape != rows.shape[:1]:
         raise InputError(
-            f"regressors need a row a sample and a column a parameter, measured a value a sample; "
-            f"their shapes are {rows.shape} and {values.shape}"
+            f"regressors (K, N) and measured (K,) do not fit; their shapes are {rows.shape} and {values.shape}"
         )
     known = tuple(names) or tuple(f"theta{i + 1}" for i in range(rows.shape[1]))
     return solve(Estimator.LEAST_SQUARES, known, rows, values)
@@ -170,7 +169,7 @@ def solve(
         raise InputError("regressors and measured must be finite, or NaN where a sample is missing")
     freedom = y.size - width
     if freedom < 1:
-        raise InputError(f"{y.size} samples are too few for {width} coefficients: measure more")
+        raise InputError(f"{y.size} samples are too few for {width} coefficients. Measure more.")
     lengths = _lengths(names, phi)
     z = phi if instruments is None else instruments[there]
     basis = np.asarray(scipy.linalg.qr(z / _lengths(names, z), mode="economic")[0], dtype=np.float64)
@@ -194,15 +193,15 @@ def _lengths(names: Sequence[str], columns: Floats) -> Floats:
     lengths = np.linalg.norm(columns, axis=0)
     if not lengths.all():
         where = int(np.argmin(lengths))
-        raise InputError(f"the regressor of {names[where]!r} is zero in the whole record: leave it out, or excite it")
+        raise InputError(f"the regressor of {names[where]!r} is zero in all samples. Remove or excite it.")
     _, sizes, directions = np.linalg.svd(columns / lengths, full_matrices=False)
     if sizes[-1] < SETTINGS.dependent:
         share = np.abs(directions[-1])
         named = share >= SETTINGS.named_share * share.max()
         involved = [repr(name) for name, is_large in zip(names, named, strict=False) if is_large]
         raise InputError(
-            f"the regressors of {listed(involved or [repr(name) for name in names])} depend on each other in this "
-            "record: hold one at a value, or measure under another excitation"
+            f"the regressors of {listed(involved or [repr(name) for name in names])} depend on each other. "
+            "Fix one of them, or use another excitation."
         )
     return np.asarray(lengths, dtype=np.float64)
 

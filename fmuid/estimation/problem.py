@@ -109,7 +109,7 @@ class LeastSquares:
         derivatives: Sequence[Callable[[Floats], Floats]] = (),
     ) -> None:
         if not experiments:
-            raise InputError("there are no experiments; give at least one table with measured outputs")
+            raise InputError("no experiments. Give at least one with measured outputs.")
         check_kind(
             noise, (Noise, type(None)), "noise must be a fmuid.Noise", "its variances by the names of the outputs"
         )
@@ -122,7 +122,7 @@ class LeastSquares:
         self.noise, self.loss = noise, get_loss(loss)
         self.output_names = tuple(dict.fromkeys(name for e in experiments for name in e.output_names))
         if not self.output_names:
-            raise InputError("no outputs are measured; name at least one output to compare with the simulation")
+            raise InputError("no outputs are measured. Name at least one.")
         self.kept = tuple(np.flatnonzero(e.counted) for e in experiments)
         self.levels = noise_levels(noise, experiments, self.output_names)
         self.measured = self.stacked([e.output_values for e in experiments])
@@ -269,19 +269,19 @@ class LeastSquares:
         for name, count in zip(self.output_names, self.counts, strict=True):
             if count == 0:
                 raise InputError(
-                    f"output {name!r} has no sample that counts: all are missing or discarded; "
-                    "shorten warmup or leave the output out"
+                    f"output {name!r} has no scored sample: all are missing or in the warm-up. "
+                    "Shorten warmup or remove the output."
                 )
             largest = float(np.max(np.abs(self.measured[self.groups == self.output_names.index(name)])))
             if largest >= NOISE.largest_value:
                 raise InputError(
-                    f"a sample of output {name!r} is {largest:g} in magnitude; leave it empty or change the unit"
+                    f"a sample of output {name!r} is {largest:g} in magnitude. Delete it or change the unit."
                 )
         rows = self.measured.size + len(self.parameters.prior_whitening)
         if rows < len(self.parameters) or (np.isnan(self.variance).all() and rows == len(self.parameters)):
             raise InputError(
-                f"{self.measured.size} counted samples are too few for {len(self.parameters)} parameters; "
-                "measure more, estimate fewer, or give priors"
+                f"{self.measured.size} counted samples are too few for {len(self.parameters)} parameters. "
+                "Measure more, fix some, or add priors."
             )
 
     def check_measured(self) -> None:
@@ -289,7 +289,7 @@ class LeastSquares:
         missing = self.groups[np.isnan(self.measured)]
         if missing.size:
             name = self.output_names[missing[0]]
-            raise InputError(f"output {name!r} has not been measured: there is nothing to identify from it")
+            raise InputError(f"output {name!r} has not been measured")
 
     def stacked(self, tables: Sequence[Floats]) -> Floats:
         """Return counted samples (n,) of each experiment's outputs (K, n_outputs)."""

@@ -199,7 +199,7 @@ class Result(PlotMixin):
         known = np.isfinite(found.std)
         for i in where:
             if not known[i]:
-                raise InputError(f"{found.names[i]!r} is not determined in this result and cannot serve as a prior")
+                raise InputError(f"{found.names[i]!r} is not identifiable in this result and cannot be a prior")
         if not (math.isfinite(inflate) and inflate > 0):
             raise InputError(f"inflate must be greater than 0, not {inflate!r}")
         wider = inflate * found.quantiles(PRIOR_LEVEL)[where] / float(special.ndtri(0.5 + PRIOR_LEVEL / 2.0))

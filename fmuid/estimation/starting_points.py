@@ -87,8 +87,8 @@ class Box:
         for word, side in (("min", self.lower), ("max", self.upper)):
             for i in np.flatnonzero(np.isnan(side)):
                 raise InputError(
-                    f"a global search needs a bounded box, and parameter {parameters.names[i]!r} has no {word}: "
-                    "give it min and max, or a prior"
+                    f"parameter {parameters.names[i]!r} has no {word}, which a global search needs. "
+                    "Give min and max, or a prior."
                 )
         pairs = zip(self.lower, self.upper, strict=True)
         self.logarithmic = np.array([spans_decades(low, high) for low, high in pairs])
@@ -195,7 +195,7 @@ class WeakForm:
         known &= times[lasts] > times[firsts]
         firsts = firsts[known] if last >= SETTINGS.window else firsts[:0]
         if not firsts.size:
-            raise InputError("the record has no window with enough samples")
+            raise InputError("no window has enough samples for the weak form")
         self.shape = firsts.size, there.shape[1]
         inside = firsts[:, None] + np.arange(SETTINGS.window + 1)
         z = (times[inside] - times[firsts][:, None]) / (times[firsts + SETTINGS.window] - times[firsts])[:, None]

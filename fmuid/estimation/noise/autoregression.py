@@ -213,7 +213,7 @@ def fit(columns: Floats, there: Flags, weights: Floats, orders: int) -> Autoregr
 
 
 def _burg(columns: Floats, weights: Floats, there: Flags, orders: int) -> tuple[list[float], list[float]]:
-    """Return reflection coefficients and Schwarz's criterion of each order."""
+    """Return reflection coefficients and BIC (Schwarz) of each order."""
     reflections: list[float] = []
     scores: list[float] = []
     score, length, gaps, mask = 0.0, there.size, not there.all(), there

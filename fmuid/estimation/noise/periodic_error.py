@@ -95,14 +95,14 @@ def check_periods(series: Sequence[OutputSeries], noise: Noise, parameters: int)
         cycle, least, count = period / each.step, max(AUTOREGRESSION.enough, 2 * parameters), int(each.places[-1]) + 1
         named = f"noise.excitation_period, {period:g} s, of experiment {each.experiment!r}"
         if not each.regular:
-            raise InputError(f"{named}: the samples are not equally spaced; resample the table, or leave it out")
+            raise InputError(f"{named}: samples are not equally spaced. Resample the data, or remove this key.")
         if abs(cycle - round(cycle)) > SETTINGS.whole or cycle < least:
             raise InputError(
-                f"{named} is {cycle:.7g} samples of {each.output!r}, and must be a whole number, {least} at least: "
-                "give the time of several periods that are"
+                f"{named} is {cycle:.7g} samples of {each.output!r}: not a whole number from {least} on. "
+                "Give a multiple that is."
             )
         if cycle > SERIES.longest * count:
-            raise InputError(f"{named} is {cycle:.7g} of {count} samples: there must be nearly two cycles")
+            raise InputError(f"{named} is {cycle:.7g} of {count} samples. Nearly two cycles are needed.")
 
 
 @dataclass(frozen=True, eq=False)
