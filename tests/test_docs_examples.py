@@ -76,7 +76,7 @@ def test_the_tutorial_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caps
 
 
 def test_study_keys_are_keys() -> None:
-    """Sections that are shown without others may lack keys; the schema has no arrays, as on parameters.md."""
+    """Sections that are shown without others may lack keys; the schema has no arrays, as on docs/parameters.md."""
     from jsonschema import Draft202012Validator
 
     check = Draft202012Validator(schema())
