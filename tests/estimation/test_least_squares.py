@@ -137,7 +137,7 @@ JOINT = JointPrior(["kk"], [1.0], [[1.0]])
 @pytest.mark.parametrize(
     ("make", "said"),
     [
-        (lambda: LeastSquares([Fake()], [table(counted=np.tile([True, False], (50, 1)))], K), "'b'.*no sample"),
+        (lambda: LeastSquares([Fake()], [table(counted=np.tile([True, False], (50, 1)))], K), "'b'.*no scored sample"),
         (lambda: LeastSquares([Fake()], [EMPTY], K), "no outputs"),
         (lambda: of(lambda theta: theta[:2], [1.0, 2.0], "abc"), "2 .*samples are too few for 3"),
         (lambda: of(lambda theta: theta, [1.0, 2.0], "ab"), "2 .*samples are too few for 2"),

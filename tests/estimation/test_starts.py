@@ -50,7 +50,7 @@ def test_windows_without_samples_do_not_count() -> None:
     there[100:150] = False
     assert windows(there).shape[0] < windows().shape[0]
     for few in (TIMES[:WINDOW], TIMES[:2]):
-        with pytest.raises(fmuid.InputError, match="no window with enough samples"):
+        with pytest.raises(fmuid.InputError, match="no window has enough samples"):
             WeakForm(few, np.ones((few.size, 1), dtype=bool))
 
 
