@@ -64,6 +64,7 @@ def test_a_terminal_shows_tables_sentences_and_the_end(capsys: pytest.CaptureFix
 
 
 def test_a_narrow_terminal_leaves_columns_out(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delenv("COLUMNS", raising=False)
     monkeypatch.setattr(console, "PLAIN_WIDTH", 24)
     columns = (Column("name", ("R",)), Column("a", ("1" * 12,), True, 1), Column("b", ("2" * 12,), True, 2))
     assert [each.header for each in console.rich_table(columns, "", console.console()).columns] == ["name", "a"]

@@ -7,6 +7,7 @@ import gzip
 import hashlib
 import html
 import json
+import re
 import uuid
 from collections.abc import Iterator, Sequence
 from importlib import resources
@@ -18,7 +19,7 @@ from typing import Any
 from fmuid.errors import InputError
 from fmuid.formatting import visible
 from fmuid.reports.chart import Figure
-from fmuid.reports.document import Document, Remark, Section, Table
+from fmuid.reports.document import Document, Remark, Section, Table, capitalized
 
 
 def page(title: str, documents: Sequence[Document]) -> str:
@@ -77,20 +78,24 @@ def details(heading: str, words: str) -> str:
 
 
 def verdict(document: Document) -> str:
-    """Return heading, sentences and first tables of a document as HTML."""
+    """Return heading, reason, first tables and sentences of a document as HTML, the doubts first."""
     here = {section.key for section in document.sections}
     sure, doubts = (
         "".join(_sentence(each, here) for each in document.remarks if (each.tone in ("doubt", "bad")) is doubtful)
         for doubtful in (False, True)
     )
-    badge = f'<span class="badge {"good" if document.tone == "good" else "bad"}">{text(document.state)}</span>'
+    badge = f'<span class="badge {document.tone}">{text(document.state)}</span>'
     heading = f"<h2>{text(document.heading)} {badge}</h2>"
+    reason = f"<p class=reason>{text(capitalized(document.reason))}</p>" if document.reason else ""
     unsure = f"<h3>Doubts</h3><ul class=doubts>{doubts}</ul>" if doubts else ""
     tables = ""
     for each in document.sections:
         rows = table(each.table) if not each.charts and "page" in each.shown else ""
         tables += f"<h3>{text(each.heading)}</h3>{rows}" if each.heading and rows else rows
-    return f"<section>{heading}<ul class=verdict>{sure}</ul>{unsure}{tables}</section>"
+    sure = f"<ul class=verdict>{sure}</ul>"
+    if not reason:
+        return f"<section>{heading}{sure}{unsure}{tables}</section>"
+    return f"<section>{heading}{reason}{tables}{unsure}<details><summary>Details</summary>{sure}</details></section>"
 
 
 def section_head(section: Section) -> str:
@@ -114,10 +119,14 @@ def _document(document: Document, drawings: list[Any], live: frozenset[str], *, 
 
 
 def _sentence(said: Remark, here: set[str]) -> str:
-    words = text(said.text.rstrip("."))
+    words = _marked(said.text.rstrip("."))
     link = f' <a href="#{said.section}">see the figure</a>' if said.section in here else ""
-    remedy = f"<br>→ {text(said.remedy)}" if said.remedy else ""
+    remedy = f"<br>→ {_marked(said.remedy)}" if said.remedy else ""
     return f"<li>{words}.{link}{remedy}</li>"
+
+
+def _marked(words: str) -> str:
+    return re.sub(r"`([^`]+)`", r"<code>\1</code>", text(words))
 
 
 def _section(section: Section, drawings: list[Any], live: frozenset[str]) -> str:
