@@ -66,7 +66,7 @@ def _identified(folder: Path) -> None:
     asked = ["uncertainty.profile_likelihood=true", "uncertainty.posterior=true", 'uncertainty.cost_map=[["Rs","Lf"]]']
     study = HERE / "induction_machine" / "study.toml"
     _run("identify", study, folder / "machine", *(word for each in asked for word in ("--set", each)))
-    for name in ("fit", "parameters", "criterion", "residuals", "profiles", "posterior", "maps"):
+    for name in ("fit", "parameters", "cost", "residuals", "profiles", "posterior", "maps"):
         _keep(folder / "machine" / "figures" / f"{name}.png", name)
 
 

@@ -1,4 +1,4 @@
-"""What the commands say of themselves, as a page: ``python -m tools.commands_page > docs/commands.md``."""
+"""Write the help of all commands as a page: ``python -m tools.commands_page > docs/commands.md``."""
 
 from __future__ import annotations
 
@@ -10,6 +10,9 @@ from typing import Any, get_args, get_type_hints
 from typer.models import ArgumentInfo, OptionInfo
 
 from fmuid.apps.cli.app import app
+from fmuid.apps.cli.options import SCREEN_OPTIONS
+
+OPTIONS_HEAD = "| option | effect |\n|---|---|"
 
 HEAD = """# The commands
 
@@ -18,6 +21,24 @@ HEAD = """# The commands
 Exit codes: 0 done; 1 ran without success, such as not converged, or a fault found; 2 wrong input.
 
 Results go to standard output. Notes, warnings and progress go to standard error.
+
+## Output
+
+`fmuid identify` prints the verdict, the estimates, at most five lines and one remedy. Progress is one live line on a
+terminal. It is absent in pipes, except with `--verbose`. Tables have the width of `COLUMNS`; `NO_COLOR` removes colors.
+
+`info`, `validate`, `simulate`, `identify`, `diagnose`, `monitor`, `batch`, `design`, `predict` and `compare` have these
+options:
+
+{options}
+
+## Shell completion
+
+    fmuid completion bash > ~/.local/share/bash-completion/completions/fmuid
+    fmuid completion zsh > ~/.zfunc/_fmuid         # a folder of fpath
+    fmuid completion fish > ~/.config/fish/completions/fmuid.fish
+
+## All commands
 """
 
 
@@ -25,7 +46,11 @@ def page() -> str:
     """Return the page, in Markdown."""
     commands = [each.callback for each in app.registered_commands if each.callback is not None]
     rows = [f"| [`{_name(each)}`](#fmuid-{_name(each)}) | {_text(each.__doc__)} |" for each in commands]
-    return "\n".join([HEAD, "| command | effect |", "|---|---|", *rows, "", *map(_section, commands)])
+    infos = {name: get_args(kind)[1] for name, kind in SCREEN_OPTIONS.items()}
+    options = "\n".join([OPTIONS_HEAD, *(f"| `--{name}` | {info.help} |" for name, info in infos.items())])
+    return "\n".join(
+        [HEAD.format(options=options), "| command | effect |", "|---|---|", *rows, "", *map(_section, commands)]
+    )
 
 
 def _name(command: Callable[..., Any]) -> str:
@@ -47,6 +72,8 @@ def _parameters(command: Callable[..., Any]) -> Iterator[tuple[str, ArgumentInfo
     """Yield of each parameter its place or option, what is said of it, its type and its default."""
     hints = get_type_hints(command, include_extras=True)
     for name, parameter in inspect.signature(command).parameters.items():
+        if name in SCREEN_OPTIONS:
+            continue
         kind, info = get_args(hints[name])[:2]
         several = "..." if "list" in str(kind) else ""
         if isinstance(info, ArgumentInfo):

@@ -8,11 +8,6 @@ from fmuid.estimation import IdentifiabilityLevel, WeakDirection
 from fmuid.formatting import listed
 from fmuid.reports.document import Message, Remark
 
-NEAR_ZERO = 0.5
-"""Below this fraction of its scale, a value is no base for a percentage."""
-FAR_SCALES = 10.0
-"""Above this multiple of the scale, σ is given in the parameter's unit."""
-
 _FIX = "Fix one of them, add a prior, or use another excitation."
 _FINER = "Reduce the solver `tolerance` or `step_size`, add a prior, or fix {names}."
 _LONGER = "Use a longer or stronger excitation."
@@ -107,7 +102,7 @@ def direction_remark(direction: WeakDirection) -> Remark:
         case IdentifiabilityLevel.NOT_IN_EFFECT:
             kind = IdentifiabilityMessage
             message = kind.PRACTICALLY if alone else kind.PRACTICALLY_COMBINATION
-        case _ if alone and direction.std > FAR_SCALES:  # it happens to lie near zero, as at a bound
+        case _ if alone and direction.std > 10.0:  # it happens to lie near zero, as at a bound
             message = IdentifiabilityMessage.WEAK_NEAR_ZERO
             values["std"] = f"{direction.std * abs(direction.coefficients[0]):.3g}"
         case _:
@@ -134,7 +129,7 @@ def change_remark(direction: WeakDirection) -> Remark:
     """Return the changes of at least three parameters that change no output."""
     names = direction.names
     pairs = list(zip(direction.values, direction.magnitudes, strict=True))
-    sizes = [abs(value) if abs(value) > NEAR_ZERO * scale else scale for value, scale in pairs]
+    sizes = [abs(value) if abs(value) > 0.5 * scale else scale for value, scale in pairs]
     shares = [c / size for c, size in zip(direction.coefficients, sizes, strict=True)]
     largest = max(map(abs, shares))
     first = next(i for i, share in enumerate(shares) if abs(share) >= 0.99 * largest)

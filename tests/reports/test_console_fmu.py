@@ -41,17 +41,6 @@ def names(variables: tuple[Variable, ...]) -> list[str]:
     return [variable.name for variable in variables]
 
 
-def test_groups(motor: FmuSummary) -> None:
-    assert names(motor.tunable) == ["R"]
-    assert names(motor.fixed) == ["L", "J", "poles"]
-    assert names(motor.calculated) == ["tau", "half"]
-    assert names(motor.inputs) == ["u", "on", "word"]
-    assert names(motor.outputs) == ["i", "w", "torque"]
-    assert names(motor.states) == ["angle"]
-    assert names(motor.starts) == ["guess"]
-    assert motor.others == 2  # der(angle) and heat
-
-
 def said(found: FmuSummary) -> dict[str, list[str]]:
     return {kind: capability_words(kind, declared) for kind, declared in found.capabilities.items()}
 
@@ -61,11 +50,6 @@ def test_how_it_runs(motor: FmuSummary) -> None:
     assert (motor.run_as.interface, motor.run_as.integrator) == ("model-exchange", "rk45")
     assert run_words(motor.run_as).startswith("FMI 2.0 Model Exchange, rk45")
     assert motor.here is None
-
-
-def test_direct_dependence(motor: FmuSummary) -> None:
-    """ParsedParameters that are no inputs do not count; where nothing is declared, nothing is known."""
-    assert motor.direct == {"i": (), "w": ("u",), "torque": None}
 
 
 def test_units_are_those_that_convert(motor: FmuSummary) -> None:
@@ -269,12 +253,3 @@ def test_plain_tables_are_those_of_rich() -> None:
     Console(file=out, width=200).print(rich_table(table, "", console()))
     expected = [line.rstrip() for line in out.getvalue().splitlines()]
     assert [line.rstrip("\n") for line in plain_lines(table)] == expected
-
-
-def test_a_title_longer_than_its_table_stays_on_one_line() -> None:
-    given = table_of({"output": ["i"], "samples": ["10"]}, ["samples"])
-    table = rich_table(given, "Measured against simulated", console())
-    out = Console(file=io.StringIO(), width=80)
-    out.print(table)
-    assert isinstance(out.file, io.StringIO)
-    assert out.file.getvalue().splitlines()[0].rstrip() == "Measured against simulated"

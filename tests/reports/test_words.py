@@ -23,6 +23,7 @@ from fmuid.estimation import (
     TerminationReason,
     WeakDirection,
 )
+from fmuid.estimation.covariance import ActiveBound
 from fmuid.identification.prior_and_data import ExtrapolationReason
 from fmuid.models import SolverConfiguration
 from fmuid.reports.document import Message, Remark, capitalized
@@ -78,6 +79,8 @@ def test_ending_names_directions_first_reason_and_sign_changes(result: Result) -
     assert direction_words(both) in ending(lost)
     assert state_and_reason(lost)[1] == "a and b are not identifiable; only a + 0.5 b is"
     assert ending(changed(lost, outcome=END.STALLED)).startswith("Not converged: no step reduces the cost.\n→ ")
+    bound = changed(result, at_bounds=(ActiveBound("slope", 0.5),), lower=np.array([0.5]))
+    assert "slope is at its lower bound 0.5.\n→ Widen the bound" in ending(bound)
     crossed = changed(result, outcome=END.STALLED, start=-result.values)
     assert any("slope changed sign" in each for each in result_words(crossed))
     assert not any("changed sign" in each for each in result_words(replace(crossed, outcome=END.CONVERGED)))

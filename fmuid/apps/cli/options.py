@@ -70,7 +70,7 @@ def changed_option(given: Sequence[str]) -> str | None:
     return None
 
 
-_SCREEN_OPTIONS = {
+SCREEN_OPTIONS = {
     "verbose": Annotated[bool, Option("--verbose", help="Also print details, all remedies, files and progress lines.")],
     "quiet": Annotated[bool, Option("--quiet", help="Print errors only.")],
     "json": Annotated[bool, Option("--json", help="Print the findings as JSON, without charts.")],
@@ -92,10 +92,10 @@ def showing_findings(command: Callable[..., int]) -> Callable[..., int]:
     signature = inspect.signature(command, eval_str=True)
     added = [
         inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=False, annotation=kind)
-        for name, kind in _SCREEN_OPTIONS.items()
+        for name, kind in SCREEN_OPTIONS.items()
     ]
     shown.__signature__ = signature.replace(parameters=[*signature.parameters.values(), *added])  # type: ignore[attr-defined]
-    shown.__annotations__ = {**command.__annotations__, **_SCREEN_OPTIONS}
+    shown.__annotations__ = {**command.__annotations__, **SCREEN_OPTIONS}
     return shown
 
 

@@ -17,13 +17,6 @@ from fmuid.reports.document import Message, Remark, Section, Table, table_of
 from fmuid.reports.render.style import ON_PALE, ON_STRONG
 from fmuid.reports.topics.solver_check import shift_text
 
-MAX_ELLIPSES = 6
-"""Pairs whose ellipses are drawn: the most correlated ones."""
-STRONG = 0.6
-"""Correlations beyond this have cells of a strong color."""
-MOST_TEXTS = 12
-"""Of more parameters the cells of the matrix have no numbers."""
-ELLIPSE_POINTS = 121
 CAPTION = (
     "Near ±1 two estimates are strongly correlated: use the ellipse instead of their intervals (dashed). Drawn are the "
     "pairs with the largest correlations."
@@ -112,8 +105,8 @@ def _matrix(matrix: pd.DataFrame) -> Chart:
         "x": tuple(names[i] for i in across.ravel()),
         "y": tuple(names[i] for i in down.ravel()),
         "value": flat,
-        "text": tuple(texts) if count <= MOST_TEXTS else ("",) * flat.size,
-        "ink": tuple(ON_STRONG if abs(v) > STRONG else ON_PALE for v in flat),
+        "text": tuple(texts) if count <= 12 else ("",) * flat.size,
+        "ink": tuple(ON_STRONG if abs(v) > 0.6 else ON_PALE for v in flat),
     }
     hover = (("", "@x, @y"), ("correlation", "@value{0.0000}"))
     layers = (Layer("cells", data, shades=Shades("diverging", -1.0, 1.0), hover=hover), Layer("text", data))
@@ -128,7 +121,7 @@ def _ellipses(result: Result, units: Units, level: float) -> list[Chart]:
     """
     matrix, intervals = result.estimates.correlation.to_numpy(), result.intervals(level).to_numpy()
     known = [i for i in range(len(result.names)) if math.isfinite(result.std[i]) and result.std[i] > 0]
-    pairs = sorted(combinations(known, 2), key=lambda pair: -abs(matrix[pair]))[:MAX_ELLIPSES]
+    pairs = sorted(combinations(known, 2), key=lambda pair: -abs(matrix[pair]))[:6]  # as many as are read
     charts = []
     for i, j in sorted(pairs):
         freedom = result.estimates.test_dof([result.names[i], result.names[j]])
@@ -151,7 +144,7 @@ def _ellipses(result: Result, units: Units, level: float) -> list[Chart]:
 def ellipse(centre: Floats, covariance: Floats, radius: float) -> tuple[Floats, Floats]:
     """Return the points at `radius` standard deviations, x and y."""
     values, directions = np.linalg.eigh(covariance)  # which may be singular
-    angles = np.linspace(0.0, 2.0 * np.pi, ELLIPSE_POINTS)
+    angles = np.linspace(0.0, 2.0 * np.pi, 121)
     root = directions * np.sqrt(np.maximum(values, 0.0))
     points = centre[:, None] + radius * root @ np.array([np.cos(angles), np.sin(angles)])
     return points[0], points[1]

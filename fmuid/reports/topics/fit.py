@@ -17,10 +17,6 @@ from fmuid.simulation import OutputFit
 
 ZOOM_SHARE, ZOOM_SAMPLES = 0.06, 120
 """Zoom for print: fraction of the experiment, and minimum number of samples."""
-MAX_SAID = 4
-"""Of more outputs only the lowest fit is named."""
-MANY_DOTS = 600
-"""More dots than these are drawn smaller."""
 CAPTION = (
     "Dots: measured. Line: simulated with the estimates. Below: residual, which should be noise without a pattern. "
     "The warm-up is grey. Drag to zoom; all outputs follow."
@@ -47,7 +43,7 @@ def fit_remarks(fits: Sequence[OutputFit]) -> list[Remark]:
     """Return the fit of the outputs; of many the worst."""
     counts = [(fit, j) for fit in fits for j in np.flatnonzero(fit.counted.any(axis=0)).tolist()]
     known = [(fit, j) for fit, j in counts if math.isfinite(fit.fit[j])]
-    if len(counts) > MAX_SAID and known:
+    if len(counts) > 4 and known:
         least, j = min(known, key=lambda each: each[0].fit[each[1]])
         named = f"{least.outputs[j]} in {least.experiment}" if len(fits) > 1 else least.outputs[j]
         scores = f"{named} {_score(least.fit[j], least.rmse[j], least.units[j])}"
@@ -166,7 +162,7 @@ def fit_charts(fit: OutputFit, band: Band | None = None, rows: slice = slice(Non
             sides = {"y0": short(simulated[kept, k] - width), "y1": short(simulated[kept, k] + width)}
             upper.append(Layer("band", {"x": thin, **sides}, alpha=0.18, label=f"{100 * band[1]:.4g} % band"))
             lower.append(Layer("band", {"x": thin, "y0": short(-width), "y1": short(width)}, alpha=0.18))
-        size = 3 if len(dots) > MANY_DOTS else 5
+        size = 3 if len(dots) > 600 else 5
         upper.append(Layer("points", {"x": dots, "y": seen}, "grey", alpha=0.6, size=size, label="measured"))
         numbers = (("measured", "@m{0.00000}"), ("simulated", "@y{0.00000}"), ("residual", "@r{0.00000}"))
         hover = (("time", "@x{0.0000} s"), *numbers)

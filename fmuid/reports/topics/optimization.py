@@ -17,8 +17,6 @@ from fmuid.reports.document import DETAIL, Message, Remark, Section, table_of
 
 WIDE_RANGE = 5.0
 """Variances and costs are drawn logarithmically where they range over this ratio."""
-LEAST_POINT, MOST_POINT = 6.0, 16.0
-"""Diameters of the points of optima, from few fits to many, in pixels."""
 PARAMETERS = (
     "Each parameter should settle in the blue band, the interval of its estimate. Amber: prior ± 2 σ. Circle: initial "
     "guess."
@@ -184,7 +182,7 @@ def _optima(table: pd.DataFrame, units: Units) -> list[Chart]:
     names = [str(name) for name in table.columns.drop(["cost", "hits", "converged"])][: LIMITS.parameters]
     sure, values = table["converged"].to_numpy(bool), table["cost"].to_numpy(np.float64)
     hits = table["hits"].to_numpy(np.float64)
-    sizes = LEAST_POINT + (MOST_POINT - LEAST_POINT) * hits / hits.max()
+    sizes = 6.0 + 10.0 * hits / hits.max()  # diameters in pixels
     best = np.arange(len(table)) == 0
     wide = values.max() > WIDE_RANGE * values.min() > 0
     hover = (("value", "@x{0.000000}"), ("cost", "@y{0.000}"), ("starting points", "@n"))

@@ -180,10 +180,6 @@ PARABOLAS = (
     "Cost of prior, data and both over each parameter with a prior. The narrower parabola dominates the estimate. A "
     "minimum of both that is far above zero shows a conflict of prior and data."
 )
-DENSITY_STDS, WIDEST = 4.0, 12.0
-"""Densities are drawn so many standard deviations wide; one wider than this many of the narrowest is cut."""
-HEIGHT = 1.05
-"""Of a chart of parabolas, in that of the sum."""
 PARTS: tuple[tuple[str, str, Color, float], ...] = (
     ("prior", "prior", "amber", 1.4),
     ("data", "data alone", "grey", 1.4),
@@ -241,7 +237,7 @@ def _beliefs(table: pd.DataFrame, units: Units) -> Iterator[Chart]:
         layers = []
         for (mean, std), there, (_, text, color, width) in zip(pairs, known, PARTS, strict=True):
             if there:
-                half = min(DENSITY_STDS * std, WIDEST * narrowest)
+                half = min(4.0 * std, 12.0 * narrowest)  # wider densities are cut
                 grid = np.linspace(mean - half, mean + half, 161)
                 density = normal(grid, mean, std)
                 layers.append(Layer("band", {"x": grid, "y0": 0 * grid, "y1": density}, color, alpha=0.14, label=text))
@@ -259,5 +255,5 @@ def parabola_charts(table: pd.DataFrame, names: Sequence[str] = (), units: Units
             for part, text, color, width in PARTS
             if curves[part].notna().all()
         ]
-        reach = (0.0, HEIGHT * float(curves["both"].max()))
+        reach = (0.0, 1.05 * float(curves["both"].max()))
         yield Chart(Axis(named(name, units)), Axis("cost", reach=reach), tuple(layers), 230)

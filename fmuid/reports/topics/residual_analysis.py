@@ -24,9 +24,6 @@ from fmuid.reports.document import Message, Remark, Section
 from fmuid.reports.topics.fit import worst
 from fmuid.simulation import OutputFit
 
-FAR_FROM_WHITE = 0.5
-"""From this autocorrelation on, a residual is strongly colored."""
-
 
 class ResidualMessage(Message):
     """Tests of the residuals, measured − simulated."""
@@ -173,7 +170,7 @@ def _large(found: ResidualAnalysis, finding: ResidualFinding, units: Mapping[str
     series, name = finding.series, _series_name(found, finding.series)
     if finding.trait is ResidualDefect.COLORED:
         lag, largest = series.whiteness.strongest
-        message = ResidualMessage.STRONGLY_COLORED if abs(largest) >= FAR_FROM_WHITE else ResidualMessage.COLORED
+        message = ResidualMessage.STRONGLY_COLORED if abs(largest) >= 0.5 else ResidualMessage.COLORED
         return message.said(*_PLACE, name=name, value=f"{largest:.2f}", lag=lag)
     if finding.trait is ResidualDefect.OFFSET:
         mean = f"{series.mean:.3g} {unit_text(units.get(series.output))}".rstrip()
@@ -272,11 +269,8 @@ CAPTION = (
     "Left: the distribution should follow the normal curve. Middle: the autocorrelation should stay in the band; else "
     "the noise is colored or the model has an error. Right: outside the band, the residual correlates with an input."
 )
-SHOWN_STDS, BARS, FEW_BARS, MANY_SAMPLES = 4.0, 41, 21, 300
-"""The histogram reaches so many standard deviations to both sides, with what lies beyond in its last bars; its bars,
-with many samples and with few."""
-BANDS = 3.0
-"""Correlations are drawn to a scale of at least so many half-widths of the band, so that white noise looks harmless."""
+SHOWN_STDS = 4.0
+"""Half width of the histogram; samples beyond it are in its last bars."""
 INPUT_LOOKS: tuple[tuple[Color, Dash], ...] = (
     ("red", "solid"),
     ("blue", "solid"),
@@ -303,7 +297,7 @@ def residual_section(fits: Sequence[OutputFit], correlations: pd.DataFrame) -> S
 def _histogram(residual: Floats, output: str) -> Chart:
     known = residual[np.isfinite(residual)]
     scaled = (known - known.mean()) / (known.std() or 1.0)
-    edges = np.linspace(-SHOWN_STDS, SHOWN_STDS, BARS if known.size > MANY_SAMPLES else FEW_BARS)
+    edges = np.linspace(-SHOWN_STDS, SHOWN_STDS, 41 if known.size > 300 else 21)
     density, _ = np.histogram(np.clip(scaled, -SHOWN_STDS, SHOWN_STDS), bins=edges, density=True)
     fine = np.linspace(-SHOWN_STDS, SHOWN_STDS, 121)
     boxes: Data = {"left": edges[:-1], "right": edges[1:], "bottom": 0.0, "top": density}
@@ -344,6 +338,6 @@ def _with_inputs(table: pd.DataFrame, output: str) -> Chart:
 def _correlations(table: pd.DataFrame, x: str, y: str, layers: Sequence[Layer]) -> Chart:
     """Return correlations over a band of those by chance."""
     band, values = float(table["band"].max()), table["correlation"].to_numpy(np.float64)
-    most = min(1.15 * max(BANDS * band, float(np.nanmax(np.abs(values), initial=0.0))), 1.05)
+    most = min(1.15 * max(3.0 * band, float(np.nanmax(np.abs(values), initial=0.0))), 1.05)
     ground = (Layer("zone", {"bottom": -band, "top": band}, alpha=0.14), Layer("rule", {"y": 0.0}, "ink"))
     return Chart(Axis(x), Axis(y, reach=(-most, most)), (*ground, *layers))

@@ -10,8 +10,6 @@ from fmuid.reports.document import Message, Remark
 from fmuid.simulation import Simulator
 from fmuid.studies import SourceIssue, SourceWarning, Study
 
-MOST_TIMED = 5
-"""Data files whose time is compared with the model's time constants; each costs a simulation."""
 MOST_GAPS = 3
 """Gaps that are listed."""
 
@@ -89,7 +87,7 @@ def time_notes(study: Study, simulators: Sequence[Simulator]) -> list[Remark]:
     from fmuid.identification import doubt_of_time
 
     starts = [parameter.start for parameter in study.parameters.values()]
-    doubts = (doubt_of_time(each, starts) for each in simulators[:MOST_TIMED])
+    doubts = (doubt_of_time(each, starts) for each in simulators[:5])  # each costs a simulation
     return [time_remark(doubt) for doubt in doubts if doubt is not None]
 
 

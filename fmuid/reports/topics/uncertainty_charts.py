@@ -26,22 +26,10 @@ WALKERS = (
 )
 HEIGHT = 1.8
 """Profiles are drawn up to so many times the rise at which the interval ends."""
-MAX_CORNER = 6
-"""Maximum number of parameters in pairs."""
 SHARES = (0.95, 0.68)
 """Shares of the samples inside the contours, those of two and one standard deviations in one dimension."""
-BINS, SMOOTHING = 32, 1.2
-"""Bins of a histogram of samples, and the width in bins of the Gaussian that smooths those of a pair."""
-SHOWN_QUANTILES = (0.0005, 0.9995)
-MAX_SAMPLES = 800
-"""Samples drawn as dots behind the contours."""
-FLOOR_SHARE, TOP_PERCENTILE = 0.01, 98.0
-"""Below a hundredth of what the confidence region allows, the cost is as good as at its minimum, and what few points
-exceed looks all the same."""
-APART, MAX_HELD = 0.01, 4
-"""Optima closer to the estimate than this share of the map are the same; so many parameters that are held are named."""
-MOST_WALKERS, MOST_STEPS = 24, 200
-"""Of the paths of a sampling: more are too many."""
+BINS = 32
+"""Bins of a histogram of samples."""
 
 
 def uncertainty_sections(found: Assessment, result: Result, units: Units, optima: pd.DataFrame) -> list[Section]:
@@ -107,7 +95,7 @@ def _curve(values: Floats, rise: Floats, centre: float) -> tuple[Floats, Floats]
 
 def _corner(samples: pd.DataFrame, result: Result, units: Units) -> ChartGrid:
     """Return histograms and pairs of the samples; ellipses are those of the covariance."""
-    names = [str(name) for name in samples.columns][:MAX_CORNER]
+    names = [str(name) for name in samples.columns][:6]
     values = samples[names].to_numpy(np.float64)
     ranges = [_range(values[:, i]) for i in range(len(names))]
     rows: list[tuple[Chart | None, ...]] = []
@@ -129,7 +117,7 @@ def _corner(samples: pd.DataFrame, result: Result, units: Units) -> ChartGrid:
 
 
 def _range(samples: Floats) -> tuple[float, float]:
-    low, high = np.quantile(samples, SHOWN_QUANTILES)
+    low, high = np.quantile(samples, (0.0005, 0.9995))
     room = 0.04 * (high - low) or 0.05 * abs(low) or 1.0
     return float(low - room), float(high + room)
 
@@ -155,10 +143,10 @@ def _pair(
 ) -> list[Layer]:
     from scipy.ndimage import gaussian_filter  # slow to import
 
-    some = samples[evenly(len(samples), MAX_SAMPLES)]
+    some = samples[evenly(len(samples), 800)]
     layers = [Layer("points", {"x": some[:, 0], "y": some[:, 1]}, size=2, alpha=0.35)]
     counts, first, second = np.histogram2d(samples[:, 0], samples[:, 1], bins=BINS, range=sides)
-    smooth = gaussian_filter(counts.T, SMOOTHING)
+    smooth = gaussian_filter(counts.T, 1.2)  # width in bins
     middles = [0.5 * (edges[1:] + edges[:-1]) for edges in (first, second)]
     heights = share_levels(smooth)
     if len(heights) > 1:
@@ -191,8 +179,8 @@ def share_levels(counts: Floats) -> list[float]:
 
 
 def _walkers(posterior: Posterior, units: Units) -> Iterator[Chart]:
-    steps = evenly(len(posterior.chain), MOST_STEPS)
-    paths = posterior.chain[steps, :MOST_WALKERS]  # (steps, walkers, parameters)
+    steps = evenly(len(posterior.chain), 200)
+    paths = posterior.chain[steps, :24]  # (steps, walkers, parameters)
     gap = np.full((1, paths.shape[1]), np.nan)  # between the lines
     across = np.vstack([np.repeat((steps + 1.0)[:, None], paths.shape[1], axis=1), gap]).T.ravel()
     early = steps[steps + 1 <= posterior.burn] + 1
@@ -209,8 +197,8 @@ def _map(chart: CostMap, units: Units, optima: pd.DataFrame) -> Chart:
     excess = values - np.nanmin(values, initial=chart.cost)
     rise = chart.rise(CONFIDENCE_LEVEL)
     known = excess[np.isfinite(excess) & (excess > 0)]
-    low = max(FLOOR_SHARE * rise, float(known.min(initial=FLOOR_SHARE * rise)))
-    high = max(float(np.percentile(known, TOP_PERCENTILE)) if known.size else 0.0, 2.0 * low)
+    low = max(0.01 * rise, float(known.min(initial=0.01 * rise)))
+    high = max(float(np.percentile(known, 98.0)) if known.size else 0.0, 2.0 * low)
     shades = Shades("blues", low, high, log=True, title="cost above its minimum")
     hover = (("point", "@x{0.000000}, @y{0.000000}"), ("above the minimum", "@value{0.000}"))
     layers = [Layer("cells", _cells(chart, excess), shades=shades, hover=hover)]
@@ -219,7 +207,7 @@ def _map(chart: CostMap, units: Units, optima: pd.DataFrame) -> Chart:
         text = f"{100 * CONFIDENCE_LEVEL:g} % ellipse"
         layers.append(Layer("line", {"x": border[:, 0], "y": border[:, 1]}, "red", label=text))
     if np.nanmin(excess, initial=rise) < rise < np.nanmax(excess, initial=0.0):
-        held = "".join(f", {name} = {value:.4g}" for name, value in list(chart.held.items())[:MAX_HELD])
+        held = "".join(f", {name} = {value:.4g}" for name, value in list(chart.held.items())[:4])
         text = f"cost + {rise:.3g}{held}"
         for each in _contours((first, second), excess.T, [rise]):
             layers.append(Layer("line", each, "red", dash="dashed", width=1.6, label=text))
@@ -243,7 +231,7 @@ def _others(chart: CostMap, optima: pd.DataFrame) -> Floats:
     (low, *_, high), (bottom, *_, top), _ = chart.grid
     places = optima[list(chart.names)].to_numpy(np.float64)
     inside = ((places >= (low, bottom)) & (places <= (high, top))).all(axis=1)
-    apart = (np.abs(places - chart.estimate) > APART * np.array([high - low, top - bottom])).any(axis=1)
+    apart = (np.abs(places - chart.estimate) > 0.01 * np.array([high - low, top - bottom])).any(axis=1)
     return np.asarray(places[inside & apart])
 
 

@@ -58,11 +58,6 @@ def test_simulate_several_experiments_and_api(folder: Path) -> None:
         pd.testing.assert_frame_equal(part, frame)
 
 
-def test_simulate_without_parameters(folder: Path) -> None:
-    (folder / "study.toml").write_text(STUDY.partition("[parameters]")[0])
-    assert fmuid_("simulate", folder / "study.toml") == DONE
-
-
 def test_input_that_nothing_feeds_is_named(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert fmuid_("simulate", folder / "study.toml", "--set", "experiments.0.inputs=[]") == DONE
     assert "no column for u; start value used" in capsys.readouterr().err
@@ -125,25 +120,6 @@ def test_init_gives_a_study_that_runs(folder: Path, capsys: pytest.CaptureFixtur
 
     assert fmuid_("identify", study) == DONE
     assert result(folder / "results")["parameters"]["R"]["value"] == pytest.approx(R, rel=0.05)
-
-
-def test_every_line_of_a_draft_is_valid(folder: Path) -> None:
-    """All parameters, taken out of their comments, are a valid study."""
-    machine = FMUS / "InductionMachine/InductionMachine.fmu"
-    pd.DataFrame({"time": [0.0, 1.0], "uds": 1.0, "w": 0.0, "ids": 0.1}).to_csv(folder / "run.csv", index=False)
-    made = draft(machine, match_data_files(machine, [folder / "run.csv"]), folder / "sub/study.toml")
-    assert made.records[0].lacking("input") == ("uqs",)
-    assert made.records[0].lacking("output") == ("iqs",)
-    lines = [
-        line.removeprefix("# ") if line.startswith("# ") and " = { start" in line else line
-        for line in made.text.splitlines()
-    ]
-    (folder / "sub").mkdir()
-    study = folder / "sub/study.toml"
-    study.write_text("\n".join(lines))
-    read = Study.read(study)
-    assert list(read.parameters)[:4] == ["Rs", "Rr", "Lm", "Lf"]
-    assert read.experiments[0].data.resolve() == (folder / "run.csv").resolve()
 
 
 def test_every_word_that_init_comments_on_is_one(folder: Path) -> None:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import re
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -15,8 +14,6 @@ from scipy import stats
 import fmuid
 from experiments.batches.campaign import NOISE, L, R, coil_current
 from fmuid.apps.cli.options import DONE, NOT_SUCCEEDED, WRONG_INPUT
-from fmuid.events import Event, SearchStep
-from fmuid.reports.render import progress
 from fmuid.studies.study import Study
 from tests.support.coil_study import STUDY, fmuid_, result
 from tests.support.commands import HASTY, SECOND
@@ -62,7 +59,7 @@ def test_identify_writes_tables_and_figures(folder: Path) -> None:
         "parameters.ssv", "document.json", "report.html", "figures",
     }  # fmt: skip
     figures = {path.name for path in (out / "figures").iterdir()}
-    drawn = ("fit", "residuals", "parameters", "criterion", "correlation", "accuracy")
+    drawn = ("fit", "residuals", "parameters", "cost", "correlation", "accuracy")
     assert figures == {f"{name}.png" for name in drawn}
     found = result(out)
 
@@ -103,75 +100,10 @@ def test_identify_several_experiments(folder: Path) -> None:
     assert units.tolist() == ["Ohm", "H", "A", "A"]
 
 
-def test_identify_with_prior(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    prior = "parameters.R.prior={mean = 5.0, std = 0.01}"
-    assert fmuid_("identify", folder / "study.toml", "--set", prior, "--set", "noise.variance=4e-4") == DONE
-    found = result(folder / "results")["parameters"]["R"]
-    assert (found["prior_mean"], found["prior_std"]) == (5.0, 0.01)
-    assert found["prior_z_score"] == pytest.approx((found["value"] - 5.0) / 0.01)
-    assert found["prior_z_score"] < -1
-    out = capsys.readouterr().out
-    assert "5.000 ± 0.010" in out
-
-
-def test_api_gives_what_the_command_writes(folder: Path) -> None:
-    assert fmuid_("identify", folder / "study.toml") == DONE
-    study = fmuid.Study.read(folder / "study.toml")
-    seen: list[Any] = []
-    found = study.identify(seen.append)
-    written = result(folder / "results")
-    assert {name: found[name] for name in found.names} == {
-        name: values["value"] for name, values in written["parameters"].items()
-    }
-    assert seen[-1].number == found.history.iterations
-
-
 def test_not_converged(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert fmuid_("identify", folder / "study.toml", *HASTY) == NOT_SUCCEEDED
     assert result(folder / "results")["converged"] is False
     assert "Raise `max_iterations`" in capsys.readouterr().out
-
-
-def test_bound_is_named(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    fmuid_("identify", folder / "study.toml", "--set", "parameters.R.max=3.5", "--set", "parameters.R.start=3")
-    assert result(folder / "results")["parameters"]["R"]["value"] == 3.5
-    assert "R is at its upper bound 3.5 Ohm" in capsys.readouterr().out
-
-
-def test_undetermined(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """At rest from start to end the inductance has no effect, and with the initial current free it has still none."""
-    times = np.linspace(0.0, 0.1, 101)
-    current = 0.25 + 0.01 * np.random.default_rng(8).normal(size=101)
-    pd.DataFrame({"time": times, "u": 1.0, "i": current}).to_csv(folder / "first.csv", index=False)
-    start = ["--set", "model.fixed.i_start=0.25", "--set", "parameters.R.start=4"]
-    code = fmuid_("identify", folder / "study.toml", *start)
-    assert code in (NOT_SUCCEEDED, WRONG_INPUT)
-    assert "L" in "".join(capsys.readouterr())
-
-
-def test_interrupted_keeps_the_best_so_far(
-    folder: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    shown = progress.Display.__call__
-
-    def interrupt(self: progress.Display, event: Event) -> None:
-        shown(self, event)
-        if isinstance(event, SearchStep) and event.number == 2:
-            raise KeyboardInterrupt
-
-    monkeypatch.setattr(progress.Display, "__call__", interrupt)
-    assert fmuid_("identify", folder / "study.toml") == NOT_SUCCEEDED
-    first = result(folder / "results")
-    assert first["outcome"] == "interrupted"
-    assert first["converged"] is False
-    assert first["parameters"]["R"]["value"] != 6.0
-    assert "NOT USABLE   interrupted" in capsys.readouterr().out
-
-    monkeypatch.undo()
-    assert fmuid_("identify", folder / "study.toml", "--resume") == DONE
-    second = result(folder / "results")
-    assert second["parameters"]["R"]["start"] == first["parameters"]["R"]["value"]
-    assert second["parameters"]["R"]["value"] == pytest.approx(R, rel=0.05)
 
 
 def test_interrupted_before_the_search(

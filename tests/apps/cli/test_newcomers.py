@@ -73,12 +73,6 @@ def test_channels_that_measured_nothing_or_in_another_unit(tmp_path: Path, capsy
     assert float(ratio) == pytest.approx(1000, rel=0.3)
 
 
-def test_an_input_that_is_no_column(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    frame = fmuid.datasets.coil().table[["time", "i"]]
-    assert "Add --map u=COLUMN, or --map u= to keep its start value." in started(tmp_path, capsys, frame)
-    assert "no column for the input" not in started(tmp_path, capsys, frame, "--map", "u=")
-
-
 def test_a_header_of_2000_names(tmp_path: Path) -> None:
     names = ",".join(f"c{k}" for k in range(2000))
     rows = "".join(f"{k / 100},{k % 3},{np.sin(k)},{'1,' * 1999}1\n" for k in range(8))
