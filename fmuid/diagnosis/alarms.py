@@ -25,9 +25,6 @@ from fmuid.estimation import check_level
 SOMETHING_ELSE = "something else"
 """What an alarm is called where no cause explains a residual that is larger than the noise."""
 
-# Windows of a trend, at least.
-TREND_WINDOWS = 4
-
 
 @dataclass(frozen=True)
 class Rule:
@@ -143,7 +140,7 @@ class Trend:
     def of(cls, column: str, clock: Floats, values: Floats, stds: Floats, limit: float = math.nan) -> Trend | None:
         """Return the weighted least-squares line of sizes (n,) at times (n,); None of fewer than four."""
         known = np.isfinite(values) & np.isfinite(stds) & (stds > 0)
-        if np.count_nonzero(known) < TREND_WINDOWS:
+        if np.count_nonzero(known) < 4:
             return None
         late, weight = clock[known] - clock[-1], stds[known] ** -2.0
         lines = np.column_stack([np.ones(late.size), late])

@@ -27,8 +27,6 @@ from fmuid.models import System
 from fmuid.simulation import Refinement
 
 REMEDY = "Identify the healthy study again."
-# Healthy values of the file and of the result beside it are the same numbers, but for their last digits.
-SAME_VALUE = 1e-9
 
 
 class BaselineSource(Enum):
@@ -77,7 +75,8 @@ class MachineDigest:
         mine, theirs = set(self.coordinates), set(asked.coordinates)
         if not theirs <= mine or not (fewer or mine == theirs):
             return BaselineSource.OTHER_CAUSES
-        if not np.allclose(self.healthy[self._places(asked)], asked.healthy, rtol=SAME_VALUE, atol=0.0):
+        # equal but for the last digits of a text file
+        if not np.allclose(self.healthy[self._places(asked)], asked.healthy, rtol=1e-9, atol=0.0):
             return BaselineSource.OTHER_MODELS
         if self.noise != asked.noise:
             return BaselineSource.OTHER_NOISE

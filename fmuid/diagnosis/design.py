@@ -34,8 +34,6 @@ from fmuid.models import FMU, System
 
 # Default probability of no alarm with a fault of the size.
 MISS_PROBABILITY = 0.05
-# Length of an endless healthy record, in lengths of the new one.
-FOREVER = 1e4
 
 
 @dataclass(frozen=True)
@@ -124,7 +122,7 @@ class Design:
         said = InformationMatrix.of(white, np.zeros(len(white)))
         known, drift = made.healthy.known, made.healthy.drift
         if healthy is not None:
-            longer = min(healthy, FOREVER)
+            longer = min(healthy, 1e4)  # endless
             known = ChangePrior.after(
                 InformationMatrix(longer * said.matrix, longer * said.score), made.coordinates.normal
             )

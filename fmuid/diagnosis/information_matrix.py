@@ -22,14 +22,9 @@ from fmuid.array_types import Floats, Indices
 from fmuid.data import Experiment
 from fmuid.estimation import Autoregression, NoiseModel, OutputSeries, common_process, output_series
 
-# Model error is told from noise by the scatter of records from this many on: the variance of a t distribution of K − 1
-# degrees of freedom, (K − 1)/(K − 3), is finite from there.
-LEAST_RECORDS = 4
 # Of what a coordinate shows by itself, this share is left where nothing tells it from the others: differences leave
 # about their own error squared.
 LEAST = 1e-9
-# Samples over which a noise's correlations are summed.
-SPECTRUM_LENGTH = 4096
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,7 +59,7 @@ class Whitening:
 
     def independent_share(self, output: str) -> float:
         """Return the independent samples per sample for an output's variance, 1/Σρ² (Bartlett)."""
-        power = np.abs(self.models[output].transfer(SPECTRUM_LENGTH)) ** 2
+        power = np.abs(self.models[output].transfer(4096)) ** 2
         return float(np.mean(power) ** 2 / np.mean(power**2))
 
     def __call__(self, experiment: Experiment, columns: Floats) -> Floats:
@@ -122,7 +117,7 @@ class ChangePrior:
         The error is the positive part of cov(m_i) − mean C_i in the metric of mean C. It counts once more for
         the new record. K records scale it by (K − 1)/(K − 3). Fewer than four are pooled, without it.
         """
-        if len(records) < LEAST_RECORDS:
+        if len(records) < 4:  # from four records on (K − 1)/(K − 3) is finite, the variance of their t distribution
             return cls.after(sum(records[1:], start=records[0]), normal)
         each = [cls.after(record, normal) for record in records]
         means = np.array([known.mean for known in each])

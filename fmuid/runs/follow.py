@@ -193,7 +193,6 @@ class _Running:
 
     def _write(self, lines: Sequence[str]) -> None:
         beside = {"key": self.key, "followed": self.follower.state, "alarms": self.alarms.state}
-        beside |= {"waiting": self.waiting}
         origin = replace(self.origin, date=made_now().date)
         self.written = self.tables.write(
             findings_of(self.monitor), self.monitor, origin, lines, beside | {"waiting": self.waiting}

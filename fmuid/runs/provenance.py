@@ -23,8 +23,6 @@ from fmuid.version import __version__
 if TYPE_CHECKING:
     from fmuid.studies import Study
 
-# Most files that are named, as of a batch.
-MOST_FILES = 40
 # Key of an object that stands for an infinite number, which JSON lacks.
 NUMBER = "number:"
 PROVENANCE_SCHEMA = "fmuid/provenance/2"
@@ -61,7 +59,7 @@ def digests(files: Iterable[Path], folder: Path) -> dict[str, str]:
     A whole path could disclose its owner.
     """
     found = {}
-    for path in [path for path in dict.fromkeys(files) if path.is_file()][:MOST_FILES]:
+    for path in [path for path in dict.fromkeys(files) if path.is_file()][:40]:
         name = "/".join([part for part in _way(path, folder).parts if part != ".."][-3:])
         with path.open("rb") as file:
             found[name] = hashlib.file_digest(file, "sha256").hexdigest()

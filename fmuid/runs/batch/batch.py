@@ -35,8 +35,6 @@ from fmuid.studies import Study
 MAX_CASES = 100_000
 # Time that rows wait for the disk, s, and in durations of the last writing: the most that a kill costs.
 WRITE_SECONDS, WRITE_SHARE = 3.0, 20.0
-# Time over which the rate is taken, s.
-RATE_SECONDS = 30.0
 _REMEDY = "Choose another folder with --output, or remove its cases with --no-resume."
 
 
@@ -292,7 +290,7 @@ class _Counter:
     def step(self, threads: int) -> BatchStep:
         now = time.monotonic()
         self._times.append((now, self._done))
-        while len(self._times) > 2 and self._times[1][0] < now - RATE_SECONDS:
+        while len(self._times) > 2 and self._times[1][0] < now - 30.0:
             self._times.popleft()
         since, then = self._times[0]
         rate = (self._done - then) / max(now - since, 1e-9)

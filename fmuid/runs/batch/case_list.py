@@ -26,12 +26,8 @@ from fmuid.files import full, is_file
 from fmuid.runs.batch.case_problem import check_model, flat_names, truth_values
 from fmuid.studies import SpaceFillingSection, Study, Value
 
-# More cases than a float64 counts are a mistake of the study.
-MOST_CASES = 2**53
 # Purposes of random numbers.
 FOR_STARTS, FOR_SAMPLE, FOR_NOISE = 1, 2, 3
-# Range of starts without bounds: standard deviations around the prior's mean, or fraction of the magnitude.
-START_STDS, START_SHARE = 3.0, 0.5
 
 
 @dataclass(frozen=True)
@@ -147,7 +143,7 @@ class CaseList:
                 raise self.settings.error(f'{wrong}. Change them, or choose "product".')
             return next(iter(counts.values()))
         length = math.prod(counts.values())
-        if length > MOST_CASES:
+        if length > 2**53:  # more than a float64 counts
             raise self.settings.error(f"{length} cases are too many. Shorten the axes.")
         return length
 
@@ -277,7 +273,7 @@ class StartRanges:
 def _range(parameter: Parameter, mean: float, std: float) -> tuple[float, float]:
     if math.isfinite(parameter.max - parameter.min):
         return parameter.min, parameter.max
-    middle, reach = mean, START_STDS * std
+    middle, reach = mean, 3.0 * std
     if math.isnan(mean):
-        middle, reach = parameter.start, START_SHARE * (parameter.nominal or abs(parameter.start))
+        middle, reach = parameter.start, 0.5 * (parameter.nominal or abs(parameter.start))
     return max(parameter.min, middle - reach), min(parameter.max, middle + reach)

@@ -15,18 +15,24 @@ from scipy import special
 
 from fmuid.array_types import Floats
 
-# Level of the counted intervals, and half their width in standard deviations.
-INTERVAL_LEVEL = 0.95
-INTERVAL_STDS = float(special.ndtri(0.5 + INTERVAL_LEVEL / 2.0))
-# Estimates of one optimum differ by less than these fractions of their std or magnitude;
-# as in `fmuid.estimation.global_search`.
-SAME_STDS, SAME_SHARE = 0.3, 1e-4
-# Two-sided probability outside the limits of a binomial fraction.
-OUTSIDE_PROBABILITY = 0.05
-# Probability of any false doubt over all tests of a table.
-FALSE_DOUBT_PROBABILITY = 0.01
-# Smaller defects are irrelevant: ratio of spread and stated std (coverage 94.3 %), bias in stated std (94.8 %).
-WORTH_RATIO, WORTH_BIAS, WORTH_COVERAGE = 1.05, 0.15, 0.01
+
+@dataclass(frozen=True)
+class StatisticsSettings:
+    """Numbers of the statistics of a batch."""
+
+    level: float = 0.95  # of the counted intervals
+    same_stds: float = 0.3  # distance of estimates of one optimum, as in `fmuid.estimation.global_search`
+    same_fraction: float = 1e-4  # the same, as a fraction of the magnitude
+    outside: float = 0.05  # two-sided probability outside the limits of a binomial fraction
+    false_warning: float = 0.01  # probability of any false warning over all tests of a table
+    min_ratio: float = 1.05  # of spread and stated std: smaller ones leave a coverage of 94.3 %
+    min_bias: float = 0.15  # in stated std: smaller ones leave a coverage of 94.8 %
+    min_coverage_error: float = 0.01
+
+
+SETTINGS = StatisticsSettings()
+# Half the width of the counted intervals, in standard deviations.
+INTERVAL_STDS = float(special.ndtri(0.5 + SETTINGS.level / 2.0))
 
 
 class EstimateWarning(Enum):
@@ -169,14 +175,14 @@ def _spread_probability(ratio: float, s: Floats) -> float:
 
 
 def _binomial_limits(held: int, n: int) -> tuple[float, float]:
-    lower = float(special.betaincinv(held, n - held + 1, OUTSIDE_PROBABILITY / 2.0)) if held else 0.0
-    upper = float(special.betaincinv(held + 1, n - held, 1.0 - OUTSIDE_PROBABILITY / 2.0)) if held < n else 1.0
+    lower = float(special.betaincinv(held, n - held + 1, SETTINGS.outside / 2.0)) if held else 0.0
+    upper = float(special.betaincinv(held + 1, n - held, 1.0 - SETTINGS.outside / 2.0)) if held < n else 1.0
     return lower, upper
 
 
 def _binomial_probability(held: int, n: int) -> float:
-    at_most = float(special.bdtr(held, n, INTERVAL_LEVEL))
-    at_least = float(special.bdtrc(held - 1, n, INTERVAL_LEVEL)) if held else 1.0
+    at_most = float(special.bdtr(held, n, SETTINGS.level))
+    at_least = float(special.bdtrc(held - 1, n, SETTINGS.level)) if held else 1.0
     return min(1.0, 2.0 * min(at_most, at_least))
 
 
@@ -192,14 +198,14 @@ def _doubts(row: Mapping[Any, Any], tests: int) -> tuple[EstimateWarning, ...]:
     """Return the significant and relevant defects of one parameter."""
 
     def sure(name: str) -> bool:
-        return bool(row.get(name, math.nan) * tests < FALSE_DOUBT_PROBABILITY)
+        return bool(row.get(name, math.nan) * tests < SETTINGS.false_warning)
 
     ratio, found = row["ratio"], []
-    if sure("ratio_p") and max(ratio, 1.0 / ratio if ratio else math.inf) > WORTH_RATIO:
+    if sure("ratio_p") and max(ratio, 1.0 / ratio if ratio else math.inf) > SETTINGS.min_ratio:
         found.append(EstimateWarning.STD_TOO_SMALL if ratio > 1.0 else EstimateWarning.STD_TOO_LARGE)
-    if sure("bias_p") and abs(row["bias"]) > WORTH_BIAS * row["stated_std"]:
+    if sure("bias_p") and abs(row["bias"]) > SETTINGS.min_bias * row["stated_std"]:
         found.append(EstimateWarning.BIASED)
-    if sure("coverage_p") and abs(row["coverage"] - INTERVAL_LEVEL) > WORTH_COVERAGE:
+    if sure("coverage_p") and abs(row["coverage"] - SETTINGS.level) > SETTINGS.min_coverage_error:
         found.append(EstimateWarning.COVERAGE_OFF)
     return tuple(found)
 
@@ -234,7 +240,7 @@ def _numbered(values: Floats, stds: Floats) -> NDArray[np.int64]:
     count = 0
     while (left := np.flatnonzero(numbers == 0)).size:
         best, count = left[0], count + 1
-        reach = np.fmax(SAME_STDS * stds[best], SAME_SHARE * np.abs(values[best]))
+        reach = np.fmax(SETTINGS.same_stds * stds[best], SETTINGS.same_fraction * np.abs(values[best]))
         # a parameter that is not free in this data set is NaN in all of its cases
         far = np.abs(values[left] - values[best]) > reach
         numbers[left[~far.any(axis=1)]] = count

@@ -20,7 +20,6 @@ from fmuid.version import __version__
 FILE_KEYS = ("fmu", "data", "result")
 # Keys of a study that no row of a batch depends on.
 NOT_IN_ROWS = ("title", "uncertainty", "diagnosis")
-CHANGES_TOLD = 4
 _MISSING = object()
 
 
@@ -130,9 +129,7 @@ def changes(earlier: Mapping[str, Any], now: Mapping[str, Any]) -> list[str]:
             found.append(f"{name} was removed")
         elif files[name] != now["files"][name]:
             found.append(f"{name} has changed")
-    if len(found) > CHANGES_TOLD:
-        found[CHANGES_TOLD:] = [f"{len(found) - CHANGES_TOLD} more differences"]
-    return found
+    return found if len(found) <= 4 else [*found[:4], f"{len(found) - 4} more differences"]
 
 
 def _renamed(node: Any, rename: Callable[[str], str], key: str = "") -> Any:

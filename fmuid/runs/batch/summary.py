@@ -30,10 +30,6 @@ from fmuid.runs.findings import Provenance
 
 # Most levels of a setting that makes groups, and most groups.
 MAX_LEVELS, MAX_GROUPS = 20, 100
-# The spread of fewer cases is uncertain by more than 13 %.
-FEW_CASES = 30
-# Relative difference of residuals of equally good optima: 1000 samples cannot tell them apart.
-EQUAL_FIT_SHARE = 5e-4
 
 OVERVIEW_FILE, BATCH_SCHEMA = "summary.json", "fmuid/batch/2"
 STATUSES = ["converged", "not converged", "failed"]
@@ -113,12 +109,14 @@ class Summary:
     @property
     def few(self) -> bool:
         """True if there are too few estimates to test stated σ."""
-        return self.most == 1 or (1 < self.most < FEW_CASES and bool(self.parameters["ratio"].notna().any()))
+        # below 30 the spread is uncertain by more than 13 %
+        return self.most == 1 or (1 < self.most < 30 and bool(self.parameters["ratio"].notna().any()))
 
     @property
     def rivals(self) -> bool:
         """True if optima with other values fit as well as the best."""
-        return len(self.optima) > 1 and bool((self.optima["residual"].iloc[1:] < 1.0 + EQUAL_FIT_SHARE).any())
+        # 1000 samples do not distinguish residuals that are this close
+        return len(self.optima) > 1 and bool((self.optima["residual"].iloc[1:] < 1.0 + 5e-4).any())
 
 
 def write_overview(folder: Path, found: BatchOverview) -> Path:

@@ -10,6 +10,7 @@ import warnings
 from collections import deque
 from collections.abc import Callable, Generator, Iterator, Sequence
 from concurrent.futures import CancelledError
+from dataclasses import dataclass
 from typing import Any, TypeAlias
 
 import dask
@@ -24,21 +25,23 @@ from fmuid.runs.batch.worker import GroupResult, difference, forget, run_group, 
 
 # Time for a scheduler to answer, and to name its first worker, s; Dask's 30 s are long for a wrong address.
 ANSWER_SECONDS = 10.0
-# Groups that wait or run for each thread: a worker goes on while results and the next group travel.
-GROUPS_PER_THREAD = 3
-# Time of a group, s: scheduling it costs some ms, its loss little.
-GROUP_SECONDS = 3.0
-# Cases of a group: their rows are small beside `GROUP_MB`.
-MOST_GROUP_CASES = 5000
-# Records of a group, MB: it waits in the memory of the scheduler.
-GROUP_MB = 16.0
-# A group whose worker ended more often than the first is taken apart: so often by chance is a machine that fails.
-# A case alone that ends its worker so many times after the group is given up.
-MOST_WORKER_ENDS = 5
-MOST_LOSSES = 1
-# Intervals at which the cluster is looked at, and at which who waits for results is told that there are none, s.
-LOOK_SECONDS, TICK_SECONDS = 1.0, 0.25
 
+
+@dataclass(frozen=True)
+class PoolSettings:
+    """Numbers of the groups of a batch."""
+
+    groups_per_thread: int = 3  # waiting or running: a worker goes on while results and the next group travel
+    group_seconds: float = 3.0  # scheduling a group costs some ms, its loss little
+    max_group_cases: int = 5000  # their rows are small beside the data
+    max_group_mb: float = 16.0  # of data, in the memory of the scheduler
+    max_worker_ends: int = 5  # of a group, before it is taken apart: by chance so often only on a failing machine
+    max_case_ends: int = 1  # of a case after its group, before it is given up
+    look_seconds: float = 1.0  # between checks of the cluster
+    tick_seconds: float = 0.25  # without a result, until the caller regains control
+
+
+SETTINGS = PoolSettings()
 DASK: Any = distributed  # parts of it have no types
 Client: TypeAlias = Any
 Future: TypeAlias = Any
@@ -47,7 +50,7 @@ Results = Generator[GroupResult | None, None, None]
 
 
 class GroupSizes:
-    """Cases of a group: one at first, then `GROUP_SECONDS` long."""
+    """Cases of a group: one at first, then `PoolSettings.group_seconds` long."""
 
     def __init__(self) -> None:
         self._size, self._seconds = 1, float("inf")
@@ -56,8 +59,8 @@ class GroupSizes:
         """Note the duration of a group of `count` cases, s."""
         each = seconds / count
         self._seconds = min(each, 0.5 * (each + self._seconds))  # the first of a worker are slow
-        fitting = int(GROUP_SECONDS / max(self._seconds, 1e-9))
-        self._size = max(1, min(fitting, MOST_GROUP_CASES, max(self._size, 2 * count)))
+        fitting = int(SETTINGS.group_seconds / max(self._seconds, 1e-9))
+        self._size = max(1, min(fitting, SETTINGS.max_group_cases, max(self._size, 2 * count)))
 
     def next(self, left: int, threads: int) -> int:
         """Return the size of the next group."""
@@ -91,7 +94,7 @@ class WorkerPool:
         while position < len(cases) or left or self._flying:
             self._look()
             threads = max(self.threads, 1)
-            while (position < len(cases) or left) and len(self._flying) < GROUPS_PER_THREAD * threads:
+            while (position < len(cases) or left) and len(self._flying) < SETTINGS.groups_per_thread * threads:
                 if left:
                     self._submit(shipped, *_gather(left.popleft(), record_of))
                     continue
@@ -100,7 +103,7 @@ class WorkerPool:
                 self._submit(shipped, group, records)
                 position += len(group)
             try:
-                future = self._done.get(timeout=TICK_SECONDS)
+                future = self._done.get(timeout=SETTINGS.tick_seconds)
             except queue.Empty:
                 yield None
                 continue
@@ -131,7 +134,7 @@ class WorkerPool:
             raise error
         for case in group:
             self._killed[case] = self._killed.get(case, 0) + 1
-        if len(group) > 1 or self._killed[group[0]] <= MOST_LOSSES:
+        if len(group) > 1 or self._killed[group[0]] <= SETTINGS.max_case_ends:
             return None
         return GroupResult(given_up=(group[0],))
 
@@ -139,7 +142,7 @@ class WorkerPool:
         """Update the number of threads; check the scheduler."""
         if self._local is not None:
             self._local.look()
-        if time.monotonic() - self._looked < LOOK_SECONDS:
+        if time.monotonic() - self._looked < SETTINGS.look_seconds:
             return
         with self._watched():
             self.threads = int(self._client.scheduler_info(n_workers=0)["total_threads"])
@@ -172,7 +175,7 @@ def crew(scheduler: str | None = None, workers: int | None = None) -> Iterator[W
         folder, locks = stack.enter_context(scratch_folder())
         stack.enter_context(dask.config.set({"temporary-directory": str(folder)} | CALM))
         options = {"host": "127.0.0.1", "port": 0, "dashboard": False, "dashboard_address": "127.0.0.1:0"}
-        options["allowed_failures"] = MOST_WORKER_ENDS
+        options["allowed_failures"] = SETTINGS.max_worker_ends
         described = {"cls": DASK.Scheduler, "options": options}
         cluster = stack.enter_context(DASK.SpecCluster(workers={}, scheduler=described))
         _quieten(cluster)
@@ -202,7 +205,7 @@ def _check(client: Client, address: str) -> None:
     while not client.scheduler_info(n_workers=0)["n_workers"]:
         if time.monotonic() > until:
             raise InputError(f"the scheduler at {address} has no workers. Start some: dask worker {address}")
-        time.sleep(TICK_SECONDS)
+        time.sleep(SETTINGS.tick_seconds)
     found: dict[str, Any] = client.get_versions(packages=["fmuid"])
     here = versions()
     sides = {f"the scheduler at {address}": found["scheduler"]}  # which reads what it passes on
@@ -243,7 +246,7 @@ def _gather(cases: Sequence[int], record_of: RecordOf) -> tuple[list[int], dict[
     records: dict[str, bytes] = {}
     for case in cases:
         new = record_of(case)
-        if group and sum(map(len, (records | new).values())) > GROUP_MB * 1e6:
+        if group and sum(map(len, (records | new).values())) > SETTINGS.max_group_mb * 1e6:
             break
         records |= new
         group.append(case)

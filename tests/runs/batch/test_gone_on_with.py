@@ -128,7 +128,7 @@ def test_finished_cases_are_kept(folder: Path, here: Any, capsys: Any, error: Fm
     assert command(folder) == 1
     out, said = capsys.readouterr()
     assert sorted(pd.read_parquet(folder / "out" / "cases")["case"]) == sorted(ran)
-    interrupted = f"interrupted: {len(ran)} of 10 cases are finished; the same command goes on"
+    interrupted = f"interrupted: {len(ran)} of 10 cases are finished"
     assert ("error: the scheduler was lost" if error else interrupted) in said
     assert ("summary.csv" in out) == (error is None)
 

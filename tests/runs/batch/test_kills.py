@@ -149,8 +149,8 @@ def test_kills(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         assert len(partial[-2]) < len(partial[-1]) <= quarter * QUARTER
         answer, *others, last = said.splitlines()
         assert others == []
-        assert answer.startswith("interrupted: saving the finished cases, then ending the workers")
-        assert last == f"interrupted: {len(partial[-1])} of {CASES} cases are finished; the same command goes on"
+        assert answer.startswith("interrupted: saving the finished cases")
+        assert last == f"interrupted: {len(partial[-1])} of {CASES} cases are finished; the same command resumes"
 
     release(gate, "4")
     process = started(folder, 1)
