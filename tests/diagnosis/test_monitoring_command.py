@@ -206,7 +206,7 @@ def test_wrong_records(folder: Path, capsys: pytest.CaptureFixture[str]) -> None
     for data, said in (
         ("other.csv", "'u'"),
         ("empty", "empty"),
-        ("records day0.csv", "of one name"),
+        ("records day0.csv", "has the same name"),
         ("day0.csv day0.csv", "given twice"),
         ("none.csv", "none.csv"),
     ):
