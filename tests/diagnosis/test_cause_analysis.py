@@ -119,7 +119,7 @@ def test_whitening() -> None:
 @pytest.fixture(scope="module")
 def look(coil: fmuid.System, faults: dict[str, fmuid.Fault]) -> Look:
     @cache
-    def baseline(seed: int, colour: float, base: tuple[tuple[str, float], ...]) -> tuple[fmuid.Baseline, object]:
+    def baseline(seed: int, colour: float, base: tuple[tuple[str, float], ...]) -> tuple[fmuid.Baseline, Any]:
         rng = np.random.default_rng(seed)
         healthy = noisy(rng, colour, **dict(base))
         known = fmuid.identify(fmuid.Problem(coil, healthy, NOMINAL))

@@ -6,6 +6,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -302,6 +303,6 @@ def test_a_record_counts_once(healthy_coil: fmuid.Result) -> None:
 
 
 @pytest.mark.parametrize("words", [{"transient": -1.0}, {"window": 0.0}, {"horizon": math.inf}])
-def test_wrong_rules(words: dict[str, float]) -> None:
+def test_wrong_rules(words: dict[str, Any]) -> None:
     with pytest.raises(fmuid.InputError, match="must be a finite time"):
         Rule(**words)

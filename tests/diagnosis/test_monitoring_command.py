@@ -142,7 +142,7 @@ def test_an_interruption_inside_a_record(
     def when(seen: WindowEvaluation) -> bool:
         return (seen.now.records[-1].name, seen.sums.window.number) == ("day1", 2)
 
-    words = ["monitor", folder / "study.toml", folder / "records", *WINDOWS, "--no-report", "-o"]
+    words: list[str | Path] = ["monitor", folder / "study.toml", folder / "records", *WINDOWS, "--no-report", "-o"]
     with monkeypatch.context() as disturbed:
         disturbed.setattr(WindowEvaluation, "row", killing(number, when, WindowEvaluation.row))
         assert command(*words, folder / "grown") == 1
