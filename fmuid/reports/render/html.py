@@ -78,7 +78,7 @@ def details(heading: str, words: str) -> str:
 
 
 def verdict(document: Document) -> str:
-    """Return heading, reason, first tables and sentences of a document as HTML, the doubts first."""
+    """Return heading, reason, first tables and sentences of a document as HTML."""
     here = {section.key for section in document.sections}
     sure, doubts = (
         "".join(_sentence(each, here) for each in document.remarks if (each.tone in ("doubt", "bad")) is doubtful)
