@@ -64,7 +64,7 @@ def test_identify_by_new_processes(folder: Path) -> None:
     plain, result = found
     assert result.values[0] == plain.values[0]
     trace = result.trace
-    for _, costs in trace[trace["accepted"]].groupby("round")["criterion"]:
+    for _, costs in trace[trace["accepted"]].groupby("round")["cost"]:
         assert (np.diff(costs) <= 0.0).all()
     assert [each.setup.models[""]["run"]["new_processes"] for each in found] == [False, True]
     assert run_words(SolverConfiguration(**result.setup.models[""]["run"])).endswith(
