@@ -35,7 +35,7 @@ def document(**more: Any) -> Document:
     return replace(made, **more)
 
 
-def test_what_is_written_is_read_back(tmp_path: Path) -> None:
+def test_documents_are_read_back(tmp_path: Path) -> None:
     given = document()
     publish(tmp_path, given, report=False)
     publish(tmp_path, document(kind="prediction"), report=False)
@@ -63,14 +63,14 @@ def test_a_terminal_shows_tables_sentences_and_the_end(capsys: pytest.CaptureFix
     assert out.index("parameter") < out.index("R is known to 5 %") < out.index("note: ") < out.index("converged")
 
 
-def test_a_narrow_terminal_leaves_columns_out(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_narrow_terminal_omits_columns(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delenv("COLUMNS", raising=False)
     monkeypatch.setattr(console, "PLAIN_WIDTH", 24)
     columns = (Column("name", ("R",)), Column("a", ("1" * 12,), True, 1), Column("b", ("2" * 12,), True, 2))
     assert [each.header for each in console.rich_table(columns, "", console.console()).columns] == ["name", "a"]
 
 
-def test_names_and_texts_never_become_html(tmp_path: Path) -> None:
+def test_names_never_become_html(tmp_path: Path) -> None:
     paths = publish(tmp_path, document(), report=True, figures="png")
     assert [path.name for path in paths] == [DOCUMENT_FILE, "fit.png", "report.html"]
     page = (tmp_path / "report.html").read_text(encoding="utf-8")
@@ -93,7 +93,7 @@ def test_damaged_documents_are_refused_in_one_sentence(tmp_path: Path) -> None:
             assert DOCUMENT_FILE in str(error) and "\n" not in str(error), seed
 
 
-def test_a_folder_without_documents_has_no_report(tmp_path: Path) -> None:
+def test_folder_without_documents_is_refused(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"has no document\.json, result\.json, .*: give the folder"):
         write_report(tmp_path)
     with pytest.raises(InputError, match="is no folder of results"):

@@ -16,7 +16,7 @@ from fmuid.diagnosis.alarms import Alarm, Trend
 from fmuid.diagnosis.cause_results import CauseScore, ChangeEvidence, EstimatedChange, Explanation
 from fmuid.diagnosis.causes import CauseKind
 from fmuid.diagnosis.unexplained_residual import NOTHING_LEFT
-from fmuid.reports.topics import diagnosis, monitoring
+from fmuid.reports.topics import diagnosis, diagnosis_phrases, monitoring
 from tests.support.charts import drawn, legend, places
 
 
@@ -35,7 +35,7 @@ def news() -> ChangeEvidence:
     return ChangeEvidence(1e-9, True, explanations, suspects, 0.05, 1.0, 1.0, 3.0, 600, True, NOTHING_LEFT)
 
 
-def test_causes_stand_by_their_likelihood_with_the_angle_to_the_nearest(news: ChangeEvidence) -> None:
+def test_causes_are_ordered_by_probability(news: ChangeEvidence) -> None:
     plot = diagnosis.cause_evidence(news)
     assert plot.y.names[::-1] == ("turns (dR)", "gain of sensor i", "offset of sensor i")
     red, grey = drawn(plot, "bars")
@@ -44,7 +44,7 @@ def test_causes_stand_by_their_likelihood_with_the_angle_to_the_nearest(news: Ch
     assert red["size"][0] == "0.300 ± 0.050 Ohm"
 
 
-def test_changes_have_their_intervals_in_units_that_are_read(news: ChangeEvidence) -> None:
+def test_sizes_have_intervals_with_units(news: ChangeEvidence) -> None:
     turns, gain = diagnosis.change_charts(news)
     assert turns.x.label == "size, with 95 % interval (Ohm)"
     assert gain.x.label == "size, with 95 % interval (%)"
@@ -75,7 +75,7 @@ def windows() -> pd.DataFrame:
     return pd.DataFrame(columns | sizes | {"significant": [""] * 9 + ["turns", "turns", "other"]}, range(count))
 
 
-def test_time_goes_on_from_record_to_record(windows: pd.DataFrame) -> None:
+def test_time_continues_over_recordings(windows: pd.DataFrame) -> None:
     clock, borders, _ = monitoring.clock_of(windows)
     np.testing.assert_array_equal(clock, np.arange(1.0, 24.0, 2.0))
     assert borders == [8.0, 16.0]
@@ -130,9 +130,9 @@ def test_diagnosis_verdict(
     evidence = replace(news, explanations=news.explanations[:explanations], basis=basis, alarm=alarm, steady=False)
     left = SimpleNamespace(ratio=1.9, probability=1e-3, larger=True)
     found: Any = SimpleNamespace(kind=kind, evidence=evidence, unexplained=left, level=0.01, undetermined=("turns.dR",))
-    assert diagnosis.verdict(found).text.startswith(said)
+    assert diagnosis_phrases.verdict(found).text.startswith(said)
     found.deviation, found.fitted, found.accuracy, found.mismatched = None, (), None, ("turns",)
-    notes = [each.message.partition(".")[2] for each in diagnosis.diagnosis_notes(found)]
+    notes = [each.message.partition(".")[2] for each in diagnosis_phrases.diagnosis_notes(found)]
     expected = ["MISMATCHED", *["PARTLY"] * alarm, *["NOT_TESTED"] * (basis is BaselineSource.RESULT)]
     assert notes == expected + ["UNSTEADY"] * alarm
 

@@ -136,6 +136,6 @@ def test_texts_are_short(found: fmuid.runs.IdentificationRun, tmp_path: Path) ->
         assert "\n" not in repr(shown)
 
 
-def test_what_cannot_be_drawn() -> None:
+def test_finding_without_figures_is_refused() -> None:
     with pytest.raises(fmuid.InputError, match="a FMU has no figures"):
         plots(fmuid.FMU(COIL))

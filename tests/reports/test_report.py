@@ -88,7 +88,7 @@ def test_verdict_comes_first_with_links_and_table(results: Path, page: Page) -> 
     assert {"fit", "fit-2", "correlation", "profiles", "maps"} <= set(anchors)
 
 
-def test_it_says_where_it_comes_from(results: Path, page: Page) -> None:
+def test_report_has_its_provenance(results: Path, page: Page) -> None:
     given = (results.parent / "first.csv").read_bytes()
     assert hashlib.sha256(given).hexdigest() in page.words
     assert hashlib.sha256((results.parent / "study.toml").read_bytes()).hexdigest() in page.words
@@ -97,7 +97,7 @@ def test_it_says_where_it_comes_from(results: Path, page: Page) -> None:
     assert 'title = "Two coils"' in page.words  # the study file itself
 
 
-def test_a_browser_runs_its_scripts_and_nothing_else(results: Path, page: Page) -> None:
+def test_report_allows_its_own_scripts_only(results: Path, page: Page) -> None:
     digests = {base64.b64encode(hashlib.sha256(each.encode()).digest()).decode() for each in page.scripts}
     assert set(re.findall(r"'sha256-([^']+)'", page.policy)) == digests
     assert len(digests) == 2
@@ -108,7 +108,7 @@ def test_a_browser_runs_its_scripts_and_nothing_else(results: Path, page: Page) 
     assert (results / "report.html").stat().st_size < SMALL
 
 
-def test_the_command_writes_the_same_report_again(
+def test_report_command_writes_the_same_report(
     results: Path, page: Page, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     folder = shutil.copytree(results, tmp_path / "alone")

@@ -25,7 +25,7 @@ def text(shown: ResultsView) -> str:
     return " ".join(each.text for each in shown.layout.children if isinstance(each, Div))
 
 
-def test_what_is_written_is_shown_at_the_next_look(tmp_path: Path) -> None:
+def test_results_view_follows_its_folder(tmp_path: Path) -> None:
     shown = ResultsView(Document(), tmp_path, "light", ("identification",))
     assert "No result yet" in text(shown)
     result(tmp_path, {"R": (4.0, 0.1)})
@@ -42,13 +42,13 @@ def test_what_is_written_is_shown_at_the_next_look(tmp_path: Path) -> None:
     assert "5.00 ± 0.10" in text(shown)
 
 
-def test_a_study_without_faults_is_refused(tmp_path: Path) -> None:
+def test_study_without_diagnosis_is_refused(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"has no \[diagnosis\]"):
         FaultsPage(Document(), bench_of(tmp_path), coil_study(tmp_path), "light")
 
 
 @pytest.mark.slow
-def test_a_diagnosis_is_begun_and_a_folder_is_followed(tmp_path: Path) -> None:
+def test_diagnosis_is_started_and_results_are_followed(tmp_path: Path) -> None:
     coil, test = fmuid.datasets.coil(), fmuid.datasets.faulty_coil()
     run_study(Study.of(coil.study, tmp_path / "coil.toml"), tmp_path / "healthy")
     (tmp_path / "records").mkdir()

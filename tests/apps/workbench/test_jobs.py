@@ -35,9 +35,7 @@ def asked(monkeypatch: pytest.MonkeyPatch) -> list[int]:
     return sent
 
 
-def test_a_command_that_does_not_end_is_asked_again_and_then_ended(
-    tmp_path: Path, asked: list[int], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_command_that_does_not_end_is_killed(tmp_path: Path, asked: list[int], monkeypatch: pytest.MonkeyPatch) -> None:
     now = [100.0]
     monkeypatch.setattr(time, "monotonic", lambda: now[0])
     job = jobs.Job(tmp_path / "study.toml", tmp_path, ["identify", "study.toml"])
@@ -56,9 +54,7 @@ def test_a_command_that_does_not_end_is_asked_again_and_then_ended(
     assert job.printed() == ""
 
 
-def test_one_command_runs_for_a_folder_and_all_are_ended_with_the_workbench(
-    tmp_path: Path, asked: list[int], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_one_command_per_folder(tmp_path: Path, asked: list[int], monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(jobs, "LAST_REQUEST", 0.0)
     all_of, study = jobs.Jobs(), tmp_path / "study.toml"
     first = all_of.begin(study, tmp_path, ["identify", "study.toml"])

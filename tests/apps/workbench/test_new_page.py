@@ -32,7 +32,7 @@ def lines(page: NewPage) -> set[float]:
     return {float(value) for column in columns for value in column}
 
 
-def test_tables_are_shown_as_they_are_read(page: NewPage) -> None:
+def test_data_files_are_shown_as_read(page: NewPage) -> None:
     assert page.fmu.value == "coil.fmu"  # there is one
     assert page.run.buttons[0].disabled
     page.tables.value = ["bench.csv"]
@@ -53,9 +53,7 @@ def test_tables_are_shown_as_they_are_read(page: NewPage) -> None:
 @pytest.mark.parametrize(
     ("name", "encoding"), [("bench.csv", "cp1252"), ("bench.csv", "utf-16"), ("bench.csv.gz", "utf-8")]
 )
-def test_the_beginning_of_a_file_is_decoded_as_it_is_read(
-    page: NewPage, tmp_path: Path, name: str, encoding: str
-) -> None:
+def test_first_lines_are_decoded(page: NewPage, tmp_path: Path, name: str, encoding: str) -> None:
     content = ("# Prüfstand 7\n" + (tmp_path / "bench.csv").read_text()).encode(encoding)
     (tmp_path / name).write_bytes(gzip.compress(content) if name.endswith(".gz") else content)
     page.tables.options = [name]
@@ -63,7 +61,7 @@ def test_the_beginning_of_a_file_is_decoded_as_it_is_read(
     assert "# Prüfstand 7\ntime,U_soll,strom" in page.said.text
 
 
-def test_columns_are_chosen(page: NewPage) -> None:
+def test_chosen_columns_are_in_the_command(page: NewPage) -> None:
     page.tables.value = ["bench.csv"]
     page.maps["i"].value = "(none)"
     assert "no column for the output i" in page.said.text
@@ -74,7 +72,7 @@ def test_columns_are_chosen(page: NewPage) -> None:
     assert "given" in page.said.text
 
 
-def test_what_is_done_first_is_drawn_before_and_after(page: NewPage) -> None:
+def test_preprocessing_is_drawn_before_and_after(page: NewPage) -> None:
     page.tables.value = ["bench.csv"]
     page.maps["u"].value, page.maps["i"].value = "U_soll", "strom"
     before = lines(page)
@@ -92,7 +90,7 @@ def test_what_is_done_first_is_drawn_before_and_after(page: NewPage) -> None:
 
 
 @pytest.mark.slow
-def test_the_study_is_written_by_the_command_that_is_shown(page: NewPage, tmp_path: Path) -> None:
+def test_study_is_written_by_the_shown_command(page: NewPage, tmp_path: Path) -> None:
     page.tables.value = ["bench.csv"]
     page.maps["u"].value, page.maps["i"].value = "U_soll", "strom"
     page.prepare["end_time"].value = "0.5"

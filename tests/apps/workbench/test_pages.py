@@ -88,7 +88,7 @@ def test_first_page_lists_studies_and_results(tmp_path: Path) -> None:
     assert ">running<" in _studies(folder, studies, results, {(tmp_path / "a/study.toml").resolve()})
 
 
-def test_results_stand_side_by_side(tmp_path: Path) -> None:
+def test_results_side_by_side(tmp_path: Path) -> None:
     told: dict[str, dict[str, Any]] = {
         "first": {"R": {"value": 4.0, "unit": "Ohm"}, "L": {"value": 2.0, "unit": "H"}, "k": {"value": 1.0}},
         "second": {"R": {"value": 4.5}, "L": {"value": 2000.0, "unit": "mH"}},  # of an earlier version: R without
@@ -107,7 +107,7 @@ def test_results_stand_side_by_side(tmp_path: Path) -> None:
     assert len(drawn["roots"]) == 1  # nothing stands beside what only one has, nor beside another unit
 
 
-def test_from_results_to_what_would_help(tmp_path: Path) -> None:
+def test_results_lead_to_remedies(tmp_path: Path) -> None:
     for k, name in enumerate(("first.csv", "other.csv")):
         coil_table(tmp_path / name, 0.0, seed=k)
     path = tmp_path / "study.toml"
@@ -160,7 +160,7 @@ def test_figures_of_results_have_places_on_their_page(tmp_path: Path) -> None:
         assert all(f'id="{place}"' in body for place in places)
 
 
-def test_a_long_fit_is_thinned_anew_where_one_looks() -> None:
+def test_long_fit_is_downsampled_for_each_interval() -> None:
     times, rng = np.linspace(0.0, 10.0, 50_001), np.random.default_rng(1)
     simulated = np.sin(times)[:, None]
     half, counted = np.full_like(simulated, 0.3), np.ones_like(simulated, dtype=bool)
@@ -199,7 +199,7 @@ def test_pages_without_their_files_are_refused(tmp_path: Path) -> None:
         BatchPage(Document(), Folder(tmp_path), tmp_path, "light")
 
 
-def test_a_batch_of_another_process_is_followed(tmp_path: Path) -> None:
+def test_batch_of_another_process_is_followed(tmp_path: Path) -> None:
     batch(tmp_path / "out", 2)
     page = BatchPage(Document(), Folder(tmp_path), tmp_path / "out", "light")
     assert "2 of 5 cases, 1 failed" in page.state.text
@@ -225,7 +225,7 @@ def test_a_batch_of_another_process_is_followed(tmp_path: Path) -> None:
     assert "No case 7 yet" in page.case.text
 
 
-def test_a_case_leads_to_what_if_with_what_it_was_given_and_found(tmp_path: Path) -> None:
+def test_case_leads_to_its_study_and_values(tmp_path: Path) -> None:
     coil_table(tmp_path / "first.csv", 0.0, seed=1)
     (tmp_path / "records").mkdir()
     for k in range(2):
@@ -264,7 +264,7 @@ def test_a_case_leads_to_what_if_with_what_it_was_given_and_found(tmp_path: Path
 
 
 @pytest.mark.slow
-def test_a_result_is_passed_on_by_commands(tmp_path: Path) -> None:
+def test_result_is_exported_by_commands(tmp_path: Path) -> None:
     assert run_study(coil_study(tmp_path), tmp_path / "results").succeeded
     doc: Any = Document()
     page = WriteAction(doc, bench_of(tmp_path), tmp_path / "results")
@@ -293,7 +293,7 @@ def test_command_is_run_and_its_output_kept(tmp_path: Path) -> None:
     jobs.close()
 
 
-def test_what_is_to_be_predicted_is_looked_at_first(tmp_path: Path) -> None:
+def test_wrong_data_file_is_not_predicted(tmp_path: Path) -> None:
     page = PredictAction(Document(), bench_of(tmp_path), tmp_path)
     for given, said in (
         (FileInput(filename="", value=""), "Choose or drop one"),
@@ -307,7 +307,7 @@ def test_what_is_to_be_predicted_is_looked_at_first(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_a_dropped_table_is_predicted(tmp_path: Path) -> None:
+def test_dropped_data_file_is_predicted(tmp_path: Path) -> None:
     coil_table(tmp_path / "second.csv", 0.0, seed=2)
     assert run_study(coil_study(tmp_path), tmp_path / "results").succeeded
     doc: Any = Document()
