@@ -89,7 +89,7 @@ def test_growing_file_gives_what_one_run_gives(plant: Path) -> None:
         assert low < 0.5 < high and change["unit"] == "Ohm" and change["name"] == "turns.dR"
         first, last = (each["onset"][end]["date"] for end in ("first", "last"))
         assert first <= "2026-03-01T12:00:15.4" <= last
-        assert each["words"].startswith("Fault: turns, since 15.")
+        assert each["words"].startswith("ALARM turns since 15.")
     rows = [pd.read_csv(plant / name / "monitoring.csv") for name in ("whole", "grown")]
     assert rows[0]["window"].tolist() == rows[1]["window"].tolist() == list(range(24))
     assert rows[0]["turns.dR"].to_numpy() == pytest.approx(rows[1]["turns.dR"].to_numpy(), abs=0.01)

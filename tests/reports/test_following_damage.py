@@ -199,7 +199,7 @@ def test_damaged_files_are_put_aside_once(stopped: Path, tmp_path: Path, damage:
     before = rows(folder)
     (SPOIL | STATE)[how](folder / "out" / name)
     here = folder / "out" / ("monitoring.csv" if how == "of too many windows" else name)
-    of_record, said = sorted(follow(folder), key=lambda each: "resumed" in each)
+    of_record, said = sorted(follow(folder), key=lambda each: "resumable" in each)
     assert "a.parquet" in of_record
     assert said.startswith(f"{here}: earlier run not resumable (")
     assert str(folder / "out" / "earlier-1") in said

@@ -26,7 +26,7 @@ from tests.support.results import result
 from tests.support.running import run_study
 from tests.support.workbench import asked_for, bench_of, coil_study
 
-SEEDS = 65
+SEEDS = 25
 
 
 @pytest.fixture(scope="module")
