@@ -172,7 +172,7 @@ def test_a_guess_waits_for_the_others_and_is_gone_on_with(curved: Path, monkeypa
     assert (last.remedy, last.trouble, last.kept) == (StartingPointSource.SOBOL, SearchFailure.NONE, True)
 
 
-@pytest.mark.slow
+@pytest.mark.campaign
 def test_an_optimum_far_above_the_noise_is_not_believed_twice() -> None:
     """From the equations and from the start this one goes to one place, with a friction four times too large."""
     row = searched("pmsm", 1035, 0.0, 0.0, remedies=True)

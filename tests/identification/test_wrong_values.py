@@ -56,7 +56,7 @@ WRONG: dict[str, tuple[Callable[[], object], str]] = {
     ),
     "measured": (lambda: linear_least_squares([[1.0], [2.0]], TEXT), "measured must be numbers"),
     "cutoff": (lambda: equation(cutoff=TEXT), "cutoff must be a positive number of rad/s, not 'abc'"),
-    "no terms": (lambda: equation(terms={}), "terms are missing: name each parameter with the term"),
+    "no terms": (lambda: equation(terms={}), "terms are missing"),
     "target": (lambda: equation(TIMES), "target must be a fmuid.estimation.Term"),
     "term": (lambda: equation(terms={"a": TIMES}), "the term of 'a' must be a fmuid.estimation.Term"),
     "term values": (lambda: equation(Term(TEXT)), "the values of a term must be numbers"),
