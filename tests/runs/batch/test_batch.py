@@ -11,6 +11,7 @@ import pytest
 
 from fmuid.events import BatchStep
 from fmuid.reports.render.progress import Display
+from fmuid.reports.render.screen import Screen, showing
 from fmuid.runs.batch.batch import Batch
 from fmuid.runs.batch.case import CaseRunner
 from tests.support.coil_batches import DRAWS, NOISE, expected, run, same, write
@@ -84,11 +85,8 @@ def test_progress(step: tuple[int, int, float, float, int], told: str, monkeypat
     done, failed, rate, left, threads = step
     event = BatchStep(done=done, total=100, failed=failed, rate=rate, left=left, threads=threads)
     assert event.share == done / 100
-    monkeypatch.setattr(Display, "EVERY", 3600.0)
-    with Display() as display:
-        display(event)
-        assert capsys.readouterr().out == ""  # lines are seldom
-    monkeypatch.setattr(Display, "EVERY", 0.0)
-    with Display() as display:
-        display(event)
-    assert capsys.readouterr().out == f"{told}\n"
+    for every, shown in ((3600.0, ""), (0.0, f"{told}\n")):  # lines are seldom
+        monkeypatch.setattr(Display, "EVERY", every)
+        with showing(Screen(verbose=True)), Display() as display:
+            display(event)
+            assert capsys.readouterr().err == shown
