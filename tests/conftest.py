@@ -3,6 +3,7 @@
 # ruff: noqa: E501  # the model description of the probe reads best one variable a line
 from __future__ import annotations
 
+import os
 import signal
 from collections.abc import Iterator
 from pathlib import Path
@@ -16,6 +17,8 @@ from tests.support.compiled import write_fmu
 from tests.support.paths import HERE
 from tests.support.probe_fmu import ProbeMaker
 
+# readline, which pytest imports, exports the width of the terminal to all processes of a test.
+os.environ.pop("COLUMNS", None)
 # Shells start background jobs with Ctrl-C ignored, which the processes of these tests would inherit.
 if signal.getsignal(signal.SIGINT) == signal.SIG_IGN:
     signal.signal(signal.SIGINT, signal.default_int_handler)

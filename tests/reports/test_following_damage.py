@@ -150,7 +150,7 @@ def test_growing_data_need_a_horizon(tmp_path: Path) -> None:
     FAULTY.to_csv(folder / "records" / "log.csv", index=False)
     for _ in range(2):
         (said,) = follow(folder)
-        assert "horizon = 86400.0" in said
+        assert "false_alarm_horizon" in said
     assert not (folder / "out" / "monitoring.csv").exists()
     with (folder / "study.toml").open("a") as file:
         file.write(HORIZON)

@@ -86,7 +86,7 @@ def test_no_room_for_a_result(folder: Path, monkeypatch: pytest.MonkeyPatch, cap
     out, error = capsys.readouterr()
     (kept,) = room.glob("*/result.json")
     assert error.startswith(f"error: {folder / 'results/result.json'} cannot be written: No space left on device")
-    assert error.endswith(f"; the result is kept in {kept}\n")
+    assert error.endswith(f"he result is kept in {kept}.\n")
     assert "converged" in out
     assert result(kept.parent)["outcome"] == "converged"
     assert not (folder / "results" / "result.json").exists()
