@@ -106,6 +106,12 @@ class BatchMessage(Message):
         "the data do not distinguish them",
         "Narrow the bounds or add priors.",
     )
+    DOUBTFUL = (
+        "{count} of {total} cases are DOUBTFUL: {reason}.",
+        "a reason of the verdict; residuals are not tested in a batch",
+        "Identify such a case by itself.",
+        "doubt",
+    )
     CHECKED = (
         "Solver error checked in {total} cases, in {checked} by new simulations.",
         "the other cases lie where it was known; see [solver error](#solver-error)",
@@ -206,8 +212,15 @@ def charts_of(
 
 def summary_remarks(summary: Summary) -> list[Remark]:
     """Return the remarks on the statistics of a batch."""
-    parts = _counts, _spreads, _settings, _ends, _accuracy
+    parts = _counts, _spreads, _settings, _ends, _accuracy, _doubts
     return [said for part in parts for said in part(summary)]
+
+
+def _doubts(summary: Summary) -> Iterator[Remark]:
+    total = int(summary.statuses["cases"].iloc[0])
+    for reason, count in summary.reasons.items():
+        words = reason.replace("_", " ")
+        yield BatchMessage.DOUBTFUL.said(None, "cases", count=count, total=total, reason=words)
 
 
 def _counts(summary: Summary) -> Iterator[Remark]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import re
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -34,7 +35,7 @@ MAX_LEVELS, MAX_GROUPS = 20, 100
 OVERVIEW_FILE, BATCH_SCHEMA = "summary.json", "fmuid/batch/2"
 STATUSES = ["converged", "not converged", "failed"]
 # Columns that no statistics are made of.
-_TEXTS = {"message", "undetermined", "verdict", "reasons"}
+_TEXTS = {"message", "undetermined", "verdict"}
 NOT_SUMMARIZED = {*_TEXTS, "iterations", "simulations", "rejected", "shift", *VOLATILE} - {"checked"}
 
 _KIND = ["status", "message", "undetermined"]
@@ -93,6 +94,7 @@ class Summary:
     wide: Mapping[str, float]  # without groups: spread over stated std of parameters, where above 1
     # Cases by outcome of the solver check, ``checked`` by own simulations, and searched by ``finer`` ones.
     accuracy: Mapping[str, int]
+    reasons: Mapping[str, int]  # converged cases by `Reason` of their verdict, the most frequent first
     # ``output``, ``median`` and ``least`` of its fit over converged cases, %, and the ``case`` of the least
     fits: pd.DataFrame
 
@@ -154,6 +156,7 @@ def summarize(
         _dependences(groups, moving) if moving else (),
         {} if moving else _wide(parameters),
         _accuracy(frame),
+        _reasons(frame),
         _fits(found, columns),
     )
 
@@ -247,6 +250,17 @@ def _statuses(frame: pd.DataFrame) -> pd.DataFrame:
     return pd.DataFrame({"status": STATUSES, "cases": counts, "share": np.divide(counts, max(1, len(frame)))})
 
 
+def _reasons(frame: pd.DataFrame) -> dict[str, int]:
+    """Return the number of converged cases with each reason of a verdict."""
+    if "reasons" not in frame:
+        return {}
+    told = frame.loc[frame["status"] == "converged", "reasons"].astype(str).value_counts()
+    counts: Counter[str] = Counter()
+    for reasons, cases in told.items():
+        counts.update(dict.fromkeys(str(reasons).split(), int(cases)))
+    return dict(counts.most_common())
+
+
 def condensed(dataset: Dataset) -> tuple[pd.DataFrame, pd.DataFrame]:
     """Return the columns of each case for a summary, and `Summary.failures`."""
     parts, failures = [], []
@@ -255,6 +269,8 @@ def condensed(dataset: Dataset) -> tuple[pd.DataFrame, pd.DataFrame]:
         part["status"] = pd.Categorical(part["status"], STATUSES)
         if "accuracy" in part:
             part["accuracy"] = pd.Categorical(part["accuracy"], ["", *(each.value for each in AccuracyOutcome)])
+        if "reasons" in part:
+            part["reasons"] = part["reasons"].astype("category")
         parts.append(part.drop(columns=[name for name in NOT_SUMMARIZED if name in part]))
     frame = pd.concat(parts, ignore_index=True) if parts else pd.DataFrame(columns=dataset.schema.names)
     if not frame["case"].is_monotonic_increasing:

@@ -227,3 +227,12 @@ def test_a_summary_of_parts_is_that_of_all_rows(tmp_path: Path) -> None:
     empty, none = condensed(Dataset(tmp_path / "none", types | {"finished": "datetime64[us, UTC]"}, 0))
     assert empty.empty
     assert none.empty
+
+
+def test_summary_counts_the_reasons_of_verdicts() -> None:
+    frame = fail(batch({"draw": range(20)}), [7], ["no"])
+    frame["reasons"] = ["at_bound poor_fit", "at_bound", *[""] * 18]
+    frame.loc[7, "reasons"] = "not_converged"
+    found = summarize(frame)
+    assert found.reasons == {"at_bound": 2, "poor_fit": 1}
+    assert "2 of 19 cases are DOUBTFUL: at bound." in summary_words(found)
