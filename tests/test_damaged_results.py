@@ -114,7 +114,7 @@ def read_batch(folder: Path, _: Experiment) -> None:
         lambda: list(rows.stream(["value.R"])),
         lambda: [read_part(path) for path in rows.parts()],
     ):
-        with pytest.raises(fmuid.InputError, match="is damaged"):
+        with pytest.raises(fmuid.InputError, match="damaged"):
             read()
     raise fmuid.InputError("is damaged")
 
