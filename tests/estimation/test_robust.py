@@ -26,7 +26,7 @@ from fmuid.identification import identify
 from fmuid.identification.profile_likelihood import profile_likelihood
 from tests.support.paths import FMUS
 
-NORMAL_SHARE = 1.0 - np.sqrt(2.0 / (np.pi * np.e))
+NORMAL_SHARE = 1.0 - math.sqrt(2.0 / (math.pi * math.e))
 """Mean of min(x², 1) over the standard normal distribution."""
 
 ROBUST = ["soft_l1", "huber", "cauchy"]
