@@ -102,7 +102,7 @@ def _of_solver(result: Result) -> Iterator[Doubt]:
         yield Doubt(Reason.SOLVER_UNCHECKED, (check.outcome.value,))
     elif check.doubtful:
         i = int(np.argmax(np.abs(np.nan_to_num(check.shift))))
-        yield Doubt(Reason.SOLVER_ERROR, (result.names[i],), {"shift": float(check.shift[i])})
+        yield Doubt(Reason.SOLVER_ERROR, (result.names[i],), {"shift": float(abs(check.shift[i]))})
 
 
 def _of_residuals(found: ResidualAnalysis) -> Iterator[Doubt]:
@@ -137,12 +137,10 @@ def _size(trait: ResidualDefect, series: ResidualSeries, at: InputCorrelation | 
 def _of_prior(found: PriorDataComparison) -> Iterator[Doubt]:
     test = found.agreement
     if test is not None and not test.holds:
-        distances = {
-            name: each for name, each in zip(found.names, found.conflict.tolist(), strict=True) if each == each
-        }
-        largest = max(distances, key=lambda name: abs(distances[name]), default="")
-        values = {"probability": test.probability, "distance": abs(distances.get(largest, math.nan))}
-        yield Doubt(Reason.PRIOR_DATA_CONFLICT, (largest,) if largest else (), values)
+        distances = np.abs(np.nan_to_num(found.conflict))
+        i = int(np.argmax(distances))
+        values = {"probability": test.probability, "distance": float(distances[i])}
+        yield Doubt(Reason.PRIOR_DATA_CONFLICT, (found.names[i],) if distances[i] else (), values)
     for each in found.variances:
         if each.output and each.deviation is not Deviation.NONE:
             values = {"residual": math.sqrt(each.estimated), "given": math.sqrt(each.known)}

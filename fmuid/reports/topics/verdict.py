@@ -91,12 +91,15 @@ def remedy_words(verdict: Verdict) -> str:
 
 
 def _phrases(verdict: Verdict) -> Iterator[str]:
-    for reason, doubts in groupby(verdict.doubts, key=lambda each: each.reason):
-        each = list(doubts)
-        first = each[0].subject[:1] or ("",)
-        values = {key: abs(number) for key, number in each[0].values.items() if key in ("shift",)}
-        fields = {**each[0].values, **values, "subjects": _joined(_subjects(reason, each)), "first": first[0]}
-        yield VerdictMessage[reason.name].text.format(**fields, inputs=_joined(_inputs(each)))
+    for reason, group in groupby(verdict.doubts, key=lambda each: each.reason):
+        doubts = list(group)
+        first = doubts[0]
+        words = {
+            "first": next(iter(first.subject), ""),
+            "subjects": _joined(_subjects(reason, doubts)),
+            "inputs": _joined(_inputs(doubts)),
+        }
+        yield VerdictMessage[reason.name].text.format_map({**first.values, **words})
 
 
 def _subjects(reason: Reason, doubts: list[Doubt]) -> list[str]:

@@ -1,0 +1,35 @@
+"""The line of a verdict: each reason has its words, whatever its parameters are called."""
+
+from __future__ import annotations
+
+import pytest
+
+from fmuid.estimation import Doubt, Reason, Verdict
+from fmuid.reports.topics.verdict import VerdictMessage, reason_words, verdict_state
+
+VALUES = {"fit": 12.4, "ratio": 5.42, "shift": 0.81, "probability": 3e-4}
+
+
+def test_reasons_and_messages_are_the_same_in_one_order() -> None:
+    assert [each.name for each in VerdictMessage] == [each.name for each in Reason]
+
+
+@pytest.mark.parametrize("reason", Reason)
+def test_each_reason_is_said(reason: Reason) -> None:
+    words = reason_words(Verdict((Doubt(reason, ("y", "run", "u"), VALUES), Doubt(reason, ("x", "run", "v"), VALUES))))
+    assert words and "{" not in words
+    assert reason_words(Verdict((Doubt(reason, (), VALUES),)))
+
+
+def test_a_line_has_two_reasons_and_counts_the_others() -> None:
+    verdict = Verdict.of(
+        [
+            Doubt(Reason.SECOND_OPTIMUM, (), {"inputs": 1.0, "first": 2.0, "subjects": 3.0}),  # names of parameters
+            Doubt(Reason.AT_BOUND, ("R",)),
+            Doubt(Reason.AT_BOUND, ("L",)),
+            Doubt(Reason.INPUT_CORRELATION, ("y", "run", "u")),
+        ]
+    )
+    assert verdict_state(verdict) == ("DOUBTFUL", "doubt")
+    assert reason_words(verdict) == "model misses effects of u; R and L at a bound; 1 more"
+    assert reason_words(Verdict()) == ""
