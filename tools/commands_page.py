@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import inspect
+from collections import Counter
 from collections.abc import Callable, Iterator
 from enum import Enum
 from typing import Any, get_args, get_type_hints
@@ -12,7 +13,8 @@ from typer.models import ArgumentInfo, OptionInfo
 from fmuid.apps.cli.app import app
 from fmuid.apps.cli.options import SCREEN_OPTIONS
 
-OPTIONS_HEAD = "| option | effect |\n|---|---|"
+SHARED = 3
+"""Commands with an option before it is listed once for all."""
 
 HEAD = """# The commands
 
@@ -38,34 +40,47 @@ options:
     fmuid completion zsh > ~/.zfunc/_fmuid         # a folder of fpath
     fmuid completion fish > ~/.config/fish/completions/fmuid.fish
 
-## All commands
+## Options of several commands
+
+Each command lists in its last line which of these it has.
+
+{shared}
 """
 
 
 def page() -> str:
     """Return the page, in Markdown."""
     commands = [each.callback for each in app.registered_commands if each.callback is not None]
-    rows = [f"| [`{_name(each)}`](#fmuid-{_name(each)}) | {_text(each.__doc__)} |" for each in commands]
     infos = {name: get_args(kind)[1] for name, kind in SCREEN_OPTIONS.items()}
-    options = "\n".join([OPTIONS_HEAD, *(f"| `--{name}` | {info.help} |" for name, info in infos.items())])
-    return "\n".join(
-        [HEAD.format(options=options), "| command | effect |", "|---|---|", *rows, "", *map(_section, commands)]
-    )
+    options = "\n".join(f"- `--{name}`: {info.help}" for name, info in infos.items())
+    counts = Counter(row for each in commands for row in _rows(each).values() if row.startswith("- `-"))
+    shared = [row for row, count in counts.items() if count >= SHARED]
+    sections = [_section(each, shared) for each in commands]
+    return "\n".join([HEAD.format(options=options, shared="\n".join(shared)), *sections])
 
 
 def _name(command: Callable[..., Any]) -> str:
     return command.__name__.rstrip("_")
 
 
-def _section(command: Callable[..., Any]) -> str:
-    taken = list(_parameters(command))
-    places = [word for word, info, *_ in taken if isinstance(info, ArgumentInfo)]
-    rows = [f"| {_shown(*each)} | {_text(each[1].help)} | {_default(each[3])} |" for each in taken]
-    head = [f"## fmuid {_name(command)}", "", _text(command.__doc__), ""]
-    usage = " ".join(["    fmuid", _name(command), *places, *(["[OPTIONS]"] if len(places) < len(taken) else [])])
-    return "\n".join(
-        [*head, usage, "", *(["| argument | meaning | default |", "|---|---|---|", *rows, ""] if rows else [])]
-    )
+def _section(command: Callable[..., Any], shared: list[str]) -> str:
+    """Return heading, usage and options of a command; shared options by name only."""
+    rows = _rows(command)
+    places = [word for word in rows if not word.startswith("-")]
+    usage = " ".join(["    fmuid", _name(command), *places, *(["[OPTIONS]"] if len(places) < len(rows) else [])])
+    own = [row for row in rows.values() if row not in shared]
+    also = ", ".join(f"`{word}`" for word, row in rows.items() if row in shared)
+    last = [f"{'Also' if own else 'Has'} {also}.", ""] if also else []
+    head = [f"## fmuid {_name(command)}", "", _text(command.__doc__), "", usage, ""]
+    return "\n".join([*head, *own, *([""] if own else []), *last])
+
+
+def _rows(command: Callable[..., Any]) -> dict[str, str]:
+    """Return a line of the page for each argument and option of a command."""
+    return {
+        each[0]: f"- {_shown(*each)}: {_text(each[1].help)}{_default(each[1], each[3])}"
+        for each in _parameters(command)
+    }
 
 
 def _parameters(command: Callable[..., Any]) -> Iterator[tuple[str, ArgumentInfo | OptionInfo, Any, Any]]:
@@ -94,14 +109,14 @@ def _shown(words: str, info: ArgumentInfo | OptionInfo, kind: Any, _: Any) -> st
     return f"`{words} {value}`"
 
 
-def _default(default: Any) -> str:
+def _default(info: ArgumentInfo | OptionInfo, default: Any) -> str:
     if default is inspect.Parameter.empty:
-        return "must be given"
-    return "" if default in (None, False, True, "") else f"`{getattr(default, 'value', default)}`"
+        return "" if isinstance(info, ArgumentInfo) else " Required."
+    return "" if default in (None, False, True, "") else f" Default: `{getattr(default, 'value', default)}`."
 
 
 def _text(text: str | None) -> str:
-    return " ".join((text or "").split()).replace("|", "\\|")
+    return " ".join((text or "").split())
 
 
 if __name__ == "__main__":

@@ -1,6 +1,6 @@
-"""Write the messages of the topics as tables into docs/messages.md: ``python -m tools.messages_page``.
+"""Write the messages of the topics into docs/messages.md: ``python -m tools.messages_page``.
 
-Comments enclose each table: ``<!-- BatchMessage -->`` and ``<!-- end -->``. The rest of the page is kept.
+Comments enclose each list: ``<!-- BatchMessage -->`` and ``<!-- end -->``. The rest of the page is kept.
 """
 
 from __future__ import annotations
@@ -8,6 +8,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator
 from importlib import import_module
+from itertools import groupby
 from pathlib import Path
 from pkgutil import walk_packages
 
@@ -19,16 +20,16 @@ MARKED = re.compile(r"<!-- (\w+Message) -->\n.*?<!-- end -->", re.DOTALL)
 
 
 def page() -> str:
-    """Return the page, with the tables that belong there now.
+    """Return the page with the lists of now.
 
     Raises
     ------
     KeyError
         If it has a place for messages that there are not.
     """
-    tables = {kind.__name__: table(kind) for kind in kinds()}
+    lists = {kind.__name__: listed(kind) for kind in kinds()}
     text = PAGE.read_text(encoding="utf-8")
-    return MARKED.sub(lambda found: f"<!-- {found[1]} -->\n\n{tables[found[1]]}\n\n<!-- end -->", text)
+    return MARKED.sub(lambda found: f"<!-- {found[1]} -->\n\n{lists[found[1]]}\n\n<!-- end -->", text)
 
 
 def kinds() -> Iterator[type[Message]]:
@@ -38,14 +39,13 @@ def kinds() -> Iterator[type[Message]]:
     yield from (each for each in Message.__subclasses__() if each.__module__.startswith("fmuid."))
 
 
-def table(kind: type[Message]) -> str:
-    """Return the messages of a class as a table; those that are filled with a whole sentence are none of their own."""
-    rows = [(f"*{_said(each.text)}*", each.meaning, _open(each.remedy)) for each in kind if has_words(each)]
-    heads = ("it says", "meaning", "what to do") if any(remedy for *_, remedy in rows) else ("it says", "meaning")
-    told = [heads, ("---",) * len(heads), *(row[: len(heads)] for row in rows)]
-    lines = ["| " + " | ".join(cell.replace("|", "\\|") for cell in row) + " |" for row in told]
-    lines[1] = "|---" * len(heads) + "|"
-    return "\n".join(re.sub(r"\|  (?=\|)", "| ", line) for line in lines)
+def listed(kind: type[Message]) -> str:
+    """Return the messages of a class with their meaning; those filled with a whole sentence are left out."""
+    told = [each for each in kind if has_words(each)]
+    groups = [[*group] for _, group in groupby(told, key=lambda each: each.meaning)]
+    return "\n".join(
+        f"- {', '.join(f'*{_said(each.text)}*' for each in group)}: {group[0].meaning}" for group in groups
+    )
 
 
 def has_words(message: Message) -> bool:
@@ -53,13 +53,9 @@ def has_words(message: Message) -> bool:
     return re.search(r"\w", re.sub(r"\{[^}]*\}", "", message.text)) is not None
 
 
-def _open(text: str) -> str:
-    return re.sub(r"\{[^}]*\}( ?\{[^}]*\})*", "…", text)
-
-
 def _said(text: str) -> str:
     """Return a template with an ellipsis for each value."""
-    return capitalized(_open(text))
+    return capitalized(re.sub(r"\{[^}]*\}( ?\{[^}]*\})*", "…", text)).removesuffix(".")
 
 
 if __name__ == "__main__":

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import json
 import math
+import re
 from collections.abc import Iterator
 from dataclasses import is_dataclass
 from typing import Annotated, Any, get_args, get_origin
@@ -59,19 +60,31 @@ def _plain(value: Any) -> Any:
 
 
 def reference() -> str:
-    """Return the reference page, in Markdown."""
-    parts, shown = [HEAD], dict[type, str]()
+    """Return the reference page, in Markdown; keys of several sections are explained once."""
+    names = dict[type, list[str]]()
     for name, table in _tables(StudyFile, ""):
-        if shown.setdefault(table, name) != name:
-            parts.append(f"## `{name}`\n\nKeys as in `{shown[table]}`.\n")
-            continue
-        rows = [
-            f"| `{key}` | {_cell(_kind(key, each, name))} | {_cell(_default(each))} | {_cell(meaning(table, key))} |"
-            for key, each in own_first(table)
-        ]
-        head = f"## `{name}`\n\n{summary(table)}\n" if name else "## Top level\n"
-        parts.append("\n".join([head, "| key | value | default | meaning |", "| --- | --- | --- | --- |", *rows, ""]))
+        names.setdefault(table, []).append(name)
+    parts, shown = [HEAD], dict[str, str]()
+    for table, (name, *others) in names.items():
+        rows = {key: _row(key, each, name, table) for key, each in own_first(table)}
+        again = dict[str, list[str]]()
+        for key, row in rows.items():
+            if shown.setdefault(row, name) != name:
+                again.setdefault(shown[row], []).append(f"`{key}`")
+        head = [f"## `{name}`" if name else "## Top level"]
+        head += ["", summary(table)] if name else []
+        head += [f"Also {', '.join(f'`{each}`' for each in others)}."] if others else []
+        said = [f"Also {', '.join(keys)} as in `{where}`.\n" for where, keys in again.items()]
+        own = [row for row in rows.values() if shown[row] == name]
+        parts.append("\n".join([*head, "", *own, "", *said]))
     return "\n".join(parts)
+
+
+def _row(key: str, field: FieldInfo, name: str, table: type) -> str:
+    """Return the line of a key: kind, default and meaning."""
+    kind, default = _short(_kind(key, field, name)), _default(field)
+    given = ", ".join(each for each in (kind, default) if each)
+    return f"- `{key}`{f' ({given})' if given else ''}: {meaning(table, key)}"
 
 
 def _tables(table: type, name: str) -> Iterator[tuple[str, type]]:
@@ -114,12 +127,13 @@ def _default(field: FieldInfo) -> str:
         return "required"
     default: Any = field.default
     if is_dataclass(default) and any(each.is_required() for each in keys_of(default.__class__).values()):
-        return f"`{{ {', '.join(f'{key} = {show(value)}' for key, value in vars(default).items())} }}`"
-    return "" if is_dataclass(default) or default in (None, "", [], (), {}) else f"`{show(default)}`"
+        return f"default `{{ {', '.join(f'{key} = {show(value)}' for key, value in vars(default).items())} }}`"
+    return "" if is_dataclass(default) or default in (None, "", [], (), {}) else f"default `{show(default)}`"
 
 
-def _cell(text: str) -> str:
-    return text.replace("|", "\\|")
+def _short(kind: str) -> str:
+    """Return the name of a kind without articles."""
+    return re.sub(r"\b(an?|the) ", "", kind.replace("a text in quotes", "text").replace("whole number", "integer"))
 
 
 def schema_text() -> str:

@@ -27,10 +27,11 @@ def test_the_page_is_generated() -> None:
     page = (ROOT / "docs" / "study-reference.md").read_text(encoding="utf-8")
     assert page == reference()
     for line in (
-        '| `interpolation` | "linear" or "zoh" or "zoh-next" or "pchip" or { input = interpolation } | `"linear"` | ',
+        '- `interpolation` ("linear" or "zoh" or "zoh-next" or "pchip" or { input = interpolation }, default ',
         "## `[diagnosis.faults.<name>.parameters.<name>]`",
-        "| `from` | a text in quotes | required | output |",
-        "Keys as in `[[model.components]]`.",
+        "- `from` (text, required): output",
+        "Also `[[diagnosis.faults.<name>.components]]`.",
+        "Also `min`, `max` as in `[parameters.<name>]`.",
     ):
         assert f"\n{line}" in page
 

@@ -126,11 +126,9 @@ def test_renamed_is_refused_by_its_new_name() -> None:
 
 
 def test_new_names_are_keys() -> None:
-    page = reference()
-    sections = {re.sub(r"[`\[\]]", "", text.split("\n")[0]): text for text in page.split("\n## ")}
+    texts = reference().split("\n## ")
+    named = [re.findall(r"`\[+(.*?)\]+`", text.split("\n\n- ")[0]) or ["Top level"] for text in texts]
+    sections = {name: text for names, text in zip(named, texts, strict=True) for name in names}
     for path, keys in RENAMED_KEYS.items():
         name = path.replace("causes.*", "causes.sensor_gain").replace("*", "<name>") or "Top level"
-        section = sections[name]
-        if said := re.search(r"Keys as in `\[+(.*?)\]+`", section):
-            section = sections[said[1]]
-        assert [new for new in keys.values() if f"| `{new}` |" not in section and " " not in new] == []
+        assert [new for new in keys.values() if f"`{new}`" not in sections[name] and " " not in new] == []
