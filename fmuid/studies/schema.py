@@ -49,12 +49,7 @@ def _plain(value: Any) -> Any:
         return value
     said = {key: _plain(item) for key, item in value.items() if not (key == "title" and isinstance(item, str))}
     default = said.get("default", 0)
-    if (
-        default is None
-        or default == ""
-        or isinstance(default, dict)
-        or (isinstance(default, float) and not math.isfinite(default))
-    ):
+    if default in (None, "", math.inf, -math.inf) or isinstance(default, dict):
         del said["default"]
     return said
 
@@ -71,8 +66,7 @@ def reference() -> str:
         for key, row in rows.items():
             if shown.setdefault(row, name) != name:
                 again.setdefault(shown[row], []).append(f"`{key}`")
-        head = [f"## `{name}`" if name else "## Top level"]
-        head += ["", summary(table)] if name else []
+        head = [f"## `{name}`", "", summary(table)] if name else ["## Top level"]
         head += [f"Also {', '.join(f'`{each}`' for each in others)}."] if others else []
         said = [f"Also {', '.join(keys)} as in `{where}`.\n" for where, keys in again.items()]
         own = [row for row in rows.values() if shown[row] == name]
@@ -82,8 +76,8 @@ def reference() -> str:
 
 def _row(key: str, field: FieldInfo, name: str, table: type) -> str:
     """Return the line of a key: kind, default and meaning."""
-    kind, default = _short(_kind(key, field, name)), _default(field)
-    given = ", ".join(each for each in (kind, default) if each)
+    kind = _kind(key, field, name).replace("a text in quotes", "text").replace("whole number", "integer")
+    given = ", ".join(each for each in (re.sub(r"\b(an?|the) ", "", kind), _default(field)) if each)
     return f"- `{key}`{f' ({given})' if given else ''}: {meaning(table, key)}"
 
 
@@ -129,11 +123,6 @@ def _default(field: FieldInfo) -> str:
     if is_dataclass(default) and any(each.is_required() for each in keys_of(default.__class__).values()):
         return f"default `{{ {', '.join(f'{key} = {show(value)}' for key, value in vars(default).items())} }}`"
     return "" if is_dataclass(default) or default in (None, "", [], (), {}) else f"default `{show(default)}`"
-
-
-def _short(kind: str) -> str:
-    """Return the name of a kind without articles."""
-    return re.sub(r"\b(an?|the) ", "", kind.replace("a text in quotes", "text").replace("whole number", "integer"))
 
 
 def schema_text() -> str:
