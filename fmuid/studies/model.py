@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 from pydantic import BeforeValidator
 
@@ -147,7 +147,11 @@ OneOrMore = Annotated[kinds.Names, BeforeValidator(kinds.as_list, json_schema_in
 
 
 ScalarOrEstimate = Annotated[kinds.Scalar | ResultValueSection, kinds.BY_SHAPE]
-Held = Annotated[dict[str, ScalarOrEstimate], kinds.Entries("{ name = value }"), BeforeValidator(by_element)]
+Held = Annotated[
+    dict[str, ScalarOrEstimate],
+    kinds.Entries("{ name = value }"),
+    BeforeValidator(by_element, json_schema_input_type=dict[str, ScalarOrEstimate | list[Any]]),
+]
 
 
 class ModelSection(NumericsSection):
@@ -240,9 +244,9 @@ class ExperimentSettings(StudySection):
         "linear", 'of inputs between samples; "zoh" for commands of a digital controller', "linear"
     )
     warmup: kinds.NotNegative = entry(0.0, "initial time that is simulated but not scored, s", 0.0)
-    fixed: Annotated[kinds.Scalars, BeforeValidator(by_element)] = entry(
-        {}, "FMU variables with a value or an array, in this experiment"
-    )
+    fixed: Annotated[
+        kinds.Scalars, BeforeValidator(by_element, json_schema_input_type=dict[str, kinds.Scalar | list[Any]])
+    ] = entry({}, "FMU variables with a value or an array, in this experiment")
     noise: Annotated[Noise, Settings()] = entry(Noise(), "noise that differs from [noise]")
     preprocess: Annotated[PreprocessSection, Settings()] = entry(
         PreprocessSection(), "operations on the data before the fit"

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from enum import Enum
 from functools import partial
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 from pydantic import BeforeValidator
 
@@ -59,6 +59,8 @@ class JointPriorSection(ResultPriorSection):
     covariance: kinds.Matrix | None = entry(None, "covariance of these parameters, row by row")
 
 
+OR_ARRAY = {"type": ["number", "array"]}
+"""Type of a number that an array of numbers may replace, in the JSON schema."""
 Groups = Annotated[dict[str, kinds.Names], kinds.Entries("{ group = experiments }")]
 
 
@@ -66,18 +68,16 @@ class ParameterSection(StudySection):
     """Free parameter, by its name in the FMU."""
 
     start: kinds.Number | None = entry(
-        None,
-        "initial guess; for a matrix, rows of numbers, [[1.0, 0.0], [0.0, 1.0]]",
-        json_schema_extra={"type": ["number", "array"]},
+        None, "initial guess; for a matrix, rows of numbers, [[1.0, 0.0], [0.0, 1.0]]", json_schema_extra=OR_ARRAY
     )
-    choices: Annotated[list[kinds.Scalar], BeforeValidator(kinds.as_list)] = entry(
-        [],
-        'values of a discrete parameter, instead of all other keys; "all": all that the FMU declares',
-        [1, 2, 3],
+    choices: Annotated[
+        list[kinds.Scalar], BeforeValidator(kinds.as_list, json_schema_input_type=Literal["all"] | list[kinds.Scalar])
+    ] = entry(
+        [], 'values of a discrete parameter, instead of all other keys; "all": all that the FMU declares', [1, 2, 3]
     )
-    min: kinds.Number = entry(-math.inf, "lower bound")
-    max: kinds.Number = entry(math.inf, "upper bound")
-    nominal: kinds.Positive | None = entry(None, "scale; required if start is 0")
+    min: kinds.Number = entry(-math.inf, "lower bound", json_schema_extra=OR_ARRAY)
+    max: kinds.Number = entry(math.inf, "upper bound", json_schema_extra=OR_ARRAY)
+    nominal: kinds.Positive | None = entry(None, "scale; required if start is 0", json_schema_extra=OR_ARRAY)
     per_experiment: Annotated[kinds.Flag | Groups, kinds.BY_SHAPE] = entry(
         False, 'one value per experiment, or per group, { cold = ["run1", "run2"], warm = ["run3"] }'
     )

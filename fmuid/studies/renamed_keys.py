@@ -2,93 +2,51 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Any
+from collections.abc import Container, Mapping
 
-_MODEL = {
-    "master": "coupling",
-    "integrator": "solver",
-    "most_steps": "max_solver_steps",
-    "values": "fixed",
-    "connectors": "shared_variables",
-}
-_COMPONENT = {"integrator": "solver", "most_steps": "max_solver_steps", "samples": "discrete_time"}
-_NOISE = {"relative": "relative_std", "period": "excitation_period"}
-RENAMED_KEYS: Mapping[str, Mapping[str, str]] = {
-    "": {"estimator": "estimation"},
-    "model": _MODEL,
-    "model.components": _COMPONENT,
-    "experiments": {"table": "data", "discard": "warmup", "values": "fixed", "prepare": "preprocess"},
-    "experiments.noise": _NOISE,
-    "experiments.preprocess": {"columns": "computed_columns", "fill": "fill_missing", "longest_gap": "max_gap",
-        "axes": "park", "from": "start_time", "to": "end_time", "pieces": "segments", "low_pass": "lowpass_frequency",
-        "resample": "resample_interval"},
-    "experiments.preprocess.park": {"from": "source", "to": "target", "start": "initial_angle"},
-    "parameters.*": {"values": "choices"},
-    "parameters.*.prior": {"inflate": "std_factor"},
-    "prior": {"inflate": "std_factor"},
-    "noise": {**_NOISE, "start": "initial_variance", "common": "shared_variance"},
-    "estimation": {"search": "part of method", "starts": "n_starts", "sensitivity": "jacobian",
-        "accuracy": "solver_check", "remedies": "restarts", "observer": "observer_memory",
-        "tolerance": "relative_step_tolerance", "first_radius": "initial_trust_radius"},
-    "uncertainty": {"level": "confidence_level", "profile": "profile_likelihood", "map": "cost_map"},
-    "uncertainty.posterior": {"burn": "burn_in", "steps": "max_steps"},
-    "diagnosis": {"healthy": "baseline", "inflate": "std_factor", "level": "false_alarm_rate",
-        "records": "healthy_data", "trials": "known_fault_data", "model_error": "fault_model_error"},
-    "diagnosis.causes": {"gain": "sensor_gain", "offset": "sensor_offset", "delay": "sensor_delay",
-        "parameter": "parameter_drift"},
-    "diagnosis.causes.*": {"normal": "healthy_std", "size": "change_std"},
-    "diagnosis.faults.*": {**_MODEL, "names": "variable_map", "angle": "angles"},
-    "diagnosis.faults.*.components": _COMPONENT,
-    "diagnosis.faults.*.angles.*": {"size": "magnitude"},
-    "monitoring": {"window": "window_length", "transient": "warmup", "level": "false_alarm_rate",
-        "horizon": "false_alarm_horizon", "command": "alarm_command", "limits": "size_limits"},
-    "batch": {"tables": "data", "starts": "starting_points", "subsets": "free_parameters", "values": "sweep",
-        "sample": "space_filling", "noise": "monte_carlo"},
-    "batch.space_filling": {"count": "points"},
-    "batch.monte_carlo": {"draws": "realizations", "truth": "true_values"},
-    "isolation": {"memory": "memory_limit_mb", "recycle": "max_simulations_per_process"},
+from fmuid.studies.toml import show
+
+RENAMED_KEYS: Mapping[str, tuple[str, ...]] = {
+    "accuracy": ("solver_check",), "angle": ("angles",), "axes": ("park",), "burn": ("burn_in",),
+    "columns": ("computed_columns",), "command": ("alarm_command",), "common": ("shared_variance",),
+    "connectors": ("shared_variables",), "count": ("points",), "delay": ("sensor_delay",), "discard": ("warmup",),
+    "draws": ("realizations",), "estimator": ("estimation",), "fill": ("fill_missing",),
+    "first_radius": ("initial_trust_radius",), "from": ("start_time", "source"), "gain": ("sensor_gain",),
+    "healthy": ("baseline",), "horizon": ("false_alarm_horizon",), "inflate": ("std_factor",),
+    "integrator": ("solver",), "level": ("confidence_level", "false_alarm_rate"), "limits": ("size_limits",),
+    "longest_gap": ("max_gap",), "low_pass": ("lowpass_frequency",), "map": ("cost_map",), "master": ("coupling",),
+    "memory": ("memory_limit_mb",), "model_error": ("fault_model_error",), "most_steps": ("max_solver_steps",),
+    "names": ("variable_map",), "noise": ("monte_carlo",), "normal": ("healthy_std",), "observer": ("observer_memory",),
+    "offset": ("sensor_offset",), "parameter": ("parameter_drift",), "period": ("excitation_period",),
+    "pieces": ("segments",), "prepare": ("preprocess",), "profile": ("profile_likelihood",),
+    "records": ("healthy_data",), "recycle": ("max_simulations_per_process",), "relative": ("relative_std",),
+    "remedies": ("restarts",), "resample": ("resample_interval",), "sample": ("space_filling",),
+    "samples": ("discrete_time",), "search": ("method",), "sensitivity": ("jacobian",),
+    "size": ("change_std", "magnitude"), "start": ("initial_variance", "initial_angle"),
+    "starts": ("n_starts", "starting_points"), "steps": ("max_steps",), "subsets": ("free_parameters",),
+    "table": ("data",), "tables": ("data",), "to": ("end_time", "target"), "tolerance": ("relative_step_tolerance",),
+    "transient": ("warmup",), "trials": ("known_fault_data",), "truth": ("true_values",),
+    "values": ("fixed", "choices", "sweep"), "window": ("window_length",),
 }  # fmt: skip
-"""Of each section, the old names of its keys and the new ones; ``*`` is any name."""
-
-DROPPED_KEYS: Mapping[str, Mapping[str, str]] = {"noise": {"coloured": "confidence intervals allow for colored noise"}}
+"""Old names of keys and their new names in one section or another."""
+RENAMED_VALUES: Mapping[str, tuple[str, ...]] = {
+    "hold": ("zoh",), "hold-previous": ("zoh-next",), "cubic": ("pchip",), "marquardt": ("levenberg-marquardt",),
+    "global": ("multi-start", "differential-evolution"), "switch": ("refine",), "check": ("report",), "list": ("zip",),
+}  # fmt: skip
+"""Old values and their new ones."""
+DROPPED_KEYS = {"coloured": "confidence intervals allow for colored noise"}
 """Keys without a new name, and why they are not needed."""
 
-_HOLD = {"hold": "zoh", "hold-previous": "zoh-next", "cubic": "pchip"}
-RENAMED_VALUES: Mapping[str, Mapping[str, str]] = {
-    "experiments.interpolation": _HOLD,
-    "experiments.interpolation.*": _HOLD,
-    "experiments.preprocess.fill_missing.*": {"hold": "zoh"},
-    "estimation.method": {"marquardt": "levenberg-marquardt", "global": 'multi-start" or "differential-evolution'},
-    "estimation.solver_check": {"switch": "refine", "check": "report"},
-    "batch.combine": {"list": "zip"},
-}
-"""Of each key, old values and new ones."""
+
+def renamed_key(key: str, known: Container[str]) -> str | None:
+    """Return the message on an old key of a section, None for another key."""
+    if key in DROPPED_KEYS:
+        return f"{key!r} was dropped: {DROPPED_KEYS[key]}. Remove it."
+    new = next((each for each in RENAMED_KEYS.get(key, ()) if each in known), None)
+    return None if new is None else f"{key!r} is now {new!r}."
 
 
-def refuse_renamed(data: Any, place: Any, path: str = "") -> None:
-    """Refuse old keys and values in and below the section `path`."""
-    if isinstance(data, list):
-        for k, each in enumerate(data):
-            refuse_renamed(each, place.below(k), path)
-    if not isinstance(data, dict):
-        return
-    for key, value in data.items():
-        if key in RENAMED_KEYS.get(path, {}):
-            raise place.below(key).error(f"this key is now {RENAMED_KEYS[path][key]}.")
-        if key in DROPPED_KEYS.get(path, {}):
-            raise place.below(key).error(f"dropped: {DROPPED_KEYS[path][key]}. Remove it.")
-        below = f"{path}.{key}".lstrip(".")
-        if below not in _PATHS:
-            below = f"{path}.*"
-        new = RENAMED_VALUES.get(below, {}).get(value) if isinstance(value, str) else None
-        if new is not None:
-            raise place.below(key).error(f'"{value}" is now "{new}".')
-        if below in _PATHS:
-            refuse_renamed(value, place.below(key), below)
-
-
-_PATHS = {
-    ".".join(parts[:k]) for path in (*RENAMED_KEYS, *RENAMED_VALUES) for parts in [path.split(".")]
-    for k in range(1, len(parts) + 1)
-}  # fmt: skip
+def renamed_value(value: object, known: Container[str]) -> str | None:
+    """Return the message on an old value of a key, None for another value."""
+    new = [each for each in RENAMED_VALUES.get(value, ()) if each in known] if isinstance(value, str) else []
+    return f'"{value}" is now {" or ".join(map(show, new))}.' if new else None

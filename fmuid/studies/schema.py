@@ -16,7 +16,7 @@ from pydantic.fields import FieldInfo
 from pydantic.json_schema import GenerateJsonSchema, JsonSchemaValue
 from pydantic_core import core_schema
 
-from fmuid.studies.section import entries_of, keys_of, meaning, own_first, summary, table_of
+from fmuid.studies.section import entries_of, keys_of, own_first, summary, table_of
 from fmuid.studies.study_file import StudyFile
 from fmuid.studies.toml import show
 from fmuid.studies.value_kinds import ValueKind
@@ -61,7 +61,7 @@ def reference() -> str:
         names.setdefault(table, []).append(name)
     parts, shown = [HEAD], dict[str, str]()
     for table, (name, *others) in names.items():
-        rows = {key: _row(key, each, name, table) for key, each in own_first(table)}
+        rows = {key: _row(key, each, name) for key, each in own_first(table)}
         again = dict[str, list[str]]()
         for key, row in rows.items():
             if shown.setdefault(row, name) != name:
@@ -74,11 +74,11 @@ def reference() -> str:
     return "\n".join(parts)
 
 
-def _row(key: str, field: FieldInfo, name: str, table: type) -> str:
+def _row(key: str, field: FieldInfo, name: str) -> str:
     """Return the line of a key: kind, default and meaning."""
     kind = _kind(key, field, name).replace("a text in quotes", "text").replace("whole number", "integer")
     given = ", ".join(each for each in (re.sub(r"\b(an?|the) ", "", kind), _default(field)) if each)
-    return f"- `{key}`{f' ({given})' if given else ''}: {meaning(table, key)}"
+    return f"- `{key}`{f' ({given})' if given else ''}: {field.description}"
 
 
 def _tables(table: type, name: str) -> Iterator[tuple[str, type]]:

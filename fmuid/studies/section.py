@@ -16,7 +16,7 @@ from operator import or_
 from pathlib import Path
 from textwrap import dedent
 from types import UnionType
-from typing import Annotated, Any, Literal, Self, Union, cast, get_args, get_origin, get_type_hints
+from typing import Annotated, Any, Literal, Self, Union, get_args, get_origin, get_type_hints
 
 from pydantic import (
     AfterValidator,
@@ -26,16 +26,18 @@ from pydantic import (
     Field,
     GetCoreSchemaHandler,
     PrivateAttr,
-    TypeAdapter,
     ValidationError,
+    ValidationInfo,
+    create_model,
     model_validator,
 )
 from pydantic.fields import FieldInfo
-from pydantic_core import CoreSchema, PydanticUndefined, core_schema
+from pydantic_core import CoreSchema, core_schema
 
 from fmuid.errors import InputError
 from fmuid.formatting import nearest
 from fmuid.studies import value_kinds as kinds
+from fmuid.studies.renamed_keys import renamed_key
 from fmuid.studies.toml import quoted_key, show
 
 
@@ -101,74 +103,52 @@ class StudySection(BaseModel):
     @model_validator(mode="before")
     @classmethod
     def _check_keys(cls, data: Any) -> Any:
-        return checked_keys(cls, keys_of(cls), data)
+        """Refuse renamed and unknown keys first, then missing ones."""
+        known = keys_of(cls)
+        if not isinstance(data, dict):
+            raise kinds.refusal(f"must be a section, not {show(data)}.")
+        for key in (each for each in data if each not in known):
+            near = nearest(key, known) or f". Use one of {', '.join(known)}."
+            raise kinds.refusal(renamed_key(key, known) or f"unknown key {key!r}{near}")
+        for key, asked in known.items():
+            if asked.is_required() and key not in data:
+                raise kinds.refusal(f"missing key {key!r}: {asked.description}.")
+        return data
 
 
 @dataclass(frozen=True)
 class Settings:
-    """Annotation of a settings class as a section; fields with ``key=False`` are no keys."""
+    """Annotation of a settings class that is a section; its model is built with the first section."""
 
     def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
-        """Return a validator, built with the first section of its class."""
+        """Return a validator of its keys."""
         if not isinstance(source, type):
             return handler.generate_schema(kind_of(source))
-        return core_schema.with_info_plain_validator_function(
-            lambda data, info: _table_of(source).validate_python(data, context=info.context),
-            metadata={"pydantic_js_functions": [lambda _, inner: inner(_table_of(source).core_schema)]},
-        )
 
-
-@dataclass(frozen=True)
-class _Table:
-    """Annotation of a settings class with its keys as schema."""
-
-    def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
-        keys = keys_of(source)
-
-        def made(values: dict[str, Any]) -> Any:
+        def checked(data: Any, info: ValidationInfo) -> Any:
+            keys = dict(section_of(source).model_validate(data, context=info.context))
             try:
-                return source(**values)
+                return source(**keys)
             except InputError as error:
                 raise kinds.refusal(str(error)) from None
 
-        entries = {name: _entry(source, name, each, handler) for name, each in keys.items()}
-        config = core_schema.CoreConfig(strict=True, title=source.__name__)
-        table = core_schema.typed_dict_schema(entries, config=config, extra_behavior="forbid")
-        table["metadata"] = {"pydantic_js_updates": {"description": summary(source)}}
-        check = core_schema.no_info_before_validator_function(lambda data: checked_keys(source, keys, data), table)
-        return core_schema.no_info_after_validator_function(made, check)
+        said = {"pydantic_js_functions": [lambda _, inner: inner(section_of(source).__pydantic_core_schema__)]}
+        return core_schema.with_info_plain_validator_function(checked, metadata=said)
 
 
 @cache
-def _table_of(source: Any) -> TypeAdapter[Any]:
-    annotated: Any = Annotated[source, _Table()]
-    return TypeAdapter(annotated)
-
-
-def _entry(source: type, name: str, key: FieldInfo, handler: GetCoreSchemaHandler) -> core_schema.TypedDictField:
-    schema = handler.generate_schema(key.rebuild_annotation())
-    if not key.is_required():
-        schema = core_schema.with_default_schema(schema, default=key.default)
-
-    def described(found: dict[str, Any]) -> None:
-        found["description"] = meaning(source, name)
-
-    metadata = {"pydantic_js_extra": described}
-    return core_schema.typed_dict_field(schema, required=key.is_required(), metadata=metadata)
-
-
-def checked_keys(table: type, known: Mapping[str, FieldInfo], data: Any) -> Any:
-    """Refuse unknown keys first, then missing ones."""
-    if not isinstance(data, dict):
-        raise kinds.refusal(f"must be a section, not {show(data)}.")
-    for key in data:
-        if key not in known:
-            near = nearest(key, known) or f". Use one of {', '.join(known)}."
-            raise kinds.refusal(f"unknown key {key!r}{near}")
-    for key, asked in known.items():
-        if asked.is_required() and key not in data:
-            raise kinds.refusal(f"missing key {key!r}: {meaning(table, key)}.")
-    return data
+def section_of(table: Any) -> type[StudySection]:
+    """Return a settings class as a section; its fields with ``key=False`` are no keys."""
+    if isinstance(table, type) and issubclass(table, StudySection):
+        return table
+    hints, texts, keys = get_type_hints(table, include_extras=True), _docstrings(table), dict[str, Any]()
+    for each in (each for each in fields(table) if each.metadata.get("key", True)):
+        default = each.default if each.default_factory is MISSING else each.default_factory()
+        text = " ".join(texts[each.name].split()).rstrip(".")
+        keys[each.name] = kind_of(hints[each.name]), Field(... if default is MISSING else default, description=text)
+    made = create_model(table.__name__, __base__=StudySection, __doc__=table.__doc__, **keys)
+    made.model_rebuild()
+    return made
 
 
 def entry(default: Any, meaning: str, example: Any = None, **more: Any) -> Any:
@@ -180,28 +160,15 @@ def entry(default: Any, meaning: str, example: Any = None, **more: Any) -> Any:
 
 
 @cache
-def keys_of(table: type) -> dict[str, FieldInfo]:
+def keys_of(table: Any) -> dict[str, FieldInfo]:
     """Return the keys of a section, with types and defaults."""
-    if issubclass(table, StudySection):
-        return {each.alias or name: each for name, each in table.model_fields.items()}
-    hints, found = get_type_hints(table, include_extras=True), {}
-    for each in (each for each in fields(cast(Any, table)) if each.metadata.get("key", True)):
-        default = each.default if each.default_factory is MISSING else each.default_factory()
-        given = PydanticUndefined if default is MISSING else default
-        found[each.name] = FieldInfo.from_annotated_attribute(kind_of(hints[each.name]), given)
-    return found
+    return {each.alias or name: each for name, each in section_of(table).model_fields.items()}
 
 
 def own_first(table: type) -> list[tuple[str, FieldInfo]]:
     """Return the keys of a section, inherited ones last."""
     own = table.__annotations__
     return sorted(keys_of(table).items(), key=lambda item: item[0] not in own and item[1].alias is None)
-
-
-def meaning(table: type, key: str) -> str:
-    """Return the meaning of a key: its description or the field's docstring."""
-    said = keys_of(table)[key].description
-    return said or " ".join(_docstrings(table).get(key, "").split()).rstrip(".")
 
 
 def summary(table: type) -> str:

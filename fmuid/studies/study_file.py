@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Self
+from typing import Annotated
 
 from pydantic import BeforeValidator
 
@@ -14,19 +14,12 @@ from fmuid.studies.estimation import EstimationSection, MonitoringSection, Uncer
 from fmuid.studies.faults import DiagnosisSection
 from fmuid.studies.model import ExperimentSettings, ModelSection
 from fmuid.studies.parameters import JointPriorSection, ParameterSection
-from fmuid.studies.renamed_keys import refuse_renamed
-from fmuid.studies.section import SectionLocation, Settings, StudySection, entry
+from fmuid.studies.section import Settings, StudySection, entry
 from fmuid.studies.value_kinds import Text
 
 
 class StudyFile(StudySection):
     """Study: model, experiments, parameters and settings."""
-
-    @classmethod
-    def read(cls, data: object, place: SectionLocation) -> Self:
-        """Return the sections of a file; refuse old names first."""
-        refuse_renamed(data, place)
-        return super().read(data, place)
 
     title: Text = entry("", "title of the study")
     model: ModelSection = entry({}, "model", validate_default=True)

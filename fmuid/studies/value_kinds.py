@@ -15,6 +15,7 @@ from pydantic_core import CoreSchema, PydanticCustomError, core_schema
 
 from fmuid.files import full, is_file
 from fmuid.formatting import nearest
+from fmuid.studies.renamed_keys import renamed_value
 
 # Text of an error: the expected kind of value, or a whole message.
 MUST_BE, REFUSAL = "must_be", "refusal"
@@ -83,6 +84,11 @@ class Choice(ValueKind):
     def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
         """Return a literal's schema, with all errors as one."""
         return core_schema.no_info_wrap_validator_function(self._checked, core_schema.literal_schema(list(self.words)))
+
+    def _checked(self, value: Any, inner: Callable[[Any], Any]) -> Any:
+        if text := renamed_value(value, self.words):
+            raise refusal(text)
+        return super()._checked(value, inner)
 
 
 def one_of(words: Sequence[str]) -> Choice:

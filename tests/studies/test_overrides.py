@@ -54,7 +54,7 @@ def test_overrides(folder: Path) -> None:
         ("experiments.first.warmup=1", "experiments.first not found"),
         ("modle.step_size=1", "unknown key 'modle'"),
         ("title.x=1", "title is \"Coil\" and has no key 'x'"),
-        ("noise.coloured=true", "noise.coloured: dropped"),
+        ("noise.coloured=true", "noise: 'coloured' was dropped"),
         *((wrong, "no path=value") for wrong in ("parameters.R.start", "=3", "a..b=3", "a.=3")),
     ],
 )

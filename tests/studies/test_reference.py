@@ -93,6 +93,9 @@ VALID = [
     ("{ max_steps = 2000 }", "true"),
     ('["R", "L"]', '[["R", "L"]]'),
     ('{ phi = { magnitude = "dR" } }', '["phi"]'),
+    ('fmu = "Coil.fmu"', 'fmu = "Coil.fmu"\nfixed = { A = [[1.0, 2.0]], b = { result = "result.json" } }'),
+    ("start = 4", "start = [4, 5], nominal = [1, 2], min = 0, max = [8, 9]"),
+    ("start = 4, prior = { mean = 4.1, std = 0.2 }", 'choices = "all"'),
     ("title", "title"),
 ]
 INVALID = [
@@ -106,6 +109,7 @@ INVALID = [
     ('magnitude = "dR"', "period = 1"),
     ("realizations = 10", "realizations = 0.5"),
     ("R = 3.0", 'R = "x"'),
+    ("start = 4, prior = { mean = 4.1, std = 0.2 }", 'choices = "some"'),
     (", count = 3", ""),
 ]
 

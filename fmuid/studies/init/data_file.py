@@ -142,16 +142,13 @@ class MatchedDataFile:
     def settings(self) -> ExperimentSettings:
         """Entry of ``[[experiments]]``."""
         from fmuid.studies.model import ExperimentSettings
-        from fmuid.studies.renamed_keys import refuse_renamed
         from fmuid.studies.section import SectionLocation
 
         words: dict[str, Any] = {"data": str(self.path.absolute()), "name": self.path.stem, "time": self.asked.time}
         words |= {"inputs": self.roles("input"), "outputs": self.roles("output")}
         words |= {"interpolation": self.interpolation, "preprocess": dict(self.asked.prepare)}
         words |= {"units": dict(self.asked.units)}
-        place = SectionLocation(str(self.path), Path())
-        refuse_renamed(words, place, "experiments")
-        return ExperimentSettings.read(words, place)
+        return ExperimentSettings.read(words, SectionLocation(str(self.path), Path()))
 
     def _measured(self) -> Iterator[tuple[str, Floats]]:
         """Yield column and samples of each output."""

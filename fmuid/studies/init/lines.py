@@ -10,7 +10,7 @@ from textwrap import shorten
 from typing import TYPE_CHECKING
 
 from fmuid.studies.init.column_matching import of_tables
-from fmuid.studies.section import keys_of, meaning, own_first, summary, table_of
+from fmuid.studies.section import keys_of, own_first, summary, table_of
 from fmuid.studies.toml import quoted_key, show
 
 if TYPE_CHECKING:
@@ -93,7 +93,7 @@ def example(table: type, key: str) -> str:
     """Return an example of a key, commented out unless default."""
     known = keys_of(table)[key]
     value = known.examples[0] if known.examples else NOISE_EXAMPLES[key]
-    return f"{'' if value == known.default else '# '}{key} = {show(value)}  # {meaning(table, key)}"
+    return f"{'' if value == known.default else '# '}{key} = {show(value)}  # {known.description}"
 
 
 def role(word: str, columns: Mapping[str, str]) -> str:
