@@ -142,8 +142,9 @@ def _strings_alone(node: ast.AST) -> Iterator[ast.Constant]:
 def _messages(node: ast.ClassDef) -> Iterator[ast.expr]:
     for each in node.body:
         if isinstance(each, ast.Assign):
-            value = each.value.elts[0] if isinstance(each.value, ast.Tuple) and each.value.elts else each.value
-            yield value
+            value = each.value
+            parts = value.elts if isinstance(value, ast.Tuple) else value.args if isinstance(value, ast.Call) else []
+            yield parts[0] if parts else value
 
 
 def _words(node: ast.expr) -> str:

@@ -9,7 +9,7 @@ from fmuid.errors import InputError
 from fmuid.estimation import LinearEstimate, Result
 from fmuid.formatting import with_std
 from fmuid.identification import CONFIDENCE_LEVEL, Assessment, Posterior, PriorDataComparison, ResidualAnalysis
-from fmuid.reports.document import Document, Message, Remark, Section, Tone
+from fmuid.reports.document import Document, Message, Remark, Section, Tone, plain
 from fmuid.reports.topics.diagnosis import diagnosis_sections
 from fmuid.reports.topics.diagnosis_phrases import diagnosis_notes, verdict
 from fmuid.reports.topics.estimates import estimates_section
@@ -24,20 +24,20 @@ from fmuid.runs import findings_of
 class LinearMessage(Message):
     """Bias of estimates of linear models."""
 
-    LEAST_SQUARES = (
+    LEAST_SQUARES = plain(
         "unbiased if the regressors are free of noise and the residual is white",
         "of estimates by `fmuid.estimation.linear_least_squares`",
     )
-    EQUATION_ERROR = (
+    EQUATION_ERROR = plain(
         "biased by noise in the measured terms; σ does not include this bias",
         "of estimates by `fmuid.estimation.equation_error`",
         "Use them as initial guesses of `identify`.",
     )
-    INSTRUMENTAL_VARIABLES = (
+    INSTRUMENTAL_VARIABLES = plain(
         "free of the bias by noise in the measured terms if the model is right",
         "of estimates by `fmuid.estimation.instrumental_variables`",
     )
-    UNSETTLED = (
+    UNSETTLED = plain(
         "not converged: instruments still change after {rounds} rounds",
         "of estimates by `fmuid.estimation.instrumental_variables`",
         "Improve the initial guess.",

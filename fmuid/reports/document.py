@@ -26,19 +26,40 @@ TERMINAL_ROWS = 60
 
 
 class Message(Enum):
-    """Messages of a topic: template, meaning, remedy and tone of each. ``docs/messages.md`` lists them."""
+    """Messages of a topic, made by `plain`, `doubt` and `bad`. ``docs/messages.md`` lists them."""
+
+    section: str
+
+    def __init_subclass__(cls, section: str = "") -> None:
+        cls.section = section  # key of the section that shows them
 
     def __init__(self, text: str, meaning: str = "", remedy: str = "", tone: Tone = "plain") -> None:
         self.text, self.meaning, self.remedy, self.tone = text, meaning, remedy, tone
 
-    def said(
-        self, tone: Tone | None = None, section: str = "", names: Iterable[str] = (), /, **values: object
-    ) -> Remark:
-        """Return the message with values, capitalized unless a name begins it."""
+    def said(self, section: str | None = None, tone: Tone | None = None, /, **values: object) -> Remark:
+        """Return the message with values, capitalized unless a value or a symbol begins it."""
         told = self.text.format(**values)
-        told = told if self.text[0] in "{σ" else capitalized(told, names)
-        key, advice = f"{type(self).__name__}.{self.name}", self.remedy.format(**values)
-        return Remark(told, tone or self.tone, section, key, values, advice)
+        told = told if self.text[0] in "{σ" else capitalized(told)
+        place, key = self.section if section is None else section, f"{type(self).__name__}.{self.name}"
+        return Remark(told, tone or self.tone, place, key, values, self.remedy.format(**values))
+
+
+Row = tuple[str, str, str, Tone]
+
+
+def plain(text: str, meaning: str, remedy: str = "") -> Row:
+    """Return a message that states a fact: template, meaning and remedy."""
+    return text, meaning, remedy, "plain"
+
+
+def doubt(text: str, meaning: str, remedy: str = "") -> Row:
+    """Return a message that casts doubt on the findings."""
+    return text, meaning, remedy, "doubt"
+
+
+def bad(text: str, meaning: str, remedy: str = "") -> Row:
+    """Return a message on findings that cannot be used."""
+    return text, meaning, remedy, "bad"
 
 
 @dataclass(frozen=True, eq=False)
@@ -185,10 +206,9 @@ def table_of_rows(
     return table_of({head: [row[k] for row in cells] for k, head in enumerate(heads)}, words, ranks)
 
 
-def capitalized(words: str, names: Iterable[str] = ()) -> str:
-    """Return words with a capital, unless one of the names begins them."""
-    kept = any(words.startswith(name) and not words[len(name) :][:1].isalnum() for name in names)
-    return words if kept else words[:1].upper() + words[1:]
+def capitalized(words: str) -> str:
+    """Return words with a capital."""
+    return words[:1].upper() + words[1:]
 
 
 def origin_of(found: Provenance | None, more: Mapping[str, str] | None = None) -> dict[str, Any]:

@@ -6,78 +6,60 @@ from collections.abc import Sequence
 
 from fmuid.estimation import IdentifiabilityLevel, WeakDirection
 from fmuid.formatting import listed
-from fmuid.reports.document import Message, Remark
+from fmuid.reports.document import Message, Remark, bad, doubt, plain
 
 _FIX = "Fix one of them, add a prior, or use another excitation."
 _FINER = "Reduce the solver `tolerance` or `step_size`, add a prior, or fix {names}."
 _LONGER = "Use a longer or stronger excitation."
 
 
-class IdentifiabilityMessage(Message):
+class IdentifiabilityMessage(Message, section="correlation"):
     """Parameters that the data determine poorly or not at all."""
 
-    NO_EFFECT = (
+    NO_EFFECT = bad(
         "{names} is not identifiable: it has no effect on any output.",
         "the excitation does not reach it",
         "Fix {names}, add a prior, or measure an output that {names} affects.",
-        "bad",
     )
-    HIDDEN = (
+    HIDDEN = bad(
         "{names} is not identifiable: its effect is below the solver error.",
         "the solver's error hides its effect",
         _FINER,
-        "bad",
     )
-    COMBINATION = (
+    COMBINATION = bad(
         "{names} are not identifiable; only {combinations} {verb}.",
         "for example a ratio or a sum acts, each alone does not",
         _FIX,
-        "bad",
     )
-    HIDDEN_COMBINATION = (
+    HIDDEN_COMBINATION = bad(
         "{names} are not identifiable within the solver error; only {combinations} {verb}.",
         "the solver's error hides how they differ",
         _FINER,
-        "bad",
     )
-    PRACTICALLY = (
+    PRACTICALLY = bad(
         "{names} is practically non-identifiable: σ is {std} × its scale.",
         "its effect is ten times smaller than the noise",
         _LONGER,
-        "bad",
     )
-    PRACTICALLY_COMBINATION = (
+    PRACTICALLY_COMBINATION = bad(
         "{names} are practically non-identifiable (σ is {std} × scale); only {combinations} {verb}.",
         "the same, of a combination",
         _FIX,
-        "bad",
     )
-    WEAK = (
-        "{names} is weakly identifiable: σ is {std} of its scale.",
-        "σ is between one and ten times its scale",
-        _LONGER,
-        "doubt",
+    WEAK = doubt(
+        "{names} is weakly identifiable: σ is {std} of its scale.", "σ is between one and ten times its scale", _LONGER
     )
-    WEAK_NEAR_ZERO = (
-        "{names} is weakly identifiable: σ is {std}, far above its value.",
-        "the same, of a value near zero",
-        _LONGER,
-        "doubt",
+    WEAK_NEAR_ZERO = doubt(
+        "{names} is weakly identifiable: σ is {std}, far above its value.", "the same, of a value near zero", _LONGER
     )
-    WEAK_COMBINATION = (
+    WEAK_COMBINATION = doubt(
         "{names} are weakly identifiable (σ is {std} of scale); {combinations} {verb} identifiable.",
         "the combination is known better than each of them",
         "Use the combination, or a longer or stronger excitation.",
-        "doubt",
     )
-    CHANGE = ("No output changes along {change}.", "the direction that is not identifiable, as changes in %")
-    PRIOR = (
-        "{names} {verb} identifiable only through the prior.",
-        "the data add nothing along this direction",
-        "",
-        "doubt",
-    )
-    CORRELATED = (
+    CHANGE = plain("No output changes along {change}.", "the direction that is not identifiable, as changes in %")
+    PRIOR = doubt("{names} {verb} identifiable only through the prior.", "the data add nothing along this direction")
+    CORRELATED = plain(
         "{one} and {other} are strongly correlated ({correlation}).",
         "|correlation| is above 0.95",
         "Use their joint confidence region.",
@@ -108,15 +90,13 @@ def direction_remark(direction: WeakDirection) -> Remark:
         case _:
             message = IdentifiabilityMessage.WEAK if alone else IdentifiabilityMessage.WEAK_COMBINATION
             values["std"] = f"{direction.std:.0%}".replace("%", " %")
-    return message.said(None, "correlation", names, **values)
+    return message.said(**values)
 
 
 def prior_remark(direction: WeakDirection) -> Remark:
     """Return the parameters that only the prior determines."""
     verb = "is" if len(direction.names) == 1 else "are"
-    return IdentifiabilityMessage.PRIOR.said(
-        None, "correlation", direction.names, names=listed(direction.names), verb=verb
-    )
+    return IdentifiabilityMessage.PRIOR.said(names=listed(direction.names), verb=verb)
 
 
 def open_words(determined: IdentifiabilityLevel, names: Sequence[str]) -> str:
@@ -138,7 +118,7 @@ def change_remark(direction: WeakDirection) -> Remark:
         for name, share, value, size in zip(names, shares, direction.values, sizes, strict=True)
     ]
     ordered = ", ".join([steps[first], *steps[:first], *steps[first + 1 :]])
-    return IdentifiabilityMessage.CHANGE.said(None, "correlation", change=ordered)
+    return IdentifiabilityMessage.CHANGE.said(change=ordered)
 
 
 def _combinations(direction: WeakDirection) -> str:

@@ -29,7 +29,7 @@ class Said(Message):
 
 def document(**more: Any) -> Document:
     rows = table_of({"parameter": ["R", EVIL], "value": ["4.00 ± 0.20", "1"], "note": ["", ""]}, ["note"], ["value"])
-    said = (Said.KNOWN.said("plain", "fit", name="R", share=5.0), Remark(EVIL, "doubt"))
+    said = (Said.KNOWN.said("fit", name="R", share=5.0), Remark(EVIL, "doubt"))
     sections = (Section("estimates", "Estimates", table=rows), Section("fit", EVIL, EVIL, charts=(every_mark(),)))
     made = Document("identification", "Identification", "converged", "good", said, sections, rows, EVIL, EVIL)
     return replace(made, **more)

@@ -26,7 +26,7 @@ from fmuid.estimation import (
 from fmuid.estimation.covariance import ActiveBound
 from fmuid.identification.prior_and_data import ExtrapolationReason
 from fmuid.models import SolverConfiguration
-from fmuid.reports.document import Message, Remark, capitalized
+from fmuid.reports.document import Message, Remark, doubt
 from fmuid.reports.topics.prior_and_data import obstacle_remark
 from fmuid.reports.topics.solver_check import shift_text
 from fmuid.reports.topics.termination import ENDS, state_and_reason
@@ -115,26 +115,18 @@ def test_extrapolation_of_the_data_alone(obstacle: ExtrapolationReason, said: st
     assert obstacle_remark(obstacle).text == f"Optimum of the data alone is extrapolated: {said}."
 
 
-@pytest.mark.parametrize(
-    ("words", "said"),
-    [("id_start is open", "id_start is open"), ("id_starting", "Id_starting"), ("id_start[a] is", "id_start[a] is")],
-)
-def test_capitals_keep_names(words: str, said: str) -> None:
-    assert capitalized(words, ("R", "id_start")) == said
-
-
 def test_message_fills_text_and_remedy() -> None:
     class Sample(Message):
-        ONE = ("{name} is low: {value}.", "", "Raise {name}.", "doubt")
+        ONE = doubt("{name} is low: {value}.", "", "Raise {name}.")
 
-    said = Sample.ONE.said(None, "fit", name="x", value=3)
+    said = Sample.ONE.said("fit", name="x", value=3)
     assert (str(said), said.tone, said.section, said.message) == (
         "x is low: 3.\n→ Raise x.",
         "doubt",
         "fit",
         "Sample.ONE",
     )
-    assert Sample.ONE.said("plain", name="x", value=3).tone == "plain"
+    assert Sample.ONE.said(None, "plain", name="x", value=3).tone == "plain"
     assert str(Remark("Alone.")) == "Alone."
 
 

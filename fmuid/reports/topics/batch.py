@@ -11,7 +11,7 @@ import pandas as pd
 
 from fmuid.estimation import AccuracyOutcome
 from fmuid.formatting import fit_text, has_unit, rounded
-from fmuid.reports.document import Document, Message, Remark, Section, Tone, origin_of
+from fmuid.reports.document import Document, Message, Remark, Section, Tone, doubt, origin_of, plain
 from fmuid.reports.topics import case_charts as charts
 from fmuid.reports.topics.batch_tables import failure_texts, level_text, tables_of
 from fmuid.runs import (
@@ -51,93 +51,85 @@ FAILURES = "Reasons for missing estimates. Red: failed. Amber: not converged."
 class BatchMessage(Message):
     """Statistics of a batch."""
 
-    LEFT_OUT = (
-        "{done} of {total} cases converged; the statistics omit {others}.",
-        "reasons of the other cases: `failures.csv`",
+    LEFT_OUT = plain(
+        "{done} of {total} cases converged; the statistics omit {others}.", "reasons of the other cases: `failures.csv`"
     )
-    BEST_OF_STARTS = (
+    BEST_OF_STARTS = plain(
         "Statistics use the best of all starting points for each of {sets} data sets.",
         "cases with the same data are not independent",
     )
-    FIT = (
+    FIT = plain(
         "Fit (NRMSE) of {output}: median {median}, minimum {least} (case {case}).",
         "converged cases",
         "Inspect the case with the lowest fit.",
     )
-    ONE = ("One estimate has no spread: the stated σ is not checked.", "a single estimate", "Add realizations.")
-    FEW = (
+    ONE = plain("One estimate has no spread: the stated σ is not checked.", "a single estimate", "Add realizations.")
+    FEW = plain(
         "{count} cases are few: their spread is uncertain by {share:.0f} %.",
         "relative σ of a standard deviation from so many cases",
         "Add realizations.",
     )
-    STD_TOO_SMALL = (
+    STD_TOO_SMALL = doubt(
         "{name}: spread {spread} is {ratio:.3g} × the stated σ ({stated}) {among}.",
         "from case to case: wrong noise, or a strongly nonlinear problem; from data file to data file: also different "
         "machines or operating points",
     )
-    STD_TOO_LARGE = (
+    STD_TOO_LARGE = doubt(
         "{name}: spread {spread} is below the stated σ ({stated}).",
         "the noise is smaller than stated, or the realizations lack a part of it",
     )
-    BIASED = (
+    BIASED = doubt(
         "{name}: biased by {size} ({share:.2g} × the stated σ).",
         "the mean differs from the true value by more than chance",
     )
-    COVERAGE = (
+    COVERAGE = doubt(
         "{name}: {held:.3g} % of the 95 % intervals contain the true value ({low:.3g} to {high:.3g} %).",
         "coverage, with its 95 % confidence interval",
     )
-    WIDE = ("{name} varies by {times:.2g} × its stated σ over the settings.", "settings matter more than noise")
-    DEPENDS = (
-        "{name} depends on the settings: mean {low} to {high}{times}.",
-        "lowest and highest mean, with their settings",
+    WIDE = plain("{name} varies by {times:.2g} × its stated σ over the settings.", "settings matter more than noise")
+    DEPENDS = doubt(
+        "{name} depends on the settings: mean {low} to {high}{times}.", "lowest and highest mean, with their settings"
     )
-    IN_GROUPS = (
-        "{name}: {what} in {count} of {groups} groups.",
-        "groups: cases with the same settings",
-    )
-    ONE_OPTIMUM = ("All {total} converged cases found the same optimum{of}.", "the initial guess does not matter")
-    OTHER_OPTIMA = (
+    IN_GROUPS = doubt("{name}: {what} in {count} of {groups} groups.", "groups: cases with the same settings")
+    ONE_OPTIMUM = plain("All {total} converged cases found the same optimum{of}.", "the initial guess does not matter")
+    OTHER_OPTIMA = plain(
         "{others} of {total} converged cases found another optimum than the best.",
         "the result depends on the initial guess",
     )
-    EQUAL_OPTIMA = (
-        "Several optima fit equally well.",
-        "the data do not distinguish them",
-        "Narrow the bounds or add priors.",
+    EQUAL_OPTIMA = doubt(
+        "Several optima fit equally well.", "the data do not distinguish them", "Narrow the bounds or add priors."
     )
-    DOUBTFUL = (
+    DOUBTFUL = doubt(
         "{count} of {total} cases are DOUBTFUL: {reason}.",
         "a reason of the verdict; residuals are not tested in a batch",
         "Identify such a case by itself.",
-        "doubt",
     )
-    CHECKED = (
+    CHECKED = plain(
         "Solver error checked in {total} cases, in {checked} by new simulations.",
         "the other cases lie where it was known; see [solver error](#solver-error)",
     )
-    REFINED = ("Solver refined in {count} cases.", "the solver of the study was too inaccurate")
-    SHIFTED = (
+    REFINED = plain("Solver refined in {count} cases.", "the solver of the study was too inaccurate")
+    SHIFTED = doubt(
         "Solver error shifts estimates in {count} cases; σ includes it.",
         "shift above 0.1 σ",
         "Reduce `step_size`, or use Model Exchange.",
     )
-    UNKNOWN = (
+    UNKNOWN = doubt(
         "Solver error unknown in {count} cases: some σ are unknown.",
         "no σ to compare the shift with",
         "Check the parameters that are not identifiable first.",
     )
-    COUPLED = (
+    COUPLED = doubt(
         "{count} cases depend on the communication step.",
         "a discrete-time component is another system at another step",
         "Set `discrete_time` of the components to true or false.",
     )
-    UNCHECKABLE = (
+    UNCHECKABLE = doubt(
         "Solver error unknown in {count} cases: no more accurate solver exists.",
         "or a smaller step gives identical outputs",
         "Export the FMU for Model Exchange.",
     )
-    CHECK_FAILED = (
+    CHECK_FAILED = doubt(
         "Solver error unknown in {count} cases: the more accurate simulation fails.",
         "the solver check needs this simulation",
     )
@@ -220,7 +212,7 @@ def _doubts(summary: Summary) -> Iterator[Remark]:
     total = int(summary.statuses["cases"].iloc[0])
     for reason, count in summary.reasons.items():
         words = reason.replace("_", " ")
-        yield BatchMessage.DOUBTFUL.said(None, "cases", count=count, total=total, reason=words)
+        yield BatchMessage.DOUBTFUL.said("cases", count=count, total=total, reason=words)
 
 
 def _counts(summary: Summary) -> Iterator[Remark]:
@@ -228,20 +220,20 @@ def _counts(summary: Summary) -> Iterator[Remark]:
     if sum(others):
         kinds = [f"{n} {word}" for n, word in zip(others, ("did not converge", "failed"), strict=True) if n]
         total = done + sum(others)
-        yield BatchMessage.LEFT_OUT.said("plain", "failures", done=done, total=total, others=" and ".join(kinds))
+        yield BatchMessage.LEFT_OUT.said("failures", done=done, total=total, others=" and ".join(kinds))
     if summary.columns.starts and done > summary.data_sets:
-        yield BatchMessage.BEST_OF_STARTS.said("plain", "starts", sets=summary.data_sets)
+        yield BatchMessage.BEST_OF_STARTS.said("starts", sets=summary.data_sets)
     for row in summary.fits.to_dict("records"):
         values = {"median": fit_text(row["median"]), "least": fit_text(row["least"]), "case": row["case"]}
-        yield BatchMessage.FIT.said("plain", "cases", output=row["output"], **values)
+        yield BatchMessage.FIT.said("cases", output=row["output"], **values)
 
 
 def _spreads(summary: Summary) -> Iterator[Remark]:
     if summary.few and summary.most == 1:
-        yield BatchMessage.ONE.said("plain", "distributions")
+        yield BatchMessage.ONE.said("distributions")
     elif summary.few:
         share = 100.0 / math.sqrt(2.0 * (summary.most - 1))
-        yield BatchMessage.FEW.said("plain", "distributions", count=summary.most, share=share)
+        yield BatchMessage.FEW.said("distributions", count=summary.most, share=share)
     several = "draw" not in summary.columns.repeats and "table" in summary.columns.repeats
     for row in summary.parameters.to_dict("records"):
         yield from _not_as_stated(row, tables=several)
@@ -254,7 +246,7 @@ def _not_as_stated(row: Row, *, tables: bool) -> Iterator[Remark]:
     values = {"name": name, "spread": spread, "stated": stated}
 
     def said(message: BatchMessage, **more: object) -> Remark:
-        return message.said("doubt", "distributions", (name,), **more)
+        return message.said("distributions", **more)
 
     if EstimateWarning.STD_TOO_SMALL in doubts:
         among = "across data files" if tables else "across cases"
@@ -271,7 +263,7 @@ def _not_as_stated(row: Row, *, tables: bool) -> Iterator[Remark]:
 
 def _settings(summary: Summary) -> Iterator[Remark]:
     for name, times in summary.wide.items():
-        yield BatchMessage.WIDE.said("plain", "over-1", (name,), name=name, times=times)
+        yield BatchMessage.WIDE.said("over-1", name=name, times=times)
     if all(name == "table" for name in summary.settings):
         return
     dependences = {each.parameter: each for each in summary.dependences}
@@ -279,10 +271,10 @@ def _settings(summary: Summary) -> Iterator[Remark]:
         name = str(parameter)
         if name in dependences:
             yield _dependence(dependences[name])
-        for doubt, what in IN_GROUPS.items():
-            if count := sum(doubt in doubts for doubts in rows["doubts"]):
+        for warning, what in IN_GROUPS.items():
+            if count := sum(warning in doubts for doubts in rows["doubts"]):
                 values = {"name": name, "what": what, "count": count, "groups": len(rows)}
-                yield BatchMessage.IN_GROUPS.said("doubt", "over-1", (name,), **values)
+                yield BatchMessage.IN_GROUPS.said("over-1", **values)
 
 
 def _dependence(found: Dependence) -> Remark:
@@ -293,7 +285,7 @@ def _dependence(found: Dependence) -> Remark:
     share = (found.high - found.low) / found.stated_std if found.stated_std > 0 else math.nan
     times = f", {share:.2g} σ apart" if share > 0 else ""
     name = found.parameter
-    return BatchMessage.DEPENDS.said("doubt", "over-1", (name,), name=name, low=ends[0], high=ends[1], times=times)
+    return BatchMessage.DEPENDS.said("over-1", name=name, low=ends[0], high=ends[1], times=times)
 
 
 def _ends(summary: Summary) -> Iterator[Remark]:
@@ -302,11 +294,11 @@ def _ends(summary: Summary) -> Iterator[Remark]:
         return
     total, best, sets = int(optima["cases"].sum()), int(optima["cases"].iloc[0]), int(optima["data_sets"].iloc[0])
     if len(optima) == 1:
-        yield BatchMessage.ONE_OPTIMUM.said("plain", "starts", total=total, of=" of their data" if sets > 1 else "")
+        yield BatchMessage.ONE_OPTIMUM.said("starts", total=total, of=" of their data" if sets > 1 else "")
         return
-    yield BatchMessage.OTHER_OPTIMA.said("plain", "starts", total=total, others=total - best)
+    yield BatchMessage.OTHER_OPTIMA.said("starts", total=total, others=total - best)
     if summary.rivals:
-        yield BatchMessage.EQUAL_OPTIMA.said("doubt", "starts")
+        yield BatchMessage.EQUAL_OPTIMA.said("starts")
 
 
 def _accuracy(summary: Summary) -> Iterator[Remark]:
@@ -318,7 +310,7 @@ def _accuracy(summary: Summary) -> Iterator[Remark]:
         yield BatchMessage.REFINED.said(count=counts["finer"])
     for outcome, message in ACCURACY.items():
         if count := counts.get(outcome.value, 0):
-            yield message.said("doubt", count=count)
+            yield message.said(count=count)
 
 
 def _after(unit: str) -> str:

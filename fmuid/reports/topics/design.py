@@ -11,7 +11,7 @@ import pandas as pd
 
 from fmuid.data import extremes
 from fmuid.reports.chart import LIMITS, Axis, Chart, ChartGrid, Color, Dash, Layer, Units, named, short, stacked
-from fmuid.reports.document import Document, Message, Remark, Section, Table, origin_of, table_of
+from fmuid.reports.document import Document, Message, Remark, Section, Table, doubt, origin_of, plain, table_of
 from fmuid.reports.topics.model_comparison import ranked_bars
 from fmuid.runs import Provenance
 
@@ -30,27 +30,26 @@ LOOKS = [(color, dash) for dash in _DASHES for color in _COLORS]
 """Lines of a chart: the largest ones."""
 
 
-class DesignMessage(Message):
+class DesignMessage(Message, section="excitations"):
     """Ranking of excitations, and length of the healthy data."""
 
-    ACCURATE = ("{excitation}: relative σ of all parameters at most {worst:.3g} %.", "smaller is better")
-    SHOWS = (
+    ACCURATE = plain("{excitation}: relative σ of all parameters at most {worst:.3g} %.", "smaller is better")
+    SHOWS = plain(
         "{excitation}: faults detectable from {worst:.3g} % of their magnitude.",
         "largest minimum detectable fault size; smaller is better",
     )
-    BLIND = (
+    BLIND = doubt(
         "{size}: not detectable with this excitation.",
         "the fault has no effect on the outputs, or that of another cause; longer healthy data do not help",
         "Use another excitation.",
     )
-    LENGTH = (
+    LENGTH = doubt(
         "{size}: detectable size is {times:.3g} × its limit; with {length:g} × longer healthy data, {longer:.3g} ×.",
         "the limit is that of endless healthy data, the first factor that of data as long as the test; beyond the "
         "second length the gain is below 10 %",
     )
-    SENSITIVITIES = (
-        "Sensitivities at the initial guesses.",
-        "small: weakly identifiable; similar: strongly correlated",
+    SENSITIVITIES = plain(
+        "Sensitivities at the initial guesses.", "small: weakly identifiable; similar: strongly correlated"
     )
 
 
@@ -63,7 +62,7 @@ def design_document(
     worst = 100.0 * ranked["worst"].to_numpy(np.float64)
     one = f"{names[0]}, best of {len(names)} excitations" if len(names) > 1 else names[0]
     how = DesignMessage.ACCURATE if accuracy else DesignMessage.SHOWS
-    said = [how.said("plain", "excitations", names, excitation=one, worst=worst[0])]
+    said = [how.said(excitation=one, worst=worst[0])]
     chart = ranked_bars(names, worst, f"{text} (%)")
     heading = "Excitations, best first"
     sections = [Section("excitations", heading, caption, _numbers(ranked), (chart,), 1)]
@@ -80,11 +79,11 @@ def healthy_record_remarks(cost: pd.DataFrame) -> list[Remark]:
     for column in [str(each) for each in cost if str(each).endswith(".times")]:
         name, times = column.removesuffix(".times"), cost[column]
         if not times.notna().all():
-            said.append(DesignMessage.BLIND.said("doubt", "lengths", (name,), size=name))
+            said.append(DesignMessage.BLIND.said("lengths", size=name))
             continue
         enough = next((k for k in range(1, len(times)) if times.iloc[k] <= LONG_ENOUGH), len(times) - 1)
         values = {"times": times.iloc[0], "length": lengths.iloc[enough], "longer": times.iloc[enough]}
-        said.append(DesignMessage.LENGTH.said("doubt", "lengths", (name,), size=name, **values))
+        said.append(DesignMessage.LENGTH.said("lengths", size=name, **values))
     return said
 
 
@@ -109,7 +108,7 @@ def sensitivity_document(
         key, caption = ("sensitivities", SENSITIVITIES) if k == 0 else (f"sensitivities-{k + 1}", "")
         sections.append(Section(key, heading, caption, charts=(sensitivity_charts(rows, units),), beside=1))
     state = f"{len(tables)} experiment{'s' * (len(tables) > 1)}"
-    said = (DesignMessage.SENSITIVITIES.said("plain", "sensitivities"),)
+    said = (DesignMessage.SENSITIVITIES.said("sensitivities"),)
     return Document("sensitivities", "Sensitivities", state, "good", said, tuple(sections), **origin_of(origin))
 
 

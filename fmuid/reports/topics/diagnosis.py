@@ -56,9 +56,9 @@ def diagnosis_document(found: DiagnosisRun) -> Document:
     left = {"ratio": result.unexplained.ratio, "probability": result.unexplained.probability}
     said = [
         verdict(result),
-        DiagnosisMessage.COMMON.said(values=values),
-        DiagnosisMessage.RESIDUAL.said("plain", "explained", (), **left),
-        DiagnosisMessage.MODEL_ERROR.said(share=100 * result.evidence.model_error),
+        DiagnosisMessage.COMMON.said("", values=values),
+        DiagnosisMessage.RESIDUAL.said("explained", **left),
+        DiagnosisMessage.MODEL_ERROR.said("", share=100 * result.evidence.model_error),
         *diagnosis_notes(result),
     ]
     sections = diagnosis_sections(result)

@@ -6,78 +6,80 @@ import math
 
 from fmuid.diagnosis import BaselineDeviation, BaselineSource, Diagnosis, EstimatedChange, Explanation
 from fmuid.formatting import has_unit, listed, rounded, with_std
-from fmuid.reports.document import Message, Remark
+from fmuid.reports.document import Message, Remark, doubt, plain
 from fmuid.reports.topics.solver_check import solver_remarks
 
 
-class DiagnosisMessage(Message):
+class DiagnosisMessage(Message, section="causes"):
     """Verdict of a diagnosis, and its notes."""
 
-    FAULT = ("FAULT: {causes} (p = {p}).", "p: probability of such a change without a fault")
-    EQUAL_FAULTS = (
+    FAULT = plain("FAULT: {causes} (p = {p}).", "p: probability of such a change without a fault")
+    EQUAL_FAULTS = plain(
         "FAULT, indistinguishable: {causes} (p = {p}).",
         "the faults have similar signatures in these data",
         "Use another excitation.",
     )
-    EQUAL_CAUSES = (
+    EQUAL_CAUSES = plain(
         "CHANGE, indistinguishable: {causes} (p = {p}).",
         "the causes have similar signatures in these data",
         "Use another excitation.",
     )
-    CHANGE = ("CHANGE without fault: {causes} (p = {p}).", "a sensor, an input or a parameter has changed")
-    UNEXPLAINED = (
+    CHANGE = plain("CHANGE without fault: {causes} (p = {p}).", "a sensor, an input or a parameter has changed")
+    UNEXPLAINED = plain(
         "UNEXPLAINED CHANGE: residual variance is {ratio:.3g} × baseline{even} (p = {p}).",
         "a fault without a model",
         "Add a fault model, or check sensors and inputs.",
     )
-    UNEXPLAINED_INPUTS = (
+    UNEXPLAINED_INPUTS = plain(
         "UNEXPLAINED CHANGE: residual–input correlation differs from healthy data (p = {p}).",
         "a fault without a model, or another operating point than in the healthy data",
         "Add a fault model, or healthy data of this operating point.",
     )
-    UNDECIDED = (
+    UNDECIDED = plain(
         "UNDECIDED: {sizes} indistinguishable from allowed changes of the healthy machine.",
         "allowed: by the baseline's uncertainty, times `std_factor`",
         "Reduce `std_factor`, or use another excitation.",
     )
-    NO_FAULT = (
+    NO_FAULT = plain(
         "NO FAULT at {level:g} % false-alarm rate (p = {p}){likely}.",
         "smaller faults remain possible: `fmuid design` shows the minimum detectable size",
     )
-    PARTLY = (
+    PARTLY = doubt(
         "The causes explain {share:.0%} of the change; their sizes are approximate.",
         "right kind of fault, imprecise model",
     )
-    COMMON = ("Healthy parameters: {values}.", "parameters of the healthy machine that may differ between data files")
-    RESIDUAL = (
+    COMMON = plain(
+        "Healthy parameters: {values}.", "parameters of the healthy machine that may differ between data files"
+    )
+    RESIDUAL = plain(
         "Residual variance: {ratio:.3g} × baseline (p = {probability:.2g}).",
         "after the verdict's causes; a small p means an unexplained rest",
     )
-    MODEL_ERROR = (
+    MODEL_ERROR = plain(
         "Fault-model error: {share:.2g} % along other signatures.",
         "difference between a fault's effect and that of its model",
     )
-    DEVIATION = (
+    DEVIATION = doubt(
         "{name} is {distance:.2g} σ from its baseline.",
         "more than the healthy data and `std_factor` allow",
         "Raise `std_factor`, or look for a change of the machine.",
     )
-    MISMATCHED = (
+    MISMATCHED = doubt(
         "{name}: the fault model without fault differs from the healthy model.",
         "its outputs with all fault sizes zero are not those of the healthy model",
         "Check its `variable_map` and `fixed` values.",
     )
-    NOT_TESTED = (
+    NOT_TESTED = doubt(
         "Sensor and supply errors were not tested; they can mimic faults.",
         "without healthy data their effect is unknown",
         "List healthy data in `diagnosis.healthy_data`.",
     )
-    UNSTEADY = (
+    UNSTEADY = doubt(
         "The cause depends on the linearization point: it is one of several.",
         "several causes explain the change almost equally well",
     )
-    FROM_FILE = ("Healthy data taken from baseline.npz.", "`fmuid identify` of the healthy study has written it")
-    FILE_UNUSED = (
+    FROM_FILE = plain("Healthy data taken from baseline.npz.", "`fmuid identify` of the healthy study has written it")
+    FILE_UNUSED = doubt(
         "baseline.npz not used ({how}): healthy data evaluated again.",
         "the file beside the baseline result does not fit this study",
         "Identify the healthy study again with the same faults.",
@@ -125,7 +127,7 @@ def verdict(found: Diagnosis) -> Remark:
         given["likely"] = "" if likely is None else f"; most likely: {change_name(likely.change)}"
         given["level"] = 100 * found.level
         how = DiagnosisMessage.NO_FAULT
-    return how.said("plain", "causes", (), **given)
+    return how.said(**given)
 
 
 def diagnosis_notes(found: Diagnosis) -> list[Remark]:
@@ -133,22 +135,22 @@ def diagnosis_notes(found: Diagnosis) -> list[Remark]:
     evidence = found.evidence
     notes = deviation_notes(found.deviation)
     notes += solver_remarks(found.fitted, found.accuracy)
-    notes += [DiagnosisMessage.MISMATCHED.said("doubt", "changes", (name,), name=name) for name in found.mismatched]
+    notes += [DiagnosisMessage.MISMATCHED.said("changes", name=name) for name in found.mismatched]
     if evidence.alarm and found.unexplained.larger and found.kind != "unexplained":
-        notes.append(DiagnosisMessage.PARTLY.said("doubt", "explained", share=evidence.explained))
+        notes.append(DiagnosisMessage.PARTLY.said("explained", share=evidence.explained))
     if evidence.basis is BaselineSource.RESULT:
-        notes.append(DiagnosisMessage.NOT_TESTED.said("doubt", "causes"))
+        notes.append(DiagnosisMessage.NOT_TESTED.said())
     notes += basis_notes(evidence.basis)
     if evidence.alarm and not evidence.steady:
-        notes.append(DiagnosisMessage.UNSTEADY.said("doubt", "causes"))
+        notes.append(DiagnosisMessage.UNSTEADY.said())
     return notes
 
 
 def basis_notes(basis: BaselineSource) -> list[Remark]:
     """Return the origin of the baseline, if it is a file."""
     if basis is BaselineSource.FILE:
-        return [DiagnosisMessage.FROM_FILE.said()]
-    return [DiagnosisMessage.FILE_UNUSED.said("doubt", how=UNLIKE[basis])] if basis in UNLIKE else []
+        return [DiagnosisMessage.FROM_FILE.said("")]
+    return [DiagnosisMessage.FILE_UNUSED.said("", how=UNLIKE[basis])] if basis in UNLIKE else []
 
 
 def deviation_notes(deviation: BaselineDeviation | None) -> list[Remark]:
@@ -156,7 +158,7 @@ def deviation_notes(deviation: BaselineDeviation | None) -> list[Remark]:
     if deviation is None:
         return []
     given = {"name": deviation.name, "distance": deviation.distance}
-    return [DiagnosisMessage.DEVIATION.said("doubt", "changes", (deviation.name,), **given)]
+    return [DiagnosisMessage.DEVIATION.said("changes", **given)]
 
 
 def explanation_words(each: Explanation) -> str:

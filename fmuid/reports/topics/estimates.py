@@ -13,7 +13,7 @@ from fmuid.estimation import Result, TerminationReason
 from fmuid.formatting import listed, rounded, unit_text, with_std
 from fmuid.identification import CONFIDENCE_LEVEL, region_rise
 from fmuid.reports.chart import LIMITS, Axis, Chart, Data, Layer, Shades, Units, named
-from fmuid.reports.document import Message, Remark, Section, Table, table_of
+from fmuid.reports.document import Message, Remark, Section, Table, plain, table_of
 from fmuid.reports.render.style import ON_PALE, ON_STRONG
 from fmuid.reports.topics.solver_check import shift_text
 
@@ -23,12 +23,12 @@ CAPTION = (
 )
 
 
-class EstimateMessage(Message):
+class EstimateMessage(Message, section="correlation"):
     """Precision of the estimates."""
 
-    NONE = ("No σ for {names}.", "the data do not identify them")
-    ONE = ("Relative σ of {name}: {share}.", "σ as a fraction of the value")
-    SEVERAL = (
+    NONE = plain("No σ for {names}.", "the data do not identify them")
+    ONE = plain("Relative σ of {name}: {share}.", "σ as a fraction of the value")
+    SEVERAL = plain(
         "Relative σ: {least} ({best}) to {most} ({worst}).",
         "σ as a fraction of the value, of the best and of the worst parameter",
     )
@@ -39,14 +39,14 @@ def precision_remarks(result: Result) -> list[Remark]:
     pairs = zip(result.names, result.values.tolist(), result.std.tolist(), strict=True)
     shares = {name: std / abs(value) for name, value, std in pairs if value and math.isfinite(std)}
     lost = [name for name, std in zip(result.names, result.std.tolist(), strict=True) if math.isinf(std)]
-    said = [EstimateMessage.NONE.said("plain", "correlation", names=listed(lost))] if lost else []
+    said = [EstimateMessage.NONE.said(names=listed(lost))] if lost else []
     if len(shares) == 1:
         ((name, share),) = shares.items()
-        said.append(EstimateMessage.ONE.said("plain", "correlation", name=name, share=_percent(share)))
+        said.append(EstimateMessage.ONE.said(name=name, share=_percent(share)))
     elif shares:
         best, worst = min(shares, key=shares.__getitem__), max(shares, key=shares.__getitem__)
         ends = {"least": _percent(shares[best]), "best": best, "most": _percent(shares[worst]), "worst": worst}
-        said.append(EstimateMessage.SEVERAL.said("plain", "correlation", **ends))
+        said.append(EstimateMessage.SEVERAL.said(**ends))
     return said
 
 

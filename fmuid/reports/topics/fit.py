@@ -12,7 +12,7 @@ from fmuid.array_types import Floats
 from fmuid.data import evenly, extremes
 from fmuid.formatting import fit_text, label, with_unit
 from fmuid.reports.chart import LIMITS, Axis, Chart, ChartGrid, Layer, short, stacked
-from fmuid.reports.document import Document, Message, Remark, Section, table_of
+from fmuid.reports.document import Document, Message, Remark, Section, plain, table_of
 from fmuid.simulation import OutputFit
 
 ZOOM_SHARE, ZOOM_SAMPLES = 0.06, 120
@@ -25,14 +25,14 @@ Band = tuple[Floats | None, float]
 """Half widths (K, n_outputs) of the band around the lines, NaN where there is none, and its level."""
 
 
-class FitMessage(Message):
+class FitMessage(Message, section="fit"):
     """Agreement of measured and simulated outputs."""
 
-    FIT = (
+    FIT = plain(
         "Fit (NRMSE): {scores}.",
         "100 (1 − ‖y − ŷ‖/‖y − ȳ‖) as in MATLAB; 100 % is perfect, 0 % is no better than the mean",
     )
-    LEAST = ("Lowest fit (NRMSE): {scores}.", "the same of the output with the lowest fit")
+    LEAST = plain("Lowest fit (NRMSE): {scores}.", "the same of the output with the lowest fit")
 
 
 CONSTANT = "constant as measured: no fit"
@@ -47,9 +47,9 @@ def fit_remarks(fits: Sequence[OutputFit]) -> list[Remark]:
         least, j = min(known, key=lambda each: each[0].fit[each[1]])
         named = f"{least.outputs[j]} in {least.experiment}" if len(fits) > 1 else least.outputs[j]
         scores = f"{named} {_score(least.fit[j], least.rmse[j], least.units[j])}"
-        return [FitMessage.LEAST.said("plain", "fit", scores=scores)]
+        return [FitMessage.LEAST.said(scores=scores)]
     scores = fit_scores(fits)
-    return [FitMessage.FIT.said("plain", "fit", scores=scores)] if scores else []
+    return [FitMessage.FIT.said(scores=scores)] if scores else []
 
 
 def fit_scores(fits: Sequence[OutputFit]) -> str:

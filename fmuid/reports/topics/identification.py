@@ -11,7 +11,7 @@ from fmuid.estimation import Result, Verdict
 from fmuid.formatting import fit_text, unit_text
 from fmuid.identification import judge
 from fmuid.models import SolverConfiguration
-from fmuid.reports.document import Document, Message, Remark, Section, origin_of
+from fmuid.reports.document import Document, Message, Remark, Section, bad, origin_of, plain
 from fmuid.reports.topics.estimates import correlation_sections, estimates_section, precision_remarks
 from fmuid.reports.topics.fit import fit_remarks, fit_sections
 from fmuid.reports.topics.optimization import optima_remarks, optima_section, optimization_sections
@@ -34,13 +34,12 @@ MAX_LINES = 4
 class RunMessage(Message):
     """Results of a run as a whole."""
 
-    POINT = ("Best point: {point}.", "interrupted before the first fit from it")
-    NOISE = ("Residual: {noise}.", "standard deviation of each output's residual, and of the stated noise")
-    INTERRUPTED = (
+    POINT = plain("Best point: {point}.", "interrupted before the first fit from it")
+    NOISE = plain("Residual: {noise}.", "standard deviation of each output's residual, and of the stated noise")
+    INTERRUPTED = bad(
         "Interrupted: the checks of [uncertainty] are incomplete.",
         "by Ctrl-C; the estimates are complete",
         "Continue with `--resume`.",
-        "bad",
     )
 
 
@@ -86,22 +85,18 @@ def _remarks(found: IdentificationRun) -> list[Remark]:
     first, *others = result_remarks(result)
     if reading is None or residuals is None:  # interrupted before any check
         point = ", ".join(f"{name} = {result[name]:.6g}" for name in names)
-        return [RunMessage.POINT.said("plain", "", names, point=point), first]
+        return [RunMessage.POINT.said(point=point), first]
     said = [first, *precision_remarks(result), *fit_remarks(found.fits)]
     said += [gap_remark(*each) for each in found.dropouts.items()]
     said += [*others, *optima_remarks(result)]
     said += [*reading_remarks(reading, found.output_units), *residual_remarks(residuals, found.output_units)]
-    said.append(RunMessage.NOISE.said("plain", "residuals", noise=_noise(result, found.fits)))
+    said.append(RunMessage.NOISE.said("residuals", noise=_noise(result, found.fits)))
     for component, model in result.setup.models.items():
         if "run" in model:
             run = run_words(SolverConfiguration(**model["run"]))
-            said.append(
-                SolverMessage.RUN.said(
-                    None, "", (component or model["name"],), model=component or model["name"], run=run
-                )
-            )
+            said.append(SolverMessage.RUN.said("", model=component or model["name"], run=run))
     if result.setup.sensitivity is not None:
-        said.append(SolverMessage.SENSITIVITIES.said(how=sensitivity_words(result.setup.sensitivity)))
+        said.append(SolverMessage.SENSITIVITIES.said("", how=sensitivity_words(result.setup.sensitivity)))
     said += [effort_remark(result), *uncertainty_remarks(checks)]
     return said + ([RunMessage.INTERRUPTED.said()] if checks.interrupted else [])
 

@@ -11,52 +11,47 @@ from rich.prompt import Prompt
 
 from fmuid.errors import InputError
 from fmuid.formatting import two_digits, unit_text
-from fmuid.reports.document import Document, Message, Remark, Section, Table, table_of_rows
+from fmuid.reports.document import Document, Message, Remark, Section, Table, doubt, plain, table_of_rows
 from fmuid.reports.render.console import console, show_remarks, show_section
 from fmuid.reports.topics.study_notes import gap_remark, size_remark, time_remark
 from fmuid.studies import SHOWN_CHANGE, ColumnMatch, Draft, MatchedDataFile, MatchReason, proposal
 
 
-class InitMessage(Message):
+class InitMessage(Message, section="columns"):
     """Notes of `fmuid init` on a data file."""
 
-    UNUSED = ("Columns without role: {columns}.", "neither inputs nor outputs")
-    REFUSED = ("{words}", "the data file cannot be used")
-    NO_INPUT = (
+    UNUSED = plain("Columns without role: {columns}.", "neither inputs nor outputs")
+    REFUSED = doubt("{words}", "the data file cannot be used")
+    NO_INPUT = doubt(
         "{file}: no column for the input {names}.",
         "the simulation needs its values",
         "Add --map {first}=COLUMN, or --map {first}= to keep its start value.",
     )
-    NO_OUTPUT = (
-        "{file}: no column for the output {names}.",
-        "nothing is compared with it",
-        "Add --map {first}=COLUMN.",
+    NO_OUTPUT = doubt(
+        "{file}: no column for the output {names}.", "nothing is compared with it", "Add --map {first}=COLUMN."
     )
-    NO_OUTPUTS = (
+    NO_OUTPUTS = doubt(
         "{file}: the FMU declares no outputs, and no column has a variable's name.",
         "any variable of the FMU can be an output",
         "Add --map VARIABLE=COLUMN.",
     )
-    MISSING = (
-        "{file}: {count} of {rows} samples of {column!r} are missing.",
-        "missing samples are not scored",
-    )
-    HELD = (
+    MISSING = doubt("{file}: {count} of {rows} samples of {column!r} are missing.", "missing samples are not scored")
+    HELD = doubt(
         "{file}: zero-order hold assumed for {names}.",
         "their values stay constant over most sampling intervals",
         'Set interpolation = "linear" for measured inputs.',
     )
-    CONSTANT = (
+    CONSTANT = doubt(
         "{file}: output {column!r} is constant ({value:g}).",
         "a channel without signal",
         "Remove it from the outputs if nothing was measured.",
     )
-    MARKS = (
+    MARKS = doubt(
         "{file}: {count} samples of {column!r} are {value:g}, far from all others.",
         "a logger's mark for missing samples",
         "Leave these cells empty if the samples are missing.",
     )
-    NO_SURVEY = ("Effects of the parameters unknown: {failure}", "the FMU cannot be simulated at its start values")
+    NO_SURVEY = doubt("Effects of the parameters unknown: {failure}", "the FMU cannot be simulated at its start values")
 
 
 REASONS: Mapping[MatchReason, str] = {
@@ -73,7 +68,7 @@ QUESTION = "Correct? Enter: continue; variable=column: change; variable=: no col
 
 def record_section(record: MatchedDataFile) -> Section:
     """Return matched columns and warnings of a data file."""
-    said = [InitMessage.UNUSED.said(columns=", ".join(record.unused))] if record.unused else []
+    said = [InitMessage.UNUSED.said("", columns=", ".join(record.unused))] if record.unused else []
     said += remarks(record)
     title = heading(record, str(record.path))
     return Section("columns", title, table=links_table(record), remarks=tuple(said))
@@ -105,7 +100,7 @@ def remarks(record: MatchedDataFile) -> list[Remark]:
     found, file = list[Remark](), str(record.path)
 
     def say(message: InitMessage, **values: object) -> None:
-        found.append(message.said("doubt", "columns", (file,), file=file, **values))
+        found.append(message.said(file=file, **values))
 
     if record.refusal:
         say(InitMessage.REFUSED, words=record.refusal)
@@ -163,6 +158,6 @@ def draft_document(made: Draft, output: Path) -> Document:
     table = table_of_rows(heads, rows, ("unit", "proposed"))
     section = Section("parameters", "Effect of the parameters (% of the outputs' spread)", table=table if rows else ())
     said = [*map(time_remark, found.doubts), *(size_remark(*each) for each in found.sizes)]
-    said += [InitMessage.NO_SURVEY.said("doubt", failure=found.failure)] if found.failure else []
+    said += [InitMessage.NO_SURVEY.said("", failure=found.failure)] if found.failure else []
     text = f"fmuid identify {output}" if made.runs else "list the parameters to identify under [parameters]."
     return Document("draft", "Written", f"{output}. Next: {text}", "plain", tuple(said), (section,))

@@ -12,7 +12,7 @@ from fmuid.array_types import Floats
 from fmuid.formatting import fit_text, label, listed
 from fmuid.identification import ModelComparison
 from fmuid.reports.chart import LIMITS, Axis, Chart, Data, Layer, intervals, picked, rows_of
-from fmuid.reports.document import Document, Message, Remark, Section, Table, Tone, origin_of, table_of
+from fmuid.reports.document import Document, Message, Remark, Section, Table, Tone, doubt, origin_of, plain, table_of
 from fmuid.runs import ComparedEstimate, ComparisonRun
 
 ALIKE_AIC = 2.0
@@ -24,42 +24,48 @@ ERRORS = "100 % − fit of each result on the common data files. Shorter is bett
 ESTIMATES = "Estimates that several results have, with 95 % intervals. The intervals should overlap."
 
 
-class ComparisonMessage(Message):
+class ComparisonMessage(Message, section="likelihood"):
     """Result that the data prefer."""
 
-    APART = ("{reason}", "likelihoods can be compared on the same data only")
-    ALIKE = (
+    APART = doubt("{reason}", "likelihoods can be compared on the same data only")
+    ALIKE = plain(
         "{names} are equally good (AIC differs by less than {limit:g}).",
         "these data do not distinguish the models",
         "Prefer the simplest model.",
     )
-    BEST = ("{best} is best by AIC, not clearly: {second} is {behind:.3g} higher.", "clear: a difference of 10 or more")
-    CLEARLY_BEST = ("{best} is clearly best by AIC: {second} is {behind:.3g} higher.", "a difference of 10 or more")
-    BY_BIC = ("BIC prefers {best}.", "BIC penalizes parameters more: the larger model gains little")
-    REJECTED = (
+    BEST = plain(
+        "{best} is best by AIC, not clearly: {second} is {behind:.3g} higher.", "clear: a difference of 10 or more"
+    )
+    CLEARLY_BEST = plain(
+        "{best} is clearly best by AIC: {second} is {behind:.3g} higher.", "a difference of 10 or more"
+    )
+    BY_BIC = plain("BIC prefers {best}.", "BIC penalizes parameters more: the larger model gains little")
+    REJECTED = plain(
         "{smaller} is rejected against {larger}: it needs {freed} (p = {chance}).",
         "likelihood-ratio test: the fixed values of the smaller model are wrong",
     )
-    NOT_REJECTED = (
+    NOT_REJECTED = plain(
         "{smaller} is not rejected against {larger}: {freed} not needed (p = {chance}).",
         "likelihood-ratio test: the smaller model is sufficient",
     )
-    COLORED = (
+    COLORED = plain(
         "Residuals are colored: {samples} samples count as {worth:.0f} (log-likelihoods divided by {dependence:.3g}).",
         "uncorrected AIC and BIC would be overconfident",
     )
-    PRIORS = (
+    PRIORS = plain(
         "AIC and BIC of {names} are too high: they use priors.",
         "the likelihood is that of the data alone, lowered by the prior",
         "Compare on a common data file.",
     )
-    NO_FIT = (
-        "Common data: fit undefined for constant outputs.",
-        "all measured outputs are constant",
-        "Compare the RMSE.",
+    NO_FIT = plain(
+        "Common data: fit undefined for constant outputs.", "all measured outputs are constant", "Compare the RMSE."
     )
-    AS_GOOD = ("Common data: {names} equally good (fit {most} for {best}; {others}).", "errors differ by less than 5 %")
-    BEST_FIT = ("Common data: {best} is best (fit {most}; {others}).", "the strongest evidence if the data are typical")
+    AS_GOOD = plain(
+        "Common data: {names} equally good (fit {most} for {best}; {others}).", "errors differ by less than 5 %"
+    )
+    BEST_FIT = plain(
+        "Common data: {best} is best (fit {most}; {others}).", "the strongest evidence if the data are typical"
+    )
 
 
 def comparison_document(found: ComparisonRun) -> Document:
@@ -81,7 +87,7 @@ def comparison_document(found: ComparisonRun) -> Document:
     ordered = rows.sort_values("behind") if "behind" in rows else rows.sort_values("fit", ascending=False)
     alike = float(ordered["behind"].iloc[1]) < ALIKE_AIC if "behind" in rows else rows["fit"].isna().all()
     state = "equally good" if alike else f"best: {ordered['name'].iloc[0]}"
-    said = [ComparisonMessage.APART.said("doubt", "", rows["name"].tolist(), reason=found.apart)] if found.apart else []
+    said = [ComparisonMessage.APART.said("", reason=found.apart)] if found.apart else []
     said += comparison_remarks(found.comparison, fits)
     tone: Tone = "doubt" if alike else "good"
     return Document("comparison", "Comparison", state, tone, tuple(said), tuple(sections), **origin_of(found.origin))
@@ -97,39 +103,39 @@ def _by_likelihood(found: ModelComparison) -> list[Remark]:
     near = [rank.name for rank in rest if rank.behind < ALIKE_AIC]
     if near:
         names = listed([best.name, *near])
-        said = [ComparisonMessage.ALIKE.said("plain", "likelihood", (best.name,), names=names, limit=ALIKE_AIC)]
+        said = [ComparisonMessage.ALIKE.said(names=names, limit=ALIKE_AIC)]
     else:
         second, behind = rest[0].name, rest[0].behind
         how = ComparisonMessage.CLEARLY_BEST if behind >= CLEAR_AIC else ComparisonMessage.BEST
-        said = [how.said("plain", "likelihood", (best.name,), best=best.name, second=second, behind=behind)]
+        said = [how.said(best=best.name, second=second, behind=behind)]
     by_bic = min(found.ranks, key=lambda rank: rank.corrected_bic)
     if by_bic is not best:
-        said.append(ComparisonMessage.BY_BIC.said("plain", "likelihood", best=by_bic.name))
+        said.append(ComparisonMessage.BY_BIC.said(best=by_bic.name))
     for test in found.tests:
         tiny = test.probability < 1e-6
         how = ComparisonMessage.REJECTED if test.probability < 0.01 else ComparisonMessage.NOT_REJECTED
         values = {"smaller": test.smaller, "larger": test.larger, "freed": listed(test.freed)}
         chance = "below 1e-6" if tiny else f"{test.probability:.2g}"
-        said.append(how.said("plain", "likelihood", (test.smaller,), **values, chance=chance))
+        said.append(how.said(**values, chance=chance))
     if found.dependence > 1.25:  # a smaller factor changes no verdict
         worth: dict[str, Any] = {"samples": found.samples, "worth": found.samples / found.dependence}
-        said.append(ComparisonMessage.COLORED.said("plain", "likelihood", **worth, dependence=found.dependence))
+        said.append(ComparisonMessage.COLORED.said(**worth, dependence=found.dependence))
     if found.with_priors:
-        said.append(ComparisonMessage.PRIORS.said("plain", "likelihood", names=listed(found.with_priors)))
+        said.append(ComparisonMessage.PRIORS.said(names=listed(found.with_priors)))
     return said
 
 
 def _by_fit(fits: Mapping[str, float]) -> Remark:
     if not any(map(math.isfinite, fits.values())):
-        return ComparisonMessage.NO_FIT.said("plain", "errors")
+        return ComparisonMessage.NO_FIT.said("errors")
     order = sorted(fits, key=lambda name: -fits[name] if math.isfinite(fits[name]) else math.inf)
     best, rest = order[0], order[1:]
     near = [name for name in rest if 100.0 - fits[name] <= 1.05 * (100.0 - fits[best])]
     others = listed([f"{fit_text(fits[name])} ({name})" for name in rest])
     values = {"best": best, "most": fit_text(fits[best]), "others": others}
     if near:
-        return ComparisonMessage.AS_GOOD.said("plain", "errors", names=listed([best, *near]), **values)
-    return ComparisonMessage.BEST_FIT.said("plain", "errors", **values)
+        return ComparisonMessage.AS_GOOD.said("errors", names=listed([best, *near]), **values)
+    return ComparisonMessage.BEST_FIT.said("errors", **values)
 
 
 def _table(found: ComparisonRun) -> Table:

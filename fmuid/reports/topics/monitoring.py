@@ -13,46 +13,59 @@ from fmuid.data import evenly, extremes
 from fmuid.diagnosis import SOMETHING_ELSE, Alarm, BaselineSource, Onset, OnsetShape, RecordTime, SkippedWindow, Trend
 from fmuid.formatting import label, listed, rounded, unit_text, with_std
 from fmuid.reports.chart import LIMITS, Axis, Chart, ChartGrid, Data, Layer, stacked
-from fmuid.reports.document import CONSOLE, Document, Message, Remark, Section, Tone, origin_of, table_of_rows
+from fmuid.reports.document import (
+    CONSOLE,
+    Document,
+    Message,
+    Remark,
+    Section,
+    Tone,
+    doubt,
+    origin_of,
+    plain,
+    table_of_rows,
+)
 from fmuid.reports.topics.diagnosis_phrases import basis_notes, explanation_words
 from fmuid.reports.topics.preprocessing import preprocessing_sections
 from fmuid.runs import MonitoringRun
 
 
-class MonitoringMessage(Message):
+class MonitoringMessage(Message, section="timeline"):
     """Verdict of a monitoring, alarms and notes."""
 
-    NO_WINDOW = ("No window evaluated.", "the recording is shorter than a window, or samples are missing")
-    UNDECIDED = (
+    NO_WINDOW = plain("No window evaluated.", "the recording is shorter than a window, or samples are missing")
+    UNDECIDED = plain(
         "UNDECIDED: no window determines {names}.",
         "fault sizes with unknown σ in every window",
         "Use longer windows or another excitation.",
     )
-    NO_ALARM = (
+    NO_ALARM = plain(
         "NO ALARM in {windows} windows at {level:g} % false-alarm rate {per}.",
         "smaller faults remain possible: see [monitoring](monitoring.md)",
     )
-    ALARM = (
+    ALARM = plain(
         "ALARM {cause}{onset}, raised at {time:.6g} s{record}.",
         "cause, onset with its 95 % interval, and end of the first window with a change",
     )
-    UNEXPLAINED = (
+    UNEXPLAINED = plain(
         "ALARM unexplained change, raised at {time:.6g} s of {record}.",
         "the residual exceeds the noise and no cause explains it: a fault without a model",
         "Add a fault model, or check sensors and inputs.",
     )
-    SIZE_AT_ALARM = ("Size at the alarm: {sizes}.", "estimate of the window that raised the alarm, alone")
-    SIZE_NOW = ("Current size: {sizes}.", "estimate of all data since the onset")
-    RATE = ("{column} changes by {rate}.", "trend since the onset")
-    LIMIT_REACHED = ("{column} has reached its limit {limit}.", "limit: `monitoring.size_limits`")
-    LIMIT_SAFE = ("{column} stays below its limit {limit}.", "the trend does not lead to the limit")
-    LIMIT_AHEAD = ("{column} reaches its limit {limit} in {when} (95 %: {early} to {late}).", "if the trend continues")
-    LIMIT_OPEN = (
+    SIZE_AT_ALARM = plain("Size at the alarm: {sizes}.", "estimate of the window that raised the alarm, alone")
+    SIZE_NOW = plain("Current size: {sizes}.", "estimate of all data since the onset")
+    RATE = plain("{column} changes by {rate}.", "trend since the onset")
+    LIMIT_REACHED = plain("{column} has reached its limit {limit}.", "limit: `monitoring.size_limits`")
+    LIMIT_SAFE = plain("{column} stays below its limit {limit}.", "the trend does not lead to the limit")
+    LIMIT_AHEAD = plain(
+        "{column} reaches its limit {limit} in {when} (95 %: {early} to {late}).", "if the trend continues"
+    )
+    LIMIT_OPEN = plain(
         "{column} does not reach its limit {limit} at this rate (95 %: {early} to {late}).",
         "a faster trend remains possible",
     )
-    SKIPPED = ("{source}: windows from {times} skipped.", "missing samples: an output has none in these windows")
-    WHITE_NOISE = (
+    SKIPPED = doubt("{source}: windows from {times} skipped.", "missing samples: an output has none in these windows")
+    WHITE_NOISE = doubt(
         "White noise assumed: the baseline is a result alone.",
         "colored noise raises more false alarms than stated",
         "List healthy data in `diagnosis.healthy_data`.",
@@ -63,16 +76,16 @@ def monitoring_remarks(found: MonitoringRun) -> list[Remark]:
     """Return the verdict, with sizes and trend of the first alarm."""
     table, rule, alarms = found.table, found.rule, found.alarms
     if table.empty:
-        return [MonitoringMessage.NO_WINDOW.said("plain", "timeline")]
+        return [MonitoringMessage.NO_WINDOW.said()]
     if alarms:
         said = alarm_remarks(alarms[0], found.units)
         sizes = size_at_alarm(alarms[0], found)
-        return [*said[:1], *([MonitoringMessage.SIZE_AT_ALARM.said(sizes=sizes)] if sizes else []), *said[1:]]
+        return [*said[:1], *([MonitoringMessage.SIZE_AT_ALARM.said("", sizes=sizes)] if sizes else []), *said[1:]]
     if found.undetermined:
-        return [MonitoringMessage.UNDECIDED.said("plain", "timeline", names=listed(found.undetermined))]
+        return [MonitoringMessage.UNDECIDED.said(names=listed(found.undetermined))]
     per = "per recording" if rule.horizon is None else f"per {rule.horizon:g} s"
     given = {"windows": len(table), "level": 100 * rule.level, "per": per}
-    return [MonitoringMessage.NO_ALARM.said("plain", "timeline", (), **given)]
+    return [MonitoringMessage.NO_ALARM.said(**given)]
 
 
 def alarm_sentence(alarm: Alarm, units: Mapping[str, str]) -> str:
@@ -83,15 +96,15 @@ def alarm_sentence(alarm: Alarm, units: Mapping[str, str]) -> str:
 def alarm_remarks(alarm: Alarm, units: Mapping[str, str]) -> list[Remark]:
     """Return cause and onset, size and trend of an alarm."""
     if alarm.fault == SOMETHING_ELSE:
-        return [MonitoringMessage.UNEXPLAINED.said("plain", "timeline", time=alarm.time, record=alarm.record)]
+        return [MonitoringMessage.UNEXPLAINED.said(time=alarm.time, record=alarm.record)]
     onset, record = "", f" of {alarm.record}"
     if alarm.onset is not None:
         onset, likely = onset_words(alarm.onset), alarm.onset.likely
         record = "" if likely.record == alarm.record else record
     given = {"cause": alarm.fault, "onset": onset, "time": alarm.time, "record": record}
-    said = [MonitoringMessage.ALARM.said("plain", "timeline", (), **given)]
+    said = [MonitoringMessage.ALARM.said(**given)]
     if alarm.explanations:
-        said.append(MonitoringMessage.SIZE_NOW.said(sizes=" or ".join(map(explanation_words, alarm.explanations))))
+        said.append(MonitoringMessage.SIZE_NOW.said("", sizes=" or ".join(map(explanation_words, alarm.explanations))))
     return said + ([] if alarm.trend is None else trend_remarks(alarm.trend, units.get(alarm.trend.column, "")))
 
 
@@ -127,7 +140,7 @@ def trend_remarks(trend: Trend, unit: str) -> list[Remark]:
     column, said = trend.column, []
     if trend.grows:
         rate = f"{with_std(trend.rate, trend.rate_std)} {unit}/s".replace(" /s", " 1/s")
-        said.append(MonitoringMessage.RATE.said("plain", "", (column,), column=column, rate=rate))
+        said.append(MonitoringMessage.RATE.said("", column=column, rate=rate))
     if math.isnan(trend.limit):
         return said
     likely, early, late = trend.reached
@@ -139,7 +152,7 @@ def trend_remarks(trend: Trend, unit: str) -> list[Remark]:
         how = MonitoringMessage.LIMIT_OPEN if math.isinf(likely) else MonitoringMessage.LIMIT_AHEAD
     given = {"column": column, "limit": f"{trend.limit:g} {unit}".strip(), "when": f"{likely:.3g} s"}
     given |= {"early": f"{early:.3g} s", "late": "never" if math.isinf(late) else f"{late:.3g} s"}
-    return [*said, how.said("plain", "", (column,), **given)]
+    return [*said, how.said("", **given)]
 
 
 def alarm_words(alarm: Alarm) -> tuple[str, str]:
@@ -156,7 +169,7 @@ def gap_remarks(gaps: Sequence[SkippedWindow]) -> list[Remark]:
     for source in dict.fromkeys(gap.source for gap in gaps):
         times = [f"{gap.time:.9g} s" for gap in gaps if gap.source == source]
         shown = listed(times if len(times) <= 5 else [*times[:5], f"{len(times) - 5} more"])
-        said.append(MonitoringMessage.SKIPPED.said("doubt", "", (source,), source=source, times=shown))
+        said.append(MonitoringMessage.SKIPPED.said("", source=source, times=shown))
     return said
 
 
@@ -170,7 +183,7 @@ TIMELINE = (
 def monitoring_document(found: MonitoringRun) -> Document:
     """Return the document of a monitoring."""
     said = [*monitoring_remarks(found), *basis_notes(found.basis), *gap_remarks(found.gaps)]
-    said += [MonitoringMessage.WHITE_NOISE.said("doubt")] if found.basis is BaselineSource.RESULT else []
+    said += [MonitoringMessage.WHITE_NOISE.said("")] if found.basis is BaselineSource.RESULT else []
     sections = [_alarms_section(found)] if found.alarms else []
     if len(found.table):
         sections.append(_windows_section(found))

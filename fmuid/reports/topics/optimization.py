@@ -13,7 +13,7 @@ from fmuid.estimation import Result
 from fmuid.formatting import has_unit, label
 from fmuid.identification import EQUAL_COST
 from fmuid.reports.chart import LIMITS, Axis, Chart, Color, Data, Layer, Units, named, picked
-from fmuid.reports.document import DETAIL, Message, Remark, Section, table_of
+from fmuid.reports.document import DETAIL, Message, Remark, Section, doubt, plain, table_of
 
 WIDE_RANGE = 5.0
 """Variances and costs are drawn logarithmically where they range over this ratio."""
@@ -31,16 +31,15 @@ OPTIMA = (
 )
 
 
-class OptimaMessage(Message):
+class OptimaMessage(Message, section="optima"):
     """Optima of a global search."""
 
-    SECOND = (
+    SECOND = doubt(
         "Second optimum fits equally well: {values} (cost + {excess}).",
         "the data do not distinguish them",
         "Narrow the bounds or add a prior.",
-        "doubt",
     )
-    FOUND = (
+    FOUND = plain(
         "{count} from {searches}; best one found {hits} ×.",
         "how many local optimizations ended at each is in the report",
     )
@@ -53,12 +52,12 @@ def optima_remarks(result: Result) -> list[Remark]:
         return []
     searches = sum(optimum.hits for optimum in shown)
     count, of = _count(len(shown), "optimum", "optima"), _count(searches, "starting point", "starting points")
-    said = [OptimaMessage.FOUND.said(None, "optima", count=count, searches=of, hits=shown[0].hits)]
+    said = [OptimaMessage.FOUND.said(count=count, searches=of, hits=shown[0].hits)]
     for other in shown[1:]:
         if (excess := other.criterion - shown[0].criterion) < EQUAL_COST:
             pairs = zip(result.names, other.theta.tolist(), strict=True)
             values = ", ".join(f"{name} = {value:.5g}" for name, value in pairs)
-            said.append(OptimaMessage.SECOND.said(None, "optima", values=values, excess=f"{excess:.2g}"))
+            said.append(OptimaMessage.SECOND.said(values=values, excess=f"{excess:.2g}"))
     return said
 
 

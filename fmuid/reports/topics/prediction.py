@@ -3,13 +3,24 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
 from fmuid.formatting import fit_text, listed, two_digits, unit_text, with_std, with_unit
 from fmuid.identification import OutputScore, Prediction, ResidualAnalysis
-from fmuid.reports.document import Document, Message, Remark, Section, Table, Tone, origin_of, table_of_rows
+from fmuid.reports.document import (
+    Document,
+    Message,
+    Remark,
+    Section,
+    Table,
+    Tone,
+    doubt,
+    origin_of,
+    plain,
+    table_of_rows,
+)
 from fmuid.reports.topics.fit import CONSTANT, Band, fit_sections
 from fmuid.reports.topics.residual_analysis import residual_remarks, residual_section
 from fmuid.reports.topics.study_notes import source_remark
@@ -23,37 +34,37 @@ CAPTION = (
 )
 
 
-class PredictionMessage(Message):
+class PredictionMessage(Message, section="prediction"):
     """Quality of predictions."""
 
-    SEEN = (
+    SEEN = doubt(
         "The result was estimated from {names}; this is no validation.",
         "the fit to estimation data says nothing about other data",
         "Predict data that the result was not estimated from.",
     )
-    OPEN = (
+    OPEN = plain(
         "{record}: {output} predicted ({size}); its expected RMSE is unknown.",
         "the result was not estimated from such an output",
     )
-    AS_EXPECTED = (
+    AS_EXPECTED = plain(
         "{record}: {output} predicted as expected ({size}).",
         "noise and uncertainty of the parameters explain the residual",
     )
-    WORSE = (
+    WORSE = doubt(
         "{record}: {output} predicted {times} × worse than expected ({size}).",
         "the RMSE is more than 1.25 × its expected value: model error, or the machine has changed",
         "Compare the residual with the inputs, or estimate with both data files.",
     )
-    COVERAGE = (
+    COVERAGE = plain(
         "{record}: {inside} of {samples} samples of {output} are in the {level} band.",
         "close to the level of the band if the model holds for these data",
     )
-    UNDETERMINED = ("{names} not identifiable: the band contains noise only.", "the band is too narrow")
-    REFITTED = ("{record}: estimated again: {values}.", "parameters of `--refit`, estimated from these data")
-    REFIT_ENDED = ("Not converged: {names} on {record} ({end}).", "the optimization of `--refit` did not converge")
-    FOLDS_OPEN = ("Cross-validation: expected RMSE unknown.", "the output has no noise level in the result")
-    FOLDS = ("Cross-validation: experiments predicted as expected ({times} ×).", "largest RMSE over expected RMSE")
-    FOLDS_WORSE = (
+    UNDETERMINED = plain("{names} not identifiable: the band contains noise only.", "the band is too narrow")
+    REFITTED = plain("{record}: estimated again: {values}.", "parameters of `--refit`, estimated from these data")
+    REFIT_ENDED = doubt("Not converged: {names} on {record} ({end}).", "the optimization of `--refit` did not converge")
+    FOLDS_OPEN = plain("Cross-validation: expected RMSE unknown.", "the output has no noise level in the result")
+    FOLDS = plain("Cross-validation: experiments predicted as expected ({times} ×).", "largest RMSE over expected RMSE")
+    FOLDS_WORSE = plain(
         "Cross-validation: experiments predicted up to {times} × worse than expected.",
         "estimates from the other experiments do not hold for all of them",
         "Check the model and the operating points of the experiments.",
@@ -69,7 +80,7 @@ def prediction_document(found: PredictionRun) -> Document:
     state = "no validation" if seen else "predicted" if not ratios else "as expected" if good else "worse than expected"
     tone: Tone = "good" if good and not seen else "bad"
     said = list(map(source_remark, found.notes))
-    said += [PredictionMessage.SEEN.said("doubt", names=listed(found.seen))] if seen else []
+    said += [PredictionMessage.SEEN.said("", names=listed(found.seen))] if seen else []
     said += [each for prediction in predictions for each in prediction_remarks(prediction)]
     said += [fold_remark(predictions)] if found.folds else []
     series = tuple(one for each in predictions for one in each.residuals.series)
@@ -97,48 +108,46 @@ def prediction_remarks(found: Prediction) -> list[Remark]:
     """Return the remarks on a prediction, its errors first."""
     record = found.fit.experiment
 
-    def said(message: PredictionMessage, tone: Tone = "plain", **values: object) -> Remark:
-        return message.said(tone, "prediction", (record,), record=record, **values)
-
-    remarks = [each for score in found.scores for each in _score_remarks(found, score, said)]
+    remarks = [each for score in found.scores for each in _score_remarks(found, score)]
     if found.undetermined:
-        remarks.append(said(PredictionMessage.UNDETERMINED, names=listed(found.undetermined)))
+        remarks.append(PredictionMessage.UNDETERMINED.said(names=listed(found.undetermined)))
     if (again := found.estimated) is not None:
         triples = zip(again.names, again.values.tolist(), again.std.tolist(), strict=True)
         values = ", ".join(f"{name} = {with_std(value, std)}" for name, value, std in triples)
-        remarks.append(said(PredictionMessage.REFITTED, values=values))
+        remarks.append(PredictionMessage.REFITTED.said(record=record, values=values))
         if not again.converged:
-            end = {"names": listed(again.names), "end": again.outcome.value.replace("_", " ")}
-            remarks.append(said(PredictionMessage.REFIT_ENDED, "doubt", **end))
+            end = again.outcome.value.replace("_", " ")
+            remarks.append(PredictionMessage.REFIT_ENDED.said(record=record, names=listed(again.names), end=end))
     units = dict(zip(found.fit.outputs, found.fit.units, strict=True))
     return [*remarks, *residual_remarks(found.residuals, units)]
 
 
-def _score_remarks(found: Prediction, score: OutputScore, said: Callable[..., Remark]) -> Iterator[Remark]:
+def _score_remarks(found: Prediction, score: OutputScore) -> Iterator[Remark]:
     """Yield the size of a residual, and the samples in the band."""
     fit = f"fit {fit_text(score.fit)}, " if math.isfinite(score.fit) else ""
     constant = "" if fit else f"; {CONSTANT}"
     size = f"{fit}RMSE {with_unit(score.rmse, score.unit)}{constant}"
+    given = {"record": found.fit.experiment, "output": score.output}
     if math.isnan(score.expected):
-        yield said(PredictionMessage.OPEN, output=score.output, size=size)
+        yield PredictionMessage.OPEN.said(**given, size=size)
         return
     if score.ratio <= MAX_RATIO:
-        yield said(PredictionMessage.AS_EXPECTED, output=score.output, size=size)
+        yield PredictionMessage.AS_EXPECTED.said(**given, size=size)
     else:
         size += f", expected {with_unit(score.expected, score.unit)}"
-        yield said(PredictionMessage.WORSE, "doubt", output=score.output, size=size, times=two_digits(score.ratio))
+        yield PredictionMessage.WORSE.said(**given, size=size, times=two_digits(score.ratio))
     inside, level = f"{100 * score.inside:.3g} %", f"{100 * found.level:.4g} %"
-    yield said(PredictionMessage.COVERAGE, output=score.output, inside=inside, samples=score.samples, level=level)
+    yield PredictionMessage.COVERAGE.said(**given, inside=inside, samples=score.samples, level=level)
 
 
 def fold_remark(predictions: Sequence[Prediction]) -> Remark:
     """Return the verdict of a cross-validation."""
     ratios = [score.ratio for found in predictions for score in found.scores if not math.isnan(score.ratio)]
     if not ratios:
-        return PredictionMessage.FOLDS_OPEN.said("plain", "prediction")
+        return PredictionMessage.FOLDS_OPEN.said()
     worst = max(ratios)
     how = PredictionMessage.FOLDS if worst <= MAX_RATIO else PredictionMessage.FOLDS_WORSE
-    return how.said("plain", "prediction", times=two_digits(worst))
+    return how.said(times=two_digits(worst))
 
 
 def _scores(predictions: Sequence[Prediction]) -> Table:

@@ -19,83 +19,65 @@ from fmuid.identification import (
     parameters_with_prior_and_data,
 )
 from fmuid.reports.chart import DENSITY, LIMITS, Axis, Chart, Color, Layer, Units, named, normal
-from fmuid.reports.document import DETAIL, Message, Remark, Section, Table, table_of
+from fmuid.reports.document import DETAIL, Message, Remark, Section, Table, doubt, plain, table_of
 from fmuid.reports.topics.termination import ENDS
 
 
-class PriorMessage(Message):
+class PriorMessage(Message, section="belief"):
     """Prior, data and known noise."""
 
-    AGREE = ("Prior and data agree (p = {probability}).", "χ² test: both may come from the same parameters")
-    CONFLICT = (
+    AGREE = plain("Prior and data agree (p = {probability}).", "χ² test: both may come from the same parameters")
+    CONFLICT = doubt(
         "Prior and data conflict (p = {probability}).",
         "the estimate is a compromise of two that exclude each other",
         "Check the prior, the model and the machine.",
-        "doubt",
     )
-    CONFLICT_MOST = (
+    CONFLICT_MOST = doubt(
         "Prior and data conflict (p = {probability}); largest for {name} ({pull} σ).",
         "the estimate is a compromise of two that exclude each other",
         "Check the prior of {name}, the model and the machine.",
-        "doubt",
     )
-    DOMINATES = (
-        "Prior dominates {name}; data alone give {alone}.",
-        "the data add next to nothing",
-        "",
-        "doubt",
+    DOMINATES = doubt("Prior dominates {name}; data alone give {alone}.", "the data add next to nothing")
+    OTHER_DOMINATES = doubt(
+        "Prior of {prior} dominates {name}; data alone give {alone}.", "the data add next to nothing"
     )
-    OTHER_DOMINATES = (
-        "Prior of {prior} dominates {name}; data alone give {alone}.",
-        "the data add next to nothing",
-        "",
-        "doubt",
+    MOVED = plain(
+        "Prior of {prior} moved {name} from {alone} to {value} ({moved} σ).", "the prior counts as much as the data"
     )
-    MOVED = (
-        "Prior of {prior} moved {name} from {alone} to {value} ({moved} σ).",
-        "the prior counts as much as the data",
-    )
-    NONLINEAR = (
+    NONLINEAR = doubt(
         "Linear combination of prior and data gives {name} = {value}, {distance} σ off.",
         "the model is not linear between prior and data; σ is approximate",
         'Set `[uncertainty]` profile_likelihood = ["{name}"], or a posterior.',
-        "doubt",
     )
-    LARGER = (
+    LARGER = doubt(
         "Residual of {output} exceeds its noise level: {estimated} against {known} (p = {probability}).",
         "the stated noise does not explain it; σ follows the stated level",
         "Check the model, the prior and the machine.",
-        "doubt",
     )
-    SMALLER = (
+    SMALLER = doubt(
         "Residual of {output} is below its noise level: {estimated} against {known}.",
         "σ follows the stated level and is too large",
         "State the right noise level: σ is {factor} × too large.",
-        "doubt",
     )
-    AS_KNOWN = (
+    AS_KNOWN = plain(
         "Residual of {outputs} matches its noise level (variance × {ratios}, p = {probability}).",
         "χ² test of the residual variance",
     )
-    ALONE_BOUND = (
+    ALONE_BOUND = plain(
         "Optimum of the data alone is extrapolated: {names} would reach a bound.",
         'the column "data alone" is a linear approximation',
     )
-    ALONE_OPEN = (
+    ALONE_OPEN = plain(
         "Optimum of the data alone is extrapolated: {names} not identifiable.",
         'the column "data alone" is a linear approximation',
     )
-    ALONE_ENDED = (
-        "Optimum of the data alone is extrapolated: {end}.",
-        'the column "data alone" is a linear approximation',
+    ALONE_ENDED = plain(
+        "Optimum of the data alone is extrapolated: {end}.", 'the column "data alone" is a linear approximation'
     )
-    ALONE_ROBUST = (
+    ALONE_ROBUST = plain(
         "Optimum of the data alone is extrapolated because of the robust loss.",
         'the column "data alone" is a linear approximation',
     )
-
-
-_PLACE: tuple[None, str] = None, "belief"
 
 
 def reading_remarks(reading: PriorDataComparison, units: Units | None = None) -> list[Remark]:
@@ -110,11 +92,11 @@ def reading_remarks(reading: PriorDataComparison, units: Units | None = None) ->
 def _agreement(reading: PriorDataComparison, agreement: PriorDataTest) -> Remark:
     probability = f"{agreement.probability:.2g}"
     if agreement.holds:
-        return PriorMessage.AGREE.said(*_PLACE, probability=probability)
+        return PriorMessage.AGREE.said(probability=probability)
     sizes = np.abs(np.nan_to_num(reading.conflict))
     i = int(np.argmax(sizes))
     message = PriorMessage.CONFLICT_MOST if sizes[i] else PriorMessage.CONFLICT
-    return message.said(*_PLACE, probability=probability, name=reading.names[i], pull=f"{sizes[i]:.2g}")
+    return message.said(probability=probability, name=reading.names[i], pull=f"{sizes[i]:.2g}")
 
 
 def _influence(reading: PriorDataComparison, found: PriorInfluence) -> Remark:
@@ -123,17 +105,17 @@ def _influence(reading: PriorDataComparison, found: PriorInfluence) -> Remark:
     alone = _shown(float(reading.data[i]), std)
     if found.rests:
         message = PriorMessage.DOMINATES if found.prior == found.name else PriorMessage.OTHER_DOMINATES
-        return message.said(*_PLACE, (found.name,), name=found.name, prior=found.prior, alone=f"{alone} ± {std:.2g}")
+        return message.said(name=found.name, prior=found.prior, alone=f"{alone} ± {std:.2g}")
     value, moved = _shown(float(reading.combined[i]), std), f"{abs(reading.moved[i]):.2g}"
     values = {"name": found.name, "prior": found.prior, "alone": alone, "value": value, "moved": moved}
-    return PriorMessage.MOVED.said(*_PLACE, **values)
+    return PriorMessage.MOVED.said(**values)
 
 
 def _bent(reading: PriorDataComparison) -> Remark:
     i = reading.names.index(reading.bent)
     value = _shown(float(reading.weighted_mean[i]), float(reading.combined_std[i]))
     distance = f"{abs(reading.nonlinearity[i]):.2g}"
-    return PriorMessage.NONLINEAR.said(*_PLACE, name=reading.bent, value=value, distance=distance)
+    return PriorMessage.NONLINEAR.said(name=reading.bent, value=value, distance=distance)
 
 
 def _variances(reading: PriorDataComparison, units: Units) -> list[Remark]:
@@ -143,27 +125,27 @@ def _variances(reading: PriorDataComparison, units: Units) -> list[Remark]:
         values = {key: with_unit(math.sqrt(getattr(test, key)), unit) for key in ("estimated", "known")}
         values |= {"output": test.output, "probability": f"{test.probability:.2g}"}
         if test.deviation is Deviation.LARGER:
-            said.append(PriorMessage.LARGER.said(*_PLACE, **values))
+            said.append(PriorMessage.LARGER.said(**values))
         elif test.deviation is Deviation.SMALLER:
             values["factor"] = two_digits(1.0 / math.sqrt(test.ratio))
-            said.append(PriorMessage.SMALLER.said(*_PLACE, **values))
+            said.append(PriorMessage.SMALLER.said(**values))
     if outputs and not said:
         ratios, names = listed([f"{test.ratio:.3g}" for test in outputs]), listed([test.output for test in outputs])
         probability = f"{reading.variances[-1].probability:.2g}"
-        said.append(PriorMessage.AS_KNOWN.said(*_PLACE, outputs=names, ratios=ratios, probability=probability))
+        said.append(PriorMessage.AS_KNOWN.said(outputs=names, ratios=ratios, probability=probability))
     return said
 
 
 def obstacle_remark(obstacle: ExtrapolationReason) -> Remark:
     """Return why the optimum of the data alone is extrapolated."""
     if obstacle.at_bounds:
-        return PriorMessage.ALONE_BOUND.said(*_PLACE, names=listed(obstacle.at_bounds))
+        return PriorMessage.ALONE_BOUND.said(names=listed(obstacle.at_bounds))
     if obstacle.undetermined:
         names = dict.fromkeys(name for each in obstacle.undetermined for name in each.names)
-        return PriorMessage.ALONE_OPEN.said(*_PLACE, names=listed(list(names)))
+        return PriorMessage.ALONE_OPEN.said(names=listed(list(names)))
     if obstacle.outcome is not None:
-        return PriorMessage.ALONE_ENDED.said(*_PLACE, end=ENDS[obstacle.outcome])
-    return PriorMessage.ALONE_ROBUST.said(*_PLACE)
+        return PriorMessage.ALONE_ENDED.said(end=ENDS[obstacle.outcome])
+    return PriorMessage.ALONE_ROBUST.said()
 
 
 def _shown(value: float, std: float) -> str:

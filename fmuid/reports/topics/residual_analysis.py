@@ -20,103 +20,91 @@ from fmuid.identification import (
     ResidualSeries,
 )
 from fmuid.reports.chart import DENSITY, LIMITS, Axis, Chart, Color, Dash, Data, Layer, normal
-from fmuid.reports.document import Message, Remark, Section
+from fmuid.reports.document import Message, Remark, Section, doubt, plain
 from fmuid.reports.topics.fit import worst
 from fmuid.simulation import OutputFit
 
 
-class ResidualMessage(Message):
+class ResidualMessage(Message, section="residuals"):
     """Tests of the residuals, measured − simulated."""
 
-    WHITE = (
+    WHITE = plain(
         "{residuals} white and not correlated with the inputs.",
         "nothing found; parameters can absorb model errors, and weak low-frequency noise hides",
         "Test on new data: `fmuid predict`.",
     )
-    WHITE_NO_INPUT = (
+    WHITE_NO_INPUT = plain(
         "{residuals} white.",
         "nothing found, and no input to compare with; parameters can absorb model errors",
         "Test on new data: `fmuid predict`.",
     )
-    TESTS = (
-        "Tests: {tests}; {samples} samples, level {level} %.",
-        "whiteness, mean, correlation with inputs, normality",
+    TESTS = plain(
+        "Tests: {tests}; {samples} samples, level {level} %.", "whiteness, mean, correlation with inputs, normality"
     )
-    STRONGLY_COLORED = (
+    STRONGLY_COLORED = doubt(
         "Residual of {name} is strongly colored (autocorrelation {value} at lag {lag}).",
         "neighboring samples are alike: a model error, or colored noise",
         "Check the model structure and sensor filters.",
-        "doubt",
     )
-    COLORED = (
+    COLORED = doubt(
         "Residual of {name} is colored (autocorrelation {value} at lag {lag}).",
         "neighboring samples are alike; if weak, the intervals allow for it",
         "Check the model structure and sensor filters.",
-        "doubt",
     )
-    WIDENED = (
-        "σ is {factors} wider because of colored noise.",
-        "fewer independent samples than rows; the intervals are right",
+    WIDENED = plain(
+        "σ is {factors} wider because of colored noise.", "fewer independent samples than rows; the intervals are right"
     )
-    WIDENED_UNSURE = (
+    WIDENED_UNSURE = plain(
         "σ is {factors} wider because the noise may be colored.",
         "correlated samples are likely, but chance is not excluded; the intervals allow for it",
     )
-    NOT_WIDENED = (
-        "Colored noise changes σ little.",
-        "it lies at frequencies where the parameters do not act; σ allows for it",
+    NOT_WIDENED = plain(
+        "Colored noise changes σ little.", "it lies at frequencies where the parameters do not act; σ allows for it"
     )
-    CORRELATED = (
+    CORRELATED = doubt(
         "Residual of {name} correlates with {input} ({value} at {lag}, limit ±{band}).",
         "part of the effect of this input is not in the model",
         "Check interpolation, delay and unit of {input}.",
-        "doubt",
     )
-    OFFSET = (
+    OFFSET = doubt(
         "Residual of {name} has an offset of {mean} ({share} × its standard deviation).",
         "an offset of the sensor, or a constant effect that the model omits",
         "Add an offset parameter or `detrend`.",
-        "doubt",
     )
-    OUTLIERS = (
+    OUTLIERS = doubt(
         "Residual of {name} has outliers ({outliers} beyond 4 σ; excess kurtosis {kurtosis}).",
         "heavier tails than normal noise, and more samples far out",
         "Remove them or set a robust `loss`.",
-        "doubt",
     )
-    SHAPE = (
+    SHAPE = doubt(
         "Residual of {name} is not normal (skewness {skewness}, excess kurtosis {kurtosis}).",
         "asymmetric, or with light tails: saturation, for example",
         "Check for saturation and rectified signals.",
-        "doubt",
     )
-    LOW_FREQUENCY = (
+    LOW_FREQUENCY = plain(
         "Residual of {name} contains low-frequency noise ({share} %, {seconds} s); σ includes it.",
         "a drift that averaging does not remove; one white residual in a hundred looks like it",
     )
-    LONG_MEMORY = (
+    LONG_MEMORY = plain(
         "Noise of {name} is slow ({seconds} s) for {record} s of data; σ is uncertain.",
         "its time constant is more than a fifth of the data",
         "Measure longer; or `detrend` if the sensor drifts.",
     )
-    PERIODIC = (
+    PERIODIC = doubt(
         "Residual of {name} repeats every {period} s ({share} % of variance); σ includes it.",
         "a model error that repeats with the excitation; more cycles do not reduce it",
         "Improve the model or vary the excitation.",
-        "doubt",
     )
-    IRREGULAR = (
+    IRREGULAR = plain(
         "{names}: unequal sampling intervals, treated as equal.",
         "whiteness and σ assume equal intervals",
         "Set `resample_interval` if they differ much.",
     )
-    SLIGHT = (
-        "Residual of {name}: significant but small {traits}.",
-        "many samples reveal the smallest defect; harmless",
+    SLIGHT = plain(
+        "Residual of {name}: significant but small {traits}.", "many samples reveal the smallest defect; harmless"
     )
-    UNTESTED = (
-        "Residual of {names} is too short, or rounding only: not tested.",
-        "tests need 20 samples above rounding errors",
+    UNTESTED = plain(
+        "Residual of {names} is too short, or rounding only: not tested.", "tests need 20 samples above rounding errors"
     )
 
 
@@ -171,17 +159,17 @@ def _large(found: ResidualAnalysis, finding: ResidualFinding, units: Mapping[str
     if finding.trait is ResidualDefect.COLORED:
         lag, largest = series.whiteness.strongest
         message = ResidualMessage.STRONGLY_COLORED if abs(largest) >= 0.5 else ResidualMessage.COLORED
-        return message.said(*_PLACE, name=name, value=f"{largest:.2f}", lag=lag)
+        return message.said(name=name, value=f"{largest:.2f}", lag=lag)
     if finding.trait is ResidualDefect.OFFSET:
         mean = f"{series.mean:.3g} {unit_text(units.get(series.output))}".rstrip()
-        return ResidualMessage.OFFSET.said(*_PLACE, name=name, mean=mean, share=f"{abs(series.mean) / series.std:.2g}")
+        return ResidualMessage.OFFSET.said(name=name, mean=mean, share=f"{abs(series.mean) / series.std:.2g}")
     if (one := finding.input) is not None:
         values = {"value": f"{one.correlation:+.2f}", "lag": f"{one.lag:.3g} s", "band": f"{one.band:.2g}"}
-        return ResidualMessage.CORRELATED.said(*_PLACE, name=name, input=one.input, **values)
+        return ResidualMessage.CORRELATED.said(name=name, input=one.input, **values)
     shape = series.normality
     message = ResidualMessage.OUTLIERS if shape.kurtosis > RESIDUAL_SETTINGS.large_kurtosis else ResidualMessage.SHAPE
     values = {"skewness": two_digits(shape.skewness), "kurtosis": two_digits(shape.kurtosis)}
-    return message.said(*_PLACE, name=name, outliers=series.outliers, **values)
+    return message.said(name=name, outliers=series.outliers, **values)
 
 
 def widening_words(found: ResidualAnalysis) -> str:
@@ -199,43 +187,43 @@ def _widening(found: ResidualAnalysis, *, colored: bool) -> list[Remark]:
     factors = widening_words(found)
     if not factors:
         known = any(math.isfinite(factor) for factor in found.widening.values())
-        return [ResidualMessage.NOT_WIDENED.said(*_PLACE)] if colored and known else []
+        return [ResidualMessage.NOT_WIDENED.said()] if colored and known else []
     sure = any(each.trait is ResidualDefect.COLORED for each in found.findings)
-    return [(ResidualMessage.WIDENED if sure else ResidualMessage.WIDENED_UNSURE).said(*_PLACE, factors=factors)]
+    return [(ResidualMessage.WIDENED if sure else ResidualMessage.WIDENED_UNSURE).said(factors=factors)]
 
 
 def _memory(found: ResidualAnalysis) -> list[Remark]:
     """Return unequal sampling, periodic errors, and noise of low frequency."""
     names = [_name(found, output, experiment) for experiment, output in found.off_grid]
-    said = [ResidualMessage.IRREGULAR.said(*_PLACE, names=listed(names))] if names else []
+    said = [ResidualMessage.IRREGULAR.said(names=listed(names))] if names else []
     for returning in found.returning:
         name, share = _name(found, returning.output, returning.experiment), two_digits(100 * returning.share)
-        said.append(ResidualMessage.PERIODIC.said(*_PLACE, name=name, period=f"{returning.period:.3g}", share=share))
+        said.append(ResidualMessage.PERIODIC.said(name=name, period=f"{returning.period:.3g}", share=share))
     for slow in found.slow:
         values = {"share": two_digits(100 * slow.share), "seconds": f"{slow.time_constant:.1g}"}
         name = _name(found, slow.output, *slow.experiments)
-        said.append(ResidualMessage.LOW_FREQUENCY.said(*_PLACE, name=name, **values))
+        said.append(ResidualMessage.LOW_FREQUENCY.said(name=name, **values))
     for long in found.long_memory:
         values = {"seconds": f"{long.time_constant:.1g}", "record": f"{long.record:.3g}"}
         name = _name(found, long.output, *long.experiments)
-        said.append(ResidualMessage.LONG_MEMORY.said(*_PLACE, name=name, **values))
+        said.append(ResidualMessage.LONG_MEMORY.said(name=name, **values))
     return said
 
 
 def _summary(found: ResidualAnalysis, *, quiet: bool) -> list[Remark]:
     idle = [_series_name(found, each) for each in found.series if not each.is_tested]
-    said = [ResidualMessage.UNTESTED.said(*_PLACE, names=listed(idle))] if idle else []
+    said = [ResidualMessage.UNTESTED.said(names=listed(idle))] if idle else []
     tested = [each for each in found.series if each.is_tested]
     if not quiet or not tested:
         return said
     for each in tested:
         if traits := [_slight(one) for one in found.findings if one.series is each]:
-            said.append(ResidualMessage.SLIGHT.said(*_PLACE, name=_series_name(found, each), traits=listed(traits)))
+            said.append(ResidualMessage.SLIGHT.said(name=_series_name(found, each), traits=listed(traits)))
     names = [_series_name(found, each) for each in tested]
     residuals = f"Residual of {names[0]} is" if len(names) == 1 else f"Residuals of {listed(names)} are"
     inputs = any(each.inputs for each in tested)
     message = ResidualMessage.WHITE if inputs else ResidualMessage.WHITE_NO_INPUT
-    return [*said, message.said(*_PLACE, residuals=residuals), _tests(tested)]
+    return [*said, message.said(residuals=residuals), _tests(tested)]
 
 
 def _slight(finding: ResidualFinding) -> str:
@@ -257,14 +245,13 @@ def _tests(series: list[ResidualSeries]) -> Remark:
     lags = _range([each.whiteness.lags for each in series])
     tests = [f"whiteness (Ljung–Box, {lags} lags)", "mean", *crossed, "normality (Jarque–Bera)"]
     samples, level = _range([each.samples for each in series]), f"{100 * RESIDUAL_LEVEL:g}"
-    return ResidualMessage.TESTS.said(*_PLACE, tests=", ".join(tests), samples=samples, level=level)
+    return ResidualMessage.TESTS.said(tests=", ".join(tests), samples=samples, level=level)
 
 
 def _range(numbers: list[int]) -> str:
     return f"{min(numbers)}" if min(numbers) == max(numbers) else f"{min(numbers)} to {max(numbers)}"
 
 
-_PLACE: tuple[None, str] = None, "residuals"
 CAPTION = (
     "Left: the distribution should follow the normal curve. Middle: the autocorrelation should stay in the band; else "
     "the noise is colored or the model has an error. Right: outside the band, the residual correlates with an input."

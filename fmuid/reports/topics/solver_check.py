@@ -21,7 +21,7 @@ from fmuid.estimation import (
 from fmuid.formatting import listed
 from fmuid.models import SolverConfiguration
 from fmuid.reports.chart import LIMITS, Axis, Color, Data, Layer, picked, rows_of
-from fmuid.reports.document import Message, Remark, Section, Tone
+from fmuid.reports.document import Message, Remark, Section, Tone, doubt, plain
 
 # Attributes of <CoSimulation>, <ModelExchange> and <ScheduledExecution> in words (FMI 2.0.4, sections 3.3.1 and 4.3.1;
 # FMI 3.0.2, section 2.4.8). The versions of the standard spell some names differently.
@@ -59,92 +59,77 @@ def capability_words(interface: str, declared: Mapping[str, str]) -> list[str]:
     return list(dict.fromkeys(words))
 
 
-class SolverMessage(Message):
+class SolverMessage(Message, section="accuracy"):
     """Solver error of the estimates, and solver refinement."""
 
-    PASSED = ("Solver error is below {shift} σ.", "a more accurate simulation moves no estimate further")
-    PASSED_OUTPUTS = (
-        "Solver error changes all outputs by {change} σ of the noise.",
-        "no estimate has a σ to compare with",
+    PASSED = plain("Solver error is below {shift} σ.", "a more accurate simulation moves no estimate further")
+    PASSED_OUTPUTS = plain(
+        "Solver error changes all outputs by {change} σ of the noise.", "no estimate has a σ to compare with"
     )
-    CHECKED = ("Solver check: {finer}.", "the more accurate simulation of the check")
-    REFINED = (
+    CHECKED = plain("Solver check: {finer}.", "the more accurate simulation of the check")
+    REFINED = plain(
         "Solver refined to {after} (error was {size} σ).",
         "the solver was too inaccurate; the results are from the new one",
     )
-    REFINED_UNKNOWN = (
-        "Solver refined to {after}: its error may exceed σ.",
-        "not all σ are known; the results are from the new solver",
+    REFINED_UNKNOWN = plain(
+        "Solver refined to {after}: its error may exceed σ.", "not all σ are known; the results are from the new solver"
     )
-    START_FAILED = (
-        "Solver refined to {after}: {before} fails at the initial guess.",
-        "the results are from the new one",
+    START_FAILED = plain(
+        "Solver refined to {after}: {before} fails at the initial guess.", "the results are from the new one"
     )
-    START_DIFFERED = (
+    START_DIFFERED = plain(
         "Solver refined to {after}: {before} is off by {size} % of the signal.",
         "measured at the initial guess; the results are from the new one",
     )
-    REFUSED = (
+    REFUSED = plain(
         "{count} other optima exist only with the inaccurate solver.",
         "they fitted as well, but a more accurate solver moves away from them",
     )
-    SHIFTED = (
-        "Solver error moves {shifts}; σ includes it.",
-        "it is larger than a tenth of σ",
-    )
-    ASKED = (
+    SHIFTED = plain("Solver error moves {shifts}; σ includes it.", "it is larger than a tenth of σ")
+    ASKED = plain(
         "The solver was kept as the study sets it.",
         "the settings exclude a refinement",
         "Leave `interface`, `tolerance` and `solver_check` unset.",
     )
-    FITS_BETTER = (
-        "The solver was kept: a more accurate one fits clearly worse.",
-        "the data may come from this very solver",
+    FITS_BETTER = plain(
+        "The solver was kept: a more accurate one fits clearly worse.", "the data may come from this very solver"
     )
-    NO_SEARCH = (
+    NO_SEARCH = plain(
         "The solver was kept: the fit with a more accurate one did not terminate.",
         "the solver error remains, and σ includes it",
     )
-    FINEST = (
+    FINEST = plain(
         "The solver was kept: no more accurate one exists.",
         "the solver error remains, and σ includes it",
         "Export the FMU for Model Exchange.",
     )
-    UNKNOWN = (
+    UNKNOWN = doubt(
         "Solver error is unknown; it changes all outputs by {change} σ of the noise.",
         "not all parameters have a σ to compare with",
         "First make all parameters identifiable.",
-        "doubt",
     )
-    UNCHECKABLE = (
+    UNCHECKABLE = doubt(
         "Solver error is unknown: no more accurate solver exists.",
         "a Co-Simulation FMU without settings",
         "Export the FMU for Model Exchange.",
-        "doubt",
     )
-    FIXED_STEP = (
+    FIXED_STEP = doubt(
         "Solver error is unknown: the FMU ignores shorter communication steps.",
         "the outputs are identical to the last bit: its internal step is fixed",
         "Export the FMU for Model Exchange.",
-        "doubt",
     )
-    COUPLED = (
+    COUPLED = plain(
         "Solver error is unknown: communication steps of a quarter move {shifts}.",
         "either an error, or a sampled controller that acts more often",
         "Set `discrete_time` to true or false for each component.",
     )
-    FAILED = (
-        "Solver error is unknown: {finer} fails at the estimates.",
-        "the solver check did not finish",
-        "",
-        "doubt",
-    )
-    INTERRUPTED = ("Solver error was not checked: interrupted.", "by Ctrl-C", "", "doubt")
-    RUN = (
+    FAILED = doubt("Solver error is unknown: {finer} fails at the estimates.", "the solver check did not finish")
+    INTERRUPTED = doubt("Solver error was not checked: interrupted.", "by Ctrl-C")
+    RUN = plain(
         "{model}: {run}.",
         "interface and solver; a new process for each simulation serves an FMU whose static variables survive a reset",
     )
-    SENSITIVITIES = ("Jacobian: {how}.", "method of the derivatives")
+    SENSITIVITIES = plain("Jacobian: {how}.", "method of the derivatives")
 
 
 def run_words(run: SolverConfiguration) -> str:
@@ -182,7 +167,6 @@ def sensitivity_words(used: SensitivityMethod) -> str:
 
 LEAST_SHOWN = 0.005
 """Smallest shift that is shown, σ."""
-_PLACE: tuple[None, str] = None, "accuracy"
 
 
 def solver_remarks(names: Sequence[str], found: SolverCheck | None) -> list[Remark]:
@@ -192,7 +176,7 @@ def solver_remarks(names: Sequence[str], found: SolverCheck | None) -> list[Rema
     finer = runs_words(found.finer)
     said = list(map(_refinement, found.switches))
     if found.refused:
-        said.append(SolverMessage.REFUSED.said(*_PLACE, count=found.refused, finer=finer))
+        said.append(SolverMessage.REFUSED.said(count=found.refused, finer=finer))
     return [*said, *_outcome(names, found, finer)]
 
 
@@ -200,12 +184,12 @@ def _refinement(switch: RefinementStep) -> Remark:
     values = {"before": runs_words(switch.before), "after": runs_words(switch.after), "size": f"{switch.size:.2g}"}
     match switch.cause:
         case SwitchCause.START_FAILED:
-            return SolverMessage.START_FAILED.said(*_PLACE, **values)
+            return SolverMessage.START_FAILED.said(**values)
         case SwitchCause.START_DIFFERED:
             values["size"] = f"{100 * switch.size:.2g}"
-            return SolverMessage.START_DIFFERED.said(*_PLACE, **values)
+            return SolverMessage.START_DIFFERED.said(**values)
     known = switch.size > SHIFT_LIMIT
-    return (SolverMessage.REFINED if known else SolverMessage.REFINED_UNKNOWN).said(*_PLACE, **values)
+    return (SolverMessage.REFINED if known else SolverMessage.REFINED_UNKNOWN).said(**values)
 
 
 def _outcome(names: Sequence[str], found: SolverCheck, finer: str) -> list[Remark]:
@@ -218,17 +202,17 @@ def _outcome(names: Sequence[str], found: SolverCheck, finer: str) -> list[Remar
             known = not math.isnan(found.largest)
             shift = f"{max(found.largest, LEAST_SHOWN):.1g}" if known else ""
             message = SolverMessage.PASSED if known else SolverMessage.PASSED_OUTPUTS
-            return [message.said(*_PLACE, shift=shift, **values), SolverMessage.CHECKED.said(*_PLACE, **values)]
+            return [message.said(shift=shift, **values), SolverMessage.CHECKED.said(**values)]
         case AccuracyOutcome.SHIFTED:
             tone: Tone = "doubt" if found.doubtful else "plain"
-            said = [SolverMessage.SHIFTED.said(tone, "accuracy", shifts=shifts, **values)]
-            return said + ([SolverMessage[found.kept.name].said(tone, "accuracy")] if found.kept else [])
+            said = [SolverMessage.SHIFTED.said(None, tone, shifts=shifts, **values)]
+            return said + ([SolverMessage[found.kept.name].said(None, tone)] if found.kept else [])
         case AccuracyOutcome.COUPLED:
-            return [SolverMessage.COUPLED.said(*_PLACE, shifts=shifts, **values)]
+            return [SolverMessage.COUPLED.said(shifts=shifts, **values)]
         case AccuracyOutcome.UNCHECKABLE if finer:
-            return [SolverMessage.FIXED_STEP.said(*_PLACE)]
+            return [SolverMessage.FIXED_STEP.said()]
         case outcome:
-            return [SolverMessage[outcome.name].said(*_PLACE, **values)]
+            return [SolverMessage[outcome.name].said(**values)]
 
 
 def _shifts(names: Sequence[str], found: SolverCheck) -> str:

@@ -6,7 +6,7 @@ from collections.abc import Iterable, Sequence
 
 from fmuid.formatting import listed, two_digits
 from fmuid.identification import TimeScaleMismatch, TimeScaleWarning
-from fmuid.reports.document import Message, Remark
+from fmuid.reports.document import Message, Remark, doubt
 from fmuid.simulation import Simulator
 from fmuid.studies import SourceIssue, SourceWarning, Study
 
@@ -17,54 +17,46 @@ MOST_GAPS = 3
 class StudyMessage(Message):
     """Notes on a study, its data files and earlier results."""
 
-    GAP = (
+    GAP = doubt(
         "{data}: rows missing after {times} s; inputs are interpolated.",
         "the logger left out samples; the inputs meanwhile are unknown",
         "Cut the data there if the inputs changed.",
-        "doubt",
     )
-    TOO_LONG = (
+    TOO_LONG = doubt(
         "{data}: time unit looks wrong ({duration} s long, model settles in {constant} s).",
         "probably milliseconds taken for seconds, or a wrong model",
         'Set `time_unit`, for example "ms".',
-        "doubt",
     )
-    TOO_SHORT = (
+    TOO_SHORT = doubt(
         "{data}: time unit looks wrong ({duration} s long, model needs {constant} s).",
         "probably seconds taken for milliseconds, or a wrong model",
         'Set `time_unit`, for example "s".',
-        "doubt",
     )
-    SIZE = (
+    SIZE = doubt(
         "{data}: simulated {column} varies {ratio} times as much as measured.",
         "by `fmuid init`: a wrong unit, or start values of another machine",
         'Set the units of {column} and of the inputs, for example U = "mV".',
-        "doubt",
     )
-    NO_DATA = ("{data}: no column for {inputs}; start value used.", "an input without data stays constant", "", "doubt")
-    NOT_SUCCEEDED = (
+    NO_DATA = doubt("{data}: no column for {inputs}; start value used.", "an input without data stays constant")
+    NOT_SUCCEEDED = doubt(
         "{path}: this earlier result did not succeed ({outcome}).",
         "a prior or a value comes from it",
         "Identify it again.",
-        "doubt",
     )
-    DOUBTFUL = (
+    DOUBTFUL = doubt(
         "{path}: the verdict of this earlier result is DOUBTFUL ({reasons}).",
         "a prior or a value comes from it",
         "Check it before you use it.",
-        "doubt",
     )
-    NO_MODEL = (
+    NO_MODEL = doubt(
         "{path}: this earlier result names no model.",
         "of an older version: the parameters may mean something else",
         "Identify it again.",
-        "doubt",
     )
-    OTHER_BUILD = (
+    OTHER_BUILD = doubt(
         "{path}: this earlier result used another build of {model} than {fmu}.",
         "same model, other file",
         "Identify it again if the equations changed.",
-        "doubt",
     )
 
 
@@ -76,7 +68,7 @@ def source_notes(study: Study) -> list[Remark]:
 def input_notes(simulators: Iterable[Simulator]) -> list[Remark]:
     """Return the inputs without data."""
     return [
-        StudyMessage.NO_DATA.said(None, "", (str(each.experiment.source),), data=each.experiment.source, inputs=names)
+        StudyMessage.NO_DATA.said(data=each.experiment.source, inputs=names)
         for each in simulators
         if (names := ", ".join(each.unfed_inputs))
     ]
@@ -87,26 +79,26 @@ def time_notes(study: Study, simulators: Sequence[Simulator]) -> list[Remark]:
     from fmuid.identification import doubt_of_time
 
     starts = [parameter.start for parameter in study.parameters.values()]
-    doubts = (doubt_of_time(each, starts) for each in simulators[:5])  # each costs a simulation
-    return [time_remark(doubt) for doubt in doubts if doubt is not None]
+    found = (doubt_of_time(each, starts) for each in simulators[:5])  # each costs a simulation
+    return [time_remark(each) for each in found if each is not None]
 
 
 def gap_remark(source: str, times: Sequence[float]) -> Remark:
     """Return the gaps of a data file, by the times before, s."""
     some = ", ".join(f"{time:.6g}" for time in times[:MOST_GAPS]) + (", …" if len(times) > MOST_GAPS else "")
-    return StudyMessage.GAP.said(None, "fit", (source,), data=source, times=some)
+    return StudyMessage.GAP.said("fit", data=source, times=some)
 
 
-def time_remark(doubt: TimeScaleWarning) -> Remark:
+def time_remark(found: TimeScaleWarning) -> Remark:
     """Return the reason to check the time unit of a data file."""
-    message = StudyMessage.TOO_LONG if doubt.kind is TimeScaleMismatch.TOO_LONG else StudyMessage.TOO_SHORT
-    values = {"duration": f"{doubt.duration:.3g}", "constant": f"{doubt.time_constant:.2g}"}
-    return message.said(None, "", (doubt.source,), data=doubt.source, **values)
+    message = StudyMessage.TOO_LONG if found.kind is TimeScaleMismatch.TOO_LONG else StudyMessage.TOO_SHORT
+    values = {"duration": f"{found.duration:.3g}", "constant": f"{found.time_constant:.2g}"}
+    return message.said(data=found.source, **values)
 
 
 def size_remark(source: str, column: str, ratio: float) -> Remark:
     """Return the reason to check the units of a column."""
-    return StudyMessage.SIZE.said(None, "", (source,), data=source, column=repr(column), ratio=two_digits(ratio))
+    return StudyMessage.SIZE.said(data=source, column=repr(column), ratio=two_digits(ratio))
 
 
 def source_remark(note: SourceWarning) -> Remark:
@@ -114,12 +106,12 @@ def source_remark(note: SourceWarning) -> Remark:
     path = str(note.path)
     match note.doubt:
         case SourceIssue.DID_NOT_SUCCEED:
-            return StudyMessage.NOT_SUCCEEDED.said(None, "", (path,), path=path, outcome=note.outcome.value)
+            return StudyMessage.NOT_SUCCEEDED.said(path=path, outcome=note.outcome.value)
         case SourceIssue.DOUBTFUL:
             reasons = listed([each.value.replace("_", " ") for each in note.reasons])
-            return StudyMessage.DOUBTFUL.said(None, "", (path,), path=path, reasons=reasons)
+            return StudyMessage.DOUBTFUL.said(path=path, reasons=reasons)
         case SourceIssue.NO_MODEL:
-            return StudyMessage.NO_MODEL.said(None, "", (path,), path=path)
+            return StudyMessage.NO_MODEL.said(path=path)
         case SourceIssue.OTHER_BUILD:
             assert note.fmu is not None
-            return StudyMessage.OTHER_BUILD.said(None, "", (path,), path=path, model=note.fmu.name, fmu=note.fmu.path)
+            return StudyMessage.OTHER_BUILD.said(path=path, model=note.fmu.name, fmu=note.fmu.path)

@@ -15,7 +15,7 @@ from fmuid.estimation import (
 )
 from fmuid.formatting import with_unit
 from fmuid.identification import EQUAL_COST
-from fmuid.reports.document import Message, Remark
+from fmuid.reports.document import Message, Remark, bad, doubt, plain
 from fmuid.reports.shared_phrases import IdentifiabilityMessage, change_remark, direction_remark, prior_remark
 from fmuid.reports.topics.solver_check import solver_remarks
 
@@ -33,124 +33,107 @@ ENDS = {
 """Termination reasons inside other sentences."""
 
 
-class TerminationMessage(Message):
+class TerminationMessage(Message, section="cost"):
     """Why the optimization stopped."""
 
-    CONVERGED = ("Converged after {iterations}.", "a further step would gain less than a thousandth of σ")
-    ACCURACY = (
+    CONVERGED = plain("Converged after {iterations}.", "a further step would gain less than a thousandth of σ")
+    ACCURACY = plain(
         "Converged after {iterations}; solver accuracy limits further digits.",
         "below this the cost is irregular by solver errors; mostly harmless",
         "Reduce `tolerance` or `step_size` for more digits.",
     )
-    UNDETERMINED = (
-        "Not all parameters are identifiable.",
-        "some combination of parameters has no effect on the outputs",
-        "",
-        "bad",
+    UNDETERMINED = bad(
+        "Not all parameters are identifiable.", "some combination of parameters has no effect on the outputs"
     )
-    UNSETTLED = (
+    UNSETTLED = bad(
         "Not converged: noise variances do not settle.",
         "noise variances and parameters keep changing each other",
         "Set `noise.variance`.",
-        "bad",
     )
-    ITERATION_LIMIT = (
+    ITERATION_LIMIT = bad(
         "Not converged: limit of {iterations} reached.",
         "the estimates still change; see their figure in the report",
         "Raise `max_iterations` or improve the initial guess.",
-        "bad",
     )
-    RUNAWAY = (
+    RUNAWAY = bad(
         "Not converged: parameters diverge without improving the fit.",
         "the data do not limit a direction: too many parameters for these data",
         "Add bounds or a prior, improve the initial guess, or measure more.",
-        "bad",
     )
-    STALLED = (
+    STALLED = bad(
         "Not converged: no step reduces the cost.",
         'its slope is noise of events or of a coarse solver; try `interface = "model-exchange"`',
         "Reduce solver `tolerance` or `step_size`, or change the initial guess.",
-        "bad",
     )
-    FAILING = (
+    FAILING = bad(
         "Not converged: simulations fail near these values.",
         "each step that reduces the cost ends in a failed simulation; often a unit is wrong",
         "Add bounds that exclude this region, or change the initial guess.",
-        "bad",
     )
-    INTERRUPTED = ("Interrupted: best values so far.", "by Ctrl-C or the scheduler", "Continue with `--resume`.", "bad")
-    INTERRUPTED_SEARCH = (
+    INTERRUPTED = bad("Interrupted: best values so far.", "by Ctrl-C or the scheduler", "Continue with `--resume`.")
+    INTERRUPTED_SEARCH = bad(
         "Interrupted after {fits} of a global search: best values so far.",
         "by Ctrl-C or the scheduler",
         "Continue with `--resume`.",
-        "bad",
     )
-    AT_BOUND = (
+    AT_BOUND = doubt(
         "{name} is at its {end} bound {value}.",
         "the data would move it further; its interval is one-sided",
         "Widen the bound or check the model.",
-        "doubt",
     )
-    EFFORT = (
+    EFFORT = plain(
         "{iterations}, {simulations} simulations, {seconds} s; cost {cost}{likelihood}.",
         "effort of the identification, and the cost at its end",
     )
-    OBSERVER = (
+    OBSERVER = doubt(
         "Observer with a memory of {memory} samples: predictions were fitted, not simulations.",
         "asked for by `estimation.observer_memory`; measurement noise biases the estimates",
         "Repeat with a longer `observer_memory`; estimates that change show a bias.",
-        "doubt",
     )
 
 
-class StartMessage(Message):
+class StartMessage(Message, section="cost"):
     """Starting points and discrete parameters."""
 
-    RESTARTED = (
+    RESTARTED = plain(
         "Initial guess failed; restart {number} of {count} converged.",
         "the other starting points are listed with `--verbose`",
     )
-    MODEL_ERROR = (
+    MODEL_ERROR = doubt(
         "Residual is {ratio} × noise level; all {count} starting points agree.",
         "the model, an input or a disturbance is wrong, not the initial guess",
         "Check the model, input interpolation and units.",
-        "doubt",
     )
-    LARGE_RESIDUAL = (
+    LARGE_RESIDUAL = doubt(
         "Residual is {ratio} × noise level; {count} starting points fit no better.",
         "the fits are bad and end at different values",
         "Check the model and unmeasured disturbances, or improve the initial guess.",
-        "doubt",
     )
-    NONE_CONVERGED = (
+    NONE_CONVERGED = doubt(
         "None of {count} starting points converged.",
         "the best one is shown",
         "Check bounds and model, or improve the initial guess.",
-        "doubt",
     )
-    ATTEMPTS = (
-        "Starting points: {attempts}.",
-        "origin and end of each; a corrected simulation follows the measured outputs",
+    ATTEMPTS = plain(
+        "Starting points: {attempts}.", "origin and end of each; a corrected simulation follows the measured outputs"
     )
-    REPLACED = (
+    REPLACED = plain(
         "{name} has no effect at its initial guess; used {name} = {value} instead.",
         "a dead zone, for example friction below the first motion",
     )
-    SIGN = (
+    SIGN = doubt(
         "{name} changed sign, from {start} to {value}.",
         "an optimization that did not converge crossed zero",
         "Add a bound at zero if the model requires one sign.",
-        "doubt",
     )
-    COMBINATION = ("{values} fits best of {count} combinations.", "listed choices of discrete parameters")
-    NEXT = ("Next best is {values}: −2 ln L is higher by {behind}.", "10 and more is clear")
-    AMBIGUOUS = (
+    COMBINATION = plain("{values} fits best of {count} combinations.", "listed choices of discrete parameters")
+    NEXT = plain("Next best is {values}: −2 ln L is higher by {behind}.", "10 and more is clear")
+    AMBIGUOUS = doubt(
         "{values} fits nearly as well: −2 ln L is higher by only {behind}.",
         "two combinations explain the data alike",
         "Measure more, or with another excitation.",
-        "doubt",
     )
-    NOT_STARTED = (
+    NOT_STARTED = plain(
         "{count} combinations could not be simulated, first {values}.",
         "the simulation fails with these choices at the initial guess",
     )
@@ -162,7 +145,7 @@ def ending_remarks(result: Result) -> list[Remark]:
     values = {"iterations": _count(result.history.iterations, "iteration")}
     if result.outcome is TerminationReason.INTERRUPTED and fits is not None:
         message, values = TerminationMessage.INTERRUPTED_SEARCH, {"fits": _count(fits, "fit")}
-    said = [message.said(None, "cost", **values)]
+    said = [message.said(**values)]
     for each in result.identifiability.non_identifiable:
         said.append(direction_remark(each))
         if len(each.names) > 2 and each.level is not IdentifiabilityLevel.NOT_IN_EFFECT:
@@ -171,20 +154,19 @@ def ending_remarks(result: Result) -> list[Remark]:
         i = result.names.index(bound.name)
         end = "lower" if bound.value == result.estimates.lower[i] else "upper"
         value = with_unit(bound.value, result.estimates.units.get(bound.name))
-        said.append(TerminationMessage.AT_BOUND.said(None, "", result.names, name=bound.name, end=end, value=value))
+        said.append(TerminationMessage.AT_BOUND.said("", name=bound.name, end=end, value=value))
     return said
 
 
 def state_and_reason(result: Result) -> tuple[str, str]:
     """Return the termination reason for the first line of a report."""
     iterations = _count(result.history.iterations, "iteration")
-    if result.converged:
-        return "converged", f"after {iterations}"
     match result.outcome:
+        case _ if result.converged:
+            return "converged", f"after {iterations}"
         case TerminationReason.UNDETERMINED:
-            return "not identifiable", "; ".join(
-                direction_remark(each).text.rstrip(".") for each in result.identifiability.non_identifiable
-            )
+            said = map(direction_remark, result.identifiability.non_identifiable)
+            return "not identifiable", "; ".join(each.text.rstrip(".") for each in said)
         case TerminationReason.INTERRUPTED:
             return "interrupted", "best values so far"
         case TerminationReason.ITERATION_LIMIT:
@@ -194,39 +176,32 @@ def state_and_reason(result: Result) -> tuple[str, str]:
 
 def result_remarks(result: Result) -> list[Remark]:
     """Return all remarks on a result."""
-    said = [*ending_remarks(result), *observer_remarks(result), *start_remarks(result)]
+    said, memory = ending_remarks(result), result.setup.observer
+    said += [] if memory is None else [TerminationMessage.OBSERVER.said(memory=f"{memory:g}")]
+    said += start_remarks(result)
     return [*said, *solver_remarks(result.names, result.accuracy), *dependence_remarks(result)]
-
-
-def observer_remarks(result: Result) -> list[Remark]:
-    """Return the remark on an observer."""
-    memory = result.setup.observer
-    return [] if memory is None else [TerminationMessage.OBSERVER.said(None, "cost", memory=f"{memory:g}")]
 
 
 def start_remarks(result: Result) -> list[Remark]:
     """Return the remarks on discrete parameters, initial guesses and restarts."""
-    starts = list(zip(result.names, result.estimates.start.tolist(), strict=True))
-    place = (None, "cost", result.names)
+    starts = list(zip(result.names, result.estimates.start.tolist(), result.values.tolist(), strict=True))
     moved = [
-        StartMessage.REPLACED.said(*place, name=name, value=f"{start:g}")
-        for name, start in starts
+        StartMessage.REPLACED.said(name=name, value=f"{start:g}")
+        for name, start, _ in starts
         if name in result.identifiability.replaced_initial_guess
     ]
     crossed = [
-        StartMessage.SIGN.said(*place, name=name, start=f"{start:.3g}", value=f"{value:.3g}")
-        for (name, start), value in zip(starts, result.values.tolist(), strict=True)
+        StartMessage.SIGN.said(name=name, start=f"{start:.3g}", value=f"{value:.3g}")
+        for name, start, value in starts
         if start * value < 0 and not result.converged
     ]
-    return [*moved, *combination_remarks(result), *attempt_remarks(result), *crossed]
+    return [*moved, *_combinations(result), *_attempts(result), *crossed]
 
 
 def dependence_remarks(result: Result) -> list[Remark]:
     """Return the remarks on correlated and weakly identifiable estimates."""
     pairs = [
-        IdentifiabilityMessage.CORRELATED.said(
-            None, "correlation", result.names, one=one, other=other, correlation=f"{value:+.3f}"
-        )
+        IdentifiabilityMessage.CORRELATED.said(one=one, other=other, correlation=f"{value:+.3f}")
         for one, other, value in result.estimates.strong_correlations
     ]
     weak = map(direction_remark, result.identifiability.weakly_identifiable)
@@ -237,8 +212,6 @@ def effort_remark(result: Result) -> Remark:
     """Return iterations, simulations, time and cost."""
     spent, likelihood = result.history, result.fit.log_likelihood
     return TerminationMessage.EFFORT.said(
-        None,
-        "cost",
         iterations=_count(spent.iterations, "iteration"),
         simulations=spent.simulations,
         seconds=f"{spent.elapsed_s:.2f}",
@@ -267,18 +240,18 @@ TROUBLES = {
 """What became of them."""
 
 
-def combination_remarks(result: Result) -> list[Remark]:
+def _combinations(result: Result) -> list[Remark]:
     """Return the best combination of discrete parameters, and the next best."""
     if not result.history.combinations:
         return []
     best, *others = result.history.combinations
     failed = [each for each in others if each.outcome is None]
-    said = [StartMessage.COMBINATION.said(values=_values(best), count=len(result.history.combinations))]
+    said = [StartMessage.COMBINATION.said("", values=_values(best), count=len(result.history.combinations))]
     if len(others) > len(failed):
         message = StartMessage.AMBIGUOUS if others[0].behind < EQUAL_COST else StartMessage.NEXT
-        said.append(message.said(values=_values(others[0]), behind=f"{others[0].behind:.3g}"))
+        said.append(message.said("", values=_values(others[0]), behind=f"{others[0].behind:.3g}"))
     if failed:
-        said.append(StartMessage.NOT_STARTED.said(count=len(failed), values=_values(failed[0])))
+        said.append(StartMessage.NOT_STARTED.said("", count=len(failed), values=_values(failed[0])))
     return said
 
 
@@ -287,7 +260,7 @@ def _values(each: CombinationFit) -> str:
     return ", ".join(f"{name} = {value}" for name, value in said.items())
 
 
-def attempt_remarks(result: Result) -> list[Remark]:
+def _attempts(result: Result) -> list[Remark]:
     """Return the restarts and their outcome."""
     tried = result.history.restarts
     if not tried:
@@ -308,8 +281,8 @@ def attempt_remarks(result: Result) -> list[Remark]:
     counts = ((one, len(list(alike))) for one, alike in groupby(ends))
     attempts = ", ".join(one if times == 1 else f"{times} × {one}" for one, times in counts)
     return [
-        message.said(None, "cost", ratio=ratio, count=count, number=kept),
-        StartMessage.ATTEMPTS.said(None, "cost", attempts=attempts),
+        message.said(ratio=ratio, count=count, number=kept),
+        StartMessage.ATTEMPTS.said(attempts=attempts),
     ]
 
 

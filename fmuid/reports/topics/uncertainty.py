@@ -19,107 +19,84 @@ from fmuid.identification import (
     SamplingWarning,
     better_point,
 )
-from fmuid.reports.document import Message, Remark, Section, table_of
+from fmuid.reports.document import Message, Remark, Section, doubt, plain, table_of
 from fmuid.reports.topics.termination import ENDS
 
 
-class UncertaintyMessage(Message):
+class UncertaintyMessage(Message, section="profiles"):
     """Profile likelihoods, cost maps and samples of the posterior."""
 
-    END_AT_BOUND = (
+    END_AT_BOUND = doubt(
         "The {end} end of {name} is its bound {value}: cost rises only {rise} of {threshold}.",
         "the data do not limit this side within the bound",
         "Widen the bound, or take it as the limit.",
-        "doubt",
     )
-    NO_END = (
+    NO_END = doubt(
         "{name} has no {end} end: up to {value} the cost rises only {rise} of {threshold}.",
         "the data do not limit this side",
         "Add a bound or a prior, or measure more.",
-        "doubt",
     )
-    END_FAILS = (
+    END_FAILS = doubt(
         "The {end} end of {name} is unknown: simulations fail beyond {value}.",
         "the cost had risen {rise} of {threshold} there",
         "Add a bound within which the model is valid.",
-        "doubt",
     )
-    END_NOT_CONVERGED = (
+    END_NOT_CONVERGED = doubt(
         "At {name} = {value} the other parameters did not converge ({reason}).",
         "the cost there may be lower, and the interval wider",
-        "",
-        "doubt",
     )
-    OTHER_BOUND = (
-        "At the {end} end of {name}, {other} is at its bound {bound}.",
-        "that bound narrows this interval",
-        "",
-        "doubt",
+    OTHER_BOUND = doubt(
+        "At the {end} end of {name}, {other} is at its bound {bound}.", "that bound narrows this interval"
     )
-    BETTER = (
+    BETTER = doubt(
         "No interval of {name}: at {value} the cost is lower by {fall}.",
         "a better optimum was found on the way",
         "Identify again from the row of that value in `profiles.csv`.",
-        "doubt",
     )
-    ROUGH_END = ("End of {name} near {value} is not precise.", "the cost is irregular there", "", "doubt")
-    PROFILE_INTERRUPTED = ("Interrupted: profile of {name} is incomplete.", "by Ctrl-C", "", "doubt")
-    BETTER_ON_MAP = (
+    ROUGH_END = doubt("End of {name} near {value} is not precise.", "the cost is irregular there")
+    PROFILE_INTERRUPTED = doubt("Interrupted: profile of {name} is incomplete.", "by Ctrl-C")
+    BETTER_ON_MAP = doubt(
         "Cost is lower by {fall} at {first} = {x}, {second} = {y}.",
         "the optimization ended at a local optimum",
         'Use that initial guess, or set `method = "multi-start"`.',
-        "doubt",
     )
-    SAMPLED = (
-        "Posterior converged: at least {samples} independent samples, R-hat at most {r_hat}.",
-        "the samples can be used",
+    SAMPLED = plain(
+        "Posterior converged: at least {samples} independent samples, R-hat at most {r_hat}.", "the samples can be used"
     )
-    SAMPLING_INTERRUPTED = ("Sampling interrupted after {steps} steps.", "by Ctrl-C", "", "doubt")
-    RUNAWAY = (
+    SAMPLING_INTERRUPTED = doubt("Sampling interrupted after {steps} steps.", "by Ctrl-C")
+    RUNAWAY = doubt(
         "Posterior is unbounded in {name}.",
         "neither data nor prior limit it",
         "Add a prior or bounds, or measure more.",
-        "doubt",
     )
-    TOO_SHORT = (
+    TOO_SHORT = doubt(
         "{steps} steps are too few to judge the posterior.",
         "the chains are shorter than their correlation",
         "Raise `max_steps`, or continue with `--resume`.",
-        "doubt",
     )
-    STUCK = (
+    STUCK = doubt(
         "Walkers are stuck: {acceptance} of proposals are accepted.",
         "several optima, or simulations that fail",
         "Narrow the bounds to the region of interest.",
-        "doubt",
     )
-    DISAGREEING = (
+    DISAGREEING = doubt(
         "Posterior of {name} has not converged (R-hat {r_hat}, limit {limit}) after {steps} steps.",
         "the walkers disagree: several optima, or a direction that is not identifiable",
         "Raise `max_steps`; if that does not help, add a prior or narrower bounds.",
-        "doubt",
     )
-    TOO_FEW = (
+    TOO_FEW = doubt(
         "{name} has {samples} independent samples instead of {wanted}.",
         "right so far, but too coarse for the tails",
         "Raise `max_steps` to about {more}.",
-        "doubt",
     )
-    OTHER_OPTIMUM = (
+    OTHER_OPTIMUM = doubt(
         "Another optimum is similarly probable: {values}.",
         "an interval around one optimum is not the whole posterior",
         "Narrow the bounds or add a prior.",
-        "doubt",
     )
-    PRIOR_ONLY = (
-        "{names}: along this direction the samples show priors and bounds only.",
-        "the data do not identify it",
-        "",
-        "doubt",
+    PRIOR_ONLY = doubt(
+        "{names}: along this direction the samples show priors and bounds only.", "the data do not identify it"
     )
-
-
-_PROFILES: tuple[None, str] = None, "profiles"
 
 
 def uncertainty_remarks(found: Assessment) -> list[Remark]:
@@ -133,7 +110,7 @@ def profile_remarks(profile: Profile) -> list[Remark]:
     """Return the remarks on the ends of a profile."""
     said = [_end_remark(profile, remark) for remark in profile.remarks]
     if profile.interrupted:
-        said.append(UncertaintyMessage.PROFILE_INTERRUPTED.said(*_PROFILES, name=profile.name))
+        said.append(UncertaintyMessage.PROFILE_INTERRUPTED.said(name=profile.name))
     return said
 
 
@@ -152,7 +129,7 @@ def _end_remark(profile: Profile, remark: ProfileEndNote) -> Remark:
         message, values["fall"] = UncertaintyMessage.BETTER, f"{-remark.rise:.3g}"
     else:
         message = UncertaintyMessage.ROUGH_END
-    return message.said(*_PROFILES, (profile.name,), **values)
+    return message.said(**values)
 
 
 def _map_remarks(chart: CostMap) -> list[Remark]:
@@ -161,13 +138,13 @@ def _map_remarks(chart: CostMap) -> list[Remark]:
         return []
     (first, second), (x, y, fall) = chart.names, better
     values = {"first": first, "second": second, "x": f"{x:.6g}", "y": f"{y:.6g}", "fall": f"{fall:.3g}"}
-    return [UncertaintyMessage.BETTER_ON_MAP.said(None, "maps", **values)]
+    return [UncertaintyMessage.BETTER_ON_MAP.said("maps", **values)]
 
 
 def posterior_remarks(found: Posterior) -> list[Remark]:
     """Return the convergence of the samples, other optima, and directions without data."""
-    place, steps = (None, "posterior", found.names), len(found.chain)
-    said = [UncertaintyMessage.SAMPLING_INTERRUPTED.said(*place, steps=steps)] if found.interrupted else []
+    steps = len(found.chain)
+    said = [UncertaintyMessage.SAMPLING_INTERRUPTED.said("posterior", steps=steps)] if found.interrupted else []
     i = found.names.index(found.doubtful) if found.doubtful else int(np.argmin(found.effective_size))
     samples = float(found.effective_size[i])
     values: dict[str, object] = {"name": found.doubtful, "steps": steps, "wanted": found.wanted, "limit": LARGEST_R_HAT}
@@ -176,11 +153,12 @@ def posterior_remarks(found: Posterior) -> list[Remark]:
     if found.doubt is SamplingWarning.TOO_FEW:  # with a reserve of a fifth
         values["more"] = math.ceil(1.2 * found.wanted / samples * steps)
     message = UncertaintyMessage.SAMPLED if found.doubt is None else UncertaintyMessage[found.doubt.name]
-    said.append(message.said(*place, **values))
+    said.append(message.said("posterior", **values))
     for at in found.optima[1:]:
         others = ", ".join(f"{name} = {value:.4g}" for name, value in zip(found.names, at, strict=True))
-        said.append(UncertaintyMessage.OTHER_OPTIMUM.said(*place, values=others))
-    return said + [UncertaintyMessage.PRIOR_ONLY.said(*place, names=listed(each.names)) for each in found.undetermined]
+        said.append(UncertaintyMessage.OTHER_OPTIMUM.said("posterior", values=others))
+    only = (UncertaintyMessage.PRIOR_ONLY.said("posterior", names=listed(each.names)) for each in found.undetermined)
+    return [*said, *only]
 
 
 def interval_section(found: Assessment, result: Result) -> Section:

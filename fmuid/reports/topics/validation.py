@@ -7,7 +7,7 @@ import signal
 from collections.abc import Sequence
 from textwrap import shorten
 
-from fmuid.reports.document import Document, Message, Section, Tone, table_of
+from fmuid.reports.document import Document, Message, Section, Tone, plain, table_of
 from fmuid.reports.topics.solver_check import run_words
 from fmuid.simulation import TIME_LIMIT, Binary, Check, InterfaceTest, Stage, Subject, Tool, Validation
 
@@ -26,22 +26,22 @@ _STAGES = {
 class ValidationMessage(Message):
     """Results of the checks of an FMU."""
 
-    STANDARD = ("conforms to the standard (FMPy)", "the model description has no errors")
-    REPEATABLE = ("second simulation: same outputs", "the FMU keeps nothing between simulations")
-    NOT_REPEATABLE = (
+    STANDARD = plain("conforms to the standard (FMPy)", "the model description has no errors")
+    REPEATABLE = plain("second simulation: same outputs", "the FMU keeps nothing between simulations")
+    NOT_REPEATABLE = plain(
         "second simulation: different outputs",
         "the FMU keeps data between simulations: with process isolation each simulation has a new process",
         "Export the FMU again without static variables.",
     )
-    NEEDS_TOOL = (
+    NEEDS_TOOL = plain(
         "runs only with {tool} on this machine ({interfaces})",
         "the FMU calls the tool that exported it",
         "Export it as a standalone FMU.",
     )
-    SIMULATED = ("{run}{span}: {samples} samples, {outputs}{seconds}", "a short simulation without inputs")
-    TIMED_OUT = ("stopped after {limit:g} s {stage}", "the FMU hangs")
-    CRASHED = ("{how} {stage}", "a fault of the FMU's compiled code")
-    LICENSE = (
+    SIMULATED = plain("{run}{span}: {samples} samples, {outputs}{seconds}", "a short simulation without inputs")
+    TIMED_OUT = plain("stopped after {limit:g} s {stage}", "the FMU hangs")
+    CRASHED = plain("{how} {stage}", "a fault of the FMU's compiled code")
+    LICENSE = plain(
         "{error}; check the tool's license",
         "the FMU needs the license of the tool that exported it",
         "Get a license, or export the FMU with a tool that needs none.",
