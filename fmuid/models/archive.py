@@ -19,6 +19,7 @@ import unicodedata
 import zipfile
 import zlib
 from collections.abc import Iterator
+from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Self
@@ -60,11 +61,8 @@ _REMEDY = f"If you trust it, set the environment variable {LARGEST_TOTAL_VARIABL
 _METHODS = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
 STRICT_NAMES = sys.platform in ("win32", "darwin")  # letter case does not count, or device names are reserved
 _RESERVED = {"CON", "PRN", "AUX", "NUL", *(f"{port}{n}" for port in ("COM", "LPT") for n in range(1, 10))}
-# Errors of zipfile for damaged archives.
-_DAMAGES = (
-    *(zipfile.BadZipFile, zlib.error, struct.error),
-    *(EOFError, NotImplementedError, OSError, OverflowError, ValueError),
-)
+# Errors of zipfile for damaged archives, the RuntimeError NotImplementedError among them.
+_DAMAGES = (zipfile.BadZipFile, zlib.error, struct.error, EOFError, RuntimeError, OSError, OverflowError, ValueError)
 
 
 class CheckedArchive:
@@ -76,18 +74,16 @@ class CheckedArchive:
     path : Path, optional
         Name in messages; default: `file`.
 
-    Attributes
-    ----------
-    entries : tuple of ZipInfo
-        Files and folders in the archive's order, with slashes as separators.
-    names : tuple of str
-        Names of the files.
-
     Raises
     ------
     InputError
         If the file is no readable zip archive, or an entry is refused.
     """
+
+    entries: tuple[zipfile.ZipInfo, ...]
+    """Files and folders in the archive's order, with slashes as separators."""
+    names: tuple[str, ...]
+    """Names of the files."""
 
     def __init__(self, file: Path, path: Path | None = None) -> None:
         self.path, self.limit, self._written = path or file, _largest_total(), 0
@@ -124,23 +120,11 @@ class CheckedArchive:
         return self._archive.comment
 
     def read(self, name: str, largest: int = LARGEST_XML) -> bytes:
-        """Return the content of one file of `names`.
-
-        Raises
-        ------
-        InputError
-            If it is damaged, or larger than `largest` bytes.
-        """
+        """Return the content of one file of `names`; an `InputError` if damaged or larger than `largest` bytes."""
         return b"".join(self.chunks(self._files[name], largest))
 
     def chunks(self, entry: zipfile.ZipInfo, largest: int | None = None) -> Iterator[bytes]:
-        """Yield the content of an entry, counted: stated sizes may be wrong.
-
-        Raises
-        ------
-        InputError
-            If it is damaged or larger than `largest` bytes, or the total exceeds the archive's limit.
-        """
+        """Yield the content of an entry, counted, since stated sizes may be wrong; an `InputError` as `read`."""
         largest, written = self.limit // 2 if largest is None else largest, 0
         try:
             with self._archive.open(entry) as file:
@@ -286,27 +270,20 @@ def file_digest(path: Path) -> str:
 
 
 def unpacked(file: Path, digest: str, path: Path | None = None) -> Path:
-    """Return the folder of an unpacked archive in the user's cache.
-
-    Missing files, and binaries of another size, are unpacked again. `path` is the archive's name in messages.
-
-    Raises
-    ------
-    InputError
-        If the archive is refused, or the cache is not writable or not the user's own.
-    """
+    """Return an archive's folder in the user's cache; missing files, and binaries of another size, are unpacked."""
     cache = Path(platformdirs.user_cache_dir("fmuid"))
     shelf = cache / "unpacked"
     target = shelf / digest
-    with CheckedArchive(file, path) as archive:
+    with CheckedArchive(file, path) as archive, ExitStack() as undo:
         try:
-            for folder in (cache, shelf):
+            if not target.exists():
+                undo.callback(shutil.rmtree, target, ignore_errors=True)
+            for folder in (cache, shelf, target):
                 _make_private(folder)
-            if not target.is_dir():
-                _unpack(archive, target)
-            else:
-                _make_private(target)
-                _fill(archive, target)
+            for entry in archive.entries:
+                if _is_missing(target, entry):
+                    _unpack(archive, entry, target)
+            undo.pop_all()
         except (OSError, UnicodeError) as error:  # the latter of names that the file system cannot write
             raise InputError(f"{archive.path}: cannot be unpacked below {shelf}: {error}") from error
     return target
@@ -326,35 +303,27 @@ def _make_private(folder: Path) -> None:
             folder.chmod(_PRIVATE)
 
 
-def _unpack(archive: CheckedArchive, target: Path) -> None:
-    """Unpack beside the target and rename: interrupted runs leave no partial archive."""
-    fresh = Path(tempfile.mkdtemp(dir=target.parent))
-    try:
-        _fill(archive, fresh)
+def _unpack(archive: CheckedArchive, entry: zipfile.ZipInfo, folder: Path) -> None:
+    """Unpack an entry in one step: interrupted runs leave no partial file."""
+    place = folder.joinpath(*parts_of(entry))
+    _make_folder(place if entry.is_dir() else place.parent)
+    if not entry.is_dir():
+        handle, name = tempfile.mkstemp(dir=folder.parent)
         try:
-            fresh.rename(target)
+            with os.fdopen(handle, "wb") as file:
+                file.writelines(archive.chunks(entry))
+            Path(name).replace(place)
         except OSError:
-            if not target.is_dir():  # else another process was faster with the same content
+            if _is_missing(folder, entry):  # else another process was faster with the same content, and uses it
                 raise
-    finally:
-        shutil.rmtree(fresh, ignore_errors=True)
+        finally:
+            Path(name).unlink(missing_ok=True)
 
 
-def _fill(archive: CheckedArchive, folder: Path) -> None:
-    """Unpack missing files, each in one step; a file packed twice is there."""
-    made = {folder}
-    for entry in archive.entries:
-        if not _is_missing(folder, entry):
-            continue
-        place = _place(entry, folder, made)
-        if not entry.is_dir():
-            handle, name = tempfile.mkstemp(dir=folder.parent)
-            try:
-                with os.fdopen(handle, "wb") as file:
-                    file.writelines(archive.chunks(entry))
-                Path(name).replace(place)
-            finally:
-                Path(name).unlink(missing_ok=True)
+def _make_folder(folder: Path) -> None:
+    if not folder.is_dir():
+        _make_folder(folder.parent)
+        folder.mkdir(_PRIVATE, exist_ok=True)
 
 
 def _is_missing(folder: Path, entry: zipfile.ZipInfo) -> bool:
@@ -366,14 +335,3 @@ def _is_missing(folder: Path, entry: zipfile.ZipInfo) -> bool:
     if entry.is_dir():
         return False
     return not stat.S_ISREG(said.st_mode) or (bool(parts) and parts[0] in _SIZED and said.st_size != entry.file_size)
-
-
-def _place(entry: zipfile.ZipInfo, folder: Path, made: set[Path]) -> Path:
-    parts = parts_of(entry)
-    place = folder.joinpath(*parts)
-    inner = place if entry.is_dir() else place.parent
-    for above in (*reversed(inner.parents), inner) if inner not in made else ():
-        if len(above.parts) > len(folder.parts) and above not in made:
-            above.mkdir(_PRIVATE, exist_ok=True)
-            made.add(above)
-    return place

@@ -59,9 +59,7 @@ class Numerics:
                 near = nearest(str(given), known)
                 raise InputError(f"{word}: unknown value {given!r}{near}. Choose {' or '.join(known)}.")
         for word, unit in (("tolerance", "number"), ("step_size", "number of seconds"), ("most_steps", "number")):
-            given = getattr(self, word)
-            if given is not None and not 0 < given < float("inf"):
-                raise InputError(f"{word} must be a positive {unit}, not {given:g}.")
+            _check_positive(word, getattr(self, word), unit)
 
     def over(self, others: Numerics) -> Numerics:
         """Return these settings, completed by others."""
@@ -99,9 +97,12 @@ class Isolation:
 
     def __post_init__(self) -> None:
         for each in fields(self):
-            given = getattr(self, each.name)
-            if given is not None and not 0 < given < float("inf"):
-                raise InputError(f"{each.name} must be a positive number, not {given:g}.")
+            _check_positive(each.name, getattr(self, each.name))
+
+
+def _check_positive(word: str, given: float | None, unit: str = "number") -> None:
+    if given is not None and not 0 < given < float("inf"):
+        raise InputError(f"{word} must be a positive {unit}, not {given:g}.")
 
 
 AS_OFFERED = Numerics()
@@ -152,43 +153,32 @@ class Component:
 
     def how_run(self, *, stiff: bool = False) -> SolverConfiguration:
         """Return the settings in use; with `stiff`, "cvode" has replaced "rk45"."""
-        given, version = self.numerics, self.fmu.description.fmi_version
-        if self.kind == "co-simulation":
-            return SolverConfiguration(version, self.kind, None, False, given.tolerance, given.step_size)
-        tolerance = None if self.integrator == "rk4" else given.tolerance or DEFAULT_TOLERANCE
-        integrator = STIFF_INTEGRATOR if stiff else self.integrator
-        return SolverConfiguration(version, self.kind, integrator, stiff, tolerance, given.step_size)
+        integrator, tolerance = None, self.numerics.tolerance
+        if self.kind == "model-exchange":
+            integrator = STIFF_INTEGRATOR if stiff else self.integrator
+            tolerance = None if self.integrator == "rk4" else tolerance or DEFAULT_TOLERANCE
+        version, step_size = self.fmu.description.fmi_version, self.numerics.step_size
+        return SolverConfiguration(version, self.kind, integrator, stiff, tolerance, step_size)
 
 
 @dataclass(frozen=True)
 class SolverConfiguration:
-    """Solver settings of a simulated FMU, defaults resolved.
-
-    Attributes
-    ----------
-    fmi_version, interface : str
-    integrator : str or None
-        None for Co-Simulation.
-    stiff : bool
-        Whether `integrator` replaced another for stiffness.
-    tolerance : float or None
-        Relative; None if there is none, or the FMU's own.
-    step_size : float or None
-        Largest step, s; None: from sample to sample.
-    divisor : int
-        Number of parts of each step by solver refinement.
-    new_processes : bool
-        Whether each simulation had its own process, as the FMU keeps state outside its instances.
-    """
+    """Solver settings of a simulated FMU, defaults resolved."""
 
     fmi_version: str
     interface: str
     integrator: str | None
+    """None for Co-Simulation."""
     stiff: bool
+    """Whether `integrator` replaced another for stiffness."""
     tolerance: float | None
+    """Relative; None if there is none, or the FMU's own."""
     step_size: float | None
+    """Largest step, s; None: from sample to sample."""
     divisor: int = 1
+    """Number of parts of each step by solver refinement."""
     new_processes: bool = False
+    """Whether each simulation had its own process, as the FMU keeps state outside its instances."""
 
 
 DEFAULT_INTEGRATOR = "rk45"  # no start-up phase after each step of the inputs, and detects stiffness

@@ -25,12 +25,7 @@ class Connection(NamedTuple):
 def exchange_order(
     connections: Sequence[Connection], descriptions: Mapping[str, Description]
 ) -> tuple[tuple[tuple[Connection, ...], bool], ...]:
-    """Return the connections in groups, in their order of exchange.
-
-    A connection comes after those that its source depends on directly. Each group has a flag: an algebraic loop.
-    """
-    if not connections:
-        return ()
+    """Return the connections in groups, each after those that it depends on directly, with a flag: algebraic loop."""
     feeding = {connection.target: i for i, connection in enumerate(connections)}
     needs: list[set[int]] = []
     for component, output in (connection.source for connection in connections):

@@ -12,6 +12,8 @@ from fmuid.units import BaseUnit, parse_unit
 
 DESCRIPTION_FILE = "modelDescription.xml"
 KINDS = ("co-simulation", "model-exchange")
+FLOATS = ("Float64", "Float32")
+INTEGERS = tuple(f"{sign}Int{bits}" for sign in ("", "U") for bits in (8, 16, 32, 64))
 SI_BASE_UNITS = ("kg", "m", "s", "A", "K", "mol", "cd", "rad")
 
 _NEVER_SET = ("calculatedParameter", "independent", "structuralParameter")
@@ -84,12 +86,8 @@ def unit_conversion(source: Unit | BaseUnit | None, target: Unit | BaseUnit | No
 
 @dataclass(frozen=True)
 class Interface:
-    """An FMI interface and its capabilities.
+    """Capabilities of an FMI interface (FMI 2.0.4, 3.3.1, 4.3.1; FMI 3.0.2, 2.4.8)."""
 
-    FMI 2.0.4, sections 3.3.1, 4.3.1; FMI 3.0.2, section 2.4.8.
-    """
-
-    kind: str
     identifier: str
     needs_execution_tool: bool
     once_per_process: bool
@@ -165,8 +163,7 @@ class Description:
                 return conversion
         if variable.unit:
             raise InputError(
-                f"{variable.name}: column unit {unit!r} does not convert to {variable.unit!r} of "
-                f"{self.model_name}. "
+                f"{variable.name}: column unit {unit!r} does not convert to {variable.unit!r} of {self.model_name}. "
                 f'Convert the column or set units = {{ {variable.name} = "..." }}.'
             )
         if meant is not None and (meant.factor, meant.offset) == (1.0, 0.0):

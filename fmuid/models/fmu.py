@@ -71,8 +71,8 @@ class FMU(HtmlTableMixin):
     def _binaries(self) -> tuple[PurePosixPath, ...]:
         """Files below ``binaries/``, in folders of platforms."""
         with CheckedArchive(self.file, self.path) as archive:
-            paths = [PurePosixPath(name) for name in archive.names if name.startswith("binaries/")]
-        return tuple(path for path in paths if len(path.parts) > 2)
+            paths = map(PurePosixPath, archive.names)
+            return tuple(path for path in paths if path.parts[:1] == ("binaries",) and len(path.parts) > 2)
 
     @cached_property
     def platforms(self) -> tuple[str, ...]:
@@ -81,23 +81,11 @@ class FMU(HtmlTableMixin):
 
     @cached_property
     def directory(self) -> Path:
-        """Folder of the unpacked FMU in the user's cache.
-
-        Raises
-        ------
-        InputError
-            If the archive is refused or the cache is not writable.
-        """
+        """Folder of the unpacked FMU in the user's cache; an `InputError` if refused or not writable."""
         return unpacked(self.file, self.digest, self.path)
 
     def library(self, identifier: str) -> Path:
-        """Return the shared library of one interface for this platform.
-
-        Raises
-        ------
-        InputError
-            If the FMU has no binary for this platform.
-        """
+        """Return the shared library of one interface for this platform; an `InputError` if there is none."""
         name = identifier + BINARY_ENDING
         packed = {str(path).lower() for path in self._binaries}  # some file systems do not tell the cases of letters
         for place in (f"binaries/{folder}/{name}" for folder in PLATFORMS.values()):

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
-from itertools import chain, groupby
+from itertools import chain
 from math import prod
 from typing import NamedTuple
 
@@ -19,69 +19,48 @@ _SUBSCRIPT = re.compile(r"(?<=[\[,])\s*\d+(?=\s*[\],])")
 
 @dataclass(frozen=True)
 class FmuSummary:
-    """Declarations of an FMU, grouped for parameter identification.
-
-    Attributes
-    ----------
-    fmu : FMU
-    capabilities : mapping of str to mapping of str to str
-        Declared attributes of each interface; "needsCompletedIntegratorStep" has its FMI 3.0 name.
-    here : str or None
-        Folder of this machine's binaries.
-    machine : str
-        FMI's name of this machine's platform.
-    run_as : SolverConfiguration
-        Default solver settings.
-    tunable, fixed, calculated, structural : tuple of Variable
-        Parameters: changeable at any time, set before initialization, computed by the FMU, sizes of arrays.
-    inputs, outputs, states : tuple of Variable
-    starts : tuple of Variable
-        Other variables with settable start values.
-    direct : mapping of str to (tuple of str or None)
-        Inputs with direct feed-through to each output; None if undeclared.
-    units : mapping of str to tuple of str
-        Units of inputs, outputs and states, with alternatives for data files.
-    """
+    """Declarations of an FMU, grouped for parameter identification."""
 
     fmu: FMU
     capabilities: Mapping[str, Mapping[str, str]]
+    """Declared attributes of each interface; "needsCompletedIntegratorStep" has its FMI 3.0 name."""
     here: str | None
+    """Folder of this machine's binaries."""
     machine: str
+    """FMI's name of this machine's platform."""
     run_as: SolverConfiguration
+    """Default solver settings."""
     tunable: tuple[Variable, ...]
+    """Parameters that may change at any time; `fixed` are set before initialization."""
     fixed: tuple[Variable, ...]
     calculated: tuple[Variable, ...]
+    """Parameters that the FMU computes."""
     structural: tuple[Variable, ...]
+    """Sizes of arrays."""
     inputs: tuple[Variable, ...]
     outputs: tuple[Variable, ...]
     states: tuple[Variable, ...]
     starts: tuple[Variable, ...]
+    """Other variables with settable start values."""
     direct: Mapping[str, tuple[str, ...] | None]
+    """Inputs with direct feed-through to each output; None if undeclared."""
     units: Mapping[str, tuple[str, ...]]
+    """Units of inputs, outputs and states, with alternatives for data files."""
 
     @property
     def others(self) -> int:
         """Number of variables in none of these groups."""
-        known = (*self.tunable, *self.fixed, *self.calculated, *self.structural)
-        known += (*self.inputs, *self.outputs, *self.states, *self.starts)
-        return len(self.fmu.description.variables.keys() - {variable.name for variable in known})
+        known = {v.name for group in (*GROUPS, "states") for v in getattr(self, group)}
+        return len(self.fmu.description.variables.keys() - known)
 
 
 def facts(fmu: FMU) -> FmuSummary:
-    """Return the summary of an FMU; nothing is unpacked or loaded.
-
-    Parameters
-    ----------
-    fmu : FMU
-        Of FMI 2.0 or 3.0, for any platform.
-    """
+    """Return the summary of an FMU, for any platform; nothing is unpacked or loaded."""
     described = fmu.description
-    variables = tuple(described.variables.values())
-    groups: dict[str, tuple[Variable, ...]] = dict.fromkeys(GROUPS, ())
-    for group, some in groupby(sorted(variables, key=_group), _group):
-        groups[group] = tuple(some)
-    del groups[""]
-    states = tuple(v for v in variables if v.is_state)
+    groups: dict[str, list[Variable]] = {name: [] for name in (*GROUPS, "")}
+    for variable in described.variables.values():
+        groups[_group(variable)].append(variable)
+    states = tuple(v for v in described.variables.values() if v.is_state)
     observed = (*groups["inputs"], *groups["outputs"], *states)
     return FmuSummary(
         fmu=fmu,
@@ -92,11 +71,11 @@ def facts(fmu: FMU) -> FmuSummary:
         states=states,
         direct={v.name: _direct(described, v.name) for v in groups["outputs"]},
         units={v.unit: other_units(described, v.unit) for v in observed if v.unit is not None},
-        **groups,
+        **{name: tuple(groups[name]) for name in GROUPS},
     )
 
 
-GROUPS = ("tunable", "fixed", "calculated", "structural", "inputs", "outputs", "starts", "")
+GROUPS = ("tunable", "fixed", "calculated", "structural", "inputs", "outputs", "starts")
 """Disjoint groups of variables; states are also in `FmuSummary.states`."""
 
 
@@ -133,16 +112,10 @@ def other_units(described: Description, unit: str) -> tuple[str, ...]:
 
 
 class VariableRow(NamedTuple):
-    """A variable, or many elements of an array, as one row.
-
-    Attributes
-    ----------
-    name : str
-        With ranges of subscripts if it stands for several: ``A[1..3,1..3]``.
-    variables : tuple of Variable
-    """
+    """A variable, or many elements of an array, as one row."""
 
     name: str
+    """With ranges of subscripts if it stands for several: ``A[1..3,1..3]``."""
     variables: tuple[Variable, ...]
 
 

@@ -16,29 +16,37 @@ from xml.etree.ElementTree import Element
 from fmuid.errors import InputError
 from fmuid.files import is_file
 from fmuid.models.archive import CheckedArchive
-from fmuid.models.description import DESCRIPTION_FILE, KINDS, SI_BASE_UNITS, Description, Interface, Unit, Variable
+from fmuid.models.description import (
+    DESCRIPTION_FILE,
+    FLOATS,
+    INTEGERS,
+    KINDS,
+    SI_BASE_UNITS,
+    Description,
+    Interface,
+    Unit,
+    Variable,
+)
 from fmuid.models.start_values import ANNOTATION, TOOL, Value
 from fmuid.models.untrusted_xml import parse_xml, uncollected
 
 MAX_ELEMENTS = 1_000_000
 """Variables and elements of arrays: a few words of XML can declare any number."""
 
-_INTEGERS = tuple(f"{sign}Int{bits}" for sign in ("", "U") for bits in (8, 16, 32, 64))
 # version -> type of a variable -> FMI 3.0 type of the binary's functions
 _TYPES = {
     2: {"Real": "Float64", "Integer": "Int32", "Enumeration": "Int32", "Boolean": "Boolean", "String": "String"},
-    3: {name: name for name in ("Float64", "Float32", *_INTEGERS, "Boolean", "String", "Binary", "Clock")}
-    | {"Enumeration": "Int64"},
+    3: {name: name for name in (*FLOATS, *INTEGERS, "Boolean", "String", "Binary", "Clock")} | {"Enumeration": "Int64"},
 }
-_INTERFACES = ("CoSimulation", "ModelExchange")
+_INTERFACES = {
+    "co-simulation": "CoSimulation", "model-exchange": "ModelExchange", "scheduled-execution": "ScheduledExecution"
+}  # fmt: skip
 _TRUE = ("true", "1")
 _PARAMETERS = ("parameter", "calculatedParameter", "structuralParameter")
 # variability -> causality -> initial; what is missing is not allowed (FMI 2.0.4, section 2.2.7; FMI 3.0.2, 2.4.7.4)
 _KEPT = {
-    "structuralParameter": "exact",
-    "parameter": "exact",
-    "calculatedParameter": "calculated",
-    "local": "calculated",
+    **dict.fromkeys(("structuralParameter", "parameter"), "exact"),
+    **dict.fromkeys(("calculatedParameter", "local"), "calculated"),
 }
 _CHANGING = {"input": "exact", "output": "calculated", "local": "calculated"}
 _INITIAL: Mapping[str, Mapping[str, str | None]] = {
@@ -50,14 +58,6 @@ _INITIAL: Mapping[str, Mapping[str, str | None]] = {
 }
 _EXPERIMENT = {"start": "startTime", "stop": "stopTime", "tolerance": "tolerance", "step_size": "stepSize"}
 _NO_TYPE = Element("none")
-
-
-def read_text(path: Path) -> bytes:
-    """Return the modelDescription.xml of an FMU; an `InputError` if there is none."""
-    with CheckedArchive(path) as archive:
-        if DESCRIPTION_FILE not in archive.names:
-            raise InputError(f"{path}: not an FMU: no {DESCRIPTION_FILE} at its top level.")
-        return archive.read(DESCRIPTION_FILE)
 
 
 @uncollected()
@@ -73,7 +73,10 @@ def read_description(path: Path) -> Description:
         raise InputError(f"{path}: FMU not found. Check the path.")
     if not zipfile.is_zipfile(path):
         raise InputError(f"{path}: not an FMU: no zip archive. Export the model again.")
-    root = parse_xml(read_text(path), f"{path}: {DESCRIPTION_FILE}")
+    with CheckedArchive(path) as archive:
+        if DESCRIPTION_FILE not in archive.names:
+            raise InputError(f"{path}: not an FMU: no {DESCRIPTION_FILE} at its top level.")
+        root = parse_xml(archive.read(DESCRIPTION_FILE), f"{path}: {DESCRIPTION_FILE}")
     version = root.get("fmiVersion") or "of unknown version"
     if not re.fullmatch(r"2\.0|3\.0(\..*)?", version):
         raise InputError(f"{path}: FMI {version} is not supported. Export FMI 2.0 or 3.0.")
@@ -91,7 +94,7 @@ def _described(root: Element, version: int) -> Description:
     token = root.get("guid" if version == 2 else "instantiationToken")
     if token is None:
         raise InputError("no guid or instantiationToken. Export the model again.")
-    declared = _Variables(root, version)
+    declared, capabilities = _Variables(root, version), _capabilities(root, version)
     derivatives = [variable for _, variable in declared.unknowns("Derivatives", "ContinuousStateDerivative")]
     states = [state for each in derivatives if (state := declared.state(each)) is not None]
     variables = _by_name(declared.variables({_name(each) for each in states}))
@@ -103,11 +106,7 @@ def _described(root: Element, version: int) -> Description:
         generation_tool=root.get("generationTool", ""),
         variables=variables,
         units={_name(each): _unit(each) for each in root.iterfind("UnitDefinitions/Unit")},
-        interfaces={
-            kind: _interface(kind, each, version)
-            for kind, tag in zip(KINDS, _INTERFACES, strict=True)
-            for each in root.iterfind(tag)
-        },
+        interfaces={kind: _interface(kind, capabilities[kind], version) for kind in KINDS if kind in capabilities},
         default_experiment={
             word: _finite(text, attribute)
             for each in root.iterfind("DefaultExperiment")
@@ -124,7 +123,7 @@ def _described(root: Element, version: int) -> Description:
         states=tuple(name for each in states for name in declared.names(each)),
         indicators=declared.indicators,
         applied=_applied(root, version, variables),
-        capabilities=_capabilities(root, version),
+        capabilities=capabilities,
     )
 
 
@@ -253,7 +252,7 @@ def _start(text: str, wire: str) -> Value:
         return float(text)
     if wire == "Boolean":
         return text.lower() in _TRUE
-    return int(text) if wire in _INTEGERS else text
+    return int(text) if wire in INTEGERS else text
 
 
 def _by_name(variables: Iterator[Variable]) -> dict[str, Variable]:
@@ -330,34 +329,30 @@ def _unit(element: Element) -> Unit:
 
 
 def _capabilities(root: Element, version: int) -> dict[str, dict[str, str]]:
-    found: dict[str, dict[str, str]] = {}
-    for kind, tag in (*zip(KINDS, _INTERFACES, strict=True), ("scheduled-execution", "ScheduledExecution")):
-        for element in root.iterfind(tag):
-            found[kind] = given = dict(element.attrib)
-            if tag == "ModelExchange" and version == 2:  # FMI 2.0 states the opposite
-                told = given.pop("completedIntegratorStepNotNeeded", "false").strip() in _TRUE
-                given["needsCompletedIntegratorStep"] = "false" if told else "true"
-    return dict(sorted(found.items()))
+    found = {kind: dict(each.attrib) for kind, tag in _INTERFACES.items() for each in root.iterfind(tag)}
+    if version == 2 and "model-exchange" in found:  # FMI 2.0 states the opposite
+        given = found["model-exchange"]
+        told = given.pop("completedIntegratorStepNotNeeded", "false").strip() in _TRUE
+        given["needsCompletedIntegratorStep"] = "false" if told else "true"
+    return found
 
 
-def _interface(kind: str, element: Element, version: int) -> Interface:
+def _interface(kind: str, given: Mapping[str, str], version: int) -> Interface:
     def true(attribute: str) -> bool:
-        return element.get(attribute) in _TRUE
+        return given.get(attribute) in _TRUE
 
-    identifier = element.get("modelIdentifier")
+    identifier = given.get("modelIdentifier")
     if not identifier or set("/\\:\0") & set(identifier):  # it names the binary: a path would lead to another file
         raise InputError(f"modelIdentifier {identifier!r} names no binary. Export the model again.")
     of_steps = kind == "co-simulation"
-    told = not true("completedIntegratorStepNotNeeded") if version == 2 else true("needsCompletedIntegratorStep")
     return Interface(
-        kind=kind,
         identifier=identifier,
         needs_execution_tool=true("needsExecutionTool"),
         once_per_process=true("canBeInstantiatedOnlyOncePerProcess"),
-        declared_repeatable=element.get("canBeInstantiatedOnlyOncePerProcess") in ("false", "0"),
+        declared_repeatable=given.get("canBeInstantiatedOnlyOncePerProcess") in ("false", "0"),
         directional_derivatives=true("providesDirectionalDerivative" + "s" * (version == 3)),
         variable_step=of_steps and true("canHandleVariableCommunicationStepSize"),
         interpolates_inputs=of_steps and true("canInterpolateInputs"),
         event_mode=of_steps and version == 3 and true("hasEventMode"),
-        completed_step=of_steps or told,
+        completed_step=of_steps or true("needsCompletedIntegratorStep"),
     )

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import zipfile
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 from typing import NamedTuple
@@ -13,8 +13,8 @@ from fmuid.errors import InputError
 from fmuid.files import is_file
 from fmuid.formatting import nearest
 from fmuid.models.archive import file_digest, unpacked
-from fmuid.models.description import DESCRIPTION_FILE, Description, Unit, Variable, unit_conversion
-from fmuid.models.reading import read_description, read_text
+from fmuid.models.description import Unit, Variable, unit_conversion
+from fmuid.models.fmu import FMU
 from fmuid.models.ssd import Edge, ElementPath, Node, StructureTree
 from fmuid.models.ssv import (
     Element,
@@ -28,30 +28,25 @@ from fmuid.models.ssv import (
     units_of,
 )
 from fmuid.models.start_values import Value
-from fmuid.models.untrusted_xml import started_elements
 
 STRUCTURE_FILE = "SystemStructure.ssd"
 
 
 @dataclass(frozen=True)
 class SystemStructure:
-    """Content of an .ssp file, nested systems flattened, as arguments of `fmuid.System`.
+    """Content of an .ssp file, nested systems flattened, as arguments of `fmuid.System`."""
 
-    `components` have an unpacked FMU and a requested interface. `connections` lack factor and offset if the structure
-    gives no units. `values` are in the variables' units; unknown names are ignored (SSP 1.0, 5.3.1).
-    """
-
-    components: Mapping[str, tuple[Path, str | None]]
+    components: Mapping[str, tuple[FMU, str | None]]
+    """FMU and requested interface."""
     connections: tuple[tuple[str, str] | tuple[str, str, float, float], ...]
+    """Without factor and offset if the structure gives no units."""
     connectors: Mapping[str, Sequence[tuple[str, float, float]]]
     values: Mapping[str, Value]
+    """In the variables' units, without unknown names (SSP 1.0, 5.3.1)."""
 
 
 def read_ssp(path: str | Path) -> SystemStructure:
-    """Read an ``.ssp`` file, unpacked into the user's cache; an `InputError` if it is wrong.
-
-    Causalities, types and unstated units are not checked here: only the FMUs know them.
-    """
+    """Read an ``.ssp`` file, unpacked into the user's cache; an `InputError` if it is wrong."""
     path = Path(path)
     if not is_file(path):
         raise InputError(f"{path}: SSP file not found. Check the path.")
@@ -65,7 +60,8 @@ def read_ssp(path: str | Path) -> SystemStructure:
     package = _Package(path, folder, root)
     for element, binding in package.tree.bindings:
         package.bind(element, binding)
-    return SystemStructure(package.components, package.connections(), package.own_connectors(), package.values)
+    components = {".".join(each): (package.fmus[each], kind) for each, (_, kind) in package.tree.components.items()}
+    return SystemStructure(components, package.connections(), package.own_connectors(), package.values)
 
 
 class _Package:
@@ -75,13 +71,10 @@ class _Package:
         self.path, self.folder, self.tree = path, folder, StructureTree(root, str(path))
         self.error = self.tree.error
         self.units, self.enumerations = units_of(root, str(path)), enumerations_of(root, str(path))
-        self.descriptions: dict[ElementPath, Description] = {}
-        self.components = {
-            ".".join(element): (self._fmu(".".join(element), source), interface)
-            for element, (source, interface) in self.tree.components.items()
-        }
-        if not self.components:
+        components = self.tree.components.items()
+        if not components:
             raise self.error("no components. Add at least one FMU.")
+        self.fmus = {element: self._fmu(".".join(element), source) for element, (source, _) in components}
         self.chains = {node: self.tree.chain_to(node) for node in self.tree.connectors}
         self.values: dict[str, Value] = {}
 
@@ -97,28 +90,26 @@ class _Package:
             raise self.error(f"{what}: file {name!r} is not in the archive{nearest(name, there)}.")
         return file
 
-    def _fmu(self, name: str, source: str) -> Path:
-        """Return the FMU of a component; FMI 1.0 is refused."""
-        what = f"component {name!r}"
-        file = self._file(source, what)
+    def _fmu(self, name: str, source: str) -> FMU:
+        file = self._file(source, f"component {name!r}")
         try:
-            first = next(started_elements(read_text(file), DESCRIPTION_FILE))
-        except (InputError, StopIteration) as error:
-            said = str(error).replace(str(file), source) or "it is empty"
-            raise self.error(f"{what}: {source} is no FMU with a readable {DESCRIPTION_FILE}: {said}") from None
-        version = first.get("fmiVersion", "")
-        if version.startswith("1"):
-            raise self.error(f"{what}: FMI {version} is not supported. Export FMI 2.0 or 3.0.")
-        return file
-
-    def _description(self, element: ElementPath) -> Description:
-        if element not in self.descriptions:
-            self.descriptions[element] = read_description(self.components[".".join(element)][0])
-        return self.descriptions[element]
+            return FMU(file)
+        except InputError as error:
+            raise self.error(f"component {name!r}: {str(error).replace(str(file), source)}") from None
 
     def _variable(self, node: Node) -> Variable | None:
-        known = node.element in self.tree.components
-        return self._description(node.element).variables.get(node.connector) if known else None
+        fmu = self.fmus.get(node.element)
+        return fmu.description.variables.get(node.connector) if fmu else None
+
+    def _conversion(
+        self, source: str, target: str, elements: Iterable[ElementPath], own: Mapping[str, Unit] | None = None
+    ) -> tuple[float, float] | None:
+        """Return (factor, offset) between units of components' FMUs; the structure's precede, and a file's `own`."""
+        known: dict[str, Unit] = {}
+        for element in elements:
+            known |= self.fmus[element].description.units if element in self.fmus else {}
+        known |= self.units
+        return unit_conversion({**known, **(own or {})}.get(source), known.get(target))
 
     def _stated(self, node: Node) -> str | None:
         connector = self.tree.connectors.get(node)
@@ -134,7 +125,7 @@ class _Package:
     def connections(self) -> tuple[tuple[str, str] | tuple[str, str, float, float], ...]:
         found: list[tuple[str, str] | tuple[str, str, float, float]] = []
         for node, chain in self.chains.items():
-            if node.element in self.tree.components and self._fed_by_component(node):
+            if node.element in self.fmus and self._fed_by_component(node):
                 factor, offset, settled = self._composed(chain)
                 ends = str(chain[0].source), str(node)
                 found.append((*ends, factor, offset) if settled else ends)
@@ -155,7 +146,7 @@ class _Package:
 
     def _fed_by_component(self, target: Node) -> bool:
         chain = self.chains.get(target)
-        return bool(chain and chain[0].source.element in self.tree.components)
+        return bool(chain and chain[0].source.element in self.fmus)
 
     def _fed_by(self, source: Node) -> list[tuple[Node, list[Edge]]]:
         """Return the component connectors behind a system connector, with their edges."""
@@ -163,15 +154,15 @@ class _Package:
             (node, chain[i:])
             for node, chain in self.chains.items()
             for i, edge in enumerate(chain)
-            if node.element in self.tree.components and edge.source == source
+            if node.element in self.fmus and edge.source == source
         ]
 
     def _composed(self, chain: list[Edge]) -> tuple[float, float, bool]:
-        """Return factor, offset and their validity along a chain of connections.
+        """Return factor, offset and their validity along a chain of connections (SSP, 4.5.1).
 
-        If a connector states a unit or a connection transforms, other connectors take their variable's or source's unit
-        (SSP, 4.5.1). A transformation follows the unit conversion, and stands alone between different dimensions.
+        A transformation follows the unit conversion, and stands alone between different dimensions.
         """
+        # if a connector states a unit or a connection transforms, others take their variable's or source's unit
         nodes = [chain[0].source, *(edge.target for edge in chain)]
         known = any(self._stated(node) for node in nodes) or any(edge.transforms for edge in chain)
         unit = self._unit(nodes[0]) if known else None
@@ -179,12 +170,7 @@ class _Package:
         for edge in chain:
             end = self._unit(edge.target) if known else None
             if unit and end and unit != end and not edge.suppress_units:
-                ends = (node.element for node in (nodes[0], nodes[-1]) if node.element in self.tree.components)
-                known_units: dict[str, Unit] = {}
-                for element in ends:
-                    known_units |= self._description(element).units
-                known_units |= self.units  # the structure's definitions precede
-                conversion = unit_conversion(known_units.get(unit), known_units.get(end))
+                conversion = self._conversion(unit, end, (nodes[0].element, nodes[-1].element))
                 if conversion is None and not edge.transforms:
                     raise self.error(f"{edge.label}: units {unit!r} and {end!r} do not convert.")
                 if conversion is not None:
@@ -247,7 +233,7 @@ class _Package:
     def _named(self, element: ElementPath, name: str) -> Node | None:
         """Return the node of a hierarchical name inside an element, if any."""
         node = Node(element, name)
-        if element in self.tree.components or node in self.tree.connectors:
+        if element in self.fmus or node in self.tree.connectors:
             return node
         inner = [e for e in self.tree.elements_in(element) if name.startswith(f"{e}.")]
         if not inner:
@@ -267,8 +253,7 @@ class _Package:
         steps = [(entry.factor, entry.offset), *([self._composed(chain)[:2]] if chain else [])]
         wanted = self._unit(node) or self._unit(target)
         if unit and wanted and unit != wanted and not entry.suppress_units:
-            known = {**self._description(target.element).units, **self.units}
-            conversion = unit_conversion({**known, **given.units}.get(unit), known.get(wanted))
+            conversion = self._conversion(unit, wanted, [target.element], given.units)
             if conversion is None:
                 raise InputError(f"{given.label}: units {unit!r} and {wanted!r} do not convert.")
             steps.insert(0, conversion)

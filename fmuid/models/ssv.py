@@ -14,7 +14,7 @@ from xml.etree import ElementTree
 from xml.sax.saxutils import quoteattr
 
 from fmuid.errors import InputError
-from fmuid.models.description import SI_BASE_UNITS, Unit
+from fmuid.models.description import FLOATS, INTEGERS, SI_BASE_UNITS, Unit
 from fmuid.models.start_values import Value
 from fmuid.models.untrusted_xml import LARGEST_XML, parse_xml
 from fmuid.version import __version__
@@ -23,8 +23,6 @@ Element = ElementTree.Element
 
 NAMESPACE = "http://ssp-standard.org/SSP1/SystemStructure"
 """Common prefix of the namespaces of SSP 1.0 and 2.0."""
-_REALS = ("Real", "Float64", "Float32")
-_INTEGERS = ("Integer", *(f"{sign}Int{bits}" for sign in ("", "U") for bits in (8, 16, 32, 64)))
 
 
 class Quantity(NamedTuple):
@@ -220,9 +218,9 @@ def parameter_set(
 
 def _value(element: Element, where: str) -> Value:
     kind, text = local(element), element.get("value", "")
-    if kind in _REALS:
+    if kind in ("Real", *FLOATS):
         return number(element, "value", where)
-    if kind in _INTEGERS:
+    if kind in ("Integer", *INTEGERS):
         return whole(element, "value", where)
     if kind == "Boolean":
         return truth(element, "value", where)

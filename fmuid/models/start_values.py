@@ -14,14 +14,15 @@ from xml.etree.ElementTree import Element, TreeBuilder
 from xml.parsers import expat
 
 from fmuid.errors import InputError
-from fmuid.models.untrusted_xml import xml_parser
+from fmuid.models.description import FLOATS, INTEGERS
+from fmuid.models.untrusted_xml import located_parser
 
 Value = float | int | bool | str
 
 TOOL, ANNOTATION = "fmuid", "org.fmuid.applied"
 """Identify the annotation: ``Tool name`` of FMI 2.0, ``Annotation type`` of FMI 3.0."""
-_REALS = ("Real", "Float64", "Float32")
-_NUMBERS = (*_REALS, "Integer", "Enumeration", *(f"{sign}Int{bits}" for sign in ("", "U") for bits in (8, 16, 32, 64)))
+_REALS = ("Real", *FLOATS)
+_INTEGERS = ("Integer", "Enumeration", *INTEGERS)
 _TAG = re.compile(r"""<[^\s/>]+(?P<attributes>(?:\s+[^\s=>/]+\s*=\s*(?:"[^"]*"|'[^']*'))*)\s*/?>""")
 _ATTRIBUTE = re.compile(r"""\s+(?P<name>[^\s=]+)\s*=\s*(?P<quote>["'])(?P<value>.*?)(?P=quote)""", re.DOTALL)
 _ELEMENT = re.compile(r"(?P<array>.+)\[(?P<subscripts>\d+(?:,\d+)*)\]")
@@ -67,7 +68,7 @@ class _LocatedXml:
         self.encoding = {b"\xff\xfe": "utf-16-le", b"\xfe\xff": "utf-16-be"}.get(text[:2], "utf-8")
         self.begins: dict[Element, int] = {}
         self.ends: dict[Element, int] = {}
-        parser, tree = xml_parser("modelDescription.xml"), TreeBuilder()
+        parser, tree = located_parser("modelDescription.xml"), TreeBuilder()
 
         def declaration(_version: str, encoding: str | None, _standalone: int) -> None:
             if encoding and not self.encoding.startswith("utf-16"):
@@ -111,10 +112,7 @@ class _LocatedXml:
         return typed, size, index
 
     def edited_tag(self, typed: Element, literals: Mapping[int | None, str], size: int) -> tuple[int, int, str]:
-        """Return an edit (begin, end, new text) of a tag's starts.
-
-        The key None is a scalar's start, other keys are elements of an array.
-        """
+        """Return an edit (begin, end, new text) of a tag's starts: of a scalar (key None) or elements of an array."""
         begin = self._character(self.begins[typed])
         tag = _TAG.match(self.text, begin)
         if tag is None:
@@ -166,7 +164,7 @@ def _typed(declared: Element) -> Element | None:
     """Return the element with a variable's type: its own in FMI 3.0."""
     if declared.tag != "ScalarVariable":
         return declared
-    return next((each for each in declared if each.tag in (*_NUMBERS, "Boolean", "String")), None)
+    return next((each for each in declared if each.tag in (*_REALS, *_INTEGERS, "Boolean", "String")), None)
 
 
 def _linear(shape: list[int], subscripts: list[int]) -> int | None:
@@ -185,7 +183,7 @@ def _literal(name: str, kind: str, value: float | int | bool) -> str:
         return "true" if value else "false"
     if kind in _REALS and not isinstance(value, bool) and math.isfinite(value):
         return repr(float(value))
-    if kind in _NUMBERS and kind not in _REALS and not isinstance(value, bool) and float(value).is_integer():
+    if kind in _INTEGERS and not isinstance(value, bool) and float(value).is_integer():
         return str(int(value))
     raise InputError(f"variable {name!r}: {value!r} is no start value of type {kind}.")
 

@@ -65,7 +65,7 @@ class System:
     (System(a, b), 'A')
     """
 
-    components: Mapping[str, Component]
+    components: dict[str, Component]
     connections: tuple[Connection, ...]
     connectors: Mapping[str, tuple[Port, ...]]
     exchange_order: tuple[tuple[tuple[Connection, ...], bool], ...]
@@ -123,20 +123,15 @@ class System:
         master: str = "jacobi",
         isolation: Isolation | None = None,
     ) -> System:
-        """Return the system of an ``.ssp`` file (SSP 1.0 and 2.0).
+        """Return the system of an ``.ssp`` file (SSP 1.0 and 2.0); an `InputError` if wrong.
 
         Its own connectors keep their names; other variables are ``component.variable``.
-
-        Raises
-        ------
-        InputError
-            If the file, an FMU or a connection is wrong.
         """
         from fmuid.models.ssp import read_ssp
 
         structure = read_ssp(path)
         components = {
-            name: Component(FMU(fmu), numerics.over(Numerics(interface=interface)))
+            name: Component(fmu, numerics.over(Numerics(interface=interface)))
             for name, (fmu, interface) in structure.components.items()
         }
         try:
@@ -156,13 +151,7 @@ class System:
     def of(
         cls, model: System | FMU | str | Path, numerics: Numerics = AS_OFFERED, isolation: Isolation | None = None
     ) -> System:
-        """Return the system of a model, which may be one itself.
-
-        Raises
-        ------
-        InputError
-            If numerics or isolation are given for a system.
-        """
+        """Return the system of a model; a system itself takes no numerics or isolation (`InputError`)."""
         if not isinstance(model, System):
             return cls(model, numerics=numerics, isolation=isolation)
         if numerics != AS_OFFERED or isolation is not None:
@@ -191,24 +180,10 @@ class System:
         return not self.connections or any(model.numerics.samples is not None for model in self.components.values())
 
     def run_by(self, numerics: Mapping[str, Numerics]) -> System:
-        """Return this system with other solver settings of some components.
-
-        Parameters
-        ----------
-        numerics : mapping of str to Numerics
-            By component.
-
-        Raises
-        ------
-        InputError
-            If an FMU lacks the interface, or an integrator is given for Co-Simulation.
-        """
-        components = {
-            name: Component(model.fmu, numerics[name]) if name in numerics else model
-            for name, model in self.components.items()
-        }
+        """Return this system with other solver settings of some components, or an `InputError` of `Component`."""
         other = copy.copy(self)
-        vars(other)["components"] = components
+        changed = {name: Component(self.components[name].fmu, each) for name, each in numerics.items()}
+        vars(other)["components"] = self.components | changed
         return other
 
     def __repr__(self) -> str:
@@ -274,13 +249,7 @@ class System:
         return found.unit if found else None
 
     def variable(self, name: str, role: str = "variable") -> Variable:
-        """Return a variable by its name in the system.
-
-        Raises
-        ------
-        InputError
-            If there is none; the message gives near names.
-        """
+        """Return a variable by its name in the system; an `InputError` gives near names."""
         found = self.variables.get(name)
         if found is None:
             raise InputError(f"{self.label}: no {role} {name!r}{nearest(name, self.variables)}.")
@@ -291,8 +260,7 @@ class System:
         for variable, causality in ((output, "output"), (input_, "input")):
             if variable.causality != causality:
                 raise InputError(
-                    f"connection {source} -> {target}: "
-                    f"{variable.name!r} has causality {variable.causality!r}. "
+                    f"connection {source} -> {target}: {variable.name!r} has causality {variable.causality!r}. "
                     "Connect an output to an input."
                 )
         if output.type != input_.type or output.type not in ("Real", "Integer", "Boolean"):
@@ -320,10 +288,7 @@ class System:
                 if variable.name in self.connected_inputs:
                     raise InputError(f"connector {name!r} sets {variable.name!r}, which a connection feeds. Keep one.")
                 if variable.causality != behind[0].causality or variable.type != behind[0].type:
-                    raise InputError(
-                        f"connector {name!r} joins {behind[0].name!r} ({behind[0].causality}, "
-                        f"{behind[0].type}) and "
-                        f"{variable.name!r} ({variable.causality}, {variable.type}). Join variables of one kind."
-                    )
+                    both = " and ".join(f"{v.name!r} ({v.causality}, {v.type})" for v in (behind[0], variable))
+                    raise InputError(f"connector {name!r} joins {both}. Join variables of one kind.")
                 if variable.causality == "output" and len(behind) > 1:
                     raise InputError(f"connector {name!r} joins several outputs. Write their sum in the outputs.")

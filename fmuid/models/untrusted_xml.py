@@ -6,7 +6,6 @@ A document type is refused: it excludes entity expansion (CWE-776) and external 
 from __future__ import annotations
 
 import gc
-import io
 from collections.abc import Iterator
 from contextlib import contextmanager
 from xml.etree import ElementTree
@@ -35,9 +34,8 @@ def parse_xml(text: bytes, what: str) -> ElementTree.Element:
     InputError
         If it is not well-formed, has a document type, or is nested too deeply.
     """
-    _check_head(text, what)
     try:
-        root = ElementTree.fromstring(text)
+        root = ElementTree.fromstring(text, ElementTree.XMLParser(target=_Builder(what)))
     except (ElementTree.ParseError, UnicodeError, LookupError, ValueError) as error:
         raise InputError(f"{what}: not well-formed XML: {error}.") from None
     level = [root]
@@ -48,24 +46,10 @@ def parse_xml(text: bytes, what: str) -> ElementTree.Element:
     raise InputError(f"{what}: more than {DEEPEST_NESTING} nested elements. Nest it less deeply.")
 
 
-def started_elements(text: bytes, what: str) -> Iterator[ElementTree.Element]:
-    """Yield elements at their start tags; the caller may stop early."""
-    _check_head(text, what)
-    try:
-        for _, element in ElementTree.iterparse(io.BytesIO(text), ("start",)):
-            yield element
-    except (ElementTree.ParseError, UnicodeError, LookupError, ValueError) as error:
-        raise InputError(f"{what}: not well-formed XML: {error}.") from None
-
-
-def xml_parser(what: str) -> expat.XMLParserType:
+def located_parser(what: str) -> expat.XMLParserType:
     """Return a parser with text positions that refuses a document type."""
-
-    def refuse(*_: object) -> None:
-        raise InputError(f"{what}: DOCTYPE is refused: it may load other files. Remove it.")
-
     made = expat.ParserCreate()
-    made.StartDoctypeDeclHandler = refuse
+    made.StartDoctypeDeclHandler = _Builder(what).doctype
     return made
 
 
@@ -81,19 +65,12 @@ def uncollected() -> Iterator[None]:
             gc.enable()
 
 
-class _RootReached(Exception):  # noqa: N818  # not an error
-    """A document type precedes the root element (XML 1.0, 2.8)."""
+class _Builder(ElementTree.TreeBuilder):
+    """Tree builder that refuses a document type; it precedes the root element (XML 1.0, 2.8)."""
 
+    def __init__(self, what: str) -> None:
+        super().__init__()
+        self._what = what
 
-def _check_head(text: bytes, what: str) -> None:
-    def stop(*_: object) -> None:
-        raise _RootReached
-
-    head = xml_parser(what)
-    head.StartElementHandler = stop
-    try:
-        head.Parse(text, True)
-    except _RootReached:
-        return
-    except (expat.ExpatError, UnicodeError, LookupError, ValueError) as error:
-        raise InputError(f"{what}: not well-formed XML: {error}.") from None
+    def doctype(self, *_: object) -> None:
+        raise InputError(f"{self._what}: DOCTYPE is refused: it may load other files. Remove it.")

@@ -9,16 +9,8 @@ from .host import HostProcess as HostProcess
 from .keeper import MOST_KILLS as MOST_KILLS
 from .keeper import HostKeeper as HostKeeper
 from .keeper import IsolatedCaller as IsolatedCaller
-from .limits import CRASHED as CRASHED
-from .limits import EXITED as EXITED
-from .limits import FAILED as FAILED
-from .limits import GARBLED as GARBLED
-from .limits import GREW as GREW
-from .limits import HUNG as HUNG
-from .limits import KILLED as KILLED
-from .limits import REFUSED as REFUSED
-from .limits import STOPPED as STOPPED
 from .limits import HostExitError as HostExitError
+from .limits import ProcessEnd as ProcessEnd
 from .limits import ProcessStatus as ProcessStatus
 from .limits import Watchdog as Watchdog
 from .service import shared_memory as shared_memory

@@ -84,14 +84,9 @@ def sweep(parent: Path | None) -> None:
 
 
 def memory(group: Path | None) -> float:
-    """Return the memory of a group without that of files, bytes.
-
-    These are ``anon`` and ``shmem`` of its memory controller; 0 where memory is not counted.
-    """
-    if group is None:
-        return 0.0
+    """Return the memory of a group without that of files, bytes; 0 where it is not counted."""
     try:
-        words = (group / "memory.stat").read_text().split()
+        words = (group / "memory.stat").read_text().split() if group else []
     except OSError:
         return 0.0
     counts = dict(zip(words[::2], words[1::2], strict=False))

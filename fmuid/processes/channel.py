@@ -10,7 +10,6 @@ checksum covers all parts. Anything else is garbled.
 from __future__ import annotations
 
 import builtins
-import contextlib
 import json
 import math
 import pickle
@@ -21,6 +20,7 @@ import struct
 import zlib
 from collections.abc import Callable, Iterator, Sequence
 from datetime import datetime
+from functools import reduce
 from typing import Any, Literal
 
 from fmuid import errors
@@ -56,11 +56,7 @@ def order_of(parts: Sequence[Part]) -> Any:
 
 
 def answer_parts(answer: object) -> list[Part]:
-    """Return a text, and the memory of each array.
-
-    Types: None, bool, int, float, str, bytes, datetime, arrays of numbers, texts and times, and lists, tuples, dicts
-    and errors of them; others raise TypeError. An error of another package becomes its nearest base in Python.
-    """
+    """Return a text, and the memory of each array; a TypeError of other types than `_plain` takes."""
     beside: list[Part] = []
     return [json.dumps(_plain(answer, beside)).encode(), *beside]
 
@@ -79,7 +75,7 @@ def answer_of(parts: Sequence[Part]) -> Any:
 
 
 def _plain(value: Any, beside: list[Part]) -> Any:
-    """Return a value as JSON; arrays and bytes join `beside`, in order."""
+    """Return plain values, containers, arrays and errors of them as JSON; arrays and bytes join `beside`, in order."""
     if value is None or isinstance(value, bool | int | float | str):
         return value
     if isinstance(value, list | tuple):
@@ -110,6 +106,7 @@ def _plain_array(value: Any, beside: list[Part]) -> Any:
 
 
 def _plain_error(error: Exception) -> list[Any]:
+    """Return an error, or its nearest base in Python."""
     for kind in type(error).__mro__:
         if kind.__module__ in _ERRORS and issubclass(kind, Exception):
             arguments = error.__reduce__()[1] if kind is type(error) else (str(error),)
@@ -170,7 +167,7 @@ Look = Callable[[], None]
 class Channel:
     """One end of a blocking socket that carries messages.
 
-    While nothing moves, an exchange calls `look` every `look_every` s; an error of `look` ends the exchange.
+    While nothing moves, an exchange calls `look` every `look_every` s, which may raise.
     """
 
     def __init__(self, end: socket.socket, look_every: float | None = None) -> None:
@@ -178,23 +175,23 @@ class Channel:
         self._every = None if look_every is None else 1e3 * look_every
 
     def send(self, parts: Sequence[Part], token: bytes, look: Look | None = None) -> None:
-        """Send a message; raise EOFError if the other side is gone.
-
-        The token of an order is new, and that of an answer is that of the order.
-        """
+        """Send a message; raise EOFError if the other side is gone. An answer has the token of its order."""
         sizes = struct.pack(f"<{len(parts)}Q", *(memoryview(part).nbytes for part in parts))
         head = HEADER.pack(MARK, token, _checksum([sizes, *parts]), len(parts)) + sizes
         for part in (head, *parts):
-            self._send(memoryview(part), look)
+            left = memoryview(part)
+            while left:
+                try:
+                    left = left[self._end.send(left, socket.MSG_DONTWAIT) :]
+                except BlockingIOError:
+                    self._wait(select.POLLOUT, look)
+                except OSError as error:
+                    raise EOFError from error
 
     def receive(
         self, look: Look | None = None, token: bytes | None = None, most_bytes: float = math.inf
     ) -> tuple[bytes, list[bytearray]]:
-        """Return the token and the parts of the next message.
-
-        It must have the token, if one is given, and at most `most_bytes`, or `GarbledError` is raised; EOFError if the
-        other side is gone.
-        """
+        """Return token and parts of the next message; GarbledError for another one, EOFError without other side."""
         mark, found, checksum, count = HEADER.unpack(self._receive(HEADER.size, look))
         if mark != MARK or token not in (None, found) or 8 * count > most_bytes:
             raise GarbledError
@@ -209,15 +206,6 @@ class Channel:
         if _checksum([sizes, *parts]) != checksum:
             raise GarbledError
         return found, parts
-
-    def _send(self, left: memoryview, look: Look | None) -> None:
-        while left:
-            try:
-                left = left[self._end.send(left, socket.MSG_DONTWAIT) :]
-            except BlockingIOError:
-                self._wait(select.POLLOUT, look)
-            except OSError as error:
-                raise EOFError from error
 
     def _receive(self, size: int, look: Look | None) -> bytearray:
         data = bytearray(size)
@@ -245,12 +233,10 @@ class Channel:
     @property
     def at_end(self) -> bool:
         """Whether the other side is gone, found out without waiting."""
-        with contextlib.suppress(BlockingIOError):
-            try:
-                return not self._end.recv(1, socket.MSG_PEEK | socket.MSG_DONTWAIT)
-            except ConnectionError:
-                return True
-        return False
+        try:
+            return not self._end.recv(1, socket.MSG_PEEK | socket.MSG_DONTWAIT)
+        except OSError as error:
+            return not isinstance(error, BlockingIOError)
 
     @property
     def open(self) -> bool:
@@ -263,7 +249,4 @@ class Channel:
 
 
 def _checksum(parts: Sequence[Part]) -> int:
-    found = 0
-    for part in parts:
-        found = zlib.crc32(part, found)
-    return found
+    return reduce(lambda found, part: zlib.crc32(part, found), parts, 0)

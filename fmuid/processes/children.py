@@ -32,10 +32,7 @@ MEMORY_KEPT = {"MALLOC_MMAP_THRESHOLD_": str(32 << 20), "MALLOC_TRIM_THRESHOLD_"
 
 
 def python_command(module: str, *arguments: str) -> list[str]:
-    """Return the command that runs a module as ``python -m`` does.
-
-    Unlike ``python -m``, it runs no file of the current folder. It searches for modules along `search_path`.
-    """
+    """Return the command that runs a module as ``python -m``, but no file of the current folder (`search_path`)."""
     flags = [*_ALONE, *(["-s"] if sys.flags.no_user_site else []), *(["-B"] if sys.dont_write_bytecode else [])]
     return [sys.executable, *flags, "-c", _BEGIN.format(paths=search_path(), module=module), *arguments]
 
@@ -83,10 +80,7 @@ class Child:
 
 
 def watch_lifeline(end: Callable[[], object]) -> threading.Thread:
-    """Call `end` in a thread when the parent ends or lets go.
-
-    Standard input is empty from then on.
-    """
+    """Call `end` in a thread when the parent ends or lets go; standard input is empty from now on."""
     lifeline = os.dup(0)
     with Path(os.devnull).open("rb") as nothing:
         os.dup2(nothing.fileno(), 0)
@@ -102,10 +96,7 @@ def watch_lifeline(end: Callable[[], object]) -> threading.Thread:
 
 
 def search_path() -> list[str]:
-    """Return this process's module search path, and fmuid's folder.
-
-    Relative entries, the current folder and that of the script are left out.
-    """
+    """Return this process's module search path without current and script folder, and fmuid's folder."""
     script = getattr(sys.modules.get("__main__"), "__file__", None)
     around = {_real(Path()), *([_real(Path(script).parent)] if script else [])}
     kept = [each for each in sys.path if Path(each).is_absolute() and _real(Path(each)) not in around]

@@ -29,17 +29,14 @@ from fmuid.processes import cgroup
 from fmuid.processes.channel import TOKEN_BYTES, Channel, GarbledError, answer_of, order_parts
 from fmuid.processes.children import MEMORY_KEPT, Child
 from fmuid.processes.limits import (
-    CRASHED,
-    EXITED,
-    GARBLED,
-    GREW,
-    KILLED,
     Footprint,
     HostExitError,
+    ProcessEnd,
     Watchdog,
     condition_of,
     family,
     numbered,
+    strike,
 )
 
 
@@ -122,10 +119,7 @@ class ForkServer:
             return status
 
     def _ask(self, *order: object, descriptors: Sequence[int] = ()) -> Any:
-        """Give an order and return the answer.
-
-        An interruption, a long silence or a stopped server ends the server with all hosts. New ones follow.
-        """
+        """Give an order and return the answer; an interruption or a long silence ends the server with all hosts."""
         self._asking = True
         try:
             channel = self.start()
@@ -212,7 +206,7 @@ class HostProcess:
         except EOFError:
             raise self._ended() from None
         except GarbledError:
-            raise self.stopped(HostExitError(GARBLED, 0)) from None
+            raise self.stopped(HostExitError(ProcessEnd.GARBLED, 0)) from None
         except BaseException:  # half a message may be sent
             self.kill()
             raise
@@ -231,7 +225,7 @@ class HostProcess:
         if end is not None:
             raise self.stopped(end)
         if self._footprint.exceeds(self._limit + self.given):
-            raise self.stopped(HostExitError(GREW, round(self._limit / 1e6)))
+            raise self.stopped(HostExitError(ProcessEnd.GREW, round(self._limit / 1e6)))
         if os.fstat(self._printed).st_size > LIMITS.printed_largest:
             self._read_printed()
 
@@ -259,11 +253,10 @@ class HostProcess:
     def _ended(self) -> HostExitError:
         status = SERVER.status(self.pid)
         self.kill()
-        if status is None or (os.WIFSIGNALED(status) and os.WTERMSIG(status) == signal.SIGKILL):
-            return HostExitError(KILLED, signal.SIGKILL)
-        if os.WIFSIGNALED(status):
-            return HostExitError(CRASHED, os.WTERMSIG(status))
-        return HostExitError(EXITED, os.WEXITSTATUS(status))
+        code = -signal.SIGKILL if status is None else os.waitstatus_to_exitcode(status)
+        if code >= 0:
+            return HostExitError(ProcessEnd.EXITED, code)
+        return HostExitError(ProcessEnd.KILLED if -code == signal.SIGKILL else ProcessEnd.CRASHED, -code)
 
     @property
     def alive(self) -> bool:
@@ -280,15 +273,9 @@ class HostProcess:
         self.kill()
 
     def strike(self) -> None:
-        """Kill it and its group, unless another process has its number.
-
-        That happens after the server was killed.
-        """
-        if numbered(self.pid) not in (self._numbered, None):
-            return
-        for end in (os.kill, os.killpg):
-            with contextlib.suppress(ProcessLookupError, PermissionError):  # already gone
-                end(self.pid, signal.SIGKILL)
+        """Kill it and its group, unless another process has its number, as after the server was killed."""
+        if numbered(self.pid) in (self._numbered, None):
+            strike(self.pid)
 
     def kill(self) -> None:
         """End it at once; its printed text stays readable."""

@@ -7,6 +7,7 @@ The count of a control group is used if it is larger.
 
 from __future__ import annotations
 
+import contextlib
 import ctypes
 import math
 import os
@@ -15,15 +16,26 @@ import sys
 import time
 from collections.abc import Hashable
 from dataclasses import dataclass
+from enum import IntEnum
 from pathlib import Path
 
 import psutil
 
 from fmuid.processes import cgroup
 
-CRASHED, EXITED, HUNG, GREW, KILLED, REFUSED, GARBLED, STOPPED, FAILED = range(9)
-"""Kinds of ends: signal, exit, time limit, memory limit, killed from outside, refused by the system, garbled answer,
-stopped (SIGSTOP), failed code of fmuid."""
+
+class ProcessEnd(IntEnum):
+    """Ends of isolated processes."""
+
+    CRASHED = 0  # a signal
+    EXITED = 1
+    HUNG = 2  # over the time limit
+    GREW = 3  # over the memory limit
+    KILLED = 4  # from outside
+    REFUSED = 5  # by the system
+    GARBLED = 6  # no answer
+    STOPPED = 7  # by SIGSTOP
+    FAILED = 8  # code of fmuid
 
 
 @dataclass(unsafe_hash=True)  # not frozen: exceptions get a traceback
@@ -33,7 +45,7 @@ class HostExitError(Exception):  # no error, but a report
     `number` is the signal, exit code, system error, time limit (ms) or memory limit (MB).
     """
 
-    kind: int
+    kind: ProcessEnd
     number: int
 
     @property
@@ -49,6 +61,13 @@ def adopt_orphans() -> None:
     """Become the parent of orphans below this process (Linux)."""
     if sys.platform == "linux":
         ctypes.CDLL(None).prctl(36, 1, 0, 0, 0)  # PR_SET_CHILD_SUBREAPER
+
+
+def strike(pid: int) -> None:
+    """Kill a process and its group."""
+    for end in (os.kill, os.killpg):
+        with contextlib.suppress(ProcessLookupError, PermissionError):  # already gone
+            end(pid, signal.SIGKILL)
 
 
 def children(pid: int) -> list[int]:
@@ -77,10 +96,7 @@ class ProcessStatus:
 
 
 def numbered(pid: int) -> psutil.Process | None:
-    """Return the process with a number, None if there is none.
-
-    Equal only for the same process: numbers are reused.
-    """
+    """Return the process with a number, if any; equal only for the same process: numbers are reused."""
     try:
         return psutil.Process(pid)
     except psutil.Error:
@@ -113,14 +129,12 @@ class Footprint:
         self._next = 0.0
 
     def exceeds(self, limit: float) -> bool:
-        """Return whether the memory is above a limit, bytes.
-
-        Proportional set size grows at most as much as resident size, which is read first.
-        """
+        """Return whether the memory is above a limit, bytes."""
         if cgroup.memory(self._group) > limit:
             return True
         relatives = family(self._pid)
         resident = sum(map(_resident, relatives))
+        # proportional set size grows at most as much as resident size
         if self._proportional + max(0.0, resident - self._resident) <= limit:
             return False
         known = self._proportional if time.monotonic() < self._next else self._read(relatives, resident)
@@ -214,6 +228,6 @@ class Watchdog:
         if now - self._since <= allowed:
             return None
         if stopped:
-            return HostExitError(STOPPED, 0)
+            return HostExitError(ProcessEnd.STOPPED, 0)
         waits = condition.computed - self._computed < COMPUTED_SHARE * allowed and wants_processor(condition.pid)
-        return None if waits else HostExitError(HUNG, round(1e3 * allowed))
+        return None if waits else HostExitError(ProcessEnd.HUNG, round(1e3 * allowed))

@@ -22,7 +22,7 @@ from typing import NoReturn
 
 from fmuid.processes import cgroup
 from fmuid.processes.channel import TOKEN_BYTES, Channel, answer_parts
-from fmuid.processes.limits import adopt_orphans, children
+from fmuid.processes.limits import adopt_orphans, children, strike
 from fmuid.processes.service import Service
 
 
@@ -90,9 +90,7 @@ class HostForkServer:
             return
         finally:
             for host in self._hosts:
-                for end in (os.kill, os.killpg):
-                    with contextlib.suppress(OSError):  # already gone
-                        end(host, signal.SIGKILL)
+                strike(host)
             self._hosts.clear()
             cgroup.sweep(self._group)
             self._end_orphans()
@@ -132,10 +130,7 @@ class HostForkServer:
         return None
 
     def _end_orphans(self) -> None:
-        """End the processes of ended hosts.
-
-        They are children of this process and no hosts; a living host adopts its own orphans.
-        """
+        """End the processes of ended hosts: children of this one; a living host adopts its own orphans."""
         until = time.monotonic() + 2.0  # s to end
         while time.monotonic() < until:
             orphans = [pid for pid in children(os.getpid()) if pid not in self._hosts]

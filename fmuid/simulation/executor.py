@@ -16,10 +16,7 @@ from fmuid.simulation.worker import SimulationThread
 
 
 class InProcessExecutor:
-    """Runs one system in at most `limit` threads of this process.
-
-    `lock` is held while simulations run and failures are asked for. `renewal` None: found by the first simulation.
-    """
+    """Runs one system in at most `limit` threads of this process; `renewal` None: found by the first simulation."""
 
     def __init__(
         self, components: Mapping[str, Component], limit: int, told: set[str], renewal: Renewal | None = None
@@ -47,7 +44,7 @@ class InProcessExecutor:
 
     def _found_stiff(self, job: SimulationJob) -> bool:
         """Integrate models found stiff as such; return whether there are any."""
-        stiff = {int(component) for function, component, *_ in job.reports if function == codes.STIFF}
+        stiff = set(job.reports[job.reports[:, 0] == codes.STIFF, 1].tolist())
         models = list(self._components.values())
         undecided = [component for component in stiff if models[component].numerics.integrator is None]
         for component in undecided:
@@ -55,20 +52,18 @@ class InProcessExecutor:
         return bool(undecided)
 
     def _run_shares(self, job: SimulationJob) -> None:
-        count = min(self._limit, len(job))
-        while len(self._threads) < count:
+        parts = shares(len(job), self._limit)
+        while len(self._threads) < len(parts):
             self._threads.append(SimulationThread(self._components, len(self._threads), self._told, self.renewal))
             self.show_doing(self._doing)
         futures: list[Future[None]] = []
         try:
-            if count == 1:
-                self._threads[0].start(self._threads[0].run, job)
-                return
-            for thread, share in reversed(list(zip(self._threads, shares(len(job), count), strict=False))):
+            for thread, share in reversed(list(zip(self._threads, parts, strict=False))):
                 # the caller's own share last: it is worked off at once
                 future = thread.start(thread.run, job[share])
                 futures += [future] if future else []
-            wait(futures)
+            for future in futures:
+                future.result()
         except BaseException:  # an interruption: the other threads are not to go on for nobody
             for thread in self._threads:
                 thread.cancel(job.simulation)
@@ -76,16 +71,11 @@ class InProcessExecutor:
             for thread in self._threads:
                 thread.forget(job.simulation)
             raise
-        for future in futures:
-            future.result()
 
     def failure(
         self, job: SimulationJob, parameters: Mapping[str, float], explain: bool = False
     ) -> SimulationError | None:
-        """Return the error of a job of one simulation; None if it succeeded.
-
-        To `explain` it, the simulation is repeated with the FMU's log; the error names the `parameters`.
-        """
+        """Return the error of a job of one simulation, if any; to `explain` it, repeat it with the FMU's log."""
         thread = self._threads[0]
         known = thread.error(job, parameters)
         if known is None or not explain:

@@ -10,40 +10,21 @@ import logging
 import os
 import threading
 import weakref
-from collections.abc import Callable, Hashable, Iterator, Mapping
+from collections.abc import Callable, Hashable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
-from typing import Protocol
+from typing import TYPE_CHECKING, TypeAlias
 
-from fmuid.errors import SimulationError
 from fmuid.models import System
 from fmuid.simulation.instance_registry import in_threads
-from fmuid.simulation.simulation_plan import SimulationJob
+
+if TYPE_CHECKING:
+    from fmuid.simulation.executor import InProcessExecutor
+    from fmuid.simulation.isolation.isolated_executor import IsolatedExecutor, MultiProcessExecutor
+
+    Executor: TypeAlias = InProcessExecutor | IsolatedExecutor | MultiProcessExecutor
 
 _log = logging.getLogger("fmuid.fmu")
-
-
-class Executor(Protocol):
-    """Simulates one system, shared by all its simulators."""
-
-    lock: threading.RLock
-
-    def run(self, job: SimulationJob) -> None:
-        """Fill in outputs and reports of a job."""
-
-    def failure(
-        self, job: SimulationJob, parameters: Mapping[str, float], explain: bool = False
-    ) -> SimulationError | None:
-        """Return the error of a job of one simulation; None if it succeeded."""
-
-    def printed(self) -> str:
-        """Return and forget the FMUs' printed text."""
-
-    def cancel(self) -> None:
-        """Let simulations in other threads fail, at the end of use."""
-
-    def close(self) -> None:
-        """Free all instances; a later simulation makes new ones."""
 
 
 @dataclass(eq=False)
@@ -110,10 +91,8 @@ def _executor(system: System, told: set[str]) -> Executor:
         from fmuid.processes import AVAILABLE
 
         if AVAILABLE:
-            from fmuid.simulation.isolation.isolated_executor import (
-                IsolatedExecutor,  # for Linux and macOS only
-                MultiProcessExecutor,
-            )
+            # for Linux and macOS only
+            from fmuid.simulation.isolation.isolated_executor import IsolatedExecutor, MultiProcessExecutor
 
             processes = min(threads(), system.isolation.threads or threads())
             if not concurrent and system.can_be_repeated and processes > 1:

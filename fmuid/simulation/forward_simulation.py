@@ -13,7 +13,7 @@ from fmuid.data import Experiment
 from fmuid.errors import SensitivityUnavailableError
 from fmuid.models import STIFF_INTEGRATOR, Component, Port, System
 from fmuid.simulation import codes
-from fmuid.simulation.executor_pool import Executor, executor_of, variant_of
+from fmuid.simulation.executor_pool import executor_of, variant_of
 from fmuid.simulation.plan_builder import grid_of, outputs_with_sensitivities, plan_of, simulation_of
 from fmuid.simulation.simulation_plan import GridSimulation, Sensitivities, SimulationPlan
 from fmuid.simulation.simulation_task import task_of
@@ -115,9 +115,9 @@ def initial_simulation(simulator: Simulator) -> GridSimulation | None:
     return simulation
 
 
-def initial_states(simulation: GridSimulation, executor: Executor, thetas: Floats) -> Floats | None:
+def initial_states(simulation: GridSimulation, system: System, thetas: Floats) -> Floats | None:
     """Return the initial states (m, n_states); None after a failure."""
-    job = simulation.job(thetas)
+    executor, job = executor_of(system), simulation.job(thetas)
     with executor.lock:
         executor.run(job)
     found: Floats = job.outputs[:, 0]

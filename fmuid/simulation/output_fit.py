@@ -20,28 +20,19 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class OutputFit:
-    """Measured against simulated outputs of one experiment.
-
-    Attributes
-    ----------
-    experiment : str
-    times : ndarray (K,)
-        Time, s.
-    outputs, units : tuple of str
-        Output variables and their units in the data file.
-    measured, simulated : ndarray (K, n_outputs)
-        NaN without measurement.
-    counted : ndarray of bool (K, n_outputs)
-        Samples in the cost function.
-    """
+    """Measured against simulated outputs of one experiment."""
 
     experiment: str
     times: Floats
+    """(K,), s."""
     outputs: tuple[str, ...]
     units: tuple[str | None, ...]
+    """Of the outputs, in the data file."""
     measured: Floats
+    """(K, n_outputs), NaN without measurement, as `simulated`."""
     simulated: Floats
     counted: Flags
+    """Samples in the cost function (K, n_outputs)."""
 
     json_layout: ClassVar = Layout(
         omitted={"times", "measured", "simulated", "counted"}, derived=("counted_from", "fit", "rmse")
@@ -81,17 +72,12 @@ class OutputFit:
 
 
 def nrmse_fit(pairs: Sequence[tuple[Floats, Floats]]) -> float:
-    """Return the NRMSE fit 100 (1 − ‖y − ŷ‖/‖y − ȳ‖) of one output, %.
+    """Return the NRMSE fit 100 (1 − ‖y − ŷ‖/‖y − ȳ‖) of one output, %; NaN for a constant one.
 
     Parameters
     ----------
     pairs : sequence of ((n,) array, (n,) array)
         Measured y and simulated ŷ of each experiment with its own mean ȳ.
-
-    Returns
-    -------
-    float
-        NaN for a constant measured output.
     """
     with np.errstate(over="ignore", invalid="ignore"):  # of an unstable simulation: −infinite
         error = math.hypot(*(float(np.linalg.norm(y - simulated)) for y, simulated in pairs))

@@ -23,14 +23,7 @@ from fmuid.simulation.solver_refinement import by_model_exchange
 
 
 class RightHandSide:
-    """Derivatives and outputs of a model at the ends of sampling intervals.
-
-    Parameters
-    ----------
-    simulator : Simulator
-    system : System
-        The simulator's system by Model Exchange.
-    """
+    """Derivatives and outputs of a model, its `system` by Model Exchange, at the ends of sampling intervals."""
 
     def __init__(self, simulator: Simulator, system: System) -> None:
         self._simulator, self._system = simulator, system
@@ -77,10 +70,9 @@ class RightHandSide:
         return cls(simulator, system)
 
     def __call__(self, states: Floats, thetas: Floats) -> tuple[Floats, Floats]:
-        """Return derivatives (m, P, n_x) and outputs (m, P, n_y).
+        """Return derivatives (m, P, n_x) and outputs (m, P, n_y) in units of the data file; NaN after a failure.
 
-        States are (P, n_x), P = 2 (K − 1) points: begin and end of each interval. Failures are NaN. Outputs are in
-        units of the data file.
+        States are (P, n_x), P = 2 (K − 1) points: begin and end of each interval.
         """
         simulation = GridSimulation(self._plan, self._grid._replace(states=np.ascontiguousarray(states)), self._names)
         executor, count = executor_of(self._system), len(self.states)
@@ -92,27 +84,15 @@ class RightHandSide:
         return found[:, :, :count], self._simulator.in_table_units(found[:, :, count:])
 
     def output_slopes(self, theta: Floats) -> tuple[Floats, Floats, Floats]:
-        """Return C = ∂y/∂x at the beginning, by differences over nominals.
+        """Return C = ∂y/∂x at the beginning (n_y, n_x), initial states (n_x,), outputs (K, n_y) with these states.
 
-        Returns
-        -------
-        slopes : (n_y, n_x) array
-            Times the states' nominals, in units of the data file.
-        states : (n_x,) array
-            Initial states, zero if hidden.
-        outputs : (K, n_y) array
-            At all samples with these states.
+        C is by differences over the states' nominals and times these. Hidden states are zero.
         """
         states, _, outputs, _, slopes = self._secants(theta)
         return slopes, states, np.vstack([outputs[::2], outputs[-1:]])
 
     def secants(self, theta: Floats) -> tuple[Floats, Floats]:
-        """Return A = ∂f/∂x (n_x, n_x) and C = ∂y/∂x (n_y, n_x).
-
-        Values at the beginning.
-
-        Both are differences over the states' nominals, in units of these. Outputs are in units of the data file.
-        """
+        """Return A = ∂f/∂x (n_x, n_x) and C = ∂y/∂x (n_y, n_x) at the beginning, in units of the states' nominals."""
         _, base, _, derivatives, slopes = self._secants(theta)
         return (derivatives - base[:, None]) / self.nominals[:, None], slopes
 
@@ -140,4 +120,4 @@ class RightHandSide:
         """Return the initial states (m, n_x) of thetas (m, N); None if hidden."""
         if self._start is None:
             return None
-        return initial_states(self._start, executor_of(self._system), self._simulator.target_values(thetas))
+        return initial_states(self._start, self._system, self._simulator.target_values(thetas))

@@ -11,7 +11,6 @@ import numpy as np
 from fmuid.array_types import Floats
 from fmuid.errors import InputError, SensitivityUnavailableError
 from fmuid.models import DEFAULT_TOLERANCE
-from fmuid.simulation.executor_pool import executor_of
 from fmuid.simulation.forward_simulation import (
     SensitivitySimulation,
     directional_simulation,
@@ -181,7 +180,7 @@ class ForwardSensitivities:
             return None
         steps = np.diag(STEPS.central * magnitudes)
         changed = np.concatenate([values + steps, values - steps])
-        states = initial_states(self._initial, executor_of(self._simulator.system), changed)
+        states = initial_states(self._initial, self._simulator.system, changed)
         if states is None:
             return None
         n = values.size

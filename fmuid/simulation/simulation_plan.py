@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from fmuid.array_types import Flags, Floats, Indices
 from fmuid.simulation import codes
@@ -208,7 +208,8 @@ class SimulationJob:
 
 
 def shares(total: int, count: int) -> list[slice]:
-    """Return the shares of `count` threads in `total` simulations."""
+    """Return the shares of at most `count` threads in `total` simulations."""
+    count = max(1, min(count, total))
     edges = [total * i // count for i in range(count + 1)]
     return [slice(a, b) for a, b in itertools.pairwise(edges)]
 
@@ -218,36 +219,33 @@ _TYPES: dict[str, type[np.generic]] = {  # of arrays that are no indices
     **dict.fromkeys(("signals", "conversions", "tolerances", "times", "inputs", "slopes"), np.float64),
     **dict.fromkeys(("states", "gain", "measured"), np.float64),
 }
-_WIRE_OF = {  # how the values of a type are passed, where that is not as it is called
-    2: {codes.BOOLEAN: codes.INT32},
-    3: {codes.BOOLEAN: codes.UINT8},
-}
+_PASSED_BOOLEAN = {2: codes.INT32, 3: codes.UINT8}  # other types are passed as they are called
 
 
 def check_plan(plan: SimulationPlan, grid: TimeGrid, versions: Sequence[int]) -> None:
     """Check a plan and its grid for FMI versions of components; a `ValueError` if wrong."""
-    n = len(versions)
+    n, n_signals, n_calls = len(versions), len(plan.signals), len(plan.operations)
     inputs = {f"input {name}": array for name, array in plan.inputs._asdict().items()}
     for name, array in (plan._asdict() | inputs | grid._asdict()).items():
         if isinstance(array, np.ndarray):
-            right = array.dtype == _TYPES.get(name, np.intp) and array.flags.c_contiguous
-            _demand(right, name, "is of another type")
+            _demand(array.dtype == _TYPES.get(name, np.intp) and array.flags.c_contiguous, name)
     for operation in plan.operations:
-        _check_operation(plan, operation, versions)
-    stages = plan.stages
-    _demand(len(stages) == 6 + n and stages[0] == 0, "stages", "do not match the components")
-    _demand((np.diff(stages) >= 0).all() and stages[-1] == len(plan.operations), "stages", "are out of order")
-    _check_groups(plan)
-    _check_signals(plan)
-    _demand(len(plan.integrations) == len(plan.tolerances) == n, "integrations", "do not match the components")
-    for (component, row), mode in zip(plan.inputs.curves, plan.inputs.modes.tolist(), strict=True):
-        integration = plan.integrations[component] if 0 <= component < n else None
-        inside = integration is not None and 0 <= row < len(integration.input_starts)
-        _demand(inside if mode == codes.BY_STEPPER else (component, row) == (-1, -1), "input curves", "point nowhere")
+        _demand(_is_sound(plan, operation, versions), "operations")
+    bounds, first, last = plan.stages, int(plan.stages[2]), int(plan.stages[3])
+    _demand(len(bounds) == 6 + n and bounds[0] == 0 and _ascends(bounds, n_calls), "stages")
+    _demand(plan.groups.ndim == plan.conversions.ndim == 2, "groups and conversions")
+    _demand(plan.groups.shape[1] == plan.conversions.shape[1] == 2, "groups and conversions")
+    loops = [end for begin, end in plan.groups.tolist() if begin < 0]
+    _demand(loops == list(range(len(plan.loops))), "groups")
+    _demand(all(begin < 0 or first <= begin <= end <= last for begin, end in plan.groups.tolist()), "groups")
+    for loop in plan.loops:
+        _demand(first <= loop.first <= loop.setting <= loop.last <= last and _inside(loop.signals, n_signals), "loops")
+        _demand(len(loop.nominals) == len(loop.signals) and _inside(loop.nominals, math.inf), "loops")
+    _demand(len(plan.integrations) == len(plan.tolerances) == n, "integrations")
     for i, integration in enumerate(plan.integrations):
         twins = integration.sensitivities.twins if integration and integration.sensitivities else ()
-        known = all(0 <= twin < i and plan.integrations[twin] is not None for twin in twins)
-        _demand(known, "integrations", "have twins that are none")
+        _demand(all(0 <= twin < i and plan.integrations[twin] is not None for twin in twins), "twins")
+    _check_inputs(plan, n_signals)
     _check_grid(plan, grid, n)
 
 
@@ -259,83 +257,75 @@ def check_arrays(plan: SimulationPlan, grid: TimeGrid, thetas: Floats, outputs: 
         ("outputs", outputs, (m, len(grid.times), len(plan.output_terms) - 1), np.float64),
         ("reports", reports, (m, codes.REPORT), np.intp),
     ):
-        _demand(array.shape == shape and array.dtype == kind and array.flags.c_contiguous, name, f"are not {shape}")
+        _demand(array.shape == shape and array.dtype == kind and array.flags.c_contiguous, name)
 
 
-def _demand(right: object, what: str, wrong: str) -> None:
+def _demand(right: object, what: str) -> None:
     if not right:
-        raise ValueError(f"the {what} of a plan {wrong}")
+        raise ValueError(f"the {what} of a plan are wrong")
 
 
-def _check_operation(plan: SimulationPlan, given: Operation, versions: Sequence[int]) -> None:
-    n_signals = len(plan.signals)
-    if given.function == codes.COPY:
-        inside = 0 <= given.reference < n_signals and 0 <= given.signal < n_signals
-        _demand(inside and 0 <= given.n_references < len(plan.conversions), "operations", "copy from or to nowhere")
-        return
-    _demand(0 <= given.component < len(versions), "operations", "have no component")
-    first, count = given.reference, given.n_references
-    _demand(0 <= first <= first + count <= len(plan.references), "operations", "have references that are none")
+def _inside(values: ArrayLike, end: float) -> bool:
+    found = np.asarray(values)
+    return bool(((found >= 0) & (found < end)).all())
+
+
+def _ascends(bounds: Indices, end: int) -> bool:
+    return bool((np.diff(bounds) >= 0).all() and bounds[-1] == end)
+
+
+def _is_sound(plan: SimulationPlan, given: Operation, versions: Sequence[int]) -> bool:
+    """Return whether an operation has signals and references, and its component can do it."""
+    n_signals, first, count, function = len(plan.signals), given.reference, given.n_references, given.function
+    if function == codes.COPY:
+        return _inside((first, given.signal), n_signals) and 0 <= count < len(plan.conversions)
     places = len(plan.texts) if given.wire == codes.STRING else n_signals
-    inside = 0 <= given.signal <= given.signal + given.n_values <= places
-    _demand(inside and given.n_values >= 0, "operations", "have values that are none")
+    if not (
+        0 <= given.component < len(versions)
+        and 0 <= first <= first + count <= len(plan.references)
+        and 0 <= given.signal <= given.signal + given.n_values <= places
+        and 0 <= given.when < 2 * codes.LATCHED
+    ):
+        return False
     version, integration = versions[given.component], plan.integrations[given.component]
-    _demand(0 <= given.when < 2 * codes.LATCHED, "operations", "have conditions that are none")
-    if given.function == codes.SENSITIVITIES:
-        count_of = len(integration.sensitivities.magnitudes) if integration and integration.sensitivities else -1
-        right = count_of >= 0 and given.n_values == count * count_of and given.wire == codes.FLOAT64
-    elif given.function == codes.SET_DERIVATIVES:
-        right = version == 2 and integration is None and given.n_values == count and given.wire == codes.FLOAT64
-    else:
-        transfers = 0 <= given.function < 2 * codes.N_WIRES and function_name(version, given.function) is not None
-        kind = given.function % codes.N_WIRES
-        right = transfers and given.function != codes.N_WIRES + codes.STRING
-        right &= given.wire == _WIRE_OF[version].get(kind, kind)
-        right &= given.n_values == count if version == 2 else given.n_values >= count
-    _demand(right, "operations", "do what their component cannot")
+    if function == codes.SENSITIVITIES:
+        parameters = integration.sensitivities.magnitudes if integration and integration.sensitivities else None
+        return parameters is not None and given.n_values == count * len(parameters) and given.wire == codes.FLOAT64
+    if function == codes.SET_DERIVATIVES:
+        return version == 2 and integration is None and given.n_values == count and given.wire == codes.FLOAT64
+    if not 0 <= function < 2 * codes.N_WIRES or function == codes.N_WIRES + codes.STRING:
+        return False
+    kind = function % codes.N_WIRES
+    passed = given.wire == (_PASSED_BOOLEAN[version] if kind == codes.BOOLEAN else kind)
+    known = function_name(version, function) is not None
+    return passed and known and (given.n_values == count if version == 2 else given.n_values >= count)
 
 
-def _check_groups(plan: SimulationPlan) -> None:
-    first, last = int(plan.stages[2]), int(plan.stages[3])
-    _demand(plan.groups.ndim == 2 and plan.groups.shape[1] == 2, "groups", "are no pairs")
-    loops = [end for begin, end in plan.groups.tolist() if begin < 0]
-    _demand(loops == list(range(len(plan.loops))), "groups", "do not match the loops")
-    for begin, end in plan.groups.tolist():
-        _demand(begin < 0 or first <= begin <= end <= last, "groups", "point out of the exchange")
-    for loop in plan.loops:
-        _demand(first <= loop.first <= loop.setting <= loop.last <= last, "loops", "point out of the exchange")
-        _demand(all(0 <= each < len(plan.signals) for each in loop.signals), "loops", "have unknowns that are none")
-        stated = len(loop.nominals) == len(loop.signals) and all(0 <= each < math.inf for each in loop.nominals)
-        _demand(stated, "loops", "have nominal values that are none")
-
-
-def _check_signals(plan: SimulationPlan) -> None:
-    inputs = plan.inputs
+def _check_inputs(plan: SimulationPlan, n_signals: int) -> None:
+    inputs, terms = plan.inputs, plan.output_terms
     for name, signals in (
         *(("parameter_signals", plan.parameter_signals), ("output_signals", plan.output_signals)),
         *(("input signals", inputs.signals), ("input slopes", inputs.slopes)),
     ):
-        _demand(signals.ndim == 1 and ((signals >= 0) & (signals < len(plan.signals))).all(), name, "point nowhere")
-    modes, terms = inputs.modes, plan.output_terms
-    same = len(inputs.signals) == len(inputs.slopes) == len(modes) == len(inputs.curves)
-    _demand(same, "inputs", "differ in number")
-    _demand(((modes >= codes.HELD) & (modes <= codes.BY_MIDPOINT)).all(), "input modes", "are not known")
-    ordered = len(terms) > 0 and terms[0] == 0 and (np.diff(terms) >= 0).all()
-    _demand(ordered and terms[-1] == len(plan.output_signals), "output_terms", "are out of order")
-    _demand(plan.conversions.ndim == 2 and plan.conversions.shape[1] == 2, "conversions", "are no pairs")
+        _demand(signals.ndim == 1 and _inside(signals, n_signals), name)
+    _demand(len(inputs.signals) == len(inputs.slopes) == len(inputs.modes) == len(inputs.curves), "inputs")
+    _demand(_inside(inputs.modes, codes.BY_MIDPOINT + 1), "input modes")
+    _demand(len(terms) > 0 and terms[0] == 0 and _ascends(terms, len(plan.output_signals)), "output_terms")
+    for (component, row), mode in zip(inputs.curves, inputs.modes.tolist(), strict=True):
+        integration = plan.integrations[component] if 0 <= component < len(plan.integrations) else None
+        inside = integration is not None and 0 <= row < len(integration.input_starts)
+        _demand(inside if mode == codes.BY_STEPPER else (component, row) == (-1, -1), "input curves")
 
 
 def _check_grid(plan: SimulationPlan, grid: TimeGrid, n: int) -> None:
     n_times = len(grid.times)
     shape = (n_times, len(plan.inputs.signals))
-    _demand(n_times > 0 and np.isfinite(grid.times).all(), "times", "are no numbers")
-    _demand(grid.inputs.shape == shape, "inputs", f"are not {shape}")
-    _demand(grid.slopes is None or grid.slopes.shape == shape, "slopes", f"are not {shape}")
-    _demand(grid.substeps.shape == (n_times - 1,) and (grid.substeps > 0).all(), "substeps", "are not positive")
+    _demand(n_times > 0 and np.isfinite(grid.times).all(), "times")
+    _demand(grid.inputs.shape == shape and (grid.slopes is None or grid.slopes.shape == shape), "inputs")
+    _demand(grid.substeps.shape == (n_times - 1,) and (grid.substeps > 0).all(), "substeps")
+    _demand(grid.strides.shape == (n,) and (grid.strides > 0).all(), "strides")
     if grid.states is not None or grid.gain is not None:
         (integration,) = plan.integrations if n == 1 else (None,)
-        _demand(integration is not None and integration.sensitivities is None, "states", "have no single component")
-    _demand((grid.gain is None) == (grid.measured is None), "gain", "has nothing measured")
-    n_y = len(plan.output_terms) - 1
-    _demand(grid.measured is None or grid.measured.shape == (n_times, n_y), "measured", "are not those of the outputs")
-    _demand(grid.strides.shape == (n,) and (grid.strides > 0).all(), "strides", "are not positive")
+        _demand(integration is not None and integration.sensitivities is None, "states")
+    measured = None if grid.measured is None else grid.measured.shape
+    _demand(measured == (None if grid.gain is None else (n_times, len(plan.output_terms) - 1)), "measured outputs")

@@ -23,16 +23,10 @@ from fmuid.simulation.variable_checks import Value, column_conversion
 
 @dataclass(frozen=True)
 class Simulations:
-    """Simulations of several thetas.
-
-    Attributes
-    ----------
-    outputs : (m, K, n_outputs) array
-        In units of the data file; NaN after a failure.
-    errors : tuple of SimulationError or None
-    """
+    """Simulations of several thetas."""
 
     outputs: Floats
+    """(m, K, n_outputs) in units of the data file; NaN after a failure."""
     errors: tuple[SimulationError | None, ...]
 
 
@@ -163,11 +157,7 @@ class Simulator:
         return self.experiment.output_names
 
     def __call__(self, theta: ArrayLike) -> Floats:
-        """Simulate one theta (N,) or several (m, N).
-
-        Returns
-        -------
-        (K, n_outputs) or (m, K, n_outputs) array
+        """Simulate one theta (N,) or several (m, N); return (K, n_outputs) or (m, K, n_outputs).
 
         Raises
         ------
@@ -182,13 +172,7 @@ class Simulator:
         return found.outputs[0] if thetas.ndim < 2 else found.outputs
 
     def many(self, thetas: ArrayLike) -> Simulations:
-        """Simulate several thetas (m, N); failures do not end the others.
-
-        Raises
-        ------
-        InputError
-            If thetas has another shape or is not finite.
-        """
+        """Simulate several finite thetas (m, N); failures do not end the others."""
         given = np.ascontiguousarray(thetas, dtype=np.float64)
         if given.ndim != 2 or given.shape[1] != len(self.parameters):
             raise InputError(
@@ -219,33 +203,16 @@ class Simulator:
     def by(self, system: System, divisor: int, tolerance: float | None, most_steps: int | None = None) -> Simulator:
         """Return the simulator of this experiment by another system (`System.run_by`).
 
-        Parameters
-        ----------
-        system : System
-        divisor : int
-            As for `Simulator`.
-        tolerance : float, optional
-            Of Model Exchange; default: the system's. It does not separate instances.
-        most_steps : int, optional
-            As for `fmuid.Numerics`; default: the system's.
+        Defaults of tolerance and step limit are the system's. They do not separate instances.
         """
         return self._like(system, self.experiment, divisor, tolerance, most_steps)
 
     def corrected(
         self, system: System, tolerance: float, gain: Floats, most_steps: int | None = None, every: int = 1
     ) -> Simulator:
-        """Return the simulator with states corrected by measurements.
+        """Return the simulator whose states every n-th sample corrects, by a single Model Exchange FMU.
 
-        Parameters
-        ----------
-        system : System
-            This one by Model Exchange, a single FMU.
-        tolerance : float
-        gain : (n_states, n_outputs) array
-            State correction per measured − simulated output, in units of the FMU.
-        most_steps : int, optional
-        every : int
-            Interval of correcting samples.
+        The gain (n_states, n_outputs) is per measured − simulated output, in units of the FMU.
         """
         other = self._like(system, self.experiment, 1, tolerance, most_steps)
         measured = self.experiment.output_values.copy()
@@ -263,10 +230,10 @@ class Simulator:
         tolerance: float | None,
         most_steps: int | None = None,
     ) -> Simulator:
-        _, step = self.settings
+        step = self.settings[1]
         other = Simulator(system, experiment, self.parameters, values=self._values, step_size=step, divisor=divisor)
+        other._tolerance = tolerance
         if tolerance is not None:
-            other._tolerance = tolerance
             other._simulation.control(tolerance, most_steps)
         return other
 

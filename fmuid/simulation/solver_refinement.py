@@ -38,18 +38,12 @@ STEPS = RefinementSteps()
 
 @dataclass(frozen=True)
 class Refinement:
-    """Solver refinement of a system beyond its settings.
-
-    Parameters
-    ----------
-    tolerance : float, optional
-        Relative; components with continuous states then run by Model Exchange if offered.
-    divisor : int
-        Number of parts of communication steps of components with continuous states.
-    """
+    """Solver refinement of a system beyond its settings."""
 
     tolerance: float | None = None
+    """Relative; components with continuous states then run by Model Exchange if offered."""
     divisor: int = 1
+    """Number of parts of communication steps of components with continuous states."""
 
     @property
     def any(self) -> bool:
@@ -62,14 +56,13 @@ AS_ASKED = Refinement()
 
 
 def next_refinement(system: System, than: Refinement = AS_ASKED, *, surely: bool = False) -> Refinement | None:
-    """Return the next solver refinement; None if there is none.
+    """Return the solver refinement after another one; None if there is none.
 
     Parameters
     ----------
     system : System
         As asked for.
     than : Refinement
-        The present one.
     surely : bool
         Whether unknown discrete-time components forbid shorter steps (`System.sampling_known`).
     """
@@ -111,14 +104,7 @@ def is_free(system: System) -> bool:
 
 
 def refined(simulator: Simulator, system: System, refinement: Refinement) -> Simulator:
-    """Return a refined simulator of the same experiment.
-
-    Parameters
-    ----------
-    simulator : Simulator
-    system : System
-        As asked for.
-    refinement : Refinement
+    """Return a refined simulator of the same experiment, of the system as asked for.
 
     Raises
     ------
@@ -146,16 +132,7 @@ def _run_by(system: System, numerics: Mapping[str, Numerics]) -> System:
 def how_run(
     system: System, refinement: Refinement, stiff: frozenset[str] = frozenset()
 ) -> dict[str, SolverConfiguration]:
-    """Return the solver settings of each component in use.
-
-    Parameters
-    ----------
-    system : System
-        As asked for.
-    refinement : Refinement
-    stiff : frozenset of str
-        Components found stiff (`Simulator.stiff`).
-    """
+    """Return the solver settings of each component in use; `stiff` ones are those of `Simulator.stiff`."""
     models = dict(system.components)
     if refinement.tolerance is not None:
         models |= {name: Component(m.fmu, _exchange(m, refinement.tolerance)) for name, m in _exchanged(system).items()}

@@ -55,26 +55,17 @@ class Binary:
 
 @dataclass(frozen=True)
 class InterfaceTest:
-    """Trial of an interface in a separate process.
-
-    Attributes
-    ----------
-    share : float
-        Requested fraction of the default experiment.
-    report : SmokeReport
-    code : int or None
-        Exit code, negative by a signal; None after the time limit.
-    last_words : str
-        Last printed line.
-    limit : float
-        Time limit, s.
-    """
+    """Trial of an interface in a separate process."""
 
     share: float
+    """Requested fraction of the default experiment."""
     report: SmokeReport
     code: int | None = 0
+    """Exit code, negative by a signal; None after the time limit."""
     last_words: str = ""
+    """Last printed line."""
     limit: float = TIME_LIMIT
+    """Time limit, s."""
 
     @property
     def troubled(self) -> bool:
@@ -84,21 +75,14 @@ class InterfaceTest:
 
 @dataclass(frozen=True)
 class Check:
-    """One check of an FMU.
-
-    Attributes
-    ----------
-    subject : Subject
-    interface : str or None
-    result : "ok", "warning", "failed" or "left out"
-    evidence : tuple
-        `Tool`, `Binary`, each `InterfaceTest`, or messages of FMPy or the FMU.
-    """
+    """One check of an FMU."""
 
     subject: Subject
     interface: str | None
     result: str
+    """"ok", "warning", "failed" or "left out"."""
     evidence: tuple[Tool | Binary | InterfaceTest | str, ...] = ()
+    """`Tool`, `Binary`, each `InterfaceTest`, or messages of FMPy or the FMU."""
 
     @property
     def name(self) -> str:
@@ -167,8 +151,7 @@ def _description(fmu: FMU) -> Check:
         for name, text in texts.items():
             packed.writestr(name, text)
     checked.seek(0)
-    problems = validate_fmu(checked)
-    said = tuple(" ".join(problem.split()) for problem in problems)
+    said = tuple(" ".join(problem.split()) for problem in validate_fmu(checked))
     return Check(Subject.DESCRIPTION, None, "failed" if said else "ok", said)
 
 

@@ -50,10 +50,10 @@ def test_a_closed_loop_simulates_as_the_same_system_put_together_by_hand(package
         rest=LENGTHS + '<ssd:DefaultExperiment startTime="0.5" stopTime="2"/>',
     )
     structure = read_ssp(path)
-    assert {name: fmu.name for name, (fmu, _) in structure.components.items()} == {
+    assert {name: fmu.path.name for name, (fmu, _) in structure.components.items()} == {
         "drive": "Drive.fmu", "controller": "Controller.fmu"
     }  # fmt: skip
-    assert structure.components["drive"][0].read_bytes() == DRIVE.read_bytes()
+    assert structure.components["drive"][0].file.read_bytes() == DRIVE.read_bytes()
     assert structure.connectors == {"reference": [("controller.qg", 1.0, 0.0)]}
     assert structure.values == {}
     by_hand = System(
@@ -204,7 +204,7 @@ BAD = [
     (content(drive(source="../Drive.fmu")), r"component 'drive': source '\.\./Drive.fmu' is outside the archive"),
     (content(drive(source="file:///Drive.fmu")), "is outside the archive"),
     (content(drive(source="#other")), "is outside the archive"),
-    (content(drive(source="SystemStructure.ssd")), "component 'drive': SystemStructure.ssd is no FMU"),
+    (content(drive(source="SystemStructure.ssd")), "component 'drive': SystemStructure.ssd: not an FMU: no zip archive"),
     (content(drive(type="application/x-ssp-package")), "component 'drive': type application/x-ssp-package is not supported"),
     (content(drive() + drive()), "the top system: two elements 'drive'"),
     (content(drive("")), "the top system: an element has no name"),
@@ -275,7 +275,7 @@ def test_a_circle_without_a_component(package: Maker) -> None:
 def test_fmi_1_is_refused(package: Maker, tmp_path: Path) -> None:
     path = package(content(element("Component", "old", "", source="types.fmu")))
     add_types(path, tmp_path, TYPES.replace('fmiVersion="2.0"', 'fmiVersion="1.0"'))
-    with pytest.raises(InputError, match=r"component 'old': FMI 1\.0 is not supported"):
+    with pytest.raises(InputError, match=r"component 'old': types.fmu: FMI 1\.0 is not supported"):
         read_ssp(path)
 
 

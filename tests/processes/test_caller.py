@@ -19,7 +19,7 @@ import psutil
 import pytest
 
 from fmuid.errors import InputError, SimulationError
-from fmuid.processes import CRASHED, EXITED, GREW, HUNG, HostExitError, IsolatedCaller
+from fmuid.processes import HostExitError, IsolatedCaller, ProcessEnd
 from tests.support.isolated import wait_until
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="processes of their own need fork")
@@ -100,7 +100,10 @@ def test_a_dict_of_another_kind_is_a_dict() -> None:
 
 @pytest.mark.parametrize(
     ("function", "arguments", "end"),
-    [(os.abort, (), HostExitError(CRASHED, signal.SIGABRT)), (os._exit, (3,), HostExitError(EXITED, 3))],
+    [
+        (os.abort, (), HostExitError(ProcessEnd.CRASHED, signal.SIGABRT)),
+        (os._exit, (3,), HostExitError(ProcessEnd.EXITED, 3)),
+    ],
 )
 def test_a_process_that_is_lost_costs_one_call(function: Any, arguments: Any, end: HostExitError) -> None:
     before = CALLER.call(os.getpid)
@@ -126,7 +129,7 @@ def passing() -> Iterator[None]:
 
 def test_an_end_passes_through_contexts() -> None:
     with pytest.raises(HostExitError), passing():
-        raise HostExitError(CRASHED, signal.SIGSEGV)
+        raise HostExitError(ProcessEnd.CRASHED, signal.SIGSEGV)
 
 
 def test_a_fork_that_comes_back_answers_nothing() -> None:
@@ -139,15 +142,15 @@ def test_a_fork_that_comes_back_answers_nothing() -> None:
 def test_limits() -> None:
     with pytest.raises(HostExitError) as caught:
         IsolatedCaller(0.2).call(time.sleep, 600.0)
-    assert caught.value == HostExitError(HUNG, 200)
+    assert caught.value == HostExitError(ProcessEnd.HUNG, 200)
     with pytest.raises(HostExitError) as caught:
         IsolatedCaller(600.0, memory=150.0).call(take, 200)
-    assert caught.value == HostExitError(GREW, 150)
+    assert caught.value == HostExitError(ProcessEnd.GREW, 150)
 
 
 SCRIPT = """
 import wave, numpy
-from fmuid.processes import IsolatedCaller
+from fmuid.processes import (IsolatedCaller)
 for name in ("fmuid.processes", "wave", "numpy"):
     print(IsolatedCaller(600.0).call(eval, f"{name!r} in __import__('sys').modules"))
 """

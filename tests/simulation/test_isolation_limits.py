@@ -18,10 +18,9 @@ import pytest
 
 from fmuid import Experiment, Isolation, Simulator
 from fmuid.errors import FmuidError, InputError
-from fmuid.processes import HUNG, STOPPED, HostExitError, ProcessStatus
+from fmuid.processes import HostExitError, ProcessEnd, ProcessStatus
 from fmuid.processes.limits import (
     COMPUTED_SHARE,
-    REFUSED,
     STANDSTILL_SECONDS,
     Footprint,
     condition_of,
@@ -120,8 +119,8 @@ def test_resources_refused_to_this_process_are_one_sentence(folder: Path, monkey
     with pytest.raises(FmuidError, match="Too many open files"):
         simulator([2.0, 0.5, 0.0])
     assert psutil.Process().num_fds() == files
-    assert end_words(HostExitError(REFUSED, errno.ENOMEM)).endswith("resources (Cannot allocate memory)")
-    assert end_words(HostExitError(REFUSED, 0)).endswith("resources")
+    assert end_words(HostExitError(ProcessEnd.REFUSED, errno.ENOMEM)).endswith("resources (Cannot allocate memory)")
+    assert end_words(HostExitError(ProcessEnd.REFUSED, 0)).endswith("resources")
 
 
 # --- memory
@@ -191,7 +190,7 @@ class Watched:
                 return end
 
 
-OVER = HostExitError(HUNG, round(1e3 * LIMIT))
+OVER = HostExitError(ProcessEnd.HUNG, round(1e3 * LIMIT))
 
 
 @pytest.mark.parametrize("wants", [False, True], ids=["waits for something else", "computes"])
@@ -221,7 +220,7 @@ def test_process_at_rest_that_owes_an_answer_is_ended(monkeypatch: pytest.Monkey
     assert watched.end_after(602.0, 0.05, every=0.1) is None
     assert watched.end_after(0.9 * TIME_LIMITS.at_rest, 0.0, psutil.STATUS_SLEEPING, 0.1) is None
     end = watched.end_after(0.2 * TIME_LIMITS.at_rest, 0.0, psutil.STATUS_SLEEPING, 0.1)
-    assert end == HostExitError(HUNG, round(1e3 * TIME_LIMITS.at_rest))
+    assert end == HostExitError(ProcessEnd.HUNG, round(1e3 * TIME_LIMITS.at_rest))
 
 
 def test_process_stopped_for_a_moment_goes_on(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -229,7 +228,7 @@ def test_process_stopped_for_a_moment_goes_on(monkeypatch: pytest.MonkeyPatch) -
     for _ in range(3):
         assert watched.end_after(1.5, status=psutil.STATUS_STOPPED, every=0.1) is None
         assert watched.end_after(0.5, 1.0, every=0.1) is None
-    assert watched.end_after(2.5, status=psutil.STATUS_STOPPED, every=0.1) == HostExitError(STOPPED, 0)
+    assert watched.end_after(2.5, status=psutil.STATUS_STOPPED, every=0.1) == HostExitError(ProcessEnd.STOPPED, 0)
 
 
 @linux

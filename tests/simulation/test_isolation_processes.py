@@ -29,7 +29,7 @@ from fmuid.processes import MEMORY_KEPT, Child
 from fmuid.processes import host as hosts
 from fmuid.processes.channel import Channel, Look
 from fmuid.processes.host import SERVER, ForkServer
-from fmuid.processes.limits import KILLED, HostExitError, condition_of, family
+from fmuid.processes.limits import HostExitError, ProcessEnd, condition_of, family
 from fmuid.simulation import executor_of
 from fmuid.simulation.isolation import server
 from fmuid.simulation.isolation.host import FmuHost
@@ -334,7 +334,7 @@ def test_system_without_more_processes_is_one_sentence(monkeypatch: pytest.Monke
 def test_host_that_never_begins_is_one_sentence(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def order(host: FmuHost, *_words: object, **_options: object) -> None:
         host.kill()
-        raise HostExitError(KILLED, signal.SIGKILL)
+        raise HostExitError(ProcessEnd.KILLED, signal.SIGKILL)
 
     simulator = simulator_of(folder)
     monkeypatch.setattr(FmuHost, "order", order)

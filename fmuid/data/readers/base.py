@@ -112,13 +112,13 @@ def call_reader(function: Callable[..., dict[str, Any]], path: Path, *arguments:
 
 
 def _lost(end: HostExitError, limit: float) -> str:
-    from fmuid.processes import CRASHED, GREW, HUNG
+    from fmuid.processes import ProcessEnd
 
-    if end.kind == CRASHED:
+    if end.kind == ProcessEnd.CRASHED:
         return f"the reading library crashed ({end.signal_name}). {_REMEDY}"
-    if end.kind == HUNG:
+    if end.kind == ProcessEnd.HUNG:
         return f"not read within {limit:.3g} s. {_REMEDY}"
-    if end.kind == GREW:
+    if end.kind == ProcessEnd.GREW:
         return f"reading took more than {end.number} MB. {_REMEDY}"
     return "the reading process was killed. Read the file again, or free memory."
 

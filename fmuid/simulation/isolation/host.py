@@ -15,51 +15,28 @@ import numpy as np
 from fmuid.array_types import Indices
 from fmuid.errors import FmuidError
 from fmuid.models import Isolation
-from fmuid.processes import (
-    EXITED,
-    FAILED,
-    GARBLED,
-    GREW,
-    HUNG,
-    KILLED,
-    LIMITS,
-    REFUSED,
-    STOPPED,
-    HostExitError,
-    HostKeeper,
-    HostProcess,
-    ProcessStatus,
-    Watchdog,
-)
+from fmuid.processes import LIMITS, HostExitError, HostKeeper, HostProcess, ProcessEnd, ProcessStatus, Watchdog
 from fmuid.simulation import codes
 from fmuid.simulation.isolation import server
 
 
 def end_words(end: HostExitError) -> str:
-    """Return the end of a process as a clause of a sentence.
-
-    Only given limits are named (`HostExitError.number` is 0 otherwise): defaults vary, and messages must not.
-    """
-    if end.kind == EXITED:
-        return f"it ended its process with exit code {end.number}"
-    if end.kind == REFUSED:
-        why = f" ({os.strerror(end.number)})" if end.number else ""
-        return f"its process lacks system resources{why}"
-    if end.kind == GARBLED:
-        return "it corrupted the connection to its process"
-    if end.kind == FAILED:
-        return "code of fmuid failed in its process"
-    if end.kind == STOPPED:
-        return "its process was stopped (SIGSTOP) and did not continue"
-    if end.kind == HUNG:
-        limit = f"{end.number / 1e3:.4g} s" if end.number else "the default time limit (isolation.time_limit)"
-        return f"it did not end within {limit} and was stopped"
-    if end.kind == GREW:
-        limit = f"{end.number} MB" if end.number else "the default memory limit (isolation.memory_limit_mb)"
-        return f"its process took more than {limit} and was stopped"
-    if end.kind == KILLED:
-        return f"its process was killed repeatedly with {end.signal_name}, from outside or for lack of memory"
-    return f"its process crashed with {end.signal_name}"
+    """Return the end of a process as a clause; only given limits are named: defaults vary (`number` is 0)."""
+    number = end.number
+    seconds = f"{number / 1e3:.4g} s" if number else "the default time limit (isolation.time_limit)"
+    size = f"{number} MB" if number else "the default memory limit (isolation.memory_limit_mb)"
+    return {
+        ProcessEnd.CRASHED: f"its process crashed with {end.signal_name}",
+        ProcessEnd.EXITED: f"it ended its process with exit code {number}",
+        ProcessEnd.HUNG: f"it did not end within {seconds} and was stopped",
+        ProcessEnd.GREW: f"its process took more than {size} and was stopped",
+        ProcessEnd.KILLED: f"its process was killed repeatedly with {end.signal_name}, from outside or for lack of "
+        "memory",
+        ProcessEnd.REFUSED: f"its process lacks system resources{f' ({os.strerror(number)})' if number else ''}",
+        ProcessEnd.GARBLED: "it corrupted the connection to its process",
+        ProcessEnd.STOPPED: "its process was stopped (SIGSTOP) and did not continue",
+        ProcessEnd.FAILED: "code of fmuid failed in its process",
+    }[end.kind]
 
 
 @dataclass(frozen=True)
@@ -86,10 +63,9 @@ Value = TypeVar("Value")
 
 
 class HostWatchdog(Watchdog):
-    """Watches one order to a process of FMUs.
+    """Watches one order: `limit`, s, until a thread does something else, or one more of the `reports` is done.
 
-    `limit`, s, is the time until a thread does something else, or one more of the `reports` is done. A process that
-    `computes` may calculate for any time while no thread simulates.
+    A process that `computes` may calculate for any time while no thread simulates.
     """
 
     def __init__(self, limit: float, doing: Indices, reports: Indices | None = None, computes: bool = False) -> None:
@@ -114,40 +90,22 @@ class HostWatchdog(Watchdog):
 
 
 class FmuHost(HostProcess):
-    """One process that runs the FMUs of one system.
+    """One process that runs the FMUs of one system; parameters as of `fmuid.processes.HostProcess`."""
 
-    Parameters
-    ----------
-    modules : sequence of str
-        Modules to load.
-    memory_limit : float
-        With all that it starts, bytes.
-    told : set of str, optional
-        Logged messages, not to be repeated; default: nothing is logged.
-
-    Attributes
-    ----------
-    doing : (`server.DOING_WORDS`,) array of intp
-        State and number of beginnings of each thread.
-    simulations : int
-        Number of given simulations.
-    records : dict of int to int
-        Bytes of the large arrays of each known run.
-    """
+    doing: Indices
+    """State and number of beginnings of each thread (`server.DOING_WORDS`,)."""
+    simulations: int
+    """Number of given simulations."""
+    records: dict[int, int]
+    """Bytes of the large arrays of each known run."""
 
     def __init__(self, modules: Sequence[str], memory_limit: float, told: set[str] | None = None) -> None:
         super().__init__(modules, memory_limit, told)
-        self.simulations = 0
-        self.records: dict[int, int] = {}
+        self.simulations, self.records = 0, {}
         self._show(8 * server.DOING_WORDS)
 
     def _show(self, size: int) -> None:
-        self.doing: Indices = np.frombuffer(self.share(size), np.intp, server.DOING_WORDS)
-
-    @property
-    def states(self) -> Indices:
-        """State of each thread."""
-        return self.doing[::2]
+        self.doing = np.frombuffer(self.share(size), np.intp, server.DOING_WORDS)
 
     def room(self, shape: tuple[int, int, int, int]) -> tuple[server.Arrays, int]:
         """Return reports, thetas and outputs in shared memory, and its size."""
@@ -164,13 +122,7 @@ class FmuHost(HostProcess):
         reports: Indices | None = None,
         computes: bool = False,
     ) -> Value:
-        """Call a function in the process under a `HostWatchdog`; return the answer.
-
-        Raises
-        ------
-        HostExitError
-            If the process ends, lacks resources, or fails in code of fmuid.
-        """
+        """Call a function in the process under a `HostWatchdog`; a `HostExitError` if it ends or fails."""
         return self.call(function, *arguments, watchdog=HostWatchdog(limit, self.doing, reports, computes))
 
     def failure(self, error: Exception) -> Exception:
@@ -178,10 +130,10 @@ class FmuHost(HostProcess):
         if isinstance(error, FmuidError):
             return error
         if isinstance(error, OSError | MemoryError):
-            return self.stopped(HostExitError(REFUSED, getattr(error, "errno", errno.ENOMEM) or 0))
+            return self.stopped(HostExitError(ProcessEnd.REFUSED, getattr(error, "errno", errno.ENOMEM) or 0))
         words = f"code of fmuid failed in the process of an FMU: {type(error).__name__}: {error}"
         self.pass_on([("fmuid.fmu", logging.WARNING, words)])
-        return self.stopped(HostExitError(FAILED, 0))
+        return self.stopped(HostExitError(ProcessEnd.FAILED, 0))
 
     @property
     def given(self) -> float:
@@ -200,21 +152,10 @@ _left: list[str] = []  # what FMUs printed whose keepers are gone
 
 
 class HostManager(HostKeeper[FmuHost]):
-    """Keeps one process for FMUs, and ends it.
+    """Keeps one process for FMUs, and ends it; parameters as of `FmuHost`."""
 
-    Parameters
-    ----------
-    settings : Isolation
-    modules : sequence of str
-        Modules to load.
-    told : set of str, optional
-        Logged messages, not to be repeated; default: nothing is logged.
-
-    Attributes
-    ----------
-    longest : float
-        Duration of the longest simulation, s.
-    """
+    longest: float
+    """Duration of the longest simulation, s."""
 
     def __init__(self, settings: Isolation, modules: Sequence[str], told: set[str] | None = None) -> None:
         super().__init__(lambda memory: FmuHost(modules, memory, told), settings.memory_limit_mb, _left)
@@ -225,13 +166,7 @@ class HostManager(HostKeeper[FmuHost]):
         """Time limit of a simulation like earlier ones, s."""
         if self._settings.time_limit:
             return self._settings.time_limit
-        limits = TIME_LIMITS
-        return max(limits.least, limits.slower * self.longest) if self.longest else limits.first
-
-    def states_at_end(self) -> Indices:
-        """Part with an ended process; return the states of its threads."""
-        host = self.bury()
-        return np.zeros(0, np.intp) if host is None else host.states.copy()
+        return max(TIME_LIMITS.least, TIME_LIMITS.slower * self.longest) if self.longest else TIME_LIMITS.first
 
     def replace(self) -> None:
         """End the process if it has simulated."""

@@ -19,7 +19,7 @@ import numpy as np
 from fmuid.array_types import Indices
 from fmuid.errors import FmuidError, InputError, SimulationError
 from fmuid.models import STIFF_INTEGRATOR, Component, Isolation
-from fmuid.processes import FAILED, GREW, HUNG, KILLED, MOST_KILLS, HostExitError
+from fmuid.processes import MOST_KILLS, HostExitError, ProcessEnd
 from fmuid.simulation import codes
 from fmuid.simulation.instance_registry import Renewal, is_repeated, labels, needs_process, note_process
 from fmuid.simulation.isolation import CODE, server
@@ -31,10 +31,7 @@ _living: weakref.WeakSet[IsolatedExecutor] = weakref.WeakSet()
 
 
 class IsolatedExecutor:
-    """Runs one system in a separate process, `limit` simulations at a time.
-
-    `lock` is held while simulations run and failures are asked for. `cancelled` ends those of other threads.
-    """
+    """Runs one system in a separate process, `limit` simulations at a time."""
 
     def __init__(self, components: Mapping[str, Component], limit: int, settings: Isolation, told: set[str]) -> None:
         self.lock = threading.RLock()
@@ -52,12 +49,9 @@ class IsolatedExecutor:
     # --- simulations
 
     def run(self, job: SimulationJob) -> None:
-        """Simulate thetas; a lost process gives reports of `codes.PROCESS`.
-
-        If one finds a model stiff, all are run again as such: outputs must not depend on the machine's speed.
-        """
+        """Simulate thetas; a lost process gives reports of `codes.PROCESS`."""
         found = -1
-        while found != self._found_stiff:
+        while found != self._found_stiff:  # then all are run again: outputs must not depend on the machine's speed
             found = self._found_stiff
             self._run_chunks(job)
 
@@ -125,19 +119,20 @@ class IsolatedExecutor:
             suspects = [each for each in suspects if each in left]
             if end is None:
                 continue
-            doing = self._keeper.states_at_end()[: self._limit]
+            ended = self._keeper.bury()
+            doing = np.zeros(0, np.intp) if ended is None else ended.doing[: 2 * self._limit : 2].copy()
             # code that failed by itself was doing nothing of what threads say: it may be any of them
-            blamed = undone.tolist() if end.kind == FAILED else self._blamed(group, undone, doing)
+            blamed = undone.tolist() if end.kind == ProcessEnd.FAILED else self._blamed(group, undone, doing)
             if not blamed:
                 unblamed = unblamed + 1 if len(undone) == len(group) else 0
-                if (doing == codes.REPEATING).any() and end.kind != KILLED:
+                if (doing == codes.REPEATING).any() and end.kind != ProcessEnd.KILLED:
                     self._give_up_reset()
-                elif unblamed == MOST_KILLS or end.kind == HUNG:
+                elif unblamed == MOST_KILLS or end.kind == ProcessEnd.HUNG:
                     self._write(end, job.reports, left)
                     return
-            elif end.kind == KILLED and (kills[blamed] < MOST_KILLS).all():
+            elif end.kind == ProcessEnd.KILLED and (kills[blamed] < MOST_KILLS).all():
                 kills[blamed] += 1
-            elif len(blamed) == 1 and (end.kind == HUNG or (fresh and len(group) == 1)):
+            elif len(blamed) == 1 and (end.kind == ProcessEnd.HUNG or (fresh and len(group) == 1)):
                 self._write(end, job.reports, np.array(blamed))
                 left = np.setdiff1d(left, blamed, assume_unique=True)
                 suspects = [each for each in suspects if each != blamed[0]]
@@ -167,20 +162,14 @@ class IsolatedExecutor:
         except HostExitError as ended:
             end = ended
         done = their_reports[:, 2] != codes.UNDONE
-        if len(group) == len(job) and done.all():
-            job.outputs[:], job.reports[:] = their_outputs, their_reports
-            return end, group[:0]
         job.outputs[group[done]], job.reports[group[done]] = their_outputs[done], their_reports[done]
         return end, group[~done]
 
     def _blamed(self, group: Indices, undone: Indices, doing: Indices) -> list[int]:
         """Return the thetas in simulation at the end of the process."""
-        count, open_ones, found = min(self._limit, len(group)), set(undone.tolist()), []
-        for share, what in zip(shares(len(group), count), doing, strict=False):
-            waiting = [each for each in group[share].tolist() if each in open_ones]
-            if what == codes.SIMULATING and waiting:
-                found.append(waiting[0])
-        return found
+        pairs = zip(shares(len(group), self._limit), doing, strict=False)
+        waiting = [group[share][np.isin(group[share], undone)] for share, what in pairs if what == codes.SIMULATING]
+        return [int(each[0]) for each in waiting if each.size]
 
     def _time_limit(self, simulation: GridSimulation) -> float:
         """Return the limit of a simulation, s; a longer one counts as first."""
@@ -193,10 +182,12 @@ class IsolatedExecutor:
         self, job: SimulationJob, parameters: Mapping[str, float], explain: bool = False
     ) -> SimulationError | None:
         """Return the error of a job of one simulation; None if it succeeded."""
-        function, kind, number = (int(word) for word in job.reports[0, :3])
+        function, kind, number = job.reports[0, :3].tolist()
         if function < 0 and np.isfinite(job.outputs).all():
             return None
-        if function != codes.PROCESS:
+        if function == codes.PROCESS:
+            end = HostExitError(ProcessEnd(kind), number)
+        else:
             try:
                 if self._alone:
                     self._keeper.replace()
@@ -205,10 +196,10 @@ class IsolatedExecutor:
                 known = self._tell(host, job.simulation)
                 given = job.thetas, job.outputs, job.reports, dict(parameters), explain
                 return host.order(server.failure, known, *given, limit=self._time_limit(job.simulation))
-            except HostExitError as end:
+            except HostExitError as ended:
                 self._keeper.bury()
-                kind, number = end.kind, end.number
-        return SimulationError(self._labels, math.nan, parameters, end_words(HostExitError(kind, number)))
+                end = ended
+        return SimulationError(self._labels, math.nan, parameters, end_words(end))
 
     # --- the process
 
@@ -258,15 +249,12 @@ class IsolatedExecutor:
         self._keeper.strike()
 
     def _write(self, end: HostExitError, reports: Indices, indices: Indices) -> None:
-        limits = {HUNG: self._settings.time_limit, GREW: self._settings.memory_limit_mb}
+        limits = {ProcessEnd.HUNG: self._settings.time_limit, ProcessEnd.GREW: self._settings.memory_limit_mb}
         reports[indices, :4] = codes.PROCESS, end.kind, end.number if limits.get(end.kind, 1) else 0, -1
 
     def _give_up_reset(self) -> None:
         self._renewal = Renewal.INSTANCE
-        _log.warning(
-            "%s: its reset crashes; each simulation uses a new instance, which is slow",
-            self._labels,
-        )
+        _log.warning("%s: its reset crashes; each simulation uses a new instance, which is slow", self._labels)
 
     def printed(self) -> str:
         """Return and forget the FMUs' printed text."""
@@ -302,14 +290,11 @@ class MultiProcessExecutor:
             self._run_shares(job)
 
     def _run_shares(self, job: SimulationJob) -> None:
-        count = min(len(self._parts), len(job))
+        (own, share), *others = zip(self._parts, shares(len(job), len(self._parts)), strict=False)
         futures: list[Future[None]] = []
         try:
-            for part, share in reversed(list(zip(self._parts, shares(len(job), count), strict=False))):
-                if part is self._parts[0]:  # the caller's own share last: it is worked off at once
-                    part.run(job[share])
-                else:
-                    futures.append(self._threads.submit(part.run, job[share]))
+            futures += [self._threads.submit(part.run, job[rest]) for part, rest in others]
+            own.run(job[share])
             for future in futures:
                 future.result()
         except BaseException:  # also an interruption, which reaches this thread alone
