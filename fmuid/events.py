@@ -36,13 +36,13 @@ class Progress(Protocol):
 class SearchStep(Event):
     """Iteration of Marquardt's method; number 0 is the initial guess.
 
-    `criterion` and `values` (by parameter) are those of the tried point. `damping` is Marquardt's λ: NaN at the initial
+    `cost` and `values` (by parameter) are those of the tried point. `damping` is Marquardt's λ: NaN at the initial
     guess, and after a change of the noise variances. `accepted` tells whether the optimizer continues from there.
     """
 
     task: str = "search"
     number: int
-    criterion: float
+    cost: float
     damping: float
     accepted: bool
     values: Mapping[str, float]
@@ -52,14 +52,14 @@ class SearchStep(Event):
 class GlobalStep(Event):
     """Step of a global search; its tasks are ``spread``, ``evolution`` and ``fits``.
 
-    `done` and `total` count points, generations (at most) or fits. `criterion` is the best so far: J_C, or its
+    `done` and `total` count points, generations (at most) or fits. `cost` is the best so far: J_C, or its
     concentrated form for estimated noise variances; only differences count. `values` are its parameters, `simulations`
     the simulations since the beginning.
     """
 
     done: int
     total: int
-    criterion: float
+    cost: float
     values: Mapping[str, float]
     simulations: int
     share: float = field(init=False)

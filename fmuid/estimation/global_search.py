@@ -251,7 +251,7 @@ class Exploration:
             task=phase,
             done=done,
             total=total,
-            criterion=float(self.values[best]),
+            cost=float(self.values[best]),
             values=dict(zip(self.problem.parameters.names, self.thetas[best].tolist(), strict=True)),
             simulations=self.simulations,
         )

@@ -203,7 +203,7 @@ class _Identification:
     def _step(self, iteration: Iteration) -> SearchStep:
         return SearchStep(
             number=iteration.number,
-            criterion=iteration.criterion,
+            cost=iteration.criterion,
             damping=iteration.damping,
             accepted=iteration.accepted,
             values=dict(zip(self.problem.parameters.names, iteration.theta.tolist(), strict=True)),

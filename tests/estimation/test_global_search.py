@@ -183,7 +183,7 @@ def test_progress(method: Strategy) -> None:
         done = [s.done for s in phase]
         assert done == sorted(set(done))
     assert all(s.done <= s.total for s in steps)
-    assert (np.diff([s.criterion for s in steps]) <= 0).all()
+    assert (np.diff([s.cost for s in steps]) <= 0).all()
     assert steps[-1].values["w"] == pytest.approx(found["w"], rel=1e-6)
     assert frequencies(found)[0] == found["w"]
     assert found.history.simulations >= steps[-1].simulations

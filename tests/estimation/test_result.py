@@ -155,7 +155,7 @@ def test_an_interrupted_search_keeps_its_best_point() -> None:
     result = identify(two_output_problem(), progress=stop)
     assert not result.converged
     assert result.outcome is TerminationReason.INTERRUPTED
-    best = min((i for i in seen if i.accepted), key=lambda i: i.criterion)
+    best = min((i for i in seen if i.accepted), key=lambda i: i.cost)
     assert dict(zip(result.names, result.values.tolist(), strict=True)) == best.values
     assert np.isfinite(result.std).all()
     assert len(result.trace) == len(seen)

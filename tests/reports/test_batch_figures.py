@@ -32,7 +32,7 @@ def cases(count: int, **columns: Any) -> pd.DataFrame:
     status = np.array(["converged"] * (count - 1) + ["failed"])
     good = np.where(status == "converged", 1.0, np.nan)
     values = {"value.R": good * rng.normal(4.0, 0.1, count), "value.L": good * rng.normal(0.1, 0.002, count)}
-    stds = {"std.R": good * 0.1, "std.L": good * 0.002, "criterion": 1.0, "noise.i": 1.0}
+    stds = {"std.R": good * 0.1, "std.L": good * 0.002, "cost": 1.0, "noise.i": 1.0}
     return pd.DataFrame({"case": range(count), **columns, "status": status, **values, **stds})
 
 

@@ -11,12 +11,12 @@ from fmuid.events import Event, FaultStep, GlobalStep, MapStep, ProfileStep, Sam
 from fmuid.reports.render.progress import Display
 from fmuid.reports.render.screen import Screen, showing
 
-STEP = SearchStep(number=3, criterion=12.5, damping=0.1, accepted=True, values={"R": 4.25, "L": 0.1})
+STEP = SearchStep(number=3, cost=12.5, damping=0.1, accepted=True, values={"R": 4.25, "L": 0.1})
 SAMPLING = SamplingStep(step=50, steps=1000, effective_size=math.nan, wanted=200, acceptance=0.3)
 EVENTS = [
     (STEP, "iteration 3              cost 12.5         damping 0.1                 R 4.25  L 0.1"),
     (
-        GlobalStep(task="fits", done=1, total=4, criterion=2.0, values={"R": 4.0}, simulations=30),
+        GlobalStep(task="fits", done=1, total=4, cost=2.0, values={"R": 4.0}, simulations=30),
         "fits        25 %  1 of 4, 30 simulations, best: R 4",
     ),
     (MapStep(share=0.5, first="R", second="L"), "map         50 %  cost over R and L"),

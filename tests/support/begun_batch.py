@@ -21,7 +21,7 @@ def batch(folder: Path, done: int) -> None:
         "draw": np.arange(done),
         "value.R": [4.0 + 0.01 * k for k in range(done)],
         "std.R": np.full(done, 0.1),
-        "criterion": np.ones(done),
+        "cost": np.ones(done),
         "accuracy": [None if k == 1 else "checked" for k in range(done)],
         "message": ["hit <b>a wall" if k == 1 else "converged" for k in range(done)],
     }

@@ -37,13 +37,13 @@ def batch(
         frame[f"value.{name}"] = true + spread * STD[name] * scatter
     for name, std in STD.items():
         frame[f"std.{name}"] = std
-    return frame.assign(**{"noise.i": noise, "criterion": 1000.0, "iterations": 5, "simulations": 30, "rejected": 0})
+    return frame.assign(**{"noise.i": noise, "cost": 1000.0, "iterations": 5, "simulations": 30, "rejected": 0})
 
 
 def fail(frame: pd.DataFrame, rows: list[int], messages: list[str], status: str = "failed") -> pd.DataFrame:
     """Return the frame with failed cases."""
     frame = frame.copy()
-    estimated = [str(name).startswith(("value.", "std.", "noise.", "criterion")) for name in frame]
+    estimated = [str(name).startswith(("value.", "std.", "noise.", "cost")) for name in frame]
     frame.loc[rows, estimated] = np.nan
     frame.loc[rows, "status"], frame.loc[rows, "message"] = status, messages
     return frame
@@ -82,6 +82,6 @@ def starts() -> pd.DataFrame:
     elsewhere = begin < 3.0
     frame = batch({"start.R": begin, "draw": draw}, spread=0.0, noise=np.where(elsewhere, 0.04, 0.01))
     frame["value.R"] = np.where(elsewhere, 2.0, 4.0 + 0.1 * draw)
-    # estimated variances: the criterion of each search is measured with variances of its own
-    frame["criterion"] = np.where(elsewhere, 10.0, 500.0)
+    # estimated variances: the cost of each search is measured with variances of its own
+    frame["cost"] = np.where(elsewhere, 10.0, 500.0)
     return frame

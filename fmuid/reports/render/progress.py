@@ -129,7 +129,7 @@ def _head(step: SearchStep) -> str:
     what = "noise variances updated" if renewed else f"iteration {step.number}"
     damping = "" if math.isnan(step.damping) else f"{step.damping:.3g}"
     fate = "" if step.accepted else "rejected"
-    return f"{what:<23}  cost {step.criterion:<11.6g}  damping {damping:<9} {fate:<8}"
+    return f"{what:<23}  cost {step.cost:<11.6g}  damping {damping:<9} {fate:<8}"
 
 
 def _listed(values: Mapping[str, float]) -> str:

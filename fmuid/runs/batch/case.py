@@ -166,7 +166,7 @@ class CaseRunner:
             **{f"chosen.{name}": TEXT for name in self.study.model.choices},
             **{f"{word}.{name}": NUMBER for word in ("value", "std") for name in names},
             **{f"{word}.{name}": NUMBER for word in ("noise", "fit", "rmse") for name in outputs},
-            **{"criterion": NUMBER, "iterations": WHOLE, "simulations": WHOLE, "rejected": WHOLE},
+            **{"cost": NUMBER, "iterations": WHOLE, "simulations": WHOLE, "rejected": WHOLE},
             **{"accuracy": TEXT, "shift": NUMBER, "finer": WHOLE, "checked": WHOLE},
             **{"elapsed_s": NUMBER, "finished": TIMESTAMP, "worker": TEXT},
         }
@@ -183,7 +183,7 @@ def _words_of(result: Result) -> dict[str, object]:
         **{f"value.{name}": value for name, value in zip(result.names, result.values.tolist(), strict=True)},
         **{f"std.{name}": value for name, value in zip(result.names, std.tolist(), strict=True)},
         **{f"noise.{name}": value for name, value in result.fit.noise_variance.items()},
-        "criterion": result.fit.cost,
+        "cost": result.fit.cost,
         "iterations": result.history.iterations,
         **({} if check is None else {"accuracy": check.outcome.value, "shift": check.largest}),
         **({} if check is None else {"finer": len(check.switches)}),

@@ -87,7 +87,7 @@ def fit_cost(frame: pd.DataFrame, *, given_noise: bool) -> Floats:
     (1.37) where all noise variances are given, else Σ ln σ̂² over the outputs (docs/method/noise-variances.md).
     """
     if given_noise:
-        badness = frame["criterion"].to_numpy(np.float64)
+        badness = frame["cost"].to_numpy(np.float64)
     else:
         noise = frame[[f"noise.{name}" for name in BatchColumns.of(frame).outputs]].to_numpy(np.float64)
         badness = np.log(np.maximum(noise, np.finfo(np.float64).tiny)).sum(axis=1)

@@ -86,7 +86,7 @@ class Summary:
     # without an estimate.
     groups: pd.DataFrame
     settings: tuple[str, ...]  # the first columns of `groups`
-    # A row an optimum where starts vary, best first: ``optimum``, ``cases``, ``data_sets``, ``criterion`` (median),
+    # A row an optimum where starts vary, best first: ``optimum``, ``cases``, ``data_sets``, ``cost`` (median),
     # ``residual`` (RMS against the best, median), and the median of each parameter where no setting varies.
     optima: pd.DataFrame
     # Of the parameters whose mean varies with the settings by more than their stated std.
@@ -322,7 +322,7 @@ def _optima(frame: pd.DataFrame, columns: BatchColumns, *, given_noise: bool) ->
     best = best.groupby([keys[name] for name in columns.data], dropna=False).transform("min") if columns.data else best
     shown = columns.parameters if is_repetition(frame, columns) else ()  # elsewhere optima lie for other reasons too
     values = {name: there[f"value.{name}"] for name in shown}
-    told = there[["criterion"]].assign(residual=np.exp(keys["size"] - (best if columns.data else best.min())), **values)
+    told = there[["cost"]].assign(residual=np.exp(keys["size"] - (best if columns.data else best.min())), **values)
     grouped = told.groupby(keys["optimum"])
     sets = keys.drop_duplicates([*columns.data, "optimum"]).groupby("optimum").size()
     counts = pd.DataFrame({"cases": grouped.size(), "data_sets": sets})

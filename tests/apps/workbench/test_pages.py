@@ -45,8 +45,8 @@ from tests.support.workbench import asked_for, bench_of, coil_study, finished
 
 EVENTS_SEEN: tuple[Event, ...] = (
     Event(task="uncertainty", share=0.0),
-    SearchStep(number=2, criterion=math.inf, damping=0.1, accepted=False, values={"R": 4.0}),
-    GlobalStep(task="spread", done=3, total=9, criterion=1.5, values={"R": 4.0}, simulations=30),
+    SearchStep(number=2, cost=math.inf, damping=0.1, accepted=False, values={"R": 4.0}),
+    GlobalStep(task="spread", done=3, total=9, cost=1.5, values={"R": 4.0}, simulations=30),
     BatchStep(done=1, total=4, failed=0, rate=0.0, left=math.inf, threads=2),
 )
 

@@ -44,7 +44,7 @@ def test_what_is_known_is_not_simulated_again() -> None:
     assert (found["accuracy"] == "passed").all()
     assert found["shift"].max() < 1e-6
     assert found["checked"].sum() == 0  # none by simulations of its own
-    for name in ("value.R", "std.L", "criterion", "simulations"):
+    for name in ("value.R", "std.L", "cost", "simulations"):
         assert found[name].equals(without[name])
     assert same(found, frame_of(coil(batch), [7, 3, *range(8, 12), 0, 1, 2, 4, 5, 6]))
     assert (without["accuracy"] == "").all()

@@ -59,14 +59,14 @@ def test_estimates_of_a_monte_carlo_scatter_as_the_closed_form(case_folder: Path
 def test_rows_have_the_columns_that_the_runner_names(case_folder: Path) -> None:
     runner = CaseRunner(study_of(case_folder, {"data": ["records/run1.csv", "records/none.csv"], "starting_points": 1}))
     expected = "case table start.R start.L status message undetermined verdict reasons value.R value.L std.R "
-    expected += "std.L noise.i fit.i rmse.i criterion iterations simulations rejected accuracy shift finer"
+    expected += "std.L noise.i fit.i rmse.i cost iterations simulations rejected accuracy shift finer"
     assert [*runner.columns] == [*expected.split(), *VOLATILE]
     rows = [runner(k).row for k in range(2)]
     assert [list(row) for row in rows] == [list(runner.columns)] * 2
     frame = pd.DataFrame(rows).astype(runner.columns)
     assert frame["status"].tolist() == ["converged", "failed"]
     assert frame.loc[1, "message"] == f"{case_folder / 'records/none.csv'}: file not found. Give a data file."
-    assert frame[["value.R", "std.L", "noise.i", "criterion"]].isna().to_numpy()[1].all()
+    assert frame[["value.R", "std.L", "noise.i", "cost"]].isna().to_numpy()[1].all()
     assert [rows[1][name] for name in ("iterations", "simulations", "rejected")] == [0, 0, 0]
     assert (frame["elapsed_s"] > 0).all()
 
@@ -81,7 +81,7 @@ def test_records_are_identified_as_studies_of_their_own(case_folder: Path) -> No
         assert (row["table"], row["status"], row["message"]) == (name, "converged", "converged")
         assert [row["value.R"], row["value.L"]] == result.values.tolist()
         assert [row["std.R"], row["std.L"]] == result.std.tolist()
-        assert (row["noise.i"], row["criterion"]) == (result.fit.noise_variance["i"], result.fit.cost)
+        assert (row["noise.i"], row["cost"]) == (result.fit.noise_variance["i"], result.fit.cost)
         assert (row["iterations"], row["simulations"]) == (result.history.iterations, result.history.simulations)
 
 

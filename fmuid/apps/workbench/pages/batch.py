@@ -31,7 +31,7 @@ from fmuid.reports.topics.case_charts import over_cases
 from fmuid.runs import BatchColumns, CaseList, parts_in, read_part
 from fmuid.studies import Study
 
-WIDTHS = {"case": 60, "status": 110, "criterion": 90, "message": 600}  # pixels, of columns
+WIDTHS = {"case": 60, "status": 110, "cost": 90, "message": 600}  # pixels, of columns
 _GRID = """
 .slick-header-columns,.slick-header-column{background:var(--card)!important;color:var(--soft)!important}
 .slick-row,.slick-cell{background:var(--card)!important;color:var(--ink)!important;border-color:var(--faint)!important}
@@ -252,7 +252,7 @@ def _is_numeric(values: pd.Series[Any], kinds: str) -> bool:
 def _columns(frame: pd.DataFrame) -> list[str]:
     known = BatchColumns.of(frame)
     values = [f"value.{name}" for name in known.parameters]
-    return ["case", "status", *known.design, *known.repeats, *values, "criterion", "message"]
+    return ["case", "status", *known.design, *known.repeats, *values, "cost", "message"]
 
 
 def _column(name: str, values: pd.Series[Any]) -> TableColumn:

@@ -130,5 +130,5 @@ def _words(event: Event | None, job: Job) -> str:
     if event is None:
         return next((line.strip(" .") for line in reversed(job.printed().splitlines()) if line.strip()), "starting")
     if isinstance(event, SearchStep):
-        return f"iteration {event.number}, cost {event.criterion:.6g}"
+        return f"iteration {event.number}, cost {event.cost:.6g}"
     return event_words(event)

@@ -126,11 +126,11 @@ class IdentificationPanel:
         taken = [each for each in steps if each.accepted]
         for each in taken:
             values = [_of(each.values, name) for name in self.names]
-            for column_, value in zip(self.trace.values(), [each.number, each.criterion, *values], strict=True):
+            for column_, value in zip(self.trace.values(), [each.number, each.cost, *values], strict=True):
                 column_.append(value)
-        away = [each for each in steps if not each.accepted and math.isfinite(each.criterion)]
+        away = [each for each in steps if not each.accepted and math.isfinite(each.cost)]
         self.refused["x"] += [each.number for each in away]
-        self.refused["y"] += [each.criterion for each in away]
+        self.refused["y"] += [each.cost for each in away]
         if self.trace["k"] and steps:
             self._draw()
         if taken:
