@@ -16,13 +16,22 @@ EVENTS = "FMUID_EVENTS"  # Environment variable with the file to which a command
 
 @dataclass(frozen=True, kw_only=True)
 class Event:
-    """Progress of a task.
-
-    `share` is the completed fraction, 0 to 1, or NaN if unknown.
-    """
+    """Progress of a task; `share` is the completed fraction, 0 to 1, or NaN if unknown."""
 
     task: str
     share: float = math.nan
+
+
+@dataclass(frozen=True, kw_only=True)
+class CountedEvent(Event):
+    """Progress in a task of `total` parts, of which `done` are completed."""
+
+    done: int
+    total: int
+    share: float = field(init=False)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "share", self.done / self.total)
 
 
 class Progress(Protocol):
@@ -49,7 +58,7 @@ class SearchStep(Event):
 
 
 @dataclass(frozen=True, kw_only=True)
-class GlobalStep(Event):
+class GlobalStep(CountedEvent):
     """Step of a global search; its tasks are ``spread``, ``evolution`` and ``fits``.
 
     `done` and `total` count points, generations (at most) or fits. `cost` is the best so far: J_C, or its
@@ -57,15 +66,9 @@ class GlobalStep(Event):
     the simulations since the beginning.
     """
 
-    done: int
-    total: int
     cost: float
     values: Mapping[str, float]
     simulations: int
-    share: float = field(init=False)
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "share", self.done / self.total)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -143,7 +146,7 @@ class WindowStep(Event):
 
 
 @dataclass(frozen=True, kw_only=True)
-class BatchStep(Event):
+class BatchStep(CountedEvent):
     """Progress of a batch, a few times per second.
 
     `failed` counts among the `done` cases. `rate` is in cases/s (0 before the first), `left` in s (inf before the
@@ -151,16 +154,10 @@ class BatchStep(Event):
     """
 
     task: str = "batch"
-    done: int
-    total: int
     failed: int
     rate: float
     left: float
     threads: int
-    share: float = field(init=False)
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "share", self.done / self.total)
 
 
 def to_line(event: Event) -> str:
@@ -171,7 +168,7 @@ def to_line(event: Event) -> str:
 def of_line(line: str) -> Event:
     """Return the event of a line of `to_line`; raise ValueError for others."""
     found = json.loads(line)
-    known: list[type[Event]] = [Event, *Event.__subclasses__()]
+    known: list[type[Event]] = [Event, *Event.__subclasses__(), *CountedEvent.__subclasses__()]
     kinds = {kind.__name__: kind for kind in known if kind.__module__ == __name__}
     if not isinstance(found, dict) or found.get("event") not in kinds:
         raise ValueError(f"no event: {line[:80]!r}")

@@ -1,7 +1,4 @@
-"""Paths of users, atomic writing of files, locks of folders.
-
-To `pathlib` an impossible name (too long, NUL) is an error; here such a file does not exist.
-"""
+"""Paths of users, atomic writing of files, locks of folders."""
 
 from __future__ import annotations
 
@@ -26,26 +23,8 @@ _FORMULA = re.compile(r"'*[=+\-@\t\r\n]")  # a text that spreadsheets evaluate, 
 _FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)  # No space left, quota exceeded, file larger than a limit
 
 
-def is_file(path: Path) -> bool:
-    """Return whether a file exists."""
-    return _holds(path.is_file)
-
-
-def is_folder(path: Path) -> bool:
-    """Return whether a folder exists."""
-    return _holds(path.is_dir)
-
-
-def exists(path: Path) -> bool:
-    """Return whether a file or folder exists."""
-    return _holds(path.exists)
-
-
-def _holds(question: Callable[[], bool]) -> bool:
-    try:
-        return question()
-    except (OSError, ValueError):
-        return False
+# To `pathlib` an impossible name (too long, NUL) is an error; to these such a file does not exist.
+is_file, is_folder, exists = os.path.isfile, os.path.isdir, os.path.exists
 
 
 def full(path: Path) -> str:
@@ -75,10 +54,7 @@ LOCK = ".lock"  # lock file of a folder
 
 @contextmanager
 def locked(folder: Path, what: str) -> Iterator[None]:
-    """Lock an output folder against other processes of a kind `what`.
-
-    The folder is made if needed. Raises `InputError` if it cannot be written to or another process has it.
-    """
+    """Make an output folder and lock it against other processes of a kind `what`."""
     make_folder(folder)
     with _opened_lock(folder / LOCK, what) as file:
         with contextlib.suppress(OSError):  # a full disk: without the owner's name
@@ -129,27 +105,23 @@ def _lock(handle: int) -> bool:
     return True
 
 
-_noted: list[Path] | None = None
+_noted: list[list[Path]] = []
 
 
 @contextmanager
 def noted() -> Iterator[list[Path]]:
     """Provide a list of the files that `replacing` and `note` report."""
-    global _noted
-    before, _noted = _noted, []
-    mine = _noted
+    _noted.append([])
     try:
-        yield mine
+        yield _noted[-1]
     finally:
-        _noted = before
-        if before is not None:
-            before += mine
+        _noted.pop()
 
 
 def note(path: Path) -> None:
     """Report a written file to `noted`."""
-    if _noted is not None:
-        _noted.append(path)
+    for each in _noted:
+        each.append(path)
 
 
 class WriteError(InputError):
@@ -202,10 +174,7 @@ def write_table(path: Path, frame: pd.DataFrame) -> Path:
 
 
 def without_formulas(frame: pd.DataFrame) -> pd.DataFrame:
-    """Return a table without texts that spreadsheets evaluate (CWE-1236).
-
-    Such texts, and texts that look escaped already, get an apostrophe in front.
-    """
+    """Put an apostrophe before texts that spreadsheets evaluate (CWE-1236), or that look escaped already."""
     return _with_texts(frame, _escaped)
 
 
@@ -250,8 +219,5 @@ class ContentError(ValueError):
 
 
 def file_name(text: str) -> str:
-    """Return a text as part of a file name.
-
-    Only letters, digits and ``_ . -`` stay.
-    """
+    """Return a text as part of a file name: only letters, digits and ``_ . -`` stay."""
     return re.sub(r"[^A-Za-z0-9_.-]", "_", text)

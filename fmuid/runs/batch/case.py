@@ -9,13 +9,12 @@ import os
 import platform
 import threading
 import time
-from collections import OrderedDict
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from datetime import UTC, datetime
+from functools import lru_cache
 from pathlib import Path
-from typing import Generic, TypeVar
 
 import numpy as np
 
@@ -29,10 +28,7 @@ from fmuid.identification import Problem, identify, judge
 from fmuid.runs.batch.case_list import Case, CaseList, noise
 from fmuid.runs.batch.case_problem import problem_of, truth_simulators, truth_values
 from fmuid.simulation import executor_of, nrmse_fit, root_mean_square
-from fmuid.studies import MonteCarloSection, Study
-
-Key = TypeVar("Key")
-Item = TypeVar("Item")
+from fmuid.studies import MonteCarloSection, Study, Value
 
 # Columns that differ from run to run; all others are the same bit for bit.
 VOLATILE = ("checked", "elapsed_s", "finished", "worker")
@@ -62,9 +58,9 @@ class CaseRunner:
         self._originals = originals or {}  # the user's names of copied files, for messages
         self._drawn, self._seed = self.cases.settings.monte_carlo, self.cases.settings.seed
         self._outputs = tuple(dict.fromkeys(name for given in study.experiments for name in given.outputs))
-        self._tables: _BoundedCache[Path | None, tuple[Experiment, ...]] = _BoundedCache()
+        self._tables = lru_cache(SYSTEMS_KEPT)(self._read)
+        self._truths = lru_cache(SYSTEMS_KEPT)(self._simulated_truth)
         self._before: tuple[object, Problem] | None = None  # what the case before had to be simulated, and its problem
-        self._truths: _BoundedCache[object, tuple[Floats, ...]] = _BoundedCache()
         self._cache = Cache(problems=self._alike())
         self._worker = f"{platform.node()}:{os.getpid()}"
         self._system = study.system
@@ -100,9 +96,9 @@ class CaseRunner:
 
     def problem(self, case: Case) -> Problem:
         """Return the problem of a case, with measured or simulated data."""
-        read = experiments = self._tables.get(case.table, lambda: self._read(case.table))
+        experiments = self._tables(case.table)
         if case.draw is not None and self._drawn is not None:
-            experiments = self._disturbed(case, case.draw, self._drawn, read)
+            experiments = self._disturbed(case, case.draw, self._drawn, experiments)
         key = case.table, case.free, tuple(case.held.items())
         like = self._before[1] if self._before and self._before[0] == key else None
         problem = problem_of(self.study, experiments, case.free, case.held, case.starts, like)
@@ -142,11 +138,7 @@ class CaseRunner:
         self, case: Case, draw: int, drawn: MonteCarloSection, experiments: tuple[Experiment, ...]
     ) -> tuple[Experiment, ...]:
         """Return the experiments with simulated truth and a noise realization as measurements."""
-        truth = truth_values(self.study, case.held)
-        key = case.table, tuple(truth.items())
-        clean = self._truths.get(
-            key, lambda: tuple(run(theta) for run, theta in truth_simulators(self.study, experiments, truth))
-        )
+        clean = self._truths(case.table, tuple(truth_values(self.study, case.held).items()))
         found = []
         for number, (experiment, outputs) in enumerate(zip(experiments, clean, strict=True)):
             std = np.array([drawn.std_of(name) for name in experiment.output_names])
@@ -154,6 +146,11 @@ class CaseRunner:
             there = experiment.counted | ~np.isnan(experiment.output_values)
             found.append(experiment.with_outputs(np.where(there, values, np.nan)))
         return tuple(found)
+
+    def _simulated_truth(self, table: Path | None, truth: tuple[tuple[str, Value], ...]) -> tuple[Floats, ...]:
+        """Return the outputs of each experiment (K, outputs) at the true values."""
+        simulators = truth_simulators(self.study, self._tables(table), dict(truth))
+        return tuple(run(theta) for run, theta in simulators)
 
     def _all_columns(self) -> dict[str, str]:
         kinds = {bool: FLAG, int: WHOLE, float: NUMBER, str: TEXT}
@@ -211,28 +208,6 @@ def directions_text(directions: Sequence[WeakDirection]) -> str:
 def directions_of(text: str) -> tuple[WeakDirection, ...]:
     """Return the directions of the ``undetermined`` of a row."""
     return tuple(from_json(WeakDirection, each) for each in json.loads(text)) if text else ()
-
-
-class _BoundedCache(Generic[Key, Item]):
-    """The last few things made, by key; an error is kept and raised again."""
-
-    def __init__(self) -> None:
-        self._kept: OrderedDict[Key, Item | FmuidError] = OrderedDict()
-
-    def get(self, key: Key, make: Callable[[], Item]) -> Item:
-        """Return the value of a key, made now if need be."""
-        if key not in self._kept:
-            try:
-                self._kept[key] = make()
-            except FmuidError as error:
-                self._kept[key] = error.with_traceback(None)  # which holds on to what was being made
-            while len(self._kept) > SYSTEMS_KEPT:
-                self._kept.popitem(last=False)
-        self._kept.move_to_end(key)
-        item = self._kept[key]
-        if isinstance(item, FmuidError):
-            raise item.with_traceback(None)
-        return item
 
 
 @contextmanager

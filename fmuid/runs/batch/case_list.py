@@ -13,13 +13,14 @@ import hashlib
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from fmuid.array_types import Floats
-from fmuid.data import Parameter, ParameterSet
+from fmuid.data import ParameterSet
 from fmuid.errors import InputError
 from fmuid.estimation import spans_decades
 from fmuid.files import full, is_file
@@ -44,13 +45,8 @@ class Case:
     draw: int | None = None  # number of the noise realization, None where measurements are identified
 
 
-@dataclass(frozen=True)
-class _Axis:
-    """An axis: key in ``[batch]``, number of entries, and their effect on a case."""
-
-    word: str
-    count: int
-    put: Callable[[Case, int], Case]
+# Of each key in ``[batch]``: number of entries, and the fields of `Case` that an entry sets.
+_Axes = dict[str, tuple[int, Callable[[int], dict[str, Any]]]]
 
 
 class CaseList:
@@ -64,7 +60,7 @@ class CaseList:
         self.names = tuple(flat_names(study))  # all parameters, those per experiment one by one
         self._records = list(self.settings.records().items())
         self._free = tuple(name for name in study.parameters if name not in self.settings.swept)
-        self._axes = [axis for axis in self._all_axes() if axis.count]
+        self._axes = {word: axis for word, axis in self._all_axes().items() if axis[0]}
         self._count = self._length()
         self._check_starts()
         self.columns = tuple(self._all_columns())
@@ -87,9 +83,12 @@ class CaseList:
     def __getitem__(self, index: int) -> Case:
         """Return the case of a number; negative ones count from the end."""
         number = range(self._count)[index]
-        case = Case(number, self._free)
-        for axis, entry in zip(self._axes, self._entries(number), strict=True):
-            case = axis.put(case, entry)
+        found: dict[str, Any] = {"free": self._free}
+        held: dict[str, Value] = {}
+        for (_, fields_of), entry in zip(self._axes.values(), self._entries(number), strict=True):
+            found |= fields_of(entry)
+            held |= found.pop("held", {})
+        case = Case(number, held=held, **found)
         return replace(case, settings=self._settings_of(case))
 
     def __iter__(self) -> Iterator[Case]:
@@ -106,36 +105,32 @@ class CaseList:
         if self.settings.combine == "zip":
             return [number] * len(self._axes)
         found = []
-        for axis in reversed(self._axes):
-            number, entry = divmod(number, axis.count)
+        for count, _ in reversed(self._axes.values()):
+            number, entry = divmod(number, count)
             found.append(entry)
         return found[::-1]
 
-    def _all_axes(self) -> Iterator[_Axis]:
+    def _all_axes(self) -> _Axes:
         settings, records, starts = self.settings, self._records, self.settings.starting_points
-        yield _Axis("data", len(records), lambda case, k: replace(case, record=records[k][0], table=records[k][1]))
+        axes: _Axes = {"data": (len(records), lambda k: {"record": records[k][0], "table": records[k][1]})}
         for name, values in settings.sweep.items():
-            yield _Axis(f"sweep.{name}", len(values), _holding([name], [[value] for value in values]))
-        if settings.space_filling is not None:
-            names = list(settings.space_filling.ranges)
-            yield _Axis(
-                "space_filling", settings.space_filling.points, lambda case, k: _holding(names, self._design)(case, k)
+            axes[f"sweep.{name}"] = len(values), partial(_held_at, name, values)
+        if (space := settings.space_filling) is not None:
+            axes["space_filling"] = (
+                space.points,
+                lambda k: {"held": dict(zip(space.ranges, self._design[k], strict=True))},
             )
-        count = len(settings.free_parameters)
-        yield _Axis("free_parameters", count, lambda case, k: replace(case, free=self._subset(k)))
+        axes["free_parameters"] = len(settings.free_parameters), lambda k: {"free": self._subset(k)}
         if isinstance(starts, list):
-            yield _Axis("starting_points", len(starts), lambda case, k: replace(case, starts=starts[k]))
+            axes["starting_points"] = len(starts), lambda k: {"starts": starts[k]}
         elif starts is not None:
-            yield _Axis(
-                "starting_points",
-                starts,
-                lambda case, k: replace(case, starts=self._start_ranges.draw(settings.seed, k)),
-            )
+            axes["starting_points"] = starts, lambda k: {"starts": self._drawn_starts(k)}
         if settings.monte_carlo is not None:
-            yield _Axis("monte_carlo", settings.monte_carlo.realizations, lambda case, k: replace(case, draw=k))
+            axes["monte_carlo"] = settings.monte_carlo.realizations, lambda k: {"draw": k}
+        return axes
 
     def _length(self) -> int:
-        counts = {axis.word: axis.count for axis in self._axes}
+        counts = {word: count for word, (count, _) in self._axes.items()}
         if self.settings.combine == "zip":
             if len(set(counts.values())) > 1:
                 said = ", ".join(f"{count} of {word}" for word, count in counts.items())
@@ -157,10 +152,29 @@ class CaseList:
         return [] if sample is None else design(sample, self.settings.seed).tolist()
 
     @cached_property
-    def _start_ranges(self) -> StartRanges:
-        study = self.study
+    def _start_ranges(self) -> tuple[Floats, Floats]:
+        """Ends of the ranges of random starts: bounds, else around the prior's mean or the start."""
+        study, found = self.study, []
         known = ParameterSet(study.parameters, [given.name for given in study.experiments], study.joint_prior)
-        return StartRanges(study.parameters, known)
+        _, columns = known.for_experiment(0)
+        for each, i in zip(study.parameters.values(), columns, strict=True):
+            middle, reach = float(known.prior_mean[i]), 3.0 * float(known.prior_std[i])
+            if math.isnan(middle):
+                middle, reach = each.start, 0.5 * (each.nominal or abs(each.start))
+            bounded = math.isfinite(each.max - each.min)
+            around = max(each.min, middle - reach), min(each.max, middle + reach)
+            found.append((each.min, each.max) if bounded else around)
+        low, high = np.array(found).T
+        return low, high
+
+    def _drawn_starts(self, entry: int) -> dict[str, float]:
+        """Return random starts of all parameters, free or not: logarithmic over a decade or more."""
+        low, high = self._start_ranges
+        decades = np.array(list(map(spans_decades, low, high)))
+        ends = [np.log(end, out=end.copy(), where=decades) for end in (low, high)]
+        drawn = generator(self.settings.seed, FOR_STARTS, entry).uniform(*ends)
+        drawn = np.exp(drawn, out=drawn, where=decades).clip(low, high)  # exp(log(x)) is not always x
+        return dict(zip(self.study.parameters, drawn.tolist(), strict=True))
 
     @cached_property
     def _started(self) -> tuple[str, ...]:
@@ -200,9 +214,8 @@ class CaseList:
                     raise self.settings.error(f"starting_points[{number}].{name}: {error}") from None
 
 
-def _holding(names: Sequence[str], points: Sequence[Sequence[Value]]) -> Callable[[Case, int], Case]:
-    """Return a function that holds variables at a point."""
-    return lambda case, k: replace(case, held={**case.held, **dict(zip(names, points[k], strict=True))})
+def _held_at(name: str, values: Sequence[Value], entry: int) -> dict[str, Any]:
+    return {"held": {name: values[entry]}}
 
 
 def truth_of(study: Study) -> dict[str, float]:
@@ -240,40 +253,3 @@ def design(sample: SpaceFillingSection, seed: int) -> Floats:
         units = qmc.LatinHypercube(n, rng=rng).random(sample.points)
     low, high = np.array(list(sample.ranges.values())).T
     return np.asarray(qmc.scale(units, low, high), dtype=np.float64)
-
-
-class StartRanges:
-    """Ranges of random starts: bounds, else around the prior's mean or the start.
-
-    Bounds of a decade or more are logarithmic. A parameter per experiment has one start for all.
-    """
-
-    def __init__(self, parameters: Mapping[str, Parameter], known: ParameterSet) -> None:
-        self._parameters = dict(parameters)
-        _, columns = known.for_experiment(0)
-        ranges = [
-            _range(each, float(known.prior_mean[i]), float(known.prior_std[i]))
-            for each, i in zip(self._parameters.values(), columns, strict=True)
-        ]
-        self._low, self._high = np.array(ranges).T
-        self._logarithmic = np.array([spans_decades(low, high) for low, high in ranges])
-        for ends in (self._low, self._high):
-            ends[self._logarithmic] = np.log(ends[self._logarithmic])
-
-    def draw(self, seed: int, entry: int) -> dict[str, float]:
-        """Return the starts of a number, of all parameters, free or not."""
-        drawn = generator(seed, FOR_STARTS, entry).uniform(self._low, self._high)
-        drawn[self._logarithmic] = np.exp(drawn[self._logarithmic])
-        return {
-            name: min(max(value, each.min), each.max)  # exp(log(x)) is not always x
-            for (name, each), value in zip(self._parameters.items(), drawn.tolist(), strict=True)
-        }
-
-
-def _range(parameter: Parameter, mean: float, std: float) -> tuple[float, float]:
-    if math.isfinite(parameter.max - parameter.min):
-        return parameter.min, parameter.max
-    middle, reach = mean, 3.0 * std
-    if math.isnan(mean):
-        middle, reach = parameter.start, 0.5 * (parameter.nominal or abs(parameter.start))
-    return max(parameter.min, middle - reach), min(parameter.max, middle + reach)

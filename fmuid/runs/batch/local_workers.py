@@ -3,10 +3,6 @@
 It is ``python -m fmuid.runs.batch.local_workers ADDRESS COUNT FOLDER``. As workers are started there, the main module
 of the batch need not be importable. Standard input is the lifeline: it ends with the batch, however that ends. Then
 this process ends its workers and all that they have started, and removes the folder.
-
-The folder is locked while a process uses it; the next batch removes it otherwise. The lock is of the open file
-(``flock``) and inherited: it lasts until the last process that has it ends. A lock file appears under its name with the
-lock already on it, so no folder in use is removed.
 """
 
 from __future__ import annotations
@@ -15,25 +11,15 @@ import asyncio
 import contextlib
 import os
 import shutil
-import socket
 import subprocess
 import sys
-import tempfile
 import threading
 import time
-from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 from fmuid.errors import FmuidError
-from fmuid.files import file_name
 from fmuid.processes import MEMORY_KEPT, Child, watch_lifeline
 
-try:
-    import fcntl
-except ImportError:  # of POSIX systems; Windows removes no folder that is in use, but leaves those of killed processes
-    fcntl = None  # type: ignore[assignment]
-
-PREFIX = "fmuid-batch-"
 # A keeper that ends within so many seconds is started again at most so often in a row:
 # a short lack of memory must end no batch.
 SOON_SECONDS = 10.0
@@ -52,8 +38,8 @@ CALM = {
 class LocalWorkers:
     """Process that keeps workers of this machine; restarted if it ends."""
 
-    def __init__(self, address: str, count: int, folder: Path, locks: Sequence[int] = ()) -> None:
-        self._address, self._count, self._folder, self._locks = address, count, folder, locks
+    def __init__(self, address: str, count: int, folder: Path) -> None:
+        self._address, self._count, self._folder = address, count, folder
         self._log = folder / "log.txt"
         self._starts = 0
         self._start()
@@ -68,7 +54,6 @@ class LocalWorkers:
                 environment={"OMP_NUM_THREADS": "1", **MEMORY_KEPT},
                 stdout=log,
                 stderr=subprocess.STDOUT,
-                pass_fds=self._locks,  # the folder is in use as long as this process or that one lives
             )
 
     def look(self) -> None:
@@ -87,58 +72,6 @@ class LocalWorkers:
     def close(self) -> None:
         """End the process, the workers and all that they have started."""
         self._process.end(SOON_SECONDS)
-
-
-@contextlib.contextmanager
-def scratch_folder() -> Iterator[tuple[Path, list[int]]]:
-    """Give a new private folder and its lock; remove unused ones first."""
-    _sweep(Path(tempfile.gettempdir()))
-    try:
-        folder = Path(tempfile.mkdtemp(prefix=PREFIX))
-    except OSError as error:
-        why = f"{tempfile.gettempdir()}: no folder for workers: {error.strerror}"
-        raise FmuidError(f"{why}. Free disk space, or set TMPDIR to another folder.") from None
-    with contextlib.ExitStack() as stack:
-        stack.callback(shutil.rmtree, folder, ignore_errors=True)
-        draft = folder / "draft"
-        handle = _locked(draft, os.O_CREAT)
-        if handle is not None:
-            stack.callback(os.close, handle)
-            draft.rename(folder / _lock_name())
-        yield folder, [] if handle is None else [handle]
-
-
-def _sweep(place: Path) -> None:
-    """Remove the folders of this user that nobody has locked any more."""
-    for folder in place.glob(f"{PREFIX}*"):
-        with contextlib.suppress(OSError):  # another batch was faster, or it is somebody else's
-            if folder.is_symlink() or folder.stat().st_uid != os.geteuid():
-                continue
-            handle = _locked(folder / _lock_name())
-            if handle is not None:
-                shutil.rmtree(folder, ignore_errors=True)
-                os.close(handle)
-
-
-def _locked(path: Path, flags: int = 0) -> int | None:
-    """Return the descriptor of a locked file; None if locked or missing."""
-    if fcntl is None:
-        return None
-    try:
-        handle = os.open(path, os.O_RDWR | flags, 0o600)
-    except OSError:
-        return None
-    try:
-        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except OSError:
-        os.close(handle)
-        return None
-    return handle
-
-
-def _lock_name() -> str:
-    """Return the name of this machine's lock: shared folders may lack locks."""
-    return f"lock-{file_name(socket.gethostname())}"
 
 
 def end(folder: Path) -> None:

@@ -7,7 +7,7 @@ import json
 import os
 import uuid
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -34,10 +34,10 @@ class StudyPackage:
     originals: dict[str, str]  # the user's names of files and records
     isolated: bool
     versions: dict[str, str | None]  # of the sender
-    unpacked: Any = None  # kept by a worker; does not travel
+    opened: dict[int, Any] = field(default_factory=dict)  # by thread of a worker; does not travel
 
     def __getstate__(self) -> dict[str, Any]:
-        return self.__dict__ | {"unpacked": None}
+        return self.__dict__ | {"opened": {}}
 
     def __sizeof__(self) -> int:  # what a scheduler weighs the way of an object by
         return sum(map(len, self.files.values()))

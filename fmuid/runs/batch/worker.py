@@ -26,8 +26,6 @@ from fmuid.studies import Study
 VERSION_PLACES = {"python": 2, "fmuid": 9, "dask": 9, "distributed": 9, "numpy": 1, "pandas": 1}
 # Kept of the log of a case, bytes: an FMU that prints in every step would fill the disk.
 LOG_BYTES = 64 * 1024
-# Time of one order to a process, s; an order costs 0.3 ms. Where the process ends, its cases run one by one.
-ORDER_SECONDS = 0.2
 
 
 @dataclass(frozen=True)
@@ -65,7 +63,7 @@ def run_group(parcel: StudyPackage, cases: Sequence[int], records: Mapping[str, 
     said = difference(parcel.versions, versions())
     if said is not None:
         raise InputError(f"the worker {_worker('address', 'here')} {said}")
-    opened = _open_studies(parcel).opened(parcel)
+    opened = _open_study(parcel)
     try:
         put(opened.folder, records)
         began = time.perf_counter()
@@ -102,12 +100,13 @@ def _worker(attribute: str, default: Any) -> Any:
         return default
 
 
-class _OpenStudy:
-    """The study of one thread of a worker, in its own folder."""
+class OpenStudy:
+    """The study of one thread of a worker, which owns its FMU instances, in a private folder."""
 
-    def __init__(self, parcel: StudyPackage, folder: Path) -> None:
-        self.folder = folder
-        study, originals = parcel.unpack(folder), parcel.originals_of(folder)
+    def __init__(self, parcel: StudyPackage) -> None:
+        self.folder = Path(tempfile.mkdtemp(prefix="fmuid-", dir=_worker("local_directory", None)))
+        weakref.finalize(self, shutil.rmtree, self.folder, ignore_errors=True)
+        study, originals = parcel.unpack(self.folder), parcel.originals_of(self.folder)
         self.run: Callable[[Sequence[int]], list[CaseOutcome]]
         if parcel.isolated and AVAILABLE:
             self.run = IsolatedCases(study, originals).run
@@ -116,52 +115,25 @@ class _OpenStudy:
             self.run = lambda cases: [runner(case) for case in cases]
 
 
-class _OpenStudies:
-    """Open studies of a worker for one batch, in a private folder."""
-
-    def __init__(self) -> None:
-        self._lock = threading.Lock()
-        self._opened: dict[int, _OpenStudy] = {}
-        self._folder = Path(tempfile.mkdtemp(prefix="fmuid-", dir=_worker("local_directory", None)))
-        self._end = weakref.finalize(self, shutil.rmtree, self._folder, ignore_errors=True)
-
-    def opened(self, parcel: StudyPackage) -> _OpenStudy:
-        """Return the study of this thread, which owns its FMU instances."""
-        thread = threading.get_ident()
-        with self._lock:
-            if thread not in self._opened:
-                self._opened[thread] = _OpenStudy(parcel, self._folder / f"{len(self._opened)}")
-            return self._opened[thread]
-
-    def close(self) -> None:
-        """Free the FMUs and remove the folder."""
-        with self._lock:
-            self._opened.clear()
-        self._end()
-
-
 # Parcels with studies open here. Workers drop a parcel when its sender ends, however it does;
 # as that may take until Python's next collection, a sender that can calls `forget`.
 _parcels: weakref.WeakSet[StudyPackage] = weakref.WeakSet()
-_opening = threading.Lock()
 
 
-def _open_studies(parcel: StudyPackage) -> _OpenStudies:
-    with _opening:
-        if parcel.unpacked is None:
-            parcel.unpacked = _OpenStudies()
-            _parcels.add(parcel)
-        studies: _OpenStudies = parcel.unpacked
-        return studies
+def _open_study(parcel: StudyPackage) -> OpenStudy:
+    """Return the study of this thread."""
+    thread = threading.get_ident()
+    if thread not in parcel.opened:
+        parcel.opened[thread] = OpenStudy(parcel)
+        _parcels.add(parcel)
+    opened: OpenStudy = parcel.opened[thread]
+    return opened
 
 
 def forget(token: str) -> None:
     """Free what this worker keeps for a parcel."""
-    with _opening:
-        for parcel in [each for each in _parcels if each.token == token]:
-            parcel.unpacked.close()
-            parcel.unpacked = None
-            _parcels.discard(parcel)
+    for parcel in [each for each in _parcels if each.token == token]:
+        parcel.opened.clear()
     gc.collect()  # errors that are kept hold on to what met them
 
 
@@ -205,35 +177,26 @@ class IsolatedCases:
         self._keeper = HostManager(settings, [__name__])
         # the number of simulations of a case is known only afterwards
         self._alone = settings.max_simulations_per_process is not None
-        self._size = 1  # of the next order
 
     def run(self, indices: Sequence[int]) -> list[CaseOutcome]:
-        """Run cases one after the other."""
-        found: list[CaseOutcome] = []
-        while len(found) < len(indices):
-            found += self._ordered(indices[len(found) : len(found) + self._size])
-        return found
-
-    def _ordered(self, indices: Sequence[int]) -> list[CaseOutcome]:
-        """Run cases in one order to the process."""
-        keeper, began = self._keeper, time.perf_counter()
+        """Run cases in one order to the process; where it ends over several, one by one."""
+        if self._alone and len(indices) > 1:
+            return [outcome for index in indices for outcome in self.run([index])]
+        keeper = self._keeper
         try:
             host = keeper.host(self._begin)
             rows, keeper.longest = host.order(run_cases, indices, limit=keeper.time_limit, computes=True)
             outcomes = [CaseOutcome(row, log) for row, log in rows]
             host.simulations += sum(int(str(outcome.row["simulations"])) for outcome in outcomes)
             keeper.replace_outgrown()
+            keeper.printed()  # is in the logs
         except HostExitError:
             keeper.bury()
-            self._size = 1
+            printed = keeper.printed()  # several print it again
             if len(indices) > 1:
-                keeper.printed()  # they print it again
-                return [outcome for index in indices for outcome in self._ordered([index])]
+                return [outcome for index in indices for outcome in self.run([index])]
             outcome = self._careful(indices[0])
-            return [replace(outcome, log="\n".join(filter(None, [outcome.log, keeper.printed()])))]
-        keeper.printed()  # is in the logs
-        fitting = int(ORDER_SECONDS * len(indices) / max(time.perf_counter() - began, 1e-6))
-        self._size = 1 if self._alone else max(1, min(fitting, 2 * len(indices)))
+            return [replace(outcome, log="\n".join(filter(None, [outcome.log, printed])))]
         return outcomes
 
     def _begin(self, host: FmuHost) -> None:

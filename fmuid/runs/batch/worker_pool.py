@@ -5,12 +5,15 @@ from __future__ import annotations
 import contextlib
 import logging
 import queue
+import shutil
+import tempfile
 import time
 import warnings
 from collections import deque
 from collections.abc import Callable, Generator, Iterator, Sequence
 from concurrent.futures import CancelledError
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any, TypeAlias
 
 import dask
@@ -19,7 +22,7 @@ from dask.system import CPU_COUNT
 
 from fmuid.array_types import Indices
 from fmuid.errors import FmuidError, InputError
-from fmuid.runs.batch.local_workers import CALM, LocalWorkers, scratch_folder
+from fmuid.runs.batch.local_workers import CALM, LocalWorkers
 from fmuid.runs.batch.study_package import StudyPackage
 from fmuid.runs.batch.worker import GroupResult, difference, forget, run_group, versions
 
@@ -172,7 +175,7 @@ def crew(scheduler: str | None = None, workers: int | None = None) -> Iterator[W
             _check(client, scheduler)
             yield WorkerPool(client, scheduler, None)
             return
-        folder, locks = stack.enter_context(scratch_folder())
+        folder = stack.enter_context(_scratch_folder())
         stack.enter_context(dask.config.set({"temporary-directory": str(folder)} | CALM))
         options = {"host": "127.0.0.1", "port": 0, "dashboard": False, "dashboard_address": "127.0.0.1:0"}
         options["allowed_failures"] = SETTINGS.max_worker_ends
@@ -180,9 +183,23 @@ def crew(scheduler: str | None = None, workers: int | None = None) -> Iterator[W
         cluster = stack.enter_context(DASK.SpecCluster(workers={}, scheduler=described))
         _quieten(cluster)
         client = stack.enter_context(_client(cluster.scheduler_address))
-        local = LocalWorkers(cluster.scheduler_address, workers or CPU_COUNT, folder, locks)
+        local = LocalWorkers(cluster.scheduler_address, workers or CPU_COUNT, folder)
         stack.callback(local.close)
         yield WorkerPool(client, cluster.scheduler_address, local)
+
+
+@contextlib.contextmanager
+def _scratch_folder() -> Iterator[Path]:
+    """Give workers a private folder."""
+    try:
+        folder = Path(tempfile.mkdtemp(prefix="fmuid-batch-"))
+    except OSError as error:
+        why = f"{tempfile.gettempdir()}: no folder for workers: {error.strerror}"
+        raise FmuidError(f"{why}. Free disk space, or set TMPDIR to another folder.") from None
+    try:
+        yield folder
+    finally:
+        shutil.rmtree(folder, ignore_errors=True)
 
 
 @contextlib.contextmanager

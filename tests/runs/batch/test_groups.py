@@ -4,24 +4,26 @@ from __future__ import annotations
 
 import logging
 import signal
+import subprocess
+import sys
+import tempfile
 import time
 from pathlib import Path
 from typing import Any
 
+import dask
 import numpy as np
 import pytest
 from distributed import KilledWorker
 from distributed.utils import LoopRunner, sync
 
+from fmuid.errors import FmuidError
 from fmuid.runs.batch import worker_pool as cluster
+from fmuid.runs.batch.local_workers import CALM
 from fmuid.runs.batch.study_package import StudyPackage
 from fmuid.runs.batch.worker import GroupResult, run_group
 from fmuid.runs.batch.worker_pool import GroupSizes
-from tests.support.coil_batches import (
-    DRAWS,
-    Here,
-    run,
-)
+from tests.support.coil_batches import DRAWS, Here, run
 
 pytestmark = pytest.mark.usefixtures("blank_figures")
 
@@ -95,6 +97,48 @@ def test_a_group_whose_workers_die_is_taken_apart() -> None:
     found = [each for each in crew.run(None, np.arange(12), lambda _: {}) if each is not None]
     assert sorted(row["case"] for each in found for row in each.rows) == [case for case in range(12) if case != 5]
     assert [each.given_up for each in found if each.given_up] == [(5,)]
+
+
+def test_workers_have_a_private_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+    with cluster._scratch_folder() as folder:
+        assert folder.parent == tmp_path
+        assert folder.stat().st_mode & 0o777 == 0o700
+    assert not list(tmp_path.iterdir())
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path / "missing"))
+    with pytest.raises(FmuidError, match=r"missing: no folder for workers: No such file.*TMPDIR"):
+        cluster._scratch_folder().__enter__()
+
+
+@pytest.mark.slow
+def test_workers_of_this_machine_do_not_watch_themselves() -> None:
+    """Neither they nor who schedules them: what Dask does so every few milliseconds nobody sees here."""
+    with cluster.crew(workers=1) as there:
+        there._client.wait_for_workers(1)
+        for name, value in CALM.items():
+            assert dask.config.get(name) == value
+            assert set(there._client.run(dask.config.get, name).values()) == {value}
+    assert dask.config.get("distributed.admin.tick.interval") != CALM["distributed.admin.tick.interval"]
+
+
+@pytest.mark.slow
+def test_lost_tasks_of_dask_say_nothing() -> None:
+    code = """if 1:
+        import asyncio, gc
+        from fmuid.runs.batch.worker_pool import crew
+        async def lost():
+            raise OSError('nobody asks')
+        async def begin():
+            asyncio.ensure_future(lost())
+            await asyncio.sleep(0)
+        if __name__ == '__main__':
+            with crew(workers=1) as there:
+                there._client.sync(begin)
+                gc.collect()
+            gc.collect()
+    """
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=600, check=False)
+    assert (done.returncode, done.stderr) == (0, "")
 
 
 def test_an_interrupt_before_the_loop_answers(caplog: pytest.LogCaptureFixture) -> None:

@@ -38,28 +38,10 @@ def study_of(folder: Path, modes: list[int], **other: Any) -> Study:
     return Study.of(data, folder / "study.toml")
 
 
-def orders(monkeypatch: pytest.MonkeyPatch, cases: IsolatedCases) -> list[int]:
-    """Have the sizes of the orders noted, and those that follow as large as there are cases."""
-    sizes: list[int] = []
-    ordered = cases._ordered
-
-    def noting(indices: Any) -> Any:
-        sizes.append(len(indices))
-        found = ordered(indices)
-        cases._size = 100
-        return found
-
-    monkeypatch.setattr(cases, "_ordered", noting)
-    return sizes
-
-
 @pytest.mark.slow
-def test_what_several_cases_of_an_order_print_is_told_apart(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_several_cases_of_an_order_print_is_told_apart(tmp_path: Path) -> None:
     study = study_of(tmp_path, [Mode.SOUND, Mode.SOUND, Mode.SPEAK, Mode.SOUND, Mode.SPEAK])
-    cases = IsolatedCases(study)
-    sizes = orders(monkeypatch, cases)
-    found = cases.run(range(5))
-    assert sizes == [1, 4]
+    found = IsolatedCases(study).run(range(5))
     assert [bool(outcome.log) for outcome in found] == [False, False, True, False, True]
     assert found[4].log
     assert found[2].log.startswith(found[4].log)
@@ -68,14 +50,8 @@ def test_what_several_cases_of_an_order_print_is_told_apart(tmp_path: Path, monk
         assert found[k].row["value.gain"] == plain(k).row["value.gain"]
 
 
-def test_a_case_that_ends_the_process_costs_no_other_of_its_order(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    study = study_of(tmp_path, [Mode.SOUND, Mode.SPEAK, Mode.SEGFAULT, Mode.SOUND])
-    cases = IsolatedCases(study)
-    sizes = orders(monkeypatch, cases)
-    found = cases.run(range(4))
-    assert sizes[:3] == [1, 3, 1]  # the order, and then its cases one by one
+def test_a_case_that_ends_the_process_costs_no_other_of_its_order(tmp_path: Path) -> None:
+    found = IsolatedCases(study_of(tmp_path, [Mode.SOUND, Mode.SPEAK, Mode.SEGFAULT, Mode.SOUND])).run(range(4))
     assert [outcome.row["status"] == "failed" for outcome in found] == [False, False, True, False]
     assert "SIGSEGV" in str(found[2].row["message"])
     assert found[1].log
