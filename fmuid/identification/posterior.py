@@ -279,24 +279,16 @@ class Posterior:
 def _densest(samples: Floats, level: float, lower: float, upper: float) -> tuple[float, float]:
     """Return the shortest interval with a share of sorted samples (n,)."""
     reach = min(max(1, round(level * samples.size)), samples.size - 1)
-    widths = samples[reach:] - samples[: samples.size - reach]
-    first = int(np.argmin(widths))
-    found = [(float(samples[first]), float(samples[first + reach]))]
+    first = int(np.argmin(samples[reach:] - samples[: samples.size - reach]))
+    shortest = float(samples[first]), float(samples[first + reach])
     # at a bound the density ends abruptly, and which interval is shortest is chance
-    if math.isfinite(lower):
-        found.append((lower, float(samples[reach])))
-    if math.isfinite(upper):
-        found.append((float(samples[samples.size - 1 - reach]), upper))
-    length = [b - a for a, b in found]
-    near = [k for k in range(1, len(found)) if length[k] <= (1.0 + SETTINGS.longer) * length[0]]
-    return found[min(near, key=lambda k: length[k], default=0)]
+    ending = [(lower, float(samples[reach])), (float(samples[samples.size - 1 - reach]), upper)]
+    near = [(b - a, a, b) for a, b in ending if b - a <= (1.0 + SETTINGS.longer) * (shortest[1] - shortest[0])]
+    return min(near)[1:] if near else shortest
 
 
 def r_hat(draws: Floats) -> float:
-    """Compute R-hat of draws (n, chains).
-
-    The greater of plain and folded ranks of split chains (eqs 1–6, 14–17); NaN for too few or identical draws.
-    """
+    """Return R-hat of draws (n, chains), of plain or folded ranks (eqs 1–6, 14–17); NaN for too few or identical."""
     if len(draws) < SETTINGS.least_length:
         return math.nan
     split = _split(draws)
@@ -304,10 +296,7 @@ def r_hat(draws: Floats) -> float:
 
 
 def effective_size(draws: Floats) -> float:
-    """Compute the effective sample size of draws (n, chains).
-
-    The lesser of bulk and tails (section 4.3, eqs 10–13); NaN for too few or identical draws.
-    """
+    """Return the effective size of draws (n, chains), of bulk or tails (eqs 10–13); NaN for too few or identical."""
     if len(draws) < SETTINGS.least_length:
         return math.nan
     split = _split(draws)

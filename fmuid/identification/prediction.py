@@ -164,13 +164,6 @@ def predict_by_model(
         If experiment, model and result do not fit together, or the level is not between 0 and 1.
     SimulationError
         If the simulation fails.
-
-    Examples
-    --------
-    >>> coil = fmuid.datasets.coil()
-    >>> result = fmuid.identify(coil.problem())
-    >>> fmuid.identification.predict_by_model(coil.fmu, result, coil.experiment).fit.outputs
-    ('i',)
     """
     check_level(level, "a band")
     check_kind(result, Result, "what is predicted with must be a fmuid.Result")
@@ -230,8 +223,8 @@ class _Record:
         values: dict[str, Value],
         free: dict[str, Parameter],
     ) -> None:
-        self.system, self.result, self.experiment, self.free = model.system, result, experiment, free
-        self.step_size = model.step_size
+        self.system, self.step_size = model.system, model.step_size
+        self.result, self.experiment, self.free = result, experiment, free
         known = estimates_for(result, model.system, experiment, free)
         self.names = tuple(known)  # of the variables that take an estimate
         self.at = [result.names.index(name) for name in known.values()]
@@ -248,8 +241,9 @@ class _Record:
         return math.sqrt(self.result.fit.variance.get(output, math.nan)) * abs(factors[0] / factors[1])
 
     def estimate(self) -> Result:
-        names = self.experiment.output_names
-        known = {name: std**2 for name, std in zip(names, self.noise_std.tolist(), strict=True) if std > 0}
+        """Identify the free values."""
+        pairs = zip(self.experiment.output_names, self.noise_std.tolist(), strict=True)
+        known = {name: std**2 for name, std in pairs if std > 0}
         problem = Problem(
             self.system,
             self.experiment,
@@ -261,21 +255,17 @@ class _Record:
         return identify(problem.finer(self.finer), solver_check="off", restart=False)
 
     def predicted(self, again: Result | None, level: float) -> Prediction:
-        experiment = self.experiment
-        simulator = Simulator(
-            self.system, experiment, (*self.names, *self.free), values=self.held, step_size=self.step_size
-        )
-        simulator = refined(simulator, self.system, self.finer)
+        experiment, names = self.experiment, (*self.names, *self.free)
+        simulator = Simulator(self.system, experiment, names, values=self.held, step_size=self.step_size)
         point = self.theta if again is None else np.concatenate([self.theta, again.values])
         covariance = self.result.covariance[np.ix_(self.at, self.at)]
         own = np.zeros((0, 0)) if again is None else again.covariance
         scatter = np.sqrt(np.concatenate([np.diag(covariance), np.diag(own)]))
-        names = (*self.names, *self.free)
         lost = tuple(names[i] for i in np.flatnonzero(~np.isfinite(scatter)))
-        simulated, slopes = self._simulated(simulator, point, np.zeros_like(scatter) if lost else scatter)
+        steps = self._steps(point, np.zeros_like(scatter) if lost else scatter)
+        simulated, slopes = _slopes(refined(simulator, self.system, self.finer), point, steps)
         std = np.full(simulated.shape, np.nan) if lost else self._std(slopes, covariance, own)
-        noise = np.broadcast_to(self.noise_std, std.shape)
-        variance = noise**2 + np.where(np.isnan(std), 0.0, std) ** 2
+        variance = np.broadcast_to(self.noise_std, std.shape) ** 2 + np.where(np.isnan(std), 0.0, std) ** 2
         fit = fit_of(self.system, experiment, simulated)
         half = quantile(self.result.fit.degrees_of_freedom, level) * np.sqrt(variance)
         scores = tuple(
@@ -284,45 +274,39 @@ class _Record:
         tests = ResidualAnalysis(tuple(examine_outputs(experiment, simulated)), {})
         return Prediction(fit, std, self.noise_std, half, level, scores, tests, again, lost)
 
-    def _simulated(self, simulator: Simulator, point: Floats, scatter: Floats) -> tuple[Floats, Floats]:
-        """Return outputs (K, n) and slopes (K, n, p) at a point."""
+    def _steps(self, point: Floats, scatter: Floats) -> Floats:
+        """Return the steps of differences (p,)."""
         nominal = [parameter.nominal or abs(parameter.start) for parameter in self.free.values()]
         size = np.abs(point)
         size[len(self.names) :] = np.maximum(size[len(self.names) :], nominal)
-        steps = np.minimum(scatter, LARGEST_STEP * np.where(size > 0, size, np.inf))
-        moved = np.flatnonzero(steps > 0)
-        points = np.tile(point, (1 + 2 * moved.size, 1))
-        for row, i in enumerate(moved):
-            points[1 + 2 * row, i] += steps[i]
-            points[2 + 2 * row, i] -= steps[i]
-        found = simulator.many(points)
-        base, slopes = found.outputs[0], np.zeros((*found.outputs.shape[1:], point.size))
-        for row, i in enumerate(moved):
-            up, down = 1 + 2 * row, 2 + 2 * row
-            if found.errors[up] is not None:  # beyond a bound of the model, perhaps
-                slopes[:, :, i] = (base - found.outputs[down]) / steps[i]
-            elif found.errors[down] is not None:
-                slopes[:, :, i] = (found.outputs[up] - base) / steps[i]
-            else:
-                slopes[:, :, i] = (found.outputs[up] - found.outputs[down]) / (2.0 * steps[i])
-        if found.errors[0] is not None or np.isnan(slopes).any():
-            raise next(error for error in found.errors if error is not None)
-        return base, slopes
+        return np.minimum(scatter, LARGEST_STEP * np.where(size > 0, size, np.inf))
 
     def _std(self, slopes: Floats, covariance: Floats, own: Floats) -> Floats:
         """Return the standard deviations (K, n_outputs) of the simulated outputs."""
-        kept = slopes[:, :, : len(self.names)]
-        if not self.free:
-            return np.asarray(np.sqrt(np.einsum("kjp,pq,kjq->kj", kept, covariance, kept)), dtype=np.float64)
-        again = slopes[:, :, len(self.names) :]
-        weights = np.where(np.isfinite(self.noise_std), 1.0 / self.noise_std, 0.0)
+        kept, again = np.split(slopes, [len(self.names)], axis=2)
+        weights = np.divide(1.0, self.noise_std, out=np.zeros_like(self.noise_std), where=self.noise_std > 0)
         counted = self.experiment.counted & (weights > 0)
         rows = np.broadcast_to(weights, counted.shape)[counted][:, None]
         inverse = np.linalg.pinv(again[counted] * rows)  # Z⁺
         left = kept - again @ (inverse @ (kept[counted] * rows))
-        by_noise = np.einsum("kjp,pq,kjq->kj", again, own, again)
-        by_estimates = np.einsum("kjp,pq,kjq->kj", left, covariance, left)
-        return np.asarray(np.sqrt(by_noise + by_estimates), dtype=np.float64)
+        parts = [np.einsum("kjp,pq,kjq->kj", *each) for each in ((again, own, again), (left, covariance, left))]
+        return np.asarray(np.sqrt(parts[0] + parts[1]), dtype=np.float64)
+
+
+def _slopes(simulator: Simulator, point: Floats, steps: Floats) -> tuple[Floats, Floats]:
+    """Return outputs (K, n) and their slopes (K, n, p), one-sided beside failures."""
+    moved = np.flatnonzero(steps > 0)
+    offsets = np.diag(steps)[moved]
+    found = simulator.many(np.vstack([point, point + offsets, point - offsets]))
+    base, failed = found.outputs[0], np.reshape([each is not None for each in found.errors[1:]], (2, -1))
+    high, low = np.where(failed[..., None, None], base, found.outputs[1:].reshape(2, -1, *base.shape))
+    slopes = np.zeros((*base.shape, point.size))
+    with np.errstate(invalid="ignore"):  # where both fail
+        each = (high - low) / ((2 - failed.sum(axis=0)) * steps[moved])[:, None, None]
+    slopes[..., moved] = np.moveaxis(each, 0, -1)
+    if found.errors[0] is not None or np.isnan(slopes).any():
+        raise next(error for error in found.errors if error is not None)
+    return base, slopes
 
 
 def _score(fit: OutputFit, j: int, variance: Floats, half: Floats) -> OutputScore:

@@ -239,23 +239,20 @@ def compare_prior_and_data(
             obstacle = found
         else:
             at, there = found
-            own = replace(
-                there, prior_residual=np.zeros(0), prior_jacobian=local.prior_jacobian[:0], combined=there.data
-            )
+            none = local.prior_jacobian[:0]
+            own = replace(there, prior_residual=np.zeros(0), prior_jacobian=none, combined=there.data)
             noise = sandwich_of(problem, own, np.zeros(problem.counts.size, dtype=np.bool_)).noise
     searched = there is not local
-    data_std = there.data_std(noise.gram(there.data_basis))
-    white = there.combine()
     return PriorDataComparison(
         result.names,
         result.estimates.prior_mean,
         result.estimates.prior_std,
         at + there.data_step(),
-        data_std,
+        there.data_std(noise.gram(there.data_basis)),
         searched,
         result.values,
         result.std,
-        at + white.step if searched else np.full(at.size, np.nan),
+        at + there.combine().step if searched else np.full(at.size, np.nan),
         local.moves(),
         agree(there, noise),
         variances,

@@ -68,23 +68,15 @@ class PriorDataTest:
 
 def agree(local: LinearizedProblem, noise: ResidualNoise) -> PriorDataTest | None:
     """Test prior against data, best at the optimum of data alone."""
-    if not len(local.prior_residual):
+    found = local.combine(noise.gram(local.data_basis)) if len(local.prior_residual) else None
+    if found is None or found.degrees_of_freedom <= 0:
         return None
-    found = local.combine(noise.gram(local.data_basis))
-    freedom = found.degrees_of_freedom
-    if freedom <= 0:
-        return None
-    return PriorDataTest(found.disagreement, freedom, float(special.chdtrc(freedom, found.disagreement)))
+    probability = float(special.chdtrc(found.degrees_of_freedom, found.disagreement))
+    return PriorDataTest(found.disagreement, found.degrees_of_freedom, probability)
 
 
 def known_variances(problem: LeastSquares, given: Mapping[str, float]) -> dict[str, float]:
-    """Return the known noise variances in the order of the problem's outputs.
-
-    Raises
-    ------
-    InputError
-        If one is of no measured output or not positive.
-    """
+    """Return the checked noise variances in the order of the problem's outputs."""
     for output, value in given.items():
         if output not in problem.output_names:
             raise InputError(f"healthy: unknown output {output!r}{nearest(output, problem.output_names)}")
@@ -101,31 +93,27 @@ def variance_tests(
     diagnostics: ResidualAnalysis,
 ) -> tuple[VarianceTest, ...]:
     """Test noise variances against known ones: each output, then all."""
-    leverage = np.bincount(
-        problem.groups, weights=np.sum((local.jacobian @ local.root) ** 2, axis=1), minlength=problem.counts.size
-    )
+    leverages, level = np.sum((local.jacobian @ local.root) ** 2, axis=1), SIGNIFICANCE_LEVEL / max(len(known), 1)
+    leverage = np.bincount(problem.groups, weights=leverages, minlength=problem.counts.size)
     tests, frees = [], []
     for output, variance in known.items():
-        j = problem.output_names.index(output)
+        j, estimated = problem.output_names.index(output), result.fit.noise_variance[output]
         free = max(float(problem.counts[j] - leverage[j]), 1.0)
         parts = [each for each in diagnostics.series if each.output == output]
         # sums of squares of several experiments: their variances add (Welch and Satterthwaite)
         worth = problem.counts[j] ** 2 / sum(each.samples * each.noise.variance_factor(2) for each in parts)
-        ratio = result.fit.noise_variance[output] / variance
-        freedom = free / problem.counts[j] * worth
-        tests.append(_test(output, variance, result.fit.noise_variance[output], ratio, freedom, len(known)))
+        tests.append(_test(output, variance, estimated, estimated / variance, free / problem.counts[j] * worth, level))
         frees.append(free)
     if len(tests) > 1:
         weights = np.array(frees)
         ratio = float(weights @ [test.ratio for test in tests] / weights.sum())
         freedom = float(weights.sum() ** 2 / np.sum(weights**2 / [test.degrees_of_freedom for test in tests]))
-        tests.append(_test("", math.nan, math.nan, ratio, freedom, len(known)))
+        tests.append(_test("", math.nan, math.nan, ratio, freedom, level))
     return tuple(tests)
 
 
-def _test(output: str, known: float, estimated: float, ratio: float, freedom: float, outputs: int) -> VarianceTest:
-    level, probability = SIGNIFICANCE_LEVEL / outputs, float(special.chdtrc(freedom, ratio * freedom))
-    deviation = Deviation.NONE
+def _test(output: str, known: float, estimated: float, ratio: float, freedom: float, level: float) -> VarianceTest:
+    probability, deviation = float(special.chdtrc(freedom, ratio * freedom)), Deviation.NONE
     if ratio > SAME_VARIANCE_RATIO and probability < level:
         deviation = Deviation.LARGER
     elif ratio < 1.0 / SAME_VARIANCE_RATIO and probability > 1.0 - level:

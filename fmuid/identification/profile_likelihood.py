@@ -9,10 +9,10 @@ dJ_p/dψ = 2 (∂r/∂ψ)ᵀ r at the optimum of the others (Bates and Watts, "N
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from enum import Enum
-from typing import Any, ClassVar
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -185,8 +185,14 @@ def profile_likelihood(
     thresholds, bends = result.estimates.reaches(level) ** 2 * scatter, result.std / np.sqrt(scatter)
     found: list[Profile] = []
     for k, i in enumerate(chosen):
-        std, bend, end, threshold = (float(each[i]) for each in (result.std, bends, far, thresholds))
-        found.append(_Profiler(function, origin, i, std, bend, end, threshold, level, k / len(chosen), progress).run())
+        name, share, threshold = problem.parameters.names[i], k / len(chosen), float(thresholds[i])
+
+        def tell(point: _Point, name: str = name, share: float = share, threshold: float = threshold) -> None:
+            if progress is not None:
+                progress(ProfileStep(share=share, name=name, value=point.value, rise=point.rise, threshold=threshold))
+
+        walk = _Walk(function, i, origin, float(bends[i]), float(far[i]), threshold, tell)
+        found.append(walk.profile(float(result.std[i]), level))
         if found[-1].interrupted:
             break
     return tuple(found)
@@ -206,177 +212,165 @@ def _scatter(problem: LeastSquares, result: Result) -> Floats:
 
 def reach(problem: LeastSquares, result: Result) -> Floats:
     """Return the distance of flat sides from each estimate (N,)."""
-    parameters = problem.parameters
     std = np.where(np.isfinite(result.std), result.std, 0.0)
-    return np.maximum(
-        SETTINGS.flat_magnitudes * np.maximum(np.abs(result.values), parameters.scale), SETTINGS.flat_stds * std
-    )
+    magnitudes = np.maximum(np.abs(result.values), problem.parameters.scale)
+    return np.maximum(SETTINGS.flat_magnitudes * magnitudes, SETTINGS.flat_stds * std)
+
+
+class _Point(NamedTuple):
+    """A value of the parameter with the best others, J_p − J_min, τ and dτ/dψ away from the estimate."""
+
+    optimum: ConditionalOptimum
+    value: float
+    rise: float
+    root: float = 0.0
+    slope: float = 0.0
 
 
 @dataclass(eq=False)
 class _Side:
     """One side of a profile, with its points in order."""
 
-    points: list[ConditionalOptimum]
     upper: bool
     end: float = math.nan
+    points: list[_Point] = field(default_factory=list)
     remarks: list[ProfileEndNote] = field(default_factory=list)
-    lost: bool = False
-    doubtful: bool = False
+
+    @property
+    def direction(self) -> float:
+        return 1.0 if self.upper else -1.0
+
+    def has(self, kind: EndKind) -> bool:
+        return any(each.kind is kind for each in self.remarks)
+
+    def note(self, kind: EndKind, point: _Point, **more: Any) -> None:
+        self.remarks.append(ProfileEndNote(kind, self.upper, point.value, point.rise, **more))
 
 
 @dataclass(frozen=True, eq=False)
-class _Profiler:
+class _Walk:
     """Walk along one profile; beyond `far` a side is flat."""
 
     function: CostFunction
-    origin: ConditionalOptimum
     index: int
-    std: float
+    origin: ConditionalOptimum
     bend: float
     far: float
     threshold: float
-    level: float
-    share: float
-    progress: Progress | None
+    tell: Callable[[_Point], None]
 
     @property
-    def names(self) -> tuple[str, ...]:
-        return self.function.problem.parameters.names
+    def level(self) -> float:
+        """τ at the ends."""
+        return math.sqrt(self.threshold)
 
-    def run(self) -> Profile:
-        sides, interrupted = [_Side([], upper=False), _Side([], upper=True)], False
+    @property
+    def start(self) -> _Point:
+        return _Point(self.origin, float(self.origin.theta[self.index]), 0.0)
+
+    def profile(self, std: float, level: float) -> Profile:
+        names, start, interrupted = self.function.problem.parameters.names, self.start, False
+        sides = [_Side(upper=False), _Side(upper=True)]
         try:
-            for side, direction in zip(sides, (-1.0, 1.0), strict=True):
-                self._walk(side, direction)
+            for side in sides:
+                self._walk(side)
         except KeyboardInterrupt:
             interrupted = True
-        is_lost = any(side.lost for side in sides)
-        lower, upper = (math.nan if is_lost else side.end for side in sides)
-        points = sorted([*sides[0].points, self.origin, *sides[1].points], key=self._value)
-        table = pd.DataFrame([point.theta for point in points], columns=list(self.names))
-        table["cost"] = [point.cost for point in points]
+        lower, upper = (math.nan if any(each.has(EndKind.LOWER) for each in sides) else side.end for side in sides)
+        points = sorted([*sides[0].points, start, *sides[1].points], key=lambda point: point.value)
+        table = pd.DataFrame([point.optimum.theta for point in points], columns=list(names))
+        table["cost"] = [point.optimum.cost for point in points]
         return Profile(
-            name=self.names[self.index],
-            value=self._value(self.origin),
-            std=self.std,
-            bend=self.bend,
-            level=self.level,
-            lower=lower,
-            upper=upper,
-            minimum=self.origin.cost,
-            threshold=self.threshold,
-            remarks=tuple(remark for side in sides for remark in side.remarks),
-            interrupted=interrupted,
-            table=table,
+            names[self.index],
+            start.value,
+            std,
+            self.bend,
+            level,
+            lower,
+            upper,
+            self.origin.cost,
+            self.threshold,
+            tuple(remark for side in sides for remark in side.remarks),
+            interrupted,
+            table,
         )
 
-    def _walk(self, side: _Side, direction: float) -> None:
+    def _walk(self, side: _Side) -> None:
         """Step away from the estimate to the level or a bound."""
         lower, upper = (float(each[self.index]) for each in (self.function.lower, self.function.upper))
-        bound = upper if direction > 0 else lower
-        here, step = self.origin, self._first_step()
+        bound = upper if side.upper else lower
+        here, step = self.start, self._first_step()
         while True:
-            value, point, kind = self._value(here), None, EndKind.FLAT
-            if value == bound:
-                side.end, kind = bound, EndKind.BOUND
-            elif abs(value - self._value(self.origin)) >= self.far:
-                side.end = direction * math.inf
-            else:
-                point = self._next(here, value, direction * step, bound)
-                if point is None:
-                    side.end, kind = direction * math.inf, EndKind.FAILING
+            if here.value == bound:
+                side.end = bound
+                return side.note(EndKind.BOUND, here)
+            if abs(here.value - self.start.value) >= self.far:
+                side.end = side.direction * math.inf
+                return side.note(EndKind.FLAT, here)
+            point = self._next(side, here, step, bound)
             if point is None:
-                self._remark(side, kind, here)
-                return
-            self._keep(side, point)
-            if self._rise(point) < -SETTINGS.lower_optimum_share * self.threshold:
-                side.lost = True
-                self._remark(side, EndKind.LOWER, point)
-                return
-            if self._rise(point) >= self.threshold:
+                side.end = side.direction * math.inf
+                return side.note(EndKind.FAILING, here)
+            if point.rise < -SETTINGS.lower_optimum_share * self.threshold:
+                return side.note(EndKind.LOWER, point)
+            if point.rise >= self.threshold:
                 side.end = min(max(self._refine(side, here, point), lower), upper)
-                last = side.points[-1]
-                for i in last.at_bounds:
-                    other = ActiveBound(self.names[i], float(last.theta[i]))
-                    self._remark(side, EndKind.OTHER_AT_BOUND, last, other=other)
-                return
+                last, names = side.points[-1], self.function.problem.parameters.names
+                for i in last.optimum.at_bounds:
+                    other = ActiveBound(names[i], float(last.optimum.theta[i]))
+                    side.note(EndKind.OTHER_AT_BOUND, last, other=other)
+                return None
             # the step asked for: shortened ones would come ever nearer to where simulations fail
             here, step = point, self._next_step(point, step)
 
-    def _keep(self, side: _Side, point: ConditionalOptimum) -> None:
+    def _at(self, side: _Side, value: float, near: _Point) -> _Point | None:
+        """Return the point at a value, found from another one; None where simulations fail."""
+        found = best_with(self.function, self.index, value, near.optimum)
+        if found is None:
+            return None
+        value, rise = float(found.theta[self.index]), found.cost - self.origin.cost
+        root, away = math.sqrt(max(rise, 0.0)), math.copysign(1.0, value - self.start.value)
+        slope = away * float(found.jacobian[:, self.index] @ found.residual) / root if root > 0 else 0.0
+        point = _Point(found, value, rise, root, slope)
         side.points.append(point)
-        if not point.outcome.converged and not side.doubtful:
-            side.doubtful = True
-            self._remark(side, EndKind.NOT_CONVERGED, point, outcome=point.outcome)
-        if self.progress is not None:
-            name, value, rise = self.names[self.index], self._value(point), self._rise(point)
-            self.progress(ProfileStep(share=self.share, name=name, value=value, rise=rise, threshold=self.threshold))
+        if not found.outcome.converged and not side.has(EndKind.NOT_CONVERGED):
+            side.note(EndKind.NOT_CONVERGED, point, outcome=found.outcome)
+        self.tell(point)
+        return point
 
     def _first_step(self) -> float:
         magnitude = float(self.function.magnitudes(self.origin.theta)[self.index])
-        wanted = min(
-            math.sqrt(self.threshold) * self.bend / SETTINGS.steps_per_side, SETTINGS.first_step_share * magnitude
-        )
+        wanted = min(self.level * self.bend / SETTINGS.steps_per_side, SETTINGS.first_step_share * magnitude)
         return max(wanted, SETTINGS.least_step_share * magnitude)
 
-    def _next_step(self, point: ConditionalOptimum, last: float) -> float:
+    def _next_step(self, point: _Point, last: float) -> float:
         """Return the step for the next rise of τ, limited."""
-        slope, level = self._slope(point), math.sqrt(self.threshold)
-        usable = slope > 0 and self._root(point) > SETTINGS.least_root_share * level
-        wanted = level / SETTINGS.steps_per_side / slope if usable else math.inf
+        usable = point.slope > 0 and point.root > SETTINGS.least_root_share * self.level
+        wanted = self.level / SETTINGS.steps_per_side / point.slope if usable else math.inf
         return min(max(wanted, SETTINGS.step_reduction * last), SETTINGS.largest_growth * last)
 
-    def _next(self, here: ConditionalOptimum, value: float, step: float, bound: float) -> ConditionalOptimum | None:
+    def _next(self, side: _Side, here: _Point, step: float, bound: float) -> _Point | None:
         """Return the next point, nearer after failures; None if all fail."""
         for _ in range(SETTINGS.most_reductions):
-            there = value + step
-            there = bound if (there - bound) * step > 0 else there
-            point = best_with(self.function, self.index, there, here)
+            there = here.value + side.direction * step
+            point = self._at(side, min(there, bound) if side.upper else max(there, bound), here)
             if point is not None:
                 return point
             step *= SETTINGS.step_reduction
         return None
 
-    def _refine(self, side: _Side, inside: ConditionalOptimum, outside: ConditionalOptimum) -> float:
+    def _refine(self, side: _Side, inside: _Point, outside: _Point) -> float:
         """Return the end between two points, by Newton's method or bisection."""
-        level = math.sqrt(self.threshold)
-        low, high, near = inside, outside, outside
+        near = outside
         for _ in range(SETTINGS.end_steps):
-            value = self._newton(near, level)
-            if abs(self._root(near) - level) <= SETTINGS.end_tolerance * level:
+            value = near.value + side.direction * (self.level - near.root) / near.slope if near.slope > 0 else math.nan
+            if abs(near.root - self.level) <= SETTINGS.end_tolerance * self.level:
                 return value
-            a, b = sorted((self._value(low), self._value(high)))
-            if not a < value < b:
-                value = 0.5 * (a + b)
-            point = best_with(self.function, self.index, value, near)
+            a, b = sorted((inside.value, outside.value))
+            point = self._at(side, value if a < value < b else 0.5 * (a + b), near)
             if point is None:
                 break
-            self._keep(side, point)
-            low, high = (low, point) if self._rise(point) >= self.threshold else (point, high)
+            inside, outside = (inside, point) if point.rise >= self.threshold else (point, outside)
             near = point
-        self._remark(side, EndKind.IMPRECISE, near)
-        return self._value(near)
-
-    def _newton(self, point: ConditionalOptimum, level: float) -> float:
-        slope = self._slope(point)
-        away = math.copysign(1.0, self._value(point) - self._value(self.origin))
-        return self._value(point) + away * (level - self._root(point)) / slope if slope > 0 else math.nan
-
-    def _remark(self, side: _Side, kind: EndKind, point: ConditionalOptimum, **more: Any) -> None:
-        side.remarks.append(ProfileEndNote(kind, side.upper, self._value(point), self._rise(point), **more))
-
-    def _value(self, point: ConditionalOptimum) -> float:
-        return float(point.theta[self.index])
-
-    def _rise(self, point: ConditionalOptimum) -> float:
-        return point.cost - self.origin.cost
-
-    def _root(self, point: ConditionalOptimum) -> float:
-        return math.sqrt(max(self._rise(point), 0.0))
-
-    def _slope(self, point: ConditionalOptimum) -> float:
-        """Return the slope of τ away from the estimate, dJ_p/dψ/(2τ)."""
-        away = math.copysign(1.0, self._value(point) - self._value(self.origin))
-        root = self._root(point)
-        return away * float(point.jacobian[:, self.index] @ point.residual) / root if root > 0 else 0.0
+        side.note(EndKind.IMPRECISE, near)
+        return near.value

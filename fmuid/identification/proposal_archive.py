@@ -31,6 +31,12 @@ class ArchiveSettings:
 ARCHIVE_SETTINGS = ArchiveSettings()
 
 
+def student(random: np.random.RandomState, shape: tuple[int, ...], freedom: float) -> Floats:
+    """Draw rows of a multivariate Student's t."""
+    draws = random.standard_normal(shape)
+    return np.asarray(draws / np.sqrt(random.chisquare(freedom, (shape[0], 1)) / freedom))
+
+
 class Archive:
     """Proposals around some of the samples (n, N) of a chain."""
 
@@ -42,9 +48,8 @@ class Archive:
         flat = np.linalg.solve(whole, (self.points - self.points.mean(axis=0)).T).T
         _, near = KDTree(flat).query(flat, min(max(ARCHIVE_SETTINGS.neighbors, 2 * count + 2), len(flat)))
         around = flat[near] - flat[near].mean(axis=1, keepdims=True)
-        local = np.einsum("nki,nkj->nij", around, around) / (near.shape[1] - 1) + ARCHIVE_SETTINGS.least_share * np.eye(
-            count
-        )
+        local = np.einsum("nki,nkj->nij", around, around) / (near.shape[1] - 1)
+        local += ARCHIVE_SETTINGS.least_share * np.eye(count)
         self._roots = whole @ np.linalg.cholesky(local)
         self._inverses = np.linalg.inv(self._roots)
         self._logs = np.log(np.abs(np.diagonal(self._roots, axis1=1, axis2=2))).sum(axis=1)
@@ -68,7 +73,6 @@ class Archive:
     def propose(self, thetas: Floats, random: np.random.RandomState) -> tuple[Floats, Floats]:
         """Return proposals for thetas (m, N), and the log density ratio."""
         which = random.randint(len(self.points), size=len(thetas))
-        draws = random.standard_normal(thetas.shape)
-        draws /= np.sqrt(random.chisquare(ARCHIVE_SETTINGS.freedom, (len(thetas), 1)) / ARCHIVE_SETTINGS.freedom)
+        draws = student(random, thetas.shape, ARCHIVE_SETTINGS.freedom)
         proposed = self.points[which] + np.einsum("nij,nj->ni", self._roots[which], draws)
         return proposed, self.log_density(thetas) - self.log_density(proposed)

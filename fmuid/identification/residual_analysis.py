@@ -6,6 +6,7 @@ Parameters can compensate a model error: then no test finds it.
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass
 from enum import Enum
 from typing import ClassVar
@@ -85,45 +86,40 @@ class ResidualFinding:
         return "" if self.input is None else self.input.input
 
 
-def _findings(series: ResidualSeries, outputs: int, inputs: int) -> list[ResidualFinding]:
-    """Return the significant defects of one residual among all."""
-    level, found = RESIDUAL_LEVEL / outputs, list[ResidualFinding]()
-
-    def note(trait: ResidualDefect, large: bool, input: InputCorrelation | None = None) -> None:
-        found.append(ResidualFinding(trait, large, series, input))
-
+def _findings(series: ResidualSeries, outputs: int, inputs: int) -> Iterator[ResidualFinding]:
+    """Yield the significant defects of one residual among all."""
+    level = RESIDUAL_LEVEL / outputs
     if series.whiteness.probability <= level:
-        note(ResidualDefect.COLORED, abs(series.whiteness.strongest[1]) >= SETTINGS.large_autocorrelation)
+        large = abs(series.whiteness.strongest[1]) >= SETTINGS.large_autocorrelation
+        yield ResidualFinding(ResidualDefect.COLORED, large, series)
     if series.mean_probability < level:
-        note(ResidualDefect.OFFSET, abs(series.mean) > SETTINGS.large_offset_stds * series.std)
+        large = abs(series.mean) > SETTINGS.large_offset_stds * series.std
+        yield ResidualFinding(ResidualDefect.OFFSET, large, series)
     for each in series.inputs:
         if each.probability < RESIDUAL_LEVEL / inputs:
-            note(ResidualDefect.INPUT, abs(each.correlation) > SETTINGS.large_correlation, each)
+            large = abs(each.correlation) > SETTINGS.large_correlation
+            yield ResidualFinding(ResidualDefect.INPUT, large, series, each)
     if series.normality.probability < level:
-        note(ResidualDefect.SHAPE, series.is_lopsided or series.is_tailed)
-    return found
+        yield ResidualFinding(ResidualDefect.SHAPE, series.is_abnormal, series)
 
 
 @dataclass(frozen=True)
-class NoiseFinding:
-    """Noise of an output with a long memory."""
+class LowFrequencyNoiseFinding:
+    """Low-frequency noise too weak for other tests."""
 
     output: str
     experiments: tuple[str, ...]  # with one model of this noise
     time_constant: float  # s
-
-
-@dataclass(frozen=True)
-class LowFrequencyNoiseFinding(NoiseFinding):
-    """Low-frequency noise too weak for other tests."""
-
     share: float  # of the residual's variance
 
 
 @dataclass(frozen=True)
-class LongMemory(NoiseFinding):
+class LongMemory:
     """Noise with a time constant that is long for its recordings."""
 
+    output: str
+    experiments: tuple[str, ...]  # with one model of this noise
+    time_constant: float  # s
     record: float  # length of the longest recording, s
 
 
@@ -134,14 +130,12 @@ def _slow(noise: ResidualNoise) -> tuple[tuple[LowFrequencyNoiseFinding, ...], t
         pools.setdefault(model.series.pool, []).append(model)
     slow, long = [], []
     for members in pools.values():
-        first, process = members[0].series, members[0].process
+        first, process, constant = members[0].series, members[0].process, members[0].time_constant
         names = tuple(dict.fromkeys(each.series.experiment for each in members))
-        constant = members[0].time_constant
         record = first.step * (1 + max(int(each.series.places[-1]) for each in members))
         if process.pole:
-            slow.append(
-                LowFrequencyNoiseFinding(first.output, names, -first.step / math.log(process.pole), process.slow_share)
-            )
+            decay = -first.step / math.log(process.pole)
+            slow.append(LowFrequencyNoiseFinding(first.output, names, decay, process.slow_share))
         if constant > SETTINGS.long_memory * record:
             long.append(LongMemory(first.output, names, min(constant, record), record))
     return tuple(slow), tuple(long)
@@ -196,17 +190,6 @@ class ResidualAnalysis:
         return pd.DataFrame([each.row() for each in self.series])
 
     @property
-    def inputs(self) -> pd.DataFrame:
-        """One row a residual and input; lags in s."""
-        names = ["input", "lag", "correlation", "band", "probability"]
-        rows = [
-            {"experiment": each.experiment, "output": each.output, **{name: getattr(one, name) for name in names}}
-            for each in self.series
-            for one in each.inputs
-        ]
-        return pd.DataFrame(rows, columns=["experiment", "output", *names])
-
-    @property
     def correlations(self) -> pd.DataFrame:
         """One row a residual, input or output, and lag.
 
@@ -246,25 +229,24 @@ def analyze_residuals(problem: LeastSquares, result: Result) -> ResidualAnalysis
     >>> fmuid.analyze_residuals(problem, result).table["output"].tolist()
     ['i']
     """
-    if result.fit.noise is None or result.fit.linearization is None:
+    noise, local = result.fit.noise, result.fit.linearization
+    if noise is None or local is None:
         raise InputError("a result from a file lacks the residuals. Identify the study again.")
     series: list[ResidualSeries] = []
-    columns = result.fit.linearization.jacobian @ result.fit.linearization.root
+    columns = local.jacobian @ local.root
     taken = FitProjection(columns, columns.T @ columns)
     for experiment, fit in zip(problem.experiments, result.fit.frames, strict=True):
         simulated = fit[[f"simulated.{output}" for output in experiment.output_names]].to_numpy(np.float64)
-        models = [each for each in result.fit.noise.models if each.series.experiment == experiment.name]
+        models = [each for each in noise.models if each.series.experiment == experiment.name]
         series += examine_outputs(experiment, simulated, models, taken, problem.levels.scale)
-    off_grid = tuple(
-        (each.series.experiment, each.series.output) for each in result.fit.noise.models if not each.series.regular
-    )
+    off_grid = tuple((each.series.experiment, each.series.output) for each in noise.models if not each.series.regular)
     widening = dict(zip(result.names, result.estimates.colored_noise_factor.tolist(), strict=True))
     shares: dict[tuple[str, str, float], float] = {}
-    for found in result.fit.noise.returning:
+    for found in noise.returning:
         for own, share in zip(found.series, found.shares.tolist(), strict=True):
             if found.probability > SETTINGS.more_likely and share > SETTINGS.least_returning:
                 key = (own.output, own.experiment, found.period * own.step)
                 shares[key] = min(shares.get(key, 0.0) + share, 1.0)
     returning = tuple(PeriodicErrorFinding(*key, share) for key, share in shares.items())
-    slow, long = _slow(result.fit.noise)
+    slow, long = _slow(noise)
     return ResidualAnalysis(tuple(series), widening, off_grid, slow, returning, long)

@@ -120,14 +120,10 @@ class ResidualSeries:
         return self.whiteness.lags > 0
 
     @property
-    def is_lopsided(self) -> bool:
-        """True if the skewness is larger than of normal noise."""
-        return abs(self.normality.skewness) > RESIDUAL_SETTINGS.large_skewness
-
-    @property
-    def is_tailed(self) -> bool:
-        """True if the tails are heavier or lighter than of normal noise."""
-        return abs(self.normality.kurtosis) > RESIDUAL_SETTINGS.large_kurtosis
+    def is_abnormal(self) -> bool:
+        """True if skewness or tails differ much from normal noise."""
+        skewed = abs(self.normality.skewness) > RESIDUAL_SETTINGS.large_skewness
+        return skewed or abs(self.normality.kurtosis) > RESIDUAL_SETTINGS.large_kurtosis
 
     def row(self) -> dict[str, Any]:
         """Return the row of `ResidualAnalysis.table`."""
@@ -165,25 +161,15 @@ def examine_outputs(
     taken: FitProjection | None = None,
     scale: Floats | None = None,
 ) -> list[ResidualSeries]:
-    """Test the residuals of the outputs of an experiment.
+    """Test the residuals of an experiment's outputs, by the noise and the projection of a fit or their own.
 
-    Parameters
-    ----------
-    experiment : Experiment
-    simulated : (K, n_outputs) array
-    models : sequence of NoiseModel, optional
-        Noise of each output by the fit; default: by its residual.
-    taken : FitProjection, optional
-        Part of the noise that the fit has taken.
-    scale : (n,) array, optional
-        Noise level of each row relative to its output; tests divide by it.
+    `scale` (n,) is the noise level of each row relative to its output; tests divide by it.
     """
-    series = (
-        output_series([experiment], experiment.output_names) if models is None else [each.series for each in models]
-    )
+    outputs = experiment.output_names
+    series = output_series([experiment], outputs) if models is None else [each.series for each in models]
     found = []
     for index, own in enumerate(series):
-        column = experiment.output_names.index(own.output)
+        column = outputs.index(own.output)
         counted, measured = experiment.counted[:, column], experiment.output_values[:, column]
         residual = np.where(counted, measured - simulated[:, column], np.nan)
         values = residual[counted]
@@ -213,15 +199,10 @@ def _tested(found: ResidualSeries, values: Floats, taken: FitProjection) -> Resi
 
 
 def _related(experiment: Experiment, series: Sequence[ResidualSeries]) -> dict[str, tuple[InputCorrelation, ...]]:
-    """Correlate residuals with each input that moves, by output.
-
-    Residuals that count at the same times share the lagged inputs.
-    """
-    if not experiment.input_names:
-        return {}
+    """Correlate residuals with each input that moves, by output."""
     found: dict[str, list[InputCorrelation]] = {each.output: [] for each in series}
-    alike: dict[bytes, list[ResidualSeries]] = {}
-    for each in series:
+    alike: dict[bytes, list[ResidualSeries]] = {}  # residuals that count at the same times share the lagged inputs
+    for each in series if experiment.input_names else ():
         alike.setdefault(np.isfinite(each.residual).tobytes(), []).append(each)
     for group in alike.values():
         lags = group[0].noise.series.step * np.arange(group[0].whiteness.lags + 1.0)

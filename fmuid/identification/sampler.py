@@ -28,7 +28,7 @@ from fmuid.identification.conditional_optimum import evaluator_of
 from fmuid.identification.likelihood_scaling import adjustment
 from fmuid.identification.posterior import Posterior, SamplerSettings
 from fmuid.identification.profile_likelihood import reach
-from fmuid.identification.proposal_archive import ARCHIVE_SETTINGS, Archive
+from fmuid.identification.proposal_archive import ARCHIVE_SETTINGS, Archive, student
 
 
 @dataclass(frozen=True)
@@ -96,10 +96,9 @@ def sample_posterior(
 def log_density(
     evaluator: Evaluator[LeastSquares], variance: Floats | None = None, result: Result | None = None
 ) -> Callable[[Floats], Floats]:
-    """Return the posterior log density, a function of thetas (m, N).
+    """Return the posterior log density of thetas (m, N), −∞ out of bounds and for failed simulations.
 
-    It is −∞ outside the bounds and where simulations fail. `variance` (n_outputs,) is NaN where integrated out; default
-    the problem's own. A `result` scales the data's part to its colored noise.
+    `variance` (n_outputs,) is NaN where integrated out; a `result` scales the data's part to its colored noise.
     """
     problem = evaluator.problem
     parameters, known = problem.parameters, problem.variance if variance is None else variance
@@ -169,13 +168,15 @@ class _Sampler:
         steps, look = 0, SETTINGS.first_look
         try:
             self.optima += self._other_optima()
-            state: object = self._start()
+            shares = np.array_split(np.arange(self.walkers), len(self.optima))
+            state: object = np.vstack([self._around(*each) for each in zip(self.optima, map(len, shares), strict=True)])
             while steps < self.settings.max_steps:
                 look = min(look, self.settings.max_steps)
                 # emcee's check of the start is left out: it takes strongly correlated parameters for dependent walkers
                 for _ in self.sampler.sample(state, iterations=look - steps, skip_initial_state_check=True):
                     steps += 1
-                    self._tell(steps)
+                    if self.progress is not None:
+                        self.progress(self._step(steps))
                     if self.interrupted:
                         raise KeyboardInterrupt
                 found = self._posterior()
@@ -197,17 +198,14 @@ class _Sampler:
             self.interrupted = True
             return np.full(len(thetas), -np.inf)
 
-    def _tell(self, steps: int) -> None:
-        if self.progress is not None:
-            self.progress(
-                SamplingStep(
-                    step=steps,
-                    steps=self.settings.max_steps,
-                    effective_size=self.effective,
-                    wanted=self.settings.effective_size,
-                    acceptance=float(np.mean(self.sampler.acceptance_fraction)),
-                )
-            )
+    def _step(self, steps: int) -> SamplingStep:
+        return SamplingStep(
+            step=steps,
+            steps=self.settings.max_steps,
+            effective_size=self.effective,
+            wanted=self.settings.effective_size,
+            acceptance=float(np.mean(self.sampler.acceptance_fraction)),
+        )
 
     def _check_start(self) -> None:
         at = self.density(self.estimate[None])[0]
@@ -244,10 +242,6 @@ class _Sampler:
         volume = 0.0 if root is None else float(np.log(np.diag(root)).sum())
         return float(self.density(optimum.values[None])[0]) + volume
 
-    def _start(self) -> Floats:
-        shares = np.array_split(np.arange(self.walkers), len(self.optima))
-        return np.vstack([self._around(each, own.size) for each, own in zip(self.optima, shares, strict=True)])
-
     def _around(self, optimum: Result, walkers: int) -> Floats:
         """Return feasible walkers (walkers, N) from the local covariance."""
         parameters, estimate, root = self.problem.parameters, optimum.values, _root(optimum.covariance)
@@ -270,8 +264,9 @@ class _Sampler:
         moves = [
             (emcee.moves.DEMove(), (1.0 - local) * (1.0 - SETTINGS.jump_share)),
             (emcee.moves.DEMove(gamma0=1.0), (1.0 - local) * SETTINGS.jump_share),
+            (emcee.moves.MHMove(self._propose), local),
         ]
-        return [*moves, (emcee.moves.MHMove(self._propose), local)] if local else moves
+        return moves if local else moves[:2]
 
     def _propose(self, thetas: Floats, random: np.random.RandomState) -> tuple[Floats, Floats]:
         """Draw from the archive or Student's t; also return the log density ratio."""
@@ -279,8 +274,7 @@ class _Sampler:
             return self.archive.propose(thetas, random)
         assert self.root is not None
         freedom = SETTINGS.local_freedom
-        draws = random.standard_normal(thetas.shape)
-        draws /= np.sqrt(random.chisquare(freedom, (len(thetas), 1)) / freedom)
+        draws = student(random, thetas.shape, freedom)
         before = (thetas - self.estimate) @ np.linalg.inv(self.root).T
         power = -0.5 * (freedom + thetas.shape[1])
         here, there = (power * np.log1p(np.sum(z**2, axis=1) / freedom) for z in (before, draws))
