@@ -191,7 +191,7 @@ def profile_likelihood(
             if progress is not None:
                 progress(ProfileStep(share=share, name=name, value=point.value, rise=point.rise, threshold=threshold))
 
-        walk = _Walk(function, i, origin, float(bends[i]), float(far[i]), threshold, tell)
+        walk = _Profiler(function, i, origin, float(bends[i]), float(far[i]), threshold, tell)
         found.append(walk.profile(float(result.std[i]), level))
         if found[-1].interrupted:
             break
@@ -248,7 +248,7 @@ class _Side:
 
 
 @dataclass(frozen=True, eq=False)
-class _Walk:
+class _Profiler:
     """Walk along one profile; beyond `far` a side is flat."""
 
     function: CostFunction
