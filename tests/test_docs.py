@@ -19,7 +19,7 @@ from fmuid.diagnosis.unexplained_residual import SETTINGS as UNEXPLAINED_RESIDUA
 from fmuid.estimation.covariance import LIMITS
 from fmuid.estimation.local_search import ROUNDS
 from fmuid.estimation.noise.whiteness_tests import WhitenessSettings
-from fmuid.estimation.search.stopping import STOPPING
+from fmuid.estimation.search.state import STOPPING
 from fmuid.estimation.simulation_noise import NOISE
 from fmuid.identification.prior_data_tests import SAME_VARIANCE_RATIO
 from fmuid.models.component import DEFAULT_TOLERANCE

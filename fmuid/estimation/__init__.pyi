@@ -15,7 +15,9 @@ from .equation_error import equation_error as equation_error
 from .equation_error import instrumental_variables as instrumental_variables
 from .estimates import Estimates as Estimates
 from .evaluator import Evaluator as Evaluator
+from .finite_differences import SENSITIVITIES as SENSITIVITIES
 from .finite_differences import SensitivityError as SensitivityError
+from .finite_differences import SensitivityMethod as SensitivityMethod
 from .finite_differences import parabola_slope as parabola_slope
 from .global_search import GlobalSearch as GlobalSearch
 from .global_search import merge_optima as merge_optima
@@ -26,8 +28,6 @@ from .linear import linear_least_squares as linear_least_squares
 from .linearized_problem import LinearizedProblem as LinearizedProblem
 from .local_search import Marquardt as Marquardt
 from .local_search import Method as Method
-from .model_sensitivities import SENSITIVITIES as SENSITIVITIES
-from .model_sensitivities import SensitivityMethod as SensitivityMethod
 from .noise.autoregression import Autoregression as Autoregression
 from .noise.model import NoiseModel as NoiseModel
 from .noise.model import common_process as common_process
@@ -51,11 +51,11 @@ from .result_groups import History as History
 from .result_groups import Identifiability as Identifiability
 from .result_groups import Optimum as Optimum
 from .result_groups import Setup as Setup
-from .search.loop import Iteration as Iteration
-from .search.loop import State as State
-from .search.loop import TerminationReason as TerminationReason
-from .search.loop import last_state as last_state
 from .search.marquardt import Descent as Descent
+from .search.marquardt import last_state as last_state
+from .search.state import Iteration as Iteration
+from .search.state import State as State
+from .search.state import TerminationReason as TerminationReason
 from .search.trust_region import LinearModel as LinearModel
 from .search.trust_region import triangle as triangle
 from .solver_check import SHIFT_LIMIT as SHIFT_LIMIT

@@ -29,18 +29,10 @@ MEMORY = MemorySettings()
 
 @dataclass(frozen=True, eq=False)
 class CostComponents:
-    """Parts of the cost at m points.
+    """Parts of the cost at m points."""
 
-    Attributes
-    ----------
-    squares : (m, n_outputs) array
-        Σ ε² of each output, NaN if the simulation failed.
-    prior : (m,) array
-        ‖W(θ₀ − θ)‖² of (1.37).
-    """
-
-    squares: Floats
-    prior: Floats
+    squares: Floats  # (m, n_outputs), Σ ε² of each output, NaN if the simulation failed
+    prior: Floats  # (m,), ‖W(θ₀ − θ)‖² of (1.37)
 
     def compound(self, variance: Floats) -> Floats:
         """Return J_C (1.37) with noise variances (n_outputs,), (m,)."""
@@ -98,10 +90,7 @@ def refuse_loss(problem: LeastSquares, what: str) -> None:
 
 
 def log_likelihood(problem: LeastSquares, residual: Floats, least: Floats) -> float:
-    """Return the log-likelihood Σ −(ln 2πσ_j² + r²/σ_j²)/2 without priors; NaN with a robust loss.
-
-    Takes residuals (n,) as `LeastSquares.measured`; variances that are not given are J_j/K_j, at least `least`.
-    """
+    """Return Σ −(ln 2πσ_j² + r²/σ_j²)/2 of residuals (n,), without priors; NaN with a robust loss."""
     if problem.loss is not None:
         return math.nan
     sums = problem.squares(residual)

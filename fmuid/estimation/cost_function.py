@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import math
 from dataclasses import dataclass, replace
 
@@ -11,9 +12,8 @@ from numpy.typing import ArrayLike
 from fmuid.array_types import Flags, Floats
 from fmuid.errors import FmuidError, InputError
 from fmuid.estimation.evaluator import Evaluator
-from fmuid.estimation.finite_differences import BoundedFunction, FiniteDifferences, SensitivityError
+from fmuid.estimation.finite_differences import BoundedFunction, Derivatives, SensitivityError
 from fmuid.estimation.inactive_parameters import find_active_point, inactive_parameters
-from fmuid.estimation.model_sensitivities import ModelSensitivities
 from fmuid.estimation.problem import LeastSquares
 from fmuid.estimation.simulation_noise import noise_along, shares_of, table_noise
 
@@ -48,42 +48,42 @@ class CostFunction:
         noise: Floats,
         least_variance: Floats,
         start: Floats,
-        derivatives: FiniteDifferences | ModelSensitivities | None = None,
     ) -> None:
         self.evaluator, self.problem = evaluator, evaluator.problem
-        self.variance, self.least_variance = variance, least_variance
-        self.lower, self.upper = self.problem.parameters.lower, self.problem.parameters.upper
-        self._weights = (1.0 / np.sqrt(variance))[self.problem.groups]
-        self.simulation_noise, self._start = noise, start
-        self._size = _rms(start * self._weights)
-        rows = noise[self.problem.groups] * self._weights
-        self.noise = _rms(rows)
-        self._shrunk: tuple[Floats, float] | None = None  # a residual, and what became of the outputs against the start
-        if derivatives is None:
-            self._derivatives = self._chosen_derivatives(rows)
-        else:
-            self._derivatives = derivatives.weighted(-self._weights, rows)
-
-    def _chosen_derivatives(self, noise: Floats) -> FiniteDifferences | ModelSensitivities:
-        evaluator, reach = self.evaluator, self.problem.parameters.reach
-        function = BoundedFunction(evaluator.predict, self.lower, self.upper, reach, evaluator.predict_start)
+        self.simulation_noise, self.least_variance, self._start = noise, least_variance, start
+        parameters = self.problem.parameters
+        self.lower, self.upper = parameters.lower, parameters.upper
+        simulated = evaluator.predict, self.lower, self.upper, parameters.reach, evaluator.predict_start
+        function, rows = BoundedFunction(*simulated, evaluator.derivatives), self._weigh(variance)
         alike = evaluator.cache.problems > 1
-        differences = FiniteDifferences(function, noise, self._size, -self._weights, alike=alike)
-        if self.problem.sensitivity == "finite-difference":
-            return differences
-        return ModelSensitivities(evaluator.derivatives, differences, evaluator.refuse_derivatives)
+        self._derivatives = Derivatives(function, rows, self._size, -self._weights, alike=alike)
+
+    def _weigh(self, variance: Floats) -> Floats:
+        """Whiten by noise variances; return the noise of each row (n,)."""
+        self.variance = variance
+        self._weights = (1.0 / np.sqrt(variance))[self.problem.groups]
+        self._size = _rms(self._start * self._weights)
+        rows: Floats = self.simulation_noise[self.problem.groups] * self._weights
+        self.noise = _rms(rows)
+        return rows
 
     def reweighted(self, variance: Floats) -> CostFunction:
         """Return the cost function with other noise variances, same difference steps."""
-        noise, least = self.simulation_noise, self.least_variance
-        return CostFunction(self.evaluator, variance, noise, least, self._start, self._derivatives)
+        other = copy.copy(self)
+        rows = other._weigh(variance)
+        other._derivatives = self._derivatives.weighted(-other._weights, rows)
+        return other
 
     def converted(self, other: CostFunction, residual: Floats, jacobian: Floats) -> tuple[Floats, Floats]:
         """Convert residual and Jacobian to a cost function with other variances."""
         residual, jacobian = self.unrooted(residual, jacobian)
-        scale = np.ones(residual.size)
-        scale[: self._weights.size] = other._weights / self._weights
-        return other._rooted(residual * scale, jacobian * scale[:, None])
+        loss, data, scale = self.problem.loss, self._weights.size, np.ones(residual.size)
+        scale[:data] = other._weights / self._weights
+        residual, jacobian = residual * scale, jacobian * scale[:, None]
+        if loss is not None:
+            jacobian[:data] *= loss.slope(residual[:data])[:, None]
+            residual[:data] = loss.root(residual[:data])
+        return residual, jacobian
 
     def unrooted(self, residual: Floats, jacobian: Floats) -> tuple[Floats, Floats]:
         """Return residual and Jacobian with f in place of ±√ρ(f²)."""
@@ -92,14 +92,6 @@ class CostFunction:
         residual, jacobian, data = residual.copy(), jacobian.copy(), self._weights.size
         residual[:data] = self._whitened(residual)
         jacobian[:data] /= self.problem.loss.slope(residual[:data])[:, None]
-        return residual, jacobian
-
-    def _rooted(self, residual: Floats, jacobian: Floats) -> tuple[Floats, Floats]:
-        """Change f to ±√ρ(f²), in place."""
-        if self.problem.loss is not None:
-            data = self._weights.size
-            jacobian[:data] *= self.problem.loss.slope(residual[:data])[:, None]
-            residual[:data] = self.problem.loss.root(residual[:data])
         return residual, jacobian
 
     def _whitened(self, residual: Floats) -> Floats:
@@ -185,18 +177,15 @@ class CostFunction:
         if larger:
             outputs = np.maximum(outputs, self.simulation_noise)
             self.least_variance = np.maximum(self.least_variance, outputs**2)
-            self.simulation_noise = outputs
-            weighed = outputs[problem.groups] * self._weights
-            self._start, self._size, self._shrunk = base, _rms(base * self._weights), None
-            self.noise, self._derivatives = _rms(weighed), self._derivatives.renoised(weighed, self._size)
+            self.simulation_noise, self._start = outputs, base
+            self._derivatives = self._derivatives.renoised(self._weigh(self.variance), self._size)
         return float(of_square[0]), larger
 
     def jacobian_error(self, theta: Floats, residual: Floats, *, central: bool) -> Floats:
         """Return the error norm of each Jacobian column at theta (N,)."""
-        if self._shrunk is None or self._shrunk[0] is not residual:  # asked for several times at each point
-            outputs = self.problem.measured * self._weights - self._whitened(residual)
-            self._shrunk = residual, min(1.0, _rms(outputs) / self._size) if self._size > 0 else 1.0
-        return self._shrunk[1] * self._derivatives.error(theta, central=central)
+        outputs = self.problem.measured * self._weights - self._whitened(residual)
+        share = min(1.0, _rms(outputs) / self._size) if self._size > 0 else 1.0
+        return share * self._derivatives.error(theta, central=central)
 
     def evaluate(self, theta: ArrayLike) -> tuple[Floats, Floats]:
         """Return residual and central Jacobian at theta (N,).

@@ -116,25 +116,13 @@ class WeakDirection:
 
 @dataclass(frozen=True, eq=False)
 class LocalCovariance:
-    """Covariance of the parameters, and weak directions.
+    """Covariance of the parameters, and weak directions."""
 
-    Attributes
-    ----------
-    covariance : (N, N) array
-        (JᵀJ)⁻¹ of the whitened Jacobian; if not identifiable, variances are infinite and covariances NaN.
-    undetermined, weak : tuple of WeakDirection
-        Not identifiable, and weakly identifiable.
-    rank : int
-        Number of directions with a finite variance.
-    root : (N, k) array
-        R Rᵀ is the covariance along the k directions that the data determine.
-    """
-
-    covariance: Floats
+    covariance: Floats  # (N, N), (JᵀJ)⁻¹; if not identifiable, variances are infinite and covariances NaN
     undetermined: tuple[WeakDirection, ...]
     weak: tuple[WeakDirection, ...]
-    rank: int
-    root: Floats
+    rank: int  # number of directions with a finite variance
+    root: Floats  # (N, k), R Rᵀ is the covariance along the k directions that the data determine
 
     def leverage(self, jacobian: Floats) -> Floats:
         """Return the diagonal (n_rows,) of the hat matrix; its sum is k."""

@@ -81,10 +81,7 @@ class Term:
 
 
 class StateVariableFilter:
-    """Filter (λ/(s + λ))ᵐ over given times, λ the cutoff in rad/s.
-
-    Raises `InputError` if times do not increase, or cutoff or order is not positive.
-    """
+    """Filter (λ/(s + λ))ᵐ over given times, λ the cutoff in rad/s."""
 
     def __init__(self, times: ArrayLike, cutoff: float, order: int) -> None:
         clock = numbers(times, "times")
@@ -98,15 +95,12 @@ class StateVariableFilter:
         self._steps = self._transitions()
 
     def _transitions(self) -> Floats:
-        """Return each step's transition (K − 1, m, m + 2): states, signal, its change.
-
-        With x = λh, a step gives the incomplete gamma function P(i, x), a ramp P(i, x) − i P(i + 1, x)/x.
-        """
+        """Return each step's transition (K − 1, m, m + 2): states, signal, its change."""
         m, x = self.order, self.cutoff * np.diff(self.times)
         number, ahead = np.arange(1, m + 1), np.subtract.outer(np.arange(m), np.arange(m))
         found = np.zeros((x.size, m, m + 2))
         step = special.gammainc(number, x[:, None])
-        found[:, :, m] = step
+        found[:, :, m] = step  # a ramp gives P(i, x) − i P(i + 1, x)/x
         found[:, :, m + 1] = step - number * special.gammainc(number + 1, x[:, None]) / x[:, None]
         lower = ahead >= 0
         held, along = ahead[lower], x[:, None]

@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 from fmuid.array_types import Floats
 from fmuid.errors import InputError, SensitivityUnavailableError
 from fmuid.estimation.cache import Cache
-from fmuid.estimation.model_sensitivities import SensitivityMethod
+from fmuid.estimation.finite_differences import SensitivityMethod
 from fmuid.estimation.problem import LeastSquares
 from fmuid.estimation.simulation_noise import noise_level, noise_steps, shares_of
 
@@ -205,26 +205,22 @@ class Evaluator(Generic[AnyProblem]):
 
     # --- derivatives by the model
 
-    def derivatives(self, theta: Floats) -> Floats:
-        """Return the model's derivatives (N, n) of counted samples.
-
-        Raises
-        ------
-        SensitivityUnavailableError
-            If the model cannot give them.
-        """
+    def derivatives(self, theta: Floats) -> Floats | None:
+        """Return the model's derivatives (N, n) of counted samples, None from its first refusal on."""
         blocks, problem = [], self.problem
+        if self._refusal or not problem.derivatives:
+            return None
         for index, (kept, derivatives) in enumerate(zip(problem.kept, problem.derivatives, strict=True)):
             _, columns = problem.parameters.for_experiment(index)
             self._counts["simulations"] += 1
             block = np.zeros((theta.size, kept.size))
-            np.add.at(block, columns, derivatives(theta[columns]).reshape(columns.size, -1)[:, kept])
+            try:
+                np.add.at(block, columns, derivatives(theta[columns]).reshape(columns.size, -1)[:, kept])
+            except SensitivityUnavailableError as error:
+                self._refusal = str(error)
+                return None
             blocks.append(block)
         return problem.scaled(np.concatenate(blocks, axis=1))
-
-    def refuse_derivatives(self, reason: str) -> None:
-        """Store the reason for finite differences in place of model derivatives."""
-        self._refusal = reason
 
     @property
     def used_sensitivity(self) -> SensitivityMethod:
@@ -247,10 +243,7 @@ class Evaluator(Generic[AnyProblem]):
     def _center_jacobian(self, center: Floats) -> Floats | None:
         other = Evaluator(self.problem.afresh())
         if other.problem.derivatives:
-            try:
-                return other.derivatives(center)
-            except SensitivityUnavailableError:
-                return None
+            return other.derivatives(center)
         parameters = self.problem.parameters
         step = np.diag(CELLS.step * parameters.magnitudes(center))
         points = np.clip(np.vstack([center + step, center - step]), parameters.lower, parameters.upper)

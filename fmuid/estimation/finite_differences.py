@@ -1,6 +1,6 @@
-"""Derivatives of simulations by finite differences (docs/method/sensitivities.md).
+"""Derivatives by the model or by finite differences (docs/method/sensitivities.md).
 
-Steps balance the simulation noise ε against curvature; all terms are RMS values over the samples:
+Steps of differences balance the simulation noise ε against curvature; all terms are RMS values over the samples:
 
 - forward: error 2 ε/h + |f″| h/2, least at h = 2 (ε/|f″|)^(1/2);
 - central: error ε/h + |f‴| h²/6, least at h = (3 ε/|f‴|)^(1/3).
@@ -31,13 +31,35 @@ class DifferenceSettings:
     resolved: float = 10.0  # σ of noise; a smaller first difference is repeated with the largest step
     effect: float = 10.0  # σ of noise that an effect exceeds; 10⁴ normal differences reach 5.5, integrators more
     largest_bend: float = 0.5  # of the slope; a stronger bend needs another step
+    model_error: float = 1e-6  # relative, of a derivative by the model: an integrator with default tolerance
 
 
 DIFFERENCES = DifferenceSettings()
+SENSITIVITIES = ("finite-difference", "forward", "fmu")
+"""Methods: differences of simulations, sensitivity equations (1.26), outputs of the FMU."""
 # Points of a derivative in steps, as tried near bounds and failures: other side first, then closer.
 CLOSER_STEPS = (1.0, 0.1, 1e-2, 1e-4, 1e-6)
 FORWARD = tuple((side * h,) for h in CLOSER_STEPS for side in (1.0, -1.0))
 CENTRAL = tuple((a * h, b * h) for h in CLOSER_STEPS for a, b in ((1.0, -1.0), (1.0, 2.0), (-1.0, -2.0)))
+
+
+@dataclass(frozen=True)
+class SensitivityMethod:
+    """Method of the derivatives.
+
+    Attributes
+    ----------
+    method : str
+        One of `SENSITIVITIES`, as requested.
+    by_differences : bool
+        "forward" only: True if the right-hand side is differentiated by differences.
+    refusal : str
+        The model's reason to refuse; finite differences were used afterwards.
+    """
+
+    method: str
+    by_differences: bool = False
+    refusal: str = ""
 
 
 def parabola_slope(low: Floats, high: Floats, a: float | Floats, b: float | Floats) -> Floats:
@@ -71,23 +93,14 @@ class BoundedFunction:
     upper: Floats
     magnitudes: Callable[[Floats], Floats]  # of the parameters, at theta
     start: Predict  # as `predict`, for the first Jacobian
+    derivatives: Callable[[Floats], Floats | None] = lambda _: None  # (N, n) at theta by the model, None without
 
 
-class FiniteDifferences:
-    """Jacobians of a weighted vector function by forward or central differences.
+class Derivatives:
+    """Jacobians of a weighted vector function by its model, else by forward or central differences.
 
-    Steps are relative to the magnitudes. Each central Jacobian plans them anew.
-
-    Parameters
-    ----------
-    function : BoundedFunction
-    noise : (n,) array
-        Standard deviation of the weighted function's noise.
-    size : float
-        RMS of the weighted function; scales the first steps.
-    weights : float or (n,) array
-    alike : bool
-        True: the first steps are powers of two, equal for similar functions.
+    Steps are relative to the magnitudes. Each central Jacobian plans them anew; `alike`: the first ones are powers of
+    two. `noise` (n,) and `size` are the standard deviation of the weighted function's noise and its RMS.
     """
 
     def __init__(
@@ -101,6 +114,7 @@ class FiniteDifferences:
     ) -> None:
         self.function, self._size, self._alike = function, size, alike
         self._longest = function.upper / 4.0 - function.lower / 4.0  # room for two steps to one side
+        self._model_error: Floats | None = None
         self._set_weights(weights, noise)
         self._plan_first()
 
@@ -113,30 +127,31 @@ class FiniteDifferences:
         self._forward_error = self._central_error = np.zeros(self.function.lower.size)
 
     def _set_weights(self, weights: float | Floats, noise: Floats) -> None:
-        self.weights, self.noise = weights, noise
+        self._weights, self._noise = weights, noise
         self._rms = float(np.sqrt(np.mean(noise**2)))
 
-    def weighted(self, weights: float | Floats, noise: Floats) -> FiniteDifferences:
+    def weighted(self, weights: float | Floats, noise: Floats) -> Derivatives:
         """Return a copy with other weights and the same steps."""
         other = copy.copy(self)
         other._set_weights(weights, noise)
         scale = other._rms / self._rms if self._rms > 0 else 1.0
         other._forward_error, other._central_error = scale * self._forward_error, scale * self._central_error
+        other._model_error = None if self._model_error is None else scale * self._model_error
         return other
 
-    def renoised(self, noise: Floats, size: float) -> FiniteDifferences:
+    def renoised(self, noise: Floats, size: float) -> Derivatives:
         """Return a copy for other noise (n,) and size, with first steps."""
         other = copy.copy(self)
         other._size = size
-        other._set_weights(self.weights, noise)
+        other._set_weights(self._weights, noise)
         other._plan_first()
         return other
 
     def jacobian(self, theta: Floats, base: Floats, *, central: bool) -> Floats:
-        """Return the derivatives (N, n) of the weighted function at theta.
-
-        Without weights, `base` (n,) is the function at theta. Raises `SensitivityError` if all neighbors fail.
-        """
+        """Return the derivatives (N, n) of the weighted function; `base` (n,) is the plain one at theta."""
+        derivatives = self._by_model(theta)
+        if derivatives is not None:
+            return derivatives
         if central:
             steps, (slopes, _) = self._checked_central(theta, base, self.function.predict)
             return np.asarray(slopes / steps[:, None], dtype=np.float64)
@@ -144,20 +159,33 @@ class FiniteDifferences:
         distances, values = self._differences(self.function.predict, theta, base, steps, FORWARD)
         derivatives = values[:, 0]
         derivatives /= distances
-        derivatives *= self.weights
+        derivatives *= self._weights
         return derivatives
 
     def first_jacobian(self, theta: Floats, base: Floats) -> tuple[Floats, Flags]:
         """Return the central Jacobian (N, n) and flags (N,) of acting parameters."""
+        floor = DIFFERENCES.effect * np.maximum(self._noise, np.finfo(float).tiny)
+        derivatives = self._by_model(theta)
+        if derivatives is not None:
+            change = np.abs(derivatives) * (DIFFERENCES.largest_step * self.function.magnitudes(theta))[:, None]
+            return derivatives, np.asarray((change > floor).any(axis=1), dtype=np.bool_)
         steps, (slopes, bends) = self._checked_central(theta, base, self.function.start)
-        floor = DIFFERENCES.effect * np.maximum(self.noise, np.finfo(float).tiny)
         acting = (np.abs(slopes) > floor).any(axis=1) | (np.abs(bends) > floor).any(axis=1)
         return slopes / steps[:, None], acting
 
     def error(self, theta: Floats, *, central: bool) -> Floats:
         """Return the error norm (N,) of each Jacobian row at theta."""
+        if self._model_error is not None:
+            return self._model_error
         relative = self._central_error if central else self._forward_error
         return np.asarray(relative / self.function.magnitudes(theta), dtype=np.float64)
+
+    def _by_model(self, theta: Floats) -> Floats | None:
+        found = self.function.derivatives(theta)
+        if found is not None:
+            found *= self._weights
+        self._model_error = None if found is None else DIFFERENCES.model_error * np.linalg.norm(found, axis=1)
+        return found
 
     def _checked_central(self, theta: Floats, base: Floats, predict: Predict) -> tuple[Floats, Floats]:
         """Return steps (N,), and weighted f′h and f″h² (2, N, n); repeat unfit steps."""
@@ -188,7 +216,7 @@ class FiniteDifferences:
         (a, b), h = distances.T, steps if which is None else steps[which]
         ratio, unit = b / a, h / a
         factors = np.array([[ratio, -1.0 / ratio], [-2.0 * unit, 2.0 * unit / ratio]]) * (unit / (ratio - 1.0))
-        return np.asarray(np.einsum("spk,kpn->skn", factors, values) * self.weights, dtype=np.float64)
+        return np.asarray(np.einsum("spk,kpn->skn", factors, values) * self._weights, dtype=np.float64)
 
     def _differences(
         self,
@@ -235,10 +263,7 @@ class FiniteDifferences:
         raise SensitivityError(i)
 
     def _plan(self, theta: Floats, steps: Floats, slope: Floats, bend: Floats) -> tuple[Floats, Floats]:
-        """Return the best forward and central steps, relative to the magnitudes.
-
-        A step h with f′h and f″h² gives h (4 ε/f″h²)^(1/2) and h (3 ε/f‴h³)^(1/3), with f‴ ≈ |f″|²/|f′|.
-        """
+        """Return the best forward and central steps, relative to the magnitudes; f‴ ≈ |f″|²/|f′|."""
         share = steps / self.function.magnitudes(theta)
         with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
             forward = share * 2.0 * np.sqrt(self._rms / bend)
@@ -251,7 +276,7 @@ class FiniteDifferences:
     def _adopt(self, theta: Floats, steps: Floats, slope: Floats, bend: Floats) -> None:
         """Plan the next steps and their errors (N,) from a central Jacobian."""
         self.forward_steps, self.central_steps = self._plan(theta, steps, slope, bend)
-        norm = math.sqrt(self.noise.size)
+        norm = math.sqrt(self._noise.size)
         share = steps / self.function.magnitudes(theta)
         curvature = bend / share**2
         self._forward_error = norm * (2.0 * self._rms / self.forward_steps + 0.5 * curvature * self.forward_steps)

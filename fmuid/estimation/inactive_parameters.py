@@ -30,10 +30,7 @@ def inactive_parameters(problem: LeastSquares, acting: Flags) -> Indices:
 def find_active_point(
     evaluator: Evaluator[LeastSquares], theta: Floats, idle: Indices, noise: Floats, weights: Floats
 ) -> Floats:
-    """Return the best near point with an effect of idle parameters.
-
-    `noise` and `weights` (n,) belong to the samples. Raises `InputError` for a parameter without any effect.
-    """
+    """Return the best near point with an effect of idle parameters; `noise` and `weights` are of samples (n,)."""
     problem = evaluator.problem
     points = _points(problem, theta, idle)
     values = evaluator.predict(np.vstack([theta, points]))

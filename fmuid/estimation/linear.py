@@ -156,10 +156,7 @@ def linear_least_squares(regressors: ArrayLike, measured: ArrayLike, names: Sequ
 def solve(
     estimator: Estimator, names: Sequence[str], rows: Floats, values: Floats, instruments: Floats | None = None
 ) -> LinearEstimate:
-    """Solve Zᵀ(y* − Φθ) = 0 for regressors (K, N + free); free columns have no name.
-
-    Raises `InputError` as `linear_least_squares` does.
-    """
+    """Solve Zᵀ(y* − Φθ) = 0 for regressors (K, N + free); free columns have no name."""
     width, count = rows.shape[1], len(names)
     if count > width or (count < width and estimator is Estimator.LEAST_SQUARES):
         raise InputError(f"{count} names were given for {width} regressors")
@@ -207,10 +204,7 @@ def _lengths(names: Sequence[str], columns: Floats) -> Floats:
 
 
 def colored_covariance(basis: Floats, solution: Floats, rows: Floats, residual: Floats) -> tuple[Floats, Floats]:
-    """Return covariance (n, n) and degrees of freedom (n,).
-
-    `basis` is Q (K, n), `solution` A (n, n), `rows` Φ (K, n), `residual` (K,) in order of time.
-    """
+    """Return covariance (n, n) and degrees of freedom (n,) by Q (K, n), A (n, n), Φ (K, n) and residual (K,)."""
     lags = _Lags(residual.size)
     taken, sums = rows @ solution, lags.products(residual[:, None], residual[:, None])
     missing = np.zeros(residual.size)

@@ -18,13 +18,10 @@ from fmuid.estimation.search.trust_region import triangle
 
 @dataclass(frozen=True, eq=False)
 class PriorDataOptimum:
-    """Optimum of data and prior: step (N,) (1.55), NaN if not identifiable.
+    """Optimum of data and prior."""
 
-    `disagreement` is the rise of both costs above their minima; χ² of `degrees_of_freedom` if they agree.
-    """
-
-    step: Floats
-    disagreement: float
+    step: Floats  # (N,) (1.55), NaN if not identifiable
+    disagreement: float  # rise of both costs above their minima; χ² of `degrees_of_freedom` if they agree
     degrees_of_freedom: int  # directions that both data and prior determine
 
 

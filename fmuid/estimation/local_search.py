@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import time
 from dataclasses import dataclass, replace
-from typing import Any, Protocol, runtime_checkable
+from typing import Any, ClassVar, Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -23,8 +23,8 @@ from fmuid.estimation.noise.sandwich import ResidualNoise, sandwich_of
 from fmuid.estimation.problem import LeastSquares
 from fmuid.estimation.result import Result
 from fmuid.estimation.result_groups import Fit, History, Identifiability, Setup
-from fmuid.estimation.search.loop import Iteration, State, TerminationReason, iterate
-from fmuid.estimation.search.marquardt import Descent, MarquardtSettings
+from fmuid.estimation.search.marquardt import Descent, MarquardtSettings, iterate
+from fmuid.estimation.search.state import Iteration, State, TerminationReason
 from fmuid.events import Progress, SearchStep
 from fmuid.version import __version__
 
@@ -49,9 +49,7 @@ class Method(Protocol):
     def marquardt(self) -> Marquardt:
         """Settings of the fits."""
 
-    @property
-    def whole_box(self) -> bool:
-        """True for a global search."""
+    whole_box: ClassVar[bool]  # a global search
 
     def check(self, problem: LeastSquares) -> None:
         """Check the problem without simulation; raise `InputError` if it does not fit."""
@@ -95,30 +93,17 @@ class Marquardt(MarquardtSettings):
         """These settings."""
         return self
 
-    @property
-    def whole_box(self) -> bool:
-        """False."""
-        return False
+    whole_box: ClassVar[bool] = False
 
     def check(self, problem: LeastSquares) -> None:
         """Accept any problem."""
 
+    @single_threaded
     def search(
         self, evaluator: Evaluator[LeastSquares], progress: Progress | None = None, start: ArrayLike | None = None
     ) -> Result:
-        """Optimize as `fmuid.identify` does."""
-        return estimate(evaluator, self, progress, start)
-
-
-@single_threaded
-def estimate(
-    evaluator: Evaluator[LeastSquares],
-    settings: MarquardtSettings | None = None,
-    progress: Progress | None = None,
-    start: ArrayLike | None = None,
-) -> Result:
-    """Estimate from one starting point; arguments and errors as of `fmuid.identify`."""
-    return _Identification(evaluator, settings or MarquardtSettings(), progress, start).run()
+        """Optimize from one starting point; arguments and errors as of `fmuid.identify`."""
+        return _Identification(evaluator, self, progress, start).run()
 
 
 def point_result(evaluator: Evaluator[LeastSquares], theta: Floats) -> Result:
@@ -214,7 +199,8 @@ class _Identification:
     def _end_round(self, number: int) -> None:
         """Estimate the noise variances from the residual (1.12), and record the round."""
         state, problem = self.state, self.problem
-        self.local = self._covariance(self.criterion, state.residual, state.jacobian, reduced=state.reduced)
+        reduced = None if state.linear is None else state.linear.reduced
+        self.local = self._covariance(self.criterion, state.residual, state.jacobian, reduced=reduced)
         leverage = self.local.leverage(state.jacobian)[: problem.measured.size]
         self.shares: Floats = np.zeros(problem.counts.size)
         self.shares += np.bincount(problem.groups, weights=leverage, minlength=problem.counts.size)
@@ -231,10 +217,7 @@ class _Identification:
         return np.where(np.isnan(self.problem.variance), self.estimated, self.problem.variance)
 
     def _repeats(self) -> bool:
-        """Return True if other variances will move the optimum.
-
-        Estimated variances do beside others or with a robust loss, and initial ones larger than given.
-        """
+        """Return True if other variances will move the optimum: several, with a robust loss, or larger than given."""
         problem = self.problem
         estimated = np.isnan(problem.variance)
         matters = problem.counts.size + len(problem.parameters.prior_whitening) > 1 or problem.loss is not None
@@ -253,7 +236,7 @@ class _Identification:
         state, before = self.state, self.criterion
         self.criterion = before.reweighted(self._next_variance())
         residual, jacobian = before.converted(self.criterion, state.residual, state.jacobian)
-        self.state = replace(state, residual=residual, jacobian=jacobian, outcome=None, reduced=None)
+        self.state = replace(state, residual=residual, jacobian=jacobian, outcome=None, linear=None)
 
     # --- the result
 
@@ -292,11 +275,7 @@ class _Identification:
         return LinearizedProblem(*rows, self.problem.parameters.magnitudes(state.theta), alone, combined)
 
     def _weighed(self, loss: Loss, residual: Floats, jacobian: Floats) -> tuple[Floats, Floats, Floats]:
-        """Return rows and Jacobian as a robust loss weights them, and spread.
-
-        Near the optimum the gradient of the cost is Σ ψ J + (Σ ψ′ J Jᵀ) p: that of rows ψ/√a and √a J, a the mean ψ′
-        of an output, with the variance mean ψ²/a (see `fmuid.estimation.covariance`).
-        """
+        """Return rows ψ/√a, Jacobian √a J and spread √(mean ψ²/a) of a robust loss, a the mean ψ′ of an output."""
         groups, counts = self.problem.groups, self.problem.counts
         f = residual[: groups.size]
         influence = loss.influence(f)

@@ -20,7 +20,7 @@ from fmuid.display_mixins import MultilineText, PlotMixin, text_of
 from fmuid.errors import InputError
 from fmuid.estimation.estimates import Estimates, ParameterEstimate
 from fmuid.estimation.result_groups import Fit, History, Identifiability, Setup
-from fmuid.estimation.search.loop import TerminationReason
+from fmuid.estimation.search.state import TerminationReason
 from fmuid.estimation.solver_check import SolverCheck
 from fmuid.estimation.verdict import Verdict
 from fmuid.formatting import with_std

@@ -13,10 +13,10 @@ from fmuid import codec
 from fmuid.array_types import Floats
 from fmuid.data import Experiment, MeasuredSeries
 from fmuid.estimation.covariance import WeakDirection
+from fmuid.estimation.finite_differences import SensitivityMethod
 from fmuid.estimation.linearized_problem import LinearizedProblem
-from fmuid.estimation.model_sensitivities import SensitivityMethod
 from fmuid.estimation.noise.sandwich import ResidualNoise
-from fmuid.estimation.search.loop import Iteration, TerminationReason
+from fmuid.estimation.search.state import Iteration, TerminationReason
 from fmuid.estimation.solver_check import UsedModel
 from fmuid.estimation.starting_points import CombinationFit, RestartAttempt
 

@@ -35,10 +35,9 @@ NOISE = SimulationNoiseSettings()
 
 
 def noise_level(predict: Predict, theta: Floats, steps: Floats, shares: Floats) -> tuple[Floats, Floats]:
-    """Return the simulation (n,) at theta and each output's noise (count,).
+    """Return the simulation (n,) at theta and each output's noise; NaN and infinite if it fails.
 
-    All parameters change at once, by `steps` (N,). γ_k mean (Δᵏf)², γ_k = (k!)²/(2k)!, estimates ε²; the least over k
-    counts. NaN if the simulation at theta fails.
+    All parameters change at once, by `steps` (N,). The least of γ_k mean (Δᵏf)², γ_k = (k!)²/(2k)!, over k is ε².
     """
     level = np.full(shares.shape[1], np.inf)
     base = predict(theta[None])[0]  # by itself: where it fails, the others are not worth a simulation
@@ -68,10 +67,7 @@ def noise_steps(magnitudes: Floats, below: Floats, above: Floats) -> Floats:
 
 
 def noise_along(predict: Predict, theta: Floats, base: Floats, steps: Floats, room: Floats) -> Floats | None:
-    """Simulate a difference table centered at theta, for `table_noise`.
-
-    Returns (NOISE.points, n), or None if a simulation fails.
-    """
+    """Simulate a difference table centered at theta, (NOISE.points, n); None if a simulation fails."""
     half = NOISE.points // 2
     places = np.delete(np.arange(-half, half + 1.0), half)
     found = predict(theta + places[:, None] * np.clip(steps, -room / half, room / half))

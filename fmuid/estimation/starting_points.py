@@ -9,12 +9,11 @@ from enum import Enum
 
 import numpy as np
 import scipy
-from numpy.typing import NDArray
 
 from fmuid.array_types import Flags, Floats
 from fmuid.data import ParameterSet
 from fmuid.errors import InputError
-from fmuid.estimation.search.loop import TerminationReason
+from fmuid.estimation.search.state import TerminationReason
 
 
 @dataclass(frozen=True)
@@ -23,7 +22,6 @@ class StartingPointSettings:
 
     robust: float = 1.4826  # σ by median |e| of normal noise
     noise_samples: int = 5  # least for a noise level
-    bits: int = 30  # of each Sobol coordinate
     window: int = 10  # intervals of a window of the weak form; windows overlap by half
     window_samples: int = 3  # least of each state in a window: interpolation over a gap is no information
     prior_stds: float = 5.0  # of the prior, in place of a bound
@@ -56,20 +54,6 @@ def second_difference_noise(times: Floats, values: Floats) -> float:
     line = (1.0 - share) * y[:-2][moved] + share * y[2:][moved]
     error = (y[1:-1][moved] - line) / np.sqrt(1.0 + share**2 + (1.0 - share) ** 2)
     return SETTINGS.robust * float(np.median(np.abs(error))) if error.size else float("nan")
-
-
-# Primitive polynomial and initial direction numbers of each dimension, from the second one on (Joe and Kuo).
-_TABLE = """
-    3 1; 7 1 3; 11 1 3 1; 13 1 1 1; 19 1 1 3 3; 25 1 3 5 13; 37 1 1 5 5 17; 41 1 1 5 5 5; 47 1 1 7 11 19;
-    55 1 1 5 1 1; 59 1 1 1 3 11; 61 1 3 5 5 31; 67 1 3 3 9 7 49; 91 1 1 1 15 21 21; 97 1 3 1 13 27 49;
-    103 1 1 1 15 7 5; 109 1 3 1 15 13 25; 115 1 1 5 5 19 61; 131 1 3 7 11 23 15 103; 137 1 3 7 13 13 15 69;
-    143 1 1 3 13 7 35 63; 145 1 3 5 9 1 25 53; 157 1 3 1 13 9 35 107; 167 1 3 1 5 27 61 31; 171 1 1 5 11 19 41 61;
-    185 1 3 5 3 3 13 69; 191 1 1 7 13 1 19 1; 193 1 3 7 5 13 19 59; 203 1 1 3 9 25 29 41; 211 1 3 5 13 23 1 55;
-    213 1 3 7 3 13 59 17; 229 1 3 1 3 5 53 69; 239 1 1 5 5 23 33 13; 241 1 1 7 7 1 61 123; 247 1 1 7 9 13 61 49;
-    253 1 3 3 5 3 55 33; 285 1 3 1 15 31 13 49 245; 299 1 3 5 15 31 59 63 97; 301 1 3 1 11 11 11 77 249
-"""
-_ROWS = [[int(number) for number in row.split()] for row in _TABLE.split(";")]
-MAX_DIMENSIONS = 1 + len(_ROWS)  # more: scipy.stats.qmc
 
 
 def spans_decades(lower: float, upper: float) -> bool:
@@ -114,53 +98,15 @@ class Box:
 def sobol_points(dimensions: int, count: int, seed: int | np.random.Generator) -> Floats:
     """Return the first points (count, dimensions) of a scrambled Sobol sequence.
 
-    They are those of `scipy.stats.qmc.Sobol`, bit for bit, without its slow import.
-
     Parameters
     ----------
     dimensions, count : int
     seed : int or numpy.random.Generator
-        Of the scrambling (Matoušek, Journal of Complexity 14, 1998).
     """
-    if dimensions > MAX_DIMENSIONS:
-        from scipy.stats import qmc  # slow to import
+    from scipy.stats import qmc  # slow to import
 
-        whole = qmc.Sobol(dimensions, seed=seed).random_base2((count - 1).bit_length())
-        return np.asarray(whole[:count], dtype=np.float64)
-    rng = seed.spawn(1)[0] if isinstance(seed, np.random.Generator) else np.random.default_rng(seed)
-    shift, directions = _scrambled(_directions(dimensions), rng)
-    # Gray's code: points differ by one direction, that of the lowest zero bit
-    counts = np.arange(count - 1)
-    lowest = np.round(np.log2((counts + 1) & ~counts)).astype(np.intp)
-    changes = np.vstack([shift, directions[:, lowest].T])
-    return np.bitwise_xor.accumulate(changes, axis=0) * 2.0**-SETTINGS.bits
-
-
-def _directions(dimensions: int) -> NDArray[np.uint32]:
-    """Return direction numbers (dimensions, SETTINGS.bits) as integers of `SETTINGS.bits` bits."""
-    found = np.ones((dimensions, SETTINGS.bits), dtype=np.uint32)
-    for own, (polynomial, *initial) in zip(found[1:], _ROWS, strict=False):
-        degree = len(initial)
-        own[:degree] = initial
-        for j in range(degree, SETTINGS.bits):
-            value = own[j - degree]
-            for k in range(1, degree + 1):
-                if polynomial >> (degree - k) & 1:
-                    value = value ^ own[j - k] << np.uint32(k)
-            own[j] = value
-    return found << np.arange(SETTINGS.bits, dtype=np.uint32)[::-1]
-
-
-def _scrambled(
-    directions: NDArray[np.uint32], rng: np.random.Generator
-) -> tuple[NDArray[np.uint32], NDArray[np.uint32]]:
-    """Return a random shift (dimensions,) and randomly mapped directions."""
-    dimensions, powers = len(directions), np.uint32(2) ** np.arange(SETTINGS.bits, dtype=np.uint32)
-    shift = rng.integers(2, size=(dimensions, SETTINGS.bits), dtype=np.uint32) @ powers
-    lower = np.tril(rng.integers(2, size=(dimensions, SETTINGS.bits, SETTINGS.bits), dtype=np.uint32))
-    lower[:, np.arange(SETTINGS.bits), np.arange(SETTINGS.bits)] = 1
-    bits = directions[:, :, None] >> np.arange(SETTINGS.bits, dtype=np.uint32)[::-1] & 1  # the highest first
-    return shift, (bits @ lower.transpose(0, 2, 1) & 1) @ powers[::-1]
+    points = qmc.Sobol(dimensions, seed=seed).random_base2((count - 1).bit_length())
+    return np.asarray(points[:count], dtype=np.float64)
 
 
 class WeakForm:

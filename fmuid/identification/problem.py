@@ -71,7 +71,7 @@ class Problem(LeastSquares):
     loss : "linear", "soft_l1", "huber" or "cauchy"
         Robust loss of the residuals (`fmuid.data.losses`); "linear" is the plain square.
     sensitivity : "finite-difference", "forward" or "fmu"
-        Method of the Jacobian (`fmuid.estimation.model_sensitivities.SENSITIVITIES`).
+        Method of the Jacobian (`fmuid.estimation.SENSITIVITIES`).
     choices : mapping of str to sequence of values, or to "all", optional
         Discrete parameters with their values; `fmuid.identify` tries each combination. "all": those the FMU declares.
 

@@ -1,22 +1,30 @@
-"""Errors that return with each cycle of an excitation: periods of inputs, likelihoods and Gram matrices, coverage.
-
-``python -m tests.estimation.test_cycles 400`` prints the table of experiments/coverage over so many seeded draws.
-"""
+"""Errors that return with each cycle of an excitation: periods of inputs, likelihoods and Gram matrices, coverage."""
 
 from __future__ import annotations
 
 import re
-import sys
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
-import pandas as pd
 import pytest
-from scipy import linalg, stats
+from scipy import linalg
 
+from experiments.coverage.periodic_error import (
+    CASES,
+    COUNT,
+    CYCLES,
+    JACOBIAN,
+    PARAMETERS,
+    PERIOD,
+    STEP,
+    covered,
+    fitted,
+    recorded,
+    square,
+    without_error,
+)
 from fmuid.array_types import Floats
-from fmuid.data import Experiment, Noise, Parameter
+from fmuid.data import Noise
 from fmuid.errors import InputError
 from fmuid.estimation.noise.low_frequency import Bins, line_counts
 from fmuid.estimation.noise.output_series import OutputSeries, period_of
@@ -29,40 +37,10 @@ from fmuid.estimation.noise.periodic_error import (
     _summed,
 )
 from fmuid.estimation.noise.sandwich import sandwich_of
-from fmuid.estimation.predictors import FunctionPredictor
 from fmuid.estimation.problem import LeastSquares
-from fmuid.estimation.result import Result
 from fmuid.identification import identify
 from fmuid.identification.residual_analysis import analyze_residuals
 from tests.support.problems import ar1
-
-STEP, PERIOD, CYCLES = 0.032, 125, 8
-COUNT = PERIOD * CYCLES
-CLOCK = STEP * np.arange(PERIOD)
-JACOBIAN = np.tile(np.column_stack([np.exp(-CLOCK), -3.0 * CLOCK * np.exp(-CLOCK)]), (CYCLES, 1))
-PARAMETERS = {"a": Parameter(0.1), "k": Parameter(0.1)}
-
-Drawn = Callable[[np.random.Generator], Floats]
-
-
-def recorded(inputs: Floats, output: Floats | None = None) -> Experiment:
-    columns = {f"u{k}": own for k, own in enumerate(inputs.reshape(len(inputs), -1).T)}
-    y = np.ones(len(inputs)) if output is None else output
-    measured = {f"y{k or ''}": own for k, own in enumerate(y.reshape(len(y), -1).T)}
-    frame = pd.DataFrame({"time": STEP * np.arange(len(inputs)), **columns, **measured})
-    return Experiment(frame, list(columns), list(measured), interpolation="zoh")
-
-
-def square(cycles: float = CYCLES) -> Floats:
-    return np.tile(np.repeat([1.0, 0.0], [60, 65]), CYCLES)[: round(cycles * PERIOD)]
-
-
-def fitted(noise: Floats) -> tuple[LeastSquares, Result]:
-    """The linearised a e^(−kt) in each cycle, both parameters 0 in truth, measured once or, (n, m), several times."""
-    outputs = noise.size // COUNT
-    predictor = FunctionPredictor(lambda theta: np.repeat((JACOBIAN @ theta)[:, None], outputs, 1), (COUNT, outputs))
-    problem = LeastSquares([predictor], [recorded(square(), noise)], PARAMETERS)
-    return problem, identify(problem)
 
 
 def test_period_of_inputs() -> None:
@@ -214,87 +192,16 @@ def test_periodic_error_is_found_and_allowed_for() -> None:
 
 
 @pytest.mark.parametrize("kind", ["white", "walk"])
-def test_where_nothing_returns_hardly_anything_changes(kind: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_where_nothing_returns_hardly_anything_changes(kind: str) -> None:
     """A random walk is slower than the cycle: folded to its mean cycle it would be lost."""
     rng = np.random.default_rng(4)
     problem, result = fitted(rng.standard_normal(COUNT) if kind == "white" else np.cumsum(rng.standard_normal(COUNT)))
-    assert result.fit.linearization is not None
-    monkeypatch.setattr("fmuid.estimation.noise.sandwich.returning", lambda *_: ())
-    without = sandwich_of(problem, result.fit.linearization, np.array([False]))
+    without = without_error(problem, result)
     wider = np.sqrt(np.diag(result.covariance) / np.diag(without.covariance))
     assert (wider >= 1.0).all()
     assert (wider < 1.02).all()
     assert (result.estimates.variance_dof <= without.freedom).all()
     assert analyze_residuals(problem, result).returning == ()
-
-
-def returns(level: float, share: float = 0.8) -> Drawn:
-    return lambda rng: level * np.tile(ar1(rng, share, PERIOD), CYCLES)
-
-
-def ar(share: float) -> Drawn:
-    return lambda rng: ar1(rng, share, COUNT)
-
-
-def white(rng: np.random.Generator) -> Floats:
-    return rng.standard_normal(COUNT)
-
-
-def walk(rng: np.random.Generator) -> Floats:
-    return 0.1 * np.cumsum(rng.standard_normal(COUNT))
-
-
-def twice(level: float, *signs: float) -> Drawn:
-    """One error in outputs of the same sensitivities, or in each an error of its own, beneath white noise."""
-
-    def draw(rng: np.random.Generator) -> Floats:
-        errors = np.column_stack([returns(level)(rng) for _ in range(1 if signs else 2)])
-        return np.asarray(errors * np.array(signs or (1.0, 1.0)) + rng.standard_normal((COUNT, 2)))
-
-    return draw
-
-
-CASES: dict[str, tuple[Drawn, ...]] = {
-    "white": (white,),
-    "AR(1) 0.5": (ar(0.5),),
-    "AR(1) 0.8": (ar(0.8),),
-    "AR(1) 0.99": (ar(0.99),),
-    "random walk": (walk,),
-    "error 0.3 of white noise": (returns(0.3), white),
-    "error 1": (returns(1.0), white),
-    "error 3": (returns(3.0), white),
-    "error 1, AR(1) 0.95": (returns(1.0, 0.95), white),
-    "error 1, AR(1) 0.8 noise": (returns(1.0), ar(0.8)),
-    "error 1, AR(1) 0.99 noise": (returns(1.0), ar(0.99)),
-    "error 1, random walk": (returns(1.0), walk),
-    "error 3, random walk and white": (returns(3.0), walk, white),
-    "two outputs, error 1 in both": (twice(1.0, 1.0, 1.0),),
-    "two outputs, error 1 with opposite signs": (twice(1.0, 1.0, -1.0),),
-    "two outputs, error 1 of its own in each": (twice(1.0),),
-    "two outputs, white": (twice(0.0),),
-}
-
-
-def covered(parts: tuple[Drawn, ...], draws: int) -> tuple[float, float, float]:
-    """Return the shares of 95 % intervals with and without what returns that hold 0, and by what they are wider."""
-    inside, without, wider = [], [], []
-    for seed in range(draws):
-        rng = np.random.default_rng([11, seed])
-        problem, result = fitted(np.sum([part(rng) for part in parts], axis=0))
-        ends = result.intervals().to_numpy()
-        inside.append((ends[:, 0] <= 0.0) & (ends[:, 1] >= 0.0))
-        assert result.fit.linearization is not None
-        with pytest.MonkeyPatch.context() as patch:
-            patch.setattr("fmuid.estimation.noise.sandwich.returning", lambda *_: ())
-            before = sandwich_of(problem, result.fit.linearization, np.zeros(len(problem.output_names), dtype=np.bool_))
-        half = before_half(before.covariance, before.freedom)
-        without.append(np.abs(result.values) < half)
-        wider.append(float(np.mean((ends[:, 1] - ends[:, 0]) / (2.0 * half))))
-    return float(np.mean(inside)), float(np.mean(without)), float(np.median(wider))
-
-
-def before_half(covariance: Floats, freedom: Floats) -> Floats:
-    return np.asarray(stats.t.ppf(0.975, freedom) * np.sqrt(np.diag(covariance)))
 
 
 @pytest.mark.slow
@@ -304,11 +211,3 @@ def test_intervals_hold_under_a_periodic_error(case: str) -> None:
     inside, without, _ = covered(CASES[case], 40)
     assert inside > 0.85
     assert without < 0.87
-
-
-if __name__ == "__main__":
-    print("| noise and error | coverage | without what returns | width against it |")
-    print("|---|---|---|---|")
-    for name in sys.argv[2].split(";") if len(sys.argv) > 2 else CASES:
-        inside, without, wider = covered(CASES[name], int(sys.argv[1]))
-        print(f"| {name} | {100 * inside:.1f} | {100 * without:.1f} | {wider:.3f} |", flush=True)

@@ -1,4 +1,4 @@
-"""Finite differences against analytic derivatives, of smooth, noisy, failing and bounded functions."""
+"""Derivatives against analytic ones, of smooth, noisy, failing and bounded functions, and by a model."""
 
 from collections.abc import Callable
 from typing import Any, Literal
@@ -8,8 +8,12 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from fmuid.array_types import Floats
-from fmuid.estimation.finite_differences import BoundedFunction, FiniteDifferences, SensitivityError
+from fmuid.data import Parameter
+from fmuid.errors import SensitivityUnavailableError
+from fmuid.estimation.finite_differences import BoundedFunction, Derivatives, SensitivityError, SensitivityMethod
+from fmuid.estimation.problem import LeastSquares
 from fmuid.estimation.simulation_noise import noise_level, noise_steps, shares_of
+from fmuid.identification import identify
 
 Function = Callable[[Floats], Floats]
 Method = Literal["RK45", "BDF", "LSODA", "DOP853"]
@@ -32,8 +36,8 @@ def magnitudes(theta: Floats) -> Floats:
     return np.maximum(np.abs(theta), 0.1)
 
 
-def bounded_function(function: Function, bounds: tuple[Floats, Floats] = FREE) -> BoundedFunction:
-    return BoundedFunction(function, *bounds, magnitudes, function)
+def bounded_function(function: Function, bounds: tuple[Floats, Floats] = FREE, **model: Any) -> BoundedFunction:
+    return BoundedFunction(function, *bounds, magnitudes, function, **model)
 
 
 def level(function: Function, theta: Floats = THETA, bounds: tuple[Floats, Floats] = FREE) -> float:
@@ -44,10 +48,10 @@ def level(function: Function, theta: Floats = THETA, bounds: tuple[Floats, Float
 
 def differences(
     function: Function, theta: Floats = THETA, bounds: tuple[Floats, Floats] = FREE
-) -> tuple[FiniteDifferences, Floats]:
+) -> tuple[Derivatives, Floats]:
     base = function(theta[None])[0]
     noise = np.full(base.size, level(function, theta, bounds))
-    return FiniteDifferences(bounded_function(function, bounds), noise, float(np.sqrt(np.mean(base**2)))), base
+    return Derivatives(bounded_function(function, bounds), noise, float(np.sqrt(np.mean(base**2)))), base
 
 
 def error(found: Floats, expected: Floats) -> float:
@@ -127,7 +131,7 @@ def test_planned_steps_follow_the_noise() -> None:
     """Forward steps go with the square root of the noise, central ones with its cube root."""
     steps = []
     for std in (1e-6, 1e-12):
-        finite = FiniteDifferences(bounded_function(decay), np.full(300, std), 1.0)
+        finite = Derivatives(bounded_function(decay), np.full(300, std), 1.0)
         for _ in range(2):
             finite.jacobian(THETA, decay(THETA[None])[0], central=True)
         steps.append((finite.forward_steps[1], finite.central_steps[1]))
@@ -178,7 +182,7 @@ def test_a_point_without_neighbours_has_no_derivative() -> None:
         return outputs
 
     base = decay(THETA[None])[0]
-    finite = FiniteDifferences(bounded_function(lonely), np.full(300, 1e-16), 1.0)
+    finite = Derivatives(bounded_function(lonely), np.full(300, 1e-16), 1.0)
     with pytest.raises(SensitivityError) as caught:
         finite.jacobian(THETA, base, central=False)
     assert caught.value.index == 1
@@ -196,3 +200,47 @@ def test_influence_is_told_from_noise() -> None:
     found, acting = finite.first_jacobian(THETA, base)
     assert acting.tolist() == [True, False, True]
     assert error(found[2:], 3e-3 * TIMES[None]) < 0.1
+
+
+def test_model_derivatives_are_weighted_until_the_model_refuses() -> None:
+    noise, base, given = np.full(300, 1e-9), decay(THETA[None])[0], [True] * 5
+
+    def by_model(theta: Floats) -> Floats | None:
+        return decay_jacobian(theta) if given and given.pop() else None
+
+    own = Derivatives(bounded_function(decay, derivatives=by_model), noise, 1.0, -2.0)
+    first, acting = own.first_jacobian(THETA, base)
+    assert acting.all()
+    np.testing.assert_allclose(first, -2.0 * decay_jacobian(THETA), rtol=1e-14)
+    stated = own.error(THETA, central=True)
+    np.testing.assert_allclose(stated, 1e-6 * 2.0 * np.linalg.norm(decay_jacobian(THETA), axis=1))
+    other = own.weighted(-6.0, 3.0 * noise)  # three times the weight, three times the noise: the error too
+    np.testing.assert_allclose(other.error(THETA, central=True), 3.0 * stated)
+    np.testing.assert_allclose(other.jacobian(THETA, base, central=True), 3.0 * first, rtol=1e-14)
+    np.testing.assert_allclose(other.error(THETA, central=True), 3.0 * stated)
+    drowned = own.renoised(np.full(300, 1e6), 1.0)
+    assert not drowned.first_jacobian(THETA, base)[1].any()
+    given.clear()
+    assert error(own.jacobian(THETA, base, central=True), -2.0 * decay_jacobian(THETA)) < 1e-5
+    assert not np.allclose(own.error(THETA, central=True), stated)
+
+
+def test_model_is_asked_until_it_refuses() -> None:
+    asked, times = [], np.linspace(0.0, 4.0, 300)
+
+    def refusing(theta: Floats) -> Floats:
+        asked.append(theta)
+        if len(asked) > 2:
+            raise SensitivityUnavailableError("no derivatives today")
+        return decay_jacobian(theta)[:, :, None]
+
+    parameters = {name: Parameter(start) for name, start in zip("akc", THETA.tolist(), strict=True)}
+    measured = decay(np.array([[2.5, 0.8, -0.2]]))[0] + 0.01 * np.random.default_rng(2).standard_normal(300)
+    plain = LeastSquares.from_function(lambda theta: decay(theta[None])[0], measured, parameters, times=times)
+    problem = LeastSquares(
+        plain.predictors, plain.experiments, parameters, sensitivity="forward", derivatives=[refusing]
+    )
+    found = identify(problem)
+    assert found.setup.sensitivity == SensitivityMethod("forward", refusal="no derivatives today")
+    assert len(asked) == 3
+    np.testing.assert_allclose(found.values, identify(plain).values, rtol=1e-5)

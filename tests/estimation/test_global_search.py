@@ -21,7 +21,7 @@ from fmuid.estimation.global_search import ExplorationSettings, GlobalSearch, St
 from fmuid.estimation.local_search import Marquardt
 from fmuid.estimation.problem import LeastSquares
 from fmuid.estimation.result import Result
-from fmuid.estimation.search.loop import TerminationReason
+from fmuid.estimation.search.state import TerminationReason
 from fmuid.events import Event
 from fmuid.identification import Problem, identify
 from tests.support.paths import ROOT

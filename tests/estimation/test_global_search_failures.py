@@ -10,7 +10,7 @@ from fmuid.data import Parameter
 from fmuid.errors import InputError
 from fmuid.estimation.global_search import GlobalSearch, Strategy
 from fmuid.estimation.problem import LeastSquares
-from fmuid.estimation.search.loop import TerminationReason
+from fmuid.estimation.search.state import TerminationReason
 from fmuid.events import Event
 from tests.support.sinusoids import METHODS, RANGE, TIMES, dense_minima, of_search, searched, sinusoid
 

@@ -27,8 +27,8 @@ from fmuid.estimation.evaluator import Evaluator
 from fmuid.estimation.linear import colored_covariance
 from fmuid.estimation.local_search import Marquardt
 from fmuid.estimation.problem import LeastSquares
-from fmuid.estimation.search.loop import State, iterate
-from fmuid.estimation.search.marquardt import Descent
+from fmuid.estimation.search.marquardt import Descent, iterate
+from fmuid.estimation.search.state import State
 from fmuid.identification import identify
 
 R, L = 4.0, 0.1

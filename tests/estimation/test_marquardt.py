@@ -14,8 +14,8 @@ from fmuid.estimation.cost_function import prepare
 from fmuid.estimation.evaluator import Evaluator
 from fmuid.estimation.local_search import Marquardt
 from fmuid.estimation.problem import LeastSquares
-from fmuid.estimation.search.loop import Iteration, State, TerminationReason, iterate, last_state
-from fmuid.estimation.search.marquardt import Descent
+from fmuid.estimation.search.marquardt import Descent, iterate, last_state
+from fmuid.estimation.search.state import Iteration, State, TerminationReason
 from fmuid.estimation.search.trust_region import REGION, LinearModel, Step, TrustRegion, triangle
 
 TIMES = np.linspace(0.0, 3.0, 120)

@@ -19,7 +19,7 @@ from fmuid.estimation.linear import linear_least_squares
 from fmuid.estimation.local_search import Marquardt
 from fmuid.estimation.problem import LeastSquares
 from fmuid.estimation.result import Result
-from fmuid.estimation.search.loop import TerminationReason
+from fmuid.estimation.search.state import TerminationReason
 from fmuid.events import Event, SearchStep
 from fmuid.identification import identify
 from fmuid.runs.findings import at_minimum

@@ -16,10 +16,10 @@ from fmuid.array_types import Floats
 from fmuid.codec import as_json
 from fmuid.data import Parameter
 from fmuid.errors import InputError
-from fmuid.estimation.finite_differences import FiniteDifferences
+from fmuid.estimation.finite_differences import Derivatives
 from fmuid.estimation.problem import LeastSquares
 from fmuid.estimation.result import Result
-from fmuid.estimation.search.loop import TerminationReason
+from fmuid.estimation.search.state import TerminationReason
 from fmuid.identification import identify
 from fmuid.runs.apply import apply_result
 from tests.support.paths import FMUS
@@ -145,14 +145,14 @@ def test_noise_makes_nothing_identifiable(amplitude: float, std: float) -> None:
 @pytest.fixture
 def stalled(monkeypatch: pytest.MonkeyPatch) -> Result:
     """Every slope has the wrong sign: no step keeps its promise."""
-    central, forward = FiniteDifferences.first_jacobian, FiniteDifferences.jacobian
+    central, forward = Derivatives.first_jacobian, Derivatives.jacobian
 
-    def first(self: FiniteDifferences, theta: Floats, base: Floats) -> tuple[Floats, NDArray[np.bool_]]:
+    def first(self: Derivatives, theta: Floats, base: Floats) -> tuple[Floats, NDArray[np.bool_]]:
         found, acting = central(self, theta, base)
         return -found, acting
 
-    monkeypatch.setattr(FiniteDifferences, "first_jacobian", first)
-    monkeypatch.setattr(FiniteDifferences, "jacobian", lambda *at, **how: -forward(*at, **how))
+    monkeypatch.setattr(Derivatives, "first_jacobian", first)
+    monkeypatch.setattr(Derivatives, "jacobian", lambda *at, **how: -forward(*at, **how))
     times = np.linspace(0.0, 3.0, 50)
     y, parameters = noisy(5.0 * np.exp(-0.7 * times), 0.1), {"R": Parameter(2.0), "L": Parameter(1.0)}
     return identify(LeastSquares.from_function(lambda theta: theta[0] * np.exp(-theta[1] * times), y, parameters))

@@ -12,7 +12,7 @@ from fmuid.codec import as_json
 from fmuid.data import Parameter
 from fmuid.estimation.covariance import ActiveBound, IdentifiabilityLevel
 from fmuid.estimation.problem import LeastSquares
-from fmuid.estimation.search.loop import TerminationReason
+from fmuid.estimation.search.state import TerminationReason
 from fmuid.identification import identify
 from tests.support.problems import coil_problem
 from tests.support.two_outputs import TIMES, two_output_problem

@@ -16,7 +16,7 @@ from fmuid.errors import InputError
 from fmuid.estimation.covariance import LIMITS, ActiveBound, IdentifiabilityLevel, WhitenedJacobian, local_covariance
 from fmuid.estimation.problem import LeastSquares
 from fmuid.estimation.result import Result
-from fmuid.estimation.search.loop import TerminationReason
+from fmuid.estimation.search.state import TerminationReason
 from fmuid.identification import identify
 from tests.support.problems import Fake, coil, simulate
 from tests.support.results import RESULT

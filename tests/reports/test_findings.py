@@ -12,7 +12,7 @@ from fmuid.data import Parameter
 from fmuid.estimation.local_search import Marquardt
 from fmuid.estimation.problem import LeastSquares
 from fmuid.estimation.result import Result
-from fmuid.estimation.search.loop import TerminationReason
+from fmuid.estimation.search.state import TerminationReason
 from fmuid.files import file_name
 from fmuid.formatting import rounded, with_std
 from fmuid.identification import identify

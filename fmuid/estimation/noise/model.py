@@ -95,10 +95,7 @@ def common_process(parts: Sequence[tuple[OutputSeries, Floats]], variance: float
 
 
 def innovations_matrix(model: Autoregression, places: Indices) -> csr_array:
-    """Return the triangular whitening matrix (n, n) at `places` (n,).
-
-    L C Lᵀ ≈ I with C the correlation matrix. Equal places count one after the other.
-    """
+    """Return the triangular whitening matrix L (n, n) at `places` (n,): L C Lᵀ ≈ I, C the correlation matrix."""
     return _matrix(model, places.astype(np.intp).tobytes())
 
 

@@ -108,10 +108,7 @@ def output_series(experiments: Sequence[Experiment], outputs: Sequence[str]) -> 
 
 
 def _thinned(places: Indices) -> tuple[Indices, int, int]:
-    """Return places (n,) on their coarsest grid, its stride and offset.
-
-    Samples that share a time are counted instead.
-    """
+    """Return places (n,) on their coarsest grid, its stride and offset; samples that share a time are counted."""
     steps = np.diff(places)
     least = int(steps.min()) if steps.size else 1
     if least == 0:
@@ -124,10 +121,7 @@ def _thinned(places: Indices) -> tuple[Indices, int, int]:
 
 
 def table_grid(times: Floats) -> tuple[Indices, float, bool]:
-    """Return grid places of the rows, step in s, and regularity.
-
-    Irregular rows (K,) are counted, with their mean step.
-    """
+    """Return grid places of the rows, step in s, and regularity; irregular rows (K,) are counted."""
     steps = np.diff(times)
     moving = steps > 0
     if not moving.any():

@@ -138,19 +138,7 @@ def returning(
     grids: Sequence[tuple[Sequence[NoiseModel], Floats]],
     given: Flags,
 ) -> tuple[PeriodicError, ...]:
-    """Return the periodic errors of all experiments with a period.
-
-    Parameters
-    ----------
-    residual, basis : (n,) and (n, k) arrays
-        As in `fmuid.estimation.noise.sample_grid.Rows`.
-    periods : mapping of str to float
-        Period of each experiment, s; 0 without.
-    grids : sequence of (sequence of NoiseModel, (m, m) array)
-        Noise of each grid's series, and covariance of the innovations.
-    given : (n_outputs,) array of bool
-        Outputs with a given variance.
-    """
+    """Return the periodic errors of all experiments with a period, by the noise and innovations of each grid."""
     rows, found = np.column_stack([residual, basis]), []
     for noise, innovations in grids:
         each = [

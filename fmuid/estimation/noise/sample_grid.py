@@ -74,10 +74,7 @@ def on_grid(each: OutputSeries, rows: Floats, length: int) -> Floats:
 
 
 class SampleGrid:
-    """Series of one grid, with spectra and noise models.
-
-    `columns` of each series are its residual and, after `add_removed`, the corrections (1 + 2 k, length).
-    """
+    """Series of one grid; `columns` are its residual and, after `add_removed`, corrections (1 + 2 k, length)."""
 
     def __init__(self, rows: Rows, series: Sequence[OutputSeries], members: Sequence[int]) -> None:
         self.rows, self.series, self.members = rows, series, members
@@ -88,10 +85,7 @@ class SampleGrid:
             own[each.places] = True
 
     def take(self, models: Sequence[Autoregression], columns: Floats, innovations: Floats | None = None) -> Floats:
-        """Adopt noise models; return their part of XᵀΓX (k, k) for X = columns.
-
-        Innovations S (m, m) default to those of the residuals.
-        """
+        """Adopt noise models and innovations (m, m); return their part of XᵀΓX (k, k), X = columns."""
         self.models = models
         self.spectra = Spectra.of(columns, self.series, models)
         self.innovations = self._innovations() if innovations is None else innovations

@@ -33,10 +33,7 @@ SETTINGS = WhitenessSettings()
 
 
 def autocorrelation(grid: Floats, lags: int) -> tuple[Floats, Floats]:
-    """Return autocorrelations at lags 0 to `lags`, and their pairs of samples.
-
-    NaN in `grid` (m,) is a missing sample; NaN in the result is a lag without pairs.
-    """
+    """Return autocorrelations of `grid` (m,) at lags 0 to `lags`, NaN without pairs, and their pairs of samples."""
     there = np.isfinite(grid)
     centred = np.where(there, grid - np.nanmean(grid), 0.0)
     # by transforms: long memories need thousands of lags
@@ -49,10 +46,7 @@ def autocorrelation(grid: Floats, lags: int) -> tuple[Floats, Floats]:
 
 
 def ljung_box(correlations: Floats, pairs: Floats) -> tuple[float, float]:
-    """Return Ljung and Box's statistic and its probability under white noise.
-
-    With gaps each lag counts by its pairs (Stoffer and Toloi). Short records: see `whiteness`.
-    """
+    """Return Ljung and Box's statistic, each lag by its pairs, and its probability under white noise."""
     count = pairs[0]
     known = pairs[1:] > 0
     statistic = float((count + 2.0) / count * np.sum(pairs[1:][known] * correlations[1:][known] ** 2))

@@ -52,10 +52,7 @@ class Step:
 
 
 def triangle(jacobian: Floats, residual: Floats) -> Floats:
-    """Return [R q] (N+1, N+1) with ‖R p + q‖ = ‖J p + r‖.
-
-    Householder reflections on [J r] (LAPACK geqrf).
-    """
+    """Return [R q] (N+1, N+1) with ‖R p + q‖ = ‖J p + r‖, by Householder reflections."""
     rows, count = jacobian.shape
     both = np.empty((rows, count + 1), order="F")
     both[:, :count], both[:, count] = jacobian, residual
@@ -88,6 +85,11 @@ class LinearModel:
     lengths: Floats
     least: float = 0.0
     decomposed: Decomposed | None = None
+
+    def length(self, step: Floats) -> float:
+        """Return ‖D p‖ of a step p (N,)."""
+        scaled = self.lengths * step
+        return math.sqrt(float(scaled @ scaled))
 
     def step(self, lower: Floats, upper: Floats, radius: float = math.inf) -> Step:
         """Minimize ‖R p + q‖² for lower ≤ p ≤ upper and ‖D p‖ ≤ radius.
@@ -123,10 +125,7 @@ def _svd(matrix: Floats) -> Decomposed:
 
 
 def _damped(decomposed: Decomposed, vector: Floats, radius: float, least: float) -> tuple[Floats, float]:
-    """Minimize ‖A p + b‖² + λ‖p‖² with λ ≥ 0 and ‖p‖ ≤ radius.
-
-    With A = U S Vᵀ, p = −V S z/(S² + λ); Newton's method on 1/‖p‖ − 1/Δ finds λ (Hebden, Moré).
-    """
+    """Minimize ‖A p + b‖² + λ‖p‖² with ‖p‖ ≤ radius; Newton's method on 1/‖p‖ − 1/Δ finds λ (Hebden, Moré)."""
     u, s, vt = decomposed
     sz = s * (u.T @ vector)
     least = min(max(least, np.finfo(float).eps * max(len(u), vt.shape[1]) * s[0]), s[0] / 2.0)
@@ -167,9 +166,9 @@ class TrustRegion:
     def judged(
         self, step: Step, length: float, fall: float, slope: float, noise: float, *, moved: bool
     ) -> tuple[TrustRegion, bool]:
-        """Compare a step with its prediction; return the next region and acceptance.
+        """Compare a step of length ‖D p‖ with its prediction; return the next region and acceptance.
 
-        `length` is ‖D p‖, `slope` half the cost's derivative along the step, `moved` False if rounding undoes the step.
+        `slope`: half the cost's derivative along the step; `moved`: False if rounding undoes the step.
         """
         value = self.value
         # noise of both values on both sides (Sun and Nocedal): below it, a step is as good as predicted
