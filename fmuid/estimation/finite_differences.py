@@ -84,6 +84,10 @@ class SensitivityError(FmuidError):
         self.index = index
 
 
+def _no_model(_theta: Floats) -> None:
+    """Return no derivatives."""
+
+
 @dataclass(frozen=True)
 class BoundedFunction:
     """Vector function (n,) of theta (N,) within strict bounds."""
@@ -93,7 +97,7 @@ class BoundedFunction:
     upper: Floats
     magnitudes: Callable[[Floats], Floats]  # of the parameters, at theta
     start: Predict  # as `predict`, for the first Jacobian
-    derivatives: Callable[[Floats], Floats | None] = lambda _: None  # (N, n) at theta by the model, None without
+    derivatives: Callable[[Floats], Floats | None] = _no_model  # (N, n) at theta by the model, None without
 
 
 class Derivatives:

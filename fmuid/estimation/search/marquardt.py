@@ -18,6 +18,7 @@ from fmuid.array_types import Floats
 from fmuid.errors import InputError
 from fmuid.estimation.finite_differences import SensitivityError
 from fmuid.estimation.search.state import (
+    STAGNATION,
     STOPPING,
     Iteration,
     ResidualFunction,
@@ -204,7 +205,7 @@ class Descent:
                 return TerminationReason.CONVERGED if near else TerminationReason.ACCURACY
         drowned = way.predicted <= REGION.noise_surprise * noise
         if state.stagnation.in_vain(_worthless(function, state)):
-            little = way.offset <= STOPPING.vain_offset or drowned
+            little = way.offset <= STAGNATION.offset or drowned
             return TerminationReason.ACCURACY if little else TerminationReason.STALLED
         if region.failures >= STOPPING.hopeless_failures:
             return TerminationReason.FAILING
@@ -281,7 +282,7 @@ def _stepped(function: ResidualFunction, state: State, newton: Step) -> State:
     if accepted:
         state = _moved(state, theta, residual, square)
     if not region.failures:
-        worth = max(_worthless(function, state), STOPPING.slow_share * predicted)
+        worth = max(_worthless(function, state), STAGNATION.slow_share * predicted)
         state = replace(state, stagnation=state.stagnation.after(step.predicted, state.square, worth))
     return state
 
@@ -319,7 +320,7 @@ def _doubtful_steps(function: ResidualFunction, state: State) -> Floats:
     magnitudes = function.magnitudes(state.theta)
     _, values, directions = np.linalg.svd(state.model.reduced[:, :-1] * magnitudes)
     way = math.sqrt(state.square / state.free) * max(1.0, state.way.offset)
-    widest, closest = STOPPING.widest_noise, STOPPING.closest_noise
+    widest, closest = STAGNATION.widest_noise, STAGNATION.closest_noise
     share = max(way / values[-1], closest) if way < widest * values[-1] else widest
     return np.asarray(share * magnitudes * directions[-1])
 
@@ -342,7 +343,7 @@ def _offset_noise(function: ResidualFunction, state: State) -> float:
 
 def _worthless(function: ResidualFunction, state: State) -> float:
     """Return the largest cost reduction that is no gain."""
-    return max(_noise(function, state), STOPPING.worthless_share * state.square / state.free)
+    return max(_noise(function, state), STAGNATION.worthless_share * state.square / state.free)
 
 
 def _record(

@@ -38,7 +38,7 @@ class TerminationReason(Enum):
 
 @dataclass(frozen=True)
 class StoppingSettings:
-    """Thresholds of termination, of new Jacobians, and of doubt about searches that gain nothing."""
+    """Thresholds of termination and of new Jacobians."""
 
     offset: float = 1e-3  # σ that all parameters together have to go at the end
     rough_change: float = 5e-4  # a rough search ends where the way left changes the noise variances by no more ...
@@ -53,16 +53,22 @@ class StoppingSettings:
     near: float = 0.03  # σ left where the Jacobian hardly changes any more
     borrowed: float = 0.3  # σ left; a Jacobian from a point close by serves no nearer to the optimum
     suspicious_rejections: int = 6  # in a row, after which forward differences are suspected
+
+
+@dataclass(frozen=True)
+class StagnationSettings:
+    """Thresholds of doubt about searches that gain nothing."""
+
     patient_steps: int = 10  # granted before a search without gain is doubted
     worthless_share: float = 1e-4  # of the worth of one σ: a hundredth of one, squared
     slow_share: float = 1e-2  # of the fall predicted, where it matters whether the linear model can be trusted
     vain_share: float = 0.25  # of the prediction: steps that bring less are useless, not merely slow
-    vain_offset: float = 0.3  # σ left where nothing is gained: the simulation limits the accuracy, not the search
+    offset: float = 0.3  # σ left where nothing is gained: the simulation limits the accuracy, not the search
     widest_noise: float = 3e-3  # the noise of a doubted search is measured no farther apart, relative ...
     closest_noise: float = 1e-9  # ... and no closer
 
 
-STOPPING = StoppingSettings()
+STOPPING, STAGNATION = StoppingSettings(), StagnationSettings()
 
 
 class ResidualFunction(Protocol):
@@ -143,7 +149,7 @@ class Stagnation:
     last: float = 0.0  # cost now
     steps: int = 0  # since the last gain or doubt
     promised: float = 0.0  # cost reduction predicted since the last gain
-    patience: int = STOPPING.patient_steps  # steps without gain before a doubt
+    patience: int = STAGNATION.patient_steps  # steps without gain before a doubt
     doubted: bool = False
     seen_noise: tuple[float, float] = (0.0, 1.0)  # noise of the cost measured in a doubt, and the cost then
 
@@ -161,7 +167,7 @@ class Stagnation:
     def in_vain(self, worthless: float) -> bool:
         """Return True if the search gains nothing in spite of a doubt."""
         fall = self.first - self.last
-        return self.doubted and self.stuck and fall < STOPPING.vain_share * self.promised and fall <= worthless
+        return self.doubted and self.stuck and fall < STAGNATION.vain_share * self.promised and fall <= worthless
 
 
 @dataclass(frozen=True, eq=False)
