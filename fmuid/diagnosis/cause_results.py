@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from typing import Annotated
+from dataclasses import dataclass
 
 import numpy as np
-from pydantic import BeforeValidator
 from scipy import special
 
+from fmuid.array_types import Floats
 from fmuid.diagnosis.baseline import BaselineSource
 from fmuid.diagnosis.cause_ranking import CauseSet, angle
 from fmuid.diagnosis.causes import Cause, CauseKind, ChangeParameterSet, name_of
@@ -18,16 +17,6 @@ from fmuid.diagnosis.change_detection import CauseFit, fit, probability
 from fmuid.diagnosis.information_matrix import ScoreStatistics
 from fmuid.diagnosis.unexplained_residual import UnexplainedResidual
 from fmuid.estimation import check_level
-
-
-def _instead(missing: float) -> BeforeValidator:
-    """Return a validator that replaces None, a file's infinite number."""
-    return BeforeValidator(lambda value: missing if value is None else value)
-
-
-Unknown = Annotated[float, _instead(math.nan)]
-Unlimited = Annotated[float, _instead(math.inf)]
-Unbounded = Annotated[float, _instead(-math.inf)]
 
 
 @dataclass(frozen=True)
@@ -56,13 +45,13 @@ class EstimatedChange:
     variable: str
     fault: str
     value: float
-    std: Unlimited
+    std: float
     unit: str
-    min: Unbounded = -math.inf
-    max: Unlimited = math.inf
+    min: float = -math.inf
+    max: float = math.inf
     angle: str = ""
-    angle_value: Unknown = math.nan
-    angle_std: Unknown = math.nan
+    angle_value: float = math.nan
+    angle_std: float = math.nan
 
     @property
     def label(self) -> str:
@@ -108,7 +97,7 @@ class CauseScore:
     statistic: float
     probability: float
     rival: str
-    rival_angle: Unknown
+    rival_angle: float
 
 
 @dataclass(frozen=True)
@@ -195,29 +184,27 @@ def explanations(named: Sequence[CauseSet], coordinates: ChangeParameterSet) -> 
 
 def changes(causes: Sequence[Cause], found: CauseFit, coordinates: ChangeParameterSet) -> tuple[EstimatedChange, ...]:
     """Return causes with their sizes; a vector of the plane becomes a size with its angle."""
-    said, first = [], 0
+    said, first = list[EstimatedChange](), 0
     for cause in causes:
         at = slice(first, first + len(cause.columns))
         first = at.stop
-        size, covariance, of = found.sizes[at], found.covariance[at, at], coordinates.each[cause.columns[0]]
-        if len(size) == 1:
-            change = EstimatedChange(
-                of.kind, of.variable, of.fault, float(size[0]), math.sqrt(float(covariance[0, 0])), of.unit
-            )
-            if of.fault:
-                parameter = coordinates.faults[of.fault].parameters[of.variable]
-                change = replace(change, min=parameter.min, max=parameter.max)
-            said.append(change)
-            continue
-        length = float(np.hypot(*size))
-        along = size / length if length else np.array([1.0, 0.0])
-        across = np.array([-along[1], along[0]])
-        std, aside = (math.sqrt(float(each @ covariance @ each)) for each in (along, across))
-        name, value, turn = coordinates.faults[of.fault].direction(of.variable, size.tolist())
-        off = turn * aside / length if length else math.inf
-        change = EstimatedChange(of.kind, of.variable, of.fault, length, std, of.unit, min=0.0)
-        said.append(replace(change, angle=name, angle_value=value, angle_std=off))
+        said.append(_change(coordinates, cause, found.sizes[at], found.covariance[at, at]))
     return tuple(said)
+
+
+def _change(coordinates: ChangeParameterSet, cause: Cause, size: Floats, covariance: Floats) -> EstimatedChange:
+    of = coordinates.each[cause.columns[0]]
+    what = of.kind, of.variable, of.fault
+    if len(size) == 1:
+        std, limits = math.sqrt(float(covariance[0, 0])), coordinates.limits(of)
+        return EstimatedChange(*what, float(size[0]), std, of.unit, *limits)
+    length = float(np.hypot(*size))
+    along = size / length if length else np.array([1.0, 0.0])
+    across = np.array([-along[1], along[0]])
+    std, aside = (math.sqrt(float(each @ covariance @ each)) for each in (along, across))
+    name, value, turn = coordinates.faults[of.fault].direction(of.variable, size.tolist())
+    off = turn * aside / length if length else math.inf
+    return EstimatedChange(*what, length, std, of.unit, 0.0, math.inf, name, value, off)
 
 
 def score(

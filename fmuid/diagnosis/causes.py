@@ -7,7 +7,7 @@ vector of the plane.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from enum import Enum
 from typing import Annotated
@@ -61,6 +61,9 @@ class CauseKind(Enum):
     def is_share(self) -> bool:
         """True if the size is a share."""
         return self in (CauseKind.GAIN, CauseKind.INPUT_GAIN)
+
+
+SENSOR_KINDS = (CauseKind.GAIN, CauseKind.OFFSET, CauseKind.DELAY)
 
 
 @dataclass(frozen=True)
@@ -137,24 +140,25 @@ class ChangeParameterSet:
     @property
     def normal(self) -> Floats:
         """Standard deviation of each coordinate in a sound machine (N,)."""
-        return np.array([coordinate.normal for coordinate in self.each])
+        return np.array([each.normal for each in self.each])
 
     @property
     def magnitude(self) -> Floats:
-        """Change of each coordinate (N,) that makes its linear model wrong; gains are near 1."""
-        exact, modelled = (CauseKind.OFFSET, CauseKind.DELAY), (CauseKind.PARAMETER, CauseKind.FAULT)
-        return np.array(
-            [
-                each.step / SETTINGS.difference_step if each.kind in modelled else math.inf if each.kind in exact else 1
-                for each in self.each
-            ]
-        )
+        """Change of each coordinate (N,) that makes its linear model wrong."""
+        known = {CauseKind.OFFSET: math.inf, CauseKind.DELAY: math.inf, CauseKind.GAIN: 1.0, CauseKind.INPUT_GAIN: 1.0}
+        return np.array([known.get(each.kind, each.step / SETTINGS.difference_step) for each in self.each])
+
+    def limits(self, of: ChangeParameter) -> tuple[float, float]:
+        """Return the bounds of a size; a vector of the plane has none."""
+        if not of.fault or of.variable in self.faults[of.fault].located:
+            return -math.inf, math.inf
+        parameter = self.faults[of.fault].parameters[of.variable]
+        return parameter.min, parameter.max
 
     @property
     def slow(self) -> Flags:
         """True for coordinates whose changes build up (N,): all but those of sensors."""
-        sensors = (CauseKind.GAIN, CauseKind.OFFSET, CauseKind.DELAY)
-        return np.array([coordinate.kind not in sensors for coordinate in self.each], bool)
+        return np.array([each.kind not in SENSOR_KINDS for each in self.each], bool)
 
     def of(self, kind: CauseKind, variable: str | None = None, fault: str = "") -> list[int]:
         """Return the indices of the coordinates of a kind, a variable (default: all) and a fault."""
@@ -176,31 +180,30 @@ def coordinates_of(
     """Return the coordinates of a machine; `noise` is the standard deviation of each output's noise."""
     each, found, healthy = list[ChangeParameter](), list[Cause](), list[float]()
 
-    def add(new: Sequence[ChangeParameter], size: float | None, *, start: float = 0.0, sign: int = 0) -> None:
-        """Add coordinates, and their cause if it has a size."""
-        columns = tuple(range(len(each), len(each) + len(new)))
+    def add(of: ChangeParameter, size: float | None, *, start: float = 0.0, sign: int = 0, plane: bool = False) -> None:
+        """Add a coordinate, or two of a plane, and their cause if it has a size."""
+        new = [of, replace(of, second=True)] if plane else [of]
+        if size is not None:
+            columns = tuple(range(len(each), len(each) + len(new)))
+            found.append(Cause(of.name, columns, size, sign, modelled=of.kind is CauseKind.FAULT))
         each.extend(new)
         healthy.extend([start] * len(new))
-        if size is not None:
-            found.append(Cause(new[0].name, columns, size, sign, modelled=new[0].kind is CauseKind.FAULT))
 
+    drift = causes.parameter_drift
     for name, parameter in nominal.items():
         magnitude, unit = parameter.nominal or abs(parameter.start) or 1.0, system.unit(name) or ""
         step, normal = SETTINGS.difference_step * magnitude, SETTINGS.open * magnitude
         of = ChangeParameter(CauseKind.PARAMETER, name, unit, step, normal)
-        drift = causes.parameter_drift
-        add([of], None if drift is None else drift.change_std * magnitude, start=parameter.start)
+        add(of, None if drift is None else drift.change_std * magnitude, start=parameter.start)
     for name, fault in faults.items():
         own = System.of(fault.model)
         for size in fault.sizes:
             parameter = fault.parameters[size]
-            magnitude = parameter.nominal or 1.0
+            magnitude, plane = parameter.nominal or 1.0, size in fault.located
             step, normal = SETTINGS.difference_step * magnitude, SETTINGS.sound_share * magnitude
             of = ChangeParameter(CauseKind.FAULT, size, own.unit(size) or "", step, normal, name)
-            if size in fault.located:
-                add([of, replace(of, second=True)], magnitude)
-            else:
-                add([of], magnitude, sign=1 if parameter.min == 0.0 else -1 if parameter.max == 0.0 else 0)
+            sign = 0 if plane else 1 if parameter.min == 0.0 else -1 if parameter.max == 0.0 else 0
+            add(of, magnitude, sign=sign, plane=plane)
     step = float(np.median(np.diff(experiment.times))) or 1.0
     for output in experiment.output_names:
         unit = system.unit(output) or "" if "+" not in output else ""
@@ -211,11 +214,10 @@ def coordinates_of(
         ):
             if width is not None:
                 of = ChangeParameter(kind, output, its_unit, math.nan, width.healthy_std * scale)
-                add([of], width.change_std * scale)
-    if causes.input_gain is not None:
-        for name, values in zip(experiment.input_names, experiment.input_values.T, strict=True):
-            if values.any():
-                normal = causes.input_gain.healthy_std
-                of = ChangeParameter(CauseKind.INPUT_GAIN, name, "", SETTINGS.difference_step, normal)
-                add([of], causes.input_gain.change_std)
+                add(of, width.change_std * scale)
+    gain = causes.input_gain
+    for name, values in zip(experiment.input_names, experiment.input_values.T, strict=True):
+        if gain is not None and values.any():
+            of = ChangeParameter(CauseKind.INPUT_GAIN, name, "", SETTINGS.difference_step, gain.healthy_std)
+            add(of, gain.change_std)
     return ChangeParameterSet(tuple(each), tuple(found), np.array(healthy), faults)

@@ -247,8 +247,8 @@ def _refined(change: EstimatedChange, fault: Fault, fitted: Result, kappa: float
         return change
     value = fitted[change.variable]
     change = replace(change, value=value, std=math.hypot(std, CAUSE_RANKING.own_share * kappa * value))
-    angle = fault.angle(change.angle) if change.angle else None
-    if angle is None:
+    if not change.angle:
         return change
     off = float(fitted.std[fitted.names.index(change.angle)])
-    return replace(change, angle_value=fitted[change.angle] % angle.period, angle_std=off)
+    turned = fitted[change.angle] % fault.angle_of[change.angle].period
+    return replace(change, angle_value=turned, angle_std=off)

@@ -10,7 +10,7 @@ import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, cast
 
 from annotated_types import Gt
 
@@ -91,9 +91,7 @@ class Fault:
             raise InputError("the fault has no parameters. Give at least one, with its nominal.")
         for name, parameter in self.parameters.items():
             if not isinstance(parameter, Parameter):
-                raise InputError(
-                    f"the fault parameter {name!r} must be a Parameter(start=0, nominal=...), not {parameter!r}"
-                )
+                raise InputError(f"the fault parameter {name!r} must be a Parameter(...), not {parameter!r}")
             if parameter.prior is not None:
                 raise InputError(f"the fault parameter {name!r} has a prior. Remove it.")
             if parameter.per_experiment:
@@ -107,22 +105,20 @@ class Fault:
                 raise InputError(f"the bounds of the fault parameter {name!r} exclude 0. Widen them.")
 
     def _angles(self) -> dict[str, FaultAngle]:
-        sizes = [name for name in self.parameters if name not in self.angles]
-        found: dict[str, FaultAngle] = {}
+        sizes, found = self.sizes, dict[str, FaultAngle]()
         for name in self.angles:
+            width = self.parameters[name].max - self.parameters[name].min
             if isinstance(self.angles, Mapping):
                 angle = self.angles[name]
             elif len(sizes) == 1:
-                width = self.parameters[name].max - self.parameters[name].min
                 angle = FaultAngle(sizes[0], width) if math.isfinite(width) else FaultAngle(sizes[0])
             else:
                 raise InputError(
                     f"the angle {name!r} has no clear size ({' or '.join(sizes) or 'none'}). Give its magnitude."
                 )
             if angle.magnitude not in sizes:
-                raise InputError(
-                    f"unknown size {angle.magnitude!r} of the angle {name!r}{nearest(angle.magnitude, sizes)}"
-                )
+                near = nearest(angle.magnitude, sizes)
+                raise InputError(f"unknown size {angle.magnitude!r} of the angle {name!r}{near}")
             if angle.magnitude in (other.magnitude for other in found.values()):
                 raise InputError(f"the size {angle.magnitude!r} has two angles. Give one.")
             found[name] = angle
@@ -133,32 +129,28 @@ class Fault:
         """Parameters that are no angles."""
         return tuple(name for name in self.parameters if name not in self.angles)
 
-    def angle(self, name: str) -> FaultAngle | None:
-        """Return the angle of a parameter, None for a size."""
-        return self.angles[name] if isinstance(self.angles, Mapping) and name in self.angles else None
+    @property
+    def angle_of(self) -> Mapping[str, FaultAngle]:
+        """Angles by parameter."""
+        return cast(Mapping[str, FaultAngle], self.angles)  # made so
 
     @property
     def located(self) -> dict[str, str]:
         """Angle of each size that has one."""
-        return {angle.magnitude: name for name in self.angles if (angle := self.angle(name)) is not None}
+        return {angle.magnitude: name for name, angle in self.angle_of.items()}
 
     def direction(self, size: str, vector: Sequence[float]) -> tuple[str, float, float]:
         """Return angle name and value of a vector, and period / 2π."""
         name = self.located[size]
-        angle = self.angle(name)
-        assert angle is not None  # `located` has only angles
-        (x, y), turn = vector, angle.period / (2.0 * math.pi)
+        (x, y), turn = vector, self.angle_of[name].period / (2.0 * math.pi)
         return name, math.atan2(y, x) % (2.0 * math.pi) * turn, turn
 
     @property
     def searched(self) -> dict[str, Parameter]:
         """Parameters of a fit: angles have no bounds."""
-        return {
-            name: parameter
-            if name not in self.angles
-            else replace(parameter, min=-math.inf, max=math.inf, nominal=parameter.nominal or 1.0)
-            for name, parameter in self.parameters.items()
-        }
+        angles = ((name, self.parameters[name]) for name in self.angles)
+        free = {name: Parameter(p.start, nominal=p.nominal or 1.0) for name, p in angles}
+        return {**self.parameters, **free}
 
     @property
     def zero(self) -> dict[str, float]:
@@ -174,35 +166,32 @@ class Fault:
             If a parameter is both, or a name is unknown.
         """
         healthy = list(common)
-        for name in self.parameters:
-            if name in [self.variable_map.get(each, each) for each in healthy]:
-                raise InputError(
-                    f"the parameter {name!r} belongs to the fault and the healthy machine. Rename or remove one."
-                )
+        twice = {self.variable_map.get(each, each) for each in healthy} & {*self.parameters}
+        for name in sorted(twice):
+            raise InputError(
+                f"the parameter {name!r} belongs to the fault and the healthy machine. Rename or remove one."
+            )
         known = {*healthy, *columns}
         for name in self.variable_map:
             if name not in known:
-                raise InputError(
-                    f"variable_map: unknown variable {name!r} of the healthy machine{nearest(name, known)}"
-                )
+                near = nearest(name, known)
+                raise InputError(f"variable_map: unknown variable {name!r} of the healthy machine{near}")
 
     def renamed(self, experiment: Experiment) -> Experiment:
         """Return an experiment with this model's names of inputs and outputs."""
 
-        def own(given: Iterable[tuple[str, str]]) -> dict[str, str]:
-            return {self.variable_map.get(name, name): value for name, value in given}
+        def own(given: Mapping[str, str]) -> dict[str, str]:
+            return {self.variable_map.get(name, name): value for name, value in given.items()}
 
         if not self.inputs and not set(self.variable_map) & {*experiment.input_names, *experiment.output_names}:
             return experiment
-        inputs, outputs = experiment.inputs, experiment.outputs
-        assert isinstance(inputs, Mapping) and isinstance(outputs, Mapping)  # an Experiment makes them so
         words = experiment.interpolation
         return replace(
             experiment,
-            inputs=own(inputs.items()) | dict(self.inputs),
-            outputs=own(outputs.items()),
-            interpolation=own(words.items()) if isinstance(words, Mapping) else words,
-            units=own(experiment.units.items()),
+            inputs=own({name: experiment.columns[name] for name in experiment.input_names}) | dict(self.inputs),
+            outputs=own({name: experiment.columns[name] for name in experiment.output_names}),
+            interpolation=own(words) if isinstance(words, Mapping) else words,
+            units=own(experiment.units),
         )
 
 
@@ -230,27 +219,22 @@ def common_mode(
             f"the healthy result has no free parameter of this machine, only {', '.join(healthy.names)}. "
             "Give the result of a healthy identification."
         )
-    if isinstance(std_factor, Mapping):
-        for name in std_factor:
-            if name not in known:
-                raise InputError(f"std_factor: unknown parameter {name!r} of the healthy result{nearest(name, known)}")
-    found = {}
-    for name in known:
-        factor = std_factor.get(name, 1.0) if isinstance(std_factor, Mapping) else std_factor
-        own = given.get(name)
-        if own is not None and own.prior is not None:
-            raise InputError(f"{name!r} has two priors: its own and the healthy result's. Remove one.")
-        found[name] = _nominal(name, healthy, factor, own)
+    factors = std_factor if isinstance(std_factor, Mapping) else dict.fromkeys(known, std_factor)
+    for name in factors:
+        if name not in known:
+            raise InputError(f"std_factor: unknown parameter {name!r} of the healthy result{nearest(name, known)}")
+    found = {name: _nominal(name, healthy, factors.get(name, 1.0), given.get(name)) for name in known}
     return found | {name: parameter for name, parameter in given.items() if name not in found}
 
 
 def _nominal(name: str, healthy: Result, factor: float, own: Parameter | None) -> Parameter:
-    normal = healthy.normal(name, inflate=1.0 if math.isinf(factor) and factor > 0 else factor)
-    nominal = own.nominal if own is not None and own.nominal else max(abs(normal.mean), normal.std)
-    low, high = (own.min, own.max) if own is not None else (-math.inf, math.inf)
+    if own is not None and own.prior is not None:
+        raise InputError(f"{name!r} has two priors: its own and the healthy result's. Remove one.")
+    free = factor == math.inf
+    normal = healthy.normal(name, inflate=1.0 if free else factor)
+    nominal = (None if own is None else own.nominal) or max(abs(normal.mean), normal.std)
+    low, high = (-math.inf, math.inf) if own is None else (own.min, own.max)
     try:
-        return Parameter(
-            normal.mean, low, high, nominal, None if math.isinf(factor) else Normal(normal.mean, normal.std)
-        )
+        return Parameter(normal.mean, low, high, nominal, None if free else Normal(normal.mean, normal.std))
     except InputError as error:
         raise InputError(f"{name!r} of the healthy result: {error}") from None

@@ -127,13 +127,14 @@ class MonitorReference:
         self.coordinates = made.coordinates
         self.known = made.healthy.known.drifting(made.healthy.drift)
         self.magnitude = self.coordinates.magnitude
-        self.lower, self.upper = np.full(self.magnitude.size, -np.inf), np.full(self.magnitude.size, np.inf)
-        for i, each in enumerate(self.coordinates.each):
-            of = made.baseline.common if each.kind is CauseKind.PARAMETER else None
-            if each.kind is CauseKind.FAULT and each.variable not in self.coordinates.faults[each.fault].located:
-                of = dict(self.coordinates.faults[each.fault].parameters)
-            if of is not None:
-                self.lower[i], self.upper[i] = of[each.variable].min, of[each.variable].max
+        common = made.baseline.common
+        limits = [
+            (common[each.variable].min, common[each.variable].max)
+            if each.kind is CauseKind.PARAMETER
+            else self.coordinates.limits(each)
+            for each in self.coordinates.each
+        ]
+        self.lower, self.upper = np.array(limits).T
         self.faulty = np.array([each.kind is CauseKind.FAULT for each in self.coordinates.each])
         self.limit = lru_cache(lambda level, windows: log_limit(level, self.coordinates.causes, windows))
 
