@@ -190,7 +190,7 @@ class Campaign:
             "remainder": found.evidence.remainder.probability,
             "named": " or ".join(" + ".join(each.names) for each in naming.named),
             "fault": int(bool(faults) and all(faults)),
-            "D": max(naming.statistics.values()),
+            "D": max(each.statistic for each in found.evidence.suspects),
             "off": " ".join(f"{each:.4g}" for each in _off(right, truth)) if right is not None else "",
         }
 

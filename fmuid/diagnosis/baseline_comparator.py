@@ -44,10 +44,7 @@ class BaselineComparator:
         *,
         fewer: bool = False,
     ) -> BaselineComparator:
-        """Return the comparator of a baseline and new experiments; without causes the faults alone are compared.
-
-        A design needs no regression on the inputs: with `fewer` the file may have more causes.
-        """
+        """Return the comparator of a baseline and new experiments; with `fewer` its file may have more causes."""
         first = (*baseline.records, *experiments)[0]
         _check(first, [*baseline.records[1:], *experiments], baseline)
         for name, fault in faults.items():
@@ -57,19 +54,14 @@ class BaselineComparator:
                 raise InputError(f"fault {name!r}: {error}") from None
         variance = baseline.variance(first.output_names)
         noise = {name: math.sqrt(value) for name, value in variance.items()}
-        beside = causes or Causes(None, None, None, None, None)
-        coordinates = coordinates_of(system, baseline.common, faults, first, noise, beside)
+        alone = Causes(None, None, None, None, None)
+        coordinates = coordinates_of(system, baseline.common, faults, first, noise, causes or alone)
         known, drift = _of_result(baseline, coordinates)
         made = cls(system, baseline, coordinates, BaselineStatistics(known, Whitening.white(variance), drift))
         if not baseline.beside:
             return made
         basis, shown = made._shown(variance, fewer=fewer)
         return replace(made, healthy=BaselineStatistics.of(shown, coordinates, drift, basis), shown=shown)
-
-    @property
-    def basis(self) -> BaselineSource:
-        """Source of the healthy machine."""
-        return self.healthy.basis
 
     def _shown(self, variance: Mapping[str, float], *, fewer: bool) -> tuple[BaselineSource, StoredBaseline]:
         """Return source and sums of healthy records, from the file if fitting."""
@@ -136,11 +128,11 @@ def compute_stored_baseline(
 def _check(first: Experiment, others: Sequence[Experiment], baseline: Baseline) -> None:
     for each in others:
         for role in ("input", "output"):
-            own, wanted = set(getattr(each, f"{role}_names")), set(getattr(first, f"{role}_names"))
+            own, wanted = (sorted(set(getattr(one, f"{role}_names"))) for one in (each, first))
             if own != wanted:
                 raise InputError(
-                    f"{each.source}: {role}s {', '.join(sorted(own)) or 'none'} differ from those of {first.source}: "
-                    f"{', '.join(sorted(wanted)) or 'none'}. Use the same {role}s."
+                    f"{each.source}: {role}s {', '.join(own) or 'none'} differ from those of {first.source}: "
+                    f"{', '.join(wanted) or 'none'}. Use the same {role}s."
                 )
     for record in baseline.records:
         # planned outputs count without a value

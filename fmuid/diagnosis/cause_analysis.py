@@ -112,11 +112,10 @@ def examine(
     at = work.at(coordinates.healthy)
     for _ in range(SETTINGS.null_steps):
         at = work.at(coordinates.healthy + work.null(at.news))
-    chance, null = MinPDistribution.of(at.news, at.causes), at.point
-    naming, steady = work.named(at, chance), True
-    without = ratio = work.variance(null)
+    chance, null, steady = MinPDistribution.of(at.news, at.causes), at.point, True
+    naming = name(at.news, at.causes, level, chance=chance, model_error=model_error)
     if naming.named:
-        naming, at, ratio, steady = work.settled(naming, at, chance, ratio)
+        naming, at, steady = work.settled(naming, at, chance)
     residuals = [residual_of(machines[0].experiment, machines[0].outputs(point)) for point in (null, at.point)]
     evidence = ChangeEvidence(
         naming.probability,
@@ -125,8 +124,8 @@ def examine(
         tuple(score(cause, at.news, at.causes, coordinates) for cause in coordinates.causes),
         model_error,
         naming.temper,
-        ratio,
-        without,
+        work.variance(at.point),
+        work.variance(null),
         sum(int(np.count_nonzero(each.experiment.counted)) for each in machines),
         steady,
         work.remainder(at, naming),
@@ -138,10 +137,7 @@ def examine(
 def error_of(
     trial: LinearizedMachine, healthy: BaselineStatistics, coordinates: ChangeParameterSet, cause: Cause, level: float
 ) -> float:
-    """Return κ by a record with one known cause; NaN without a change.
-
-    A third of the largest √(D₂|₁/D₁), less its mean by chance: pairs are named from about 4 κ on.
-    """
+    """Return κ by a record with one known cause, a third of the largest √(D₂|₁/D₁); NaN without a change."""
     found = examine([trial], healthy, replace(coordinates, causes=(cause,)), level, model_error=0.0)
     if not found.naming.alarm:
         return math.nan
@@ -193,10 +189,6 @@ class _CauseAnalyzer:
         covariance = self.known.after_also(at.said).covariance
         return ChangePrior(self.null(at.news, new), covariance + shared @ spread @ shared.T)
 
-    def named(self, at: Linearization, chance: MinPDistribution) -> CauseRanking:
-        """Rank the causes."""
-        return name(at.news, at.causes, self.level, chance=chance, model_error=self.model_error)
-
     def variance(self, point: Floats) -> float:
         """Return the residual variance at a point over the noise variance."""
         squares, samples = 0.0, 0
@@ -215,12 +207,9 @@ class _CauseAnalyzer:
         return UnexplainedResidual(statistic, degrees, probability(statistic, degrees))
 
     def settled(
-        self, naming: CauseRanking, at: Linearization, chance: MinPDistribution, ratio: float
-    ) -> tuple[CauseRanking, Linearization, float, bool]:
-        """Linearize at the named cause until the name is stable.
-
-        Return name, linearization, variance ratio and success.
-        """
+        self, naming: CauseRanking, at: Linearization, chance: MinPDistribution
+    ) -> tuple[CauseRanking, Linearization, bool]:
+        """Linearize at the named cause until the name is stable; return name, linearization and success."""
         steady = False
         for _ in range(SETTINGS.name_steps):
             best = naming.named[0]
@@ -228,24 +217,18 @@ class _CauseAnalyzer:
             new[best.columns] = best.fit.sizes
             try:
                 there = self.at(self.coordinates.healthy + self.null(at.news, new) + new)
-                with_ = self.variance(there.point)
             except SimulationError:  # too large a step for the model: what was reached before stays
                 break
-            found = self.named(there, chance)
+            found = name(there.news, there.causes, self.level, chance=chance, model_error=self.model_error)
             if not found.named:  # large at the healthy machine, and none where it was said to be
                 break
             steady = found.named[0].names == best.names
-            naming, at, ratio = found, there, with_
-            if steady and _moved(found, best.fit.sizes) < SETTINGS.settled:
+            naming, at, now = found, there, found.named[0].fit
+            std = np.sqrt(np.diag(now.covariance))
+            moved = np.abs(now.sizes - best.fit.sizes) / np.where(std > 0, std, math.inf)
+            if steady and np.all(moved < SETTINGS.settled):
                 break
-        return naming, at, ratio, steady
-
-
-def _moved(naming: CauseRanking, sizes: Floats) -> float:
-    """Return the largest change of the sizes, in standard deviations."""
-    now = naming.named[0].fit
-    std = np.sqrt(np.diag(now.covariance))
-    return float(np.max(np.abs(now.sizes - sizes) / np.where(std > 0, std, math.inf), initial=0.0))
+        return naming, at, steady
 
 
 def _information(machine: LinearizedMachine, whitening: Whitening, point: Floats, healthy: Floats) -> InformationMatrix:
@@ -256,8 +239,8 @@ def _information(machine: LinearizedMachine, whitening: Whitening, point: Floats
 
 def _owed(machines: Sequence[LinearizedMachine], whitening: Whitening, point: Floats) -> InformationMatrix:
     """Return the regression of residuals on earlier inputs at a point (N,)."""
-    each = [_regressed(machine, whitening, point) for machine in machines]
-    return sum(each[1:], start=each[0])
+    first, *others = (_regressed(machine, whitening, point) for machine in machines)
+    return sum(others, start=first)
 
 
 def _regressed(machine: LinearizedMachine, whitening: Whitening, point: Floats) -> InformationMatrix:
@@ -278,20 +261,15 @@ def _regressed(machine: LinearizedMachine, whitening: Whitening, point: Floats) 
 def whitening_of(
     records: Sequence[LinearizedMachine], point: Floats, width: Floats, variances: Mapping[str, float] | None = None
 ) -> Whitening:
-    """Return the noise of records: the residual beside all coordinates, which may be off by `width` (N,).
-
-    Outputs with a given variance keep it.
-    """
+    """Return the noise of records beside all coordinates, which may be off by `width` (N,); given variances stay."""
     residuals = []
     for record in records:
-        outputs, columns = record.linearize(point)
-        experiment = record.experiment
-        rest = residual_of(experiment, outputs)
-        flat = columns[experiment.counted] * width
+        experiment, (outputs, columns) = record.experiment, record.linearize(point)
+        rest, there = residual_of(experiment, outputs), experiment.counted
         # held by springs of its width in units of the residual itself
-        scale = max(float(np.std(rest[experiment.counted])), np.finfo(float).tiny)
-        stacked = np.vstack([flat / scale, np.eye(flat.shape[1])])
-        target = np.concatenate([rest[experiment.counted] / scale, np.zeros(flat.shape[1])])
+        scale = max(float(np.std(rest[there])), np.finfo(float).tiny)
+        stacked = np.vstack([columns[there] * width / scale, np.eye(width.size)])
+        target = np.concatenate([rest[there] / scale, np.zeros(width.size)])
         taken = columns @ (np.linalg.lstsq(stacked, target, rcond=None)[0] * width)
-        residuals.append((experiment, np.where(experiment.counted, rest - taken, 0.0)))
+        residuals.append((experiment, np.where(there, rest - taken, 0.0)))
     return Whitening.of(residuals, variances)

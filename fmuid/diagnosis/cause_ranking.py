@@ -57,7 +57,6 @@ class CauseSet:
 class CauseRanking:
     """Decision about a change, and its causes."""
 
-    statistics: dict[str, float]  # D of each cause alone
     probability: float  # of the likeliest cause by chance, for all causes
     alarm: bool
     named: tuple[CauseSet, ...] = ()  # best first, then those not excluded; empty without an alarm
@@ -72,21 +71,19 @@ def name(
     chance: MinPDistribution | None = None,
     model_error: float = MODEL_ERROR,
 ) -> CauseRanking:
-    """Decide about a change, and rank single causes and pairs.
+    """Decide about a change, and rank single causes and pairs; κ is `model_error`.
 
-    The null distribution `chance` is drawn where it is not given. κ is `model_error`.
+    The null distribution `chance` is drawn where it is not given.
     """
     if not causes:
-        return CauseRanking({}, 1.0, False)
+        return CauseRanking(1.0, False)
     chance = chance or MinPDistribution.of(news, causes)
-    statistics = np.array([fit(news, (cause,)).statistic for cause in causes])
-    smallest = min(probability(d, cause) for d, cause in zip(statistics.tolist(), causes, strict=True))
-    by_name = dict(zip((cause.name for cause in causes), statistics.tolist(), strict=True))
+    smallest = min(probability(fit(news, (cause,)).statistic, cause) for cause in causes)
     adjusted = chance.adjusted(smallest)
     if smallest > chance.limit(level):
-        return CauseRanking(by_name, adjusted, False)
+        return CauseRanking(adjusted, False)
     temper, likely = rank_with_model_error(news, causes, level, model_error)
-    return CauseRanking(by_name, adjusted, True, likely, temper)
+    return CauseRanking(adjusted, True, likely, temper)
 
 
 def rank_with_model_error(
@@ -107,9 +104,9 @@ def _pairs(
     news: ScoreStatistics, causes: Sequence[Cause], single: float, temper: float, level: float
 ) -> list[tuple[Cause, ...]]:
     """Return candidate pairs; none if a single cause explains as much."""
-    pairs = list(itertools.combinations(causes, 2))
-    if not pairs:
+    if len(causes) < 2:
         return []
+    pairs = list(itertools.combinations(causes, 2))
     gains = (_together(news, pairs) - single) / temper
     best = int(np.argmax(gains))
     more = max(len(cause.columns) for cause in pairs[best])
@@ -139,8 +136,8 @@ def _together(news: ScoreStatistics, pairs: Sequence[tuple[Cause, Cause]]) -> Fl
 def estimate_sizes(news: ScoreStatistics, causes: Sequence[Cause], model_error: float) -> CauseFit:
     """Return the sizes of one or two causes, with the models' error.
 
-    κ bounds the error of a model at its own best size. Along another's orthogonal part it has κ √D, which the other
-    size takes for its own. The own size is wrong by a share of κ.
+    Along another's orthogonal part a model has the error κ √D, which the other size takes for its own. The own size is
+    wrong by a share of κ.
     """
     found = fit(news, causes)
     first = np.arange(len(found.sizes)) < len(causes[0].columns)
@@ -164,8 +161,7 @@ def estimate_sizes(news: ScoreStatistics, causes: Sequence[Cause], model_error: 
 def log_bayes_factor(news: ScoreStatistics, causes: Sequence[Cause]) -> float:
     """Return the log Bayes factor of some causes against no change.
 
-    Sizes are N(0, size²): ½ hᵀ(F + τ⁻²)⁻¹h − ½ ln|I + τFτ|. With known signs (half-normal) the ratio of the
-    probabilities of the right signs, after the record and before, is added.
+    Sizes are N(0, size²): ½ hᵀ(F + τ⁻²)⁻¹h − ½ ln|I + τFτ|, half-normal with known signs.
     """
     columns = [i for cause in causes for i in cause.columns]
     slab = np.array([cause.size for cause in causes for _ in cause.columns])
@@ -176,22 +172,16 @@ def log_bayes_factor(news: ScoreStatistics, causes: Sequence[Cause]) -> float:
     found = 0.5 * float(slab * score @ mean) - 0.5 * float(np.linalg.slogdet(precision)[1])
     signs = np.array([cause.sign for cause in causes for _ in cause.columns])
     signed = np.flatnonzero(signs)
-    return found + signed.size * math.log(2.0) + _log_right_signs(mean, covariance, signs, signed)
+    std = np.sqrt(np.diag(covariance))[signed]
+    own = (mean * signs)[signed] / std
+    if signed.size > 1:
+        from scipy.stats import multivariate_normal  # slow to import
 
-
-def _log_right_signs(mean: Floats, covariance: Floats, signs: Floats, signed: np.ndarray) -> float:
-    """Return the log-probability of the right signs."""
-    if not signed.size:
-        return 0.0
-    own = (mean * signs)[signed] / np.sqrt(np.diag(covariance)[signed])
-    if signed.size == 1:
-        return float(special.log_ndtr(own[0]))
-    part = covariance[np.ix_(signed, signed)] * np.outer(signs[signed], signs[signed])
-    std = np.sqrt(np.diag(part))
-    from scipy.stats import multivariate_normal  # slow to import
-
-    both = float(multivariate_normal.cdf(own, cov=part / np.outer(std, std)))
-    return math.log(both) if both > 0.0 else float(special.log_ndtr(own).sum())
+        part = covariance[np.ix_(signed, signed)] * np.outer(signs[signed], signs[signed])
+        both = float(multivariate_normal.cdf(own, cov=part / np.outer(std, std)))
+        if both > 0.0:
+            return found + signed.size * math.log(2.0) + math.log(both)
+    return found + signed.size * math.log(2.0) + float(special.log_ndtr(own).sum())
 
 
 def angle(news: ScoreStatistics, one: Cause, other: Cause) -> float:
@@ -202,10 +192,14 @@ def angle(news: ScoreStatistics, one: Cause, other: Cause) -> float:
     return float(math.acos(min(1.0, float(np.linalg.svd(cosines, compute_uv=False)[0]))))
 
 
-def distinguishable_size(news: ScoreStatistics, one: Cause, other: Cause, model_error: float = MODEL_ERROR) -> float:
-    """Return the size that excludes the other cause; infinite if none.
+def nearest_cause(news: ScoreStatistics, cause: Cause, others: Sequence[Cause]) -> tuple[str, float]:
+    """Return name and angle, rad, of the cause with the nearest signature; "" and NaN without others."""
+    angles = {other.name: angle(news, cause, other) for other in others}
+    return min(angles.items(), key=lambda each: each[1], default=("", math.nan))
 
-    The other cause is excluded in 90 % of records.
+
+def distinguishable_size(news: ScoreStatistics, one: Cause, other: Cause, model_error: float = MODEL_ERROR) -> float:
+    """Return the size that excludes the other cause in 90 % of records; infinite if none.
 
     From ½ D sin²φ − z √D sin φ > ln 20 (1 + κ² D), with z the 90 % point of the normal distribution.
     """

@@ -11,7 +11,7 @@ from scipy import special
 
 from fmuid.array_types import Floats
 from fmuid.diagnosis.baseline import BaselineSource
-from fmuid.diagnosis.cause_ranking import CauseSet, angle
+from fmuid.diagnosis.cause_ranking import CauseSet, nearest_cause
 from fmuid.diagnosis.causes import Cause, CauseKind, ChangeParameterSet, name_of
 from fmuid.diagnosis.change_detection import CauseFit, fit, probability
 from fmuid.diagnosis.information_matrix import ScoreStatistics
@@ -212,10 +212,11 @@ def score(
 ) -> CauseScore:
     """Return a cause alone, beside the other causes that the records determine."""
     if cause not in determined:
-        at, none = coordinates.each[cause.columns[0]], math.inf
-        return CauseScore(EstimatedChange(at.kind, at.variable, at.fault, 0.0, none, at.unit), 0.0, 1.0, "", math.nan)
+        at = coordinates.each[cause.columns[0]]
+        return CauseScore(
+            EstimatedChange(at.kind, at.variable, at.fault, 0.0, math.inf, at.unit), 0.0, 1.0, "", math.nan
+        )
     alone = fit(news, (cause,))
-    near = {other.name: angle(news, cause, other) for other in determined if other is not cause}
-    rival = min(near, key=lambda each: near[each], default="")
-    own = changes((cause,), alone, coordinates)[0], alone.statistic, probability(alone.statistic, cause)
-    return CauseScore(*own, rival, near.get(rival, math.nan))
+    (change,) = changes((cause,), alone, coordinates)
+    near = nearest_cause(news, cause, [other for other in determined if other is not cause])
+    return CauseScore(change, alone.statistic, probability(alone.statistic, cause), *near)

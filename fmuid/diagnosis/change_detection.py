@@ -56,12 +56,7 @@ def log_tail(statistics: Floats, degrees: int) -> Floats:
 
 def log_chances(statistics: Floats, causes: Sequence[Cause]) -> Floats:
     """Return `log_chance` of several causes: of statistics (T, m), one column a cause."""
-    found = np.empty(statistics.shape)
-    kinds = [(len(cause.columns), bool(cause.sign)) for cause in causes]
-    for kind in set(kinds):
-        at = [k for k, other in enumerate(kinds) if other == kind]
-        found[:, at] = log_chance(statistics[:, at], causes[at[0]])
-    return found
+    return np.column_stack([log_chance(own, cause) for own, cause in zip(statistics.T, causes, strict=True)])
 
 
 def log_limit(level: float, causes: Sequence[Cause], windows: int) -> float:
@@ -117,8 +112,6 @@ def fit(news: ScoreStatistics, causes: Sequence[Cause]) -> CauseFit:
     for count in range(signed.size + 1):
         for dropped in itertools.combinations(signed.tolist(), count):
             kept = [i for i in range(len(columns)) if i not in dropped]
-            if not kept:
-                continue
             try:
                 covariance = np.linalg.inv(information[kept][:, kept])
             except np.linalg.LinAlgError:  # these causes cannot be told apart; each by itself is tried too

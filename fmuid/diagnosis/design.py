@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -22,7 +22,7 @@ from fmuid.blas import single_threaded
 from fmuid.data import Experiment
 from fmuid.diagnosis.baseline import Baseline
 from fmuid.diagnosis.baseline_comparator import BaselineComparator
-from fmuid.diagnosis.cause_ranking import angle, distinguishable_size
+from fmuid.diagnosis.cause_ranking import distinguishable_size, nearest_cause
 from fmuid.diagnosis.causes import CauseKind
 from fmuid.diagnosis.change_detection import MinPDistribution, detectable
 from fmuid.diagnosis.diagnose import DiagnosisSettings
@@ -46,9 +46,9 @@ class MinimumDetectableFault:
     std: float  # of its estimate
     unit: str
     share: float  # of the variance, by the errors of the healthy record: a longer test does not lower it
-    rival: str = ""  # other cause with the nearest signature
-    rival_angle: float = math.nan  # between the two signatures, rad
-    apart: float = math.nan  # size from which every other cause is excluded, 20 : 1 in 90 % of records
+    rival: str  # other cause with the nearest signature, "" without
+    rival_angle: float  # between the two signatures, rad
+    apart: float  # size from which every other cause is excluded, 20 : 1 in 90 % of records
 
 
 class Design:
@@ -123,9 +123,8 @@ class Design:
         known, drift = made.healthy.known, made.healthy.drift
         if healthy is not None:
             longer = min(healthy, 1e4)  # endless
-            known = ChangePrior.after(
-                InformationMatrix(longer * said.matrix, longer * said.score), made.coordinates.normal
-            )
+            record = InformationMatrix(longer * said.matrix, longer * said.score)
+            known = ChangePrior.after(record, made.coordinates.normal)
         sharp = ScoreStatistics.of(said, ChangePrior(0.0 * known.mean, 0.0 * known.covariance).drifting(drift))
         news = ScoreStatistics.of(said, known.drifting(drift))
         every, level = made.coordinates.causes, self.settings.level
@@ -143,12 +142,11 @@ class Design:
                 continue
             least = [float(np.linalg.eigvalsh(each.part(cause.columns)[0])[0]) for each in (news, sharp)]
             value, share = detectable(news, cause, limit, self.miss), 1.0 - least[0] / least[1]
-            angles = {other.name: angle(news, cause, other) for other in determined if other is not cause}
-            rival = min(angles, key=lambda name: angles[name], default="")
-            sizes = (distinguishable_size(news, cause, other, kappa) for other in determined if other is not cause)
-            size = MinimumDetectableFault(of.fault, of.variable, value, least[0] ** -0.5, of.unit, share)
-            near = angles.get(rival, math.nan)
-            found.append(replace(size, rival=rival, rival_angle=near, apart=max([value, *sizes])))
+            others = [other for other in determined if other is not cause]
+            rival, near = nearest_cause(news, cause, others)
+            apart = max([value, *(distinguishable_size(news, cause, other, kappa) for other in others)])
+            size = value, least[0] ** -0.5, of.unit, share, rival, near, apart
+            found.append(MinimumDetectableFault(of.fault, of.variable, *size))
         return tuple(found)
 
     def cost(self, excitation: Experiment, healthy: Sequence[float] = (1.0, 3.0, 10.0, 100.0)) -> pd.DataFrame:

@@ -18,7 +18,7 @@ from annotated_types import Ge, Gt, Lt
 from scipy import special
 
 from fmuid.blas import single_threaded
-from fmuid.data import Experiment, Noise, Parameter
+from fmuid.data import Experiment, Noise
 from fmuid.diagnosis.baseline import Baseline, BaselineSource
 from fmuid.diagnosis.baseline_comparator import BaselineComparator
 from fmuid.diagnosis.cause_analysis import Examination, examine
@@ -129,7 +129,7 @@ def diagnose(
     machines = [made.machine(each) for each in listed]
     found = examine(machines, made.healthy, made.coordinates, how.level, kappa)
     evidence, fitted = found.evidence, None
-    if made.basis is BaselineSource.RESULT and evidence.explanations:
+    if evidence.basis is BaselineSource.RESULT and evidence.explanations:
         best = evidence.explanations[0]
         if len(best.faults) == 1:
             tell(FaultStep(share=0.5, fault=best.faults[0]))
@@ -137,17 +137,15 @@ def diagnose(
             refined = tuple(_refined(each, faults[each.fault], fitted, kappa) for each in best.changes)
             explanations = (Explanation(refined, best.odds), *evidence.explanations[1:])
             evidence = replace(evidence, explanations=explanations)
-    nominal = found.estimate
+    values = (made.coordinates.healthy + found.estimate.mean).tolist()
+    stds = np.sqrt(np.maximum(np.diag(found.estimate.covariance), 0.0)).tolist()
     return Diagnosis(
         level=how.level,
         evidence=evidence,
         unexplained=_unexplained(evidence, found, known.freedom, how.level),
-        nominal={
-            name: (float(made.coordinates.healthy[i] + nominal.mean[i]), math.sqrt(max(0.0, nominal.covariance[i, i])))
-            for i, name in enumerate(known.common)
-        },
+        nominal=dict(zip(known.common, zip(values, stds, strict=True), strict=False)),
         noise_variance=known.variance(listed[0].output_names),
-        deviation=_deviation(found) if made.basis is BaselineSource.RESULT else None,
+        deviation=_deviation(found) if evidence.basis is BaselineSource.RESULT else None,
         version=__version__,
         accuracy=None if fitted is None else fitted.accuracy,
         fitted=() if fitted is None else fitted.names,
@@ -161,8 +159,8 @@ def _mismatched(machines: Sequence[LinearizedMachine], made: BaselineComparator)
     """Return the faults whose models differ from the healthy machine at zero."""
     squares = dict.fromkeys(made.coordinates.faults, 0.0)
     for machine in machines:
+        std = [made.healthy.whitening.std(output) for output in machine.experiment.output_names]
         for name, apart in machine.apart_at_zero().items():
-            std = [made.healthy.whitening.std(output) for output in machine.experiment.output_names]
             squares[name] += float(np.sum((apart / std)[machine.experiment.counted] ** 2))
     return tuple(name for name, value in squares.items() if value > SAME_CRITERION)
 
@@ -181,8 +179,7 @@ def _deviation(found: Examination) -> BaselineDeviation | None:
     """Return the nominal parameter farthest outside its prior, beside the named causes."""
     news, at = found.at.news, found.coordinates.of(CauseKind.PARAMETER)
     score, information = news.score[at], np.diag(news.information)[at]
-    if found.naming.named:
-        named = found.naming.named[0]
+    for named in found.naming.named[:1]:
         shared = news.information[np.ix_(at, named.columns)]
         score = score - shared @ named.fit.sizes
         information = information - np.sum(shared * np.linalg.solve(news.part(named.columns)[0], shared.T).T, axis=1)
@@ -196,8 +193,8 @@ def _deviation(found: Examination) -> BaselineDeviation | None:
 def _residuals(experiment: Experiment, found: Examination) -> pd.DataFrame:
     columns = {"time": experiment.times}
     for kind, values in zip(("healthy", "fault"), found.residuals, strict=True):
-        for j, output in enumerate(experiment.output_names):
-            columns[f"{kind}.{output}"] = np.where(experiment.counted[:, j], values[:, j], math.nan)
+        shown = np.where(experiment.counted, values, math.nan)
+        columns |= {f"{kind}.{name}": own for name, own in zip(experiment.output_names, shown.T, strict=True)}
     return pd.DataFrame(columns)
 
 
@@ -215,29 +212,23 @@ def _fitted(
     fault, baseline = made.coordinates.faults[best.faults[0]], made.baseline
     named = {each.variable: each.value for each in best.changes}
     named |= {each.angle: each.angle_value for each in best.changes if each.angle}
-    common = {fault.variable_map.get(name, name): parameter for name, parameter in baseline.common.items()}
+    sizes = {name: each for name, each in fault.searched.items() if name in named}
+    searched = fault.own_names(baseline.common) | sizes
     nominal = made.coordinates.healthy + found.estimate.mean
-    start = [*nominal[: len(common)], *(named[name] for name in fault.searched if name in named)]
-    searched: dict[str, Parameter] = common | {name: each for name, each in fault.searched.items() if name in named}
-    held = {name: value for name, value in fault.zero.items() if name not in named}
+    start = [*nominal[: len(baseline.common)], *(named[name] for name in sizes)]
     variance = baseline.variance(experiments[0].output_names)
     problem = Problem(
         System.of(fault.model),
         [fault.renamed(each) for each in experiments],
         searched,
-        noise=Noise({fault.variable_map.get(name, name): value for name, value in variance.items()}),
-        values={**fault.values, **held},
+        noise=Noise(fault.own_names(variance)),
+        values={**fault.values, **{name: value for name, value in fault.zero.items() if name not in named}},
         sensitivity=how.sensitivity,
     )
     problem = problem.finer(baseline.refinement)  # that of the healthy record, whose estimates are the prior
-    bounds = zip(start, searched.values(), strict=True)
-    return identify(
-        problem,
-        how.search,
-        start=np.array([min(max(value, each.min), each.max) for value, each in bounds]),
-        solver_check=how.solver_check,
-        restart=False,
-    )
+    low, high = np.array([(each.min, each.max) for each in searched.values()]).T
+    begin = np.clip(start, low, high)
+    return identify(problem, how.search, start=begin, solver_check=how.solver_check, restart=False)
 
 
 def _refined(change: EstimatedChange, fault: Fault, fitted: Result, kappa: float) -> EstimatedChange:

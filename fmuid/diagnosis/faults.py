@@ -10,7 +10,7 @@ import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Annotated, cast
+from typing import Annotated, TypeVar, cast
 
 from annotated_types import Gt
 
@@ -19,6 +19,8 @@ from fmuid.errors import InputError
 from fmuid.estimation import Result
 from fmuid.formatting import nearest, of_one_experiment
 from fmuid.models import FMU, System
+
+T = TypeVar("T")
 
 
 @dataclass(frozen=True)
@@ -166,8 +168,8 @@ class Fault:
             If a parameter is both, or a name is unknown.
         """
         healthy = list(common)
-        twice = {self.variable_map.get(each, each) for each in healthy} & {*self.parameters}
-        for name in sorted(twice):
+        twice = {self.variable_map.get(each, each) for each in healthy} & self.parameters.keys()
+        for name in twice:
             raise InputError(
                 f"the parameter {name!r} belongs to the fault and the healthy machine. Rename or remove one."
             )
@@ -177,21 +179,22 @@ class Fault:
                 near = nearest(name, known)
                 raise InputError(f"variable_map: unknown variable {name!r} of the healthy machine{near}")
 
+    def own_names(self, given: Mapping[str, T]) -> dict[str, T]:
+        """Return values of healthy variables under this model's names."""
+        return {self.variable_map.get(name, name): value for name, value in given.items()}
+
     def renamed(self, experiment: Experiment) -> Experiment:
         """Return an experiment with this model's names of inputs and outputs."""
-
-        def own(given: Mapping[str, str]) -> dict[str, str]:
-            return {self.variable_map.get(name, name): value for name, value in given.items()}
-
         if not self.inputs and not set(self.variable_map) & {*experiment.input_names, *experiment.output_names}:
             return experiment
         words = experiment.interpolation
         return replace(
             experiment,
-            inputs=own({name: experiment.columns[name] for name in experiment.input_names}) | dict(self.inputs),
-            outputs=own({name: experiment.columns[name] for name in experiment.output_names}),
-            interpolation=own(words) if isinstance(words, Mapping) else words,
-            units=own(experiment.units),
+            inputs=self.own_names({name: experiment.columns[name] for name in experiment.input_names})
+            | dict(self.inputs),
+            outputs=self.own_names({name: experiment.columns[name] for name in experiment.output_names}),
+            interpolation=self.own_names(words) if isinstance(words, Mapping) else words,
+            units=self.own_names(experiment.units),
         )
 
 

@@ -42,10 +42,7 @@ class Whitening:
     def of(
         cls, records: Sequence[tuple[Experiment, Floats]], variances: Mapping[str, float] | None = None
     ) -> Whitening:
-        """Return the noise of healthy residuals (K, n_outputs), pooled by output.
-
-        Given variances stay.
-        """
+        """Return the noise of healthy residuals (K, n_outputs), pooled by output; given variances stay."""
         parts: dict[str, list[tuple[OutputSeries, Floats]]] = {}
         for experiment, residual in records:
             for series in output_series([experiment], experiment.output_names):
@@ -100,10 +97,7 @@ class ChangePrior:
 
     @classmethod
     def after(cls, record: InformationMatrix, normal: Floats) -> ChangePrior:
-        """Return the distribution after a healthy record: m = C g, C = (G + B⁻²)⁻¹.
-
-        B is the standard deviation of each coordinate in a sound machine (N,); without it C is singular.
-        """
+        """Return the distribution after a healthy record: m = C g, C = (G + B⁻²)⁻¹; B is `normal` (N,)."""
         # scaled by what is normal, so that neither units nor wide ranges spoil the solution
         scaled = record.matrix * np.outer(normal, normal) + np.eye(normal.size)
         inverse = scipy.linalg.inv(scaled, check_finite=False)
@@ -114,8 +108,7 @@ class ChangePrior:
     def after_several(cls, records: Sequence[InformationMatrix], normal: Floats) -> ChangePrior:
         """Return the distribution after healthy records, with the healthy model's error.
 
-        The error is the positive part of cov(m_i) − mean C_i in the metric of mean C. It counts once more for
-        the new record. K records scale it by (K − 1)/(K − 3). Fewer than four are pooled, without it.
+        The error is the positive part of cov(m_i) − mean C_i in the metric of mean C, once more for the new record.
         """
         if len(records) < 4:  # from four records on (K − 1)/(K − 3) is finite, the variance of their t distribution
             return cls.after(sum(records[1:], start=records[0]), normal)

@@ -134,16 +134,13 @@ class _Model:
         for k, (i, pair) in enumerate(steps.items()):
             points[1 + 2 * k : 3 + 2 * k, i] += pair
         outputs = self.simulate(points)
-        beside = outputs - outputs[0]
-        slopes = {
-            i: parabola_slope(beside[1 + 2 * k], beside[2 + 2 * k], low, high)
-            for k, (i, (low, high)) in enumerate(steps.items())
-        }
+        off = outputs - outputs[0]
+        slopes = {i: parabola_slope(off[1 + 2 * k], off[2 + 2 * k], *steps[i]) for k, i in enumerate(steps)}
         for i in self.gains:
             if i in wanted:
-                step, pair = self.coordinates.each[i].step, np.tile(point, (2, 1))
-                pair[:, i] += [-step, step]
-                below, above = (self.simulate(each[None])[0] for each in pair)
+                step, beside = self.coordinates.each[i].step, np.tile(point, (2, 1, 1))
+                beside[:, 0, i] += [-step, step]
+                below, above = (self.simulate(each)[0] for each in beside)
                 slopes[i] = (above - below) / (2.0 * step)
         return outputs[0], slopes
 

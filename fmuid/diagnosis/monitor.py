@@ -286,7 +286,7 @@ class Monitor:
     @property
     def basis(self) -> BaselineSource:
         """Source of the healthy machine."""
-        return BaselineSource.RECORDS if self._made is None else self._made.basis
+        return BaselineSource.RECORDS if self._made is None else self._made.healthy.basis
 
     @property
     def units(self) -> dict[str, str]:

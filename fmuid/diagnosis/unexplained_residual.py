@@ -53,10 +53,7 @@ NOTHING_LEFT = UnexplainedResidual(0.0, 0, 1.0)
 
 
 def lagged(inputs: Floats, spans: Sequence[int] = SETTINGS.spans) -> Floats:
-    """Return a constant and inputs (n, m) summed over spans of lags.
-
-    Shape: (n, 1 + (len(spans) − 1) m).
-    """
+    """Return a constant and inputs (n, m) summed over spans of lags: (n, 1 + (len(spans) − 1) m)."""
     sums = np.vstack([np.zeros((1, inputs.shape[1])), np.cumsum(inputs, axis=0)])
     ends = 1 + np.arange(len(inputs))
     until = [sums[np.maximum(ends - lag, 0)] for lag in spans]
@@ -64,24 +61,17 @@ def lagged(inputs: Floats, spans: Sequence[int] = SETTINGS.spans) -> Floats:
 
 
 def regression(residual: Floats, regressors: Floats, jacobian: Floats) -> InformationMatrix:
-    """Return the regression of a whitened residual (n,) on regressors (n, k).
-
-    The Jacobian (n, N) is fitted beside them.
-    """
+    """Return the regression of a whitened residual (n,) on regressors (n, k) beside the Jacobian (n, N)."""
     norms = np.linalg.norm(jacobian, axis=0)
     basis, values, _ = np.linalg.svd(jacobian / np.where(norms > 0, norms, 1.0), full_matrices=False)
     spanned = basis[:, values > SETTINGS.spanned * values.max(initial=0.0)]
     shared = spanned.T @ regressors
-    return InformationMatrix(
-        regressors.T @ regressors - shared.T @ shared, regressors.T @ residual - shared.T @ (spanned.T @ residual)
-    )
+    own = InformationMatrix.of(regressors, residual)
+    return InformationMatrix(own.matrix - shared.T @ shared, own.score - shared.T @ (spanned.T @ residual))
 
 
 def change(healthy: InformationMatrix, new: InformationMatrix) -> tuple[float, int]:
-    """Return χ² of the coefficients' change, and its degrees of freedom.
-
-    Directions that either record does not determine are left out.
-    """
+    """Return χ² of the coefficients' change, and its degrees of freedom: directions that both records determine."""
     basis = np.eye(healthy.score.size)
     for matrix in (healthy.matrix + new.matrix, healthy.matrix, new.matrix):
         values, vectors = np.linalg.eigh(basis.T @ matrix @ basis)

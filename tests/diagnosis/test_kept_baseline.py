@@ -63,7 +63,7 @@ def test_file_and_records_agree(kept: Path, tmp_path: Path) -> None:
     from_file, records = made(asked(kept)), made(asked(without, healthy_data=["healthy.csv"]))
     fewer = {"sensor_gain": False, "sensor_delay": False}
     few = made(asked(without, causes=fewer, healthy_data=["healthy.csv"]))
-    assert (from_file.basis, records.basis) == (BaselineSource.FILE, BaselineSource.RECORDS)
+    assert (from_file.healthy.basis, records.healthy.basis) == (BaselineSource.FILE, BaselineSource.RECORDS)
     assert from_file.healthy.known.mean == pytest.approx(records.healthy.known.mean, rel=1e-9)
     assert from_file.healthy.known.covariance == pytest.approx(records.healthy.known.covariance, rel=1e-9)
     # of fewer causes: the noise is that beside all of them
@@ -81,8 +81,8 @@ def test_diagnosis_and_monitoring_use_the_file(kept: Path, tmp_path: Path) -> No
     assert fmuid.Diagnosis.from_json(found.to_json(tmp_path / "diagnosis.json")).evidence == found.evidence
     assert run_monitoring(asked(kept), [kept / "test1.csv"]).basis is BaselineSource.FILE
     wider = {"sensor_offset": {"healthy_std": 0.5, "change_std": 1.0}}  # not of the healthy machine
-    assert made(asked(kept, causes=wider, healthy_data=["healthy.csv"])).basis is BaselineSource.FILE
-    assert made(asked(kept, healthy_data=["test2.csv"])).basis is BaselineSource.OTHER_RECORDS
+    assert made(asked(kept, causes=wider, healthy_data=["healthy.csv"])).healthy.basis is BaselineSource.FILE
+    assert made(asked(kept, healthy_data=["test2.csv"])).healthy.basis is BaselineSource.OTHER_RECORDS
 
 
 @pytest.mark.parametrize(
@@ -98,9 +98,9 @@ def test_diagnosis_and_monitoring_use_the_file(kept: Path, tmp_path: Path) -> No
 def test_a_file_that_does_not_fit(kept: Path, top: dict[str, Any], own: dict[str, Any], basis: BaselineSource) -> None:
     with pytest.raises(fmuid.InputError, match=f"made with {basis.value} than in this study"):
         made(asked(kept, top, **own))
-    found = made(asked(kept, top, healthy_data=["healthy.csv"], **own))
-    assert found.basis is basis
-    assert f"not used ({UNLIKE[basis]})" in basis_notes(found.basis)[0].text
+    found = made(asked(kept, top, healthy_data=["healthy.csv"], **own)).healthy.basis
+    assert found is basis
+    assert f"not used ({UNLIKE[basis]})" in basis_notes(found)[0].text
 
 
 @pytest.mark.parametrize(
