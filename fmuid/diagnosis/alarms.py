@@ -147,8 +147,7 @@ class Trend:
         covariance = np.linalg.inv(lines.T @ (weight[:, None] * lines))
         value, rate = (covariance @ (lines.T @ (weight * values[known]))).tolist()
         std, rate_std = np.sqrt(np.diag(covariance)).tolist()
-        reached = _reached(value, rate, rate_std, limit)
-        return cls(column, value, std, rate, rate_std, limit, reached)
+        return cls(column, value, std, rate, rate_std, limit, _reached(value, rate, rate_std, limit))
 
 
 def _reached(value: float, rate: float, rate_std: float, limit: float) -> tuple[float, float, float]:

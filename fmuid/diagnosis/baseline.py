@@ -119,13 +119,7 @@ class StoredBaseline:
 
     @classmethod
     def read(cls, path: Path, *, needed: bool = True) -> StoredBaseline:
-        """Read a ``baseline.npz``; of a damaged one that is not `needed` only the path.
-
-        Raises
-        ------
-        InputError
-            If it is needed and damaged, or another file.
-        """
+        """Read a ``baseline.npz``; of a damaged one that is not `needed` only the path."""
         try:
             sums = read_arrays(path)
             text = from_json(_Description, json.loads(sums.pop("text").tobytes()))
@@ -225,13 +219,7 @@ class Baseline:
 
     @classmethod
     def of(cls, given: Self | Result | str | Path) -> Self:
-        """Return a baseline, also of a result or of its ``result.json``.
-
-        Raises
-        ------
-        InputError
-            If the file cannot be read, or as the class.
-        """
+        """Return a baseline, also of a result or of its ``result.json``; errors as of both."""
         if isinstance(given, cls):
             return given
         return cls(given if isinstance(given, Result) else Result.from_json(given))  # type: ignore[arg-type]
@@ -252,13 +240,7 @@ class Baseline:
         return float(self.result.fit.degrees_of_freedom) if self.noise_variance is None else math.inf
 
     def variance(self, outputs: Sequence[str]) -> dict[str, float]:
-        """Return the noise variance of each output.
-
-        Raises
-        ------
-        InputError
-            If one is not known.
-        """
+        """Return the noise variance of each output; an `InputError` if one is not known."""
         if self.noise_variance is not None:
             given = dict(zip(outputs, Noise(self.noise_variance).known(tuple(outputs)).tolist(), strict=True))
             for name, value in given.items():
@@ -266,10 +248,9 @@ class Baseline:
                     raise InputError(f"noise.variance lacks the output {name!r}. Add it.")
             return given
         known = self.result.fit.variance
-        for name in outputs:
-            if name not in known:
-                raise InputError(
-                    f"the healthy result has no noise variance of {name!r}, only of {', '.join(known)}. "
-                    "Measure the same outputs, or give noise.variance."
-                )
+        for name in (each for each in outputs if each not in known):
+            raise InputError(
+                f"the healthy result has no noise variance of {name!r}, only of {', '.join(known)}. "
+                "Measure the same outputs, or give noise.variance."
+            )
         return {name: known[name] for name in outputs}

@@ -1,8 +1,4 @@
-"""Analysis of causes: linearize, test and rank until the name is stable.
-
-The joint covariance of the healthy coordinates, widened by drift, is the prior of a new record. D at the healthy
-machine is too small for large faults: the models are linearized again at the named cause.
-"""
+"""Analysis of causes: linearize, test and rank, again at the named cause, until the name is stable."""
 
 from __future__ import annotations
 
@@ -137,7 +133,7 @@ def examine(
 def error_of(
     trial: LinearizedMachine, healthy: BaselineStatistics, coordinates: ChangeParameterSet, cause: Cause, level: float
 ) -> float:
-    """Return κ by a record with one known cause, a third of the largest √(D₂|₁/D₁); NaN without a change."""
+    """Return κ by a record with one known cause: √(D₂|₁/D₁)/3; NaN without a change."""
     found = examine([trial], healthy, replace(coordinates, causes=(cause,)), level, model_error=0.0)
     if not found.naming.alarm:
         return math.nan
@@ -261,7 +257,7 @@ def _regressed(machine: LinearizedMachine, whitening: Whitening, point: Floats) 
 def whitening_of(
     records: Sequence[LinearizedMachine], point: Floats, width: Floats, variances: Mapping[str, float] | None = None
 ) -> Whitening:
-    """Return the noise of records beside all coordinates, which may be off by `width` (N,); given variances stay."""
+    """Return the noise of records beside coordinates that may be off; given variances stay."""
     residuals = []
     for record in records:
         experiment, (outputs, columns) = record.experiment, record.linearize(point)

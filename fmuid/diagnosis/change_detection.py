@@ -1,10 +1,4 @@
-"""Test for changes: statistics of causes, and their null distribution, also window by window.
-
-References
-----------
-D. Siegmund, E. S. Venkatraman, "Using the generalized likelihood ratio statistic for sequential detection of a
-change-point", Annals of Statistics 23, 1995; P. H. Westfall, S. S. Young, "Resampling-Based Multiple Testing", 1993.
-"""
+"""Test for changes: statistics of causes and their null distribution (docs/method/diagnosis.md, monitoring.md)."""
 
 from __future__ import annotations
 
@@ -175,11 +169,7 @@ class MinPDistribution:
 
 
 def detectable(news: ScoreStatistics, cause: Cause, limit: float, miss: float) -> float:
-    """Return the detectable size of a cause.
-
-    It is missed in a fraction `miss` (below one half) of records. `limit` is the threshold of the smallest
-    probability (`MinPDistribution.limit`).
-    """
+    """Return the size of a cause that is missed in a fraction `miss` of records at a `MinPDistribution.limit`."""
     information, _ = news.part(cause.columns)
     std = 1.0 / math.sqrt(float(np.linalg.eigvalsh(information)[0]))  # the direction that shows least
     if len(cause.columns) > 1:

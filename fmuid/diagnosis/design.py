@@ -1,12 +1,4 @@
-"""Design of a test: minimum detectable fault sizes of excitations.
-
-A fault f makes D noncentral χ² with noncentrality (f/σ_f)². A parameter of either sign is found with probability 1 − β
-at f = (z_{1−α/2} + z_{1−β}) σ_f, one of known sign with z_{1−α}. See docs/method/design.md.
-
-References
-----------
-S. M. Kay, "Fundamentals of Statistical Signal Processing, volume II: Detection Theory", 1998, chapter 6.
-"""
+"""Design of a test: minimum detectable fault sizes of excitations (docs/method/design.md)."""
 
 from __future__ import annotations
 

@@ -1,8 +1,4 @@
-"""Diagnosis by fault models (1.63–1.68).
-
-All causes are examined by their columns (`fmuid.diagnosis.cause_analysis`). Without healthy data the named fault is
-then fitted once by `fmuid.identify`, for its bounds and interval (docs/method/diagnosis.md).
-"""
+"""Diagnosis by fault models (1.63–1.68): an examination, and a fit of the named fault without healthy data."""
 
 from __future__ import annotations
 

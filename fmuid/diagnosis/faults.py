@@ -1,8 +1,4 @@
-"""Fault models: parameters of the healthy and the faulty machine (1.63–1.67).
-
-The extended vector is θ_e = [θ_n; θ_f]. Nominal parameters θ_n have the healthy estimates as prior; fault parameters
-θ_f are zero without a fault and have no prior.
-"""
+"""Fault models: parameters of the healthy and the faulty machine (1.63–1.67)."""
 
 from __future__ import annotations
 
@@ -160,13 +156,7 @@ class Fault:
         return {name: p.start if name in self.angles else 0.0 for name, p in self.parameters.items()}
 
     def check_beside(self, common: Iterable[str], columns: Iterable[str]) -> None:
-        """Check parameters and names against the healthy machine's parameters and columns.
-
-        Raises
-        ------
-        InputError
-            If a parameter is both, or a name is unknown.
-        """
+        """Check parameters and names against the healthy machine's parameters and columns."""
         healthy = list(common)
         twice = {self.variable_map.get(each, each) for each in healthy} & self.parameters.keys()
         for name in twice:
@@ -211,10 +201,7 @@ def common_mode(
     parameters: Mapping[str, Parameter] | None = None,
     held: Iterable[str] = (),
 ) -> dict[str, Parameter]:
-    """Return the nominal parameters with the healthy estimates as prior (docs/method/diagnosis.md).
-
-    Estimates of single experiments and `held` parameters have none; `std_factor` is infinite for no prior.
-    """
+    """Return the nominal parameters with the healthy estimates as prior; none of one experiment or `held`."""
     given, held = dict(parameters or {}), set(held)
     known = [name for name in healthy.names if not of_one_experiment(name) and name not in held]
     if not known:

@@ -2,12 +2,7 @@
 
 A record linearized at coordinates x is r = J x + e. With whitened noise it has the information G = JᵀJ and the score
 g = Jᵀr. Healthy records give the mean m and covariance C of x. Information and score of changes are F = (I + G C)⁻¹ G
-and h = (I + G C)⁻¹ (g − G m). Their covariance includes noise, baseline errors and drift.
-
-References
-----------
-S. M. Kay, "Fundamentals of Statistical Signal Processing, volume II: Detection Theory", 1998, chapter 6; M. Basseville,
-I. V. Nikiforov, "Detection of Abrupt Changes", 1993.
+and h = (I + G C)⁻¹ (g − G m) (docs/method/diagnosis.md).
 """
 
 from __future__ import annotations

@@ -1,7 +1,6 @@
 """Outputs of a machine with all causes, and their derivatives.
 
-Faults of several models add up: y = y_n(θ) + Σ_k [y_k(θ, f_k) − y_n(θ)]. A model is simulated only where its fault is
-not zero; otherwise it gives its own columns alone.
+Faults of several models add up: y = y_n(θ) + Σ_k [y_k(θ, f_k) − y_n(θ)].
 """
 
 from __future__ import annotations
@@ -191,7 +190,7 @@ def residual_of(experiment: Experiment, outputs: Floats) -> Floats:
 
 
 def residual_and_columns(machine: LinearizedMachine, point: Floats, origin: Floats | None = None) -> Floats:
-    """Return residual, relative to an origin (N,) where given, and columns (K, n_outputs, 1 + N) at a point (N,)."""
+    """Return residual, relative to an origin, and columns: (K, n_outputs, 1 + N)."""
     outputs, columns = machine.linearize(point)
     residual = residual_of(machine.experiment, outputs)
     if origin is not None:

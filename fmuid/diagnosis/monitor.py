@@ -1,8 +1,4 @@
-"""Monitoring of data, window by window, with alarms.
-
-The machine is linearized once over many windows, at its last estimate. A window adds its information and score to
-those of all onsets. Each is simulated with a warm-up before it (docs/method/simulation.md).
-"""
+"""Monitoring of data, window by window, with alarms (docs/method/monitoring.md)."""
 
 from __future__ import annotations
 
@@ -95,7 +91,7 @@ class Monitor:
         self.rule, self.causes, self.model_error = rule or Rule(), causes or Causes(), model_error
         self.gaps: tuple[SkippedWindow, ...] = ()
         self._journal: MonitorStore | None = None
-        self._made: BaselineComparator | None = None
+        self._against: MonitorReference | None = None
         self._machine: LinearizedMachine | None = None
         self._resumed = Resumed()
         self._now = MonitorState(OnsetTracker(ChangePrior(np.zeros(0), np.zeros((0, 0))), np.zeros(0)), np.zeros(0))
@@ -129,11 +125,11 @@ class Monitor:
                 f"{record.source}: growing data need window_length and false_alarm_horizon in [monitoring]. "
                 "Give both, in s, for example 1.0 and 86400.0."
             )
-        made = self._comparison(record)
+        against = self._comparison(record)
         before, gaps = self._now, self.gaps
         self._now = before if goes_on else before.beginning(record, self.rule.transient)
         try:
-            rows = self._examined(made, record, progress, grows=grows)
+            rows = self._examined(against, record, progress, grows=grows)
         except BaseException:
             self._now, self.gaps = before, gaps
             raise
@@ -155,8 +151,8 @@ class Monitor:
         """Drop old rows, alarms and gaps; keep the records of possible onsets."""
         self._now, self.gaps = self._now.without(rows, alarms), ()
 
-    def _comparison(self, record: Experiment) -> BaselineComparator:
-        if self._made is None:
+    def _comparison(self, record: Experiment) -> MonitorReference:
+        if self._against is None:
             causes = self.causes if self.baseline.beside else None
             made = BaselineComparator.of(self.system, self.baseline, self.faults, causes, [record])
             watch = OnsetTracker(made.healthy.known, made.healthy.drift)
@@ -164,17 +160,17 @@ class Monitor:
                 with damage_of(self._journal.folder / STATE_FILE):
                     watch = watch.restored(self._resumed.sums)
             point = self._resumed.sums.get("point", made.coordinates.healthy)
-            self._made, self._now = made, replace(self._now, watch=watch, point=point)
+            self._now = replace(self._now, watch=watch, point=point)
             self._against = MonitorReference(made, self.rule, self.model_error)
-        return self._made
+        return self._against
 
     # --- the windows of a record
 
     def _examined(
-        self, made: BaselineComparator, record: Experiment, progress: Progress | None, *, grows: bool
+        self, against: MonitorReference, record: Experiment, progress: Progress | None, *, grows: bool
     ) -> list[dict[str, Any]]:
         """Return the rows of a record, linearizing many near windows at once."""
-        begun = self._now.records[-1]
+        begun, rows = self._now.records[-1], list[dict[str, Any]]()
         every = split_windows(record, self.rule.window, self.rule.transient, replace(begun, grows=grows))
         windows = [each for each in every if each.there]
         missing = [each for each in every if not each.there]
@@ -185,25 +181,21 @@ class Monitor:
             )
         self.gaps += tuple(SkippedWindow(record.source, float(record.times[each.start])) for each in missing)
         self._now = self._now.cut(len(every), grows=grows)
-        if not windows:
-            if not grows:
-                self._finish(made, self.rule.window_level(1, self.rule.window or 1.0))
-            return []
-        most = max(1, SETTINGS.batch_samples * len(windows) // sum(each.stop - each.start for each in windows))
-        level = self.rule.window_level(len(every), windows[0].end - windows[0].begin)
-        rows: list[dict[str, Any]] = []
+        seconds = windows[0].end - windows[0].begin if windows else self.rule.window or 1.0
+        level = self.rule.window_level(len(every) if windows else 1, seconds)
+        most = max(1, SETTINGS.batch_samples * len(windows) // max(1, sum(each.stop - each.start for each in windows)))
         at, length, tries = 0, 1, 0
         if len(windows) > 1 and not begun.windows:
             # the length of the transient, and its course
-            found = build_up_of(made, record, windows, self.rule.transient, self._now.point)
+            found = build_up_of(against.made, record, windows, self.rule.transient, self._now.point)
             self._now = replace(self._now, watch=self._now.watch.building_up(*found))
         while at < len(windows):
             batch = windows[at : at + length]
             if progress is not None:
                 progress(WindowStep(record=record.name, number=batch[0].number, total=begun.windows + len(every)))
             taken, point, targets = 0, self._now.point, []
-            for each in self._summed(made, record, batch):
-                seen = WindowEvaluation(self._against, self._now, each, level)
+            for each in self._summed(against.made, record, batch):
+                seen = WindowEvaluation(against, self._now, each, level)
                 point = seen.target
                 if (taken or tries < SETTINGS.most_steps) and seen.far:
                     break
@@ -214,8 +206,9 @@ class Monitor:
             # the next ones where these were on the whole, or where the one was that lies elsewhere
             self._now = replace(self._now, point=np.mean(targets, axis=0) if taken == len(batch) else point)
             at, length = at + taken, min(2 * length, most) if taken == len(batch) else 1
-        if not grows:
-            self._finish(made, level)
+        if not grows and self._now.judgement is not None:  # decided again with all data of the record
+            again = decide_alarm(self._now.watch, against.coordinates, level, against.model_error)
+            self._now = self._now.said(again)
         return rows
 
     def _summed(self, made: BaselineComparator, record: Experiment, windows: Sequence[Window]) -> list[WindowSums]:
@@ -229,12 +222,6 @@ class Monitor:
                 raise
             self._now = replace(self._now, point=healthy)  # where it was last cannot be simulated with these inputs
             return self._summed(made, record, windows)
-
-    def _finish(self, made: BaselineComparator, level: float) -> None:
-        """Repeat the decision about an alarm with all data of a record."""
-        now = self._now
-        if now.judgement is not None:
-            self._now = now.said(decide_alarm(now.watch, made.coordinates, level, self._against.model_error))
 
     # --- what was found
 
@@ -286,7 +273,7 @@ class Monitor:
     @property
     def basis(self) -> BaselineSource:
         """Source of the healthy machine."""
-        return BaselineSource.RECORDS if self._made is None else self._made.healthy.basis
+        return BaselineSource.RECORDS if self._against is None else self._against.made.healthy.basis
 
     @property
     def units(self) -> dict[str, str]:
@@ -296,9 +283,9 @@ class Monitor:
     @property
     def _present(self) -> Resumed:
         """State to resume; before the first record that of the earlier run."""
-        if self._made is None:
+        if self._against is None:
             return self._resumed
-        each, plain = self._made.coordinates.each, (CauseKind.FAULT, CauseKind.PARAMETER)
+        each, plain = self._against.coordinates.each, (CauseKind.FAULT, CauseKind.PARAMETER)
         columns = tuple(one.name for one in each if one.kind not in plain)
         sums = {"point": self._now.point, **self._now.watch.state()}
         return Resumed(sums, {}, {one.name: one.unit for one in each if not one.second}, columns)

@@ -9,7 +9,7 @@ import io
 import json
 import math
 import os
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -30,7 +30,12 @@ from fmuid.version import __version__
 TABLE_FILE, FOUND_FILE, STATE_FILE = "monitoring.csv", "monitoring.json", "monitoring.npz"
 ALARMS_FILE = "alarms.jsonl"
 REMEDY = "Monitor without --resume, or choose another folder."
-TEXTS, NUMBERS, TRUTHS = ("record", "significant", "alarm"), ("window", "samples"), ("unexplained",)
+KINDS: Mapping[str, Callable[[str], Any]] = {
+    **dict.fromkeys(("record", "significant", "alarm"), str),
+    **dict.fromkeys(("window", "samples"), int),
+    "unexplained": lambda text: text == "True",
+}
+"""Columns of the table that are no real numbers."""
 
 
 @dataclass(frozen=True)
@@ -74,22 +79,19 @@ class MonitorStore:
         resumed: Resumed,
     ) -> list[Path]:
         """Write new rows, lines of alarms, the JSON `content` and the state; return the paths but for the state's."""
-        self._add_rows(now)
-        self._add(ALARMS_FILE, "".join(f"{line}\n" for line in lines))
-        kept = same, resumed.beside, resumed.units, resumed.columns
-        state = as_json(_State(*kept, __version__, now.records, now.alarms, now.row, self._lengths))
-        text = np.frombuffer(json.dumps(state).encode(), np.uint8)
-        write_arrays(self.folder / STATE_FILE, {"text": text, **resumed.sums})
-        said = {**content, "records": now.records, "windows": now.row, "version": __version__}
-        write_object(self.folder / FOUND_FILE, as_json(said))
-        return [self.folder / name for name in (FOUND_FILE, TABLE_FILE, ALARMS_FILE) if self._lengths.get(name, 1)]
-
-    def _add_rows(self, now: MonitorState) -> None:
         table = now.table()
         text, new = io.StringIO(), without_formulas(table.loc[self._rows :])
         new.to_csv(text, index=False, header=not self._lengths[TABLE_FILE], lineterminator="\n")
         self._add(TABLE_FILE, text.getvalue() if len(table) else "")
         self._rows = now.row
+        self._add(ALARMS_FILE, "".join(f"{line}\n" for line in lines))
+        kept = same, resumed.beside, resumed.units, resumed.columns
+        state = as_json(_State(*kept, __version__, now.records, now.alarms, now.row, self._lengths))
+        encoded = np.frombuffer(json.dumps(state).encode(), np.uint8)
+        write_arrays(self.folder / STATE_FILE, {"text": encoded, **resumed.sums})
+        said = {**content, "records": now.records, "windows": now.row, "version": __version__}
+        write_object(self.folder / FOUND_FILE, as_json(said))
+        return [self.folder / name for name in (FOUND_FILE, TABLE_FILE, ALARMS_FILE) if self._lengths.get(name, 1)]
 
     def _add(self, name: str, text: str) -> None:
         """Add text to a file, after its valid part."""
@@ -178,14 +180,8 @@ def _table(path: Path, length: int, count: int, most: int | None) -> pd.DataFram
             raise ValueError(f"not the {count} windows of {STATE_FILE}")
         text = with_formulas(text)
         # Python reads numbers back exactly, as tables are not always
-        return pd.DataFrame({name: [_cell(str(name), each) for each in text[name]] for name in text})
+        return pd.DataFrame({name: [KINDS.get(str(name), _number)(each) for each in text[name]] for name in text})
 
 
-def _cell(column: str, text: str) -> Any:
-    if column in TEXTS:
-        return text
-    if column in NUMBERS:
-        return int(text)
-    if column in TRUTHS:
-        return text == "True"
-    return float(text) if text else math.nan
+def _number(text: str) -> float:
+    return float(text or math.nan)

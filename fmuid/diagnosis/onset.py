@@ -1,11 +1,7 @@
-"""Onset likelihood of a cause, and the confidence set of its time.
+"""Onset likelihood of a cause, and the confidence set of its time (docs/method/monitoring.md).
 
-After a change at t₀ the columns are J − Φ S(t₀); the second part dies out. The projection on J is the visible share
-w(a) = 1 − ρ(a) C(a). There ρ is the remaining state difference after a lag a, C the autocorrelation of J.
-
-References
-----------
-D. Siegmund, "Confidence sets in change-point problems", Int. Statistical Review 56, 1988.
+After a change the visible share of a column J is w(a) = 1 − ρ(a) C(a). There ρ is the remaining state difference after
+a lag a, C the autocorrelation of J.
 """
 
 from __future__ import annotations
@@ -45,10 +41,7 @@ class ChangeTransient:
 
     @classmethod
     def of(cls, left: Floats, columns: Floats, step: float) -> ChangeTransient:
-        """Return the transient of a machine.
-
-        `left` (M,) is the mean square of state differences, `columns` (K, c) what takes time to show; `step` is in s.
-        """
+        """Return the transient of mean squared state differences (M,) and slow columns (K, c)."""
         envelope = np.maximum.accumulate(left[::-1])[::-1]
         power = np.sum(columns**2, axis=0)
         if not envelope[0] > 0 or not power.any():
@@ -109,10 +102,7 @@ class OnsetLikelihood:
         return np.where(self.cause.sign * self.score[:, 0] < 0, 0.0, found) if self.cause.sign else found
 
     def log_evidence(self, rise: float) -> Floats:
-        """Return the log Bayes factor of each onset (T,) against no change.
-
-        A ramp reaches the cause's size in `rise` (s).
-        """
+        """Return the log Bayes factor of each onset (T,) against none; ramps reach the cause's size in `rise`, s."""
         slab = self.cause.size / (rise if self.shape is OnsetShape.RAMP else 1.0)
         precision = self.information + np.eye(self.score.shape[1]) / slab**2
         mean = np.linalg.solve(precision, self.score[..., None])[..., 0]

@@ -1,14 +1,10 @@
-"""Likelihood of all onsets of all causes, updated window by window.
+"""Likelihood of all onsets of all causes, updated window by window (docs/method/monitoring.md).
 
 A step from t_k on has the columns J_c w(t − t_k) (`ChangeTransient`), a ramp J_c (t − t_k)₊. Drift is another number in
-each window and is eliminated there; all else is constant and estimated over all windows. Each onset has three sums: its
-own information, that shared with the coordinates, and its score. Older onsets are kept farther apart.
+each window and is eliminated there; all else is constant. Older onsets are kept farther apart.
 
-References
-----------
-A. S. Willsky, H. L. Jones, "A generalized likelihood ratio approach to the detection and estimation of jumps in linear
-systems", IEEE Trans. Automatic Control 21, 1976; T. L. Lai, "Sequential changepoint detection in quality control and
-dynamical systems", J. Royal Statistical Society B 57, 1995 (which onsets need be kept).
+References: A. S. Willsky, H. L. Jones, IEEE Trans. Automatic Control 21, 1976; T. L. Lai, "Sequential changepoint
+detection", J. Royal Statistical Society B 57, 1995.
 """
 
 from __future__ import annotations
@@ -46,14 +42,8 @@ class Blocks:
     matrices: Floats  # (B, N, N), information
     scores: Floats  # (B, N)
 
-    @property
-    def whole(self) -> InformationMatrix:
-        """Information of the window."""
-        return InformationMatrix(self.matrices.sum(axis=0), self.scores.sum(axis=0))
 
-
-# What the watch has of each onset: its place, the sums of all before its window (information and score), and its own
-# sums as a step and as a ramp (its own information, that shared with the coordinates, and its score), a row each.
+# Rows of an onset: its place, the sums before its window, and its own sums as a step and as a ramp (`_parts`).
 _KEPT = ("clock", "window", "begins", "before", "step", "ramp")
 
 
@@ -119,22 +109,13 @@ class OnsetTracker:
 
     # --- what the onsets explain
 
-    def _posterior(self) -> ChangePrior:
-        """Return the distribution of the coordinates after all windows, without changes."""
-        return self.known.after_also(InformationMatrix(self._total, self._score))
-
     def _news(self, at: Any, shape: OnsetShape = OnsetShape.STEP) -> tuple[Floats, Floats]:
-        """Return F (T, N, N) and h (T, N) of some onsets."""
-        after = self._posterior()
+        """Return F (T, N, N) and h (T, N) of onsets beside drift."""
+        after = self.known.after_also(InformationMatrix(self._total, self._score))
         own, shared, score = _parts(self._of[shape.value][at], self._score.size)
         mixed = np.swapaxes(shared, 1, 2)
         information = own - mixed @ after.covariance @ shared + np.diag(self._least)
-        return self._beside_drift(
-            information, score - mixed @ after.mean, 1.0 if shape is OnsetShape.STEP else self.end
-        )
-
-    def _beside_drift(self, information: Floats, score: Floats, rise: float) -> tuple[Floats, Floats]:
-        """Return information and score beside a lasting drift at the onset; `rise` in s."""
+        score, rise = score - mixed @ after.mean, 1.0 if shape is OnsetShape.STEP else self.end
         for i in np.flatnonzero(self._drift):
             shared = information[:, :, i]
             share = shared / (shared[:, i] + (rise / self._drift[i]) ** 2)[:, None]
@@ -145,21 +126,18 @@ class OnsetTracker:
     def statistics(self, causes: Sequence[Cause]) -> tuple[Floats, Floats]:
         """Return begins of windows (T,) and D of steps (T, m)."""
         at = np.flatnonzero(self._of["begins"])
-        information, score = self._news(at)
-        clock = self._of["clock"][at]
-        return clock, statistics_of(information, score, causes)
+        return self._of["clock"][at], statistics_of(*self._news(at), causes)
 
     def onsets(self, causes: Sequence[Cause], shape: OnsetShape) -> list[OnsetLikelihood]:
         """Return the likelihood of all onsets of each cause."""
         information, score = self._news(slice(None), shape)
         clock = self._of["clock"]
         widths = np.diff(np.append(clock, self.end))
-        found = []
-        for cause in causes:
-            columns = list(cause.columns)
-            own = information[:, columns][:, :, columns]
-            found.append(OnsetLikelihood(cause, shape, clock, widths, own, score[:, columns]))
-        return found
+        columns = [(cause, list(cause.columns)) for cause in causes]
+        return [
+            OnsetLikelihood(cause, shape, clock, widths, information[:, at][:, :, at], score[:, at])
+            for cause, at in columns
+        ]
 
     def news(self, clock: float) -> ScoreStatistics:
         """Return the changes as steps from the onset nearest to a time."""
@@ -168,10 +146,9 @@ class OnsetTracker:
         return ScoreStatistics(information[0], score[0])
 
     def apart(self, low: float, high: float) -> tuple[ScoreStatistics, float] | None:
-        """Return changes after `high` against windows before `low`, and their begin.
+        """Return changes after `high` against windows before `low`, and their begin; None without a later window.
 
-        Windows in between are left out: the cause is there in a part of them. Without a later window the last one
-        counts as whole if it can; else None.
+        The cause is there in a part of the windows in between. The last one counts as whole if none is later.
         """
         clock, begins = self._of["clock"], self._of["begins"]
         slack = 1e-6 * max(1.0, abs(self.end))
@@ -219,10 +196,7 @@ class OnsetTracker:
 
 
 def statistics_of(information: Floats, score: Floats, causes: Sequence[Cause]) -> Floats:
-    """Return D of each cause alone (T, m); 0 for a wrong sign.
-
-    `information` is (T, N, N), `score` (T, N).
-    """
+    """Return D of each cause alone (T, m); 0 for a wrong sign."""
     found = np.empty((len(score), len(causes)))
     single = [k for k, cause in enumerate(causes) if len(cause.columns) == 1]
     at = [causes[k].columns[0] for k in single]
@@ -230,13 +204,10 @@ def statistics_of(information: Floats, score: Floats, causes: Sequence[Cause]) -
     own, mine = information[:, at, at], score[:, at]
     known = (own > 0) & (signs * mine >= 0)
     found[:, single] = np.where(known, mine**2 / np.where(own > 0, own, 1.0), 0.0)
-    for k, cause in enumerate(causes):
-        if k not in single:
-            columns = list(cause.columns)
-            part = information[:, columns][:, :, columns]
-            found[:, k] = OnsetLikelihood(
-                cause, OnsetShape.STEP, score[:, 0], score[:, 0], part, score[:, columns]
-            ).statistics
+    for k in set(range(len(causes))) - set(single):
+        columns, none = list(causes[k].columns), np.zeros(len(score))
+        part = information[:, columns][:, :, columns]
+        found[:, k] = OnsetLikelihood(causes[k], OnsetShape.STEP, none, none, part, score[:, columns]).statistics
     return found
 
 

@@ -33,20 +33,11 @@ SETTINGS = UnexplainedSettings()
 
 @dataclass(frozen=True)
 class UnexplainedResidual:
-    """Change without a listed cause.
+    """Change without a listed cause: of the regression on the inputs."""
 
-    Attributes
-    ----------
-    statistic : float
-        χ² of the change of the regression on the inputs.
-    degrees : int
-    probability : float
-        By chance.
-    """
-
-    statistic: float
+    statistic: float  # χ²
     degrees: int
-    probability: float
+    probability: float  # by chance
 
 
 NOTHING_LEFT = UnexplainedResidual(0.0, 0, 1.0)
@@ -61,7 +52,7 @@ def lagged(inputs: Floats, spans: Sequence[int] = SETTINGS.spans) -> Floats:
 
 
 def regression(residual: Floats, regressors: Floats, jacobian: Floats) -> InformationMatrix:
-    """Return the regression of a whitened residual (n,) on regressors (n, k) beside the Jacobian (n, N)."""
+    """Return the regression of a whitened residual beside the Jacobian."""
     norms = np.linalg.norm(jacobian, axis=0)
     basis, values, _ = np.linalg.svd(jacobian / np.where(norms > 0, norms, 1.0), full_matrices=False)
     spanned = basis[:, values > SETTINGS.spanned * values.max(initial=0.0)]
@@ -92,20 +83,11 @@ def probability(statistic: float, degrees: int) -> float:
 
 @dataclass(frozen=True)
 class VarianceRatio:
-    """Variance of the residual over that of the healthy noise.
-
-    Attributes
-    ----------
-    ratio : float
-    probability : float
-        By noise alone.
-    larger : bool
-        Significantly.
-    """
+    """Variance of the residual over that of the healthy noise."""
 
     ratio: float
-    probability: float
-    larger: bool
+    probability: float  # by noise alone
+    larger: bool  # significantly
 
     @classmethod
     def of(cls, ratio: float, samples: float, freedom: float, level: float) -> VarianceRatio:

@@ -72,14 +72,15 @@ class MonitorState:
     def without(self, rows: int, alarms: int) -> MonitorState:
         """Return the state without old rows, alarms and records."""
         table = self.table().tail(rows)
-        needed, kept = self.watch.clocks(), []
-        for k, each in enumerate(self.records, start=1):
-            last = k == len(self.records)
-            low = int(np.searchsorted(needed, each.clock))
-            if last or (low < needed.size and needed[low] < self.records[k].clock):
-                kept.append(each)
+        first = np.searchsorted(self.watch.clocks(), [each.clock for each in self.records])  # of the onsets
+        *old, last = zip(self.records, first, strict=True)
+        kept = [each for (each, at), after in zip(old, first[1:], strict=True) if at < after]
         return replace(
-            self, tables=(table,), forgotten=self.row - len(table), alarms=self.alarms[-alarms:], records=tuple(kept)
+            self,
+            tables=(table,),
+            forgotten=self.row - len(table),
+            alarms=self.alarms[-alarms:],
+            records=(*kept, last[0]),
         )
 
     def moment(self, clock: float) -> RecordTime:
@@ -94,11 +95,11 @@ class MonitorState:
 
     def said(self, found: AlarmDecision) -> MonitorState:
         """Return the state with the last alarm decided again."""
-        last = self.alarms[-1]
+        last, why = self.alarms[-1], found.explanations
         if last.fault == SOMETHING_ELSE:
             return self
-        last = replace(last, fault=label_of(found.explanations), onset=self._onset(found))
-        return replace(self, alarms=(*self.alarms[:-1], replace(last, explanations=found.explanations)))
+        last = replace(last, fault=label_of(why), onset=self._onset(found), explanations=why)
+        return replace(self, alarms=(*self.alarms[:-1], last))
 
     def _onset(self, found: AlarmDecision) -> Onset:
         first, last = found.when.between
@@ -108,14 +109,13 @@ class MonitorState:
         """Return the alarms after one more window, with label "" for none."""
         if not label:
             return self.alarms
-        goes_on = bool(self.alarms) and self.alarms[-1].last == self.row - 1
-        name = self.records[-1].name
-        alarm = replace(self.alarms[-1], last=self.row) if goes_on else Alarm(label, name, time, self.row, self.row)
+        *before, last = *self.alarms, Alarm(label, self.records[-1].name, time, self.row, self.row)
+        if before and before[-1].last == self.row - 1:
+            last = replace(before.pop(), last=self.row)
         found = self.judgement
-        explanations = found.explanations if found is not None and label != SOMETHING_ELSE else ()
+        why = found.explanations if found is not None and label != SOMETHING_ELSE else ()
         onset = None if found is None else self._onset(found)
-        alarm = replace(alarm, fault=label, onset=onset, explanations=explanations)
-        return (*(self.alarms[:-1] if goes_on else self.alarms), alarm)
+        return (*before, replace(last, fault=label, onset=onset, explanations=why))
 
 
 class MonitorReference:
@@ -204,8 +204,8 @@ class WindowEvaluation:
     def _ratios(self) -> tuple[float, float]:
         """Variance of the residual over the noise, without and with named causes."""
         null = self.against.known.after_also(self.sums.whole).mean if self.free else self.estimate.mean
-        samples = max(1, self.sums.samples)
-        return self.sums.squares(null) / samples, self.sums.squares(self.estimate.mean) / samples
+        without, with_ = (self.sums.squares(at) / max(1, self.sums.samples) for at in (null, self.estimate.mean))
+        return without, with_
 
     @cached_property
     def unexplained(self) -> bool:

@@ -138,27 +138,21 @@ class WindowSums:
         return Blocks(self.edges + shift, self.grams[:, 1:, 1:], self.grams[:, 1:, 0])
 
     @cached_property
-    def _gram(self) -> Floats:
-        return np.asarray(self.grams.sum(axis=0))
-
-    @cached_property
     def whole(self) -> InformationMatrix:
         """Information of the window on all coordinates."""
-        return InformationMatrix(self._gram[1:, 1:], self._gram[1:, 0])
+        gram = self.grams.sum(axis=0)
+        return InformationMatrix(gram[1:, 1:], gram[1:, 0])
 
     def squares(self, at: Floats) -> float:
         """Return the sum of squares of the residual at some coordinates (N,)."""
         along = np.concatenate([[1.0], -at])
-        return max(0.0, float(along @ self._gram @ along))
+        return max(0.0, float(along @ self.grams.sum(axis=0) @ along))
 
 
 def summed(
     machine: LinearizedMachine, windows: Sequence[Window], point: Floats, healthy: Floats, whitening: Whitening
 ) -> Iterator[WindowSums]:
-    """Yield the sums of windows, linearized at a point.
-
-    `point` and `healthy`, their origin, are coordinates (N,).
-    """
+    """Yield the sums of windows, linearized at a point (N,)."""
     part, whole = machine.experiment, residual_and_columns(machine, point, healthy)
     white = [(part.times[rows], values) for rows, values in whitening.of_outputs(part, whole)]
     for window in windows:
@@ -179,10 +173,7 @@ def summed(
 def build_up_of(
     made: BaselineComparator, record: Experiment, windows: Sequence[Window], transient: float, point: Floats
 ) -> tuple[ChangeTransient, Flags]:
-    """Return the build-up of changes in outputs, and its coordinates (N,).
-
-    It is found from other starts of windows at a point (N,). A column that never depends on the start shows at once.
-    """
+    """Return the build-up of changes, and its coordinates (N,)."""
     compared = windows[: SETTINGS.most_compared + 1]
     whole = part_of(record, compared, transient)
     early, columns = made.machine(whole).linearize(point)
@@ -201,14 +192,15 @@ def build_up_of(
                 f"{record.source}: warm-up of {transient:g} s too short: the initial state still shifts outputs by "
                 f"{most:.2g} × noise level. Give a longer warm-up, and longer windows."
             )
-    length = min(each.size for each in left)
-    step, slow = float(np.median(np.diff(whole.times))), made.coordinates.slow
+    length, slow = min(each.size for each in left), made.coordinates.slow
     states, seen = np.mean([each[:length] for each in left], axis=0), columns / std[:, None]
 
-    def built() -> ChangeTransient:
+    def built(slow: Flags) -> ChangeTransient:
         return ChangeTransient.of(states, seen[:, :, slow].reshape(len(seen), -1), step)
 
-    first = 1 + round(built().lasts / step)
+    step = float(np.median(np.diff(whole.times)))
+    first = 1 + round(built(slow).lasts / step)
     differs = np.mean([each[:first].sum(axis=(0, 1)) for each in late], axis=0)
+    # a column that never depends on the start shows at once
     slow = slow & (differs > ONSET.over**2 * first * np.mean(np.sum(seen**2, axis=1), axis=0))
-    return built(), slow
+    return built(slow), slow

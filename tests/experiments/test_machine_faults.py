@@ -265,6 +265,7 @@ def test_a_short_circuit_is_dated_at_once() -> None:
     """Its current needs no state of the fault model, while the healthy parameters' columns build up slowly."""
     rng = np.random.default_rng(3)
     found = onsets.watched(onsets.record(10, 1, 3500, rng, 6000), rng)
+    assert found._against is not None
     names = [each.name for each in found._against.coordinates.each]
     slow = dict(zip(names, found._now.watch.slow.tolist(), strict=True))
     assert not any(slow[f"stator.fault.eta_{phase}"] for phase in "abc")
