@@ -1,4 +1,4 @@
-"""Test for changes: statistics of causes and their null distribution (docs/method/diagnosis.md, monitoring.md)."""
+"""Test for changes: statistics of causes and their null distribution."""
 
 from __future__ import annotations
 
@@ -169,7 +169,7 @@ class MinPDistribution:
 
 
 def detectable(news: ScoreStatistics, cause: Cause, limit: float, miss: float) -> float:
-    """Return the size of a cause that is missed in a fraction `miss` of records at a `MinPDistribution.limit`."""
+    """Return the detectable size of a cause; `miss` is its missed-alarm rate, below one half."""
     information, _ = news.part(cause.columns)
     std = 1.0 / math.sqrt(float(np.linalg.eigvalsh(information)[0]))  # the direction that shows least
     if len(cause.columns) > 1:

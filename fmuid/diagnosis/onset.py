@@ -1,4 +1,4 @@
-"""Onset likelihood of a cause, and the confidence set of its time (docs/method/monitoring.md).
+"""Onset likelihood of a cause, and the confidence set of its time.
 
 After a change the visible share of a column J is w(a) = 1 − ρ(a) C(a). There ρ is the remaining state difference after
 a lag a, C the autocorrelation of J.
@@ -41,7 +41,7 @@ class ChangeTransient:
 
     @classmethod
     def of(cls, left: Floats, columns: Floats, step: float) -> ChangeTransient:
-        """Return the transient of mean squared state differences (M,) and slow columns (K, c)."""
+        """Return the transient of squared state differences (M,) and columns (K, c)."""
         envelope = np.maximum.accumulate(left[::-1])[::-1]
         power = np.sum(columns**2, axis=0)
         if not envelope[0] > 0 or not power.any():

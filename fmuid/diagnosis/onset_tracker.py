@@ -110,7 +110,7 @@ class OnsetTracker:
     # --- what the onsets explain
 
     def _news(self, at: Any, shape: OnsetShape = OnsetShape.STEP) -> tuple[Floats, Floats]:
-        """Return F (T, N, N) and h (T, N) of onsets beside drift."""
+        """Return F (T, N, N) and h (T, N) beside drift."""
         after = self.known.after_also(InformationMatrix(self._total, self._score))
         own, shared, score = _parts(self._of[shape.value][at], self._score.size)
         mixed = np.swapaxes(shared, 1, 2)

@@ -53,8 +53,12 @@ def test_angles_are_those_of_the_signatures() -> None:
     assert angle(news, one, one) == pytest.approx(0.0, abs=1e-6)
 
 
-def excluding(model_error: float, draws: int) -> float:
-    """Return the fraction of records with the distinguishable size that name its cause alone."""
+@pytest.mark.parametrize("model_error", [0.0, 0.05])
+@pytest.mark.parametrize(
+    ("draws", "off"), [(150, 0.07), pytest.param(2000, 0.025, marks=pytest.mark.campaign)], ids=["150", "2000"]
+)
+def test_distinguishable_size_names_its_cause_alone(model_error: float, draws: int, off: float) -> None:
+    """In 90 % of records with that size."""
     cosine = math.cos(0.6)
     information = np.array([[1.0, cosine], [cosine, 1.0]])
     causes = (Cause("one", (0,), 1e6), Cause("two", (1,), 1e6))
@@ -67,18 +71,7 @@ def excluding(model_error: float, draws: int) -> float:
         news = ScoreStatistics(information, information[0] * size + root @ z)
         found = name(news, causes, 0.01, chance=chance, model_error=model_error)
         alone += [each.names for each in found.named] == [("one",)]
-    return alone / draws
-
-
-@pytest.mark.parametrize("model_error", [0.0, 0.05])
-def test_distinguishable_size(model_error: float) -> None:
-    assert excluding(model_error, 150) == pytest.approx(0.9, abs=0.07)
-
-
-@pytest.mark.campaign
-@pytest.mark.parametrize("model_error", [0.0, 0.05])
-def test_distinguishable_size_over_draws(model_error: float) -> None:
-    assert excluding(model_error, 2000) == pytest.approx(0.9, abs=0.025)
+    assert alone / draws == pytest.approx(0.9, abs=off)
 
 
 def causes_of(*angles: float) -> tuple[np.ndarray, tuple[Cause, ...]]:

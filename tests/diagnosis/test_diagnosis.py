@@ -75,7 +75,7 @@ def test_a_size_keeps_its_bound_and_its_interval(plate: fmuid.System, sound: fmu
     assert 0.0 < low < found["one.ea"].value <= high <= 0.06
 
 
-@pytest.mark.parametrize("angle", [0.1, 1.6, 2.9])
+@pytest.mark.parametrize("angle", [0.1, 1.6])
 def test_a_turned_fault_is_located(look: Look, angle: float) -> None:
     found = look(drawn(4, size=0.08, angle=angle))
     size = found["rotor.size"]
@@ -128,14 +128,19 @@ def test_unexplained_change(look: Look) -> None:
     assert verdict(found).text.startswith("UNEXPLAINED CHANGE")
 
 
-def test_a_fault_like_the_machine_needs_a_prior(look: Look, plate: fmuid.System) -> None:
+@pytest.fixture(scope="module")
+def two(plate: fmuid.System) -> fmuid.System:
+    """Return two plates with the same u, whose other inputs are their own."""
+    connectors = {name: [(f"{part}.{name}", 1.0, 0.0) for part in "ab"] for name in ("ux", "uy")}
+    return System(components=dict.fromkeys("ab", plate.components[""].fmu), connectors=connectors)
+
+
+NAMES = {name: f"a.{name}" for name in ("g", "h", "vx", "vy")} | {name: f"a.{name} + b.{name}" for name in ("x", "y")}
+
+
+def test_a_fault_like_the_machine_needs_a_prior(look: Look, two: fmuid.System) -> None:
     """A gain that is the fault's and the machine's."""
-    fmu = System.of(plate.components[""].fmu).components[""].fmu
-    shared = {name: [(f"{part}.{name}", 1.0, 0.0) for part in ("a", "b")] for name in ("ux", "uy")}
-    own = {name: [(f"a.{name}", 1.0, 0.0)] for name in ("g", "h", "vx", "vy")}
-    twice = System(components={"a": fmu, "b": fmu}, connectors={**shared, **own})
-    names = {name: f"a.{name} + b.{name}" for name in ("x", "y")}
-    same = {"gain": fmuid.Fault(twice, {"b.g": FREE}, names, values={"b.h": 0.0}, inputs={"b.vx": "vx"})}
+    same = {"gain": fmuid.Fault(two, {"b.g": FREE}, NAMES, values={"b.h": 0.0}, inputs={"b.vx": "vx"})}
     found = look(drawn(10, g=1.02), faults=same, std_factor=math.inf)
     assert (found.kind, found.undetermined) == ("undecided", ("gain.b.g",))
     assert not found["gain.b.g"].is_determined
@@ -143,25 +148,19 @@ def test_a_fault_like_the_machine_needs_a_prior(look: Look, plate: fmuid.System)
     assert look(drawn(10, g=1.02), faults=same, std_factor=1.0)["gain.b.g"].is_determined
 
 
-def test_a_fault_model_with_other_names_inputs_and_components(look: Look, plate: fmuid.System) -> None:
-    """Two plates whose outputs are summed: a healthy one, and one without gains that only has the fault."""
-    model, parts = plate.components[""].fmu, ("machine", "fault")
-    connectors = {name: [(f"{part}.{name}", 1.0, 0.0) for part in parts] for name in ("ux", "uy")}
-    names = {name: f"machine.{name}" for name in ("g", "h", "vx", "vy")}
-    names |= {name: f"machine.{name} + fault.{name}" for name in ("x", "y")}
-    both, values = (
-        fmuid.System(components=dict.fromkeys(parts, model), connectors=connectors),
-        {"fault.g": 0.0, "fault.h": 0.0},
-    )
-    beside = fmuid.Fault(both, {"fault.ea": RATIO}, names, values=values, inputs={"fault.vx": "vx"})
+def test_a_fault_model_with_other_names_inputs_and_components(
+    look: Look, plate: fmuid.System, two: fmuid.System
+) -> None:
+    """Outputs are sums of a healthy plate, and one without gains that only has the fault."""
+    beside = fmuid.Fault(two, {"b.ea": RATIO}, NAMES, values={"b.g": 0.0, "b.h": 0.0}, inputs={"b.vx": "vx"})
     found = look(drawn(12, ea=0.05), faults={"beside": beside, "inside": fmuid.Fault(plate, {"ea": RATIO})})
     one, other = found.evidence.suspects
-    assert (one.change.label, other.change.label) == ("beside.fault.ea", "inside.ea")
+    assert (one.change.label, other.change.label) == ("beside.b.ea", "inside.ea")
     assert one.change.value == pytest.approx(other.change.value, abs=1e-5)
     assert one.statistic == pytest.approx(other.statistic, rel=1e-5)
     assert not found.mismatched
     assert found.result is not None
-    assert found.result[("fault.ea", "ea")[found.named.index("inside") == 0]] == pytest.approx(0.05, abs=0.02)
+    assert found.result[("b.ea", "ea")[found.named.index("inside") == 0]] == pytest.approx(0.05, abs=0.02)
 
 
 def test_a_fault_model_that_differs_at_zero_is_noted(look: Look, plate: fmuid.System) -> None:
@@ -256,14 +255,12 @@ def test_what_does_not_fit_together(look: Look, plate: fmuid.System, words: dict
         look(drawn(16), **words)
 
 
-def test_other_wrong_values(plate: fmuid.System) -> None:
-    with pytest.raises(fmuid.InputError, match="nominal"):
-        fmuid.Parameter(0.0)
-    with pytest.raises(fmuid.InputError, match=r"nowhere\.json"):
-        fmuid.diagnose(drawn(16), "nowhere.json", {"f": fmuid.Fault(plate, {"ea": FREE})}, plate)
-    for words, said in (({"sensitivity": "forwards"}, "'forwards'.*'forward'"), ({"model_error": -1.0}, "model_error")):
-        with pytest.raises(fmuid.InputError, match=said):
-            fmuid.diagnosis.DiagnosisSettings(**words)
+@pytest.mark.parametrize(
+    ("words", "said"), [({"sensitivity": "forwards"}, "'forwards'.*'forward'"), ({"model_error": -1.0}, "model_error")]
+)
+def test_wrong_settings(words: dict[str, Any], said: str) -> None:
+    with pytest.raises(fmuid.InputError, match=said):
+        fmuid.diagnosis.DiagnosisSettings(**words)
 
 
 def test_common_mode_excludes_parameters_of_single_records(plate: fmuid.System) -> None:

@@ -52,21 +52,10 @@ def test_scatter_of_records_is_model_error() -> None:
     expected = np.cov((truths / UNITS).T) * (1.0 + 1.0 / count) * (count - 1) / (count - 3)
     assert known.covariance / SCALE == pytest.approx(expected, rel=1e-6, abs=1e-9)
     assert known.mean / UNITS == pytest.approx(np.mean(truths / UNITS, axis=0))
-    pooled, alone = (
-        ChangePrior.after_several(records[:3], UNITS),
-        ChangePrior.after(sum(records[1:3], records[0]), UNITS),
-    )
+    pooled = ChangePrior.after_several(records[:3], UNITS)
+    alone = ChangePrior.after(sum(records[1:3], records[0]), UNITS)
     assert pooled.covariance == pytest.approx(alone.covariance)
     assert pooled.mean == pytest.approx(alone.mean)
-
-
-def test_larger_variances_are_scaled_data() -> None:
-    jacobian, residual = record(11)
-    sure = ChangePrior(np.zeros(4), np.zeros((4, 4)))
-    found = ScoreStatistics.of(InformationMatrix.of(jacobian, residual), sure).tempered(2.0)
-    same = ScoreStatistics.of(InformationMatrix.of(jacobian / np.sqrt(2.0), residual / np.sqrt(2.0)), sure)
-    assert found.information == pytest.approx(same.information)
-    assert found.score == pytest.approx(same.score)
 
 
 @pytest.mark.campaign

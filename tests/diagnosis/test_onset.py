@@ -20,15 +20,9 @@ KNOWN = ChangePrior(np.array([0.2, -0.1, 0.0]), np.diag([0.5, 1e-4, 0.3]) + 1e-3
 DRIFT = np.array([0.0, 0.0, 0.4])
 
 
-def watched(
-    jacobian: np.ndarray, residual: np.ndarray, known: ChangePrior = KNOWN, drift: np.ndarray = DRIFT
-) -> OnsetTracker:
+def watched(jacobian: np.ndarray, residual: np.ndarray, begun: OnsetTracker | None = None) -> OnsetTracker:
     """Return a watch that has seen all windows; a block lasts a second."""
-    return fed(OnsetTracker(known, drift), jacobian, residual)
-
-
-def fed(found: OnsetTracker, jacobian: np.ndarray, residual: np.ndarray) -> OnsetTracker:
-    """Return a watch after all windows."""
+    found = begun or OnsetTracker(KNOWN, DRIFT)
     rows = jacobian.reshape(-1, BLOCKS, LENGTH, jacobian.shape[1])
     rest = residual.reshape(-1, BLOCKS, LENGTH)
     for k, (own, left) in enumerate(zip(rows, rest, strict=True)):
@@ -94,11 +88,9 @@ def test_what_persists_of_a_drift_is_no_news() -> None:
 
 def test_old_onsets_thin_out_and_those_of_an_alarm_stay(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(watching, "SETTINGS", TrackerSettings(fine=2, most=8))
-    found = OnsetTracker(KNOWN, DRIFT)
+    found, plain = OnsetTracker(KNOWN, DRIFT), (np.tile(np.eye(3), (BLOCKS, 1, 1)), np.ones((BLOCKS, 3)))
     for k in range(100):
-        found.add(
-            Blocks(np.arange(BLOCKS + 1.0) + BLOCKS * k, np.tile(np.eye(3), (BLOCKS, 1, 1)), np.ones((BLOCKS, 3)))
-        )
+        found.add(Blocks(np.arange(BLOCKS + 1.0) + BLOCKS * k, *plain))
         if k == 30:
             found.pinned = (147.0, 148.0)
     clock = found.onsets([CAUSE], OnsetShape.STEP)[0].clock
@@ -120,7 +112,7 @@ def test_confidence_set_and_shape_over_draws(draws: int) -> None:
         course = np.tile(KNOWN.mean + spread @ random.standard_normal(3), (SAMPLES, 1))
         course[begin:, 1] += 0.6
         residual = np.einsum("ij,ij->i", jacobian, course) + random.standard_normal(SAMPLES)
-        found = watched(jacobian, residual, drift=np.zeros(3))
+        found = watched(jacobian, residual, OnsetTracker(KNOWN, np.zeros(3)))
         when = estimate_onset([found.onsets([CAUSE], shape)[0] for shape in OnsetShape], found.end)
         held += when.between[0] <= begin / LENGTH <= when.between[1]
         shapes += when.shape is OnsetShape.STEP
@@ -148,10 +140,7 @@ def test_how_a_change_builds_up(constant: bool) -> None:
     expected = (lags[1:] - lags[:-1] + np.diff(np.exp(-rate * lags)) / rate) / np.diff(lags)
     assert found.shares(np.zeros(1), lags)[0] == pytest.approx(expected, abs=0.04)
     assert found.shares(np.array([-100.0]), lags) == pytest.approx(1.0)
-
-
-def test_nothing_builds_up_where_no_state_is() -> None:
-    assert ChangeTransient.of(np.zeros(50), np.ones((100, 2)), 0.1).lasts == 0.0
+    assert ChangeTransient.of(np.zeros(50), np.ones((100, 2)), 0.1).lasts == 0.0  # without a state
 
 
 @pytest.mark.parametrize(
@@ -170,7 +159,7 @@ def test_confidence_set_of_a_machine_with_memory_over_draws(draws: int) -> None:
         known = ChangeTransient.of(np.exp(-2.0 * np.arange(400) / LAG), jacobian[:, 1:], 1.0 / LENGTH)
         for k, build_up in enumerate((known, ChangeTransient())):
             begun = OnsetTracker(ChangePrior(np.zeros(2), np.diag([0.5, 1e-4])), np.zeros(2))
-            found = fed(begun.building_up(build_up, np.array([False, True])), jacobian, residual)
+            found = watched(jacobian, residual, begun.building_up(build_up, np.array([False, True])))
             when = estimate_onset([found.onsets([CAUSE], shape)[0] for shape in OnsetShape], found.end)
             low, high = when.between
             held[k, i], near[k, i] = low - 1e-9 <= begin <= high + 1e-9, abs(when.clock - begin) <= 2
