@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from copy import copy
+from functools import partial
 from pathlib import Path
 from typing import NamedTuple, Protocol, cast
 
@@ -19,7 +20,9 @@ from scipy import special
 from scipy.signal import lfilter
 
 import fmuid
+from experiments import pages
 from fmuid.array_types import Floats
+from fmuid.diagnosis import Alarm, OnsetShape
 from fmuid.diagnosis.cause_analysis import BaselineStatistics, Examination, examine, shown_by, whitening_of
 from fmuid.diagnosis.cause_ranking import CauseSet
 from fmuid.diagnosis.causes import CauseKind, ChangeParameterSet
@@ -141,19 +144,10 @@ class Campaign:
     def run(self, cases: Iterable[str], keys: Mapping[str, int], counts: Mapping[str, int]) -> pd.DataFrame:
         """Examine what is missing of some cases and return all rows."""
         for case in cases:
-            done = self.rows()
-            begun = set(done.loc[done["case"] == case, "record"]) if len(done) else set()
-            made = [self.row(case, keys[case], k) for k in range(counts[case]) if k not in begun]
-            if made:
-                new = pd.concat([done, pd.DataFrame(made)], ignore_index=True)
-                new.to_csv(self.file, index=False, float_format="%.5g", lineterminator="\n")
-            print(f"{case}: {len(made)} records", flush=True)
+            row = partial(self.row, case, keys[case])
+            pages.continued(self.file, ("case", case), "record", range(counts[case]), row)
             self._shared.clear()
-        return self.rows()
-
-    def rows(self) -> pd.DataFrame:
-        """Return what the file has."""
-        return pd.read_csv(self.file, keep_default_na=False) if self.file.exists() else pd.DataFrame({"case": []})
+        return pd.read_csv(self.file, keep_default_na=False)
 
     def row(self, case: str, key: int, record: int) -> dict[str, str | float]:
         """Return what is said of one record of a case."""
@@ -206,7 +200,36 @@ def _off(named: CauseSet, truth: Mapping[str, float]) -> Iterator[float]:
         first = at.stop
 
 
+def onset(
+    monitor: fmuid.Monitor, begin: float, shape: OnsetShape, size: float, right: Callable[[Alarm], bool]
+) -> dict[str, float]:
+    """Return the last dated alarm of a monitoring beside the truth: time (s), shape and size; empty without one."""
+    alarms = [each for each in monitor.alarms if each.onset is not None]
+    if not alarms:
+        return {}
+    alarm, found = alarms[-1], alarms[-1].onset
+    assert found is not None  # those without are left out
+    change = alarm.explanations[0].changes[0]
+    return {
+        "D": float(monitor.table["statistic"].iloc[-1]),
+        "right": int(right(alarm)),
+        "late": alarms[0].time - begin,
+        "off": abs(found.likely.time - begin),
+        "held": int(found.first.time - 1e-9 <= begin <= found.last.time + 1e-9),
+        "width": found.last.time - found.first.time,
+        "shape": int(found.shape is shape),
+        "scaled": (change.value - size) / change.std if change.fault else math.nan,
+    }
+
+
 # --- tables
+
+
+def dated(part: pd.DataFrame) -> list[str]:
+    """Return the cells of onsets: rate of sets that hold it, their width, rate of shapes, error of the size."""
+    error = math.sqrt(float((part["scaled"] ** 2).mean()))
+    cells = [rate(part["held"] == 1), f"{part['width'].median():.2f}", rate(part["shape"] == 1)]
+    return [*cells, f"{error:.2f}" if math.isfinite(error) else ""]
 
 
 def interval(count: int, total: int) -> tuple[float, float]:
@@ -217,45 +240,39 @@ def interval(count: int, total: int) -> tuple[float, float]:
 
 
 def rate(flags: Sequence[bool] | pd.Series) -> str:
-    """Return a rate with its interval, in percent."""
+    """Return a rate in percent, with its interval unless it is 0 or 100."""
     count, total = int(np.sum(np.asarray(flags, dtype=bool))), len(flags)
-    if not total:
-        return ""
+    if count in (0, total):
+        return "" if not total else "100" if count else "0"
     low, high = interval(count, total)
-    return f"{100.0 * count / total:.1f} ({low:.1f} to {high:.1f})"
+    return f"{100.0 * count / total:.1f} ({low:.1f}–{high:.1f})"
 
 
 def false_table(found: pd.DataFrame, cases: Sequence[str]) -> str:
-    """Return the false calls of cases in which nothing is new, as Markdown; rates with their 95 % intervals."""
-    lines = ["| nothing new | records | false calls (%) | “something else” (%) | named |", "|---|---|---|---|---|"]
-    for case in cases:
-        part = found[found["case"] == case]
-        if part.empty:
-            continue
-        names = ", ".join(dict.fromkeys(name for each in part["named"] for name in str(each).split(" or ") if name))
-        cells = [case, str(len(part)), rate(part["alarm"]), rate(part["else"]), names or "–"]
-        lines.append("| " + " | ".join(cells) + " |")
-    return "\n".join(lines)
+    """Return the rates of false calls of cases in which nothing is new, as Markdown."""
+    parts = {case: found[found["case"] == case] for case in cases}
+    rows = [(case, rate(part["alarm"]), rate(part["else"])) for case, part in parts.items() if len(part)]
+    return pages.table(["nothing new", "false calls (%)", "“something else” (%)"], rows)
 
 
 def named_table(found: pd.DataFrame, cases: Mapping[str, Sequence[str]]) -> str:
-    """Return what is named in cases with the causes that are right, as Markdown; rates with their 95 % intervals."""
-    heads = ["new", "records", "called", "truth named", "first", "alone", "a fault alone", "two named wrongly",
-             "interval holds", "named first, %"]  # fmt: skip
-    lines = ["| " + " | ".join(heads) + " |", "|---" * len(heads) + "|"]
+    """Return what is named in cases with the causes that are right, as Markdown."""
+    rows = []
     for case, right in cases.items():
-        part = found[found["case"] == case]
+        part, truth = found[found["case"] == case], set(right)
         if part.empty:
             continue
         sets = [[set(one.split(" + ")) for one in str(each).split(" or ")] if each else [] for each in part["named"]]
-        truth, off = set(right), [float(z) for each in part["off"] for z in str(each).split()]
-        cells = [case, str(len(part)), rate(part["alarm"])]
-        cells += [rate([truth in each for each in sets]), rate([truth in each[:1] for each in sets])]
-        cells += [rate([each == [truth] for each in sets])]
-        cells.append(rate(part["fault"]) if not any("." in name for name in right) else "")
-        cells.append(rate([any(len(one) > 1 for one in each) for each in sets]) if len(right) < 2 else "")
+        off = [float(z) for each in part["off"] for z in str(each).split()]
+        cells = [case, rate(part["alarm"]), rate([truth in each[:1] for each in sets])]
+        cells.append(rate([each == [truth] for each in sets]))
         cells.append(rate([abs(z) <= float(special.ndtri(0.975)) for z in off if math.isfinite(z)]))
         firsts = pd.Series([str(each).split(" or ")[0] or "nothing" for each in part["named"]]).value_counts()
-        cells.append(", ".join(f"{name} {100 * count / len(part):.0f}" for name, count in firsts.head(3).items()))
-        lines.append("| " + " | ".join(cells) + " |")
-    return "\n".join(lines)
+        shares = {
+            name: 100 * count / len(part)
+            for name, count in firsts.head(3).items()
+            if {*str(name).split(" + ")} != truth
+        }
+        cells.append(", ".join(f"{name} {share:.0f}" for name, share in shares.items() if share >= 1.0))
+        rows.append(cells)
+    return pages.table(["new", "called", "named first", "alone", "interval holds", "another first, %"], rows)

@@ -28,8 +28,8 @@ from experiments.simulation_error import campaign as simulation_error
 HERE = Path(__file__).parent
 
 BATCHES = {
-    "monte_carlo": ("Estimates over all cases", "Written to", "distributions.png"),
-    "held": ("By setting", "Batch: 200 cases", "over-1.png"),
+    "monte_carlo": ("Estimates over all cases", "Fit (NRMSE)", "distributions.png"),
+    "held": ("By setting", "Fit (NRMSE)", "over-1.png"),
 }
 """Study to where begins and ends what the page shows of the command's words, and its figure."""
 

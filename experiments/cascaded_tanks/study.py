@@ -69,16 +69,16 @@ def table(folder: Path) -> str:
     compared = compare_results([folder / name for name in MODELS], [folder / "second.csv"])
     print(compared.table, *(each.text for each in document(compared).remarks), sep="\n")
     rows = compared.table.set_index("name")
-    heads = "| model | k | RMSE of the first record | AIC behind | RMSE of the second record |"
-    lines = [heads, "|---|---|---|---|---|"]
+    lines = []
     for name in MODELS:
         result = fmuid.Result.from_json(folder / name / "result.json")
         count = result.setup.data[0].samples
         first = (result.fit.noise_variance["y"] * result.fit.degrees_of_freedom / count) ** 0.5
         row = rows.loc[name]
-        numbers = f"{row['parameters']:.0f} | {first:.3f} V | {row['behind']:.0f} | {row['rmse.y']:.3f} V"
-        lines.append(f"| {name} | {numbers} |")
-    return "\n".join(lines)
+        numbers = f"{row['parameters']:.0f}", f"{first:.3f} V", f"{row['behind']:.0f}", f"{row['rmse.y']:.3f} V"
+        lines.append((name, *numbers))
+    heads = ["model", "k", "RMSE of the first record", "AIC behind", "RMSE of the second record"]
+    return pages.table(heads, lines)
 
 
 def main(data: Path, folder: Path) -> None:

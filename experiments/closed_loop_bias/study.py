@@ -26,11 +26,9 @@ from scipy.signal import lfilter, max_len_seq
 
 import fmuid
 from experiments import pages
+from experiments.pages import AMBER, BLUE, GREY, INK
 from fmuid.array_types import Floats
-from fmuid.reports.render.matplotlib_renderer import DPI, WIDTH, style
-from fmuid.reports.render.style import COLORS
-
-AMBER, BLUE, GREY, INK = (COLORS["amber"], COLORS["blue"], COLORS["grey"], COLORS["ink"])
+from fmuid.reports.render.matplotlib_renderer import WIDTH, style
 
 HERE = Path(__file__).parent
 FMUS = HERE.parents[1] / "fmus"
@@ -69,6 +67,8 @@ KINDS = {
     "closed loop, colored noise": Kind(True, COLOR),
     "closed loop identified whole, colored noise": Kind(True, COLOR, whole=True),
 }
+SHORT = ("open", "white", "closed", "whole")
+"""Names of the kinds in the table."""
 DRAWS, SEED = 200, 1
 
 
@@ -259,16 +259,15 @@ def cell(kind: str, ratio: float, count: int = DRAWS) -> pd.DataFrame:
 
 
 def table(found: pd.DataFrame) -> str:
-    """Return the biases as Markdown: in per cent, predicted, over the std of an estimate and over its own error."""
-    heads = [f"{name} {what}" for name in NAMES for what in ("bias (%)", "predicted (%)", "bias/std", "bias/error")]
-    lines = ["| " + " | ".join(["", "ratio", *heads]) + " |", "|---" * (len(heads) + 2) + "|"]
-    for (kind, ratio), part in found.groupby(["kind", "ratio"], sort=False):
-        cells = [str(kind), f"{ratio:g}"]
-        for bias, error, std, wanted in part[["bias", "error", "std", "predicted"]].to_numpy(dtype=float).tolist():
-            expected = f"{100 * wanted:.2f}" if wanted else "0"
-            cells += [f"{100 * bias:.2f} ± {100 * error:.2f}", expected, f"{bias / std:.2f}", f"{bias / error:.1f}"]
-        lines.append("| " + " | ".join(cells).replace("-", "−") + " |")
-    return "\n".join(lines)
+    """Return the biases in per cent as Markdown, a row a ratio; those predicted, if not zero, in brackets."""
+    rows = []
+    for ratio, part in found.groupby("ratio", sort=False):
+        cells = [f"{ratio:g}"]
+        for bias, error, wanted in part[["bias", "error", "predicted"]].to_numpy(dtype=float).tolist():
+            expected = f" ({100 * wanted:.2f})" if wanted else ""
+            cells.append(f"{100 * bias:.2f} ± {100 * error:.2f}{expected}".replace("-", "−"))
+        rows.append(cells)
+    return pages.table(["ratio", *(f"{name}, {kind}" for kind in SHORT for name in NAMES)], rows)
 
 
 def figure(found: pd.DataFrame) -> Figure:
@@ -312,12 +311,9 @@ def main() -> None:
     found = pd.concat([cell(kind, ratio) for kind in KINDS for ratio in RATIOS], ignore_index=True)
     count = len(KINDS) * len(RATIOS) * DRAWS
     print(f"{count} simulations and identifications in {time.perf_counter() - began:.1f} s")
-    found.to_csv(HERE / "bias.csv", index=False, float_format="%.6g", lineterminator="\n")
-    drawn = figure(found)
-    with style():  # ticks take theirs when they are drawn
-        drawn.savefig(HERE / "bias.png", dpi=DPI)
+    pages.write(found, HERE / "bias.csv")
+    pages.save(figure(found), HERE / "bias.png")
     pages.rewrite(HERE, {"bias": table(found)})
-    print(table(found))
 
 
 if __name__ == "__main__":

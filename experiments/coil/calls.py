@@ -171,11 +171,9 @@ def tables(found: pd.DataFrame) -> dict[str, str]:
 
 def unlisted(found: pd.DataFrame) -> dict[str, str]:
     """Return the page's table of what is called where turns are the only cause that is looked for."""
-    lines = ["| new | records | turns called (%) | “something else” (%) |", "|---|---|---|---|"]
-    for case in UNLISTED:
-        part = found[found["case"] == case]
-        lines.append(f"| {case} | {len(part)} | {calls.rate(part['alarm'])} | {calls.rate(part['else'])} |")
-    return {"unlisted": "\n".join(lines)}
+    parts = {case: found[found["case"] == case] for case in UNLISTED}
+    rows = [(case, calls.rate(part["alarm"]), calls.rate(part["else"])) for case, part in parts.items()]
+    return {"unlisted": pages.table(["new", "turns called (%)", "“something else” (%)"], rows)}
 
 
 def main() -> None:

@@ -12,7 +12,7 @@ from __future__ import annotations
 import math
 import sys
 from dataclasses import replace
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 from typing import NamedTuple
 
@@ -116,57 +116,35 @@ def drawn(name: str, draw: int) -> dict[str, float | str]:
     begin = float(rng.uniform(4.0, 7.0) // BLOCK * BLOCK)
     always, since = (DRIFT_R * rng.standard_normal(2)).tolist() if case.drawn else (0.0, 0.0)
     monitor.add(record(case, begin, rng, "new", sensor=seen_by, drift=(always, since)))
-    alarms = [each for each in monitor.alarms if each.onset is not None]
     found: dict[str, float | str] = {"case": name, "draw": draw, "alarm": int(bool(monitor.alarms))}
-    if not alarms or not (case.size or case.rise):
+    if not (case.size or case.rise):
         return found
-    alarm, onset = alarms[-1], alarms[-1].onset
-    assert onset is not None  # those without are left out
-    change = alarm.explanations[0].changes[0]
-    return found | {
-        "D": float(monitor.table["statistic"].iloc[-1]),
-        "right": int("turns" in alarm.fault.split(" or ")),
-        "late": alarms[0].time - begin,
-        "off": abs(onset.likely.time - begin),
-        "held": int(onset.first.time - 1e-9 <= begin <= onset.last.time + 1e-9),
-        "width": onset.last.time - onset.first.time,
-        "shape": int(onset.shape is (OnsetShape.RAMP if case.rise else OnsetShape.STEP)),
-        "scaled": (change.value - case.size) / change.std if change.fault and not case.rise else math.nan,
-    }
+    shape, size = (OnsetShape.RAMP, math.nan) if case.rise else (OnsetShape.STEP, case.size)
+    return found | calls.onset(monitor, begin, shape, size, lambda alarm: "turns" in alarm.fault.split(" or "))
 
 
 def table(found: pd.DataFrame) -> str:
     """Return the table of all cases, as Markdown; rates with their 95 % intervals."""
-    heads = ["", "draws", "alarm (%)", "turns among the named (%)", "after (s)", "onset off by (s)", "D > 100",
-             "of these within 2 blocks (%)", "within 0.1 s (%)", "set holds it (%)", "its width (s)", "shape right (%)",
-             "rms of error / std"]  # fmt: skip
-    lines = ["| " + " | ".join(heads) + " |", "|---" * len(heads) + "|"]
+    heads = ["", "draws", "alarm (%)", "after (s)", "onset off by (s)", "D > 100: within 2 blocks (%)",
+             "set holds it (%)", "its width (s)", "shape right (%)", "rms of error / std"]  # fmt: skip
+    rows = []
     for name, case in CASES.items():
         part = found[found["case"] == name]
-        if part.empty:
-            continue
         cells = [name, str(len(part)), calls.rate(part["alarm"] == 1)]
         if case.size or case.rise:
             dated = part[part["alarm"] == 1].dropna(subset=["off"])
-            large = dated[dated["D"] > LARGE]
-            cells += [calls.rate(dated["right"] == 1), f"{dated['late'].median():.2f}", f"{dated['off'].median():.3f}"]
-            cells += [str(len(large)), calls.rate(large["off"] <= 2 * BLOCK + 1e-9)]
-            cells += [calls.rate(large["off"] <= 0.1 + 1e-9), calls.rate(dated["held"] == 1)]
-            cells += [f"{dated['width'].median():.2f}", calls.rate(dated["shape"] == 1)]
-            cells.append("" if case.rise else f"{math.sqrt(float((dated['scaled'] ** 2).mean())):.2f}")
-        lines.append("| " + " | ".join(cells + [""] * (len(heads) - len(cells))) + " |")
-    return "\n".join(lines)
+            cells += [f"{dated['late'].median():.2f}", f"{dated['off'].median():.3f}"]
+            cells += [calls.rate(dated[dated["D"] > LARGE]["off"] <= 2 * BLOCK + 1e-9)]
+            cells += calls.dated(dated)
+        rows.append(cells)
+    return pages.table(heads, rows)
 
 
 def main() -> None:
     """Watch the records that are missing, and rewrite the page's table."""
     count = int(sys.argv[1]) if len(sys.argv) > 1 else DRAWS
     for name in CASES:
-        done = pd.read_csv(FILE) if FILE.exists() else pd.DataFrame({"case": [], "draw": []})
-        begun = set(done.loc[done["case"] == name, "draw"])
-        new = pd.DataFrame([drawn(name, draw) for draw in range(count) if draw not in begun])
-        pd.concat([done, new], ignore_index=True).to_csv(FILE, index=False, float_format="%.5g", lineterminator="\n")
-        print(f"{name}: {len(new)} records", flush=True)
+        pages.continued(FILE, ("case", name), "draw", range(count), partial(drawn, name))
     pages.rewrite(HERE, {"onsets": table(pd.read_csv(FILE))})
 
 

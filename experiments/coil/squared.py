@@ -80,15 +80,15 @@ def counted() -> pd.DataFrame:
 def squared_table(found: pd.DataFrame) -> str:
     """Return what the models say of turns, as Markdown."""
     heads = ["turns lost, %", "model", "named (%)", "said, %", "its std", "interval holds (%)"]
-    lines = ["| " + " | ".join(heads) + " |", "|---" * len(heads) + "|"]
+    rows = []
     for lost in (100.0 * np.array(SHARES)).tolist():
         for model in MODELS:
             part = found[np.isclose(found["lost"], lost) & (found["model"] == model)]
             said = part[part["size"].notna()]
             holds = calls.rate(((said["size"] - lost) / said["std"]).abs() <= float(special.ndtri(0.975)))
-            cells = [f"{lost:g}", model, calls.rate(part["size"].notna()), f"{said['size'].mean():.2f}"]
-            lines.append("| " + " | ".join([*cells, f"{said['std'].mean():.2f}", holds]) + " |")
-    return "\n".join(lines)
+            size = f"{said['size'].mean():.2f}", f"{said['std'].mean():.2f}"
+            rows.append((f"{lost:g}", model, calls.rate(part["size"].notna()), *size, holds))
+    return pages.table(heads, rows)
 
 
 def hidden_table() -> str:
@@ -103,7 +103,7 @@ def hidden_table() -> str:
         "R drifts by 0.5 Ω": np.where(np.array(names) == "R", common.drift, 0.0),
         "R by 0.5 Ω and L by 1.3 %": common.drift,
     }
-    lines = ["| healthy record | | std of a gain, % | 3 % called (%) | called in 90 %, % |", "|---" * 5 + "|"]
+    rows = []
     for longer, label in ((1.0, "as long"), (10.0, "ten times")):
         healthy = ChangePrior.after(InformationMatrix(longer * said.matrix, longer * said.score), coordinates.normal)
         for text, drift in drifts.items():
@@ -112,14 +112,13 @@ def hidden_table() -> str:
             own = float(news.part(gain.columns)[0][0, 0])
             seen = 1.0 - float(special.chndtr(special.chdtri(1, limit), 1, GAIN**2 * own))
             least = detectable(news, gain, limit, 0.1)
-            lines.append(f"| {label} | {text} | {100 * own**-0.5:.2f} | {100 * seen:.0f} | {100 * least:.1f} |")
-    return "\n".join(lines)
+            rows.append((label, text, f"{100 * own**-0.5:.2f}", f"{100 * seen:.0f}", f"{100 * least:.1f}"))
+    return pages.table(["healthy record", "", "std of a gain, %", "3 % called (%)", "called in 90 %, %"], rows)
 
 
 def main() -> None:
     """Examine the records and rewrite the page's tables."""
-    found = counted()
-    found.to_csv(HERE / "squared.csv", index=False, float_format="%.5g", lineterminator="\n")
+    found = pages.write(counted(), HERE / "squared.csv", "%.5g")
     pages.rewrite(HERE, {"squared": squared_table(found), "hidden": hidden_table()})
 
 

@@ -22,11 +22,9 @@ from scipy.signal import lfilter, max_len_seq
 
 import fmuid
 from experiments import pages
+from experiments.pages import AMBER, BLUE, GREY, INK
 from fmuid.array_types import Floats
-from fmuid.reports.render.matplotlib_renderer import DPI, WIDTH, style
-from fmuid.reports.render.style import COLORS
-
-AMBER, BLUE, GREY, INK = (COLORS["amber"], COLORS["blue"], COLORS["grey"], COLORS["ink"])
+from fmuid.reports.render.matplotlib_renderer import WIDTH, style
 
 HERE = Path(__file__).parent
 FMUS = HERE.parents[1] / "fmus"
@@ -215,58 +213,47 @@ def theory(resistance: float, fault: float) -> Theory:
 
 def single_table(found: dict[int, fmuid.Diagnosis]) -> str:
     """Return table 1.1 as Markdown: the truth, the chapter's row and ours for each test."""
-    lines = ["| test | | R (Ω) | L (H) | ΔR (Ω) | verdict |", "|---|---|---|---|---|---|"]
+    rows: list[tuple[object, ...]] = []
     for number, case in TESTS.items():
         size, common = found[number]["turns.dR"], found[number].nominal
-        lines.append(f"| {number} | truth | {case.R:g} | {L:g} | {case.fault:g} | |")
-        lines.append("| | chapter | {:.3f} | {:.4f} | {:.3f} | |".format(*case.chapter))
-        ours = f"{common['R'][0]:.3f} | {common['L'][0]:.4f} | {size.value:.3f} ± {size.std:.3f}"
-        said = f"{found[number].kind}, D = {found[number].evidence.suspects[0].statistic:.4g}"
-        lines.append(f"| | ours | {ours} | {said} |")
-    return "\n".join(lines).replace("-", "−").replace("|−−−", "|---")
+        statistic = f"{found[number].kind}, D = {found[number].evidence.suspects[0].statistic:.4g}"
+        ours = (f"{common['R'][0]:.3f}", f"{common['L'][0]:.4f}", f"{size.value:.3f} ± {size.std:.3f}")
+        rows.append((number, "truth", f"{case.R:g}", f"{L:g}", signed(case.fault, "g")))
+        rows.append(("", "chapter", f"{case.chapter[0]:.3f}", f"{case.chapter[1]:.4f}", signed(case.chapter[2], ".3f")))
+        rows.append(("", "ours", *(each.replace("-", "−") for each in ours), statistic))
+    return pages.table(["test", "", "R (Ω)", "L (H)", "ΔR (Ω)", "verdict"], rows)
+
+
+def signed(value: float, digits: str) -> str:
+    """Return a number with a minus sign of print."""
+    return format(value, digits).replace("-", "−")
 
 
 def draws_table(found: pd.DataFrame) -> str:
-    """Return bias, spread and rate of the draws of each test beside the theory's, as Markdown."""
-    heads = [
-        "test",
-        "mean error (Ω)",
-        "theory",
-        "spread (Ω)",
-        "theory",
-        "stated std",
-        "called (%)",
-        "theory",
-        "any alarm (%)",
-    ]
-    lines = ["| " + " | ".join(heads) + " |", "|---" * len(heads) + "|"]
+    """Return bias, spread and rate of the draws of each test, the theory in brackets, as Markdown."""
+    heads = ["test", "mean error (Ω)", "spread (Ω)", "stated std", "called (%)", "any alarm (%)"]
+    rows = []
     for number, case in TESTS.items():
         part, expected = found[found["test"] == number], theory(case.R, case.fault)
         error = part["dR"] - case.fault
         cells = [
-            str(number),
-            f"{error.mean():.4f} ± {error.std() / math.sqrt(len(part)):.4f}",
-            f"{expected.bias:.4f}",
-            f"{error.std():.4f}",
-            f"{expected.spread:.4f}",
+            f"{error.mean():.4f} ± {error.std() / math.sqrt(len(part)):.4f} ({expected.bias:.4f})",
+            f"{error.std():.4f} ({expected.spread:.4f})",
             f"{part['std'].mean():.4f}",
-            f"{100 * part['called'].mean():.1f}",
-            f"{100 * expected.rate:.1f}",
+            f"{100 * part['called'].mean():.1f} ({100 * expected.rate:.1f})",
             f"{100 * part['alarm'].mean():.1f}",
         ]
-        lines.append("| " + " | ".join(cells).replace("-", "−") + " |")
-    return "\n".join(lines)
+        rows.append([number, *(each.replace("-", "−") for each in cells)])
+    return pages.table(heads, rows)
 
 
 def alarms_table(found: pd.DataFrame) -> str:
-    """Return the rates of false alarms against the resistance of the coil, as Markdown."""
-    lines = ["| R (Ω) | draws | fault called (%) | theory (%) | any alarm (%) |", "|---|---|---|---|---|"]
-    for row in found.itertuples(index=False):
-        resistance, count, called, alarms = (float(value) for value in row)
+    """Return the rates of false alarms against the resistance of the coil, the theory in brackets, as Markdown."""
+    rows = []
+    for resistance, count, called, alarms in found.to_numpy(dtype=float).tolist():
         expected = 100 * theory(resistance, 0.0).rate
-        rates = f"{100 * called / count:.2f} | {expected:.2f} | {100 * alarms / count:.2f}"
-        lines.append(f"| {resistance:g} | {count:g} | {rates} |")
-    return "\n".join(lines)
+        rows.append((f"{resistance:g}", f"{100 * called / count:.2f} ({expected:.2f})", f"{100 * alarms / count:.2f}"))
+    return pages.table(["R (Ω)", "fault called (%)", "any alarm (%)"], rows)
 
 
 def figure(found: pd.DataFrame) -> Figure:
@@ -308,18 +295,15 @@ def main() -> None:
         [draws(case.R, case.fault, DRAWS, number).assign(test=number) for number, case in TESTS.items()],
         ignore_index=True,
     )
-    found.to_csv(HERE / "draws.csv", index=False, float_format="%.6g", lineterminator="\n")
-    found = pd.read_csv(HERE / "draws.csv")  # as the page is checked against it
+    found = pages.write(found, HERE / "draws.csv")  # as the page is checked against it
     counts = []
     for k, resistance in enumerate(WARM):
         part = draws(resistance, 0.0, ALARM_DRAWS, 100 + k)
         counts.append((resistance, len(part), int(part["called"].sum()), int(part["alarm"].sum())))
     alarms = pd.DataFrame(counts, columns=["R", "draws", "called", "alarms"])
-    alarms.to_csv(HERE / "alarms.csv", index=False, lineterminator="\n")
+    pages.write(alarms, HERE / "alarms.csv")
     print(f"all diagnoses in {time.perf_counter() - began:.0f} s")
-    drawn = figure(found)
-    with style():  # ticks take theirs when they are drawn
-        drawn.savefig(HERE / "draws.png", dpi=DPI)
+    pages.save(figure(found), HERE / "draws.png")
     written = {"single": single_table(single), "draws": draws_table(found), "alarms": alarms_table(alarms)}
     pages.rewrite(HERE, written)
 

@@ -39,30 +39,26 @@ def problem(frame: pd.DataFrame, starts: dict[str, float]) -> fmuid.Problem:
     return fmuid.Problem(system, experiment, parameters, values={"q_start": float(frame["q"].iloc[0])})
 
 
-def line(name: str, result: fmuid.Result) -> str:
-    """Return a row of the table: estimates, how far they are from the published values, simulations, residual."""
+def row(name: str, result: fmuid.Result) -> tuple[str, ...]:
+    """Return a row of the table: estimates, how far they are from the published values, residual, simulations."""
     cells = [f"{result[each]:.4g} ({100.0 * (result[each] / value - 1.0):+.1f} %)" for each, value in PUBLISHED.items()]
     residual = 1e6 * float(np.sqrt(result.fit.noise_variance["q"]))
-    return f"| {name} | {' | '.join(cells)} | {residual:.3g} | {result.history.simulations} |"
+    return name, *cells, f"{residual:.3g}", f"{result.history.simulations}"
 
 
 def main() -> None:
     """Fit with observers of several horizons and with none; print and write the table."""
     data = loadmat(os.environ.get("FMUID_EMPS_DATA", HERE / "DATA_EMPS.mat"))
     frame = pd.DataFrame({"time": data["t"].ravel(), "v": data["vir"].ravel(), "q": data["qm"].ravel()}, dtype=float)
-    rows = [
-        "| observer | M (kg) | F_v (N s/m) | F_c (N) | offset (N) | residual (µm) | simulations |",
-        "|---|---|---|---|---|---|---|",
-        "| published | " + " | ".join(f"{value:.4g}" for value in PUBLISHED.values()) + " | | |",
-    ]
+    rows: list[tuple[str, ...]] = [("published", *(f"{value:.4g}" for value in PUBLISHED.values()))]
     starts = STARTS
     for samples in SAMPLES:
         result = fmuid.identify(with_observer(problem(frame, STARTS), samples))
-        rows.append(line(f"{samples:g} ms", result))
+        rows.append(row(f"{samples:g} ms", result))
         starts = dict(zip(result.names, result.values.tolist(), strict=True))
-    rows.append(line("none: output error", fmuid.identify(problem(frame, starts), restart=False)))
-    print("\n".join(rows))
-    pages.rewrite(HERE, {"open_loop": "\n".join(rows)})
+    rows.append(row("none: output error", fmuid.identify(problem(frame, starts), restart=False)))
+    heads = ["observer", "M (kg)", "F_v (N s/m)", "F_c (N)", "offset (N)", "residual (µm)", "simulations"]
+    pages.rewrite(HERE, {"open_loop": pages.table(heads, rows)})
 
 
 if __name__ == "__main__":

@@ -20,11 +20,9 @@ from matplotlib.figure import Figure
 import fmuid
 from experiments import pages
 from experiments.coil.study import SAMPLES, STEP, L, R, current, experiment, models, voltage
+from experiments.pages import AMBER, BLUE, GREY, INK
 from fmuid.array_types import Floats
-from fmuid.reports.render.matplotlib_renderer import DPI, WIDTH, style
-from fmuid.reports.render.style import COLORS
-
-AMBER, BLUE, GREY, INK = (COLORS["amber"], COLORS["blue"], COLORS["grey"], COLORS["ink"])
+from fmuid.reports.render.matplotlib_renderer import WIDTH, style
 
 HERE = Path(__file__).parent
 RATIOS = (1000.0, 100.0, 10.0, 3.0)  # of the powers of the current and its noise
@@ -166,15 +164,15 @@ def signed(value: float) -> str:
 
 def table(found: pd.DataFrame) -> str:
     """Return the errors as Markdown, a row a method and parameter, the theory in brackets."""
-    lines = ["| % | | " + " | ".join(f"{ratio:g}" for ratio in RATIOS) + " |", "|---" * (2 + len(RATIOS)) + "|"]
+    rows = []
     for method in METHODS:
         for name in "RL":
             part = found[(found["method"] == method) & (found["parameter"] == name)].set_index("ratio")
             cells = []
             for mean, std, expected in part.loc[list(RATIOS)][["mean", "std", "theory"]].to_numpy().tolist():
                 cells.append(f"{signed(mean)} ± {std:.1f}" + (f" ({signed(expected)})" if expected else ""))
-            lines.append(f"| {method if name == 'R' else ''} | {name} | " + " | ".join(cells) + " |")
-    return "\n".join(lines)
+            rows.append([method if name == "R" else "", name, *cells])
+    return pages.table(["%", "", *(f"{ratio:g}" for ratio in RATIOS)], rows)
 
 
 def figure(found: pd.DataFrame) -> Figure:
@@ -200,11 +198,9 @@ def main() -> None:
     """Rewrite data, table and figure."""
     began = time.perf_counter()
     found = measure()
-    found.to_csv(HERE / "bias.csv", index=False, float_format="%.4f", lineterminator="\n")
+    pages.write(found, HERE / "bias.csv", "%.4f")
     print(f"{DRAWS * len(RATIOS) * len(METHODS)} estimates in {time.perf_counter() - began:.0f} s")
-    drawn = figure(found)
-    with style():
-        drawn.savefig(HERE / "bias.png", dpi=DPI)
+    pages.save(figure(found), HERE / "bias.png")
     pages.rewrite(HERE, {"bias": table(found)})
 
 

@@ -27,12 +27,10 @@ from matplotlib.ticker import MaxNLocator
 import fmuid
 from experiments import pages
 from experiments.induction_machine import make_table
+from experiments.pages import AMBER, BLUE, GREY, INK
 from fmuid.array_types import Floats
 from fmuid.formatting import with_std
-from fmuid.reports.render.matplotlib_renderer import DPI, WIDTH, style
-from fmuid.reports.render.style import COLORS
-
-AMBER, BLUE, GREY, INK = (COLORS["amber"], COLORS["blue"], COLORS["grey"], COLORS["ink"])
+from fmuid.reports.render.matplotlib_renderer import WIDTH, style
 
 HERE = Path(__file__).parent
 MODEL = HERE.parents[1] / "fmus" / "InductionMachine" / "InductionMachine.fmu"
@@ -295,52 +293,44 @@ def draws_figure(errors: Floats) -> Figure:
 
 def estimates_table(found: Mapping[str, fmuid.Result]) -> str:
     """Return the estimates beside the chapter's, as Markdown."""
-    rows = [["", "truth", "prior", *(f"{whose} {kind}" for kind in found for whose in ("chapter", "ours"))]]
+    heads, rows = ["", "truth", "prior", *(f"{whose} {kind}" for kind in found for whose in ("chapter", "ours"))], []
     for i, name in enumerate(NAMES):
         cells = [f"{SYMBOLS[name]} ({UNITS[name]})", f"{TRUTH[i]:g}", with_std(PRIOR_MEAN[i], PRIOR_STD[i])]
         for kind, result in found.items():
             cells += [f"{CHAPTER[kind][i] or '–'}", with_std(result.values[i], result.std[i])]
         rows.append(cells)
-    return markdown(rows)
+    return pages.table(heads, rows)
 
 
 def iterations_table(found: pd.DataFrame) -> str:
     """Return iterations and simulations, mean and range over the starts of a kind, as Markdown."""
     columns = [f"{what} {kind}" for what in ("iterations", "simulations") for kind in COLOURS]
-    rows = [["starts", "how many", *columns]]
+    rows = []
     for name, part in found.groupby("starts", sort=False):
         spans = [(part[c].mean(), part[c].min(), part[c].max()) for c in columns]
         cells = [f"{mean:.1f} ({low}–{high})" if low < high else f"{low}" for mean, low, high in spans]
         rows.append([str(name), str(len(part)), *cells])
-    return markdown(rows)
+    return pages.table(["starts", "how many", *columns], rows)
 
 
 def variance_table(found: pd.DataFrame, drawn: Mapping[str, float]) -> str:
     """Return the noise variances after each search, A², as Markdown."""
     last = int(found["searches"].max())
-    head = ["prior", "first value", "first search", *(f"repetition {k}" for k in range(1, last))]
-    rows = [[*head, *(f"of {name}, in the end" for name in OUTPUTS)]]
+    rows = []
     for (prior, first), part in found.groupby(["prior", "first"]):
         after = [f"{value:.5f}" for value in part["both"].tolist()[1:]]
-        own = [f"{value:.5f}" for value in part[list(OUTPUTS)].iloc[-1]]
-        rows.append([str(prior), f"{first:g}", *after, *["–"] * (last - len(after)), *own])
-    rows.append(["**noise drawn**", *[""] * last, *(f"{drawn[name]:.5f}" for name in ("both", *OUTPUTS))])
-    return markdown(rows)
+        rows.append([str(prior), f"{first:g}", *after, *["–"] * (last - len(after))])
+    rows.append(["**noise drawn**", *[""] * last, f"{drawn['both']:.5f}"])
+    return pages.table(["prior", "first value", "first search", *(f"repetition {k}" for k in range(1, last))], rows)
 
 
 def draws_table(errors: Floats) -> str:
     """Return the root mean squares of the errors, in units and together in prior standard deviations, as Markdown."""
-    rows = [["", *(f"{SYMBOLS[name]} ({UNITS[name]})" for name in NAMES), "all four, in prior std"]]
+    rows = []
     for kind, values in root_mean_squares(errors).iterrows():
         own = values[list(NAMES)].to_numpy(dtype=float) * PRIOR_STD
         rows.append([str(kind), *(f"{value:#.2g}" for value in own), f"{values['all']:.2f}"])
-    return markdown(rows)
-
-
-def markdown(rows: list[list[str]]) -> str:
-    """Return rows as a Markdown table, the first one its head."""
-    lines = ["| " + " | ".join(row) + " |" for row in rows]
-    return "\n".join([lines[0], "|---" * len(rows[0]) + "|", *lines[1:]])
+    return pages.table(["", *(f"{SYMBOLS[name]} ({UNITS[name]})" for name in NAMES), "all four, in prior std"], rows)
 
 
 def main() -> None:
@@ -356,15 +346,13 @@ def main() -> None:
     moved = np.abs(common.values - found["with prior"].values) / found["with prior"].std
     print(f"one common variance, {NOISE_VARIANCE} A², moves the estimates by {moved.max():.3f} std at most")
 
-    counts.to_csv(HERE / "iterations.csv", index=False, float_format="%.9g", lineterminator="\n")
-    variances.to_csv(HERE / "variance.csv", index=False, float_format="%.6g", lineterminator="\n")
+    pages.write(counts, HERE / "iterations.csv", "%.9g")
+    pages.write(variances, HERE / "variance.csv")
     columns = [f"{name} {kind}" for kind in KINDS for name in NAMES]
-    scaled = pd.DataFrame(errors.reshape(len(errors), -1), columns=columns)
-    scaled.to_csv(HERE / "draws.csv", index=False, float_format="%.4f", lineterminator="\n")
-    figures = {"search": search_figure(found), "variance": variance_figure(variances, drawn["both"])}
-    with style():  # ticks take theirs when they are drawn
-        for name, figure in (figures | {"draws": draws_figure(errors)}).items():
-            figure.savefig(HERE / f"{name}.png", dpi=DPI)
+    pages.write(pd.DataFrame(errors.reshape(len(errors), -1), columns=columns), HERE / "draws.csv", "%.4f")
+    pages.save(search_figure(found), HERE / "search.png")
+    pages.save(variance_figure(variances, drawn["both"]), HERE / "variance.png")
+    pages.save(draws_figure(errors), HERE / "draws.png")
     tables = {
         "estimates": estimates_table(found),
         "iterations": iterations_table(counts),
@@ -372,7 +360,6 @@ def main() -> None:
         "draws": draws_table(errors),
     }
     pages.rewrite(HERE, tables)
-    print("\n\n".join(tables.values()))
 
 
 if __name__ == "__main__":

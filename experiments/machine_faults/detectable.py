@@ -68,12 +68,11 @@ def shown() -> str:
     ratios = [each[f"stator.{name}"] for name in models.RATIOS]
     earlier = ScoreStatistics.of(said, ChangePrior(zero, np.diag(spread**2)))
     base = together(earlier, [cause.columns[0] for cause in ratios], LEVEL / 2)
-    lines = ["| causes | healthy record | std of one phase, turns | p of one cause | called in 90 %, turns | times |",
-             "|---|---|---|---|---|---|"]  # fmt: skip
+    rows = []
 
     def add(name: str, length: str, news: ScoreStatistics, limit: float, size: float) -> None:
         std = TURNS * news.part(ratios[0].columns)[0][0, 0] ** -0.5
-        lines.append(f"| {name} | {length} | {std:.3f} | {limit:.1e} | {TURNS * size:.2f} | {size / base:.2f} |")
+        rows.append((name, length, f"{std:.3f}", f"{limit:.1e}", f"{TURNS * size:.2f}", f"{size / base:.2f}"))
 
     add("three ratios in one test, bars in another", "its result, inflated", earlier, LEVEL / 2, base)
     named: dict[str, list[Cause]] = {
@@ -90,7 +89,8 @@ def shown() -> str:
             limit = LEVEL if len(causes) == 1 else MinPDistribution.of(news, causes).limit(LEVEL)
             size = detectable(news, ratios[0], limit, MISS)
             add(name, "endless" if longer is None else f"{length:.0f} times", news, limit, size)
-    return "\n".join(lines)
+    heads = ["causes", "healthy record", "std of one phase, turns", "p of one cause", "called in 90 %, turns", "times"]
+    return pages.table(heads, rows)
 
 
 def main() -> None:

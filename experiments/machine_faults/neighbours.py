@@ -33,7 +33,7 @@ FITS: dict[str, tuple[str, dict[str, fmuid.Parameter], dict[str, float]]] = {
 def shown() -> str:
     """Return the page's table."""
     nominal = {name: fmuid.Parameter(value) for name, value in models.NOMINAL.items()}
-    lines = ["| broken | fitted | sizes | θ₀ (rad) | variance left / noise |", "|---|---|---|---|---|"]
+    rows = []
     for bars in (1, 2):
         record = fmuid.Experiment(table(f"bars_{bars}"), models.INPUTS, models.OUTPUTS)
         for name, (model, sizes, held) in FITS.items():
@@ -41,8 +41,8 @@ def shown() -> str:
             found = fmuid.identify(fmuid.Problem(fmuid.System(models.path(model)), record, searched, values=held))
             said = ", ".join(f"{size} = {found[size]:.3f}" for size in sizes)
             left = np.mean(list(found.fit.noise_variance.values())) / NOISE_VARIANCE
-            lines.append(f"| {bars} | {name} | {said} | {found['theta0']:.2f} | {left:.3f} |")
-    return "\n".join(lines)
+            rows.append((bars, name, said, f"{found['theta0']:.2f}", f"{left:.3f}"))
+    return pages.table(["broken", "fitted", "sizes", "θ₀ (rad)", "variance left / noise"], rows)
 
 
 def main() -> None:

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import sys
 from dataclasses import replace
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 
 import numpy as np
@@ -69,48 +69,34 @@ def drawn(turns: int, draw: int) -> dict[str, float | str]:
     rng, phase = np.random.default_rng([SEED, turns, draw]), draw % 3
     begin = int(rng.integers(round(BEGIN[0] / SAMPLE_TIME), round(BEGIN[1] / SAMPLE_TIME)))
     monitor = watched(record(turns, phase, begin, rng), rng)
-    alarms = [each for each in monitor.alarms if each.onset is not None]
-    found: dict[str, float | str] = {"turns": turns, "draw": draw, "alarm": int(bool(alarms))}
-    if not alarms:
-        return found
-    alarm, onset, since = alarms[-1], alarms[-1].onset, begin * SAMPLE_TIME
-    assert onset is not None  # those without are left out
-    change = alarm.explanations[0].changes[0]
-    return found | {
-        "D": float(monitor.table["statistic"].iloc[-1]),
-        "right": int(change.label == f"stator.fault.eta_{'abc'[phase]}"),
-        "late": alarms[0].time - since,
-        "off": abs(onset.likely.time - since),
-        "held": int(onset.first.time - 1e-9 <= since <= onset.last.time + 1e-9),
-        "width": onset.last.time - onset.first.time,
-        "shape": int(onset.shape is OnsetShape.STEP),
-        "scaled": (change.value - turns / TURNS) / change.std,
-    }
+    label = f"stator.fault.eta_{'abc'[phase]}"
+
+    def right(alarm: fmuid.diagnosis.Alarm) -> bool:
+        return alarm.explanations[0].changes[0].label == label
+
+    named = calls.onset(monitor, begin * SAMPLE_TIME, OnsetShape.STEP, turns / TURNS, right)
+    return {"turns": turns, "draw": draw, "alarm": int(bool(named)), **named}
 
 
 def table(found: pd.DataFrame) -> str:
     """Return the table of all cases, as Markdown; rates with their 95 % intervals."""
     heads = ["turns", "draws", "alarm (%)", "phase right (%)", "after (s)", "D", "onset off by (s)"]
     heads += ["within 2 blocks (%)", "set holds it (%)", "its width (s)", "shape right (%)", "rms of error / std"]
-    lines = ["| " + " | ".join(heads) + " |", "|---" * len(heads) + "|"]
+    rows = []
     for turns, part in found.groupby("turns"):
         cells = [str(turns), str(len(part)), calls.rate(part["alarm"] == 1)]
         part = part[part["alarm"] == 1]
         cells += [calls.rate(part["right"] == 1), f"{part['late'].median():.2f}", f"{part['D'].median():.0f}"]
         cells += [f"{part['off'].median():.3f}", calls.rate(part["off"] <= 2 * BLOCK + 1e-9)]
-        cells += [calls.rate(part["held"] == 1), f"{part['width'].median():.2f}", calls.rate(part["shape"] == 1)]
-        lines.append("| " + " | ".join([*cells, f"{np.sqrt(np.mean(part['scaled'] ** 2)):.2f}"]) + " |")
-    return "\n".join(lines)
+        rows.append(cells + calls.dated(part))
+    return pages.table(heads, rows)
 
 
 def main() -> None:
     """Watch the records that are missing, and rewrite the page's table."""
     count = int(sys.argv[1]) if len(sys.argv) > 1 else DRAWS
-    for draw in range(count):
-        done = pd.read_csv(FILE) if FILE.exists() else pd.DataFrame({"turns": [], "draw": []})
-        begun = set(done.loc[done["draw"] == draw, "turns"])
-        new = pd.DataFrame([drawn(turns, draw) for turns in SHORTED if turns not in begun])
-        pd.concat([done, new], ignore_index=True).to_csv(FILE, index=False, float_format="%.5g", lineterminator="\n")
+    for turns in SHORTED:
+        pages.continued(FILE, ("turns", turns), "draw", range(count), partial(drawn, turns))
     pages.rewrite(HERE, {"onsets": table(pd.read_csv(FILE))})
 
 

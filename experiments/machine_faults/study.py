@@ -23,11 +23,9 @@ from experiments import pages
 from experiments.machine_faults import models
 from experiments.machine_faults.machine import BARS, TURNS, bar_angle
 from experiments.machine_faults.make_tables import CASES, add_noise, simulate, table
+from experiments.pages import AMBER, BLUE, INK
 from fmuid.diagnosis import EstimatedChange
-from fmuid.reports.render.matplotlib_renderer import DPI, WIDTH, style
-from fmuid.reports.render.style import COLORS
-
-AMBER, BLUE, INK = (COLORS["amber"], COLORS["blue"], COLORS["ink"])
+from fmuid.reports.render.matplotlib_renderer import WIDTH, style
 
 HERE = Path(__file__).parent
 
@@ -93,54 +91,41 @@ def words(case: str) -> str:
     return "warm: Rs and Rr 30 % up" if warm else "healthy"
 
 
-def spread(values: pd.Series) -> str:
-    """Return mean (least to most) of the draws."""
-    mean, least, most = (round(each, 2) + 0.0 for each in (values.mean(), values.min(), values.max()))  # no minus zero
-    return f"{mean:.2f} ({least:.2f} to {most:.2f})".replace("-", "−")
+def spread(values: pd.Series, digits: int = 2) -> str:
+    """Return mean (least–most) of the draws; none is negative."""
+    mean, least, most = (abs(round(each, digits)) for each in (values.mean(), values.min(), values.max()))
+    return f"{mean:.{digits}f} ({least:.{digits}f}–{most:.{digits}f})"
 
 
 def summary(found: pd.DataFrame) -> str:
-    """Return verdicts, statistics and resistances of all cases as Markdown."""
-    lines = [
-        "| case | draws | verdicts | D, stator | D, rotor | Rs (Ω) | Rr (Ω) |",
-        "|---|---|---|---|---|---|---|",
-    ]
+    """Return verdicts, statistics and mean turns of all cases as Markdown."""
+    rows = []
     for case, part in found.groupby("case", sort=False):
-        counts = part["verdict"].value_counts()
-        verdicts = ", ".join(f"{name}: {count}" for name, count in counts.items())
+        verdicts = ", ".join(f"{name}: {count}" for name, count in part["verdict"].value_counts().items())
         statistics = [f"{part[f'{fault}_D'].mean():.0f}" for fault in ("stator", "rotor")]
-        means = [f"{part[name].mean():.2f}" for name in ("Rs", "Rr")]
-        lines.append("| " + " | ".join([words(str(case)), str(len(part)), verdicts, *statistics, *means]) + " |")
-    return "\n".join(lines)
-
-
-def stator_table(found: pd.DataFrame) -> str:
-    """Return the shorted turns of the phases as Markdown: mean (least to most)."""
-    lines = ["| case | phase a | phase b | phase c | std of one |", "|---|---|---|---|---|"]
-    for case, part in found.groupby("case", sort=False):
+        turns = ["", ""]
         if CASES[str(case)].bars == 0:
-            cells = [spread(part[f"turns_{phase}"]) for phase in "abc"]
-            lines.append("| " + " | ".join([words(str(case)), *cells, f"{part['std_a'].mean():.2f}"]) + " |")
-    return "\n".join(lines)
+            means = [round(part[f"turns_{phase}"].mean(), 2) + 0.0 for phase in "abc"]  # no minus zero
+            turns = [", ".join(f"{mean:.2f}".replace("-", "−") for mean in means), f"{part['std_a'].mean():.2f}"]
+        rows.append([words(str(case)), verdicts, *statistics, *turns])
+    return pages.table(["case", "verdicts", "D, stator", "D, rotor", "turns of a, b, c", "std of one"], rows)
 
 
 def rotor_table(found: pd.DataFrame) -> str:
-    """Return size and angle of the broken bars as Markdown: mean (least to most)."""
-    lines = ["| case | η₀ put in | η₀ | std of one | θ₀ put in (rad) | θ₀ (rad) |", "|---|---|---|---|---|---|"]
+    """Return size and angle of the broken bars as Markdown: mean (least–most)."""
+    rows = []
     for case, part in found.groupby("case", sort=False):
         bars = CASES[str(case)].bars
         if CASES[str(case)].turns == 0:
-            put = [f"{3 * bars / BARS:.3f}", f"{bar_angle(bars):.2f}" if bars else "–"]
-            size = f"{part['eta0'].mean():.3f} ({part['eta0'].min():.3f} to {part['eta0'].max():.3f})"
-            angle = spread(part["theta0"]) if bars else "–"
-            cells = [words(str(case)), put[0], size, f"{part['std_eta0'].mean():.4f}", put[1], angle]
-            lines.append("| " + " | ".join(cells) + " |")
-    return "\n".join(lines)
+            angles = [f"{bar_angle(bars):.2f}", spread(part["theta0"])] if bars else ["–", "–"]
+            size = spread(part["eta0"], 3), f"{part['std_eta0'].mean():.4f}"
+            rows.append([words(str(case)), f"{3 * bars / BARS:.3f}", *size, *angles])
+    return pages.table(["case", "η₀ put in", "η₀", "std of one", "θ₀ put in (rad)", "θ₀ (rad)"], rows)
 
 
 def tables(found: pd.DataFrame) -> dict[str, str]:
     """Return the tables of the page."""
-    return {"verdicts": summary(found), "turns": stator_table(found), "bars": rotor_table(found)}
+    return {"verdicts": summary(found), "bars": rotor_table(found)}
 
 
 def figure(found: pd.DataFrame) -> Figure:
@@ -185,11 +170,8 @@ def main() -> None:
     began = time.perf_counter()
     found = draws()
     print(f"{len(found)} records in {time.perf_counter() - began:.0f} s")
-    found.to_csv(HERE / "draws.csv", index=False, float_format="%.6g", lineterminator="\n")
-    found = pd.read_csv(HERE / "draws.csv")  # as the page is checked against it
-    drawn = figure(found)
-    with style():
-        drawn.savefig(HERE / "sizes.png", dpi=DPI)
+    found = pages.write(found, HERE / "draws.csv")  # as the page is checked against it
+    pages.save(figure(found), HERE / "sizes.png")
     pages.rewrite(HERE, tables(found))
 
 

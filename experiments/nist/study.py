@@ -148,11 +148,7 @@ def scipy_digits(name: str, reference: Reference, start: int) -> float:
 
 def table(folder: Path) -> str:
     """Return the page's table, as Markdown."""
-    lines = [
-        "| problem | parameters | digits from start 1 and 2 | of the std | it says | scipy's `lm` |",
-        "|---" * 6 + "|",
-    ]
-    counts = np.zeros(2, dtype=int)
+    rows, counts = list[tuple[object, ...]](), np.zeros(2, dtype=int)
     for name in MODELS:
         reference = read(folder, name)
         found = [solve(name, reference, start) for start in (0, 1)]
@@ -160,12 +156,10 @@ def table(folder: Path) -> str:
         spread = [digits(each.estimates.std_white_noise, reference.std) for each in found]
         theirs = [scipy_digits(name, reference, start) for start in (0, 1)]
         counts += [sum(each >= DIGITS for each in ours), sum(each >= DIGITS for each in theirs)]
-        said = ", ".join(dict.fromkeys(each.outcome.value.replace("_", " ") for each in found))
-        cells = (", ".join(f"{each:.1f}" for each in part) for part in (ours, spread, theirs))
-        first, second, third = cells
-        lines.append(f"| {name} | {reference.certified.size} | {first} | {second} | {said} | {third} |")
-    lines.append(f"| **{DIGITS} digits and more** | | **{counts[0]} of {2 * len(MODELS)}** | | | {counts[1]} |")
-    return "\n".join(lines)
+        cells = [", ".join(f"{each:.1f}" for each in part) for part in (ours, spread, theirs)]
+        rows.append((name, reference.certified.size, *cells))
+    rows.append((f"**{DIGITS} digits and more**", "", f"**{counts[0]} of {2 * len(MODELS)}**", "", counts[1]))
+    return pages.table(["problem", "parameters", "digits from start 1, 2", "of the std", "scipy's `lm`"], rows)
 
 
 def main() -> None:

@@ -162,15 +162,14 @@ def main() -> None:
                 rows.setdefault(case.group, []).append(outcome(case))
                 close(case.problem.system)
             print(*rows, sep="; ", flush=True)
-    lines = ["| | runs | right | said | wrong | by a finer simulation | more simulations where none was needed |"]
-    lines.append("|---|---|---|---|---|---|---|")
+    shown: list[tuple[object, ...]] = []
     for group, found in rows.items():
         counts = Counter(said for said, _, _ in found)
         spent = [simulations for said, switched, simulations in found if said == "right" and not switched]
-        most = f"at most {max(spent)}" if spent else ""
-        cells = [len(found), *(counts[said] for said in ("right", "said", "wrong")), sum(each[1] for each in found)]
-        lines.append(f"| {group} | {' | '.join(map(str, cells))} | {most} |")
-    pages.rewrite(HERE, {"campaign": "\n".join(lines)})
+        cells = (counts[said] for said in ("right", "said", "wrong"))
+        shown.append((group, len(found), *cells, sum(each[1] for each in found), max(spent) if spent else ""))
+    heads = ["", "runs", "right", "said", "wrong", "finer simulation", "more simulations if none was needed, at most"]
+    pages.rewrite(HERE, {"campaign": pages.table(heads, shown)})
 
 
 if __name__ == "__main__":

@@ -78,48 +78,32 @@ def searched(kind: str, seed: int, least: float, most: float, *, remedies: bool)
     try:
         result = fmuid.identify(evaluator, restart=remedies)
     except fmuid.FmuidError:
-        spent = time.process_time() - began
-        return row | {
-            "found": False,
-            "outcome": "error",
-            "simulations": evaluator.simulations,
-            "cpu_s": spent,
-            "way": "",
-        }
+        ended: dict[str, object] = {"found": False, "outcome": "error", "simulations": evaluator.simulations, "way": ""}
+        return row | ended | {"cpu_s": time.process_time() - began}
     spent = time.process_time() - began
     noise = np.sqrt(np.nanmean((record.measured - record.clean) ** 2, axis=0))
     (fit,) = result.fit.frames
     outputs = MACHINES[kind].outputs
     left = [np.sqrt(np.nanmean((fit[f"measured.{name}"] - fit[f"simulated.{name}"]) ** 2)) for name in outputs]
     way = next((each.remedy.value for each in result.history.restarts if each.kept), "given")
-    return row | {
-        "found": bool((np.array(left) < FOUND * noise).all()),
-        "outcome": result.outcome.value,
-        "simulations": result.history.simulations,
-        "cpu_s": spent,
-        "way": way,
-    }
+    ended = {"found": bool((np.array(left) < FOUND * noise).all()), "outcome": result.outcome.value, "way": way}
+    return row | ended | {"simulations": result.history.simulations, "cpu_s": spent}
 
 
 def table(found: pd.DataFrame) -> str:
     """Return what came of each case as Markdown, with remedies and without."""
-    heads = ["found", "simulations (median, most)", "CPU time (median, most)", "converged elsewhere", "by"]
-    lines = ["| | remedies | " + " | ".join(heads) + " |", "|---" * (len(heads) + 2) + "|"]
+    rows = []
     for case, (kind, _, most) in CASES.items():
         for remedies in (True, False):
             part = found[(found["kind"] == kind) & (found["far"] == most) & (found["remedies"] == remedies)]
             if not len(part):
                 continue
-            elsewhere = int((~part["found"] & part["outcome"].isin(["converged", "accuracy"])).sum())
             ways = part["way"].fillna("").replace("", "nothing").value_counts()
             told = ", ".join(f"{way} {count}".replace("_", " ") for way, count in ways.items()) if remedies else ""
             count = f"{int(part['found'].sum())} of {len(part)}"
-            lines.append(
-                f"| {case if remedies else ''} | {'yes' if remedies else 'no'} | {count} "
-                f"| {part['simulations'].median():.0f}, {part['simulations'].max()} "
-                f"| {part['cpu_s'].median():.2f} s, {part['cpu_s'].max():.1f} s | {elsewhere} | {told} |"
-            )
-    return "\n".join(lines)
+            effort = f"{part['simulations'].median():.0f}, {part['simulations'].max()}"
+            rows.append((case if remedies else "", "yes" if remedies else "no", count, effort, told))
+    return pages.table(["", "remedies", "found", "simulations (median, most)", "by"], rows)
 
 
 def main() -> None:
@@ -139,7 +123,7 @@ def main() -> None:
         before = pd.read_csv(path)
         keys = ["kind", "seed", "far", "remedies"]
         found = pd.concat([before, found]).drop_duplicates(keys, keep="last")
-    found.to_csv(path, index=False, float_format="%.4g", lineterminator="\n")
+    found = pages.write(found, path, "%.4g")
     pages.rewrite(HERE, {"draws": table(found)})
 
 
