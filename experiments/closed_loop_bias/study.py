@@ -264,7 +264,7 @@ def table(found: pd.DataFrame) -> str:
     for ratio, part in found.groupby("ratio", sort=False):
         cells = [f"{ratio:g}"]
         for bias, error, wanted in part[["bias", "error", "predicted"]].to_numpy(dtype=float).tolist():
-            expected = f" ({100 * wanted:.2f})" if wanted else ""
+            expected = f" [{100 * wanted:.2f}]" if wanted else ""
             cells.append(f"{100 * bias:.2f} ± {100 * error:.2f}{expected}".replace("-", "−"))
         rows.append(cells)
     return pages.table(["ratio", *(f"{name}, {kind}" for kind in SHORT for name in NAMES)], rows)

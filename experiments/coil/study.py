@@ -237,10 +237,10 @@ def draws_table(found: pd.DataFrame) -> str:
         part, expected = found[found["test"] == number], theory(case.R, case.fault)
         error = part["dR"] - case.fault
         cells = [
-            f"{error.mean():.4f} ± {error.std() / math.sqrt(len(part)):.4f} ({expected.bias:.4f})",
-            f"{error.std():.4f} ({expected.spread:.4f})",
+            f"{error.mean():.4f} ± {error.std() / math.sqrt(len(part)):.4f} [{expected.bias:.4f}]",
+            f"{error.std():.4f} [{expected.spread:.4f}]",
             f"{part['std'].mean():.4f}",
-            f"{100 * part['called'].mean():.1f} ({100 * expected.rate:.1f})",
+            f"{100 * part['called'].mean():.1f} [{100 * expected.rate:.1f}]",
             f"{100 * part['alarm'].mean():.1f}",
         ]
         rows.append([number, *(each.replace("-", "−") for each in cells)])
@@ -252,7 +252,7 @@ def alarms_table(found: pd.DataFrame) -> str:
     rows = []
     for resistance, count, called, alarms in found.to_numpy(dtype=float).tolist():
         expected = 100 * theory(resistance, 0.0).rate
-        rows.append((f"{resistance:g}", f"{100 * called / count:.2f} ({expected:.2f})", f"{100 * alarms / count:.2f}"))
+        rows.append((f"{resistance:g}", f"{100 * called / count:.2f} [{expected:.2f}]", f"{100 * alarms / count:.2f}"))
     return pages.table(["R (Ω)", "fault called (%)", "any alarm (%)"], rows)
 
 

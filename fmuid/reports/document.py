@@ -47,17 +47,17 @@ class Message(Enum):
 Row = tuple[str, str, str, Tone]
 
 
-def plain(text: str, meaning: str, remedy: str = "") -> Row:
+def plain(text: str, meaning: str = "", remedy: str = "") -> Row:
     """Return a message that states a fact: template, meaning and remedy."""
     return text, meaning, remedy, "plain"
 
 
-def doubt(text: str, meaning: str, remedy: str = "") -> Row:
+def doubt(text: str, meaning: str = "", remedy: str = "") -> Row:
     """Return a message that casts doubt on the findings."""
     return text, meaning, remedy, "doubt"
 
 
-def bad(text: str, meaning: str, remedy: str = "") -> Row:
+def bad(text: str, meaning: str = "", remedy: str = "") -> Row:
     """Return a message on findings that cannot be used."""
     return text, meaning, remedy, "bad"
 

@@ -21,20 +21,14 @@ class IdentifiabilityMessage(Message, section="correlation"):
         "the excitation does not reach it",
         "Fix {names}, add a prior, or measure an output that {names} affects.",
     )
-    HIDDEN = bad(
-        "{names} is not identifiable: its effect is below the solver error.",
-        "the solver's error hides its effect",
-        _FINER,
-    )
+    HIDDEN = bad("{names} is not identifiable: its effect is below the solver error.", remedy=_FINER)
     COMBINATION = bad(
         "{names} are not identifiable; only {combinations} {verb}.",
         "for example a ratio or a sum acts, each alone does not",
         _FIX,
     )
     HIDDEN_COMBINATION = bad(
-        "{names} are not identifiable within the solver error; only {combinations} {verb}.",
-        "the solver's error hides how they differ",
-        _FINER,
+        "{names} are not identifiable within the solver error; only {combinations} {verb}.", remedy=_FINER
     )
     PRACTICALLY = bad(
         "{names} is practically non-identifiable: σ is {std} × its scale.",
@@ -42,23 +36,18 @@ class IdentifiabilityMessage(Message, section="correlation"):
         _LONGER,
     )
     PRACTICALLY_COMBINATION = bad(
-        "{names} are practically non-identifiable (σ is {std} × scale); only {combinations} {verb}.",
-        "the same, of a combination",
-        _FIX,
+        "{names} are practically non-identifiable (σ is {std} × scale); only {combinations} {verb}.", remedy=_FIX
     )
     WEAK = doubt(
         "{names} is weakly identifiable: σ is {std} of its scale.", "σ is between one and ten times its scale", _LONGER
     )
-    WEAK_NEAR_ZERO = doubt(
-        "{names} is weakly identifiable: σ is {std}, far above its value.", "the same, of a value near zero", _LONGER
-    )
+    WEAK_NEAR_ZERO = doubt("{names} is weakly identifiable: σ is {std}, far above its value.", remedy=_LONGER)
     WEAK_COMBINATION = doubt(
         "{names} are weakly identifiable (σ is {std} of scale); {combinations} {verb} identifiable.",
-        "the combination is known better than each of them",
-        "Use the combination, or a longer or stronger excitation.",
+        remedy="Use the combination, or a longer or stronger excitation.",
     )
     CHANGE = plain("No output changes along {change}.", "the direction that is not identifiable, as changes in %")
-    PRIOR = doubt("{names} {verb} identifiable only through the prior.", "the data add nothing along this direction")
+    PRIOR = doubt("{names} {verb} identifiable only through the prior.")
     CORRELATED = plain(
         "{one} and {other} are strongly correlated ({correlation}).",
         "|correlation| is above 0.95",

@@ -39,7 +39,7 @@ DROPPED_KEYS = {"coloured": "confidence intervals allow for colored noise"}
 
 
 def renamed_key(key: str, known: Container[str]) -> str | None:
-    """Return the message on an old key of a section, None for another key."""
+    """Return the message on an old key of a section, else None."""
     if key in DROPPED_KEYS:
         return f"{key!r} was dropped: {DROPPED_KEYS[key]}. Remove it."
     new = next((each for each in RENAMED_KEYS.get(key, ()) if each in known), None)
@@ -47,6 +47,6 @@ def renamed_key(key: str, known: Container[str]) -> str | None:
 
 
 def renamed_value(value: object, known: Container[str]) -> str | None:
-    """Return the message on an old value of a key, None for another value."""
+    """Return the message on an old value of a key, else None."""
     new = [each for each in RENAMED_VALUES.get(value, ()) if each in known] if isinstance(value, str) else []
     return f'"{value}" is now {" or ".join(map(show, new))}.' if new else None

@@ -88,7 +88,7 @@ def test_rates_have_their_exact_intervals() -> None:
     assert stats.binom.cdf(4, 400, high / 100) == pytest.approx(0.025, rel=1e-6)
     assert calls.interval(0, 10)[0] == 0.0
     assert calls.interval(10, 10)[1] == 100.0
-    assert calls.rate([True, False]) == "50.0 (1.3 to 98.7)"
+    assert [calls.rate(each) for each in ([True, False], [True], [])] == ["50.0 (1.3–98.7)", "100", ""]
 
 
 @pytest.mark.parametrize("module", [coil, machine])

@@ -60,15 +60,10 @@ class BatchMessage(Message):
     )
     FIT = plain(
         "Fit (NRMSE) of {output}: median {median}, minimum {least} (case {case}).",
-        "converged cases",
-        "Inspect the case with the lowest fit.",
+        remedy="Inspect the case with the lowest fit.",
     )
-    ONE = plain("One estimate has no spread: the stated σ is not checked.", "a single estimate", "Add realizations.")
-    FEW = plain(
-        "{count} cases are few: their spread is uncertain by {share:.0f} %.",
-        "relative σ of a standard deviation from so many cases",
-        "Add realizations.",
-    )
+    ONE = plain("One estimate has no spread: the stated σ is not checked.", remedy="Add realizations.")
+    FEW = plain("{count} cases are few: their spread is uncertain by {share:.0f} %.", remedy="Add realizations.")
     STD_TOO_SMALL = doubt(
         "{name}: spread {spread} is {ratio:.3g} × the stated σ ({stated}) {among}.",
         "from case to case: wrong noise, or a strongly nonlinear problem; from data file to data file: also different "
@@ -78,27 +73,14 @@ class BatchMessage(Message):
         "{name}: spread {spread} is below the stated σ ({stated}).",
         "the noise is smaller than stated, or the realizations lack a part of it",
     )
-    BIASED = doubt(
-        "{name}: biased by {size} ({share:.2g} × the stated σ).",
-        "the mean differs from the true value by more than chance",
-    )
-    COVERAGE = doubt(
-        "{name}: {held:.3g} % of the 95 % intervals contain the true value ({low:.3g} to {high:.3g} %).",
-        "coverage, with its 95 % confidence interval",
-    )
-    WIDE = plain("{name} varies by {times:.2g} × its stated σ over the settings.", "settings matter more than noise")
-    DEPENDS = doubt(
-        "{name} depends on the settings: mean {low} to {high}{times}.", "lowest and highest mean, with their settings"
-    )
+    BIASED = doubt("{name}: biased by {size} ({share:.2g} × the stated σ).")
+    COVERAGE = doubt("{name}: {held:.3g} % of the 95 % intervals contain the true value ({low:.3g} to {high:.3g} %).")
+    WIDE = plain("{name} varies by {times:.2g} × its stated σ over the settings.")
+    DEPENDS = doubt("{name} depends on the settings: mean {low} to {high}{times}.")
     IN_GROUPS = doubt("{name}: {what} in {count} of {groups} groups.", "groups: cases with the same settings")
-    ONE_OPTIMUM = plain("All {total} converged cases found the same optimum{of}.", "the initial guess does not matter")
-    OTHER_OPTIMA = plain(
-        "{others} of {total} converged cases found another optimum than the best.",
-        "the result depends on the initial guess",
-    )
-    EQUAL_OPTIMA = doubt(
-        "Several optima fit equally well.", "the data do not distinguish them", "Narrow the bounds or add priors."
-    )
+    ONE_OPTIMUM = plain("All {total} converged cases found the same optimum{of}.")
+    OTHER_OPTIMA = plain("{others} of {total} converged cases found another optimum than the best.")
+    EQUAL_OPTIMA = doubt("Several optima fit equally well.", remedy="Narrow the bounds or add priors.")
     DOUBTFUL = doubt(
         "{count} of {total} cases are DOUBTFUL: {reason}.",
         "a reason of the verdict; residuals are not tested in a batch",
@@ -108,16 +90,14 @@ class BatchMessage(Message):
         "Solver error checked in {total} cases, in {checked} by new simulations.",
         "the other cases lie where it was known; see [solver error](#solver-error)",
     )
-    REFINED = plain("Solver refined in {count} cases.", "the solver of the study was too inaccurate")
+    REFINED = plain("Solver refined in {count} cases.")
     SHIFTED = doubt(
         "Solver error shifts estimates in {count} cases; σ includes it.",
-        "shift above 0.1 σ",
-        "Reduce `step_size`, or use Model Exchange.",
+        remedy="Reduce `step_size`, or use Model Exchange.",
     )
     UNKNOWN = doubt(
         "Solver error unknown in {count} cases: some σ are unknown.",
-        "no σ to compare the shift with",
-        "Check the parameters that are not identifiable first.",
+        remedy="Check the parameters that are not identifiable first.",
     )
     COUPLED = doubt(
         "{count} cases depend on the communication step.",
@@ -129,10 +109,7 @@ class BatchMessage(Message):
         "or a smaller step gives identical outputs",
         "Export the FMU for Model Exchange.",
     )
-    CHECK_FAILED = doubt(
-        "Solver error unknown in {count} cases: the more accurate simulation fails.",
-        "the solver check needs this simulation",
-    )
+    CHECK_FAILED = doubt("Solver error unknown in {count} cases: the more accurate simulation fails.")
 
 
 IN_GROUPS = {

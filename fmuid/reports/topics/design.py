@@ -33,7 +33,7 @@ LOOKS = [(color, dash) for dash in _DASHES for color in _COLORS]
 class DesignMessage(Message, section="excitations"):
     """Ranking of excitations, and length of the healthy data."""
 
-    ACCURATE = plain("{excitation}: relative σ of all parameters at most {worst:.3g} %.", "smaller is better")
+    ACCURATE = plain("{excitation}: relative σ of all parameters at most {worst:.3g} %.")
     SHOWS = plain(
         "{excitation}: faults detectable from {worst:.3g} % of their magnitude.",
         "largest minimum detectable fault size; smaller is better",

@@ -14,17 +14,9 @@ class DiagnosisMessage(Message, section="causes"):
     """Verdict of a diagnosis, and its notes."""
 
     FAULT = plain("FAULT: {causes} (p = {p}).", "p: probability of such a change without a fault")
-    EQUAL_FAULTS = plain(
-        "FAULT, indistinguishable: {causes} (p = {p}).",
-        "the faults have similar signatures in these data",
-        "Use another excitation.",
-    )
-    EQUAL_CAUSES = plain(
-        "CHANGE, indistinguishable: {causes} (p = {p}).",
-        "the causes have similar signatures in these data",
-        "Use another excitation.",
-    )
-    CHANGE = plain("CHANGE without fault: {causes} (p = {p}).", "a sensor, an input or a parameter has changed")
+    EQUAL_FAULTS = plain("FAULT, indistinguishable: {causes} (p = {p}).", remedy="Use another excitation.")
+    EQUAL_CAUSES = plain("CHANGE, indistinguishable: {causes} (p = {p}).", remedy="Use another excitation.")
+    CHANGE = plain("CHANGE without fault: {causes} (p = {p}).")
     UNEXPLAINED = plain(
         "UNEXPLAINED CHANGE: residual variance is {ratio:.3g} × baseline{even} (p = {p}).",
         "a fault without a model",
@@ -44,13 +36,8 @@ class DiagnosisMessage(Message, section="causes"):
         "NO FAULT at {level:g} % false-alarm rate (p = {p}){likely}.",
         "smaller faults remain possible: `fmuid design` shows the minimum detectable size",
     )
-    PARTLY = doubt(
-        "The causes explain {share:.0%} of the change; their sizes are approximate.",
-        "right kind of fault, imprecise model",
-    )
-    COMMON = plain(
-        "Healthy parameters: {values}.", "parameters of the healthy machine that may differ between data files"
-    )
+    PARTLY = doubt("The causes explain {share:.0%} of the change; their sizes are approximate.")
+    COMMON = plain("Healthy parameters: {values}.")
     RESIDUAL = plain(
         "Residual variance: {ratio:.3g} × baseline (p = {probability:.2g}).",
         "after the verdict's causes; a small p means an unexplained rest",
@@ -61,23 +48,17 @@ class DiagnosisMessage(Message, section="causes"):
     )
     DEVIATION = doubt(
         "{name} is {distance:.2g} σ from its baseline.",
-        "more than the healthy data and `std_factor` allow",
-        "Raise `std_factor`, or look for a change of the machine.",
+        remedy="Raise `std_factor`, or look for a change of the machine.",
     )
     MISMATCHED = doubt(
         "{name}: the fault model without fault differs from the healthy model.",
-        "its outputs with all fault sizes zero are not those of the healthy model",
-        "Check its `variable_map` and `fixed` values.",
+        remedy="Check its `variable_map` and `fixed` values.",
     )
     NOT_TESTED = doubt(
         "Sensor and supply errors were not tested; they can mimic faults.",
-        "without healthy data their effect is unknown",
-        "List healthy data in `diagnosis.healthy_data`.",
+        remedy="List healthy data in `diagnosis.healthy_data`.",
     )
-    UNSTEADY = doubt(
-        "The cause depends on the linearization point: it is one of several.",
-        "several causes explain the change almost equally well",
-    )
+    UNSTEADY = doubt("The cause depends on the linearization point: it is one of several.")
     FROM_FILE = plain("Healthy data taken from baseline.npz.", "`fmuid identify` of the healthy study has written it")
     FILE_UNUSED = doubt(
         "baseline.npz not used ({how}): healthy data evaluated again.",

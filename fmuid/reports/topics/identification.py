@@ -36,11 +36,7 @@ class RunMessage(Message):
 
     POINT = plain("Best point: {point}.", "interrupted before the first fit from it")
     NOISE = plain("Residual: {noise}.", "standard deviation of each output's residual, and of the stated noise")
-    INTERRUPTED = bad(
-        "Interrupted: the checks of [uncertainty] are incomplete.",
-        "by Ctrl-C; the estimates are complete",
-        "Continue with `--resume`.",
-    )
+    INTERRUPTED = bad("Interrupted: the checks of [uncertainty] are incomplete.", remedy="Continue with `--resume`.")
 
 
 def identification_document(found: IdentificationRun) -> Document:

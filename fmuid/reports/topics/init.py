@@ -20,38 +20,30 @@ from fmuid.studies import SHOWN_CHANGE, ColumnMatch, Draft, MatchedDataFile, Mat
 class InitMessage(Message, section="columns"):
     """Notes of `fmuid init` on a data file."""
 
-    UNUSED = plain("Columns without role: {columns}.", "neither inputs nor outputs")
-    REFUSED = doubt("{words}", "the data file cannot be used")
+    UNUSED = plain("Columns without role: {columns}.")
+    REFUSED = doubt("{words}")
     NO_INPUT = doubt(
         "{file}: no column for the input {names}.",
-        "the simulation needs its values",
-        "Add --map {first}=COLUMN, or --map {first}= to keep its start value.",
+        remedy="Add --map {first}=COLUMN, or --map {first}= to keep its start value.",
     )
-    NO_OUTPUT = doubt(
-        "{file}: no column for the output {names}.", "nothing is compared with it", "Add --map {first}=COLUMN."
-    )
+    NO_OUTPUT = doubt("{file}: no column for the output {names}.", remedy="Add --map {first}=COLUMN.")
     NO_OUTPUTS = doubt(
-        "{file}: the FMU declares no outputs, and no column has a variable's name.",
-        "any variable of the FMU can be an output",
-        "Add --map VARIABLE=COLUMN.",
+        "{file}: the FMU declares no outputs, and no column has a variable's name.", remedy="Add --map VARIABLE=COLUMN."
     )
-    MISSING = doubt("{file}: {count} of {rows} samples of {column!r} are missing.", "missing samples are not scored")
+    MISSING = doubt("{file}: {count} of {rows} samples of {column!r} are missing.")
     HELD = doubt(
-        "{file}: zero-order hold assumed for {names}.",
-        "their values stay constant over most sampling intervals",
-        'Set interpolation = "linear" for measured inputs.',
+        "{file}: zero-order hold assumed for {names}.", remedy='Set interpolation = "linear" for measured inputs.'
     )
     CONSTANT = doubt(
         "{file}: output {column!r} is constant ({value:g}).",
-        "a channel without signal",
-        "Remove it from the outputs if nothing was measured.",
+        remedy="Remove it from the outputs if nothing was measured.",
     )
     MARKS = doubt(
         "{file}: {count} samples of {column!r} are {value:g}, far from all others.",
         "a logger's mark for missing samples",
         "Leave these cells empty if the samples are missing.",
     )
-    NO_SURVEY = doubt("Effects of the parameters unknown: {failure}", "the FMU cannot be simulated at its start values")
+    NO_SURVEY = doubt("Effects of the parameters unknown: {failure}")
 
 
 REASONS: Mapping[MatchReason, str] = {

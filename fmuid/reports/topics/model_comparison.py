@@ -28,26 +28,14 @@ class ComparisonMessage(Message, section="likelihood"):
     """Result that the data prefer."""
 
     APART = doubt("{reason}", "likelihoods can be compared on the same data only")
-    ALIKE = plain(
-        "{names} are equally good (AIC differs by less than {limit:g}).",
-        "these data do not distinguish the models",
-        "Prefer the simplest model.",
-    )
+    ALIKE = plain("{names} are equally good (AIC differs by less than {limit:g}).", remedy="Prefer the simplest model.")
     BEST = plain(
         "{best} is best by AIC, not clearly: {second} is {behind:.3g} higher.", "clear: a difference of 10 or more"
     )
-    CLEARLY_BEST = plain(
-        "{best} is clearly best by AIC: {second} is {behind:.3g} higher.", "a difference of 10 or more"
-    )
+    CLEARLY_BEST = plain("{best} is clearly best by AIC: {second} is {behind:.3g} higher.")
     BY_BIC = plain("BIC prefers {best}.", "BIC penalizes parameters more: the larger model gains little")
-    REJECTED = plain(
-        "{smaller} is rejected against {larger}: it needs {freed} (p = {chance}).",
-        "likelihood-ratio test: the fixed values of the smaller model are wrong",
-    )
-    NOT_REJECTED = plain(
-        "{smaller} is not rejected against {larger}: {freed} not needed (p = {chance}).",
-        "likelihood-ratio test: the smaller model is sufficient",
-    )
+    REJECTED = plain("{smaller} is rejected against {larger}: it needs {freed} (p = {chance}).")
+    NOT_REJECTED = plain("{smaller} is not rejected against {larger}: {freed} not needed (p = {chance}).")
     COLORED = plain(
         "Residuals are colored: {samples} samples count as {worth:.0f} (log-likelihoods divided by {dependence:.3g}).",
         "uncorrected AIC and BIC would be overconfident",
@@ -57,9 +45,7 @@ class ComparisonMessage(Message, section="likelihood"):
         "the likelihood is that of the data alone, lowered by the prior",
         "Compare on a common data file.",
     )
-    NO_FIT = plain(
-        "Common data: fit undefined for constant outputs.", "all measured outputs are constant", "Compare the RMSE."
-    )
+    NO_FIT = plain("Common data: fit undefined for constant outputs.", remedy="Compare the RMSE.")
     AS_GOOD = plain(
         "Common data: {names} equally good (fit {most} for {best}; {others}).", "errors differ by less than 5 %"
     )

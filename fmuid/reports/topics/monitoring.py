@@ -34,11 +34,7 @@ class MonitoringMessage(Message, section="timeline"):
     """Verdict of a monitoring, alarms and notes."""
 
     NO_WINDOW = plain("No window evaluated.", "the recording is shorter than a window, or samples are missing")
-    UNDECIDED = plain(
-        "UNDECIDED: no window determines {names}.",
-        "fault sizes with unknown σ in every window",
-        "Use longer windows or another excitation.",
-    )
+    UNDECIDED = plain("UNDECIDED: no window determines {names}.", remedy="Use longer windows or another excitation.")
     NO_ALARM = plain(
         "NO ALARM in {windows} windows at {level:g} % false-alarm rate {per}.",
         "smaller faults remain possible: see [monitoring](monitoring.md)",
@@ -53,17 +49,12 @@ class MonitoringMessage(Message, section="timeline"):
         "Add a fault model, or check sensors and inputs.",
     )
     SIZE_AT_ALARM = plain("Size at the alarm: {sizes}.", "estimate of the window that raised the alarm, alone")
-    SIZE_NOW = plain("Current size: {sizes}.", "estimate of all data since the onset")
-    RATE = plain("{column} changes by {rate}.", "trend since the onset")
+    SIZE_NOW = plain("Current size: {sizes}.")
+    RATE = plain("{column} changes by {rate}.")
     LIMIT_REACHED = plain("{column} has reached its limit {limit}.", "limit: `monitoring.size_limits`")
-    LIMIT_SAFE = plain("{column} stays below its limit {limit}.", "the trend does not lead to the limit")
-    LIMIT_AHEAD = plain(
-        "{column} reaches its limit {limit} in {when} (95 %: {early} to {late}).", "if the trend continues"
-    )
-    LIMIT_OPEN = plain(
-        "{column} does not reach its limit {limit} at this rate (95 %: {early} to {late}).",
-        "a faster trend remains possible",
-    )
+    LIMIT_SAFE = plain("{column} stays below its limit {limit}.")
+    LIMIT_AHEAD = plain("{column} reaches its limit {limit} in {when} (95 %: {early} to {late}).")
+    LIMIT_OPEN = plain("{column} does not reach its limit {limit} at this rate (95 %: {early} to {late}).")
     SKIPPED = doubt("{source}: windows from {times} skipped.", "missing samples: an output has none in these windows")
     WHITE_NOISE = doubt(
         "White noise assumed: the baseline is a result alone.",

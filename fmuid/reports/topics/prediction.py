@@ -39,13 +39,9 @@ class PredictionMessage(Message, section="prediction"):
 
     SEEN = doubt(
         "The result was estimated from {names}; this is no validation.",
-        "the fit to estimation data says nothing about other data",
-        "Predict data that the result was not estimated from.",
+        remedy="Predict data that the result was not estimated from.",
     )
-    OPEN = plain(
-        "{record}: {output} predicted ({size}); its expected RMSE is unknown.",
-        "the result was not estimated from such an output",
-    )
+    OPEN = plain("{record}: {output} predicted ({size}); its expected RMSE is unknown.")
     AS_EXPECTED = plain(
         "{record}: {output} predicted as expected ({size}).",
         "noise and uncertainty of the parameters explain the residual",
@@ -59,15 +55,14 @@ class PredictionMessage(Message, section="prediction"):
         "{record}: {inside} of {samples} samples of {output} are in the {level} band.",
         "close to the level of the band if the model holds for these data",
     )
-    UNDETERMINED = plain("{names} not identifiable: the band contains noise only.", "the band is too narrow")
-    REFITTED = plain("{record}: estimated again: {values}.", "parameters of `--refit`, estimated from these data")
-    REFIT_ENDED = doubt("Not converged: {names} on {record} ({end}).", "the optimization of `--refit` did not converge")
-    FOLDS_OPEN = plain("Cross-validation: expected RMSE unknown.", "the output has no noise level in the result")
+    UNDETERMINED = plain("{names} not identifiable: the band contains noise only.")
+    REFITTED = plain("{record}: estimated again: {values}.")
+    REFIT_ENDED = doubt("Not converged: {names} on {record} ({end}).")
+    FOLDS_OPEN = plain("Cross-validation: expected RMSE unknown.")
     FOLDS = plain("Cross-validation: experiments predicted as expected ({times} ×).", "largest RMSE over expected RMSE")
     FOLDS_WORSE = plain(
         "Cross-validation: experiments predicted up to {times} × worse than expected.",
-        "estimates from the other experiments do not hold for all of them",
-        "Check the model and the operating points of the experiments.",
+        remedy="Check the model and the operating points of the experiments.",
     )
 
 

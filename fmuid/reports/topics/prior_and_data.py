@@ -26,7 +26,7 @@ from fmuid.reports.topics.termination import ENDS
 class PriorMessage(Message, section="belief"):
     """Prior, data and known noise."""
 
-    AGREE = plain("Prior and data agree (p = {probability}).", "χ² test: both may come from the same parameters")
+    AGREE = plain("Prior and data agree (p = {probability}).")
     CONFLICT = doubt(
         "Prior and data conflict (p = {probability}).",
         "the estimate is a compromise of two that exclude each other",
@@ -37,13 +37,9 @@ class PriorMessage(Message, section="belief"):
         "the estimate is a compromise of two that exclude each other",
         "Check the prior of {name}, the model and the machine.",
     )
-    DOMINATES = doubt("Prior dominates {name}; data alone give {alone}.", "the data add next to nothing")
-    OTHER_DOMINATES = doubt(
-        "Prior of {prior} dominates {name}; data alone give {alone}.", "the data add next to nothing"
-    )
-    MOVED = plain(
-        "Prior of {prior} moved {name} from {alone} to {value} ({moved} σ).", "the prior counts as much as the data"
-    )
+    DOMINATES = doubt("Prior dominates {name}; data alone give {alone}.")
+    OTHER_DOMINATES = doubt("Prior of {prior} dominates {name}; data alone give {alone}.")
+    MOVED = plain("Prior of {prior} moved {name} from {alone} to {value} ({moved} σ).")
     NONLINEAR = doubt(
         "Linear combination of prior and data gives {name} = {value}, {distance} σ off.",
         "the model is not linear between prior and data; σ is approximate",

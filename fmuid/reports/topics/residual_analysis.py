@@ -63,8 +63,7 @@ class ResidualMessage(Message, section="residuals"):
     )
     CORRELATED = doubt(
         "Residual of {name} correlates with {input} ({value} at {lag}, limit ±{band}).",
-        "part of the effect of this input is not in the model",
-        "Check interpolation, delay and unit of {input}.",
+        remedy="Check interpolation, delay and unit of {input}.",
     )
     OFFSET = doubt(
         "Residual of {name} has an offset of {mean} ({share} × its standard deviation).",
@@ -73,8 +72,7 @@ class ResidualMessage(Message, section="residuals"):
     )
     OUTLIERS = doubt(
         "Residual of {name} has outliers ({outliers} beyond 4 σ; excess kurtosis {kurtosis}).",
-        "heavier tails than normal noise, and more samples far out",
-        "Remove them or set a robust `loss`.",
+        remedy="Remove them or set a robust `loss`.",
     )
     SHAPE = doubt(
         "Residual of {name} is not normal (skewness {skewness}, excess kurtosis {kurtosis}).",
@@ -96,9 +94,7 @@ class ResidualMessage(Message, section="residuals"):
         "Improve the model or vary the excitation.",
     )
     IRREGULAR = plain(
-        "{names}: unequal sampling intervals, treated as equal.",
-        "whiteness and σ assume equal intervals",
-        "Set `resample_interval` if they differ much.",
+        "{names}: unequal sampling intervals, treated as equal.", remedy="Set `resample_interval` if they differ much."
     )
     SLIGHT = plain(
         "Residual of {name}: significant but small {traits}.", "many samples reveal the smallest defect; harmless"

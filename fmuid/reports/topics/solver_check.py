@@ -66,26 +66,16 @@ class SolverMessage(Message, section="accuracy"):
     PASSED_OUTPUTS = plain(
         "Solver error changes all outputs by {change} σ of the noise.", "no estimate has a σ to compare with"
     )
-    CHECKED = plain("Solver check: {finer}.", "the more accurate simulation of the check")
-    REFINED = plain(
-        "Solver refined to {after} (error was {size} σ).",
-        "the solver was too inaccurate; the results are from the new one",
-    )
-    REFINED_UNKNOWN = plain(
-        "Solver refined to {after}: its error may exceed σ.", "not all σ are known; the results are from the new solver"
-    )
-    START_FAILED = plain(
-        "Solver refined to {after}: {before} fails at the initial guess.", "the results are from the new one"
-    )
-    START_DIFFERED = plain(
-        "Solver refined to {after}: {before} is off by {size} % of the signal.",
-        "measured at the initial guess; the results are from the new one",
-    )
+    CHECKED = plain("Solver check: {finer}.")
+    REFINED = plain("Solver refined to {after} (error was {size} σ).")
+    REFINED_UNKNOWN = plain("Solver refined to {after}: its error may exceed σ.")
+    START_FAILED = plain("Solver refined to {after}: {before} fails at the initial guess.")
+    START_DIFFERED = plain("Solver refined to {after}: {before} is off by {size} % of the signal.")
     REFUSED = plain(
         "{count} other optima exist only with the inaccurate solver.",
         "they fitted as well, but a more accurate solver moves away from them",
     )
-    SHIFTED = plain("Solver error moves {shifts}; σ includes it.", "it is larger than a tenth of σ")
+    SHIFTED = plain("Solver error moves {shifts}; σ includes it.")
     ASKED = plain(
         "The solver was kept as the study sets it.",
         "the settings exclude a refinement",
@@ -94,15 +84,8 @@ class SolverMessage(Message, section="accuracy"):
     FITS_BETTER = plain(
         "The solver was kept: a more accurate one fits clearly worse.", "the data may come from this very solver"
     )
-    NO_SEARCH = plain(
-        "The solver was kept: the fit with a more accurate one did not terminate.",
-        "the solver error remains, and σ includes it",
-    )
-    FINEST = plain(
-        "The solver was kept: no more accurate one exists.",
-        "the solver error remains, and σ includes it",
-        "Export the FMU for Model Exchange.",
-    )
+    NO_SEARCH = plain("The solver was kept: the fit with a more accurate one did not terminate.")
+    FINEST = plain("The solver was kept: no more accurate one exists.", remedy="Export the FMU for Model Exchange.")
     UNKNOWN = doubt(
         "Solver error is unknown; it changes all outputs by {change} σ of the noise.",
         "not all parameters have a σ to compare with",
@@ -123,13 +106,13 @@ class SolverMessage(Message, section="accuracy"):
         "either an error, or a sampled controller that acts more often",
         "Set `discrete_time` to true or false for each component.",
     )
-    FAILED = doubt("Solver error is unknown: {finer} fails at the estimates.", "the solver check did not finish")
-    INTERRUPTED = doubt("Solver error was not checked: interrupted.", "by Ctrl-C")
+    FAILED = doubt("Solver error is unknown: {finer} fails at the estimates.")
+    INTERRUPTED = doubt("Solver error was not checked: interrupted.")
     RUN = plain(
         "{model}: {run}.",
         "interface and solver; a new process for each simulation serves an FMU whose static variables survive a reset",
     )
-    SENSITIVITIES = plain("Jacobian: {how}.", "method of the derivatives")
+    SENSITIVITIES = plain("Jacobian: {how}.")
 
 
 def run_words(run: SolverConfiguration) -> str:

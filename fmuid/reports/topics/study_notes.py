@@ -37,16 +37,10 @@ class StudyMessage(Message):
         "by `fmuid init`: a wrong unit, or start values of another machine",
         'Set the units of {column} and of the inputs, for example U = "mV".',
     )
-    NO_DATA = doubt("{data}: no column for {inputs}; start value used.", "an input without data stays constant")
-    NOT_SUCCEEDED = doubt(
-        "{path}: this earlier result did not succeed ({outcome}).",
-        "a prior or a value comes from it",
-        "Identify it again.",
-    )
+    NO_DATA = doubt("{data}: no column for {inputs}; start value used.")
+    NOT_SUCCEEDED = doubt("{path}: this earlier result did not succeed ({outcome}).", remedy="Identify it again.")
     DOUBTFUL = doubt(
-        "{path}: the verdict of this earlier result is DOUBTFUL ({reasons}).",
-        "a prior or a value comes from it",
-        "Check it before you use it.",
+        "{path}: the verdict of this earlier result is DOUBTFUL ({reasons}).", remedy="Check it before you use it."
     )
     NO_MODEL = doubt(
         "{path}: this earlier result names no model.",
@@ -55,8 +49,7 @@ class StudyMessage(Message):
     )
     OTHER_BUILD = doubt(
         "{path}: this earlier result used another build of {model} than {fmu}.",
-        "same model, other file",
-        "Identify it again if the equations changed.",
+        remedy="Identify it again if the equations changed.",
     )
 
 

@@ -42,14 +42,8 @@ class TerminationMessage(Message, section="cost"):
         "below this the cost is irregular by solver errors; mostly harmless",
         "Reduce `tolerance` or `step_size` for more digits.",
     )
-    UNDETERMINED = bad(
-        "Not all parameters are identifiable.", "some combination of parameters has no effect on the outputs"
-    )
-    UNSETTLED = bad(
-        "Not converged: noise variances do not settle.",
-        "noise variances and parameters keep changing each other",
-        "Set `noise.variance`.",
-    )
+    UNDETERMINED = bad("Not all parameters are identifiable.")
+    UNSETTLED = bad("Not converged: noise variances do not settle.", remedy="Set `noise.variance`.")
     ITERATION_LIMIT = bad(
         "Not converged: limit of {iterations} reached.",
         "the estimates still change; see their figure in the report",
@@ -81,10 +75,7 @@ class TerminationMessage(Message, section="cost"):
         "the data would move it further; its interval is one-sided",
         "Widen the bound or check the model.",
     )
-    EFFORT = plain(
-        "{iterations}, {simulations} simulations, {seconds} s; cost {cost}{likelihood}.",
-        "effort of the identification, and the cost at its end",
-    )
+    EFFORT = plain("{iterations}, {simulations} simulations, {seconds} s; cost {cost}{likelihood}.")
     OBSERVER = doubt(
         "Observer with a memory of {memory} samples: predictions were fitted, not simulations.",
         "asked for by `estimation.observer_memory`; measurement noise biases the estimates",
@@ -106,13 +97,10 @@ class StartMessage(Message, section="cost"):
     )
     LARGE_RESIDUAL = doubt(
         "Residual is {ratio} × noise level; {count} starting points fit no better.",
-        "the fits are bad and end at different values",
-        "Check the model and unmeasured disturbances, or improve the initial guess.",
+        remedy="Check the model and unmeasured disturbances, or improve the initial guess.",
     )
     NONE_CONVERGED = doubt(
-        "None of {count} starting points converged.",
-        "the best one is shown",
-        "Check bounds and model, or improve the initial guess.",
+        "None of {count} starting points converged.", remedy="Check bounds and model, or improve the initial guess."
     )
     ATTEMPTS = plain(
         "Starting points: {attempts}.", "origin and end of each; a corrected simulation follows the measured outputs"
@@ -122,21 +110,15 @@ class StartMessage(Message, section="cost"):
         "a dead zone, for example friction below the first motion",
     )
     SIGN = doubt(
-        "{name} changed sign, from {start} to {value}.",
-        "an optimization that did not converge crossed zero",
-        "Add a bound at zero if the model requires one sign.",
+        "{name} changed sign, from {start} to {value}.", remedy="Add a bound at zero if the model requires one sign."
     )
-    COMBINATION = plain("{values} fits best of {count} combinations.", "listed choices of discrete parameters")
+    COMBINATION = plain("{values} fits best of {count} combinations.")
     NEXT = plain("Next best is {values}: −2 ln L is higher by {behind}.", "10 and more is clear")
     AMBIGUOUS = doubt(
         "{values} fits nearly as well: −2 ln L is higher by only {behind}.",
-        "two combinations explain the data alike",
-        "Measure more, or with another excitation.",
+        remedy="Measure more, or with another excitation.",
     )
-    NOT_STARTED = plain(
-        "{count} combinations could not be simulated, first {values}.",
-        "the simulation fails with these choices at the initial guess",
-    )
+    NOT_STARTED = plain("{count} combinations could not be simulated, first {values}.")
 
 
 def ending_remarks(result: Result) -> list[Remark]:

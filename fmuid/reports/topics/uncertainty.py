@@ -28,51 +28,38 @@ class UncertaintyMessage(Message, section="profiles"):
 
     END_AT_BOUND = doubt(
         "The {end} end of {name} is its bound {value}: cost rises only {rise} of {threshold}.",
-        "the data do not limit this side within the bound",
-        "Widen the bound, or take it as the limit.",
+        remedy="Widen the bound, or take it as the limit.",
     )
     NO_END = doubt(
         "{name} has no {end} end: up to {value} the cost rises only {rise} of {threshold}.",
-        "the data do not limit this side",
-        "Add a bound or a prior, or measure more.",
+        remedy="Add a bound or a prior, or measure more.",
     )
     END_FAILS = doubt(
         "The {end} end of {name} is unknown: simulations fail beyond {value}.",
-        "the cost had risen {rise} of {threshold} there",
-        "Add a bound within which the model is valid.",
+        remedy="Add a bound within which the model is valid.",
     )
     END_NOT_CONVERGED = doubt(
         "At {name} = {value} the other parameters did not converge ({reason}).",
         "the cost there may be lower, and the interval wider",
     )
-    OTHER_BOUND = doubt(
-        "At the {end} end of {name}, {other} is at its bound {bound}.", "that bound narrows this interval"
-    )
+    OTHER_BOUND = doubt("At the {end} end of {name}, {other} is at its bound {bound}.")
     BETTER = doubt(
         "No interval of {name}: at {value} the cost is lower by {fall}.",
         "a better optimum was found on the way",
         "Identify again from the row of that value in `profiles.csv`.",
     )
-    ROUGH_END = doubt("End of {name} near {value} is not precise.", "the cost is irregular there")
-    PROFILE_INTERRUPTED = doubt("Interrupted: profile of {name} is incomplete.", "by Ctrl-C")
+    ROUGH_END = doubt("End of {name} near {value} is not precise.")
+    PROFILE_INTERRUPTED = doubt("Interrupted: profile of {name} is incomplete.")
     BETTER_ON_MAP = doubt(
         "Cost is lower by {fall} at {first} = {x}, {second} = {y}.",
         "the optimization ended at a local optimum",
         'Use that initial guess, or set `method = "multi-start"`.',
     )
-    SAMPLED = plain(
-        "Posterior converged: at least {samples} independent samples, R-hat at most {r_hat}.", "the samples can be used"
-    )
-    SAMPLING_INTERRUPTED = doubt("Sampling interrupted after {steps} steps.", "by Ctrl-C")
-    RUNAWAY = doubt(
-        "Posterior is unbounded in {name}.",
-        "neither data nor prior limit it",
-        "Add a prior or bounds, or measure more.",
-    )
+    SAMPLED = plain("Posterior converged: at least {samples} independent samples, R-hat at most {r_hat}.")
+    SAMPLING_INTERRUPTED = doubt("Sampling interrupted after {steps} steps.")
+    RUNAWAY = doubt("Posterior is unbounded in {name}.", remedy="Add a prior or bounds, or measure more.")
     TOO_SHORT = doubt(
-        "{steps} steps are too few to judge the posterior.",
-        "the chains are shorter than their correlation",
-        "Raise `max_steps`, or continue with `--resume`.",
+        "{steps} steps are too few to judge the posterior.", remedy="Raise `max_steps`, or continue with `--resume`."
     )
     STUCK = doubt(
         "Walkers are stuck: {acceptance} of proposals are accepted.",
@@ -94,9 +81,7 @@ class UncertaintyMessage(Message, section="profiles"):
         "an interval around one optimum is not the whole posterior",
         "Narrow the bounds or add a prior.",
     )
-    PRIOR_ONLY = doubt(
-        "{names}: along this direction the samples show priors and bounds only.", "the data do not identify it"
-    )
+    PRIOR_ONLY = doubt("{names}: along this direction the samples show priors and bounds only.")
 
 
 def uncertainty_remarks(found: Assessment) -> list[Remark]:

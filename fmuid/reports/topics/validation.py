@@ -26,25 +26,19 @@ _STAGES = {
 class ValidationMessage(Message):
     """Results of the checks of an FMU."""
 
-    STANDARD = plain("conforms to the standard (FMPy)", "the model description has no errors")
-    REPEATABLE = plain("second simulation: same outputs", "the FMU keeps nothing between simulations")
+    STANDARD = plain("conforms to the standard (FMPy)")
+    REPEATABLE = plain("second simulation: same outputs")
     NOT_REPEATABLE = plain(
         "second simulation: different outputs",
         "the FMU keeps data between simulations: with process isolation each simulation has a new process",
         "Export the FMU again without static variables.",
     )
-    NEEDS_TOOL = plain(
-        "runs only with {tool} on this machine ({interfaces})",
-        "the FMU calls the tool that exported it",
-        "Export it as a standalone FMU.",
-    )
-    SIMULATED = plain("{run}{span}: {samples} samples, {outputs}{seconds}", "a short simulation without inputs")
-    TIMED_OUT = plain("stopped after {limit:g} s {stage}", "the FMU hangs")
+    NEEDS_TOOL = plain("runs only with {tool} on this machine ({interfaces})", remedy="Export it as a standalone FMU.")
+    SIMULATED = plain("{run}{span}: {samples} samples, {outputs}{seconds}")
+    TIMED_OUT = plain("stopped after {limit:g} s {stage}")
     CRASHED = plain("{how} {stage}", "a fault of the FMU's compiled code")
     LICENSE = plain(
-        "{error}; check the tool's license",
-        "the FMU needs the license of the tool that exported it",
-        "Get a license, or export the FMU with a tool that needs none.",
+        "{error}; check the tool's license", remedy="Get a license, or export the FMU with a tool that needs none."
     )
 
 
