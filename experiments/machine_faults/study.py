@@ -92,9 +92,9 @@ def words(case: str) -> str:
 
 
 def spread(values: pd.Series, digits: int = 2) -> str:
-    """Return mean (least–most) of the draws; none is negative."""
+    """Return mean [least–most] of the draws; none is negative."""
     mean, least, most = (abs(round(each, digits)) for each in (values.mean(), values.min(), values.max()))
-    return f"{mean:.{digits}f} ({least:.{digits}f}–{most:.{digits}f})"
+    return f"{mean:.{digits}f} [{least:.{digits}f}–{most:.{digits}f}]"
 
 
 def summary(found: pd.DataFrame) -> str:
@@ -112,7 +112,7 @@ def summary(found: pd.DataFrame) -> str:
 
 
 def rotor_table(found: pd.DataFrame) -> str:
-    """Return size and angle of the broken bars as Markdown: mean (least–most)."""
+    """Return size and angle of the broken bars as Markdown: mean [least–most]."""
     rows = []
     for case, part in found.groupby("case", sort=False):
         bars = CASES[str(case)].bars
