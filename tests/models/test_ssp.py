@@ -283,6 +283,7 @@ def test_fmi_1_is_refused(package: Maker, tmp_path: Path) -> None:
     ("entries", "message"),
     [
         (None, "SSP file not found"),
+        ("text", "not an SSP: no zip archive"),
         ({}, "no SystemStructure.ssd at its top level"),
         ({"SystemStructure.ssd": "<a"}, "SystemStructure.ssd: not well-formed XML"),
         ({"SystemStructure.ssd": "<a version='1.0'/>"}, "SystemStructure.ssd: not a system structure"),
@@ -294,18 +295,14 @@ def test_fmi_1_is_refused(package: Maker, tmp_path: Path) -> None:
         ({"SystemStructure.ssd": "", "../evil": ""}, "'../evil' is outside the archive's folder"),
     ],
 )
-def test_files_that_are_no_structure(tmp_path: Path, entries: Mapping[str, str] | None, message: str) -> None:
+def test_files_that_are_no_structure(tmp_path: Path, entries: Mapping[str, str] | str | None, message: str) -> None:
     path = tmp_path / "x.ssp"
-    if entries is not None:
+    if isinstance(entries, str):
+        path.write_text(entries)
+    elif entries is not None:
         with zipfile.ZipFile(path, "w") as archive:
             for name, text in entries.items():
                 archive.writestr(name, text)
     with pytest.raises(InputError, match=message) as refusal:
         read_ssp(path)
     assert str(refusal.value).startswith(str(path))
-
-
-def test_a_file_that_is_no_archive(tmp_path: Path) -> None:
-    (tmp_path / "x.ssp").write_text("text")
-    with pytest.raises(InputError, match="not an SSP: no zip archive"):
-        read_ssp(tmp_path / "x.ssp")

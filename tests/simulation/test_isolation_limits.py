@@ -63,13 +63,6 @@ def test_longest_record_has_the_time_of_a_first_one(folder: Path, monkeypatch: p
     assert simulator.over(long)([2.0, 0.5, Mode.SLOW])[-1] == pytest.approx(2.0)
 
 
-@pytest.mark.slow
-def test_twenty_thousand_parameters_cost_no_process(folder: Path) -> None:
-    simulator = Simulator(misbehaving_fmu(folder, extra=20_000), RECORD, NAMES, isolation=Isolation(threads=1))
-    some = thetas(Mode.SOUND)[:2]
-    assert np.array_equal(simulator(some), expected(folder, some))
-
-
 @pytest.mark.parametrize("isolation", pair(), ids=["in-process", "isolated"])
 def test_library_name_that_no_file_can_have(folder: Path, tmp_path: Path, isolation: Isolation | None) -> None:
     path = tmp_path / "named.fmu"

@@ -17,8 +17,7 @@ from fmuid import Experiment, Isolation, Simulator, System
 from fmuid.array_types import Floats
 from fmuid.errors import InputError, SimulationError
 from fmuid.models.component import Numerics
-from fmuid.simulation import close, closing, executor_of
-from fmuid.simulation.simulation_plan import SimulationJob
+from fmuid.simulation import close, closing
 from fmuid.simulation.worker import SimulationThread
 from tests.support.closed_forms import coil_response, park_rates
 from tests.support.hybrid import hybrid_fmu
@@ -175,27 +174,6 @@ def test_fmu_without_reset_or_second_instance_is_simulated_once(
         with pytest.raises(InputError, match=r"probe.*only one simulation is possible.*working reset"):
             simulator([2.0])
     assert not caplog.records
-
-
-@pytest.mark.parametrize("at", [1, 2])
-def test_cancelled_repetition_says_nothing_of_the_fmu(
-    at: int, probe: ProbeMaker, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    system = System(probe())
-    simulator, repeats, asked = Simulator(system, ramp(), ["gain"]), SimulationThread._repeats, list[int]()
-
-    def cancelled(thread: SimulationThread, job: SimulationJob) -> tuple[bool, bool]:
-        asked.append(len(asked) + 1)
-        if asked[-1] == at:
-            executor_of(system).cancel()
-        return repeats(thread, job) if at == 1 or asked[-1] > 1 else (False, False)
-
-    monkeypatch.setattr(SimulationThread, "_repeats", cancelled)
-    simulator([2.0])
-    monkeypatch.undo()
-    assert asked == [1, 2]
-    for _ in range(2):
-        assert simulator([2.0])[:, 0].tolist() == [0, 2, 4, 6]
 
 
 def test_failure_over_dirty_memory(probe: ProbeMaker, monkeypatch: pytest.MonkeyPatch) -> None:

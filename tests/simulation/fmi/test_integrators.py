@@ -1,4 +1,4 @@
-"""The integrators of model-exchange FMUs: against closed forms, against scipy, and when an FMU fails."""
+"""The integrators of model-exchange FMUs: against closed forms and scipy; inputs along their curves."""
 
 from __future__ import annotations
 
@@ -6,36 +6,38 @@ import ctypes
 from pathlib import Path
 from typing import Any
 
-import fmpy
 import numpy as np
+import pandas as pd
 import pytest
-from fmpy.fmi2 import FMU2Model
 from numpy.typing import NDArray
-from scipy.integrate import solve_ivp
 from scipy.integrate._ivp.rk import RK45
 
+from fmuid.data.experiment import Experiment
+from fmuid.errors import InputError
 from fmuid.simulation import codes
 from fmuid.simulation.native.library import core
-from fmuid.simulation.simulation_plan import Integration
-from fmuid.simulation.solver import IntegratedModel, Integrator, function_table
-from tests.support.closed_forms import park_rates
+from fmuid.simulation.simulator import Simulator
+from tests.support.closed_forms import coil_response
+from tests.support.hybrid import hybrid_fmu
 from tests.support.integrating import (
     BACKWARDS,
     BROKEN_JACOBIAN,
     CALLS,
     COUNT,
+    DECAY,
+    EVENT_TIME,
     INTEGRATORS,
     LINEAR,
     NOMINAL,
-    ROBERTSON,
+    SWITCH,
     VAN_DER_POL,
     Failure,
     Maker,
+    U,
     X,
     every_integrator,
     van_der_pol,
 )
-from tests.support.paths import FMUS
 
 
 def test_tableau_is_scipys() -> None:
@@ -55,52 +57,6 @@ def test_classical_method_is_of_fourth_order(make: Maker) -> None:
         errors.append(np.abs(trial.advance(4.0) - exact).max())
         assert trial.memory.state.n_steps == round(4.0 / step_size)
     assert np.log2(np.array(errors[:-1]) / errors[1:]) == pytest.approx([4, 4], abs=0.25)
-
-
-@every_integrator
-def test_induction_machine_against_dop853(settings: dict[str, Any], tmp_path: Path) -> None:
-    """The committed FMU by FMPy's hands, its Jacobian by directional derivatives, its inputs linear."""
-    path, rng = FMUS / "InductionMachine" / "InductionMachine.fmu", np.random.default_rng(4)
-    description = fmpy.read_model_description(path)
-    interface = description.modelExchange
-    fmpy.extract(str(path), str(tmp_path))
-    fmu = FMU2Model(guid=description.guid, unzipDirectory=str(tmp_path), modelIdentifier=interface.modelIdentifier)
-    fmu.instantiate()
-    fmu.setupExperiment(startTime=0.0)
-    fmu.enterInitializationMode()
-    fmu.exitInitializationMode()
-    references = {variable.name: variable.valueReference for variable in description.modelVariables}
-    slopes = [unknown.variable for unknown in description.derivatives]
-    model = IntegratedModel(
-        2,
-        fmu.component,
-        function_table(2, lambda name: ctypes.cast(getattr(fmu.dll, f"fmi2{name}"), ctypes.c_void_p).value or 0),
-        len(slopes),
-        description.numberOfEventIndicators,
-        np.array([slope.derivative.valueReference for slope in slopes], np.uint32),
-        np.array([slope.valueReference for slope in slopes], np.uint32),
-    )
-    inputs = np.array([references[name] for name in ("uds", "uqs", "w")], np.uint32)
-    settings = settings | {"step_size": 1e-4}
-    memory = Integrator(model, Integration(inputs=inputs, input_starts=np.zeros(3), **settings))
-    for function in (core().integrator_begin, core().integrator_leave_events):
-        assert function(memory.handle, 0.0) == 0
-    theta = fmu.getReal([references[name] for name in ("Rs", "Rr", "Lm", "Lf")])
-    times = np.arange(40) * 7e-4
-    inputs = np.column_stack([100 + 20 * rng.normal(size=(40, 2)).cumsum(axis=0), 157 + rng.normal(size=40)])
-
-    def slope(t: float, x: NDArray[np.float64]) -> list[float]:
-        return park_rates(x, [np.interp(t, times, inputs[:, j]) for j in range(3)], theta)
-
-    x = np.zeros(4)
-    for k in range(39):
-        x = solve_ivp(slope, times[k : k + 2].tolist(), x, "DOP853", rtol=1e-11, atol=1e-12).y[:, -1]
-        memory.state.origin = times[k]
-        memory.curves[:, 0] = inputs[k]
-        memory.curves[:, 1] = (inputs[k + 1] - inputs[k]) / 7e-4
-        assert core().integrator_advance(memory.handle, times[k + 1]) == 0
-        assert fmu.getReal([references["ids"], references["iqs"]]) == pytest.approx(x[:2], rel=1e-7, abs=1e-7)
-    fmu.freeInstance()
 
 
 def test_adaptive_method_against_dop853(make: Maker) -> None:
@@ -169,22 +125,122 @@ def test_stiff_van_der_pol_against_radau(make: Maker, jacobian: str, stiff: NDAr
     assert (trial.numbers[COUNT] > 0) == (jacobian == "exact")
 
 
-@pytest.mark.slow
-def test_robertson_against_radau(make: Maker) -> None:
-    trial = make(ROBERTSON, [1.0, 0.0, 0.0], integrator="cvode", tolerance=1e-11).begin()
-
-    def slope(_t: float, x: NDArray[np.float64]) -> list[float]:
-        first, last = -0.04 * x[0] + 1e4 * x[1] * x[2], 3e7 * x[1] ** 2
-        return [first, -first - last, last]
-
-    times = [0.4, 40.0, 4e5]
-    exact = solve_ivp(slope, (0, 4e5), [1, 0, 0], "Radau", times, rtol=1e-11, atol=1e-15).y.T
-    assert trial.trajectory(times) == pytest.approx(exact, rel=1e-6)
-
-
 def test_stiffness_is_found(make: Maker) -> None:
     trial = make(VAN_DER_POL, [2.0, 0.0], [1000.0], integrator="rk45").begin()
     with pytest.raises(Failure) as failure:
         trial.advance(500.0)
     assert failure.value.args[0] == codes.STIFF
     assert 'Choose solver = "cvode"' in trial.describe()
+
+
+def linear_response(x: float, t: float, a: float, coefficients: NDArray[np.float64]) -> float:
+    """Closed form of x' = -a x + u, u a polynomial in t with these coefficients."""
+    particular = np.zeros(len(coefficients))  # p' + a p = u, highest power first
+    for k in range(len(coefficients) - 1, -1, -1):
+        above = (k + 1) * particular[k + 1] if k + 1 < len(coefficients) else 0.0
+        particular[k] = (coefficients[k] - above) / a
+    return float((x - particular[0]) * np.exp(-a * t) + np.polyval(particular[::-1], t))
+
+
+@every_integrator
+@pytest.mark.parametrize("degree", [0, 1, 3], ids=["held", "linear", "cubic"])
+@pytest.mark.parametrize("by_event", [False, True], ids=["plain", "event"])
+def test_inputs_equal_their_closed_form(make: Maker, settings: dict[str, Any], degree: int, by_event: bool) -> None:
+    rng = np.random.default_rng(degree)
+    times = 0.5 + np.cumsum(rng.uniform(0.01, 0.2, 12))
+    trial = make(LINEAR, [0.4], [3.0], n_inputs=2, **settings)
+    x, t = 0.4, 0.5
+    for k, until in enumerate(times.tolist()):
+        trial.memory.state.origin = t
+        trial.memory.curves[:, : degree + 1] = rng.normal(size=(2, degree + 1))  # they jump at every sample
+        if k == 0:
+            trial.begin(0.5)
+        elif by_event:
+            trial.call("enter_events", t)
+            trial.numbers[U : U + 2] = trial.memory.curves[:, 0]
+            trial.call("leave_events", t)
+        u = trial.memory.curves
+        x = linear_response(x, until - t, 3.0, u.sum(axis=0))
+        assert trial.advance(until)[0] == pytest.approx(x, abs=3e-9)
+        assert trial.numbers[U : U + 2] == pytest.approx(u @ (until - t) ** np.arange(4.0), abs=1e-14)
+        t = until
+
+
+@every_integrator
+def test_inputs_without_kinks_do_not_restart_the_integrator(make: Maker, settings: dict[str, Any]) -> None:
+    trial = make(LINEAR, [0.0], [1.0], n_inputs=1, **settings)
+    calls = []
+    for jump in (0.0, 1e-3):
+        trial.begin()
+        before = trial.numbers[CALLS]
+        for k in range(50):
+            t = 0.02 * k
+            trial.memory.state.origin = t
+            trial.memory.curves[0, :2] = np.sin(t) + jump * (-1) ** k, (np.sin(t + 0.02) - np.sin(t)) / 0.02
+            trial.advance(t + 0.02)
+        calls.append(trial.numbers[CALLS] - before)
+    assert calls[0] + 49 <= calls[1]
+
+
+@every_integrator
+def test_straight_inputs_give_the_same_bits_as_curved_ones(make: Maker, settings: dict[str, Any]) -> None:
+    found = []
+    for straight in (False, True):
+        trial = make(LINEAR, [0.3], [1.0], n_inputs=1, straight=straight, **settings).begin()
+        states = []
+        for k in range(20):
+            trial.memory.state.origin = 0.1 * k
+            trial.memory.curves[0, :2] = np.sin(0.1 * k), (np.sin(0.1 * k + 0.1) - np.sin(0.1 * k)) / 0.1
+            states.append(trial.advance(0.1 * (k + 1)))
+        found.append(np.array(states))
+    assert found[0].tobytes() == found[1].tobytes()
+
+
+def test_no_states_but_an_input_that_switches(make: Maker) -> None:
+    for settings in INTEGRATORS:
+        trial = make(SWITCH, [], [0.37], n_inputs=1, **settings)
+        trial.memory.curves[0, :3] = 0.0, 0.5, 0.5
+        trial.begin()
+        trial.advance(1.0)
+        crossing = np.sqrt(0.25 + 2 * 0.37) - 0.5
+        assert trial.numbers[[COUNT, EVENT_TIME]] == pytest.approx([1, crossing], abs=1e-9)
+        trial.memory.state.origin = 1.0
+        trial.memory.curves[0] = 0.0  # jumps back across the threshold
+        trial.advance(1.5)
+        assert trial.numbers[[COUNT, EVENT_TIME]].tolist() == [2, 1.0]
+
+
+def test_no_states_and_a_step_size(make: Maker) -> None:
+    trial = make(SWITCH, [], [0.37], n_inputs=1, step_size=0.2)
+    trial.memory.curves[0, :3] = 0.0, 2.0, -2.0  # above the threshold between two samples only
+    trial.begin()
+    trial.advance(1.0)
+    assert trial.numbers[COUNT] == 2
+
+
+@every_integrator
+def test_a_step_that_the_fmu_discards_is_halved(make: Maker, settings: dict[str, Any]) -> None:
+    trial = make(DECAY, [1.0], [21.0], **settings | {"step_size": 0.1, "tolerance": 1e-6}).begin()
+    times = np.linspace(0.1, 0.6, 6)
+    bound = 0.03 if settings["integrator"] == "rk4" else 1e-5
+    assert trial.trajectory(times)[:, 0] == pytest.approx(np.exp(-21 * times), abs=bound)
+    assert trial.memory.state.report.status == codes.DISCARD
+
+
+@every_integrator
+def test_an_array_of_inputs_of_which_one_varies(settings: dict[str, Any], tmp_path: Path) -> None:
+    """x' = -x + u[1] + u[2]: u[1] goes straight from sample to sample, u[2] keeps its start value, 0.5."""
+    path = hybrid_fmu(tmp_path, "linear", 3)
+    rng = np.random.default_rng(2)
+    times, u = np.linspace(0.0, 2.0, 30), rng.normal(size=30)
+    frame = pd.DataFrame({"time": times, "u": u, "v": u, "x": 0.0})
+    experiment = Experiment(frame, {"u[1]": "u"}, {"x0": "x"})
+    found = Simulator(path, experiment, values={"p0": 1.0}, **settings)([])[:, 0]
+    expected = coil_response(times, u + 0.5, 1.0, 1.0, True)
+    assert np.abs(found - expected).max() < 1e-7
+    both = Experiment(frame, {"u[1]": "u", "u[2]": "v"}, {"x0": "x"})
+    found = Simulator(path, both, values={"p0": 1.0}, **settings)([])[:, 0]
+    assert np.abs(found - coil_response(times, 2 * u, 1.0, 1.0, True)).max() < 1e-7
+    mixed = Experiment(frame, {"u[1]": "u", "u[2]": "v"}, {"x0": "x"}, interpolation={"u[2]": "zoh"})
+    with pytest.raises(InputError, match=r"'u\[2\]' and 'u\[1\]' are elements of one array"):
+        Simulator(path, mixed)

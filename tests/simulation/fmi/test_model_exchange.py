@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from functools import cache
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -21,6 +21,7 @@ from fmuid.simulation.simulator import Simulator
 from tests.support.closed_forms import coil_response, park_rates
 from tests.support.paths import FMUS
 from tests.support.probe_fmu import ProbeMaker
+from tests.support.stepping import LAG, stepping_fmu
 
 COIL = FMUS / "Coil" / "Coil.fmu"
 DRIVE = FMUS / "PositionDrive" / "PositionDrive.fmu"
@@ -123,57 +124,6 @@ def test_interpolation_is_chosen_for_each_input() -> None:
     assert np.abs(got - expected).max() < 1e-7 * np.abs(expected).max()
 
 
-def closed_drive(times: Array, reference: Array) -> Array:
-    """The drive under its controller, integrated as one system; the reference goes straight between the samples."""
-    known = System(components={"d": DRIVE, "c": CONTROLLER}).variables
-    M, Fv, Fc, offset, gtau, eps = (
-        float(known[f"d.{name}"].start)  # type: ignore[arg-type]
-        for name in ("M", "Fv", "Fc", "offset", "gtau", "dq_eps")
-    )
-    kp, kv, limit = (float(known[f"c.{name}"].start) for name in ("kp", "kv", "v_max"))  # type: ignore[arg-type]
-
-    def slope(t: float, x: Array) -> list[float]:
-        v = np.clip(kv * (kp * (np.interp(t, times, reference) - x[0]) - x[1]), -limit, limit)
-        return [x[1], (gtau * v - Fv * x[1] - Fc * np.tanh(x[1] / eps) - offset) / M]
-
-    found = solve_ivp(slope, (times[0], times[-1]), [0.0, 0.0], "Radau", times, rtol=1e-9, atol=1e-12, max_step=1e-3)
-    q: Array = found.y[0]
-    return q
-
-
-CLOSED = [("drive.q", "controller.q"), ("drive.dq", "controller.dq"), ("controller.v", "drive.v")]
-KINDS = [(one, other) for one in ("co-simulation", "model-exchange") for other in ("co-simulation", "model-exchange")]
-
-
-@cache
-def sine_drive() -> tuple[Array, Array, Array]:
-    """Return times, what the position should be, and what it is."""
-    times = np.linspace(0.0, 0.3, 61)
-    reference = 0.01 * np.sin(8.0 * times)
-    return times, reference, closed_drive(times, reference)
-
-
-def drive_error(system: System, step_size: float) -> float:
-    times, reference, exact = sine_drive()
-    experiment = Experiment(frame(times, r=reference, q=0.0), {"controller.qg": "r"}, {"drive.q": "q"})
-    got = Simulator(system, experiment, step_size=step_size)([])[:, 0]
-    return float(np.abs(got - exact).max())
-
-
-@pytest.mark.parametrize("kinds", KINDS)
-def test_kinds_mix_and_the_coupling_error_falls_with_the_step(kinds: tuple[str, str]) -> None:
-    system = System(
-        components={
-            "drive": Component(DRIVE, Numerics(kinds[0])),
-            "controller": Component(CONTROLLER, Numerics(kinds[1])),
-        },
-        connections=CLOSED,
-    )
-    coarse, fine = drive_error(system, 4e-4), drive_error(system, 1e-4)
-    assert fine < 2e-5  # m, of 0.01
-    assert coarse / fine == pytest.approx(4.0, rel=0.25)  # values held over a step: first order
-
-
 def test_gauss_seidel_passes_on_what_was_just_reached(probe: ProbeMaker) -> None:
     """x_a' = 1, x_b' = x_a in steps of 1 s: Jacobi sums the values at their beginnings, Gauss-Seidel at their ends."""
     path = probe()
@@ -237,26 +187,17 @@ def test_a_stiff_model_is_integrated_as_such() -> None:
     [
         ({"interface": "modelexchange"}, r"interface: unknown value 'modelexchange'.*model-exchange"),
         ({"integrator": "euler"}, r"integrator: unknown value 'euler'.*rk4 or rk45 or cvode"),
-        ({"integrator": "rk4"}, r"Coil\.fmu: solver = .* needs interface = \"model-exchange\""),
+        ({"integrator": "rk4"}, r"probe.*\.fmu: solver = .* needs interface = \"model-exchange\""),
+        ({"interface": "model-exchange"}, r"no model-exchange interface; offered: co-simulation"),
         ({"tolerance": -1.0}, "tolerance must be a positive number"),
         ({"step_size": 0.0}, "must be a positive number of seconds"),
     ],
 )
-def test_wrong_numerics_are_one_sentence(words: dict[str, Any], sentence: str) -> None:
+def test_wrong_numerics_are_one_sentence(probe: ProbeMaker, words: dict[str, Any], sentence: str) -> None:
     with pytest.raises(InputError, match=sentence):
-        System(COIL, numerics=Numerics(**words))
-
-
-def test_a_missing_interface_is_one_sentence(probe: ProbeMaker) -> None:
-    with pytest.raises(InputError, match=r"no model-exchange interface; offered: co-simulation"):
-        System(probe(), numerics=Numerics("model-exchange"))
-
-
-def test_numerics_of_a_system_are_its_own() -> None:
-    system = System(COIL)
-    experiment = Experiment(frame(np.arange(2.0), i=0.0), outputs=["i"])
+        System(probe(), numerics=Numerics(**words))
     with pytest.raises(InputError, match="a System has its own solver settings"):
-        Simulator(system, experiment, interface="model-exchange")
+        System.of(System(COIL), Numerics(tolerance=1e-3))
 
 
 def test_a_connector_sets_several_variables(record: tuple[Array, Array]) -> None:
@@ -297,3 +238,31 @@ def test_wrong_connectors_are_one_sentence(connectors: dict[str, list[str]], sen
             connections=[("one.i", "other.u", 1.0, 0.0)],
             connectors=ports,
         )
+
+
+K = 100.0
+
+
+@pytest.fixture(scope="module")
+def lag(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return stepping_fmu(tmp_path_factory.mktemp("lag"), LAG, exchange=True)
+
+
+@pytest.mark.parametrize("step", [1e-3, 1e-2, 1e-1], ids=["fast", "like", "slow"])
+@pytest.mark.parametrize("size", [1e-15, 1e-9, 1e-6, 1.0, 1e9])
+@pytest.mark.parametrize(("integrator", "error"), [("rk45", 1e-4), ("cvode", 1e-3)])
+def test_states_of_every_size(lag: Path, integrator: str, error: float, size: float, step: float) -> None:
+    """x' = u - k x from zero against its closed form, u held over a tenth, one and ten time constants."""
+    u = size * np.random.default_rng(1).choice([-1.0, 1.0], 50)
+    x = np.zeros(50)
+    for i in range(49):
+        x[i + 1] = u[i] / K + (x[i] - u[i] / K) * np.exp(-K * step)
+    frame = pd.DataFrame({"time": step * np.arange(50), "u": u, "x": x})
+    simulator = Simulator(
+        lag,
+        Experiment(frame, ["u"], ["x"], interpolation="zoh"),
+        ["k"],
+        interface="model-exchange",
+        integrator=integrator,
+    )
+    np.testing.assert_allclose(simulator([K])[:, 0], x, rtol=0.0, atol=error * np.abs(x).max())

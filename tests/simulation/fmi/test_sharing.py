@@ -95,16 +95,6 @@ def test_the_fmu_of_these_tests_does_not_bear_threads(folder: Path) -> None:
         assert "outside its instances" in str(error)
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("said", [{}, OPEN_MODELICA], ids=["nothing", "OpenModelica"])
-def test_both_interfaces_in_turn(folder: Path, said: dict[str, Any]) -> None:
-    """One process never holds instances of both: whoever is asked makes room for itself, as often as one likes."""
-    fmu = misbehaving_fmu(folder, token="alone in turn", **said)
-    simulators = [Simulator(fmu, RECORD, NAMES, interface=kind) for kind in KINDS]
-    for simulator in [*simulators, *simulators, *reversed(simulators)]:
-        check(simulator)
-
-
 def test_no_instance_is_freed_while_another_lives(folder: Path) -> None:
     fmu = misbehaving_fmu(folder, token="alone in a crowd")
     first, second = (Simulator(fmu, RECORD, NAMES) for _ in range(2))

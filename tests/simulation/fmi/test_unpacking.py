@@ -1,4 +1,4 @@
-"""Archives and XML that were made to do harm are refused in one sentence, and what is unpacked is the user's alone."""
+"""Archives that were made to do harm are refused in one sentence; what is unpacked is the user's alone."""
 
 from __future__ import annotations
 
@@ -6,9 +6,9 @@ import os
 import re
 import stat
 import struct
+import sys
 import warnings
 import zipfile
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -31,19 +31,6 @@ pytestmark = pytest.mark.usefixtures("cache")
 COIL = FMUS / "Coil" / "Coil.fmu"
 
 
-def changed(path: Path, change: Callable[[bytearray], object]) -> Path:
-    """Change the bytes of an archive."""
-    content = bytearray(path.read_bytes())
-    change(content)
-    path.write_bytes(content)
-    return path
-
-
-def headers(content: bytes | bytearray) -> list[int]:
-    """Return where the entries of an archive's directory begin."""
-    return [found.start() for found in re.finditer(b"PK\x01\x02", content)]
-
-
 # --- names ------------------------------------------------------------------------------
 
 
@@ -51,25 +38,17 @@ def headers(content: bytes | bytearray) -> list[int]:
     ("name", "why"),
     [
         ("/etc/evil", "outside"),
-        ("//host/evil", "outside"),
         ("a/../../evil", "outside"),
         ("..", "outside"),
         ("a\\..\\evil", "outside"),
-        ("\\\\host\\evil", "outside"),
-        ("..\\..\\evil", "outside"),
         ("\\evil", "outside"),
         ("C:evil", "outside"),
-        ("C:\\evil", "outside"),
         ("a:stream", "outside"),  # of NTFS
         (".. /evil", "outside"),  # Windows drops final spaces and dots
-        (".../evil", "outside"),
         ("a\x1b[2Jb", "control character"),
-        ("a\nb", "control character"),
         ("", "no name"),
         ("resources/con", "Windows"),
-        ("sources/Aux.c", "Windows"),
         ("lpt1 .txt", "Windows"),
-        ("a" * 256, "too long"),
         ("ä" * 128, "too long"),
         ("/".join(["folder"] * 200), "too long"),
     ],
@@ -96,13 +75,6 @@ def test_backslashes_are_separators(tmp_path: Path) -> None:
     new = tmp_path / "new.fmu"
     apply_result(result(tmp_path, {"R": (4.25, 0.01)}), path, new)
     assert "binaries/linux64" in {name.rpartition("/")[0] for name in zipfile.ZipFile(new).namelist()}
-
-
-def test_a_name_that_hides_its_end_is_refused(tmp_path: Path) -> None:
-    """After a NUL the rest is shown to nobody; `zipfile` cuts it off."""
-    path = pack(tmp_path / "a.fmu", ("modelDescription.xml", b""), ("good#evil", b""))
-    path.write_bytes(path.read_bytes().replace(b"good#evil", b"good\0evil"))
-    assert "control character" in refusal(path)
 
 
 @pytest.mark.parametrize(
@@ -153,15 +125,6 @@ def test_a_bomb_is_refused_by_its_ratio(tmp_path: Path, monkeypatch: pytest.Monk
     assert "200 times its size" in refusal(path)
 
 
-def test_a_bomb_that_understates_its_size_is_damaged(tmp_path: Path) -> None:
-    path = pack(tmp_path / "a.fmu", ("zeros", bytes(3 * 2**20)))
-
-    def understate(content: bytearray) -> None:
-        struct.pack_into("<I", content, headers(content)[0] + 24, 100)
-
-    assert "damaged archive" in refusal(changed(path, understate))
-
-
 def test_what_is_read_is_counted(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Whatever the headers say: here they are right, and ignored."""
     monkeypatch.setenv(zipped.LARGEST_TOTAL_VARIABLE, str(3 / 1024))
@@ -188,16 +151,6 @@ def test_large_directories_are_refused(
     assert words in refusal(pack(tmp_path / "a.fmu", *((str(k), b"") for k in range(30))))
 
 
-def test_entries_that_overlap(tmp_path: Path) -> None:
-    """As in Fifield's bombs: two entries of the directory point to one place."""
-    path = pack(tmp_path / "a.fmu", ("a", b"x" * 100), ("b", b"x" * 100))
-
-    def point_to_the_first(content: bytearray) -> None:
-        struct.pack_into("<I", content, headers(content)[1] + 42, 0)
-
-    assert "overlap" in refusal(changed(path, point_to_the_first))
-
-
 def test_large_xml(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(CheckedArchive.read, "__defaults__", (100,))
     with pytest.raises(InputError, match=r"'modelDescription\.xml' is larger than"):
@@ -211,13 +164,22 @@ def test_large_xml(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 # --- how it is packed -------------------------------------------------------------------
 
 
-def test_encrypted(tmp_path: Path) -> None:
-    path = pack(tmp_path / "a.fmu", ("secret", b"x"))
-
-    def encrypt(content: bytearray) -> None:
-        content[headers(content)[0] + 8] |= 1
-
-    assert "is encrypted" in refusal(changed(path, encrypt))
+@pytest.mark.parametrize(
+    ("entry", "place", "word", "why"),
+    [
+        (0, 8, "<H1", "is encrypted"),
+        (0, 24, "<I100", "damaged archive"),  # a bomb that understates its size
+        (1, 42, "<I0", "overlap"),  # as in Fifield's bombs: two entries of the directory point to one place
+        (1, 46, "<H0", "control character"),  # after a NUL the rest of the name is shown to nobody
+    ],
+)
+def test_spoilt_directories(tmp_path: Path, entry: int, place: int, word: str, why: str) -> None:
+    path = pack(tmp_path / "a.fmu", ("a" * 9, bytes(3 * 2**20)), ("b" * 9, b"x" * 100))
+    content = bytearray(path.read_bytes())
+    headers = [found.start() for found in re.finditer(b"PK\x01\x02", content)]
+    struct.pack_into(word[:2], content, headers[entry] + place, int(word[2:]))
+    path.write_bytes(content)
+    assert why in refusal(path)
 
 
 @pytest.mark.parametrize("method", [zipfile.ZIP_BZIP2, zipfile.ZIP_LZMA])
@@ -225,17 +187,81 @@ def test_other_compression(tmp_path: Path, method: int) -> None:
     assert "neither stored nor deflated" in refusal(pack(tmp_path / "a.fmu", ("a", b"x" * 100), method=method))
 
 
-def test_damaged_content(tmp_path: Path) -> None:
+@pytest.mark.parametrize(("place", "length"), [(40, 10), (31, 8)])
+def test_damaged_content(tmp_path: Path, place: int, length: int) -> None:
+    """A broken stream; a content that is not what its checksum says."""
     path = pack(tmp_path / "a.fmu", ("a", bytes(range(256)) * 10))
-    for place, length in ((40, 10), (31, 8)):  # a broken stream; a content that is not what its checksum says
-
-        def spoil(content: bytearray, place: int = place, length: int = length) -> None:
-            content[place : place + length] = bytes(length)
-
-        assert "damaged archive" in refusal(changed(path, spoil))
+    content = bytearray(path.read_bytes())
+    content[place : place + length] = bytes(length)
+    path.write_bytes(content)
+    assert "damaged archive" in refusal(path)
 
 
 def test_an_fmu_for_scheduled_execution_alone_is_refused(tmp_path: Path) -> None:
     text = re.sub(r"<(CoSimulation|ModelExchange) .*/>\n", "", FMI3)
     with pytest.raises(InputError, match="neither Co-Simulation nor Model Exchange"):
         FMU(write_fmu(tmp_path / "a.fmu", text))
+
+
+posix = pytest.mark.skipif(sys.platform == "win32", reason="Windows has no such permissions")
+
+
+# --- the cache --------------------------------------------------------------------------
+
+
+@posix
+def test_unpacked_files_are_the_users_alone(tmp_path: Path, cache: Path) -> None:
+    old = os.umask(0)
+    (cache / "fmuid" / "unpacked").mkdir(parents=True)  # for everybody, so far
+    try:
+        folder = unpacked(pack(tmp_path / "a.fmu", ("binaries/linux64/a.so", b"x"), ("empty/", b"")), "digest")
+    finally:
+        os.umask(old)
+    found = [cache / "fmuid", cache / "fmuid" / "unpacked", folder, *folder.rglob("*")]
+    assert len(found) == 7
+    for path in found:
+        assert stat.S_IMODE(path.stat().st_mode) == (0o700 if path.is_dir() else 0o600), path
+
+
+@posix
+@pytest.mark.parametrize("place", ["fmuid", "fmuid/unpacked", "fmuid/unpacked/digest"])
+def test_a_cache_that_leads_elsewhere_is_refused(tmp_path: Path, cache: Path, place: str) -> None:
+    elsewhere = tmp_path / "elsewhere"
+    elsewhere.mkdir()
+    (cache / place).parent.mkdir(parents=True)
+    (cache / place).symlink_to(elsewhere)
+    with pytest.raises(InputError, match=r"is a symbolic link.*XDG_CACHE_HOME"):
+        unpacked(pack(tmp_path / "a.fmu", ("a", b"x")), "digest")
+    assert not list(elsewhere.iterdir())
+
+
+@posix
+def test_a_cache_of_somebody_else_is_refused(tmp_path: Path, cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (cache / "fmuid").mkdir(parents=True)
+    monkeypatch.setattr("os.geteuid", lambda: os.getuid() + 1)
+    with pytest.raises(InputError, match=r"belongs to another user.*XDG_CACHE_HOME"):
+        unpacked(pack(tmp_path / "a.fmu", ("a", b"x")), "digest")
+
+
+def test_what_is_missing_in_the_cache_is_unpacked_again(tmp_path: Path) -> None:
+    names = ["binaries/linux64/a.so", "modelDescription.xml", "resources/table.csv", "resources/log.txt"]
+    path = pack(tmp_path / "a.fmu", *((name, b"content") for name in names), ("resources/empty/", b""))
+    folder = unpacked(path, "digest")
+    (folder / names[0]).write_bytes(b"cut")
+    (folder / names[1]).unlink()
+    (folder / names[2]).unlink()
+    (folder / names[3]).write_bytes(b"written by the FMU")
+    (folder / "resources" / "empty").rmdir()
+    assert unpacked(path, "digest") == folder
+    assert [(folder / name).read_bytes() for name in names] == [b"content"] * 3 + [b"written by the FMU"]
+    assert (folder / "resources" / "empty").is_dir()
+    assert list(folder.parent.iterdir()) == [folder]
+
+
+def test_a_full_disk_is_one_sentence(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def full(*_: object) -> None:
+        raise OSError(28, "No space left on device")
+
+    with monkeypatch.context() as patched:
+        patched.setattr("os.fdopen", full)
+        assert "No space left on device" in refusal(pack(tmp_path / "a.fmu", ("a", b"x")))
