@@ -39,63 +39,31 @@ def refuse(coil_folder: Path, capsys: pytest.CaptureFixture[str]) -> Refused:
 
 
 @pytest.mark.parametrize(
-    ("old", "new", "named"),
+    ("file", "old", "new", "named"),
     [
-        ("R = {", "Rs = {", "'Rs'.*'R'"),
-        ('inputs = ["u"]', 'inputs = { v = "u" }', "'?v'?"),
-        ('outputs = ["i"]', 'outputs = { R = "i" }', "R.*parameter"),
-        ('inputs = ["u"]', 'inputs = { R = "u" }', "'R' as 'parameter', not as input"),
-        ("R = { start = 3.0, min = 0.0, max = 10.0 }", "i = { start = 1.0 }", "'i' cannot be set"),
-        ("[[experiments]]", "[model.fixed]\nR = 4.0\n[[experiments]]", "R.*fixed"),
-        ("[[experiments]]", "[model.fixed]\nL = inf\n[[experiments]]", "L.*finite number"),
-        ('outputs = ["i"]', 'outputs = ["i"]\nunits = { i = "parsec" }', "parsec"),
-        ("[parameters]", "[paramaters]", "study.toml.*paramaters.*parameters"),
-        ("inputs =", "imputs =", "imputs.*inputs"),
-        ("start = 3.0", "start = 30.0", r"parameters.R.*30"),
-        ("start = 3.0", f"start = {HUGE}", "parameters.R.start: must be a number"),
-        ('"run.csv"', '"other.csv"', "other.csv not found"),
-        ('"run.csv"', '"Coil.fmu"', "Coil.fmu"),
-        ("run.csv", r"r\\u0000", "not found"),
-        ("Coil.fmu", "C" * 300, "not found"),
-        ('variance = "estimate"', "variance = { j = 1.0 }", "variance.*j"),
-        ('inputs = ["u"]', 'inputs = ["u"]\nwarmup = 5.0', "run.csv: warmup"),
-        ("fmu =", "fmu ==", "study.toml.*line 3"),
+        ("study.toml", "R = {", "Rs = {", "'Rs'.*'R'"),
+        ("study.toml", 'inputs = ["u"]', 'inputs = { v = "u" }', "'?v'?"),
+        ("study.toml", 'outputs = ["i"]', 'outputs = { R = "i" }', "R.*parameter"),
+        ("study.toml", 'inputs = ["u"]', 'inputs = { R = "u" }', "'R' as 'parameter', not as input"),
+        ("study.toml", "R = { start = 3.0, min = 0.0, max = 10.0 }", "i = { start = 1.0 }", "'i' cannot be set"),
+        ("study.toml", "[[experiments]]", "[model.fixed]\nR = 4.0\n[[experiments]]", "R.*fixed"),
+        ("study.toml", "[[experiments]]", "[model.fixed]\nL = inf\n[[experiments]]", "L.*finite number"),
+        ("study.toml", 'outputs = ["i"]', 'outputs = ["i"]\nunits = { i = "parsec" }', "parsec"),
+        ("study.toml", "start = 3.0", f"start = {HUGE}", "parameters.R.start: must be a number"),
+        ("study.toml", '"run.csv"', '"Coil.fmu"', "Coil.fmu"),
+        ("study.toml", "run.csv", r"r\u0000", "not found"),
+        ("study.toml", "Coil.fmu", "C" * 300, "not found"),
+        ("study.toml", 'variance = "estimate"', "variance = { j = 1.0 }", "variance.*j"),
+        ("study.toml", 'inputs = ["u"]', 'inputs = ["u"]\nwarmup = 5.0', "run.csv: warmup"),
+        ("run.csv", "0.001,1.0,", "0.001,inf,", "run.csv: .*'u' is inf in row 2"),
+        ("run.csv", "0.001,1.0,", "0.001,on,", "run.csv: .*u.*on.*row 2"),
     ],
 )
-def test_wrong_study(coil_folder: Path, refuse: Refused, old: str, new: str, named: str) -> None:
-    assert old in SOUND
-    (coil_folder / "study.toml").write_text(SOUND.replace(old, new.replace("\\\\", "\\")))
+def test_wrong_study_and_data(coil_folder: Path, refuse: Refused, file: str, old: str, new: str, named: str) -> None:
+    text = (coil_folder / file).read_text()
+    assert old in text
+    (coil_folder / file).write_text(text.replace(old, new))
     assert re.search(named, refuse("identify", "study.toml"))
-
-
-@pytest.mark.parametrize(
-    ("text", "said"),
-    [
-        ("a = " + "[" * 5000 + "]" * 5000, "nested too deeply"),
-        ("a = " + "{a = " * 5000, "nested too deeply"),
-        ("a = " + "9" * 5000, "thousands of digits"),
-        ("[" + "a." * 100_000 + "a]", "more than 100 parts"),  # which took minutes
-    ],
-)
-def test_toml_beyond_the_reader(coil_folder: Path, refuse: Refused, text: str, said: str) -> None:
-    (coil_folder / "study.toml").write_text(text)
-    assert said in refuse("simulate", "study.toml")
-
-
-@pytest.mark.parametrize(
-    ("text", "named"),
-    [
-        ("", "run.csv.*empty"),
-        ("time,u,i\n0,1,0\n0.1,on,0\n0.2,1,0\n", "u.*on.*row 2"),
-        ("time,u,i\n0,1,0\n0.2,1,0\n0.1,1,0\n", "time.*row 3"),
-        ("time,u,i\n0,1,0\n0.1,inf,0\n0.2,1,0\n", "u.*row 2"),
-        ("time,u,i\n0,1,\n0.1,1,\n0.2,1,\n", "i.*no sample"),
-        ("time,u\n0,1\n0.1,1\n", "i"),
-    ],
-)
-def test_wrong_data(coil_folder: Path, refuse: Refused, text: str, named: str) -> None:
-    (coil_folder / "run.csv").write_text(text)
-    assert re.search(f"run.csv.*{named}" if "run.csv" not in named else named, refuse("identify", "study.toml"))
 
 
 def test_columns_of_lists_and_slopes_that_overflow(coil_folder: Path, refuse: Refused) -> None:
@@ -115,14 +83,13 @@ def test_numbers_that_overflow_warn_of_nothing(coil_folder: Path, capsys: pytest
     assert "inf A" in capsys.readouterr().out
 
 
-@pytest.mark.parametrize("compressed", [False, True])
 @pytest.mark.parametrize(
-    ("place", "content"),
+    ("place", "content", "compressed"),
     [
-        (184, b"\x7f"),  # the type of numbers: SciPy's reader ends the process
-        (145, b"\x08"),  # complex, without the imaginary part
-        (144, b"\x01"),
-        (132, b"\xff\xff\xff\x7f"),
+        (184, b"\x7f", False),  # the type of numbers: SciPy's reader ends the process
+        (184, b"\x7f", True),
+        (145, b"\x08", False),  # complex, without the imaginary part
+        (132, b"\xff\xff\xff\x7f", True),
     ],
 )
 def test_damaged_mat_files(coil_folder: Path, refuse: Refused, place: int, content: bytes, compressed: bool) -> None:
@@ -189,7 +156,6 @@ FIXED_R += "</ScalarVariable>"
         ("info", replaced(FMI1), "FMI 1.0"),
         ("identify", stripped, f"no binary for this platform \\({fmpy.platform}\\)"),
         ("validate", described("</ModelVariables>", SECOND_R), "'R' is declared twice"),
-        ("identify", described("</ModelVariables>", SECOND_R), "'R' is declared twice"),
         ("info", described("<Unit name=", "<Unit named="), "Unit without a name"),
         ("info", described(" guid=", " named="), "no guid"),
         ("identify", described(R, FIXED_R.format("local", "constant", "exact", ' start="4"')), "'R' cannot be set"),
@@ -268,8 +234,6 @@ def test_damaged_values(
         (("info", "a.fmu", "b.fmu"), "b.fmu.*--help"),
         (("identify", "stduy.toml"), "stduy.toml.*study.toml"),
         (("info", "Koil.fmu"), "Koil.fmu"),
-        (("identify", "study.toml", "--set", "parameters.L.start=9"), "L"),
-        (("identify", "study.toml", "--set", "parameters.R.start"), "="),
         (("identify", "study.toml", "--resume"), "result.json"),
         (("init", "Coil.fmu", "run.csv", "--output", "study.toml"), "study.toml: file exists"),
         (("completion", "cmd"), "bash, zsh or fish"),
@@ -281,12 +245,10 @@ def test_wrong_usage(coil_folder: Path, refuse: Refused, words: tuple[str, ...],
     assert (coil_folder / "study.toml").read_text() == SOUND
 
 
-@pytest.mark.parametrize("name", ["x" * 300, "x" * 300 + ".fmu"])
-def test_names_that_no_file_has(coil_folder: Path, capsys: pytest.CaptureFixture[str], name: str) -> None:
-    coil = coil_folder / "Coil.fmu"
+def test_names_that_no_file_has(coil_folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    coil, name = coil_folder / "Coil.fmu", "x" * 300 + ".fmu"
     for command in (
         ("info", name),
-        ("init", name, coil_folder / "run.csv", "--output", coil_folder / "new.toml"),
         ("init", coil, f"{name}.csv", "--output", coil_folder / "new.toml"),
         ("init", coil, coil_folder / "run.csv", "--output", coil_folder / name),
         ("simulate", name),

@@ -99,10 +99,7 @@ def test_compare_on_constant_output_gives_rmse(made: Path, tmp_path: Path, capsy
 @pytest.mark.parametrize(
     ("words", "said"),
     [
-        (
-            ("both", "other"),
-            "have different data. Their likelihoods are not comparable",
-        ),
+        (("both", "other"), "have different data. Their likelihoods are not comparable"),
         (("both",), "needs at least two results"),
         (("both", "both"), "given twice"),
         (("both", "nothing"), "no such result"),

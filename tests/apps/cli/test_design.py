@@ -13,19 +13,18 @@ from experiments.coil import study as coil
 from fmuid.apps.cli.options import DONE, WRONG_INPUT
 from fmuid.reports.topics.design import healthy_record_remarks
 from fmuid.runs.faults import design_of
-from tests.support.coil_study import STUDY, coil_table, fmuid_
+from tests.support.coil_study import STUDY, fmuid_
 
 pytestmark = pytest.mark.usefixtures("blank_figures")
 
 
 @pytest.fixture
-def folder(tmp_path: Path) -> Path:
-    coil_table(tmp_path / "first.csv", 0.0, seed=1)
-    (tmp_path / "study.toml").write_text(STUDY + "[noise]\nvariance = 4e-4\n")
+def folder(folder: Path) -> Path:
+    (folder / "study.toml").write_text(STUDY + "[noise]\nvariance = 4e-4\n")
     times = 1e-3 * np.arange(300)
     for name, voltage in {"constant": 1.0 + 0.0 * times, "square": np.sign(np.sin(120.0 * times + 1e-6))}.items():
-        pd.DataFrame({"time": times, "u": voltage}).to_csv(tmp_path / f"{name}.csv", index=False)
-    return tmp_path
+        pd.DataFrame({"time": times, "u": voltage}).to_csv(folder / f"{name}.csv", index=False)
+    return folder
 
 
 @pytest.mark.usefixtures("drawn_figures")

@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import json
 import re
+import shutil
+from contextlib import redirect_stderr, redirect_stdout
+from io import StringIO
 from pathlib import Path
 
 import numpy as np
@@ -15,74 +18,75 @@ import fmuid
 from experiments.batches.campaign import NOISE, L, R, coil_current
 from fmuid.apps.cli.options import DONE, NOT_SUCCEEDED, WRONG_INPUT
 from fmuid.studies.study import Study
-from tests.support.coil_study import STUDY, fmuid_, result
+from tests.support.coil_study import STUDY, coil_table, fmuid_, result
 from tests.support.commands import HASTY, SECOND
 
 pytestmark = pytest.mark.usefixtures("blank_figures")
 
 
-# --- identify ----------------------------------------------------------------------------
+@pytest.fixture(scope="module")
+def identified(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
+    """Identify the study of a coil with figures; return its folder and what is printed."""
+    folder = tmp_path_factory.mktemp("coil")
+    coil_table(folder / "first.csv", 0.0, seed=1)
+    (folder / "study.toml").write_text(STUDY)
+    with redirect_stdout(StringIO()) as out, redirect_stderr(StringIO()) as error:
+        assert fmuid_("identify", folder / "study.toml", "--output", folder / "deep/out", "--figures", "png") == DONE
+    assert error.getvalue() == ""
+    return folder, out.getvalue()
 
 
-def test_identify(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert fmuid_("identify", folder / "study.toml") == DONE
-    found = result(folder / "results")
-    assert found["outcome"] == "converged"
-    assert found["converged"] is True
+@pytest.fixture
+def known(identified: tuple[Path, str], folder: Path) -> Path:
+    """Return a study's folder with the results of an earlier run."""
+    shutil.copytree(identified[0] / "deep/out", folder / "results")
+    return folder
+
+
+def test_identify(identified: tuple[Path, str]) -> None:
+    folder, out = identified
+    found = result(folder / "deep/out")
+    assert (found["outcome"], found["converged"]) == ("converged", True)
     for name, truth, start in (("R", R, 6.0), ("L", L, 0.05)):
         estimate = found["parameters"][name]
-        assert abs(estimate["value"] - truth) < 4 * estimate["std"]
-        assert 0 < estimate["std"] < 0.03 * truth
-        assert estimate["start"] == start
-        assert estimate["prior_z_score"] is None
+        assert abs(estimate["value"] - truth) < 4 * estimate["std"] < 0.12 * truth
+        assert (estimate["start"], estimate["prior_z_score"]) == (start, None)
     assert found["covariance"]["names"] == ["R", "L"]
     diagonal = np.sqrt(np.diag(found["covariance"]["matrix"]))
     np.testing.assert_allclose(diagonal, [found["parameters"][name]["std"] for name in ("R", "L")])
     assert found["fit"]["noise_variance"]["i"] == pytest.approx(NOISE**2, rel=0.2)
     assert found["setup"]["version"] == fmuid.__version__
-    assert {"cost", "log_likelihood"} <= set(found["fit"])
-    assert {"iterations", "simulations", "elapsed_s"} <= set(found["history"])
-
-    out, error = capsys.readouterr()
-    assert error == ""
+    assert {"cost", "log_likelihood"} <= found["fit"].keys()
+    assert {"iterations", "simulations", "elapsed_s"} <= found["history"].keys()
     assert out.startswith(f"PASSED       converged after {found['history']['iterations']} iterations")
     for word in ("parameter", "relative σ", "95 % interval", "Ohm", "Fit  ", "Residuals", "Solver", "report.html"):
         assert word in out
 
 
-@pytest.mark.usefixtures("drawn_figures")
-def test_identify_writes_tables_and_figures(folder: Path) -> None:
-    assert fmuid_("identify", folder / "study.toml", "--output", folder / "deep/out", "--figures", "png") == DONE
-    out = folder / "deep/out"
+def test_identify_writes_tables_and_figures(identified: tuple[Path, str]) -> None:
+    folder, out = identified[0], identified[0] / "deep/out"
     assert {path.name for path in out.iterdir()} == {
         "result.json", "estimates.csv", "trace.csv", "fit.csv", "diagnostics.csv",
         "parameters.ssv", "document.json", "report.html", "figures",
     }  # fmt: skip
-    figures = {path.name for path in (out / "figures").iterdir()}
     drawn = ("fit", "residuals", "parameters", "cost", "correlation", "accuracy")
-    assert figures == {f"{name}.png" for name in drawn}
-    found = result(out)
-
-    estimates = pd.read_csv(out / "estimates.csv")
+    assert {path.name for path in (out / "figures").iterdir()} == {f"{name}.png" for name in drawn}
+    found, estimates = result(out), pd.read_csv(out / "estimates.csv")
     assert estimates["parameter"].tolist() == ["R", "L"]
     assert estimates["unit"].tolist() == ["Ohm", "H"]
     assert estimates["value"].tolist() == [found["parameters"][name]["value"] for name in ("R", "L")]
-    freedom = [each["variance_dof"] for each in found["parameters"].values()]
-    half = stats.t.ppf(0.975, freedom) * estimates["std"]
-    np.testing.assert_allclose(estimates["lower"], estimates["value"] - half, rtol=1e-6)
-    np.testing.assert_allclose(estimates["upper"], estimates["value"] + half, rtol=1e-6)
-
+    half = stats.t.ppf(0.975, [each["variance_dof"] for each in found["parameters"].values()]) * estimates["std"]
+    for side, sign in (("lower", -1), ("upper", 1)):
+        np.testing.assert_allclose(estimates[side], estimates["value"] + sign * half, rtol=1e-6)
     trace = pd.read_csv(out / "trace.csv")
     assert {"iteration", "cost", "damping", "accepted", "R", "L"} <= set(trace.columns)
     assert trace["iteration"].iloc[-1] == found["history"]["iterations"]
     assert trace["cost"].iloc[-1] == pytest.approx(found["fit"]["cost"])
     assert (trace["R"].iloc[0], trace["L"].iloc[0]) == (6.0, 0.05)
-
     fit, table = pd.read_csv(out / "fit.csv"), pd.read_csv(folder / "first.csv")
     assert list(fit.columns) == ["time", "measured.i", "simulated.i"]
     np.testing.assert_array_equal(fit["measured.i"], table["i"])
-    exact = coil_current(table["u"].to_numpy(), 0.0)
-    assert np.abs(fit["simulated.i"] - exact).max() < NOISE / 5
+    assert np.abs(fit["simulated.i"] - coil_current(table["u"].to_numpy(), 0.0)).max() < NOISE / 5
 
 
 def test_identify_several_experiments(folder: Path) -> None:
@@ -100,15 +104,13 @@ def test_identify_several_experiments(folder: Path) -> None:
     assert units.tolist() == ["Ohm", "H", "A", "A"]
 
 
-def test_not_converged(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_not_converged_or_interrupted(
+    folder: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
     assert fmuid_("identify", folder / "study.toml", *HASTY) == NOT_SUCCEEDED
     assert result(folder / "results")["converged"] is False
     assert "Raise `max_iterations`" in capsys.readouterr().out
 
-
-def test_interrupted_before_the_search(
-    folder: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
     def interrupt(*_: object, **__: object) -> None:
         raise KeyboardInterrupt
 
@@ -126,41 +128,37 @@ def test_failing_simulation(folder: Path, capsys: pytest.CaptureFixture[str]) ->
     assert sentence.count("\n") == 1
 
 
-def test_resume_of_another_study(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert fmuid_("identify", folder / "study.toml") == DONE
-    other = STUDY.replace("R = ", "i_start = ").replace("L = ", "# ")
-    (folder / "study.toml").write_text(other)
-    capsys.readouterr()
-    assert fmuid_("identify", folder / "study.toml", "--resume") == WRONG_INPUT
+def test_resume_of_another_study(known: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (known / "study.toml").write_text(STUDY.replace("R = ", "i_start = ").replace("L = ", "# "))
+    assert fmuid_("identify", known / "study.toml", "--resume") == WRONG_INPUT
     assert "of another study, with parameters R, L, not i_start" in capsys.readouterr().err
 
 
-def test_a_failed_write_leaves_the_earlier_result(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    assert fmuid_("identify", folder / "study.toml") == DONE
-    before = (folder / "results/result.json").read_bytes()
+def test_a_failed_write_leaves_the_earlier_result(known: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    before = (known / "results/result.json").read_bytes()
 
     def fail(*_: object, **__: object) -> None:
         raise OSError(28, "No space left on device")
 
     monkeypatch.setattr(Path, "write_text", fail)
-    assert fmuid_("identify", folder / "study.toml", "--set", "parameters.R.start=5") == WRONG_INPUT
-    assert (folder / "results/result.json").read_bytes() == before
-    assert not list((folder / "results").glob(".*"))
+    assert fmuid_("identify", known / "study.toml", "--set", "parameters.R.start=5") == WRONG_INPUT
+    assert (known / "results/result.json").read_bytes() == before
+    assert not list((known / "results").glob(".*"))
 
 
-# --- priors, global search, uncertainty -------------------------------------------------
+# --- priors ------------------------------------------------------------------------------
 
 
-def test_prior_from_an_earlier_result(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_prior_from_an_earlier_result(
+    known: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
     """The second machine is another one: its estimate lies between the first one's and what its own data say."""
-    study = folder / "study.toml"
-    assert fmuid_("identify", study, "--output", folder / "healthy") == DONE
-    healthy = result(folder / "healthy")
+    monkeypatch.setattr("fmuid.runs.run.QUICK_SECONDS", 0.0)
+    study, healthy = known / "study.toml", result((known / "results").rename(known / "healthy"))
     assert healthy["setup"]["models"][""]["name"] == "Coil"
-    capsys.readouterr()
     study.write_text(STUDY.replace("first", "second") + '[prior]\nresult = "healthy/result.json"\nstd_factor = 2\n')
     assert fmuid_("identify", study, "--set", "model.fixed.i_start=0.2", "--verbose") == DONE
-    found = result(folder / "results")
+    found = result(known / "results")
     for name in ("R", "L"):
         prior, estimate = healthy["parameters"][name], found["parameters"][name]
         assert estimate["prior_mean"] == prior["value"]
@@ -175,33 +173,20 @@ def test_prior_from_an_earlier_result(folder: Path, capsys: pytest.CaptureFixtur
     assert (reading["combined_std"] < reading["data_std"]).all()
     out, error = capsys.readouterr()
     assert "iteration 0" in error
+    assert "Optimizing with the data alone" in error
     heads = next(line for line in out.splitlines() if "data alone" in line)
     columns = ["parameter", "prior", "data alone", "both", "distance", "moved by prior", "unit"]
     assert re.split(r"\s{2,}", heads.strip()) == columns
 
 
-def test_what_takes_long_says_what_it_does(
-    folder: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr("fmuid.runs.run.QUICK_SECONDS", 0.0)
-    assert fmuid_("identify", folder / "study.toml") == DONE
-    assert capsys.readouterr().err == ""
-    prior = "parameters.R.prior={mean = 4.0, std = 0.1}"
-    assert fmuid_("identify", folder / "study.toml", "--set", prior) == DONE
-    assert "Optimizing with the data alone" in capsys.readouterr().err
-
-
-def test_prior_from_the_result_of_another_model(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    study = folder / "study.toml"
-    assert fmuid_("identify", study, "--output", folder / "healthy") == DONE
-    content = result(folder / "healthy")
+def test_prior_from_the_result_of_another_model(known: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    study, content = known / "study.toml", result(known / "results")
     content["setup"]["models"][""]["name"] = "Spool"
-    (folder / "healthy/result.json").write_text(json.dumps(content))
-    capsys.readouterr()
-    study.write_text(STUDY + '[prior]\nresult = "healthy/result.json"\n')
+    (known / "healthy.json").write_text(json.dumps(content))
+    study.write_text(STUDY + '[prior]\nresult = "healthy.json"\n')
     assert fmuid_("identify", study) == WRONG_INPUT
     assert "is of another model, Spool" in capsys.readouterr().err
     content["setup"]["models"][""] = {"name": "Coil", "digest": "of an earlier build"}
-    (folder / "healthy/result.json").write_text(json.dumps(content))
+    (known / "healthy.json").write_text(json.dumps(content))
     assert fmuid_("identify", study) == DONE
     assert "another build of Coil" in capsys.readouterr().err

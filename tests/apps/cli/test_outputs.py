@@ -33,13 +33,6 @@ class Failing(io.StringIO):
         raise OSError(self.number, os.strerror(self.number))
 
 
-@pytest.fixture
-def folder(tmp_path: Path) -> Path:
-    coil_table(tmp_path / "first.csv", 0.0, seed=1)
-    (tmp_path / "study.toml").write_text(STUDY)
-    return tmp_path
-
-
 @pytest.mark.parametrize("number", [errno.EPIPE, errno.EIO, errno.ENOSPC])
 def test_a_search_ends_whoever_reads(folder: Path, number: int, monkeypatch: pytest.MonkeyPatch, capsys: Any) -> None:
     monkeypatch.setattr(sys, "stdout", Failing(number))
@@ -93,16 +86,16 @@ def test_no_room_for_a_result(folder: Path, monkeypatch: pytest.MonkeyPatch, cap
 
 
 COMMANDS = {
-    "identify": ["study.toml", "-o", "found"],
-    "simulate": ["study.toml", "-o", "found"],
-    "predict": ["results", "second.csv", "-o", "found"],
-    "compare": ["results", "other", "-o", "found"],
-    "design": ["design.toml", "first.csv", "second.csv", "-o", "found"],
-    "diagnose": ["test.toml", "-o", "found"],
-    "monitor": ["test.toml", "test1.csv", "-o", "found"],
-    "batch": ["batch.toml", "-o", "found", "--workers", "1"],
+    "identify study.toml": ("| true", "> /dev/full", ">&- 2>&-"),
+    "simulate study.toml": ("| true",),
+    "predict results second.csv": ("> /dev/full",),
+    "compare results other": (">&- 2>&-",),
+    "design design.toml first.csv second.csv": ("> /dev/full",),
+    "diagnose test.toml": (">&- 2>&-",),
+    "monitor test.toml test1.csv": ("| true",),
+    "batch batch.toml --workers 1": ("> /dev/full",),
 }
-WAYS = ("| true", "> /dev/full", ">&- 2>&-")
+"""Commands, and what is behind their output."""
 
 
 @pytest.fixture(scope="module")
@@ -112,13 +105,9 @@ def bench(tmp_path_factory: pytest.TempPathFactory) -> Path:
     for k, name in enumerate(("first.csv", "second.csv")):
         coil_table(folder / name, 0.0, seed=k)
     noise = "[noise]\nvariance = 1e-4\n"
-    texts = {
-        "study": STUDY,
-        "design": STUDY + noise,
-        "batch": STUDY + "[batch.monte_carlo]\nrealizations = 3\nstd = 0.01\n",
-    }
-    for name, text in texts.items():
-        (folder / f"{name}.toml").write_text(text)
+    batch = "[batch.monte_carlo]\nrealizations = 3\nstd = 0.01\n"
+    for name, more in (("study", ""), ("design", noise), ("batch", batch)):
+        (folder / f"{name}.toml").write_text(STUDY + more)
     assert fmuid_("identify", folder / "study.toml", "--no-report") == DONE
     shutil.copytree(folder / "results", folder / "other")
     shutil.copytree(coil.HERE / "healthy", folder / "healthy")
@@ -129,11 +118,10 @@ def bench(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", COMMANDS)
-def test_files_are_there_whatever_is_behind_the_output(bench: Path, name: str) -> None:
-    line = " ".join([sys.executable, "-m", "fmuid", name, *COMMANDS[name]])
-    found = []
-    for way in ("", *WAYS):
+@pytest.mark.parametrize("command", COMMANDS)
+def test_files_are_there_whatever_is_behind_the_output(bench: Path, command: str) -> None:
+    line, found = f"{sys.executable} -m fmuid {command} -o found", []
+    for way in ("", *COMMANDS[command]):
         shutil.rmtree(bench / "found", ignore_errors=True)
         shell = ["bash", "-c", f"{line} {way}; exit ${{PIPESTATUS[0]}}"]
         done = subprocess.run(shell, cwd=bench, capture_output=True, text=True, check=False)
