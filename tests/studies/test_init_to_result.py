@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -18,7 +17,7 @@ from fmuid.errors import InputError
 from fmuid.models import System, read_description
 from fmuid.studies import Study
 from fmuid.studies.init.parameter_survey import ParameterProposal as Use
-from fmuid.studies.init.parameter_survey import Survey, _Changes, _proposed, _select, is_solver_setting, survey
+from fmuid.studies.init.parameter_survey import Survey, is_solver_setting, survey
 from fmuid.studies.init.start_parameters import is_start
 from tests.support.coil_study import COIL, fmuid_, result
 from tests.support.exported import export_text
@@ -141,57 +140,6 @@ def test_settings_of_solvers_and_start_values() -> None:
     assert is_start(rs._replace(name="p", description="initial pressure"), description)
 
 
-def test_what_acts_alike_is_left_out() -> None:
-    """The third column is the sum of the first two, and the fourth is below the noise; the strongest go first."""
-    rng = np.random.default_rng(5)
-    a, b, c = rng.standard_normal((3, 50))
-    columns = np.column_stack([a, 3 * b, a + 3 * b, 1e-5 * c, 0.1 * c])
-    uses: list[Use | None] = [None] * 5
-    likes = _select(columns, np.linalg.norm(columns, axis=0), uses, [], columns / 1e-3)
-    assert uses.count(Use.ALIKE) == 1
-    assert uses[:3].count(Use.FREED) == 2
-    assert uses[3:] == [Use.NOISE, Use.FREED]
-    (out,) = (k for k in (0, 1, 2) if uses[k] is Use.ALIKE)
-    assert sorted(likes[out]) == [k for k in (0, 1, 2) if k != out]
-
-
-def test_what_the_noise_hides_is_left_out() -> None:
-    """The second column is as strong as the noise lets it be seen by one standard deviation."""
-    a, b = np.random.default_rng(5).standard_normal((2, 50))
-    b -= (a @ b) / (a @ a) * a
-    for share, use in ((0.9, Use.NOISE), (1.1, Use.FREED)):
-        columns = np.column_stack([a, a + share * 0.1 * b / np.linalg.norm(b)])
-        uses: list[Use | None] = [None, None]
-        _select(columns, np.linalg.norm(columns, axis=0), uses, [], columns / 0.1)
-        assert sorted(each.value for each in uses if each) == sorted([Use.FREED.value, use.value])
-
-
-def changes(columns: Floats, starts: Floats, noise: float) -> _Changes:
-    """Return changes of one output of spread 1 that begins where the model does."""
-    resistance = read_description(COIL).variables["R"]
-    variables = tuple(resistance._replace(name=f"p{k}") for k in range(starts.size))
-    weights, nothing = np.full(len(columns), 1.0 / noise), np.zeros(1)
-    return _Changes(variables, starts, columns, weights, nothing, np.zeros((1, starts.size)), nothing + 1e-3, ())
-
-
-def test_survey_frees_zero_or_start_values_rather_than_nothing() -> None:
-    """What is 0 in the FMU or a start value stays held unless nothing else acts."""
-    a, b, c = np.random.default_rng(6).standard_normal((3, 50))
-    every = changes(np.column_stack([a, b, c]), np.array([0.0, 1.0, 1.0]), 0.1)
-
-    def uses(given: _Changes) -> tuple[Use, ...]:
-        found = {each.variable.name: each.use for each in _proposed(given, [2], {}, driven=True)}
-        return found["p0"], found["p1"], found["p2"]
-
-    for sizes, expected in (
-        ((1, 1, 1), (Use.ZERO, Use.FREED, Use.START)),
-        ((1, 1e-3, 1), (Use.FREED, Use.NOISE, Use.START)),
-        ((1e-3, 1e-3, 1), (Use.NOISE, Use.NOISE, Use.START_OPEN)),
-        ((1e-3, 1e-3, 1e-3), (Use.NOISE,) * 3),
-    ):
-        assert uses(replace(every, jacobian=np.column_stack([a, b, c]) * sizes)) == expected
-
-
 BIASED = """
 model Biased "a lag with feedthrough, and a drift that the machine does not have"
   parameter Real a(unit="1/s") = 2.0 "rate";
@@ -272,6 +220,19 @@ def test_start_values_are_freed_where_records_begin_elsewhere() -> None:
     difference = current(t, u, 0.7, 4.004) - current(t, u, 0.7, 4.0)
     expected = 100 * np.sqrt(np.mean(difference**2)) / np.std(i)
     assert candidates["R"].effect == pytest.approx(expected, rel=1e-3)
+
+
+def test_effect_below_the_noise_stays_fixed_and_nothing_is_no_study() -> None:
+    """Sampled slower than its time constant, a coil shows its resistance alone; without input and effect, nothing."""
+    t, noise = np.arange(60.0), np.random.default_rng(2).standard_normal(60)
+    u: Floats = np.where(np.arange(60) % 7 < 3, 10.0, 5.0)
+    for voltage, i, expected in (
+        (u, np.roll(u, 1) / 4 + 0.05 * noise, {"R": Use.FREED, "L": Use.NOISE, "i_start": Use.START}),
+        (0 * u, noise, {"R": Use.NO_EFFECT, "L": Use.NO_EFFECT, "i_start": Use.NOISE}),
+    ):
+        found = survey(COIL, [experiment(pd.DataFrame({"time": t, "u": voltage, "i": i}))])
+        uses = {each.variable.name: each.use for each in found.candidates}
+        assert uses == expected, uses
 
 
 def test_co_simulation_is_surveyed_where_model_exchange_fails(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -117,9 +117,6 @@ def test_given_joint_prior(folder: Path) -> None:
     parameters = study.problem().parameters
     np.testing.assert_allclose(parameters.prior_mean, [4.0, 0.1])
     np.testing.assert_allclose(parameters.prior_std, [0.2, 1e-3])
-
-
-def test_joint_prior_of_a_parameter_per_experiment(folder: Path) -> None:
     extra = 'i_start = { start = 0.0, nominal = 0.1, per_experiment = true }\n[prior]\nnames = ["i_start[run]"]\n'
     text = STUDY.replace("[model.fixed]\ni_start = 0.0\n", "") + extra + "mean = [0.0]\ncovariance = [[0.01]]"
     (folder / "study.toml").write_text(text)
@@ -168,18 +165,13 @@ def changed(old: str, new: str) -> str:
     ("extra", "said"),
     [
         (JOINT + "[[1.0, 0.1], [0.2, 1.0]]", ("prior: ", "R, L", "not symmetric")),
-        (JOINT + "[[1.0, 2.0], [2.0, 1.0]]", ("prior: ", "not positive definite")),
-        (JOINT + "[[1.0, 0.0], [0.0, 0.0]]", ("prior: ", "variance of 'L'", "not 0")),
         (JOINT + "[[1.0]]", ("prior: ", "2 means")),
         (JOINT + "[[1.0, 0.0], [0.0]]", ("prior.covariance: must be a list of rows of numbers",)),
-        (changed("[4.0, 0.1]", '[4.0, "x"]'), ("prior.mean: must be a list",)),
         (changed("[4.0, 0.1]", "[12.0, 0.1]"), ("12 of 'R'", "is outside [0, 9]")),
         (changed('"L"', '"i_start"'), ("prior.names: 'i_start' is fixed at 0.0 in [model.fixed]",)),
         (changed('"L"', '"R0"'), ("prior.names: unknown parameter 'R0'", "'R'")),
-        (changed('"L"', '"R"'), ("'R' is there twice",)),
         ('[prior]\nnames = ["R"]\nmean = [4.0]', ("prior: missing key 'covariance'",)),
         (FROM_RESULT + "mean = [4.0]", ("prior: result and mean cannot be combined",)),
-        (FROM_RESULT + "std_factor = 0", ("prior.std_factor: must be a number above 0, not 0",)),
         (JOINT + UNIT + "\nstd_factor = 2", ("prior.std_factor: needs a result",)),
         ('[prior]\nresult = "sick.json"', ("prior.result: file", "sick.json not found")),
         ('[prior]\nresult = "run.csv"', ("prior: ", "run.csv is not JSON")),
@@ -189,22 +181,18 @@ def test_joint_prior_refused(folder: Path, extra: str, said: tuple[str, ...]) ->
     refused(folder, *said, extra=extra)
 
 
-@pytest.mark.parametrize(
-    ("prior", "said"),
-    [
-        ("{ mean = 4.0, std = -1.0 }", "parameters.R.prior.std: must be a number above 0, not -1"),
+def test_single_prior_refused(folder: Path) -> None:
+    for prior, said in (
         ("{ mean = 40.0, std = 1.0 }", "mean 40 is outside"),
         ("{ mean = 4.0 }", "parameters.R.prior: missing key 'std'"),
         ("{ mean = 4.0, std = 1.0, std_factor = 2 }", "parameters.R.prior.std_factor: needs a result"),
         ('{ mean = 4.0, result = "healthy.json" }', "parameters.R.prior: result and mean cannot be combined"),
-    ],
-)
-def test_single_prior_refused(folder: Path, prior: str, said: str) -> None:
-    refused(folder, said, prior_of_r=prior)
-
-
-def test_both_a_single_and_a_joint_prior(folder: Path) -> None:
+    ):
+        refused(folder, said, prior_of_r=prior)
     refused(folder, "'R' has its own prior", extra=FROM_RESULT, prior_of_r="{ mean = 4.0, std = 1.0 }")
+    (folder / "study.toml").write_text(STUDY.partition("[parameters]")[0] + FROM_RESULT)
+    with pytest.raises(InputError, match="prior: no free parameters"):
+        Study.read(folder / "study.toml")
 
 
 def test_result_that_does_not_fit(folder: Path) -> None:
@@ -216,19 +204,13 @@ def test_result_that_does_not_fit(folder: Path) -> None:
     refused(folder, "has no parameter 'L'", extra=FROM_RESULT + 'names = ["L"]')
 
 
-@pytest.mark.parametrize(("variance", "said"), [("inf", "'R'"), (None, "'R'"), (0.0, "variance of 'R'")])
-def test_result_without_a_usable_variance(folder: Path, variance: object, said: str) -> None:
-    earlier(folder, covariance=covariance([[variance, 0.0 if variance == 0.0 else None], [0.0, 1e-8]]))
-    both_refused(folder, "healthy.json", said)
+def test_result_without_a_usable_variance(folder: Path) -> None:
+    for variance, said in (("inf", "'R'"), (0.0, "variance of 'R'")):
+        earlier(folder, covariance=covariance([[variance, 0.0 if variance == 0.0 else None], [0.0, 1e-8]]))
+        both_refused(folder, "healthy.json", said)
 
 
-@pytest.mark.parametrize("content", ["{}", "[]", "nothing", "", '{"schema": "fmuid/result/2"}'])
+@pytest.mark.parametrize("content", ["{}", "[]", "", '{"schema": "fmuid/result/2"}'])
 def test_broken_result(folder: Path, content: str) -> None:
     (folder / "healthy.json").write_text(content)
     both_refused(folder, "healthy.json", "run fmuid identify again")
-
-
-def test_prior_without_parameters(folder: Path) -> None:
-    (folder / "study.toml").write_text(STUDY.partition("[parameters]")[0] + FROM_RESULT)
-    with pytest.raises(InputError, match="prior: no free parameters"):
-        Study.read(folder / "study.toml")

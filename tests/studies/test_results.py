@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pandas as pd
 import pytest
 
 from fmuid.errors import InputError
@@ -91,16 +92,20 @@ def test_records_are_read_with_the_words_of_an_experiment(folder: Path) -> None:
         list(records_like(study, [folder / "other.csv"]))
 
 
-def test_variables_of_the_model_are_estimated_again(folder: Path) -> None:
+def test_records_in_other_units_and_variables_estimated_again(folder: Path) -> None:
     study = Study.read(folder / "study.toml")
-    result = study.identify()
-    ((record, _),) = records_like(study, [folder / "third.csv"])
-    assert predict_with(study, result, record).scores[0].ratio > 1.1
-    again = predict_with(study, result, record, free=["i_start"])
+    result, table = study.identify(), pd.read_csv(folder / "third.csv")
+    table.assign(i=1e3 * table["i"]).rename(columns={"i": "i [mA]"}).to_csv(folder / "milli.csv", index=False)
+    (plain, _), (milli, _) = records_like(study, [folder / "third.csv", folder / "milli.csv"])
+    one, other = predict_with(study, result, plain), predict_with(study, result, milli)
+    assert (other.scores[0].unit, other.scores[0].rmse) == ("mA", pytest.approx(1e3 * one.scores[0].rmse))
+    np.testing.assert_allclose(other.half_width, 1e3 * one.half_width, rtol=1e-6)
+    assert other.scores[0].ratio == pytest.approx(one.scores[0].ratio) and one.scores[0].ratio > 1.1
+    again = predict_with(study, result, plain, free=["i_start"])
     assert again.estimated is not None
     assert abs(again.estimated["i_start"] - 0.2) < 4 * again.estimated.std[0]
     with pytest.raises(InputError, match="i_stat"):
-        predict_with(study, result, record, free=["i_stat"])
+        predict_with(study, result, plain, free=["i_stat"])
 
 
 def test_a_parameter_without_a_value_is_refused(folder: Path) -> None:
@@ -127,18 +132,3 @@ def test_each_part_is_predicted_from_the_others(folder: Path) -> None:
     alone = Study.read(folder / "study.toml", ['experiments=[{data="first.csv", outputs=["i"], inputs=["u"]}]'])
     with pytest.raises(InputError, match=r"2 folds of 1 experiments.*cannot be cross-validated"):
         cross_validate(alone, 2)
-
-
-def test_units_of_a_record_may_be_others(folder: Path) -> None:
-    study = Study.read(folder / "study.toml")
-    result = study.identify()
-    lines = (folder / "second.csv").read_text().splitlines()
-    rows = [[float(cell) for cell in line.split(",")] for line in lines[1:]]
-    thousands = "\n".join(",".join(map(repr, [t, u, 1e3 * i])) for t, u, i in rows)
-    (folder / "milli.csv").write_text(f"time,u,i [mA]\n{thousands}\n")
-    (plain, _), (milli, _) = records_like(study, [folder / "second.csv", folder / "milli.csv"])
-    one, other = predict_with(study, result, plain), predict_with(study, result, milli)
-    assert other.scores[0].unit == "mA"
-    assert other.scores[0].rmse == pytest.approx(1e3 * one.scores[0].rmse)
-    np.testing.assert_allclose(other.half_width, 1e3 * one.half_width, rtol=1e-6)
-    assert other.scores[0].ratio == pytest.approx(one.scores[0].ratio)

@@ -17,7 +17,6 @@ from fmuid.identification.assessment import AssessmentSettings
 from fmuid.identification.posterior import SamplerSettings
 from fmuid.models.component import Numerics
 from fmuid.studies.study import Study
-from fmuid.studies.toml import show
 from tests.support.study_files import FULL, write
 
 METHOD = 'method = "levenberg-marquardt"'
@@ -65,38 +64,30 @@ def test_estimators(folder: Path, keys: str, expected: Method) -> None:
     assert Study.read(write(folder, FULL.replace(METHOD, keys))).estimator == expected
 
 
-def test_keys_of_the_estimation(folder: Path) -> None:
-    text = FULL.replace(METHOD, f'{METHOD}\nloss = "cauchy"').replace("finite-difference", "forward")
-    study = Study.read(write(folder, text))
-    assert (study.estimation.loss, study.estimation.jacobian) == ("cauchy", "forward")
-
-
 @pytest.mark.parametrize(
     ("keys", "noise"),
     [
         ("variance = { i = 0.04 }\ninitial_variance = { i = 1.0 }", Noise({"i": 0.04}, {"i": 1.0})),
-        ("initial_variance = 2", Noise("estimate", 2.0)),
         ('shared_variance = ["i"]', Noise(shared_variance=["i"])),
         ('std = { i = "sd" }', Noise(std={"i": "sd"})),
-        ("std = 0.2", Noise(std=0.2)),
-        ("relative_std = 0.01", Noise(relative_std=0.01)),
         ('weights = "w"', Noise(weights="w")),
-        ("excitation_period = 4.0", Noise(excitation_period=4.0)),
     ],
 )
 def test_noise(folder: Path, keys: str, noise: Noise) -> None:
     assert Study.read(write(folder, FULL.replace('variance = "estimate"', keys))).noise == noise
 
 
-def test_noise_of_an_experiment(folder: Path) -> None:
+def test_noise_of_an_experiment_and_keys_of_the_estimation(folder: Path) -> None:
     text = FULL.replace('outputs = ["i"]', 'outputs = ["i"]\nnoise = { weights = { i = "w" } }')
-    assert Study.read(write(folder, text)).noise == Noise(experiments={"second": Noise(weights={"i": "w"})})
+    text = text.replace(METHOD, f'{METHOD}\nloss = "cauchy"').replace("finite-difference", "forward")
+    study = Study.read(write(folder, text))
+    assert study.noise == Noise(experiments={"second": Noise(weights={"i": "w"})})
+    assert (study.estimation.loss, study.estimation.jacobian) == ("cauchy", "forward")
 
 
 @pytest.mark.parametrize(
     ("keys", "expected"),
     [
-        ("profile_likelihood = false\nposterior = false\ncost_map = []", AssessmentSettings()),
         ("profile_likelihood = true", AssessmentSettings(profile=("R", "dR[run1]", "dR[second]", "drive.M"))),
         ('profile_likelihood = ["dR[run1]", "R", "R"]', AssessmentSettings(profile=("dR[run1]", "R"))),
         (
@@ -151,11 +142,6 @@ outputs = ["drive.q"]
     assert model.section.shared_variables == {"R": ["drive.R", "controller.R"], "u": ["drive.u"]}
     connections = [each.connection for each in model.section.connections]
     assert connections == [("drive.q", "controller.q"), ("controller.u", "drive.u", 60.0, 0.0)]
-
-
-def test_show() -> None:
-    values: list[object] = ["ü", True, 1.5, [1, "a"], [1] * 9, {}]
-    assert [show(value) for value in values] == ['"ü"', "true", "1.5", '[1, "a"]', "a list", "a section"]
 
 
 def test_uncertainty_of_a_result(tmp_path: Path) -> None:
