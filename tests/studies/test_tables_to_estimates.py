@@ -45,8 +45,13 @@ def expected(motor: Path, tmp_path_factory: pytest.TempPathFactory) -> dict[bool
     return {gaps: estimates(motor, folder / str(gaps), ("plain", "missing: empty")[gaps]) for gaps in (False, True)}
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("variant", [name for name in WRITERS if name not in SAID])
+@pytest.mark.parametrize(
+    "variant",
+    [
+        pytest.param(name, marks=pytest.mark.campaign if k % 8 else pytest.mark.slow)
+        for k, name in enumerate(name for name in WRITERS if name not in SAID)
+    ],
+)
 def test_the_same_estimates(
     motor: Path, expected: dict[bool, dict[str, dict[str, float]]], tmp_path: Path, variant: str
 ) -> None:
