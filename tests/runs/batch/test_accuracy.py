@@ -9,10 +9,8 @@ import numpy as np
 import pandas as pd
 import pytest
 
-import fmuid
 from fmuid.runs.batch.case import VOLATILE, CaseRunner
 from fmuid.runs.batch.summary import summarize
-from fmuid.simulation import executor_of
 from fmuid.studies.study import Study
 from tests.support.drawn_batches import summary_words
 from tests.support.paths import ROOT
@@ -54,22 +52,6 @@ def test_what_is_known_is_not_simulated_again() -> None:
     assert summarize(without).accuracy == {}
 
 
-def test_cases_simulate_what_they_have_in_common_once(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The start, six points beside it that show the noise, and both sides of two parameters; not counted: a cell."""
-    runner = coil({"monte_carlo": {"realizations": 12, "std": 0.035}}, 'estimation.solver_check="off"')
-    runner(0)
-    executor, simulated = executor_of(runner.study.system), list[int]()
-    run = executor.run
-
-    def counting(job: Any) -> None:
-        simulated.append(len(job))
-        run(job)
-
-    monkeypatch.setattr(executor, "run", counting)
-    counted = sum(int(str(runner(case).row["simulations"])) for case in range(1, 9))
-    assert counted - sum(simulated) == 8 * (1 + 6 + 4) - 4
-
-
 def test_starts_that_fail_or_alias() -> None:
     starts = [{"R": 3.0, "L": 0.2}, {"R": 20.0, "L": 0.01}, {"R": 50.0, "L": 5e-3}]
     found = frame_of(coil({"starting_points": starts}), [2, 1, 0])
@@ -101,12 +83,3 @@ def test_a_simulation_that_is_wrong_for_all(tmp_path: Path) -> None:
     assert (np.abs(found["value.k"] - truth) < 4.0 * found["std.k"]).all()
     assert same(found, frame_of(CaseRunner(study), [2, 0, 1]))
     assert any("refined in 3 cases" in sentence for sentence in summary_words(summarize(found)))
-
-
-@pytest.mark.slow
-def test_the_summary_of_a_batch_says_how_many_were_checked(tmp_path: Path) -> None:
-    """From its files, of which a summary reads what it needs."""
-    data = dict(Study.read(COIL).data) | {"batch": {"monte_carlo": {"realizations": 4, "std": 0.035}}}
-    summary, _ = fmuid.Batch(Study.of(data, COIL), tmp_path / "out").run().summary()
-    assert summary.accuracy["passed"] == 4
-    assert 1 <= summary.accuracy["checked"] <= 4

@@ -90,25 +90,6 @@ def test_compact(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, rows: int) -> 
     assert found.parts() == before
 
 
-def test_few_rows_are_in_memory_while_parts_are_merged(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Parts come nearly in order, as from workers that take the next group each; so are they merged."""
-    monkeypatch.setattr(module, "PART_ROWS", 20)
-    order = [case for at in range(0, 200, 10) for case in reversed(range(at, at + 10))]
-    found = filled(tmp_path, order, each=7)
-    largest, together = [0], Dataset._together
-
-    def watched(dataset: Dataset, tables: Any) -> Any:
-        largest.append(sum(table.num_rows for table in tables))
-        return together(dataset, tables)
-
-    monkeypatch.setattr(Dataset, "_together", watched)
-    found.compact()
-    assert max(largest) < 60
-    assert [pq.read_metadata(path).num_rows for path in found.parts()] == [20] * 10
-    monkeypatch.undo()
-    same(found.read(), expected(order))
-
-
 def test_many_small_parts_are_merged_on_the_way(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(module, "LOOSE_PARTS", 5)
     found = filled(tmp_path, list(range(20)), each=1)
@@ -129,17 +110,17 @@ def test_rows_that_are_there_twice_count_once(tmp_path: Path) -> None:
     same(pd.read_parquet(tmp_path / "cases"), expected(list(range(6))))
 
 
-@pytest.mark.parametrize("step", ["fsync", "replace", "open"])
-def test_full_disk_keeps_what_was_there(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, step: str) -> None:
+def test_full_disk_keeps_what_was_there(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     found = filled(tmp_path, [0, 1], each=1)
-    with monkeypatch.context() as full:
-        owner: Any = os if step == "fsync" else Path
-        full.setattr(owner, step, full_disk)
-        with pytest.raises(FmuidError, match=r"write failed: No space left on device.*are kept") as raised:
-            found.append([row(2)])
-    assert not isinstance(raised.value, InputError)  # exit code 1: nothing given is wrong
-    same(found.read(), expected([0, 1]))
-    assert not list(found.cases.glob(".*"))
+    steps: list[tuple[Any, str]] = [(os, "fsync"), (Path, "replace"), (Path, "open")]
+    for owner, step in steps:
+        with monkeypatch.context() as full:
+            full.setattr(owner, step, full_disk)
+            with pytest.raises(FmuidError, match=r"write failed: No space left on device.*are kept") as raised:
+                found.append([row(2)])
+        assert not isinstance(raised.value, InputError)  # exit code 1: nothing given is wrong
+        same(found.read(), expected([0, 1]))
+        assert not list(found.cases.glob(".*"))
     found.append([row(2)])
     same(found.read(), expected([0, 1, 2]))
 
@@ -149,9 +130,9 @@ def test_a_damaged_part_is_found_and_removed(tmp_path: Path) -> None:
     found = filled(tmp_path, list(range(9)), each=3)
     part = found.parts()[1]
     whole = part.read_bytes()
-    places = np.random.default_rng(4).integers(0, len(whole), 20).tolist()
+    places = np.random.default_rng(4).integers(0, len(whole), 5).tolist()
     damaged = [whole[:place] + bytes([whole[place] ^ 0x10]) + whole[place + 1 :] for place in places]
-    for content in [b"", whole[:10], whole[:500], *damaged]:
+    for content in [b"", whole[:500], *damaged]:
         part.write_bytes(content)
         for read in (found.read, lambda: read_part(part, lambda name: name == "set.x")):
             with pytest.raises(InputError, match=rf"{part.name}: damaged \(wrong digest\)"):
@@ -172,18 +153,18 @@ def test_pages_have_checksums_for_other_readers(tmp_path: Path) -> None:
         pd.read_parquet(part, page_checksum_verification=True)
 
 
-@pytest.mark.parametrize("case", [CASES, -1, None])
-def test_a_case_that_the_batch_has_not(tmp_path: Path, case: int | None) -> None:
+def test_a_case_that_the_batch_has_not(tmp_path: Path) -> None:
     found = filled(tmp_path, [0, 1], each=1)
-    sink = pa.BufferOutputStream()
-    pq.write_table(pa.Table.from_pylist([row(1) | {"case": case}], found.schema), sink)
-    content = sink.getvalue().to_pybytes()
-    alien = found.cases / f"part-000000005-{hashlib.sha256(content).hexdigest()[:12]}.parquet"
-    alien.write_bytes(content)
-    for read in (found.read, found.finished, lambda: list(found.stream(["status"]))):
-        with pytest.raises(InputError, match=rf"damaged \(case number not below {CASES}"):
-            read()
-    assert found.repair() == (alien,)
+    for case in (CASES, -1, None):
+        sink = pa.BufferOutputStream()
+        pq.write_table(pa.Table.from_pylist([row(1) | {"case": case}], found.schema), sink)
+        content = sink.getvalue().to_pybytes()
+        alien = found.cases / f"part-000000005-{hashlib.sha256(content).hexdigest()[:12]}.parquet"
+        alien.write_bytes(content)
+        for read in (found.read, found.finished, lambda: list(found.stream(["status"]))):
+            with pytest.raises(InputError, match=rf"damaged \(case number not below {CASES}"):
+                read()
+        assert found.repair() == (alien,)
     same(found.read(), expected([0, 1]))
 
 

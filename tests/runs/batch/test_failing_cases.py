@@ -5,7 +5,6 @@ from __future__ import annotations
 import itertools
 import logging
 import math
-import pickle
 import threading
 from pathlib import Path
 from typing import Any
@@ -15,7 +14,6 @@ import pandas as pd
 import pytest
 from numpy.typing import NDArray
 
-from fmuid.data.experiment import Experiment
 from fmuid.data.noise import Noise
 from fmuid.errors import InputError
 from fmuid.estimation import Marquardt
@@ -24,7 +22,7 @@ from fmuid.estimation.problem import LeastSquares
 from fmuid.runs.batch import case as case_run
 from fmuid.runs.batch.case import CaseRunner
 from fmuid.runs.batch.case_list import CaseList
-from tests.support.coil_cases import bits, record, study_of
+from tests.support.coil_cases import bits, study_of
 from tests.support.probe_fmu import ProbeMaker
 
 # --- failures
@@ -105,26 +103,6 @@ def test_the_log_has_the_warnings_of_its_own_thread(case_folder: Path, monkeypat
         assert runner(0).log == "the coil hums"
     assert runner(0).log == ""
     assert logging.getLogger("fmuid").handlers == handlers
-
-
-def test_other_measurements_of_an_experiment() -> None:
-    table = record(0).assign(j=1.0)
-    before = Experiment(table, {"u": "u", "fed": "i"}, {"i": "i", "j": "j"}, warmup=0.1, units={"i": "A"})
-    values = np.stack([np.arange(120.0), np.full(120, 2.0)]).T
-    values[70, 0] = np.nan
-    after = before.with_outputs(values)
-    sent = pickle.loads(pickle.dumps(after))  # without its table, made on request
-    assert sent.frame.equals(after.frame)
-    again = Experiment(after.frame, after.inputs, after.outputs, warmup=0.1, units={"i": "A"})
-    for experiment in (after, again):
-        assert np.array_equal(experiment.output_values, values, equal_nan=True)
-        assert np.array_equal(experiment.input_values, before.input_values)
-        assert experiment.counted.sum() == 2 * 70 - 1
-    assert np.array_equal(before.frame["i"], table["i"])
-    assert not after.output_values.flags.writeable
-    for wrong, said in ((values[:, :1], r"of shape \(120, 2\)"), (np.full((120, 2), np.nan), "has no sample")):
-        with pytest.raises(InputError, match=said):
-            before.with_outputs(wrong)
 
 
 # --- refusals

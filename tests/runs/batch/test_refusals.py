@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-import inspect
 from pathlib import Path
 from typing import Any
 
 import pytest
 
-from fmuid.apps.cli import batch as cli_batch
 from fmuid.errors import InputError
-from fmuid.runs.batch import batch as module
 from fmuid.runs.batch import worker_pool as cluster
 from fmuid.runs.batch.worker import difference, versions
 from tests.support.coil_batches import NOISE, refused, run, write
@@ -100,7 +97,3 @@ def test_a_cluster_with_other_versions() -> None:
         cluster._check(Unlike({}, {"fmuid": None}), "tcp://s:8786")
     with pytest.raises(InputError, match=r"^the scheduler at tcp://s:8786 runs dask 2020.1.0"):
         cluster._check(Unlike({"dask": "2020.1.0"}, {}), "tcp://s:8786")
-
-
-def test_command_and_class_have_one_limit() -> None:
-    assert inspect.signature(cli_batch.batch).parameters["max_cases"].default == module.MAX_CASES
