@@ -16,6 +16,7 @@ from fmuid import codec
 from fmuid.errors import InputError
 from fmuid.estimation import RESULT_SCHEMA
 from fmuid.files import is_file, is_folder
+from fmuid.models import file_digest
 from fmuid.runs.findings import Provenance, StudySource
 from fmuid.runs.folder import RESULT_FILE
 from fmuid.version import __version__
@@ -37,7 +38,7 @@ def made_from(study: Study, also: Iterable[Path] = (), folder: Path | None = Non
         changed = tomllib.loads(text.removeprefix("\ufeff")) != study.data
     except tomllib.TOMLDecodeError:
         changed = True
-    whole = None if folder is None else _mapped(study.data, _as_json)
+    whole = None if folder is None else mapped(study.data, _as_json)
     file = study.path.name if folder is None else _way(study.path, folder).as_posix()
     source = StudySource(file, hashlib.sha256(content).hexdigest(), text, changed, whole)
     return made_now(study.title, source, digests([*study.files(), *also], study.path.parent))
@@ -54,16 +55,10 @@ def write_origin(path: Path, study: Study, also: Iterable[Path] = ()) -> Path:
 
 
 def digests(files: Iterable[Path], folder: Path) -> dict[str, str]:
-    """Return SHA-256 of existing files by the ends of their paths.
-
-    A whole path could disclose its owner.
-    """
-    found = {}
-    for path in [path for path in dict.fromkeys(files) if path.is_file()][:40]:
-        name = "/".join([part for part in _way(path, folder).parts if part != ".."][-3:])
-        with path.open("rb") as file:
-            found[name] = hashlib.file_digest(file, "sha256").hexdigest()
-    return found
+    """Return SHA-256 of existing files by the ends of their paths, as whole ones could disclose their owner."""
+    there = [path for path in dict.fromkeys(files) if path.is_file()][:40]
+    ends = ([part for part in _way(path, folder).parts if part != ".."][-3:] for path in there)
+    return {"/".join(end): file_digest(path) for end, path in zip(ends, there, strict=True)}
 
 
 def _way(file: Path, folder: Path) -> Path:
@@ -74,22 +69,21 @@ def _way(file: Path, folder: Path) -> Path:
         return file.resolve()
 
 
-def _mapped(value: Any, change: Callable[[Any], Any]) -> Any:
-    """Return nested tables and lists with each of their values changed."""
-    if isinstance(value, Mapping):
-        changed = change(value)
-        return changed if changed is not value else {str(key): _mapped(each, change) for key, each in value.items()}
-    if isinstance(value, list):
-        return [_mapped(each, change) for each in value]
-    return change(value)
+def mapped(value: Any, change: Callable[[Any, str], Any], key: str = "") -> Any:
+    """Return nested tables and lists of a study with values changed; `change` takes a value and its key."""
+    changed = change(value, key)
+    if isinstance(changed, Mapping) and changed is value:
+        # [batch.data] has files by the names of their records
+        return {str(name): mapped(each, change, key if key == "data" else str(name)) for name, each in value.items()}
+    return [mapped(each, change, key) for each in value] if isinstance(changed, list) else changed
 
 
-def _as_json(value: Any) -> Any:
+def _as_json(value: Any, _: str) -> Any:
     finite = not isinstance(value, float) or math.isfinite(value)
     return value if finite else {NUMBER: str(value)}
 
 
-def _of_json(value: Any) -> Any:
+def _of_json(value: Any, _: str) -> Any:
     return float(value[NUMBER]) if isinstance(value, Mapping) and set(value) == {NUMBER} else value
 
 
@@ -110,7 +104,7 @@ def study_of(
     origin = codec.read(path, RESULT_SCHEMA, _Origin, _GIVE_STUDY).origin
     if origin is None or origin.study is None or origin.study.content is None:
         raise InputError(f"{path}: no study recorded; {_GIVE_STUDY}")
-    data = _mapped(dict(origin.study.content), _of_json)
+    data = mapped(dict(origin.study.content), _of_json)
     file = Path(os.path.normpath(path.parent / origin.study.file))
     for setting in overrides:
         override(data, setting, str(file))

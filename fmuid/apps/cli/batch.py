@@ -56,7 +56,7 @@ def _show(job: Batch, found: BatchResult, figures: str | None, *, report: bool) 
     """Show and write the finished cases of a batch."""
     from fmuid.reports.render import console
 
-    logs = job.dataset.log_count()
+    logs = len(list(job.dataset.logs.glob("case-*.txt")))
     said = [f"{path}: damaged, removed. Its cases run again." for path in found.lost]
     said += [f"Output and warnings of {logs} cases: {job.dataset.logs}"] if logs else []
     console.show_notes(said)

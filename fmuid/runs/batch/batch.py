@@ -6,8 +6,8 @@ import contextlib
 import json
 import math
 import time
-from collections import Counter, deque
-from collections.abc import Iterable, Mapping, Sequence
+from collections import Counter
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from functools import cached_property, lru_cache
@@ -26,7 +26,7 @@ from fmuid.runs.batch.case_list import CaseList, truth_of
 from fmuid.runs.batch.dataset import MANIFEST, Dataset
 from fmuid.runs.batch.study_package import BatchStudy, changes
 from fmuid.runs.batch.summary import Summary, condensed, summarize
-from fmuid.runs.batch.worker import GroupResult, versions
+from fmuid.runs.batch.worker import versions
 from fmuid.runs.batch.worker_pool import crew
 from fmuid.simulation import parameter_units
 from fmuid.studies import Study
@@ -230,7 +230,9 @@ class Batch(HtmlTableMixin):
                     for result in results:
                         if result is not None:
                             rows = [*result.rows, *(self._given_up(case) for case in result.given_up)]
-                            writer.add(rows, result)
+                            for case, text in result.logs.items():
+                                self.dataset.log(case, text)
+                            writer.rows += rows
                             counter.add([row["status"] for row in rows])
                         writer.write_if_due()
                         if progress is not None:
@@ -252,13 +254,8 @@ class _Writer:
 
     def __init__(self, dataset: Dataset) -> None:
         self._dataset = dataset
-        self._rows: list[Mapping[str, Any]] = []
+        self.rows: list[Mapping[str, Any]] = []
         self._due = time.monotonic() + WRITE_SECONDS
-
-    def add(self, rows: Sequence[Mapping[str, Any]], result: GroupResult) -> None:
-        for case, text in result.logs.items():
-            self._dataset.log(case, text)
-        self._rows += rows
 
     def write_if_due(self) -> None:
         if time.monotonic() >= self._due:
@@ -267,35 +264,31 @@ class _Writer:
     def close(self) -> None:
         """Write all collected rows."""
         began = time.monotonic()
-        if self._rows:
-            self._dataset.append(self._rows)
-            self._rows = []
+        if self.rows:
+            self._dataset.append(self.rows)
+            self.rows = []
         now = time.monotonic()
         self._due = now + max(WRITE_SECONDS, WRITE_SHARE * (now - began))
 
 
 class _Counter:
-    """Counts finished cases and their rate."""
+    """Counts finished cases and their rate since the first results."""
 
     def __init__(self, total: int, statuses: Iterable[str]) -> None:
-        self._total, self._done, self._failed = total, 0, 0
-        self.add(statuses)
-        self._times: deque[tuple[float, int]] = deque([(time.monotonic(), self._done)])
+        self._total, self._counts = total, Counter(statuses)
+        self._since: tuple[float, int] | None = None
 
     def add(self, statuses: Iterable[str]) -> None:
-        counted = Counter(statuses)
-        self._done += counted.total()
-        self._failed += counted["failed"]
+        self._counts.update(statuses)
+        self._since = self._since or (time.monotonic(), self._counts.total())
 
     def step(self, threads: int) -> BatchStep:
-        now = time.monotonic()
-        self._times.append((now, self._done))
-        while len(self._times) > 2 and self._times[1][0] < now - 30.0:
-            self._times.popleft()
-        since, then = self._times[0]
-        rate = (self._done - then) / max(now - since, 1e-9)
-        left = (self._total - self._done) / rate if rate else math.inf
-        return BatchStep(done=self._done, total=self._total, failed=self._failed, rate=rate, left=left, threads=threads)
+        done, total = self._counts.total(), self._total
+        since, then = self._since or (math.inf, done)
+        rate = (done - then) / max(time.monotonic() - since, 1e-9)
+        left = (total - done) / rate if rate else math.inf
+        failed = self._counts["failed"]
+        return BatchStep(done=done, total=total, failed=failed, rate=rate, left=left, threads=threads)
 
 
 def _read_manifest(path: Path) -> dict[str, Any]:

@@ -113,10 +113,6 @@ class Dataset:
         """Return the file of the log of a case."""
         return self.logs / f"case-{case:06d}.txt"
 
-    def log_count(self) -> int:
-        """Return the number of logs."""
-        return sum(1 for _ in self.logs.glob("case-*.txt"))
-
     def repair(self) -> tuple[Path, ...]:
         """Remove unfinished files of an ended run; return the damaged parts, removed too."""
         lost = []

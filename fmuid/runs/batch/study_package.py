@@ -13,6 +13,7 @@ from typing import Any
 
 from fmuid.errors import InputError
 from fmuid.models import file_digest
+from fmuid.runs.provenance import mapped
 from fmuid.studies import Study
 from fmuid.version import __version__
 
@@ -132,14 +133,14 @@ def changes(earlier: Mapping[str, Any], now: Mapping[str, Any]) -> list[str]:
     return found if len(found) <= 4 else [*found[:4], f"{len(found) - 4} more differences"]
 
 
-def _renamed(node: Any, rename: Callable[[str], str], key: str = "") -> Any:
-    """Return a part of a study with other names of files."""
-    if isinstance(node, Mapping):
-        # [batch.data] has files by the names of their records
-        return {str(name): _renamed(each, rename, key if key == "data" else name) for name, each in node.items()}
-    if isinstance(node, list):
-        return [_renamed(value, rename, key) for value in node]
-    return rename(node) if isinstance(node, str) and key in FILE_KEYS else node
+def _renamed(study: Mapping[str, Any], rename: Callable[[str], str]) -> dict[str, Any]:
+    """Return a study with other names of files."""
+
+    def change(value: Any, key: str) -> Any:
+        return rename(value) if isinstance(value, str) and key in FILE_KEYS else value
+
+    found: dict[str, Any] = mapped(study, change)
+    return found
 
 
 def _leaves(node: Any, above: str = "") -> Iterator[tuple[str, Any]]:

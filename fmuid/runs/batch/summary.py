@@ -140,7 +140,7 @@ def summarize(
     truth = {name: value for name, value in (truth or {}).items() if name in columns.parameters}
     settings = _settings(frame, columns)
     parameters = doubted(_table(found, columns, truth, units or {}))
-    groups = _groups(frame, found, columns, settings, truth, units or {})
+    groups = _groups(frame, found, columns, list(settings), truth, units or {}) if settings else pd.DataFrame()
     optima = _optima(frame, columns, given_noise=given_noise) if columns.starts else pd.DataFrame()
     moving = [name for name in settings if name != "table"]
     return Summary(
@@ -178,10 +178,10 @@ def _table(
 def _settings(frame: pd.DataFrame, columns: BatchColumns) -> tuple[str, ...]:
     """Return the settings for groups: those with few levels."""
     names = [*columns.design, *(name for name in columns.repeats if name == "table")]
-    levels = {name: len(frame[name].unique()) for name in names}
+    levels = frame[names].nunique(dropna=False)
     chosen: list[str] = []
-    for name in sorted(names, key=lambda name: levels[name]):
-        if 2 <= levels[name] <= MAX_LEVELS and len(frame[[*chosen, name]].drop_duplicates()) <= MAX_GROUPS:
+    for name in levels[levels.between(2, MAX_LEVELS)].sort_values(kind="stable").index:
+        if len(frame[[*chosen, name]].drop_duplicates()) <= MAX_GROUPS:
             chosen.append(name)
     return tuple(name for name in names if name in chosen)
 
@@ -190,20 +190,17 @@ def _groups(
     frame: pd.DataFrame,
     found: pd.DataFrame,
     columns: BatchColumns,
-    settings: tuple[str, ...],
+    names: list[str],
     truth: Mapping[str, float],
     units: Mapping[str, str | None],
 ) -> pd.DataFrame:
-    if not settings:
-        return pd.DataFrame()
-    names = list(settings)
     parts = dict(iter(found.groupby(names, dropna=False)))
     tables = []
-    for key, cases in frame.groupby(names, dropna=False):
-        table = _table(parts.get(key, found.iloc[:0]), columns, truth, units)
+    for levels, cases in frame.groupby(names, dropna=False):
+        table = _table(parts.get(levels, found.iloc[:0]), columns, truth, units)
         table.insert(0, "failed", len(cases) - len(converged(cases)))
-        levels: Any = key
-        tables.append(pd.concat([pd.DataFrame([levels] * len(table), columns=names), table], axis=1))
+        repeated: Any = [levels] * len(table)
+        tables.append(pd.concat([pd.DataFrame(repeated, columns=names), table], axis=1))
     return doubted(pd.concat(tables, ignore_index=True))
 
 
@@ -228,12 +225,11 @@ def _wide(parameters: pd.DataFrame) -> dict[str, float]:
 def _fits(found: pd.DataFrame, columns: BatchColumns) -> pd.DataFrame:
     rows = []
     for output in columns.outputs:
-        known = found.dropna(subset=f"fit.{output}") if f"fit.{output}" in found else found.iloc[:0]
+        name = f"fit.{output}"
+        known = found[["case", name]].dropna() if name in found else found.iloc[:0]
         if len(known):
-            fits = known[f"fit.{output}"].to_numpy(np.float64)
-            least = int(np.argmin(fits))
-            case = int(known["case"].iloc[least])
-            rows.append({"output": output, "median": float(np.median(fits)), "least": fits[least], "case": case})
+            case, least = known.sort_values(name, kind="stable").iloc[0]
+            rows.append({"output": output, "median": known[name].median(), "least": least, "case": int(case)})
     return pd.DataFrame(rows)
 
 
