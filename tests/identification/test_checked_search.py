@@ -11,11 +11,12 @@ import pytest
 from scipy.linalg import expm
 
 import fmuid
+from fmuid.array_types import Floats
 from fmuid.estimation import SHIFT_LIMIT, AccuracyOutcome, RefinementRefusal, SwitchCause
 from fmuid.identification import refinement_of
 from fmuid.simulation import Refinement
-from tests.support.exported import export_text
-from tests.support.paths import ROOT
+from fmuid.simulation.executor_pool import closing
+from tests.support.paths import FMUS, ROOT
 from tests.support.stepping import LAG, MOTOR, stepping_fmu
 
 EXPERIMENTS = ROOT / "experiments"
@@ -65,11 +66,8 @@ def off(result: fmuid.Result, truth: float = TRUTH) -> float:
     return float(abs(result.values[0] - truth) / result.std[0])
 
 
-# --- Euler inside
-
-
 def solved(folder: Path, table: fmuid.Experiment | None = None, k: float = 1.0, **fmu: Any) -> fmuid.Problem:
-    """Return the problem of a lag, by default from k = 1."""
+    """Return the problem of a lag whose FMU steps by explicit Euler, by default from k = 1."""
     start = {"k": fmuid.Parameter(k, min=0.01)}
     return fmuid.Problem(stepping_fmu(folder, LAG, **fmu), lag_table() if table is None else table, start)
 
@@ -79,16 +77,9 @@ def checked(result: fmuid.Result) -> Any:
     return result.accuracy
 
 
-def test_without_a_check_the_estimate_is_wrong(folder: Path) -> None:
-    """As wrong as the formula says: 1 − k h in place of e^(−kh), up to the gain."""
-    result = fmuid.identify(solved(folder, lag_table(0.0)), solver_check="off")
-    assert result.accuracy is None
-    assert np.isnan(result.solver_error).all()
-    assert abs(result["k"] - TRUTH) > 1e-4
-
-
-def test_the_start_shows_it(folder: Path) -> None:
-    problem = solved(folder, exchange=True)
+@pytest.mark.parametrize("internal", [0.0, STEP])
+def test_the_start_shows_it(folder: Path, internal: float) -> None:
+    problem = solved(folder, exchange=True, internal=internal)
     result = fmuid.identify(problem)
     found = checked(result)
     assert off(result) < 3.0
@@ -99,6 +90,10 @@ def test_the_start_shows_it(folder: Path) -> None:
     assert [used["tolerance"], finer["tolerance"]] == pytest.approx([1e-9, 1e-11])
     assert refinement_of(result) == Refinement(1e-9)
     assert not problem.refinement.any
+    unchecked = fmuid.identify(problem, solver_check="off")
+    assert unchecked.accuracy is None
+    assert np.isnan(unchecked.solver_error).all()
+    assert abs(unchecked["k"] - result["k"]) > 1e-4
 
 
 def test_where_the_start_fails(folder: Path) -> None:
@@ -120,12 +115,6 @@ def test_the_optimum_shows_it(folder: Path) -> None:
     assert result.trace["iteration"].is_monotonic_increasing
 
 
-def test_internal_steps_beside_model_exchange(folder: Path) -> None:
-    result = fmuid.identify(solved(folder, internal=STEP, exchange=True))
-    assert checked(result).outcome is AccuracyOutcome.PASSED
-    assert off(result) < 3.0
-
-
 @pytest.mark.parametrize("told", [True, False])
 def test_shorter_steps_where_there_is_no_model_exchange(folder: Path, told: bool) -> None:
     result = fmuid.identify(solved(folder, told=told))
@@ -139,9 +128,6 @@ def test_internal_steps_cannot_be_checked(folder: Path) -> None:
     result = fmuid.identify(solved(folder, internal=STEP))
     assert checked(result).outcome is AccuracyOutcome.UNCHECKABLE
     assert np.isnan(result.solver_error).all()
-
-
-# --- nothing is switched
 
 
 @pytest.mark.parametrize("k", [0.05, 1.0])
@@ -170,9 +156,6 @@ def test_a_solver_that_was_asked_for_is_kept(folder: Path) -> None:
         fmuid.identify(solved(folder), solver_check="swich")
 
 
-# --- where all is well
-
-
 def test_what_the_check_takes_where_all_is_well() -> None:
     """Two simulations more: one of the start and one of the optimum, and not one bit of the estimates."""
     study = fmuid.Study.read(EXPERIMENTS / "coil" / "healthy.toml")
@@ -185,50 +168,24 @@ def test_what_the_check_takes_where_all_is_well() -> None:
     assert np.abs(found.shift).max() < 1e-6
 
 
-RAMP = "model Ramp\n parameter Real k=1;\n output Real x(start=0, fixed=true);\nequation\n der(x)=k;\nend Ramp;"
-
-
-def test_controlled_steps_as_long_as_the_samples_are_exact_enough(tmp_path: Path) -> None:
-    """The same bits at a hundredth of the tolerance say that even that is kept: the solution is a straight line."""
-    times = 0.1 * np.arange(30)
-    frame = pd.DataFrame({"time": times, "x": 3.0 * times + 0.01 * np.random.default_rng(1).standard_normal(30)})
-    system = fmuid.System(export_text(tmp_path, RAMP), numerics=fmuid.Numerics("model-exchange"))
-    result = fmuid.identify(fmuid.Problem(system, fmuid.Experiment(frame, [], ["x"]), {"k": fmuid.Parameter(1.0)}))
-    assert checked(result).outcome is AccuracyOutcome.PASSED
-    assert result.solver_error[0] == 0.0
-
-
-def test_no_false_alarm_on_the_induction_machine() -> None:
-    study = fmuid.Study.read(EXPERIMENTS / "induction_machine" / "study.toml")
-    result = study.identify()
-    assert (checked(result).outcome, checked(result).switches) == (AccuracyOutcome.PASSED, ())
-    assert np.abs(result.solver_error).max() < 1e-4
-
-
-# --- the coil and the motor
-
-
-def coil(r: float, inductance: float) -> fmuid.Result:
-    start = [f"parameters.R.start={r!r}", f"parameters.L.start={inductance!r}"]
-    return fmuid.Study.read(EXPERIMENTS / "coil" / "healthy.toml", start).identify()
-
-
-def test_the_coil_no_longer_aliases() -> None:
-    """From here steps of 1 ms alias e^−0.04 in the coil's own Runge–Kutta, at L = 1.42 mH."""
-    result = coil(20.0, 0.01)
-    assert result["L"] == pytest.approx(0.1, abs=4.0 * result.std[1])
-    assert result.std[1] < 0.002
-
-
 @pytest.mark.parametrize(
     ("draws", "least"),
-    [pytest.param(12, 11, marks=pytest.mark.slow), pytest.param(200, 195, marks=pytest.mark.campaign)],
+    [
+        (1, 1),
+        pytest.param(12, 11, marks=pytest.mark.slow),
+        pytest.param(200, 195, marks=pytest.mark.campaign),
+    ],
 )
-def test_the_coil_from_random_starts(draws: int, least: int) -> None:
-    """The right inductance; or, from time constants of 50 µs in steps of 1 ms, that it is not identifiable there."""
+def test_the_coil_does_not_alias(draws: int, least: int) -> None:
+    """From (20 Ω, 10 mH) steps of 1 ms alias e^−0.04 in the coil's own Runge–Kutta, at L = 1.42 mH.
+
+    From random starts too it is the right inductance, or one that is not identifiable from time constants of 50 µs.
+    """
     rng, right = np.random.default_rng(0), 0
-    for r, inductance in np.exp(rng.uniform(np.log([0.1, 1e-3]), np.log([100.0, 1.0]), (draws, 2))).tolist():
-        result = coil(r, inductance)
+    starts = np.exp(rng.uniform(np.log([0.1, 1e-3]), np.log([100.0, 1.0]), (draws, 2)))
+    for r, inductance in [[20.0, 0.01], *starts[1:].tolist()]:
+        start = [f"parameters.R.start={r!r}", f"parameters.L.start={inductance!r}"]
+        result = fmuid.Study.read(EXPERIMENTS / "coil" / "healthy.toml", start).identify()
         assert result.converged or (inductance / r < 5e-5 and result.estimates.at_bounds), (r, inductance)
         if result.converged:
             right += 1
@@ -277,10 +234,84 @@ def test_a_start_that_shorter_steps_alone_can_simulate(folder: Path, motor_table
         fmuid.identify(fmuid.Problem(problem.system, motor_table, far, values={"F": FRICTION}), restart=False)
 
 
-@pytest.mark.parametrize("order", [1, 4])
-def test_a_motor_faster_than_its_steps(folder: Path, motor_table: fmuid.Experiment, order: int) -> None:
-    parameters = {name: fmuid.Parameter(2.0 * value, min=1e-7) for name, value in MOTOR_TRUTH.items()}
-    fmu = stepping_fmu(folder, MOTOR, order=order, exchange=True)
-    result = fmuid.identify(fmuid.Problem(fmu, motor_table, parameters, values={"F": FRICTION}))
-    assert (np.abs(result.values - np.array(list(MOTOR_TRUTH.values()))) < 3.5 * result.std).all()
-    assert checked(result).outcome is AccuracyOutcome.PASSED
+GAIN, INTEGRAL_TIME = 5.0, 0.4  # of the loop around x' = u − 2 x, sampled every 0.05 s
+CONTROL = {"controller.K": GAIN, "controller.Ti": INTEGRAL_TIME}
+
+
+def sampled_loop() -> fmuid.Experiment:
+    """Return what a control does whose command is held: closed forms from sample to sample."""
+    rng = np.random.default_rng(5)
+    reference = np.repeat(rng.choice([-1.0, 1.0], 30), 10)
+    decay, x, integral = float(np.exp(-TRUTH * STEP)), np.zeros(reference.size), 0.0
+    for i, wanted in enumerate(reference[:-1]):
+        error = wanted - x[i]
+        x[i + 1] = decay * x[i] + (1.0 - decay) / TRUTH * (GAIN * error + integral)
+        integral += GAIN / INTEGRAL_TIME * STEP * error
+    return _looped(reference, x + NOISE * rng.standard_normal(x.size))
+
+
+def continuous_loop() -> fmuid.Experiment:
+    """Return what a control does that acts all the time: a matrix exponential from sample to sample."""
+    rng = np.random.default_rng(6)
+    reference = np.repeat(rng.choice([-1.0, 1.0], 30), 10)
+    rows = [[-TRUTH - GAIN, 1.0, GAIN], [-GAIN / INTEGRAL_TIME, 0.0, GAIN / INTEGRAL_TIME], [0.0] * 3]
+    exact, x = expm(STEP * np.array(rows)), np.zeros((reference.size, 2))
+    for i, wanted in enumerate(reference[:-1]):
+        x[i + 1] = exact[:2, :2] @ x[i] + exact[:2, 2] * wanted
+    return _looped(reference, x[:, 0] + NOISE * rng.standard_normal(reference.size))
+
+
+def _looped(reference: Floats, x: Floats) -> fmuid.Experiment:
+    frame = pd.DataFrame({"time": STEP * np.arange(x.size), "controller.reference": reference, "lag.x": x})
+    return fmuid.Experiment(frame, ["controller.reference"], ["lag.x"], interpolation="zoh")
+
+
+def in_a_loop(folder: Path, table: fmuid.Experiment, order: int, samples: bool | None) -> fmuid.Result:
+    """Identify a lag under its control, of which it is said whether it samples."""
+    models = {
+        "lag": fmuid.Component(stepping_fmu(folder, LAG, order=order, exchange=True)),
+        "controller": fmuid.Component(FMUS / "CoilController/CoilController.fmu", fmuid.Numerics(samples=samples)),
+    }
+    links = [("lag.x", "controller.i"), ("controller.u", "lag.u")]
+    with closing(fmuid.System(components=models, connections=links)) as system:
+        return fmuid.identify(fmuid.Problem(system, table, {"lag.k": fmuid.Parameter(1.0, min=0.01)}, values=CONTROL))
+
+
+def test_a_sampled_control_is_not_made_a_faster_one(folder: Path) -> None:
+    """Unsaid, the estimate stays where finer steps would move it from; Euler inside the lag is refined anyway."""
+    result, said, euler = (in_a_loop(folder, sampled_loop(), *how) for how in ((4, None), (4, True), (1, None)))
+    assert off(result) < 3.0
+    found = checked(result)
+    assert (found.outcome, found.switches, found.divisor) == (AccuracyOutcome.COUPLED, (), 1)
+    assert found.largest > 10.0
+    assert (checked(said).outcome, checked(said).switches) == (AccuracyOutcome.PASSED, ())
+    assert said.values == pytest.approx(result.values, rel=1e-9)
+    assert said.std == pytest.approx(result.std, rel=1e-6)
+    assert off(euler) < 3.0
+    found = checked(euler)
+    assert (found.outcome, found.tolerance, found.divisor) == (AccuracyOutcome.COUPLED, 1e-9, 1)
+
+
+def test_a_continuous_control_is_for_the_study_to_say(folder: Path) -> None:
+    unsaid, said = (in_a_loop(folder, continuous_loop(), 4, samples) for samples in (None, False))
+    assert off(unsaid) > 5.0
+    assert checked(unsaid).outcome is AccuracyOutcome.COUPLED
+    assert checked(said).divisor > 1
+    assert off(said) < 3.0
+
+
+def test_sampled_controllers_keep_their_steps() -> None:
+    """A drive that is integrated in shorter steps stays the same plant; its controller acts no more often."""
+    names = {"drive": "PositionDrive", "controller": "PositionController"}
+    models = {name: FMUS / model / f"{model}.fmu" for name, model in names.items()}
+    links = [("drive.q", "controller.q"), ("drive.dq", "controller.dq"), ("controller.v", "drive.v")]
+    system = fmuid.System(components=models, connections=links)
+    times = 1e-3 * np.arange(400)
+    frame = pd.DataFrame({"time": times, "controller.qg": 1e-4 * (1.0 - np.cos(20.0 * times))})
+    table = fmuid.Experiment(frame, ["controller.qg"], ["controller.v"], interpolation="zoh", measured=False)
+    plain = fmuid.Simulator(system, table)([])
+    finer = fmuid.Simulator(system, table, divisor=4)([])
+    faster = fmuid.Simulator(system, table, step_size=2.5e-4)([])
+    scale = np.abs(plain).max()
+    assert np.abs(finer - plain).max() < 1e-6 * scale
+    assert np.abs(faster - plain).max() > 1e-4 * scale

@@ -13,8 +13,6 @@ from fmuid.array_types import Floats
 from fmuid.data import Normal, Parameter
 from fmuid.data.noise import Noise
 from fmuid.errors import InputError
-from fmuid.estimation.cost_components import variances
-from fmuid.estimation.cost_function import prepare
 from fmuid.estimation.evaluator import Evaluator
 from fmuid.estimation.problem import LeastSquares
 from fmuid.estimation.result import Result
@@ -41,44 +39,29 @@ def chart_of(problem: LeastSquares, first: str = "a", second: str = "b", **words
     return map_cost(problem, result, first, second, **words), result
 
 
-# --- the table --------------------------------------------------------------------------
-
-
-def test_map_is_the_criterion() -> None:
-    """Evaluated directly, point by point, the third parameter held at the estimate."""
-    problem = linear(noise=Noise(0.02))
-    chart, result = chart_of(problem, points=7)
-    assert list(chart.table.columns) == ["a", "b", "cost"]
-    assert len(chart.table) == 49
-    for a, b, value in chart.table.itertuples(index=False):
-        direct = np.sum((problem.measured - BASIS @ [a, b, result["c"]]) ** 2) / 0.02
-        assert value == pytest.approx(direct, rel=1e-12)
-    assert chart.held == {"c": result["c"]}
-    assert chart.cost == pytest.approx(result.fit.cost, rel=1e-12)
-    assert chart.grid[2][3, 3] == pytest.approx(chart.cost), "the estimate is in the middle"
-    first, second, values = chart.grid
-    row = chart.table.iloc[2 * 7 + 5]
-    assert (row["a"], row["b"], row["cost"]) == (first[2], second[5], values[2, 5])
-
-
-def test_map_includes_the_prior_and_each_output_has_its_variance() -> None:
-    """The same sum of squares as the residual that Marquardt's search minimises."""
+def test_map_is_the_cost() -> None:
+    """Each output with its own variance, a prior and a missing sample, point by point; the third at the estimate."""
     rng = np.random.default_rng(6)
     measured = np.stack([1.0 + TIMES, 3.0 - TIMES], axis=1) + rng.normal(size=(40, 2)) * [0.1, 0.5]
     measured[5:9, 0] = np.nan
-    problem = LeastSquares.from_function(
-        lambda theta: np.stack([theta[0] + theta[1] * TIMES, 3.0 - theta[1] ** 2 * TIMES], axis=1),
-        measured,
-        {"a": Parameter(0.8, prior=Normal(0.9, 0.03)), "b": Parameter(0.8)},
-        outputs=("x", "y"),
-        noise=Noise({"x": 0.012}),
-    )
-    chart, result = chart_of(problem, points=5)
-    used = variances(problem, result)
-    assert used.tolist() == [0.012, result.fit.noise_variance["y"]]
-    cost = prepare(Evaluator(problem)).criterion.reweighted(used)
-    rows = cost.residuals(chart.table[["a", "b"]].to_numpy())
-    np.testing.assert_allclose(chart.table["cost"], np.sum(rows**2, axis=1), rtol=1e-12)
+
+    def simulate(theta: Floats) -> Floats:
+        return np.stack([theta[0] + theta[1] * TIMES, theta[2] - theta[1] ** 2 * TIMES], axis=1)
+
+    parameters = {"a": Parameter(0.8, prior=Normal(0.9, 0.03)), "b": Parameter(0.8), "c": Parameter(2.0)}
+    noise = Noise({"x": 0.012})
+    problem = LeastSquares.from_function(simulate, measured, parameters, outputs=("x", "y"), noise=noise)
+    chart, result = chart_of(problem, points=7)
+    assert (list(chart.table.columns), len(chart.table)) == (["a", "b", "cost"], 49)
+    variance = np.array([0.012, result.fit.noise_variance["y"]])
+    for a, b, value in chart.table.itertuples(index=False):
+        squares = np.nansum((measured - simulate(np.array([a, b, result["c"]]))) ** 2, axis=0)
+        assert value == pytest.approx(np.sum(squares / variance) + ((a - 0.9) / 0.03) ** 2, rel=1e-12)
+    assert chart.held == {"c": result["c"]}
+    first, second, values = chart.grid
+    assert values[3, 3] == pytest.approx(chart.cost), "the estimate is in the middle"
+    row = chart.table.iloc[2 * 7 + 5]
+    assert (row["a"], row["b"], row["cost"]) == (first[2], second[5], values[2, 5])
 
 
 def test_default_reach() -> None:
@@ -151,28 +134,16 @@ def test_wrong_wishes(names: tuple[str, str], words: Mapping[str, Any], match: s
 
 def test_result_of_another_problem() -> None:
     other = identify(linear(2))
-    with pytest.raises(InputError, match="parameters are a, b,"):
-        map_cost(linear(), other, "a", "b")
-    stranger = changed(other, noise_variance={"z": 1.0})
-    with pytest.raises(InputError, match="outputs are z,"):
-        map_cost(linear(2), stranger, "a", "b")
-
-
-# --- the ellipse ------------------------------------------------------------------------
+    for problem, result, match in (
+        (linear(), other, "parameters are a, b,"),
+        (linear(2), changed(other, noise_variance={"z": 1.0}), "outputs are z,"),
+    ):
+        with pytest.raises(InputError, match=match):
+            map_cost(problem, result, "a", "b")
 
 
 def squares(problem: LeastSquares, theta: Floats) -> float:
     return float(np.sum((problem.measured - Evaluator(problem).predict(theta[None])[0]) ** 2))
-
-
-def test_ellipse_of_known_variance() -> None:
-    """On it, the cost of a linear problem rises by −2 ln 0.05, the 95 % quantile of χ²(2)."""
-    problem = linear(2, noise=Noise(0.01))
-    chart, _ = chart_of(problem)
-    rises = [squares(problem, point) / 0.01 - chart.cost for point in chart.ellipse()]
-    np.testing.assert_allclose(rises, -2.0 * np.log(0.05), rtol=1e-5)
-    assert chart.rise() == pytest.approx(-2.0 * np.log(0.05))
-    np.testing.assert_allclose(chart.ellipse()[0], chart.ellipse()[-1])
 
 
 def test_ellipse_of_estimated_variance() -> None:
@@ -195,6 +166,7 @@ def test_ellipse_among_more_parameters() -> None:
         held = np.sum((rest - BASIS[:, 2] * result["c"]) ** 2) / 0.01 - chart.cost
         assert free == pytest.approx(stats.chi2(2).ppf(0.95), rel=1e-5)
         assert held > free
+    np.testing.assert_allclose(chart.ellipse()[0], chart.ellipse()[-1])
 
 
 def test_the_rise_of_a_region_is_a_quantile() -> None:

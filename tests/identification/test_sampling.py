@@ -1,4 +1,4 @@
-"""Runs of the sampler: batches, seeds, interruptions, refusals, diagnostics of chains."""
+"""Runs of the sampler: its density, batches, seeds, interruptions, refusals, diagnostics of chains."""
 
 from __future__ import annotations
 
@@ -7,19 +7,20 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scipy import stats
+from scipy.integrate import quad
 
 from fmuid.data import Experiment, Normal, Parameter
 from fmuid.data.noise import Noise
 from fmuid.errors import InputError
+from fmuid.estimation.evaluator import Evaluator
 from fmuid.estimation.predictors import FunctionPredictions
 from fmuid.estimation.problem import LeastSquares
 from fmuid.events import Event, SamplingStep
 from fmuid.identification.posterior import SamplerSettings, SamplingWarning, effective_size, r_hat
-from fmuid.identification.sampler import sample_posterior
+from fmuid.identification.sampler import log_density, sample_posterior
 from tests.support.posteriors import Array, linear, sampled
 from tests.support.results import identify_white as identify
-
-# --- the run
 
 
 def test_ensembles_run_as_batches() -> None:
@@ -66,7 +67,7 @@ def test_too_few_steps_are_not_trusted() -> None:
     problem, _ = linear()
     posterior, _ = sampled(problem, max_steps=12)
     assert not posterior.converged
-    few, _ = sampled(problem, max_steps=900, effective_size=1_000_000)
+    few, _ = sampled(problem, max_steps=500, effective_size=1_000_000)
     assert few.doubt is SamplingWarning.TOO_FEW
 
 
@@ -113,7 +114,7 @@ def test_interrupted_inside_a_simulation(capsys: pytest.CaptureFixture[str]) -> 
 
 def test_tables() -> None:
     problem, _ = linear()
-    posterior, _ = sampled(problem, seed=1, max_steps=600)
+    posterior, _ = sampled(problem, seed=1, max_steps=100)
     again, other = (sampled(problem, max_steps=20, seed=seed)[0].chain for seed in (1, 2))
     np.testing.assert_array_equal(again, posterior.chain[:20])
     assert not np.array_equal(other, again)
@@ -127,24 +128,18 @@ def test_tables() -> None:
     np.testing.assert_allclose(posterior.std, np.sqrt(np.diag(posterior.covariance)))
 
 
-# --- bad input
-
-
-@pytest.mark.parametrize(
-    ("settings", "said"),
-    [
-        ({"walkers": 3}, "walkers.* 4 .*3"),
-        ({"walkers": 9}, "walkers.*even.*9"),
-        ({"effective_size": 1.5}, "effective_size.*1.5"),
-        ({"burn_in": 1.0}, "burn_in.*1.0"),
-    ],
+WRONG = (
+    ({"walkers": 3}, "walkers.* 4 .*3"),
+    ({"walkers": 9}, "walkers.*even.*9"),
+    ({"effective_size": 1.5}, "effective_size.*1.5"),
+    ({"burn_in": 1.0}, "burn_in.*1.0"),
 )
-def test_wrong_settings(settings: dict[str, Any], said: str) -> None:
-    with pytest.raises(InputError, match=said):
-        SamplerSettings(**settings)
 
 
 def test_wrong_use() -> None:
+    for settings, said in WRONG:
+        with pytest.raises(InputError, match=said):
+            SamplerSettings(**settings)
     problem, phi = linear()
     result = identify(problem)
     six = {name: Parameter(1.0, prior=Normal(0.0, 1.0)) for name in "abcdef"}
@@ -153,16 +148,10 @@ def test_wrong_use() -> None:
         sample_posterior(wide, identify(wide), SamplerSettings(walkers=4))
     with pytest.raises(InputError, match="parameters are a, b"):
         sample_posterior(wide, result)
-    with pytest.raises(InputError, match="level of an interval"):
-        sampled(problem, max_steps=20)[0].intervals(1.0)
-    exact = LeastSquares.from_function(
-        lambda theta: theta[0] * np.arange(4.0), 2.0 * np.arange(4.0), {"a": Parameter(2.0)}
-    )
+    line = np.arange(4.0)
+    exact = LeastSquares.from_function(lambda theta: theta[0] * line, 2.0 * line, {"a": Parameter(2.0)})
     with pytest.raises(InputError, match="fits an output exactly"):
         sample_posterior(exact, identify(exact))
-
-
-# --- diagnostics
 
 
 @pytest.mark.parametrize("memory", [-0.4, 0.0, 0.6, 0.9])
@@ -183,6 +172,7 @@ def test_effective_size_of_autoregressions(memory: float) -> None:
 
 
 def test_r_hat_sees_other_means_spreads_and_drifts() -> None:
+    """Identical draws, and too few, have none."""
     rng = np.random.default_rng(7)
     draws = rng.normal(size=(500, 8))
     assert r_hat(draws) < 1.01
@@ -192,9 +182,76 @@ def test_r_hat_sees_other_means_spreads_and_drifts() -> None:
     apart = np.concatenate([draws[:, :4], 30.0 + draws[:, 4:]], axis=1)  # two optima that no walker leaves
     assert r_hat(apart) > 1.5
     assert effective_size(apart) < 30
-
-
-def test_diagnostics_of_what_tells_nothing() -> None:
     for draws in (np.ones((100, 4)), np.zeros((3, 4))):
         assert math.isnan(r_hat(draws))
         assert math.isnan(effective_size(draws))
+
+
+def test_density_of_estimated_variances() -> None:
+    """One output's variance is given, the other's integrated out: against the integral itself."""
+    rng = np.random.default_rng(3)
+    times = np.linspace(0.0, 1.0, 9)
+    measured = np.column_stack([2.0 * times, 1.0 - times]) + 0.2 * rng.normal(size=(9, 2))
+    measured[4, 1] = np.nan
+    problem = LeastSquares.from_function(
+        lambda theta: np.column_stack([theta[0] * times, 1.0 - theta[1] * times]),
+        measured,
+        {"a": Parameter(1.0), "b": Parameter(2.0)},
+        outputs=("y", "z"),
+        noise=Noise(variance={"y": 0.04}),
+    )
+
+    def direct(a: float, b: float) -> float:
+        square = float(np.nansum((measured[:, 1] - 1.0 + b * times) ** 2))
+
+        def likelihood(log_variance: float) -> float:
+            return math.exp(-4.0 * log_variance - square / 2.0 * math.exp(-log_variance))
+
+        peak = math.log(square / 8.0)
+        marginal, _ = quad(likelihood, -12.0, 12.0, epsabs=0.0, epsrel=1e-11, limit=500, points=[peak])
+        return math.log(marginal) - 0.5 * float(np.sum((measured[:, 0] - a * times) ** 2)) / 0.04
+
+    found = log_density(Evaluator(problem))(np.array([[2.0, 1.0], [1.9, 1.3], [2.2, 0.2]]))
+    wanted = np.array([direct(2.0, 1.0), direct(1.9, 1.3), direct(2.2, 0.2)])
+    np.testing.assert_allclose(found - found[0], wanted - wanted[0], rtol=1e-8, atol=1e-8)
+
+
+@pytest.mark.slow
+def test_density_of_a_robust_loss() -> None:
+    """−J_C/2 with scipy's formula of the loss, ρ(z) = 2 (√(1 + z) − 1), and the variance that is given."""
+    problem, phi = linear(loss="soft_l1")
+    thetas = np.array([[2.0, -0.3], [1.0, 0.5]])
+    rho = 2.0 * (np.sqrt(1.0 + (problem.measured - thetas @ phi.T) ** 2 / 0.2) - 1.0)
+    np.testing.assert_allclose(
+        log_density(Evaluator(problem), np.array([0.2]))(thetas), -0.5 * rho.sum(axis=1), rtol=1e-12
+    )
+    result = identify(problem)
+    posterior = sample_posterior(problem, result)
+    # scaled to how the estimates scatter, of which a robust loss knows as little as of the colour of the noise
+    assert result.fit.linearization is not None
+    bend = result.fit.linearization.root @ result.fit.linearization.root.T
+    whole = log_density(Evaluator(problem), np.array([result.fit.variance["y"]]))
+    away = posterior.chain[-1] - result.values
+    freedom = 2.0 / float(np.sum(1.0 / result.estimates.variance_dof))
+    wider = stats.t.ppf(0.975, result.estimates.variance_dof) / stats.t.ppf(0.975, freedom)
+    scatter = result.covariance * np.outer(wider, wider)
+    coloured, white = (np.einsum("mi,ij,mj->m", away, np.linalg.inv(each), away) for each in (scatter, bend))
+    top = whole(result.values[None])[0]
+    # twice the fall is quadratic near the optimum; two parameters
+    square = 2.0 * coloured / white * (top - whole(posterior.chain[-1]))
+    exact = top - 0.5 * (freedom + 2.0) * np.log1p(square / freedom)
+    np.testing.assert_allclose(posterior.log_density[-1], exact, rtol=1e-8)
+    assert posterior.converged
+
+
+def test_density_outside_and_where_simulations_fail() -> None:
+    def fragile(theta: Array) -> Array:
+        if theta[0] < 0.0:
+            raise ArithmeticError("negative")
+        values: Array = theta[0] * np.arange(3.0)
+        return values
+
+    problem = LeastSquares.from_function(fragile, [0.0, 1.1, 2.0], {"a": Parameter(1.0, max=3.0)})
+    found = log_density(Evaluator(problem))(np.array([[-0.5], [1.0], [3.0], [3.5]]))
+    assert list(np.isfinite(found)) == [False, True, True, False]
+    assert (found[[0, 3]] == -np.inf).all()

@@ -1,6 +1,7 @@
 """Series of samples: autocorrelation, whiteness, normality and cross-correlation, with samples missing or not."""
 
 import math
+from typing import Any
 
 import numpy as np
 import pytest
@@ -22,6 +23,10 @@ from fmuid.estimation.noise.whiteness_tests import (
 )
 from fmuid.identification.residual_series import examine_outputs
 from tests.support.problems import ar1
+
+
+def campaign(*values: Any) -> Any:
+    return pytest.param(*values, marks=pytest.mark.campaign)
 
 
 def noise_model(grid: Floats) -> NoiseModel:
@@ -62,12 +67,11 @@ def test_ljung_box_is_the_published_formula() -> None:
     assert probability == pytest.approx(stats.chi2(7).sf(expected), rel=1e-9)
 
 
-@pytest.mark.parametrize("missing", [0.0, 0.3])
-def test_white_noise_is_called_coloured_as_often_as_the_level_says(missing: float) -> None:
+def test_white_noise_is_called_coloured_as_often_as_the_level_says() -> None:
     rng = np.random.default_rng(6)
     probabilities = []
     for _ in range(400):
-        grid = with_gaps(rng, rng.standard_normal(300), missing)
+        grid = with_gaps(rng, rng.standard_normal(300), 0.3)
         probabilities.append(ljung_box(*autocorrelation(grid, 25))[1])
     assert np.mean(np.array(probabilities) < 0.05) == pytest.approx(0.05, abs=0.04)
     assert np.mean(np.array(probabilities) < 0.5) == pytest.approx(0.5, abs=0.09)
@@ -78,13 +82,13 @@ def test_correlation_times_of_autoregressive_noise(share: float, missing: float)
     """Sums over all lags of ρ = a^k are (1 + a)/(1 − a), of ρ² (1 + a²)/(1 − a²)."""
     rng = np.random.default_rng(8)
     times, squares = [], []
-    for _ in range(30):
+    for _ in range(12):
         model = noise_model(with_gaps(rng, ar1(rng, share, 5000), missing))
         assert model.correlation[0] == 1.0
         times.append(model.variance_factor())
         squares.append(model.variance_factor(2))
-    assert np.mean(times) == pytest.approx((1 + share) / (1 - share), rel=0.08)
-    assert np.mean(squares) == pytest.approx((1 + share**2) / (1 - share**2), rel=0.08)
+    assert np.mean(times) == pytest.approx((1 + share) / (1 - share), rel=0.12)
+    assert np.mean(squares) == pytest.approx((1 + share**2) / (1 - share**2), rel=0.12)
 
 
 def test_the_model_of_an_oscillation() -> None:
@@ -105,10 +109,9 @@ def test_a_series_that_never_decays_has_a_model() -> None:
     assert model.variance_factor() > 20.0
 
 
-@pytest.mark.parametrize("gaps", [False, True])
-def test_whiteness_in_short_records_that_a_fit_has_smoothed(gaps: bool) -> None:
-    """A polynomial of five coefficients through 30 samples of white noise: the limit alarms in 6 % for 1 %."""
-    places = np.flatnonzero(np.arange(36) % 6 != 4) if gaps else np.arange(30)
+def test_whiteness_in_short_records_that_a_fit_has_smoothed() -> None:
+    """A polynomial of five coefficients through 30 samples with gaps: the limit alarms in 6 % for 1 %."""
+    places = np.flatnonzero(np.arange(36) % 6 != 4)
     columns = np.linalg.qr(np.vander(places / 30.0, 5))[0]
     rng, tested, limit = np.random.default_rng(3), [], []
     for _ in range(400):
@@ -138,36 +141,33 @@ def test_normality_of_white_noise_is_jarque_and_bera() -> None:
     assert found.probability == pytest.approx(stats.jarque_bera(x).pvalue, rel=1e-9)
 
 
-@pytest.mark.campaign
-def test_normal_coloured_noise_is_called_normal() -> None:
+@pytest.mark.parametrize(("count", "least", "most"), [(30, 0.0, 0.17), campaign(300, 0.02, 0.09)])
+def test_normal_coloured_noise_is_called_normal(count: int, least: float, most: float) -> None:
     """As if it were white, skewness and kurtosis of strongly coloured noise would be rejected most of the time."""
     rng = np.random.default_rng(12)
-    draws = [ar1(rng, 0.95, 4000) for _ in range(300)]
+    draws = [ar1(rng, 0.95, 4000) for _ in range(count)]
     coloured = np.mean([normality(x, noise_model(x)).probability < 0.05 for x in draws])
     white = np.mean([normality(x, white_model(4000)).probability < 0.05 for x in draws])
-    assert 0.02 <= coloured <= 0.09
+    assert least <= coloured <= most
     assert white > 0.5
 
 
 def lagged(values: Floats, lags: int) -> Floats:
-    columns = [np.concatenate([np.full(lag, np.nan), values[: values.size - lag]]) for lag in range(lags + 1)]
-    return np.column_stack(columns)
+    shifted = [np.concatenate([np.full(lag, np.nan), values[: values.size - lag]]) for lag in range(lags + 1)]
+    return np.column_stack(shifted)
 
 
-@pytest.mark.parametrize(
-    ("one", "other"),
-    [(0.9, 0.9), pytest.param(0.9, 0.0, marks=pytest.mark.slow)],
-)
-def test_unrelated_series_are_related_by_chance_only(one: float, other: float) -> None:
+@pytest.mark.parametrize(("draws", "least", "most"), [(60, 0.0, 0.12), campaign(300, 0.02, 0.09)])
+def test_unrelated_series_are_related_by_chance_only(draws: int, least: float, most: float) -> None:
     rng = np.random.default_rng(13)
     single, any_lag = [], []
-    for _ in range(300):
-        x, u = ar1(rng, one, 1000), ar1(rng, other, 1000)
+    for _ in range(draws):
+        x, u = ar1(rng, 0.9, 1000), ar1(rng, 0.9, 1000)
         cross = LaggedSeries(lagged(u, 10), u).correlate(x, noise_model(x).correlation)
         single.append(abs(cross.values[0]) > 1.96 * cross.std)
         any_lag.append(cross.probability < 0.05)
-    assert 0.02 <= np.mean(single) <= 0.09
-    assert np.mean(any_lag) <= 0.08  # Šidák's bound is on the safe side where lags depend on each other
+    assert least <= np.mean(single) <= most
+    assert np.mean(any_lag) <= most  # Šidák's bound is on the safe side where lags depend on each other
 
 
 def test_a_lag_is_found() -> None:

@@ -44,6 +44,8 @@ def two_valleys() -> LeastSquares:
 
 
 def test_nothing_is_asked() -> None:
+    with pytest.raises(InputError, match="level of an interval must lie between 0 and 1"):
+        AssessmentSettings(1.0)
     problem = line()
     result = identify(problem)
     found = assess(problem, result, AssessmentSettings())
@@ -85,12 +87,16 @@ def test_everything_of_a_linear_problem_agrees() -> None:
     assert content["posterior"]["names"] == ["a", "b"]
 
 
-def test_parameters_that_are_not_profiled_are_left_empty() -> None:
+def test_parts_and_samples_that_cannot_be_trusted() -> None:
+    """Parameters that are not profiled are left empty; a short chain is no success."""
     problem = line()
     result = identify(problem)
-    limits = assess(problem, result, AssessmentSettings(profile=("b",))).intervals(result)
+    asked = AssessmentSettings(profile=("b",), posterior=SamplerSettings(max_steps=20))
+    found = assess(problem, result, asked)
+    limits = found.intervals(result)
     assert limits.index.tolist() == ["a", "b"]
     np.testing.assert_array_equal(np.isnan(limits["profile"].to_numpy()), [[True, True], [False, False]])
+    assert (found.interrupted, found.succeeded) == (False, False)
 
 
 def interrupt(where: Callable[[Event], bool]) -> Callable[[Event], None]:
@@ -126,14 +132,6 @@ def test_interrupted_keeps_what_there_is(
     json.dumps(as_json(found), allow_nan=False)
 
 
-def test_samples_that_cannot_be_trusted_are_no_success() -> None:
-    problem = line()
-    settings = AssessmentSettings(posterior=SamplerSettings(max_steps=20))
-    found = assess(problem, identify(problem), settings)
-    assert not found.interrupted
-    assert not found.succeeded
-
-
 def test_a_better_optimum_on_the_map_is_named() -> None:
     problem = two_valleys()
     result = identify(problem)
@@ -143,9 +141,3 @@ def test_a_better_optimum_on_the_map_is_named() -> None:
     assert near.succeeded
     far = Assessment(maps=(map_cost(problem, result, "a", "b", ranges={"a": (-4.0, 4.0), "b": (-1.0, 1.0)}),))
     assert not far.succeeded
-
-
-@pytest.mark.parametrize("level", [0.0, 1.0, 1.5, float("nan")])
-def test_level_refused(level: float) -> None:
-    with pytest.raises(InputError, match="level of an interval must lie between 0 and 1"):
-        AssessmentSettings(level)
