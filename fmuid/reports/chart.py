@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import textwrap
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import ClassVar, Literal, TypeAlias
+from typing import Any, ClassVar, Literal, TypeAlias
 
 import numpy as np
 
@@ -189,6 +189,11 @@ def row_below(names: Sequence[str]) -> int:
     return ROW_BELOW + ROW_LINE * max(wrapped(name).count("\n") + 1 for name in names)
 
 
+def kinds(mark: Mark, data: Data, parts: Iterable[tuple[str, Color, Flags]], **look: Any) -> list[Layer]:
+    """Return a layer per kind of rows: its label, color and rows; kinds without rows are left out."""
+    return [Layer(mark, picked(data, mine), color, label=text, **look) for text, color, mine in parts if mine.any()]
+
+
 def short(values: Floats) -> Floats:
     """Return numbers in single precision."""
     with np.errstate(over="ignore"):  # of an unstable simulation
@@ -197,13 +202,8 @@ def short(values: Floats) -> Floats:
 
 def picked(data: Data, rows: Flags | Indices) -> dict[str, Floats | tuple[str, ...] | float]:
     """Return some rows of columns, by a mask or by their numbers."""
-    found: dict[str, Floats | tuple[str, ...] | float] = {}
-    for name, each in data.items():
-        if isinstance(each, tuple):
-            found[name] = tuple(np.array(each, dtype=object)[rows])
-        else:
-            found[name] = each[rows] if isinstance(each, np.ndarray) else each
-    return found
+    texts = {name: tuple(np.array(each, dtype=object)[rows]) for name, each in data.items() if isinstance(each, tuple)}
+    return {name: each[rows] if isinstance(each, np.ndarray) else texts.get(name, each) for name, each in data.items()}
 
 
 def normal(places: Floats, mean: float, std: float) -> Floats:

@@ -14,7 +14,7 @@ from scipy import special
 
 from fmuid.array_types import Flags, Floats
 from fmuid.data import evenly
-from fmuid.reports.chart import LIMITS, Axis, Chart, Color, Data, Layer, Units, named, normal, picked, rows_of
+from fmuid.reports.chart import LIMITS, Axis, Chart, Color, Data, Layer, Units, kinds, named, normal, rows_of
 from fmuid.runs import INTERVAL_STDS, BatchColumns, data_sets, fit_cost, optimum_numbers
 
 CELLS = (90, 45)
@@ -25,50 +25,49 @@ LOOKS: tuple[tuple[Color, Any], ...] = (("blue", "solid"), ("red", "solid"), ("a
 """Outlines of the settings in one chart."""
 MIN_EXCESS = 0.01
 """Lower end of the logarithmic cost axis, in % or units of the cost: below is rounding."""
-HEIGHT = 220
+LOST: tuple[tuple[str, Color], ...] = (("failed", "red"), ("not converged", "amber"))
+"""States without an estimate."""
 
 
 def parameters_of(frame: pd.DataFrame) -> list[str]:
     """Return the parameters with an estimate in any case."""
-    names = BatchColumns.of(frame).parameters
-    known = [name for name in names if np.isfinite(frame[f"value.{name}"].to_numpy(np.float64)).any()]
+    known = [name for name in BatchColumns.of(frame).parameters if np.isfinite(_of(frame, "value", name)).any()]
     return known[: LIMITS.parameters]
+
+
+def _of(frame: pd.DataFrame, kind: str, name: str) -> Floats:
+    return frame[f"{kind}.{name}"].to_numpy(np.float64)
 
 
 def over_cases(frame: pd.DataFrame, truth: Mapping[str, float], units: Units) -> list[Chart]:
     """Return a chart per parameter over the converged cases."""
     good = frame[frame["status"].to_numpy(str) == "converged"]
-    tables = [_short(each) for each in frame["table"].astype(str)] if "table" in frame else []
-    named_cases = len(set(tables)) == len(frame) <= 25
-    labels = dict(zip(frame["case"], tables, strict=True)) if named_cases else {}
-    across = Axis(kind="names", names=tuple(tables), turned=0.8) if labels else Axis("case")
+    some = good.iloc[evenly(len(good), LIMITS.dots)]
+    files = tuple(_short(each) for each in frame["table"].astype(str)) if "table" in frame else ()
+    labels = dict(zip(frame["case"], files, strict=True)) if len(set(files)) == len(frame) <= 25 else {}
+    across = Axis(kind="names", names=files, turned=0.8) if labels else Axis("case")
+    places, few = _places(some["case"].to_numpy(), labels), len(some) <= LIMITS.bars
+    hover = (("case", "@x"), ("value", "@y{0.000000}"), ("std", "@std{0.000000}"))
     charts = []
     for name in parameters_of(good):
-        whole = good[f"value.{name}"].to_numpy(np.float64)
-        some = good.iloc[evenly(len(good), LIMITS.dots)]
-        value, std = (some[f"{kind}.{name}"].to_numpy(np.float64) for kind in ("value", "std"))
-        half = INTERVAL_STDS * std if len(some) <= LIMITS.bars else np.full(len(some), np.nan)
-        low, high = value - half, value + half
-        limits = limits_of(np.concatenate([whole, low, high]), truth.get(name))
-        places = _places(some["case"].to_numpy(), labels)
-        layers = []
+        whole, value, std = _of(good, "value", name), _of(some, "value", name), _of(some, "std", name)
+        half = INTERVAL_STDS * std if few else np.full(len(some), np.nan)
+        limits = limits_of(np.concatenate([whole, value - half, value + half]), truth.get(name))
         missed = np.abs(value - truth.get(name, math.nan)) > half
-        bars: Data = {"x0": places, "y0": low, "x1": places, "y1": high}
-        looks: tuple[tuple[str, Color, Flags], ...]
-        looks = (("95 % interval", "blue", ~missed), ("misses the true value", "red", missed))
-        for text, color, mine in looks:
-            if np.isfinite(half[mine]).any():
-                layers.append(Layer("segments", picked(bars, mine), color, alpha=0.5, label=text))
-        label = f"estimate{outside(whole, limits)}"
+        bars: Data = {"x0": places, "y0": value - half, "x1": places, "y1": value + half}
+        held = np.isfinite(half).any() & ~missed
+        layers = kinds("segments", bars, [("95 % interval", "blue", held), (MISSED, "red", missed)], alpha=0.5)
         if len(good) > LIMITS.dots:
-            dots = replace(_cells(good["case"].to_numpy(np.float64), whole, limits), label=label)
+            dots = _cells(good["case"].to_numpy(np.float64), whole, limits)
         else:
-            size = 6 if len(some) <= LIMITS.bars else 3
-            hover = (("case", "@x"), ("value", "@y{0.000000}"), ("std", "@std{0.000000}"))
-            dots = Layer("points", {"x": places, "y": value, "std": std}, size=size, label=label, hover=hover)
-        layers = [*layers, dots, *_lost(frame, labels, limits[0]), *_truth(name, truth)]
+            dots = Layer("points", {"x": places, "y": value, "std": std}, size=6 if few else 3, hover=hover)
+        layers.append(replace(dots, label=f"estimate{outside(whole, limits)}"))
+        layers += [*_lost(frame, labels, limits[0]), *_truth(name, truth)]
         charts.append(Chart(across, Axis(named(name, units), reach=limits), tuple(layers), 210))
     return charts
+
+
+MISSED = "misses the true value"
 
 
 def _places(cases: npt.NDArray[Any], labels: Mapping[Any, str]) -> Floats | tuple[str, ...]:
@@ -77,10 +76,9 @@ def _places(cases: npt.NDArray[Any], labels: Mapping[Any, str]) -> Floats | tupl
 
 def _lost(frame: pd.DataFrame, labels: Mapping[Any, str], edge: float) -> list[Layer]:
     """Return marks at the lower edge for cases without an estimate."""
-    layers, status = [], frame["status"].to_numpy(str)
-    kinds: tuple[tuple[str, Color], ...] = (("failed", "red"), ("not converged", "amber"))
-    for text, color in kinds:
-        cases = frame.loc[status == text, "case"].to_numpy()
+    layers = []
+    for text, color in LOST:
+        cases = frame.loc[frame["status"].to_numpy(str) == text, "case"].to_numpy()
         if len(cases):
             cases = cases[evenly(len(cases), LIMITS.dots)]
             data: Data = {"x": _places(cases, labels), "y": np.full(len(cases), edge)}
@@ -135,29 +133,28 @@ def distributions(found: pd.DataFrame, truth: Mapping[str, float], units: Units,
     """Return histograms of the estimates with the normal curve of σ."""
     charts, groups = [], _groups(found)
     for name in parameters_of(found):
-        value, std = (found[f"{kind}.{name}"].to_numpy(np.float64) for kind in ("value", "std"))
+        value, std = _of(found, "value", name), _of(found, "std", name)
         low, high = limits_of(value, truth.get(name))
         layers = []
         for (text, rows), (color, dash) in zip(groups, LOOKS, strict=False):
-            edges, density = _histogram(value[rows], low, high)
-            label, few, base = f"{text}{outside(value[rows], (low, high))}", value[rows], np.zeros(len(density))
+            few, label = value[rows], f"{text}{outside(value[rows], (low, high))}"
+            edges, density = _histogram(few, low, high)
             if len(rows) < 30:
-                lines: Data = {"x0": few, "y0": 0.0 * few, "x1": few, "y1": np.full(len(few), density.max())}
+                lines: Data = {"x0": few, "y0": 0.0, "x1": few, "y1": np.full(len(few), density.max())}
                 layers.append(Layer("segments", lines, color, label=label))
             elif len(groups) == 1:
-                boxes: Data = {"left": edges[:-1], "right": edges[1:], "top": density, "bottom": base}
+                boxes: Data = {"left": edges[:-1], "right": edges[1:], "top": density, "bottom": 0.0}
                 layers.append(Layer("cells", boxes, color, alpha=0.45, edge="white", label=label))
             else:
                 steps: Data = {"x": edges, "y": np.append(density, 0.0)}
                 layers.append(Layer("step", steps, color, width=1.6, dash=dash, label=label))
         stated = math.sqrt(np.nanmean(std**2)) if np.isfinite(std).any() else 0.0
         if repeated and stated > 0:
-            center = float(truth.get(name, float(np.nanmean(value))))
-            grid = np.linspace(low, high, 161)
+            grid, center = np.linspace(low, high, 161), float(truth.get(name, float(np.nanmean(value))))
             curve: Data = {"x": grid, "y": normal(grid, center, stated)}
             layers.append(Layer("line", curve, "ink", width=1.4, label="normal distribution of the stated σ"))
         layers += _truth(name, truth, "x")
-        charts.append(Chart(Axis(named(name, units), reach=(low, high)), Axis(shown=False), tuple(layers), HEIGHT))
+        charts.append(Chart(Axis(named(name, units), reach=(low, high)), Axis(shown=False), tuple(layers)))
     return charts
 
 
@@ -178,8 +175,7 @@ def _groups(found: pd.DataFrame) -> list[tuple[str, Any]]:
 
 def _histogram(values: Floats, low: float, high: float) -> tuple[Floats, Floats]:
     inside = values[(values >= low) & (values <= high)]
-    count = min(60, max(8, round(2 * inside.size ** (1 / 3))))
-    edges = np.linspace(low, high, count + 1)
+    edges = np.linspace(low, high, min(60, max(8, round(2 * inside.size ** (1 / 3)))) + 1)
     counts, _ = np.histogram(inside, bins=edges)
     return edges, counts / max(inside.size, 1) / (edges[1] - edges[0])
 
@@ -187,10 +183,9 @@ def _histogram(values: Floats, low: float, high: float) -> tuple[Floats, Floats]
 def spread(statistics: pd.DataFrame) -> Chart:
     """Return the spread of each parameter over its stated σ."""
     known = statistics[np.isfinite(statistics["ratio"].astype(float))].iloc[: LIMITS.parameters]
-    names = tuple(map(str, known["parameter"]))
+    names, ratio = tuple(map(str, known["parameter"])), known["ratio"].to_numpy(np.float64)
     freedom = known["cases"].to_numpy(np.float64) - 1.0
     low, high = (np.sqrt(special.chdtri(freedom, beyond) / freedom) for beyond in (0.975, 0.025))
-    ratio = known["ratio"].to_numpy(np.float64)
     reach = (0.0, 1.1 * float(max(ratio.max(initial=1.0), high.max(initial=1.0))))
     hover = (("parameter", "@y"), ("spread / stated σ", "@x{0.000}"))
     layers = (
@@ -203,35 +198,32 @@ def spread(statistics: pd.DataFrame) -> Chart:
 
 def over_setting(found: pd.DataFrame, name: str, truth: Mapping[str, float], units: Units) -> list[Chart]:
     """Return the estimates of each parameter over a setting."""
-    variable, charts = name.removeprefix("set."), []
-    number = found[name].dtype.kind in "fiu"
-    place = found[name] if number else found[name].astype(str).map(_short)
+    variable, number, charts = name.removeprefix("set."), found[name].dtype.kind in "fiu", []
+    place = found[name].to_numpy(np.float64) if number else found[name].astype(str).map(_short).to_numpy()
     names = () if number else tuple(sorted(set(place)))
     across = Axis(named(variable, units)) if number else Axis(variable, "names", names, turned=0.8)
-    some = evenly(len(found), LIMITS.dots)
+    some, hover = evenly(len(found), LIMITS.dots), (("setting", "@x"), ("estimate", "@y{0.000000}"))
     for parameter in parameters_of(found):
-        value, std = (found[f"{kind}.{parameter}"].to_numpy(np.float64) for kind in ("value", "std"))
+        value, std = _of(found, "value", parameter), _of(found, "std", parameter)
         limits = limits_of(value, truth.get(parameter))
         if number and len(found) > LIMITS.dots:
-            dots = _cells(place.to_numpy(np.float64), value, limits)
+            dots = _cells(place, value, limits)
         else:
-            x = place.to_numpy(np.float64)[some] if number else tuple(place.iloc[some])
-            hover = (("setting", "@x"), ("estimate", "@y{0.000000}"))
+            x = place[some] if number else tuple(place[some])
             dots = Layer("points", {"x": x, "y": value[some]}, size=4, alpha=0.4, hover=hover)
         layers = [replace(dots, label=f"estimate{outside(value, limits)}"), *_means(place, value, std, number=number)]
         layers += _truth(parameter, truth) + (_truth(variable, truth, "x", "dotted") if number else [])
-        charts.append(Chart(across, Axis(named(parameter, units), reach=limits), tuple(layers), HEIGHT))
+        charts.append(Chart(across, Axis(named(parameter, units), reach=limits), tuple(layers)))
     return charts
 
 
-def _means(place: pd.Series[Any], value: Floats, std: Floats, *, number: bool) -> list[Layer]:
+def _means(place: npt.NDArray[Any], value: Floats, std: Floats, *, number: bool) -> list[Layer]:
     """Return mean, spread and stated σ at each setting."""
-    groups = pd.DataFrame({"value": value, "variance": std**2}).groupby(place.to_numpy())
+    groups = pd.DataFrame({"value": value, "variance": std**2}).groupby(place)
     mean, counts = groups["value"].mean(), groups["value"].count()
     if counts.max() < 2:
         return []
-    x = mean.index.to_numpy(np.float64) if number else tuple(map(str, mean.index))
-    y = mean.to_numpy(np.float64)
+    x, y = mean.index.to_numpy(np.float64) if number else tuple(map(str, mean.index)), mean.to_numpy(np.float64)
     layers = [Layer("points", {"x": x, "y": y}, "red", size=8, label="mean")]
     layers += [Layer("line", {"x": x, "y": y}, "red", width=1.4, label="mean")] if number else []
     if counts.min() < 3:
@@ -240,11 +232,8 @@ def _means(place: pd.Series[Any], value: Floats, std: Floats, *, number: bool) -
     promised = INTERVAL_STDS * np.sqrt(groups["variance"].mean().to_numpy(np.float64))
     bars: Data = {"x0": x, "y0": y - half, "x1": x, "y1": y + half}
     layers.append(Layer("segments", bars, "red", width=6, alpha=0.3, label="± 1.96 spread"))
-    ends = [{"x": x, "y": y + side * promised} for side in (-1.0, 1.0)]
-    return [*layers, *(Layer("points", each, "ink", 1.6, size=14, marker="dash", label=STATED) for each in ends)]
-
-
-STATED = "± 1.96 stated σ"
+    look: dict[str, Any] = {"width": 1.6, "size": 14, "marker": "dash", "label": "± 1.96 stated σ"}
+    return layers + [Layer("points", {"x": x, "y": y + side * promised}, "ink", **look) for side in (-1.0, 1.0)]
 
 
 def over_starts(
@@ -253,34 +242,30 @@ def over_starts(
     """Return cost and estimates of searches from several starting points."""
     columns, number = BatchColumns.of(frame), optimum_numbers(frame, given_noise=given_noise)
     lost = (frame["status"] != "converged").to_numpy(bool)
-    charts = [_waterfall(_excess(frame, columns, given_noise=given_noise), number, lost, given_noise=given_noise)]
+    charts = [_waterfall(frame, columns, number, given_noise=given_noise)]
     for name in (name for each in columns.starts if (name := each.removeprefix("start.")) in columns.parameters):
-        begin, end = (frame[f"{kind}.{name}"].to_numpy(np.float64) for kind in ("start", "value"))
-        limits = _optimum_limits(end, INTERVAL_STDS * frame[f"std.{name}"].to_numpy(np.float64), number)
+        begin, end, text = _of(frame, "start", name), _of(frame, "value", name), named(name, units)
+        limits = _optimum_limits(end, INTERVAL_STDS * _of(frame, "std", name), number)
         wide = np.nanmax(begin) > 100.0 * np.nanmin(begin) > 0  # NaN where the parameter is not free
-        text = named(name, units)
         layers = []
-        for mine, color, words in _kinds(number):
+        for mine, color, words in _optima(number):
             layers += _points(begin[mine], end[mine], color, words + outside(end[mine], limits))
         astray = lost & np.isfinite(end)
-        layers += _points(begin[astray], np.clip(end[astray], *limits), "amber", "not converged", "x")
+        layers += _points(begin[astray], np.clip(end[astray], *limits), "amber", "not converged", marker="x", size=7)
         layers += _truth(name, truth)
         across = Axis(f"initial guess of {text}", "log" if wide else "linear")
-        charts.append(Chart(across, Axis(text, reach=limits), tuple(layers), HEIGHT))
+        charts.append(Chart(across, Axis(text, reach=limits), tuple(layers)))
     return charts
 
 
-def _kinds(number: npt.NDArray[np.int64]) -> list[tuple[Flags, Color, str]]:
+def _optima(number: npt.NDArray[np.int64]) -> list[tuple[Flags, Color, str]]:
     return [(number > 1, "red", "another optimum"), (number == 1, "blue", "best optimum")]
 
 
-def _points(x: Floats, y: Floats, color: Color, label: str, marker: Any = "circle") -> list[Layer]:
-    if not x.size:
-        return []
-    some = evenly(x.size, LIMITS.dots)
-    hover = (("start", "@x{0.000000}"), ("end", "@y{0.000000}"))
-    size = 7 if marker == "x" else 5
-    return [Layer("points", {"x": x[some], "y": y[some]}, color, 1.6, "solid", 1.0, size, marker, None, label, hover)]
+def _points(x: Floats, y: Floats, color: Color, label: str, size: float = 5, **look: Any) -> list[Layer]:
+    some, hover = evenly(x.size, LIMITS.dots), (("start", "@x{0.000000}"), ("end", "@y{0.000000}"))
+    dots = Layer("points", {"x": x[some], "y": y[some]}, color, 1.6, size=size, label=label, hover=hover, **look)
+    return [dots] if x.size else []
 
 
 def _optimum_limits(end: Floats, half: Floats, number: npt.NDArray[np.int64]) -> tuple[float, float]:
@@ -291,23 +276,23 @@ def _optimum_limits(end: Floats, half: Floats, number: npt.NDArray[np.int64]) ->
     return _with_room(low, high) if low <= high else (0.0, 1.0)
 
 
-def _excess(frame: pd.DataFrame, columns: BatchColumns, *, given_noise: bool) -> Floats:
-    """Return cost above the best of the same data, or NaN."""
-    fits = np.where(frame["status"] == "converged", fit_cost(frame, given_noise=given_noise), np.nan)
+def _waterfall(
+    frame: pd.DataFrame, columns: BatchColumns, number: npt.NDArray[np.int64], *, given_noise: bool
+) -> Chart:
+    """Return cost above the best of the same data, in order."""
+    lost = (frame["status"] != "converged").to_numpy(bool)
+    fits = np.where(lost, np.nan, fit_cost(frame, given_noise=given_noise))
     for rows in data_sets(frame, columns):
         known = rows[np.isfinite(fits[rows])]
         fits[rows] -= fits[known].min() if known.size else 0.0
-    return fits if given_noise else np.expm1(0.5 * fits / max(1, len(columns.outputs)))
-
-
-def _waterfall(excess: Floats, number: npt.NDArray[np.int64], lost: Flags, *, given_noise: bool) -> Chart:
+    excess = fits if given_noise else 100.0 * np.expm1(0.5 * fits / max(1, len(columns.outputs)))
     order = np.argsort(np.where(lost, np.inf, excess), kind="stable")[: int((~lost).sum())]
-    x, y = np.arange(1.0, order.size + 1), np.maximum(excess[order] * (1.0 if given_noise else 100.0), MIN_EXCESS)
+    x, y = np.arange(1.0, order.size + 1), np.maximum(excess[order], MIN_EXCESS)
     text = "cases, best first" + (f"; {lost.sum()} not converged" if lost.any() else "")
     words = "cost above the best" if given_noise else "residual above the best (%)"
     reach = (0.7 * MIN_EXCESS, max(100 * MIN_EXCESS, 1.5 * float(y.max(initial=0.0))))
-    layers = [each for mine, color, label in _kinds(number[order]) for each in _points(x[mine], y[mine], color, label)]
-    return Chart(Axis(text), Axis(words, "log", reach=reach), tuple(layers), HEIGHT)
+    layers = [each for mine, color, label in _optima(number[order]) for each in _points(x[mine], y[mine], color, label)]
+    return Chart(Axis(text), Axis(words, "log", reach=reach), tuple(layers))
 
 
 def failures(found: pd.DataFrame, messages: list[str]) -> Chart:
@@ -315,10 +300,6 @@ def failures(found: pd.DataFrame, messages: list[str]) -> Chart:
     most = found.iloc[:12]
     texts = tuple(f"{k + 1}. {each[:70]}" for k, each in enumerate(messages[:12]))
     data: Data = {"y": texts, "x": most["cases"].to_numpy(np.float64)}
-    layers = []
-    kinds: tuple[tuple[str, Color], ...] = (("failed", "red"), ("not converged", "amber"))
-    for status, color in kinds:
-        where = most["status"].astype(str).to_numpy() == status
-        if where.any():
-            layers.append(Layer("bars", picked(data, where), color, hover=(("cases", "@x"),)))
+    status = most["status"].to_numpy(str)
+    layers = kinds("bars", data, [("", color, status == text) for text, color in LOST], hover=(("cases", "@x"),))
     return rows_of(texts, Axis("cases", reach=(0.0, None)), layers)
