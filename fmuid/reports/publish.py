@@ -17,7 +17,7 @@ REPORT_FILE = "report.html"
 # What the figures of a run are called, before a hyphen where there are several of a kind.
 KINDS = """
 fit preparation prepared monitored residuals parameters cost optima belief parabolas correlation accuracy profiles
-maps posterior walkers causes changes evidence sizes explained timeline cases distributions spread over starts failures
+maps posterior walkers causes changes explained timeline cases distributions spread over starts failures
 prediction likelihood errors estimates excitations sensitivities
 """.split()  # noqa: SIM905  # as a list a line each
 

@@ -15,7 +15,6 @@ from fmuid.errors import InputError
 from fmuid.estimation import Result
 from fmuid.identification import CostMap
 from fmuid.reports import chart
-from fmuid.reports.render.style import COLORS, DARK, LINE
 from fmuid.reports.topics import (
     design,
     estimates,
@@ -28,7 +27,7 @@ from fmuid.reports.topics import (
 )
 from fmuid.reports.topics import uncertainty_charts as uncertainty
 from tests.support import records
-from tests.support.charts import drawn, legend, places
+from tests.support.charts import area_of, drawn, labels, legend, places
 from tests.support.results import made_up
 
 near = np.testing.assert_allclose
@@ -39,14 +38,6 @@ def result(rho: float = 0.6) -> Result:
     std = np.array([0.1, 0.002])
     covariance = np.outer(std, std) * np.array([[1.0, rho], [rho, 1.0]])
     return made_up(("R", "L"), np.array([4.0, 0.1]), np.array([5.0, 0.2]), covariance)
-
-
-def labels(plot: Any) -> tuple[str, str]:
-    return plot.x.label, plot.y.label
-
-
-def area(data: dict[str, Any]) -> float:
-    return float(np.sum(data["top"] * (data["right"] - data["left"])))
 
 
 def test_extremes_and_even_dots() -> None:
@@ -129,7 +120,7 @@ def test_residuals() -> None:
     assert legend(crossed) == ["u"]
     assert drawn(crossed, "line")[0]["y"].min() == -0.1
     assert crossed.y.reach == pytest.approx((-0.345, 0.345))  # of what is harmless the scale says so
-    assert area(bars) == pytest.approx(1.0)
+    assert area_of(bars) == pytest.approx(1.0)
 
 
 def searched(trace: pd.DataFrame, table: pd.DataFrame, **more: Any) -> dict[str, tuple[Any, ...]]:
@@ -274,7 +265,7 @@ def test_corner_with_contours() -> None:
     assert [each.x.shown for each in (first, pair, last)] == [False, True, True]
     assert (*labels(pair), pair.y.shown) == ("R (Ohm)", "L", True)
     assert first.x.linked == pair.x.linked != last.x.linked
-    assert area(drawn(last, "cells")[0]) == pytest.approx(1.0)
+    assert area_of(drawn(last, "cells")[0]) == pytest.approx(1.0)
 
 
 def test_cost_map() -> None:
@@ -292,31 +283,3 @@ def test_cost_map() -> None:
     near(np.unique(cells["top"] / cells["bottom"]), 2.0)  # equal ratios on a logarithmic axis
     assert "95 % ellipse" in legend(plot)
     assert [3.6] in [each["x"].tolist() for each in drawn(plot, "points")]
-
-
-# Machado, Oliveira, Fernandes 2009: what protanopes and deuteranopes see, on linear RGB.
-BLIND = {
-    "protanopia": [[0.152286, 1.052583, -0.204868], [0.114503, 0.786281, 0.099216], [-0.003882, -0.048116, 1.051998]],
-    "deuteranopia": [[0.367322, 0.860646, -0.227968], [0.280085, 0.672501, 0.047413], [-0.011820, 0.042940, 0.968881]],
-    "all colors": [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]],
-}
-
-
-def lightness_and_hue(color: str, matrix: list[list[float]]) -> Any:
-    """Return CIE L*a*b* of a color as it is seen."""
-    rgb = np.array([int(color[i : i + 2], 16) for i in (1, 3, 5)]) / 255
-    linear = np.where(rgb <= 0.04045, rgb / 12.92, ((rgb + 0.055) / 1.055) ** 2.4)
-    to_xyz = np.array([[0.4124, 0.3576, 0.1805], [0.2126, 0.7152, 0.0722], [0.0193, 0.1192, 0.9505]])
-    seen = to_xyz @ np.clip(np.array(matrix) @ linear, 0.0, 1.0) / np.array([0.9505, 1.0, 1.089])
-    x, y, z = np.cbrt(np.maximum(seen, 0.008856))
-    return np.array([116 * y - 16, 500 * (x - y), 200 * (y - z)])
-
-
-@pytest.mark.parametrize("kind", BLIND)
-@pytest.mark.parametrize("dark", [False, True])
-def test_colors_differ_for_all_eyes(kind: str, dark: bool) -> None:
-    """By far more than the 2.3 that are just seen."""
-    assert {*COLORS.values(), LINE} == set(DARK)
-    used = [COLORS[each] for each in ("blue", "red", "amber", "grey", "white")]
-    seen = [lightness_and_hue(DARK[each] if dark else each, BLIND[kind]) for each in used]
-    assert min(np.linalg.norm(one - other) for k, one in enumerate(seen) for other in seen[k + 1 :]) > 14.0

@@ -5,7 +5,7 @@ from __future__ import annotations
 import io
 import re
 import tomllib
-from collections.abc import Iterator
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -15,7 +15,6 @@ import fmuid
 from fmuid.apps.cli.app import run
 from fmuid.apps.cli.options import DONE, WRONG_INPUT
 from fmuid.errors import InputError
-from fmuid.formatting import bounded
 from fmuid.models.description import Variable
 from fmuid.models.fmu_summary import FmuSummary, facts, lines
 from fmuid.reports.document import TERMINAL_ROWS, table_of
@@ -37,21 +36,6 @@ def linear(tmp_path: Path) -> FmuSummary:
     return facts(fmuid.FMU(write_fmu(tmp_path / "Linear.fmu", FMI3)))
 
 
-def names(variables: tuple[Variable, ...]) -> list[str]:
-    return [variable.name for variable in variables]
-
-
-def said(found: FmuSummary) -> dict[str, list[str]]:
-    return {kind: capability_words(kind, declared) for kind, declared in found.capabilities.items()}
-
-
-def test_how_it_runs(motor: FmuSummary) -> None:
-    assert said(motor) == {"model-exchange": ["is told completed steps", "directional derivatives"]}
-    assert (motor.run_as.interface, motor.run_as.integrator) == ("model-exchange", "rk45")
-    assert run_words(motor.run_as).startswith("FMI 2.0 Model Exchange, rk45")
-    assert motor.here is None
-
-
 def test_units_are_those_that_convert(motor: FmuSummary) -> None:
     """Just the units are named that a column may have: all others are refused."""
     assert motor.units == {"A": (), "rad/s": ("rpm", "krad/s"), "lap": ()}
@@ -66,12 +50,12 @@ def test_units_are_those_that_convert(motor: FmuSummary) -> None:
                     described.conversion(variable, unit)
 
 
-def test_arrays_and_capabilities_of_fmi3(linear: FmuSummary) -> None:
-    assert names(linear.structural) == ["n", "length"]
-    assert names(linear.fixed) == ["b[1]", "b[2]"]
+def test_arrays_and_capabilities(linear: FmuSummary, motor: FmuSummary) -> None:
+    assert [v.name for v in (*linear.structural, *linear.fixed)] == ["n", "length", "b[1]", "b[2]"]
     assert [(line.name, len(line.variables)) for line in lines(linear.tunable)] == [("A[1..2,1..3]", 6)]
     assert linear.direct["y[3]"] == ("u[1]", "u[2]")
-    assert said(linear) == {
+    words = {kind: capability_words(kind, declared) for kind, declared in linear.capabilities.items()}
+    assert words == {
         "co-simulation": [
             "communication steps of one length",
             "event mode",
@@ -82,6 +66,8 @@ def test_arrays_and_capabilities_of_fmi3(linear: FmuSummary) -> None:
         "model-exchange": ["is told completed steps", "adjoint derivatives"],
         "scheduled-execution": [],
     }
+    assert run_words(motor.run_as).startswith("FMI 2.0 Model Exchange, rk45")
+    assert motor.here is None
 
 
 def real(name: str, unit: str = "m") -> Variable:
@@ -105,16 +91,25 @@ def test_lines_of_scalars() -> None:
     assert lines([real(f"m[{i},2]") for i in range(5)])[0].name == "m[0..4,2]"
 
 
-def shown(motor: FmuSummary, monkeypatch: pytest.MonkeyPatch, *, terminal: bool) -> str:
-    out = io.StringIO()
-    made = Console(file=out, force_terminal=terminal, width=80, color_system=None, highlight=False)
-    monkeypatch.setattr("fmuid.reports.render.console.console", lambda: made)
-    show_listing(facts_document(motor, made.width if terminal else None), "A study to begin with")
-    return out.getvalue()
+Shown = Callable[..., str]
 
 
-def test_shown(motor: FmuSummary, monkeypatch: pytest.MonkeyPatch) -> None:
-    text = shown(motor, monkeypatch, terminal=False)
+@pytest.fixture
+def shown(monkeypatch: pytest.MonkeyPatch) -> Shown:
+    """Return what prints the facts of an FMU, for a pipe or a terminal."""
+
+    def show(found: FmuSummary, *, terminal: bool) -> str:
+        out, width = io.StringIO(), 80 if terminal else 200
+        made = type(console())(file=out, force_terminal=terminal, width=width, color_system=None, highlight=False)
+        monkeypatch.setattr("fmuid.reports.render.console.console", lambda: made)
+        show_listing(facts_document(found, width if terminal else None), "A study to begin with")
+        return out.getvalue()
+
+    return show
+
+
+def test_shown(motor: FmuSummary, shown: Shown) -> None:
+    text = shown(motor, terminal=False)
     for line in (
         r"Motor: two windings",
         r"model-exchange +is told completed steps, directional derivatives",
@@ -136,66 +131,45 @@ def test_shown(motor: FmuSummary, monkeypatch: pytest.MonkeyPatch) -> None:
         assert re.search(rf"^{line} *$", text, re.MULTILINE), line
 
 
-@pytest.fixture
-def crowded(tmp_path: Path) -> Iterator[FmuSummary]:
-    """An FMU with hundreds of parameters that share no line, each with a long description."""
+def test_a_pipe_gets_all_a_terminal_what_it_can_hold(tmp_path: Path, shown: Shown) -> None:
+    """Of an FMU with hundreds of parameters that share no line, each with a long description."""
     extra = "".join(
         f'<ScalarVariable name="p{i}" valueReference="{100 + i}" causality="parameter" variability="fixed" '
         f'description="{"a word " * 40}"><Real start="1"/></ScalarVariable>'
         for i in range(300)
     )
-    text = FMI2.replace("</ModelVariables>", extra + "</ModelVariables>")
-    yield facts(fmuid.FMU(write_fmu(tmp_path / "Crowded.fmu", text)))
-
-
-def test_a_pipe_gets_all(crowded: FmuSummary, monkeypatch: pytest.MonkeyPatch) -> None:
-    text = shown(crowded, monkeypatch, terminal=False)
+    whole = FMI2.replace("</ModelVariables>", extra + "</ModelVariables>")
+    crowded = facts(fmuid.FMU(write_fmu(tmp_path / "Crowded.fmu", whole)))
+    text = shown(crowded, terminal=False)
     rows = [line for line in text.splitlines() if re.match(r"p\d+ ", line)]
     assert len(rows) == 300
     assert all(line.count("a word") == 40 for line in rows)
     assert "# and 294 more" in text  # than 12 of 303 parameters (poles is no Real) and 3 start values
-
-
-def test_a_terminal_gets_what_it_can_hold(crowded: FmuSummary, monkeypatch: pytest.MonkeyPatch) -> None:
-    text = shown(crowded, monkeypatch, terminal=True)
+    text = shown(crowded, terminal=True)
     table = text[text.index("Parameters (303)") : text.index("Parameters (1), tunable")].splitlines()
     assert "243 more" in text
     assert len(table) == TERMINAL_ROWS + 5  # title, heads, rule, what is left out, an empty line
     assert max(map(len, table)) <= 80
 
 
-@pytest.mark.parametrize("name", ["Motor", "Linear"])
-def test_the_skeleton_is_toml_with_the_names_of_the_fmu(name: str, tmp_path: Path) -> None:
-    fmu = fmuid.FMU(write_fmu(tmp_path / f"{name}.fmu", {"Motor": FMI2, "Linear": FMI3}[name]))
-    content = tomllib.loads(skeleton(fmu))
-    (experiment,) = content["experiments"]
-    expected = {
-        "Motor": (["u", "on"], ["i", "w", "torque"]),
-        "Linear": (["u[1]", "u[2]"], [f"y[{i}]" for i in range(1, 6)]),
-    }
-    assert (experiment["inputs"], experiment["outputs"]) == expected[name]
-    assert content["model"] == {"fmu": f"{name}.fmu"}
-    assert content["parameters"] == {}
-
-
-def test_the_skeleton_identifies(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """What is pasted from `fmuid info` is a study as soon as a parameter is freed and there is a table."""
+def test_skeleton_is_a_study_with_the_names_of_the_fmu(
+    motor: FmuSummary, linear: FmuSummary, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """It identifies as soon as a parameter is freed and there is a table."""
+    for found, names in (
+        (motor, (["u", "on"], ["i", "w", "torque"])),
+        (linear, (["u[1]", "u[2]"], [f"y[{i}]" for i in range(1, 6)])),
+    ):
+        content = tomllib.loads(skeleton(found.fmu))
+        (experiment,) = content["experiments"]
+        assert (experiment["inputs"], experiment["outputs"]) == names
+        assert (content["model"], content["parameters"]) == ({"fmu": f"{found.fmu.name}.fmu"}, {})
     (tmp_path / "Coil.fmu").write_bytes((FMUS / "Coil/Coil.fmu").read_bytes())
     (tmp_path / "data.csv").write_text("time,u,i\n0,1,0\n0.1,1,0.24\n0.2,1,0.25\n", encoding="utf-8")
     assert run(["info", str(tmp_path / "Coil.fmu")]) == DONE
     text = capsys.readouterr().out
-    pasted = text[text.index("[model]") :].replace("# R =", "R =")
-    (tmp_path / "study.toml").write_text(pasted, encoding="utf-8")
+    (tmp_path / "study.toml").write_text(text[text.index("[model]") :].replace("# R =", "R ="), encoding="utf-8")
     assert list(fmuid.Study.read(tmp_path / "study.toml").parameters) == ["R"]
-
-
-@pytest.mark.parametrize("path", sorted(FMUS.glob("*/*.fmu")), ids=lambda path: path.stem)
-def test_every_fmu_of_the_house(path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert run(["info", str(path)]) == DONE
-    text = capsys.readouterr().out
-    assert "Parameters (" in text
-    (experiment,) = tomllib.loads(text[text.index("[model]") :])["experiments"]
-    assert experiment["outputs"]
 
 
 # --- what nobody vouches for ------------------------------------------------------------
@@ -206,23 +180,18 @@ UNSEEN = re.compile(
 
 
 @pytest.mark.parametrize("terminal", [False, True])
-def test_what_is_printed_of_an_fmu_obeys_nobody_and_ends(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, terminal: bool
-) -> None:
+def test_what_is_printed_of_an_fmu_obeys_nobody_and_ends(tmp_path: Path, shown: Shown, terminal: bool) -> None:
     """Names that steer a terminal, turn the direction of writing, begin a line of their own, or do not end."""
     hostile = "&#x202E;R&#x9B;31m&#x2066;&#x200B;&#10;Inputs (9)&#xE0041;"
     text = FMI2.replace('name="R"', f'name="{hostile}{"x" * 100_000}"').replace('modelName="', f'modelName="{hostile}')
     text = text.replace('description="', f'description="{hostile}{"y" * 100_000}')
     found = facts(fmuid.FMU(write_fmu(tmp_path / "Motor.fmu", text)))
     assert "\u202e" in found.fmu.name
-    out = io.StringIO()
-    shown = type(console())(file=out, force_terminal=terminal, color_system=None, width=200, highlight=False)
-    monkeypatch.setattr("fmuid.reports.render.console.console", lambda: shown)
-    show_listing(facts_document(found, shown.width if terminal else None), "A study to begin with")
-    assert UNSEEN.search(out.getvalue()) is None
-    assert not re.search("^Inputs .9.", out.getvalue(), re.MULTILINE)
-    assert "R31m" in out.getvalue()
-    assert max(map(len, out.getvalue().splitlines())) < 3000
+    printed = shown(found, terminal=terminal)
+    assert UNSEEN.search(printed) is None
+    assert not re.search("^Inputs .9.", printed, re.MULTILINE)
+    assert "R31m" in printed
+    assert max(map(len, printed.splitlines())) < 3000
 
 
 def test_messages_obey_nobody(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -233,13 +202,6 @@ def test_messages_obey_nobody(tmp_path: Path, capsys: pytest.CaptureFixture[str]
     assert UNSEEN.search(said.rstrip("\n")) is None
     show_notes(["a\u202eb\x1b[2J"])
     assert capsys.readouterr().err == "note: ab[2J\n"
-
-
-def test_bounded_texts() -> None:
-    assert bounded("a" * 9, 9) == "a" * 9
-    assert bounded("a" * 10, 9) == "a" * 8 + "…"
-    assert bounded("a\n  b\u202e", 9) == "a b"
-    assert bounded(" " * 50 + "b", 9) == "…"
 
 
 def test_plain_tables_are_those_of_rich() -> None:

@@ -3,21 +3,12 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 
-import numpy as np
 import pytest
 
-from fmuid.data import Parameter
-from fmuid.estimation.local_search import Marquardt
-from fmuid.estimation.problem import LeastSquares
-from fmuid.estimation.result import Result
-from fmuid.estimation.search.state import TerminationReason
 from fmuid.files import file_name
-from fmuid.formatting import rounded, with_std
-from fmuid.identification import identify
+from fmuid.formatting import bounded, rounded, with_std
 from fmuid.reports.topics import uncertainty
-from fmuid.runs.findings import at_minimum
 
 
 @pytest.mark.parametrize(
@@ -37,8 +28,15 @@ def test_value_and_standard_deviation(value: float, std: float, shown: str) -> N
     assert with_std(value, std) == shown
 
 
-def test_rounded_without_deviation() -> None:
+def test_texts_of_a_number_and_of_names() -> None:
     assert rounded(math.pi, math.nan) == "3.14159"
+    assert file_name("i_start[run 1]-drive.M/x") == "i_start_run_1_-drive.M_x"
+    assert [bounded(each, 9) for each in ("a" * 9, "a" * 10, "a\n  b\u202e", " " * 50 + "b")] == [
+        "a" * 9,
+        "a" * 8 + "…",
+        "a b",
+        "…",
+    ]
 
 
 @pytest.mark.parametrize(
@@ -53,24 +51,3 @@ def test_rounded_without_deviation() -> None:
 )
 def test_interval(ends: tuple[float, float], shown: str) -> None:
     assert uncertainty._interval(*ends, value=0.04) == shown
-
-
-def test_file_name() -> None:
-    assert file_name("i_start[run 1]-drive.M/x") == "i_start_run_1_-drive.M_x"
-
-
-def search(iterations: int) -> Result:
-    x = np.linspace(0.0, 1.0, 20)
-    problem = LeastSquares.from_function(lambda t: np.exp(-t[0] * x), np.exp(-2.0 * x), {"a": Parameter(20.0)})
-    return identify(problem, Marquardt(iterations))
-
-
-def test_at_minimum_by_termination_reason() -> None:
-    """A cost whose noise variances still change is none either."""
-    ends = {TerminationReason.CONVERGED, TerminationReason.ACCURACY, TerminationReason.UNDETERMINED}
-    assert search(1).outcome is TerminationReason.ITERATION_LIMIT
-    result = search(1000)
-    for outcome in TerminationReason:
-        ended = replace(result, outcome=outcome)
-        assert at_minimum(ended) is (outcome in ends)
-        assert ended.converged is (outcome in ends - {TerminationReason.UNDETERMINED})

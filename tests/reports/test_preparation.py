@@ -37,12 +37,6 @@ computed_columns = {{ current = "shunt / 50" }}
 start_time = 0.1
 end_time = 0.4
 [[experiments]]
-name = "whole"
-data = "run.csv"
-inputs = ["u"]
-outputs = ["i"]
-interpolation = "zoh"
-[[experiments]]
 name = "mean"
 data = "run.csv"
 inputs = ["u"]
@@ -107,9 +101,11 @@ def test_segments_are_downsampled_and_read_once(tmp_path: Path, monkeypatch: pyt
     times = np.arange(50_000) * 1e-3
     spike = np.where(np.arange(times.size) == 20_011, 7.0, 0.0)
     pd.DataFrame({"time": times, "u": spike, "i": np.sin(times)}).to_csv(tmp_path / "run.csv", index=False)
-    text = STUDY.format(fmu=COIL.as_posix()).split("[[experiments]]\n")
-    one = text[2].replace('name = "whole"', "") + "[experiments.preprocess]\nsegments = [[0.0, 10.0], [10.0, 40.0]]\n"
-    (tmp_path / "study.toml").write_text(f"{text[0]}[[experiments]]\n{one}{text[3][text[3].index('[param') :]}")
+    head, _, one = STUDY.format(fmu=COIL.as_posix()).split("[[experiments]]\n")
+    segments = one.replace('name = "mean"', "").replace(
+        'detrend = { i = "mean" }', "segments = [[0.0, 10.0], [10.0, 40.0]]"
+    )
+    (tmp_path / "study.toml").write_text(f"{head}[[experiments]]\n{segments}")
     study = Study.read(tmp_path / "study.toml")
     assert len(study.tables) == 2
     read = counted_reads(monkeypatch)

@@ -14,7 +14,7 @@ import fmuid
 from fmuid import codec, files
 from fmuid.apps.cli.options import DONE
 from fmuid.estimation import Evaluator
-from fmuid.events import DataOnlyStep, Event, GlobalStep, ProfileStep, Progress, SearchStep
+from fmuid.events import Event, GlobalStep, ProfileStep, Progress, SearchStep
 from fmuid.runs import SearchInterruptedError, identified, read_identification
 from tests.support.coil_study import STUDY, coil_table, fmuid_, result
 from tests.support.running import run_study
@@ -102,15 +102,6 @@ def test_events_come_in_their_order(study: Path, monkeypatch: pytest.MonkeyPatch
     assert last.assessment.is_explored
 
 
-def test_interrupted_after_the_search(study: Path, tmp_path: Path) -> None:
-    """What is found is kept, and what follows is not complete."""
-    found = run_study(study, tmp_path / "out", progress=stopping(ProfileStep))
-    assert found.result.converged
-    assert not found.succeeded
-    assert found.assessment.interrupted
-    assert result(tmp_path / "out")["converged"] is True
-
-
 def test_interrupted_before_anything_is_known(study: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def interrupt(*_: object, **__: object) -> None:
         raise KeyboardInterrupt
@@ -131,7 +122,10 @@ def test_a_folder_that_another_run_writes_to(study: Path, tmp_path: Path) -> Non
     assert run_study(study, tmp_path / "out").succeeded
 
 
-def test_interrupted_where_a_point_is_known(study: Path, tmp_path: Path) -> None:
+def test_interrupted_run_keeps_what_is_known(study: Path, tmp_path: Path) -> None:
+    found = run_study(study, tmp_path / "out", progress=stopping(ProfileStep))
+    assert found.result.converged and found.assessment.interrupted and not found.succeeded
+    assert result(tmp_path / "out")["converged"] is True
     study.write_text(BOUNDED + GLOBAL)
     found = run_study(study, tmp_path / "out", progress=stopping(GlobalStep))
     assert found.assessment.residuals is None
@@ -149,11 +143,3 @@ def test_a_search_of_the_whole_box_keeps_its_optima(study: Path, tmp_path: Path)
     again = run_study(study, tmp_path / "out", resume=True)
     assert again.result.history.optima == ()
     np.testing.assert_allclose(again.result.estimates.start, found.result.values)
-
-
-def test_no_word_on_the_data_alone_without_a_prior(study: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("fmuid.runs.run.QUICK_SECONDS", 0.0)
-    study.write_text(STUDY)
-    events: list[Event] = []
-    run_study(study, progress=events.append)
-    assert not any(isinstance(event, DataOnlyStep) for event in events)

@@ -29,7 +29,8 @@ from fmuid.models import SolverConfiguration
 from fmuid.reports.document import Message, Remark, doubt
 from fmuid.reports.topics.prior_and_data import obstacle_remark
 from fmuid.reports.topics.solver_check import shift_text
-from fmuid.reports.topics.termination import ENDS, state_and_reason
+from fmuid.reports.topics.termination import state_and_reason
+from fmuid.runs.findings import at_minimum
 from tests.support.results import changed
 from tests.support.said import direction_words, ending, result_words, solver_words
 
@@ -69,7 +70,7 @@ def test_termination_reasons(result: Result, outcome: TerminationReason) -> None
     state, reason = state_and_reason(ended)
     assert (state == "converged") == ended.converged
     assert reason.startswith("after") == ended.converged
-    assert ENDS[outcome]
+    assert at_minimum(ended) == (ended.converged or outcome is END.UNDETERMINED)
     assert str(fmuid.Document.of(ended)).startswith("Not " if state.startswith("not") else state.capitalize())
 
 
@@ -103,30 +104,22 @@ def test_directions(given: WeakDirection, said: str) -> None:
     assert from_json(WeakDirection, as_json(given)) == given
 
 
-@pytest.mark.parametrize(
-    ("obstacle", "said"),
-    [
-        (ExtrapolationReason(outcome=END.STALLED), "no step reduces the cost"),
-        (ExtrapolationReason(outcome=END.INTERRUPTED), "interrupted"),
-        (ExtrapolationReason(undetermined=(direction(LEVEL.NOT, "c", [1.0]),)), "c not identifiable"),
-    ],
-)
-def test_extrapolation_of_the_data_alone(obstacle: ExtrapolationReason, said: str) -> None:
-    assert obstacle_remark(obstacle).text == f"Optimum of the data alone is extrapolated: {said}."
+def test_extrapolation_of_the_data_alone() -> None:
+    unknown = ExtrapolationReason(undetermined=(direction(LEVEL.NOT, "c", [1.0]),))
+    stalled, free = (obstacle_remark(each).text for each in (ExtrapolationReason(outcome=END.STALLED), unknown))
+    assert stalled == "Optimum of the data alone is extrapolated: no step reduces the cost."
+    assert free == "Optimum of the data alone is extrapolated: c not identifiable."
 
 
 def test_message_fills_text_and_remedy() -> None:
-    class Sample(Message):
+    class Sample(Message, section="fit"):
         ONE = doubt("{name} is low: {value}.", "", "Raise {name}.")
 
-    said = Sample.ONE.said("fit", name="x", value=3)
-    assert (str(said), said.tone, said.section, said.message) == (
-        "x is low: 3.\n→ Raise x.",
-        "doubt",
-        "fit",
-        "Sample.ONE",
-    )
-    assert Sample.ONE.said(None, "plain", name="x", value=3).tone == "plain"
+    said = Sample.ONE.said(name="x", value=3)
+    assert str(said) == "x is low: 3.\n→ Raise x."
+    assert (said.tone, said.section, said.message) == ("doubt", "fit", "Sample.ONE")
+    other = Sample.ONE.said("cost", "plain", name="x", value=3)
+    assert (other.tone, other.section) == ("plain", "cost")
     assert str(Remark("Alone.")) == "Alone."
 
 

@@ -38,6 +38,16 @@ def places(chart: Chart, side: str = "y") -> list[float]:
     return [float(each) for data in drawn(chart, "rule") for each in np.atleast_1d(data.get(side, []))]
 
 
+def labels(chart: Chart) -> tuple[str, str]:
+    """Return the labels of both axes."""
+    return chart.x.label, chart.y.label
+
+
+def area_of(data: dict[str, Any]) -> float:
+    """Return the area of bars."""
+    return float(np.sum(data["top"] * (data["right"] - data["left"])))
+
+
 def every_mark() -> ChartGrid:
     """Return charts with every mark, and names that are markup."""
     T = np.linspace(0.0, 1.0, 5)
