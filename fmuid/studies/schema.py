@@ -10,6 +10,7 @@ import math
 import re
 from collections.abc import Iterator
 from dataclasses import is_dataclass
+from functools import reduce
 from typing import Annotated, Any, get_args, get_origin
 
 from pydantic.fields import FieldInfo
@@ -26,6 +27,13 @@ HEAD = """# Keys of the study file
 All sections and keys. `fmuid schema` prints the same for editors.
 [The study file](study-file.md) shows examples. Paths are relative to the study file.
 """
+SHORT = {
+    r" in quotes|the path of a |\b(an?|the) ": "",
+    "whole number": "integer",
+    "(number )?above": ">",
+    "(number)?, 0 or >": " ≥ 0",
+}
+"""Patterns in names of kinds, and what the page has in their place."""
 
 
 class _Schema(GenerateJsonSchema):
@@ -62,6 +70,7 @@ def reference() -> str:
     parts, shown = [HEAD], dict[str, str]()
     for table, (name, *others) in names.items():
         rows = {key: _row(key, each, name) for key, each in own_first(table)}
+        rows = {key: row for key, row in rows.items() if name or " (section): " not in row}  # a heading says it
         again = dict[str, list[str]]()
         for key, row in rows.items():
             if shown.setdefault(row, name) != name:
@@ -76,8 +85,8 @@ def reference() -> str:
 
 def _row(key: str, field: FieldInfo, name: str) -> str:
     """Return the line of a key: kind, default and meaning."""
-    kind = _kind(key, field, name).replace("a text in quotes", "text").replace("whole number", "integer")
-    given = ", ".join(each for each in (re.sub(r"\b(an?|the) ", "", kind), _default(field)) if each)
+    kind = reduce(lambda kind, short: re.sub(*short, kind), SHORT.items(), _kind(key, field, name))
+    given = ", ".join(each for each in (kind.strip(), _default(field)) if each)
     return f"- `{key}`{f' ({given})' if given else ''}: {field.description}"
 
 
