@@ -10,7 +10,6 @@ import math
 import re
 from collections.abc import Iterator
 from dataclasses import is_dataclass
-from functools import reduce
 from typing import Annotated, Any, get_args, get_origin
 
 from pydantic.fields import FieldInfo
@@ -85,7 +84,9 @@ def reference() -> str:
 
 def _row(key: str, field: FieldInfo, name: str) -> str:
     """Return the line of a key: kind, default and meaning."""
-    kind = reduce(lambda kind, short: re.sub(*short, kind), SHORT.items(), _kind(key, field, name))
+    kind = _kind(key, field, name)
+    for long, short in SHORT.items():
+        kind = re.sub(long, short, kind)
     given = ", ".join(each for each in (kind.strip(), _default(field)) if each)
     return f"- `{key}`{f' ({given})' if given else ''}: {field.description}"
 
