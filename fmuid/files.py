@@ -35,6 +35,14 @@ def full(path: Path) -> str:
         return repr(str(path.absolute()))
 
 
+def relative(path: Path, folder: Path) -> str:
+    """Return a path relative to a folder, with forward slashes; absolute on another drive."""
+    try:
+        return Path(os.path.relpath(path.resolve(), folder.resolve())).as_posix()
+    except ValueError:
+        return path.resolve().as_posix()
+
+
 def make_folder(folder: Path) -> None:
     """Make an output folder; raise `InputError` if it is not writable."""
     try:

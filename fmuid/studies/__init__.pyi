@@ -25,4 +25,6 @@ from .parameters import SourceIssue as SourceIssue
 from .parameters import SourceWarning as SourceWarning
 from .schema import schema_text as schema_text
 from .study import Study as Study
+from .toml import quoted_key as quoted_key
 from .toml import read_toml as read_toml
+from .toml import toml_text as toml_text

@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 from pydantic import AfterValidator, BeforeValidator, Field
 
 from fmuid.data import LOSSES
 from fmuid.diagnosis import Rule
-from fmuid.errors import InputError
 from fmuid.estimation import SENSITIVITIES, Marquardt
 from fmuid.formatting import nearest
 from fmuid.identification import (
@@ -85,6 +83,11 @@ class EstimationSection(StudySection):
         with self.place.located():
             return GlobalSearch(method, seed=self.seed, **words, marquardt=marquardt)  # type: ignore[arg-type]
 
+    def observed(self, problem: Problem) -> Problem:
+        """Return a problem with the observer, if any."""
+        with self.place.below("observer_memory").located():
+            return problem if self.observer_memory is None else with_observer(problem, self.observer_memory)
+
     def check_loss(self, method: Method, asked: AssessmentSettings, top: SectionLocation) -> None:
         """Check the loss against method and cost maps."""
         for other, there in ((f'method = "{self.method}"', method.whole_box), ("cost_map", bool(asked.maps))):
@@ -99,16 +102,6 @@ class EstimationSection(StudySection):
             raise self.error(f'jacobian = "{self.jacobian}" and observer_memory cannot be combined. Remove one.')
         for name in (name for name, there in tables.items() if there):
             raise top.error(f"[{name}] and estimation.observer_memory cannot be combined. Remove one.")
-
-
-def observed_by(problem: Problem, samples: float | None, path: Path) -> Problem:
-    """Return a problem with the observer of a study file, if any."""
-    if samples is None:
-        return problem
-    try:
-        return with_observer(problem, samples)
-    except InputError as error:
-        raise InputError(f"{path}: estimation.observer_memory: {error}") from None
 
 
 # --- [uncertainty] ----------------------------------------------------------------------

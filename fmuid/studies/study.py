@@ -20,7 +20,7 @@ from fmuid.identification import Assessment, AssessmentSettings, Problem, assess
 from fmuid.models import System
 from fmuid.simulation import OutputFit, Simulator, fit_of
 from fmuid.studies.array_elements import check_shapes
-from fmuid.studies.estimation import EstimationSection, MonitoringSection, observed_by
+from fmuid.studies.estimation import EstimationSection, MonitoringSection
 from fmuid.studies.faults import DiagnosisSection
 from fmuid.studies.model import ExperimentSettings, ParsedModel, named
 from fmuid.studies.overrides import override
@@ -252,7 +252,7 @@ class Study(HtmlTableMixin):
             sensitivity=self.estimation.jacobian,
             choices=self.model.choices,
         )
-        return observed_by(problem, self.estimation.observer_memory, self.path)
+        return self.estimation.observed(problem)
 
     @cached_property
     def notes(self) -> tuple[SourceWarning, ...]:

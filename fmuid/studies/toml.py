@@ -70,6 +70,15 @@ def show(value: object) -> str:
     return str(value)
 
 
+def toml_text(value: object) -> str:
+    """Return a value as in one line of a TOML file."""
+    if isinstance(value, Mapping):
+        return f"{{ {', '.join(f'{quoted_key(name)} = {toml_text(each)}' for name, each in value.items())} }}"
+    if isinstance(value, list):
+        return f"[{', '.join(map(toml_text, value))}]"
+    return repr(value) if isinstance(value, float) else json.dumps(value, ensure_ascii=False)
+
+
 def quoted_key(name: str) -> str:
     """Return a name as a key in TOML, in quotes where needed."""
     return name if re.fullmatch(r"[A-Za-z0-9_-]+", name) else json.dumps(name, ensure_ascii=False)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from types import SimpleNamespace
@@ -38,10 +38,11 @@ def bench_of(path: Path) -> Any:
     return SimpleNamespace(folder=Folder(path), jobs=Jobs())
 
 
-def asked_for(*files: str) -> Any:
-    """Return the document of a page that is asked for these files."""
+def asked_for(*files: str, settings: Sequence[str] = ()) -> Any:
+    """Return the document of a page that is asked for these files, with values of a study."""
     doc: Any = Document()
-    request = SimpleNamespace(arguments={"file": [name.encode() for name in files]})
+    arguments = {"file": files, "set": settings, "fmuid-scheme": ["light"]}
+    request = SimpleNamespace(arguments={name: [each.encode() for each in given] for name, given in arguments.items()})
     doc._session_context = lambda: SimpleNamespace(request=request)
     return doc
 

@@ -12,7 +12,7 @@ from typing import Any
 
 from fmuid.codec import from_json
 from fmuid.errors import InputError
-from fmuid.files import ContentError, full, is_file, is_folder
+from fmuid.files import ContentError, full, is_file, is_folder, relative
 from fmuid.runs import IdentificationRun
 from fmuid.studies import read_toml
 
@@ -147,7 +147,7 @@ class Folder:
 
     def name(self, path: Path) -> str:
         """Return the name of a path relative to this folder."""
-        return Path(os.path.relpath(path.resolve(), self.root)).as_posix()
+        return relative(path, self.root)
 
     def has(self, path: Path) -> bool:
         """Whether a path lies in this folder."""
@@ -184,11 +184,6 @@ TABLES = (".csv", ".parquet", ".mat", ".xlsx", ".ods", ".h5", ".tdms", ".mf4")
 def tables(folder: Folder) -> list[Path]:
     """Return the data files of the folder, without results."""
     return [path for path in choices(folder, TABLES) if not any((path.parent / mark).exists() for mark in _MARKS)]
-
-
-def beside(path: Path, study: Path) -> str:
-    """Return the name of a file relative to a study's folder."""
-    return Path(os.path.relpath(path, study.parent)).as_posix()
 
 
 def choices(folder: Folder, kinds: tuple[str, ...]) -> list[Path]:

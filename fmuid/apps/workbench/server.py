@@ -136,9 +136,12 @@ def _build(where: str, workbench: Workbench, doc: Any) -> None:
 
 
 @cache
-def _pages() -> dict[str, Callable[[Any, Workbench], None]]:
+def _pages() -> dict[str, Callable[[Any, Workbench], object]]:
     """Return the builders of pages, whose modules are slow to import."""
-    from fmuid.apps.workbench.pages import batch, faults, new, results, study
+    from fmuid.apps.workbench.pages.batch import BatchPage
+    from fmuid.apps.workbench.pages.faults import FaultsPage
+    from fmuid.apps.workbench.pages.new import NewPage
+    from fmuid.apps.workbench.pages.results import build
+    from fmuid.apps.workbench.pages.study import StudyPage
 
-    built = (study.build, results.build, batch.build, faults.build, new.build)
-    return dict(zip(_ADDRESSES, built, strict=True))
+    return dict(zip(_ADDRESSES, (StudyPage, build, BatchPage, FaultsPage, NewPage), strict=True))

@@ -8,21 +8,18 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from fmuid.errors import InputError
-from fmuid.files import exists
+from fmuid.files import exists, relative
 from fmuid.formatting import two_digits
 from fmuid.studies.init.data_file import InitOptions, MatchedDataFile
 from fmuid.studies.init.lines import (
     example,
     free,
-    inline,
     listed,
     numerics,
     parameter,
     parameter_line,
-    relative,
     rest,
     role,
-    text,
 )  # fmt: skip
 from fmuid.studies.init.parameter_survey import (
     FREE,
@@ -35,6 +32,7 @@ from fmuid.studies.init.parameter_survey import (
     proposal,
     survey,
 )  # fmt: skip
+from fmuid.studies.toml import toml_text
 
 if TYPE_CHECKING:
     from fmuid.models import Description
@@ -74,10 +72,10 @@ def draft(fmu: Path, records: Sequence[MatchedDataFile], output: Path) -> Draft:
         f"# Study of {description.model_name}, written by `fmuid init`.",
         f"# Check the free parameters below [parameters], then run: fmuid identify {output.name}",
         "",
-        f"title = {text(description.model_name)}",
+        f"title = {toml_text(description.model_name)}",
         "",
         "[model]",
-        f"fmu = {text(relative(fmu, output))}  # paths are relative to this file",
+        f"fmu = {toml_text(relative(fmu, output.parent))}  # paths are relative to this file",
         *numerics(description),
         "",
         "[model.fixed]  # fixed parameters that differ from the FMU: name = value",
@@ -117,15 +115,16 @@ def _experiment(record: MatchedDataFile, output: Path, name: str, *, first: bool
     said = {"time_unit": asked.time_unit, "sample_rate": asked.sample_rate, "sheet": asked.sheet}
     return [
         "[[experiments]]" + ("  # repeat this section for each experiment" if first else ""),
-        f"data = {text(relative(record.path, output))}",
-        *([f"name = {text(name)}"] if name else []),
-        f"time = {text(asked.time)}" + ("  # or the name of the time column: Time (ms), t, timestamp" if first else ""),
-        *(f"{word} = {text(value)}" for word, value in said.items() if value is not None),
+        f"data = {toml_text(relative(record.path, output.parent))}",
+        *([f"name = {toml_text(name)}"] if name else []),
+        f"time = {toml_text(asked.time)}"
+        + ("  # or the name of the time column: Time (ms), t, timestamp" if first else ""),
+        *(f"{word} = {toml_text(value)}" for word, value in said.items() if value is not None),
         *_role(record, "input"),
         *_role(record, "output"),
         *([f"# unused columns: {listed(record.unused)}"] if record.unused else []),
-        *([f"units = {inline(asked.units)}"] if asked.units else []),
-        *([f"preprocess = {inline(asked.prepare)}"] if asked.prepare else []),
+        *([f"units = {toml_text(asked.units)}"] if asked.units else []),
+        *([f"preprocess = {toml_text(asked.prepare)}"] if asked.prepare else []),
         *(['# for other column names: outputs = { fmu_variable = "column" }'] if first else []),
         _interpolation(record),
         example(ExperimentSettings, "warmup"),
@@ -138,7 +137,7 @@ def _interpolation(record: MatchedDataFile) -> str:
     found = record.interpolation
     if found == "linear":
         return example(ExperimentSettings, "interpolation")
-    said = text(found) if isinstance(found, str) else role("", found).removeprefix(" = ")
+    said = toml_text(found) if isinstance(found, str) else role("", found).removeprefix(" = ")
     return f'interpolation = {said}  # guessed from constant stretches; "linear" for measured inputs'
 
 

@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
-import json
-import os
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 from textwrap import shorten
 from typing import TYPE_CHECKING
 
 from fmuid.studies.init.column_matching import of_tables
 from fmuid.studies.section import keys_of, own_first, summary, table_of
-from fmuid.studies.toml import quoted_key, show
+from fmuid.studies.toml import quoted_key, show, toml_text
 
 if TYPE_CHECKING:
     from fmuid.models import FMU, Description, Variable
@@ -36,7 +33,7 @@ def skeleton(fmu: FMU) -> str:
         remark = "  # the FMU declares no outputs: name measured states or local variables"
     lines = [
         "[model]",
-        f"fmu = {text(fmu.path.name)}  # relative to the study file",
+        f"fmu = {toml_text(fmu.path.name)}  # relative to the study file",
         *numerics(description),
         "",
         "[[experiments]]",
@@ -51,16 +48,6 @@ def skeleton(fmu: FMU) -> str:
     if len(freed) > PARAMETERS_LISTED:
         lines.append(f"# and {len(freed) - PARAMETERS_LISTED} more; `fmuid init` writes all")
     return "\n".join(lines) + "\n"
-
-
-def inline(value: object) -> str:
-    """Return a value as in one line of a study file."""
-    if isinstance(value, Mapping):
-        pairs = (f"{quoted_key(name)} = {inline(each)}" for name, each in value.items())
-        return f"{{ {', '.join(pairs)} }}"
-    if isinstance(value, list):
-        return f"[{', '.join(map(inline, value))}]"
-    return text(value) if isinstance(value, str) else str(value).lower() if isinstance(value, bool) else repr(value)
 
 
 def numerics(description: Description) -> list[str]:
@@ -99,10 +86,10 @@ def example(table: type, key: str) -> str:
 def role(word: str, columns: Mapping[str, str]) -> str:
     """Return inputs or outputs as a list or ``{ name = column }``."""
     if any(variable != column for variable, column in columns.items()):
-        return f"{word} = {inline(columns)}"
+        return f"{word} = {toml_text(columns)}"
     lines = [f"{word} = ["]
     for name in columns:
-        item = text(name) + ", "
+        item = toml_text(name) + ", "
         if len(lines[-1] + item) > LINE_LENGTH:
             lines.append("    ")
         lines[-1] += item
@@ -155,16 +142,3 @@ def declared_bounds(variable: Variable, start: float) -> dict[str, float]:
         if bound is not None and abs(bound) < 1e60 and (start >= bound if word == "min" else start <= bound):
             found[word] = bound
     return {} if "min" in found and found["min"] == found.get("max") else found
-
-
-def relative(path: Path, output: Path) -> str:
-    """Return a path relative to a study file."""
-    try:
-        return Path(os.path.relpath(path.resolve(), output.resolve().parent)).as_posix()
-    except ValueError:  # another drive
-        return path.resolve().as_posix()
-
-
-def text(given: str | float) -> str:
-    """Return a text or number as in TOML."""
-    return json.dumps(given, ensure_ascii=False)

@@ -10,7 +10,6 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
-from bokeh.document import Document
 
 from fmuid.apps.workbench import Folder
 from fmuid.apps.workbench.home import _results, _studies
@@ -18,7 +17,6 @@ from fmuid.apps.workbench.pages import results as results_page
 from fmuid.apps.workbench.pages.batch import BatchPage
 from fmuid.apps.workbench.pages.study import StudyPage
 from fmuid.errors import FmuidError
-from fmuid.studies import Study
 from tests.support.begun_batch import batch, write_part
 from tests.support.changed_types import with_changed_type
 from tests.support.coil_study import STUDY
@@ -52,14 +50,13 @@ def page_of_results(folder: Path, *names: str) -> str:
 
 
 def page_of_the_study(folder: Path) -> str:
-    path = folder / "study.toml"
-    page = StudyPage(Document(), bench_of(folder), path, Study.read(path), "light")
+    page = StudyPage(asked_for("study.toml"), bench_of(folder), isolated=False)
     page._newest.close()
     return str(page.identifying.text.text)
 
 
 def page_of_the_batch(folder: Path) -> str:
-    page = BatchPage(Document(), Folder(folder), folder / "out", "light")
+    page = BatchPage(asked_for("out"), bench_of(folder))
     page.number.value = "3"
     return str(page.state.text)
 
@@ -131,7 +128,7 @@ def test_batch_page_shows_the_sound_rows(tmp_path: Path, column: str, value: str
     manifest.write_text(json.dumps(json.loads(manifest.read_text()) | {"truth": {"R": None}}))
     damaged = sound.with_name("part-000000009-0123456789ab.parquet")
     damaged.write_bytes(b"PAR1 no more")
-    page = BatchPage(Document(), Folder(tmp_path), tmp_path / "out", "light")
+    page = BatchPage(asked_for("out"), bench_of(tmp_path))
     assert list(page.frame["case"]) == [0, 1]
     assert page.drawn.children[0].name != "none"
     assert said in page.state.text

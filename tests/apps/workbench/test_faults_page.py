@@ -18,7 +18,7 @@ from fmuid.errors import InputError
 from fmuid.studies import Study
 from tests.support.results import result
 from tests.support.running import run_diagnosis, run_monitoring, run_study
-from tests.support.workbench import PATIENCE, bench_of, coil_study, finished
+from tests.support.workbench import PATIENCE, asked_for, bench_of, coil_study, finished
 
 
 def text(shown: ResultsView) -> str:
@@ -44,7 +44,7 @@ def test_results_view_follows_its_folder(tmp_path: Path) -> None:
 
 def test_study_without_diagnosis_is_refused(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"has no \[diagnosis\]"):
-        FaultsPage(Document(), bench_of(tmp_path), coil_study(tmp_path), "light")
+        FaultsPage(asked_for(coil_study(tmp_path).name), bench_of(tmp_path))
 
 
 @pytest.mark.slow
@@ -59,8 +59,8 @@ def test_diagnosis_is_started_and_results_are_followed(tmp_path: Path) -> None:
         f'outputs = ["i"]\n[diagnosis]\nbaseline = "healthy/result.json"\n{fault}[monitoring]\n'
         "false_alarm_rate = 0.01\n"
     )
-    study, doc = tmp_path / "faults.toml", Document()
-    page = FaultsPage(doc, bench_of(tmp_path), study, "light")
+    study = tmp_path / "faults.toml"
+    page = FaultsPage(asked_for("faults.toml"), bench_of(tmp_path))
     assert page.records.options == ["", "records/", "records/one.csv"]
     page.monitor()
     assert "Choose a data file" in page.run.state.text

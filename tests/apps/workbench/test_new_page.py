@@ -23,7 +23,7 @@ def page(tmp_path: Path) -> NewPage:
     coil_table(tmp_path / "bench.csv", 0.0, seed=1)
     text = (tmp_path / "bench.csv").read_text().replace("time,u,i", "time,U_soll,strom")
     (tmp_path / "bench.csv").write_text(text)
-    return NewPage(Document(), bench_of(tmp_path), "light")
+    return NewPage(Document(), bench_of(tmp_path))
 
 
 def lines(page: NewPage) -> set[float]:

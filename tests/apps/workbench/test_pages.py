@@ -196,12 +196,12 @@ def test_pages_without_their_files_are_refused(tmp_path: Path) -> None:
     with pytest.raises(fmuid.InputError, match="Choose results on the first page"):
         build(Document(), bench_of(tmp_path))
     with pytest.raises(fmuid.InputError, match=r"has no batch\.json"):
-        BatchPage(Document(), Folder(tmp_path), tmp_path, "light")
+        BatchPage(asked_for("."), bench_of(tmp_path))
 
 
 def test_batch_of_another_process_is_followed(tmp_path: Path) -> None:
     batch(tmp_path / "out", 2)
-    page = BatchPage(Document(), Folder(tmp_path), tmp_path / "out", "light")
+    page = BatchPage(asked_for("out"), bench_of(tmp_path))
     assert "2 of 5 cases, 1 failed" in page.state.text
     batch(tmp_path / "out", 4)
     page.look()
@@ -237,8 +237,7 @@ def test_case_leads_to_its_study_and_values(tmp_path: Path) -> None:
     manifest |= BatchStudy(Study.read(tmp_path / "study.toml"), isolated=False, versions={}).manifest()
     manifest |= {"dashboard": "http://host:8787/status?a=<b>"}
     (tmp_path / "out/batch.json").write_text(json.dumps(manifest))
-    doc: Any = Document()
-    page = BatchPage(doc, Folder(tmp_path), tmp_path / "out", "light")
+    page = BatchPage(doc := asked_for("out"), bench_of(tmp_path))
     page.source.selected.indices = [2]
     link = re.search(r'href="([^"]*)">Simulate this case', page.case.text)
     assert link is not None
@@ -256,8 +255,7 @@ def test_case_leads_to_its_study_and_values(tmp_path: Path) -> None:
     told = " ".join(text for text, _ in doc.template_variables["pieces"])
     assert 'href="http://host:8787/status?a=&lt;b&gt;"' in told
     (tmp_path / "out/batch.json").write_text(json.dumps(manifest | {"dashboard": "javascript:alert(1)", "study": {}}))
-    doc = Document()
-    page = BatchPage(doc, Folder(tmp_path), tmp_path / "out", "light")
+    page = BatchPage(doc := asked_for("out"), bench_of(tmp_path))
     page.source.selected.indices = [2]
     assert "javascript" not in " ".join(text for text, _ in doc.template_variables["pieces"])
     assert "Simulate this case" not in page.case.text

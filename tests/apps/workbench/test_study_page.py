@@ -11,7 +11,6 @@ from urllib.parse import parse_qs, urlsplit
 
 import numpy as np
 import pytest
-from bokeh.document import Document
 from bokeh.document.events import SessionCallbackAdded
 from bokeh.events import ButtonClick
 from bokeh.models import Button
@@ -27,18 +26,17 @@ from tests.support.coil_study import coil_table
 from tests.support.isolated import wait_until
 from tests.support.results import result
 from tests.support.running import run_study
-from tests.support.workbench import PATIENCE, bench_of, coil_study
+from tests.support.workbench import PATIENCE, asked_for, bench_of, coil_study
 
 
 class Page:
     """A page and what runs its callbacks."""
 
     def __init__(self, path: Path, given: Sequence[str] = ()) -> None:
-        self.doc: Any = Document()
+        self.doc = asked_for(path.name, settings=given)
         self.due: list[Any] = []  # in the order in which a server would call them
         self.doc.on_change(self._note)
-        study = Study.read(path, given)
-        self.page = StudyPage(self.doc, bench_of(path.parent), path, study, "light", given)
+        self.page = StudyPage(self.doc, bench_of(path.parent), isolated=False)
         self.rows = {each.name: each for each in self.page.rows}
         self.settle()
 
@@ -356,6 +354,6 @@ def test_distance_needs_a_covariance(page: Page, tmp_path: Path, L: Any, told: b
 
 
 def test_study_without_parameters_is_refused(path: Path) -> None:
-    study = Study.of({**Study.read(path).data, "parameters": {}}, path)
+    fixed = ["parameters.R=1.0", "parameters.L=1.0"]
     with pytest.raises(InputError, match="no free parameter"):
-        StudyPage(Document(), bench_of(path.parent), path, study, "light")
+        StudyPage(asked_for(path.name, settings=fixed), bench_of(path.parent))

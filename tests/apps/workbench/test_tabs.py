@@ -8,18 +8,16 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from bokeh.document import Document
 
 from fmuid.apps.workbench import Folder, Workbench, server
 from fmuid.apps.workbench.pages.study import StudyPage
 from fmuid.processes import AVAILABLE, SERVER
-from fmuid.studies import Study
 from tests.support import waiting_page
 from tests.support.coil_study import coil_table
 from tests.support.isolated import processes, wait_until
 from tests.support.misbehaving import Mode, misbehaving_fmu
 from tests.support.tab import Tab
-from tests.support.workbench import PATIENCE, bench_of, running
+from tests.support.workbench import PATIENCE, asked_for, bench_of, running
 
 NEEDS_PROCESSES = pytest.mark.skipif(not AVAILABLE, reason="FMUs are not run in processes of their own here")
 
@@ -65,9 +63,8 @@ def test_closed_tab_leaves_no_process(tmp_path: Path, isolated: bool, mode: Mode
     )
     if isolated:
         SERVER.start()
-    before, doc = len(processes()), Document()
-    study = Study.read(tmp_path / "study.toml", isolated=isolated)
-    page = StudyPage(doc, bench_of(tmp_path), study.path, study, "light")
+    before, doc = len(processes()), asked_for("study.toml")
+    page = StudyPage(doc, bench_of(tmp_path), isolated=isolated)
     wait_until(lambda: len(processes()) > before or not isolated, PATIENCE)
     if mode is Mode.SOUND:
         wait_until(lambda: doc.session_callbacks, PATIENCE)  # it has simulated

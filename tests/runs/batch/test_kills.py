@@ -15,10 +15,8 @@ from urllib.request import urlopen
 import numpy as np
 import pandas as pd
 import pytest
-from bokeh.document import Document
 
 from experiments.batches.campaign import command, family, left_over, rows
-from fmuid.apps.workbench import Folder
 from fmuid.apps.workbench.pages.batch import BatchPage
 from fmuid.errors import FmuidError
 from fmuid.events import Event
@@ -42,6 +40,7 @@ from tests.support.coil_batches import (
 from tests.support.coil_study import fmuid_
 from tests.support.isolated import wait_until
 from tests.support.misbehaving import RELEASED, Mode, Where, lag, misbehaving_fmu
+from tests.support.workbench import asked_for, bench_of
 
 pytestmark = pytest.mark.usefixtures("blank_figures")
 SAMPLES, STEP = 200, 0.1  # of the record of the cases that wait; s
@@ -231,8 +230,7 @@ def test_a_cluster(
         dashboard = json.loads((fleet / "out" / "batch.json").read_text())["dashboard"]
         with urlopen(dashboard, timeout=60.0) as answer:
             assert answer.status == 200
-        doc = Document()
-        BatchPage(doc, Folder(fleet), fleet / "out", "light")
+        BatchPage(doc := asked_for("out"), bench_of(fleet))
         assert f'href="{dashboard}"' in " ".join(text for text, _ in doc.template_variables["pieces"])
 
         wait_until(lambda: not shops(fleet))

@@ -20,10 +20,10 @@ from fmuid.apps.workbench.access_control import SCHEME
 from fmuid.apps.workbench.home import address
 from fmuid.apps.workbench.page_layout import argument, dress, sections
 from fmuid.apps.workbench.pages.results_view import EVERY, side_by_side
-from fmuid.apps.workbench.project_folder import Folder, FoundResult, FoundStudy, beside, read_json
+from fmuid.apps.workbench.project_folder import Folder, FoundResult, FoundStudy, read_json
 from fmuid.apps.workbench.widgets import SHEET, WIDE, choice, line, on_change, typed, words
 from fmuid.errors import InputError
-from fmuid.files import is_file
+from fmuid.files import is_file, relative
 from fmuid.reports.render.bokeh_models import live
 from fmuid.reports.render.bokeh_renderer import drawing
 from fmuid.reports.render.html import text as escaped
@@ -39,16 +39,12 @@ _GRID = """
 """
 
 
-def build(doc: Any, bench: Any) -> None:
-    """Fill a document with the page of a batch."""
-    folder: Folder = bench.folder
-    BatchPage(doc, folder, folder.path(argument(doc, "file")), argument(doc, SCHEME))
-
-
 class BatchPage:
-    """One tab of a batch."""
+    """Page of a batch, in a document."""
 
-    def __init__(self, doc: Any, folder: Folder, place: Path, scheme: str) -> None:
+    def __init__(self, doc: Any, bench: Any) -> None:
+        folder: Folder = bench.folder
+        place, scheme = folder.path(argument(doc, "file")), argument(doc, SCHEME)
         if not is_file(place / "batch.json"):
             raise InputError(f"{folder.name(place)} has no batch.json. Choose the folder of a batch.")
         self.doc, self.folder, self.place, self.scheme = doc, folder, place, scheme
@@ -218,7 +214,7 @@ def case_settings(path: Path, number: int, found: pd.Series[Any]) -> list[str]:
     if not 0 <= number < len(cases):
         raise InputError(f"{path} has no case {number} any more")
     case = cases[number]
-    table = [] if case.table is None else [f"experiments.0.data={json.dumps(beside(case.table, path))}"]
+    table = [] if case.table is None else [f"experiments.0.data={json.dumps(relative(case.table, path.parent))}"]
     held = [
         f'{"parameters" if name in study.parameters else "model.fixed"}."{name}"={json.dumps(value)}'
         for name, value in case.held.items()

@@ -14,25 +14,23 @@ from fmuid.apps.workbench.jobs import command_text
 from fmuid.apps.workbench.page_layout import argument, dress, sections
 from fmuid.apps.workbench.pages.command_panel import CommandPanel
 from fmuid.apps.workbench.pages.results_view import ResultsView
-from fmuid.apps.workbench.project_folder import Folder, beside, read_study, tables
+from fmuid.apps.workbench.project_folder import Folder, read_study, tables
 from fmuid.apps.workbench.widgets import SHEET, choice, line, on_change, words
 from fmuid.errors import InputError
+from fmuid.files import relative
 from fmuid.reports.render.html import text as escaped
 
 KINDS = ("monitoring", "diagnosis")
 
 
-def build(doc: Any, bench: Any) -> None:
-    """Fill a document with the page of a study."""
-    folder: Folder = bench.folder
-    FaultsPage(doc, bench, folder.path(argument(doc, "file")), argument(doc, SCHEME))
-
-
 class FaultsPage:
-    """One tab of the faults of a study."""
+    """Page of the faults of a study, in a document."""
 
-    def __init__(self, doc: Any, bench: Any, path: Path, scheme: str) -> None:
-        self.folder, self.path = bench.folder, path
+    folder: Folder
+
+    def __init__(self, doc: Any, bench: Any) -> None:
+        self.folder, self.path = bench.folder, bench.folder.path(argument(doc, "file"))
+        path = self.path
         study = read_study(path)
         if study is None or study.error or "diagnosis" not in study.asks:
             raise InputError(f"{path} has no [diagnosis]. Add it with the fault models.")
@@ -46,7 +44,7 @@ class FaultsPage:
         self.command = words("command")
         on_change(self._tell, self.records)
         on_change(self._tell, self.follow, name="active")
-        self.shown = ResultsView(doc, study.results, scheme, KINDS)
+        self.shown = ResultsView(doc, study.results, argument(doc, SCHEME), KINDS)
         if self.run.job is not None and self.run.job.running:
             self.run.follow()
         self._tell()
@@ -58,7 +56,7 @@ class FaultsPage:
 
     def words(self) -> list[str]:
         """Return the command that monitors the chosen data."""
-        where = beside(self.folder.path(self.records.value), self.path) if self.records.value else "DATA"
+        where = relative(self.folder.path(self.records.value), self.path.parent) if self.records.value else "DATA"
         return ["monitor", self.path.name, where, *(["--follow"] if self.follow.active else [])]
 
     def diagnose(self) -> None:

@@ -36,17 +36,12 @@ LABELS = {
 """Offered keys of ``[experiments.preprocess]``, beside detrend."""
 
 
-def build(doc: Any, bench: Any) -> None:
-    """Fill a document with the page."""
-    NewPage(doc, bench, argument(doc, SCHEME))
-
-
 class NewPage:
-    """One tab of a new study."""
+    """Page of a new study, in a document."""
 
-    def __init__(self, doc: Any, bench: Any, scheme: str) -> None:
+    def __init__(self, doc: Any, bench: Any) -> None:
         self.folder: Folder = bench.folder
-        self.scheme, self.records = scheme, tuple[MatchedDataFile, ...]()
+        self.scheme, self.records = argument(doc, SCHEME), tuple[MatchedDataFile, ...]()
         fmus = [self.folder.name(path) for path in choices(self.folder, (".fmu",))]
         known = [self.folder.name(path) for path in tables(self.folder)]
         self.fmu = choice("FMU", ["", *fmus], "fmu", fmus[0] if len(fmus) == 1 else "")

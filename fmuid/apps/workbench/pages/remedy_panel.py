@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Callable, Iterator, Sequence
 from functools import partial
@@ -16,15 +15,15 @@ from fmuid.apps.workbench.home import address
 from fmuid.apps.workbench.jobs import Job
 from fmuid.apps.workbench.pages.command_panel import CommandPanel
 from fmuid.apps.workbench.pages.sliders import ParameterRow
-from fmuid.apps.workbench.project_folder import Folder, beside, tables
+from fmuid.apps.workbench.project_folder import Folder, tables
 from fmuid.apps.workbench.widgets import LINE, WIDE, button, several, words
 from fmuid.errors import InputError
 from fmuid.estimation import Result
-from fmuid.files import is_file
+from fmuid.files import is_file, relative
 from fmuid.formatting import of_parameter
 from fmuid.reports.render.html import text as escaped
 from fmuid.runs import study_of
-from fmuid.studies import Study, read_toml
+from fmuid.studies import Study, quoted_key, read_toml, toml_text
 
 DESIGN = "design"  # subfolder of the results for the comparison of excitations
 
@@ -84,8 +83,8 @@ class ExcitationComparison:
         if not self.tables.value:
             self.run.refuse("No data files chosen. Choose files with the planned inputs.")
             return
-        given = [beside(path, self.study) for path in map(self.where.path, self.tables.value)]
-        output = beside(self.folder, self.study)
+        given = [relative(path, self.study.parent) for path in map(self.where.path, self.tables.value)]
+        output = relative(self.folder, self.study.parent)
         self.run.begin(self.study, ["design", self.study.name, *given, "--output", output, *self._settings()])
 
     def _end(self, job: Job) -> None:
@@ -155,7 +154,7 @@ class UndeterminedResult:
             self.settings = list(_settings(now, study.data))
             known = dict(zip(result.names, result.values.tolist(), strict=True))
             found = [name for name in study.parameters if name in known and name not in self.names]
-            more = [f"parameters.{_key(name)}.start={known[name]!r}" for name in found]
+            more = [f"parameters.{quoted_key(name)}.start={known[name]!r}" for name in found]
             told = last_of(*self.settings, *more, *noise_of(study, result))
             self.designing = [word for each in told for word in ("--set", each)]
             self._address = address("study", folder, self.study)
@@ -187,7 +186,7 @@ def noise_of(study: Study, result: Result | None) -> list[str]:
     found = (
         {} if result is None else {name: each for name, each in result.fit.noise_variance.items() if name not in known}
     )
-    return [f"noise.variance={_toml(known | found)}"] if found else []
+    return [f"noise.variance={toml_text(known | found)}"] if found else []
 
 
 def _which(name: str) -> str:
@@ -199,25 +198,13 @@ def _settings(before: Any, after: Any, where: str = "") -> Iterator[str]:
     if isinstance(before, dict) and isinstance(after, dict):
         if not where:  # fixed parameters move to [model]
             held = before.get("parameters", {}).keys() - after.get("parameters", {}).keys()
-            yield from (f"parameters.{_key(name)}={after['model']['fixed'][name]!r}" for name in sorted(held))
+            yield from (f"parameters.{quoted_key(name)}={after['model']['fixed'][name]!r}" for name in sorted(held))
         for key, value in after.items():
             if before.get(key) != value:
-                yield from _settings(before.get(key), value, f"{where}.{_key(key)}" if where else key)
+                yield from _settings(before.get(key), value, f"{where}.{quoted_key(key)}" if where else key)
     elif isinstance(before, list) and isinstance(after, list) and len(before) == len(after):
         for k, (old, new) in enumerate(zip(before, after, strict=True)):
             if old != new:
                 yield from _settings(old, new, f"{where}.{k}")
     else:
-        yield f"{where}={_toml(after)}"
-
-
-def _key(name: str) -> str:
-    return name if name.isidentifier() else f'"{name}"'
-
-
-def _toml(value: Any) -> str:
-    if isinstance(value, dict):
-        return "{ " + ", ".join(f"{_key(key)} = {_toml(each)}" for key, each in value.items()) + " }"
-    if isinstance(value, list):
-        return "[" + ", ".join(map(_toml, value)) + "]"
-    return repr(value) if isinstance(value, float) else json.dumps(value)
+        yield f"{where}={toml_text(after)}"

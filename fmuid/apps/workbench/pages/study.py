@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import math
 import time
-from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -38,24 +37,15 @@ from fmuid.studies import Study
 HOLD, PRIOR = "hold", "prior"  # Address arguments: a parameter to fix, and one to give a prior
 
 
-def build(doc: Any, bench: Any) -> None:
-    """Fill a document with the page of a study."""
-    path, given = bench.folder.path(argument(doc, "file")), arguments(doc, "set")
-    page = StudyPage(doc, bench, path, Study.read(path, given, isolated=AVAILABLE), argument(doc, SCHEME), given)
-    held, doubted = arguments(doc, HOLD), arguments(doc, PRIOR)
-    for each in page.rows:
-        each.hold.active = each.name in held
-        if each.name in doubted:
-            each.give_prior()
-
-
 class StudyPage:
-    """One tab of a study."""
+    """Page of a study, in a document."""
 
-    def __init__(self, doc: Any, bench: Any, path: Path, study: Study, scheme: str, given: Sequence[str] = ()) -> None:
+    def __init__(self, doc: Any, bench: Any, *, isolated: bool = AVAILABLE) -> None:
+        self.doc, self.bench, self.scheme = doc, bench, argument(doc, SCHEME)
+        self.path: Path = bench.folder.path(argument(doc, "file"))
+        self._given = arguments(doc, "set")  # values that replace those of the file
+        self.study = study = Study.read(self.path, self._given, isolated=isolated)
         study.check_parameters()
-        self.doc, self.bench, self.path, self.study, self.scheme = doc, bench, path, study, scheme
-        self._given = given  # values that replace those of the file
         self.simulators = study.simulators()
         self.simulator: Simulator = self.simulators[0]
         units = parameter_units(study.system, list(study.parameters))
@@ -74,6 +64,11 @@ class StudyPage:
         self.identifying = IdentificationPanel(self)
         self.show_result(self.results)
         self._lay_out()
+        held, doubted = arguments(doc, HOLD), arguments(doc, PRIOR)
+        for each in self.rows:
+            each.hold.active = each.name in held
+            if each.name in doubted:
+                each.give_prior()
 
     @property
     def results(self) -> Path:
