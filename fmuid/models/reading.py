@@ -62,13 +62,7 @@ _NO_TYPE = Element("none")
 
 @uncollected()
 def read_description(path: Path) -> Description:
-    """Read the model description of an FMU.
-
-    Raises
-    ------
-    InputError
-        If the file is missing, no zip archive, unreadable, or of another FMI version.
-    """
+    """Read the model description of an FMU; an `InputError` if missing, unreadable, or of another FMI version."""
     if not is_file(path):
         raise InputError(f"{path}: FMU not found. Check the path.")
     if not zipfile.is_zipfile(path):

@@ -55,28 +55,12 @@ class MappingEntry(NamedTuple):
 
 
 def read_ssv(path: str | Path) -> ParameterValues:
-    """Read an SSV file.
-
-    Raises
-    ------
-    InputError
-        If the file is unreadable, no SSV file, or has a value of a wrong type.
-    """
-    path = Path(path)
-    return parameter_set(read_xml(path, "ParameterSet", "an SSV file"), str(path))
+    """Read an SSV file; an `InputError` if it is unreadable, no SSV file, or has a value of a wrong type."""
+    return parameter_set(read_xml(Path(path), "ParameterSet", "an SSV file"), str(path))
 
 
 def write_ssv(path: Path, name: str, values: Mapping[str, Quantity], units: Mapping[str, Unit]) -> None:
-    """Write an SSV file of SSP 1.0; numbers read back exactly.
-
-    Parameters
-    ----------
-    path : Path
-    name : str
-        Of the parameter set.
-    values : mapping of str to Quantity
-    units : mapping of str to Unit
-        Definitions; values in units without SI exponents are written without unit.
+    """Write an SSV file of SSP 1.0; numbers read back exactly, units without SI exponents are left out.
 
     Raises
     ------
@@ -86,14 +70,16 @@ def write_ssv(path: Path, name: str, values: Mapping[str, Quantity], units: Mapp
         If the file cannot be written.
     """
     defined = {q.unit for q in values.values() if q.unit is not None and q.unit in units and units[q.unit].exponents}
-    lines = ['<?xml version="1.0" encoding="UTF-8"?>', "<ssv:ParameterSet"]
-    lines[-1] += f' xmlns:ssv="{NAMESPACE}ParameterValues" xmlns:ssc="{NAMESPACE}Common"'
-    lines[-1] += f' version="1.0" name={quoteattr(name)} generationTool="fmuid {__version__}">'
-    lines += ["  <ssv:Parameters>"]
+    lines = [
+        '<?xml version="1.0" encoding="UTF-8"?>',
+        f'<ssv:ParameterSet xmlns:ssv="{NAMESPACE}ParameterValues" xmlns:ssc="{NAMESPACE}Common"'
+        f' version="1.0" name={quoteattr(name)} generationTool="fmuid {__version__}">',
+        "  <ssv:Parameters>",
+    ]
     for variable, quantity in values.items():
         said = f" description={quoteattr(quantity.description)}" if quantity.description else ""
-        lines.append(f"    <ssv:Parameter name={quoteattr(variable)}{said}>{_typed(variable, quantity, defined)}")
-        lines[-1] += "</ssv:Parameter>"
+        typed = _typed(variable, quantity, defined)
+        lines.append(f"    <ssv:Parameter name={quoteattr(variable)}{said}>{typed}</ssv:Parameter>")
     lines += ["  </ssv:Parameters>"]
     if defined:
         lines += ["  <ssv:Units>", *(_unit_text(units[unit]) for unit in units if unit in defined), "  </ssv:Units>"]
@@ -115,11 +101,8 @@ def _typed(name: str, quantity: Quantity, defined: set[str]) -> str:
 
 
 def _unit_text(unit: Unit) -> str:
-    exponents = dict(zip(SI_BASE_UNITS, unit.exponents or (), strict=True))
-    given: dict[str, float] = {name: exponent for name, exponent in exponents.items() if exponent}
-    given |= {"factor": unit.factor} if unit.factor != 1.0 else {}
-    given |= {"offset": unit.offset} if unit.offset != 0.0 else {}
-    base = "".join(f' {name}="{number!r}"' for name, number in given.items())
+    given = (*zip(SI_BASE_UNITS, unit.exponents or (), strict=True), ("factor", unit.factor), ("offset", unit.offset))
+    base = "".join(f' {name}="{value!r}"' for name, value in given if value != (1.0 if name == "factor" else 0.0))
     return f"    <ssc:Unit name={quoteattr(unit.name)}><ssc:BaseUnit{base}/></ssc:Unit>"
 
 

@@ -29,14 +29,7 @@ _ELEMENT = re.compile(r"(?P<array>.+)\[(?P<subscripts>\d+(?:,\d+)*)\]")
 
 
 def with_starts(text: bytes, values: Mapping[str, float | int | bool]) -> bytes:
-    """Return a model description with other, annotated start values.
-
-    Parameters
-    ----------
-    text : bytes
-        The modelDescription.xml.
-    values : mapping of str to number or bool
-        In the variables' units; elements of arrays (FMI 3.0) as ``x[2,3]``.
+    """Return a modelDescription.xml with other, annotated start values; elements of arrays are ``x[2,3]``.
 
     Raises
     ------

@@ -20,14 +20,7 @@ DEEPEST_NESTING = 200
 
 
 def parse_xml(text: bytes, what: str) -> ElementTree.Element:
-    """Return the root element of an XML text.
-
-    Parameters
-    ----------
-    text : bytes
-        Content in its declared encoding.
-    what : str
-        Name of the file in messages.
+    """Return the root element of an XML text in its declared encoding; `what` names it in messages.
 
     Raises
     ------

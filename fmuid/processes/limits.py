@@ -40,13 +40,11 @@ class ProcessEnd(IntEnum):
 
 @dataclass(unsafe_hash=True)  # not frozen: exceptions get a traceback
 class HostExitError(Exception):  # no error, but a report
-    """End of an isolated process during its work.
-
-    `number` is the signal, exit code, system error, time limit (ms) or memory limit (MB).
-    """
+    """End of an isolated process during its work."""
 
     kind: ProcessEnd
     number: int
+    """Signal, exit code, system error, time limit (ms) or memory limit (MB)."""
 
     @property
     def signal_name(self) -> str:

@@ -15,6 +15,8 @@ from .output_fit import root_mean_square as root_mean_square
 from .right_hand_side import RightHandSide as RightHandSide
 from .sensitivities import derivatives_of as derivatives_of
 from .simulation_plan import MOST_STEPS as MOST_STEPS
+from .simulation_task import Value as Value
+from .simulation_task import column_conversion as column_conversion
 from .simulator import Simulator as Simulator
 from .smoke_test import Stage as Stage
 from .solver_refinement import AS_ASKED as AS_ASKED
@@ -34,5 +36,3 @@ from .validation import Tool as Tool
 from .validation import Validation as Validation
 from .validation import check_binaries as check_binaries
 from .validation import validate as validate
-from .variable_checks import Value as Value
-from .variable_checks import column_conversion as column_conversion

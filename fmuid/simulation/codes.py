@@ -1,4 +1,4 @@
-"""Numbers shared with the core, which are checked when it is loaded."""
+"""Numbers shared with the core, which are checked when it is loaded; FMI functions and failures as words."""
 
 from __future__ import annotations
 
@@ -40,3 +40,109 @@ HELD, BY_DERIVATIVE, BY_STEPPER, BY_MIDPOINT = range(4)  # what an input does be
 # When a value is set (bits): always; only where it changed, then in event mode; the same, but only after a step of the
 # inputs; with a restart of the integrator where it changed; only at the communication points of its component.
 ALWAYS, AS_EVENT, AT_STEPS, WITH_RESTART, LATCHED = 0, 1, 2, 4, 8
+
+STATUS_WORDS = ("OK", "Warning", "Discard", "Error", "Fatal", "Pending")
+
+_SAME = {
+    DO_STEP: "DoStep",
+    RESET: "Reset",
+    ENTER_INITIALIZATION: "EnterInitializationMode",
+    EXIT_INITIALIZATION: "ExitInitializationMode",
+    ENTER_EVENT_MODE: "EnterEventMode",
+    SET_TIME: "SetTime",
+    SET_STATES: "SetContinuousStates",
+    GET_STATES: "GetContinuousStates",
+    GET_NOMINALS: "GetNominalsOfContinuousStates",
+    GET_INDICATORS: "GetEventIndicators",
+    ENTER_CONTINUOUS_TIME_MODE: "EnterContinuousTimeMode",
+    COMPLETED_STEP: "CompletedIntegratorStep",
+    DIRECTIONAL_DERIVATIVE: "GetDirectionalDerivative",
+}
+_OWN = {
+    2: {
+        SET_DERIVATIVES: "SetRealInputDerivatives",
+        SETUP: "SetupExperiment",
+        UPDATE_DISCRETE_STATES: "NewDiscreteStates",
+        GET_DERIVATIVES: "GetDerivatives",
+    },
+    3: {
+        UPDATE_DISCRETE_STATES: "UpdateDiscreteStates",
+        ENTER_STEP_MODE: "EnterStepMode",
+        GET_DERIVATIVES: "GetContinuousStateDerivatives",
+    },
+}
+_TYPES = {
+    2: {FLOAT64: "Real", INT32: "Integer", BOOLEAN: "Boolean", STRING: "String"},
+    3: dict(enumerate(WIRES)),
+}
+
+# The flags of cvode/cvode.h that an FMU can cause.
+_CVODE_WORDS = {
+    -1: " (too many steps)",
+    -2: " (tolerance below rounding)",
+    -3: " (repeated error test failures)",
+    -4: " (corrector does not converge)",
+    -6: " (no Jacobian)",
+    -7: " (the Jacobian is singular)",
+}
+
+
+def function_name(version: int, code: int) -> str | None:
+    """Return the FMI function of a code, without prefix; None without one."""
+    if 0 <= code < 2 * N_WIRES:
+        name = _TYPES[version].get(code % N_WIRES)
+        return name and ("Set" if code < N_WIRES else "Get") + name
+    return _OWN[version].get(code) or _SAME.get(code)
+
+
+def describe(
+    failure: int,
+    status: int,
+    version: int,
+    integrator: str = "",
+    state: str = "",
+    at: tuple[float, float] = (0, 0),
+) -> str:
+    """Describe a failure, with its remedy if known.
+
+    `failure` and `status` are from the report; `integrator` is empty for Co-Simulation.
+    `state` is to blame; `at` is the time and the last solver step, s.
+    """
+    name = function_name(version, failure)
+    if name is not None:
+        known = 0 <= status < len(STATUS_WORDS)
+        said = f"fmi{version}{STATUS_WORDS[status]}" if known else f"the illegal status {status}"
+        return f"fmi{version}{name} returned {said}{_hint(failure, status)}"
+    time, step = at
+    smaller = "Give a smaller step_size" if integrator == "rk4" else "Give a step_size or another tolerance"
+    return {
+        SENSITIVITIES: "the FMU has no directional derivatives of its outputs",
+        ENDED: "the FMU ended the simulation",
+        OUT_OF_RANGE: "a value is out of range for the type of its variable",
+        STUCK: f"fmi{version}DoStep returns early repeatedly, without progress",
+        ENDLESS_EVENT: "an event does not settle in 100 iterations of its discrete states. Correct the model",
+        ENDLESS_ROUNDS: "events of connected components trigger each other endlessly (20 rounds at one time). "
+        "Add a hysteresis or a delay to one of them",
+        TOO_MANY_EVENTS: "more than 10000 events between two samples: the model chatters. Add a hysteresis",
+        TOO_MANY_STEPS: f"solver {integrator} needs more than max_solver_steps between two samples (at "
+        f't = {time:.9g} s, steps of {step:.2g} s). Choose solver = "cvode" or a larger tolerance',
+        STEP_TOO_SMALL: f"solver {integrator} cannot meet its tolerance at t = {time:.9g} s "
+        f"(state {state}, step {step:.2g} s). The model is stiff or has a discontinuity without event: "
+        'choose solver = "cvode" or a larger tolerance',
+        STATE_NOT_FINITE: f"state {state} or its derivative is not finite. {smaller}, or add bounds to the parameters",
+        STIFF: f'the model is stiff for solver rk45 at t = {time:.9g} s. Choose solver = "cvode"',
+        CVODE_FAILED: f"CVODE fails at t = {time:.9g} s with flag {status}{_CVODE_WORDS.get(status, '')}. "
+        f'{smaller}, or choose solver = "rk45"',
+        JUMP_UNKNOWN: "an event changes states or their derivatives; directional derivatives do not show the "
+        "change of sensitivities",
+        JUMP_REFUSED: "sensitivities are undefined at an event: the states only touch its threshold",
+        CANCELLED: "it was cancelled",
+    }[failure]
+
+
+def _hint(failure: int, status: int) -> str:
+    if status != DISCARD:
+        return ""
+    if failure in (SET_STATES, GET_DERIVATIVES, GET_INDICATORS):
+        return ", also with the smallest steps"
+    return " (the FMU cannot go on from here)" if failure == DO_STEP else ""

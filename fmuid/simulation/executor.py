@@ -6,7 +6,6 @@ import threading
 from collections.abc import Mapping
 from concurrent.futures import Future, wait
 
-from fmuid.array_types import Indices
 from fmuid.errors import SimulationError
 from fmuid.models import STIFF_INTEGRATOR, Component
 from fmuid.simulation import codes
@@ -26,7 +25,6 @@ class InProcessExecutor:
         self._told = told
         self._threads = [SimulationThread(components, 0, told, renewal)]
         self._custody = InstanceLock((model.fmu, model.kind) for model in components.values())
-        self._doing: Indices | None = None
         self._running: GridSimulation | None = None
 
     def run(self, job: SimulationJob) -> None:
@@ -55,7 +53,6 @@ class InProcessExecutor:
         parts = shares(len(job), self._limit)
         while len(self._threads) < len(parts):
             self._threads.append(SimulationThread(self._components, len(self._threads), self._told, self.renewal))
-            self.show_doing(self._doing)
         futures: list[Future[None]] = []
         try:
             for thread, share in reversed(list(zip(self._threads, parts, strict=False))):
@@ -88,13 +85,6 @@ class InProcessExecutor:
         """Duration of the longest simulation, s."""
         return max(thread.longest for thread in self._threads)
 
-    def show_doing(self, words: Indices | None) -> None:
-        """Let threads write their states into shared words, two for each."""
-        self._doing = words
-        if words is not None:
-            for i, thread in enumerate(self._threads):
-                thread.doing = words[2 * i : 2 * i + 2]
-
     def printed(self) -> str:
         """Return nothing: FMUs print into this process's own output."""
         return ""
@@ -115,4 +105,3 @@ class InProcessExecutor:
             for thread in self._threads:
                 thread.shut_down()
             self._threads = [SimulationThread(self._components, 0, self._told, self.renewal)]
-            self.show_doing(self._doing)

@@ -36,11 +36,6 @@ def extended_by(experiment: Experiment, outputs: Sequence[str]) -> Experiment:
     )
 
 
-def names_of(simulator: Simulator) -> list[str]:
-    """Return the variables set by a simulator's parameters."""
-    return [name for name, *_ in simulator.targets]
-
-
 @dataclass(frozen=True)
 class SensitivitySimulation:
     """A simulation with sensitivities; `given` is filled in before each run."""
@@ -65,30 +60,21 @@ class SensitivitySimulation:
 
 
 def directional_simulation(simulator: Simulator) -> SensitivitySimulation | None:
-    """Return the simulation with the FMU's directional derivatives.
-
-    None if they do not suffice: undeclared, with arrays, or for a parameter that is a state's start.
-    """
+    """Return the simulation with the FMU's directional derivatives; None if they do not suffice."""
     system, (model,) = simulator.system, simulator.system.components.values()
-    description, names = model.fmu.description, names_of(simulator)
+    description, names = model.fmu.description, simulator.target_names
     terms = [term for name in simulator.output_names for term in system.terms(name)]
     involved = [system.variables[system.targets(name)[0][0]] for name in (*names, *terms)]
     involved += [description.variables[name] for name in (*description.states, *description.derivatives)]
+    # neither with arrays nor for a parameter that is a state's start
     scalar = all(variable.type == "Real" and not variable.array for variable in involved)
     open_to_seeds = all(system.variables[name].causality in ("parameter", "input") for name in names)
     if not (description.interfaces[model.kind].directional_derivatives and scalar and open_to_seeds):
         return None
-    count = len(names)
-    given = Sensitivities(
-        magnitudes=np.ones(count),
-        initial=np.zeros((count, len(description.states))),
-        references=np.array([system.variables[name].reference for name in names], np.uint32),
-        steps=np.zeros(count),
-        twins=(),
-    )
+    given = Sensitivities.of([system.variables[name].reference for name in names], len(description.states))
     task = task_of(system, simulator.experiment, names, *simulator.settings)
-    plan = plan_of(task, partial(outputs_with_sensitivities, count=count))
-    simulation = GridSimulation(carrying(plan, given), grid_of(task), simulator.output_names * (1 + count))
+    plan = plan_of(task, partial(outputs_with_sensitivities, count=len(names)))
+    simulation = GridSimulation(carrying(plan, given), grid_of(task), simulator.output_names * (1 + len(names)))
     return SensitivitySimulation(simulation, system, given)
 
 
@@ -100,16 +86,13 @@ def carrying(plan: SimulationPlan, given: Sensitivities) -> SimulationPlan:
 
 
 def initial_simulation(simulator: Simulator) -> GridSimulation | None:
-    """Return the initialization of an FMU with its states as outputs.
-
-    None if the states are hidden.
-    """
+    """Return the initialization of an FMU with its states as outputs; None if these are hidden."""
     system, ((component, model),) = simulator.system, simulator.system.components.items()
     states = [system.full_name(component, name) for name in model.fmu.description.states]
     if any(system.variables[name].causality not in ("output", "local") for name in states):
         return None
     experiment = extended_by(simulator.experiment, states)
-    simulation = simulation_of(task_of(system, experiment, names_of(simulator), *simulator.settings))
+    simulation = simulation_of(task_of(system, experiment, simulator.target_names, *simulator.settings))
     grid = simulation.grid
     simulation.grid = grid._replace(times=grid.times[:1], substeps=grid.substeps[:0], inputs=grid.inputs[:1])
     return simulation
@@ -125,12 +108,9 @@ def initial_states(simulation: GridSimulation, system: System, thetas: Floats) -
 
 
 def twin_simulation(simulator: Simulator) -> SensitivitySimulation:
-    """Return the simulation of the model and one twin per parameter.
-
-    Its parameters and outputs are those of all components in turn.
-    """
+    """Return the simulation of the model and one twin per parameter, with all their parameters and outputs."""
     system, (model,) = simulator.system, simulator.system.components.values()
-    count = len(simulator.targets)
+    count = len(simulator.target_names)
     inputs = simulator.experiment.input_names
     twins = variant_of(system, ("twins", count, inputs), lambda: _twins(system, count, inputs))
 
@@ -139,20 +119,12 @@ def twin_simulation(simulator: Simulator) -> SensitivitySimulation:
 
     names, (values, step_size) = list(twins.components), simulator.settings
     terms = [[inner(term) for term in system.terms(name)] for name in simulator.output_names]
-    given = Sensitivities(
-        magnitudes=np.ones(count),
-        initial=np.zeros((count, len(model.fmu.description.states))),
-        references=np.zeros(count, np.uint32),
-        steps=np.ones(count),
-        twins=tuple(range(count)),
-    )
+    given = Sensitivities.of([0] * count, len(model.fmu.description.states), tuple(range(count)))
+    outputs = [" + ".join(f"{name}.{term}" for term in some) for name in names for some in terms]
     task = task_of(
         twins,
-        extended_by(
-            simulator.experiment,
-            [" + ".join(f"{name}.{term}" for term in some) for name in names for some in terms],
-        ),
-        [f"{name}.{inner(parameter)}" for name in names for parameter in names_of(simulator)],
+        extended_by(simulator.experiment, outputs),
+        [f"{name}.{inner(parameter)}" for name in names for parameter in simulator.target_names],
         {f"{name}.{inner(v)}": value for name in names for v, value in values.items()},
         step_size,
     )

@@ -26,8 +26,7 @@ from fmuid.simulation.simulation_plan import (
     SimulationPlan,
     TimeGrid,
 )
-from fmuid.simulation.simulation_task import SimulationTask
-from fmuid.simulation.variable_checks import column_conversion
+from fmuid.simulation.simulation_task import SimulationTask, column_conversion
 
 Found = TypeVar("Found")
 Outputs = tuple[list[int], list[int]]

@@ -14,7 +14,7 @@ from fmuid.array_types import Floats
 from fmuid.models import System
 from fmuid.simulation import codes
 from fmuid.simulation.executor_pool import executor_of
-from fmuid.simulation.forward_simulation import extended_by, initial_simulation, initial_states, names_of
+from fmuid.simulation.forward_simulation import extended_by, initial_simulation, initial_states
 from fmuid.simulation.plan_builder import grid_of, plan_of
 from fmuid.simulation.simulation_plan import GridSimulation
 from fmuid.simulation.simulation_task import task_of
@@ -34,7 +34,7 @@ class RightHandSide:
         self.nominals = np.array([abs(nominal or 1.0) for nominal in nominals])
         wanted = [system.full_name(component, name) for name in description.derivatives]
         outputs = [" + ".join(system.terms(name)) for name in simulator.output_names]
-        names, (values, _) = names_of(simulator), simulator.settings
+        names, (values, _) = simulator.target_names, simulator.settings
         task = task_of(system, extended_by(simulator.experiment, [*wanted, *outputs]), names, values, None)
         held = np.array([mode == codes.HELD for mode in task.modes.values()], dtype=np.bool_)
         grid = grid_of(task)

@@ -25,27 +25,18 @@ from fmuid.simulation.simulator import Simulator
 def derivatives_of(simulator: Simulator, sensitivity: str) -> Callable[[Floats], Floats]:
     """Return a function theta (N,) → derivatives (N, K, n_outputs) of the outputs.
 
-    Parameters
-    ----------
-    simulator : Simulator
-    sensitivity : "forward" or "fmu"
-        Integrated with the model, or outputs of the FMU.
+    The sensitivities are integrated with the model, "forward", or outputs of the FMU, "fmu".
 
     Raises
     ------
     InputError
         If the model has no such sensitivities.
     """
-    if sensitivity == "fmu":
-        return FmuSensitivities(simulator)
-    return ForwardSensitivities(simulator)
+    return FmuSensitivities(simulator) if sensitivity == "fmu" else ForwardSensitivities(simulator)
 
 
 class FmuSensitivities:
-    """Sensitivities as outputs of one FMU: ``sens.R.i`` is ∂i/∂R.
-
-    `fmuid export --sensitivities` makes such FMUs. In a coupled system they would not be the whole derivative.
-    """
+    """Sensitivities as outputs of one FMU (`fmuid export --sensitivities`): ``sens.R.i`` is ∂i/∂R."""
 
     def __init__(self, simulator: Simulator) -> None:
         system, experiment = simulator.system, simulator.experiment
@@ -75,13 +66,10 @@ class FmuSensitivities:
 
 @dataclass(frozen=True)
 class SensitivitySteps:
-    """Relative steps of differences, and limits of a derivative check.
-
-    FMI 2.0 does not promise directional derivatives by parameters: one comparison with simulations checks them.
-    """
+    """Relative steps of differences, and limits of a derivative check."""
 
     check: float = 1e-3
-    """Of differences of whole simulations."""
+    """Of differences of whole simulations, once: FMI 2.0 does not promise directional derivatives by parameters."""
     allowed: float = 0.1
     """Share of the change by which the two may differ, ..."""
     rounding: float = 1e-6
@@ -100,8 +88,7 @@ STEPS = SensitivitySteps()
 class ForwardSensitivities:
     """Sensitivities integrated with one Model Exchange FMU (1.26, 1.27).
 
-    Their right-hand sides are the FMU's directional derivatives, else differences between the model and twins, one per
-    parameter, kept in step. Twins also replace directional derivatives after an event that changes states.
+    Their right-hand sides are the FMU's directional derivatives, else differences between the model and twins.
     """
 
     def __init__(self, simulator: Simulator) -> None:
@@ -116,7 +103,7 @@ class ForwardSensitivities:
                 f'{model.fmu.path}: jacobian = "forward" needs Model Exchange. {remedy} jacobian = "finite-difference".'
             )
         self._simulator, self._model = simulator, model
-        variables = [simulator.system.variables[name] for name, *_ in simulator.targets]
+        variables = [simulator.system.variables[name] for name in simulator.target_names]
         self._nominal = np.array([abs(variable.nominal or 1.0) for variable in variables])
         self._directional = directional_simulation(simulator)
         self._initial = initial_simulation(simulator) if self._directional else None
@@ -135,10 +122,8 @@ class ForwardSensitivities:
             return self._derivatives(theta)
 
     def _derivatives(self, theta: Floats) -> Floats:
-        targets = self._simulator.targets
-        columns = np.array([column for _, column, _, _ in targets], np.intp)
-        factors, offsets = np.array([each[2:] for each in targets], np.float64).reshape(-1, 2).T
-        values = factors * theta[columns] + offsets
+        columns, factors = self._simulator.columns, self._simulator.factors
+        values = self._simulator.target_values(theta[None])[0]
         magnitudes = np.where(values != 0.0, np.abs(values), self._nominal)
         found = None
         if self._directional is not None:

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from fmuid.array_types import Floats, Indices
 from fmuid.models import Description
 from fmuid.simulation import codes
-from fmuid.simulation.failures import function_name
+from fmuid.simulation.codes import function_name
 from fmuid.simulation.instance import Instance
 from fmuid.simulation.native.library import COPY_ONE, GET_REALS, GET_SENSITIVITIES, OTHER, SET_REALS, SET_SLOPES, core
 from fmuid.simulation.simulation_plan import Operation, SimulationPlan, TimeGrid, check_arrays, check_plan

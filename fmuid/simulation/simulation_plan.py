@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from fmuid.array_types import Flags, Floats, Indices
 from fmuid.simulation import codes
-from fmuid.simulation.failures import function_name
+from fmuid.simulation.codes import function_name
 
 MOST_STEPS = 1_000_000
 """Of an integrator between two samples: some seconds, then it will never arrive."""
@@ -66,6 +66,12 @@ class Sensitivities(NamedTuple):
     references: NDArray[np.uint32]
     steps: Floats
     twins: tuple[int, ...]
+
+    @classmethod
+    def of(cls, references: Sequence[int], n_states: int, twins: tuple[int, ...] = ()) -> Sensitivities:
+        """Return sensitivities to be filled in."""
+        n = len(references)
+        return cls(np.ones(n), np.zeros((n, n_states)), np.array(references, np.uint32), np.ones(n), twins)
 
 
 class Integration(NamedTuple):

@@ -17,8 +17,7 @@ from fmuid.simulation import codes
 from fmuid.simulation.executor_pool import close, executor_of
 from fmuid.simulation.plan_builder import simulation_of
 from fmuid.simulation.simulation_plan import SimulationJob
-from fmuid.simulation.simulation_task import task_of
-from fmuid.simulation.variable_checks import Value, column_conversion
+from fmuid.simulation.simulation_task import Value, column_conversion, task_of
 
 
 @dataclass(frozen=True)
@@ -93,13 +92,13 @@ class Simulator:
             raise InputError(f"parameter {sorted(repeated)[0]!r} is listed twice")
         self._values, self._divisor = dict(values or {}), divisor
         self._tolerance: float | None = None
-        self.targets = tuple(
-            (name, column, factor, offset)
-            for column, parameter in enumerate(self.parameters)
-            for name, factor, offset in self.system.targets(parameter)
-        )
-        """Variables set by theta: name, column, factor, offset."""
-        names, held = [name for name, *_ in self.targets], self._target_values()
+        targets = [(each, j) for j, name in enumerate(self.parameters) for each in self.system.targets(name)]
+        self.target_names = names = [name for (name, _, _), _ in targets]
+        """Variables set by theta."""
+        self.columns = np.array([column for _, column in targets], np.intp)
+        """Column of theta of each of these variables; its value is that times a factor plus an offset."""
+        self.factors, self.offsets = np.array([each[1:] for each, _ in targets], np.float64).reshape(-1, 2).T
+        held = self._held_values()
         self.settings = held, step_size
         """Held values by variables, and the largest step, s."""
         self._simulation = simulation_of(task_of(self.system, experiment, names, held, step_size, divisor))
@@ -112,7 +111,7 @@ class Simulator:
         )
         """Inputs that nothing feeds: they keep their start values."""
 
-    def _target_values(self) -> dict[str, Value]:
+    def _held_values(self) -> dict[str, Value]:
         """Return held values, those of connectors at their variables."""
         found: dict[str, Value] = {}
         for given, value in {**self._values, **self.experiment.values}.items():
@@ -122,12 +121,10 @@ class Simulator:
         return found
 
     def target_values(self, thetas: Floats) -> Floats:
-        """Return the values of `targets` for thetas (m, N)."""
-        if len(self.targets) == len(self.parameters) and not self.system.connectors:
+        """Return the values of `target_names` for thetas (m, N)."""
+        if not self.system.connectors:
             return thetas
-        columns = np.array([column for _, column, _, _ in self.targets], np.intp)
-        factors, offsets = np.array([each[2:] for each in self.targets], np.float64).reshape(-1, 2).T
-        return np.ascontiguousarray(thetas[:, columns] * factors + offsets)
+        return np.ascontiguousarray(thetas[:, self.columns] * self.factors + self.offsets)
 
     def _output_conversions(self) -> dict[int, tuple[float, float]]:
         found = {}

@@ -18,7 +18,6 @@ from fmuid.array_types import Indices
 from fmuid.errors import InputError, SimulationError
 from fmuid.models import Component
 from fmuid.simulation import codes
-from fmuid.simulation.failures import describe
 from fmuid.simulation.instance import Instance, warn
 from fmuid.simulation.instance_registry import Renewal, is_repeated, label, labels, needs_process, note_process
 from fmuid.simulation.simulation_loop import SimulationLoop
@@ -45,9 +44,13 @@ def _words() -> Indices:
 class SimulationThread:
     """One instance per component, used by one thread: some FMUs keep thread-local data.
 
-    Thread 0 is the caller's own. `doing` (2,) is its state (`codes.IDLE` ...) and number of simulations, `longest` the
-    longest simulation, s. `renewal` None is not known yet. `told` are warnings passed on by the system's threads.
+    Thread 0 is the caller's own. `renewal` None is not known yet. `told` are warnings passed on so far.
     """
+
+    doing: Indices
+    """State (`codes.IDLE` ...) and number of simulations (2,)."""
+    longest: float
+    """Duration of the longest simulation, s."""
 
     def __init__(
         self, components: Mapping[str, Component], index: int, told: set[str], renewal: Renewal | None = None
@@ -94,10 +97,9 @@ class SimulationThread:
                 if (part.reports[part.failed, 2] >= codes.FATAL).any():
                     self.close(fatal=True)
             done += len(part)
-        if not job.failed.any():
-            for instance in self._instances:
-                warn(instance, self._told)
         for instance in self._instances:
+            if not job.failed.any():
+                warn(instance, self._told)
             instance.forget_messages()
 
     def _valid(self, part: SimulationJob) -> SimulationJob:
@@ -133,10 +135,7 @@ class SimulationThread:
         """Simulate again; return whether outputs are the same, and fatality."""
         again = first.simulation.job(first.thetas)
         self._simulate(again)
-        failed = again.failed[0]
-        return not failed and is_repeated(again.outputs, first.outputs), bool(
-            failed and again.reports[0, 2] >= codes.FATAL
-        )
+        return not again.failed[0] and is_repeated(again.outputs, first.outputs), self._is_fatal(again)
 
     @staticmethod
     def _is_fatal(job: SimulationJob) -> bool:
@@ -171,7 +170,7 @@ class SimulationThread:
             instance.set_logging(True)
         self._simulate(job)
         error = self.error(job, parameters)
-        if job.failed[0] and self._is_fatal(job):
+        if self._is_fatal(job):
             self.close(fatal=True)
         for instance in self._instances:
             instance.set_logging(False)
@@ -207,7 +206,7 @@ class SimulationThread:
         state = description.states[bad % count] if bad >= 0 and count else "of the model"
         state += f" (its sensitivity to parameter {bad // count})" if count and bad >= count else ""
         integrator = integration.integrator if integration else ""
-        return describe(failure, status, description.major_version, integrator, state, (time, step))
+        return codes.describe(failure, status, description.major_version, integrator, state, (time, step))
 
     def close(self, fatal: bool = False) -> None:
         """Free the instances; after a fatal error they are left alone."""
@@ -244,9 +243,8 @@ class SimulationThread:
         """Refuse a second simulation in a process that allows one (InputError)."""
         if self.renewal is not Renewal.PROCESS or not self._spent:
             return
-        why = "it declares one instance per process"
-        if self._can_be_replaced:
-            why = "it keeps data outside its instances"
+        kept = "it keeps data outside its instances"
+        why = kept if self._can_be_replaced else "it declares one instance per process"
         raise InputError(
             f"{labels(self._components)}: its reset does not work and {why}, so only one simulation is possible. "
             "Use process isolation (isolation=fmuid.Isolation()), or export the FMU with a working reset."

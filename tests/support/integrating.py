@@ -11,7 +11,7 @@ import pytest
 from numpy.typing import ArrayLike, NDArray
 from scipy.integrate import solve_ivp
 
-from fmuid.simulation.failures import describe
+from fmuid.simulation.codes import describe
 from fmuid.simulation.native.library import core
 from fmuid.simulation.simulation_plan import Integration
 from fmuid.simulation.solver import IntegratedModel, Integrator, function_table

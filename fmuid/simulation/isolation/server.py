@@ -51,9 +51,10 @@ def arrays(memory: mmap.mmap, shape: tuple[int, int, int, int]) -> Arrays:
 
 
 def start(components: dict[str, Any], limit: int, renewal: int | None) -> None:
-    """Make the executor of this process."""
+    """Make the executor of this process; its threads' words of state are in their order."""
     from fmuid.simulation.executor import InProcessExecutor
 
+    watch()
     _executor[:] = [InProcessExecutor(components, limit, set(), None if renewal is None else Renewal(renewal))]
 
 
@@ -71,7 +72,6 @@ def run(
     simulation, (executor,) = _runs[number], _executor
     if not _memory or len(_memory[0]) != size:
         _memory[:] = [shared_memory(size)]
-        executor.show_doing(np.frombuffer(_memory[0], np.intp, DOING_WORDS))
     for given, new in zip(simulation.varying, varying, strict=True):
         for array, values in zip((given.magnitudes, given.initial, given.steps), new, strict=True):
             array[:] = values

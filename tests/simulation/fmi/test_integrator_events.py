@@ -10,7 +10,7 @@ import pytest
 
 from fmuid.errors import InputError
 from fmuid.simulation import codes
-from fmuid.simulation.failures import describe
+from fmuid.simulation.codes import describe
 from tests.support.closed_forms import ball
 from tests.support.integrating import (
     BACKWARDS,
