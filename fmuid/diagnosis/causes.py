@@ -181,7 +181,7 @@ def coordinates_of(
     each, found, healthy = list[ChangeParameter](), list[Cause](), list[float]()
 
     def add(of: ChangeParameter, size: float | None, *, start: float = 0.0, sign: int = 0, plane: bool = False) -> None:
-        """Add one or two coordinates, and their cause if it has a size."""
+        """Add one or two coordinates, and their cause if any."""
         new = [of, replace(of, second=True)] if plane else [of]
         if size is not None:
             columns = tuple(range(len(each), len(each) + len(new)))

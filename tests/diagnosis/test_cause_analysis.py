@@ -16,7 +16,6 @@ import fmuid
 from fmuid.apps.cli.app import run
 from fmuid.diagnosis import MODEL_ERROR, CauseKind, Causes, CauseScale, ChangeEvidence
 from fmuid.diagnosis.causes import ChangeParameterSet, coordinates_of
-from fmuid.diagnosis.information_matrix import Whitening
 from fmuid.diagnosis.linearized_machine import LinearizedMachine
 from fmuid.errors import InputError
 from fmuid.reports.topics.diagnosis_phrases import verdict
@@ -76,44 +75,18 @@ ORDER = ("R", "L", "turns", "gain", "offset", "delay", "input_gain")
 def test_outputs_and_columns_are_those_of_the_closed_form(
     coil: fmuid.System, coordinates: ChangeParameterSet, at: dict[str, float]
 ) -> None:
-    machine = LinearizedMachine(coil, {}, coordinates, experiment(current()))
+    given = experiment(current())
+    machine = LinearizedMachine(coil, {}, coordinates, given)
     point = coordinates.healthy + np.array([at.get(name, 0.0) for name in ORDER])
     outputs, columns = machine.linearize(point)
     assert outputs[:, 0] == pytest.approx(current(**at), abs=1e-6)
     assert machine.outputs(point) == pytest.approx(outputs)
+    assert given.frame["u"].to_numpy() == pytest.approx(VOLTAGE)  # a gain of the input scales a copy
     for k, name in enumerate(ORDER):
         step = 1e-4 * (coordinates.each[k].normal if name not in TRUTH else TRUTH[name])
         beside = [current(**(at | {name: at.get(name, 0.0) + sign * step})) for sign in (-1, 1)]
         exact = (beside[1] - beside[0]) / (2 * step)
         assert columns[:, 0, k] == pytest.approx(exact, abs=2e-4 * np.abs(exact).max()), name
-
-
-def test_gain_of_an_input_scales_a_copy(coil: fmuid.System) -> None:
-    """Another variable may read the same column."""
-    shared = fmuid.Experiment(experiment(current()).frame, {"u": "u"}, {"i": "i"}, interpolation="zoh")
-    made = coordinates_of(coil, NOMINAL, {}, shared, {"i": NOISE}, Causes())
-    LinearizedMachine(coil, {}, made, shared).linearize(made.healthy)
-    assert shared.frame["u"].to_numpy() == pytest.approx(VOLTAGE)
-    assert [each.variable for each in made.each if each.kind is CauseKind.INPUT_GAIN] == ["u"]
-
-
-def test_whitening() -> None:
-    """Innovations of colored noise are white, of unit variance; the first samples have the process's variance."""
-    rng = np.random.default_rng(5)
-    clean = current()[:, None]
-    record, other = noisy(rng, 0.8), noisy(rng, 0.8)
-    whitening = Whitening.of([(record, record.output_values - clean)])
-    rest = other.output_values - clean
-    white = whitening(other, rest[:, :, None])[:, 0]
-    assert np.std(white) == pytest.approx(1.0, abs=0.08)
-    assert np.corrcoef(white[1:], white[:-1])[0, 1] == pytest.approx(0.0, abs=0.08)
-    gaps = other.output_values.copy()
-    gaps[100:110] = np.nan
-    holed = whitening(other.with_outputs(gaps), np.where(np.isnan(gaps), 0.0, gaps - clean)[:, :, None])
-    assert holed[:100, 0] == pytest.approx(white[:100])
-    assert len(holed) == SAMPLES - 10
-    given = Whitening.of([(record, record.output_values - clean)], {"i": 4 * NOISE**2})
-    assert np.std(given(other, rest[:, :, None])) == pytest.approx(0.5, abs=0.05)
 
 
 @pytest.fixture(scope="module")
@@ -148,16 +121,13 @@ TURNS, NONE = [(CauseKind.FAULT, "dR")], Causes(None, None, None, None, None)
 @pytest.mark.parametrize(
     ("off", "first"),
     [
-        ({"turns": 1.0}, TURNS),
         ({"turns": 1.0, "R": 1.0}, TURNS),
         ({"offset": NOISE / 2}, [(CauseKind.OFFSET, "i")]),
         ({"delay": 1e-3}, [(CauseKind.DELAY, "i")]),
     ],
-    ids=["turns", "turns, warm", "offset", "delay"],
+    ids=["turns, warm", "offset", "delay"],
 )
-def test_a_change_is_named(
-    look: Look, off: dict[str, float], first: list[tuple[CauseKind, str]], tmp_path: Path
-) -> None:
+def test_a_change_is_named(look: Look, off: dict[str, float], first: list[tuple[CauseKind, str]]) -> None:
     """An offset of half a standard deviation of the noise is found; a late sensor is no loss of turns."""
     found = look(1, **off)
     assert names(found) == [first]
@@ -169,8 +139,6 @@ def test_a_change_is_named(
     low, high = change.interval()
     assert low < change.value < high
     assert ("FAULT: turns" if "turns" in off else "CHANGE without fault") in verdict(found).text
-    again = fmuid.Diagnosis.from_json(found.to_json(tmp_path / "diagnosis.json"))
-    assert (again.evidence, verdict(again).text) == (found.evidence, verdict(found).text)
 
 
 def test_similar_causes_are_named_together(look: Look) -> None:
@@ -226,14 +194,13 @@ def test_known_fault_data_show_the_model_error(coil: fmuid.System, faults: dict[
         fmuid.Baseline(known, trials={"turns.dR": [off]})
 
 
-def test_a_change_without_cause_is_unexplained(look: Look, tmp_path: Path) -> None:
+def test_a_change_without_cause_is_unexplained(look: Look) -> None:
     """An offset of half a standard deviation of the noise, where sensors are not looked at."""
     found = look(500, causes=NONE, offset=NOISE / 2)
     assert found.kind == "unexplained"
     assert found.evidence.remainder.probability < 1e-10
     assert found.unexplained.ratio < 1.5
     assert verdict(found).text.startswith("UNEXPLAINED CHANGE: residual–input correlation")
-    assert fmuid.Diagnosis.from_json(found.to_json(tmp_path / "diagnosis.json")).kind == "unexplained"
     for known in (look(501, causes=NONE), look(501, causes=NONE, base={"offset": NOISE / 2})):
         assert known.evidence.remainder.probability > 0.01
         assert known.kind == "healthy"
@@ -277,10 +244,8 @@ def test_a_study_with_healthy_records(tmp_path: Path, capsys: pytest.CaptureFixt
 @pytest.mark.parametrize(
     ("words", "message"),
     [
-        ('healthy_data=["nothing.csv"]', "not found"),
         ('healthy_data="healthy.csv"', "healthy_data: must be a list of files"),
         ("causes.sensor_gain=0.3", "sensor_gain: must be a section, not 0.3"),
-        ("fault_model_error=-1", "fault_model_error: must be a number, 0 or above"),
     ],
 )
 def test_wrong_words(words: str, message: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

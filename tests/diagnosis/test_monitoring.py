@@ -84,7 +84,7 @@ def test_a_sound_machine(healthy_coil: fmuid.Result) -> None:
 
 
 # D is that of one linearization at the estimate without the fault; the sizes are those where the fault is
-@pytest.mark.parametrize("number", [1, 2, 3])
+@pytest.mark.parametrize("number", [1, 2])
 def test_a_window_agrees_with_a_diagnosis(number: int) -> None:
     study = fmuid.Study.read(coil.HERE / "test.toml", [f"experiments.0.data=test{number}.csv"])
     expected = study.diagnose()["turns.dR"]
@@ -99,10 +99,9 @@ def test_a_window_agrees_with_a_diagnosis(number: int) -> None:
         assert change.value == pytest.approx(row["turns.dR"], abs=0.2 * change.std)
 
 
-@pytest.mark.parametrize("size", [0.3, 1.0])
-def test_an_onset_within_a_window(healthy_coil: fmuid.Result, size: float) -> None:
+def test_an_onset_within_a_window(healthy_coil: fmuid.Result) -> None:
     """The window 7–8 s has the fault in a part of it; the size is that of the windows after."""
-    table = warming(12, to=4.0, fails=7.4, size=size, seed=3)
+    table = warming(12, to=4.0, fails=7.4, size=0.3, seed=3)
     table.attrs[BEGIN] = pd.Timestamp("2024-05-06 07:08:09")
     found = watched(healthy_coil, table)
     alarm, onset = only(found)
@@ -113,7 +112,7 @@ def test_an_onset_within_a_window(healthy_coil: fmuid.Result, size: float) -> No
     assert "2024-05-06 07:08:1" in told(found)
     assert alarm.time <= 9.0
     (change,) = alarm.explanations[0].changes
-    assert abs(change.value - size) < 2.5 * change.std
+    assert abs(change.value - 0.3) < 2.5 * change.std
     assert found.table["variance_ratio"][9:].max() < 1.2  # the models are linearized where the fault is
 
 
@@ -261,18 +260,9 @@ def test_false_alarm_rate_over_draws(plate: fmuid.System, sound: fmuid.Result, d
 # --- files ------------------------------------------------------------------------------
 
 
-def test_a_name_that_is_a_formula(healthy_coil: fmuid.Result, tmp_path: Path) -> None:
-    found, again = watch(healthy_coil), watch(healthy_coil)
-    found.add(replace(coil.experiment(warming(2, to=4.0)), name="=1+1"))
-    found.write(tmp_path)
-    assert [line.split(",")[0] for line in (tmp_path / "monitoring.csv").read_text().split()[1:]] == ["'=1+1"] * 2
-    again.resume(tmp_path)
-    pd.testing.assert_frame_equal(again.table, found.table, check_exact=True)
-
-
 def test_resuming_without_a_record_changes_nothing(healthy_coil: fmuid.Result, tmp_path: Path) -> None:
-    """As where the first record after a restart is refused."""
-    day = [replace(coil.experiment(warming(2, to=4.0, seed=k)), name=f"day{k}") for k in range(2)]
+    """As where the first record after a restart is refused; a name like a formula is text in the table."""
+    day = [replace(coil.experiment(warming(2, to=4.0, seed=k)), name=f"={k}+1") for k in range(2)]
     first, again, third = (watch(healthy_coil) for _ in range(3))
 
     def files() -> tuple[dict[str, object], bytes]:
@@ -281,10 +271,12 @@ def test_resuming_without_a_record_changes_nothing(healthy_coil: fmuid.Result, t
 
     first.add(day[0])
     first.write(tmp_path)
+    assert [line.split(",")[0] for line in (tmp_path / "monitoring.csv").read_text().split()[1:]] == ["'=0+1"] * 2
     before = files()
     again.resume(tmp_path)
     again.write(tmp_path)
     assert files() == before
+    pd.testing.assert_frame_equal(again.table, first.table, check_exact=True)
     third.resume(tmp_path)
     for each in (first, third):
         each.add(day[1])

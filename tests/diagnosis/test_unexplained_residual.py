@@ -11,13 +11,6 @@ from fmuid.diagnosis.unexplained_residual import change, lagged, probability, re
 SAMPLES = 300
 
 
-def test_lagged_inputs() -> None:
-    """A constant, and sums over spans of lags; before the record there is nothing."""
-    inputs = np.arange(8.0).reshape(4, 2)
-    expected = [[1, 0, 1, 0, 0], [1, 2, 3, 0, 1], [1, 4, 5, 2, 4], [1, 6, 7, 6, 8]]
-    assert lagged(inputs, (0, 1, 3)) == pytest.approx(np.array(expected))
-
-
 def test_level_and_power() -> None:
     """Uniform where nothing changes, whatever both records have that the model has not; a late response is seen."""
     random = np.random.default_rng(1)
