@@ -78,14 +78,11 @@ def _column(raw: RawTable, time: str | int, source: str) -> str:
     names = [str(name) for name in raw.frame.columns]
     if isinstance(time, int):
         if not 1 <= time <= len(names):
-            raise InputError(
-                f"{source}: no time column {time}; the table has {len(names)} columns. Give a name or a place from 1."
-            )
-        if time_name(time) in set(names) - {names[time - 1]}:
-            raise InputError(
-                f"{source}: time is column {time}, {names[time - 1]!r}, "
-                f"but there is a column {time_name(time)!r}. Give the right name."
-            )
+            said = f"no time column {time}; the table has {len(names)} columns"
+            raise InputError(f"{source}: {said}. Give a name or a place from 1.")
+        if "time" in set(names) - {names[time - 1]}:
+            said = f"time is column {time}, {names[time - 1]!r}, but there is a column 'time'"
+            raise InputError(f"{source}: {said}. Give the right name.")
         return names[time - 1]
     found = column_of(names, time)
     if found is not None:
@@ -148,10 +145,9 @@ def _as_numbers(series: pd.Series[Any], column: str, source: str) -> tuple[Any, 
         return series.dt.total_seconds(), None
     if pd.api.types.is_datetime64_any_dtype(series.dtype):
         return _seconds(series)
-    texts = (
-        series.dropna().astype(str) if series.dtype == object or pd.api.types.is_string_dtype(series.dtype) else None
-    )
-    if texts is None or texts.empty:
+    is_text = series.dtype == object or pd.api.types.is_string_dtype(series.dtype)
+    texts = series.dropna().astype(str) if is_text else series[:0]
+    if texts.empty:
         return series, None
     if texts.map(lambda text: _CLOCK.fullmatch(text) is not None).all():
         clock = texts.str.replace(",", ".").map(lambda text: f"{text}:00" if text.count(":") == 1 else text)
@@ -174,11 +170,8 @@ def _check_clock(dates: pd.Series[Any], seconds: Floats, column: str, source: st
     back = np.flatnonzero(steps < 0)
     if back.size == 1 and 0 <= steps[back[0]] + _HOUR <= 2 * np.median(steps):
         before, after = dates.iloc[back[0] : back[0] + 2]
-        raise InputError(
-            f"{source}: time column {column!r} goes back by an hour in row {back[0] + 2} "
-            f"({before} to {after}). "
-            "Write times in UTC or with offsets (+01:00)."
-        )
+        said = f"goes back by an hour in row {back[0] + 2} ({before} to {after})"
+        raise InputError(f"{source}: time column {column!r} {said}. Write times in UTC or with offsets (+01:00).")
 
 
 def _dates(texts: pd.Series[Any], column: str, source: str) -> pd.Series[Any] | None:
@@ -191,20 +184,12 @@ def _dates(texts: pd.Series[Any], column: str, source: str) -> pd.Series[Any] | 
             return in_utc.dt.tz_convert(pd.Timestamp(texts.iloc[0]).tz)
     if not texts.str.contains(r"\d+[./-]\w+[./-]\d+.*:", regex=True).all():
         return None
-    readings = []
     points = texts.str.replace(",", ".")
-    for order, mark, clock in itertools.product(_ORDERS, "./-", _CLOCKS):
-        form = order.format(mark) + clock
-        if pd.isna(pd.to_datetime(points.iloc[0], format=form, errors="coerce")):
-            continue
-        read = pd.to_datetime(points, format=form, errors="coerce")
-        if not read.isna().any():
-            readings.append(read)
-    if not readings:
-        return None
+    forms = [order.format(mark) + clock for order, mark, clock in itertools.product(_ORDERS, "./-", _CLOCKS)]
+    fitting = [form for form in forms if not pd.isna(pd.to_datetime(points.iloc[0], format=form, errors="coerce"))]
+    every = [pd.to_datetime(points, format=form, errors="coerce") for form in fitting]
+    readings = [read for read in every if not read.isna().any()]
     if any(not (read == readings[0]).all() for read in readings[1:]):
-        raise InputError(
-            f"{source}: column {column!r}: day and month of {texts.iloc[0]!r} are ambiguous. "
-            "Write dates as 2026-02-28 12:00:00."
-        )
-    return readings[0]
+        said = f"day and month of {texts.iloc[0]!r} are ambiguous"
+        raise InputError(f"{source}: column {column!r}: {said}. Write dates as 2026-02-28 12:00:00.")
+    return readings[0] if readings else None

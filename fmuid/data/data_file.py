@@ -88,9 +88,8 @@ def read_data(
     inner = Path(path.stem).suffix.lower()
     text = suffix in TEXT or (suffix in (".gz", ".zip") and (inner in TEXT or not inner))
     if not (text or suffix in TABLE_SUFFIXES):
-        raise InputError(
-            f"{source}: unknown format {path.suffix or 'without suffix'!r}. Use {', '.join(TABLE_SUFFIXES)}."
-        )
+        said = f"unknown format {path.suffix or 'without suffix'!r}"
+        raise InputError(f"{source}: {said}. Use {', '.join(TABLE_SUFFIXES)}.")
     if sheet is not None and suffix not in WITH_SHEETS:
         raise InputError(f"{source}: sheet {sheet!r}: this format has no sheets. Remove it.")
     if not is_file(path):
@@ -165,14 +164,11 @@ def numeric_column(frame: pd.DataFrame, column: str, source: str) -> Floats:
     if real:
         return series.to_numpy(dtype=np.float64, na_value=np.nan)
     if pd.api.types.is_datetime64_any_dtype(kind) or pd.api.types.is_timedelta64_dtype(kind):
-        raise InputError(
-            f"{source}: column {column!r} holds dates or durations ({kind}). Convert it to numbers, times to seconds."
-        )
+        said = f"column {column!r} holds dates or durations ({kind})"
+        raise InputError(f"{source}: {said}. Convert it to numbers, times to seconds.")
     row, cell = _first_text(series)
-    if "," in cell and is_number(cell, ","):
-        remedy = "Write decimal points."
-    else:
-        remedy = "Give numbers; leave missing cells empty."
+    comma = "," in cell and is_number(cell, ",")
+    remedy = "Write decimal points." if comma else "Give numbers; leave missing cells empty."
     raise InputError(f"{source}: column {column!r}: {cell!r} in row {row} is no real number. {remedy}")
 
 

@@ -171,12 +171,10 @@ class Experiment(HtmlTableMixin):
     @classmethod
     def of_arrays(cls, name: str, times: Floats, outputs: Sequence[str], values: Floats, counted: Flags) -> Self:
         """Return unchecked measurements without inputs; arrays as the attributes."""
-        made = cls.__new__(cls)
+        made, empty = cls.__new__(cls), np.empty((len(times), 0))
         frame = pd.DataFrame({"time": times} | dict(zip(outputs, values.T, strict=True)))
-        empty = np.empty((len(times), 0))
-        made._set(frame=frame, inputs={}, outputs=dict(zip(outputs, outputs, strict=True)), time="time", units={})
-        made._set(interpolation="linear", warmup=0.0, values={}, measured=True, name=name, source="the table")
-        made._set(times=times, input_values=empty, output_values=values, counted=counted)
+        made._set(frame=frame, inputs={}, outputs=dict(zip(outputs, outputs, strict=True)), units={}, values={})
+        made._set(name=name, source="the table", times=times, input_values=empty, output_values=values, counted=counted)
         return made
 
     def with_outputs(self, values: npt.ArrayLike) -> Self:
@@ -197,11 +195,10 @@ class Experiment(HtmlTableMixin):
             raise InputError(
                 f"{self.source}: outputs must be finite or NaN, of shape {self.output_values.shape}, not {given.shape}."
             )
-        outputs = {name: self.columns[name] for name in self.output_names}
         taken = [self.time, *self.columns.values()]
-        for variable, column in outputs.items():
-            if taken.count(column) > 1:  # another variable reads this column too, and must go on doing so
-                outputs[variable] = f"{column} as {variable}"
+        # a column that another variable reads, too, stays
+        own = {name: self.columns[name] for name in self.output_names}
+        outputs = {name: column if taken.count(column) == 1 else f"{column} as {name}" for name, column in own.items()}
         counted = _counted(self.source, self.times, given, outputs, outputs, self.warmup)
         frame = self.frame.assign(**{column: given[:, k] for k, column in enumerate(outputs.values())})
         other = copy.copy(self)
@@ -257,13 +254,10 @@ def _roles(source: str, word: str, given: Sequence[str] | Mapping[str, str]) -> 
     """Return FMU variables to columns."""
     if isinstance(given, str) or not isinstance(given, Iterable):
         raise InputError(f'{source}: {word} = {given!r} is no list. Give names, such as ["u", "w"].')
-    pairs = list(given.items()) if isinstance(given, Mapping) else [(name, name) for name in given]
     roles: dict[str, str] = {}
-    for variable, column in pairs:
+    for variable, column in given.items() if isinstance(given, Mapping) else zip(given, given, strict=True):
         if not isinstance(variable, str) or not isinstance(column, str):
-            raise InputError(
-                f"{source}: {word}: {variable!r} = {column!r} is no name. Give names of variables and columns."
-            )
+            raise InputError(f"{source}: {word}: {variable!r} = {column!r} is no name. Name variables and columns.")
         if variable in roles:
             raise InputError(f"{source}: {word}: {variable!r} is given twice. Remove one.")
         roles[variable] = column
@@ -294,16 +288,12 @@ def _times(source: str, frame: pd.DataFrame, time: str) -> Floats:
     back = np.flatnonzero(steps < 0)
     if back.size:
         before, after = times[back[0] : back[0] + 2]
-        raise InputError(
-            f"{column}: row {back[0] + 2} goes back from {before:.9g} s to {after:.9g} s. "
-            "Sort the rows or split the data."
-        )
+        said = f"row {back[0] + 2} goes back from {before:.9g} s to {after:.9g} s"
+        raise InputError(f"{column}: {said}. Sort the rows or split the data.")
     thrice = np.flatnonzero((steps[:-1] == 0) & (steps[1:] == 0))
     if thrice.size:
-        raise InputError(
-            f"{column}: {times[thrice[0]]:.9g} s more than twice from row {thrice[0] + 1}. "
-            "Keep the rows before and after the step."
-        )
+        said = f"{times[thrice[0]]:.9g} s more than twice from row {thrice[0] + 1}"
+        raise InputError(f"{column}: {said}. Keep the rows before and after the step.")
     if times.size < 2 or times[0] == times[-1]:
         raise InputError(f"{column}: fewer than two different times. Give longer data.")
     return times
@@ -315,11 +305,11 @@ def _check_rows(source: str, times: Floats, inputs: Mapping[str, str], words: Se
         begin, end = times[row : row + 2]
         how = zip(map(json.dumps, inputs.values()), words, strict=True)
         fill = ", ".join(f'{name} = "{"zoh" if word in HELD else "linear"}"' for name, word in how)
-        raise InputError(
-            f"{source}: rows missing from {begin:.9g} s (row {row + 1}) to {end:.9g} s; "
-            f"usual interval {usual_step(times):.3g} s. "
-            f"Cut the data or set preprocess = {{ fill_missing = {{ {fill} }}, max_gap = {end - begin:.9g} }}."
+        said = (
+            f"rows missing from {begin:.9g} s (row {row + 1}) to {end:.9g} s; usual interval {usual_step(times):.3g} s"
         )
+        remedy = f"preprocess = {{ fill_missing = {{ {fill} }}, max_gap = {end - begin:.9g} }}"
+        raise InputError(f"{source}: {said}. Cut the data or set {remedy}.")
 
 
 def _values(
@@ -335,12 +325,12 @@ def _values(
         if bad.size:
             row = bad[0]
             found = "has no value" if np.isnan(values[row, k]) else f"is {values[row, k]}"
-            fill = f'fill_missing = {{ {json.dumps(column)} = "linear" }}'
-            fill = f"Fill the gap, preprocess = {{ {fill} }}, or cut the data there."
-            remedy = fill if role == "input" else "Leave missing cells empty."
-            raise InputError(
-                f"{source}: {role} column {column!r} {found} in row {row + 1} (t = {times[row]:.9g} s). {remedy}"
+            fill = f'preprocess = {{ fill_missing = {{ {json.dumps(column)} = "linear" }} }}'
+            remedy = (
+                f"Fill the gap, {fill}, or cut the data there." if role == "input" else "Leave missing cells empty."
             )
+            where = f"in row {row + 1} (t = {times[row]:.9g} s)"
+            raise InputError(f"{source}: {role} column {column!r} {found} {where}. {remedy}")
     return values
 
 
@@ -357,10 +347,9 @@ def _counted(
         if not there[:, k].any():
             raise InputError(f"{source}: output column {column!r} has no sample. Remove it from the outputs.")
         if not counted[:, k].any():
-            raise InputError(
-                f"{source}: warmup = {warmup:.9g} s leaves no sample of {column!r}; its last is at "
-                f"{times[there[:, k]][-1]:.9g} s. Make warmup shorter."
-            )
+            said = f"warmup = {warmup:.9g} s leaves no sample of {column!r}"
+            last = f"its last is at {times[there[:, k]][-1]:.9g} s"
+            raise InputError(f"{source}: {said}; {last}. Make warmup shorter.")
     return counted
 
 
@@ -370,9 +359,9 @@ def _units(
     """Return units by variable, given ones first."""
     for variable, unit in given.items():
         if variable not in columns:
+            near = nearest(str(variable), columns)
             raise InputError(
-                f"{source}: units: {variable!r} is no input or output{nearest(str(variable), columns)}. "
-                "Name inputs and outputs only."
+                f"{source}: units: {variable!r} is no input or output{near}. Name inputs and outputs only."
             )
         if not isinstance(unit, str):
             raise InputError(f'{source}: units: {variable} = {unit!r} is no text. Write it as "rad/s".')

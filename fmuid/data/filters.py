@@ -60,11 +60,8 @@ def check_equal_steps(times: Floats, word: str, source: str) -> None:
     odd = np.flatnonzero((np.abs(steps - usual) > 0.01 * usual) & (steps <= GAP * usual))
     if usual <= 0 or odd.size:
         row = int(odd[0]) if odd.size else 0
-        raise InputError(
-            f"{source}: {word}: unequal sampling, {steps[row]:.6g} s after row {row + 1}, "
-            f"usually {usual:.6g} s. "
-            f"Filter before resampling, or remove {word}."
-        )
+        said = f"unequal sampling, {steps[row]:.6g} s after row {row + 1}, usually {usual:.6g} s"
+        raise InputError(f"{source}: {word}: {said}. Filter before resampling, or remove {word}.")
 
 
 def low_passed(times: Floats, values: Floats, frequency: float, source: str) -> Floats:
@@ -75,8 +72,7 @@ def low_passed(times: Floats, values: Floats, frequency: float, source: str) -> 
     rate = 1.0 / usual_step(times)
     if not 0 < frequency < rate / 2:
         raise InputError(
-            f"{source}: lowpass_frequency = {frequency:g} Hz must be below half the sampling rate, "
-            f"{rate / 2:g} Hz. "
+            f"{source}: lowpass_frequency = {frequency:g} Hz must be below half the sampling rate, {rate / 2:g} Hz. "
             "Lower or remove it."
         )
     sections = butter(2, frequency, fs=rate, output="sos")
@@ -118,12 +114,9 @@ def filled(
     for bad in np.flatnonzero((alone | long) & needed)[:1]:
         said = f"{called}: no value at t = {times[gone[bad]]:.9g} s"
         if alone[bad]:
-            side = "before" if first[bad] else "after"
-            raise InputError(f"{said} and none {side} it. Cut the data there.")
-        raise InputError(
-            f"{said} in a gap of {length[bad]:.6g} s; limit {said_so} = {limit:g} s. "
-            "Raise max_gap or cut the data there."
-        )
+            raise InputError(f"{said} and none {'before' if first[bad] else 'after'} it. Cut the data there.")
+        gap = f"in a gap of {length[bad]:.6g} s; limit {said_so} = {limit:g} s"
+        raise InputError(f"{said} {gap}. Raise max_gap or cut the data there.")
     share = np.where(length > 0, (times[gone] - times[before]) / np.where(length > 0, length, 1.0), 0.0)
     found, slope = values.copy(), values[after] - values[before] if how == "linear" else 0.0
     kept = ~(alone | long)
@@ -137,9 +130,8 @@ def resampled(
     """Return times in equal steps, s, and columns (K, n) there; NaN in gaps."""
     twice = np.flatnonzero(np.diff(times) == 0)
     if twice.size:
-        raise InputError(
-            f"{source}: resample_interval: two samples at t = {times[twice[0]]:.9g} s. Keep one, or do not resample."
-        )
+        at = f"t = {times[twice[0]]:.9g} s"
+        raise InputError(f"{source}: resample_interval: two samples at {at}. Keep one, or do not resample.")
     count = int((times[-1] - times[0]) / step + SAME) + 1
     if count < 2:
         raise InputError(f"{source}: resample_interval = {step:g} s is longer than the data. Reduce it.")
@@ -192,10 +184,8 @@ def extremes(columns: Floats, count: int) -> Indices:
 
 def _ends(blocks: Floats) -> tuple[Indices, ...]:
     """Return places of minima and maxima of blocks (n, size, m)."""
-    if not blocks.shape[1]:
-        return ()
-    missing = np.isnan(blocks)
-    return np.where(missing, np.inf, blocks).argmin(axis=1), np.where(missing, -np.inf, blocks).argmax(axis=1)
+    ends = [(np.argmin, np.inf), (np.argmax, -np.inf)] if blocks.shape[1] else []
+    return tuple(place(np.where(np.isnan(blocks), limit, blocks), axis=1) for place, limit in ends)
 
 
 def evenly(samples: int, count: int) -> Indices:

@@ -69,26 +69,19 @@ class Noise:
     def __post_init__(self) -> None:
         for word in (*FORMS, "initial_variance", "excitation_period"):
             given = getattr(self, word)
-            if given is None or (word == "variance" and isinstance(given, str) and given == "estimate"):
-                continue
-            entries = given.items() if isinstance(given, Mapping) else [("", given)]
-            found = {output: _checked(word, output, value) for output, value in entries}
-            object.__setattr__(self, word, found if isinstance(given, Mapping) else found[""])
+            if isinstance(given, Mapping):
+                given = {output: _checked(word, output, value) for output, value in given.items()}
+            elif given is not None and not (word == "variance" and isinstance(given, str) and given == "estimate"):
+                given = _checked(word, "", given)
+            object.__setattr__(self, word, given)
         for name, own in self.experiments.items():
             if own.initial_variance is not None or own.shared_variance or own.experiments:
                 words = ", ".join((*FORMS, "excitation_period"))
                 raise InputError(f"noise of experiment {name!r}: only {words} are allowed. Set other keys in [noise].")
 
     def form(self, output: str) -> tuple[str, Any]:
-        """Return the form of noise of an output and its value; "" and None if not given.
-
-        Raises
-        ------
-        InputError
-            If two forms are given.
-        """
-        found = [(word, _of(getattr(self, word), output)) for word in FORMS]
-        said = [(word, level) for word, level in found if level is not None]
+        """Return the form of noise of an output and its value; "" and None if not given."""
+        said = [(word, level) for word in FORMS if (level := _of(getattr(self, word), output)) is not None]
         if len(said) > 1:
             raise InputError(f"noise: {said[0][0]} and {said[1][0]} of output {output!r} are both given. Keep one.")
         return said[0] if said else ("", None)
@@ -103,26 +96,14 @@ class Noise:
         return replace(self, experiments={name: own for name, own in self.experiments.items() if name in experiments})
 
     def given_variance(self) -> float | Mapping[str, float] | None:
-        """Return the given variance, None if it is estimated.
-
-        Raises
-        ------
-        InputError
-            If another form of noise is given.
-        """
+        """Return the given variance, None if it is estimated; other forms are refused."""
         for word in ("std", "relative_std", "weights", "shared_variance", "excitation_period", "experiments"):
             if getattr(self, word):
                 raise InputError(f"noise.{word}: not supported by diagnosis. Use noise.variance.")
         return None if isinstance(self.variance, str) else self.variance
 
     def check_names(self, outputs: Sequence[str]) -> None:
-        """Check that all names are measured outputs.
-
-        Raises
-        ------
-        InputError
-            If one is not.
-        """
+        """Check that all names are measured outputs."""
         for word in (*FORMS, "initial_variance", "shared_variance"):
             given = getattr(self, word)
             listed = word == "shared_variance" and not isinstance(given, bool)
@@ -142,8 +123,7 @@ class Noise:
 
     def first(self, outputs: Sequence[str]) -> Floats:
         """Return the initial variance of each output, NaN if not given."""
-        starts = [_of(self.initial_variance, output) for output in outputs]
-        return np.array([math.nan if value is None else value for value in starts])
+        return np.array([_of(self.initial_variance, output) for output in outputs], dtype=np.float64)  # None is NaN
 
 
 def _of(given: Any, output: str) -> Any:
@@ -223,10 +203,8 @@ def noise_levels(noise: Noise, experiments: Sequence[Experiment], outputs: Seque
     share, scale = _proportions(experiments, found, outputs)
     pool = np.array([_is_pooled(noise, output, forms[output]) for output in outputs])
     if pool.sum() == 1 and scale is None and "weights" in forms[alone := outputs[int(np.argmax(pool))]]:
-        raise InputError(
-            f"noise.weights: constant weights of output {alone!r} alone have no effect. "
-            "Add weights of other outputs, or a column."
-        )
+        why = f"constant weights of output {alone!r} alone have no effect"
+        raise InputError(f"noise.weights: {why}. Add weights of other outputs, or a column.")
     pools = (np.flatnonzero(pool),) if pool.sum() > 1 else ()
     return NoiseLevels(np.where(given, share, math.nan), noise.first(outputs), scale, share, pools)
 
@@ -272,16 +250,13 @@ def _samples(experiment: Experiment, output: str, word: str, level: str | tuple[
     else:
         values, where = np.array(level), what
         if values.size != len(counted):
-            raise InputError(
-                f"{what}: {values.size} values for {len(counted)} samples of experiment {experiment.name!r}."
-            )
+            count = f"{values.size} values for {len(counted)} samples"
+            raise InputError(f"{what}: {count} of experiment {experiment.name!r}.")
     bad = np.flatnonzero(counted & ~((values > 0) & np.isfinite(values)))
     if bad.size:
         found = "has no value" if np.isnan(values[bad[0]]) else f"is {values[bad[0]]:g}"
-        raise InputError(
-            f"{where} {found} in row {bad[0] + 1} (t = {experiment.times[bad[0]]:.9g} s). "
-            "Give a positive number, or leave the cell of the output empty."
-        )
+        row = f"row {bad[0] + 1} (t = {experiment.times[bad[0]]:.9g} s)"
+        raise InputError(f"{where} {found} in {row}. Give a positive number, or leave the cell of the output empty.")
     return np.where(counted, values, 1.0)
 
 

@@ -52,28 +52,19 @@ class Parameter:
     per_experiment: bool | Mapping[str, Sequence[str]] = False
 
     def name_in(self, experiment: str, name: str) -> str:
-        """Return the name of parameter `name` in an experiment.
-
-        Raises
-        ------
-        InputError
-            If no group, or more than one, has the experiment.
-        """
+        """Return the name of parameter `name` in an experiment, which exactly one group has."""
         if isinstance(self.per_experiment, bool):
             return f"{name}[{experiment}]" if self.per_experiment else name
         groups = [group for group, members in self.per_experiment.items() if experiment in members]
         if len(groups) != 1:
             named = [member for members in self.per_experiment.values() for member in members]
-            where = f"in {' and '.join(groups)}" if groups else f"in none{nearest(experiment, named)}"
-            raise InputError(
-                f"per_experiment of {name!r}: experiment {experiment!r} is {where}. List each in exactly one group."
-            )
+            where = f"is in {' and '.join(groups) or 'none' + nearest(experiment, named)}"
+            raise InputError(f"per_experiment of {name!r}: experiment {experiment!r} {where}. List each in one group.")
         return f"{name}[{groups[0]}]"
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "start", checked_number(self.start, "start"))
-        object.__setattr__(self, "min", checked_number(self.min, "min", infinite=True))
-        object.__setattr__(self, "max", checked_number(self.max, "max", infinite=True))
+        for word in ("start", "min", "max"):
+            object.__setattr__(self, word, checked_number(getattr(self, word), word, infinite=word != "start"))
         if not self.min < self.max:
             raise InputError(
                 f"min {self.min:g} must be less than max {self.max:g}. To fix the parameter, use [model.fixed]."
@@ -139,10 +130,8 @@ class ParameterSet:
         repeated = sorted({name for name in experiments if list(experiments).count(name) > 1})
         own = [name for name, parameter in parameters.items() if parameter.per_experiment]
         if own and repeated:
-            raise InputError(
-                f"two experiments are named {repeated[0]!r}, "
-                f"and {own[0]!r} has a value per experiment. Rename one experiment."
-            )
+            said = f"two experiments are named {repeated[0]!r}, and {own[0]!r} has a value per experiment"
+            raise InputError(f"{said}. Rename one experiment.")
         flat: dict[str, Parameter] = {}
         columns: list[list[int]] = [[] for _ in experiments]
         for name, parameter in parameters.items():
@@ -182,13 +171,7 @@ class ParameterSet:
         return np.maximum(np.abs(theta), self.scale)
 
     def index(self, name: str) -> int:
-        """Return the index of `name` in θ.
-
-        Raises
-        ------
-        InputError
-            If it is unknown.
-        """
+        """Return the index of `name` in θ; an `InputError` if it is unknown."""
         if name not in self.names:
             raise InputError(f"{name!r} is not a parameter of the problem{nearest(name, self.names)}.")
         return self.names.index(name)
@@ -200,9 +183,7 @@ class ParameterSet:
         for i, parameter in enumerate(flat.values()):
             if parameter.prior is not None:
                 mean[i], std[i] = parameter.prior.mean, parameter.prior.std
-                row = np.zeros(count)
-                row[i] = 1.0 / std[i]
-                rows.append(row)
+                rows.append(np.where(np.arange(count) == i, 1.0 / std[i], 0.0))
         if joint is not None:
             where = [self.index(name) for name in joint.names]
             for i in where:
@@ -213,8 +194,7 @@ class ParameterSet:
                 if not self.lower[i] <= mean[i] <= self.upper[i]:
                     raise InputError(
                         f"joint prior mean {mean[i]:g} of {self.names[i]!r} is "
-                        f"outside [{self.lower[i]:g}, {self.upper[i]:g}]. "
-                        "Change prior or bounds."
+                        f"outside [{self.lower[i]:g}, {self.upper[i]:g}]. Change prior or bounds."
                     )
             block = np.zeros((len(where), count))
             block[:, where] = joint.whitening()

@@ -109,26 +109,7 @@ class Preprocessing:
         signals: Iterable[str] | None = None,
         interpolation: Mapping[str, str] | None = None,
     ) -> pd.DataFrame:
-        """Return a preprocessed frame.
-
-        Parameters
-        ----------
-        frame : pandas.DataFrame
-            Data.
-        time : str
-            Time column, s.
-        source : str
-            Name of the data in messages.
-        signals : iterable of str, optional
-            Columns to filter, resample and detrend. Default: all numeric ones.
-        interpolation : mapping of str to str, optional
-            Interpolation of columns. Default: linear.
-
-        Raises
-        ------
-        InputError
-            If the data do not allow an operation.
-        """
+        """Return a preprocessed frame; `signals` are filtered, resampled and detrended, by default all numeric ones."""
         if not self._asked:
             return frame
         work, between = _Work(frame, time, source), interpolation or {}
@@ -140,9 +121,8 @@ class Preprocessing:
         if self.lowpass_frequency is not None:
             for column in names:
                 if between.get(column) in HELD:
-                    raise InputError(
-                        f'{source}: lowpass_frequency: {column!r} has interpolation = "zoh". Remove one of the two.'
-                    )
+                    said = f'{column!r} has interpolation = "zoh"'
+                    raise InputError(f"{source}: lowpass_frequency: {said}. Remove one of the two.")
             work.put(names, low_passed(work.times, work.values(names), self.lowpass_frequency, source))
         work.cut(self.start_time, self.end_time)
         if self.resample_interval is not None:
@@ -197,9 +177,7 @@ class _Work:
     def derive(self, columns: Mapping[str, str]) -> None:
         for name, expression in columns.items():
             if name == self.time:
-                raise InputError(
-                    f"{self.source}: computed_columns: time {name!r} cannot be computed. Use another name."
-                )
+                raise InputError(f"{self.source}: computed_columns: time {name!r} cannot be computed. Rename it.")
             try:
                 values = evaluate(expression, self.column, len(self.frame))
             except InputError as error:
@@ -262,8 +240,7 @@ class _Work:
             asked += "" if end is None else f" to {end:g}"
             raise InputError(
                 f"{self.source}: {asked.strip()} s leaves {kept.sum()} samples; "
-                f"data are from {times[0]:.6g} to {times[-1]:.6g} s. "
-                "Change start_time or end_time."
+                f"data are from {times[0]:.6g} to {times[-1]:.6g} s. Change start_time or end_time."
             )
         if not kept.all():
             self.frame = self.frame[kept].reset_index(drop=True)

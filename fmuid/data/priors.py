@@ -102,8 +102,7 @@ class JointPrior:
             raise InputError(f"joint prior: a parameter is named twice: {', '.join(self.names)}.")
         if self.mean.shape != (count,) or self.covariance.shape != (count, count):
             raise InputError(
-                f"joint prior of {', '.join(self.names)}: "
-                f"needs {count} means and a {count} x {count} covariance, "
+                f"joint prior of {', '.join(self.names)}: needs {count} means and a {count} x {count} covariance, "
                 f"not shapes {self.mean.shape} and {self.covariance.shape}."
             )
         if not (np.isfinite(self.mean).all() and np.isfinite(self.covariance).all()):
@@ -119,8 +118,7 @@ class JointPrior:
             i, j = np.argwhere(unequal)[0]
             raise InputError(
                 f"joint prior: covariance is not symmetric; {self.names[i]}, {self.names[j]}: "
-                f"{self.covariance[i, j]:g} and "
-                f"{self.covariance[j, i]:g}."
+                f"{self.covariance[i, j]:g} and {self.covariance[j, i]:g}."
             )
         self.whitening()
 

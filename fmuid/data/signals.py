@@ -15,6 +15,7 @@ import pandas as pd
 from fmuid.array_types import Floats
 from fmuid.data.clock import missing_column
 from fmuid.data.data_file import numeric_column
+from fmuid.data.priors import checked_number
 from fmuid.errors import InputError
 
 SAMPLE_TOLERANCE = 1e-6
@@ -131,8 +132,7 @@ def multisine(
     if not lowest <= _positive(highest, "highest") < 0.5 / step:
         raise InputError(
             f"highest {highest:g} Hz must be from lowest, {lowest:g} Hz, "
-            f"to below half the sampling rate, {0.5 / step:g} Hz. "
-            "Change the band or sample faster."
+            f"to below half the sampling rate, {0.5 / step:g} Hz. Change the band or sample faster."
         )
     first, last = math.ceil(lowest * period - SAMPLE_TOLERANCE), math.floor(highest * period + SAMPLE_TOLERANCE)
     if last < first:
@@ -182,13 +182,13 @@ def step_sequence(
     [0.0, 0.0, 12.0, 12.0]
     """
     clock = _times(duration, step, column, offset=offset)
-    heights = np.array([_check_number(level, "a level") for level in levels])
+    heights = np.array([checked_number(level, "a level") for level in levels])
     if not 1 <= heights.size <= clock.size:
         raise InputError(f"{heights.size} levels do not fit {clock.size} samples. Give 1 to {clock.size}.")
     if times is None:
         first = np.arange(heights.size) * clock.size // heights.size
     else:
-        begins = np.array([_check_number(begin, "a time") for begin in times])
+        begins = np.array([checked_number(begin, "a time") for begin in times])
         if begins.size != heights.size:
             raise InputError(f"{heights.size} levels but {begins.size} times. Give one time for each level.")
         first = np.ceil(begins / step - SAMPLE_TOLERANCE)
@@ -211,18 +211,12 @@ def _times(duration: float, step: float, column: str, **numbers: float) -> Float
             f"duration {duration:g} s is {samples:g} samples of {step:g} s. Give a whole number, two or more."
         )
     for name, value in numbers.items():
-        _check_number(value, name)
+        checked_number(value, name)
     return float(step) * np.arange(count, dtype=np.float64)
 
 
-def _check_number(value: float, what: str) -> float:
-    if isinstance(value, bool) or not isinstance(value, int | float | np.number) or not math.isfinite(value):
-        raise InputError(f"{what} must be a finite number, not {value!r}.")
-    return float(value)
-
-
 def _positive(value: float, what: str) -> float:
-    if not _check_number(value, what) > 0:
+    if not checked_number(value, what) > 0:
         raise InputError(f"{what} must be greater than 0, not {value!r}.")
     return float(value)
 

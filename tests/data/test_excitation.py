@@ -89,7 +89,7 @@ def test_steps() -> None:
         (lambda: prbs(1.0, -1e-3, 1.0, 5), "step must be greater than 0"),
         (lambda: prbs(1.0, 0.3, 1.0, 1), "duration 1 s is 3.33333 samples of 0.3 s"),
         (lambda: prbs(1e9, 1e-3, 1.0, 1), r"1e\+12 samples of 0.001 s"),
-        (lambda: prbs(1.0, 1e-3, float("nan"), 5), "amplitude must be a finite number"),
+        (lambda: prbs(1.0, 1e-3, float("nan"), 5), "amplitude must be finite"),
         (lambda: prbs(1.0, 1e-3, 1.0, 0), "must be a whole number from 1 to 1000"),
         (lambda: prbs(1.0, 1e-3, 1.0, 5, order=1), "order must be a whole number from 2 to 32"),
         (lambda: prbs(1.0, 1e-3, 1.0, 5, seed=-1), "seed must be a whole number, 0 or more"),
@@ -100,7 +100,7 @@ def test_steps() -> None:
         (lambda: step_sequence(1.0, 0.1, []), "0 levels do not fit 10 samples"),
         (lambda: step_sequence(1.0, 0.1, [1.0, 2.0], times=[0.0]), "2 levels but 1 times"),
         (lambda: step_sequence(1.0, 0.1, [1.0, 2.0], times=[0.1, 0.2]), "times must begin with 0"),
-        (lambda: step_sequence(1.0, 0.1, [True]), "a level must be a finite number"),
+        (lambda: step_sequence(1.0, 0.1, [True]), "a level must be a number"),
     ],
 )
 def test_refusals(call: Callable[[], Any], text: str) -> None:

@@ -1,7 +1,4 @@
-"""Columns of binary data files, and the process that reads them.
-
-One process reads all files: a crash, a hang or a lack of memory costs one sentence.
-"""
+"""Columns of binary data files, and the one process that reads them."""
 
 from __future__ import annotations
 

@@ -60,24 +60,14 @@ def _check_compression(objects: list[tuple[str, Any]], source: str) -> None:
         for k in range(filters.get_nfilters()):
             code, *_, name = filters.get_filter(k)
             if not filter_avail(code):
-                raise InputError(
-                    f"{source}: {path!r} is compressed by {name.decode(errors='replace')}, "
-                    "which is not installed. "
-                    "Save it with zlib or uncompressed."
-                )
+                said = f"{path!r} is compressed by {name.decode(errors='replace')}, which is not installed"
+                raise InputError(f"{source}: {said}. Save it with zlib or uncompressed.")
 
 
 def _vectors(objects: list[tuple[str, Any]]) -> tuple[dict[str, Array], dict[str, str]]:
-    vectors: dict[str, Array] = {}
-    units: dict[str, str] = {}
-    for path, item in objects:
-        if not hasattr(item, "shape"):  # a group, or a type
-            continue
-        for name, value, unit in _of_dataset(path, item):
-            vectors[name] = value
-            if unit:
-                units[name] = unit
-    return vectors, units
+    datasets = [(path, item) for path, item in objects if hasattr(item, "shape")]  # no groups or types
+    found = [each for path, item in datasets for each in _of_dataset(path, item)]
+    return {name: value for name, value, _ in found}, {name: unit for name, _, unit in found if unit}
 
 
 def _of_dataset(path: str, item: Any) -> Iterator[tuple[str, Array, str]]:

@@ -1,7 +1,4 @@
-"""MAT files of MATLAB, and results of OpenModelica and Dymola.
-
-Results are "trajectory" files in MAT version 4 (OpenModelica User's Guide, "The MATv4 Result File Format").
-"""
+"""MAT files of MATLAB, and results of OpenModelica and Dymola (its User's Guide, "The MATv4 Result File Format")."""
 
 from __future__ import annotations
 
@@ -30,9 +27,8 @@ def read_mat(path: Path, source: str, _sheet: object) -> FileColumns:
         return _result_columns(source, content)
     vectors = dict(_vectors(content))
     if not vectors and "MatlabOpaque" in str({value.dtype for value in content.values()}):
-        raise InputError(
-            f"{source}: MATLAB tables and timetables are not readable. Use writetimetable, parquetwrite or vectors."
-        )
+        said = "MATLAB tables and timetables are not readable"
+        raise InputError(f"{source}: {said}. Use writetimetable, parquetwrite or vectors.")
     return columns_of_vectors(source, vectors, {}, ".")
 
 
@@ -67,11 +63,7 @@ def _names(value: npt.NDArray[Any]) -> list[str]:
 
 
 def _result_columns(source: str, arrays: Arrays) -> FileColumns:
-    """Return the variables of a result, Aclass 1.0 or 1.1.
-
-    Parameters and constants become constant columns: inputs that do not change are stored so. Of three or more rows at
-    one time, the first and last are kept.
-    """
+    """Return the variables of a result, Aclass 1.0 or 1.1; of rows at one time the first and last."""
     kind = ["".join(row).strip(" \0") for row in arrays["Aclass"]]
     if kind[0] != "Atrajectory" or len(kind) < 4 or kind[3] not in ("binTrans", "binNormal"):
         raise InputError(f"{source}: holds {kind[0]!r} data, no trajectories. Give a simulation result.")
@@ -95,18 +87,12 @@ def _result_columns(source: str, arrays: Arrays) -> FileColumns:
 
 
 def _version_1_1(arrays: Arrays) -> Arrays:
-    """Return variables from the places in dataInfo.
-
-    Column 1 is the matrix: 0 time, 1 data_1 (constants), 2 data_2. Column 2 is the column from 1, negative if negated.
-    """
+    """Return variables by dataInfo: matrix (1: constants in data_1) and column from 1, negative if negated."""
     samples = len(arrays["data_2"])
     columns: Arrays = {}
-    for name, info in zip(arrays["name"], arrays["dataInfo"].astype(int), strict=True):
-        matrix, place = int(info[0]), int(info[1])
-        if matrix == 1:
-            values = np.full(samples, arrays["data_1"][0, abs(place) - 1])
-        else:
-            values = arrays["data_2"][:, abs(place) - 1]
+    for name, (matrix, place, *_) in zip(arrays["name"], arrays["dataInfo"].astype(int).tolist(), strict=True):
+        values = arrays[f"data_{1 if matrix == 1 else 2}"][:, abs(place) - 1]
+        values = np.full(samples, values[0]) if matrix == 1 else values
         columns[_text(name)] = -values if place < 0 else values
     return columns
 

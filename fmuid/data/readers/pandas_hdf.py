@@ -1,7 +1,4 @@
-"""Frames of pandas in HDF5, in both layouts, without unpickling.
-
-pandas stores names and time zones as pickles. `pandas.read_hdf` executes them; here they are plain values.
-"""
+"""Frames of pandas in HDF5, in both layouts: pickles of names and time zones are read as plain values."""
 
 from __future__ import annotations
 
@@ -120,9 +117,8 @@ class _Frame:
         node = self._group[name]
         kind = _attribute(node, "kind")
         if kind not in ("string", "integer", "float"):
-            raise self._refusal(
-                "its header", f"labels of the type {kind}" if isinstance(kind, str) else "Python objects"
-            )
+            labels = f"labels of the type {kind}" if isinstance(kind, str) else "Python objects"
+            raise self._refusal("its header", labels)
         if _attribute(node, "shape") is not None:  # an axis without labels
             return []
         return [self._text(each) for each in node[()].tolist()]
@@ -155,9 +151,7 @@ class _Frame:
             (_, shape, _, by_columns, cells) = found.state
         except (AttributeError, TypeError, ValueError):
             raise refusal from None
-        plain = isinstance(cells, list) and all(
-            each is None or isinstance(each, str | bool | int | float) for each in cells
-        )
+        plain = isinstance(cells, list) and all(isinstance(each, str | bool | int | float | None) for each in cells)
         if not found.name.endswith("multiarray._reconstruct") or not plain:
             raise refusal
         return array_of_cells(cells).reshape(shape, order="F" if by_columns else "C")
@@ -177,9 +171,8 @@ class _Frame:
         raise self._refusal("a column of dates", "a time zone that is stored as a Python object")
 
     def _refusal(self, where: str, what: str) -> InputError:
-        return InputError(
-            f"{self._source}: {where} in {self._group.name!r} has {what}. Save numbers, dates and texts only."
-        )
+        said = f"{where} in {self._group.name!r} has {what}"
+        return InputError(f"{self._source}: {said}. Save numbers, dates and texts only.")
 
 
 def _with_index(name: Any, index: Array, zone: str | None, columns: dict[str, tuple[Array, str | None]]) -> FileColumns:

@@ -51,7 +51,7 @@ def read_mdf(path: Path, source: str, _sheet: object) -> FileColumns:
         raise InputError(f"{source}: the file has no channels with samples: record it again")
     times = np.unique(np.concatenate([signal.timestamps for signal in signals]))
     columns = {signal.name: _at(times, signal.timestamps, signal.samples) for signal in signals}
-    units = {name: signal.unit for signal in signals for name in columns if name == signal.name and signal.unit}
+    units = {signal.name: signal.unit for signal in signals if signal.unit}
     headers = ("time", *columns)
     said = {k: units[name] for k, name in enumerate(headers) if name in units}
     return FileColumns(headers, (times, *columns.values()), said, time=0, units_in_headers=False)
@@ -69,10 +69,7 @@ def _at(times: Array, own: Array, samples: Array) -> Array:
 
 @contextmanager
 def _formulas_as_expressions(source: str) -> Iterator[None]:
-    """Have asammdf compute formulas by `evaluate`.
-
-    By itself it gives them to numexpr and SymPy, and both run Python's `eval`.
-    """
+    """Have asammdf compute formulas by `evaluate`, without numexpr and SymPy, which run Python's `eval`."""
     from asammdf.blocks import v2_v3_blocks, v4_blocks
 
     wrong: list[str] = []
@@ -95,10 +92,8 @@ def _formulas_as_expressions(source: str) -> Iterator[None]:
         for module, *functions in before:
             module.evaluate, module.lambdify = functions
     if wrong:
-        raise InputError(
-            f"{source}: conversion formula {bounded(wrong[0], 60)!r} cannot be computed. "
-            "Convert the file with the recorder's tool."
-        )
+        said = f"conversion formula {bounded(wrong[0], 60)!r} cannot be computed"
+        raise InputError(f"{source}: {said}. Convert the file with the recorder's tool.")
 
 
 def _plain(values: Any) -> Array:

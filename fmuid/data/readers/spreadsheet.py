@@ -63,10 +63,7 @@ def _shown_as_whole(path: Path) -> set[float] | None:
 
 
 def _are_days(values: Sequence[float]) -> bool:
-    """Return whether numbers have few digits only as days counted in seconds.
-
-    Times in s have many digits, too, at rates with a factor of 3, as 48 kHz.
-    """
+    """Return whether numbers have few digits only as days counted in seconds."""
     return not all(map(_is_short, values)) and all(_is_short(SECONDS["d"] * value) for value in values)
 
 

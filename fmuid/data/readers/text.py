@@ -209,9 +209,8 @@ def _as_it_is(source: str, text: str) -> _Layout:
     try:
         read = list(_rows(io.StringIO(text), ","))
     except csv.Error:  # its sentences are for programmers
-        raise InputError(
-            f"{source}: no text table, or lines end in carriage returns. End them in line feeds."
-        ) from None
+        said = "no text table, or lines end in carriage returns"
+        raise InputError(f"{source}: {said}. End them in line feeds.") from None
     if not read or not any(cell.strip() for cell in read[0][1]):
         raise InputError(f"{source}: empty. Give a header with names, and rows of samples.")
     rows = [row for _, row in read]
@@ -219,10 +218,8 @@ def _as_it_is(source: str, text: str) -> _Layout:
     if all(is_number(name) for name in header) or is_number(header[0], ","):
         raise InputError(f"{source}: no header. Write the names of the columns into the first line.")
     if len(rows) > 1 and len(rows[1]) != len(header):
-        raise InputError(
-            f"{source}: {len(header)} names in the header, {_cells(len(rows[1]))} in row 1. "
-            'Quote names with commas ("x[1,2]").'
-        )
+        said = f"{len(header)} names in the header, {_cells(len(rows[1]))} in row 1"
+        raise InputError(f'{source}: {said}. Quote names with commas ("x[1,2]").')
     return _Layout(",", ".", TableHeader(header, (), 1), read[0][0], len(header))
 
 
@@ -247,9 +244,8 @@ def _samples(
     except pd.errors.EmptyDataError:  # a header alone; how few rows there are is said by who needs them
         return pd.DataFrame({name: [] for name in names})
     except (csv.Error, pd.errors.ParserError) as error:
-        raise InputError(
-            f"{source}: no table ({str(error).strip()}). Give all rows as many cells as the header."
-        ) from None
+        said = f"no table ({str(error).strip()})"
+        raise InputError(f"{source}: {said}. Give all rows as many cells as the header.") from None
     if not any(map(pd.api.types.is_numeric_dtype, frame.dtypes)):  # parts put together, each with the header
         frame = frame[~(frame == list(layout.head.names)).all(axis="columns")].reset_index(drop=True)
     frame = frame.apply(_as_numbers, decimal=layout.decimal)
@@ -277,9 +273,8 @@ def _check_rows(rows: Iterator[list[str]], source: str, names: int, first: int) 
     """Refuse rows with too few cells, which pandas would fill."""
     for number, row in enumerate(rows, start=1 - first):
         if number > 0 and len(row) < names:
-            raise InputError(
-                f"{source}: {names} names in the header, {_cells(len(row))} in row {number}. Leave missing cells empty."
-            )
+            said = f"{names} names in the header, {_cells(len(row))} in row {number}"
+            raise InputError(f"{source}: {said}. Leave missing cells empty.")
 
 
 def _cells(count: int) -> str:
