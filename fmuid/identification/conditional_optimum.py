@@ -42,18 +42,11 @@ class ConditionalOptimum:
 
 
 def evaluator_of(problem: LeastSquares, result: Result) -> Evaluator[LeastSquares]:
-    """Return the evaluator of a problem as its result was simulated.
-
-    Raises
-    ------
-    InputError
-        If parameters or outputs of the two differ.
-    """
-    pairs = (
+    """Return the evaluator of a problem as its result was simulated, after a check of the names."""
+    for what, has, needs in (
         ("parameters", result.names, problem.parameters.names),
         ("outputs", tuple(result.fit.noise_variance), problem.output_names),
-    )
-    for what, has, needs in pairs:
+    ):
         if has != needs:
             raise InputError(
                 f"the result is of another problem: its {what} are {', '.join(has)}, not {', '.join(needs)}. "

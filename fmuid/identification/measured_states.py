@@ -32,10 +32,7 @@ class MeasuredStates:
     unseen: Floats  # (n_x, n_z), N, directions that change no output, of the length of the nominals
 
     def __call__(self, thetas: Floats) -> Iterator[tuple[Floats, Floats]]:
-        """Yield states and derivatives of each theta.
-
-        They are (K, n_x), and (2 (K − 1), n_x) at both ends of each interval.
-        """
+        """Yield states (K, n_x) of each theta, and derivatives (2 (K − 1), n_x) at both ends of each interval."""
         if not self.unseen.size:
             yield from ((self.told, rates) for rates in self.side(both_ends(self.told), thetas)[0])
             return
@@ -86,13 +83,7 @@ def both_ends(states: Floats) -> Floats:
 def states_from_outputs(
     side: RightHandSide, theta: Floats, times: Floats, outputs: Floats
 ) -> tuple[MeasuredStates, Floats]:
-    """Return the states by outputs (K, n_y), and C = ∂y/∂x (n_y, n_x).
-
-    Raises
-    ------
-    InputError
-        If the outputs leave too many states open.
-    """
+    """Return the states by outputs (K, n_y), and C = ∂y/∂x (n_y, n_x)."""
     slopes, base, at = side.output_slopes(theta)
     if not np.isfinite(at).all() or not np.isfinite(slopes).all():
         raise InputError("the outputs are not available.")

@@ -39,37 +39,25 @@ def with_observer(problem: Problem, samples: float = 3.0) -> Problem:
         raise InputError(f"an observer needs a positive memory in samples, not {samples:g}.")
     if problem.choices:
         raise InputError(f"an observer excludes discrete parameters. Fix {next(iter(problem.choices))!r}.")
-    start = problem.parameters.start
-    simulators = [_observed(problem, index, start, samples) for index in range(len(problem.simulators))]
+    simulators = [_observed(problem, index, samples) for index in range(len(problem.simulators))]
     return problem.simulated_by(simulators, observer=samples)
 
 
-def _observed(problem: Problem, index: int, start: Floats, samples: float) -> Simulator:
+def _observed(problem: Problem, index: int, samples: float) -> Simulator:
     simulator, experiment = problem.simulators[index], problem.experiments[index]
     side = RightHandSide.of(simulator)
     if side is None:
         raise InputError("an observer needs a single FMU with Model Exchange and accessible states.")
     if len(simulator.output_names) != 1:
-        raise InputError(
-            f"an observer needs one output; {simulator.experiment.source} has {len(simulator.output_names)}."
-        )
-    theta = start[problem.parameters.for_experiment(index)[1]]
-    slopes, outputs = side.secants(theta)
+        raise InputError(f"an observer needs one output; {experiment.source} has {len(simulator.output_names)}.")
+    slopes, outputs = side.secants(problem.parameters.start[problem.parameters.for_experiment(index)[1]])
     interval = float(np.median(np.diff(experiment.times)))
     gain = observer_gain(slopes, outputs[0] / simulator.output_factors[0], interval, samples)
     return side.corrected(side.nominals[:, None] * gain, tolerance=1e-7)
 
 
 def observer_gain(slopes: Floats, output: Floats, interval: float, samples: float) -> Floats:
-    """Return L (n_x, 1) by Ackermann's formula, all poles at exp(−1/samples).
-
-    `slopes` (n_x, n_x) is A, `output` (n_x,) is C, `interval` is T, s.
-
-    Raises
-    ------
-    InputError
-        If the output does not observe all states.
-    """
+    """Return L (n_x, 1) by Ackermann's formula from A (n_x, n_x), C (n_x,) and T, all poles at exp(−1/samples)."""
     count = len(slopes)
     step = scipy.linalg.expm(slopes * interval)
     powers = [np.linalg.matrix_power(step, k) for k in range(count + 1)]

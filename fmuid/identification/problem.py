@@ -180,18 +180,11 @@ class Problem(LeastSquares):
     def simulated_by(
         self, simulators: Sequence[Simulator], parameters: ParameterSet | None = None, observer: float | None = None
     ) -> Self:
-        """Return this problem with other simulators, with finite differences.
+        """Return this problem with other simulators and bounds, with finite differences.
 
-        Parameters
-        ----------
-        simulators : sequence of Simulator
-        parameters : ParameterSet, optional
-            The same parameters within other bounds.
-        observer : float, optional
-            Time constant of the simulators' observer, samples.
+        `observer` is the time constant of the simulators' observer, in samples.
         """
-        own = self.parameters if parameters is None else parameters
-        changed = {"parameters": own, "observer": observer, "substituted": True}
+        changed = {"parameters": parameters or self.parameters, "observer": observer, "substituted": True}
         return self._by(simulators, sensitivity="finite-difference", **changed)
 
     def as_in(self, result: Result) -> Self:
@@ -200,8 +193,7 @@ class Problem(LeastSquares):
         return chosen if result.accuracy is None else chosen.finer(refinement_of(result))
 
     def _by(self, simulators: Sequence[Simulator], **changed: Any) -> Self:
-        sensitivity = changed.get("sensitivity", self.sensitivity)
-        derivatives = tuple(_derivatives(simulators, sensitivity))
+        derivatives = tuple(_derivatives(simulators, changed.get("sensitivity", self.sensitivity)))
         return self._with(predictors=tuple(simulators), derivatives=derivatives, **changed)
 
     @cached_property
@@ -209,8 +201,8 @@ class Problem(LeastSquares):
         """Everything but the measurements, by content; substituted simulators themselves."""
         if self.substituted:
             return self.predictors
-        components = {name: (m.fmu.digest, m.numerics) for name, m in self.system.components.items()}
         system = self.system
+        components = {name: (m.fmu.digest, m.numerics) for name, m in system.components.items()}
         parts: list[object] = [components, system.connections, system.connectors, system.master, system.values]
         parts += [self.values, self.step_size, self.refinement, self.sensitivity, self.parameters.names]
         found, bounds = hashlib.sha256(repr(parts).encode()), (self.parameters.lower, self.parameters.upper)
@@ -266,8 +258,8 @@ def run_fields(system: System, refinement: Refinement, stiff: frozenset[str] = f
 
 def refinement_of(result: Result) -> Refinement:
     """Return the solver refinement of a result."""
-    accuracy = result.accuracy
-    return AS_ASKED if accuracy is None else Refinement(accuracy.tolerance, accuracy.divisor)
+    used = result.accuracy
+    return AS_ASKED if used is None else Refinement(used.tolerance, used.divisor)
 
 
 def _derivatives(simulators: Sequence[Simulator], sensitivity: str) -> list[Callable[[Floats], Floats]]:
@@ -275,13 +267,7 @@ def _derivatives(simulators: Sequence[Simulator], sensitivity: str) -> list[Call
 
 
 def choices_of(system: System, given: Mapping[str, Sequence[Value] | str]) -> dict[str, tuple[Value, ...]]:
-    """Return the values of each discrete parameter.
-
-    Raises
-    ------
-    InputError
-        If the model has no such parameter, there are none or too many values, or one is given twice.
-    """
+    """Return the checked values of each discrete parameter."""
     found = {name: _choices(system, name, values) for name, values in given.items()}
     count = math.prod(map(len, found.values()))
     if count > MAX_COMBINATIONS:

@@ -121,7 +121,7 @@ class _SolverChecking:
         """Use shorter steps where Co-Simulation fails at a start (N,)."""
         for _ in range(SETTINGS.start_divisions):
             if finer is None:
-                break
+                return
             if _is_sound(self.evaluator.predict_by(finer, at)):
                 self._switch(finer, SwitchCause.START_FAILED, math.nan)
                 return

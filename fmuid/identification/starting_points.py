@@ -70,15 +70,12 @@ UNFINISHED = (
 
 @dataclass(frozen=True, eq=False)
 class EndedSearch:
-    """A finished search.
-
-    Its worth Σ K_j log σ̂_j² is comparable for all noise variances.
-    """
+    """A finished search."""
 
     result: Result
     attempt: RestartAttempt
-    number: int
-    worth: float
+    number: int  # of the attempt
+    worth: float  # Σ K_j log σ̂_j², comparable for all noise variances
 
 
 def search_starting_points(trial: Trial) -> Searches:
@@ -169,14 +166,11 @@ class _Restarts:
         problem, predicted = self.problem, self.evaluator.predict_start(given[None])[0]
         if not np.isfinite(predicted).all():
             return True
-        for j in range(problem.counts.size):
-            own = problem.groups == j
-            measured = problem.measured[own]
-            with np.errstate(over="ignore"):
-                left = float(np.mean((measured - predicted[own]) ** 2))
-            if left > SETTINGS.far_share * float(np.var(measured)):
-                return True
-        return False
+        outputs = [problem.groups == j for j in range(problem.counts.size)]
+        with np.errstate(over="ignore"):
+            left = [float(np.mean((problem.measured - predicted)[own] ** 2)) for own in outputs]
+        spread = [float(np.var(problem.measured[own])) for own in outputs]
+        return any(a > SETTINGS.far_share * b for a, b in zip(left, spread, strict=True))
 
     def _points(self, given: Floats) -> Iterator[Floats]:
         """Yield the best of some points of the box."""
@@ -186,20 +180,16 @@ class _Restarts:
         multiples = given + (2.0 * units - 1.0) * SETTINGS.multiple * scale
         factors = given * SETTINGS.factor ** (2.0 * units - 1.0)
         points = np.where(np.abs(given) > 0.0, factors, multiples)
-        bounded = np.isfinite(parameters.lower) & np.isfinite(parameters.upper)
-        width = np.where(bounded, parameters.upper, 0.0) - np.where(bounded, parameters.lower, 0.0)
-        narrow = bounded & (width < SETTINGS.factor * scale)
-        points[:, narrow] = (np.where(bounded, parameters.lower, 0.0) + units * width)[:, narrow]
+        width = parameters.upper - parameters.lower
+        narrow = width < SETTINGS.factor * scale
+        points[:, narrow] = parameters.lower[narrow] + units[:, narrow] * width[narrow]
         points = np.clip(points, parameters.lower, parameters.upper)
         predicted = self.evaluator.predict(points)
         with np.errstate(over="ignore", invalid="ignore"):
             squares = ((predicted - self.problem.measured) / self.problem.shown_noise[self.problem.groups]) ** 2
         squared = np.minimum(np.nan_to_num(squares, nan=np.inf), SETTINGS.largest_square).sum(axis=1)
-        yield from (
-            points[i]
-            for i in np.argsort(squared, kind="stable")[: SETTINGS.best_points]
-            if np.isfinite(predicted[i]).all()
-        )
+        best = np.argsort(squared, kind="stable")[: SETTINGS.best_points]
+        yield from (points[i] for i in best if np.isfinite(predicted[i]).all())
 
     # --- one search
 
@@ -231,9 +221,8 @@ class _Restarts:
     def _concluded(self, given: Floats) -> Result:
         best = best_of(self.ended)
         is_wrong = is_confirmed(best, self.ended, self.equation_ratio)
-        self.attempts[best.number] = replace(
-            best.attempt, kept=True, trouble=SearchFailure.MODEL_ERROR if is_wrong else best.attempt.trouble
-        )
+        trouble = SearchFailure.MODEL_ERROR if is_wrong else best.attempt.trouble
+        self.attempts[best.number] = replace(best.attempt, kept=True, trouble=trouble)
         return replace(
             best.result,
             estimates=replace(best.result.estimates, start=given.copy()),
@@ -254,10 +243,9 @@ def best_of(ended: Sequence[EndedSearch]) -> EndedSearch:
 
 
 def is_confirmed(one: EndedSearch, ended: Sequence[EndedSearch], equation_ratio: float = math.nan) -> bool:
-    """Tell if other searches confirm a bad fit.
+    """Tell if other searches confirm a bad fit; an optimum that the equations contradict needs two.
 
     `equation_ratio` is the RMS residual of the equations at the measured states over its noise, NaN where unknown.
-    An optimum that the equations contradict needs two confirmations.
     """
     if one.attempt.trouble is not SearchFailure.LARGE_RESIDUAL:
         return False
@@ -299,10 +287,7 @@ def corrected_start(evaluator: Evaluator[Problem], start: Floats, progress: Prog
 
 
 def _near(problem: Problem, start: Floats) -> ParameterSet:
-    """Return the parameters within the reach of a start.
-
-    Rough searches do not come back from vanishing parameters.
-    """
+    """Return the parameters within the reach of a start: rough searches do not come back from vanishing ones."""
     reach, sign = np.abs(start), np.sign(start)
     least = np.where(sign > 0.0, reach / WEAK_FORM.reach, -WEAK_FORM.reach * reach)
     most = np.where(sign < 0.0, -reach / WEAK_FORM.reach, WEAK_FORM.reach * reach)

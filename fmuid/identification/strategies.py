@@ -17,12 +17,9 @@ START_LIMIT = 0.01  # largest difference of an output between two solvers at a s
 
 @dataclass(eq=False)
 class Trial:
-    """A search that a strategy asks for.
+    """A search that a strategy asks for."""
 
-    Its `evaluator` changes where the solver is refined.
-    """
-
-    evaluator: Evaluator[Problem]
+    evaluator: Evaluator[Problem]  # another one where the solver is refined
     method: Method
     progress: Progress | None
     start: ArrayLike | None
@@ -35,10 +32,7 @@ Strategy = Callable[[Trial], Searches]
 
 
 def walk(strategies: Sequence[Strategy], trial: Trial) -> Result:
-    """Search as the first strategy asks, by the other strategies.
-
-    Errors and interruptions of a search are raised where it was asked for.
-    """
+    """Search as the first strategy asks, by the others; raise errors of a search where it was asked for."""
     if not strategies:
         return trial.method.search(trial.evaluator, trial.progress, trial.start)
     asked = strategies[0](trial)

@@ -100,9 +100,9 @@ def _response(simulator: Simulator, theta: Sequence[float], duration: float) -> 
     """Return times (n,) after an input jump, and outputs (n, m)."""
     record = simulator.experiment
     after = np.concatenate([[0.0], duration * np.logspace(-7, 0, 150)])
-    largest = np.abs(record.input_values).argmax(axis=0) if record.input_names else np.zeros(0, dtype=np.intp)
     names = {name: f"input {k}" for k, name in enumerate(record.input_names)}
-    columns = {names[name]: record.input_values[largest[k], k] for k, name in enumerate(record.input_names)}
+    pairs = zip(names.values(), record.input_values.T, strict=True)
+    columns = {name: values[np.abs(values).argmax()] for name, values in pairs}
     jump = Experiment(
         pd.DataFrame({"time": record.times[0] + after, **columns}),
         names,

@@ -14,8 +14,7 @@ import fmuid
 from fmuid.array_types import Floats
 from fmuid.estimation import SHIFT_LIMIT, AccuracyOutcome, RefinementRefusal, SwitchCause
 from fmuid.identification import refinement_of
-from fmuid.simulation import Refinement
-from fmuid.simulation.executor_pool import closing
+from fmuid.simulation import Refinement, closing
 from tests.support.paths import FMUS, ROOT
 from tests.support.stepping import LAG, MOTOR, stepping_fmu
 

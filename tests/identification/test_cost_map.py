@@ -10,13 +10,10 @@ import pytest
 from scipy import stats
 
 from fmuid.array_types import Floats
-from fmuid.data import Normal, Parameter
-from fmuid.data.noise import Noise
+from fmuid.data import Noise, Normal, Parameter
 from fmuid.errors import InputError
-from fmuid.estimation.evaluator import Evaluator
-from fmuid.estimation.problem import LeastSquares
-from fmuid.estimation.result import Result
-from fmuid.identification.cost_map import CostMap, map_cost, region_rise
+from fmuid.estimation import Evaluator, LeastSquares, Result
+from fmuid.identification import CostMap, map_cost, region_rise
 from tests.support.results import changed
 from tests.support.results import identify_white as identify
 

@@ -10,12 +10,10 @@ import pytest
 from scipy import stats
 
 from experiments.interval_coverage import coverage
-from fmuid.data import JointPrior, Normal, Parameter
-from fmuid.data.noise import Noise
+from fmuid.data import JointPrior, Noise, Normal, Parameter
 from fmuid.errors import InputError
-from fmuid.estimation.problem import LeastSquares
-from fmuid.identification.posterior import Posterior, SamplerSettings, SamplingWarning
-from fmuid.identification.sampler import sample_posterior
+from fmuid.estimation import LeastSquares
+from fmuid.identification import Posterior, SamplerSettings, SamplingWarning, sample_posterior
 from tests.support.posteriors import Array, linear, sampled
 from tests.support.results import identify_white as identify
 

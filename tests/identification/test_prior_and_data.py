@@ -11,24 +11,22 @@ from scipy import stats
 
 from fmuid.array_types import Floats
 from fmuid.codec import as_json
-from fmuid.data import JointPrior, Normal, Parameter
-from fmuid.data.noise import Noise
+from fmuid.data import JointPrior, Noise, Normal, Parameter
 from fmuid.errors import InputError
-from fmuid.estimation.linear import linear_least_squares
-from fmuid.estimation.noise.autoregression import Autoregression
+from fmuid.estimation import Autoregression, LeastSquares, Result, linear_least_squares
 from fmuid.estimation.noise.sandwich import SandwichCovariance
-from fmuid.estimation.problem import LeastSquares
-from fmuid.estimation.result import Result
-from fmuid.identification import Problem, identify
-from fmuid.identification.prior_and_data import (
+from fmuid.identification import (
+    Deviation,
     ExtrapolationReason,
     PriorDataComparison,
     PriorInfluence,
+    Problem,
+    ResidualAnalysis,
+    analyze_residuals,
     compare_prior_and_data,
+    identify,
 )
-from fmuid.identification.prior_data_tests import Deviation
-from fmuid.identification.residual_analysis import ResidualAnalysis, analyze_residuals
-from fmuid.studies.study import Study
+from fmuid.studies import Study
 from tests.support.paths import ROOT
 from tests.support.problems import ar1, coil_problem
 from tests.support.results import changed

@@ -12,14 +12,11 @@ from scipy.optimize import brentq, least_squares
 from scipy.stats import f as f_distribution
 from scipy.stats import norm
 
-from fmuid.data import Normal, Parameter
-from fmuid.data.noise import Noise
+from fmuid.data import Noise, Normal, Parameter
 from fmuid.errors import InputError
-from fmuid.estimation.covariance import ActiveBound
-from fmuid.estimation.problem import LeastSquares
-from fmuid.estimation.result import Result
+from fmuid.estimation import ActiveBound, LeastSquares, Result
 from fmuid.events import Event, ProfileStep
-from fmuid.identification.profile_likelihood import EndKind, Profile, profile_likelihood
+from fmuid.identification import EndKind, Profile, profile_likelihood
 from tests.support.problems import coil as faulty_coil
 from tests.support.results import identify_white as identify
 

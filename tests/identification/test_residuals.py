@@ -11,14 +11,12 @@ import pytest
 
 from fmuid.array_types import Floats
 from fmuid.codec import as_json
-from fmuid.data import Experiment, Normal, Parameter
-from fmuid.data.noise import Noise
+from fmuid.data import Experiment, Noise, Normal, Parameter
 from fmuid.errors import InputError
+from fmuid.estimation import LeastSquares
 from fmuid.estimation.predictors import FunctionPredictor
-from fmuid.estimation.problem import LeastSquares
-from fmuid.identification import identify
-from fmuid.identification.residual_analysis import ResidualAnalysis, ResidualDefect, analyze_residuals
-from fmuid.identification.residual_series import ResidualSeries, examine_outputs
+from fmuid.identification import ResidualAnalysis, ResidualDefect, ResidualSeries, analyze_residuals, identify
+from fmuid.identification.residual_series import examine_outputs
 from tests.support.problems import ar1
 from tests.support.results import changed
 

@@ -10,15 +10,13 @@ import pytest
 from scipy import stats
 from scipy.integrate import quad
 
-from fmuid.data import Experiment, Normal, Parameter
-from fmuid.data.noise import Noise
+from fmuid.data import Experiment, Noise, Normal, Parameter
 from fmuid.errors import InputError
-from fmuid.estimation.evaluator import Evaluator
-from fmuid.estimation.predictors import FunctionPredictions
-from fmuid.estimation.problem import LeastSquares
+from fmuid.estimation import Evaluator, FunctionPredictions, LeastSquares
 from fmuid.events import Event, SamplingStep
-from fmuid.identification.posterior import SamplerSettings, SamplingWarning, effective_size, r_hat
-from fmuid.identification.sampler import log_density, sample_posterior
+from fmuid.identification import SamplerSettings, SamplingWarning, sample_posterior
+from fmuid.identification.posterior import effective_size, r_hat
+from fmuid.identification.sampler import log_density
 from tests.support.posteriors import Array, linear, sampled
 from tests.support.results import identify_white as identify
 

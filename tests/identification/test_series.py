@@ -10,17 +10,8 @@ from scipy.signal import lfilter
 
 from fmuid.array_types import Floats
 from fmuid.data import Experiment
-from fmuid.estimation.noise.autoregression import Autoregression
-from fmuid.estimation.noise.model import NoiseModel
-from fmuid.estimation.noise.output_series import OutputSeries
-from fmuid.estimation.noise.whiteness_tests import (
-    FitProjection,
-    LaggedSeries,
-    autocorrelation,
-    ljung_box,
-    normality,
-    whiteness,
-)
+from fmuid.estimation import Autoregression, FitProjection, LaggedSeries, NoiseModel, OutputSeries, normality, whiteness
+from fmuid.estimation.noise.whiteness_tests import autocorrelation, ljung_box
 from fmuid.identification.residual_series import examine_outputs
 from tests.support.problems import ar1
 

@@ -10,15 +10,11 @@ import pytest
 
 from fmuid.array_types import Floats
 from fmuid.codec import as_json
-from fmuid.data import Parameter
-from fmuid.data.noise import Noise
+from fmuid.data import Noise, Parameter
 from fmuid.errors import InputError
-from fmuid.estimation.problem import LeastSquares
+from fmuid.estimation import LeastSquares
 from fmuid.events import Event, ProfileStep, SamplingStep
-from fmuid.identification import identify
-from fmuid.identification.assessment import Assessment, AssessmentSettings, assess
-from fmuid.identification.cost_map import map_cost
-from fmuid.identification.posterior import SamplerSettings
+from fmuid.identification import Assessment, AssessmentSettings, SamplerSettings, assess, identify, map_cost
 from tests.support.results import changed
 
 ALL = AssessmentSettings(0.9, ("a", "b"), SamplerSettings(max_steps=600, effective_size=600), (("a", "b"),))
