@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import time
 from collections.abc import Mapping
 from dataclasses import replace
 from itertools import product
@@ -21,7 +20,6 @@ from fmuid.simulation import Value
 def search_combinations(trial: Trial) -> Searches:
     """Search with each combination of the `choices`; return the best result."""
     evaluator, problem = trial.evaluator, trial.evaluator.problem
-    clock, before = time.perf_counter(), evaluator.simulations
     tried: list[tuple[float, Mapping[str, Value], Result]] = []
     failed: list[CombinationFit] = []
     first: FmuidError | None = None
@@ -47,16 +45,8 @@ def search_combinations(trial: Trial) -> Searches:
         for own, values, one in tried
     ]
     is_interrupted = any(fit.outcome is TerminationReason.INTERRUPTED for fit in fits)
-    return replace(
-        best,
-        outcome=TerminationReason.INTERRUPTED if is_interrupted else best.outcome,
-        history=replace(
-            best.history,
-            combinations=(*fits, *failed),
-            simulations=evaluator.simulations - before,
-            elapsed_s=time.perf_counter() - clock,
-        ),
-    )
+    outcome = TerminationReason.INTERRUPTED if is_interrupted else best.outcome
+    return replace(best, outcome=outcome, history=replace(best.history, combinations=(*fits, *failed)))
 
 
 def _deviance(problem: Problem, result: Result) -> float:

@@ -6,7 +6,6 @@ Before a search, Co-Simulation is compared with Model Exchange; at the optimum, 
 from __future__ import annotations
 
 import math
-import time
 from collections.abc import Generator
 from dataclasses import dataclass, replace
 from typing import TypeVar
@@ -69,7 +68,7 @@ class _SolverChecking:
 
     def __init__(self, trial: Trial, *, refine: bool) -> None:
         self.trial, self.origin, self.refine = trial, trial.evaluator, refine
-        self.clock, self.before = time.perf_counter(), trial.evaluator.simulations
+        self.before = trial.evaluator.simulations
         self.switches: list[RefinementStep] = []
         self.refused = self.foreseen = 0
         self.returned = False
@@ -281,13 +280,8 @@ class _SolverChecking:
             tolerance=problem.refinement.tolerance,
             divisor=problem.refinement.divisor,
         )
-        history = replace(
-            best.history,
-            simulations=spent,
-            elapsed_s=time.perf_counter() - self.clock,
-            optima=self.optima if first.history.optima else (),
-            fits=first.history.fits,
-        )
+        optima = self.optima if first.history.optima else ()
+        history = replace(best.history, optima=optima, fits=first.history.fits)
         result = replace(best, history=history, accuracy=found)
         return with_shift(result, found) if found.outcome is AccuracyOutcome.SHIFTED else result
 

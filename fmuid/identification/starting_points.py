@@ -7,7 +7,6 @@ little and have few local optima. Measurement noise biases them: they give a sta
 from __future__ import annotations
 
 import math
-import time
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
@@ -89,8 +88,7 @@ class _Restarts:
     def __init__(self, trial: Trial) -> None:
         self.trial, self.problem, self.is_given = trial, trial.evaluator.problem, trial.start is None
         self.optimizer = trial.method.marquardt
-        self.clock, self.before = time.perf_counter(), trial.evaluator.simulations
-        self.spent = self.before
+        self.spent = trial.evaluator.simulations
         self.attempts: list[RestartAttempt] = []
         self.ended: list[EndedSearch] = []
         self.equation_ratio = math.nan
@@ -223,16 +221,8 @@ class _Restarts:
         is_wrong = is_confirmed(best, self.ended, self.equation_ratio)
         trouble = SearchFailure.MODEL_ERROR if is_wrong else best.attempt.trouble
         self.attempts[best.number] = replace(best.attempt, kept=True, trouble=trouble)
-        return replace(
-            best.result,
-            estimates=replace(best.result.estimates, start=given.copy()),
-            history=replace(
-                best.result.history,
-                simulations=self.evaluator.simulations - self.before,
-                elapsed_s=time.perf_counter() - self.clock,
-                restarts=tuple(self.attempts) if len(self.attempts) > 1 else (),
-            ),
-        )
+        history = replace(best.result.history, restarts=tuple(self.attempts) if len(self.attempts) > 1 else ())
+        return replace(best.result, estimates=replace(best.result.estimates, start=given.copy()), history=history)
 
 
 def best_of(ended: Sequence[EndedSearch]) -> EndedSearch:

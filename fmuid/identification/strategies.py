@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable, Generator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from numpy.typing import ArrayLike
 
@@ -32,10 +33,14 @@ Strategy = Callable[[Trial], Searches]
 
 
 def walk(strategies: Sequence[Strategy], trial: Trial) -> Result:
-    """Search as the first strategy asks, by the others; raise errors of a search where it was asked for."""
+    """Search as the first strategy asks, by the others; count the simulations and the time of all.
+
+    Errors and interruptions of a search are raised where it was asked for.
+    """
     if not strategies:
         return trial.method.search(trial.evaluator, trial.progress, trial.start)
-    asked = strategies[0](trial)
+    evaluator, asked = trial.evaluator, strategies[0](trial)
+    clock, before = time.perf_counter(), evaluator.simulations
     try:
         wanted = next(asked)
         while True:
@@ -47,4 +52,5 @@ def walk(strategies: Sequence[Strategy], trial: Trial) -> Result:
                 wanted = asked.send(found)
     except StopIteration as ended:
         result: Result = ended.value
-        return result
+    spent, elapsed = evaluator.simulations - before, time.perf_counter() - clock
+    return replace(result, history=replace(result.history, simulations=spent, elapsed_s=elapsed))
