@@ -150,31 +150,6 @@ def test_relations_are_frozen_in_continuous_time_mode(exported: Exporter, fmi: s
         check([0.0, -1.0], -5.0)
 
 
-def test_model_exchange_and_co_simulation_agree(exported: Exporter) -> None:
-    """An importer that stops where an indicator changes sign gets what the co-simulation gets."""
-    with running(exported(FRICTION, fmi="2.0"), model_exchange=True) as drive:
-        drive.initialize({"F": -7.3})
-        drive.update()
-
-        def rates(t: float, z: np.ndarray) -> list[float]:
-            drive.at(t, *z)
-            return drive.derivatives()
-
-        def indicator(t: float, z: np.ndarray) -> float:
-            drive.at(t, *z)
-            return drive.indicators()[0]
-
-        indicator.terminal = True  # type: ignore[attr-defined]
-        first = solve_ivp(rates, (0, 1), [0.0, 1.0, 0.0], rtol=1e-12, atol=1e-13, events=indicator)
-        stop = first.t_events[0][0]
-        assert stop == pytest.approx(2 / 10.3, abs=1e-12)
-        drive.at(stop + 1e-13, *(first.y_events[0][0] - [0, 1e-12, 0]))
-        drive.fmu.enterEventMode()
-        drive.update()
-        last = solve_ivp(rates, (stop, 1), first.y_events[0][0], rtol=1e-12, atol=1e-13)
-        np.testing.assert_allclose(last.y[:, -1], friction(1.0, -7.3), atol=1e-11)
-
-
 def test_no_event_and_parameters_alone_make_no_events(exported: Exporter) -> None:
     text = model(
         "y = noEvent(if x > 0.5 then 1 else -1) + (if noEvent(x > 0.5) then 10 else 0) + (if a > 0 then 100 else 0);",

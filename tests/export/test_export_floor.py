@@ -73,41 +73,6 @@ def test_jumps_are_located(exported: Exporter) -> None:
             test.fmu.reset()
 
 
-def test_bouncing_between_whole_numbers_against_scipy(exported: Exporter) -> None:
-    """An oscillator whose spring is a staircase: floor changes in both directions, many times."""
-    text = """model Stairs
-  output Real x(start=0.3, fixed=true), v(start=2, fixed=true);
-equation
-  der(x) = v; der(v) = -floor(2*x) - 0.5 + 0.3*sin(time);
-  annotation(experiment(StopTime=10, Interval=0.02));
-end Stairs;
-"""
-
-    def rates(t: float, z: np.ndarray, step: int) -> list[float]:
-        return [z[1], -step - 0.5 + 0.3 * np.sin(t)]
-
-    def upper(_: float, z: np.ndarray, step: int) -> float:
-        return float(2 * z[0] - step - 1)
-
-    def lower(_: float, z: np.ndarray, step: int) -> float:
-        return float(2 * z[0] - step)
-
-    upper.terminal = lower.terminal = True  # type: ignore[attr-defined]
-    upper.direction, lower.direction = 1.0, -1.0  # type: ignore[attr-defined]
-    t, z, step, events = 0.0, np.array([0.3, 2.0]), 0, 0
-    while t < 10:
-        done = solve_ivp(rates, (t, 10), z, args=(step,), events=[upper, lower], max_step=0.05, **ACCURATE)
-        t, z = done.t[-1], done.y[:, -1]
-        if done.status == 1:
-            events += 1
-            step += 1 if len(done.t_events[0]) else -1
-    assert events == 22
-    with running(exported(text)) as stairs:
-        stairs.initialize()
-        stairs.run(*[0.25] * 40)
-        np.testing.assert_allclose(stairs.get("x", "v"), z, atol=1e-9)
-
-
 @both_versions
 def test_whole_numbers_are_frozen_in_continuous_time_mode(exported: Exporter, fmi: str) -> None:
     with running(exported(model("y = floor(x) - 10*mod(u, 2);"), fmi=fmi), model_exchange=True) as test:

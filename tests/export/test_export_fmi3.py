@@ -20,7 +20,7 @@ from tests.support.exporting import description
 from tests.support.modelica import FRICTION
 from tests.support.paths import FMUS
 
-models = pytest.mark.parametrize("model", ["Coil", "InductionMachine", "PositionController", "PositionDrive"])
+models = pytest.mark.parametrize("model", ["InductionMachine", "PositionController"])
 
 
 def source(model: str) -> str:

@@ -8,7 +8,6 @@ import casadi as ca
 import numpy as np
 import pytest
 import scipy.linalg
-from scipy.integrate import solve_ivp
 
 from fmuid.export.algebraic_loops import first_loop, solve_linear
 from tests.export.conftest import Exporter
@@ -199,59 +198,6 @@ def test_matrix_that_becomes_singular(exported: Exporter) -> None:
     with running(exported(COILS)) as coils:
         coils.initialize({"L1": 1.0, "L2": 1.0, "M": 1.0, "u": 1.0})
         assert "i1 is not finite at t = 0" in coils.refused(lambda: coils.get("i1"))
-
-
-def machine(leakage: float) -> str:
-    """Return a slip-ring machine with fluxes as states: six currents from six fluxes and the angle."""
-    phases = [f"{side}{phase}" for side in "sr" for phase in "abc"]
-
-    def coupling(row: str, other: str) -> str:
-        shift = f"({'abc'.index(row[1]) - 'abc'.index(other[1])})*g"
-        if row[0] != other[0]:
-            return f"M*cos({'' if row[0] == 's' else '-'}th - {shift})"
-        return f"M*cos({shift})" + (" + Ll" if row == other else "")
-
-    fluxes = "\n".join(
-        f"  psi{row} = {' + '.join(f'({coupling(row, other)})*i{other}' for other in phases)};" for row in phases
-    )
-    rates = "\n".join(
-        f"  der(psi{row}) = {f'u*cos(w0*time - {k}*g) - Rs' if row[0] == 's' else '-Rr'}*i{row};"
-        for k, row in enumerate(phases)
-    )
-    return f"""model Machine
-  parameter Real M = 0.2, Ll = {leakage}, Rs = 1.5, Rr = 1.2, w0 = 100; constant Real g = 2.0943951023931953;
-  input Real u;
-  output Real {", ".join(f"i{each}" for each in phases)};
-  Real {", ".join(f"psi{each}(start={0.1 * k}, fixed=true)" for k, each in enumerate(phases))}, th;
-equation
-  th = 80*time + 1;
-{fluxes}
-{rates}
-  annotation(experiment(StopTime=0.1, Interval=2e-4));
-end Machine;
-"""
-
-
-@pytest.mark.slow
-def test_windings_that_turn_against_each_other(exported: Exporter) -> None:
-    """Six by six, the matrix a function of the angle: against scipy and a linear solver."""
-    g, M, Ll = 2 * np.pi / 3, 0.2, 0.01
-
-    def currents(t: float, psi: np.ndarray) -> np.ndarray:
-        at = np.concatenate([np.arange(3) * g, np.arange(3) * g + 80 * t + 1])
-        return np.asarray(np.linalg.solve(M * np.cos(at[:, None] - at) + Ll * np.eye(6), psi))
-
-    def rates(t: float, psi: np.ndarray) -> np.ndarray:
-        voltages = np.concatenate([200 * np.cos(100 * t - np.arange(3) * g), np.zeros(3)])
-        return np.asarray(voltages - np.array([1.5] * 3 + [1.2] * 3) * currents(t, psi))
-
-    names = [f"i{side}{phase}" for side in "sr" for phase in "abc"]
-    with running(exported(machine(Ll))) as drive:
-        drive.initialize({"u": 200.0})
-        drive.run(*[0.01] * 5)
-        found = drive.get(*names)
-    exact = solve_ivp(rates, (0, 0.05), 0.1 * np.arange(6), method="DOP853", rtol=1e-12, atol=1e-13)
-    np.testing.assert_allclose(found, currents(0.05, exact.y[:, -1]), rtol=1e-8)
 
 
 def test_loops_one_after_the_other_with_branches_and_derivatives(exported: Exporter) -> None:

@@ -10,7 +10,6 @@ import pytest
 
 from fmuid.errors import InputError
 from fmuid.export import export_fmu
-from fmuid.export.sensitivities import _quotient
 from tests.export.conftest import Exporter
 from tests.support.exported import Running, running
 from tests.support.modelica import DRIVE
@@ -83,22 +82,6 @@ def test_names_units_and_roles(exported: Exporter) -> None:
     }
     assert found["sens.k.i"].description == "derivative of current with respect to k"
     assert found["sens.k.i"].nominal == "6.0"
-
-
-@pytest.mark.parametrize(
-    ("numerator", "denominator", "expected"),
-    [
-        ("A", "Ohm", "A/Ohm"),
-        ("A", "A", "1"),
-        ("rad/s", "N.m.s/rad", "rad.rad/(s.N.m.s)"),
-        ("1/s", "1/(V.s)", "V"),
-        ("1", "H", "1/H"),
-        ("A", None, None),
-        (None, "A", None),
-    ],
-)
-def test_units_of_quotients(numerator: str | None, denominator: str | None, expected: str | None) -> None:
-    assert _quotient(numerator, denominator) == expected
 
 
 @pytest.mark.parametrize(
