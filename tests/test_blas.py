@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import subprocess
-import sys
 import threading
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -104,8 +102,3 @@ def test_the_last_to_leave_gives_back_what_the_first_found() -> None:
     second.set()
     other.join()
     assert threads() == {2}
-
-
-def test_help_imports_nothing_of_it() -> None:
-    code = "import sys; from fmuid.apps.cli.app import run; run(['--help']); assert 'threadpoolctl' not in sys.modules"
-    subprocess.run([sys.executable, "-c", code], check=True, capture_output=True)

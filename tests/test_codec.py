@@ -12,7 +12,7 @@ from typing import Any, ClassVar
 import jsonschema
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 import fmuid
@@ -120,7 +120,7 @@ def same(one: Any, other: Any) -> bool:
     return type(one) is type(other) and bool(one == other)
 
 
-@settings(max_examples=40)
+@settings(max_examples=40, suppress_health_check=[HealthCheck.too_slow])
 @given(outers())
 def test_a_value_comes_back_to_the_last_bit(value: Outer) -> None:
     text = json.dumps(as_json(value), allow_nan=False)
@@ -138,7 +138,7 @@ def spoilt(content: Any, way: list[int]) -> Any:
     return ["of old", {"x": 1e400}, None, [[]], -1, "inf"][len(way) % 6]
 
 
-@settings(max_examples=40)
+@settings(max_examples=40, suppress_health_check=[HealthCheck.too_slow])
 @given(outers(), st.lists(st.integers(0, 9), max_size=6))
 def test_what_does_not_fit_is_told_or_read(value: Outer, way: list[int]) -> None:
     try:

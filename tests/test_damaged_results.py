@@ -20,7 +20,6 @@ from fmuid.codec import as_json
 from fmuid.data import Experiment
 from fmuid.errors import FmuidError
 from fmuid.runs import read_identification
-from fmuid.runs.batch.dataset import Dataset, read_part
 from fmuid.runs.faults import build_monitor, rule_of
 from tests.support.fuzz_spoil import spoil_tree
 from tests.support.mutations import mutated
@@ -34,12 +33,11 @@ COIL = {
 }
 TURNS = {"fmu": str(FMUS / "CoilTurns/CoilTurns.fmu"), "parameters": {"lost": {"nominal": 0.1, "max": 0.9}}}
 FAULTS: dict[str, Any] = {"faults": {"turns": TURNS}}
-BATCH = {"case": "int64", "status": "str", "value.R": "float64"}
 
 
 @pytest.fixture(scope="module")
 def sound(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Return a folder with a healthy result, a monitoring and the rows of a batch."""
+    """Return a folder with a healthy result and a monitoring."""
     folder = tmp_path_factory.mktemp("sound")
     for name in ("healthy.csv", "test1.csv"):
         pd.read_csv(ROOT / "experiments/coil" / name).head(120).to_csv(folder / name, index=False)
@@ -47,9 +45,6 @@ def sound(tmp_path_factory: pytest.TempPathFactory) -> Path:
     run_study(fmuid.Study.of(healthy, folder / "healthy.toml"), folder / "healthy")
     tables = [folder / "healthy.csv", folder / "test1.csv"]
     run_monitoring(asked(folder), tables[:1], folder / "monitoring")
-    rows = Dataset(folder / "batch", BATCH, 40)
-    with rows.locked():
-        rows.append([{"case": case, "status": "converged", "value.R": 4.0 + case} for case in range(40)])
     return folder
 
 
@@ -106,25 +101,11 @@ def read_monitoring(folder: Path, record: Experiment) -> None:
     monitor.add(record)
 
 
-def read_batch(folder: Path, _: Experiment) -> None:
-    rows = Dataset(folder / "batch", BATCH, 40)
-    for read in (
-        rows.read,
-        rows.finished,
-        lambda: list(rows.stream(["value.R"])),
-        lambda: [read_part(path) for path in rows.parts()],
-    ):
-        with pytest.raises(fmuid.InputError, match="damaged"):
-            read()
-    raise fmuid.InputError("is damaged")
-
-
 Change = Callable[[Random, bytes], bytes]
 FILES: dict[str, tuple[Change, Callable[[Path, Experiment], None]]] = {
     "healthy/result.json": (change_json, read_result),
     "healthy/baseline.npz": (change_arrays, read_baseline),
     "monitoring/monitoring.npz": (change_arrays, read_monitoring),
-    "batch/cases/part-000000000-*.parquet": (mutated, read_batch),
 }
 
 
@@ -135,7 +116,7 @@ FILES: dict[str, tuple[Change, Callable[[Path, Experiment], None]]] = {
 def test_damaged_results(sound: Path, tmp_path: Path, name: str, draws: int) -> None:
     folder, (change, read) = tmp_path / "a", FILES[name]
     shutil.copytree(sound, folder)
-    (path,) = folder.glob(name)
+    path = folder / name
     given, rng, refused = path.read_bytes(), Random(name), 0
     record = replace(asked(folder).experiments[0].read_experiment(folder / "test1.csv"), name="test1")
     for _ in range(draws):

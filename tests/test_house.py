@@ -131,7 +131,7 @@ def test_public_names_are_those_of_the_stub() -> None:
         getattr(fmuid, "F" + "mu")
 
 
-HEAVY = {"numpy", "pandas", "matplotlib", "fmpy", "scipy", "pyarrow", "pydantic", "bokeh", *EXTRAS}
+HEAVY = {"numpy", "pandas", "threadpoolctl", "matplotlib", "fmpy", "scipy", "pyarrow", "pydantic", "bokeh", *EXTRAS}
 FACES = "fmuid.Simulator, fmuid.Experiment, fmuid.simulation.executor_of, fmuid.simulation.executor"
 IDENTIFY = "fmuid.identify(fmuid.datasets.coil().problem())"
 
