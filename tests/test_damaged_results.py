@@ -21,8 +21,7 @@ from fmuid.data import Experiment
 from fmuid.errors import FmuidError
 from fmuid.runs import read_identification
 from fmuid.runs.faults import build_monitor, rule_of
-from tests.support.fuzz_spoil import spoil_tree
-from tests.support.mutations import mutated
+from tests.support.fuzz_spoil import mutated, spoil_tree
 from tests.support.paths import FMUS, ROOT
 from tests.support.running import run_monitoring, run_study
 
@@ -131,3 +130,11 @@ def test_damaged_results(sound: Path, tmp_path: Path, name: str, draws: int) -> 
             assert len(str(error)) > 8
             refused += 1
     assert refused > draws / 4
+
+
+def test_solver_errors_of_other_parameters_are_refused(sound: Path, tmp_path: Path) -> None:
+    content = json.loads((sound / "healthy/result.json").read_text())
+    content["accuracy"]["shift"].pop()
+    (tmp_path / "result.json").write_text(json.dumps(content))
+    with pytest.raises(fmuid.InputError, match=r"accuracy\.shift"):
+        fmuid.Result.from_json(tmp_path / "result.json")

@@ -162,7 +162,8 @@ def numeric_column(frame: pd.DataFrame, column: str, source: str) -> Floats:
     if not real and pd.api.types.is_object_dtype(kind):
         real = all(isinstance(cell, (int, float, np.number, np.bool_)) or cell is None for cell in series)
     if real:
-        return series.to_numpy(dtype=np.float64, na_value=np.nan)
+        with np.errstate(over="ignore"):  # beyond double precision
+            return series.to_numpy(dtype=np.float64, na_value=np.nan)
     if pd.api.types.is_datetime64_any_dtype(kind) or pd.api.types.is_timedelta64_dtype(kind):
         said = f"column {column!r} holds dates or durations ({kind})"
         raise InputError(f"{source}: {said}. Convert it to numbers, times to seconds.")

@@ -223,8 +223,11 @@ class Result(PlotMixin):
         InputError
             If it cannot be read or is no result.
         """
-        path = Path(path)
-        return codec.read(path, RESULT_SCHEMA, cls, "run fmuid identify again").located(path)
+        path, remedy = Path(path), "run fmuid identify again"
+        found = codec.read(path, RESULT_SCHEMA, cls, remedy).located(path)
+        if found.solver_error.shape != found.values.shape:
+            raise InputError(f"{path} cannot be right: accuracy.shift has not one value per parameter; {remedy}")
+        return found
 
     def located(self, path: Path) -> Result:
         """Return this result as one read from a file."""

@@ -12,7 +12,7 @@ from scipy.io import savemat
 from fmuid.data import Experiment, read_data
 from fmuid.errors import InputError
 from tests.support import table_variants as variants
-from tests.support.mutations import mutated
+from tests.support.fuzz_spoil import mutated
 
 SHORT = 12
 """Rows of a table: headers and structure are most of its file."""

@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import contextlib
+import faulthandler
 import io
 import json
 import re
-import signal
-import sys
 import tempfile
-import threading
 import warnings
 import zipfile
 from collections.abc import Callable, Iterator
@@ -39,10 +37,6 @@ class Ending:
     code: int
     out: str
     err: str
-
-
-class Hang(BaseException):  # and nothing may catch it
-    """A command did not end."""
 
 
 def ending(place: Path, *arguments: str | Path) -> Ending:
@@ -75,9 +69,11 @@ def check_sentence(text: str) -> None:
 def watched(place: Path) -> Iterator[None]:
     """Check that something ends in time, warns of nothing and leaves files alone, but for those below ``out``."""
     before = tree(place)
-    with warnings.catch_warnings(record=True) as said, time_limit():
+    faulthandler.dump_traceback_later(HANG, exit=True)
+    with warnings.catch_warnings(record=True) as said:
         warnings.simplefilter("always")
         yield
+    faulthandler.cancel_dump_traceback_later()
     assert not said, [str(warning) for warning in said]
     assert tree(place) == before
 
@@ -89,25 +85,6 @@ def tree(place: Path) -> dict[str, bytes]:
         for path in sorted(place.rglob("*"))
         if path.relative_to(place).parts[0] != "out"
     }
-
-
-@contextlib.contextmanager
-def time_limit() -> Iterator[None]:
-    """Raise `Hang` where something takes too long; on Windows nothing watches."""
-    if sys.platform == "win32" or threading.current_thread() is not threading.main_thread():
-        yield
-        return
-
-    def hang(*_: object) -> None:
-        raise Hang
-
-    earlier = signal.signal(signal.SIGALRM, hang)
-    signal.setitimer(signal.ITIMER_REAL, HANG)
-    try:
-        yield
-    finally:
-        signal.setitimer(signal.ITIMER_REAL, 0)
-        signal.signal(signal.SIGALRM, earlier)
 
 
 def fast(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -233,11 +210,7 @@ def package(rng: Random, place: Path) -> None:
     with zipfile.ZipFile(path) as archive:
         files = {name: archive.read(name) for name in archive.namelist()}
     files["SystemStructure.ssd"] = spoil.spoil_xml(rng, text)
-    buffer = io.BytesIO()
-    with zipfile.ZipFile(buffer, "w") as archive:
-        for name, inside in files.items():
-            archive.writestr(name, inside)
-    path.write_bytes(buffer.getvalue())
+    path.write_bytes(spoil.packed(files))
     data = {
         "model": {"fmu": path.name},
         "experiments": [{"data": "run.csv", "inputs": {"qg": "u"}, "outputs": {"drive.q": "i"}}],

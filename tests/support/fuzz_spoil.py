@@ -4,36 +4,19 @@ from __future__ import annotations
 
 import copy
 import datetime
+import io
 import json
 import math
 import re
-from collections.abc import Iterator
+import zipfile
+from collections.abc import Iterator, Mapping
 from random import Random
 from typing import Any
 from xml.etree import ElementTree
 
 Tree = dict[str, Any]
 
-WORDS = [
-    *(
-        "",
-        " ",
-        "R ",
-        "x" * 300,
-        "\0",
-        "\n",
-        "\t",
-        "\u2028",
-        "\u202e",
-        "\x7f",
-        "\x1b[2J",
-        "\\",
-        "\\[",
-        "$\\frac",
-        "'",
-        '"',
-    )
-]
+WORDS = ["", " ", "R ", "x" * 300, *"\0\n\t\u2028\u202e\x7f\\'\"", "\x1b[2J", "\\[", "$\\frac"]
 _PLAIN = '''
 R L i u i_start der(i) time coil R[1] x[1,2] a.b .. ../x a/b / /dev/null . ~ é µΩ·m 🧲 [red] [/] [/red] {} {0} %s
 % $x$ $ _ ^{ # nan inf -inf 1e400 1e-400 0 -0 1,5 1_0 0x10 true True NaT NA null None ١ ½ estimate linear zoh
@@ -101,6 +84,22 @@ def spoil_tree(rng: Random, given: Tree) -> Tree:
     return data
 
 
+OTHERS: tuple[Any, ...] = (None, True, 7, -1.5, "text", [], ["text"], [1.0, 2.0], {}, {"key": [1]}, [[{}]])
+"""Values that stand where another one stood."""
+
+
+def with_changed_type(given: Tree, rng: Random) -> tuple[Tree, str]:
+    """Return a copy with one value of another type, and where it is; all keys of a depth are as likely."""
+    data, found = copy.deepcopy(given), list(places(given))
+    depth = rng.choice(sorted({len(place) for place in found}))
+    *above, key = rng.choice([place for place in found if len(place) == depth])
+    node: Any = data
+    for step in above:
+        node = node[step]
+    node[key] = copy.deepcopy(rng.choice([each for each in OTHERS if type(each) is not type(node[key])]))
+    return data, f"{'.'.join(map(str, [*above, key]))} = {node[key]!r}"
+
+
 def scaled(rng: Random, value: Any) -> Any:
     """Return a value of the same kind, numbers larger, smaller or of the other sign."""
     if isinstance(value, bool):
@@ -162,6 +161,25 @@ def spoil_bytes(rng: Random, given: bytes) -> bytes:
         elif rng.random() < 0.3:
             del data[place:]
     return bytes(data)
+
+
+def mutated(rng: Random, data: bytes) -> bytes:
+    """Return damaged bytes; of a packed file every other time with a damaged member, packed anew."""
+    if data[:2] != b"PK" or rng.random() < 0.5:
+        return spoil_bytes(rng, data)
+    with zipfile.ZipFile(io.BytesIO(data)) as archive:
+        files = {name: archive.read(name) for name in archive.namelist()}
+    name = rng.choice([name for name, content in files.items() if content])
+    return packed(files | {name: spoil_bytes(rng, files[name])})
+
+
+def packed(files: Mapping[str, bytes], method: int = zipfile.ZIP_STORED) -> bytes:
+    """Return an archive of files."""
+    buffer = io.BytesIO()
+    with zipfile.ZipFile(buffer, "w", method) as archive:
+        for name, content in files.items():
+            archive.writestr(name, content)
+    return buffer.getvalue()
 
 
 def spoil_xml(rng: Random, text: str) -> bytes:

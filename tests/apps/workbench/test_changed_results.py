@@ -6,8 +6,8 @@ import json
 import shutil
 from collections.abc import Callable, Mapping
 from pathlib import Path
+from random import Random
 
-import numpy as np
 import pandas as pd
 import pytest
 
@@ -18,8 +18,8 @@ from fmuid.apps.workbench.pages.batch import BatchPage
 from fmuid.apps.workbench.pages.study import StudyPage
 from fmuid.errors import FmuidError
 from tests.support.begun_batch import batch, write_part
-from tests.support.changed_types import with_changed_type
 from tests.support.coil_study import STUDY
+from tests.support.fuzz_spoil import with_changed_type
 from tests.support.results import result
 from tests.support.running import run_study
 from tests.support.workbench import asked_for, bench_of, coil_study
@@ -77,7 +77,7 @@ def test_pages_survive_changed_types(identified: Path, tmp_path: Path, file: str
     folder = shutil.copytree(identified, tmp_path / "work")
     whole = json.loads((folder / file).read_text())
     for seed in range(SEEDS):
-        content, what = with_changed_type(whole, np.random.default_rng(seed))
+        content, what = with_changed_type(whole, Random(seed))
         (folder / file).write_text(json.dumps(content))
         for name in READ[file]:
             try:
