@@ -46,11 +46,15 @@ from .predictors import FunctionPredictions as FunctionPredictions
 from .problem import LeastSquares as LeastSquares
 from .result import RESULT_SCHEMA as RESULT_SCHEMA
 from .result import Result as Result
+from .result_groups import CombinationFit as CombinationFit
 from .result_groups import Fit as Fit
 from .result_groups import History as History
 from .result_groups import Identifiability as Identifiability
 from .result_groups import Optimum as Optimum
+from .result_groups import RestartAttempt as RestartAttempt
+from .result_groups import SearchFailure as SearchFailure
 from .result_groups import Setup as Setup
+from .result_groups import StartingPointSource as StartingPointSource
 from .search.marquardt import Descent as Descent
 from .search.marquardt import last_state as last_state
 from .search.state import Iteration as Iteration
@@ -72,10 +76,6 @@ from .solver_error import stack_simulated as stack_simulated
 from .solver_error import with_shift as with_shift
 from .solver_error import would_fit_better as would_fit_better
 from .starting_points import MAX_NOISE_RATIO as MAX_NOISE_RATIO
-from .starting_points import CombinationFit as CombinationFit
-from .starting_points import RestartAttempt as RestartAttempt
-from .starting_points import SearchFailure as SearchFailure
-from .starting_points import StartingPointSource as StartingPointSource
 from .starting_points import WeakForm as WeakForm
 from .starting_points import second_difference_noise as second_difference_noise
 from .starting_points import sobol_points as sobol_points

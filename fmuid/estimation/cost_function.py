@@ -13,7 +13,7 @@ from fmuid.array_types import Flags, Floats
 from fmuid.errors import FmuidError, InputError
 from fmuid.estimation.evaluator import Evaluator
 from fmuid.estimation.finite_differences import BoundedFunction, Derivatives, SensitivityError
-from fmuid.estimation.inactive_parameters import find_active_point, inactive_parameters
+from fmuid.estimation.inactive_parameters import find_active_point
 from fmuid.estimation.problem import LeastSquares
 from fmuid.estimation.simulation_noise import noise_along, shares_of, table_noise
 
@@ -250,7 +250,7 @@ def prepare(evaluator: Evaluator[LeastSquares], theta: ArrayLike | None = None) 
     at = parameters.start if theta is None else np.array(theta, dtype=np.float64)
     _check_inside(problem, at)
     ready, acting = _prepared(evaluator, at)
-    idle = inactive_parameters(problem, acting)
+    idle = np.flatnonzero(~acting & ~(parameters.prior_whitening != 0).any(axis=0))
     if not idle.size:
         return ready
     noise = ready.criterion.simulation_noise[problem.groups]

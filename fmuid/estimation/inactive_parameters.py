@@ -21,12 +21,6 @@ RANDOM_POINTS, SEED = 16, 0  # with all parameters changed
 BEST_POINTS = 8  # at which effects are examined
 
 
-def inactive_parameters(problem: LeastSquares, acting: Flags) -> Indices:
-    """Return the indices of parameters without effect and without prior."""
-    known = (problem.parameters.prior_whitening != 0).any(axis=0)
-    return np.flatnonzero(~acting & ~known)
-
-
 def find_active_point(
     evaluator: Evaluator[LeastSquares], theta: Floats, idle: Indices, noise: Floats, weights: Floats
 ) -> Floats:

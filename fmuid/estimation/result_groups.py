@@ -1,9 +1,11 @@
-"""Groups of a result: fit, identifiability, history, setup."""
+"""Groups of a result: fit, identifiability, history with its restarts and optima, setup."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from enum import Enum
 from functools import cached_property
 from typing import Any, ClassVar
 
@@ -18,7 +20,6 @@ from fmuid.estimation.linearized_problem import LinearizedProblem
 from fmuid.estimation.noise.sandwich import ResidualNoise
 from fmuid.estimation.search.state import Iteration, TerminationReason
 from fmuid.estimation.solver_check import UsedModel
-from fmuid.estimation.starting_points import CombinationFit, RestartAttempt
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,6 +51,70 @@ class Optimum:
     def converged(self) -> bool:
         """True if the fit converged."""
         return self.outcome.converged
+
+
+class StartingPointSource(Enum):
+    """Origin of a starting point; the values stand in ``result.json``."""
+
+    GIVEN = "given"  # by the user
+    EQUATION_ERROR = "equation_error"  # equation-error estimate at the measured states (`WeakForm`)
+    CORRECTION = "correction"  # best fit of simulations with states corrected at each sample
+    SOBOL = "sobol"  # best of a few points of the box
+
+
+class SearchFailure(Enum):
+    """Defect of a starting point, or of its optimum."""
+
+    NONE = "none"
+    FAR = "far"  # fails or is worse than the mean of an output; not optimized
+    FAILED = "failed"  # the simulation fails
+    NO_EFFECT = "no_effect"  # a parameter has no effect there, or the optimization cannot begin
+    UNFINISHED = "unfinished"  # stalled, or ended at a limit
+    LARGE_RESIDUAL = "large_residual"  # above `MAX_NOISE_RATIO` times the noise level
+    MODEL_ERROR = "model_error"  # likewise, and other starting points lead to the same optimum
+
+
+@dataclass(frozen=True)
+class RestartAttempt:
+    """One starting point that was tried.
+
+    Attributes
+    ----------
+    remedy : StartingPointSource
+    trouble : SearchFailure
+    noise_ratio : float
+        Largest RMS residual of an output by its noise level; NaN if unknown.
+    simulations : int
+    kept : bool
+        True for the starting point of the result.
+    """
+
+    remedy: StartingPointSource
+    trouble: SearchFailure
+    noise_ratio: float = math.nan
+    simulations: int = 0
+    kept: bool = False
+
+
+@dataclass(frozen=True)
+class CombinationFit:
+    """Fit with one combination of discrete parameters.
+
+    Attributes
+    ----------
+    values : mapping of str to float, int, bool or str
+    outcome : TerminationReason or None
+        None if it could not begin.
+    behind : float
+        −2 ln L above the best one's, with the prior; infinite if it did not terminate.
+    estimates : mapping of str to float
+        Of the other parameters.
+    """
+
+    values: Mapping[str, float | int | bool | str]
+    outcome: TerminationReason | None
+    behind: float
+    estimates: Mapping[str, float]
 
 
 @dataclass(frozen=True, eq=False)

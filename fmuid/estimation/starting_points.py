@@ -1,11 +1,8 @@
-"""Starting points: noise level by second differences, Sobol points, weak form; restarts as values."""
+"""Starting points: noise level by second differences, box, Sobol points, weak form."""
 
 from __future__ import annotations
 
-import math
-from collections.abc import Mapping
 from dataclasses import dataclass
-from enum import Enum
 
 import numpy as np
 import scipy
@@ -13,7 +10,6 @@ import scipy
 from fmuid.array_types import Flags, Floats
 from fmuid.data import ParameterSet
 from fmuid.errors import InputError
-from fmuid.estimation.search.state import TerminationReason
 
 
 @dataclass(frozen=True)
@@ -169,67 +165,3 @@ class WeakForm:
             f at both ends of each interval, with its inputs.
         """
         return np.asarray(self._states @ states + self._begins @ begins + self._ends @ ends, dtype=np.float64)
-
-
-class StartingPointSource(Enum):
-    """Origin of a starting point; the values stand in ``result.json``."""
-
-    GIVEN = "given"  # by the user
-    EQUATION_ERROR = "equation_error"  # equation-error estimate at the measured states (`WeakForm`)
-    CORRECTION = "correction"  # best fit of simulations with states corrected at each sample
-    SOBOL = "sobol"  # best of a few points of the box
-
-
-class SearchFailure(Enum):
-    """Defect of a starting point, or of its optimum."""
-
-    NONE = "none"
-    FAR = "far"  # fails or is worse than the mean of an output; not optimized
-    FAILED = "failed"  # the simulation fails
-    NO_EFFECT = "no_effect"  # a parameter has no effect there, or the optimization cannot begin
-    UNFINISHED = "unfinished"  # stalled, or ended at a limit
-    LARGE_RESIDUAL = "large_residual"  # above `MAX_NOISE_RATIO` times the noise level
-    MODEL_ERROR = "model_error"  # likewise, and other starting points lead to the same optimum
-
-
-@dataclass(frozen=True)
-class RestartAttempt:
-    """One starting point that was tried.
-
-    Attributes
-    ----------
-    remedy : StartingPointSource
-    trouble : SearchFailure
-    noise_ratio : float
-        Largest RMS residual of an output by its noise level; NaN if unknown.
-    simulations : int
-    kept : bool
-        True for the starting point of the result.
-    """
-
-    remedy: StartingPointSource
-    trouble: SearchFailure
-    noise_ratio: float = math.nan
-    simulations: int = 0
-    kept: bool = False
-
-
-@dataclass(frozen=True)
-class CombinationFit:
-    """Fit with one combination of discrete parameters.
-
-    Attributes
-    ----------
-    values : mapping of str to float, int, bool or str
-    outcome : TerminationReason or None
-        None if it could not begin.
-    behind : float
-        −2 ln L above the best one's, with the prior; infinite if it did not terminate.
-    estimates : mapping of str to float
-        Of the other parameters.
-    """
-
-    values: Mapping[str, float | int | bool | str]
-    outcome: TerminationReason | None
-    behind: float
-    estimates: Mapping[str, float]

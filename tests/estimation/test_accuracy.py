@@ -105,9 +105,7 @@ def test_the_shift_is_part_of_the_covariance() -> None:
 def test_solver_check_is_written_and_read(tmp_path: Path) -> None:
     fields: Any = {"fmi_version": "2.0", "interface": "model-exchange", "integrator": "rk45", "step_size": None}
     fields |= {"divisor": 1, "stiff": False, "new_processes": False}
-    a, b, c = (  # RunFields
-        {"": fields | {"tolerance": tolerance}} for tolerance in (1e-5, 1e-7, 1e-9)
-    )
+    a, b, c = ({"": fields | {"tolerance": tolerance}} for tolerance in (1e-5, 1e-7, 1e-9))
     first = RefinementStep(SwitchCause.START_FAILED, math.nan, a, b)
     switches = first, RefinementStep(SwitchCause.SHIFT, 3.0, b, c, 17)
     shift = np.array([0.5, np.nan, -2.0])

@@ -45,7 +45,7 @@ class Draws:
 @pytest.mark.parametrize(("std", "shared"), [(0.02, True), (0.4, False)])
 def test_cache_spares_simulations_and_moves_no_estimate(std: float, shared: bool) -> None:
     """Where the estimates scatter over too many cells, no cell is used, and none is paid for."""
-    seeds = list(range(1, 21 if shared else 13))
+    seeds = list(range(1, 11 if shared else 7))
     alone, together = Draws(40, std), Draws(40, std)
     plain, found = alone.identify(None, seeds), together.identify(Cache(problems=40), seeds)
     for seed in seeds:
@@ -56,7 +56,7 @@ def test_cache_spares_simulations_and_moves_no_estimate(std: float, shared: bool
 
 
 def test_rows_are_alike_in_any_order() -> None:
-    seeds, draws = list(range(1, 6)), Draws(40)
+    seeds, draws = list(range(1, 4)), Draws(40)
     forward = draws.identify(Cache(problems=40), seeds)
     backward = draws.identify(Cache(problems=40), seeds[::-1])
     fresh = {seed: draws.identify(Cache(problems=40), [seed])[seed] for seed in seeds}
@@ -66,13 +66,6 @@ def test_rows_are_alike_in_any_order() -> None:
             assert (forward[seed].values == other[seed].values).all()
             assert (forward[seed].covariance == other[seed].covariance).all()
             assert forward[seed].history.simulations == other[seed].history.simulations
-
-
-def test_one_problem_alone_is_not_touched_by_a_cache() -> None:
-    draws = Draws(1)
-    (plain,), (found,) = (draws.identify(cache, [3]).values() for cache in (None, Cache()))
-    assert (plain.values == found.values).all()
-    assert plain.history.simulations == found.history.simulations
 
 
 def test_the_least_recently_used_goes_first() -> None:

@@ -50,9 +50,6 @@ def test_period_of_inputs() -> None:
     measured = wave + 0.01 * np.random.default_rng(0).standard_normal(1000)
     assert period_of(recorded(measured)) == pytest.approx(250 * STEP, abs=3 * STEP)
     assert period_of(recorded(np.column_stack([square(), wave, np.ones(1000)]))) == pytest.approx(250 * STEP)
-
-
-def test_period_of_inputs_that_do_not_repeat() -> None:
     n, noise = np.arange(1000), np.random.default_rng(0).standard_normal(1000)
     signals: list[Any] = [0.01 * n, noise, np.ones(1000), (n > 300).astype(float), square(1.7)]
     for inputs in signals:

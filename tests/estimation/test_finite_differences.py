@@ -58,13 +58,10 @@ def error(found: Floats, expected: Floats) -> float:
     return float(np.max(np.linalg.norm(found - expected, axis=1) / np.linalg.norm(expected, axis=1)))
 
 
-def test_noise_of_smooth_functions_is_rounding() -> None:
-    """Also of strong oscillations."""
+def test_noise_of_each_output() -> None:
+    """Of smooth functions and strong oscillations it is rounding."""
     assert 1e-17 < level(decay) < 1e-15
     assert level(lambda thetas: np.array([a * np.sin(400.0 * k * TIMES + c) for a, k, c in thetas])) < 1e-11
-
-
-def test_every_output_has_its_own_noise() -> None:
     rng = np.random.default_rng(6)
     groups = np.arange(300, dtype=np.intp) % 2
 
@@ -93,20 +90,12 @@ def test_noise_is_measured_inside_the_bounds() -> None:
     assert error(finite.jacobian(THETA, base, central=False)[[0, 2]], decay_jacobian(THETA)[[0, 2]]) < 1e-7
 
 
-def test_jacobians_of_a_smooth_function() -> None:
-    finite, base = differences(decay)
-    first, acting = finite.first_jacobian(THETA, base)
-    exact = decay_jacobian(THETA)
-    assert acting.all()
-    assert error(first, exact) < 1e-8
-    assert error(finite.jacobian(THETA, base, central=True), exact) < 1e-9
-    assert error(finite.jacobian(THETA, base, central=False), exact) < 3e-8
-
-
-@pytest.mark.parametrize(("digits", "forward", "central"), [(6, 3e-3, 3e-4), (4, 3e-2, 4e-3), (3, 0.1, 2e-2)])
+@pytest.mark.parametrize(
+    ("digits", "forward", "central"), [(99, 3e-8, 3e-9), (6, 3e-3, 3e-4), (4, 3e-2, 4e-3), (3, 0.1, 2e-2)]
+)
 def test_jacobian_of_outputs_that_jump(digits: int, forward: float, central: float) -> None:
     """Rounded outputs are piecewise constant: a difference over a blind 1e-8 would be zero or enormous."""
-    finite, base = differences(lambda thetas: np.round(decay(thetas), digits))
+    finite, base = differences(lambda thetas: np.round(decay(thetas), digits) if digits < 99 else decay(thetas))
     first, acting = finite.first_jacobian(THETA, base)
     exact = decay_jacobian(THETA)
     assert acting.all()
@@ -174,8 +163,6 @@ def test_failing_neighbours_are_avoided() -> None:
     assert error(found, decay_jacobian(THETA)) < 1e-3
     assert error(finite.jacobian(THETA, base, central=False), decay_jacobian(THETA)) < 1e-3
 
-
-def test_a_point_without_neighbours_has_no_derivative() -> None:
     def lonely(thetas: Floats) -> Floats:
         outputs = decay(thetas)
         outputs[thetas[:, 1] != 0.7] = np.nan

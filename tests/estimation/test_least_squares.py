@@ -1,4 +1,4 @@
-"""Stacking, masks, whitening, priors, and what is refused before the search."""
+"""Stacking, masks, whitening, priors, refusals before the search, and parameters without effect at the start."""
 
 from collections.abc import Callable
 from typing import Any
@@ -7,14 +7,17 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from fmuid import identify
 from fmuid.array_types import Floats
+from fmuid.codec import as_json
 from fmuid.data import Experiment, JointPrior, Normal, Parameter
 from fmuid.data.noise import Noise
 from fmuid.errors import InputError, SimulationError
 from fmuid.estimation.cost_function import prepare
 from fmuid.estimation.evaluator import Evaluator
+from fmuid.estimation.local_search import Marquardt
 from fmuid.estimation.problem import LeastSquares
+from fmuid.estimation.result import Result
+from fmuid.identification import identify
 from tests.support.problems import TIMES, Fake, simulate
 
 
@@ -101,22 +104,6 @@ def test_first_variances() -> None:
     assert variance(Noise(initial_variance={"a": 3.0})) == pytest.approx([3.0, residual[1]])
 
 
-@pytest.mark.parametrize(
-    ("words", "said"),
-    [
-        ({"variance": 0.0}, "variance.*positive.*0"),
-        ({"variance": {"a": -1.0}}, "variance.*'a'.*positive"),
-        ({"variance": "guess"}, "estimate"),
-        ({"initial_variance": "estimate"}, "initial_variance.*positive"),
-        ({"initial_variance": float("inf")}, "finite"),
-        ({"variance": True}, "positive"),
-    ],
-)
-def test_noise_is_refused(words: dict[str, object], said: str) -> None:
-    with pytest.raises(InputError, match=said):
-        Noise(**words)  # type: ignore[arg-type]
-
-
 def ones(count: int, **parameters: Parameter) -> Any:
     return LeastSquares.from_function(lambda theta: theta[0] * np.ones(count), np.ones(5), parameters)
 
@@ -147,6 +134,7 @@ JOINT = JointPrior(["kk"], [1.0], [[1.0]])
         (lambda: of(np.sin, np.ones((5, 2)), "k"), "one column for each of y"),
         (lambda: of(np.sin, np.ones(5), "k", times=[1.0]), "times must have 5"),
         (lambda: of(np.sin, np.ones(5), "k", joint_prior=JOINT), "'kk'"),
+        (lambda: of(np.sin, np.ones(5), "k", loss="hubert"), "'hubert'.*'huber'"),
         (lambda: prepare(Evaluator(ones(4, k=Parameter(1.0)))), "shape"),
         (lambda: identify(ones(5, k=Parameter(1.0)), start=[1.0, 2.0]), r"1 values.*\(2,\)"),
         (lambda: prepare(Evaluator(ones(5, k=Parameter(1.0))), [1.0, 2.0]), "1 values"),
@@ -177,3 +165,76 @@ def test_effect_shows_where_the_derivative_vanishes() -> None:
     problem = LeastSquares.from_function(lambda theta: theta[0] * TIMES + theta[1] ** 2, 2.0 * TIMES, parameters)
     start = prepare(Evaluator(problem))
     assert np.linalg.norm(start.jacobian[:, 1]) < 1e-6 * np.linalg.norm(start.jacobian[:, 0])
+
+
+# --- parameters without effect at the start
+
+
+CLOCK = np.arange(0.0, 6.0, 0.01)
+SLIDE = {"m": 0.8, "Fc": 1.0, "d": 0.4}
+DRIVE = 2.0 * np.sin(CLOCK) + np.sin(3.1 * CLOCK)
+
+
+def slide(theta: Floats) -> Floats:
+    """A mass with Coulomb and viscous friction under a force of at most 4, by an implicit step that sticks exactly."""
+    m, dry, viscous = theta.tolist()
+    out, v = np.empty(CLOCK.size), 0.0
+    for i, t in enumerate(CLOCK.tolist()):
+        out[i] = v
+        free = v + 0.01 * (3.0 * np.sin(1.5 * t) + np.sin(4.0 * t) - viscous * v) / m
+        stop = 0.01 * dry / m
+        v = max(free - stop, 0.0) + min(free + stop, 0.0)
+    return out
+
+
+def dead_zone(theta: Floats) -> Floats:
+    gain, width, drift = theta[:3]
+    return np.asarray(gain * (np.maximum(DRIVE - width, 0.0) + np.minimum(DRIVE + width, 0.0)) + drift * CLOCK)
+
+
+def noisy(y: Floats) -> Floats:
+    return np.asarray(y + 0.02 * np.random.default_rng(1).standard_normal(y.size))
+
+
+def check(result: Result, truth: list[float]) -> None:
+    assert result.converged, result.outcome
+    assert (np.abs(result.values - truth) < 4.0 * result.std).all()
+    assert result.history.simulations < 400
+
+
+def test_friction_at_rest() -> None:
+    """Nothing moves at the start: neither friction nor mass shows until the Coulomb friction is less."""
+    start = 2.0, 8.0, 1.0
+    parameters = {name: Parameter(value) for name, value in zip(SLIDE, start, strict=True)}
+    assert not slide(np.array(start)).any()
+    problem = LeastSquares.from_function(slide, noisy(slide(np.array(list(SLIDE.values())))), parameters)
+    result = identify(problem)
+    check(result, list(SLIDE.values()))
+    replaced = result.identifiability.replaced_initial_guess
+    assert "Fc" in replaced
+    assert result.estimates.start[1] < 4.0
+    assert as_json(result)["identifiability"]["replaced_initial_guess"] == list(replaced)
+
+
+@pytest.mark.parametrize(("bounds", "fragile"), [({}, False), ({"min": 0.0, "max": 10.0}, True)])
+def test_dead_zone_that_nothing_leaves(bounds: dict[str, Any], fragile: bool) -> None:
+    """Points of the box that cannot be simulated are no reason to refuse."""
+
+    def function(theta: Floats) -> Floats:
+        if fragile and theta[1] < 0.5:
+            raise ZeroDivisionError
+        return dead_zone(theta)
+
+    parameters = {"gain": Parameter(1.0), "width": Parameter(6.0, **bounds), "drift": Parameter(0.2)}
+    result = identify(LeastSquares.from_function(function, noisy(dead_zone(np.array([1.5, 0.9, 0.1]))), parameters))
+    check(result, [1.5, 0.9, 0.1])
+    assert result.identifiability.replaced_initial_guess == ("width",)
+    assert result.estimates.start[[0, 2]].tolist() == [1.0, 0.2]
+
+
+def test_parameter_without_effect_anywhere_is_refused() -> None:
+    parameters = {"gain": Parameter(1.0), "width": Parameter(6.0), "drift": Parameter(0.2), "idle": Parameter(3.0)}
+    problem = LeastSquares.from_function(dead_zone, noisy(dead_zone(np.array([1.5, 0.7, 0.1]))), parameters)
+    with pytest.raises(InputError, match=r"'idle'.*40 "):
+        Marquardt().search(evaluator := Evaluator(problem))
+    assert evaluator.simulations < 120

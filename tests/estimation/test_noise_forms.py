@@ -207,6 +207,12 @@ def spoiled(value: float) -> LeastSquares:
 @pytest.mark.parametrize(
     ("build", "said"),
     [
+        (lambda: Noise(0.0), "variance.*positive.*0"),
+        (lambda: Noise({"a": -1.0}), "variance.*'a'.*positive"),
+        (lambda: Noise("guess"), "estimate"),
+        (lambda: Noise(initial_variance="estimate"), "initial_variance.*positive"),  # type: ignore[arg-type]
+        (lambda: Noise(initial_variance=float("inf")), "finite"),
+        (lambda: Noise(True), "positive"),
         (lambda: Noise(std=-1.0), "std.*positive.*-1"),
         (lambda: Noise(relative_std={"u": np.nan}), "relative_std of output 'u'.*nan"),
         (lambda: Noise(weights={"u": 0.0}), "weights of output 'u'.*0"),

@@ -2,29 +2,22 @@
 
 import math
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any, cast
 
 import numpy as np
 import pandas as pd
 import pytest
-from scipy.optimize import brentq, least_squares
+from scipy.optimize import brentq, least_squares, root
 
-import fmuid
-from experiments.induction_machine import make_table
 from fmuid.array_types import Floats
 from fmuid.data import Normal, Parameter
 from fmuid.data.losses import LOSSES, Loss, robust_variance
 from fmuid.data.noise import Noise
-from fmuid.errors import InputError
-from fmuid.estimation.cost_function import prepare
-from fmuid.estimation.evaluator import Evaluator
 from fmuid.estimation.local_search import Marquardt
 from fmuid.estimation.problem import LeastSquares
 from fmuid.estimation.result import Result
 from fmuid.identification import identify
 from fmuid.identification.profile_likelihood import profile_likelihood
-from tests.support.paths import FMUS
 
 NORMAL_SHARE = 1.0 - math.sqrt(2.0 / (math.pi * math.e))
 """Mean of min(x², 1) over the standard normal distribution."""
@@ -105,11 +98,6 @@ def test_losses_are_those_of_scipy(name: str) -> None:
     assert loss.root(np.array([1e200]))[0] > 5.0  # no warning; refused, or very large
 
 
-def test_unknown_loss_is_refused() -> None:
-    with pytest.raises(InputError, match=r"'hubert'.*'huber'"):
-        LeastSquares.from_function(decay, clean(1), STARTS, loss="hubert")
-
-
 # --- estimates against scipy ------------------------------------------------------------
 
 
@@ -127,48 +115,19 @@ def test_estimates_are_those_of_scipy(name: str, seed: int) -> None:
 
 @pytest.mark.parametrize("name", ROBUST)
 def test_priors_stay_squares(name: str) -> None:
-    """Compared with scipy by a loss that is the robust one for the data's rows and plain for the prior's."""
-    y = contaminated(4)
-    prior = Normal(1.0, 0.01)
-    problem = LeastSquares.from_function(
-        decay, y, STARTS | {"k": Parameter(3.0, prior=prior)}, loss=name, noise=Noise(STD**2)
-    )
-    loss = loss_of(name)
+    """The minimum of Σ ρ(f²) and the prior's plain square, which is not taken for an outlier."""
+    y, prior = contaminated(4), Normal(1.0, 0.01)
+    parameters = STARTS | {"k": Parameter(3.0, prior=prior)}
+    problem = LeastSquares.from_function(decay, y, parameters, loss=name, noise=Noise(STD**2))
 
-    def rows(theta: Floats) -> Floats:
-        return np.append((decay(theta) - y) / STD, (theta[1] - prior.mean) / prior.std)
+    def slope(theta: Floats) -> Floats:
+        pull = np.array([0.0, (theta[1] - prior.mean) / prior.std**2, 0.0])
+        return np.asarray(decay_jacobian(theta).T @ loss_of(name).influence((decay(theta) - y) / STD) / STD + pull)
 
-    def jacobian(theta: Floats) -> Floats:
-        return np.vstack([decay_jacobian(theta) / STD, [0.0, 1.0 / prior.std, 0.0]])
-
-    def mixed(z: Floats) -> Floats:
-        f = np.sqrt(z)
-        first = loss.influence(f) / np.where(f > 0, f, 1.0) + (f == 0)
-        second = (loss.curvature(f) - first) / (2.0 * np.where(z > 0, z, 1.0))
-        rho = np.array([loss.root(f) ** 2, first, second])
-        rho[:, -1] = z[-1], 1.0, 0.0
-        return rho
-
-    reference = least_squares(
-        rows, [3.0, 1.0, 0.5], jacobian, loss=cast(Any, mixed), xtol=1e-15, ftol=1e-15, gtol=1e-12
-    )
     result = identify(problem, Marquardt(tolerance=1e-8))
     assert result.converged
-    np.testing.assert_allclose(result.values, reference.x, rtol=1e-6)
-    assert result.estimates.prior_z_score[1] > 1.5  # the prior disagrees, and is not taken for an outlier
-
-
-@pytest.mark.parametrize("name", ROBUST)
-def test_the_jacobian_is_that_of_the_rows(name: str) -> None:
-    """Of the roots ±√ρ, whose sum of squares has the gradient 2 Σ ψ J."""
-    y = contaminated(5)
-    criterion = prepare(Evaluator(LeastSquares.from_function(decay, y, STARTS, loss=name, noise=Noise(1.0)))).criterion
-    residual, jacobian = criterion.evaluate([2.5, 1.0, 0.4])
-    f = (y - decay(np.array([2.5, 1.0, 0.4]))) / np.sqrt(criterion.variance[0])
-    plain = -decay_jacobian(np.array([2.5, 1.0, 0.4])) / np.sqrt(criterion.variance[0])
-    np.testing.assert_allclose(residual, loss_of(name).root(f), rtol=1e-9, atol=1e-12)
-    np.testing.assert_allclose(jacobian, loss_of(name).slope(f)[:, None] * plain, rtol=1e-6, atol=1e-8)
-    np.testing.assert_allclose(jacobian.T @ residual, plain.T @ loss_of(name).influence(f), rtol=1e-5)
+    np.testing.assert_allclose(result.values, root(slope, result.values + 0.1 * result.std, tol=1e-13).x, rtol=1e-6)
+    assert result.estimates.prior_z_score[1] > 1.5
 
 
 def test_a_distant_start_is_not_taken_for_outliers() -> None:
@@ -204,29 +163,6 @@ def test_variance_far_too_small_leaves_wide_intervals() -> None:
     result, plain = (fit(clean(13), name, (STD / 30.0) ** 2) for name in ("cauchy", "linear"))
     assert np.isfinite(result.std).all()
     assert (result.std > plain.std).all()
-
-
-@pytest.mark.slow
-def test_currents_with_spikes() -> None:
-    """The induction machine with 3 % of the samples of both currents off by 20 A, both noise variances estimated."""
-    clean = fmuid.read_data(Path(make_table.__file__).parent / "table.csv")
-    spiky, rng = clean.copy(), np.random.default_rng(10)
-    for name in ("ids", "iqs"):
-        spiky.loc[rng.random(len(spiky)) < 0.03, name] += 20.0
-    parameters = {name: Parameter(1.2 * value, min=0.0) for name, value in make_table.TRUTH.items()}
-    system = fmuid.System(FMUS / "InductionMachine" / "InductionMachine.fmu")
-
-    def fitted(frame: pd.DataFrame, loss: str) -> Result:
-        experiment = fmuid.Experiment(frame, ["uds", "uqs", "w"], ["ids", "iqs"])
-        return identify(fmuid.Problem(system, experiment, parameters, loss=loss))
-
-    reference, plain, robust = fitted(clean, "linear"), fitted(spiky, "linear"), fitted(spiky, "huber")
-    assert robust.converged
-    assert (np.abs(robust.values - reference.values) < reference.std).all()
-    assert (np.abs(plain.values - reference.values) > 3.0 * reference.std).any()
-    assert (robust.std < 1.2 * reference.std).all()
-    for variance in robust.fit.noise_variance.values():
-        assert variance == pytest.approx(make_table.NOISE_VARIANCE, rel=0.2)
 
 
 # --- the scale --------------------------------------------------------------------------

@@ -168,17 +168,3 @@ def test_stalled_search_claims_nothing(stalled: Result, tmp_path: Path) -> None:
         assert result.identifiability.non_identifiable == result.identifiability.weakly_identifiable == ()
     with pytest.raises(InputError, match="stalled"):
         apply_result(path, FMUS / "Coil" / "Coil.fmu", tmp_path / "new.fmu")
-
-
-def test_result_as_accurate_as_the_simulation_is_applied(tmp_path: Path) -> None:
-    y = noisy(push(PUSH_TRUTH, 1e-9), 0.1, 1)
-    parameters = {"R": Parameter(1.5), "L": Parameter(1.5), "brake": Parameter(0.8)}
-    result = identify(LeastSquares.from_function(lambda theta: push(theta, 1e-4), y, parameters))
-    assert result.outcome is TerminationReason.ACCURACY
-    content, unit = RESULT | as_json(result), np.eye(2).tolist()
-    del content["parameters"]["brake"]
-    content["covariance"] = {"names": ["R", "L"], "matrix": unit, "white_noise": unit}
-    path = tmp_path / "result.json"
-    path.write_text(json.dumps(content))
-    applied = apply_result(path, FMUS / "Coil" / "Coil.fmu", tmp_path / "new.fmu")
-    assert [each.new for each in applied] == pytest.approx(result.values[:2])

@@ -68,16 +68,6 @@ def test_windows_are_those_of_a_direct_count() -> None:
         assert set(np.flatnonzero(window)) <= set(range(first, first + WINDOW + 1))
 
 
-def test_a_time_constant_by_the_weak_form_alone() -> None:
-    """Linear in 1/τ: its least squares is unbiased but for the noise in x, which windows average."""
-    x = np.exp(-TIMES / 0.7) + 1e-3 * RNG.standard_normal(400)
-    weak = windows()
-    ones = weak.residual(x[:, None], np.zeros((399, 1)), np.zeros((399, 1)))[:, 0]
-    slope = weak.residual(np.zeros((400, 1)), -x[:-1, None], -x[1:, None])[:, 0]
-    rate = -(slope @ ones) / (slope @ slope)
-    assert 1.0 / rate == pytest.approx(0.7, rel=0.02)
-
-
 def test_second_differences_show_the_noise() -> None:
     for std in (0.01, 0.3):
         values = np.sin(TIMES) + std * RNG.standard_normal(400)

@@ -7,10 +7,11 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 from numpy.typing import ArrayLike
+from scipy import stats
 
 from fmuid.array_types import Floats
 from fmuid.codec import as_json
-from fmuid.data import Experiment, JointPrior, Normal, Parameter
+from fmuid.data import Experiment, Normal, Parameter
 from fmuid.data.noise import Noise
 from fmuid.errors import InputError
 from fmuid.estimation.covariance import LIMITS, ActiveBound, IdentifiabilityLevel, WhitenedJacobian, local_covariance
@@ -18,8 +19,10 @@ from fmuid.estimation.problem import LeastSquares
 from fmuid.estimation.result import Result
 from fmuid.estimation.search.state import TerminationReason
 from fmuid.identification import identify
-from tests.support.problems import Fake, coil, simulate
+from tests.support.problems import Fake, coil, coil_problem, simulate
 from tests.support.results import RESULT
+from tests.support.two_outputs import TIMES as CLOCK
+from tests.support.two_outputs import two_output_problem
 
 TIMES = 1e-3 * np.arange(600)
 STEPS = np.repeat(np.random.default_rng(1).choice([-1.0, 1.0], 40), 15)
@@ -42,17 +45,6 @@ def coil_result(voltage: Floats, **priors: Normal) -> Result:
     y = coil(np.array([4.0, 0.1, 1.0]), voltage) + noise(2, 0.02)
     parameters = {name: Parameter(p.start, nominal=p.nominal, prior=priors.get(name)) for name, p in COIL.items()}
     return identify(LeastSquares.from_function(lambda theta: coil(theta, voltage), y, parameters))
-
-
-def test_fault_that_looks_like_another_resistance() -> None:
-    """At constant voltage only R + dR shows."""
-    y = 1.0 / (4.0 + 1.0) + noise(3, 1e-3)
-    either = of(lambda p: np.full(600, 1.0 / (p[0] + p[1])), y, R=Parameter(4.0), dR=Parameter(0.0, nominal=1.0))
-    result = identify(either)
-    assert result.outcome is TerminationReason.UNDETERMINED
-    assert [each.names for each in result.identifiability.non_identifiable] == [("R", "dR")]
-    assert np.isinf(result.std).all()
-    assert result["R"] + result["dR"] == pytest.approx(5.0, rel=1e-3)
 
 
 def test_any_prior_on_the_direction_makes_it_identifiable() -> None:
@@ -189,16 +181,6 @@ def test_level_of_an_effect_hidden_by_errors(effect: float, error: float, level:
     assert (found.level, found.names) == (level, ("b",))
 
 
-def test_sum_of_parameters_does_not_stall_the_search() -> None:
-    """Two columns are the same to the last bit; of starts and lengths drawn one in a hundred stalled, this one."""
-    rng = np.random.default_rng(58)
-    t = rng.uniform(0.5, 2.0, int(rng.integers(20, 3000)))
-    y = 0.1 * t + 1e-3 * rng.standard_normal(t.size)
-    start = 10.0 ** rng.uniform(-3.0, 3.0, 2)
-    parameters = {name: Parameter(value) for name, value in zip("ab", start.tolist(), strict=True)}
-    assert identify(of(lambda p: t * (p[0] + p[1]), y, **parameters)).outcome is TerminationReason.UNDETERMINED
-
-
 def test_direction_is_relative_to_the_magnitudes() -> None:
     """Whatever the units are."""
     theta, magnitudes = np.array([0.047, -3.0, 0.0, 21.5]), np.array([0.047, 3.0, 5.0, 21.5])
@@ -231,18 +213,6 @@ def test_parameter_with_a_prior_and_no_data(known: Noise) -> None:
     assert both.estimates.prior_z_score[1] == pytest.approx(0.0, abs=1e-9)
     (direction,) = both.identifiability.prior_dominated
     assert (direction.level, direction.names) == (IdentifiabilityLevel.NOT, ("idle",))
-
-
-def test_priors_and_no_useful_data() -> None:
-    joint = JointPrior(["a", "b"], [1.0, 2.0], [[0.04, 0.01], [0.01, 0.09]])
-    parameters = {"a": Parameter(2.0), "b": Parameter(1.0)}
-    y = 3.0 + noise(8, 0.1)
-    result = identify(LeastSquares.from_function(lambda _: np.full(600, 3.0), y, parameters, joint_prior=joint))
-    assert result.converged
-    assert result.values == pytest.approx([1.0, 2.0], rel=1e-6)
-    np.testing.assert_allclose(result.covariance, joint.covariance, rtol=1e-9)
-    assert len(result.identifiability.prior_dominated) == 2
-    assert result.fit.noise_variance["y"] == pytest.approx(0.01, rel=0.15)
 
 
 def test_one_sample_and_three_priors() -> None:
@@ -322,3 +292,98 @@ def test_start_far_from_anything_makes_no_warnings(start: float) -> None:
 def test_extreme_numbers_are_refused(make: Callable[[], object], said: str) -> None:
     with pytest.raises(InputError, match=said):
         make()
+
+
+# --- directions, bounds and intervals in a result
+
+
+@pytest.mark.parametrize(
+    "draws", [pytest.param(50, marks=pytest.mark.slow), pytest.param(200, marks=pytest.mark.campaign)]
+)
+def test_intervals_cover_as_often_as_they_say(draws: int) -> None:
+    """Of a nonlinear problem with 12 samples, where Student's t differs from the normal distribution."""
+    times, inside = np.linspace(0.0, 2.0, 12), np.zeros(2)
+
+    def decay(theta: Floats) -> Floats:
+        return np.asarray(theta[0] * np.exp(-theta[1] * times))
+
+    for seed in range(draws):
+        y = decay(np.array([3.0, 1.0])) + 0.1 * np.random.default_rng(seed).standard_normal(12)
+        result = identify(LeastSquares.from_function(decay, y, {"a": Parameter(2.0), "k": Parameter(1.5)}))
+        assert result.converged
+        interval = result.intervals()
+        inside += (interval["lower"] < [3.0, 1.0]) & (interval["upper"] > [3.0, 1.0])
+    assert (np.abs(inside / draws - 0.95) < 2.6 * math.sqrt(0.05 * 0.95 / draws)).all()
+
+
+def test_indistinguishable_parameters_are_named() -> None:
+    result = identify(coil_problem(prior=False))
+    assert result.outcome is TerminationReason.UNDETERMINED
+    (direction,) = result.identifiability.non_identifiable
+    assert (direction.level, direction.names) == (IdentifiabilityLevel.NOT, ("R", "L", "dR"))
+    along = np.array(direction.coefficients) / direction.coefficients[2]
+    assert along == pytest.approx([-1.0, -0.0494, 1.0], rel=0.01)
+    assert np.isinf(result.std).all()
+    assert result["R"] + result["dR"] == pytest.approx(5.0, abs=0.3)
+    assert result["L"] + 0.0494 * result["dR"] == pytest.approx(0.1494, abs=0.01)
+    written = as_json(result)
+    assert written["parameters"]["R"]["std"] == "inf"
+    json.dumps(written, allow_nan=False)
+
+
+def test_two_alike_and_one_without_effect() -> None:
+    """Two directions at once: a and b act as a sum, and c acts on nothing beyond the start."""
+    y = 5.0 * CLOCK + 0.01 * np.random.default_rng(1).standard_normal(100)
+
+    def line(theta: Floats) -> Floats:
+        return np.asarray((theta[0] + theta[1]) * CLOCK + (theta[2] if theta[0] + theta[1] < 3.2 else 0.0))
+
+    parameters = {"a": Parameter(1.0), "b": Parameter(2.0), "c": Parameter(1.0)}
+    found = identify(LeastSquares.from_function(line, y, parameters)).identifiability.non_identifiable
+    assert {(each.level, each.names) for each in found} == {
+        (IdentifiabilityLevel.NOT, ("c",)),
+        (IdentifiabilityLevel.NOT, ("a", "b")),
+    }
+
+
+def test_strong_correlations_are_listed() -> None:
+    """A line whose abscissas lie far from zero: intercept and slope are correlated by −mean(t)/rms(t)."""
+    t = np.linspace(10.0, 11.0, 40)
+    y = 1.0 + 2.0 * t + 0.01 * np.random.default_rng(1).standard_normal(40)
+    parameters = {"offset": Parameter(2.0), "slope": Parameter(1.0)}
+    result = identify(LeastSquares.from_function(lambda theta: theta[0] + theta[1] * t, y, parameters))
+    ((first, second, value),) = result.estimates.strong_correlations
+    assert (first, second) == ("offset", "slope")
+    assert value == pytest.approx(-np.mean(t) / np.sqrt(np.mean(t**2)), abs=1e-4)
+
+
+def test_bounds_are_named_and_end_intervals() -> None:
+    result = identify(two_output_problem(parameters={"k": Parameter(0.8, min=0.0, max=1.2)}))
+    assert result.converged
+    assert result.estimates.at_bounds == (ActiveBound("k", 1.2),)
+    assert result["k"] == 1.2
+    # one-sided where the estimate stands on a bound
+    lower, upper = result.intervals(0.9).to_numpy()[0].tolist()
+    assert upper == 1.2
+    assert lower == pytest.approx(1.2 - stats.t.ppf(0.9, result.estimates.variance_dof[0]) * result.std[0])
+    free = identify(two_output_problem())
+    lower, upper = free.intervals().to_numpy()[0].tolist()
+    bound = 0.5 * (free["k"] + upper)
+    held = identify(two_output_problem(parameters={"k": Parameter(1.0, min=0.0, max=bound)}))
+    assert held.intervals().to_numpy()[0].tolist() == pytest.approx([lower, bound], rel=1e-5)
+    assert not held.estimates.at_bounds
+
+
+def test_few_samples_of_an_output_widen_what_depends_on_them_alone() -> None:
+    """Three samples, of which one parameter takes one: Student's t of two degrees of freedom."""
+
+    def both(theta: Floats) -> Floats:
+        return np.column_stack([theta[0] * np.exp(-CLOCK), np.full(100, theta[1])])
+
+    y = both(np.array([1.0, 2.0])) + np.random.default_rng(4).standard_normal((100, 2)) * [0.1, 0.3]
+    y[[*range(20), *range(21, 50), *range(51, 90), *range(91, 100)], 1] = np.nan
+    parameters = {"a": Parameter(0.5), "c": Parameter(1.0)}
+    result = identify(LeastSquares.from_function(both, y, parameters, outputs=("u", "i"), times=CLOCK))
+    assert result.estimates.variance_dof[1] == pytest.approx(2.0, rel=0.02)
+    assert result.estimates.variance_dof[0] > 20.0
+    assert result.std[1] == pytest.approx(np.nanstd(y[:, 1], ddof=1) / math.sqrt(3.0), rel=0.02)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import cache
 
 import numpy as np
 
@@ -29,6 +30,7 @@ def sinusoid(start: float = 12.0, noise: Noise | None = None) -> LeastSquares:
     return LeastSquares.from_function(lambda theta: np.sin(theta[0] * TIMES), measured, {"w": parameter}, noise=noise)
 
 
+@cache
 def dense_minima() -> tuple[Floats, Floats]:
     """Return where the sum of squares of `sinusoid` has its minima, by a grid of 1e-3 rad/s, and its values there."""
     grid = np.arange(RANGE[0], RANGE[1], 1e-3)

@@ -108,9 +108,24 @@ def _matrix(model: Autoregression, key: bytes) -> csr_array:
     depth = model.coefficients.size * (1 if (steps == 1).all() else 2) + (SETTINGS.slow_depth if model.pole else 0)
     if not depth:
         return csr_array(eye_array(count))
-    predict = _Prediction(model)
+    correlation, known = np.append(model.correlation, 0.0), dict[bytes, Floats]()
+    correlation[0] += SETTINGS.least_share
+
+    def first(places: Indices) -> Floats:
+        """Return rows (m, m) without earlier samples: the inverse Cholesky factor."""
+        lags = np.minimum(np.abs(places[:, None] - places), correlation.size - 1)
+        factor = np.linalg.cholesky(correlation[lags])
+        return np.asarray(scipy.linalg.solve_triangular(factor, np.eye(places.size), lower=True))
+
+    def predict(steps: Indices) -> Floats:
+        """Return (1, −c) over the root of the share left; steps lead back."""
+        key, before = steps.tobytes(), np.concatenate([[0], np.cumsum(steps)])
+        if key not in known:
+            known[key] = first(before[::-1])[-1][::-1]
+        return known[key]
+
     values, columns = np.zeros((count, depth + 1)), np.arange(count)[:, None] - np.arange(depth + 1)
-    for t, row in enumerate(predict.first(places[:depth])):
+    for t, row in enumerate(first(places[:depth])):
         values[t, : t + 1] = row[t::-1]
     # rows after samples without gaps are equal
     gaps = np.where(steps == 1, 0, np.arange(1, count))
@@ -119,28 +134,5 @@ def _matrix(model: Autoregression, key: bytes) -> csr_array:
     for t in (depth + np.flatnonzero(since[depth:] < depth)).tolist():
         values[t] = predict(steps[t - depth : t][::-1])
     there = columns >= 0
-    first = np.concatenate([[0], np.cumsum(there.sum(axis=1))])
-    return csr_array((values[there], columns[there], first), shape=(count, count))
-
-
-class _Prediction:
-    """Rows of the matrix, by the steps between samples."""
-
-    def __init__(self, model: Autoregression) -> None:
-        self._correlation = np.append(model.correlation, 0.0)
-        self._correlation[0] += SETTINGS.least_share
-        self._rows: dict[bytes, Floats] = {}
-
-    def __call__(self, steps: Indices) -> Floats:
-        """Return (1, −c) over the root of the share left; steps lead back."""
-        key = steps.tobytes()
-        if key not in self._rows:
-            before = np.concatenate([[0], np.cumsum(steps)])
-            self._rows[key] = self.first(before[::-1])[-1][::-1]
-        return self._rows[key]
-
-    def first(self, places: Indices) -> Floats:
-        """Return rows (m, m) without earlier samples: the inverse Cholesky factor."""
-        lags = np.minimum(np.abs(places[:, None] - places), self._correlation.size - 1)
-        factor = np.linalg.cholesky(self._correlation[lags])
-        return np.asarray(scipy.linalg.solve_triangular(factor, np.eye(places.size), lower=True))
+    starts = np.concatenate([[0], np.cumsum(there.sum(axis=1))])
+    return csr_array((values[there], columns[there], starts), shape=(count, count))
