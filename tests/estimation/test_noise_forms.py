@@ -209,7 +209,7 @@ def spoiled(value: float) -> LeastSquares:
     [
         (lambda: Noise(0.0), "variance.*positive.*0"),
         (lambda: Noise({"a": -1.0}), "variance.*'a'.*positive"),
-        (lambda: Noise("guess"), "estimate"),
+        (lambda: Noise("guess"), "estimate"),  # type: ignore[arg-type]
         (lambda: Noise(initial_variance="estimate"), "initial_variance.*positive"),  # type: ignore[arg-type]
         (lambda: Noise(initial_variance=float("inf")), "finite"),
         (lambda: Noise(True), "positive"),
