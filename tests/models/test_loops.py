@@ -9,12 +9,8 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from fmuid import Experiment, Numerics, SimulationError, Simulator, System
 from fmuid.array_types import Floats
-from fmuid.data.experiment import Experiment
-from fmuid.errors import SimulationError
-from fmuid.models.component import Numerics
-from fmuid.models.system import System
-from fmuid.simulation.simulator import Simulator
 from tests.support.bad_input import rezip
 from tests.support.exported import export_text
 from tests.support.probe_fmu import ProbeMaker

@@ -12,19 +12,14 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from fmuid.data.experiment import Experiment
-from fmuid.errors import InputError
+from fmuid import Experiment, InputError, Simulator, System
 from fmuid.models.ssp import read_ssp
-from fmuid.models.system import System
-from fmuid.simulation.simulator import Simulator
 from tests.support.ssp_texts import (
     CONTROLLER,
     DRIVE,
     LENGTHS,
     LOOP,
-    TYPES,
     Maker,
-    add_types,
     binding,
     connection,
     connector,
@@ -269,13 +264,6 @@ def test_a_circle_without_a_component(package: Maker) -> None:
     )
     path = package(content(through, connection("inner.o", "inner.i")))
     with pytest.raises(InputError, match="closes a circle without a component"):
-        read_ssp(path)
-
-
-def test_fmi_1_is_refused(package: Maker, tmp_path: Path) -> None:
-    path = package(content(element("Component", "old", "", source="types.fmu")))
-    add_types(path, tmp_path, TYPES.replace('fmiVersion="2.0"', 'fmiVersion="1.0"'))
-    with pytest.raises(InputError, match=r"component 'old': types.fmu: FMI 1\.0 is not supported"):
         read_ssp(path)
 
 

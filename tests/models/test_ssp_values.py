@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from fmuid.errors import InputError
+from fmuid import InputError
 from fmuid.models.ssp import read_ssp
 from tests.support.ssp_texts import (
     LENGTHS,

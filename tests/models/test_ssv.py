@@ -9,13 +9,12 @@ import numpy as np
 import pytest
 from fmpy.ssp import ssd as fmpy_ssd
 
-from fmuid.errors import InputError
-from fmuid.models.description import Unit, unit_conversion
-from fmuid.models.ssv import Quantity, mapping_entries, parameter_set, read_ssv, read_xml, write_ssv
+from fmuid import InputError
+from fmuid.models import Quantity, Unit, read_ssv, write_ssv
+from fmuid.models.ssv import mapping_entries, read_xml
 
 KELVIN = Unit("K", (0, 0, 0, 0, 1, 0, 0, 0), 1.0, 0.0, {})
 CELSIUS = Unit("degC", (0, 0, 0, 0, 1, 0, 0, 0), 1.0, 273.15, {})
-FAHRENHEIT = Unit("degF", (0, 0, 0, 0, 1, 0, 0, 0), 5 / 9, 459.67 * 5 / 9, {})
 RPM = Unit("rpm", (0, 0, -1, 0, 0, 0, 0, 1), math.pi / 30, 0.0, {})
 SPEED = Unit("rad/s", (0, 0, -1, 0, 0, 0, 0, 1), 1.0, 0.0, {})
 UNKNOWN = Unit("widgets", None, 1.0, 0.0, {})
@@ -60,26 +59,6 @@ def test_what_is_not_finite_is_refused(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="parameter 'R' is inf"):
         write_ssv(tmp_path / "x.ssv", "n", {"R": Quantity(math.inf)}, {})
     assert not (tmp_path / "x.ssv").exists()
-
-
-@pytest.mark.parametrize(
-    ("value", "source", "target", "expected"),
-    [
-        (20.0, CELSIUS, KELVIN, 293.15),
-        (0.0, KELVIN, CELSIUS, -273.15),
-        (60.0, RPM, SPEED, 2 * math.pi),
-        (100.0, CELSIUS, FAHRENHEIT, 212.0),
-    ],
-)
-def test_units_convert(value: float, source: Unit, target: Unit, expected: float) -> None:
-    conversion = unit_conversion(source, target)
-    assert conversion is not None
-    assert conversion[0] * value + conversion[1] == pytest.approx(expected, rel=1e-14)
-
-
-@pytest.mark.parametrize(("source", "target"), [(RPM, KELVIN), (UNKNOWN, UNKNOWN), (None, RPM)])
-def test_units_that_do_not_convert(source: Unit | None, target: Unit) -> None:
-    assert unit_conversion(source, target) is None
 
 
 SSV = (
@@ -159,13 +138,3 @@ def test_wrong_mappings(tmp_path: Path, entries: str, message: str) -> None:
     root = read_xml(tmp_path / "x.ssm", "ParameterMapping", "an SSM file")
     with pytest.raises(InputError, match=message):
         mapping_entries(root, "x.ssm")
-
-
-def test_enumerations_of_the_file_go_with_its_values(tmp_path: Path) -> None:
-    body = '<Parameters><Parameter name="mode"><Enumeration name="Mode" value="fast"/></Parameter></Parameters>'
-    items = '<Enumerations><Enumeration name="Mode"><Item name="slow" value="1"/><Item name="fast" value="4"/>'
-    text = f'<ParameterSet version="1.0" name="n">{body}{items}</Enumeration></Enumerations></ParameterSet>'
-    (tmp_path / "x.ssv").write_text(text)
-    found = parameter_set(read_xml(tmp_path / "x.ssv", "ParameterSet", "an SSV file"), "x.ssv").values["mode"]
-    assert found.value == "fast"
-    assert found.items == {"slow": 1, "fast": 4}

@@ -10,22 +10,11 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from fmuid.data.experiment import Experiment
-from fmuid.errors import InputError, SimulationError
-from fmuid.models.component import Numerics
-from fmuid.models.system import System
-from fmuid.simulation.executor_pool import close, closing, executor_of
+from fmuid import Experiment, InputError, Numerics, SimulationError, Simulator, System
+from fmuid.simulation import close, closing, executor_of
 from fmuid.simulation.forward_simulation import twin_simulation
-from fmuid.simulation.simulator import Simulator
 from tests.support.paths import FMUS
 from tests.support.probe_fmu import ProbeMaker
-
-
-def test_one_fmu_is_a_system_whose_names_are_its_own() -> None:
-    system = System(FMUS / "Coil" / "Coil.fmu")
-    assert System.of(system) is system
-    assert system.variables["R"].start == 4.0
-    assert not system.connections
 
 
 def test_direct_feedthrough_is_passed_on_in_dependency_order(probe: ProbeMaker) -> None:
@@ -37,14 +26,6 @@ def test_direct_feedthrough_is_passed_on_in_dependency_order(probe: ProbeMaker) 
     got = Simulator(system, Experiment(frame, {"a.u": "u"}, {"c.y": "y"}, interpolation="zoh"))([])
     # after one step of 1 s each x is 3: y_a = 3 + 3, y_b = 3 + 6, y_c = 3 + 9
     assert got[:, 0].tolist() == [3.0, 12.0]
-
-
-def test_a_loop_without_feedthrough_is_fine(probe: ProbeMaker) -> None:
-    path = probe()
-    system = System(components={"a": path, "b": path}, connections=[("a.z", "b.u"), ("b.z", "a.u")])
-    frame = pd.DataFrame({"time": np.arange(3.0), "x": np.zeros(3)})
-    got = Simulator(system, Experiment(frame, outputs={"a.x": "x"}), ["b.x"])([1.0])
-    assert got[:, 0].tolist() == [0.0, 1.0, 2.0]
 
 
 def test_a_loop_of_feedthrough_without_a_solution_fails_by_name(probe: ProbeMaker) -> None:

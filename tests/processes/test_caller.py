@@ -16,7 +16,7 @@ import numpy as np
 import psutil
 import pytest
 
-from fmuid.errors import InputError, SimulationError
+from fmuid import InputError, SimulationError
 from fmuid.processes import HostExitError, IsolatedCaller, ProcessEnd
 from tests.support.isolated import wait_until
 
@@ -111,13 +111,6 @@ def test_a_process_that_was_ended_between_calls_costs_none() -> None:
     os.kill(first, signal.SIGKILL)
     wait_until(lambda: not psutil.pid_exists(first) or psutil.Process(first).status() == psutil.STATUS_ZOMBIE)
     assert CALLER.call(os.getpid) != first
-
-
-def test_a_fork_that_comes_back_answers_nothing() -> None:
-    before = CALLER.call(os.getpid)
-    fork = psutil.Process(CALLER.call(os.fork))
-    wait_until(lambda: fork.status() == psutil.STATUS_ZOMBIE)
-    assert [CALLER.call(os.getpid) for _ in range(3)] == [before] * 3
 
 
 def test_limits() -> None:

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from fmuid.errors import InputError
+from fmuid import InputError
 from fmuid.processes.channel import (
     HEADER,
     LARGE_BYTES,

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import gc
+import os
+import signal
 import sys
 import threading
 from pathlib import Path
@@ -14,22 +16,24 @@ import psutil
 import pytest
 from numpy.typing import NDArray
 
-from fmuid import Experiment, Isolation, Simulator, System
+from fmuid import Experiment, FmuidError, InputError, Isolation, Numerics, SimulationError, Simulator, System
 from fmuid.array_types import Floats
-from fmuid.errors import FmuidError, InputError, SimulationError
-from fmuid.models.component import Numerics
-from fmuid.simulation import derivatives_of, executor_of
-from fmuid.simulation.isolation.host import FmuHost, TimeLimits
+from fmuid.processes.limits import condition_of
+from fmuid.simulation import FmuHost, closing, derivatives_of, executor_of
+from fmuid.simulation.isolation.host import TimeLimits
+from fmuid.simulation.isolation.isolated_executor import IsolatedExecutor, MultiProcessExecutor
 from tests.support.isolated import (
     BAD,
     NAMES,
     PROCESSES,
     RECORD,
-    RECORD_FRAME,
     check_costs_only_its_own,
+    closed_form,
     expected,
     pair,
+    processes,
     thetas,
+    wait_until,
 )
 from tests.support.misbehaving import Mode, Where, misbehaving_fmu
 from tests.support.paths import FMUS
@@ -236,22 +240,6 @@ def test_outputs_and_forward_sensitivities_equal_in_process(integrator: str) -> 
     assert all(np.array_equal(one, other) and np.abs(one).max() > 0 for one, other in zip(*found, strict=True))
 
 
-def test_coupled_fmus_equal_in_process(folder: Path) -> None:
-    record = Experiment(RECORD_FRAME, {"coil.u": "u"}, {"lag.x": "x"})
-    found = []
-    for isolation in pair():
-        system = System(
-            components={"coil": FMUS / "Coil" / "Coil.fmu", "lag": misbehaving_fmu(folder)},
-            connections=[("coil.i", "lag.u", 1.0, 0.0)],
-            numerics=Numerics(step_size=0.01),
-            master="gauss-seidel",
-            isolation=isolation,
-        )
-        simulator = Simulator(system, record, ("coil.R", "coil.L", "lag.T"))
-        found.append(simulator(np.random.default_rng(4).uniform([2.0, 0.1, 0.2], [5.0, 0.5, 1.0], (9, 3))))
-    assert np.array_equal(found[0], found[1])
-
-
 def test_fmu_with_state_of_the_whole_process(folder: Path) -> None:
     """Two systems of it cannot be in this process, but each in its own."""
     fmu = misbehaving_fmu(folder, token="shared", canBeInstantiatedOnlyOncePerProcess="true")
@@ -280,3 +268,86 @@ def test_threads_call_simulators_at_the_same_time(folder: Path) -> None:
     for thread in threads:
         thread.join()
     assert found == [True] * 8
+
+
+# --- FMUs that do not bear threads, spread over processes
+
+OPEN_MODELICA: dict[str, Any] = {"tool": "OpenModelica Compiler", "canBeInstantiatedOnlyOncePerProcess": "false"}
+
+
+@pytest.fixture
+def three_at_a_time(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("OMP_NUM_THREADS", "3")
+
+
+def hosts_of(system: System) -> set[int]:
+    """Return the processes that a system has."""
+    executor: Any = executor_of(system)
+    assert isinstance(executor, MultiProcessExecutor)
+    return {host.pid for part in executor._parts for host in part._keeper._hosts}
+
+
+@pytest.mark.usefixtures("three_at_a_time")
+def test_it_runs_in_a_process_for_each_core_with_the_same_bits(tmp_path: Path) -> None:
+    fmu, some = misbehaving_fmu(tmp_path, token="alone", **OPEN_MODELICA), thetas(Mode.SOUND)
+    with closing(System(fmu, isolation=Isolation())) as system, closing(System(fmu)) as alone:
+        found = Simulator(system, RECORD, NAMES)(some)
+        assert np.array_equal(found, Simulator(alone, RECORD, NAMES)(some))
+        assert np.abs(found[:, :, 0] - closed_form(some)).max() < 1e-14
+        assert len(hosts_of(system)) == 3
+    assert hosts_of(system) == set()
+
+
+@pytest.mark.usefixtures("three_at_a_time")
+@pytest.mark.parametrize(
+    ("said", "threads", "spread"),
+    [(OPEN_MODELICA, None, True), (OPEN_MODELICA, 1, False), ({"tool": "fmuid"}, None, False)],
+)
+def test_who_is_spread(tmp_path: Path, said: dict[str, Any], threads: int | None, spread: bool) -> None:
+    system = System(misbehaving_fmu(tmp_path, **said), isolation=Isolation(threads=threads))
+    assert isinstance(executor_of(system), MultiProcessExecutor if spread else IsolatedExecutor)
+
+
+@pytest.mark.usefixtures("three_at_a_time")
+@pytest.mark.parametrize("kind", ["spread", "one"])
+def test_what_one_finds_stiff_is_run_again_by_all(kind: str) -> None:
+    """The last theta is stiff, the first ones are not; in-process all are integrated as stiff then.
+
+    One process alone has the first theta by itself, and the others afterwards.
+    """
+    times = np.linspace(0.0, 0.1, 11)
+    record = Experiment(pd.DataFrame({"time": times, "u": 1.0, "i": 0.0}), ["u"], ["i"])
+    some = np.array([[1.0, 0.1], [2.0, 0.1], [4.0, 0.1], [4e3, 1e-5]])
+    coil = FMUS / "Coil" / "Coil.fmu"
+    system, alone = (System(coil, numerics=Numerics("model-exchange")) for _ in range(2))
+    made = MultiProcessExecutor if kind == "spread" else IsolatedExecutor
+    simulator: Any = Simulator(system, record, ["R", "L"])
+    executor = simulator._executor = made(system.components, 3, Isolation(), set())
+    found = simulator(some)
+    plain = Simulator(alone, record, ["R", "L"])(some[:1])
+    assert np.array_equal(found, Simulator(alone, record, ["R", "L"])(some))
+    assert not np.array_equal(found[:1], plain)
+    executor.close()
+
+
+@pytest.mark.usefixtures("three_at_a_time")
+def test_an_interruption_ends_all(tmp_path: Path) -> None:
+    """All shares hang, that of this thread and those of the others, for longer than anybody waits."""
+    fmu, some = misbehaving_fmu(tmp_path, **OPEN_MODELICA), thetas(Mode.SOUND)
+    with closing(System(fmu, isolation=Isolation(time_limit=600.0))) as system:
+        simulator = Simulator(system, RECORD, NAMES)
+        expected, there = simulator(some), hosts_of(system)
+        before = {pid: condition_of(pid).computed for pid in there}
+
+        def interrupt() -> None:
+            wait_until(lambda: all(condition_of(pid).computed > before[pid] + 0.1 for pid in there))
+            os.kill(os.getpid(), signal.SIGINT)
+
+        interrupter = threading.Thread(target=interrupt)
+        with pytest.raises(KeyboardInterrupt):
+            interrupter.start()
+            simulator(some * [1, 1, 0] + [0, 0, Mode.LOOP])
+        interrupter.join()
+        assert len(there) == 3
+        assert not there & {process.pid for process in processes() if process.status() != psutil.STATUS_ZOMBIE}
+        assert np.array_equal(simulator(some), expected)

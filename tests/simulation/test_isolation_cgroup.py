@@ -12,12 +12,10 @@ import numpy as np
 import psutil
 import pytest
 
-from fmuid.models.component import Isolation
-from fmuid.processes import cgroup
-from fmuid.processes.host import SERVER
+from fmuid import Isolation, Simulator
+from fmuid.processes import SERVER, cgroup
 from fmuid.processes.limits import Footprint
-from fmuid.simulation.isolation.host import FmuHost
-from fmuid.simulation.simulator import Simulator
+from fmuid.simulation import FmuHost
 from tests.support.isolated import NAMES, RECORD, expected, processes, thetas, wait_until
 from tests.support.misbehaving import Mode, misbehaving_fmu
 

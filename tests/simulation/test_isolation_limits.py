@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import errno
 import os
-import signal
 import subprocess
 import sys
 import zipfile
@@ -16,19 +15,11 @@ import pandas as pd
 import psutil
 import pytest
 
-from fmuid import Experiment, Isolation, Simulator
-from fmuid.errors import FmuidError, InputError
+from fmuid import Experiment, FmuidError, InputError, Isolation, Simulator
 from fmuid.processes import HostExitError, ProcessEnd, ProcessStatus
-from fmuid.processes.limits import (
-    COMPUTED_SHARE,
-    STANDSTILL_SECONDS,
-    Footprint,
-    condition_of,
-    family,
-    wants_processor,
-)
-from fmuid.simulation import codes, executor_of
-from fmuid.simulation.isolation.host import TIME_LIMITS, HostWatchdog, TimeLimits, end_words
+from fmuid.processes.limits import COMPUTED_SHARE, STANDSTILL_SECONDS, Footprint, condition_of, wants_processor
+from fmuid.simulation import TIME_LIMITS, codes, executor_of
+from fmuid.simulation.isolation.host import HostWatchdog, TimeLimits, end_words
 from tests.support.isolated import NAMES, PROCESSES, RECORD, expected, pair, thetas, wait_until
 from tests.support.misbehaving import Mode, misbehaving_fmu
 
@@ -131,28 +122,6 @@ def test_memory_given_by_fmuid_does_not_count(folder: Path) -> None:
     host._limit = Footprint(host.pid).read() - 56e6 + 25e6
     assert np.array_equal(simulator(some), before)
     assert executor._host() is host
-
-
-@linux
-def test_shared_memory_counts_once(tmp_path: Path) -> None:
-    """Four processes that share 100 MB take 100 MB, of which each seems to have all."""
-    script = tmp_path / "share.py"
-    script.write_text(
-        "import mmap, os, signal\nroom = mmap.mmap(-1, 100 << 20)\nfor i in range(0, 100 << 20, 4096): room[i] = 1\n"
-        "for i in range(3):\n    if os.fork() == 0:\n        sum(room[i] for i in range(0, 100 << 20, 4096))\n"
-        "        os.write(1, b'there'); signal.pause()\nos.write(1, b'there')\nsignal.pause()\n"
-    )
-    with subprocess.Popen([sys.executable, str(script)], stdout=subprocess.PIPE, start_new_session=True) as process:
-        try:
-            assert process.stdout is not None
-            assert process.stdout.read(20) == 4 * b"there"
-            assert len(family(process.pid)) == 4
-            footprint = Footprint(process.pid)
-            assert 100 < footprint.read() / 2**20 < 160
-            assert footprint.exceeds(100 << 20)
-            assert not footprint.exceeds(160 << 20)
-        finally:
-            os.killpg(process.pid, signal.SIGKILL)
 
 
 # --- time: by the clock, but a busy machine is not charged to a simulation

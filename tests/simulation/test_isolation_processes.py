@@ -22,17 +22,15 @@ import psutil
 import pytest
 
 import fmuid
-from fmuid import Experiment, Isolation, Simulator, System
+from fmuid import Experiment, FmuidError, Isolation, SimulationError, Simulator, System
 from fmuid.array_types import Floats
-from fmuid.errors import FmuidError, SimulationError
-from fmuid.processes import MEMORY_KEPT, Child
+from fmuid.processes import SERVER, Child, HostExitError, ProcessEnd
 from fmuid.processes import host as hosts
 from fmuid.processes.channel import Channel, Look
-from fmuid.processes.host import SERVER, ForkServer
-from fmuid.processes.limits import HostExitError, ProcessEnd, condition_of, family
-from fmuid.simulation import executor_of
+from fmuid.processes.host import ForkServer
+from fmuid.processes.limits import condition_of, family
+from fmuid.simulation import FmuHost, executor_of
 from fmuid.simulation.isolation import server
-from fmuid.simulation.isolation.host import FmuHost
 from tests.support import spoilt_orders
 from tests.support.isolated import (
     NAMES,
@@ -245,19 +243,6 @@ def called_pid(host: FmuHost) -> int:
     return int(host.order(os.getpid, limit=20.0))
 
 
-def test_memory_is_kept_whatever_the_starter_says(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Dask starts workers with a threshold at which each array is mapped anew."""
-    monkeypatch.setenv("MALLOC_TRIM_THRESHOLD_", "65536")
-    own = ForkServer()
-    monkeypatch.setattr("fmuid.processes.host.SERVER", own)
-    host = FmuHost([], 1e9)
-    found = {name: str(host.order(os.getenv, name, limit=20.0)) for name in MEMORY_KEPT}
-    host.close()
-    own.stop()
-    assert found == MEMORY_KEPT
-    assert int(found["MALLOC_TRIM_THRESHOLD_"]) > int(found["MALLOC_MMAP_THRESHOLD_"]) > 10**7
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("question", ["fork", "wait"])
 def test_interruption_leaves_no_answer_for_the_next(monkeypatch: pytest.MonkeyPatch, question: str) -> None:
@@ -334,13 +319,6 @@ def test_host_that_never_begins_is_one_sentence(folder: Path, monkeypatch: pytes
     monkeypatch.setattr(FmuHost, "order", order)
     with pytest.raises(FmuidError, match=r"\.fmu: its process ends repeatedly"):
         simulator([2.0, 0.5, 0.0])
-
-
-def test_cancelled_simulations_are_not_taken_up(folder: Path) -> None:
-    executor = executor_in(simulator_of(folder))
-    executor.cancel()
-    with pytest.raises(FmuidError, match=r"\.fmu: simulations cancelled"):
-        executor._host()
 
 
 def test_path_belongs_to_the_folder_where_it_was_given(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

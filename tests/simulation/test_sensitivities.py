@@ -13,16 +13,12 @@ import pytest
 from numpy.typing import ArrayLike
 
 import fmuid
+from fmuid import Experiment, InputError, Numerics, Parameter, Problem, Simulator, System
 from fmuid.array_types import Floats
-from fmuid.data import Parameter
-from fmuid.data.experiment import Experiment
-from fmuid.errors import InputError, SensitivityUnavailableError
+from fmuid.errors import SensitivityUnavailableError
 from fmuid.estimation import SensitivityMethod
-from fmuid.identification import Problem
-from fmuid.models.component import Numerics
-from fmuid.models.system import System
-from fmuid.simulation.sensitivities import ForwardSensitivities, derivatives_of
-from fmuid.simulation.simulator import Simulator
+from fmuid.simulation import derivatives_of
+from fmuid.simulation.sensitivities import ForwardSensitivities
 from tests.support.closed_forms import ball, coil_response
 from tests.support.exported import export_text
 from tests.support.hybrid import hybrid_fmu

@@ -13,10 +13,8 @@ import pytest
 from numpy.typing import ArrayLike
 from scipy.integrate import solve_ivp
 
-from fmuid import Experiment, Isolation, Simulator, System
+from fmuid import Experiment, InputError, Isolation, Numerics, SimulationError, Simulator, System
 from fmuid.array_types import Floats
-from fmuid.errors import InputError, SimulationError
-from fmuid.models.component import Numerics
 from fmuid.simulation import close, closing
 from fmuid.simulation.worker import SimulationThread
 from tests.support.closed_forms import coil_response, park_rates

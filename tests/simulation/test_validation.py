@@ -14,14 +14,14 @@ import numpy as np
 import pytest
 
 import fmuid
+from fmuid import validate
 from fmuid.apps.cli.app import run
 from fmuid.apps.cli.options import DONE, NOT_SUCCEEDED
 from fmuid.reports.topics.validation import check_words
+from fmuid.simulation import Check, InterfaceTest, Stage, Validation, validation
 from fmuid.simulation import smoke_test as smoke
-from fmuid.simulation import validation
 from fmuid.simulation.native.build import compiler_here
-from fmuid.simulation.smoke_test import SmokeReport, Stage
-from fmuid.simulation.validation import Check, InterfaceTest, Validation, validate
+from fmuid.simulation.smoke_test import SmokeReport
 from tests.support.compiled import write_fmu as write_compiled
 from tests.support.fmu_texts import FMI2, FMI3, write_fmu
 from tests.support.paths import FMUS, HERE

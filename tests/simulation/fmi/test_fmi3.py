@@ -10,18 +10,10 @@ import pandas as pd
 import pytest
 from numpy.typing import NDArray
 
-from fmuid.data import Parameter
-from fmuid.data.experiment import Experiment
-from fmuid.errors import InputError
+from fmuid import FMU, Component, Experiment, InputError, Numerics, Parameter, Problem, Simulator, System, identify
 from fmuid.estimation import SensitivityMethod
-from fmuid.identification import Problem, identify
-from fmuid.models.component import Component, Numerics
-from fmuid.models.fmu import FMU
-from fmuid.models.system import System
-from fmuid.simulation.simulator import Simulator
 from tests.support.closed_forms import coil_response
 from tests.support.exported import export_text
-from tests.support.modelica import FRICTION, friction
 from tests.support.paths import FMUS
 
 COIL = FMUS / "Coil" / "Coil.fmu"
@@ -32,16 +24,6 @@ Array = NDArray[np.float64]
 @pytest.fixture(scope="module")
 def coil3(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return export_text(tmp_path_factory.mktemp("coil3"), COIL_TEXT, fmi="3.0")
-
-
-@pytest.fixture(scope="module")
-def drives(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
-    folder = tmp_path_factory.mktemp("drives")
-    made = {}
-    for fmi in ("2.0", "3.0"):
-        (folder / fmi).mkdir()
-        made[fmi] = export_text(folder / fmi, FRICTION, fmi=fmi)
-    return made
 
 
 def record(times: Array, **columns: Any) -> pd.DataFrame:
@@ -79,31 +61,6 @@ def test_versions_and_kinds_mix(coil3: Path) -> None:
         )
         got = Simulator(system, experiment)([])[:, 0]
         assert np.abs(got - expected).max() < 3e-4 * expected.max()  # values held over 10 us, of 25 ms: first order
-
-
-@pytest.mark.parametrize("fmi", ["2.0", "3.0"])
-@pytest.mark.parametrize(
-    "numerics",
-    [
-        Numerics("co-simulation"),
-        Numerics("model-exchange", "rk4", step_size=0.01),
-        Numerics("model-exchange", "rk45", tolerance=1e-9),
-        Numerics("model-exchange", "cvode", tolerance=1e-10),
-    ],
-    ids=["co-simulation", "rk4", "rk45", "cvode"],
-)
-def test_event_times_of_a_friction_drive(drives: dict[str, Path], fmi: str, numerics: Numerics) -> None:
-    """The speed reverses between samples; the friction's impulse has the time of that, here to 1e-6 s."""
-    times = np.linspace(0.0, 0.99, 12)
-    for force in (-4.0, -7.3, -31.0):
-        experiment = Experiment(
-            record(times, F=force, x=0.0, v=0.0, impulse=0.0), ["F"], ["x", "v", "impulse"], interpolation="zoh"
-        )
-        got = Simulator(System(drives[fmi], numerics=numerics), experiment, ["m", "Fc"])([2.0, 3.0])
-        expected = np.array([friction(t, force) for t in times])
-        assert (
-            np.abs(got - expected).max() < 2 * 3.0 * 1e-6
-        )  # an error dt of the reversal makes one of 2 Fc dt in the impulse, N s
 
 
 def test_sensitivities_of_the_fmu_serve_the_search(tmp_path: Path) -> None:

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from fmuid.errors import InputError
+from fmuid import InputError
 from fmuid.simulation import codes
 from fmuid.simulation.codes import describe
 from tests.support.closed_forms import ball
@@ -69,17 +69,6 @@ def test_time_events_are_hit_exactly(make: Maker, settings: dict[str, Any]) -> N
         assert trial.advance(t)[0] == pytest.approx(0.2 * min(phase, 1 - phase), abs=1e-9)
         count = trial.numbers[COUNT]
         assert trial.numbers[EVENT_TIME] == count * 0.1 <= t < (count + 1) * 0.1
-
-
-@every_integrator
-def test_a_time_event_at_a_sample_is_handled_there(make: Maker, settings: dict[str, Any]) -> None:
-    trial = make(TRIANGLE, [0.0], [0.1], **settings).begin()
-    trial.advance(0.1)
-    assert trial.numbers[COUNT] == 1
-    trial.advance(0.1)
-    assert trial.numbers[COUNT] == 1
-    trial.advance(5 * 0.1)
-    assert trial.numbers[COUNT] == 5
 
 
 @every_integrator

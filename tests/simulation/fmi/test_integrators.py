@@ -12,11 +12,9 @@ import pytest
 from numpy.typing import NDArray
 from scipy.integrate._ivp.rk import RK45
 
-from fmuid.data.experiment import Experiment
-from fmuid.errors import InputError
+from fmuid import Experiment, InputError, Simulator
 from fmuid.simulation import codes
 from fmuid.simulation.native.library import core
-from fmuid.simulation.simulator import Simulator
 from tests.support.closed_forms import coil_response
 from tests.support.hybrid import hybrid_fmu
 from tests.support.integrating import (
@@ -31,7 +29,6 @@ from tests.support.integrating import (
     NOMINAL,
     SWITCH,
     VAN_DER_POL,
-    Failure,
     Maker,
     U,
     X,
@@ -125,14 +122,6 @@ def test_stiff_van_der_pol_against_radau(make: Maker, jacobian: str, stiff: NDAr
     assert (trial.numbers[COUNT] > 0) == (jacobian == "exact")
 
 
-def test_stiffness_is_found(make: Maker) -> None:
-    trial = make(VAN_DER_POL, [2.0, 0.0], [1000.0], integrator="rk45").begin()
-    with pytest.raises(Failure) as failure:
-        trial.advance(500.0)
-    assert failure.value.args[0] == codes.STIFF
-    assert 'Choose solver = "cvode"' in trial.describe()
-
-
 def linear_response(x: float, t: float, a: float, coefficients: NDArray[np.float64]) -> float:
     """Closed form of x' = -a x + u, u a polynomial in t with these coefficients."""
     particular = np.zeros(len(coefficients))  # p' + a p = u, highest power first
@@ -208,14 +197,6 @@ def test_no_states_but_an_input_that_switches(make: Maker) -> None:
         trial.memory.curves[0] = 0.0  # jumps back across the threshold
         trial.advance(1.5)
         assert trial.numbers[[COUNT, EVENT_TIME]].tolist() == [2, 1.0]
-
-
-def test_no_states_and_a_step_size(make: Maker) -> None:
-    trial = make(SWITCH, [], [0.37], n_inputs=1, step_size=0.2)
-    trial.memory.curves[0, :3] = 0.0, 2.0, -2.0  # above the threshold between two samples only
-    trial.begin()
-    trial.advance(1.0)
-    assert trial.numbers[COUNT] == 2
 
 
 @every_integrator

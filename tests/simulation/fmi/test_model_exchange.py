@@ -12,12 +12,8 @@ from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 from scipy.interpolate import PchipInterpolator
 
-from fmuid.data.experiment import Experiment
-from fmuid.errors import InputError, SimulationError
-from fmuid.models.component import Component, Numerics
-from fmuid.models.system import System
+from fmuid import Component, Experiment, InputError, Numerics, SimulationError, Simulator, System
 from fmuid.reports.topics.solver_check import run_words
-from fmuid.simulation.simulator import Simulator
 from tests.support.closed_forms import coil_response, park_rates
 from tests.support.paths import FMUS
 from tests.support.probe_fmu import ProbeMaker

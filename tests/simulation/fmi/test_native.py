@@ -6,7 +6,6 @@ import ctypes
 import shutil
 import subprocess
 import sys
-import threading
 from pathlib import Path
 from typing import Any
 
@@ -16,28 +15,15 @@ import psutil
 import pytest
 from numpy.typing import NDArray
 
-from fmuid.data.experiment import Experiment
-from fmuid.errors import InputError, SimulationError
-from fmuid.models.component import Numerics
-from fmuid.models.fmu import FMU
-from fmuid.models.system import System
+from fmuid import FMU, Experiment, InputError, Numerics, SimulationError, Simulator, System, __version__
 from fmuid.simulation import codes
 from fmuid.simulation.instance import Instance
 from fmuid.simulation.native import build, library
 from fmuid.simulation.plan_builder import simulation_of
 from fmuid.simulation.simulation_loop import SimulationLoop
-from fmuid.simulation.simulation_plan import (
-    GridSimulation,
-    Operation,
-    check_arrays,
-    check_plan,
-    new_reports,
-)
+from fmuid.simulation.simulation_plan import GridSimulation, Operation, check_arrays, check_plan, new_reports
 from fmuid.simulation.simulation_task import task_of
-from fmuid.simulation.simulator import Simulator
-from fmuid.version import __version__
 from tests.support.exported import export_text
-from tests.support.hybrid import hybrid_fmu
 from tests.support.paths import FMUS
 from tests.support.probe_fmu import ProbeMaker
 from tests.support.sanitizers import SANITIZE, assert_nothing_found, needs_sanitizers
@@ -199,33 +185,6 @@ def test_arrays_of_other_shapes_are_refused(runs: dict[str, Planned]) -> None:
 
 
 # --- what it does
-
-
-@pytest.mark.parametrize("method", ["rk4", "rk45"])
-def test_a_simulation_is_cancelled_inside_its_integrator(tmp_path: Path, method: str) -> None:
-    """Two samples, with more steps between them than ever come to an end."""
-    step = 1e-9 if method == "rk4" else None
-    numerics = Numerics("model-exchange", method, tolerance=1e-13, step_size=step)
-    system = System(hybrid_fmu(tmp_path, "van_der_pol"), numerics=numerics)
-    frame = pd.DataFrame({"time": [0.0, 1e5], "x": 0.0})
-    simulation = simulation_of(
-        task_of(system, Experiment(frame, [], {"x0": "x"}), [], {"p0": 1.0, "start0": 2.0}, None)
-    )
-    (component,) = system.components.values()
-    instance, used = Instance(component.fmu, component.kind, "x"), np.zeros(1, np.intp)
-    loop, reports = SimulationLoop(simulation.plan, simulation.grid, [instance], used), new_reports(1)
-    thread = threading.Thread(target=loop.run, args=(np.zeros((1, 0)), np.zeros((1, 2, 1)), reports))
-    state = loop._integrators[0]
-    assert state is not None
-    thread.start()
-    while state.state.n_steps < 10 and thread.is_alive():
-        pass
-    loop.cancel()
-    thread.join(60.0)
-    assert not thread.is_alive()
-    assert reports[0, 0] == codes.CANCELLED
-    assert 0.0 < reports[0, 5:].view(np.float64)[0] < 1e5
-    instance.close()
 
 
 @pytest.mark.parametrize("value", [2.0**31, -(2.0**31) - 1])

@@ -11,9 +11,9 @@ from typing import Any
 import pytest
 from fmpy import read_model_description
 
-from fmuid.errors import InputError
-from fmuid.models.description import SI_BASE_UNITS, Description
-from fmuid.models.reading import read_description
+from fmuid import InputError
+from fmuid.models import Description, read_description
+from fmuid.models.description import SI_BASE_UNITS
 from tests.support.fmu_texts import FMI2, FMI3, FMI_3, write_fmu
 from tests.support.paths import FMUS
 

@@ -1,27 +1,39 @@
-"""FMUs whose instances cannot share one process are kept apart (`fmuid.simulation.instance_registry`)."""
+"""FMUs whose instances cannot share one process are kept apart; those that disturb each other have new processes."""
 
 from __future__ import annotations
 
 import gc
+import logging
 import threading
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pandas as pd
 import pytest
 
-from fmuid.errors import InputError
-from fmuid.models.component import Component, Numerics
-from fmuid.models.description import KINDS
-from fmuid.models.fmu import FMU
-from fmuid.models.system import System
+from fmuid import (
+    FMU,
+    Component,
+    Experiment,
+    InputError,
+    Isolation,
+    Numerics,
+    Parameter,
+    Problem,
+    Simulator,
+    System,
+    identify,
+)
+from fmuid.models import KINDS, SolverConfiguration
+from fmuid.reports.topics.solver_check import run_words
+from fmuid.simulation import closing
 from fmuid.simulation.executor_pool import threads
 from fmuid.simulation.instance_registry import in_threads
-from fmuid.simulation.simulator import Simulator
-from tests.support.isolated import NAMES, RECORD, closed_form, thetas
+from tests.support.isolated import NAMES, PROCESSES, RECORD, closed_form, thetas
 from tests.support.misbehaving import Mode, misbehaving_fmu
-from tests.support.paths import FMUS
 from tests.support.quick import first
+from tests.support.stepping import LAG, stepping_fmu
 
 SAYS_SO: dict[str, Any] = {"canBeInstantiatedOnlyOncePerProcess": "false"}
 OPEN_MODELICA: dict[str, Any] = {"tool": "OpenModelica Compiler OpenModelica v1.26.0 (64-bit)", **SAYS_SO}
@@ -68,14 +80,6 @@ def test_threads_are_for_fmus_that_are_known_to_bear_them(
 ) -> None:
     description = FMU(misbehaving_fmu(tmp_path, version=version, **said)).description
     assert [in_threads(description, kind) for kind in KINDS] == [expected] * 2
-
-
-def test_all_fmus_of_this_project_run_in_threads() -> None:
-    paths = sorted(FMUS.glob("*/*.fmu"))
-    assert paths
-    for path in paths:
-        (model,) = System(path).components.values()
-        assert in_threads(model.fmu.description, model.kind), path
 
 
 @pytest.mark.parametrize("said", [{}, OPEN_MODELICA], ids=["nothing", "OpenModelica"])
@@ -147,3 +151,73 @@ def test_one_system_cannot_have_both_interfaces(folder: Path) -> None:
     experiment = type(RECORD)(RECORD.frame, {"co.u": "u"}, {"mo.x": "x"})
     with pytest.raises(InputError, match=r"can crash FMUs of Some Tool.*one interface"):
         Simulator(System(components=parts), experiment)([])
+
+
+pytestmark = PROCESSES
+# --- an FMU that keeps something outside its instances, by which each simulation changes the ones after it
+
+MEMORY = 1e-3  # added to the input after each simulation
+
+
+def experiment() -> Experiment:
+    """Return a record of x' = u - 3 x in closed form, u held."""
+    step, n, k = 0.01, 100, 3.0
+    rng = np.random.default_rng(3)
+    u = np.repeat(rng.choice([-1.0, 1.0], n // 10), 10)
+    x = np.zeros(n)
+    for i in range(n - 1):
+        x[i + 1] = u[i] / k + (x[i] - u[i] / k) * np.exp(-k * step)
+    frame = pd.DataFrame({"time": step * np.arange(n), "u": u, "x": x + 1e-3 * rng.standard_normal(n)})
+    return Experiment(frame, ["u"], ["x"], interpolation="zoh")
+
+
+def test_each_simulation_has_a_new_process(folder: Path, caplog: pytest.LogCaptureFixture) -> None:
+    """Outputs are those of the same FMU without the memory, bit for bit, also where several go at a time."""
+    thetas = [[1.0], [2.0], [1.0]]
+    expected = Simulator(stepping_fmu(folder, LAG, order=4), experiment(), ["k"])(thetas)
+    with closing(System(stepping_fmu(folder, LAG, order=4, memory=MEMORY), isolation=Isolation())) as system:
+        simulator = Simulator(system, experiment(), ["k"])
+        with caplog.at_level(logging.WARNING, "fmuid.fmu"):
+            np.testing.assert_array_equal(simulator(thetas), expected)
+            np.testing.assert_array_equal(simulator([1.0]), expected[0])
+    (record,) = caplog.records
+    assert "keeps data outside its instances; each simulation uses a new process" in record.getMessage()
+
+
+def test_identify_by_new_processes(folder: Path) -> None:
+    """The cost never rises over accepted steps, the estimate is that of the FMU without memory, the result says how."""
+    found = []
+    for memory in (0.0, MEMORY):
+        with closing(System(stepping_fmu(folder, LAG, order=4, memory=memory), isolation=Isolation())) as system:
+            problem = Problem(system, experiment(), {"k": Parameter(1.0, min=0.1, max=10.0)})
+            found.append(identify(problem, solver_check="off", restart=False))
+    plain, result = found
+    assert result.values[0] == plain.values[0]
+    trace = result.trace
+    for _, costs in trace[trace["accepted"]].groupby("round")["cost"]:
+        assert (np.diff(costs) <= 0.0).all()
+    assert [each.setup.models[""]["run"]["new_processes"] for each in found] == [False, True]
+    assert run_words(SolverConfiguration(**result.setup.models[""]["run"])).endswith(
+        "in a new process for each simulation"
+    )
+
+
+def test_one_simulation_in_a_process(folder: Path) -> None:
+    """Without new processes it is refused, at once where several simulations were asked for."""
+    path, sentence = (
+        stepping_fmu(folder, LAG, order=4, memory=2 * MEMORY),
+        r"outside its instances, so only one simulation is possible",
+    )
+    with pytest.raises(InputError, match=sentence):
+        Simulator(path, experiment(), ["k"])([[1.0], [2.0]])
+    with pytest.raises(InputError, match=sentence):
+        identify(Problem(path, experiment(), {"k": Parameter(1.0, min=0.1, max=10.0)}))
+
+
+def test_outputs_at_random_are_refused(folder: Path) -> None:
+    """What differs from process to process no process mends."""
+    path = stepping_fmu(folder, LAG, order=4, memory=MEMORY, seed="getpid()")
+    with closing(System(path, isolation=Isolation())) as system:
+        simulator = Simulator(system, experiment(), ["k"])
+        with pytest.raises(InputError, match=r"outputs differ between simulations .* also in new processes"):
+            simulator([1.0])

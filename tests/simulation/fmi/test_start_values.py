@@ -8,9 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from fmuid.errors import InputError
-from fmuid.models.reading import read_description
-from fmuid.models.start_values import with_starts
+from fmuid import InputError
+from fmuid.models import read_description, with_starts
 from tests.support.fmu_texts import FMI_3, write_fmu
 
 FMI_2 = """<?xml version="1.0" encoding="UTF-8"?>

@@ -14,13 +14,11 @@ from pathlib import Path
 
 import pytest
 
-from fmuid.errors import InputError
+from fmuid import FMU, InputError
+from fmuid.models import CheckedArchive, read_ssv, ssv
 from fmuid.models import archive as zipped
-from fmuid.models import ssv
-from fmuid.models.archive import CheckedArchive, unpacked
-from fmuid.models.fmu import FMU
-from fmuid.models.ssv import read_ssv
-from fmuid.runs.apply import apply_result
+from fmuid.models.archive import unpacked
+from fmuid.runs import apply_result
 from tests.support.fmu_texts import FMI2, FMI3, write_fmu
 from tests.support.packing import pack, refusal
 from tests.support.paths import FMUS
