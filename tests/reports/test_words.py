@@ -175,7 +175,7 @@ def test_unknown_solver_error(outcome: AccuracyOutcome) -> None:
     [
         (SwitchCause.START_FAILED, math.nan, "FMI 2.0 Co-Simulation fails at the initial guess"),
         (SwitchCause.START_DIFFERED, 0.25, "FMI 2.0 Co-Simulation is off by 25 % of the signal"),
-        (SwitchCause.SHIFT, 0.25, "(error was 0.25 σ)"),
+        (SwitchCause.SHIFT, 0.25, "error was 0.25 σ"),
         (SwitchCause.SHIFT, math.nan, "its error may exceed σ"),
     ],
 )

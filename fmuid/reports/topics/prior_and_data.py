@@ -28,17 +28,11 @@ class PriorMessage(Message, section="belief"):
 
     AGREE = plain("Prior and data agree (p = {probability}).")
     CONFLICT = doubt(
-        "Prior and data conflict (p = {probability}).",
+        "Prior and data conflict (p = {probability}){most}.",
         "the estimate is a compromise of two that exclude each other",
-        "Check the prior, the model and the machine.",
+        "Check the prior{of}, the model and the machine.",
     )
-    CONFLICT_MOST = doubt(
-        "Prior and data conflict (p = {probability}); largest for {name} ({pull} σ).",
-        "the estimate is a compromise of two that exclude each other",
-        "Check the prior of {name}, the model and the machine.",
-    )
-    DOMINATES = doubt("Prior dominates {name}; data alone give {alone}.")
-    OTHER_DOMINATES = doubt("Prior of {prior} dominates {name}; data alone give {alone}.")
+    DOMINATES = doubt("Prior{of} dominates {name}; data alone give {alone}.", "the data add next to nothing")
     MOVED = plain("Prior of {prior} moved {name} from {alone} to {value} ({moved} σ).")
     NONLINEAR = doubt(
         "Linear combination of prior and data gives {name} = {value}, {distance} σ off.",
@@ -59,20 +53,8 @@ class PriorMessage(Message, section="belief"):
         "Residual of {outputs} matches its noise level (variance × {ratios}, p = {probability}).",
         "χ² test of the residual variance",
     )
-    ALONE_BOUND = plain(
-        "Optimum of the data alone is extrapolated: {names} would reach a bound.",
-        'the column "data alone" is a linear approximation',
-    )
-    ALONE_OPEN = plain(
-        "Optimum of the data alone is extrapolated: {names} not identifiable.",
-        'the column "data alone" is a linear approximation',
-    )
-    ALONE_ENDED = plain(
-        "Optimum of the data alone is extrapolated: {end}.", 'the column "data alone" is a linear approximation'
-    )
-    ALONE_ROBUST = plain(
-        "Optimum of the data alone is extrapolated because of the robust loss.",
-        'the column "data alone" is a linear approximation',
+    EXTRAPOLATED = plain(
+        "Optimum of the data alone is extrapolated: {reason}.", 'the column "data alone" is a linear approximation'
     )
 
 
@@ -91,20 +73,21 @@ def _agreement(reading: PriorDataComparison, agreement: PriorDataTest) -> Remark
         return PriorMessage.AGREE.said(probability=probability)
     sizes = np.abs(np.nan_to_num(reading.conflict))
     i = int(np.argmax(sizes))
-    message = PriorMessage.CONFLICT_MOST if sizes[i] else PriorMessage.CONFLICT
-    return message.said(probability=probability, name=reading.names[i], pull=f"{sizes[i]:.2g}")
+    most, of = (
+        (f"; largest for {reading.names[i]} ({sizes[i]:.2g} σ)", f" of {reading.names[i]}") if sizes[i] else ("", "")
+    )
+    return PriorMessage.CONFLICT.said(probability=probability, most=most, of=of)
 
 
 def _influence(reading: PriorDataComparison, found: PriorInfluence) -> Remark:
     i = reading.names.index(found.name)
     std = float(reading.data_std[i])
-    alone = _shown(float(reading.data[i]), std)
+    alone, value = (_shown(float(each[i]), std) for each in (reading.data, reading.combined))
     if found.rests:
-        message = PriorMessage.DOMINATES if found.prior == found.name else PriorMessage.OTHER_DOMINATES
-        return message.said(name=found.name, prior=found.prior, alone=f"{alone} ± {std:.2g}")
-    value, moved = _shown(float(reading.combined[i]), std), f"{abs(reading.moved[i]):.2g}"
-    values = {"name": found.name, "prior": found.prior, "alone": alone, "value": value, "moved": moved}
-    return PriorMessage.MOVED.said(**values)
+        of = "" if found.prior == found.name else f" of {found.prior}"
+        return PriorMessage.DOMINATES.said(name=found.name, of=of, alone=f"{alone} ± {std:.2g}")
+    values = {"name": found.name, "prior": found.prior, "alone": alone, "value": value}
+    return PriorMessage.MOVED.said(**values, moved=f"{abs(reading.moved[i]):.2g}")
 
 
 def _bent(reading: PriorDataComparison) -> Remark:
@@ -134,14 +117,14 @@ def _variances(reading: PriorDataComparison, units: Units) -> list[Remark]:
 
 def obstacle_remark(obstacle: ExtrapolationReason) -> Remark:
     """Return why the optimum of the data alone is extrapolated."""
+    names = list(dict.fromkeys(name for each in obstacle.undetermined for name in each.names))
     if obstacle.at_bounds:
-        return PriorMessage.ALONE_BOUND.said(names=listed(obstacle.at_bounds))
-    if obstacle.undetermined:
-        names = dict.fromkeys(name for each in obstacle.undetermined for name in each.names)
-        return PriorMessage.ALONE_OPEN.said(names=listed(list(names)))
-    if obstacle.outcome is not None:
-        return PriorMessage.ALONE_ENDED.said(end=ENDS[obstacle.outcome])
-    return PriorMessage.ALONE_ROBUST.said()
+        reason = f"{listed(obstacle.at_bounds)} would reach a bound"
+    elif names:
+        reason = f"{listed(names)} not identifiable"
+    else:
+        reason = "robust loss" if obstacle.outcome is None else ENDS[obstacle.outcome]
+    return PriorMessage.EXTRAPOLATED.said(reason=reason)
 
 
 def _shown(value: float, std: float) -> str:
@@ -167,16 +150,11 @@ PARTS: tuple[tuple[str, str, Color, float], ...] = (
 
 def prior_sections(reading: PriorDataComparison, units: Units) -> list[Section]:
     """Return prior, data and both: table, densities, cost."""
-    table = reading.table
+    beliefs, costs = tuple(_beliefs(reading.table, units)), tuple(parabola_charts(reading.table, (), units))
     return [
         Section("reading", "Prior and data", table=_table(reading, units), shown=DETAIL),
-        Section("belief", "Prior, data, and both", BELIEF, charts=tuple(_beliefs(table, units))),
-        Section(
-            "parabolas",
-            "Cost of prior, data, and both",
-            PARABOLAS,
-            charts=tuple(parabola_charts(table, (), units)),
-        ),
+        Section("belief", "Prior, data, and both", BELIEF, charts=beliefs),
+        Section("parabolas", "Cost of prior, data, and both", PARABOLAS, charts=costs),
     ]
 
 

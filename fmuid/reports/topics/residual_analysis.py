@@ -29,34 +29,21 @@ class ResidualMessage(Message, section="residuals"):
     """Tests of the residuals, measured − simulated."""
 
     WHITE = plain(
-        "{residuals} white and not correlated with the inputs.",
+        "{residuals} white{inputs}.",
         "nothing found; parameters can absorb model errors, and weak low-frequency noise hides",
-        "Test on new data: `fmuid predict`.",
-    )
-    WHITE_NO_INPUT = plain(
-        "{residuals} white.",
-        "nothing found, and no input to compare with; parameters can absorb model errors",
         "Test on new data: `fmuid predict`.",
     )
     TESTS = plain(
         "Tests: {tests}; {samples} samples, level {level} %.", "whiteness, mean, correlation with inputs, normality"
     )
-    STRONGLY_COLORED = doubt(
-        "Residual of {name} is strongly colored (autocorrelation {value} at lag {lag}).",
-        "neighboring samples are alike: a model error, or colored noise",
-        "Check the model structure and sensor filters.",
-    )
     COLORED = doubt(
-        "Residual of {name} is colored (autocorrelation {value} at lag {lag}).",
-        "neighboring samples are alike; if weak, the intervals allow for it",
+        "Residual of {name} is {degree}colored (autocorrelation {value} at lag {lag}).",
+        "neighboring samples are alike: a model error, or colored noise; if weak, the intervals allow for it",
         "Check the model structure and sensor filters.",
     )
     WIDENED = plain(
-        "σ is {factors} wider because of colored noise.", "fewer independent samples than rows; the intervals are right"
-    )
-    WIDENED_UNSURE = plain(
-        "σ is {factors} wider because the noise may be colored.",
-        "correlated samples are likely, but chance is not excluded; the intervals allow for it",
+        "σ is {factors} wider because {reason}.",
+        "fewer independent samples than rows; the intervals are right, also if it is chance",
     )
     NOT_WIDENED = plain(
         "Colored noise changes σ little.", "it lies at frequencies where the parameters do not act; σ allows for it"
@@ -106,12 +93,13 @@ class ResidualMessage(Message, section="residuals"):
 
 def residual_remarks(found: ResidualAnalysis, units: Mapping[str, str | None] | None = None) -> list[Remark]:
     """Return the remarks on the residuals, at least one."""
-    large = [each for each in found.findings if each.large]
-    colored = [each for each in large if each.trait is ResidualDefect.COLORED]
-    others = [each for each in large if each.trait is not ResidualDefect.COLORED]
-    said = [_large(found, each, units or {}) for each in colored]
-    said += _widening(found, colored=bool(colored))
-    said += [_large(found, each, units or {}) for each in others]
+    large = [
+        (each.trait is ResidualDefect.COLORED, _large(found, each, units or {}))
+        for each in found.findings
+        if each.large
+    ]
+    colored = [said for is_colored, said in large if is_colored]
+    said = [*colored, *_widening(found, colored=bool(colored)), *(said for is_colored, said in large if not is_colored)]
     quiet = not said and not found.returning and not found.off_grid
     return [*said, *_memory(found), *_summary(found, quiet=quiet)]
 
@@ -122,40 +110,42 @@ def residual_phrases(found: ResidualAnalysis) -> str:
     if not tested:
         return "not tested: too short, or rounding only"
     large = [each for each in found.findings if each.large]
-    colored = [
-        f"{_series_name(found, each.series)} {each.series.whiteness.strongest[1]:.2f}"
-        for each in large
-        if each.trait is ResidualDefect.COLORED
-    ]
-    inputs = list(dict.fromkeys(each.input.input for each in large if each.input is not None))
+
+    def named(trait: ResidualDefect) -> list[ResidualSeries]:
+        return [each.series for each in large if each.trait is trait]
+
+    colored = [f"{_name(found, each)} {each.whiteness.strongest[1]:.2f}" for each in named(ResidualDefect.COLORED)]
     white = "not clearly white" if widening_words(found) else "white"
     said = [f"colored ({', '.join(colored)})" if colored else white]
+    inputs = list(dict.fromkeys(each.input.input for each in large if each.input is not None))
     driven = list(dict.fromkeys(one.input for each in tested for one in each.inputs))
     if driven or inputs:
         said.append(f"correlated with {', '.join(inputs)}" if inputs else f"not correlated with {', '.join(driven)}")
+    clean = not colored and not inputs
     for trait, words in ((ResidualDefect.OFFSET, "offset"), (ResidualDefect.SHAPE, "not normal")):
-        names = [_series_name(found, each.series) for each in large if each.trait is trait]
-        said += [f"{words} ({', '.join(names)})"] if names else []
+        if series := named(trait):
+            said.append(f"{words} ({', '.join(_name(found, each) for each in series)})")
+            clean = False
     said += ["periodic"] if found.returning else []
-    clean = len(said) == 2 - (not driven) and not colored and not inputs
-    return "; ".join(said) + (f" ({_range([each.samples for each in tested])} samples)" if clean else "")
+    samples = f" ({_range([each.samples for each in tested])} samples)"
+    return "; ".join(said) + samples * (clean and not found.returning)
 
 
-def _name(found: ResidualAnalysis, output: str, *experiments: str) -> str:
+def _name(found: ResidualAnalysis, series: ResidualSeries) -> str:
+    return _in(found, series.output, series.experiment)
+
+
+def _in(found: ResidualAnalysis, output: str, *experiments: str) -> str:
     several = len({each.experiment for each in found.series}) > 1
     return f"{output} in {listed(experiments)}" if several else output
 
 
-def _series_name(found: ResidualAnalysis, series: ResidualSeries) -> str:
-    return _name(found, series.output, series.experiment)
-
-
 def _large(found: ResidualAnalysis, finding: ResidualFinding, units: Mapping[str, str | None]) -> Remark:
-    series, name = finding.series, _series_name(found, finding.series)
+    series, name = finding.series, _name(found, finding.series)
     if finding.trait is ResidualDefect.COLORED:
         lag, largest = series.whiteness.strongest
-        message = ResidualMessage.STRONGLY_COLORED if abs(largest) >= 0.5 else ResidualMessage.COLORED
-        return message.said(name=name, value=f"{largest:.2f}", lag=lag)
+        degree = "strongly " if abs(largest) >= 0.5 else ""
+        return ResidualMessage.COLORED.said(name=name, degree=degree, value=f"{largest:.2f}", lag=lag)
     if finding.trait is ResidualDefect.OFFSET:
         mean = f"{series.mean:.3g} {unit_text(units.get(series.output))}".rstrip()
         return ResidualMessage.OFFSET.said(name=name, mean=mean, share=f"{abs(series.mean) / series.std:.2g}")
@@ -180,46 +170,43 @@ def widening_words(found: ResidualAnalysis) -> str:
 
 
 def _widening(found: ResidualAnalysis, *, colored: bool) -> list[Remark]:
-    factors = widening_words(found)
-    if not factors:
-        known = any(math.isfinite(factor) for factor in found.widening.values())
-        return [ResidualMessage.NOT_WIDENED.said()] if colored and known else []
-    sure = any(each.trait is ResidualDefect.COLORED for each in found.findings)
-    return [(ResidualMessage.WIDENED if sure else ResidualMessage.WIDENED_UNSURE).said(factors=factors)]
+    if factors := widening_words(found):
+        sure = any(each.trait is ResidualDefect.COLORED for each in found.findings)
+        reason = "of colored noise" if sure else "the noise may be colored"
+        return [ResidualMessage.WIDENED.said(factors=factors, reason=reason)]
+    known = any(map(math.isfinite, found.widening.values()))
+    return [ResidualMessage.NOT_WIDENED.said()] if colored and known else []
 
 
 def _memory(found: ResidualAnalysis) -> list[Remark]:
     """Return unequal sampling, periodic errors, and noise of low frequency."""
-    names = [_name(found, output, experiment) for experiment, output in found.off_grid]
+    names = [_in(found, output, experiment) for experiment, output in found.off_grid]
     said = [ResidualMessage.IRREGULAR.said(names=listed(names))] if names else []
-    for returning in found.returning:
-        name, share = _name(found, returning.output, returning.experiment), two_digits(100 * returning.share)
-        said.append(ResidualMessage.PERIODIC.said(name=name, period=f"{returning.period:.3g}", share=share))
+    for each in found.returning:
+        values = {"period": f"{each.period:.3g}", "share": two_digits(100 * each.share)}
+        said.append(ResidualMessage.PERIODIC.said(name=_in(found, each.output, each.experiment), **values))
     for slow in found.slow:
         values = {"share": two_digits(100 * slow.share), "seconds": f"{slow.time_constant:.1g}"}
-        name = _name(found, slow.output, *slow.experiments)
-        said.append(ResidualMessage.LOW_FREQUENCY.said(name=name, **values))
+        said.append(ResidualMessage.LOW_FREQUENCY.said(name=_in(found, slow.output, *slow.experiments), **values))
     for long in found.long_memory:
         values = {"seconds": f"{long.time_constant:.1g}", "record": f"{long.record:.3g}"}
-        name = _name(found, long.output, *long.experiments)
-        said.append(ResidualMessage.LONG_MEMORY.said(name=name, **values))
+        said.append(ResidualMessage.LONG_MEMORY.said(name=_in(found, long.output, *long.experiments), **values))
     return said
 
 
 def _summary(found: ResidualAnalysis, *, quiet: bool) -> list[Remark]:
-    idle = [_series_name(found, each) for each in found.series if not each.is_tested]
+    idle = [_name(found, each) for each in found.series if not each.is_tested]
     said = [ResidualMessage.UNTESTED.said(names=listed(idle))] if idle else []
     tested = [each for each in found.series if each.is_tested]
     if not quiet or not tested:
         return said
     for each in tested:
         if traits := [_slight(one) for one in found.findings if one.series is each]:
-            said.append(ResidualMessage.SLIGHT.said(name=_series_name(found, each), traits=listed(traits)))
-    names = [_series_name(found, each) for each in tested]
-    residuals = f"Residual of {names[0]} is" if len(names) == 1 else f"Residuals of {listed(names)} are"
-    inputs = any(each.inputs for each in tested)
-    message = ResidualMessage.WHITE if inputs else ResidualMessage.WHITE_NO_INPUT
-    return [*said, message.said(residuals=residuals), _tests(tested)]
+            said.append(ResidualMessage.SLIGHT.said(name=_name(found, each), traits=listed(traits)))
+    names, inputs = [_name(found, each) for each in tested], any(each.inputs for each in tested)
+    values = {"residuals": f"Residual of {names[0]} is" if len(names) == 1 else f"Residuals of {listed(names)} are"}
+    values["inputs"] = " and not correlated with the inputs" if inputs else ""
+    return [*said, ResidualMessage.WHITE.said(**values), _tests(tested)]
 
 
 def _slight(finding: ResidualFinding) -> str:

@@ -8,7 +8,6 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 import pandas as pd
 
-from fmuid.array_types import Flags
 from fmuid.estimation import (
     SHIFT_LIMIT,
     AccuracyOutcome,
@@ -20,7 +19,7 @@ from fmuid.estimation import (
 )
 from fmuid.formatting import listed
 from fmuid.models import SolverConfiguration
-from fmuid.reports.chart import LIMITS, Axis, Color, Data, Layer, picked, rows_of
+from fmuid.reports.chart import LIMITS, Axis, Data, Layer, kinds, rows_of
 from fmuid.reports.document import Message, Remark, Section, Tone, doubt, plain
 
 # Attributes of <CoSimulation>, <ModelExchange> and <ScheduledExecution> in words (FMI 2.0.4, sections 3.3.1 and 4.3.1;
@@ -67,15 +66,15 @@ class SolverMessage(Message, section="accuracy"):
         "Solver error changes all outputs by {change} σ of the noise.", "no estimate has a σ to compare with"
     )
     CHECKED = plain("Solver check: {finer}.")
-    REFINED = plain("Solver refined to {after} (error was {size} σ).")
-    REFINED_UNKNOWN = plain("Solver refined to {after}: its error may exceed σ.")
-    START_FAILED = plain("Solver refined to {after}: {before} fails at the initial guess.")
-    START_DIFFERED = plain("Solver refined to {after}: {before} is off by {size} % of the signal.")
+    REFINED = plain(
+        "Solver refined to {after}: {reason}.",
+        "the solver was too inaccurate, or not all σ are known; the results are from the new one",
+    )
     REFUSED = plain(
         "{count} other optima exist only with the inaccurate solver.",
         "they fitted as well, but a more accurate solver moves away from them",
     )
-    SHIFTED = plain("Solver error moves {shifts}; σ includes it.")
+    SHIFTED = plain("Solver error moves {shifts}; σ includes it.", "it is larger than a tenth of σ")
     ASKED = plain(
         "The solver was kept as the study sets it.",
         "the settings exclude a refinement",
@@ -156,46 +155,40 @@ def solver_remarks(names: Sequence[str], found: SolverCheck | None) -> list[Rema
     """Return the remarks on solver refinement and solver error."""
     if found is None:
         return []
-    finer = runs_words(found.finer)
     said = list(map(_refinement, found.switches))
-    if found.refused:
-        said.append(SolverMessage.REFUSED.said(count=found.refused, finer=finer))
-    return [*said, *_outcome(names, found, finer)]
+    said += [SolverMessage.REFUSED.said(count=found.refused)] if found.refused else []
+    return [*said, *_outcome(names, found, runs_words(found.finer))]
 
 
 def _refinement(switch: RefinementStep) -> Remark:
-    values = {"before": runs_words(switch.before), "after": runs_words(switch.after), "size": f"{switch.size:.2g}"}
+    before = runs_words(switch.before)
     match switch.cause:
         case SwitchCause.START_FAILED:
-            return SolverMessage.START_FAILED.said(**values)
+            reason = f"{before} fails at the initial guess"
         case SwitchCause.START_DIFFERED:
-            values["size"] = f"{100 * switch.size:.2g}"
-            return SolverMessage.START_DIFFERED.said(**values)
-    known = switch.size > SHIFT_LIMIT
-    return (SolverMessage.REFINED if known else SolverMessage.REFINED_UNKNOWN).said(**values)
+            reason = f"{before} is off by {100 * switch.size:.2g} % of the signal"
+        case _:
+            reason = f"error was {switch.size:.2g} σ" if switch.size > SHIFT_LIMIT else "its error may exceed σ"
+    return SolverMessage.REFINED.said(after=runs_words(switch.after), reason=reason)
 
 
 def _outcome(names: Sequence[str], found: SolverCheck, finer: str) -> list[Remark]:
-    shifts, values = _shifts(names, found), {"finer": finer, "used": runs_words(found.used)}
-    values["change"] = f"{found.change:.1g}"
+    values = {"finer": finer, "change": f"{found.change:.1g}", "shifts": _shifts(names, found)}
     match found.outcome:
         case AccuracyOutcome.PASSED if not finer:
             return []
         case AccuracyOutcome.PASSED:
             known = not math.isnan(found.largest)
-            shift = f"{max(found.largest, LEAST_SHOWN):.1g}" if known else ""
+            values["shift"] = f"{max(found.largest, LEAST_SHOWN):.1g}"
             message = SolverMessage.PASSED if known else SolverMessage.PASSED_OUTPUTS
-            return [message.said(shift=shift, **values), SolverMessage.CHECKED.said(**values)]
+            return [message.said(**values), SolverMessage.CHECKED.said(finer=finer)]
         case AccuracyOutcome.SHIFTED:
             tone: Tone = "doubt" if found.doubtful else "plain"
-            said = [SolverMessage.SHIFTED.said(None, tone, shifts=shifts, **values)]
-            return said + ([SolverMessage[found.kept.name].said(None, tone)] if found.kept else [])
-        case AccuracyOutcome.COUPLED:
-            return [SolverMessage.COUPLED.said(shifts=shifts, **values)]
+            messages = [SolverMessage.SHIFTED, *([SolverMessage[found.kept.name]] if found.kept else [])]
+            return [each.said(None, tone, **values) for each in messages]
         case AccuracyOutcome.UNCHECKABLE if finer:
             return [SolverMessage.FIXED_STEP.said()]
-        case outcome:
-            return [SolverMessage[outcome.name].said(**values)]
+    return [SolverMessage[found.outcome.name].said(**values)]
 
 
 def _shifts(names: Sequence[str], found: SolverCheck) -> str:
@@ -219,20 +212,19 @@ CAPTION = (
 
 def solver_section(estimates: pd.DataFrame) -> list[Section]:
     """Return the solver error of each estimate in σ, if known."""
-    shift = estimates["solver_error"].astype(float)
-    known = estimates[np.isfinite(shift)].iloc[: LIMITS.parameters]
+    known = estimates[np.isfinite(estimates["solver_error"].astype(float))].iloc[: LIMITS.parameters]
     if not len(known):
         return []
     names, shifts = tuple(map(str, known["parameter"])), known["solver_error"].to_numpy(np.float64)
     most = max(1.5 * SHIFT_LIMIT, 1.15 * float(np.abs(shifts).max(initial=0.0)))
-    layers = [Layer("zone", {"left": -SHIFT_LIMIT, "right": SHIFT_LIMIT}, alpha=0.14), Layer("rule", {"x": 0.0}, "ink")]
     large, hover = np.abs(shifts) > SHIFT_LIMIT, (("parameter", "@y"), ("shift", "@x{0.000000} σ"))
-    kinds: tuple[tuple[Flags, Color, str], ...] = ((~large, "blue", "harmless"), (large, "red", "above 0.1 σ"))
-    for mine, color, text in kinds:
-        if mine.any():
-            some = picked({"x": shifts, "y": names}, mine)
-            lines: Data = {"x0": 0.0, "y0": some["y"], "x1": some["x"], "y1": some["y"]}
-            layers.append(Layer("segments", lines, color, width=2))
-            layers.append(Layer("points", some, color, size=8, label=text, hover=hover))
+    lines: Data = {"x0": 0.0, "y0": names, "x1": shifts, "y1": names}
+    dots: Data = {"x": shifts, "y": names}
+    layers = [
+        Layer("zone", {"left": -SHIFT_LIMIT, "right": SHIFT_LIMIT}, alpha=0.14),
+        Layer("rule", {"x": 0.0}, "ink"),
+        *kinds("segments", lines, [("", "blue", ~large), ("", "red", large)], width=2),
+        *kinds("points", dots, [("harmless", "blue", ~large), ("above 0.1 σ", "red", large)], size=8, hover=hover),
+    ]
     axis = Axis("shift by a more accurate simulation (σ of the estimate)", reach=(-most, most))
     return [Section("accuracy", "Solver error", CAPTION, charts=(rows_of(names, axis, layers, 90),), beside=1)]
