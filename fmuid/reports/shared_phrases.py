@@ -38,10 +38,7 @@ class IdentifiabilityMessage(Message, section="correlation"):
     PRACTICALLY_COMBINATION = bad(
         "{names} are practically non-identifiable (σ is {std} × scale); only {combinations} {verb}.", remedy=_FIX
     )
-    WEAK = doubt(
-        "{names} is weakly identifiable: σ is {std} of its scale.", "σ is between one and ten times its scale", _LONGER
-    )
-    WEAK_NEAR_ZERO = doubt("{names} is weakly identifiable: σ is {std}, far above its value.", remedy=_LONGER)
+    WEAK = doubt("{names} is weakly identifiable: σ is {std}.", "σ is between one and ten times its scale", _LONGER)
     WEAK_COMBINATION = doubt(
         "{names} are weakly identifiable (σ is {std} of scale); {combinations} {verb} identifiable.",
         remedy="Use the combination, or a longer or stronger excitation.",
@@ -57,29 +54,22 @@ class IdentifiabilityMessage(Message, section="correlation"):
 
 def direction_remark(direction: WeakDirection) -> Remark:
     """Return the identifiability of a direction."""
-    names, level = direction.names, direction.level
+    names, kind, std = direction.names, IdentifiabilityMessage, f"{direction.std:.3g}"
     alone = len(names) == 1
-    values = {
-        "names": listed(names),
-        "combinations": _combinations(direction),
-        "verb": "is" if len(names) == 2 else "are",
-    }
-    values["std"] = f"{direction.std:.3g}"
-    match level:
+    match direction.level:
         case IdentifiabilityLevel.NOT:
-            message = IdentifiabilityMessage.NO_EFFECT if alone else IdentifiabilityMessage.COMBINATION
+            message = kind.NO_EFFECT if alone else kind.COMBINATION
         case IdentifiabilityLevel.HIDDEN:
-            message = IdentifiabilityMessage.HIDDEN if alone else IdentifiabilityMessage.HIDDEN_COMBINATION
+            message = kind.HIDDEN if alone else kind.HIDDEN_COMBINATION
         case IdentifiabilityLevel.NOT_IN_EFFECT:
-            kind = IdentifiabilityMessage
             message = kind.PRACTICALLY if alone else kind.PRACTICALLY_COMBINATION
         case _ if alone and direction.std > 10.0:  # it happens to lie near zero, as at a bound
-            message = IdentifiabilityMessage.WEAK_NEAR_ZERO
-            values["std"] = f"{direction.std * abs(direction.coefficients[0]):.3g}"
+            message, std = kind.WEAK, f"{direction.std * abs(direction.coefficients[0]):.3g}, far above its value"
         case _:
-            message = IdentifiabilityMessage.WEAK if alone else IdentifiabilityMessage.WEAK_COMBINATION
-            values["std"] = f"{direction.std:.0%}".replace("%", " %")
-    return message.said(**values)
+            message = kind.WEAK if alone else kind.WEAK_COMBINATION
+            std = f"{100 * direction.std:.0f} %" + " of its scale" * alone
+    verb = "is" if len(names) == 2 else "are"
+    return message.said(names=listed(names), combinations=_combinations(direction), verb=verb, std=std)
 
 
 def prior_remark(direction: WeakDirection) -> Remark:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from itertools import groupby
+from collections import Counter
 
 from fmuid.estimation import (
     CombinationFit,
@@ -248,25 +248,21 @@ def _attempts(result: Result) -> list[Remark]:
     if not tried:
         return []
     kept = next((k for k, each in enumerate(tried) if each.kept), None)
-    ratio = "" if kept is None else f"{tried[kept].noise_ratio:.3g}"
     trouble = SearchFailure.UNFINISHED if kept is None else tried[kept].trouble
     message = {
         SearchFailure.NONE: StartMessage.RESTARTED,
         SearchFailure.MODEL_ERROR: StartMessage.MODEL_ERROR,
         SearchFailure.LARGE_RESIDUAL: StartMessage.LARGE_RESIDUAL,
     }.get(trouble, StartMessage.NONE_CONVERGED)
-    count = len(tried) - 1 if message is StartMessage.RESTARTED else len(tried)
-    ends = (
+    ends = Counter(
         f"{PLACES[each.remedy]} ({TROUBLES[each.trouble].format(ratio=each.noise_ratio)}{', used' * each.kept})"
         for each in tried
     )
-    counts = ((one, len(list(alike))) for one, alike in groupby(ends))
-    attempts = ", ".join(one if times == 1 else f"{times} × {one}" for one, times in counts)
-    return [
-        message.said(ratio=ratio, count=count, number=kept),
-        StartMessage.ATTEMPTS.said(attempts=attempts),
-    ]
+    attempts = ", ".join(one if times == 1 else f"{times} × {one}" for one, times in ends.items())
+    values = {"ratio": "" if kept is None else f"{tried[kept].noise_ratio:.3g}", "number": kept}
+    count = len(tried) - (message is StartMessage.RESTARTED)
+    return [message.said(count=count, **values), StartMessage.ATTEMPTS.said(attempts=attempts)]
 
 
 def _count(number: int, what: str) -> str:
-    return f"{number} {what}" if number == 1 else f"{number} {what}s"
+    return f"{number} {what}{'s' * (number != 1)}"

@@ -86,40 +86,38 @@ class UncertaintyMessage(Message, section="profiles"):
 
 def uncertainty_remarks(found: Assessment) -> list[Remark]:
     """Return the remarks on intervals, maps and samples."""
-    said = [each for profile in found.profiles for each in profile_remarks(profile)]
-    said += [each for chart in found.maps for each in _map_remarks(chart)]
+    said = [each for profile in found.profiles for each in _profile(profile)]
+    said += [each for chart in found.maps for each in _map(chart)]
     return said + ([] if found.posterior is None else posterior_remarks(found.posterior))
 
 
-def profile_remarks(profile: Profile) -> list[Remark]:
-    """Return the remarks on the ends of a profile."""
-    said = [_end_remark(profile, remark) for remark in profile.remarks]
-    if profile.interrupted:
-        said.append(UncertaintyMessage.PROFILE_INTERRUPTED.said(name=profile.name))
-    return said
+def _profile(profile: Profile) -> list[Remark]:
+    said = [_end(profile, remark) for remark in profile.remarks]
+    return [*said, *([UncertaintyMessage.PROFILE_INTERRUPTED.said(name=profile.name)] if profile.interrupted else [])]
 
 
-def _end_remark(profile: Profile, remark: ProfileEndNote) -> Remark:
-    kinds = {EndKind.BOUND: "END_AT_BOUND", EndKind.FLAT: "NO_END", EndKind.FAILING: "END_FAILS"}
+def _end(profile: Profile, remark: ProfileEndNote) -> Remark:
+    kinds = {
+        EndKind.BOUND: UncertaintyMessage.END_AT_BOUND,
+        EndKind.FLAT: UncertaintyMessage.NO_END,
+        EndKind.FAILING: UncertaintyMessage.END_FAILS,
+        EndKind.LOWER: UncertaintyMessage.BETTER,
+    }
+    message = kinds.get(remark.kind, UncertaintyMessage.ROUGH_END)
     values = {"name": profile.name, "value": f"{remark.value:.6g}", "end": "upper" if remark.upper else "lower"}
-    if remark.kind in kinds:
-        values |= {"rise": f"{max(remark.rise, 0.0):.2g}", "threshold": f"{profile.threshold:.3g}"}
-        message = UncertaintyMessage[kinds[remark.kind]]
-    elif remark.outcome is not None:
-        message, values["reason"] = UncertaintyMessage.END_NOT_CONVERGED, ENDS[remark.outcome]
-    elif remark.other is not None:
-        message = UncertaintyMessage.OTHER_BOUND
-        values |= {"other": remark.other.name, "bound": f"{remark.other.value:g}"}
-    elif remark.kind is EndKind.LOWER:
-        message, values["fall"] = UncertaintyMessage.BETTER, f"{-remark.rise:.3g}"
-    else:
-        message = UncertaintyMessage.ROUGH_END
+    values |= {"rise": f"{max(remark.rise, 0.0):.2g}", "fall": f"{-remark.rise:.3g}"}
+    values["threshold"] = f"{profile.threshold:.3g}"
+    if remark.kind in (EndKind.BOUND, EndKind.FLAT, EndKind.FAILING):
+        return message.said(**values)
+    if remark.outcome is not None:
+        return UncertaintyMessage.END_NOT_CONVERGED.said(**values, reason=ENDS[remark.outcome])
+    if remark.other is not None:
+        return UncertaintyMessage.OTHER_BOUND.said(**values, other=remark.other.name, bound=f"{remark.other.value:g}")
     return message.said(**values)
 
 
-def _map_remarks(chart: CostMap) -> list[Remark]:
-    better = better_point(chart)
-    if better is None:
+def _map(chart: CostMap) -> list[Remark]:
+    if (better := better_point(chart)) is None:
         return []
     (first, second), (x, y, fall) = chart.names, better
     values = {"first": first, "second": second, "x": f"{x:.6g}", "y": f"{y:.6g}", "fall": f"{fall:.3g}"}

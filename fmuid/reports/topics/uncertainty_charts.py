@@ -51,27 +51,23 @@ def uncertainty_sections(found: Assessment, result: Result, units: Units, optima
 def _profile(found: Profile, result: Result, units: Units) -> Chart:
     i = result.names.index(found.name)
     value, std, threshold = float(result.values[i]), float(result.std[i]), found.threshold
-    places = found.table[found.name].to_numpy(np.float64)
-    rise = found.table["cost"].to_numpy(np.float64) - float(found.table["cost"].min())
+    places, cost = found.table[found.name].to_numpy(np.float64), found.table["cost"].to_numpy(np.float64)
     low, high = _window(places, (found.lower, found.upper), value)
-    layers = []
-    if not (math.isnan(found.lower) or math.isnan(found.upper)):
-        layers.append(Layer("zone", {"left": max(found.lower, low), "right": min(found.upper, high)}, alpha=0.12))
-    x, y = _curve(places, rise, value)
+    x, y = _curve(places, cost - cost.min(), value)
     hover = (("value", "@x{0.000000}"), ("rise", "@y{0.000}"))
+    ends: Data = {"left": max(found.lower, low), "right": min(found.upper, high)}
+    layers = [] if math.isnan(found.lower) or math.isnan(found.upper) else [Layer("zone", ends, alpha=0.12)]
     layers.append(Layer("line", {"x": x, "y": y}, label="profile"))
-    layers.append(Layer("points", {"x": places, "y": rise}, size=5, label="profile", hover=hover))
+    layers.append(Layer("points", {"x": places, "y": cost - cost.min()}, size=5, label="profile", hover=hover))
     if math.isfinite(std) and std > 0:
         grid = np.linspace(low, high, 161)
         parabola: Data = {"x": grid, "y": ((grid - value) / std) ** 2}
         layers.append(Layer("line", parabola, "grey", width=1, dash="dashed", label="local parabola"))
     reached = f"{100 * found.level:.4g} % level: cost + {threshold:.3g}"
-    layers.append(
-        Layer("line", {"x": np.array([low, high]), "y": np.full(2, threshold)}, "red", width=1, label=reached)
-    )
-    reach = (-0.04 * HEIGHT * threshold, HEIGHT * threshold)
-    axes = Axis(named(found.name, units), reach=(low, high)), Axis("cost above its minimum", reach=reach)
-    return Chart(*axes, tuple(layers), 240)
+    border: Data = {"x": np.array([low, high]), "y": np.full(2, threshold)}
+    layers.append(Layer("line", border, "red", width=1, label=reached))
+    y_axis = Axis("cost above its minimum", reach=(-0.04 * HEIGHT * threshold, HEIGHT * threshold))
+    return Chart(Axis(named(found.name, units), reach=(low, high)), y_axis, tuple(layers), 240)
 
 
 def _window(places: Floats, ends: tuple[float, float], value: float) -> tuple[float, float]:
@@ -96,24 +92,21 @@ def _curve(values: Floats, rise: Floats, centre: float) -> tuple[Floats, Floats]
 def _corner(samples: pd.DataFrame, result: Result, units: Units) -> ChartGrid:
     """Return histograms and pairs of the samples; ellipses are those of the covariance."""
     names = [str(name) for name in samples.columns][:6]
-    values = samples[names].to_numpy(np.float64)
+    values, last = samples[names].to_numpy(np.float64), len(names) - 1
     ranges = [_range(values[:, i]) for i in range(len(names))]
-    rows: list[tuple[Chart | None, ...]] = []
-    for i, name in enumerate(names):
-        row: list[Chart | None] = [None] * len(names)
-        for j in range(i + 1):
-            bottom, left = i == len(names) - 1, j == 0 and i > 0
-            x = Axis(
-                named(names[j], units), reach=ranges[j], linked=f"posterior {j}", shown=bottom, ticks=3, turned=0.6
-            )
-            if i == j:
-                y, layers = DENSITY, _single(values[:, i], result, name, ranges[i])
-            else:
-                y = Axis(named(name, units), reach=ranges[i], linked=f"posterior {i}", shown=left, ticks=4, grid=True)
-                layers = _pair(values[:, [j, i]], result, (names[j], name), (ranges[j], ranges[i]))
-            row[j] = Chart(x, y, tuple(layers), 190 if bottom else 160)
-        rows.append(tuple(row))
-    return ChartGrid(tuple(rows))
+
+    def axis(i: int, **look: Any) -> Axis:
+        return Axis(named(names[i], units), reach=ranges[i], linked=f"posterior {i}", **look)
+
+    def chart(i: int, j: int) -> Chart:
+        x, height = axis(j, shown=i == last, ticks=3, turned=0.6), 190 if i == last else 160
+        if i == j:
+            return Chart(x, DENSITY, tuple(_single(values[:, i], result, names[i], ranges[i])), height)
+        layers = _pair(values[:, [j, i]], result, (names[j], names[i]), (ranges[j], ranges[i]))
+        return Chart(x, axis(i, shown=j == 0, ticks=4, grid=True), tuple(layers), height)
+
+    every = range(len(names))
+    return ChartGrid(tuple(tuple(chart(i, j) if j <= i else None for j in every) for i in every))
 
 
 def _range(samples: Floats) -> tuple[float, float]:
@@ -194,33 +187,30 @@ def _walkers(posterior: Posterior, units: Units) -> Iterator[Chart]:
 def _map(chart: CostMap, units: Units, optima: pd.DataFrame) -> Chart:
     """Return the cost over two parameters, and the local ellipse."""
     first, second, values = chart.grid
-    excess = values - np.nanmin(values, initial=chart.cost)
-    rise = chart.rise(CONFIDENCE_LEVEL)
+    excess, rise = values - np.nanmin(values, initial=chart.cost), chart.rise(CONFIDENCE_LEVEL)
     known = excess[np.isfinite(excess) & (excess > 0)]
     low = max(0.01 * rise, float(known.min(initial=0.01 * rise)))
     high = max(float(np.percentile(known, 98.0)) if known.size else 0.0, 2.0 * low)
     shades = Shades("blues", low, high, log=True, title="cost above its minimum")
     hover = (("point", "@x{0.000000}, @y{0.000000}"), ("above the minimum", "@value{0.000}"))
-    layers = [Layer("cells", _cells(chart, excess), shades=shades, hover=hover)]
+    edges = [_edges(each, logarithmic=log) for each, log in zip((first, second), chart.logarithmic, strict=True)]
+    layers = [Layer("cells", _cells(first, second, edges, excess), shades=shades, hover=hover)]
     border = chart.ellipse(CONFIDENCE_LEVEL)
     if len(border):
         text = f"{100 * CONFIDENCE_LEVEL:g} % ellipse"
         layers.append(Layer("line", {"x": border[:, 0], "y": border[:, 1]}, "red", label=text))
     if np.nanmin(excess, initial=rise) < rise < np.nanmax(excess, initial=0.0):
         held = "".join(f", {name} = {value:.4g}" for name, value in list(chart.held.items())[:4])
-        text = f"cost + {rise:.3g}{held}"
-        for each in _contours((first, second), excess.T, [rise]):
-            layers.append(Layer("line", each, "red", dash="dashed", width=1.6, label=text))
+        look: dict[str, Any] = {"dash": "dashed", "width": 1.6, "label": f"cost + {rise:.3g}{held}"}
+        layers += [Layer("line", each, "red", **look) for each in _contours((first, second), excess.T, [rise])]
     estimate: Data = {"x": chart.estimate[:1], "y": chart.estimate[1:]}
     layers.append(Layer("points", estimate, "amber", size=9, edge="ink", label="estimate"))
-    places = _others(chart, optima)
-    if len(places):
+    if len(places := _others(chart, optima)):
         more: Data = {"x": places[:, 0], "y": places[:, 1]}
         layers.append(Layer("points", more, "white", size=9, edge="ink", label="other optima"))
     x, y = (
-        Axis(named(name, units), "log" if log else "linear", reach=(float(edges[0]), float(edges[-1])))
-        for name, log, middles in zip(chart.names, chart.logarithmic, (first, second), strict=True)
-        for edges in [_edges(middles, logarithmic=log)]
+        Axis(named(name, units), "log" if log else "linear", reach=(float(ends[0]), float(ends[-1])))
+        for name, log, ends in zip(chart.names, chart.logarithmic, edges, strict=True)
     )
     return Chart(x, y, tuple(layers), 420)
 
@@ -235,20 +225,18 @@ def _others(chart: CostMap, optima: pd.DataFrame) -> Floats:
     return np.asarray(places[inside & apart])
 
 
-def _cells(chart: CostMap, excess: Floats) -> Data:
-    first, second, _ = chart.grid
-    x, y = (_edges(each, logarithmic=log) for each, log in zip((first, second), chart.logarithmic, strict=True))
-    shape = excess.shape
-    columns = {
-        "left": np.broadcast_to(x[:-1, None], shape),
-        "right": np.broadcast_to(x[1:, None], shape),
-        "bottom": np.broadcast_to(y[None, :-1], shape),
-        "top": np.broadcast_to(y[None, 1:], shape),
-        "x": np.broadcast_to(first[:, None], shape),
-        "y": np.broadcast_to(second[None, :], shape),
+def _cells(first: Floats, second: Floats, edges: Sequence[Floats], excess: Floats) -> Data:
+    count, rows = excess.shape
+    columns: Data = {
+        "left": np.repeat(edges[0][:-1], rows),
+        "right": np.repeat(edges[0][1:], rows),
+        "bottom": np.tile(edges[1][:-1], count),
+        "top": np.tile(edges[1][1:], count),
+        "x": np.repeat(first, rows),
+        "y": np.tile(second, count),
     }
     floor = np.where(np.isnan(excess), np.nan, np.maximum(excess, 1e-300))
-    return {key: values.ravel() for key, values in columns.items()} | {"value": floor.ravel()}
+    return {**columns, "value": floor.ravel()}
 
 
 def _edges(middles: Floats, *, logarithmic: bool) -> Floats:
