@@ -27,27 +27,19 @@ def comparison(behind: float, **more: Any) -> Any:
     return SimpleNamespace(**own | more)
 
 
-@pytest.mark.parametrize(("behind", "key"), [(1.9, "ALIKE"), (2.1, "BEST"), (10.0, "CLEARLY_BEST")])
-def test_comparison_verdict_by_aic(behind: float, key: str) -> None:
-    assert keys(comparison_remarks(comparison(behind), {})) == [key]
-
-
-def test_comparison_corrections_are_reported() -> None:
+def test_comparison_by_likelihood() -> None:
+    for behind, key in ((1.9, "ALIKE"), (2.1, "BEST"), (10.0, "CLEARLY_BEST")):
+        assert keys(comparison_remarks(comparison(behind), {})) == [key]
     found = comparison(3.0, dependence=4.0, with_priors=("b",))
     found.ranks[1].corrected_bic = 0.5
     remarks = comparison_remarks(found, {})
     assert keys(remarks) == ["BEST", "BY_BIC", "COLORED", "PRIORS"]
     assert "600 samples count as 150 (log-likelihoods divided by 4)" in remarks[2].text
-
-
-@pytest.mark.parametrize(
-    ("p", "key", "said"), [(1e-9, "REJECTED", "below 1e-6"), (0.005, "REJECTED", "0.005"), (0.2, "NOT_REJECTED", "0.2")]
-)
-def test_smaller_model_by_likelihood_ratio(p: float, key: str, said: str) -> None:
-    test = LikelihoodRatioTest("b", "a", ("L",), 3.0, p, p)
-    _, remark = comparison_remarks(comparison(5.0, tests=(test,)), {})
-    assert keys([remark]) == [key]
-    assert remark.text.endswith(f"(p = {said}).")
+    for p, key, said in ((1e-9, "REJECTED", "below 1e-6"), (0.005, "REJECTED", "0.005"), (0.2, "NOT_REJECTED", "0.2")):
+        test = LikelihoodRatioTest("b", "a", ("L",), 3.0, p, p)
+        _, remark = comparison_remarks(comparison(5.0, tests=(test,)), {})
+        assert keys([remark]) == [key]
+        assert remark.text.endswith(f"(p = {said}).")
 
 
 def test_comparison_on_common_data() -> None:
@@ -63,19 +55,14 @@ def test_comparison_on_common_data() -> None:
 
 def prediction(ratio: float, **more: Any) -> Any:
     expected = 0.2 / ratio if ratio > 0 else math.nan
-    score = SimpleNamespace(output="i", fit=93.5, rmse=0.2, unit="A", expected=expected, inside=0.94, samples=50)
-    score.ratio = ratio
-    own = {"scores": [score], "undetermined": (), "estimated": None, "level": 0.95, "residuals": None}
-    return SimpleNamespace(fit=SimpleNamespace(experiment="run", outputs=("i",), units=("A",)), **own | more)
+    score = {"output": "i", "fit": 93.5, "rmse": 0.2, "unit": "A", "expected": expected, "ratio": ratio}
+    own = {"scores": [SimpleNamespace(**score, inside=0.94, samples=50)], "undetermined": (), "estimated": None}
+    fit = SimpleNamespace(experiment="run", outputs=("i",), units=("A",))
+    return SimpleNamespace(fit=fit, level=0.95, residuals=None, **own | more)
 
 
-@pytest.fixture
-def no_residuals(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_prediction_against_its_expected_size(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("fmuid.reports.topics.prediction.residual_remarks", lambda *_: [])
-
-
-@pytest.mark.usefixtures("no_residuals")
-def test_prediction_against_its_expected_size() -> None:
     good, band = prediction_remarks(prediction(1.2))
     assert good.text == "run: i predicted as expected (fit 93.5 %, RMSE 0.2 A)."
     assert band.text == "run: 94 % of 50 samples of i are in the 95 % band."
@@ -86,24 +73,16 @@ def test_prediction_against_its_expected_size() -> None:
     (unknown,) = prediction_remarks(constant)
     assert keys([unknown]) == ["OPEN"]
     assert "RMSE 0.2 A; constant" in unknown.text
-
-
-@pytest.mark.usefixtures("no_residuals")
-def test_prediction_with_refit_that_does_not_converge() -> None:
-    one = np.array([0.1])
-    again = SimpleNamespace(converged=False, names=("i0",), values=one, std=one)
-    again.outcome = TerminationReason.ITERATION_LIMIT
+    one, end = np.array([0.1]), TerminationReason.ITERATION_LIMIT
+    again = SimpleNamespace(converged=False, names=("i0",), values=one, std=one, outcome=end)
     remarks = prediction_remarks(prediction(1.0, undetermined=("R",), estimated=again))
     assert keys(remarks)[2:] == ["UNDETERMINED", "REFITTED", "REFIT_ENDED"]
     assert remarks[3].text == "run: estimated again: i0 = 0.10 ± 0.10."
 
 
 def test_cross_validation_verdict() -> None:
-    for ratios, key, times in (
-        ((math.nan,), "FOLDS_OPEN", ""),
-        ((0.9, 1.1), "FOLDS", "1.1"),
-        ((0.9, 3.5), "FOLDS_WORSE", "3.5"),
-    ):
+    ends = {(math.nan,): ("FOLDS_OPEN", ""), (0.9, 1.1): ("FOLDS", "1.1"), (0.9, 3.5): ("FOLDS_WORSE", "3.5")}
+    for ratios, (key, times) in ends.items():
         remark = fold_remark([prediction(each) for each in ratios])
         assert keys([remark]) == [key]
         assert times in remark.text

@@ -13,9 +13,8 @@ import pytest
 import fmuid
 from fmuid import codec, files
 from fmuid.apps.cli.options import DONE
-from fmuid.estimation import Evaluator
 from fmuid.events import Event, GlobalStep, ProfileStep, Progress, SearchStep
-from fmuid.runs import SearchInterruptedError, identified, read_identification
+from fmuid.runs import identified, read_identification
 from tests.support.coil_study import STUDY, coil_table, fmuid_, result
 from tests.support.running import run_study
 
@@ -102,16 +101,6 @@ def test_events_come_in_their_order(study: Path, monkeypatch: pytest.MonkeyPatch
     assert last.assessment.is_explored
 
 
-def test_interrupted_before_anything_is_known(study: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    def interrupt(*_: object, **__: object) -> None:
-        raise KeyboardInterrupt
-
-    monkeypatch.setattr(Evaluator, "predict", interrupt)
-    with pytest.raises(SearchInterruptedError, match="nothing is written"):
-        run_study(study, tmp_path / "out")
-    assert list((tmp_path / "out").iterdir()) == []
-
-
 def test_a_folder_that_another_run_writes_to(study: Path, tmp_path: Path) -> None:
     """As where the workbench was killed and opened again while its command goes on."""
     with files.locked(tmp_path / "out", "identification"):
@@ -133,13 +122,3 @@ def test_interrupted_run_keeps_what_is_known(study: Path, tmp_path: Path) -> Non
     assert written["parameters"]["R"]["value"] == found.result["R"]
     assert {path.name for path in found.files} == {"result.json", "estimates.csv", "document.json"}
     assert codec.as_json(read_identification(tmp_path / "out")) == codec.as_json(found)
-
-
-def test_a_search_of_the_whole_box_keeps_its_optima(study: Path, tmp_path: Path) -> None:
-    study.write_text(BOUNDED + GLOBAL)
-    found = run_study(study, tmp_path / "out")
-    assert sum(optimum.hits for optimum in found.result.history.optima) == 6
-    pd.testing.assert_frame_equal(pd.read_csv(tmp_path / "out/optima.csv"), found.optima)
-    again = run_study(study, tmp_path / "out", resume=True)
-    assert again.result.history.optima == ()
-    np.testing.assert_allclose(again.result.estimates.start, found.result.values)
