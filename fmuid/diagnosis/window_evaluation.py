@@ -73,14 +73,14 @@ class MonitorState:
         """Return the state without old rows, alarms and records."""
         table = self.table().tail(rows)
         first = np.searchsorted(self.watch.clocks(), [each.clock for each in self.records])  # of the onsets
-        *old, last = zip(self.records, first, strict=True)
-        kept = [each for (each, at), after in zip(old, first[1:], strict=True) if at < after]
+        last = len(self.records) - 1
+        kept = tuple(each for k, each in enumerate(self.records) if k == last or first[k] < first[k + 1])
         return replace(
             self,
             tables=(table,),
             forgotten=self.row - len(table),
             alarms=self.alarms[-alarms:],
-            records=(*kept, last[0]),
+            records=kept,
         )
 
     def moment(self, clock: float) -> RecordTime:
