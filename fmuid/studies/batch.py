@@ -6,10 +6,10 @@ import glob
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import Annotated, Any, Self
+from typing import Annotated, Self
 
 import numpy as np
-from pydantic import BeforeValidator, Field, PlainValidator, TypeAdapter, ValidationError
+from pydantic import BeforeValidator, Field, PlainValidator
 
 from fmuid.data import Noise, Parameter
 from fmuid.files import full, is_file
@@ -44,6 +44,12 @@ class RangeSection(StudySection):
     last: kinds.Finite = entry(..., "last value", alias="to")
     count: Points = entry(..., "number of values")
 
+    def values(self) -> tuple[Value, ...]:
+        """Return the numbers, at least two different ones."""
+        if self.count == 1 or self.first == self.last:
+            raise kinds.must_be("a range of at least two different values")
+        return tuple(np.linspace(self.first, self.last, self.count).tolist())
+
 
 TABLES = 'a pattern of files, "records/*.csv", a list of files and patterns, or { name = "file" }'
 Tables = Annotated[
@@ -54,27 +60,14 @@ Tables = Annotated[
 ]
 
 
-def _wrong_starts(value: Any) -> str:
-    if isinstance(value, list) and value and all(isinstance(item, dict) and item for item in value):
-        for name, item in ((name, item) for each in value for name, item in each.items()):
-            try:
-                _FINITE.validate_python(item)
-            except ValidationError as error:
-                return f"a list of {{ parameter = number }}, each {_text(error)} ({name} is {show(item)})"
-    return "a whole number above 0 or a list of starting points, [{ Rs = 9.0, Rr = 3.0 }]"
-
-
-def _text(error: ValidationError) -> str:
-    return str(error.errors(include_url=False)[0]["ctx"]["text"])
-
-
-_FINITE, _POINTS = TypeAdapter[float](kinds.Finite), TypeAdapter[int](Points)
+STARTS = "a list of starting points, [{ Rs = 9.0, Rr = 3.0 }]"
+Start = Annotated[dict[str, kinds.Finite], Field(min_length=1), kinds.Entries("{ parameter = number }")]
 Starts = Annotated[
-    kinds.Count | Annotated[list[Annotated[dict[str, kinds.Finite], Field(min_length=1)]], Field(min_length=1)],
-    kinds.ValueKind(_wrong_starts(None), _wrong_starts),
+    Annotated[int, Field(gt=0), kinds.ValueKind(f"{WHOLE} or {STARTS}")]
+    | Annotated[list[Start], Field(min_length=1), kinds.Entries(STARTS)],
+    kinds.ByShape(list),
+    kinds.Entries(f"{WHOLE} or {STARTS}"),
 ]
-
-
 SUBSETS = 'a list of different lists of parameters, [["Rs", "Rr"], ["Rs", "Rr", "Lm"]]'
 Subsets = Annotated[
     list[kinds.Names],
@@ -83,40 +76,29 @@ Subsets = Annotated[
     kinds.ValueKind(SUBSETS),
 ]
 
-AXIS = "a list of values of one type, [0.40, 0.47], or { from = 0.4, to = 0.5, count = 5 }"
+AXIS = "a list of finite values of one type, [0.40, 0.47], or { from = 0.4, to = 0.5, count = 5 }"
 
 
 def _axis(value: object) -> tuple[Value, ...]:
     """Return the values of one type, or those of a range."""
-    try:
-        if isinstance(value, dict):
-            return _range(value)
-        types: tuple[tuple[type, ...], ...] = ((bool,), (int,), (int, float), (str,))
-        if isinstance(value, list) and value:
-            fits = all(item in INTEGERS for item in value if isinstance(item, int))
-            for kind in types if fits else ():
-                if all(isinstance(item, kind) and (isinstance(item, bool) == (kind == (bool,))) for item in value):
-                    return tuple(value if kind != (int, float) else map(_FINITE.validate_python, value))
-    except ValidationError as error:
-        raise kinds.must_be(_text(error)) from None
-    raise kinds.must_be(AXIS)
+    if isinstance(value, dict):
+        return RangeSection.model_validate(value).values()
+    items = value if isinstance(value, list) else []
+    found = set(map(type, items))
+    known = found in ({bool}, {int}, {float}, {int, float}, {str})
+    if not known or not all(isinstance(item, str) or _is_storable(item) for item in items):
+        raise kinds.must_be(AXIS)
+    return tuple(map(float, items)) if float in found else tuple(items)
 
 
-def _range(value: dict[str, Any]) -> tuple[float, ...]:
-    """Return equally spaced numbers, both ends included."""
-    if set(value) != {"from", "to", "count"}:
-        raise kinds.must_be("a list of values, or { from = 0.4, to = 0.5, count = 5 } with these three keys")
-    first, last = (_FINITE.validate_python(value[key]) for key in ("from", "to"))
-    count = _POINTS.validate_python(value["count"])
-    if count == 1 or first == last:
-        raise kinds.must_be("a range of at least two different values")
-    return tuple(np.linspace(first, last, count).tolist())
+def _is_storable(number: float) -> bool:
+    return number in INTEGERS if isinstance(number, int) else math.isfinite(number)
 
 
 Axis = Annotated[
     tuple[Value, ...],
     PlainValidator(_axis, json_schema_input_type=list[kinds.Scalar] | RangeSection),
-    kinds.ValueKind(AXIS),
+    kinds.Entries(AXIS),
 ]
 
 

@@ -139,18 +139,22 @@ def existing_file(value: object, info: ValidationInfo) -> Path:
     return path
 
 
-class _ByShape:
-    """Annotation of a union of values and, last, a section."""
+@dataclass(frozen=True)
+class ByShape:
+    """Annotation of a union of values and, last, a section or another type of one shape."""
+
+    shape: type = dict
 
     def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
+        """Return a union that looks at the shape alone."""
         *values, table = get_args(source)
         branches = {VALUE_TAG: handler.generate_schema(reduce(or_, values)), TABLE_TAG: handler.generate_schema(table)}
         return core_schema.tagged_union_schema(
-            branches, discriminator=lambda value: TABLE_TAG if isinstance(value, dict) else VALUE_TAG
+            branches, discriminator=lambda value: TABLE_TAG if isinstance(value, self.shape) else VALUE_TAG
         )
 
 
-BY_SHAPE = _ByShape()
+BY_SHAPE = ByShape()
 Text = Annotated[str, Field(min_length=1), ValueKind("a text in quotes")]
 Flag = Annotated[bool, ValueKind("true or false")]
 Number = Annotated[float, required(lambda value: not math.isnan(value), "a number"), ValueKind("a number")]
