@@ -38,11 +38,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class ParsedModel:
-    """Model of a study.
-
-    The component ``""`` is a single FMU or a whole ``.ssp``. `isolation` is None for FMUs in this process. `choices`
-    are the discrete parameters, `sources` the results that values are taken from.
-    """
+    """Model of a study; the component ``""`` is a single FMU or ``.ssp``, `sources` are results with its values."""
 
     section: ModelSection
     components: Mapping[str, tuple[Path, Numerics]]

@@ -17,10 +17,9 @@ _SEGMENT = re.compile(r"""\s*(?:"([^"]*)"|'([^']*)'|([^."'\s]+))\s*(?:\.|$)""")
 
 
 def override(data: dict[str, Any], setting: str, file: str) -> None:
-    """Set one value of a study in place.
+    """Set one value of a study in place by its dotted path; a value that is no TOML is a string.
 
-    The path is dotted. List entries go by number (``experiments.0.data``). Names with dots may be quoted. A value
-    that is no TOML is a string. ``parameters.Rs=9.8`` fixes a parameter.
+    List entries go by number (``experiments.0.data``). ``parameters.Rs=9.8`` fixes a parameter.
     """
     path, equals, text = setting.partition("=")
     segments = _segments(path)

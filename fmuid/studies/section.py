@@ -1,8 +1,4 @@
-"""Sections of a study file as classes with their keys as fields.
-
-A section is a settings class (`Settings`) of the package that uses it, or a `StudySection`. Checks, schema, reference
-page and template come from these classes.
-"""
+"""Sections of a study file as classes: a `StudySection`, or settings (`Settings`) of the package that uses them."""
 
 from __future__ import annotations
 

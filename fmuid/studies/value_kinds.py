@@ -141,7 +141,7 @@ def existing_file(value: object, info: ValidationInfo) -> Path:
 
 @dataclass(frozen=True)
 class ByShape:
-    """Annotation of a union of values and, last, a section or another type of one shape."""
+    """Annotation of a union whose last type is known by its shape."""
 
     shape: type = dict
 

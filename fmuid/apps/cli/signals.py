@@ -1,7 +1,4 @@
-"""Ctrl-C, SIGTERM, SIGHUP; closed pipes and terminals; full disks.
-
-A signal saves the results and stops. Lost output does not end a command.
-"""
+"""Ctrl-C, SIGTERM, SIGHUP save the results; closed pipes, terminals and full disks do not end a command."""
 
 from __future__ import annotations
 
@@ -91,10 +88,7 @@ _UNREAD = (errno.EPIPE, errno.EIO, errno.EBADF)  # No reader: a closed pipe or t
 
 
 class Output:
-    """Stream without errors; after the first error, text is dropped.
-
-    `lost` is the first error that cost a reader text. `stream` is None in a process without it.
-    """
+    """Stream that drops text after its first error; `lost` is the error that cost a reader text."""
 
     def __init__(self, stream: TextIO | None) -> None:
         self._stream: TextIO = open(os.devnull, "w", encoding="utf-8") if stream is None else stream  # noqa: PTH123, SIM115

@@ -28,11 +28,7 @@ LARGEST_MESSAGE = 64 * 2**20  # bytes, of an upload
 
 
 class Guard(BokehTornado):  # type: ignore[misc]
-    """Bokeh's application with access control.
-
-    `hosts` are ``name:port`` of addresses, the one for people first; `patterns` are handlers of plain pages. `token` is
-    valid as long as the server runs.
-    """
+    """Bokeh's application with access control for `hosts` (``name:port``); `patterns` are handlers of plain pages."""
 
     def __init__(self, applications: Mapping[str, Any], hosts: Sequence[str], patterns: list[Any]) -> None:
         self.token, self._secret, self._hosts = secrets.token_urlsafe(24), secrets.token_urlsafe(24), tuple(hosts)
@@ -111,20 +107,15 @@ class LoginHandler(RequestHandler):
         self._given = name, secret
 
     def get(self) -> None:
-        """Set the cookie, and go on without the token.
-
-        A redirect would count as a cross-site request, for which ``SameSite=Strict`` cookies are not sent.
-        """
+        """Set the cookie, and go on without the token."""
+        # for a redirect, a cross-site request, ``SameSite=Strict`` cookies would not be sent
         self.set_cookie(*self._given, httponly=True, samesite="Strict")
         rest = [(key, value) for key, value in parse_qsl(self.request.query) if key != "token"]
         self.write(redirecting_page("/" + self.request.path.lstrip("/") + ("?" + urlencode(rest) if rest else "")))
 
 
 class TabSocket(WSHandler):  # type: ignore[misc]
-    """Websocket of a tab, whose session ends with it.
-
-    Pages never reconnect. Bokeh would keep the session, and handle late messages without it.
-    """
+    """Websocket of a tab, whose session ends with it; Bokeh would keep it for pages that reconnect."""
 
     connection: ServerConnection | None
     _session: ServerSession

@@ -1,8 +1,4 @@
-"""Commands run by the workbench, as processes of their own.
-
-A command writes its progress events to a file (`fmuid.events.EVENTS`). It continues after its page is closed, and if
-the workbench is killed.
-"""
+"""Commands of the workbench: processes that outlive their page."""
 
 from __future__ import annotations
 
@@ -30,10 +26,7 @@ def command_text(words: Sequence[str]) -> str:
 
 
 class Job:
-    """Command of a study that writes into a folder.
-
-    `begun`, `ended` and `asked` (to end) are times of `time.monotonic`, s; 0 for not yet.
-    """
+    """Command of a study that writes into a folder; `begun`, `ended`, `asked` (to end) are times, s, 0 for not yet."""
 
     def __init__(self, study: Path, folder: Path, words: Sequence[str]) -> None:
         self.study, self.folder, self.words = study.resolve(), folder, tuple(words)

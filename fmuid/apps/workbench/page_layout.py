@@ -20,10 +20,7 @@ silence(EMPTY_LAYOUT)  # parts of a page that come later
 
 @cache
 def template() -> Template:
-    """Return the template of every page.
-
-    It escapes its variables, except ``pieces``: HTML with the name of the Bokeh root that follows it, or "".
-    """
+    """Return the template of every page; ``pieces`` are HTML, each with the name of the Bokeh root after it."""
     return Environment(autoescape=True).from_string(own_file("shell.html"))
 
 
@@ -42,10 +39,7 @@ def style() -> str:
 def variables(
     title: str, pieces: Sequence[tuple[str, str]], scheme: str, libraries: Sequence[str] = ()
 ) -> dict[str, Any]:
-    """Return the template's variables of a page.
-
-    `scheme` is "light" or "dark"; `libraries` are those of Bokeh, as ``bokeh-widgets``.
-    """
+    """Return the template's variables of a page; `libraries` are those of Bokeh, as ``bokeh-widgets``."""
     sources = [f"/static/js/{name}.min.js?v={bokeh_version}" for name in libraries]
     marked = [(Markup(html), root) for html, root in pieces]
     return {"title": title, "pieces": marked, "scheme": scheme, "libraries": sources}

@@ -61,10 +61,7 @@ def read_json(path: Path) -> dict[str, Any]:
 
 @dataclass(frozen=True)
 class FoundStudy:
-    """Study file; `error` tells why it cannot be read.
-
-    `asks` names its sections beyond identification: ``diagnosis``, ``batch``.
-    """
+    """Study file, with its sections beyond identification; `error` tells why it cannot be read."""
 
     path: Path
     title: str
@@ -92,10 +89,7 @@ class FoundStudy:
 
 @dataclass(frozen=True)
 class FoundResult:
-    """Result of a command, from a file of `RESULTS`.
-
-    `content` is empty if the file cannot be read, for the reason `error`.
-    """
+    """Result of a command, from a file of `RESULTS`; `error` tells why it cannot be read."""
 
     path: Path
     kind: str
@@ -133,10 +127,7 @@ class Folder:
         self.root = root.resolve()
 
     def path(self, name: str) -> Path:
-        """Return the path of a name relative to this folder.
-
-        Raises `InputError` if it is outside, also by a link, or missing.
-        """
+        """Return the path of a name relative to this folder; refuse what is missing or outside, also by a link."""
         try:
             found = (self.root / name).resolve(strict=True)
         except (OSError, ValueError, RuntimeError):

@@ -33,11 +33,7 @@ _ENTRY = "open.html"
 
 
 class Workbench:
-    """Server for one user and one folder.
-
-    It begins with the page of `study` if given; port 0 is any free one. `address` is that of the first page, with a
-    token.
-    """
+    """Server for one user and one folder; `address` is that of the first page, with a token."""
 
     def __init__(self, folder: Folder, study: Path | None = None, *, port: int = 0) -> None:
         self.folder, self.jobs = folder, Jobs()
@@ -72,10 +68,7 @@ class Workbench:
         return self._guard.awaits_browser
 
     def run(self, ready: Callable[[], object] = lambda: None) -> None:
-        """Serve until interrupted or stopped, then interrupt its commands.
-
-        `ready` is called as soon as it answers.
-        """
+        """Serve until interrupted or stopped, then interrupt its commands; `ready` is called once it answers."""
         self._loop = IOLoop(make_current=True)  # of this thread
         self._http.add_sockets(self._sockets)
         served = BaseServer(self._loop, self._guard, self._http)
@@ -98,10 +91,7 @@ class Workbench:
 
 @contextlib.contextmanager
 def entry_file(bench: Workbench) -> Iterator[Path]:
-    """Provide a file that leads to the first page.
-
-    Only its owner can read it. All users can read a browser's arguments: they name this file, and no secret.
-    """
+    """Provide a file that leads to the first page; a browser's arguments, which all users read, name it alone."""
     with tempfile.TemporaryDirectory(prefix="fmuid-open-", ignore_cleanup_errors=True) as folder:
         path = Path(folder, _ENTRY)
         path.touch(mode=0o600)  # before it has a secret
@@ -110,10 +100,7 @@ def entry_file(bench: Workbench) -> Iterator[Path]:
 
 
 def start_browser(path: Path, failed: Callable[[], object]) -> threading.Thread:
-    """Open a file in the browser, in a thread of its own.
-
-    `failed` is called in the thread if no browser starts.
-    """
+    """Open a file in the browser, in a thread; it calls `failed` if none starts."""
 
     def start() -> None:
         with contextlib.suppress(webbrowser.Error, OSError, ValueError):  # ValueError: unclosed quotes in $BROWSER

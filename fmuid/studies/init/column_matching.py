@@ -1,7 +1,4 @@
-"""Columns of data matched with FMU variables, by name and unit.
-
-A guess must be the only one at its step, from either side.
-"""
+"""Columns of data matched with FMU variables by name and unit; a guess must be the only one at its step."""
 
 from __future__ import annotations
 

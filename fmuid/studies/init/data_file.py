@@ -31,10 +31,7 @@ def parse_column(name: str) -> str | int:
 
 @dataclass(frozen=True)
 class InitOptions:
-    """Given keys of ``[[experiments]]``.
-
-    `columns` and `units` go by FMU variable; an empty column is none. `prepare` is ``[experiments.preprocess]``.
-    """
+    """Given keys of ``[[experiments]]``; `columns` and `units` go by FMU variable, an empty column is none."""
 
     time: str | int = "time"
     time_unit: str | None = None

@@ -205,10 +205,7 @@ class BatchPage:
 
 
 def case_settings(path: Path, number: int, found: pd.Series[Any]) -> list[str]:
-    """Return the ``--set`` arguments of a case, at its estimates.
-
-    `found` is the row of the case. Raises `InputError` if there is no such case.
-    """
+    """Return the ``--set`` arguments of a case at its estimates; refuse a missing case."""
     study = Study.read(path)
     cases = CaseList(study)
     if not 0 <= number < len(cases):

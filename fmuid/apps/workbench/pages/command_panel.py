@@ -19,10 +19,9 @@ EVERY = 150  # ms between two looks at a command
 
 
 class CommandPanel:
-    """Buttons and progress of commands that write into one folder.
+    """Buttons and progress of commands of a folder; a running one is followed.
 
-    At most one command runs per folder; a running one is followed. `acts` are the buttons; each calls `begin`. `told`
-    gets the new events, `ended` the ended command. `job` is the last command.
+    `acts` are the buttons; each calls `begin`. `told` gets the new events, `ended` the ended command.
     """
 
     def __init__(

@@ -1,8 +1,4 @@
-"""Figures redrawn within a frame: another simulation, or another time range.
-
-Only the simulated line and its residual are repainted, on Bokeh's overlay. The rest is repainted when the ranges
-change, which the server sets.
-"""
+"""Figures redrawn within a frame: another simulation on Bokeh's overlay, or another time range."""
 
 from __future__ import annotations
 
@@ -39,8 +35,7 @@ def in_scheme(figures: Sequence[Figure], scheme: str) -> list[Any]:
 class LatestOnlyWorker(Generic[Asked]):
     """Worker thread that keeps only the latest pending request.
 
-    `work` takes a request and raises nothing; `interrupt`, from another thread, has it return early; `release` is
-    called at the end of the thread.
+    `work` raises nothing; `interrupt` has it return early; `release` ends the thread.
     """
 
     def __init__(
@@ -163,10 +158,7 @@ class LiveFit:
         self.draw(self.record.simulated)
 
     def _kept(self, rows: slice) -> tuple[Floats, Floats, Floats, Floats]:
-        """Return times and measured dots, times and last optimum.
-
-        They stay the same while a parameter is dragged.
-        """
+        """Return times and measured dots, times and last optimum; a drag of a parameter keeps them."""
         if self._still is None or (rows.start, rows.stop) != self._shown:
             times, count = self.record.times[rows], len(self.outputs)
             some, ghost = evenly(len(times), DOTS), self._ghost[rows, :count]

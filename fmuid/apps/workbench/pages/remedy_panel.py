@@ -61,10 +61,7 @@ class StudyPageProtocol(Protocol):
 
 
 class ExcitationComparison:
-    """Comparison of excitations for a study, by ``fmuid design``.
-
-    `results` is the folder of the result; `settings` returns the ``--set`` arguments.
-    """
+    """Comparison of excitations for a study, by ``fmuid design``; `settings` returns the ``--set`` arguments."""
 
     def __init__(self, doc: Any, bench: Any, study: Path, results: Path, settings: Callable[[], Sequence[str]]) -> None:
         self.where, self.study, self.folder, self._settings = bench.folder, study, results / DESIGN, settings
@@ -136,10 +133,9 @@ def undetermined(result: Result, parameters: Sequence[str]) -> list[str]:
 
 
 class UndeterminedResult:
-    """Study of a result with non-identifiable parameters.
+    """Study of a result with the non-identifiable parameters `names`.
 
-    `names` are the parameters. `settings` are the ``--set`` values of the result, `designing` the arguments for its
-    design at the other estimates and noise.
+    `settings` are the ``--set`` values of the result, `designing` those for its design at the other estimates.
     """
 
     def __init__(self, folder: Folder, place: Path) -> None:

@@ -103,10 +103,7 @@ def _acts(doc: Any, bench: Any, place: Path) -> list[tuple[str, str]]:
 
 
 def _zoomed(doc: Any, place: Path, documents: Sequence[Document]) -> list[str]:
-    """Add fits with many samples to the document; return their keys.
-
-    They are thinned anew for each visible time range.
-    """
+    """Add fits with many samples, thinned for each time range; return their keys."""
     found: list[tuple[Section, Floats]] = []
     for each in documents:
         if each.kind == "identification":

@@ -52,11 +52,7 @@ class SliderRange:
 
 
 def reach_of(parameter: Parameter, estimate: tuple[float, float] | None = None, *, near: bool = False) -> SliderRange:
-    """Return the range of a slider within the bounds.
-
-    `estimate` is value and σ of the last result; without it, two finite bounds are the range. `near` limits the range
-    to ± `NEAR_STDS` σ if σ is known.
-    """
+    """Return the range of a slider within the bounds: around value and σ of the last result, if there is one."""
     if estimate is None or not math.isfinite(estimate[0]):
         bounded = math.isfinite(parameter.min) and math.isfinite(parameter.max)
         return _within(parameter, [parameter.min, parameter.max] if bounded else _span(parameter, parameter.start))
@@ -80,10 +76,7 @@ def _within(parameter: Parameter, places: Sequence[float]) -> SliderRange:
 
 
 class ParameterRow:
-    """One parameter on the page; `text` is its name with unit.
-
-    `changed` is called when the user moves, types or holds, with True at the end of a drag.
-    """
+    """One parameter on the page; `changed` is called for each change, with True at the end of a drag."""
 
     def __init__(self, name: str, unit: str | None, parameter: Parameter, changed: Callable[[bool], object]) -> None:
         self.name, self.parameter, self._changed = name, parameter, changed
