@@ -69,12 +69,6 @@ def test_multisine_has_low_peaks(count: int) -> None:
     assert np.sqrt(2) < crest < 1.85
 
 
-def test_multisine_of_one_line() -> None:
-    times = 1e-3 * np.arange(1000)
-    found = multisine(1.0, 1e-3, 2.0, 5.0, 5.0)["u"]
-    np.testing.assert_allclose(found, 2.0 * np.cos(2 * np.pi * 5.0 * times), atol=1e-12)
-
-
 def test_steps() -> None:
     frame = step_sequence(1.0, 0.1, [1.0, -1.0, 2.0], offset=10.0, column="w")
     assert frame["w"].tolist() == [11.0] * 3 + [9.0] * 3 + [12.0] * 4

@@ -17,7 +17,7 @@ def test_damaged_arrays_are_one_error(tmp_path: Path) -> None:
     given: dict[str, Any] = {"a": random.standard_normal(40), "text": np.frombuffer(b"{}" * 50, np.uint8)}
     write_arrays(path, given)
     whole, refused = path.read_bytes(), 0
-    for _ in range(200):
+    for _ in range(60):
         content, at = bytearray(whole), int(random.integers(len(whole)))
         content[at : at + int(random.integers(4))] = random.bytes(int(random.integers(4)))
         path.write_bytes(content if random.integers(3) else content[:at])
@@ -28,7 +28,7 @@ def test_damaged_arrays_are_one_error(tmp_path: Path) -> None:
         else:
             assert found.keys() == given.keys()
             assert all(np.array_equal(found[name], value) for name, value in given.items())
-    assert refused > 100
+    assert refused > 30
 
 
 def test_arrays_that_would_be_executed_are_refused(tmp_path: Path) -> None:

@@ -1,4 +1,5 @@
 import math
+from collections.abc import Callable
 
 import numpy as np
 import pytest
@@ -6,30 +7,47 @@ import pytest
 from fmuid.data import JointPrior, Normal, Parameter, ParameterSet
 from fmuid.errors import InputError
 
+R = Parameter(1.0)
+EYE = [[1.0, 0.0], [0.0, 1.0]]
+WRONG: list[tuple[Callable[[], object], str]] = [
+    (lambda: Parameter(12.0, 0.0, 10.0), r"start 12 is outside \[0, 10\]"),
+    (lambda: Parameter(1.0, 2.0, 2.0), "min 2 must be less than max 2"),
+    (lambda: Parameter(0.0), "Set nominal"),
+    (lambda: Parameter(1.0, nominal=-1.0), "nominal must be greater than 0"),
+    (lambda: Parameter(math.nan), "start must be finite"),
+    (lambda: Parameter(1.0, max=math.nan), "max must be a number"),
+    (lambda: Parameter("1"), "start must be a number, not '1'"),  # type: ignore[arg-type]
+    (lambda: Parameter(1.0, prior=2.0), "prior must be a Normal"),  # type: ignore[arg-type]
+    (lambda: Parameter(1.0, 0.0, prior=Normal(-1.0, 1.0)), "prior: mean -1 is outside"),
+    (lambda: Normal(0.0, 0.0), "of a prior must be"),
+    (lambda: Normal(math.nan, 1.0), "of a prior must be"),
+    (lambda: Normal(0.0, math.inf), "of a prior must be"),
+    (lambda: ParameterSet({"x0": Parameter(1.0, per_experiment=True)}, ["run", "run"]), "two experiments are named"),
+    (lambda: ParameterSet({}), "no free parameters"),
+    (lambda: JointPrior(["R", "L"], [1.0, 1.0], [[1.0, 0.5], [0.4, 1.0]]), "not symmetric"),
+    (lambda: JointPrior(["R", "L"], [1.0, 1.0], [[1.0, 2.0], [2.0, 1.0]]), "not positive definite"),
+    (lambda: JointPrior(["R", "L"], [1.0, 1.0], [[0.0, 0.0], [0.0, 1.0]]), "variance of 'R' must be greater than 0"),
+    (lambda: JointPrior(["R", "L"], [1.0], EYE), "needs 2 means"),
+    (lambda: JointPrior(["R", "R"], [1.0, 1.0], EYE), "twice"),
+    (lambda: JointPrior(["R", "L"], [1.0, math.nan], EYE), "not finite"),
+    (lambda: ParameterSet({"R": R}, joint_prior=JointPrior(["Rr"], [1.0], [[1.0]])), "did you mean 'R'"),
+    (
+        lambda: ParameterSet(
+            {"R": Parameter(1.0, prior=Normal(1.0, 1.0))}, joint_prior=JointPrior(["R"], [1.0], [[1.0]])
+        ),
+        "its own prior",
+    ),
+    (
+        lambda: ParameterSet({"R": Parameter(0.1, max=0.5)}, joint_prior=JointPrior(["R"], [1.0], [[1.0]])),
+        "joint prior mean 1 of 'R' is outside",
+    ),
+]
 
-@pytest.mark.parametrize(
-    ("words", "said"),
-    [
-        ({"start": 12.0, "min": 0.0, "max": 10.0}, "start 12 is outside \\[0, 10\\]"),
-        ({"start": 1.0, "min": 2.0, "max": 2.0}, "min 2 must be less than max 2"),
-        ({"start": 0.0}, "Set nominal"),
-        ({"start": 1.0, "nominal": -1.0}, "nominal must be greater than 0"),
-        ({"start": math.nan}, "start must be finite"),
-        ({"start": 1.0, "max": math.nan}, "max must be a number"),
-        ({"start": "1"}, "start must be a number, not '1'"),
-        ({"start": 1.0, "prior": 2.0}, "prior must be a Normal"),
-        ({"start": 1.0, "min": 0.0, "prior": Normal(-1.0, 1.0)}, "prior: mean -1 is outside"),
-    ],
-)
-def test_bad_parameters_are_refused_with_the_remedy(words: dict[str, object], said: str) -> None:
+
+@pytest.mark.parametrize(("call", "said"), WRONG, ids=[said for _, said in WRONG])
+def test_wrong_parameters_and_priors(call: Callable[[], object], said: str) -> None:
     with pytest.raises(InputError, match=said):
-        Parameter(**words)  # type: ignore[arg-type]
-
-
-@pytest.mark.parametrize(("mean", "std"), [(0.0, 0.0), (0.0, -1.0), (math.nan, 1.0), (0.0, math.inf)])
-def test_bad_priors_are_refused(mean: float, std: float) -> None:
-    with pytest.raises(InputError, match="of a prior must be"):
-        Normal(mean, std)
+        call()
 
 
 def test_parameters_shared_and_per_experiment() -> None:
@@ -44,16 +62,6 @@ def test_parameters_shared_and_per_experiment() -> None:
     assert parameters.lower.tolist() == [-math.inf, 0.0, 0.0, -math.inf]
     assert parameters.scale.tolist() == [2.0, 0.5, 0.5, 3.0]
     assert parameters.magnitudes(np.array([0.0, 4.0, 0.5, 1.0])).tolist() == [2e-3, 4.0, 0.5, 3.0]
-
-
-def test_experiments_of_one_name_cannot_have_their_own_parameters() -> None:
-    with pytest.raises(InputError, match="two experiments are named 'run'"):
-        ParameterSet({"x0": Parameter(1.0, per_experiment=True)}, ["run", "run"])
-
-
-def test_no_parameters() -> None:
-    with pytest.raises(InputError, match="no free parameters"):
-        ParameterSet({})
 
 
 def test_prior_rows_are_the_cost_of_the_prior() -> None:
@@ -79,33 +87,3 @@ def test_prior_rows_are_the_cost_of_the_prior() -> None:
     np.testing.assert_allclose(parameters.prior_mean[:3], [1.5, 2e-3, 4.0])
     np.testing.assert_allclose(parameters.prior_std[:3], [2e-2, 1e-5, 0.5])
     assert np.isnan(parameters.prior_mean[3])
-
-
-@pytest.mark.parametrize(
-    ("names", "mean", "covariance", "said"),
-    [
-        (["R", "L"], [1.0, 1.0], [[1.0, 0.5], [0.4, 1.0]], "not symmetric"),
-        (["R", "L"], [1.0, 1.0], [[1.0, 2.0], [2.0, 1.0]], "not positive definite"),
-        (["R", "L"], [1.0, 1.0], [[0.0, 0.0], [0.0, 1.0]], "variance of 'R' must be greater than 0"),
-        (["R", "L"], [1.0], [[1.0, 0.0], [0.0, 1.0]], "needs 2 means"),
-        (["R", "R"], [1.0, 1.0], [[1.0, 0.0], [0.0, 1.0]], "twice"),
-        (["R", "L"], [1.0, math.nan], [[1.0, 0.0], [0.0, 1.0]], "not finite"),
-    ],
-)
-def test_bad_joint_priors(names: list[str], mean: list[float], covariance: list[list[float]], said: str) -> None:
-    with pytest.raises(InputError, match=said):
-        JointPrior(names, mean, covariance)
-
-
-@pytest.mark.parametrize(
-    ("name", "said"),
-    [
-        ("Rr", "did you mean 'R'"),
-        ("k", "its own prior"),
-        ("L", "joint prior mean 1 of 'L' is outside"),
-    ],
-)
-def test_joint_priors_must_fit_the_parameters(name: str, said: str) -> None:
-    parameters = {"R": Parameter(1.0), "k": Parameter(1.0, prior=Normal(1.0, 1.0)), "L": Parameter(0.1, max=0.5)}
-    with pytest.raises(InputError, match=said):
-        ParameterSet(parameters, joint_prior=JointPrior([name], [1.0], [[1.0]]))

@@ -65,9 +65,7 @@ def test_plain_value_refuses_other_bytes(data: bytes) -> None:
         plain_value(data)
 
 
-@pytest.mark.parametrize(
-    "index", ["rows", "named", "dates", "dates with zone", "dates of a town", "durations", "texts"]
-)
+@pytest.mark.parametrize("index", ["rows", "named", "dates", "dates of a town", "durations", "texts"])
 @pytest.mark.parametrize(("layout", "by_column"), [("fixed", None), ("table", None), ("table", True)])
 def test_hdf_tables_of_pandas(tmp_path: Path, layout: Any, by_column: Any, index: str) -> None:
     """Compare with `pandas.read_hdf`."""
@@ -75,7 +73,6 @@ def test_hdf_tables_of_pandas(tmp_path: Path, layout: Any, by_column: Any, index
         "rows": LONG,
         "named": LONG.drop(columns="time").set_index(pd.Index(LONG["time"], name="time")),
         "dates": LONG.drop(columns="time").set_index(pd.DatetimeIndex(DATES)),
-        "dates with zone": LONG.drop(columns="time").set_index(pd.DatetimeIndex(DATES.tz_localize("UTC"), name="time")),
         "dates of a town": LONG.drop(columns="time").set_index(
             pd.DatetimeIndex(DATES.tz_localize("Europe/Berlin"), name="time")
         ),

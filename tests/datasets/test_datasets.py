@@ -64,8 +64,5 @@ def test_a_study_of_one() -> None:
     known = datasets.coil()
     study = fmuid.Study.of(known.study, "coil.toml")
     np.testing.assert_array_equal(study.identify().values, fmuid.identify(known.problem()).values)
-
-
-def test_an_unknown_one() -> None:
     with pytest.raises(fmuid.InputError, match="did you mean 'coil'"):
         datasets.load("coils")
