@@ -66,7 +66,7 @@ def test_plain_value_refuses_other_bytes(data: bytes) -> None:
 
 
 @pytest.mark.parametrize("index", ["rows", "named", "dates", "dates of a town", "durations", "texts"])
-@pytest.mark.parametrize(("layout", "by_column"), [("fixed", None), ("table", None), ("table", True)])
+@pytest.mark.parametrize(("layout", "by_column"), [("fixed", None), ("table", True)])
 def test_hdf_tables_of_pandas(tmp_path: Path, layout: Any, by_column: Any, index: str) -> None:
     """Compare with `pandas.read_hdf`."""
     frames = {
@@ -169,7 +169,7 @@ def places(path: Path) -> list[tuple[str, str | None]]:
     return found
 
 
-@pytest.mark.parametrize("layout", ["fixed", "table"])
+@pytest.mark.parametrize("layout", [pytest.param("fixed", marks=pytest.mark.slow), "table"])
 def test_hdf_executes_no_pickle_anywhere(tmp_path: Path, layout: Any) -> None:
     """One file for each attribute and pickled array that PyTables would unpickle."""
     sound, mark = tmp_path / "sound.h5", tmp_path / "mark"

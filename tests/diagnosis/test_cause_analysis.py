@@ -230,15 +230,15 @@ def coil_study(folder: Path, *words: str) -> int:
 
 def test_a_study_with_healthy_records(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     data = 'healthy_data=["healthy.csv"]'
-    assert coil_study(tmp_path, data) == 1
-    said = capsys.readouterr().out
-    assert "Causes" in said and "gain of sensor i" in said
-    assert fmuid.Diagnosis.from_json(tmp_path / "diagnosis.json").named == ("turns",)
+    trials = 'known_fault_data={"turns.dR" = ["test4.csv"]}'
+    assert coil_study(tmp_path, data, trials) == 1
+    said = " ".join(capsys.readouterr().out.split())
+    assert "Causes" in said and "gain of sensor i" in said and "Fault-model error: 3 % along" in said
+    found = fmuid.Diagnosis.from_json(tmp_path / "diagnosis.json")
+    assert found.named == ("turns",)
+    assert 0.0 < found.evidence.model_error < MODEL_ERROR
     assert coil_study(tmp_path, data, "causes.sensor_gain=false", "causes.sensor_delay=false") == 1
     assert "gain of sensor i" not in capsys.readouterr().out
-    assert coil_study(tmp_path, data, 'known_fault_data={"turns.dR" = ["test4.csv"]}') == 1
-    assert 0.0 < fmuid.Diagnosis.from_json(tmp_path / "diagnosis.json").evidence.model_error < MODEL_ERROR
-    assert "Fault-model error: 3 % along" in " ".join(capsys.readouterr().out.split())
 
 
 @pytest.mark.parametrize(

@@ -146,7 +146,7 @@ def test_pairs_at_once_are_pairs_one_by_one() -> None:
 
 def test_model_error_moves_the_other_size() -> None:
     """Each leaves κ of its effect orthogonal to its signature, a quarter of that along it: sizes scatter as stated."""
-    kappa, random, draws = 0.1, np.random.default_rng(5), 1500
+    kappa, random, draws = 0.1, np.random.default_rng(5), 800
     columns = np.array([[1.0, 0.0, 0.0], [math.cos(0.8), math.sin(0.8), 0.0]]).T * (30.0, 50.0)
     sizes, causes = np.array([2.0, -1.0]), (Cause("one", (0,), 1.0), Cause("two", (1,), 1.0))
     norms, information = np.linalg.norm(columns, axis=0), columns.T @ columns

@@ -189,7 +189,7 @@ def test_colored_noise_is_no_fault(healthy_coil: fmuid.Result) -> None:
         return coil.experiment(table)
 
     found = watch(healthy_coil, records=[colored(10, 4)])
-    found.add(colored(30, 3))
+    found.add(colored(20, 3))
     assert (found.table["significant"] != "").mean() < 0.05
     assert not found.alarms
     assert not noise_is_taken_for_white(found)
