@@ -218,10 +218,8 @@ class MeasuredSeries:
 
     Attributes
     ----------
-    experiment, output : str
     unit : str
         Of the samples, "" where it is the model's.
-    samples : int
     digest : str
         Of their times and values, as the table has them: equal for equal samples, whatever output they are taken for.
     """

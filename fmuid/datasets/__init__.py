@@ -30,7 +30,6 @@ class ExampleRecord:
 
     Attributes
     ----------
-    name : str
     path, fmu : Path
         The CSV file and the FMU.
     inputs, outputs : tuple of str

@@ -76,7 +76,6 @@ class RecordTime:
 
     Attributes
     ----------
-    record : str
     time : float
         s of the record.
     date : str
@@ -96,7 +95,6 @@ class Onset:
     ----------
     likely, first, last : RecordTime
         The most likely time, and the 95 % confidence set.
-    shape : OnsetShape
     """
 
     likely: RecordTime

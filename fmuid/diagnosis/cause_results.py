@@ -25,14 +25,12 @@ class EstimatedChange:
 
     Attributes
     ----------
-    kind : CauseKind
     variable : str
         Parameter, fault parameter, output or input.
     fault : str
         Of a fault parameter, "" otherwise.
     value, std : float
         Of gains a share, of delays s; infinite std if not identifiable.
-    unit : str
     min, max : float
         Bounds.
     angle : str
@@ -82,7 +80,6 @@ class CauseScore:
 
     Attributes
     ----------
-    change : EstimatedChange
     statistic : float
         D.
     probability : float
@@ -106,7 +103,6 @@ class Explanation:
 
     Attributes
     ----------
-    changes : tuple of EstimatedChange
     odds : float
         Against the best explanation, at most 1.
     """
@@ -140,11 +136,8 @@ class ChangeEvidence:
         Divisor of evidence after the alarm, for the models' error.
     ratio, without : float
         Variance of the residual over the noise, with the best explanation and without any.
-    samples : int
     steady : bool
         The name stayed in the last linearisation.
-    remainder : UnexplainedResidual
-    basis : BaselineSource
     """
 
     probability: float

@@ -30,7 +30,6 @@ class BaselineDeviation:
 
     Attributes
     ----------
-    name : str
     distance : float
         In standard deviations of baseline and record together.
     """
@@ -47,12 +46,10 @@ class Diagnosis(PlotMixin):
     ----------
     level : float
         False-alarm probability.
-    evidence : ChangeEvidence
     unexplained : VarianceRatio
         Residual variance with the named causes; beside healthy data its change of correlation with the inputs.
     nominal : dict of str to (value, std)
         Healthy parameters beside the named causes.
-    noise_variance : dict of str to float
     deviation : BaselineDeviation or None
         Without healthy data; with them a parameter is a cause.
     version : str
