@@ -26,17 +26,6 @@ def test_prbs_is_a_maximum_length_sequence(order: int, seed: int) -> None:
     np.testing.assert_allclose(correlation, [amplitude**2] + [-(amplitude**2) / count] * (count - 1), atol=1e-12)
 
 
-def test_prbs_holds_its_bits() -> None:
-    """Autocorrelation in samples: a triangle as wide as a bit, from 1 to -1/N."""
-    frame = prbs(31 * 15 * 1e-3, 1e-3, 1.0, 15, order=5, column="voltage")
-    assert list(frame.columns) == ["time", "voltage"]
-    np.testing.assert_allclose(frame["time"], np.arange(465) * 1e-3, rtol=1e-14)
-    values = frame["voltage"].to_numpy()
-    for shift in range(20):
-        expected = max(1 - shift / 15 * (1 + 1 / 31), -1 / 31)
-        assert np.mean(values * np.roll(values, shift)) == pytest.approx(expected, abs=1e-12)
-
-
 def test_prbs_order_and_seed() -> None:
     """By default the record is no longer than a period; a seed is a shift of the same sequence."""
     frame = prbs(0.4, 1e-3, 1.0, 10)  # 40 bits: order 6, 63 bits

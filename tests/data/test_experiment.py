@@ -1,7 +1,6 @@
 """Experiment: roles and masks from small tables, and one sentence for everything that can be wrong with them."""
 
 from dataclasses import FrozenInstanceError
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -9,7 +8,6 @@ import pandas as pd
 import pytest
 
 from fmuid.data import Parameter
-from fmuid.data.data_file import read_data
 from fmuid.data.experiment import Experiment
 from fmuid.errors import InputError
 from fmuid.estimation.evaluator import Evaluator
@@ -94,13 +92,6 @@ def test_numbers_and_missing_samples_of_any_type(dtype: Any) -> None:
     assert run.input_values.dtype == np.float64
     np.testing.assert_array_equal(run.input_values[:, 0], [0, 1, 1, 0, 1])
     np.testing.assert_array_equal(run.counted[:, 0], [True, False, True, True, True])
-
-
-def test_messages_name_the_file(tmp_path: Path) -> None:
-    path = tmp_path / "run7.csv"
-    table().rename(columns={"time": "t"}).to_csv(path, index=False)
-    with pytest.raises(InputError, match=r"run7\.csv: input column 'v' not found"):
-        Experiment(read_data(path, "t"), ["v"], time="t")
 
 
 WRONG: list[tuple[dict[str, Any], dict[str, Any], str]] = [

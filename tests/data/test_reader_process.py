@@ -69,10 +69,3 @@ def test_one_process_reads_all_files_of_all_threads(tmp_path: Path, monkeypatch:
         thread.join()
     assert len(seen) == 1
     assert seen != {os.getpid()}
-
-
-def test_text_is_read_in_the_same_process(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(readers, "call_reader", pytest.fail)
-    FRAME.to_csv(tmp_path / "a.csv")
-    FILES["a.json"](tmp_path / "a.json")
-    assert len(read_data(tmp_path / "a.csv")) == len(read_data(tmp_path / "a.json"))

@@ -209,12 +209,6 @@ def test_durations_of_pandas_are_no_other_numbers(tmp_path: Path, kind: str, nam
     np.testing.assert_allclose(read_data(path, time_unit=unit)["time"], FRAME["time"], rtol=1e-12)
 
 
-@pytest.mark.parametrize("kind", ["xlsx", "ods"])
-def test_an_index_of_seconds_in_a_spreadsheet(tmp_path: Path, kind: str) -> None:
-    FRAME.set_index("time").rename_axis(None).to_excel(str(tmp_path / f"a.{kind}"))
-    np.testing.assert_array_equal(read_data(tmp_path / f"a.{kind}")["time"], FRAME["time"])
-
-
 def test_durations_as_spreadsheets_show_them(tmp_path: Path) -> None:
     frame = pd.DataFrame({"time": FRAME["time"] / 86400, "u": U})
     with pd.ExcelWriter(tmp_path / "a.xlsx", engine="openpyxl") as book:
@@ -232,10 +226,3 @@ def test_two_header_rows_of_pandas(tmp_path: Path, name: str) -> None:
     frame = read_data(tmp_path / "a.csv")
     assert [*frame.columns] == ["time", "u", "w"]
     np.testing.assert_array_equal(frame["w"], W)
-
-
-def test_rows_with_exponents_are_not_looked_up_as_units(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    # with decimal commas, 5e-06 would be the first number of this table, and the rows before it a header with units
-    monkeypatch.setattr("fmuid.data.headers.parse_unit", pytest.fail)
-    (tmp_path / "a.csv").write_text("time,u\n0.1,0.5\n0.2,0.7\n0.3,5e-06\n", encoding="utf-8")
-    assert read_data(tmp_path / "a.csv")["u"].tolist() == [0.5, 0.7, 5e-06]

@@ -89,14 +89,6 @@ def test_files_that_cannot_be_read(tmp_path: Path) -> None:
         read_data(written(tmp_path, "", "run"))
 
 
-def test_parquet_with_time_as_column_or_index(tmp_path: Path) -> None:
-    frame = pd.DataFrame({"time": TIMES, "w": SPEED, "on": [True, False, True, True, False]})
-    frame.to_parquet(tmp_path / "column.parquet")
-    frame.set_index("time").to_parquet(tmp_path / "index.PARQUET")
-    pd.testing.assert_frame_equal(read_data(tmp_path / "column.parquet"), frame)
-    pd.testing.assert_frame_equal(read_data(tmp_path / "index.PARQUET"), frame)
-
-
 @pytest.mark.parametrize("version", ["4", "5"])
 def test_mat_vectors_of_the_common_length(tmp_path: Path, version: Any) -> None:
     content = {"t": TIMES[:, np.newaxis], "w": SPEED[np.newaxis, :], "gain": 35.15, "A": np.eye(5), "long": np.ones(9)}

@@ -7,7 +7,7 @@ import pytest
 from scipy import optimize, special, stats
 
 from fmuid.diagnosis.causes import Cause
-from fmuid.diagnosis.change_detection import MinPDistribution, detectable, fit, log_tail, probability
+from fmuid.diagnosis.change_detection import MinPDistribution, fit, log_tail, probability
 from fmuid.diagnosis.information_matrix import ScoreStatistics
 
 SIGNED = tuple(Cause(f"c{i}", (i,), 1.0, sign) for i, sign in enumerate((1, -1, 1, 0)))
@@ -58,17 +58,3 @@ def test_smallest_probability(causes: list[Cause], limit: float) -> None:
     assert found.limit(0.05) == pytest.approx(limit, rel=0.08)
     assert found.adjusted(found.limit(0.05)) == pytest.approx(0.05, rel=0.08)
     assert found.adjusted(1e-6) == pytest.approx(len(causes) * 1e-6)
-
-
-@pytest.mark.parametrize("cause", [SIGNED[0], SIGNED[3], PLANE], ids=lambda cause: cause.name)
-def test_detectable_size_over_draws(cause: Cause) -> None:
-    information, limit, miss = news(3).information, 0.002, 0.1
-    size = detectable(ScoreStatistics(information, np.zeros(4)), cause, limit, miss)
-    vectors = np.linalg.eigh(information[np.ix_(cause.columns, cause.columns)])[1]
-    truth = np.zeros(4)
-    truth[list(cause.columns)] = size * vectors[:, 0] * (np.sign(vectors[0, 0]) if cause.sign else 1.0)
-    scores = (
-        information @ truth + np.random.default_rng(9).standard_normal((2000, 4)) @ np.linalg.cholesky(information).T
-    )
-    found = [probability(fit(ScoreStatistics(information, each), (cause,)).statistic, cause) for each in scores]
-    assert np.mean(np.array(found) <= limit) == pytest.approx(1 - miss, abs=0.02)

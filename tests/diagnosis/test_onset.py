@@ -69,23 +69,6 @@ def test_an_onset_is_a_column_of_least_squares(shape: OnsetShape, at: int) -> No
     assert found.sizes[at, 0] == pytest.approx(size, rel=1e-6)
 
 
-def test_a_cause_of_one_sign() -> None:
-    random = np.random.default_rng(2)
-    jacobian, residual = random.standard_normal((SAMPLES, 3)), random.standard_normal(SAMPLES)
-    found = watched(jacobian, residual - 3.0 * jacobian[:, 1])
-    assert found.statistics([CAUSE])[1].max() > 1000
-    assert found.statistics([Cause("up", (1,), 2.0, 1)])[1].max() < 50
-
-
-def test_what_persists_of_a_drift_is_no_news() -> None:
-    """Warm for all of the later windows by two of its standard deviations: no evidence for a change of it."""
-    random = np.random.default_rng(3)
-    jacobian = random.standard_normal((SAMPLES, 3))
-    course = (np.arange(SAMPLES) >= SAMPLES // 2) * 2.0 * DRIFT[2]
-    found = watched(jacobian, jacobian[:, 2] * course + random.standard_normal(SAMPLES))
-    assert found.statistics([Cause("warm", (2,), 1.0)])[1].max() < 10.0
-
-
 def test_old_onsets_thin_out_and_those_of_an_alarm_stay(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(watching, "SETTINGS", TrackerSettings(fine=2, most=8))
     found, plain = OnsetTracker(KNOWN, DRIFT), (np.tile(np.eye(3), (BLOCKS, 1, 1)), np.ones((BLOCKS, 3)))
