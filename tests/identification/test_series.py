@@ -6,7 +6,6 @@ from typing import Any
 import numpy as np
 import pytest
 from scipy import stats
-from scipy.signal import lfilter
 
 from fmuid.array_types import Floats
 from fmuid.data import Experiment
@@ -68,38 +67,6 @@ def test_white_noise_is_called_coloured_as_often_as_the_level_says() -> None:
     assert np.mean(np.array(probabilities) < 0.5) == pytest.approx(0.5, abs=0.09)
 
 
-@pytest.mark.parametrize(("share", "missing"), [(0.95, 0.0), (0.6, 0.3), (-0.5, 0.0)])
-def test_correlation_times_of_autoregressive_noise(share: float, missing: float) -> None:
-    """Sums over all lags of ρ = a^k are (1 + a)/(1 − a), of ρ² (1 + a²)/(1 − a²)."""
-    rng = np.random.default_rng(8)
-    times, squares = [], []
-    for _ in range(12):
-        model = noise_model(with_gaps(rng, ar1(rng, share, 5000), missing))
-        assert model.correlation[0] == 1.0
-        times.append(model.variance_factor())
-        squares.append(model.variance_factor(2))
-    assert np.mean(times) == pytest.approx((1 + share) / (1 - share), rel=0.12)
-    assert np.mean(squares) == pytest.approx((1 + share**2) / (1 - share**2), rel=0.12)
-
-
-def test_the_model_of_an_oscillation() -> None:
-    """The autocorrelation of an AR(2) process obeys ρ_k = φ₁ ρ_{k−1} + φ₂ ρ_{k−2}, ρ₁ = φ₁/(1 − φ₂)."""
-    radius, angle = 0.97, 0.4
-    first, second = 2.0 * radius * math.cos(angle), -(radius**2)
-    x = lfilter([1.0], [1.0, -first, -second], np.random.default_rng(9).standard_normal(41000))[1000:]
-    rho = [1.0, first / (1.0 - second)]
-    while len(rho) < 60:
-        rho.append(first * rho[-1] + second * rho[-2])
-    np.testing.assert_allclose(noise_model(x).correlation[:60], rho, atol=0.06)
-
-
-def test_a_series_that_never_decays_has_a_model() -> None:
-    ramp = np.linspace(-1.0, 1.0, 400) + 1e-6 * np.random.default_rng(1).standard_normal(400)
-    model = noise_model(ramp)
-    assert np.isfinite(model.correlation).all()
-    assert model.variance_factor() > 20.0
-
-
 def test_whiteness_in_short_records_that_a_fit_has_smoothed() -> None:
     """A polynomial of five coefficients through 30 samples with gaps: the limit alarms in 6 % for 1 %."""
     places = np.flatnonzero(np.arange(36) % 6 != 4)
@@ -114,14 +81,6 @@ def test_whiteness_in_short_records_that_a_fit_has_smoothed() -> None:
     assert np.mean(np.array(limit) < 0.05) > 0.1
     assert np.mean(np.array(tested) < 0.05) == pytest.approx(0.05, abs=0.033)  # three standard errors
     assert np.mean(np.array(tested) < 0.01) < 0.03
-
-
-def test_what_a_fit_of_several_outputs_takes_from_one() -> None:
-    """The covariance of an output's residual is I − C_a C_aᵀ where that of all is I − C Cᵀ, Cᵀ C = I."""
-    columns = np.linalg.qr(np.random.default_rng(1).standard_normal((40, 6)))[0]
-    taken = FitProjection(columns[:12], np.eye(6))
-    found = np.cov(taken.draws(np.random.default_rng(2), 40_000).T, bias=True)
-    np.testing.assert_allclose(found, np.eye(12) - columns[:12] @ columns[:12].T, atol=0.03)
 
 
 def test_normality_of_white_noise_is_jarque_and_bera() -> None:
@@ -159,17 +118,6 @@ def test_unrelated_series_are_related_by_chance_only(draws: int, least: float, m
         any_lag.append(cross.probability < 0.05)
     assert least <= np.mean(single) <= most
     assert np.mean(any_lag) <= most  # Šidák's bound is on the safe side where lags depend on each other
-
-
-def test_a_lag_is_found() -> None:
-    rng = np.random.default_rng(14)
-    u = rng.standard_normal(600)
-    x = rng.standard_normal(600)
-    x[3:] += -0.4 * u[:-3]
-    cross = LaggedSeries(lagged(u, 10), u).correlate(x, np.ones(1))
-    assert cross.strongest == 3
-    assert cross.values[3] == pytest.approx(-0.4 / math.sqrt(1.16), abs=0.1)
-    assert cross.probability < 1e-10
 
 
 def test_the_band_is_bartletts_sum() -> None:
