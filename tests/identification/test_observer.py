@@ -71,6 +71,7 @@ def test_all_poles_are_where_they_are_asked_for() -> None:
         observer_gain(np.diag([-1.0, -2.0]), np.array([1.0, 0.0]), 0.1, 3.0)
 
 
+@pytest.mark.slow
 def test_between_corrections_cvode_goes_on_with_its_history(cart: Path) -> None:
     """A gain of zero moves nothing: what differs from a simulation without corrections are new beginnings."""
     system = fmuid.System(cart, numerics=fmuid.Numerics(interface="model-exchange", integrator="cvode"))
@@ -145,6 +146,7 @@ def study(folder: Path, fmu: Path, *, outputs: str = '["q"]', more: str = "") ->
     return fmuid.Study.of(tomllib.loads(text), folder / "study.toml")
 
 
+@pytest.mark.usefixtures("blank_figures")
 def test_a_study_asks_for_an_observer(cart: Path, tmp_path: Path) -> None:
     record(0.3).to_csv(tmp_path / "table.csv", index=False)
     asked = study(tmp_path, cart)

@@ -56,6 +56,7 @@ def test_linear_student() -> None:
         np.testing.assert_allclose(found, local, rtol=0, atol=allowed)
 
 
+@pytest.mark.slow
 def test_bound_cuts_a_normal() -> None:
     """A bound half a standard deviation above the mean: a truncated normal."""
     phi = np.ones(20)
@@ -176,6 +177,7 @@ def test_coverage_of_the_coil() -> None:
     assert coverage("coil", 3, level=0.1, sampling=sampling).to_numpy().mean() < 0.6
 
 
+@pytest.mark.slow
 def test_samples_as_arviz_takes_them(monkeypatch: pytest.MonkeyPatch) -> None:
     """A chain a walker, in the order of the steps, without the burn-in."""
     posterior = made_up(np.random.default_rng(3).normal(size=(7, 4, 2)), (-1.0, -1.0), (1.0, 1.0), burn=2)

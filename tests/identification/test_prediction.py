@@ -154,3 +154,5 @@ def test_another_model_is_refused(result: Result) -> None:
         predict_by_model(other, changed(result, names=("kp", "L")), record(5))
     with pytest.raises(InputError, match="level of a band"):
         predict_by_model(COIL, result, record(5), level=1.0)
+    with pytest.raises(SimulationError):
+        predict_by_model(COIL, changed(result, values=np.array([R, 0.0])), record(5))
