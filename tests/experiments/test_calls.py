@@ -16,7 +16,7 @@ from scipy import stats
 import fmuid
 from experiments import calls, pages
 from experiments.coil import calls as coil
-from experiments.coil import onsets, squared, study
+from experiments.coil import squared, study
 from experiments.machine_faults import calls as machine
 from experiments.machine_faults import detectable, neighbours
 from experiments.machine_faults.machine import TURNS
@@ -89,20 +89,6 @@ def test_rates_have_their_exact_intervals() -> None:
     assert calls.interval(0, 10)[0] == 0.0
     assert calls.interval(10, 10)[1] == 100.0
     assert [calls.rate(each) for each in ([True, False], [True], [])] == ["50.0 (1.3–98.7)", "100", ""]
-
-
-@pytest.mark.parametrize("module", [coil, machine])
-def test_pages_show_the_counts(module: ModuleType) -> None:
-    page = (module.HERE / "README.md").read_text(encoding="utf-8")
-    found = pd.read_csv(module.HERE / "calls.csv", keep_default_na=False)
-    assert pages.insert(page, module.tables(found)) == page, f"run python -m {module.__name__}"
-
-
-def test_the_coil_s_page_shows_what_is_unlisted_and_the_onsets() -> None:
-    page = (onsets.HERE / "README.md").read_text(encoding="utf-8")
-    found = pd.read_csv(onsets.HERE / "unlisted.csv", keep_default_na=False)
-    tables = coil.unlisted(found) | {"onsets": onsets.table(pd.read_csv(onsets.FILE))}
-    assert pages.insert(page, tables) == page
 
 
 @pytest.mark.slow

@@ -55,15 +55,6 @@ def test_the_prior_sharpens_every_estimate_as_the_barycentre_says(pair: dict[str
     assert (np.abs(both.values - chapter.TRUTH) < 3 * both.std).all()
 
 
-@pytest.mark.slow
-def test_the_search_with_prior_takes_no_more_iterations_and_on_average_fewer(table: pd.DataFrame) -> None:
-    data = chapter.experiment(table)
-    found = [chapter.pair(data, start) for start in chapter.corners(0.5)]
-    counts = np.array([[result.history.iterations for result in pair.values()] for pair in found])
-    assert (counts[:, 1] <= counts[:, 0]).all()
-    assert counts[:, 1].mean() < counts[:, 0].mean() - 0.5
-
-
 @pytest.mark.parametrize("seed", [None, 7])
 def test_one_repetition_finds_the_variance_of_the_noise_drawn(
     clean: pd.DataFrame, table: pd.DataFrame, seed: int | None
@@ -80,12 +71,6 @@ def test_one_repetition_finds_the_variance_of_the_noise_drawn(
     # the repetition had something to do: a wrong prior that weighs too much shows in the first residual
     first = found[(found["searches"] == 1) & (found["first"] == 10.0) & (found["prior"] != "the chapter's")]
     assert first["both"].item() > 1.05 * drawn["both"]
-
-
-def test_a_common_noise_variance_gives_the_same_estimates(table: pd.DataFrame, pair: dict[str, fmuid.Result]) -> None:
-    noise = fmuid.Noise(make_table.NOISE_VARIANCE)
-    common = chapter.estimate(chapter.experiment(table), prior_mean=chapter.PRIOR_MEAN, noise=noise)
-    assert (np.abs(common.values - pair["with prior"].values) < 0.02 * common.std).all()
 
 
 def check_both_are_nearest(errors: np.ndarray) -> None:
@@ -121,26 +106,6 @@ def test_the_page_shows_what_comes_out(
     tables = {
         "estimates": chapter.estimates_table(pair),
         "variance": chapter.variance_table(repetition, chapter.drawn_variance(clean, table)),
-        "iterations": chapter.iterations_table(pd.read_csv(chapter.HERE / "iterations.csv")),
         "draws": chapter.draws_table(committed),
     }
     assert pages.insert(README, tables) == README, "run python -m experiments.induction_machine.chapter"
-
-
-def test_a_page_without_place_for_a_table_is_refused() -> None:
-    with pytest.raises(ValueError, match="the table other"):
-        pages.insert(README, {"other": "| a |"})
-
-
-def test_figures_show_every_search(
-    pair: dict[str, fmuid.Result], repetition: pd.DataFrame, committed: np.ndarray
-) -> None:
-    search = chapter.search_figure(pair)
-    paths = [np.asarray(line.get_xydata()) for line in search.axes[0].lines if line.get_label() in pair]
-    assert [path[-1].tolist() for path in paths] == [[r.history.iterations, r["Rs"]] for r in pair.values()]
-    left, right = chapter.variance_figure(repetition, 0.0462).axes
-    assert left.get_yscale() == "log"
-    for axes in (left, right):
-        assert [np.asarray(line.get_ydata())[0] for line in axes.lines] == list(chapter.FIRST_VARIANCES)
-    for axes in chapter.draws_figure(committed).axes:
-        assert [np.size(line.get_xdata()) for line in axes.lines[:3]] == [chapter.DRAWS] * 3

@@ -7,7 +7,6 @@ import pandas as pd
 import pytest
 
 import fmuid
-from experiments import pages
 from experiments.closed_loop_bias import study
 
 OPEN, WHITE, COLORED, WHOLE = study.KINDS
@@ -113,17 +112,3 @@ def test_the_loop_identified_whole_keeps_its_sampled_control() -> None:
     """A controller that acts more often than once a sample would make L some 2 % too large."""
     record = study.simulate(1e-4 * np.random.default_rng(6).standard_normal(study.SAMPLES))
     assert study.estimate(record, whole=True).values == pytest.approx(study.TRUTH, rel=5e-3)
-
-
-def test_the_page_shows_them(committed: pd.DataFrame) -> None:
-    page = (study.HERE / "README.md").read_text(encoding="utf-8")
-    assert study.table(committed) in page, "run python -m experiments.closed_loop_bias.study"
-    assert pages.insert(page, {"bias": study.table(committed)}) == page
-
-
-def test_the_figure_shows_every_case(committed: pd.DataFrame) -> None:
-    panels = study.figure(committed).axes
-    assert [len(axes.containers) for axes in panels] == [len(study.KINDS)] * 4
-    colored = committed[(committed["kind"] == COLORED) & (committed["parameter"] == "L")]
-    predicted = [line for line in panels[1].lines if line.get_label() == f"{COLORED}: predicted"]
-    assert predicted[0].get_ydata() == pytest.approx(100 * colored["predicted"].to_numpy())

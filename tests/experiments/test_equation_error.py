@@ -6,21 +6,14 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from experiments import pages
 from experiments.coil import study as coil
 from experiments.equation_error import study
 from fmuid.estimation.equation_error import StateVariableFilter, Term
-
-README = (study.HERE / "README.md").read_text(encoding="utf-8")
 
 
 @pytest.fixture(scope="module")
 def committed() -> pd.DataFrame:
     return pd.read_csv(study.HERE / "bias.csv")
-
-
-def test_the_page_shows_the_committed_draws(committed: pd.DataFrame) -> None:
-    assert pages.insert(README, {"bias": study.table(committed)}) == README
 
 
 def test_the_filter_of_the_theory_is_that_of_the_package() -> None:

@@ -4,11 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
-import fmpy.fmi2
 import pytest
 
+from tests.support.paths import FMUS
 from tests.support.shipped_instances import Instance, Opener
 
 
@@ -21,10 +20,10 @@ def unpacked(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def opened(unpacked: Path) -> Iterator[Opener]:
     instances: list[Instance] = []
 
-    def open_instance(model: str, kind: type[Any] = fmpy.fmi2.FMU2Slave) -> Instance:
-        instances.append(Instance(model, unpacked / model, kind))
+    def open_instance(model: str, model_exchange: bool = False) -> Instance:
+        instances.append(Instance(FMUS / model / f"{model}.fmu", model_exchange, unpacked / model))
         return instances[-1]
 
     yield open_instance
     for instance in instances:
-        instance.fmu.fmi2FreeInstance(instance.fmu.component)
+        instance.free()

@@ -45,31 +45,47 @@ def run(model: Any, frame: pd.DataFrame, inputs: list[str], outputs: list[str], 
     return fmuid.Simulator(model, fmuid.Experiment(wanted, inputs, outputs), values=values)([])
 
 
-def test_zero_fault_is_the_healthy_coil(frame: pd.DataFrame) -> None:
-    values = {"R": 3.3, "L": 0.08, "i_start": 0.4}
-    healthy = run(path("Coil"), frame, ["u"], ["i"], values)
-    assert np.ptp(healthy) > 0.1
-    np.testing.assert_array_equal(run(path("FaultyCoil"), frame, ["u"], ["i"], values), healthy)
-    faulty = run(path("FaultyCoil"), frame, ["u"], ["i"], values | {"dR": 0.01})
-    assert np.abs(faulty - healthy).max() > 1e-4
+COIL = {"R": 3.3, "L": 0.08, "i_start": 0.4}
+STATES = ["ids", "iqs", "phidr", "phiqr"]
+TURNED, CAGE = MACHINE | {"theta0": 1.1}, MACHINE | {"theta0": 1.1, "ring": 0.05}
 
 
-@pytest.mark.parametrize("theta0", [0.0, 1.1])
-def test_zero_fault_is_the_healthy_rotor(frame: pd.DataFrame, theta0: float) -> None:
-    outputs = ["ids", "iqs", "phidr", "phiqr"]
-    healthy = run(path("InductionMachine"), frame, INPUTS, outputs, MACHINE)
-    found = run(path("InductionMachineRotorFault"), frame, INPUTS, outputs, MACHINE | {"theta0": theta0})
-    np.testing.assert_allclose(found, healthy, rtol=0, atol=1e-11 * np.abs(healthy).max())
-    values = MACHINE | {"theta0": theta0, "eta0": 0.1}
-    assert np.abs(run(path("InductionMachineRotorFault"), frame, INPUTS, outputs, values) - healthy).max() > 1e-2
+@pytest.mark.parametrize(
+    ("healthy", "faulty", "outputs", "values", "fault", "tolerance"),
+    [
+        ("Coil", "FaultyCoil", ["i"], COIL, {"dR": 0.01}, 0.0),
+        ("Coil", "CoilTurns", ["i"], COIL, {"lost": 0.01}, 0.0),
+        ("InductionMachine", "InductionMachineRotorFault", STATES, MACHINE, {"eta0": 0.1}, 1e-11),
+        ("InductionMachine", "InductionMachineRotorFault", STATES, TURNED, {"eta0": 0.1}, 1e-11),
+        ("InductionMachine", "InductionMachineBrokenBars", STATES, CAGE, {"crack0": 0.5}, 1e-11),
+    ],
+)
+def test_zero_fault_is_the_healthy_machine(
+    frame: pd.DataFrame,
+    healthy: str,
+    faulty: str,
+    outputs: list[str],
+    values: dict[str, float],
+    fault: dict[str, float],
+    tolerance: float,
+) -> None:
+    inputs = ["u"] if healthy == "Coil" else INPUTS
+    known = {name: value for name, value in values.items() if name not in ("theta0", "ring")}
+    sound = run(path(healthy), frame, inputs, outputs, known)
+    assert np.ptp(sound) > 0.1
+    found = run(path(faulty), frame, inputs, outputs, values)
+    np.testing.assert_allclose(found, sound, rtol=0, atol=tolerance * np.abs(sound).max())
+    assert np.abs(run(path(faulty), frame, inputs, outputs, values | fault) - sound).max() > 1e-4
 
 
-def test_zero_fault_is_the_healthy_stator(frame: pd.DataFrame) -> None:
+def test_zero_short_circuit_is_the_healthy_stator(frame: pd.DataFrame) -> None:
     """Beside a machine (figure 1.7), by the connectors of the system: the machine's currents, to the bit."""
     outputs = ["machine.ids + fault.ids", "machine.iqs + fault.iqs"]
     healthy = run(path("InductionMachine"), frame, INPUTS, ["ids", "iqs"], MACHINE)
     found = run(models.stator(), frame, [*INPUTS, "theta"], outputs, MACHINE)
     np.testing.assert_array_equal(found, healthy)
+    stator = ["uds", "uqs", "theta"], ["ids", "iqs"]
+    np.testing.assert_array_equal(run(path("StatorShortCircuitContact"), frame, *stator, {"Rs": 8.5}), 0.0)
 
 
 def test_the_sum_is_that_of_both(frame: pd.DataFrame) -> None:
@@ -121,25 +137,13 @@ def test_broken_bars_of_a_cage() -> None:
     np.testing.assert_allclose(np.diff(fluxes, axis=0)[0] / 1e-6, resistance @ currents, rtol=1e-3)
 
 
-def test_zero_fault_is_the_healthy_machine_of_the_exact_models(frame: pd.DataFrame) -> None:
-    coil = {"R": 3.3, "L": 0.08, "i_start": 0.4}
-    healthy = run(path("Coil"), frame, ["u"], ["i"], coil)
-    np.testing.assert_array_equal(run(path("CoilTurns"), frame, ["u"], ["i"], coil), healthy)
-    outputs = ["ids", "iqs", "phidr", "phiqr"]
-    sound = run(path("InductionMachine"), frame, INPUTS, outputs, MACHINE)
-    cage = run(path("InductionMachineBrokenBars"), frame, INPUTS, outputs, MACHINE | {"theta0": 1.1, "ring": 0.05})
-    np.testing.assert_allclose(cage, sound, rtol=0, atol=1e-11 * np.abs(sound).max())
-    stator = ["uds", "uqs", "theta"], ["ids", "iqs"]
-    np.testing.assert_array_equal(run(path("StatorShortCircuitContact"), frame, *stator, {"Rs": 8.5}), 0.0)
-
-
 def test_a_small_loss_of_turns_is_that_of_the_linear_coil(frame: pd.DataFrame) -> None:
     """With ΔR = −ηR the linear one lacks η²L; the difference goes with the square."""
-    coil, off = {"R": 3.3, "L": 0.08, "i_start": 0.4}, []
+    off = []
     for lost in (0.01, 0.02):
-        exact = run(path("CoilTurns"), frame, ["u"], ["i"], coil | {"lost": lost})
+        exact = run(path("CoilTurns"), frame, ["u"], ["i"], COIL | {"lost": lost})
         linear = {"dR": -lost * 3.3, "tau": 0.08 / 3.3}
-        off.append(np.abs(run(path("FaultyCoil"), frame, ["u"], ["i"], coil | linear) - exact).max())
+        off.append(np.abs(run(path("FaultyCoil"), frame, ["u"], ["i"], COIL | linear) - exact).max())
     assert 1e-6 < off[0] < off[1] / 3.5 < off[0] * 1.2
 
 
@@ -154,10 +158,9 @@ def test_the_short_circuits_agree_where_contact_and_star_point_matter_little(fra
 
 def test_a_broken_bar_between_rings_of_no_resistance(frame: pd.DataFrame) -> None:
     """α = 2/(n − 1), the existing model's with as many bars less one."""
-    outputs = ["ids", "iqs", "phidr", "phiqr"]
     cage = run(
-        path("InductionMachineBrokenBars"), frame, INPUTS, outputs,
+        path("InductionMachineBrokenBars"), frame, INPUTS, STATES,
         MACHINE | {"crack0": 1.0, "theta0": 0.7, "ring": 1e-6, "bars": 28.0},
     )  # fmt: skip
-    rotor = run(path("InductionMachineRotorFault"), frame, INPUTS, outputs, MACHINE | {"eta0": 3 / 27, "theta0": 0.7})
+    rotor = run(path("InductionMachineRotorFault"), frame, INPUTS, STATES, MACHINE | {"eta0": 3 / 27, "theta0": 0.7})
     np.testing.assert_allclose(cage, rotor, rtol=0, atol=1e-4 * np.abs(rotor).max())

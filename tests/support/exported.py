@@ -43,8 +43,8 @@ def here_only() -> Iterator[None]:
 class Running:
     """One instance of an exported FMU of either version and interface, its variables by name."""
 
-    def __init__(self, fmu: Path, model_exchange: bool = False) -> None:
-        folder = fmu.with_name(fmu.stem + " unpacked")
+    def __init__(self, fmu: Path, model_exchange: bool = False, folder: Path | None = None) -> None:
+        folder = folder or fmu.with_name(fmu.stem + " unpacked")
         if not folder.exists():
             fmpy.extract(str(fmu), unzipdir=str(folder))
         self.description: Any = fmpy.read_model_description(str(folder))
@@ -69,10 +69,12 @@ class Running:
             self.fmu.instantiate(logMessage=self.callback)
             return
         self.callbacks = fmpy.fmi2.fmi2CallbackFunctions()
-        self.callbacks.logger = fmpy.fmi2.fmi2CallbackLoggerTYPE(
-            lambda _, __, ___, ____, text: self.messages.append(text.decode())
-        )
+        self.callbacks.logger = fmpy.fmi2.fmi2CallbackLoggerTYPE(self.log)
         self.fmu.instantiate(callbacks=self.callbacks)
+
+    def log(self, _: Any, name: bytes, status: int, category: bytes, text: bytes) -> None:
+        assert (name, status, category) == (b"one", fmpy.fmi2.fmi2Error, b"logStatusError")
+        self.messages.append(text.decode())
 
     def initialize(self, values: Mapping[str, float] | None = None, start: float = 0.0) -> None:
         if not self.fmi3:
