@@ -47,15 +47,7 @@ class Linearised(Protocol):
 
 
 class Shared:
-    """A machine that is linearized once for all records of one excitation.
-
-    Parameters
-    ----------
-    machine : Linearised
-    coordinates : ChangeParameterSet
-    noise : float
-        Standard deviation of the outputs' noise.
-    """
+    """A machine that is linearized once for all records of one excitation."""
 
     def __init__(self, machine: Linearised, coordinates: ChangeParameterSet, noise: float) -> None:
         self.experiment, self._machine, self._noise = machine.experiment, machine, noise
@@ -128,14 +120,7 @@ def noisy(
 
 
 class Campaign:
-    """Records of some cases, examined one after the other; a file keeps what is done.
-
-    Parameters
-    ----------
-    setting : Setting
-    file : path
-        CSV, one row a record; those that it has already are not examined again.
-    """
+    """Records of some cases, examined one after the other; a file keeps what is done."""
 
     def __init__(self, setting: Setting, file: Path) -> None:
         self.setting, self.file = setting, file

@@ -45,17 +45,7 @@ COIL_SAMPLES, COIL_STEP, COIL_BIT, COIL_RATIO = 1200, 1e-3, 15, 10.0
 
 @dataclass(frozen=True, eq=False)
 class Case:
-    """An experiment that can be drawn again and again.
-
-    Attributes
-    ----------
-    name : str
-    model : System
-    truth : mapping of str to float
-    parameters : mapping of str to Parameter
-    draw : callable
-        Random numbers to an experiment with fresh noise.
-    """
+    """An experiment that can be drawn again and again."""
 
     name: str
     model: fmuid.System
@@ -113,13 +103,7 @@ CASES: dict[str, Callable[[], Case]] = {"coil": coil, "induction_machine": induc
 
 
 def covered(case: str, level: float, sampling: SamplerSettings, seed: int) -> NDArray[np.bool_]:
-    """Draw once and return which intervals hold the truth, (methods, parameters).
-
-    Raises
-    ------
-    RuntimeError
-        If an identification or the sampling does not converge: it must not pass for a miss.
-    """
+    """Draw once and return which intervals hold the truth, (methods, parameters)."""
     drawn = CASES[case]()
     problem = drawn.problem(seed)
     result = fmuid.identify(problem)
@@ -138,19 +122,7 @@ def covered(case: str, level: float, sampling: SamplerSettings, seed: int) -> ND
 def coverage(
     case: str, draws: int, *, level: float = LEVEL, sampling: SamplerSettings = SAMPLING, processes: int = 1
 ) -> pd.DataFrame:
-    """Return the share of draws whose intervals hold the truth, a row a parameter, a column a method.
-
-    Parameters
-    ----------
-    case : str
-        Of `CASES`.
-    draws : int
-    level : float
-        Of the intervals.
-    sampling : SamplerSettings
-        Settings of the posterior's sampler; it is seeded anew for every draw.
-    processes : int
-    """
+    """Return the share of draws whose intervals hold the truth, a row a parameter, a column a method."""
     job = partial(covered, case, level, sampling)
     if processes == 1:
         found = [job(seed) for seed in range(draws)]

@@ -23,13 +23,7 @@ def table(heads: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
 
 
 def insert(page: str, tables: Mapping[str, str]) -> str:
-    """Return a page with each table put between its comments, ``<!-- name -->`` and ``<!-- end of name -->``.
-
-    Raises
-    ------
-    ValueError
-        If the page has not one such place for a table.
-    """
+    """Return a page with each table put between its comments, ``<!-- name -->`` and ``<!-- end of name -->``."""
     for name, text in tables.items():
         begin, end = f"<!-- {name} -->\n", f"\n<!-- end of {name} -->"
         if page.count(begin) != 1 or page.count(end) != 1:

@@ -44,17 +44,7 @@ RATIOS = (300.0, 100.0, 30.0, 10.0, 3.0, 1.0)  # power of the current without no
 
 
 class Kind(NamedTuple):
-    """A kind of experiment.
-
-    Attributes
-    ----------
-    closed : bool
-        Whether the noise goes through the controller.
-    correlation : float
-        Of the noise from sample to sample.
-    whole : bool
-        Whether the loop is identified, from its reference, instead of the coil alone, from its voltage.
-    """
+    """Whether noise passes the controller, its correlation, and whether the loop is identified from its reference."""
 
     closed: bool
     correlation: float
@@ -109,11 +99,6 @@ def simulate(noise: Floats) -> pd.DataFrame:
     """Return what the loop does.
 
     Columns: ``time`` (s); voltage ``u`` (V); ``reference``, true current ``i`` and ``measured`` one (A).
-
-    Parameters
-    ----------
-    noise : (SAMPLES,) array
-        What the sensor adds to the current, A; the controller sees it.
     """
     times = STEP * np.arange(SAMPLES)
     inputs = {"controller.reference": "reference", "sensor.noise": "noise"}
@@ -127,20 +112,7 @@ def simulate(noise: Floats) -> pd.DataFrame:
 
 
 def estimate(record: pd.DataFrame, whole: bool) -> fmuid.Result:
-    """Identify R and L from voltage (held between samples) and measured current.
-
-    Parameters
-    ----------
-    record : DataFrame
-        As `simulate` returns.
-    whole : bool
-        Whether the model is the loop, with its known controller, and the input its reference.
-
-    Raises
-    ------
-    RuntimeError
-        If the search does not converge.
-    """
+    """Identify R and L from voltage (held between samples) and measured current."""
     inputs, outputs = {"u": "u"}, {"i": "measured"}
     if whole:
         inputs, outputs = {"controller.reference": "reference"}, {"sensor.measured": "measured"}
@@ -232,16 +204,7 @@ def predicted(kind: Kind, ratio: float) -> Floats:
 
 
 def cell(kind: str, ratio: float, count: int = DRAWS) -> pd.DataFrame:
-    """Return what one kind of noise does at one signal-to-noise ratio, a row a parameter.
-
-    Each kind and ratio has random numbers of its own.
-
-    Returns
-    -------
-    DataFrame
-        ``kind``, ``ratio``, ``parameter``; ``bias``, mean of the draws less truth; ``error``, its standard error;
-        ``std`` of the draws; ``predicted`` bias. All four as shares of the true value.
-    """
+    """Return bias, its error, std and prediction as shares of the truth, a row a parameter."""
     rng = np.random.default_rng([SEED, list(KINDS).index(kind), RATIOS.index(ratio)])
     found = draws(KINDS[kind], ratio, rng, count) / TRUTH - 1.0
     std = found.std(axis=0, ddof=1)

@@ -101,13 +101,7 @@ def experiment(table: pd.DataFrame) -> fmuid.Experiment:
 
 
 def identify(table: pd.DataFrame) -> fmuid.Result:
-    """Identify R and L of a healthy coil.
-
-    Raises
-    ------
-    RuntimeError
-        If the search does not converge.
-    """
+    """Identify R and L of a healthy coil."""
     parameters = {"R": fmuid.Parameter(3.0, min=0.0), "L": fmuid.Parameter(0.2, min=1e-4)}
     result = fmuid.identify(fmuid.Problem(models()[0], experiment(table), parameters))
     if not result.converged:
@@ -132,13 +126,7 @@ def diagnose(
 
 
 def draws(resistance: float, fault: float, count: int, key: int) -> pd.DataFrame:
-    """Return diagnoses of fresh records, each with a fresh healthy record.
-
-    Returns
-    -------
-    DataFrame
-        Columns R, L, dR (estimates), std (of dR, as stated), D, called, alarm (called, or something else found).
-    """
+    """Return diagnoses of fresh records, each with a fresh healthy record."""
     rng = np.random.default_rng([SEED, key])
     rows = []
     for _ in range(count):
@@ -163,19 +151,7 @@ def sensitivities(resistance: float, inductance: float) -> Floats:
 
 
 class Theory(NamedTuple):
-    """What to expect of the estimate of ΔR, to first order.
-
-    Attributes
-    ----------
-    bias : float
-        Of the mean, Ω: the prior of R pulls.
-    spread : float
-        Standard deviation over records and healthy records, Ω.
-    stated : float
-        Standard deviation that the posterior states, Ω.
-    rate : float
-        Share of records in which the fault is called.
-    """
+    """Bias, spread over records and healthy records, stated σ of ΔR (Ω), and rate of calls, to first order."""
 
     bias: float
     spread: float

@@ -50,13 +50,7 @@ class _Forgiving:
 
 
 class Plain:
-    """One instance of an FMU under FMPy, FMI 2.0 or 3.0, with the differences of the two hidden.
-
-    Parameters
-    ----------
-    fmu : FMU
-    kind : {"co-simulation", "model-exchange"}
-    """
+    """One instance of an FMU under FMPy, FMI 2.0 or 3.0, with the differences of the two hidden."""
 
     def __init__(self, fmu: fmuid.FMU, kind: str) -> None:
         from fmpy import fmi2, fmi3

@@ -77,22 +77,7 @@ def estimate(
     prior_mean: Floats | None = None,
     noise: fmuid.Noise | None = None,
 ) -> fmuid.Result:
-    """Identify the four parameters by the procedure of docs/method/noise-variances.md.
-
-    Parameters
-    ----------
-    data : Experiment
-    start : (4,) array
-    prior_mean : (4,) array, optional
-        θ₀, with the chapter's M₀; default no prior.
-    noise : Noise, optional
-        Default: estimated, starting at the chapter's 0.0462 A².
-
-    Raises
-    ------
-    RuntimeError
-        If the search does not converge.
-    """
+    """Identify the four parameters by the procedure of docs/method/noise-variances.md."""
     means = [None] * len(NAMES) if prior_mean is None else prior_mean.tolist()
     parameters = {
         name: fmuid.Parameter(value, min=0.0, prior=None if mean is None else fmuid.Normal(mean, std))
@@ -138,14 +123,7 @@ def drawn_variance(clean: pd.DataFrame, table: pd.DataFrame) -> dict[str, float]
 
 
 def repetition(data: fmuid.Experiment) -> pd.DataFrame:
-    """Return the noise variance against repetition, from each of `FIRST_VARIANCES`, with a right and a wrong prior.
-
-    Returns
-    -------
-    DataFrame
-        Columns ``prior``, ``first``, ``searches`` (how many were made: 0 is the first value itself), each output's
-        variance and that of both together, A².
-    """
+    """Return the noise variance against repetition, from each of `FIRST_VARIANCES`, with a right and a wrong prior."""
     rows = []
     for (prior, mean), first in product(
         {"the chapter's": PRIOR_MEAN, "wrong by 10 std": WRONG_MEAN}.items(), FIRST_VARIANCES
@@ -162,13 +140,7 @@ def repetition(data: fmuid.Experiment) -> pd.DataFrame:
 
 
 def draws(clean: pd.DataFrame, count: int, seed: int) -> Floats:
-    """Draw noise and prior means, N(truth, M₀), and estimate with each.
-
-    Returns
-    -------
-    (count, 3, 4) array
-        Errors in prior standard deviations of the prior alone, the data alone, and both.
-    """
+    """Return errors in prior standard deviations (count, 3, 4) of `KINDS`, over draws of noise and prior mean."""
     rng = np.random.default_rng(seed)
     estimates = np.empty((count, len(KINDS), len(NAMES)))
     for drawn in estimates:

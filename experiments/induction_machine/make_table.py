@@ -111,22 +111,7 @@ def speed_reference(samples: int) -> Array:
 
 
 def record(times: Array, reference: Array, columns: Mapping[str, str]) -> pd.DataFrame:
-    """Return what the drive does under a speed reference that is held from sample to sample.
-
-    Parameters
-    ----------
-    times : (K,) array
-        s.
-    reference : (K,) array
-        Mechanical speed, rad/s.
-    columns : mapping of str to str
-        Column to the variable of the drive that it is to hold.
-
-    Returns
-    -------
-    DataFrame
-        ``time`` and the columns, in the units of the FMUs.
-    """
+    """Return what the drive does under a speed reference that is held from sample to sample."""
     frame = pd.DataFrame({"time": times, "reference": reference, **dict.fromkeys(columns, 0.0)})
     outputs = {variable: column for column, variable in columns.items()}
     experiment = fmuid.Experiment(frame, {"speed.reference": "reference"}, outputs, interpolation="zoh")

@@ -147,16 +147,7 @@ def clean(off: Off) -> fmuid.Experiment:
 
 
 class Phases:
-    """The machine and its fault models over a record in phases.
-
-    Parameters
-    ----------
-    inner : LinearizedMachine
-        In the rotor's axes, with the healthy parameters and the faults as coordinates.
-    coordinates : ChangeParameterSet
-        These first, then sensors and supply.
-    experiment : Experiment
-    """
+    """The machine and its fault models over a record in phases."""
 
     def __init__(self, inner: LinearizedMachine, coordinates: ChangeParameterSet, experiment: fmuid.Experiment) -> None:
         self._inner, self._coordinates, self.experiment = inner, coordinates, experiment

@@ -190,22 +190,8 @@ def run(
 ) -> Floats:
     """Run the drive from 750 rpm without current or flux, controlled from the first sample on.
 
-    Parameters
-    ----------
-    condition : Condition
-    references : (K,) array
-        Mechanical speed wanted, rad/s, held from sample to sample.
-    sample_time : float
-        s.
-    substeps : int
-        Runge-Kutta steps of a sample.
-    later : (int, Condition), optional
-        From which sample on turns of the same phase are shorted.
-
-    Returns
-    -------
-    (K, 6) array
-        ``uds``, ``uqs`` (V), electrical speed ``w`` (rad/s), ``theta`` (rad), ``ids``, ``iqs`` (A).
+    References are mechanical speeds, rad/s; from the sample `later` on, turns of the same phase are shorted. Columns of
+    the result (K, 6): ``uds``, ``uqs`` (V), electrical ``w`` (rad/s), ``theta`` (rad), ``ids``, ``iqs`` (A).
     """
     references, found = np.ascontiguousarray(references, dtype=np.float64), np.empty((references.size, 6))
     x = np.zeros(STATES)

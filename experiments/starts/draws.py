@@ -18,22 +18,7 @@ Floats = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Record:
-    """One draw.
-
-    Attributes
-    ----------
-    times : (K,) array
-        s.
-    inputs : (K, n_u) array
-        Held from each sample to the next.
-    measured : (K, n_y) array
-        NaN where a sample is missing.
-    clean : (K, n_y) array
-        Without noise.
-    truth, start : (N,) arrays
-    noise : (n_y,) array
-        Its standard deviations.
-    """
+    """One draw: held inputs, measured outputs (NaN where missing), those without noise, and the noise's σ."""
 
     times: Floats
     inputs: Floats
@@ -175,15 +160,7 @@ def simulated(machine: Machine, truth: Floats, first: Floats, times: Floats, inp
 
 
 def draw(kind: str, seed: int, least: float = 0.0, most: float = 0.0) -> Record:
-    """Return a record, and a start: 50 to 300 % away, or so many times, in either direction.
-
-    Parameters
-    ----------
-    kind : "dc", "pmsm" or "im"
-    seed : int
-    least, most : float
-        Factors between which the start lies away; 0: a factor of 1.5 to 4, or of 0.25 to 0.67.
-    """
+    """Return a record and a start that is off by factors from `least` to `most`; 0: by 50 to 300 %."""
     machine = MACHINES[kind]
     rng = np.random.default_rng([seed, list(MACHINES).index(kind)])
     truth = rng.uniform(machine.lowest, machine.highest)

@@ -8,18 +8,7 @@ import threading
 
 
 class Wire:
-    """Passes on what comes to an address of this machine, once it is mended.
-
-    Parameters
-    ----------
-    address : (str, int)
-        Where it listens.
-
-    Attributes
-    ----------
-    server : (str, int)
-        To whom it leads.
-    """
+    """Passes on what comes to an address of this machine, once it is mended."""
 
     def __init__(self, address: tuple[str, int]) -> None:
         self._address, self.server = address, address

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from contextlib import closing, suppress
 from pathlib import Path
 from typing import Any, TypeVar
 
-from fmuid.events import Progress
 from fmuid.reports import Document, published
 from fmuid.reports.topics.monitoring import alarm_sentence
 from fmuid.runs import (
@@ -30,49 +29,21 @@ Given = Study | str | Path
 Found = TypeVar("Found", IdentificationRun, DiagnosisRun, MonitoringRun)
 
 
-def run_study(
-    study: Given,
-    folder: str | Path | None = None,
-    *,
-    figures: str | None = None,
-    report: bool = False,
-    resume: bool = False,
-    progress: Progress | None = None,
-) -> IdentificationRun:
+def run_study(study: Given, folder: str | Path | None = None, **words: Any) -> IdentificationRun:
     """Identify; return the last findings."""
-    place, found = _place(folder), None
-    for each in identified(_read(study), place, resume=resume, progress=progress):
-        found = _reported(each, place, report=report, figures=figures)
-    assert found is not None
-    return found
+    return _last(identified, _read(study), folder=folder, **words)
 
 
-def run_diagnosis(
-    study: Given,
-    folder: str | Path | None = None,
-    *,
-    figures: str | None = None,
-    report: bool = False,
-    progress: Progress | None = None,
-) -> DiagnosisRun:
+def run_diagnosis(study: Given, folder: str | Path | None = None, **words: Any) -> DiagnosisRun:
     """Diagnose; return the findings."""
-    place = _place(folder)
-    (found,) = diagnosed(_read(study), place, progress=progress)
-    return _reported(found, place, report=report, figures=figures)
+    return _last(diagnosed, _read(study), folder=folder, **words)
 
 
 def run_monitoring(
-    study: Given,
-    tables: Sequence[str | Path],
-    folder: str | Path | None = None,
-    *,
-    figures: str | None = None,
-    append: bool = False,
+    study: Given, tables: Sequence[str | Path], folder: str | Path | None = None, **words: Any
 ) -> MonitoringRun:
     """Monitor; return the findings."""
-    place = _place(folder)
-    (found,) = monitored(_read(study), tables, place, append=append)
-    return _reported(found, place, report=False, figures=figures)
+    return _last(monitored, _read(study), tables, folder=folder, **words)
 
 
 def run_following(
@@ -101,13 +72,22 @@ def run_prediction(result: str | Path, tables: Sequence[str | Path] = (), **word
     return predicted_by(result, tables, **words)
 
 
-def _place(folder: str | Path | None) -> Path | None:
-    return None if folder is None else Path(folder)
-
-
 def _read(study: Given) -> Study:
     return study if isinstance(study, Study) else Study.read(study)
 
 
-def _reported(found: Found, place: Path | None, *, report: bool, figures: str | None) -> Found:
-    return found if place is None else published(found, Document.of(found), place, report=report, figures=figures)
+def _last(
+    command: Callable[..., Iterable[Found]],
+    *given: Any,
+    folder: str | Path | None,
+    report: bool = False,
+    figures: str | None = None,
+    **words: Any,
+) -> Found:
+    """Run a command, publish all findings into a folder, and return the last."""
+    place, last = None if folder is None else Path(folder), None
+    for found in command(*given, place, **words):
+        shown = place and published(found, Document.of(found), place, report=report, figures=figures)
+        last = shown or found
+    assert last is not None
+    return last

@@ -25,24 +25,10 @@ def stepping_fmu(
     memory: float = 0.0,
     seed: str = "0",
 ) -> Path:
-    """Return an FMU of a model.
+    """Return an FMU of a model: explicit Euler (order 1) or Runge–Kutta (4) inside, in `internal` steps, s, of its own.
 
-    Parameters
-    ----------
-    folder : Path
-    model : LAG or MOTOR
-    order : 1 or 4
-        Of co-simulation: explicit Euler, or Runge–Kutta.
-    internal : float
-        Length of its own steps, s; 0: one step a communication step.
-    exchange : bool
-        Whether it offers model exchange, too.
-    told : bool
-        Whether its description names the states.
-    memory : float
-        What is added to the input after each simulation in the process.
-    seed : str
-        How often it is added in the first, in C.
+    `exchange`: it offers Model Exchange; `told`: its description names the states. `memory` is added to the input after
+    each simulation in the process, `seed` times in the first.
     """
     name, states, parameters = model
     path = folder / f"{name}{order}-{internal:g}-{exchange}-{told}-{memory:g}-{len(seed)}.fmu"

@@ -17,15 +17,7 @@ PATIENCE = 60.0
 
 
 class Tab:
-    """A page that is open.
-
-    Parameters
-    ----------
-    address : str
-        Of the first page, with its token.
-    page : str
-        Of the page, after the host.
-    """
+    """A page that is open."""
 
     def __init__(self, address: str, page: str) -> None:
         self._host, self._page = urlsplit(address).netloc, page

@@ -90,22 +90,9 @@ def misbehaving_fmu(
 ) -> Path:
     """Write the FMU into a folder where it is not there yet; return its path.
 
-    Parameters
-    ----------
-    folder : Path
-    token : str
-        With ``at-instantiation-<mode>`` it misbehaves when instantiated; with ``shared`` its state is one for all
-        instances; with ``alone`` it survives neither threads nor both interfaces nor that some instances are freed.
-    version : int
-        Of FMI, 2 or 3.
-    at_loading : Mode, optional
-        What it does when its library is loaded.
-    tool : str
-        Its generationTool.
-    extra : int
-        How many more parameters it declares (FMI 2.0), which do nothing.
-    attributes : str
-        Further ones of <CoSimulation>.
+    Token ``at-instantiation-<mode>``: it misbehaves when instantiated; ``shared``: one state for all instances;
+    ``alone``: it survives neither threads nor both interfaces nor that some instances are freed. `extra` parameters do
+    nothing, `attributes` are those of <CoSimulation>.
     """
     words = [token, tool, *(f"{name}={value}" for name, value in attributes.items())]
     words += ([] if at_loading is None else [at_loading.name]) + ([str(extra)] if extra else [])
