@@ -4,14 +4,15 @@ from __future__ import annotations
 
 import shutil
 from pathlib import Path
+from typing import Any
 
 import numpy as np
-import pandas as pd
 import pytest
 
-from fmuid import Experiment, Numerics, SimulationError, Simulator, System
+from fmuid import Numerics, SimulationError, Simulator, System
 from fmuid.array_types import Floats
 from tests.support.bad_input import rezip
+from tests.support.experiments import record
 from tests.support.exported import export_text
 from tests.support.probe_fmu import ProbeMaker
 
@@ -45,13 +46,16 @@ def curved(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return export_text(tmp_path_factory.mktemp("loops"), CURVED)
 
 
+def loop_of(path: Path, **given: Any) -> System:
+    return System(components={"a": path, "b": path}, connections=[("a.y", "b.u"), ("b.y", "a.u")], **given)
+
+
 def linear(path: Path, there: float, back: float, thetas: Floats) -> Floats:
     """Return y of a and b, each x + u, in a loop with these factors, at the first sample for each x of a (m,)."""
     system = System(
         components={"a": path, "b": path}, connections=[("a.y", "b.u", there, 0.0), ("b.y", "a.u", back, 0.0)]
     )
-    frame = pd.DataFrame({"time": [0.0, 1e-3], "y": [0.0, 0.0]})
-    simulator = Simulator(system, Experiment(frame, outputs={"a.y": "y", "b.y": "y"}), ["a.x"])
+    simulator = Simulator(system, record([0.0, 1e-3], {}, ["a.y", "b.y"]), ["a.x"])
     return np.array([simulator(theta)[0] for theta in thetas[:, np.newaxis]])
 
 
@@ -73,21 +77,18 @@ def test_linear_loops_in_signals_of_every_size(probe: ProbeMaker, there: float, 
 def test_curved_loops_in_signals_of_every_size(curved: Path, size: float, kind: str) -> None:
     """y = k g² y² + d, k = 1 / size, g = 1/2: y = 2 d / (1 + sqrt(1 - d / size)), over twelve decades and zero."""
     d = size * np.array([0.5, 0.9, -3.0, 0.0, 1e-6, 0.999, 1e-12, -1e-12, 0.3, 0.3, 0.0, -0.7])
-    frame = pd.DataFrame({"time": 1e-3 * np.arange(d.size), "d": d, "y": 0.0})
-    system = System(
-        components={"a": curved, "b": curved}, numerics=Numerics(kind), connections=[("a.y", "b.u"), ("b.y", "a.u")]
-    )
-    experiment = Experiment(frame, {"a.d": "d"}, {"a.y": "y"}, interpolation="zoh")
-    y = Simulator(system, experiment, ["a.k", "b.g"])([1.0 / size, 0.5])[:, 0]
+    system = loop_of(curved, numerics=Numerics(kind))
+    y = Simulator(system, record(1e-3 * np.arange(d.size), {"a.d": d}, ["a.y"]), ["a.k", "b.g"])([1.0 / size, 0.5])[
+        :, 0
+    ]
     expected = 2.0 * d / (1.0 + np.sqrt(1.0 - d / size))
     np.testing.assert_allclose(y, expected, rtol=EXACT, atol=1e-23 * size)  # which is zero
 
 
 def test_a_simulation_does_not_depend_on_the_one_before(curved: Path) -> None:
     """What a loop keeps from step to step is forgotten: the bits are the same whatever was simulated before."""
-    frame = pd.DataFrame({"time": 1e-3 * np.arange(20), "d": np.sin(np.arange(20.0)), "y": 0.0})
-    system = System(components={"a": curved, "b": curved}, connections=[("a.y", "b.u"), ("b.y", "a.u")])
-    simulator = Simulator(system, Experiment(frame, {"a.d": "d"}, {"a.y": "y"}, interpolation="zoh"), ["a.k", "b.g"])
+    experiment = record(1e-3 * np.arange(20), {"a.d": np.sin(np.arange(20.0))}, ["a.y"])
+    simulator = Simulator(loop_of(curved), experiment, ["a.k", "b.g"])
     first = simulator([0.5, 0.3])
     simulator([-0.3, 0.8])
     np.testing.assert_array_equal(simulator([0.5, 0.3]), first)
@@ -97,10 +98,8 @@ def test_rounding_of_what_a_loop_does_not_see_is_no_failure(rough: Path) -> None
     """y = (230 + u + d) - 230 with u = g y: no step is so small that rounding hides it, and none is asked for."""
     n = 300
     d = np.concatenate([1e-17 * np.random.default_rng(1).standard_normal(n), np.exp(-0.2 * np.arange(n)), np.zeros(n)])
-    frame = pd.DataFrame({"time": 1e-3 * np.arange(d.size), "d": d, "y": 0.0})
-    system = System(components={"a": rough, "b": rough}, connections=[("a.y", "b.u"), ("b.y", "a.u")])
-    experiment = Experiment(frame, {"a.d": "d"}, {"a.y": "y"}, interpolation="zoh")
-    simulator = Simulator(system, experiment, ["a.there", "a.back", "b.g"])
+    experiment = record(1e-3 * np.arange(d.size), {"a.d": d}, ["a.y"])
+    simulator = Simulator(loop_of(rough), experiment, ["a.there", "a.back", "b.g"])
     for gain in (1.5, -1.5, 0.99, -100.0):
         rounding = 100 * np.spacing(230.0) * max(1.0, 1.0 / abs(1.0 - gain))
         np.testing.assert_allclose(simulator([230.0, 230.0, gain])[:, 0], d / (1.0 - gain), rtol=EXACT, atol=rounding)
@@ -131,10 +130,9 @@ def test_nominal_values_of_a_loop(curved: Path, tmp_path: Path) -> None:
         connections=[("a.y", "c.u", 2.0, 0.0), ("c.y", "b.u", 2.0, 0.0), ("b.y", "a.u", 4.0, 0.0)],
     )
     system_ = System(components={"a": of_y, "b": curved}, connections=[("a.y", "b.u", 2.0, 0.0), ("b.y", "a.u")])
-    frame = pd.DataFrame({"time": [0.0, 1.0], "y": [0.0, 0.0]})
     found = []
     for each in (system, system_):
-        (loop,) = Simulator(each, Experiment(frame, outputs={"a.y": "y"}))._simulation.plan.loops
+        (loop,) = Simulator(each, record([0.0, 1.0], {}, ["a.y"]))._simulation.plan.loops
         found.append(sorted(loop.nominals))
     assert found == [[3.0, 500.0, 1000.0], [0.0, 500.0]]
 
@@ -149,14 +147,9 @@ def test_events_that_cause_each_other_without_end_fail(curved: Path, tmp_path: P
         'index="5" dependencies="3 4"/>\n  </Outputs>',
         'index="5" dependencies="4"/></Outputs>',
     )
-    system = System(
-        components={"a": path, "b": path},
-        numerics=Numerics("model-exchange"),
-        connections=[("a.y", "b.u"), ("b.y", "a.u")],
-    )
+    system = loop_of(path, numerics=Numerics("model-exchange"))
     assert not any(is_loop for _, is_loop in system.exchange_order)
-    frame = pd.DataFrame({"time": [0.0, 1.0, 2.0], "d": [0.0, 0.0, 1.0], "y": 0.0})
-    experiment = Experiment(frame, {"a.d": "d"}, {"a.y": "y"}, interpolation="zoh")
+    experiment = record([0.0, 1.0, 2.0], {"a.d": [0.0, 0.0, 1.0]}, ["a.y"])
     simulator = Simulator(system, experiment, ["b.g"], values={"a.g": 1.0})
     if gain == 0.0:
         assert simulator([gain])[:, 0].tolist() == [0.0, 0.0, 1.0]

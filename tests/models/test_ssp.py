@@ -9,11 +9,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pandas as pd
 import pytest
 
-from fmuid import Experiment, InputError, Simulator, System
+from fmuid import InputError, Simulator, System
 from fmuid.models.ssp import read_ssp
+from tests.support.experiments import record
 from tests.support.ssp_texts import (
     CONTROLLER,
     DRIVE,
@@ -56,8 +56,8 @@ def test_a_closed_loop_simulates_as_the_same_system_put_together_by_hand(package
         connections=[("drive.q", "controller.q"), ("drive.dq", "controller.dq"), ("controller.v", "drive.v")],
     )
     times = np.arange(200) * 1e-3
-    frame = pd.DataFrame({"time": times, "r": 0.01 * np.sin(20 * times), "q": 0.0, "v": 0.0})
-    experiment = Experiment(frame, {"controller.qg": "r"}, {"drive.q": "q", "controller.v": "v"}, interpolation="zoh")
+    outputs = ["drive.q", "controller.v"]
+    experiment = record(times, {"controller.qg": 0.01 * np.sin(20 * times)}, outputs)
     simulated = Simulator(System.read_ssp(path), experiment)([])
     assert np.abs(simulated).max() > 1e-3
     np.testing.assert_array_equal(simulated, Simulator(by_hand, experiment)([]))

@@ -7,12 +7,12 @@ import weakref
 from typing import Any
 
 import numpy as np
-import pandas as pd
 import pytest
 
-from fmuid import Experiment, InputError, Numerics, SimulationError, Simulator, System
+from fmuid import InputError, Numerics, SimulationError, Simulator, System
 from fmuid.simulation import close, closing, executor_of
 from fmuid.simulation.forward_simulation import twin_simulation
+from tests.support.experiments import record
 from tests.support.paths import FMUS
 from tests.support.probe_fmu import ProbeMaker
 
@@ -22,8 +22,7 @@ def test_direct_feedthrough_is_passed_on_in_dependency_order(probe: ProbeMaker) 
     path = probe()
     system = System(components={"c": path, "a": path, "b": path}, connections=[("b.y", "c.u"), ("a.y", "b.u")])
     assert [connection.source for group, _ in system.exchange_order for connection in group] == [("a", "y"), ("b", "y")]
-    frame = pd.DataFrame({"time": [0.0, 1.0], "u": [3.0, 3.0], "y": [0.0, 0.0]})
-    got = Simulator(system, Experiment(frame, {"a.u": "u"}, {"c.y": "y"}, interpolation="zoh"))([])
+    got = Simulator(system, record([0.0, 1.0], {"a.u": 3.0}, ["c.y"]))([])
     # after one step of 1 s each x is 3: y_a = 3 + 3, y_b = 3 + 6, y_c = 3 + 9
     assert got[:, 0].tolist() == [3.0, 12.0]
 
@@ -31,9 +30,8 @@ def test_direct_feedthrough_is_passed_on_in_dependency_order(probe: ProbeMaker) 
 def test_a_loop_of_feedthrough_without_a_solution_fails_by_name(probe: ProbeMaker) -> None:
     path = probe()
     system = System(components={"a": path, "b": path}, connections=[("a.y", "b.u"), ("b.y", "a.u")])
-    frame = pd.DataFrame({"time": [0.0, 1.0], "x": [0.0, 0.0]})
     with pytest.raises(SimulationError, match=r"no solution found for the algebraic loop .*a\.u"):
-        Simulator(system, Experiment(frame, outputs={"a.x": "x"}), ["a.x"])([1.0])
+        Simulator(system, record([0.0, 1.0], {}, ["a.x"]), ["a.x"])([1.0])
 
 
 def test_undeclared_dependencies_count_as_dependence_on_all_inputs(probe: ProbeMaker) -> None:
@@ -62,11 +60,9 @@ def test_wrong_connections_are_one_sentence(
 
 def test_a_connected_input_cannot_come_from_the_table_or_be_a_parameter(probe: ProbeMaker) -> None:
     system = System(components={"a": probe(), "b": probe()}, connections=[("a.y", "b.u")])
-    frame = pd.DataFrame({"time": [0.0, 1.0], "u": [3.0, 3.0], "y": [0.0, 0.0]})
-    with pytest.raises(InputError, match=r"'b\.u' has a connection"):
-        Simulator(system, Experiment(frame, {"b.u": "u"}, {"b.y": "y"}))
-    with pytest.raises(InputError, match=r"'b\.u' has a connection"):
-        Simulator(system, Experiment(frame, {"a.u": "u"}, {"b.y": "y"}), ["b.u"])
+    for name, parameters in (("b.u", []), ("a.u", ["b.u"])):
+        with pytest.raises(InputError, match=r"'b\.u' has a connection"):
+            Simulator(system, record([0.0, 1.0], {name: 3.0}, ["b.y"]), parameters)
 
 
 def test_component_names(probe: ProbeMaker) -> None:
@@ -77,8 +73,7 @@ def test_component_names(probe: ProbeMaker) -> None:
     assert nested.split("a.x") == ("a", "x")
 
 
-TIMES = np.arange(3.0)
-COUNTED = Experiment(pd.DataFrame({"time": TIMES, "instances": 0.0}), outputs=["instances"])
+COUNTED = record(np.arange(3.0), {}, ["instances"])
 """An experiment whose output is how many instances there are in the library."""
 BEARS_THREADS = {"canBeInstantiatedOnlyOncePerProcess": "false"}  # so that nobody waits with freeing
 
@@ -120,9 +115,9 @@ def test_instances_go_with_the_last_user_of_a_system(probe: ProbeMaker) -> None:
 def test_an_executor_is_made_once_and_closed_with_the_variants() -> None:
     """The twins of forward sensitivities belong to the system whose twins they are."""
     coil = FMUS / "Coil" / "Coil.fmu"
-    frame = pd.DataFrame({"time": 0.01 * np.arange(20), "u": 1.0, "i": 0.0})
+    experiment = record(0.01 * np.arange(20), {"u": 1.0}, ["i"])
     with closing(System(coil, numerics=Numerics("model-exchange"))) as system:
-        simulators = [Simulator(system, Experiment(frame, ["u"], ["i"]), ["R", "L"]) for _ in range(2)]
+        simulators = [Simulator(system, experiment, ["R", "L"]) for _ in range(2)]
         runs = [twin_simulation(simulator) for simulator in simulators]
         simulators[0]([4.0, 0.1])
         for run in runs:

@@ -11,17 +11,17 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pandas as pd
 import psutil
 import pytest
 from numpy.typing import NDArray
 
-from fmuid import Experiment, FmuidError, InputError, Isolation, Numerics, SimulationError, Simulator, System
+from fmuid import FmuidError, InputError, Isolation, Numerics, SimulationError, Simulator, System
 from fmuid.array_types import Floats
 from fmuid.processes.limits import condition_of
 from fmuid.simulation import FmuHost, closing, derivatives_of, executor_of
 from fmuid.simulation.isolation.host import TimeLimits
 from fmuid.simulation.isolation.isolated_executor import IsolatedExecutor, MultiProcessExecutor
+from tests.support.experiments import record
 from tests.support.isolated import (
     BAD,
     NAMES,
@@ -229,13 +229,15 @@ def test_slow_leak_is_not_blamed(folder: Path) -> None:
 @pytest.mark.parametrize("integrator", ["rk45", "cvode"])
 def test_outputs_and_forward_sensitivities_equal_in_process(integrator: str) -> None:
     times: Floats = np.linspace(0.0, 299 * 7e-4, 300)
-    columns = {"uds": 100 * np.cos(300 * times), "uqs": 100 * np.sin(300 * times), "w": 150.0, "ids": 0.0, "iqs": 0.0}
-    record = Experiment(pd.DataFrame({"time": times} | columns), ["uds", "uqs", "w"], ["ids", "iqs"])
+    inputs: dict[str, Any] = {"uds": 100 * np.cos(300 * times), "uqs": 100 * np.sin(300 * times), "w": 150.0}
+    experiment = record(times, inputs, ["ids", "iqs"], "linear")
     some = np.random.default_rng(3).uniform([8.0, 3.0, 0.4, 0.07], [11.0, 5.0, 0.5, 0.09], (5, 4))
     found = []
     for isolation in pair():
         path, numerics = FMUS / "InductionMachine" / "InductionMachine.fmu", Numerics("model-exchange", integrator)
-        simulator = Simulator(System(path, numerics=numerics, isolation=isolation), record, ("Rs", "Rr", "Lm", "Lf"))
+        simulator = Simulator(
+            System(path, numerics=numerics, isolation=isolation), experiment, ("Rs", "Rr", "Lm", "Lf")
+        )
         found.append((simulator(some), derivatives_of(simulator, "forward")(some[0])))
     assert all(np.array_equal(one, other) and np.abs(one).max() > 0 for one, other in zip(*found, strict=True))
 
@@ -315,17 +317,16 @@ def test_what_one_finds_stiff_is_run_again_by_all(kind: str) -> None:
 
     One process alone has the first theta by itself, and the others afterwards.
     """
-    times = np.linspace(0.0, 0.1, 11)
-    record = Experiment(pd.DataFrame({"time": times, "u": 1.0, "i": 0.0}), ["u"], ["i"])
+    experiment = record(np.linspace(0.0, 0.1, 11), {"u": 1.0}, ["i"], "linear")
     some = np.array([[1.0, 0.1], [2.0, 0.1], [4.0, 0.1], [4e3, 1e-5]])
     coil = FMUS / "Coil" / "Coil.fmu"
     system, alone = (System(coil, numerics=Numerics("model-exchange")) for _ in range(2))
     made = MultiProcessExecutor if kind == "spread" else IsolatedExecutor
-    simulator: Any = Simulator(system, record, ["R", "L"])
+    simulator: Any = Simulator(system, experiment, ["R", "L"])
     executor = simulator._executor = made(system.components, 3, Isolation(), set())
     found = simulator(some)
-    plain = Simulator(alone, record, ["R", "L"])(some[:1])
-    assert np.array_equal(found, Simulator(alone, record, ["R", "L"])(some))
+    plain = Simulator(alone, experiment, ["R", "L"])(some[:1])
+    assert np.array_equal(found, Simulator(alone, experiment, ["R", "L"])(some))
     assert not np.array_equal(found[:1], plain)
     executor.close()
 

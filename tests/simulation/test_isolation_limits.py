@@ -11,15 +11,15 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pandas as pd
 import psutil
 import pytest
 
-from fmuid import Experiment, FmuidError, InputError, Isolation, Simulator
+from fmuid import FmuidError, InputError, Isolation, Simulator
 from fmuid.processes import HostExitError, ProcessEnd, ProcessStatus
 from fmuid.processes.limits import COMPUTED_SHARE, STANDSTILL_SECONDS, Footprint, condition_of, wants_processor
 from fmuid.simulation import TIME_LIMITS, codes, executor_of
 from fmuid.simulation.isolation.host import HostWatchdog, TimeLimits, end_words
+from tests.support.experiments import record
 from tests.support.isolated import NAMES, PROCESSES, RECORD, expected, pair, thetas, wait_until
 from tests.support.misbehaving import Mode, misbehaving_fmu
 
@@ -27,18 +27,13 @@ pytestmark = PROCESSES
 linux = pytest.mark.skipif(sys.platform != "linux", reason="only Linux tells")
 
 
-def record_of(samples: int, u: Any = 1.0) -> Experiment:
-    frame = pd.DataFrame({"time": 1e-3 * np.arange(samples), "u": u, "x": 0.0})
-    return Experiment(frame, ["u"], ["x"], interpolation="zoh")
-
-
 # --- size of records and models
 
 
 def test_large_record_equals_in_process(folder: Path) -> None:
-    record = record_of(400_000, np.sign(np.sin(3e-3 * np.arange(400_000) + 0.1)))
-    fmu = misbehaving_fmu(folder)
-    alone, isolated = (Simulator(fmu, record, NAMES, isolation=each)([2.0, 0.5, 0.0]) for each in pair())
+    times = 1e-3 * np.arange(400_000)
+    experiment, fmu = record(times, {"u": np.sign(np.sin(3 * times + 0.1))}, ["x"]), misbehaving_fmu(folder)
+    alone, isolated = (Simulator(fmu, experiment, NAMES, isolation=each)([2.0, 0.5, 0.0]) for each in pair())
     assert np.array_equal(isolated, alone)
     assert np.ptp(alone) > 1
 
@@ -47,8 +42,7 @@ def test_large_record_equals_in_process(folder: Path) -> None:
 def test_longest_record_has_the_time_of_a_first_one(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Short ones say little about it."""
     monkeypatch.setattr("fmuid.simulation.isolation.host.TIME_LIMITS", TimeLimits(least=0.2, slower=1.0))
-    frame = pd.DataFrame({"time": 0.1 * np.arange(400), "u": 1.0, "x": 0.0})
-    long = Experiment(frame, ["u"], ["x"], interpolation="zoh")
+    long = record(0.1 * np.arange(400), {"u": 1.0}, ["x"])
     simulator = Simulator(misbehaving_fmu(folder), RECORD, NAMES, values={"amount": 2.0}, isolation=Isolation())
     simulator([2.0, 0.5, 0.0])
     assert simulator.over(long)([2.0, 0.5, Mode.SLOW])[-1] == pytest.approx(2.0)
@@ -114,7 +108,8 @@ def test_resources_refused_to_this_process_are_one_sentence(folder: Path, monkey
 @pytest.mark.slow
 def test_memory_given_by_fmuid_does_not_count(folder: Path) -> None:
     """Record and outputs take 56 MB: more than the limit leaves above what the process takes without them."""
-    simulator = Simulator(misbehaving_fmu(folder), record_of(1_000_000), NAMES, isolation=Isolation(threads=1))
+    experiment = record(1e-3 * np.arange(1_000_000), {"u": 1.0}, ["x"])
+    simulator = Simulator(misbehaving_fmu(folder), experiment, NAMES, isolation=Isolation(threads=1))
     some = [[2.0, 0.5, 0.0]] * 4
     before = simulator(some)
     executor: Any = executor_of(simulator.system)

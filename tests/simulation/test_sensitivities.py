@@ -8,18 +8,18 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pandas as pd
 import pytest
 from numpy.typing import ArrayLike
 
 import fmuid
-from fmuid import Experiment, InputError, Numerics, Parameter, Problem, Simulator, System
+from fmuid import InputError, Numerics, Parameter, Problem, Simulator, System
 from fmuid.array_types import Floats
 from fmuid.errors import SensitivityUnavailableError
 from fmuid.estimation import SensitivityMethod
 from fmuid.simulation import derivatives_of
 from fmuid.simulation.sensitivities import ForwardSensitivities
 from tests.support.closed_forms import ball, coil_response
+from tests.support.experiments import record
 from tests.support.exported import export_text
 from tests.support.hybrid import hybrid_fmu
 from tests.support.modelica import DRIVE, FRICTION, friction
@@ -86,7 +86,7 @@ def worst(found: Floats, expected: Floats) -> float:
 
 
 @pytest.fixture
-def record() -> tuple[Floats, Floats]:
+def drawn() -> tuple[Floats, Floats]:
     """Irregular times with a step of the input (a time given twice), and the input."""
     rng = np.random.default_rng(11)
     times = 0.3 + np.cumsum(rng.uniform(1e-3, 9e-3, 80))
@@ -98,12 +98,10 @@ def record() -> tuple[Floats, Floats]:
 @every_integrator
 @pytest.mark.parametrize("interpolation", ["zoh", "linear"])
 def test_coil_against_its_closed_form(
-    name: str, hidden: bool, interpolation: str, record: tuple[Floats, Floats], folder: Path
+    name: str, hidden: bool, interpolation: str, drawn: tuple[Floats, Floats], folder: Path
 ) -> None:
-    times, u = record
-    experiment = Experiment(
-        pd.DataFrame({"time": times, "u": u, "i": 0.0}), ["u"], ["i"], interpolation=interpolation, units={"i": "mA"}
-    )
+    times, u = drawn
+    experiment = record(times, {"u": u}, ["i"], interpolation, units={"i": "mA"})
     path = without_derivatives(COIL, folder) if hidden else COIL
     milli = '<Unit name="mA"><BaseUnit A="1" factor="0.001"/></Unit>'
     system = model_exchange(changed(path, folder, '<Unit name="A">', f'{milli}<Unit name="A">'), **INTEGRATORS[name])
@@ -123,13 +121,12 @@ def test_coil_against_its_closed_form(
 def test_outputs_that_are_sums_and_connectors_that_set_several(folder: Path) -> None:
     """The output is ids + iqs in a system whose connector R sets both resistances, Rr at half of it."""
     times = np.arange(60) * 7e-4
-    frame = pd.DataFrame({"time": times, "u": 100.0 * np.cos(times * 40), "i": 0.0})
     system = System(
         components={"m": MACHINE},
         numerics=Numerics("model-exchange", "rk45", 1e-11),
         connectors={"R": [("m.Rs", 1.0, 0.0), ("m.Rr", 0.5, 0.1)], "u": [("m.uds", 1.0, 0.0), ("m.uqs", -0.5, 3.0)]},
     )
-    experiment = Experiment(frame, ["u"], {"m.ids + m.iqs": "i"})
+    experiment = record(times, {"u": 100.0 * np.cos(times * 40)}, ["m.ids + m.iqs"], "linear")
     simulator = Simulator(system, experiment, ["R", "m.Lf"], values={"m.w": 150.0})
     expected = differences(simulator, [8.0, 0.07])
     sensitivities = forward(simulator)
@@ -147,9 +144,8 @@ TIMES = np.linspace(0.0, 2.3, 47)
 
 def hybrid(folder: Path, model: str, version: int, name: str, parameters: list[str], *outputs: str) -> Simulator:
     settings = INTEGRATORS[name] | ({"step_size": 1e-3} if name == "rk4" else {})
-    frame = pd.DataFrame({"time": TIMES} | dict.fromkeys(outputs, 0.0))
     system = model_exchange(hybrid_fmu(folder, model, version), **settings)
-    return Simulator(system, Experiment(frame, outputs=outputs), parameters)
+    return Simulator(system, record(TIMES, {}, outputs), parameters)
 
 
 both_versions = pytest.mark.parametrize("version", [2, 3])
@@ -208,7 +204,7 @@ def exported(folder: Path) -> Callable[[str], Path]:
 @every_integrator
 def test_an_event_that_changes_the_derivatives_is_left_to_twins(exported: Callable[[str], Path], name: str) -> None:
     times = np.linspace(0.0, 1.0, 34)
-    experiment = Experiment(pd.DataFrame({"time": times, "F": -7.3, "x": 0.0, "v": 0.0}), ["F"], ["x", "v"])
+    experiment = record(times, {"F": -7.3}, ["x", "v"])
     simulator = Simulator(model_exchange(exported(FRICTION), **INTEGRATORS[name]), experiment, ["m", "Fc", "v_start"])
     sensitivities = forward(simulator)
     found = sensitivities(np.array([2.0, 3.0, 1.0]))
@@ -224,9 +220,8 @@ def test_an_event_that_changes_the_derivatives_is_left_to_twins(exported: Callab
 def test_an_event_that_changes_nothing_is_no_obstacle(exported: Callable[[str], Path], name: str) -> None:
     """The model has a kink where the speed changes its sign, but no jump."""
     times = np.linspace(0.0, 1.0, 53)  # none beside a kink
-    frame = pd.DataFrame({"time": times, "u": 10 * np.cos(9 * times), "i": 0.0, "w": 0.0, "p": 0.0})
     names = ["R", "L", "k", "J", "i0"]
-    experiment = Experiment(frame, ["u"], ["i", "w", "p"])
+    experiment = record(times, {"u": 10 * np.cos(9 * times)}, ["i", "w", "p"], "linear")
     # differences of steps that the integrator chooses are rough unless these are short
     settings, step = (INTEGRATORS[name], 1e-5) if name == "rk4" else ({"integrator": "rk45", "tolerance": 1e-13}, 1e-3)
     simulator, accurate = (
@@ -246,12 +241,8 @@ def test_directional_derivatives_that_are_refused_or_ignore_parameters_are_not_u
     word = "providesDirectionalDerivative" + ("s" if version == 3 else "")
     for model, theta in (("van_der_pol", [2.0, 1.5]), ("linear", [2.0, 1.5])):
         path = hybrid_fmu(folder, model, version, f'{word}="true"')
-        frame = pd.DataFrame({"time": TIMES, "x": 0.0})
-        simulator = Simulator(
-            model_exchange(path, integrator="rk45", tolerance=1e-11),
-            Experiment(frame, outputs={"x0": "x"}),
-            ["p0", "start0"],
-        )
+        system = model_exchange(path, integrator="rk45", tolerance=1e-11)
+        simulator = Simulator(system, record(TIMES, {}, ["x0"]), ["p0", "start0"])
         sensitivities = forward(simulator)
         found = sensitivities(np.array(theta))
         assert sensitivities.by_differences
@@ -262,47 +253,59 @@ def test_directional_derivatives_that_are_refused_or_ignore_parameters_are_not_u
 def test_a_stiff_model(folder: Path, integrator: str) -> None:
     """Van der Pol's equation with mu = 300: rk45 finds it stiff, and CVODE goes on with it."""
     path = hybrid_fmu(folder, "van_der_pol", 2)
-    frame = pd.DataFrame({"time": np.linspace(0.0, 100.0, 11), "x": 0.0})
+    experiment = record(np.linspace(0.0, 100.0, 11), {}, ["x0"])
     numerics = {} if integrator == "rk45" else {"integrator": "cvode", "tolerance": 1e-10}
-    simulator = Simulator(model_exchange(path, **numerics), Experiment(frame, outputs={"x0": "x"}), ["p0", "start0"])
+    simulator = Simulator(model_exchange(path, **numerics), experiment, ["p0", "start0"])
     sensitivities = forward(simulator)
-    accurate = Simulator(
-        model_exchange(path, integrator="cvode", tolerance=1e-12), simulator.experiment, simulator.parameters
-    )
+    accurate = Simulator(model_exchange(path, integrator="cvode", tolerance=1e-12), experiment, ["p0", "start0"])
     expected = differences(accurate, [300.0, 2.0], 1e-3)
     assert worst(sensitivities(np.array([300.0, 2.0])), expected) < (1e-3 if integrator == "rk45" else 1e-6)
 
 
 def test_what_cannot_be_had_is_refused(folder: Path) -> None:
-    frame = pd.DataFrame({"time": [0.0, 1.0], "u": 0.0, "i": 0.0})
-    experiment = Experiment(frame, ["u"], ["i"])
+    ends, experiment = [0.0, 1.0], record([0.0, 1.0], {"u": 0.0}, ["i"])
     with pytest.raises(InputError, match=r'Coil.fmu: jacobian = "forward" needs Model Exchange. Set interface'):
         derivatives_of(Simulator(COIL, experiment, ["R"]), "forward")
     system = System(components={"a": COIL, "b": COIL}, numerics=Numerics("model-exchange"))
     with pytest.raises(InputError, match="needs a single FMU"):
-        derivatives_of(Simulator(system, Experiment(frame, {"a.u": "u"}, {"a.i": "i"}), ["a.R"]), "forward")
+        derivatives_of(Simulator(system, record(ends, {"a.u": 0.0}, ["a.i"]), ["a.R"]), "forward")
     once = hybrid_fmu(folder, "ball", 2, 'canBeInstantiatedOnlyOncePerProcess="true"')
-    simulator = Simulator(model_exchange(once), Experiment(frame, outputs={"x0": "i"}), ["p0"])
+    simulator = Simulator(model_exchange(once), record(ends, {}, ["x0"]), ["p0"])
     with pytest.raises(SensitivityUnavailableError, match=r"ball.*can be instantiated only once"):
         forward(simulator)(np.array([9.81]))
     switch = hybrid_fmu(folder, "switch", 2)  # an event of the input alone, in a model without states
-    frame["u"] = [0.0, 1.0]
-    simulator = Simulator(model_exchange(switch), Experiment(frame, {"u[1]": "u"}, {"count": "i"}), ["p0"])
+    simulator = Simulator(model_exchange(switch), record(ends, {"u[1]": [0.0, 1.0]}, ["count"], "linear"), ["p0"])
     with pytest.raises(SensitivityUnavailableError, match="from t = 0 s on, sensitivities are undefined at an event"):
         forward(simulator)(np.array([0.5]))
 
 
-def test_identification_equals_that_by_differences() -> None:
+def test_identification_equals_that_by_differences(folder: Path) -> None:
+    """Also by sensitivities that the FMU outputs, from fewer simulations; the result says which served."""
+    coil = export_text(folder, COIL.with_suffix(".mo").read_text(encoding="utf-8"), sensitivities=["R", "L"])
     rng, times = np.random.default_rng(8), np.linspace(0.0, 0.398, 200)
     u = np.array(rng.choice([-1.0, 1.0], 200))
     i = coil_response(times, u, 3.0, 0.05, True) + 1e-3 * rng.normal(size=200)
-    noisy = Experiment(pd.DataFrame({"time": times, "u": u, "i": i}), ["u"], ["i"])
-    system = model_exchange(COIL, integrator="rk45", tolerance=1e-9)
+    noisy = record(times, {"u": u}, {"i": i}, "linear")
+    system = model_exchange(coil, integrator="rk45", tolerance=1e-9)
     parameters = {"R": Parameter(start=4.0), "L": Parameter(start=0.1)}
     found = [fmuid.identify(Problem(system, noisy, parameters, sensitivity=word)) for word in METHODS]
-    assert found[0].values == pytest.approx(found[1].values, rel=1e-6)
-    assert found[0].std == pytest.approx(found[1].std, rel=1e-4)
+    for each in found[1:]:
+        assert each.values == pytest.approx(found[0].values, rel=1e-6)
+        assert each.std == pytest.approx(found[0].std, rel=1e-4)
+    assert found[2].history.simulations < found[0].history.simulations
     assert [each.setup.sensitivity for each in found] == [SensitivityMethod(word) for word in METHODS]
 
 
-METHODS = ("forward", "finite-difference")
+METHODS = ("finite-difference", "forward", "fmu")
+
+
+def test_missing_sensitivities_are_one_sentence() -> None:
+    experiment = record(np.arange(5.0), {"u": 0.0}, ["i"])
+    with pytest.raises(InputError, match=r"output 'sens\.R\.i'.*--sensitivities"):
+        Problem(COIL, experiment, {"R": Parameter(start=4.0)}, sensitivity="fmu")
+    with pytest.raises(InputError, match=r"sensitivity: unknown value 'forwards'.*'forward'"):
+        Problem(COIL, experiment, {"R": Parameter(start=4.0)}, sensitivity="forwards")
+    system = System(components={"a": COIL, "b": COIL})
+    coupled = record(np.arange(5.0), {}, ["a.i"])
+    with pytest.raises(InputError, match="needs a single FMU"):
+        Problem(system, coupled, {"a.R": Parameter(start=4.0)}, sensitivity="fmu")

@@ -17,7 +17,7 @@ from fmuid import Experiment, InputError, Isolation, Numerics, SimulationError, 
 from fmuid.array_types import Floats
 from fmuid.simulation import close, closing
 from fmuid.simulation.worker import SimulationThread
-from tests.support.closed_forms import coil_response, park_rates
+from tests.support.closed_forms import park_rates
 from tests.support.hybrid import hybrid_fmu
 from tests.support.paths import FMUS
 from tests.support.probe_fmu import ProbeMaker
@@ -38,18 +38,6 @@ def ramp(samples: int = 4) -> Experiment:
 
 
 # --- against closed forms
-
-
-@pytest.mark.parametrize("interpolation", ["zoh", "linear"])
-def test_coil_on_an_irregular_grid_equals_its_closed_form(interpolation: str) -> None:
-    rng = np.random.default_rng(3)
-    times = 0.3 + np.cumsum(rng.uniform(1e-4, 2e-3, 500))
-    times[200] = times[199]  # a time given twice is a step of the inputs
-    u = rng.normal(size=500)
-    got = Simulator(COIL, record(times, ["i"], interpolation, u=u), ["R", "L"])([3.0, 0.05])
-    expected = coil_response(times, u, 3.0, 0.05, interpolation == "linear")
-    assert got.shape == (500, 1)
-    assert np.abs(got[:, 0] - expected).max() < 1e-9 * np.abs(expected).max()
 
 
 def test_induction_machine_equals_its_equations_integrated_by_scipy() -> None:

@@ -5,12 +5,12 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
-import pandas as pd
 import pytest
 
 import fmuid
 from fmuid.array_types import Floats
 from fmuid.simulation import RightHandSide
+from tests.support.experiments import record
 from tests.support.exported import export_text
 from tests.support.paths import FMUS
 
@@ -41,13 +41,6 @@ TIMES = np.cumsum(RNG.uniform(0.02, 0.1, 40))
 INPUT = RNG.standard_normal(40)
 
 
-def experiment(outputs: dict[str, Floats], interpolation: str = "zoh") -> fmuid.Experiment:
-    columns = {f"m_{name}": values for name, values in outputs.items()}
-    frame = pd.DataFrame({"time": TIMES, "u": INPUT, **columns})
-    names = {name: f"m_{name}" for name in outputs}
-    return fmuid.Experiment(frame, ["u"], names, interpolation=interpolation)
-
-
 @pytest.fixture(scope="module")
 def oscillator(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return export_text(tmp_path_factory.mktemp("oscillator"), OSCILLATOR)
@@ -62,7 +55,7 @@ def side_of(path: Path, given: fmuid.Experiment, parameters: list[str]) -> Right
 @pytest.mark.parametrize("interpolation", ["zoh", "linear"])
 def test_the_right_hand_side_is_that_of_the_equations(oscillator: Path, interpolation: str) -> None:
     """At the two ends of each interval, under the input of the interval; several thetas at once."""
-    side = side_of(oscillator, experiment({"y": INPUT}, interpolation), ["k", "d"])
+    side = side_of(oscillator, record(TIMES, {"u": INPUT}, ["y"], interpolation), ["k", "d"])
     assert [name.rpartition(".")[2] for name in side.states] == ["x", "v"]
     assert side.nominals.tolist() == [1.0, 10.0]
     states = RNG.standard_normal((78, 2))
@@ -80,7 +73,7 @@ def test_the_right_hand_side_is_that_of_the_equations(oscillator: Path, interpol
 def test_branches_are_those_of_the_states_that_are_shown(tmp_path: Path) -> None:
     """An indicator that leaves its domain between points is an event: the branch must follow, to and fro."""
     path = export_text(tmp_path, SWITCH)
-    side = side_of(path, experiment({"x": INPUT}), ["a"])
+    side = side_of(path, record(TIMES, {"u": INPUT}, ["x"]), ["a"])
     states = RNG.uniform(0.0, 1.0, (78, 1))
     slopes, _ = side(states, np.array([[1.5]]))
     u = np.repeat(INPUT, 2)[1:-1].copy()
@@ -89,7 +82,7 @@ def test_branches_are_those_of_the_states_that_are_shown(tmp_path: Path) -> None
 
 
 def test_initial_states_and_slopes_of_the_outputs(oscillator: Path) -> None:
-    side = side_of(oscillator, experiment({"y": INPUT}), ["x_start"])
+    side = side_of(oscillator, record(TIMES, {"u": INPUT}, ["y"]), ["x_start"])
     assert side.initial(np.array([[0.7], [-2.0]])) == pytest.approx(np.array([[0.7, 0.0], [-2.0, 0.0]]))
     slopes, states, outputs = side.output_slopes(np.array([0.7]))
     assert slopes == pytest.approx(np.array([[3.0, 5.0]]), rel=1e-9)  # times the nominals
@@ -98,8 +91,7 @@ def test_initial_states_and_slopes_of_the_outputs(oscillator: Path) -> None:
 
 
 def test_units_are_those_of_the_table() -> None:
-    frame = pd.DataFrame({"time": TIMES, "u": 1e3 * INPUT, "i": INPUT})
-    given = fmuid.Experiment(frame, ["u"], ["i"], interpolation="zoh", units={"u": "mV", "i": "mA"})
+    given = record(TIMES, {"u": 1e3 * INPUT}, ["i"], units={"u": "mV", "i": "mA"})
     side = side_of(FMUS / "Coil" / "Coil.fmu", given, ["R"])
     states = np.full((78, 1), 2.0)
     slopes, outputs = side(states, np.array([[4.0]]))
@@ -112,9 +104,7 @@ def test_units_are_those_of_the_table() -> None:
 def test_without_model_exchange_of_one_fmu_there_is_none() -> None:
     coil = FMUS / "Coil" / "Coil.fmu"
     pair = fmuid.System(components={"a": coil, "b": coil})
-    frame = pd.DataFrame({"time": TIMES, "u": INPUT, "i": INPUT})
-    given = fmuid.Experiment(frame, {"a.u": "u"}, {"b.i": "i"}, interpolation="zoh")
-    assert RightHandSide.of(fmuid.Simulator(pair, given, ["a.R"])) is None
+    assert RightHandSide.of(fmuid.Simulator(pair, record(TIMES, {"a.u": INPUT}, ["b.i"]), ["a.R"])) is None
 
 
 # --- corrections
@@ -129,8 +119,7 @@ def test_corrections_follow_the_closed_form_of_the_coil() -> None:
     """Between samples the coil's exponential, at each measured one (in mA) a jump of the gain times what is missing."""
     measured = RNG.standard_normal(40)
     measured[[5, 6, 20]] = np.nan
-    frame = pd.DataFrame({"time": TIMES, "u": INPUT, "i": 1e3 * measured})
-    given = fmuid.Experiment(frame, ["u"], ["i"], interpolation="zoh", units={"i": "mA"})
+    given = record(TIMES, {"u": INPUT}, {"i": 1e3 * measured}, units={"i": "mA"})
     found = corrected(FMUS / "Coil" / "Coil.fmu", given, np.array([[0.6]]), np.array([4.0, 0.3]), ["R", "L"])[:, 0]
     i = 0.0
     for k in range(40):
@@ -145,8 +134,6 @@ def test_corrections_follow_the_closed_form_of_the_coil() -> None:
 def test_a_correction_across_a_switch_is_an_event(tmp_path: Path) -> None:
     """From 0 the state rises by 1/s; each correction throws it above the switch, where it falls by 1/s."""
     path = export_text(tmp_path, SWITCH)
-    times = np.arange(5) * 0.1
-    frame = pd.DataFrame({"time": times, "u": 0.0, "x": [0.9, 0.2, 0.9, 0.2, 0.9]})
-    given = fmuid.Experiment(frame, ["u"], ["x"], interpolation="zoh")
+    given = record(np.arange(5) * 0.1, {"u": 0.0}, {"x": [0.9, 0.2, 0.9, 0.2, 0.9]})
     found = corrected(path, given, np.array([[1.0]]), np.array([1.0]), ["a"])[:, 0]
     assert found == pytest.approx([0.0, 0.8, 0.3, 0.8, 0.3], abs=1e-9)

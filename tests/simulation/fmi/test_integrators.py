@@ -7,15 +7,15 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pandas as pd
 import pytest
 from numpy.typing import NDArray
 from scipy.integrate._ivp.rk import RK45
 
-from fmuid import Experiment, InputError, Simulator
+from fmuid import InputError, Simulator
 from fmuid.simulation import codes
 from fmuid.simulation.native.library import core
 from tests.support.closed_forms import coil_response
+from tests.support.experiments import record
 from tests.support.hybrid import hybrid_fmu
 from tests.support.integrating import (
     BACKWARDS,
@@ -214,14 +214,13 @@ def test_an_array_of_inputs_of_which_one_varies(settings: dict[str, Any], tmp_pa
     path = hybrid_fmu(tmp_path, "linear", 3)
     rng = np.random.default_rng(2)
     times, u = np.linspace(0.0, 2.0, 30), rng.normal(size=30)
-    frame = pd.DataFrame({"time": times, "u": u, "v": u, "x": 0.0})
-    experiment = Experiment(frame, {"u[1]": "u"}, {"x0": "x"})
+    experiment = record(times, {"u[1]": u}, ["x0"], "linear")
     found = Simulator(path, experiment, values={"p0": 1.0}, **settings)([])[:, 0]
     expected = coil_response(times, u + 0.5, 1.0, 1.0, True)
     assert np.abs(found - expected).max() < 1e-7
-    both = Experiment(frame, {"u[1]": "u", "u[2]": "v"}, {"x0": "x"})
+    both = record(times, {"u[1]": u, "u[2]": u}, ["x0"], "linear")
     found = Simulator(path, both, values={"p0": 1.0}, **settings)([])[:, 0]
     assert np.abs(found - coil_response(times, 2 * u, 1.0, 1.0, True)).max() < 1e-7
-    mixed = Experiment(frame, {"u[1]": "u", "u[2]": "v"}, {"x0": "x"}, interpolation={"u[2]": "zoh"})
+    mixed = record(times, {"u[1]": u, "u[2]": u}, ["x0"], {"u[2]": "zoh"})
     with pytest.raises(InputError, match=r"'u\[2\]' and 'u\[1\]' are elements of one array"):
         Simulator(path, mixed)

@@ -10,12 +10,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pandas as pd
 import psutil
 import pytest
 from numpy.typing import NDArray
 
-from fmuid import FMU, Experiment, InputError, Numerics, SimulationError, Simulator, System, __version__
+from fmuid import FMU, InputError, Numerics, SimulationError, Simulator, System, __version__
 from fmuid.simulation import codes
 from fmuid.simulation.instance import Instance
 from fmuid.simulation.native import build, library
@@ -23,6 +22,7 @@ from fmuid.simulation.plan_builder import simulation_of
 from fmuid.simulation.simulation_loop import SimulationLoop
 from fmuid.simulation.simulation_plan import GridSimulation, Operation, check_arrays, check_plan, new_reports
 from fmuid.simulation.simulation_task import task_of
+from tests.support.experiments import record
 from tests.support.exported import export_text
 from tests.support.paths import FMUS
 from tests.support.probe_fmu import ProbeMaker
@@ -121,12 +121,12 @@ Planned = tuple[GridSimulation, list[int]]
 @pytest.fixture(scope="module")
 def runs() -> dict[str, Planned]:
     """Plans of all kinds with the versions of their components: connected, with a loop, by model exchange."""
-    frame = pd.DataFrame({"time": TIMES, "u": np.sin(TIMES), "i": 0.0})
+    u = np.sin(TIMES)
     coil = FMUS / "Coil" / "Coil.fmu"
     pair = System(components={"a": coil, "b": coil}, connections=[("a.i", "b.u", 2.0, 1.0)], master="gauss-seidel")
-    single, exchanged = Experiment(frame, ["u"], ["i"]), System(coil, numerics=Numerics("model-exchange"))
+    single, exchanged = record(TIMES, {"u": u}, ["i"], "linear"), System(coil, numerics=Numerics("model-exchange"))
     tasks = {
-        "pair": task_of(pair, Experiment(frame, {"a.u": "u"}, {"b.i": "i"}), ["a.R"], {}, None),
+        "pair": task_of(pair, record(TIMES, {"a.u": u}, ["b.i"], "linear"), ["a.R"], {}, None),
         "co-simulation": task_of(System(coil), single, ["R", "L"], {}, 0.01),
         "model exchange": task_of(exchanged, single, ["R"], {}, None),
     }
@@ -189,8 +189,7 @@ def test_arrays_of_other_shapes_are_refused(runs: dict[str, Planned]) -> None:
 
 @pytest.mark.parametrize("value", [2.0**31, -(2.0**31) - 1])
 def test_a_value_that_the_type_of_its_variable_cannot_hold_is_said(probe: ProbeMaker, value: float) -> None:
-    frame = pd.DataFrame({"time": TIMES, "n": [0.0, 1.0, 2.0, value, 0.0], "y": 0.0})
-    simulator = Simulator(probe(), Experiment(frame, {"n": "n"}, {"ten_n": "y"}))
+    simulator = Simulator(probe(), record(TIMES, {"n": [0.0, 1.0, 2.0, value, 0.0]}, ["ten_n"]))
     with pytest.raises(SimulationError, match=r"a value is out of range") as error:
         simulator([])
     assert error.value.time == TIMES[3]
@@ -210,13 +209,12 @@ end Sum;
 def test_held_inputs_beside_those_that_go_by_midpoints(tmp_path: Path) -> None:
     """An FMU that cannot interpolate: the first substep of an interval must have the held input as of its beginning."""
     rng = np.random.default_rng(5)
-    times: Array = np.linspace(0.0, 1.0, 21)
-    frame = pd.DataFrame({"time": times, "u": 0.0, "v": rng.normal(size=21), "x": 0.0})
-    experiment = Experiment(frame, ["u", "v"], ["x"], interpolation={"u": "linear", "v": "zoh"})
+    times, v = np.linspace(0.0, 1.0, 21), rng.normal(size=21)
+    experiment = record(times, {"u": 0.0, "v": v}, ["x"], {"u": "linear", "v": "zoh"})
     got = Simulator(export_text(tmp_path, TWO_INPUTS, fmi="3.0"), experiment, interface="co-simulation")([])[:, 0]
     x = np.zeros(21)
     for k, h in enumerate(np.diff(times)):
-        x[k + 1] = 10 * frame["v"][k] + (x[k] - 10 * frame["v"][k]) * np.exp(-h)
+        x[k + 1] = 10 * v[k] + (x[k] - 10 * v[k]) * np.exp(-h)
     assert np.abs(got - x).max() < 1e-6
 
 
@@ -224,14 +222,13 @@ def test_held_inputs_beside_those_that_go_by_midpoints(tmp_path: Path) -> None:
 def test_whole_rows_go_through_as_each_sample_does(probe: ProbeMaker, model: str, interpolation: str) -> None:
     """The walk over whole rows against the general one: the same bits, and of failures the same report."""
     rng, times = np.random.default_rng(3), np.array([0.0, 0.1, 0.2, 0.2, 0.3, 0.45])
-    frame = pd.DataFrame({"time": times, **{name: rng.normal(size=6) for name in ("uds", "uqs", "w", "u")}, "y": 0.0})
     if model == "machine":
         path, inputs, outputs = FMUS / "InductionMachine" / "InductionMachine.fmu", ["uds", "uqs", "w"], ["ids", "iqs"]
         parameters, thetas = ["Rs"], np.array([[9.8], [5.0]])
     else:
         path, inputs, outputs, parameters = probe(), ["u"], ["y"], ["fail_at"]
         thetas = np.array([[9.0], [0.25], [0.05]])
-    experiment = Experiment(frame, inputs, dict.fromkeys(outputs, "y"), interpolation=interpolation)
+    experiment = record(times, {name: rng.normal(size=6) for name in inputs}, outputs, interpolation)
     system = System(path, numerics=Numerics("co-simulation"))
     simulation = simulation_of(task_of(system, experiment, parameters, {}, None))
     (component,) = system.components.values()
@@ -310,11 +307,7 @@ def test_simulations_leave_nothing_behind(name: str, kind: str, count: int) -> N
     variables = fmu.description.variables.items()
     inputs = [name for name, variable in variables if variable.causality == "input"]
     outputs = [name for name, variable in variables if variable.causality == "output"]
-    columns = {f"in {name}": 0.1 * (k + 1) * np.ones(4) for k, name in enumerate(inputs)}
-    frame = pd.DataFrame({"time": np.linspace(0.0, 3e-3, 4), "out": 0.0, **columns})
-    experiment = Experiment(
-        frame, {name: f"in {name}" for name in inputs}, dict.fromkeys(outputs[:3], "out"), interpolation="zoh"
-    )
+    experiment = record(np.linspace(0.0, 3e-3, 4), {name: 0.1 * (k + 1) for k, name in enumerate(inputs)}, outputs[:3])
     simulator = Simulator(System(fmu.path, numerics=Numerics(kind)), experiment)
     first = simulator([])
     process, sizes = psutil.Process(), []

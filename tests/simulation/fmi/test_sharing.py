@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pandas as pd
 import pytest
 
 from fmuid import (
@@ -30,6 +29,7 @@ from fmuid.reports.topics.solver_check import run_words
 from fmuid.simulation import closing
 from fmuid.simulation.executor_pool import threads
 from fmuid.simulation.instance_registry import in_threads
+from tests.support.experiments import record
 from tests.support.isolated import NAMES, PROCESSES, RECORD, closed_form, thetas
 from tests.support.misbehaving import Mode, misbehaving_fmu
 from tests.support.quick import first
@@ -167,8 +167,7 @@ def experiment() -> Experiment:
     x = np.zeros(n)
     for i in range(n - 1):
         x[i + 1] = u[i] / k + (x[i] - u[i] / k) * np.exp(-k * step)
-    frame = pd.DataFrame({"time": step * np.arange(n), "u": u, "x": x + 1e-3 * rng.standard_normal(n)})
-    return Experiment(frame, ["u"], ["x"], interpolation="zoh")
+    return record(step * np.arange(n), {"u": u}, {"x": x + 1e-3 * rng.standard_normal(n)})
 
 
 def test_each_simulation_has_a_new_process(folder: Path, caplog: pytest.LogCaptureFixture) -> None:
