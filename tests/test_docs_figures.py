@@ -16,7 +16,6 @@ def test_each_figure_says_how_it_is_read() -> None:
     assert said == set(KINDS)
     for module in (ROOT / "fmuid" / "reports" / "topics").glob("*.py"):
         calls = [node for node in ast.walk(ast.parse(module.read_text(encoding="utf-8"))) if isinstance(node, ast.Call)]
-        made = [node for node in calls if isinstance(node.func, ast.Name) and node.func.id in ("Section", "numbered")]
+        made = [node for node in calls if isinstance(node.func, ast.Name) and node.func.id == "Section"]
         drawn = [node for node in made if len(node.args) > 4 or any(each.arg == "charts" for each in node.keywords)]
-        drawn += [node for node in made if isinstance(node.func, ast.Name) and node.func.id == "numbered"]
         assert {str(node.args[0].value) for node in drawn if isinstance(node.args[0], ast.Constant)} <= said

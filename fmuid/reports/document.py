@@ -189,14 +189,6 @@ class Document:
         return [each for each in self.sections if each.key in keys]
 
 
-def numbered(key: str, caption: str, parts: Iterable[tuple[str, Figure]]) -> list[Section]:
-    """Return a section per heading and chart; keys after the first are numbered, only the first has the caption."""
-    return [
-        Section(key if k == 0 else f"{key}-{k + 1}", heading, "" if k else caption, charts=(chart,), beside=1)
-        for k, (heading, chart) in enumerate(parts)
-    ]
-
-
 def table_of(columns: Mapping[str, Iterable[str]], words: Iterable[str] = (), ranks: Iterable[str] = ()) -> Table:
     """Return a table; columns are numbers except the first and `words`."""
     order = list(ranks)[::-1]

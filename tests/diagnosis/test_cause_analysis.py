@@ -18,7 +18,7 @@ from fmuid.diagnosis import MODEL_ERROR, CauseKind, Causes, CauseScale, ChangeEv
 from fmuid.diagnosis.causes import ChangeParameterSet, coordinates_of
 from fmuid.diagnosis.linearized_machine import LinearizedMachine
 from fmuid.errors import InputError
-from fmuid.reports.topics.diagnosis_phrases import verdict
+from fmuid.reports.topics.diagnosis import verdict
 from tests.support.closed_forms import coil_response
 from tests.support.diagnosis_studies import Look
 from tests.support.paths import FMUS

@@ -16,7 +16,7 @@ from fmuid.codec import as_json
 from fmuid.diagnosis import MODEL_ERROR
 from fmuid.diagnosis.faults import common_mode
 from fmuid.models import System
-from fmuid.reports.topics.diagnosis_phrases import deviation_notes, diagnosis_notes, verdict
+from fmuid.reports.topics.diagnosis import deviation_notes, diagnosis_notes, verdict
 from tests.support.diagnosis_studies import Look
 from tests.support.plate import COLUMNS, INPUTS, SAMPLES, STD, TRUTH, Faults, identified, record
 

@@ -12,7 +12,7 @@ import pytest
 import fmuid
 from fmuid.diagnosis import BaselineSource
 from fmuid.diagnosis.baseline_comparator import BaselineComparator
-from fmuid.reports.topics.diagnosis_phrases import UNLIKE, basis_notes
+from fmuid.reports.topics.diagnosis import UNLIKE, basis_notes
 from fmuid.runs import FollowStatus
 from tests.support.paths import FMUS
 from tests.support.running import run_following, run_monitoring, run_study

@@ -13,7 +13,7 @@ from scipy.linalg import expm
 import fmuid
 from fmuid.diagnosis import DiagnosisSettings
 from fmuid.estimation import AccuracyOutcome, RefinementRefusal
-from fmuid.reports.topics.diagnosis_phrases import diagnosis_notes
+from fmuid.reports.topics.diagnosis import diagnosis_notes
 from tests.support.stepping import MOTOR, stepping_fmu
 
 TRUTH = {"R": 1.0, "L": 5e-3, "K": 0.05, "J": 1e-4}

@@ -13,7 +13,7 @@ from scipy.linalg import expm
 import fmuid
 from experiments import pages
 from experiments.coil import study
-from fmuid.reports.topics.diagnosis_phrases import verdict
+from fmuid.reports.topics.diagnosis import verdict
 
 
 @pytest.fixture(scope="module")

@@ -16,7 +16,7 @@ from fmuid.diagnosis.alarms import Alarm, Trend
 from fmuid.diagnosis.cause_results import CauseScore, ChangeEvidence, EstimatedChange, Explanation
 from fmuid.diagnosis.causes import CauseKind
 from fmuid.diagnosis.unexplained_residual import NOTHING_LEFT
-from fmuid.reports.topics import diagnosis, diagnosis_phrases, monitoring
+from fmuid.reports.topics import diagnosis, monitoring
 from tests.support.charts import drawn, legend, places
 
 
@@ -120,9 +120,9 @@ def test_diagnosis_verdict(
     evidence = replace(news, explanations=news.explanations[:explanations], basis=basis, alarm=alarm, steady=False)
     left = SimpleNamespace(ratio=1.9, probability=1e-3, larger=True)
     found: Any = SimpleNamespace(kind=kind, evidence=evidence, unexplained=left, level=0.01, undetermined=("turns.dR",))
-    assert diagnosis_phrases.verdict(found).text.startswith(said)
+    assert diagnosis.verdict(found).text.startswith(said)
     found.deviation, found.fitted, found.accuracy, found.mismatched = None, (), None, ("turns",)
-    notes = [each.message.partition(".")[2] for each in diagnosis_phrases.diagnosis_notes(found)]
+    notes = [each.message.partition(".")[2] for each in diagnosis.diagnosis_notes(found)]
     expected = ["MISMATCHED", *["PARTLY"] * alarm, *["NOT_TESTED"] * (basis is BaselineSource.RESULT)]
     assert notes == expected + ["UNSTEADY"] * alarm
 

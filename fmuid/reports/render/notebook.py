@@ -17,9 +17,9 @@ from fmuid.estimation import Result
 from fmuid.formatting import unit_text
 from fmuid.models import FMU, facts
 from fmuid.reports.chart import Figure, Units
-from fmuid.reports.descriptions import result_document
 from fmuid.reports.document import Document, Section, Table, table_of
 from fmuid.reports.documents import document as document
+from fmuid.reports.documents import result_document
 from fmuid.reports.render.console import PLAIN_WIDTH, plain_table
 from fmuid.reports.render.html import bokeh_library, embedded, table
 from fmuid.reports.render.html import verdict as verdict

@@ -1,43 +1,53 @@
-"""A diagnosis: verdict, causes, charts."""
+"""A diagnosis: verdict, causes, notes, charts."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 import pandas as pd
 
 from fmuid.array_types import Floats
 from fmuid.data import extremes
-from fmuid.diagnosis import ChangeEvidence, Diagnosis
-from fmuid.formatting import label, with_std
+from fmuid.diagnosis import (
+    BaselineDeviation,
+    BaselineSource,
+    CauseScore,
+    ChangeEvidence,
+    Diagnosis,
+    EstimatedChange,
+    Explanation,
+)
+from fmuid.formatting import has_unit, label, listed, rounded, with_std
 from fmuid.reports.chart import (
     LIMITS,
     Axis,
     Chart,
     ChartGrid,
-    Color,
     Data,
     Layer,
     Units,
     intervals,
+    kinds,
     rows_of,
     short,
     stacked,
 )
-from fmuid.reports.document import PAGE, Document, Section, Tone, origin_of, table_of
-from fmuid.reports.topics.diagnosis_phrases import (
-    DiagnosisMessage,
-    causes_columns,
-    change_name,
-    change_size,
-    diagnosis_notes,
-    explanation_words,
-    verdict,
+from fmuid.reports.document import (
+    PAGE,
+    Document,
+    Message,
+    Remark,
+    Section,
+    Tone,
+    doubt,
+    origin_of,
+    plain,
+    table_of_rows,
 )
 from fmuid.reports.topics.preprocessing import preprocessing_sections
+from fmuid.reports.topics.solver_check import solver_remarks
 from fmuid.runs import DiagnosisRun
 
 RESIDUAL = "Residual of the healthy model, and with the cause. With the right cause only noise remains."
@@ -45,8 +55,171 @@ CAUSES = (
     "Decrease of the cost by each cause alone. Red causes explain the data; the table contains other explanations "
     "and their odds. The pointer shows the most similar cause: signatures at a small angle are indistinguishable."
 )
-CHANGES = "Sizes of the causes in the verdict, with 95 % intervals."
+CHANGES_CAPTION = "Sizes of the causes in the verdict, with 95 % intervals."
 TONES: dict[str, Tone] = {"healthy": "good", "undecided": "doubt"}
+MAX_CAUSES = 12
+"""Bars of the chart: the most significant causes."""
+MIN_STATISTIC = 0.1
+"""Lower end of the logarithmic axis of D."""
+
+
+class DiagnosisMessage(Message, section="causes"):
+    """Verdict of a diagnosis, and its notes."""
+
+    FAULT = plain("FAULT: {causes} (p = {p}).", "p: probability of such a change without a fault")
+    EQUAL_FAULTS = plain("FAULT, indistinguishable: {causes} (p = {p}).", remedy="Use another excitation.")
+    EQUAL_CAUSES = plain("CHANGE, indistinguishable: {causes} (p = {p}).", remedy="Use another excitation.")
+    CHANGE = plain("CHANGE without fault: {causes} (p = {p}).")
+    UNEXPLAINED = plain(
+        "UNEXPLAINED CHANGE: residual variance is {ratio:.3g} × baseline{even} (p = {p}).",
+        "a fault without a model",
+        "Add a fault model, or check sensors and inputs.",
+    )
+    UNEXPLAINED_INPUTS = plain(
+        "UNEXPLAINED CHANGE: residual–input correlation differs from healthy data (p = {p}).",
+        "a fault without a model, or another operating point than in the healthy data",
+        "Add a fault model, or healthy data of this operating point.",
+    )
+    UNDECIDED = plain(
+        "UNDECIDED: {sizes} indistinguishable from allowed changes of the healthy machine.",
+        "allowed: by the baseline's uncertainty, times `std_factor`",
+        "Reduce `std_factor`, or use another excitation.",
+    )
+    NO_FAULT = plain(
+        "NO FAULT at {level:g} % false-alarm rate (p = {p}){likely}.",
+        "smaller faults remain possible: `fmuid design` shows the minimum detectable size",
+    )
+    PARTLY = doubt("The causes explain {share:.0%} of the change; their sizes are approximate.")
+    COMMON = plain("Healthy parameters: {values}.")
+    RESIDUAL = plain(
+        "Residual variance: {ratio:.3g} × baseline (p = {probability:.2g}).",
+        "after the verdict's causes; a small p means an unexplained rest",
+    )
+    MODEL_ERROR = plain(
+        "Fault-model error: {share:.2g} % along other signatures.",
+        "difference between a fault's effect and that of its model",
+    )
+    DEVIATION = doubt(
+        "{name} is {distance:.2g} σ from its baseline.",
+        remedy="Raise `std_factor`, or look for a change of the machine.",
+    )
+    MISMATCHED = doubt(
+        "{name}: the fault model without fault differs from the healthy model.",
+        remedy="Check its `variable_map` and `fixed` values.",
+    )
+    NOT_TESTED = doubt(
+        "Sensor and supply errors were not tested; they can mimic faults.",
+        remedy="List healthy data in `diagnosis.healthy_data`.",
+    )
+    UNSTEADY = doubt("The cause depends on the linearization point: it is one of several.")
+    FROM_FILE = plain("Healthy data taken from baseline.npz.", "`fmuid identify` of the healthy study has written it")
+    FILE_UNUSED = doubt(
+        "baseline.npz not used ({how}): healthy data evaluated again.",
+        "the file beside the baseline result does not fit this study",
+        "Identify the healthy study again with the same faults.",
+    )
+
+
+UNLIKE = {
+    BaselineSource.DAMAGED: "damaged",
+    BaselineSource.OTHER_MODELS: "other models or values",
+    BaselineSource.OTHER_CAUSES: "other faults or causes",
+    BaselineSource.OTHER_NOISE: "other noise variance",
+    BaselineSource.OTHER_RECORDS: "other data files",
+}
+CHANGES = {
+    "gain": "gain of sensor {}",
+    "offset": "offset of sensor {}",
+    "delay": "delay of sensor {}",
+    "input gain": "gain of input {}",
+    "parameter": "drift of parameter {}",
+}
+
+
+def verdict(found: Diagnosis) -> Remark:
+    """Return the verdict."""
+    evidence = found.evidence
+    said = [explanation_words(each) for each in evidence.explanations]
+    given: dict[str, object] = {"p": chance(evidence.probability)}
+    if found.kind == "unexplained":
+        given["p"] = chance(found.unexplained.probability)
+        given |= {"ratio": found.unexplained.ratio, "even": f" even with {said[0]}" if said else ""}
+        from_result = evidence.basis is BaselineSource.RESULT
+        how = DiagnosisMessage.UNEXPLAINED if from_result else DiagnosisMessage.UNEXPLAINED_INPUTS
+    elif found.kind == "ambiguous":
+        given["causes"] = " or ".join(said)
+        faults = all(each.faults for each in evidence.explanations)
+        how = DiagnosisMessage.EQUAL_FAULTS if faults else DiagnosisMessage.EQUAL_CAUSES
+    elif evidence.alarm:
+        given["causes"] = said[0]
+        how = DiagnosisMessage.FAULT if found.kind == "fault" else DiagnosisMessage.CHANGE
+    elif found.kind == "undecided":
+        given["sizes"] = listed(list(found.undetermined))
+        how = DiagnosisMessage.UNDECIDED
+    else:
+        likely = min(evidence.suspects, key=lambda each: each.probability, default=None)
+        given["likely"] = "" if likely is None else f"; most likely: {change_name(likely.change)}"
+        given["level"] = 100 * found.level
+        how = DiagnosisMessage.NO_FAULT
+    return how.said(**given)
+
+
+def diagnosis_notes(found: Diagnosis) -> list[Remark]:
+    """Return the notes beside the verdict."""
+    evidence = found.evidence
+    notes = deviation_notes(found.deviation)
+    notes += solver_remarks(found.fitted, found.accuracy)
+    notes += [DiagnosisMessage.MISMATCHED.said("changes", name=name) for name in found.mismatched]
+    if evidence.alarm and found.unexplained.larger and found.kind != "unexplained":
+        notes.append(DiagnosisMessage.PARTLY.said("explained", share=evidence.explained))
+    if evidence.basis is BaselineSource.RESULT:
+        notes.append(DiagnosisMessage.NOT_TESTED.said())
+    notes += basis_notes(evidence.basis)
+    if evidence.alarm and not evidence.steady:
+        notes.append(DiagnosisMessage.UNSTEADY.said())
+    return notes
+
+
+def basis_notes(basis: BaselineSource) -> list[Remark]:
+    """Return the origin of the baseline, if it is a file."""
+    if basis is BaselineSource.FILE:
+        return [DiagnosisMessage.FROM_FILE.said("")]
+    return [DiagnosisMessage.FILE_UNUSED.said("", how=UNLIKE[basis])] if basis in UNLIKE else []
+
+
+def deviation_notes(deviation: BaselineDeviation | None) -> list[Remark]:
+    """Return the healthy parameter far from its prior, if any."""
+    if deviation is None:
+        return []
+    given = {"name": deviation.name, "distance": deviation.distance}
+    return [DiagnosisMessage.DEVIATION.said("changes", **given)]
+
+
+def explanation_words(each: Explanation) -> str:
+    """Return the changes that explain data together, with their sizes."""
+    said = [f"{e.fault}, {e.variable} =" if e.fault else f"{change_name(e)}," for e in each.changes]
+    return " together with ".join(f"{name} {change_size(e)}" for name, e in zip(said, each.changes, strict=True))
+
+
+def change_size(change: EstimatedChange) -> str:
+    """Return the size of a change ± σ; gains in percent."""
+    if change.kind.is_share:
+        return f"{with_std(100 * change.value, 100 * change.std)} %"
+    at = f" at {change.angle} = {change.angle_value:.3g}" if change.angle else ""
+    unit = f" {change.unit}" if has_unit(change.unit) else ""
+    return f"{with_std(change.value, change.std)}{unit}{at}"
+
+
+def change_name(change: EstimatedChange) -> str:
+    """Return the name of a change."""
+    if change.fault:
+        return f"{change.fault} ({change.variable})"
+    return CHANGES[change.kind.value].format(change.variable)
+
+
+def chance(probability: float) -> str:
+    """Return a probability to two digits."""
+    return f"{probability:.2g}" if probability > 1e-300 else "below 1e-300"
 
 
 def diagnosis_document(found: DiagnosisRun) -> Document:
@@ -67,55 +240,51 @@ def diagnosis_document(found: DiagnosisRun) -> Document:
         drawn = explained_charts(result.residuals, best, found.units)
         sections.append(Section("explained", "Residual with the cause", RESIDUAL, charts=(drawn,), beside=1))
     sections += preprocessing_sections(found.prepared, len(found.prepared) > 1, "prepared")
-    tone = TONES.get(result.kind, "bad")
-    return Document(
-        "diagnosis", "Diagnosis", result.kind, tone, tuple(said), tuple(sections), **origin_of(found.origin)
-    )
+    tone, origin = TONES.get(result.kind, "bad"), origin_of(found.origin)
+    return Document("diagnosis", "Diagnosis", result.kind, tone, tuple(said), tuple(sections), **origin)
 
 
 def diagnosis_sections(found: Diagnosis) -> list[Section]:
     """Return the sections of a diagnosis."""
-    evidence, columns = found.evidence, causes_columns(found)
-    odds: dict[str, Any] = {
-        "explanation": [explanation_words(each) for each in evidence.explanations],
-        "odds": [f"{each.odds:.2g}" for each in evidence.explanations],
-    }
-    words = [head for head in columns if head not in ("D", "probability")]
+    evidence, heads = found.evidence, ("cause", "size", "interval (95 %)", "D", "probability", "nearest", "")
+    suspects = sorted(evidence.suspects, key=lambda each: each.probability)
+    in_verdict = {change.label for each in evidence.explanations for change in each.changes}
+    rows = [_cause(each, found[each.change.label], in_verdict) for each in suspects]
+    words = [head for head in heads if head not in ("D", "probability")]
+    odds = [(explanation_words(each), f"{each.odds:.2g}") for each in evidence.explanations]
+    table, drawn = table_of_rows(("explanation", "odds"), odds), cause_evidence(evidence)
     sections = [
-        Section("looked-at", "Causes", table=table_of(columns, words, ("interval (95 %)",))),
-        Section("causes", "Causes", CAUSES, table_of(odds), (cause_evidence(evidence),), 1, shown=PAGE),
-        Section("changes", "Sizes", CHANGES, charts=tuple(change_charts(evidence)), beside=2),
+        Section("looked-at", "Causes", table=table_of_rows(heads, rows, words, ("interval (95 %)",))),
+        Section("causes", "Causes", CAUSES, table, (drawn,), 1, shown=PAGE),
+        Section("changes", "Sizes", CHANGES_CAPTION, charts=tuple(change_charts(evidence)), beside=2),
     ]
     return [each for each in sections if each.charts or each.table]
 
 
-MAX_CAUSES = 12
-"""Bars of the chart: the most significant causes."""
-MIN_STATISTIC = 0.1
-"""Lower end of the logarithmic axis of D."""
+def _cause(score: CauseScore, change: EstimatedChange, in_verdict: set[str]) -> tuple[str, ...]:
+    scale, known = 100 if change.kind.is_share else 1, change.is_determined
+    low, high = (rounded(scale * end, 0.5 * scale * change.std) for end in change.interval())
+    size, interval = (change_size(change), f"{low} to {high}") if known else ("unknown", "")
+    numbers = (f"{score.statistic:.4g}", chance(score.probability), _nearest(score))
+    return change_name(change), size, interval, *numbers, "in the verdict" if change.label in in_verdict else ""
+
+
+def _nearest(score: CauseScore) -> str:
+    return f"{score.rival}, {math.degrees(score.rival_angle):.0f}°" if score.rival else ""
 
 
 def cause_evidence(found: ChangeEvidence) -> Chart:
     """Return the decrease of the cost by each cause alone."""
     kept = sorted(found.suspects, key=lambda each: each.probability)[:MAX_CAUSES]
-    names = [change_name(each.change) for each in kept]
-    named = {change_name(change) for each in found.explanations for change in each.changes}
-    numbers = (("D", "@told{0.000}"), ("p", "@p{0.0e}"))
-    hover = (*numbers, ("size", "@size"), ("nearest signature", "@near"))
-    layers = []
-    kinds: tuple[tuple[str, Color, bool], ...] = (("in the verdict", "red", True), ("other causes", "grey", False))
-    for text, color, mine in kinds:
-        here = [(name, each) for name, each in zip(names, kept, strict=True) if (name in named) is mine]
-        if here:
-            told = _array([each.statistic for _, each in here])
-            near = [f"{e.rival}, {math.degrees(e.rival_angle):.0f}°" if e.rival else "" for _, e in here]
-            sizes = tuple(change_size(each.change) for _, each in here)
-            chance = _array([each.probability for _, each in here])
-            bars: Data = {"y": tuple(name for name, _ in here), "x": np.maximum(told, MIN_STATISTIC)}
-            more: Data = {"x0": MIN_STATISTIC, "told": told, "p": chance, "size": sizes, "near": tuple(near)}
-            layers.append(Layer("bars", {**bars, **more}, color, label=text, hover=hover))
-    most = max((each.statistic for each in kept), default=1.0)
-    reach = (MIN_STATISTIC, 2.0 * max(most, 1.0))
+    names, told = tuple(change_name(each.change) for each in kept), _array([each.statistic for each in kept])
+    in_verdict = {change_name(change) for each in found.explanations for change in each.changes}
+    bars: Data = {"y": names, "x": np.maximum(told, MIN_STATISTIC), "x0": MIN_STATISTIC, "told": told}
+    sizes = {"size": tuple(change_size(each.change) for each in kept), "near": tuple(map(_nearest, kept))}
+    data: Data = {**bars, "p": _array([each.probability for each in kept]), **sizes}
+    hover = (("D", "@told{0.000}"), ("p", "@p{0.0e}"), ("size", "@size"), ("nearest signature", "@near"))
+    mine = np.array([name in in_verdict for name in names], dtype=bool)
+    layers = kinds("bars", data, [("in the verdict", "red", mine), ("other causes", "grey", ~mine)], hover=hover)
+    reach = (MIN_STATISTIC, 2.0 * float(told.max(initial=1.0)))
     return rows_of(names, Axis("D: decrease of the cost by the cause alone", "log", reach=reach), layers, 110)
 
 

@@ -25,7 +25,7 @@ from fmuid.reports.document import (
     plain,
     table_of_rows,
 )
-from fmuid.reports.topics.diagnosis_phrases import basis_notes, explanation_words
+from fmuid.reports.topics.diagnosis import basis_notes, explanation_words
 from fmuid.reports.topics.preprocessing import preprocessing_sections
 from fmuid.runs import MonitoringRun
 
