@@ -125,13 +125,7 @@ class CostFunction:
         return np.asarray(self._whitened(residual) / self._weights, dtype=np.float64)
 
     def jacobian(self, theta: Floats, residual: Floats, *, central: bool) -> Floats:
-        """Return the derivative (n_rows, N) of the residual at theta.
-
-        Raises
-        ------
-        SensitivityError
-            If all simulations around theta fail.
-        """
+        """Return the derivative (n_rows, N) of the residual; `SensitivityError` if all around theta fail."""
         base = self.problem.measured - self.unwhiten(residual)
         return self._completed(self._derivatives.jacobian(theta, base, central=central), residual)
 
@@ -143,26 +137,15 @@ class CostFunction:
     def first_jacobian(self, theta: Floats, base: Floats, residual: Floats) -> tuple[Floats, Flags]:
         """Return the initial Jacobian and flags (N,) of parameters with an effect.
 
-        Pass the simulation `base` (n,) itself: recovered from the residual, its rounding would look like an effect.
+        `base` (n,) is the simulation: recovered from the residual, its rounding would look like an effect.
         """
         derivatives, acting = self._derivatives.first_jacobian(theta, base)
         return self._completed(derivatives, residual), acting
 
     def measure_noise(self, theta: Floats, residual: Floats, steps: Floats) -> tuple[float, bool]:
-        """Measure the simulation noise at theta; adopt it if larger.
+        """Measure the simulation noise at theta in `steps` (N,); adopt it if larger.
 
-        Parameters
-        ----------
-        theta, residual : (N,) and (n_rows,) arrays
-        steps : (N,) array
-            Distance between the seven points of the difference table.
-
-        Returns
-        -------
-        noise : float
-            Standard deviation of the noise of ‖residual‖²; 0 if none is visible.
-        larger : bool
-            True if the noise exceeds the known noise.
+        Return the standard deviation of the noise of ‖residual‖², 0 if none is visible, and True if it is larger.
         """
         problem, base = self.problem, self.problem.measured - self.unwhiten(residual)
         room = np.minimum(self.upper - theta, theta - self.lower)
@@ -188,15 +171,7 @@ class CostFunction:
         return share * self._derivatives.error(theta, central=central)
 
     def evaluate(self, theta: ArrayLike) -> tuple[Floats, Floats]:
-        """Return residual and central Jacobian at theta (N,).
-
-        Raises
-        ------
-        SimulationError
-            If the simulation fails.
-        SensitivityError
-            If all simulations around theta fail.
-        """
+        """Return residual and central Jacobian at theta (N,); `SimulationError` or `SensitivityError` if that fails."""
         at = np.array(theta, dtype=np.float64)
         residual = self.residuals(at[None])[0]
         if np.isnan(residual).any():

@@ -10,10 +10,11 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import Enum
+from functools import partial
 
 import numpy as np
 
-from fmuid.array_types import Flags, Floats
+from fmuid.array_types import Floats
 from fmuid.errors import InputError
 from fmuid.estimation.search.trust_region import triangle
 
@@ -91,28 +92,6 @@ class WeakDirection:
         if not len(self.names) == len(self.coefficients) == len(self.values) == len(self.magnitudes) > 0:
             raise ValueError("a direction has not as many numbers as names")
 
-    @classmethod
-    def of(
-        cls,
-        level: IdentifiabilityLevel,
-        names: Sequence[str],
-        relative: Floats,
-        std: float,
-        theta: Floats,
-        magnitudes: Floats,
-    ) -> WeakDirection:
-        """Return a direction of components (N,) relative to the magnitudes; small ones are dropped."""
-        size = np.abs(relative)
-        main = np.flatnonzero(size >= LIMITS.named_share * size.max()).tolist()
-        return cls(
-            level,
-            tuple(names[i] for i in main),
-            tuple((relative * magnitudes)[main].tolist()),
-            std,
-            tuple(theta[main].tolist()),
-            tuple(magnitudes[main].tolist()),
-        )
-
 
 @dataclass(frozen=True, eq=False)
 class LocalCovariance:
@@ -144,15 +123,12 @@ class WhitenedJacobian:
         Number of rows of the prior, without error.
     spread : (n_rows,) array, optional
         Standard deviation of each row; default 1.
-    reduced : (N+1, N+1) array, optional
-        Triangle of the Jacobian and any residual, if known.
     """
 
     rows: Floats
     error: Floats
     prior_rows: int = 0
     spread: Floats | None = None
-    reduced: Floats | None = None
 
 
 def local_covariance(
@@ -177,8 +153,7 @@ def local_covariance(
         Initial scale of each parameter; estimates near zero stay identifiable. Default: the magnitudes.
     """
     jacobian, prior_rows = given.rows, given.prior_rows
-    reduced = triangle(jacobian, np.zeros(len(jacobian))) if given.reduced is None else given.reduced
-    reduced = reduced[:, :-1] * magnitudes
+    reduced = triangle(jacobian, np.zeros(len(jacobian)))[:, :-1] * magnitudes
     _, values, directions = np.linalg.svd(reduced)
     values = np.concatenate([values, np.zeros(len(names) - values.size)])
     rounding = np.finfo(float).eps * max(jacobian.shape) * values[0]
@@ -191,31 +166,41 @@ def local_covariance(
     zero = unseen & (by_prior <= np.finfo(float).eps * len(names) * float(np.linalg.norm(prior)))
     inverse = np.where(zero, 0.0, 1.0 / np.where(zero, 1.0, values))
     root = magnitudes[:, None] * directions.T * inverse
+    middle = np.eye(len(names))
     with np.errstate(over="ignore"):  # an infinite variance is what it says
-        middle = (
-            np.eye(len(names)) if given.spread is None else _gram(jacobian @ root, given.spread, unseen, prior_rows)
-        )
+        if given.spread is not None:
+            rows = jacobian @ root * given.spread[:, None]
+            rows[: len(rows) - prior_rows, unseen] = 0.0  # error of the data's rows
+            middle = rows.T @ rows
         covariance = root @ middle @ root.T
     null = directions[zero]
     lost = (np.abs(null) > LIMITS.involved_share).any(axis=0) if zero.any() else np.zeros(len(names), dtype=np.bool_)
     covariance[lost, :] = covariance[:, lost] = np.nan
     covariance[lost, lost] = np.inf
-    at = magnitudes if theta is None else theta
+    named = partial(_direction, names, magnitudes if theta is None else theta, magnitudes)
+    first = magnitudes if scale is None else scale
     undetermined, weak = [], []
     for row in _sparse(null):
         effect, error = (float(np.linalg.norm(part)) for part in (reduced @ row, given.error * magnitudes * row))
         none = max(rounding, min(LIMITS.jacobian_errors * error, float(np.linalg.norm(row)) / LIMITS.lost_std))
         level = IdentifiabilityLevel.NOT if effect <= none else IdentifiabilityLevel.HIDDEN
-        undetermined.append(WeakDirection.of(level, names, row, math.inf, at, magnitudes))
+        undetermined.append(named(level, row, math.inf))
     for direction, std in zip(directions[~zero], (1.0 / values[~zero]).tolist(), strict=True):
-        if _lost_in_effect(np.abs(direction) * std * magnitudes, magnitudes, magnitudes if scale is None else scale):
-            undetermined.append(
-                WeakDirection.of(IdentifiabilityLevel.NOT_IN_EFFECT, names, direction, std, at, magnitudes)
-            )
+        if _lost_in_effect(np.abs(direction) * std * magnitudes, magnitudes, first):
+            undetermined.append(named(IdentifiabilityLevel.NOT_IN_EFFECT, direction, std))
         elif std > LIMITS.weak_std:
-            weak.append(WeakDirection.of(IdentifiabilityLevel.HARDLY, names, direction, std, at, magnitudes))
+            weak.append(named(IdentifiabilityLevel.HARDLY, direction, std))
     rank = len(names) - int(zero.sum())
     return LocalCovariance(covariance, tuple(undetermined), tuple(weak), rank, root[:, ~unseen])
+
+
+def _direction(
+    names: Sequence[str], theta: Floats, magnitudes: Floats, level: IdentifiabilityLevel, relative: Floats, std: float
+) -> WeakDirection:
+    """Return a direction of relative components (N,), without the small ones."""
+    main = np.flatnonzero(np.abs(relative) >= LIMITS.named_share * np.abs(relative).max()).tolist()
+    coefficients, values, sizes = (tuple(each[main].tolist()) for each in (relative * magnitudes, theta, magnitudes))
+    return WeakDirection(level, tuple(names[i] for i in main), coefficients, std, values, sizes)
 
 
 def _lost_in_effect(std: Floats, magnitudes: Floats, scale: Floats) -> bool:
@@ -223,13 +208,6 @@ def _lost_in_effect(std: Floats, magnitudes: Floats, scale: Floats) -> bool:
     beyond = std > LIMITS.lost_std * np.maximum(magnitudes, scale)
     astray = (std > LIMITS.astray_std * scale) & (std > magnitudes)
     return bool((beyond | astray).any())
-
-
-def _gram(rows: Floats, spread: Floats, unseen: Flags, prior_rows: int) -> Floats:
-    """Return (J R)ᵀ spread² J R (N, N)."""
-    rows = rows * spread[:, None]
-    rows[: len(rows) - prior_rows, unseen] = 0.0  # error of the data's rows
-    return np.asarray(rows.T @ rows, dtype=np.float64)
 
 
 def _sparse(rows: Floats) -> list[Floats]:

@@ -182,8 +182,7 @@ class Estimates:
     def test_scale(self, names: Sequence[str]) -> float:
         """Return the factor of colored noise on a likelihood-ratio statistic.
 
-        The largest eigenvalue of [H⁻¹]⁻¹V over identifiable parameters; 1 for white noise. It bounds the weighted sum
-        of χ² variables (Kent, "Robust properties of likelihood ratio tests", Biometrika 69, 1982).
+        The largest eigenvalue of [H⁻¹]⁻¹V; 1 for white noise. It bounds the weighted sum of χ² variables (Kent, 1982).
         """
         white_std = self.std_white_noise
         known = np.isfinite(self.std) & np.isfinite(white_std)

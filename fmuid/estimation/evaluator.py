@@ -80,13 +80,7 @@ class Evaluator(Generic[AnyProblem]):
         return self._counts["failures"]
 
     def finer(self, refinement: Hashable) -> Evaluator[AnyProblem]:
-        """Return the evaluator with a solver refinement; both count together.
-
-        Raises
-        ------
-        InputError
-            If an FMU cannot use these steps.
-        """
+        """Return the evaluator with a solver refinement, counting together; `InputError` if an FMU cannot use it."""
         if refinement not in self._by_refinement:
             Evaluator(self.problem.finer(refinement), self.cache, (self._counts, self._by_refinement))
         return self._by_refinement[refinement]
@@ -98,10 +92,7 @@ class Evaluator(Generic[AnyProblem]):
     # --- simulations
 
     def predict(self, thetas: Floats) -> Floats:
-        """Simulate thetas (m, N); return counted samples (m, n), NaN rows if failed.
-
-        The caller may change the array.
-        """
+        """Simulate thetas (m, N); return counted samples (m, n), NaN rows if failed; the caller may change them."""
         rows, simulations = self._rows(thetas)
         self._count(rows, simulations)
         return rows
@@ -116,10 +107,7 @@ class Evaluator(Generic[AnyProblem]):
         return rows.copy(order="K")  # sums of another layout differ in their last bits
 
     def predict_by(self, refinement: Hashable, theta: Floats, *, start: bool = False) -> Floats:
-        """Simulate theta (N,) with a solver refinement; return (n,), NaN if failed.
-
-        A shared starting point does not count as a simulation.
-        """
+        """Simulate theta (N,) with a solver refinement; return (n,), NaN if failed; a shared start does not count."""
         try:
             other = self.finer(refinement)
         except InputError:  # an FMU that takes no such steps
@@ -166,13 +154,7 @@ class Evaluator(Generic[AnyProblem]):
     def outputs(self, theta: ArrayLike, predicted: Floats | None = None, *, simulate: bool = True) -> list[Floats]:
         """Simulate theta (N,); return each experiment's outputs (K, n_outputs), NaN if failed.
 
-        Parameters
-        ----------
-        theta : (N,) array
-        predicted : (n,) array, optional
-            Counted samples from `predict`; complete experiments are not simulated again.
-        simulate : bool
-            False: do not simulate if `predicted` is given; other samples are NaN.
+        Complete experiments are taken from `predicted` (n,). Without `simulate`, other samples are NaN.
         """
         problem, thetas = self.problem, np.array(theta, dtype=np.float64)[None]
         known = None if predicted is None else problem.tables(problem.unscaled(predicted))
@@ -206,7 +188,7 @@ class Evaluator(Generic[AnyProblem]):
     # --- derivatives by the model
 
     def derivatives(self, theta: Floats) -> Floats | None:
-        """Return the model's derivatives (N, n) of counted samples, None from its first refusal on."""
+        """Return the model's derivatives (N, n) of counted samples; None once refused."""
         blocks, problem = [], self.problem
         if self._refusal or not problem.derivatives:
             return None
@@ -231,10 +213,7 @@ class Evaluator(Generic[AnyProblem]):
     # --- cells
 
     def jacobian_near(self, theta: Floats) -> Floats | None:
-        """Return derivatives (N, n) at the center of theta's cell, if available.
-
-        They do not count as simulations.
-        """
+        """Return derivatives (N, n) at the center of theta's cell, if available; they do not count as simulations."""
         if self.scatter is None or not self._pays(theta, self.scatter, CELLS.jacobian_width):
             return None
         center, key = self._cell(theta, CELLS.jacobian_width)
@@ -253,9 +232,9 @@ class Evaluator(Generic[AnyProblem]):
         return found if np.isfinite(found).all() else None
 
     def error_near(self, refinement: Hashable, theta: Floats, std: Floats) -> Floats | None:
-        """Return the solver error (n,) at the center of an estimate's cell.
+        """Return the solver error (n,) at the center of an estimate's cell; NaN if a simulation fails.
 
-        None if estimates with standard deviations `std` (N,) need too many cells; NaN if a simulation fails.
+        None if estimates with standard deviations `std` (N,) need too many cells.
         """
         if not self._pays(theta, std, CELLS.error_width):
             return None

@@ -101,7 +101,7 @@ class BoundedFunction:
 
 
 class Derivatives:
-    """Jacobians of a weighted vector function by its model, else by forward or central differences.
+    """Jacobians of a weighted vector function, by its model or by differences.
 
     Steps are relative to the magnitudes. Each central Jacobian plans them anew; `alike`: the first ones are powers of
     two. `noise` (n,) and `size` are the standard deviation of the weighted function's noise and its RMS.

@@ -102,13 +102,7 @@ class GlobalSearch:
     whole_box: ClassVar[bool] = True
 
     def check(self, problem: LeastSquares) -> None:
-        """Check the problem: linear loss, and bounds or a prior for each parameter.
-
-        Raises
-        ------
-        InputError
-            If the check fails.
-        """
+        """Check for linear loss, and bounds or a prior for each parameter; raise `InputError`."""
         refuse_loss(problem, "a global search")
         Box(problem.parameters)
 
@@ -192,7 +186,7 @@ class _BoxSearch:
         return np.vstack([self.problem.parameters.start, self.box.thetas(points)])[:count]
 
     def _spread(self) -> Floats:
-        """Return as many points with a successful simulation as wanted, as far as possible."""
+        """Return the wanted points with a successful simulation, as far as possible."""
         wanted = self.settings.starts
         points = self._points(SETTINGS.most_tries * wanted)
         while np.isfinite(self.costs).sum() < wanted and len(self.costs) < len(points):
@@ -298,7 +292,7 @@ class _BoxSearch:
             raise KeyboardInterrupt
 
     def _known(self, start: Floats) -> bool:
-        """Return True if the cost never rises on the way to a known optimum, or at the limit of fits."""
+        """Return True if the limit or a known optimum spares a fit."""
         if not 0 < len(self.fits) < SETTINGS.most_fits:
             return bool(self.fits)
         here, ends = self.box.units(start[None]), self.box.units(np.array([fit.values for _, fit in self.fits]))

@@ -59,16 +59,14 @@ def _refusal(problem: LeastSquares, theta: Floats, idle: Indices, tried: int) ->
 def _points(problem: LeastSquares, theta: Floats, idle: Indices) -> Floats:
     """Return points (m, N): one idle parameter changed, then all of them."""
     places = [_places(problem, theta, i) for i in idle]
-    rows = []
-    for i, values in zip(idle, places, strict=True):
-        for value in values:
-            rows.append(theta.copy())
-            rows[-1][i] = value
+    alone = [(i, value) for i, values in zip(idle, places, strict=True) for value in values]
+    points = np.tile(theta, (len(alone) + (RANDOM_POINTS if idle.size > 1 else 0), 1))
+    for row, (i, value) in zip(points, alone, strict=False):
+        row[i] = value
     rng = np.random.default_rng(SEED)
-    for _ in range(RANDOM_POINTS if idle.size > 1 else 0):
-        rows.append(theta.copy())
-        rows[-1][idle] = [rng.choice(values) for values in places]
-    return np.array(rows).reshape(-1, theta.size)
+    for row in points[len(alone) :]:
+        row[idle] = [rng.choice(values) for values in places]
+    return points
 
 
 def _places(problem: LeastSquares, theta: Floats, i: int) -> Floats:
@@ -76,8 +74,7 @@ def _places(problem: LeastSquares, theta: Floats, i: int) -> Floats:
     parameters = problem.parameters
     lower, upper = parameters.lower[i], parameters.upper[i]
     if np.isfinite(upper - lower):
-        shares = np.array(RANGE_SHARES)
-        return np.asarray(lower + shares * (upper - lower))
+        return np.asarray(lower + np.array(RANGE_SHARES) * (upper - lower))
     size = theta[i] if theta[i] else parameters.scale[i]
     values = np.unique(np.clip(size * np.array(VALUE_MULTIPLES), lower, upper))
     return np.asarray(values[values != theta[i]])
@@ -88,13 +85,10 @@ def _acting(evaluator: Evaluator[LeastSquares], points: Floats, values: Floats, 
     parameters = evaluator.problem.parameters
     if not len(points):
         return np.zeros((0, idle.size), dtype=np.bool_)
-    moved = np.repeat(points[:, None], idle.size, axis=1)
-    for k, i in enumerate(idle):
-        step = DIFFERENCES.largest_step * parameters.reach(points)[:, i]
-        there = points[:, i] + step
-        moved[:, k, i] = np.where(
-            there <= parameters.upper[i], there, np.maximum(points[:, i] - step, parameters.lower[i])
-        )
+    moved, own = np.repeat(points[:, None], idle.size, axis=1), points[:, idle]
+    step = DIFFERENCES.largest_step * parameters.reach(points)[:, idle]
+    back = np.maximum(own - step, parameters.lower[idle])
+    moved[:, np.arange(idle.size), idle] = np.where(own + step <= parameters.upper[idle], own + step, back)
     found = evaluator.predict(moved.reshape(-1, points.shape[1])).reshape(len(points), idle.size, -1)
     floor = DIFFERENCES.effect * np.maximum(noise, NOISE.rounding * np.abs(values))[:, None]
     with np.errstate(invalid="ignore"):

@@ -204,7 +204,7 @@ def _lengths(names: Sequence[str], columns: Floats) -> Floats:
 
 
 def colored_covariance(basis: Floats, solution: Floats, rows: Floats, residual: Floats) -> tuple[Floats, Floats]:
-    """Return covariance (n, n) and degrees of freedom (n,) by Q (K, n), A (n, n), Φ (K, n) and residual (K,)."""
+    """Return covariance (n, n) and degrees of freedom (n,); of Q (K, n), A (n, n), Φ (K, n), residual (K,)."""
     lags = _Lags(residual.size)
     taken, sums = rows @ solution, lags.products(residual[:, None], residual[:, None])
     missing = np.zeros(residual.size)

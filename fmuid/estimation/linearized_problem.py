@@ -57,6 +57,12 @@ class LinearizedProblem:
         return u[:, :kept], s[:kept], vt[:kept].T
 
     @property
+    def _compliance(self) -> Floats:
+        """M V/S (N, k), a root of (JᵀJ)⁻¹."""
+        _, s, v = self._decomposed
+        return self.magnitudes[:, None] * v / s
+
+    @property
     def data_basis(self) -> Floats:
         """U (n, k): orthonormal basis of the fitted part of the residual."""
         return self._decomposed[0]
@@ -67,35 +73,17 @@ class LinearizedProblem:
         return _known(self.data, -self.magnitudes * (v @ ((u.T @ self.residual) / s)))
 
     def data_std(self, noise: Floats) -> Floats:
-        """Return standard deviations (N,) of the data's optimum, infinite if not identifiable.
-
-        Parameters
-        ----------
-        noise : (k, k) array
-            Noise covariance in the coordinates of `data_basis`.
-        """
-        _, s, v = self._decomposed
-        give = self.magnitudes[:, None] * v / s
+        """Return σ (N,) of the data's optimum, infinite if unknown; noise (k, k) of `data_basis`."""
+        give = self._compliance
         return np.nan_to_num(_known(self.data, np.sqrt(np.sum((give @ noise) * give, axis=1))), nan=np.inf)
 
     def moves(self) -> Floats:
-        """Return the shift (N, N) of estimates (rows) by priors (columns).
-
-        The prior's force Wᵀw acts on the compliance (JᵀJ)⁻¹ of the data. NaN if not identifiable.
-        """
-        _, s, v = self._decomposed
-        give = self.magnitudes[:, None] * v / s
-        force = -self.prior_jacobian.T @ self.prior_residual
+        """Return the shift (N, N) of estimates by priors (columns); NaN if not identifiable."""
+        give, force = self._compliance, -self.prior_jacobian.T @ self.prior_residual
         return _known(self.data, ((give @ give.T) * force).T).T
 
     def combine(self, noise: Floats | None = None) -> PriorDataOptimum:
-        """Return the optimum of data and prior together.
-
-        Parameters
-        ----------
-        noise : (k, k) array, optional
-            Noise covariance in the coordinates of `data_basis`; default: white.
-        """
+        """Return the optimum of data and prior together; noise (k, k) of `data_basis`, default: white."""
         u, s, v = self._decomposed
         rows, values = (v * s).T, u.T @ self.residual
         if noise is not None:

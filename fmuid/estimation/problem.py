@@ -319,24 +319,13 @@ class LeastSquares:
         return np.bincount(self.groups, weights=residual**2, minlength=self.counts.size).astype(np.float64)
 
     def output_variances(self, residual: Floats, shares: Floats | None = None) -> Floats:
-        """Return σ̂² = J_j/(K_j − share_j) (1.12) of each output, (n_outputs,).
-
-        Parameters
-        ----------
-        residual : (n,) array
-            Measured − simulated.
-        shares : (n_outputs,) array, optional
-            Degrees of freedom used by each output; default: none, as in (1.51).
-        """
+        """Return σ̂² = J_j/(K_j − share_j) (1.12) of each output from a residual (n,); no shares as in (1.51)."""
         sums = self.squares(residual)
         free = np.maximum(self.counts - (0.0 if shares is None else shares), np.finfo(float).eps)
         return np.asarray(self.levels.pooled(sums, free) / free, dtype=np.float64)
 
     def noise_variances(self, residual: Floats, shares: Floats | None = None) -> Floats:
-        """Return the noise variance (n_outputs,) of each output.
-
-        As `output_variances`; with a robust loss Huber's proposal 2.
-        """
+        """Return the noise variance of each output: `output_variances`, with a robust loss Huber's proposal 2."""
         if self.loss is None:
             return self.output_variances(residual, shares)
         free = self.counts - (0.0 if shares is None else shares)

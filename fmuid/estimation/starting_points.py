@@ -155,13 +155,5 @@ class WeakForm:
         """Standard deviation of each window's residual per unit noise of the states (windows, 1)."""
 
     def residual(self, states: Floats, begins: Floats, ends: Floats) -> Floats:
-        """Return ∫ w′ x + ∫ w f of each window and state (windows, n_x).
-
-        Parameters
-        ----------
-        states : (K, n_x) array
-            Gaps filled.
-        begins, ends : (K − 1, n_x) arrays
-            f at both ends of each interval, with its inputs.
-        """
+        """Return ∫ w′ x + ∫ w f (windows, n_x); of states (K, n_x), and f at both ends of intervals (K − 1, n_x)."""
         return np.asarray(self._states @ states + self._begins @ begins + self._ends @ ends, dtype=np.float64)

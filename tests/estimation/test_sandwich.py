@@ -186,6 +186,23 @@ def test_outputs_that_err_together_add_up() -> None:
         assert sandwich(rows, both).covariance[0, 0] == pytest.approx(expected / count, rel=0.25)
 
 
+def test_innovations_of_outputs_with_gaps_have_a_covariance() -> None:
+    """Correlations over different samples may contradict each other."""
+    rng, count = np.random.default_rng(3), 40
+    there = rng.random((3, count)) < 0.6
+    places = [np.flatnonzero(each) for each in there]
+    firsts = np.cumsum([0, *(each.size for each in places)])
+    outputs = [series(firsts[k] + np.arange(own.size), own, k) for k, own in enumerate(places)]
+    error = rng.standard_normal(count)
+    noise = np.concatenate([error[own] + 0.1 * rng.standard_normal(own.size) for own in places])
+    rows = mean(noise, outputs=3)
+    grid = SampleGrid(rows, outputs, [0, 1, 2])
+    grid.take([model(np.zeros(0), variance) for variance in (1.0, 4.0, 9.0)], rows.columns)
+    assert np.linalg.eigvalsh(grid.innovations)[0] > 0.0
+    np.testing.assert_allclose(np.diag(grid.innovations), [1.0, 4.0, 9.0], rtol=1e-6)
+    assert grid.innovations[0, 1] == pytest.approx(2.0, rel=0.3)
+
+
 def test_given_variance_holds_and_rounding_is_white() -> None:
     given = mean(0.5 * np.random.default_rng(10).standard_normal(2000), given=True)
     assert sandwich(given, [series(2000)]).covariance[0, 0] == pytest.approx(1.0 / 2000.0, rel=0.15)

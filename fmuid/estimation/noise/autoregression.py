@@ -178,7 +178,7 @@ def autoregression(values: Floats, there: Flags) -> Autoregression:
 
 
 def fit(columns: Floats, there: Flags, weights: Floats, orders: int) -> Autoregression:
-    """Fit the second moments Σ weight_i x_i x_iᵀ of columns (m, n), zero where `there` (n,) is False."""
+    """Fit Σ weight_i x_i x_iᵀ of columns (m, n); zero where `there` (n,) is False."""
     samples = int(there.sum())
     variance = max(float(weights @ np.einsum("it,it->i", columns, columns)) / samples, SETTINGS.least_variance)
     longest = max(SETTINGS.longest, SETTINGS.records * there.size)

@@ -138,7 +138,7 @@ def returning(
     grids: Sequence[tuple[Sequence[NoiseModel], Floats]],
     given: Flags,
 ) -> tuple[PeriodicError, ...]:
-    """Return the periodic errors of all experiments with a period, by the noise and innovations of each grid."""
+    """Return the periodic errors of all experiments; `grids` have noise and innovations."""
     rows, found = np.column_stack([residual, basis]), []
     for noise, innovations in grids:
         each = [

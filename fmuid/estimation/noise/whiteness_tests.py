@@ -33,7 +33,7 @@ SETTINGS = WhitenessSettings()
 
 
 def autocorrelation(grid: Floats, lags: int) -> tuple[Floats, Floats]:
-    """Return autocorrelations of `grid` (m,) at lags 0 to `lags`, NaN without pairs, and their pairs of samples."""
+    """Return autocorrelations at lags 0 to `lags`, and their pairs; NaN without pairs."""
     there = np.isfinite(grid)
     centred = np.where(there, grid - np.nanmean(grid), 0.0)
     # by transforms: long memories need thousands of lags
@@ -46,7 +46,7 @@ def autocorrelation(grid: Floats, lags: int) -> tuple[Floats, Floats]:
 
 
 def ljung_box(correlations: Floats, pairs: Floats) -> tuple[float, float]:
-    """Return Ljung and Box's statistic, each lag by its pairs, and its probability under white noise."""
+    """Return Ljung and Box's statistic, and its probability under white noise."""
     count = pairs[0]
     known = pairs[1:] > 0
     statistic = float((count + 2.0) / count * np.sum(pairs[1:][known] * correlations[1:][known] ** 2))
@@ -224,15 +224,9 @@ class LaggedSeries:
         self._autocorrelation = own * (1.0 - np.arange(len(grid)) / len(grid))
 
     def correlate(self, values: Floats, correlation: Floats) -> CrossCorrelation:
-        """Correlate a series (n,) with the lags of this one.
+        """Correlate a series (n,), of a noise's autocorrelation (m,), with these lags.
 
         The variance is Σ ρ(k) ρ'(k)/n (Bartlett); Šidák's bound covers several lags.
-
-        Parameters
-        ----------
-        values : (n,) array
-        correlation : (m,) array
-            Of this series' noise.
         """
         sums = (values - values.mean()) @ self._centred
         found = np.where(self._known, sums / self._pairs / (values.std() * self._spread), np.nan)

@@ -1,4 +1,4 @@
-"""States of an optimization, thresholds of its termination, and its residual as a function.
+"""States of an optimization, and thresholds of its termination.
 
 Adaptive integrators and kinks make a Jacobian promise gains that no step brings; `Stagnation` detects this.
 """
@@ -72,7 +72,7 @@ STOPPING, STAGNATION = StoppingSettings(), StagnationSettings()
 
 
 class ResidualFunction(Protocol):
-    """Residual (n_rows,) as a function of theta (N,), such as `CostFunction`, and the RMS of its simulation noise."""
+    """Residual (n_rows,) as a function of theta (N,); `noise` is the RMS of its simulation noise."""
 
     lower: Floats
     upper: Floats

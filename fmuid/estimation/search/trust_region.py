@@ -52,7 +52,7 @@ class Step:
 
 
 def triangle(jacobian: Floats, residual: Floats) -> Floats:
-    """Return [R q] (N+1, N+1) with ‖R p + q‖ = ‖J p + r‖, by Householder reflections."""
+    """Return [R q] (N+1, N+1) with ‖R p + q‖ = ‖J p + r‖."""
     rows, count = jacobian.shape
     both = np.empty((rows, count + 1), order="F")
     both[:, :count], both[:, count] = jacobian, residual
