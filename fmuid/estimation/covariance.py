@@ -123,12 +123,15 @@ class WhitenedJacobian:
         Number of rows of the prior, without error.
     spread : (n_rows,) array, optional
         Standard deviation of each row; default 1.
+    reduced : (N+1, N+1) array, optional
+        Triangle of the Jacobian and any residual, if known.
     """
 
     rows: Floats
     error: Floats
     prior_rows: int = 0
     spread: Floats | None = None
+    reduced: Floats | None = None
 
 
 def local_covariance(
@@ -153,7 +156,8 @@ def local_covariance(
         Initial scale of each parameter; estimates near zero stay identifiable. Default: the magnitudes.
     """
     jacobian, prior_rows = given.rows, given.prior_rows
-    reduced = triangle(jacobian, np.zeros(len(jacobian)))[:, :-1] * magnitudes
+    reduced = triangle(jacobian, np.zeros(len(jacobian))) if given.reduced is None else given.reduced
+    reduced = reduced[:, :-1] * magnitudes
     _, values, directions = np.linalg.svd(reduced)
     values = np.concatenate([values, np.zeros(len(names) - values.size)])
     rounding = np.finfo(float).eps * max(jacobian.shape) * values[0]

@@ -199,7 +199,8 @@ class _Identification:
     def _end_round(self, number: int) -> None:
         """Estimate the noise variances from the residual (1.12), and record the round."""
         state, problem = self.state, self.problem
-        self.local = self._covariance(self.criterion, state.residual, state.jacobian)
+        reduced = None if state.linear is None else state.linear.reduced
+        self.local = self._covariance(self.criterion, state.residual, state.jacobian, reduced=reduced)
         leverage = self.local.leverage(state.jacobian)[: problem.measured.size]
         self.shares: Floats = np.zeros(problem.counts.size)
         self.shares += np.bincount(problem.groups, weights=leverage, minlength=problem.counts.size)
@@ -235,17 +236,22 @@ class _Identification:
         state, before = self.state, self.criterion
         self.criterion = before.reweighted(self._next_variance())
         residual, jacobian = before.converted(self.criterion, state.residual, state.jacobian)
-        self.state = replace(state, residual=residual, jacobian=jacobian, outcome=None)
+        self.state = replace(state, residual=residual, jacobian=jacobian, outcome=None, linear=None)
 
     # --- the result
 
     def _covariance(
-        self, criterion: CostFunction, residual: Floats, jacobian: Floats, spread: Floats | None = None
+        self,
+        criterion: CostFunction,
+        residual: Floats,
+        jacobian: Floats,
+        spread: Floats | None = None,
+        reduced: Floats | None = None,
     ) -> LocalCovariance:
         """Analyze a Jacobian at the point found, with or without prior rows."""
         theta, parameters = self.state.theta, self.problem.parameters
         error = criterion.jacobian_error(theta, residual, central=self.state.central)
-        found = WhitenedJacobian(jacobian, error, len(jacobian) - self.problem.measured.size, spread)
+        found = WhitenedJacobian(jacobian, error, len(jacobian) - self.problem.measured.size, spread, reduced)
         names, magnitudes = parameters.names, parameters.magnitudes(theta)
         return local_covariance(names, found, magnitudes, theta=theta, scale=parameters.scale)
 
