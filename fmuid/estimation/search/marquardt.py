@@ -79,7 +79,8 @@ class Descent:
         """Return the state after one more step, or with an outcome."""
         state = replace(state, last=None)
         if not (state.fresh or state.way.near):
-            if state.iterations >= self.settings.max_iterations:
+            stepped = state.way.predicted < math.inf  # an earlier search may have ended at the limit, converged
+            if stepped and state.iterations >= self.settings.max_iterations:
                 return replace(state, outcome=TerminationReason.ITERATION_LIMIT)
             state = self._renewed(function, state)
         while state.outcome is None:
