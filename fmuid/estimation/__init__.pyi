@@ -1,4 +1,3 @@
-from .cache import Cache as Cache
 from .cost_components import misfits as misfits
 from .cost_components import refuse_loss as refuse_loss
 from .cost_components import variances as variances
@@ -14,6 +13,7 @@ from .equation_error import Term as Term
 from .equation_error import equation_error as equation_error
 from .equation_error import instrumental_variables as instrumental_variables
 from .estimates import Estimates as Estimates
+from .evaluator import Cache as Cache
 from .evaluator import Evaluator as Evaluator
 from .finite_differences import SENSITIVITIES as SENSITIVITIES
 from .finite_differences import SensitivityError as SensitivityError

@@ -14,7 +14,7 @@ from fmuid.estimation.cost_function import prepare
 from fmuid.estimation.evaluator import Evaluator
 from fmuid.estimation.local_search import Marquardt
 from fmuid.estimation.problem import LeastSquares
-from fmuid.estimation.search.marquardt import Descent, iterate, last_state
+from fmuid.estimation.search.marquardt import Descent, iterate
 from fmuid.estimation.search.state import Iteration, State, TerminationReason
 from fmuid.estimation.search.trust_region import REGION, LinearModel, Step, TrustRegion, triangle
 
@@ -39,13 +39,17 @@ def measured(std: float = 0.05, seed: int = 2) -> Floats:
 
 
 def run(
-    function: Callable[[Floats], Floats], y: Floats, parameters: list[Parameter], settings: Marquardt | None = None
+    function: Callable[[Floats], Floats],
+    y: Floats,
+    parameters: list[Parameter],
+    settings: Marquardt | None = None,
+    rough: bool = False,
 ) -> tuple[State, list[Iteration], Evaluator[LeastSquares]]:
     problem = LeastSquares.from_function(function, y, {f"p{i}": p for i, p in enumerate(parameters)})
     evaluator = Evaluator(problem)
     start = prepare(evaluator)
     state = State(start.theta, start.residual, start.jacobian)
-    states = list(iterate(Descent(settings or Marquardt()), start.criterion, state))
+    states = list(iterate(Descent(settings or Marquardt(), rough), start.criterion, state))
     return states[-1], [each.last for each in states if each.last is not None], evaluator
 
 
@@ -83,10 +87,7 @@ def test_search_finds_the_optimum_of_scipy(free: tuple[State, list[Iteration], i
 
 
 def test_rough_search_ends_earlier_near_the_optimum(free: tuple[State, list[Iteration], int]) -> None:
-    problem = LeastSquares.from_function(decay, measured(), {f"p{i}": p for i, p in enumerate(STARTS)})
-    start = prepare(Evaluator(problem))
-    state = State(start.theta, start.residual, start.jacobian)
-    rough = last_state(Descent(Marquardt(), rough=True), start.criterion, state)
+    rough, _, _ = run(decay, measured(), STARTS, rough=True)
     assert rough.iterations < free[0].iterations
     assert (np.abs(rough.theta - free[0].theta) < 0.1 * std_of(free[0])).all()
 

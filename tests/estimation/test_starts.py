@@ -54,16 +54,19 @@ def test_windows_without_samples_do_not_count() -> None:
             WeakForm(few, np.ones((few.size, 1), dtype=bool))
 
 
-def test_windows_are_those_of_a_direct_count() -> None:
-    there = np.random.default_rng(7).random((400, 2)) < [0.4, 0.5]
-    times = np.repeat(TIMES[::4], 4) + np.tile([0.0, 0.0, 0.0, 1e-3], 100)  # jumps
+@pytest.mark.parametrize("count", [400, 396])  # the last window ends with the record or before
+def test_windows_are_those_of_a_direct_count(count: int) -> None:
+    there = np.random.default_rng(7).random((count, 2)) < [0.4, 0.5]
+    there[-WINDOW:] = True
+    times = (np.repeat(TIMES[::4], 4) + np.tile([0.0, 0.0, 0.0, 1e-3], 100))[:count]  # jumps
     times[60:75] = times[60]
-    firsts = [a for a in range(0, 390, WINDOW // 2) if (there[a : a + WINDOW + 1].sum(axis=0) >= 3).all()]
-    firsts = [a for a in firsts if times[a + WINDOW] > times[a]]
+    every = range(0, count - WINDOW, WINDOW // 2)
+    firsts = [a for a in every if (there[a : a + WINDOW + 1].sum(axis=0) >= 3).all() and times[a + WINDOW] > times[a]]
     weak = WeakForm(times, there)
     assert weak.shape == (len(firsts), 2)
     # a step at each sample in turn is seen by the windows that have it inside
-    seen = np.abs(weak.residual(np.eye(400), np.zeros((399, 400)), np.zeros((399, 400)))) > 0.0
+    still = np.zeros((count - 1, count))
+    seen = np.abs(weak.residual(np.eye(count), still, still)) > 0.0
     for window, first in zip(seen, firsts, strict=True):
         assert set(np.flatnonzero(window)) <= set(range(first, first + WINDOW + 1))
 
