@@ -65,13 +65,13 @@ import json, resource, sys, time
 from pathlib import Path
 from fmuid.runs.batch.batch import Batch
 from fmuid.runs.batch.dataset import Dataset
-from fmuid.runs.batch.summary import condensed, summarize
+from fmuid.runs.batch.summary import summarize
 job = Batch({study!r}, {output!r}, max_cases=10**9)
 job.dataset.count = {rows}
 before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
 began = time.perf_counter()
-frame, failures = condensed(job.dataset)
-found = summarize(frame, failures=failures)
+frame = job.dataset.read()
+found = summarize(frame)
 took = time.perf_counter() - began
 after = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
 print(json.dumps([found.cases, took, before / 1e3, after / 1e3]))

@@ -65,7 +65,7 @@ def _show(job: Batch, found: BatchResult, figures: str | None, *, report: bool) 
         from fmuid.reports.topics.batch import batch_document
         from fmuid.reports.topics.batch_tables import write_summary
 
-        summary, frame = found.summary()
+        summary, frame = found.summary(), found.frame
         written = write_summary(found, summary, job.study)
         document = batch_document(found, summary, frame, job.study)
         console.show(document)

@@ -54,7 +54,7 @@ def html(found: object) -> str | None:
             return facts_document(facts(found), PLAIN_WIDTH).html()
         case BatchResult():
             head = _titled(f"{found.finished} of {found.total} cases", str(found.folder), ())
-            return head + "".join(table(each.table) for each in tables_of(found.summary()[0]))
+            return head + "".join(table(each.table) for each in tables_of(found.summary()))
         case Study():
             return _study(found)
         case Experiment():
@@ -195,7 +195,7 @@ def plots(found: object) -> FigureCollection:
         case Diagnosis():
             return FigureCollection(diagnosis_sections(found))
         case BatchResult():
-            summary, frame = found.summary()
+            summary, frame = found.summary(), found.frame
             drawn = charts_of(frame, summary, found.truth, found.units, given_noise=found.given_noise)
             return FigureCollection(drawn)
     raise InputError(f"a {type(found).__name__} has no figures")

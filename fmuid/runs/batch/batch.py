@@ -25,7 +25,7 @@ from fmuid.runs.batch.case import CaseRunner
 from fmuid.runs.batch.case_list import CaseList, truth_of
 from fmuid.runs.batch.dataset import MANIFEST, Dataset
 from fmuid.runs.batch.study_package import BatchStudy, changes
-from fmuid.runs.batch.summary import Summary, condensed, summarize
+from fmuid.runs.batch.summary import Summary, summarize
 from fmuid.runs.batch.worker import versions
 from fmuid.runs.batch.worker_pool import crew
 from fmuid.simulation import parameter_units
@@ -89,11 +89,9 @@ class BatchResult(PlotMixin):
         """Finished cases, one row each, sorted (`CaseRunner.columns`)."""
         return self.dataset.read()
 
-    def summary(self) -> tuple[Summary, pd.DataFrame]:
-        """Return the summary, and of each case the columns for figures."""
-        frame, failures = condensed(self.dataset)
-        found = summarize(frame, self.truth, self.units, given_noise=self.given_noise, failures=failures)
-        return found, frame
+    def summary(self) -> Summary:
+        """Return the tables of the finished cases."""
+        return summarize(self.frame, self.truth, self.units, given_noise=self.given_noise)
 
 
 class Batch(HtmlTableMixin):
@@ -219,8 +217,7 @@ class Batch(HtmlTableMixin):
         """Run cases; return True if Ctrl-C ended it."""
         record = lru_cache(maxsize=1)(bundle.record)  # cases of one record follow each other
         writer = _Writer(self.dataset)
-        known = (status for part in self.dataset.stream(["status"]) for status in part["status"])
-        counter = _Counter(len(self.cases), known)
+        counter = _Counter(len(self.cases), self.dataset.read(["status"])["status"])
         try:
             with crew(self._scheduler, self._workers) as there, contextlib.closing(writer):
                 if there.dashboard:

@@ -54,54 +54,45 @@ class Dataset:
         """Return the parts by name, without files of others."""
         return parts_in(self.folder)
 
-    def read(self) -> pd.DataFrame:
-        """Return all rows, sorted by case, each case once."""
-        frame: pd.DataFrame = self._together([self._load(path) for path in self.parts()]).to_pandas()
+    def read(self, columns: Sequence[str] = ()) -> pd.DataFrame:
+        """Return all rows, sorted by case, each case once; with ``case`` and some columns, or all."""
+        names = list(dict.fromkeys(["case", *columns])) if columns else self.schema.names
+        frame: pd.DataFrame = self._together([self._load(path, names) for path in self.parts()], names).to_pandas()
         return frame
 
     def finished(self) -> Flags:
         """Return the finished cases as flags, (count,)."""
         found = np.zeros(self.count, np.bool_)
-        for path in self.parts():
-            found[self._load(path, ["case"])["case"].to_numpy()] = True
+        found[self.read(["case"])["case"]] = True
         return found
 
-    def stream(self, columns: Sequence[str]) -> Iterator[pd.DataFrame]:
-        """Yield columns of all rows part by part, each case once."""
-        seen = np.zeros(self.count, np.bool_)
-        for path in self.parts():
-            table = self._load(path, list(dict.fromkeys(["case", *columns])))
-            cases = table["case"].to_numpy()
-            yield table.filter(pa.array(~seen[cases])).select(list(columns)).to_pandas()
-            seen[cases] = True
-
-    def _load(self, path: Path, columns: list[str] | None = None) -> pa.Table:
-        """Return the rows of a part, sorted by case; all columns or some."""
+    def _load(self, path: Path, names: Sequence[str]) -> pa.Table:
+        """Return columns of a part."""
         with _whole(path):
-            table = _opened(path).read(columns)
-            table = table.cast(self.schema if columns is None else pa.schema([self.schema.field(n) for n in columns]))
+            table = _opened(path).read(list(names)).cast(pa.schema([self.schema.field(name) for name in names]))
             cases = table["case"].to_numpy()
             if not ((cases >= 0) & (cases < self.count)).all():
                 raise ValueError(f"case number not below {self.count}")
             return table
 
-    def _together(self, tables: Sequence[pa.Table]) -> pa.Table:
+    def _together(self, tables: Sequence[pa.Table], names: Sequence[str]) -> pa.Table:
         """Return rows sorted by case; of several of one case the first."""
-        table = pa.concat_tables([self.schema.empty_table(), *tables])
+        table = pa.concat_tables([self.schema.empty_table().select(names), *tables])
         _, first = np.unique(table["case"].to_numpy(), return_index=True)
         return table.take(pa.array(first))
 
     def append(self, rows: Sequence[Mapping[str, Any]]) -> None:
         """Add rows as a part, on the disk on return."""
         with self._writing():
-            self._write(self._together([pa.Table.from_pylist([dict(row) for row in rows], self.schema)]))
+            new = pa.Table.from_pylist([dict(row) for row in rows], self.schema)
+            self._write(self._together([new], self.schema.names))
             if len(self.parts()) > LOOSE_PARTS:
-                self._merge([path for path in self.parts() if self._load(path, ["case"]).num_rows < PART_ROWS])
+                self._merge()
 
     def compact(self) -> None:
-        """Merge all parts into full ones, few in memory at once."""
+        """Merge parts into full ones."""
         with self._writing():
-            self._merge(self.parts())
+            self._merge()
 
     def log(self, case: int, text: str) -> None:
         """Keep the log of a case."""
@@ -120,7 +111,7 @@ class Dataset:
             path.unlink(missing_ok=True)
         for path in self.parts():
             try:
-                self._load(path)
+                self._load(path, self.schema.names)
             except InputError:
                 path.unlink()
                 lost.append(path)
@@ -145,19 +136,13 @@ class Dataset:
         with self._writing():
             self._put(self.folder / MANIFEST, text.encode())
 
-    def _merge(self, paths: Sequence[Path]) -> None:
-        """Merge parts into full ones; only those whose cases interleave are in memory."""
-        paths = sorted(paths, key=_first_case)
-        kept, table = set[Path](), self.schema.empty_table()
-        for path, following in zip(paths, [*paths[1:], None], strict=True):
-            table = self._together([table, self._load(path)])
-            cases = table["case"].to_numpy()
-            # what comes before all that is still to be loaded is settled
-            settled = len(cases) if following is None else int(np.searchsorted(cases, _first_case(following)))
-            full = settled if following is None else settled - settled % PART_ROWS
-            kept |= {self._write(table.slice(at, min(PART_ROWS, full - at))) for at in range(0, full, PART_ROWS)}
-            table = table.slice(full)
-        for path in paths:
+    def _merge(self) -> None:
+        """Merge the parts that are not full, the only ones in memory."""
+        names = self.schema.names
+        loose = [path for path in self.parts() if self._load(path, ["case"]).num_rows < PART_ROWS]
+        table = self._together([self._load(path, names) for path in loose], names)
+        kept = {self._write(table.slice(at, PART_ROWS)) for at in range(0, table.num_rows, PART_ROWS)}
+        for path in loose:
             if path not in kept:
                 path.unlink()
 
@@ -166,7 +151,6 @@ class Dataset:
         sink = pa.BufferOutputStream()
         pq.write_table(table, sink, compression="zstd", write_page_checksum=True)
         content = sink.getvalue().to_pybytes()
-        # which `_first_case` and `_opened` read
         path = self.cases / f"part-{table['case'][0].as_py():09d}-{_digest(content)}.parquet"
         self._put(path, content)
         return path
@@ -227,10 +211,6 @@ def _whole(path: Path) -> Iterator[None]:
 
 def _digest(content: bytes) -> str:
     return hashlib.sha256(content).hexdigest()[:12]
-
-
-def _first_case(part: Path) -> int:
-    return int(part.name.split("-")[1])
 
 
 def _sync_folder(folder: Path) -> None:

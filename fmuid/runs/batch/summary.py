@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import re
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -14,9 +14,7 @@ import numpy as np
 import pandas as pd
 
 from fmuid import codec
-from fmuid.estimation import AccuracyOutcome
-from fmuid.runs.batch.case import VOLATILE, directions_of
-from fmuid.runs.batch.dataset import Dataset
+from fmuid.runs.batch.case import directions_of
 from fmuid.runs.batch.statistics import (
     BatchColumns,
     converged,
@@ -34,12 +32,6 @@ MAX_LEVELS, MAX_GROUPS = 20, 100
 
 OVERVIEW_FILE, BATCH_SCHEMA = "summary.json", "fmuid/batch/2"
 STATUSES = ["converged", "not converged", "failed"]
-# Columns that no statistics are made of.
-_TEXTS = {"message", "undetermined", "verdict"}
-NOT_SUMMARIZED = {*_TEXTS, "iterations", "simulations", "rejected", "shift", *VOLATILE} - {"checked"}
-
-_KIND = ["status", "message", "undetermined"]
-_NO_FAILURES = pd.DataFrame([("", "", (), 0, 0)], columns=[*_KIND, "cases", "first"]).iloc[:0]
 _NUMBER = re.compile(r"(?<![\w.])[-+]?(?:0x[0-9a-fA-F]++|\d++(?:\.\d++)?+(?:[eE][-+]?\d++)?+)(?!\w)")
 _TRUTH_COLUMNS = ["truth", "bias", "bias_std", "bias_p", "rms_error"]
 _TRUTH_COLUMNS += ["coverage", "coverage_lower", "coverage_upper", "coverage_p"]
@@ -132,9 +124,8 @@ def summarize(
     units: Mapping[str, str | None] | None = None,
     *,
     given_noise: bool = False,
-    failures: pd.DataFrame | None = None,
 ) -> Summary:
-    """Summarize the cases of a batch, a row each; `failures` are those of `condensed`."""
+    """Summarize the cases of a batch, a row each."""
     columns = BatchColumns.of(frame)
     found = estimates(frame, given_noise=given_noise)
     truth = {name: value for name, value in (truth or {}).items() if name in columns.parameters}
@@ -148,7 +139,7 @@ def summarize(
         len(frame),
         len(found),
         _statuses(frame),
-        _counted([_failures(frame)]) if failures is None else failures,
+        _failures(frame),
         parameters,
         groups,
         settings,
@@ -257,46 +248,22 @@ def _reasons(frame: pd.DataFrame) -> dict[str, int]:
     return dict(counts.most_common())
 
 
-def condensed(dataset: Dataset) -> tuple[pd.DataFrame, pd.DataFrame]:
-    """Return the columns of each case for a summary, and `Summary.failures`."""
-    parts, failures = [], []
-    for part in dataset.stream([name for name in dataset.schema.names if name in _KIND or name not in NOT_SUMMARIZED]):
-        failures.append(_failures(part))
-        part["status"] = pd.Categorical(part["status"], STATUSES)
-        if "accuracy" in part:
-            part["accuracy"] = pd.Categorical(part["accuracy"], ["", *(each.value for each in AccuracyOutcome)])
-        if "reasons" in part:
-            part["reasons"] = part["reasons"].astype("category")
-        parts.append(part.drop(columns=[name for name in NOT_SUMMARIZED if name in part]))
-    frame = pd.concat(parts, ignore_index=True) if parts else pd.DataFrame(columns=dataset.schema.names)
-    if not frame["case"].is_monotonic_increasing:
-        frame = frame.sort_values("case", ignore_index=True)
-    return frame, _counted(failures)
-
-
 def _failures(frame: pd.DataFrame) -> pd.DataFrame:
-    """Group the messages of cases without an estimate, their numbers left out."""
+    """Count the messages of cases without an estimate, their numbers left out, the most frequent first."""
     failed = frame[frame["status"] != "converged"]
     tables = failed["table"] if "table" in failed else [""] * len(failed)
+    weak = failed.get("undetermined", pd.Series("", failed.index))
     told = pd.DataFrame(
         {
-            "status": failed["status"].astype(str),
-            "message": [_pattern(*pair) for pair in zip(failed["message"].astype(str), tables, strict=True)],
-            "undetermined": [
-                tuple((each.level, each.names) for each in directions_of(text))
-                for text in failed.get("undetermined", pd.Series("", failed.index))
-            ],
+            "status": failed["status"],
+            "message": [_pattern(*pair) for pair in zip(failed["message"], tables, strict=True)],
+            "undetermined": [tuple((each.level, each.names) for each in directions_of(text)) for text in weak],
             "case": failed["case"],
         }
     )
-    return told.groupby(_KIND, sort=False)["case"].agg(cases="size", first="min").reset_index()
-
-
-def _counted(failures: Sequence[pd.DataFrame]) -> pd.DataFrame:
-    """Return the failures of several parts together, the most frequent first."""
-    told = pd.concat([_NO_FAILURES, *failures], ignore_index=True)
-    grouped = told.groupby(_KIND, sort=False).agg({"cases": "sum", "first": "min"}).reset_index()
-    return grouped.sort_values(["cases", "first"], ascending=[False, True], ignore_index=True)
+    kinds = told.groupby(["status", "message", "undetermined"], sort=False)["case"]
+    found = kinds.agg(cases="size", first="min").reset_index()
+    return found.sort_values(["cases", "first"], ascending=[False, True], ignore_index=True)
 
 
 def _pattern(message: str, table: str) -> str:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -15,9 +14,8 @@ from scipy import stats
 from fmuid.estimation.covariance import IdentifiabilityLevel, WeakDirection
 from fmuid.reports.topics.batch_tables import write_tables
 from fmuid.runs.batch.case import directions_of, directions_text
-from fmuid.runs.batch.dataset import Dataset
 from fmuid.runs.batch.statistics import EstimateWarning, statistics
-from fmuid.runs.batch.summary import condensed, summarize
+from fmuid.runs.batch.summary import summarize
 from tests.support.drawn_batches import TRUTH, UNITS, batch, doubts, fail, row, show_batch, summary_words
 
 # --- numbers
@@ -201,32 +199,6 @@ def test_non_identifiable_parameters_in_words(tmp_path: Path, capsys: pytest.Cap
     show_batch(summary)
     assert "R and L" in " ".join(capsys.readouterr().out.split())
     assert directions_of(frame["undetermined"][8]) == tuple(other)
-
-
-def test_a_summary_of_parts_is_that_of_all_rows(tmp_path: Path) -> None:
-    """Groups, several starts and failures; the parts come in no order, and one case twice."""
-    settings = {"table": np.repeat([f"r{k}" for k in range(30)], 4), "set.M": np.tile([0.4, 0.4, 0.5, 0.5], 30)}
-    frame = batch({**settings, "start.R": np.tile([1.0, 2.0], 60)})
-    frame = fail(frame, list(range(8)), [f"r{k // 4}: it failed at {k}" for k in range(8)])
-    frame = fail(frame, [100, 110, 111], ["after 30 steps"] * 3, "not converged")
-    kinds = {"object": "string", "str": "string"}
-    frame = frame.assign(elapsed_s=0.1, finished=pd.Timestamp("2026-01-01", tz="UTC"), worker="w")
-    types = {str(name): kinds.get(str(kind), str(kind)) for name, kind in frame.dtypes.items()}
-    dataset = Dataset(tmp_path, types | {"finished": "datetime64[us, UTC]"}, 120)
-    dataset.cases.mkdir(parents=True)
-    rows: list[Any] = frame.to_dict("records")
-    for part in (rows[70:], rows[:40], rows[35:70]):
-        dataset.append(part)
-    lean, failures = condensed(dataset)
-    assert not {"message", "worker", "finished", "simulations"} & set(lean)
-    found, right = summarize(lean, TRUTH, UNITS, failures=failures), summarize(frame, TRUTH, UNITS)
-    assert len(right.failures) == 2
-    for name in ("statuses", "failures", "parameters", "groups", "optima"):
-        pd.testing.assert_frame_equal(getattr(found, name), getattr(right, name), check_exact=True)
-    assert summary_words(found) == summary_words(right)
-    empty, none = condensed(Dataset(tmp_path / "none", types | {"finished": "datetime64[us, UTC]"}, 0))
-    assert empty.empty
-    assert none.empty
 
 
 def test_summary_counts_the_reasons_of_verdicts() -> None:
