@@ -1,8 +1,4 @@
-"""Frozen dataclasses to JSON and back.
-
-Fields are keys, enums are their values, arrays are lists. ``null`` is an unknown number, ``"inf"`` an unlimited one.
-A class with another form has a `Layout`.
-"""
+"""Frozen dataclasses to JSON and back: enums are values; ``null`` is an unknown number, ``"inf"`` an unlimited one."""
 
 from __future__ import annotations
 
@@ -12,6 +8,7 @@ import sys
 import types
 from collections.abc import Mapping, Sequence
 from collections.abc import Set as AbstractSet
+from contextlib import suppress
 from dataclasses import MISSING, Field, dataclass, field, fields, is_dataclass
 from enum import Enum
 from functools import cache
@@ -97,17 +94,16 @@ def _object(value: Any) -> dict[str, Any]:
 
 
 def from_json(kind: type[Item], content: Any) -> Item:
-    """Return the value of `as_json`.
-
-    Raises `ContentError`, with the place, for another type or a contradiction.
-    """
+    """Return the value of `as_json`; raise `ContentError` with the place for what does not fit."""
     found: Item = _value(kind, content, "")
     return found
 
 
 def _value(kind: Any, content: Any, place: str) -> Any:
     origin, arguments = get_origin(kind), get_args(kind)
-    if kind is Any or kind is object or _is_made(content):
+    # what no JSON has, a reader put here
+    made = isinstance(content, np.ndarray | tuple) or type(content).__name__ == "DataFrame"
+    if kind is Any or kind is object or made:
         return content
     if origin in (Union, types.UnionType):
         return _first(arguments, content, place)
@@ -129,11 +125,6 @@ def _value(kind: Any, content: Any, place: str) -> Any:
         known = [each.value for each in kind]
         return kind(content) if content in known else _refuse(place, content, f"one of {', '.join(map(str, known))}")
     return _scalar(kind, content, place)
-
-
-def _is_made(content: Any) -> bool:
-    """Return whether a reader put this here: JSON has no such values."""
-    return isinstance(content, np.ndarray | tuple) or type(content).__name__ == "DataFrame"
 
 
 def _scalar(kind: Any, content: Any, place: str) -> Any:
@@ -160,23 +151,19 @@ def _first(kinds: Sequence[Any], content: Any, place: str) -> Any:
         return None
     kinds = sorted((each for each in kinds if each is not type(None)), key=lambda each: (each is float, each is str))
     for each in kinds[:-1]:
-        try:
+        with suppress(ContentError):
             return _value(each, content, place)
-        except ContentError:
-            continue
     return _value(kinds[-1], content, place)
 
 
 def _sequence(origin: Any, arguments: tuple[Any, ...], content: Any, place: str) -> Any:
     given = content if isinstance(content, list) else _refuse(place, content, "a list")
-    if origin is tuple and arguments[1:] != (...,):
-        if len(given) != len(arguments):
-            _refuse(place, content, f"a list of {len(arguments)}")
-        return tuple(
-            _value(kind, each, f"{place}[{i}]") for i, (kind, each) in enumerate(zip(arguments, given, strict=True))
-        )
-    each = (_value(arguments[0], one, f"{place}[{i}]") for i, one in enumerate(given))
-    return frozenset(each) if origin is frozenset else list(each) if origin is list else tuple(each)
+    fixed = origin is tuple and arguments[1:] != (...,)
+    if fixed and len(given) != len(arguments):
+        _refuse(place, content, f"a list of {len(arguments)}")
+    kinds = arguments if fixed else [arguments[0]] * len(given)
+    values = (_value(kind, one, f"{place}[{i}]") for i, (kind, one) in enumerate(zip(kinds, given, strict=True)))
+    return origin(values) if origin in (frozenset, list) else tuple(values)
 
 
 def _keys(kind: Any, content: Any, place: str) -> dict[str, Any]:
@@ -310,10 +297,7 @@ def write_object(path: Path, content: Mapping[str, Any]) -> Path:
 
 
 def read(path: Path, schema_name: str, kind: type[Item], remedy: str) -> Item:
-    """Return the content of a JSON file as a class.
-
-    Raises `InputError` with the remedy for a file that is unreadable, damaged or of another schema.
-    """
+    """Return the content of a JSON file as a class; raise `InputError` with the remedy for another file."""
     return decoded(path, content_of(path, schema_name, remedy), kind, remedy)
 
 
@@ -336,7 +320,6 @@ def decoded(path: Path, content: Mapping[str, Any], kind: type[Item], remedy: st
     """Return the value of a file's content; errors as in `read`."""
     try:
         return from_json(kind, content)
-    except ContentError as error:
-        raise InputError(f"{path} cannot be right: {error}; {remedy}") from None
-    except RecursionError:
-        raise InputError(f"{path} cannot be right: it is nested too deeply; {remedy}") from None
+    except (ContentError, RecursionError) as error:
+        why = error if isinstance(error, ContentError) else "it is nested too deeply"
+        raise InputError(f"{path} cannot be right: {why}; {remedy}") from None

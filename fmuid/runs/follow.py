@@ -226,8 +226,7 @@ def _told(command: Sequence[str], line: str, folder: Path) -> list[str]:
     try:
         done = run_program(
             list(command), input=line + "\n", env=os.environ | known | {"FMUID_FOLDER": str(folder)}, check=False,
-            text=True, encoding="utf-8", errors="replace", stdout=PIPE, stderr=STDOUT,
-            timeout=COMMAND_SECONDS,
+            text=True, encoding="utf-8", errors="replace", stdout=PIPE, stderr=STDOUT, timeout=COMMAND_SECONDS,
         )  # fmt: skip
     except TimeoutExpired:
         return [f"alarm_command {command[0]!r} exceeded {COMMAND_SECONDS:g} s at alarm {said['id']} and was ended"]
@@ -255,24 +254,20 @@ class AlarmLines:
         """Fields that another run needs to go on."""
         return {"study": self.study, "count": self.count, "first": self.first, "fault": self.fault}
 
-    def new(self, monitor: Monitor) -> list[str]:
-        """Return the new lines after windows were examined."""
-        return [json.dumps(as_json(each), ensure_ascii=False) for each in self._new(monitor)]
-
-    def _new(self, monitor: Monitor) -> Iterator[Mapping[str, Any]]:
+    def new(self, monitor: Monitor) -> Iterator[str]:
+        """Yield the new lines after windows were examined."""
         for alarm in monitor.alarms if monitor.windows else ():
-            goes_on = alarm.last == monitor.windows - 1
             if alarm.first > self.first:
                 self.count, self.first, self.fault = self.count + 1, alarm.first, alarm.fault
                 yield self._line(RAISED, monitor, alarm)
             elif alarm.first == self.first and self.fault and alarm.fault != self.fault:
                 self.fault = alarm.fault
                 yield self._line(CHANGED, monitor, alarm)
-            if alarm.first == self.first and self.fault and not goes_on:
+            if alarm.first == self.first and self.fault and alarm.last < monitor.windows - 1:
                 self.fault = ""
                 yield self._line(ENDED, monitor, alarm)
 
-    def _line(self, event: str, monitor: Monitor, alarm: Alarm) -> Mapping[str, Any]:
+    def _line(self, event: str, monitor: Monitor, alarm: Alarm) -> str:
         table, row = monitor.table, alarm.first if event == RAISED else alarm.last
         end, statistic = (table[name].to_numpy(np.float64)[row - table.index[0]] for name in ("end", "statistic"))
         at = monitor.moment(str(table["record"][row]), float(end))
@@ -288,4 +283,4 @@ class AlarmLines:
         told |= {"record": at.record, "time": at.time, "date": at.date, "statistic": float(statistic)}
         told |= {"explanations": explained, "onset": alarm.onset, "trend": alarm.trend}
         told |= {"words": self.say(alarm, monitor.units), "study": self.study, "written": made_now().date}
-        return told
+        return json.dumps(as_json(told), ensure_ascii=False)

@@ -1,12 +1,10 @@
-"""One file of a logger: identity, place of reading, and new rows.
-
-Loggers rename, truncate and rewrite files: digests identify them.
-"""
+"""One file of a logger, which digests identify: loggers rename and rewrite files; and its new rows."""
 
 from __future__ import annotations
 
 import hashlib
 import tempfile
+from bisect import bisect_left
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -103,11 +101,8 @@ def good_rows(path: Path, each: LogFile, words: ExperimentSettings, most: int) -
     try:
         return given.rows(count, more), 0
     except InputError:
-        good, bad = 0, count
-        while bad - good > 1:
-            middle = (good + bad) // 2
-            good, bad = (middle, bad) if given.readable(middle) else (good, middle)
-        skipped = each.position + int(given.ends[bad - 1])
+        good = bisect_left(range(1, count), True, key=lambda lines: not given.readable(lines))
+        skipped = each.position + int(given.ends[good])
         found = given.rows(good, more) if given.there[:good].any() else None
         return None if found is None else replace(found, broken=True), skipped
 

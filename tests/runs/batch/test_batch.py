@@ -1,21 +1,30 @@
-"""Batches: the same rows however they are run, and messages with the user's own files."""
+"""Batches: the same rows however they are run, ended early or resumed; refusals of another batch."""
 
 from __future__ import annotations
 
+import errno
+import hashlib
+import json
 import math
+import os
 import shutil
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import pandas as pd
 import pytest
 
-from fmuid.events import BatchStep
+from fmuid.errors import FmuidError, InputError
+from fmuid.events import BatchStep, Event
 from fmuid.reports.render.progress import Display
 from fmuid.reports.render.screen import Screen, showing
 from fmuid.runs.batch.batch import Batch
 from fmuid.runs.batch.case import CaseRunner
+from fmuid.runs.batch.study_package import BatchStudy, changes
+from fmuid.studies.study import Study
 from tests.support.coil_batches import DRAWS, NOISE, expected, run, same, write
-from tests.support.coil_study import COIL
+from tests.support.coil_study import COIL, coil_table, fmuid_
 
 pytestmark = pytest.mark.usefixtures("blank_figures")
 
@@ -90,3 +99,144 @@ def test_progress(step: tuple[int, int, float, float, int], told: str, monkeypat
         with showing(Screen(verbose=True)), Display() as display:
             display(event)
             assert capsys.readouterr().err == shown
+
+
+def command(folder: Path) -> int:
+    return fmuid_("batch", folder / "study.toml", "-o", folder / "out", "--no-isolation", "--no-report")
+
+
+def test_an_interruption(folder: Path, here: Any) -> None:
+    first = here(3, stop_after=12)
+    found = run(folder)
+    assert found.interrupted
+    assert 0 < len(first.ran) < DRAWS
+    assert sorted(found.frame["case"]) == sorted(first.ran)
+    second, events = here(4), list[Event]()
+    job = Batch(folder / "study.toml", folder / "out", isolated=False)
+    assert set(job.pending.tolist()) == set(range(DRAWS)) - set(first.ran)
+    again = job.run(events.append)
+    steps = [event for event in events if isinstance(event, BatchStep)]
+    assert sorted(first.ran + second.ran) == list(range(DRAWS))  # none lost, none run twice
+    same(again.frame, expected(folder))
+    kept = again.frame[again.frame["case"].isin(first.ran)].reset_index(drop=True)
+    pd.testing.assert_frame_equal(kept, found.frame)
+    assert (steps[0].done, steps[0].failed, steps[-1].done, steps[-1].total) == (len(first.ran), 0, DRAWS, DRAWS)
+    third = here(5)
+    same(run(folder).frame, again.frame)
+    assert not third.ran
+
+
+def test_failed_cases_are_finished(fleet: Path, here: Any) -> None:
+    here()
+    run(fleet)
+    again = here()
+    run(fleet)
+    assert not again.ran
+    (fleet / "records" / "r1.csv").unlink()
+    coil_table(fleet / "records" / "r9.csv", 0.0, seed=9)
+    coil_table(fleet / "records" / "r3.csv", 0.0, seed=8)
+    with pytest.raises(InputError) as raised:
+        run(fleet)
+    for told in ("records/r3.csv has changed", "r9.csv is new", "r1.csv was removed"):
+        assert told in str(raised.value)
+
+
+def test_where_nothing_is_finished_nothing_is_refused(folder: Path, here: Any) -> None:
+    here(stop_after=0)
+    nothing = run(folder)
+    assert nothing.frame.empty
+    assert (nothing._repr_html_() or "").startswith(f"<p><b>0 of {DRAWS} cases")
+    write(folder, NOISE.format(draws=3))
+    here()
+    same(run(folder).frame, expected(folder))
+
+
+@pytest.mark.slow
+def test_changes_that_are_allowed(folder: Path, here: Any) -> None:
+    """A damaged part, another title, and beginning again."""
+    here(3, stop_after=12)
+    run(folder)
+    part = sorted((folder / "out" / "cases").iterdir())[0]
+    part.write_bytes(part.read_bytes()[:-20])
+    (folder / "study.toml").write_text((folder / "study.toml").read_text().replace('"Coil"', '"Another title"'))
+    here()
+    found = run(folder)
+    assert found.lost == (part,)
+    same(found.frame, expected(folder))
+    write(folder, NOISE.format(draws=10))
+    again = here()
+    found = run(folder, resume=False)
+    assert sorted(again.ran) == list(range(10))
+    same(found.frame, expected(folder))
+
+
+@pytest.mark.slow
+def test_full_disk(folder: Path, here: Any, monkeypatch: pytest.MonkeyPatch, capsys: Any) -> None:
+    calls, fsync = [], os.fsync
+
+    def full(handle: int) -> None:
+        calls.append(handle)
+        if len(calls) > 6:  # manifest, folder, and two parts
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+        fsync(handle)
+
+    first = here(3)
+    with monkeypatch.context() as patched:
+        patched.setattr(os, "fsync", full)
+        assert command(folder) == 1
+    error = capsys.readouterr().err
+    assert error.startswith(f"error: {folder / 'out'}: write failed: No space left on device")
+    assert error.count("\n") == 1
+    second = here(4)
+    assert command(folder) == 0
+    assert len(second.ran) < DRAWS <= len(first.ran) + len(second.ran)
+    same(pd.read_parquet(folder / "out" / "cases"), expected(folder))
+    told = json.loads((folder / "out" / "summary.json").read_text())["origin"]
+    digests = [hashlib.sha256((folder / name).read_bytes()).hexdigest() for name in ("study.toml", "first.csv")]
+    assert [told["study"]["digest"], told["files"]["first.csv"]] == digests
+
+
+def test_another_batch(folder: Path, here: Any) -> None:
+    small = NOISE.format(draws=2)
+    write(folder, small)
+    here(3)
+    run(folder)
+    changes: dict[str, Callable[[], object]] = {
+        "parameters.R.start was 6.0": lambda: write(folder, small, R="7.0"),
+        "batch.monte_carlo.realizations was 2": lambda: write(folder, NOISE.format(draws=6)),
+        "batch.seed was not given": lambda: write(folder, small + "seed = 3\n"),
+        "first.csv has changed": lambda: coil_table(folder / "first.csv", 0.0, seed=9),
+    }
+    for told, change in changes.items():
+        change()
+        with pytest.raises(InputError, match=r"cases of another batch.*--no-resume") as raised:
+            run(folder)
+        assert told in str(raised.value)
+
+
+@pytest.mark.parametrize("error", [FmuidError("the scheduler was lost"), None], ids=["lost", "Ctrl-C"])
+def test_finished_cases_are_kept(folder: Path, here: Any, capsys: Any, error: FmuidError | None) -> None:
+    write(folder, NOISE.format(draws=10))
+    ran = here(3, stop_after=6, error=error).ran
+    assert command(folder) == 1
+    out, said = capsys.readouterr()
+    assert sorted(pd.read_parquet(folder / "out" / "cases")["case"]) == sorted(ran)
+    interrupted = f"interrupted: {len(ran)} of 10 cases are finished"
+    assert ("error: the scheduler was lost" if error else interrupted) in said
+    assert ("summary.csv" in out) == (error is None)
+
+
+def test_manifest_and_package(fleet: Path) -> None:
+    bundle = BatchStudy(Study.read(fleet / "study.toml"), isolated=False, versions={})
+    told = bundle.manifest()
+    assert changes(json.loads(json.dumps(told)), told) == []
+    assert changes(told | {"fmuid": "0.0.9"}, told) == [f"made by fmuid 0.0.9, this is {told['fmuid']}"]
+    assert sorted(Path(name).name for name in bundle.parcel.files) == ["Coil.fmu", "first.csv"]
+    path = fleet / "records" / "r1.csv"
+    assert list(bundle.record(path).values()) == [path.read_bytes()]
+    for gone in (False, True):
+        coil_table(path, 0.0, seed=9)
+        if gone:
+            path.unlink()
+        with pytest.raises(InputError, match=r"r1.csv: changed while the batch ran"):
+            bundle.record(path)
