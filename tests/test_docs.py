@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ast
 import math
 import re
 import shutil
@@ -20,13 +21,14 @@ from fmuid.estimation.search.state import STOPPING
 from fmuid.estimation.simulation_noise import NOISE
 from fmuid.identification.prior_data_tests import SAME_VARIANCE_RATIO
 from fmuid.models.component import DEFAULT_TOLERANCE
+from fmuid.reports.publish import KINDS
 from fmuid.runs.batch.case_list import CaseList
 from fmuid.simulation.isolation.host import TIME_LIMITS
 from fmuid.simulation.plan_builder import LINEAR_SUBSTEPS
 from fmuid.studies.study import Study
-from tests.support.docs_rows import blocks
+from tests.support.docs_rows import blocks, rows
+from tests.support.paths import ROOT
 
-ROOT = Path(__file__).parents[1]
 FOLDERS = ("docs", "experiments", "fmuid", "fmus", "tests")
 PAGES = [ROOT / "README.md", *sorted(page for folder in FOLDERS for page in (ROOT / folder).rglob("*.md"))]
 SOURCES = sorted(source for folder in FOLDERS for source in (ROOT / folder).rglob("*.py"))
@@ -178,3 +180,14 @@ def test_what_is_named_in_python_is_there() -> None:
     for page in PAGES:
         for name in set(re.findall(r"`(fmuid(?:\.\w+)+)[`(]", page.read_text(encoding="utf-8"))):
             resolve_name(name)  # raises ImportError or AttributeError
+
+
+def test_each_figure_says_how_it_is_read() -> None:
+    """The names on the page are those that a report can draw, each of them and no other; a new run clears them all."""
+    said = {name for names, *_ in rows("figures.md", 4) for name in re.findall(r"`(\w+)`", names)}
+    assert said == set(KINDS)
+    for module in (ROOT / "fmuid" / "reports" / "topics").glob("*.py"):
+        calls = [node for node in ast.walk(ast.parse(module.read_text(encoding="utf-8"))) if isinstance(node, ast.Call)]
+        made = [node for node in calls if isinstance(node.func, ast.Name) and node.func.id == "Section"]
+        drawn = [node for node in made if len(node.args) > 4 or any(each.arg == "charts" for each in node.keywords)]
+        assert {str(node.args[0].value) for node in drawn if isinstance(node.args[0], ast.Constant)} <= said

@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import logging
 import queue
-import shutil
 import tempfile
 import time
 import warnings
@@ -192,14 +191,12 @@ def crew(scheduler: str | None = None, workers: int | None = None) -> Iterator[W
 def _scratch_folder() -> Iterator[Path]:
     """Give workers a private folder."""
     try:
-        folder = Path(tempfile.mkdtemp(prefix="fmuid-batch-"))
+        made = tempfile.TemporaryDirectory(prefix="fmuid-batch-", ignore_cleanup_errors=True)
     except OSError as error:
         why = f"{tempfile.gettempdir()}: no folder for workers: {error.strerror}"
         raise FmuidError(f"{why}. Free disk space, or set TMPDIR to another folder.") from None
-    try:
-        yield folder
-    finally:
-        shutil.rmtree(folder, ignore_errors=True)
+    with made as folder:
+        yield Path(folder)
 
 
 @contextlib.contextmanager
