@@ -13,11 +13,10 @@ from scipy.sparse.csgraph import connected_components, maximum_bipartite_matchin
 
 
 def first_loop(unknowns: Sequence[set[str]]) -> list[int]:
-    """Return the first smallest set of equations with as many unknowns.
+    """Return the first smallest set of equations with as many unknowns, empty if they cannot be assigned.
 
-    It is a strongly connected component without outgoing edges, of the graph from equations to those of their unknowns
-    (I. S. Duff, A. M. Erisman, J. K. Reid, *Direct Methods for Sparse Matrices*, 2nd ed., Oxford 2017, ch. 6). It is
-    empty if the equations cannot be assigned to unknowns. `unknowns` are those of each equation.
+    It is a strongly connected component without outgoing edges (Duff, Erisman, Reid, *Direct Methods for Sparse
+    Matrices*, 2nd ed., Oxford 2017, ch. 6). `unknowns` are those of each equation.
     """
     names = sorted(set().union(*unknowns))
     place = {name: k for k, name in enumerate(names)}
@@ -56,9 +55,8 @@ def always_singular(matrix: Any, values: Mapping[str, float]) -> bool:
 def solve_linear(matrix: Any, right: Any) -> list[Any]:
     """Return the solution of linear SX equations, one expression per unknown.
 
-    Gaussian elimination with scaled partial pivoting (N. J. Higham, *Accuracy and Stability of Numerical Algorithms*,
-    2nd ed., SIAM 2002, algorithm 9.2, section 9.8). Conditional expressions exchange rows at evaluation: a pivot may
-    vanish for some parameters or states. Derivatives do not depend on the order of rows.
+    Gaussian elimination with scaled partial pivoting (Higham, *Accuracy and Stability of Numerical Algorithms*, 2nd
+    ed., SIAM 2002, algorithm 9.2). Rows are exchanged at evaluation: a pivot may vanish for some parameters or states.
     """
     count = matrix.shape[0]
     largest = [reduce(ca.fmax, ca.horzsplit(ca.fabs(ca.densify(matrix[k, :])))) for k in range(count)]

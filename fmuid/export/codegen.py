@@ -9,7 +9,12 @@ import casadi as ca
 
 from fmuid.export.explicit_model import ExplicitModel, column
 
+_OF_ONE = {ca.OP_SQRT: "sqrt", ca.OP_SIN: "sin", ca.OP_COS: "cos", ca.OP_TANH: "tanh", ca.OP_FABS: "fabs"}
+_OF_TWO = {ca.OP_POW: "pow", ca.OP_CONSTPOW: "pow", ca.OP_FMIN: "fmin", ca.OP_FMAX: "fmax"}
 _FORMATS = {
+    **{operation: name + "({})" for operation, name in _OF_ONE.items()},
+    **{operation: name + "({}, {})" for operation, name in _OF_TWO.items()},
+    ca.OP_FLOOR: "floor({})",
     ca.OP_ADD: "{} + {}",
     ca.OP_SUB: "{} - {}",
     ca.OP_MUL: "{} * {}",
@@ -18,18 +23,8 @@ _FORMATS = {
     ca.OP_NEG: "-{}",
     ca.OP_TWICE: "2.0 * {}",
     ca.OP_SQ: "{0} * {0}",
-    ca.OP_SQRT: "sqrt({})",
-    ca.OP_POW: "pow({}, {})",
-    ca.OP_CONSTPOW: "pow({}, {})",
     # From derivatives of powers to their exponents alone, log(a) * a^b: 0 where a is 0, without meaning where a < 0.
     ca.OP_LOG: "{0} > 0.0 ? log({0}) : 0.0",
-    ca.OP_SIN: "sin({})",
-    ca.OP_COS: "cos({})",
-    ca.OP_TANH: "tanh({})",
-    ca.OP_FMIN: "fmin({}, {})",
-    ca.OP_FMAX: "fmax({}, {})",
-    ca.OP_FABS: "fabs({})",
-    ca.OP_FLOOR: "floor({})",
     ca.OP_SIGN: "{0} > 0.0 ? 1.0 : {0} < 0.0 ? -1.0 : {0}",
     ca.OP_LT: "(double)({} < {})",
     ca.OP_LE: "(double)({} <= {})",
@@ -99,11 +94,7 @@ def _numbers(values: list[float]) -> str:
 
 
 def _hoist(system: ExplicitModel) -> tuple[Any, Any, Any, Any, Any]:
-    """Split off subexpressions of parameters alone.
-
-    Returns SX columns: derivatives, other variables and event indicators in terms of x, u, p, t, r, c; the symbols c;
-    their values in terms of p.
-    """
+    """Return derivatives, other variables and indicators with symbols c, these, and their values of p alone."""
     reciprocals = column(symbol for symbol, _ in system.reciprocals)
     unknowns = ca.cse(ca.vertcat(system.derivatives, system.algebraic, system.indicators))
     unknowns, symbols, values = ca.extract_parametric(unknowns, ca.vertcat(system.p, reciprocals))

@@ -57,7 +57,7 @@ def _fmi2(system: ExplicitModel, guid: str) -> list[str]:
         *unit_definitions(system),
         *_common(system),
         "<ModelVariables>",
-        *(_scalar_variable(each, index) for each in found),
+        *(f"  <ScalarVariable {_described(each)}><Real{_real(each, index)}/></ScalarVariable>" for each in found),
         "</ModelVariables>",
         "<ModelStructure>",
         *_section("Outputs", dependent["outputs"], index),
@@ -85,10 +85,10 @@ def _described(variable: DescribedVariable) -> str:
     )
 
 
-def _scalar_variable(variable: DescribedVariable, index: dict[str, int]) -> str:
-    derivative = attribute("derivative", str(index[variable.state]) if variable.state else None)
-    attributes = "".join(attribute(*each) for each in variable.attributes)
-    return f"  <ScalarVariable {_described(variable)}><Real{attributes}{derivative}/></ScalarVariable>"
+def _real(variable: DescribedVariable, numbers: dict[str, int]) -> str:
+    """Return the attributes of a number; states are known by `numbers`."""
+    derivative = attribute("derivative", str(numbers[variable.state]) if variable.state else None)
+    return "".join(attribute(*each) for each in variable.attributes) + derivative
 
 
 def _section(name: str, found: list[Unknown], index: dict[str, int]) -> list[str]:
@@ -126,7 +126,7 @@ def _fmi3(system: ExplicitModel, guid: str) -> list[str]:
         *unit_definitions(system),
         *_common(system),
         "<ModelVariables>",
-        *(_float64(each, references) for each in found),
+        *(f"  <Float64 {_described(each)}{_real(each, references)}/>" for each in found),
         "</ModelVariables>",
         "<ModelStructure>",
         *(
@@ -136,9 +136,3 @@ def _fmi3(system: ExplicitModel, guid: str) -> list[str]:
         ),
         "</ModelStructure>",
     ]
-
-
-def _float64(variable: DescribedVariable, references: dict[str, int]) -> str:
-    derivative = attribute("derivative", str(references[variable.state]) if variable.state else None)
-    attributes = "".join(attribute(*each) for each in variable.attributes)
-    return f"  <Float64 {_described(variable)}{attributes}{derivative}/>"

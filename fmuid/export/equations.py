@@ -62,10 +62,7 @@ def _choice(args: list[Any]) -> Any:
 
 
 def analyse(model: Model) -> ExplicitModel:
-    """Check a model and solve it for derivatives and algebraic variables.
-
-    Raises `ModelicaError` for everything without a meaning in the subset.
-    """
+    """Check a model and solve it for derivatives and algebraic variables."""
     return _Analysis(model).run()
 
 

@@ -1,8 +1,4 @@
-"""Flat Modelica models: pymoca's syntax tree to declarations and equations.
-
-Only known rules of the grammar are accepted; others are refused with file, line and construct. `README.md` documents
-the subset.
-"""
+"""Flat Modelica models: pymoca's syntax tree to declarations and equations of the subset in `README.md`."""
 
 from __future__ import annotations
 
@@ -54,10 +50,7 @@ _REFUSED = {
 
 
 def parse(source: Path) -> Model:
-    """Read the one model of a Modelica file.
-
-    Raises `InputError` if it cannot be read, `ModelicaError` outside the subset.
-    """
+    """Read the one model of a Modelica file."""
     try:
         text = source.read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError) as error:

@@ -19,10 +19,9 @@ from fmuid.formatting import nearest
 
 
 def with_sensitivities(system: ExplicitModel, parameters: Sequence[str] | Literal["all"]) -> ExplicitModel:
-    """Return the model with sensitivities to these parameters, ``sens.p.x``.
+    """Return the model with sensitivities to these parameters, ``sens.p.x``; those of outputs are outputs.
 
-    Those of outputs are outputs. Raises `InputError` for an unknown parameter, and `ModelicaError` for a model with
-    relations or jumps: sensitivities would miss their effect.
+    `ModelicaError` refuses relations and jumps, as sensitivities would miss their effect.
     """
     names = [each.name for each in system.parameters]
     chosen = names if parameters == "all" else list(dict.fromkeys(parameters))

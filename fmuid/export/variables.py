@@ -96,10 +96,7 @@ def _rate(state: Declaration) -> Declaration:
 
 
 def unknowns(system: ExplicitModel) -> dict[str, list[Unknown]]:
-    """Return the dependencies of the unknowns by kind.
-
-    The kinds are "outputs", "derivatives", "initial" (as functions of inputs, parameters and time) and "indicators".
-    """
+    """Return the dependencies of "outputs", "derivatives", "initial" unknowns and "indicators"."""
     s = system
     computed = s.plain(ca.vertcat(s.derivatives, s.algebraic, s.indicators))
     now = ca.vertcat(s.x, _settled(s, computed))
