@@ -46,7 +46,7 @@ def test_simulate(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert [path.name for path in (folder / "results/figures").iterdir()] == ["fit.png"]
 
 
-def test_simulate_several_experiments_and_api(folder: Path) -> None:
+def test_simulate_several_experiments_and_api(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     study = folder / "study.toml"
     study.write_text(STUDY + SECOND)
     assert fmuid_("simulate", study, "-o", folder / "out") == DONE
@@ -56,10 +56,7 @@ def test_simulate_several_experiments_and_api(folder: Path) -> None:
     for name, frame in zip(("first", "second"), frames, strict=True):
         part = written[written["experiment"] == name].drop(columns="experiment").reset_index(drop=True)
         pd.testing.assert_frame_equal(part, frame)
-
-
-def test_input_that_nothing_feeds_is_named(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert fmuid_("simulate", folder / "study.toml", "--set", "experiments.0.inputs=[]") == DONE
+    assert fmuid_("simulate", study, "--set", "experiments.0.inputs=[]") == DONE
     assert "no column for u; start value used" in capsys.readouterr().err
 
 

@@ -19,7 +19,6 @@ from fmuid.apps.cli.app import run
 from fmuid.apps.cli.options import DONE, NOT_SUCCEEDED
 from fmuid.data import Parameter
 from fmuid.data.experiment import Experiment
-from fmuid.estimation import GlobalSearch
 from fmuid.estimation.evaluator import Evaluator
 from fmuid.estimation.local_search import Marquardt
 from fmuid.estimation.problem import LeastSquares
@@ -56,7 +55,7 @@ interpolation = "zoh"
 gain = {{ start = 8.0 }}
 T = {{ start = 10.0, min = 1e-3 }}
 [isolation]
-time_limit = {limit}
+time_limit = 600
 memory_limit_mb = 400
 """
 
@@ -66,11 +65,9 @@ def fmu(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return misbehaving_fmu(tmp_path_factory.mktemp("misbehaving"))
 
 
-def write_study(
-    folder: Path, fmu: Path, mode: Mode, bad_from: float = -1e300, bad_to: float = 1e300, limit: float = 600.0
-) -> Path:
+def write_study(folder: Path, fmu: Path, mode: Mode, bad_from: float = -1e300, bad_to: float = 1e300) -> Path:
     FRAME.to_csv(folder / "table.csv", index=False)
-    text = STUDY.format(fmu=fmu.as_posix(), mode=float(mode), bad_from=bad_from, bad_to=bad_to, limit=limit)
+    text = STUDY.format(fmu=fmu.as_posix(), mode=float(mode), bad_from=bad_from, bad_to=bad_to)
     (folder / "study.toml").write_text(text)
     return folder / "study.toml"
 
@@ -84,7 +81,7 @@ def problem(fmu: Path, mode: Mode, isolation: Isolation | None, gain: float = 8.
     )
 
 
-@pytest.mark.parametrize("mode", first(2, [Mode.SEGFAULT, Mode.GARBLE, Mode.EXIT_0, Mode.STUBBORN]))
+@pytest.mark.parametrize("mode", first(1, [Mode.SEGFAULT, Mode.GARBLE, Mode.EXIT_0, Mode.STUBBORN]))
 def test_a_search_goes_round_a_band_where_the_fmu_crashes(fmu: Path, mode: Mode) -> None:
     """By the same way, bit for bit, as round a band where it returns fmi2Error in-process."""
     plain = Evaluator(problem(fmu, Mode.RETURN_ERROR, None))
@@ -96,18 +93,6 @@ def test_a_search_goes_round_a_band_where_the_fmu_crashes(fmu: Path, mode: Mode)
     assert (isolated.simulations, isolated.failures) == (plain.simulations, plain.failures)
     assert isolated.failures > 0
     assert (np.abs(found.values - [TRUTH["gain"], TRUTH["T"]]) < 4 * found.std).all()
-
-
-@pytest.mark.slow
-def test_a_global_search_goes_round_it_too(fmu: Path) -> None:
-    settings = GlobalSearch("multi-start", 6, 1)
-    plain = Evaluator(problem(fmu, Mode.RETURN_ERROR, None))
-    isolated = Evaluator(problem(fmu, Mode.ABORT, Isolation()))
-    right, found = (settings.search(each) for each in (plain, isolated))
-    assert found.converged
-    assert np.array_equal(found.values, right.values)
-    assert (isolated.simulations, isolated.failures) == (plain.simulations, plain.failures)
-    assert isolated.failures > 5
 
 
 def test_the_command_identifies_round_a_band(tmp_path: Path, fmu: Path) -> None:
@@ -124,29 +109,17 @@ def test_the_command_identifies_round_a_band(tmp_path: Path, fmu: Path) -> None:
     ("command", "mode", "words"),
     [
         ("simulate", Mode.SEGFAULT, "its process crashed with SIGSEGV"),
-        pytest.param("identify", Mode.SEGFAULT, "its process crashed with SIGSEGV", marks=pytest.mark.slow),
         pytest.param("identify", Mode.EXIT_0, "ended its process with exit code 0", marks=pytest.mark.slow),
-        pytest.param("simulate", Mode.LOOP, "did not end within 1 s and was stopped", marks=pytest.mark.slow),
-        pytest.param("simulate", Mode.RUNAWAY, "its process took more than 400 MB", marks=pytest.mark.slow),
     ],
 )
 def test_a_command_that_cannot_succeed_ends_with_one_sentence(
     tmp_path: Path, fmu: Path, command: str, mode: Mode, words: str, capfd: pytest.CaptureFixture[str]
 ) -> None:
-    limit = 1.0 if mode == Mode.LOOP else 600.0
-    assert run([command, str(write_study(tmp_path, fmu, mode, limit=limit))]) == NOT_SUCCEEDED
+    assert run([command, str(write_study(tmp_path, fmu, mode))]) == NOT_SUCCEEDED
     said = capfd.readouterr()
     assert words in said.err.replace("\n", " ")
     assert "Traceback" not in said.out + said.err
     assert str(fmu) in said.err.replace("\n", "")
-
-
-def test_what_the_fmu_prints_does_not_come_out_of_a_command(
-    tmp_path: Path, fmu: Path, capfd: pytest.CaptureFixture[str]
-) -> None:
-    assert run(["identify", str(write_study(tmp_path, fmu, Mode.SPEAK))]) == DONE
-    said = capfd.readouterr()
-    assert "the FMU says on" not in said.out + said.err
 
 
 def test_a_command_can_run_the_fmu_in_its_own_process(tmp_path: Path, fmu: Path) -> None:
@@ -160,8 +133,6 @@ def test_a_study_is_isolated_where_it_is_asked_to_be(tmp_path: Path, fmu: Path) 
     path = write_study(tmp_path, fmu, Mode.SEGFAULT, **BAND)
     assert Study.read(path).system.isolation is None
     assert Study.read(path, isolated=True).system.isolation == Isolation(time_limit=600.0, memory_limit_mb=400.0)
-    right = identify(problem(fmu, Mode.RETURN_ERROR, None))
-    assert Study.read(path, isolated=True).identify().values == pytest.approx(right.values, rel=1e-6)
 
 
 @pytest.mark.slow

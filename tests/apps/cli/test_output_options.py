@@ -71,15 +71,11 @@ def test_quiet_json_and_strict(folder: Path, said: Said) -> None:
     assert document["state"] == "DOUBTFUL"
     assert any("remedy" in each for each in document["remarks"])
     assert all("charts" not in each for each in document["sections"])
+    code, out, _ = said("info", FMUS / "Coil/Coil.fmu", "--json")
+    assert (code, list(json.loads(out))) == (DONE, ["schema", "documents", "arrays"])
     _, out, _ = said(*words)
     assert out.startswith("DOUBTFUL")
     assert sum(line.startswith("→ ") for line in out.splitlines()) == 1
-
-
-def test_json_of_other_commands(said: Said) -> None:
-    code, out, _ = said("info", FMUS / "Coil/Coil.fmu", "--json")
-    assert code == DONE
-    assert list(json.loads(out)) == ["schema", "documents", "arrays"]
 
 
 def test_all_commands_with_documents_have_the_options() -> None:

@@ -14,8 +14,6 @@ from tornado.netutil import bind_sockets
 
 from fmuid.apps.workbench import Folder, Workbench
 from fmuid.processes import AVAILABLE
-from fmuid.runs import made_from
-from fmuid.studies import Study
 from tests.support.begun_batch import batch
 from tests.support.browser import PATIENCE, chromium
 from tests.support.coil_study import STUDY
@@ -122,19 +120,6 @@ def test_pages_open_with_every_other_host_refused(browser: Any, address: str) ->
     asked = browser.execute_script("return performance.getEntriesByType('resource').map(each => each.name)")
     assert asked
     assert all(each.startswith((base, "data:", base.replace("http", "ws"))) for each in asked)
-
-
-def test_a_drag_moves_the_curve(browser: Any, address: str) -> None:
-    from selenium.webdriver.common.action_chains import ActionChains
-
-    open_study(browser, address)
-    wait(browser, f"{MODEL}('scores').text.includes('fit of i')")
-    before = residual(browser)
-    handle = browser.execute_script(FIND, "", ".noUi-handle")
-    ActionChains(browser).click_and_hold(handle).move_by_offset(-30, 0).move_by_offset(-20, 0).release().perform()
-    wait(browser, f"{SQUARES} !== {before!r}")
-    assert float(browser.execute_script(f"return {MODEL}('typed R').value")) < 6.0
-    assert quiet(browser)
 
 
 def test_the_keyboard_alone_moves_holds_and_identifies(browser: Any, address: str, folder: Path) -> None:
@@ -294,27 +279,6 @@ def test_the_keyboard_reaches_all_of_each_page(browser: Any, address: str, folde
             wait(browser, f"{MODEL}('case').text.includes('hit &lt;b&gt;a wall')")
         if page.startswith("study"):
             wait(browser, f"{MODEL}('main').active === 2")
-    assert quiet(browser)
-
-
-def test_from_not_determined_to_excitations_and_a_prior(browser: Any, address: str, folder: Path) -> None:
-    (folder / "old").mkdir()
-    study = made_from(Study.read(folder / "study.toml", ["parameters.R.start=5"]), folder=folder / "old")
-    result(folder / "old", {"R": (4.0, 0.1), "L": (0.1, None)}, origin=study)
-    browser.get(address)
-    base = address.split("?")[0]
-    browser.get(f"{base}results?file=old")
-    wait_until_drawn(browser)
-    browser.execute_script(f"{MODEL}('excitations').value = ['first.csv']")
-    press(browser, "Compare excitations")
-    wait(browser, f"{MODEL}('compared').text.includes('results?file=old/design')")
-    link = browser.find_element("link text", "Give L a prior")
-    browser.execute_script("arguments[0].click()", link)  # figures above may still grow and push it away
-    wait(browser, f"{DRAWN} && {MODEL}('command')?.text.includes('parameters.L.prior')")
-    assert "--set parameters.R.start=5 " in browser.execute_script(f"return {MODEL}('command').text")
-    browser.get(f"{base}results?file=old/design")
-    wait(browser, "document.documentElement.dataset.drawn === 'all'")
-    assert "best: first" in browser.find_element("tag name", "main").text
     assert quiet(browser)
 
 
