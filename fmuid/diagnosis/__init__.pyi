@@ -2,13 +2,11 @@ from .alarms import SOMETHING_ELSE as SOMETHING_ELSE
 from .alarms import Alarm as Alarm
 from .alarms import Onset as Onset
 from .alarms import RecordTime as RecordTime
-from .alarms import Rule as Rule
 from .alarms import Trend as Trend
 from .baseline import Baseline as Baseline
 from .baseline import BaselineSource as BaselineSource
 from .baseline import StoredBaseline as StoredBaseline
 from .baseline_comparator import compute_stored_baseline as compute_stored_baseline
-from .cause_ranking import MODEL_ERROR as MODEL_ERROR
 from .cause_results import CauseScore as CauseScore
 from .cause_results import ChangeEvidence as ChangeEvidence
 from .cause_results import EstimatedChange as EstimatedChange
@@ -16,7 +14,6 @@ from .cause_results import Explanation as Explanation
 from .causes import CauseKind as CauseKind
 from .causes import Causes as Causes
 from .causes import CauseScale as CauseScale
-from .change_detection import FALSE_ALARM_LEVEL as FALSE_ALARM_LEVEL
 from .design import MISS_PROBABILITY as MISS_PROBABILITY
 from .design import Design as Design
 from .design import planned_experiment as planned_experiment
@@ -35,4 +32,7 @@ from .monitor_store import TABLE_FILE as TABLE_FILE
 from .monitor_store import DamagedStateError as DamagedStateError
 from .monitor_store import damage_of as damage_of
 from .onset import OnsetShape as OnsetShape
+from .rule import FALSE_ALARM_LEVEL as FALSE_ALARM_LEVEL
+from .rule import MODEL_ERROR as MODEL_ERROR
+from .rule import Rule as Rule
 from .windows import SkippedWindow as SkippedWindow

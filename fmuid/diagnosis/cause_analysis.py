@@ -11,13 +11,14 @@ import numpy as np
 
 from fmuid.array_types import Floats
 from fmuid.diagnosis.baseline import BaselineSource, StoredBaseline
-from fmuid.diagnosis.cause_ranking import MODEL_ERROR, CauseRanking, name
+from fmuid.diagnosis.cause_ranking import CauseRanking, name
 from fmuid.diagnosis.cause_results import ChangeEvidence, explanations, score
 from fmuid.diagnosis.causes import SETTINGS as CAUSES
 from fmuid.diagnosis.causes import Cause, ChangeParameterSet
 from fmuid.diagnosis.change_detection import MinPDistribution, fit
 from fmuid.diagnosis.information_matrix import ChangePrior, InformationMatrix, ScoreStatistics, Whitening, is_determined
 from fmuid.diagnosis.linearized_machine import LinearizedMachine, residual_and_columns, residual_of
+from fmuid.diagnosis.rule import MODEL_ERROR
 from fmuid.diagnosis.unexplained_residual import (
     NOTHING_LEFT,
     UnexplainedResidual,

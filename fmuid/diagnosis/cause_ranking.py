@@ -14,6 +14,7 @@ from fmuid.array_types import Floats
 from fmuid.diagnosis.causes import Cause
 from fmuid.diagnosis.change_detection import CauseFit, MinPDistribution, fit, probability
 from fmuid.diagnosis.information_matrix import ScoreStatistics
+from fmuid.diagnosis.rule import MODEL_ERROR
 
 
 @dataclass(frozen=True)
@@ -28,10 +29,6 @@ class RankingSettings:
 
 
 SETTINGS = RankingSettings()
-
-
-# How much of its effect a fault model has wrong along any other cause's signature, where no trials tell.
-MODEL_ERROR = 0.05
 
 
 @dataclass(frozen=True, eq=False)

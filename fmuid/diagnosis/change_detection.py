@@ -82,10 +82,6 @@ def _rate(log_p: float, cause: Cause, windows: int) -> float:
     return p + one_sided * square * density * float(integral[1] - integral[0])
 
 
-# Of calling a fault where there is none, unless said otherwise: one check in a hundred, the habit of the field.
-FALSE_ALARM_LEVEL = 0.01
-
-
 @dataclass(frozen=True, eq=False)
 class CauseFit:
     """Sizes of causes that fit best."""

@@ -18,14 +18,13 @@ from fmuid.data import Experiment, Noise
 from fmuid.diagnosis.baseline import Baseline, BaselineSource
 from fmuid.diagnosis.baseline_comparator import BaselineComparator
 from fmuid.diagnosis.cause_analysis import Examination, examine
-from fmuid.diagnosis.cause_ranking import MODEL_ERROR
 from fmuid.diagnosis.cause_ranking import SETTINGS as CAUSE_RANKING
 from fmuid.diagnosis.cause_results import ChangeEvidence, EstimatedChange, Explanation
 from fmuid.diagnosis.causes import CauseKind, Causes
-from fmuid.diagnosis.change_detection import FALSE_ALARM_LEVEL
 from fmuid.diagnosis.diagnosis_result import BaselineDeviation, Diagnosis
 from fmuid.diagnosis.faults import Fault, checked_faults
 from fmuid.diagnosis.linearized_machine import LinearizedMachine
+from fmuid.diagnosis.rule import FALSE_ALARM_LEVEL, MODEL_ERROR
 from fmuid.diagnosis.unexplained_residual import SETTINGS as UNEXPLAINED_RESIDUAL
 from fmuid.diagnosis.unexplained_residual import VarianceRatio
 from fmuid.errors import InputError

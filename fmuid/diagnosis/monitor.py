@@ -12,16 +12,16 @@ import pandas as pd
 
 from fmuid.blas import single_threaded
 from fmuid.data import Experiment
-from fmuid.diagnosis.alarms import Alarm, RecordTime, Rule, decide_alarm, with_trend
+from fmuid.diagnosis.alarms import Alarm, RecordTime, decide_alarm, with_trend
 from fmuid.diagnosis.baseline import Baseline, BaselineSource
 from fmuid.diagnosis.baseline_comparator import BaselineComparator
-from fmuid.diagnosis.cause_ranking import MODEL_ERROR
 from fmuid.diagnosis.causes import CauseKind, Causes
 from fmuid.diagnosis.faults import Fault, checked_faults
 from fmuid.diagnosis.information_matrix import ChangePrior
 from fmuid.diagnosis.linearized_machine import LinearizedMachine
 from fmuid.diagnosis.monitor_store import STATE_FILE, MonitorStore, Resumed, damage_of
 from fmuid.diagnosis.onset_tracker import OnsetTracker
+from fmuid.diagnosis.rule import MODEL_ERROR, Rule
 from fmuid.diagnosis.window_evaluation import MonitorReference, MonitorState, WindowEvaluation
 from fmuid.diagnosis.windows import SkippedWindow, Window, WindowSums, build_up_of, part_of, split_windows, summed
 from fmuid.errors import InputError, SimulationError

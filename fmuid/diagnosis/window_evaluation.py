@@ -12,7 +12,7 @@ import pandas as pd
 
 from fmuid.array_types import Floats
 from fmuid.data import BEGIN, Experiment
-from fmuid.diagnosis.alarms import SOMETHING_ELSE, Alarm, AlarmDecision, Onset, RecordTime, Rule, decide_alarm, label_of
+from fmuid.diagnosis.alarms import SOMETHING_ELSE, Alarm, AlarmDecision, Onset, RecordTime, decide_alarm, label_of
 from fmuid.diagnosis.baseline_comparator import BaselineComparator
 from fmuid.diagnosis.cause_results import changes
 from fmuid.diagnosis.causes import Cause, CauseKind
@@ -20,6 +20,7 @@ from fmuid.diagnosis.change_detection import fit, log_chances, log_limit
 from fmuid.diagnosis.diagnosis_result import EXPLAINED_SHARE
 from fmuid.diagnosis.information_matrix import LEAST, ChangePrior, ScoreStatistics
 from fmuid.diagnosis.onset_tracker import OnsetTracker, statistics_of
+from fmuid.diagnosis.rule import Rule
 from fmuid.diagnosis.unexplained_residual import VarianceRatio
 from fmuid.diagnosis.windows import WatchedRecord, WindowSums
 

@@ -11,12 +11,11 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import NamedTuple
 from xml.etree import ElementTree
-from xml.sax.saxutils import quoteattr
 
 from fmuid.errors import InputError
 from fmuid.models.description import FLOATS, INTEGERS, SI_BASE_UNITS, Unit
 from fmuid.models.start_values import Value
-from fmuid.models.untrusted_xml import LARGEST_XML, parse_xml
+from fmuid.models.untrusted_xml import LARGEST_XML, parse_xml, xml_attribute
 from fmuid.version import __version__
 
 Element = ElementTree.Element
@@ -73,13 +72,13 @@ def write_ssv(path: Path, name: str, values: Mapping[str, Quantity], units: Mapp
     lines = [
         '<?xml version="1.0" encoding="UTF-8"?>',
         f'<ssv:ParameterSet xmlns:ssv="{NAMESPACE}ParameterValues" xmlns:ssc="{NAMESPACE}Common"'
-        f' version="1.0" name={quoteattr(name)} generationTool="fmuid {__version__}">',
+        f' version="1.0" name={xml_attribute(name)} generationTool="fmuid {__version__}">',
         "  <ssv:Parameters>",
     ]
     for variable, quantity in values.items():
-        said = f" description={quoteattr(quantity.description)}" if quantity.description else ""
+        said = f" description={xml_attribute(quantity.description)}" if quantity.description else ""
         typed = _typed(variable, quantity, defined)
-        lines.append(f"    <ssv:Parameter name={quoteattr(variable)}{said}>{typed}</ssv:Parameter>")
+        lines.append(f"    <ssv:Parameter name={xml_attribute(variable)}{said}>{typed}</ssv:Parameter>")
     lines += ["  </ssv:Parameters>"]
     if defined:
         lines += ["  <ssv:Units>", *(_unit_text(units[unit]) for unit in units if unit in defined), "  </ssv:Units>"]
@@ -93,17 +92,17 @@ def _typed(name: str, quantity: Quantity, defined: set[str]) -> str:
     if isinstance(value, int):
         return f'<ssv:Integer value="{value}"/>'
     if isinstance(value, str):
-        return f"<ssv:String value={quoteattr(value)}/>"
+        return f"<ssv:String value={xml_attribute(value)}/>"
     if not math.isfinite(value):
         raise InputError(f"parameter {name!r} is {value}. Leave it out.")
-    unit = f" unit={quoteattr(quantity.unit)}" if quantity.unit is not None and quantity.unit in defined else ""
+    unit = f" unit={xml_attribute(quantity.unit)}" if quantity.unit is not None and quantity.unit in defined else ""
     return f'<ssv:Real value="{float(value)!r}"{unit}/>'
 
 
 def _unit_text(unit: Unit) -> str:
     given = (*zip(SI_BASE_UNITS, unit.exponents or (), strict=True), ("factor", unit.factor), ("offset", unit.offset))
     base = "".join(f' {name}="{value!r}"' for name, value in given if value != (1.0 if name == "factor" else 0.0))
-    return f"    <ssc:Unit name={quoteattr(unit.name)}><ssc:BaseUnit{base}/></ssc:Unit>"
+    return f"    <ssc:Unit name={xml_attribute(unit.name)}><ssc:BaseUnit{base}/></ssc:Unit>"
 
 
 # --- common to SSV, SSM and SSD files; what is wrong in one is an InputError that names the place

@@ -15,7 +15,7 @@ from xml.parsers import expat
 
 from fmuid.errors import InputError
 from fmuid.models.description import FLOATS, INTEGERS
-from fmuid.models.untrusted_xml import located_parser
+from fmuid.models.untrusted_xml import located_parser, xml_attribute
 
 Value = float | int | bool | str
 
@@ -117,15 +117,13 @@ class _LocatedXml:
 
     def annotation(self, names: list[str]) -> tuple[int, int, str]:
         """Return an edit (begin, end, new text) that annotates these names."""
-        from xml.sax.saxutils import quoteattr  # and with it urllib: who simulates needs neither
-
         if self.version_2:
             around, tag, key, mark = "VendorAnnotations", "Tool", "name", TOOL
         else:
             around, tag, key, mark = "Annotations", "Annotation", "type", ANNOTATION
         old = self.root.find(f"{around}/{tag}[@{key}='{mark}']")
         known = [] if old is None else [each.get("name", "") for each in old.iter("Start")]
-        listed = "".join(f"<Start name={quoteattr(name)}/>" for name in dict.fromkeys([*known, *names]))
+        listed = "".join(f"<Start name={xml_attribute(name)}/>" for name in dict.fromkeys([*known, *names]))
         note = f'<{tag} {key}="{mark}"><Applied>{listed}</Applied></{tag}>'
         if old is not None:
             bracket = ">".encode(self.encoding)

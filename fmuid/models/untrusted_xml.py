@@ -67,3 +67,13 @@ class _Builder(ElementTree.TreeBuilder):
 
     def doctype(self, *_: object) -> None:
         raise InputError(f"{self._what}: DOCTYPE is refused: it may load other files. Remove it.")
+
+
+_ESCAPES = str.maketrans(
+    {"&": "&amp;", "<": "&lt;", ">": "&gt;", '"': "&quot;", "\n": "&#10;", "\r": "&#13;", "\t": "&#9;"}
+)
+
+
+def xml_attribute(text: str) -> str:
+    """Return a quoted value of an attribute; `xml.sax.saxutils` would load urllib and ssl."""
+    return f'"{text.translate(_ESCAPES)}"'

@@ -18,8 +18,9 @@ from experiments.coil import study as coil
 from fmuid.data import BEGIN
 from fmuid.data.npz import read_arrays
 from fmuid.diagnosis import OnsetShape, SkippedWindow
-from fmuid.diagnosis.alarms import SOMETHING_ELSE, Alarm, Onset, Rule, Trend
+from fmuid.diagnosis.alarms import SOMETHING_ELSE, Alarm, Onset, Trend
 from fmuid.diagnosis.monitor import Monitor
+from fmuid.diagnosis.rule import Rule
 from fmuid.reports.topics.monitoring import MonitoringMessage, gap_remarks, monitoring_document, monitoring_remarks
 from fmuid.runs.faults import build_monitor, findings_of, rule_of
 from tests.support.coil_records import warming

@@ -16,7 +16,7 @@ import fmuid
 from experiments.coil import study as coil
 from fmuid.apps.cli.app import run
 from fmuid.data.npz import read_arrays, write_arrays
-from fmuid.diagnosis.alarms import Rule
+from fmuid.diagnosis.rule import Rule
 from fmuid.diagnosis.window_evaluation import WindowEvaluation
 from fmuid.runs.faults import rule_of
 from tests.support.coil_records import warming

@@ -140,6 +140,13 @@ def stripped(files: dict[str, bytes]) -> None:
         del files[name]
 
 
+def inside(files: dict[str, bytes]) -> None:
+    """Put all files into a folder of the archive, as some tools for archives do."""
+    moved = {f"Coil/{name}": content for name, content in files.items()}
+    files.clear()
+    files.update(moved)
+
+
 FMI1 = b'<?xml version="1.0"?><fmiModelDescription fmiVersion="1.0" modelName="C" modelIdentifier="C" guid="x"/>'
 SECOND_R = '<ScalarVariable name="R" valueReference="99"><Real/></ScalarVariable></ModelVariables>'
 R = '<ScalarVariable[^>]*name="R".*?</ScalarVariable>'
@@ -153,6 +160,7 @@ FIXED_R += "</ScalarVariable>"
         ("info", lambda files: files.pop("modelDescription.xml"), "modelDescription.xml"),
         *(("info", replaced(each), "modelDescription.xml") for each in (b"<fmi", b"", b"\xff\xfe")),
         ("identify", replaced(b'<fmiModelDescription fmiVersion="2.0"/>'), "modelDescription.xml"),
+        ("info", inside, "not an FMU: no modelDescription.xml at its top level"),
         ("info", replaced(FMI1), "FMI 1.0"),
         ("identify", stripped, f"no binary for this platform \\({fmpy.platform}\\)"),
         ("validate", described("</ModelVariables>", SECOND_R), "'R' is declared twice"),

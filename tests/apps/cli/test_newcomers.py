@@ -5,14 +5,12 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
-import fmpy
 import numpy as np
 import pandas as pd
 import pytest
 
 import fmuid
 from fmuid.apps.cli.options import DONE, NOT_SUCCEEDED
-from tests.support.bad_input import rezip
 from tests.support.coil_study import COIL, fmuid_
 
 ROWS = "".join(f"{k / 100},{k % 20 // 10},{np.sin(k)}\n" for k in range(50))
@@ -65,36 +63,8 @@ def test_channels_that_measured_nothing_or_in_another_unit(tmp_path: Path, capsy
     assert float(ratio) == pytest.approx(1000, rel=0.3)
 
 
-def test_a_header_of_2000_names(tmp_path: Path) -> None:
-    names = ",".join(f"c{k}" for k in range(2000))
-    rows = "".join(f"{k / 100},{k % 3},{np.sin(k)},{'1,' * 1999}1\n" for k in range(8))
+def test_a_header_of_400_names(tmp_path: Path) -> None:
+    names = ",".join(f"c{k}" for k in range(400))
+    rows = "".join(f"{k / 100},{k % 3},{np.sin(k)},{'1,' * 399}1\n" for k in range(8))
     (tmp_path / "bench.csv").write_text(f"time,u,i,{names}\n{rows}")
     assert fmuid_("init", COIL, tmp_path / "bench.csv", "-o", tmp_path / "study.toml") == DONE
-
-
-@pytest.mark.parametrize(
-    ("kind", "sentence"),
-    [
-        ("in a folder", "not an FMU: no modelDescription.xml at its top level"),
-        ("another platform", "no binary for this platform ({platform}): binaries for win64"),
-        ("sources alone", "no binary for this platform ({platform}): no binaries at all"),
-        ("cut", "not an FMU: no zip archive"),
-        ("empty", "not an FMU: no zip archive"),
-    ],
-)
-def test_fmus_that_are_none(tmp_path: Path, capsys: pytest.CaptureFixture[str], kind: str, sentence: str) -> None:
-    (tmp_path / "bench.csv").write_text(f"time,u,i\n{ROWS}")
-    path = tmp_path / "Coil.fmu"
-    path.write_bytes(b"" if kind == "empty" else COIL.read_bytes()[: 20_000 if kind == "cut" else None])
-
-    def spoil(files: dict[str, bytes]) -> None:
-        other = {name: text for name, text in files.items() if not name.startswith("binaries")}
-        binaries = {"binaries/win64/Coil.dll": b""} if kind == "another platform" else {}
-        sound = {f"Coil/{name}": text for name, text in files.items()} if kind == "in a folder" else other | binaries
-        files.clear()
-        files.update(sound)
-
-    if kind not in ("cut", "empty"):
-        rezip(path, spoil)
-    said = said_of(capsys, path, tmp_path / "bench.csv", "-o", tmp_path / "study.toml")
-    assert sentence.format(platform=fmpy.platform) in said
