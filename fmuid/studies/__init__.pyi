@@ -18,13 +18,13 @@ from .init.parameter_survey import SHOWN_CHANGE as SHOWN_CHANGE
 from .init.parameter_survey import Candidate as Candidate
 from .init.parameter_survey import proposal as proposal
 from .model import ExperimentSettings as ExperimentSettings
-from .overrides import override as override
-from .overrides import value_of as value_of
 from .parameters import PriorSource as PriorSource
 from .parameters import SourceIssue as SourceIssue
 from .parameters import SourceWarning as SourceWarning
 from .schema import schema_text as schema_text
 from .study import Study as Study
+from .study_file import override as override
+from .study_file import value_of as value_of
 from .toml import quoted_key as quoted_key
 from .toml import read_toml as read_toml
 from .toml import toml_text as toml_text

@@ -23,10 +23,9 @@ from fmuid.studies.array_elements import check_shapes
 from fmuid.studies.estimation import EstimationSection, MonitoringSection
 from fmuid.studies.faults import DiagnosisSection
 from fmuid.studies.model import ExperimentSettings, ParsedModel, named
-from fmuid.studies.overrides import override
 from fmuid.studies.parameters import ParameterReader, PriorSource, SourceWarning
 from fmuid.studies.section import SectionLocation
-from fmuid.studies.study_file import StudyFile
+from fmuid.studies.study_file import StudyFile, override
 from fmuid.studies.toml import read_toml
 
 if TYPE_CHECKING:
@@ -110,7 +109,7 @@ class Study(HtmlTableMixin):
         path : path-like
             TOML file; paths in it are relative to it.
         overrides : sequence of str
-            Values to set, each as ``parameters.Rs.start=9`` (`fmuid.studies.overrides`).
+            Values to set, each as ``parameters.Rs.start=9`` (`fmuid.studies.study_file`).
         isolated : bool
             Run FMUs in separate processes, as ``[isolation]`` says.
 

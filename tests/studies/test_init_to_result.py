@@ -17,7 +17,7 @@ from fmuid.errors import InputError
 from fmuid.models import System, read_description
 from fmuid.studies import Study
 from fmuid.studies.init.parameter_survey import ParameterProposal as Use
-from fmuid.studies.init.parameter_survey import Survey, is_solver_setting, survey
+from fmuid.studies.init.parameter_survey import Survey, _select, is_solver_setting, survey
 from fmuid.studies.init.start_parameters import is_start
 from tests.support.coil_study import COIL, fmuid_, result
 from tests.support.exported import export_text
@@ -117,6 +117,17 @@ def test_settings_of_solvers_and_start_values() -> None:
     for name in ("Rs", "R0", "L0", "startup"):  # there is no variable R or L that they could be the start of
         assert not is_start(rs._replace(name=name), description), name
     assert is_start(rs._replace(name="p", description="initial pressure"), description)
+
+
+def test_what_the_noise_hides_is_left_out() -> None:
+    """The second column is as strong as the noise lets it be seen by one standard deviation."""
+    a, b = np.random.default_rng(5).standard_normal((2, 50))
+    b -= (a @ b) / (a @ a) * a
+    for share, use in ((0.9, Use.NOISE), (1.1, Use.FREED)):
+        columns = np.column_stack([a, a + share * 0.1 * b / np.linalg.norm(b)])
+        uses: list[Use | None] = [None, None]
+        _select(columns, np.linalg.norm(columns, axis=0), uses, [], columns / 0.1)
+        assert sorted(each.value for each in uses if each) == sorted([Use.FREED.value, use.value])
 
 
 BIASED = """

@@ -9,8 +9,8 @@ import pytest
 
 from fmuid.data import Normal, Parameter
 from fmuid.errors import InputError
-from fmuid.studies.overrides import override
 from fmuid.studies.study import Study
+from fmuid.studies.study_file import override
 from tests.support.study_files import write
 
 

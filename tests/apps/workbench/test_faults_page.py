@@ -13,7 +13,7 @@ from bokeh.models import Div
 import fmuid
 from fmuid.apps.cli.options import NOT_SUCCEEDED
 from fmuid.apps.workbench.pages.faults import FaultsPage
-from fmuid.apps.workbench.pages.results_view import ResultsView
+from fmuid.apps.workbench.pages.panels import ResultsView
 from fmuid.errors import InputError
 from fmuid.studies import Study
 from tests.support.results import result

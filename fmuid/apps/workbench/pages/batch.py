@@ -19,7 +19,7 @@ from bokeh.models import ColumnDataSource, DataTable, NumberFormatter, TableColu
 from fmuid.apps.workbench.access_control import SCHEME
 from fmuid.apps.workbench.home import address
 from fmuid.apps.workbench.page_layout import argument, dress, sections
-from fmuid.apps.workbench.pages.results_view import EVERY, side_by_side
+from fmuid.apps.workbench.pages.panels import LOOK_EVERY, side_by_side
 from fmuid.apps.workbench.project_folder import Folder, FoundResult, FoundStudy, read_json
 from fmuid.apps.workbench.widgets import SHEET, WIDE, choice, line, on_change, typed, words
 from fmuid.errors import InputError
@@ -65,7 +65,7 @@ class BatchPage:
         on_change(self._choose, self.source.selected, name="indices")
         on_change(self._sought, self.number)
         self.look()
-        doc.add_periodic_callback(self.look, EVERY)
+        doc.add_periodic_callback(self.look, LOOK_EVERY)
         cases = column(line(self.status, self.text, self.number), self.table, name="table", **WIDE)
         heads = ("", "<h3>Estimates</h3>", "<h3>Cases</h3>", "<h3>The case</h3>")
         pieces = sections(doc, dict(zip(heads, (self.state, self.drawn, cases, self.case), strict=True)))

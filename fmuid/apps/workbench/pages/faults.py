@@ -12,8 +12,7 @@ from fmuid.apps.workbench.access_control import SCHEME
 from fmuid.apps.workbench.home import address
 from fmuid.apps.workbench.jobs import command_text
 from fmuid.apps.workbench.page_layout import argument, dress, sections
-from fmuid.apps.workbench.pages.command_panel import CommandPanel
-from fmuid.apps.workbench.pages.results_view import ResultsView
+from fmuid.apps.workbench.pages.panels import CommandPanel, ResultsView
 from fmuid.apps.workbench.project_folder import Folder, read_study, tables
 from fmuid.apps.workbench.widgets import SHEET, choice, line, on_change, words
 from fmuid.errors import InputError

@@ -14,9 +14,8 @@ from bokeh.models import ColumnDataSource, Spinner
 
 from fmuid.apps.workbench.home import address, file_address
 from fmuid.apps.workbench.jobs import Job
-from fmuid.apps.workbench.pages.command_panel import CommandPanel
+from fmuid.apps.workbench.pages.panels import CommandPanel, models, side_by_side
 from fmuid.apps.workbench.pages.remedy_panel import RemedyPanel, StudyPageProtocol
-from fmuid.apps.workbench.pages.results_view import models, side_by_side
 from fmuid.apps.workbench.project_folder import Folder
 from fmuid.apps.workbench.widgets import SHEET, WIDE, choice, on_change, several, words
 from fmuid.errors import InputError

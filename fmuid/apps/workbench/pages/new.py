@@ -11,8 +11,8 @@ from fmuid.apps.workbench.access_control import SCHEME
 from fmuid.apps.workbench.home import address
 from fmuid.apps.workbench.jobs import Job, command_text
 from fmuid.apps.workbench.page_layout import argument, dress, sections
-from fmuid.apps.workbench.pages.command_panel import CommandPanel
 from fmuid.apps.workbench.pages.live import in_scheme
+from fmuid.apps.workbench.pages.panels import CommandPanel
 from fmuid.apps.workbench.project_folder import Folder, choices, tables
 from fmuid.apps.workbench.widgets import WIDE, choice, line, on_change, several, typed, words
 from fmuid.data import first_lines

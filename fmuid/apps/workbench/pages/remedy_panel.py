@@ -13,7 +13,7 @@ from bokeh.layouts import column, row
 
 from fmuid.apps.workbench.home import address
 from fmuid.apps.workbench.jobs import Job
-from fmuid.apps.workbench.pages.command_panel import CommandPanel
+from fmuid.apps.workbench.pages.panels import CommandPanel
 from fmuid.apps.workbench.pages.sliders import ParameterRow
 from fmuid.apps.workbench.project_folder import Folder, tables
 from fmuid.apps.workbench.widgets import LINE, WIDE, button, several, words

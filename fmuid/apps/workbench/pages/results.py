@@ -19,8 +19,8 @@ from fmuid.apps.workbench.access_control import SCHEME
 from fmuid.apps.workbench.home import address, file_address
 from fmuid.apps.workbench.jobs import Job, command_text
 from fmuid.apps.workbench.page_layout import argument, arguments, dress, sections
-from fmuid.apps.workbench.pages.command_panel import CommandPanel
 from fmuid.apps.workbench.pages.live import ZoomedFit
+from fmuid.apps.workbench.pages.panels import CommandPanel
 from fmuid.apps.workbench.pages.remedy_panel import ExcitationComparison, UndeterminedResult
 from fmuid.apps.workbench.project_folder import TABLES, Folder, FoundResult, choices, tables
 from fmuid.apps.workbench.widgets import SHEET, WIDE, choice, line, on_change, words
