@@ -79,32 +79,36 @@ def alternating(rounds: int, *tasks: Callable[[], object], repeat: int = 1) -> l
     return best
 
 
-def fmpy_simulation(experiment: fmuid.Experiment) -> Callable[[Array], Array]:
-    """Return theta -> outputs by ``fmpy.simulate_fmu`` with one instance, kept and reset; inputs are held.
+def fmpy_simulation(experiment: fmuid.Experiment, model_exchange: bool = False) -> Callable[[Array], Array]:
+    """Return theta -> outputs by ``fmpy.simulate_fmu``: one instance, kept and reset, with held inputs; or CVode.
 
-    (FMPy 0.3.32 can set input derivatives for FMUs with exactly nine inputs only.)
+    (FMPy 0.3.32 can set input derivatives for FMUs with exactly nine inputs only, and applies no inputs inside CVode's
+    right-hand side: that is compared in time only.)
     """
     folder = fmpy.extract(str(FMU_FILE))
     description = fmpy.read_model_description(folder, validate=False)
-    instance = fmpy.instantiate_fmu(folder, description, fmi_type="CoSimulation")
-    times = experiment.times
-    signals = experiment.frame[["time", *INPUTS]].to_records(index=False)
-    interval = float(times[1] - times[0])
+    times, signals = experiment.times, experiment.frame[["time", *INPUTS]].to_records(index=False)
+    words: dict[str, Any] = {"fmi_type": "ModelExchange", "solver": "CVode", "relative_tolerance": 1e-7}
+    words |= {"record_events": False}
+    instance = None
+    if not model_exchange:
+        instance = fmpy.instantiate_fmu(folder, description, fmi_type="CoSimulation")
+        words = {"fmu_instance": instance, "terminate": False}
 
     def simulate(theta: Array) -> Array:
-        instance.reset()
+        if instance is not None:
+            instance.reset()
         result = fmpy.simulate_fmu(
             folder,
             validate=False,
             start_time=float(times[0]),
             stop_time=float(times[-1]),
-            output_interval=interval,
+            output_interval=float(times[1] - times[0]),
             start_values=dict(zip(PARAMETERS, theta, strict=True)),
             input=signals,
             output=OUTPUTS,
             model_description=description,
-            fmu_instance=instance,
-            terminate=False,
+            **words,
         )
         return np.column_stack([result[name] for name in OUTPUTS])
 
@@ -191,41 +195,10 @@ def compare_fits(study: fmuid.Study, experiment: fmuid.Experiment, by_fmpy: Call
     print(f"     the two optima are {apart:.0e} standard deviations apart")
 
 
-def fmpy_model_exchange(experiment: fmuid.Experiment) -> Callable[[Array], Array]:
-    """Return theta -> outputs by ``fmpy.simulate_fmu`` with CVode, output at every sample.
-
-    (FMPy 0.3.32 does not apply inputs inside CVode's right-hand side: it is compared in time only.)
-    """
-    folder = fmpy.extract(str(FMU_FILE))
-    description = fmpy.read_model_description(folder, validate=False)
-    signals = experiment.frame[["time", *INPUTS]].to_records(index=False)
-    times = experiment.times
-
-    def simulate(theta: Array) -> Array:
-        result = fmpy.simulate_fmu(
-            folder,
-            validate=False,
-            fmi_type="ModelExchange",
-            solver="CVode",
-            start_time=float(times[0]),
-            stop_time=float(times[-1]),
-            output_interval=float(times[1] - times[0]),
-            relative_tolerance=1e-7,
-            record_events=False,
-            start_values=dict(zip(PARAMETERS, theta, strict=True)),
-            input=signals,
-            output=OUTPUTS,
-            model_description=description,
-        )
-        return np.column_stack([result[name] for name in OUTPUTS])
-
-    return simulate
-
-
 def compare_model_exchange(linear: fmuid.Experiment) -> None:
     """Print how long one simulation of 4500 samples takes by model exchange, with each integrator."""
     theta = np.array([9.8, 3.8, 0.436, 0.0762])
-    by_fmpy = fmpy_model_exchange(linear)
+    by_fmpy = fmpy_simulation(linear, model_exchange=True)
     exact = fmuid.Simulator(FMU_FILE, linear, PARAMETERS)(theta)
     for integrator in ("rk4", "rk45", "cvode"):
         numerics = fmuid.Numerics("model-exchange", integrator)

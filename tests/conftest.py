@@ -13,9 +13,8 @@ import pandas as pd
 import pytest
 
 from fmuid.files import replacing
-from tests.support.compiled import write_fmu
+from tests.support.compiled import ProbeMaker, write_fmu
 from tests.support.paths import HERE
-from tests.support.probe_fmu import ProbeMaker
 
 # readline, which pytest imports, exports the width of the terminal to all processes of a test.
 os.environ.pop("COLUMNS", None)

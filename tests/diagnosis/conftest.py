@@ -9,8 +9,7 @@ import pytest
 
 import fmuid
 from experiments.coil import study as coil
-from tests.support.diagnosis_studies import Look
-from tests.support.plate import Faults, identified, record
+from tests.support.plate import Faults, Look, identified, record
 from tests.support.plate import faults as faults
 from tests.support.plate import plate as plate
 

@@ -20,8 +20,8 @@ from fmuid.diagnosis.linearized_machine import LinearizedMachine
 from fmuid.errors import InputError
 from fmuid.reports.topics.diagnosis import verdict
 from tests.support.closed_forms import coil_response
-from tests.support.diagnosis_studies import Look
 from tests.support.paths import FMUS
+from tests.support.plate import Look
 
 EXPERIMENT = Path(__file__).parents[2] / "experiments" / "coil"
 SAMPLES, STEP, NOISE = 1200, 1e-3, 0.035

@@ -17,8 +17,7 @@ from fmuid.diagnosis import MODEL_ERROR
 from fmuid.diagnosis.faults import common_mode
 from fmuid.models import System
 from fmuid.reports.topics.diagnosis import deviation_notes, diagnosis_notes, verdict
-from tests.support.diagnosis_studies import Look
-from tests.support.plate import COLUMNS, INPUTS, SAMPLES, STD, TRUTH, Faults, identified, record
+from tests.support.plate import COLUMNS, INPUTS, SAMPLES, STD, TRUTH, Faults, Look, identified, record
 
 RATIO = fmuid.Parameter(0.0, min=0.0, nominal=0.01)
 FREE = fmuid.Parameter(0.0, nominal=0.01)

@@ -13,8 +13,7 @@ import fmuid
 from fmuid.apps.cli.app import run
 from fmuid.codec import as_json
 from fmuid.events import Event
-from tests.support.diagnosis_studies import Look
-from tests.support.plate import record
+from tests.support.plate import Look, record
 from tests.support.results import RESULT
 from tests.support.running import run_diagnosis
 

@@ -28,9 +28,9 @@ from fmuid.estimation.search.state import TerminationReason
 from fmuid.events import Event, SearchStep
 from fmuid.identification import identify
 from fmuid.runs.findings import at_minimum
-from tests.support.problems import Fake, coil_problem, simulate
+from tests.support.problems import CLOCK as TIMES
+from tests.support.problems import Fake, coil_problem, simulate, two_output_problem, two_outputs
 from tests.support.results import RESULT
-from tests.support.two_outputs import TIMES, two_output_problem, two_outputs
 
 
 def test_every_output_gets_its_own_variance() -> None:

@@ -19,10 +19,8 @@ from fmuid.estimation.problem import LeastSquares
 from fmuid.estimation.result import Result
 from fmuid.estimation.search.state import TerminationReason
 from fmuid.identification import identify
-from tests.support.problems import Fake, coil, coil_problem, simulate
+from tests.support.problems import CLOCK, Fake, coil, coil_problem, simulate, two_output_problem
 from tests.support.results import RESULT
-from tests.support.two_outputs import TIMES as CLOCK
-from tests.support.two_outputs import two_output_problem
 
 TIMES = 1e-3 * np.arange(600)
 STEPS = np.repeat(np.random.default_rng(1).choice([-1.0, 1.0], 40), 15)

@@ -16,8 +16,8 @@ from fmuid.identification.problem import MAX_COMBINATIONS, choices_of
 from fmuid.runs.batch.case import CaseRunner
 from tests.support.choices import choices_fmu
 from tests.support.closed_forms import coil_response
+from tests.support.compiled import ProbeMaker
 from tests.support.fmu_texts import FMI2, write_fmu
-from tests.support.probe_fmu import ProbeMaker
 from tests.support.quick import first
 from tests.support.running import run_prediction, run_study
 

@@ -14,7 +14,6 @@ from fmuid.array_types import Floats
 from tests.support.bad_input import rezip
 from tests.support.experiments import record
 from tests.support.exported import export_text
-from tests.support.probe_fmu import ProbeMaker
 
 SIZES = [1e-15, 1.8e-9, 1.0, 1e9]
 EXACT = 1e-9

@@ -14,7 +14,6 @@ from fmuid.simulation import close, closing, executor_of
 from fmuid.simulation.forward_simulation import twin_simulation
 from tests.support.experiments import record
 from tests.support.paths import FMUS
-from tests.support.probe_fmu import ProbeMaker
 
 
 def test_direct_feedthrough_is_passed_on_in_dependency_order(probe: ProbeMaker) -> None:

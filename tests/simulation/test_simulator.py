@@ -20,7 +20,6 @@ from fmuid.simulation.worker import SimulationThread
 from tests.support.closed_forms import park_rates
 from tests.support.hybrid import hybrid_fmu
 from tests.support.paths import FMUS
-from tests.support.probe_fmu import ProbeMaker
 
 COIL = FMUS / "Coil" / "Coil.fmu"
 INDUCTION = FMUS / "InductionMachine" / "InductionMachine.fmu"

@@ -22,10 +22,10 @@ from fmuid.simulation import Check, InterfaceTest, Stage, Validation, validation
 from fmuid.simulation import smoke_test as smoke
 from fmuid.simulation.native.build import compiler_here
 from fmuid.simulation.smoke_test import SmokeReport
+from tests.support.compiled import ProbeMaker
 from tests.support.compiled import write_fmu as write_compiled
 from tests.support.fmu_texts import FMI2, FMI3, write_fmu
 from tests.support.paths import FMUS, HERE
-from tests.support.probe_fmu import ProbeMaker
 
 COIL = FMUS / "Coil/Coil.fmu"
 

@@ -14,6 +14,17 @@ from tests.support.paths import FMUS
 COIL = FMUS / "Coil/Coil.fmu"
 STUDY = 'title = "Coil"' + campaign.STUDY.format(fmu=COIL.as_posix(), table="first.csv")
 
+SECOND = """
+i_start = { start = 0.0, nominal = 0.1, per_experiment = true }
+[[experiments]]
+data = "second.csv"
+inputs = ["u"]
+outputs = ["i"]
+interpolation = "zoh"
+"""
+# Nothing but a search that is given no time.
+HASTY = ["--set", "estimation.max_iterations=1", "--set", "estimation.restarts=false"]
+
 
 def coil_table(path: Path, start: float, seed: int, noise: float = NOISE) -> None:
     """Write a record of 600 samples that begins with a current, A."""

@@ -7,6 +7,7 @@ import os
 import subprocess
 import threading
 import zipfile
+from collections.abc import Callable
 from functools import cache
 from pathlib import Path
 
@@ -15,6 +16,7 @@ import fmpy
 from fmuid.simulation.native.build import compiler_here
 from tests.support.paths import ROOT
 
+ProbeMaker = Callable[..., Path]
 CACHE = ROOT / ".pytest_cache" / "compiled"
 
 

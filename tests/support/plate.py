@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 
 import numpy as np
 import pandas as pd
@@ -35,6 +36,7 @@ end Plate;
 """
 
 
+Look = Callable[..., fmuid.Diagnosis]
 SAMPLES, STD, TRUTH = 100, 0.1, {"g": 1.0, "h": 2.0}
 
 

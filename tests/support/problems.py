@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -14,7 +15,7 @@ from fmuid.data import Normal, Parameter
 from fmuid.errors import SimulationError
 from fmuid.estimation.problem import LeastSquares
 
-TIMES = np.linspace(0.0, 2.0, 50)
+TIMES, CLOCK = np.linspace(0.0, 2.0, 50), np.linspace(0.0, 3.0, 100)
 
 
 @dataclass(frozen=True)
@@ -39,8 +40,21 @@ class Fake:
         return Predictions(outputs, tuple(error if f else None for f in failed))
 
 
-def simulate(k: float, gain: float) -> Floats:
-    return np.column_stack([1e3 * gain * np.exp(-k * TIMES), 1e-3 * gain * np.sin(k * TIMES)])
+def simulate(k: float, gain: float, times: Floats = TIMES) -> Floats:
+    return np.column_stack([1e3 * gain * np.exp(-k * times), 1e-3 * gain * np.sin(k * times)])
+
+
+def two_outputs(theta: Floats) -> Floats:
+    k, gain = theta.tolist()
+    return simulate(k, gain, CLOCK)
+
+
+def two_output_problem(seed: int = 1, **words: Any) -> LeastSquares:
+    """Return a problem with two outputs of known noise."""
+    noise = np.random.default_rng(seed).standard_normal((100, 2)) * [20.0, 1e-4]
+    parameters = {"k": Parameter(0.8, min=0.0), "gain": Parameter(3.0)} | words.pop("parameters", {})
+    measured = two_outputs(np.array([1.5, 2.0])) + noise
+    return LeastSquares.from_function(two_outputs, measured, parameters, outputs=("u", "i"), times=CLOCK, **words)
 
 
 def coil(theta: Floats, voltage: Floats) -> Floats:

@@ -20,8 +20,7 @@ from fmuid.apps.cli.options import DONE, WRONG_INPUT
 from fmuid.errors import ModelicaWarning
 from fmuid.studies import draft, match_data_files
 from fmuid.studies.study import Study
-from tests.support.coil_study import COIL, STUDY, fmuid_, result
-from tests.support.commands import SECOND
+from tests.support.coil_study import COIL, SECOND, STUDY, fmuid_, result
 from tests.support.paths import FMUS
 
 pytestmark = pytest.mark.usefixtures("blank_figures")

@@ -13,8 +13,7 @@ from fmuid.events import Event
 from fmuid.reports.render import progress
 from fmuid.runs import read_identification
 from fmuid.studies.study import Study
-from tests.support.coil_study import STUDY, fmuid_, result
-from tests.support.commands import HASTY
+from tests.support.coil_study import HASTY, STUDY, fmuid_, result
 
 pytestmark = pytest.mark.usefixtures("blank_figures")
 

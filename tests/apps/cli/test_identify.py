@@ -18,8 +18,7 @@ import fmuid
 from experiments.batches.campaign import NOISE, L, R, coil_current
 from fmuid.apps.cli.options import DONE, NOT_SUCCEEDED, WRONG_INPUT
 from fmuid.studies.study import Study
-from tests.support.coil_study import STUDY, coil_table, fmuid_, result
-from tests.support.commands import HASTY, SECOND
+from tests.support.coil_study import HASTY, SECOND, STUDY, coil_table, fmuid_, result
 
 pytestmark = pytest.mark.usefixtures("blank_figures")
 

@@ -23,7 +23,7 @@ from fmuid.runs.batch import case as case_run
 from fmuid.runs.batch.case import CaseRunner
 from fmuid.runs.batch.case_list import CaseList
 from tests.support.coil_cases import bits, study_of
-from tests.support.probe_fmu import ProbeMaker
+from tests.support.compiled import ProbeMaker
 
 # --- failures
 

@@ -16,10 +16,10 @@ from fmuid.models import untrusted_xml as safe_xml
 from fmuid.models.ssp import read_ssp
 from fmuid.simulation.instance import Instance
 from fmuid.simulation.validation import _description
+from tests.support.compiled import ProbeMaker
 from tests.support.fmu_texts import FMI2, FMI3, write_fmu
 from tests.support.packing import pack
 from tests.support.paths import FMUS
-from tests.support.probe_fmu import ProbeMaker
 
 pytestmark = pytest.mark.usefixtures("cache")
 

@@ -17,7 +17,6 @@ from tests.support.closed_forms import coil_response, park_rates
 from tests.support.experiments import record
 from tests.support.exported import export_text
 from tests.support.paths import FMUS
-from tests.support.probe_fmu import ProbeMaker
 from tests.support.stepping import LAG, stepping_fmu
 
 COIL = FMUS / "Coil" / "Coil.fmu"

@@ -25,7 +25,6 @@ from fmuid.simulation.simulation_task import task_of
 from tests.support.experiments import record
 from tests.support.exported import export_text
 from tests.support.paths import FMUS
-from tests.support.probe_fmu import ProbeMaker
 from tests.support.sanitizers import SANITIZE, assert_nothing_found, needs_sanitizers
 
 Array = NDArray[np.float64]
