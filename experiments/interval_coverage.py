@@ -3,13 +3,12 @@
 The same experiment is drawn many times with fresh noise; each draw is identified, and its local, profile and posterior
 intervals are compared with the truth. Two machines: the coil of docs/method/coil.md, and the induction machine of
 section 8 (its table simulated by `induction_machine/make_table.py`, independently of the FMU). Noise variances are
-estimated, as usual. The time of the identifications alone is printed too.
+estimated, as usual.
 """
 
 from __future__ import annotations
 
 import argparse
-import time
 from collections.abc import Callable, Mapping
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
@@ -34,8 +33,6 @@ METHODS = ("local", "profile", "posterior")
 LEVEL = 0.95
 # Of 200 draws one parameter in ten strays by more than 2.5 % from what its intervals really cover, of 400 one in fifty.
 DRAWS = 400
-# Identifications that are timed, in one process.
-MONTE_CARLO = 200
 # Enough to place the ends of an interval within a tenth of a standard deviation, with the fewest walkers that will do.
 SAMPLING = SamplerSettings(effective_size=700, walkers=8)
 
@@ -133,16 +130,6 @@ def coverage(
     return pd.DataFrame(shares.T, index=list(CASES[case]().truth), columns=list(METHODS))
 
 
-def monte_carlo(case: str, draws: int) -> float:
-    """Return the time that so many identifications take, problems made anew for each, s."""
-    drawn = CASES[case]()
-    fmuid.identify(drawn.problem(draws))  # compiles and loads once
-    began = time.perf_counter()
-    for seed in range(draws):
-        fmuid.identify(drawn.problem(seed))
-    return time.perf_counter() - began
-
-
 def main() -> None:
     """Print the tables."""
     parser = argparse.ArgumentParser(description="Coverage of 95 % intervals over repeated noise.")
@@ -152,13 +139,8 @@ def main() -> None:
     low, high = (100 * count / given.draws for count in binom.interval(0.95, given.draws, LEVEL))
     print(f"{given.draws} draws; a method that covers exactly 95 % gives {low:.1f} to {high:.1f} %")
     for name in CASES:
-        seconds = monte_carlo(name, MONTE_CARLO)
-        began = time.perf_counter()
         table = coverage(name, given.draws, processes=given.processes)
-        print(
-            f"\n{name}: {MONTE_CARLO} identifications in {seconds:.1f} s, all intervals in "
-            f"{time.perf_counter() - began:.0f} s with {given.processes} processes"
-        )
+        print(f"\n{name}:")
         print((100 * table).round(1).to_string())
 
 

@@ -18,7 +18,6 @@ from typing import NamedTuple
 
 import numpy as np
 import pandas as pd
-from scipy.signal import lfilter
 
 import fmuid
 from experiments import calls, pages
@@ -74,17 +73,13 @@ def record(
     """
     samples, block = round(seconds / study.STEP), round(BLOCK / study.STEP)
     voltage = np.repeat(rng.choice([-1.0, 1.0], samples // study.BIT + 1), study.BIT)[:samples]
-    current, state = np.empty(samples), 0.0
-    for first in range(0, samples, block):
-        since = first * study.STEP - begin
-        fault = case.size + case.rise * since if since >= 0 else 0.0
-        resistance, inductance = study.R + fault, study.L + 2 * study.TAU * fault
-        resistance += drift[0] + (drift[1] if since >= 0 else 0.0)
-        decay = math.exp(-resistance / inductance * study.STEP)
-        part = slice(first, first + block)
-        driven = lfilter([0.0, (1.0 - decay) / resistance], [1.0, -decay], voltage[part])
-        current[part] = driven + state * decay ** np.arange(block)
-        state = current[part][-1] * decay + (1.0 - decay) / resistance * voltage[part][-1]
+
+    def coil(since: float) -> tuple[float, float]:
+        fault, drifted = (case.size + case.rise * since, sum(drift)) if since >= 0 else (0.0, drift[0])
+        return study.R + fault + drifted, study.L + 2 * study.TAU * fault
+
+    coils = (coil(first * study.STEP - begin) for first in range(0, samples, block))
+    current = study.piecewise(voltage, coils, block)
     seen = sensor.seen(current) + math.sqrt(study.NOISE_VARIANCE) * rng.standard_normal(samples)
     frame = pd.DataFrame({"time": study.STEP * np.arange(samples), "u": voltage, "i": seen})
     return fmuid.Experiment(frame, ["u"], ["i"], interpolation="zoh", warmup=TRANSIENT, name=name)

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import math
 import time
+from collections.abc import Iterable
 from functools import cache
 from pathlib import Path
 from typing import NamedTuple
@@ -73,6 +74,18 @@ def current(resistance: float, inductance: float) -> Floats:
     """Return the current from rest under the voltage, held between samples, A (SAMPLES,), in closed form."""
     decay = math.exp(-resistance / inductance * STEP)
     return np.asarray(lfilter([0.0, (1.0 - decay) / resistance], [1.0, -decay], voltage()))
+
+
+def piecewise(voltage: Floats, coils: Iterable[tuple[float, float]], block: int, state: float = 0.0) -> Floats:
+    """Return the current, A, under a held voltage, of a coil with other R (Ω) and L (H) in each block of samples."""
+    current = np.empty(voltage.size)
+    for k, (resistance, inductance) in enumerate(coils):
+        part = slice(k * block, (k + 1) * block)
+        decay = math.exp(-resistance / inductance * STEP)
+        driven = lfilter([0.0, (1.0 - decay) / resistance], [1.0, -decay], voltage[part])
+        current[part] = driven + state * decay ** np.arange(block)
+        state = current[part][-1] * decay + (1.0 - decay) / resistance * voltage[part][-1]
+    return current
 
 
 NOISE_VARIANCE = float(np.mean(current(R, L) ** 2) / RATIO)  # A²

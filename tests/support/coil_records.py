@@ -6,7 +6,6 @@ import math
 
 import numpy as np
 import pandas as pd
-from scipy.signal import lfilter
 
 from experiments.coil import study as coil
 
@@ -27,14 +26,11 @@ def warming(
     rng = np.random.default_rng(seed)
     samples = 1000 * seconds
     voltage = np.repeat(rng.choice([-1.0, 1.0], samples // coil.BIT + 1), coil.BIT)[:samples]
-    current, state = np.empty(samples), 0.02
-    for k in range(10 * seconds):
+
+    def at(k: int) -> tuple[float, float]:
         fault = size + grows * (k / 10 - fails) if k / 10 >= fails else 0.0
-        resistance = coil.R + (to - coil.R) * (k // 10) / seconds + fault
-        decay = math.exp(-resistance / (coil.L + 2 * coil.TAU * fault) * coil.STEP)
-        part = slice(100 * k, 100 * (k + 1))
-        driven = lfilter([0.0, (1.0 - decay) / resistance], [1.0, -decay], voltage[part])
-        current[part] = driven + state * decay ** np.arange(100)
-        state = current[part][-1] * decay + (1.0 - decay) / resistance * voltage[part][-1]
+        return coil.R + (to - coil.R) * (k // 10) / seconds + fault, coil.L + 2 * coil.TAU * fault
+
+    current = coil.piecewise(voltage, map(at, range(10 * seconds)), 100, 0.02)
     current += noise * math.sqrt(coil.NOISE_VARIANCE) * rng.standard_normal(samples)
     return pd.DataFrame({"time": coil.STEP * np.arange(samples), "u": voltage, "i": current})
