@@ -12,6 +12,7 @@ import pytest
 from fmuid import Numerics, SimulationError, Simulator, System
 from fmuid.array_types import Floats
 from tests.support.bad_input import rezip
+from tests.support.compiled import ProbeMaker
 from tests.support.experiments import record
 from tests.support.exported import export_text
 

@@ -12,6 +12,7 @@ import pytest
 from fmuid import InputError, Numerics, SimulationError, Simulator, System
 from fmuid.simulation import close, closing, executor_of
 from fmuid.simulation.forward_simulation import twin_simulation
+from tests.support.compiled import ProbeMaker
 from tests.support.experiments import record
 from tests.support.paths import FMUS
 

@@ -18,6 +18,7 @@ from fmuid.array_types import Floats
 from fmuid.simulation import close, closing
 from fmuid.simulation.worker import SimulationThread
 from tests.support.closed_forms import park_rates
+from tests.support.compiled import ProbeMaker
 from tests.support.hybrid import hybrid_fmu
 from tests.support.paths import FMUS
 

@@ -14,6 +14,7 @@ from scipy.interpolate import PchipInterpolator
 from fmuid import Component, InputError, Numerics, SimulationError, Simulator, System
 from fmuid.reports.topics.solver_check import run_words
 from tests.support.closed_forms import coil_response, park_rates
+from tests.support.compiled import ProbeMaker
 from tests.support.experiments import record
 from tests.support.exported import export_text
 from tests.support.paths import FMUS

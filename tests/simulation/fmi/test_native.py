@@ -22,6 +22,7 @@ from fmuid.simulation.plan_builder import simulation_of
 from fmuid.simulation.simulation_loop import SimulationLoop
 from fmuid.simulation.simulation_plan import GridSimulation, Operation, check_arrays, check_plan, new_reports
 from fmuid.simulation.simulation_task import task_of
+from tests.support.compiled import ProbeMaker
 from tests.support.experiments import record
 from tests.support.exported import export_text
 from tests.support.paths import FMUS
