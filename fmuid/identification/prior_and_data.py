@@ -261,19 +261,18 @@ def compare_prior_and_data(
 
 
 def parabolas(reading: pd.DataFrame, name: str) -> pd.DataFrame:
-    """Compute the cost of prior, data and both (figure 1.1; 1.54, 1.57).
+    """Compute the cost of prior, data and both for a parameter (figure 1.1; 1.54, 1.57).
 
     Parameters
     ----------
     reading : DataFrame
-        `PriorDataComparison.table`, or ``reading.csv``.
+        `PriorDataComparison.table`.
     name : str
-        A parameter.
 
     Returns
     -------
     DataFrame
-        ``value``, ``prior``, ``data``, ``both``; columns of NaN without prior or identifying data.
+        ``value``, ``prior``, ``data``, ``both``; NaN without prior or identifying data.
 
     Raises
     ------

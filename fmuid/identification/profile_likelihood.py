@@ -9,7 +9,7 @@ dJ_p/dψ = 2 (∂r/∂ψ)ᵀ r at the optimum of the others (Bates and Watts, "N
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from enum import Enum
 from typing import Any, ClassVar, NamedTuple
@@ -98,11 +98,10 @@ class Profile:
     level : float
         Confidence level of the interval.
     lower, upper : float
-        The interval: infinite on a flat or failing side, the bound where it ends there, NaN without interval.
+        The interval: infinite on a flat or failing side, NaN without interval.
     minimum, threshold : float
         J_min, and the rise above it at the ends of the interval.
     remarks : tuple of ProfileEndNote
-        Empty for an ordinary profile.
     interrupted : bool
     table : DataFrame
         The points by the parameter's value: all parameters, and ``cost``.
@@ -185,14 +184,9 @@ def profile_likelihood(
     thresholds, bends = result.estimates.reaches(level) ** 2 * scatter, result.std / np.sqrt(scatter)
     found: list[Profile] = []
     for k, i in enumerate(chosen):
-        name, share, threshold = problem.parameters.names[i], k / len(chosen), float(thresholds[i])
-
-        def tell(point: _Point, name: str = name, share: float = share, threshold: float = threshold) -> None:
-            if progress is not None:
-                progress(ProfileStep(share=share, name=name, value=point.value, rise=point.rise, threshold=threshold))
-
-        walk = _Profiler(function, i, origin, float(bends[i]), float(far[i]), threshold, tell)
-        found.append(walk.profile(float(result.std[i]), level))
+        std, bend, end, threshold = (float(each[i]) for each in (result.std, bends, far, thresholds))
+        walk = _Profiler(function, i, origin, bend, end, threshold, k / len(chosen), progress)
+        found.append(walk.profile(std, level))
         if found[-1].interrupted:
             break
     return tuple(found)
@@ -257,7 +251,12 @@ class _Profiler:
     bend: float
     far: float
     threshold: float
-    tell: Callable[[_Point], None]
+    share: float
+    progress: Progress | None
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        return self.function.problem.parameters.names
 
     @property
     def level(self) -> float:
@@ -269,7 +268,7 @@ class _Profiler:
         return _Point(self.origin, float(self.origin.theta[self.index]), 0.0)
 
     def profile(self, std: float, level: float) -> Profile:
-        names, start, interrupted = self.function.problem.parameters.names, self.start, False
+        start, interrupted = self.start, False
         sides = [_Side(upper=False), _Side(upper=True)]
         try:
             for side in sides:
@@ -278,10 +277,10 @@ class _Profiler:
             interrupted = True
         lower, upper = (math.nan if any(each.has(EndKind.LOWER) for each in sides) else side.end for side in sides)
         points = sorted([*sides[0].points, start, *sides[1].points], key=lambda point: point.value)
-        table = pd.DataFrame([point.optimum.theta for point in points], columns=list(names))
+        table = pd.DataFrame([point.optimum.theta for point in points], columns=list(self.names))
         table["cost"] = [point.optimum.cost for point in points]
         return Profile(
-            names[self.index],
+            self.names[self.index],
             start.value,
             std,
             self.bend,
@@ -299,7 +298,9 @@ class _Profiler:
         """Step away from the estimate to the level or a bound."""
         lower, upper = (float(each[self.index]) for each in (self.function.lower, self.function.upper))
         bound = upper if side.upper else lower
-        here, step = self.start, self._first_step()
+        magnitude, here = float(self.function.magnitudes(self.origin.theta)[self.index]), self.start
+        step = min(self.level * self.bend / SETTINGS.steps_per_side, SETTINGS.first_step_share * magnitude)
+        step = max(step, SETTINGS.least_step_share * magnitude)
         while True:
             if here.value == bound:
                 side.end = bound
@@ -315,9 +316,9 @@ class _Profiler:
                 return side.note(EndKind.LOWER, point)
             if point.rise >= self.threshold:
                 side.end = min(max(self._refine(side, here, point), lower), upper)
-                last, names = side.points[-1], self.function.problem.parameters.names
+                last = side.points[-1]
                 for i in last.optimum.at_bounds:
-                    other = ActiveBound(names[i], float(last.optimum.theta[i]))
+                    other = ActiveBound(self.names[i], float(last.optimum.theta[i]))
                     side.note(EndKind.OTHER_AT_BOUND, last, other=other)
                 return None
             # the step asked for: shortened ones would come ever nearer to where simulations fail
@@ -335,13 +336,10 @@ class _Profiler:
         side.points.append(point)
         if not found.outcome.converged and not side.has(EndKind.NOT_CONVERGED):
             side.note(EndKind.NOT_CONVERGED, point, outcome=found.outcome)
-        self.tell(point)
+        if self.progress is not None:
+            name, threshold = self.names[self.index], self.threshold
+            self.progress(ProfileStep(share=self.share, name=name, value=value, rise=rise, threshold=threshold))
         return point
-
-    def _first_step(self) -> float:
-        magnitude = float(self.function.magnitudes(self.origin.theta)[self.index])
-        wanted = min(self.level * self.bend / SETTINGS.steps_per_side, SETTINGS.first_step_share * magnitude)
-        return max(wanted, SETTINGS.least_step_share * magnitude)
 
     def _next_step(self, point: _Point, last: float) -> float:
         """Return the step for the next rise of τ, limited."""

@@ -9,6 +9,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from scipy.linalg import expm
+from scipy.signal import lfilter
 
 import fmuid
 from fmuid.array_types import Floats
@@ -33,31 +34,9 @@ def lag_table(noise: float = NOISE, decay: float = float(np.exp(-TRUTH * STEP)),
     """Return x' = u − 2 x for a held u; decay = 1 − 2 STEP is what explicit Euler makes of it."""
     rng = np.random.default_rng(seed)
     u = np.repeat(rng.choice([-1.0, 1.0], 40), 10)
-    x = np.zeros(u.size)
-    for i in range(u.size - 1):
-        x[i + 1] = decay * x[i] + (1.0 - decay) / TRUTH * u[i]
-    x += noise * rng.standard_normal(u.size)
+    x = lfilter([0.0, (1.0 - decay) / TRUTH], [1.0, -decay], u) + noise * rng.standard_normal(u.size)
     frame = pd.DataFrame({"time": STEP * np.arange(u.size), "u": u, "x": x})
     return fmuid.Experiment(frame, inputs=["u"], outputs=["x"], interpolation="zoh")
-
-
-MOTOR_TRUTH = {"R": 1.0, "L": 1.0 / 3e3, "K": 0.05, "J": 1e-4}
-FRICTION, MOTOR_STEP = 1e-5, 1e-3  # L/R is a third of the step
-
-
-@pytest.fixture(scope="module")
-def motor_table() -> fmuid.Experiment:
-    r, inductance, k, j = MOTOR_TRUTH.values()
-    matrix = np.array([[-r / inductance, -k / inductance, 1.0 / inductance], [k / j, -FRICTION / j, 0.0], [0.0] * 3])
-    exact = expm(MOTOR_STEP * matrix)
-    rng = np.random.default_rng(3)
-    u = np.repeat(rng.choice([-5.0, 5.0], 100), 15)
-    x = np.zeros((u.size, 2))
-    for i in range(u.size - 1):
-        x[i + 1] = exact[:2, :2] @ x[i] + exact[:2, 2] * u[i]
-    x += rng.standard_normal(x.shape) * [0.02, 0.05]
-    frame = pd.DataFrame({"time": MOTOR_STEP * np.arange(u.size), "u": u, "i": x[:, 0], "w": x[:, 1]})
-    return fmuid.Experiment(frame, inputs=["u"], outputs=["i", "w"], interpolation="zoh")
 
 
 def off(result: fmuid.Result, truth: float = TRUTH) -> float:
@@ -217,20 +196,34 @@ def test_a_box_that_holds_the_alias_alone() -> None:
     assert [switch.cause for switch in checked(result).switches] == [SwitchCause.SHIFT]
 
 
-def test_a_start_that_shorter_steps_alone_can_simulate(folder: Path, motor_table: fmuid.Experiment) -> None:
-    """Without model exchange; a start that nothing can simulate is said to be one."""
-    start = dict(zip(MOTOR_TRUTH, (1.43, 2.1e-4, 0.035, 6.6e-5), strict=True))
-    parameters = {name: fmuid.Parameter(value, min=1e-7) for name, value in start.items()}
-    problem = fmuid.Problem(stepping_fmu(folder, MOTOR, order=4), motor_table, parameters, values={"F": FRICTION})
+def test_a_start_that_shorter_steps_alone_can_simulate(folder: Path) -> None:
+    """A motor whose L/R is a third of a step, without model exchange; nothing can simulate the last start."""
+    truth, friction, step = {"R": 1.0, "L": 1.0 / 3e3, "K": 0.05, "J": 1e-4}, 1e-5, 1e-3
+    r, inductance, k, j = truth.values()
+    matrix = np.array([[-r / inductance, -k / inductance, 1.0 / inductance], [k / j, -friction / j, 0.0], [0.0] * 3])
+    exact, rng = expm(step * matrix), np.random.default_rng(3)
+    u = np.repeat(rng.choice([-5.0, 5.0], 100), 15)
+    x = np.zeros((u.size, 2))
+    for i in range(u.size - 1):
+        x[i + 1] = exact[:2, :2] @ x[i] + exact[:2, 2] * u[i]
+    x += rng.standard_normal(x.shape) * [0.02, 0.05]
+    frame = pd.DataFrame({"time": step * np.arange(u.size), "u": u, "i": x[:, 0], "w": x[:, 1]})
+    table = fmuid.Experiment(frame, inputs=["u"], outputs=["i", "w"], interpolation="zoh")
+    start = dict(zip(truth, (1.43, 2.1e-4, 0.035, 6.6e-5), strict=True))
+    fmu = stepping_fmu(folder, MOTOR, order=4)
+
+    def motor(**changed: float) -> fmuid.Problem:
+        parameters = {name: fmuid.Parameter(value, min=1e-7) for name, value in (start | changed).items()}
+        return fmuid.Problem(fmu, table, parameters, values={"F": friction})
+
     with pytest.raises(fmuid.SimulationError):
-        fmuid.identify(problem, solver_check="off", restart=False)
-    result = fmuid.identify(problem, restart=False)
+        fmuid.identify(motor(), solver_check="off", restart=False)
+    result = fmuid.identify(motor(), restart=False)
     assert checked(result).switches[0].cause is SwitchCause.START_FAILED
     assert checked(result).outcome is AccuracyOutcome.PASSED
-    assert (np.abs(result.values - np.array(list(MOTOR_TRUTH.values()))) < 3.5 * result.std).all()
-    far = parameters | {"L": fmuid.Parameter(1e-6, min=1e-7)}
+    assert (np.abs(result.values - np.array(list(truth.values()))) < 3.5 * result.std).all()
     with pytest.raises(fmuid.SimulationError):
-        fmuid.identify(fmuid.Problem(problem.system, motor_table, far, values={"F": FRICTION}), restart=False)
+        fmuid.identify(motor(L=1e-6), restart=False)
 
 
 GAIN, INTEGRAL_TIME = 5.0, 0.4  # of the loop around x' = u − 2 x, sampled every 0.05 s
