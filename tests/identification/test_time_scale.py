@@ -34,7 +34,7 @@ def test_records_in_the_model_s_time_scale_and_in_a_wrong_unit() -> None:
         found = doubt(step, 400)
         assert found is not None
         assert found[0] is kind
-        assert found[1] == pytest.approx(L / R, rel=0.2)
+        assert found[1] == pytest.approx(L / R, rel=0.1)
 
 
 def test_what_does_not_settle_or_fails_is_not_doubted() -> None:
