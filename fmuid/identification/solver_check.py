@@ -86,7 +86,7 @@ class _SolverChecking:
             start = self.trial.start
             self._compare_start(self.problem.parameters.start if start is None else numbers(start, "start"))
         first = yield self.trial
-        self.optima = first.history.optima or (_optimum(first),)
+        self.optima = first.history.optima or (Optimum(first.values, first.fit.cost, 1, first.outcome, first),)
         self.found = SolverCheck(AccuracyOutcome.INTERRUPTED, np.full(len(first.names), np.nan))
         if first.fit.linearization is not None and first.outcome is not TerminationReason.INTERRUPTED:
             try:
@@ -106,9 +106,8 @@ class _SolverChecking:
             return
         if at.shape != (len(problem.parameters),):
             return  # the search refuses it
-        before = self.evaluator.simulations
         predicted = self.evaluator.predict_start(at[None])[0]  # shared with the search
-        self.foreseen = self.evaluator.simulations - before
+        self.foreseen = self.evaluator.simulations - self.before
         if replaces_interface(problem.system, finer):
             wrong = self._wrong_start(finer, at, predicted)
             if wrong is not None:
@@ -234,9 +233,7 @@ class _SolverChecking:
                 raise KeyboardInterrupt
             if found.converged or not each.fit.converged:
                 fits.append(found.after(each.fit))
-        # a robust loss has one fit: no search of the whole box knows it
-        merged = merge_optima(other.problem, fits) if self.problem.loss is None else tuple(map(_optimum, fits))
-        return merged, sum(fit.history.simulations for fit in fits)
+        return merge_optima(other.problem, fits), sum(fit.history.simulations for fit in fits)
 
     def _return(self) -> Steps[None]:
         """Return to the solver left at the start if it fits better."""
@@ -284,10 +281,6 @@ class _SolverChecking:
         history = replace(best.history, optima=optima, fits=first.history.fits)
         result = replace(best, history=history, accuracy=found)
         return with_shift(result, found) if found.outcome is AccuracyOutcome.SHIFTED else result
-
-
-def _optimum(fit: Result) -> Optimum:
-    return Optimum(fit.values, fit.fit.cost, 1, fit.outcome, fit)
 
 
 def _is_sound(predicted: Floats) -> bool:

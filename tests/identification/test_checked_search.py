@@ -46,8 +46,8 @@ def off(result: fmuid.Result, truth: float = TRUTH) -> float:
 
 def solved(folder: Path, table: fmuid.Experiment | None = None, k: float = 1.0, **fmu: Any) -> fmuid.Problem:
     """Return the problem of a lag whose FMU steps by explicit Euler, by default from k = 1."""
-    start = {"k": fmuid.Parameter(k, min=0.01)}
-    return fmuid.Problem(stepping_fmu(folder, LAG, **fmu), lag_table() if table is None else table, start)
+    start, loss = {"k": fmuid.Parameter(k, min=0.01)}, fmu.pop("loss", "linear")
+    return fmuid.Problem(stepping_fmu(folder, LAG, **fmu), lag_table() if table is None else table, start, loss=loss)
 
 
 def checked(result: fmuid.Result) -> Any:
@@ -81,9 +81,10 @@ def test_where_the_start_fails(folder: Path) -> None:
     assert off(result) < 3.0
 
 
-def test_the_optimum_shows_it(folder: Path) -> None:
+@pytest.mark.parametrize("loss", ["linear", "huber"])
+def test_the_optimum_shows_it(folder: Path, loss: str) -> None:
     """At a start with hardly any dynamics both agree; the search goes on from the estimates."""
-    result = fmuid.identify(solved(folder, lag_table(5e-4), 0.05, exchange=True), restart=False)
+    result = fmuid.identify(solved(folder, lag_table(5e-4), 0.05, exchange=True, loss=loss), restart=False)
     (switch,) = checked(result).switches
     assert switch.cause is SwitchCause.SHIFT
     assert switch.size > SHIFT_LIMIT
