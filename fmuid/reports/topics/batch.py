@@ -109,20 +109,13 @@ class BatchMessage(Message):
         "or a smaller step gives identical outputs",
         "Export the FMU for Model Exchange.",
     )
-    CHECK_FAILED = doubt("Solver error unknown in {count} cases: the more accurate simulation fails.")
+    FAILED = doubt("Solver error unknown in {count} cases: the more accurate simulation fails.")
 
 
 IN_GROUPS = {
     EstimateWarning.STD_TOO_SMALL: "stated σ too small",
     EstimateWarning.STD_TOO_LARGE: "stated σ too large",
     EstimateWarning.BIASED: "biased",
-}
-ACCURACY = {
-    AccuracyOutcome.SHIFTED: BatchMessage.SHIFTED,
-    AccuracyOutcome.UNKNOWN: BatchMessage.UNKNOWN,
-    AccuracyOutcome.COUPLED: BatchMessage.COUPLED,
-    AccuracyOutcome.UNCHECKABLE: BatchMessage.UNCHECKABLE,
-    AccuracyOutcome.FAILED: BatchMessage.CHECK_FAILED,
 }
 
 
@@ -218,24 +211,24 @@ def _spreads(summary: Summary) -> Iterator[Remark]:
 
 def _not_as_stated(row: Row, *, tables: bool) -> Iterator[Remark]:
     """Yield the deviations of one parameter from its stated σ."""
-    unit, doubts, name = _after(row["unit"]), row["doubts"], str(row["parameter"])
+    unit, doubts, said = _after(row["unit"]), row["doubts"], []
     spread, stated = (rounded(row[each], row[each]) + unit for each in ("spread", "stated_std"))
-    values = {"name": name, "spread": spread, "stated": stated}
-
-    def said(message: BatchMessage, **more: object) -> Remark:
-        return message.said("distributions", **more)
-
+    values: dict[str, object] = {"name": str(row["parameter"]), "spread": spread, "stated": stated}
     if EstimateWarning.STD_TOO_SMALL in doubts:
-        among = "across data files" if tables else "across cases"
-        yield said(BatchMessage.STD_TOO_SMALL, **values, ratio=row["ratio"], among=among)
+        values |= {"ratio": row["ratio"], "among": "across data files" if tables else "across cases"}
+        said.append(BatchMessage.STD_TOO_SMALL)
     if EstimateWarning.STD_TOO_LARGE in doubts:
-        yield said(BatchMessage.STD_TOO_LARGE, **values)
+        said.append(BatchMessage.STD_TOO_LARGE)
     if EstimateWarning.BIASED in doubts:
-        size = f"{rounded(row['bias'], row['bias_std'])} ± {rounded(row['bias_std'], row['bias_std'])}{unit}"
-        yield said(BatchMessage.BIASED, name=name, size=size, share=abs(row["bias"]) / row["stated_std"])
+        bias, error = (rounded(row[each], row["bias_std"]) for each in ("bias", "bias_std"))
+        values["size"] = f"{bias} ± {error}{unit}"
+        values["share"] = abs(row["bias"]) / row["stated_std"]
+        said.append(BatchMessage.BIASED)
     if doubts and math.isfinite(row.get("coverage_lower", math.nan)):
-        held, low, high = (100.0 * row[f"coverage{end}"] for end in ("", "_lower", "_upper"))
-        yield said(BatchMessage.COVERAGE, name=name, held=held, low=low, high=high)
+        ends = {"held": "coverage", "low": "coverage_lower", "high": "coverage_upper"}
+        values |= {key: 100.0 * row[column] for key, column in ends.items()}
+        said.append(BatchMessage.COVERAGE)
+    yield from (each.said("distributions", **values) for each in said)
 
 
 def _settings(summary: Summary) -> Iterator[Remark]:
@@ -266,12 +259,12 @@ def _dependence(found: Dependence) -> Remark:
 
 
 def _ends(summary: Summary) -> Iterator[Remark]:
-    optima = summary.optima
-    if not len(optima):
+    if not len(optima := summary.optima):
         return
-    total, best, sets = int(optima["cases"].sum()), int(optima["cases"].iloc[0]), int(optima["data_sets"].iloc[0])
+    total, best = int(optima["cases"].sum()), int(optima["cases"].iloc[0])
     if len(optima) == 1:
-        yield BatchMessage.ONE_OPTIMUM.said("starts", total=total, of=" of their data" if sets > 1 else "")
+        of = " of their data" if optima["data_sets"].iloc[0] > 1 else ""
+        yield BatchMessage.ONE_OPTIMUM.said("starts", total=total, of=of)
         return
     yield BatchMessage.OTHER_OPTIMA.said("starts", total=total, others=total - best)
     if summary.rivals:
@@ -285,9 +278,9 @@ def _accuracy(summary: Summary) -> Iterator[Remark]:
     yield BatchMessage.CHECKED.said(total=total, checked=counts["checked"])
     if counts["finer"]:
         yield BatchMessage.REFINED.said(count=counts["finer"])
-    for outcome, message in ACCURACY.items():
-        if count := counts.get(outcome.value, 0):
-            yield message.said(count=count)
+    for outcome in AccuracyOutcome:
+        if outcome.name in BatchMessage.__members__ and (count := counts.get(outcome.value, 0)):
+            yield BatchMessage[outcome.name].said(count=count)
 
 
 def _after(unit: str) -> str:

@@ -11,7 +11,7 @@ import numpy as np
 from fmuid.array_types import Floats
 from fmuid.formatting import fit_text, label, listed
 from fmuid.identification import ModelComparison
-from fmuid.reports.chart import LIMITS, Axis, Chart, Data, Layer, intervals, picked, rows_of
+from fmuid.reports.chart import LIMITS, Axis, Chart, Data, intervals, kinds, rows_of
 from fmuid.reports.document import Document, Message, Remark, Section, Table, Tone, doubt, origin_of, plain, table_of
 from fmuid.runs import ComparedEstimate, ComparisonRun
 
@@ -148,21 +148,16 @@ def ranked_bars(names: Sequence[str], values: Floats, text: str) -> Chart:
     names, values = names[: LIMITS.parameters], values[: LIMITS.parameters]
     best = np.arange(len(names)) == 0
     data: Data = {"y": tuple(names), "x": values}
-    hover = (("", "@y"), ("value", "@x{0.0000}"))
-    layers = [Layer("bars", picked(data, best), "red", hover=hover)]
-    layers += [Layer("bars", picked(data, ~best), hover=hover)] if len(names) > 1 else []
+    layers = kinds("bars", data, [("", "red", best), ("", "blue", ~best)], hover=(("", "@y"), ("value", "@x{0.0000}")))
     return rows_of(names, Axis(text, reach=(0.0, None)), layers)
 
 
 def estimate_charts(rows: Sequence[ComparedEstimate]) -> list[Chart]:
     """Return the estimates of each parameter that several results have."""
-    known: dict[str, str] = {}
-    for each in rows:
-        if each.unit:
-            known.setdefault(each.parameter, each.unit)
+    units = {each.parameter: each.unit for each in reversed(rows) if each.unit}
     groups: dict[tuple[str, str], list[ComparedEstimate]] = {}
     for each in rows:
-        groups.setdefault((each.parameter, each.unit or known.get(each.parameter, "")), []).append(each)
+        groups.setdefault((each.parameter, each.unit or units.get(each.parameter, "")), []).append(each)
     charts = []
     for (name, unit), mine in list(groups.items())[: LIMITS.parameters]:
         if len(mine) > 1:

@@ -148,9 +148,10 @@ def trend_remarks(trend: Trend, unit: str) -> list[Remark]:
 
 def alarm_words(alarm: Alarm) -> tuple[str, str]:
     """Return onset and size of an alarm, for a table."""
-    likely = None if alarm.onset is None else alarm.onset.likely
-    onset = "" if likely is None else f"{likely.time:.6g} s of {likely.record}"
-    onset += f", {_date(likely)}" if likely is not None and likely.date else ""
+    onset = ""
+    if alarm.onset is not None:
+        likely = alarm.onset.likely
+        onset = f"{likely.time:.6g} s of {likely.record}" + (f", {_date(likely)}" if likely.date else "")
     return onset, " or ".join(map(explanation_words, alarm.explanations))
 
 
@@ -200,18 +201,17 @@ def _alarms_section(found: MonitoringRun) -> Section:
 
 
 def _windows_section(found: MonitoringRun) -> Section:
-    numbers, frame, rows, before = ("first", "minimum", "maximum"), found.table, [], ""
+    frame, rows, before = found.table, [], ""
     columns = [(fault, name) for fault, sizes in found.sizes.items() for name in sizes]
     for fault, name in [*columns, *(("", name) for name in found.common)]:
-        values, std = frame[name], frame[f"{name}.std"].tolist()
-        cells = [rounded(float(each), std[-1]) for each in (values.iloc[0], values.min(), values.max())]
-        last = with_std(float(values.iloc[-1]), std[-1]) if math.isfinite(std[-1]) else "unknown"
+        values, std = frame[name], float(frame[f"{name}.std"].iloc[-1])
+        cells = [rounded(float(each), std) for each in (values.iloc[0], values.min(), values.max())]
+        last = with_std(float(values.iloc[-1]), std) if math.isfinite(std) else "unknown"
         said = (fault if fault != before else "", name.removeprefix(f"{fault}."))
         rows.append((*said, *cells, last, unit_text(found.units.get(name))))
         before = fault
-    heads = ("fault", "parameter", *numbers, "last", "unit")
-    table = table_of_rows(heads, rows, ("parameter", "last", "unit"))
-    return Section("windows", "Windows", table=table, shown=CONSOLE)
+    heads = ("fault", "parameter", "first", "minimum", "maximum", "last", "unit")
+    return Section("windows", "Windows", table=table_of_rows(heads, rows, (heads[1], *heads[5:])), shown=CONSOLE)
 
 
 def _timeline(found: MonitoringRun, fault: str) -> ChartGrid:

@@ -8,11 +8,10 @@ from typing import Literal
 import numpy as np
 import pandas as pd
 
-from fmuid.array_types import Flags
 from fmuid.estimation import Result
 from fmuid.formatting import has_unit, label
 from fmuid.identification import EQUAL_COST
-from fmuid.reports.chart import LIMITS, Axis, Chart, Color, Data, Layer, Units, named, picked
+from fmuid.reports.chart import LIMITS, Axis, Chart, Data, Layer, Units, kinds, named, picked
 from fmuid.reports.document import DETAIL, Message, Remark, Section, doubt, plain, table_of
 
 WIDE_RANGE = 5.0
@@ -51,7 +50,8 @@ def optima_remarks(result: Result) -> list[Remark]:
     if not shown:
         return []
     searches = sum(optimum.hits for optimum in shown)
-    count, of = _count(len(shown), "optimum", "optima"), _count(searches, "starting point", "starting points")
+    count = f"{len(shown)} optim{'um' if len(shown) == 1 else 'a'}"
+    of = f"{searches} starting point{'s' * (searches != 1)}"
     said = [OptimaMessage.FOUND.said(count=count, searches=of, hits=shown[0].hits)]
     for other in shown[1:]:
         if (excess := other.criterion - shown[0].criterion) < EQUAL_COST:
@@ -59,10 +59,6 @@ def optima_remarks(result: Result) -> list[Remark]:
             values = ", ".join(f"{name} = {value:.5g}" for name, value in pairs)
             said.append(OptimaMessage.SECOND.said(values=values, excess=f"{excess:.2g}"))
     return said
-
-
-def _count(number: int, one: str, several: str) -> str:
-    return f"{number} {one if number == 1 else several}"
 
 
 def optima_section(result: Result) -> Section:
@@ -178,28 +174,17 @@ def _rounds(found: pd.DataFrame, units: Units) -> list[Chart]:
 
 
 def _optima(table: pd.DataFrame, units: Units) -> list[Chart]:
-    names = [str(name) for name in table.columns.drop(["cost", "hits", "converged"])][: LIMITS.parameters]
     sure, values = table["converged"].to_numpy(bool), table["cost"].to_numpy(np.float64)
-    hits = table["hits"].to_numpy(np.float64)
-    sizes = 6.0 + 10.0 * hits / hits.max()  # diameters in pixels
-    best = np.arange(len(table)) == 0
-    wide = values.max() > WIDE_RANGE * values.min() > 0
-    hover = (("value", "@x{0.000000}"), ("cost", "@y{0.000}"), ("starting points", "@n"))
-    charts = []
-    for name in names:
-        data = {"x": table[name].to_numpy(np.float64), "y": values, "size": sizes, "n": hits}
-        kinds: tuple[tuple[Flags, Color, str], ...] = (
-            (sure & ~best, "blue", "optimum"),
-            (~sure, "red", "not converged"),
-            (best, "amber", "best"),
-        )
+    hits, best = table["hits"].to_numpy(np.float64), np.arange(len(table)) == 0
+    wide: Literal["linear", "log"] = "log" if values.max() > WIDE_RANGE * values.min() > 0 else "linear"
+    hover, charts = (("value", "@x{0.000000}"), ("cost", "@y{0.000}"), ("starting points", "@n")), []
+    for name in [str(name) for name in table.columns.drop(["cost", "hits", "converged"])][: LIMITS.parameters]:
+        sizes = 6.0 + 10.0 * hits / hits.max()  # diameters in pixels
+        data: Data = {"x": table[name].to_numpy(np.float64), "y": values, "size": sizes, "n": hits}
         layers = [
-            Layer("points", picked(data, mine), color, edge="grey", label=text, hover=hover)
-            if color != "red"
-            else Layer("points", picked(data, mine), color, marker="x", label=text, hover=hover)
-            for mine, color, text in kinds
-            if mine.any()
+            *kinds("points", data, [("optimum", "blue", sure & ~best)], edge="grey", hover=hover),
+            *kinds("points", data, [("not converged", "red", ~sure)], marker="x", hover=hover),
+            *kinds("points", data, [("best", "amber", best)], edge="grey", hover=hover),
         ]
-        kind: Literal["linear", "log"] = "log" if wide else "linear"
-        charts.append(Chart(Axis(named(name, units)), Axis("cost", kind), tuple(layers)))
+        charts.append(Chart(Axis(named(name, units)), Axis("cost", wide), tuple(layers)))
     return charts
