@@ -112,6 +112,8 @@ def test_over_a_setting() -> None:
     near(high["y"] - low["y"], 2 * Z * 0.1)
     words, _ = case_charts.over_setting(found.assign(table=["a", "b"] * 150), "table", {}, {})
     assert words.x.names == ("a", "b")
+    many, _ = case_charts.over_setting(cases(3000, **{"set.M": np.linspace(0.0, 1.0, 3000)}), "set.M", {}, {})
+    assert layers(many, "cells")[0]["count"].sum() == 2999
     single, _ = case_charts.over_setting(cases(41, **{"set.M": np.arange(41.0)}).iloc[:-1], "set.M", {}, {})
     assert legend(single) == ["estimate"]  # a mean of one is the estimate itself
 
@@ -165,6 +167,8 @@ def test_batch_without_estimates(capsys: pytest.CaptureFixture[str]) -> None:
 FRAMES = [
     batch({"draw": range(2)}),
     batch({"free": ["R", "R L"]}),
+    batch({"set.M": [1.0, 2.0, 3.0], "set.N": [1.0, 1.0, 2.0]}),
+    batch({"start.R": [1.0, 2.0, 3.0]}, spread=0.0),
     batch({"table": np.repeat(["a very long name of a recording of a machine.csv", "b"], 5), "draw": [*range(5)] * 2}),
     fail(batch({"start.R": [1.0, 200.0] * 500, "free": ["R", "L"] * 500}), list(range(400)), ["no"] * 400),
     batch({"draw": range(30)}).assign(**{"std.R": np.nan}),

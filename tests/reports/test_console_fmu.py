@@ -172,6 +172,12 @@ def test_skeleton_is_a_study_with_the_names_of_the_fmu(
     assert list(fmuid.Study.read(tmp_path / "study.toml").parameters) == ["R"]
 
 
+def test_every_fmu_of_the_house() -> None:
+    for path in sorted(FMUS.glob("*/*.fmu")):
+        (experiment,) = tomllib.loads(facts_document(facts(fmuid.FMU(path))).study)["experiments"]
+        assert experiment["outputs"], path
+
+
 # --- what nobody vouches for ------------------------------------------------------------
 
 UNSEEN = re.compile(

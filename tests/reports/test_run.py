@@ -122,3 +122,11 @@ def test_interrupted_run_keeps_what_is_known(study: Path, tmp_path: Path) -> Non
     assert written["parameters"]["R"]["value"] == found.result["R"]
     assert {path.name for path in found.files} == {"result.json", "estimates.csv", "document.json"}
     assert codec.as_json(read_identification(tmp_path / "out")) == codec.as_json(found)
+
+
+def test_a_search_of_the_whole_box_keeps_its_optima(study: Path, tmp_path: Path) -> None:
+    study.write_text(BOUNDED + GLOBAL)
+    found = run_study(study, tmp_path / "out")
+    assert sum(optimum.hits for optimum in found.result.history.optima) == 6
+    pd.testing.assert_frame_equal(pd.read_csv(tmp_path / "out/optima.csv"), found.optima)
+    assert f"{len(found.optima)} optim" in str(fmuid.Document.of(found))

@@ -18,8 +18,6 @@ from fmuid.reports.render.style import BAR, BAR_BELOW, COLORS, FONT, LINE, MISSI
 _ONE_SHAPE = ("Line", "Step", "VArea", "Patch")
 # What begins mathematics in a text of Bokeh, for which it would ask a host.
 _TEX = ("$$", "\\(", "\\[")
-# Of these tools one stands for all plots of a grid; of others, one switch for all of theirs.
-_SINGLE_TOOLS = ("SaveTool",)
 _KINDS = {"linear": "Linear", "log": "Log", "names": "Categorical"}
 _GLYPHS = {
     "line": ("Line", "x y"),
@@ -110,8 +108,9 @@ def _grid(children: list[tuple[BokehSpec, int, int]]) -> BokehSpec:
         plot.toolbar_location = None
         for tool in plot.toolbar.tools:
             kinds.setdefault(f"{tool.kind} {vars(tool).get('tooltips')}", []).append(tool)
+    # one disk saves all plots; of other tools, one switch stands for all of theirs
     tools = [
-        BokehSpec(each[0].kind) if each[0].kind in _SINGLE_TOOLS else BokehSpec("ToolProxy", tools=each)
+        BokehSpec("SaveTool") if each[0].kind == "SaveTool" else BokehSpec("ToolProxy", tools=each)
         for each in kinds.values()
     ]
     first = next((tool for tool in tools if tool.kind == "ToolProxy" and tool.tools[0].kind == "BoxZoomTool"), None)
@@ -362,23 +361,14 @@ class _Plot:
 def _annotations(layer: Layer) -> list[BokehSpec]:
     """Return lines across and shaded parts."""
     color = COLORS[layer.color]
+    columns = {side: np.atleast_1d(np.asarray(each, np.float64)).tolist() for side, each in layer.data.items()}
     if layer.mark == "zone":
-        columns = {side: np.atleast_1d(np.asarray(each, np.float64)) for side, each in layer.data.items()}
-        count = max(each.size for each in columns.values())
         look = {"fill_color": color, "fill_alpha": layer.alpha, "line_color": None}
-        return [
-            BokehSpec("BoxAnnotation", **{side: float(each[k]) for side, each in columns.items()}, **look)
-            for k in range(count)
-        ]
+        rows = zip(*columns.values(), strict=True)
+        return [BokehSpec("BoxAnnotation", **dict(zip(columns, row, strict=True)), **look) for row in rows]
+    look = {"line_color": color, "line_width": 1, "line_dash": layer.dash}
     return [
-        BokehSpec(
-            "Span",
-            dimension="height" if side == "x" else "width",
-            location=float(place),
-            line_color=color,
-            line_width=1,
-            line_dash=layer.dash,
-        )
-        for side, places in layer.data.items()
-        for place in np.atleast_1d(np.asarray(places, np.float64))
+        BokehSpec("Span", dimension="height" if side == "x" else "width", location=place, **look)
+        for side, places in columns.items()
+        for place in places
     ]

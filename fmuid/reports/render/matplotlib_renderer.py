@@ -11,7 +11,6 @@ from typing import Any
 import matplotlib
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.cm import ScalarMappable
 from matplotlib.collections import LineCollection, PolyCollection
 from matplotlib.colors import ListedColormap, LogNorm, Normalize, to_rgba
@@ -321,23 +320,9 @@ def _names(axes: Axes, names: Sequence[str]) -> None:
 
 def save(figures: Mapping[str, Print], folder: Path, kind: str = "png") -> list[Path]:
     """Write figures into `folder` and return their paths."""
-    paths = []
+    paths = [folder / f"{name}.{kind}" for name in figures]
     with style():  # ticks take theirs when they are drawn
-        for name, figure in figures.items():
-            path = folder / f"{name}.{kind}"
-            if kind != "png":
-                with replacing(path) as draft:
-                    figure.savefig(draft, format=kind, metadata=_UNDATED[kind])
-                paths.append(path)
-                continue
-            figure.set_dpi(DPI)
-            # what savefig does, without drawing everything twice
-            layout = figure.get_layout_engine()
-            if layout is not None:
-                layout.execute(figure)
-                figure.set_layout_engine("none")
-            canvas: Any = FigureCanvasAgg(figure)
+        for path, figure in zip(paths, figures.values(), strict=True):
             with replacing(path) as draft:
-                canvas.print_png(draft)
-            paths.append(path)
+                figure.savefig(draft, format=kind, dpi=DPI, metadata=_UNDATED.get(kind))
     return paths

@@ -203,11 +203,10 @@ def plots(found: object) -> FigureCollection:
 
 def _known(result: Result) -> IdentificationRun:
     fits = []
-    for k, frame in enumerate(result.fit.frames):
+    for k, frame in enumerate(result.fit.frames, start=1):
         names = tuple(str(name)[len("measured.") :] for name in frame.columns if str(name).startswith("measured."))
-        measured, simulated = (
-            frame[[f"{kind}.{name}" for name in names]].to_numpy(np.float64) for kind in ("measured", "simulated")
-        )
-        times, counted = frame["time"].to_numpy(np.float64), np.isfinite(measured)
-        fits.append(OutputFit(f"experiment {k + 1}", times, names, (None,) * len(names), measured, simulated, counted))
+        kinds = ([f"{kind}.{name}" for name in names] for kind in ("measured", "simulated"))
+        measured, simulated = (frame[columns].to_numpy(np.float64) for columns in kinds)
+        times, units = frame["time"].to_numpy(np.float64), (None,) * len(names)
+        fits.append(OutputFit(f"experiment {k}", times, names, units, measured, simulated, np.isfinite(measured)))
     return IdentificationRun(result, tuple(fits))

@@ -105,11 +105,11 @@ def sensitivity_document(
     sections = []
     for k, (name, rows) in enumerate(tables[: LIMITS.experiments]):
         heading = f"Sensitivities: {name}" if len(tables) > 1 else "Sensitivities"
-        key, caption = ("sensitivities", SENSITIVITIES) if k == 0 else (f"sensitivities-{k + 1}", "")
+        key, caption = (f"sensitivities-{k + 1}", "") if k else ("sensitivities", SENSITIVITIES)
         sections.append(Section(key, heading, caption, charts=(sensitivity_charts(rows, units),), beside=1))
     state = f"{len(tables)} experiment{'s' * (len(tables) > 1)}"
-    said = (DesignMessage.SENSITIVITIES.said("sensitivities"),)
-    return Document("sensitivities", "Sensitivities", state, "good", said, tuple(sections), **origin_of(origin))
+    said = DesignMessage.SENSITIVITIES.said("sensitivities")
+    return Document("sensitivities", "Sensitivities", state, "good", (said,), tuple(sections), **origin_of(origin))
 
 
 def sensitivity_charts(table: pd.DataFrame, units: Units) -> ChartGrid:
