@@ -162,23 +162,6 @@ def test_fmu_without_reset_or_second_instance_is_simulated_once(
     assert not caplog.records
 
 
-def test_failure_over_dirty_memory(probe: ProbeMaker, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Nobody looks at what the memory behind a failed simulation held before, say infinities of both signs."""
-    empty = np.empty
-
-    def dirty(*arguments: Any, **words: Any) -> Any:
-        array = empty(*arguments, **words)
-        if array.dtype == float:
-            array.ravel()[:] = np.resize([np.inf, -np.inf, 1e308], array.size)
-        return array
-
-    simulator = Simulator(probe(), record(np.arange(10) * 0.1, u=0.0), ["fail_at"])
-    monkeypatch.setattr(np, "empty", dirty)
-    batch = simulator.many([[0.15]])
-    assert isinstance(batch.errors[0], SimulationError)
-    assert np.isnan(batch.outputs).all()
-
-
 def test_interruption_ends_the_simulations_of_other_threads(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The caller's own share is interrupted while another thread is in a simulation that takes for ever."""
     path = hybrid_fmu(tmp_path, "van_der_pol", attributes='canBeInstantiatedOnlyOncePerProcess="false"')
