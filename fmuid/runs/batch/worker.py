@@ -53,7 +53,7 @@ def difference(here: Mapping[str, str | None], there: Mapping[str, str | None]) 
         if theirs is None and mine is not None:
             return f"has no {name}. Install {name} {mine} there."
         if mine is not None and theirs is not None and mine.split(".")[:places] != theirs.split(".")[:places]:
-            shown = [".".join(each.split(".")[: max(places, 3)][:3]) for each in (theirs, mine)]
+            shown = [".".join(each.split(".")[:3]) for each in (theirs, mine)]
             return f"runs {name} {shown[0]}, this machine {shown[1]}. Install the same version on both."
     return None
 
