@@ -62,7 +62,7 @@ LOCK = ".lock"  # lock file of a folder
 
 @contextmanager
 def locked(folder: Path, what: str) -> Iterator[None]:
-    """Make an output folder and lock it against other processes of a kind `what`."""
+    """Make an output folder and lock it; `what` names the kind of other processes."""
     make_folder(folder)
     with _opened_lock(folder / LOCK, what) as file:
         with contextlib.suppress(OSError):  # a full disk: without the owner's name
@@ -182,7 +182,7 @@ def write_table(path: Path, frame: pd.DataFrame) -> Path:
 
 
 def without_formulas(frame: pd.DataFrame) -> pd.DataFrame:
-    """Put an apostrophe before texts that spreadsheets evaluate (CWE-1236), or that look escaped already."""
+    """Put an apostrophe before texts that spreadsheets evaluate (CWE-1236); also before escaped ones."""
     return _with_texts(frame, _escaped)
 
 

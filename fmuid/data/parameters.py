@@ -52,7 +52,7 @@ class Parameter:
     per_experiment: bool | Mapping[str, Sequence[str]] = False
 
     def name_in(self, experiment: str, name: str) -> str:
-        """Return the name of parameter `name` in an experiment, which exactly one group has."""
+        """Return the name of parameter `name` in an experiment; exactly one group has it."""
         if isinstance(self.per_experiment, bool):
             return f"{name}[{experiment}]" if self.per_experiment else name
         groups = [group for group, members in self.per_experiment.items() if experiment in members]

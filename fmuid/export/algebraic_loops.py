@@ -13,7 +13,7 @@ from scipy.sparse.csgraph import connected_components, maximum_bipartite_matchin
 
 
 def first_loop(unknowns: Sequence[set[str]]) -> list[int]:
-    """Return the first smallest set of equations with as many unknowns, empty if they cannot be assigned.
+    """Return the first smallest set of equations with as many unknowns; empty if there is none.
 
     It is a strongly connected component without outgoing edges (Duff, Erisman, Reid, *Direct Methods for Sparse
     Matrices*, 2nd ed., Oxford 2017, ch. 6). `unknowns` are those of each equation.

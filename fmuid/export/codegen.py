@@ -94,7 +94,7 @@ def _numbers(values: list[float]) -> str:
 
 
 def _hoist(system: ExplicitModel) -> tuple[Any, Any, Any, Any, Any]:
-    """Return derivatives, other variables and indicators with symbols c, these, and their values of p alone."""
+    """Return derivatives, other variables and indicators with symbols c; these symbols and their values of p alone."""
     reciprocals = column(symbol for symbol, _ in system.reciprocals)
     unknowns = ca.cse(ca.vertcat(system.derivatives, system.algebraic, system.indicators))
     unknowns, symbols, values = ca.extract_parametric(unknowns, ca.vertcat(system.p, reciprocals))

@@ -42,7 +42,7 @@ class ConditionalOptimum:
 
 
 def evaluator_of(problem: LeastSquares, result: Result) -> Evaluator[LeastSquares]:
-    """Return the evaluator of a problem as its result was simulated, after a check of the names."""
+    """Return the evaluator of a problem as its result was simulated; its names are checked."""
     for what, has, needs in (
         ("parameters", result.names, problem.parameters.names),
         ("outputs", tuple(result.fit.noise_variance), problem.output_names),

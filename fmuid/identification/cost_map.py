@@ -106,7 +106,7 @@ class CostMap:
 
 
 def region_rise(level: float, freedom: float) -> float:
-    """Return the quantile of χ²(2), or of 2 F(2, ν) with ν degrees of freedom: the rise of the cost at a region."""
+    """Return the quantile of χ²(2); with ν degrees of freedom that of 2 F(2, ν): the rise of the cost at a region."""
     beyond = math.log1p(-level)
     return -2.0 * beyond if math.isinf(freedom) else freedom * math.expm1(-2.0 * beyond / freedom)
 

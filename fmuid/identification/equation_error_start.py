@@ -199,7 +199,7 @@ class MeasuredStates:
     unseen: Floats  # (n_x, n_z), N, directions that change no output, of the length of the nominals
 
     def __call__(self, thetas: Floats) -> Iterator[tuple[Floats, Floats]]:
-        """Yield states (K, n_x) of each theta, and derivatives (2 (K − 1), n_x) at both ends of each interval."""
+        """Yield states (K, n_x) of each theta; derivatives (2 (K − 1), n_x) at both ends of each interval."""
         if not self.unseen.size:
             yield from ((self.told, rates) for rates in self.side(both_ends(self.told), thetas)[0])
             return

@@ -57,7 +57,7 @@ def _observed(problem: Problem, index: int, samples: float) -> Simulator:
 
 
 def observer_gain(slopes: Floats, output: Floats, interval: float, samples: float) -> Floats:
-    """Return L (n_x, 1) by Ackermann's formula from A (n_x, n_x), C (n_x,) and T, all poles at exp(−1/samples)."""
+    """Return L (n_x, 1) by Ackermann's formula; from A (n_x, n_x), C (n_x,) and T, all poles at exp(−1/samples)."""
     count = len(slopes)
     step = scipy.linalg.expm(slopes * interval)
     powers = [np.linalg.matrix_power(step, k) for k in range(count + 1)]

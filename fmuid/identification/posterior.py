@@ -288,7 +288,7 @@ def _densest(samples: Floats, level: float, lower: float, upper: float) -> tuple
 
 
 def r_hat(draws: Floats) -> float:
-    """Return R-hat of draws (n, chains), of plain or folded ranks (eqs 1–6, 14–17); NaN for too few or identical."""
+    """Return R-hat of draws (n, chains); of plain or folded ranks (eqs 1–6, 14–17); NaN for too few or identical."""
     if len(draws) < SETTINGS.least_length:
         return math.nan
     split = _split(draws)
@@ -296,7 +296,7 @@ def r_hat(draws: Floats) -> float:
 
 
 def effective_size(draws: Floats) -> float:
-    """Return the effective size of draws (n, chains), of bulk or tails (eqs 10–13); NaN for too few or identical."""
+    """Return the effective size of draws (n, chains); of bulk or tails (eqs 10–13); NaN for too few or identical."""
     if len(draws) < SETTINGS.least_length:
         return math.nan
     split = _split(draws)

@@ -294,7 +294,7 @@ class _Record:
 
 
 def _slopes(simulator: Simulator, point: Floats, steps: Floats) -> tuple[Floats, Floats]:
-    """Return outputs (K, n) and their slopes (K, n, p), one-sided beside failures."""
+    """Return outputs (K, n) and their slopes (K, n, p); one-sided beside failures."""
     moved = np.flatnonzero(steps > 0)
     offsets = np.diag(steps)[moved]
     found = simulator.many(np.vstack([point, point + offsets, point - offsets]))

@@ -212,7 +212,7 @@ def reach(problem: LeastSquares, result: Result) -> Floats:
 
 
 class _Point(NamedTuple):
-    """A value of the parameter with the best others, J_p − J_min, τ and dτ/dψ away from the estimate."""
+    """A value of the parameter with the best others; J_p − J_min, τ and dτ/dψ away from the estimate."""
 
     optimum: ConditionalOptimum
     value: float

@@ -161,7 +161,7 @@ def examine_outputs(
     taken: FitProjection | None = None,
     scale: Floats | None = None,
 ) -> list[ResidualSeries]:
-    """Test the residuals of an experiment's outputs, by the noise and the projection of a fit or their own.
+    """Test the residuals of an experiment's outputs; noise and projection are of a fit or their own.
 
     `scale` (n,) is the noise level of each row relative to its output; tests divide by it.
     """

@@ -96,7 +96,7 @@ def sample_posterior(
 def log_density(
     evaluator: Evaluator[LeastSquares], variance: Floats | None = None, result: Result | None = None
 ) -> Callable[[Floats], Floats]:
-    """Return the posterior log density of thetas (m, N), −∞ out of bounds and for failed simulations.
+    """Return the posterior log density of thetas (m, N); −∞ out of bounds and for failed simulations.
 
     `variance` (n_outputs,) is NaN where integrated out; a `result` scales the data's part to its colored noise.
     """

@@ -124,7 +124,7 @@ class CheckedArchive:
         return b"".join(self.chunks(self._files[name], largest))
 
     def chunks(self, entry: zipfile.ZipInfo, largest: int | None = None) -> Iterator[bytes]:
-        """Yield the content of an entry, counted, since stated sizes may be wrong; an `InputError` as `read`."""
+        """Yield the content of an entry, counted; stated sizes may be wrong; an `InputError` as `read`."""
         largest, written = self.limit // 2 if largest is None else largest, 0
         try:
             with self._archive.open(entry) as file:

@@ -158,7 +158,7 @@ class _Package:
         ]
 
     def _composed(self, chain: list[Edge]) -> tuple[float, float, bool]:
-        """Return factor, offset and their validity along a chain of connections (SSP, 4.5.1).
+        """Return factor, offset and validity of a chain of connections (SSP, 4.5.1).
 
         A transformation follows the unit conversion, and stands alone between different dimensions.
         """

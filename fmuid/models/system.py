@@ -180,7 +180,7 @@ class System:
         return not self.connections or any(model.numerics.samples is not None for model in self.components.values())
 
     def run_by(self, numerics: Mapping[str, Numerics]) -> System:
-        """Return this system with other solver settings of some components, or an `InputError` of `Component`."""
+        """Return this system with other solver settings of some components; `Component` may refuse them."""
         other = copy.copy(self)
         changed = {name: Component(self.components[name].fmu, each) for name, each in numerics.items()}
         vars(other)["components"] = self.components | changed

@@ -32,7 +32,7 @@ MEMORY_KEPT = {"MALLOC_MMAP_THRESHOLD_": str(32 << 20), "MALLOC_TRIM_THRESHOLD_"
 
 
 def python_command(module: str, *arguments: str) -> list[str]:
-    """Return the command that runs a module as ``python -m``, but no file of the current folder (`search_path`)."""
+    """Return the command that runs a module as ``python -m``; it runs no file of the current folder (`search_path`)."""
     flags = [*_ALONE, *(["-s"] if sys.flags.no_user_site else []), *(["-B"] if sys.dont_write_bytecode else [])]
     return [sys.executable, *flags, "-c", _BEGIN.format(paths=search_path(), module=module), *arguments]
 
@@ -96,7 +96,7 @@ def watch_lifeline(end: Callable[[], object]) -> threading.Thread:
 
 
 def search_path() -> list[str]:
-    """Return this process's module search path without current and script folder, and fmuid's folder."""
+    """Return the module search path without current and script folder; fmuid's folder is added."""
     script = getattr(sys.modules.get("__main__"), "__file__", None)
     around = {_real(Path()), *([_real(Path(script).parent)] if script else [])}
     kept = [each for each in sys.path if Path(each).is_absolute() and _real(Path(each)) not in around]

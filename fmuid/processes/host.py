@@ -273,7 +273,7 @@ class HostProcess:
         self.kill()
 
     def strike(self) -> None:
-        """Kill it and its group, unless another process has its number, as after the server was killed."""
+        """Kill it and its group, unless another process has its number; so after the server was killed."""
         if numbered(self.pid) in (self._numbered, None):
             strike(self.pid)
 

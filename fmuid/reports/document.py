@@ -37,7 +37,7 @@ class Message(Enum):
         self.text, self.meaning, self.remedy, self.tone = text, meaning, remedy, tone
 
     def said(self, section: str | None = None, tone: Tone | None = None, /, **values: object) -> Remark:
-        """Return the message with values, capitalized unless a value or a symbol begins it."""
+        """Return the message with values; capitalized unless a value or a symbol begins it."""
         told = self.text.format(**values)
         told = told if self.text[0] in "{σ" else capitalized(told)
         place, key = self.section if section is None else section, f"{type(self).__name__}.{self.name}"

@@ -55,7 +55,7 @@ def write_origin(path: Path, study: Study, also: Iterable[Path] = ()) -> Path:
 
 
 def digests(files: Iterable[Path], folder: Path) -> dict[str, str]:
-    """Return SHA-256 of existing files by the ends of their paths, as whole ones could disclose their owner."""
+    """Return SHA-256 of existing files by the ends of their paths; whole ones could disclose their owner."""
     there = [path for path in dict.fromkeys(files) if path.is_file()][:40]
     ends = ([part for part in _way(path, folder).parts if part != ".."][-3:] for path in there)
     return {"/".join(end): file_digest(path) for end, path in zip(ends, there, strict=True)}

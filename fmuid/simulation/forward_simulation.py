@@ -108,7 +108,7 @@ def initial_states(simulation: GridSimulation, system: System, thetas: Floats) -
 
 
 def twin_simulation(simulator: Simulator) -> SensitivitySimulation:
-    """Return the simulation of the model and one twin per parameter, with all their parameters and outputs."""
+    """Return the simulation of the model and one twin per parameter; it has all their parameters and outputs."""
     system, (model,) = simulator.system, simulator.system.components.values()
     count = len(simulator.target_names)
     inputs = simulator.experiment.input_names

@@ -23,7 +23,7 @@ from fmuid.simulation.solver_refinement import by_model_exchange
 
 
 class RightHandSide:
-    """Derivatives and outputs of a model, its `system` by Model Exchange, at the ends of sampling intervals."""
+    """Derivatives and outputs of a model at the ends of sampling intervals; its `system` runs by Model Exchange."""
 
     def __init__(self, simulator: Simulator, system: System) -> None:
         self._simulator, self._system = simulator, system
@@ -70,7 +70,7 @@ class RightHandSide:
         return cls(simulator, system)
 
     def __call__(self, states: Floats, thetas: Floats) -> tuple[Floats, Floats]:
-        """Return derivatives (m, P, n_x) and outputs (m, P, n_y) in units of the data file; NaN after a failure.
+        """Return derivatives (m, P, n_x) and outputs (m, P, n_y); in units of the data file; NaN after a failure.
 
         States are (P, n_x), P = 2 (K − 1) points: begin and end of each interval.
         """
@@ -84,7 +84,7 @@ class RightHandSide:
         return found[:, :, :count], self._simulator.in_table_units(found[:, :, count:])
 
     def output_slopes(self, theta: Floats) -> tuple[Floats, Floats, Floats]:
-        """Return C = ∂y/∂x at the beginning (n_y, n_x), initial states (n_x,), outputs (K, n_y) with these states.
+        """Return C = ∂y/∂x at the beginning (n_y, n_x); initial states (n_x,), outputs (K, n_y) with these states.
 
         C is by differences over the states' nominals and times these. Hidden states are zero.
         """
@@ -92,7 +92,7 @@ class RightHandSide:
         return slopes, states, np.vstack([outputs[::2], outputs[-1:]])
 
     def secants(self, theta: Floats) -> tuple[Floats, Floats]:
-        """Return A = ∂f/∂x (n_x, n_x) and C = ∂y/∂x (n_y, n_x) at the beginning, in units of the states' nominals."""
+        """Return A = ∂f/∂x (n_x, n_x) and C = ∂y/∂x (n_y, n_x); at the beginning, by the states' nominals."""
         _, base, _, derivatives, slopes = self._secants(theta)
         return (derivatives - base[:, None]) / self.nominals[:, None], slopes
 

@@ -281,7 +281,7 @@ def _ascends(bounds: Indices, end: int) -> bool:
 
 
 def _is_sound(plan: SimulationPlan, given: Operation, versions: Sequence[int]) -> bool:
-    """Return whether an operation has signals and references, and its component can do it."""
+    """Return whether an operation has signals and references; its component must know it."""
     n_signals, first, count, function = len(plan.signals), given.reference, given.n_references, given.function
     if function == codes.COPY:
         return _inside((first, given.signal), n_signals) and 0 <= count < len(plan.conversions)

@@ -104,7 +104,7 @@ def is_free(system: System) -> bool:
 
 
 def refined(simulator: Simulator, system: System, refinement: Refinement) -> Simulator:
-    """Return a refined simulator of the same experiment, of the system as asked for.
+    """Return a refined simulator of the same experiment; of the system as asked for.
 
     Raises
     ------

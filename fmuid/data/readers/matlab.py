@@ -1,4 +1,4 @@
-"""MAT files of MATLAB, and results of OpenModelica and Dymola (its User's Guide, "The MATv4 Result File Format")."""
+"""MAT files of MATLAB; results of OpenModelica and Dymola (its User's Guide, "The MATv4 Result File Format")."""
 
 from __future__ import annotations
 

@@ -69,7 +69,7 @@ def _at(times: Array, own: Array, samples: Array) -> Array:
 
 @contextmanager
 def _formulas_as_expressions(source: str) -> Iterator[None]:
-    """Have asammdf compute formulas by `evaluate`, without numexpr and SymPy, which run Python's `eval`."""
+    """Have asammdf compute formulas by `evaluate`; without numexpr and SymPy, which run Python's `eval`."""
     from asammdf.blocks import v2_v3_blocks, v4_blocks
 
     wrong: list[str] = []

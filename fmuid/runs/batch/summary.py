@@ -249,7 +249,7 @@ def _reasons(frame: pd.DataFrame) -> dict[str, int]:
 
 
 def _failures(frame: pd.DataFrame) -> pd.DataFrame:
-    """Count the messages of cases without an estimate, their numbers left out, the most frequent first."""
+    """Count the messages of cases without an estimate; numbers are left out, the most frequent is first."""
     failed = frame[frame["status"] != "converged"]
     tables = failed["table"] if "table" in failed else [""] * len(failed)
     weak = failed.get("undetermined", pd.Series("", failed.index))

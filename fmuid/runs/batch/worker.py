@@ -101,7 +101,7 @@ def _worker(attribute: str, default: Any) -> Any:
 
 
 class OpenStudy:
-    """The study of one thread of a worker, which owns its FMU instances, in a private folder."""
+    """The study of one thread of a worker; it owns its FMU instances, in a private folder."""
 
     def __init__(self, parcel: StudyPackage) -> None:
         self.folder = Path(tempfile.mkdtemp(prefix="fmuid-", dir=_worker("local_directory", None)))
