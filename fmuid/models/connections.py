@@ -25,7 +25,7 @@ class Connection(NamedTuple):
 def exchange_order(
     connections: Sequence[Connection], descriptions: Mapping[str, Description]
 ) -> tuple[tuple[tuple[Connection, ...], bool], ...]:
-    """Return the connections in groups with a flag; each follows those that it depends on directly: algebraic loop."""
+    """Return the connections in groups, each after those it depends on directly; a flag marks algebraic loops."""
     feeding = {connection.target: i for i, connection in enumerate(connections)}
     needs: list[set[int]] = []
     for component, output in (connection.source for connection in connections):
