@@ -122,6 +122,12 @@ def test_a_command_that_cannot_succeed_ends_with_one_sentence(
     assert str(fmu) in said.err.replace("\n", "")
 
 
+def test_what_the_fmu_prints_goes_to_its_log(tmp_path: Path, fmu: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    assert run(["simulate", str(write_study(tmp_path, fmu, Mode.SPEAK))]) == DONE
+    assert "the FMU says on" not in "".join(capfd.readouterr())
+    assert "the FMU says on" in (tmp_path / "results/fmu.log").read_text()
+
+
 def test_a_command_can_run_the_fmu_in_its_own_process(tmp_path: Path, fmu: Path) -> None:
     """Which then has the fate of the FMU's: that it does crash is what makes the tests of isolation show something."""
     study = write_study(tmp_path, fmu, Mode.ABORT)
