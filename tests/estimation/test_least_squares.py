@@ -202,10 +202,13 @@ def check(result: Result, truth: list[float]) -> None:
     assert result.history.simulations < 400
 
 
-def test_friction_at_rest() -> None:
+@pytest.mark.parametrize(
+    ("bounds", "start"),
+    [({}, (2.0, 8.0, 1.0)), pytest.param({"min": 0.0}, (0.5, 5.0, 0.1), marks=pytest.mark.slow)],
+)
+def test_friction_at_rest(bounds: dict[str, Any], start: tuple[float, ...]) -> None:
     """Nothing moves at the start: neither friction nor mass shows until the Coulomb friction is less."""
-    start = 2.0, 8.0, 1.0
-    parameters = {name: Parameter(value) for name, value in zip(SLIDE, start, strict=True)}
+    parameters = {name: Parameter(value, **bounds) for name, value in zip(SLIDE, start, strict=True)}
     assert not slide(np.array(start)).any()
     problem = LeastSquares.from_function(slide, noisy(slide(np.array(list(SLIDE.values())))), parameters)
     result = identify(problem)

@@ -2,6 +2,7 @@
 
 import itertools
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -15,7 +16,7 @@ from fmuid.estimation.evaluator import Evaluator
 from fmuid.estimation.local_search import Marquardt
 from fmuid.estimation.problem import LeastSquares
 from fmuid.estimation.search.marquardt import Descent, iterate
-from fmuid.estimation.search.state import Iteration, State, TerminationReason
+from fmuid.estimation.search.state import Iteration, Stagnation, State, TerminationReason
 from fmuid.estimation.search.trust_region import REGION, LinearModel, Step, TrustRegion, triangle
 
 TIMES = np.linspace(0.0, 3.0, 120)
@@ -252,3 +253,18 @@ def test_radius_follows_the_parabola_along_the_step() -> None:
         assert good == (fall > 0.0)
     radius, good = radius.judged(step, 5.0, 2.0, -4.0, 0.0, moved=True)  # half of the prediction
     assert (good, radius.value) == (True, REGION.grow * 5.0)
+
+
+def test_search_that_gains_nothing_is_doubted_before_it_is_vain() -> None:
+    """Ten steps that promise 10 each and bring 1e-4 together; a gain begins anew."""
+    stagnation = Stagnation(100.0, 100.0, seen_noise=(0.5, 100.0))
+    for k in range(10):
+        assert not stagnation.stuck
+        stagnation = stagnation.after(10.0, 100.0 - 1e-5 * (k + 1), 1.0)
+    assert stagnation.stuck
+    assert not stagnation.in_vain(1.0)
+    doubted = replace(stagnation, doubted=True)
+    assert doubted.in_vain(1.0)
+    assert not doubted.in_vain(1e-5)  # the gain is worth something
+    assert not replace(doubted, promised=1e-4).in_vain(1.0)  # slow as promised
+    assert doubted.after(10.0, 98.0, 1.0) == Stagnation(98.0, 98.0, seen_noise=(0.5, 100.0))
