@@ -192,9 +192,8 @@ class Experiment(HtmlTableMixin):
         """
         given = np.array(values, dtype=np.float64, order="C")
         if given.shape != self.output_values.shape or np.isinf(given).any():
-            raise InputError(
-                f"{self.source}: outputs must be finite or NaN, of shape {self.output_values.shape}, not {given.shape}."
-            )
+            said = f"of shape {self.output_values.shape}, not {given.shape}"
+            raise InputError(f"{self.source}: outputs must be finite or NaN, {said}.")
         taken = [self.time, *self.columns.values()]
         # a column that another variable reads, too, stays
         own = {name: self.columns[name] for name in self.output_names}
@@ -357,10 +356,8 @@ def _units(
     """Return units by variable, given ones first."""
     for variable, unit in given.items():
         if variable not in columns:
-            near = nearest(str(variable), columns)
-            raise InputError(
-                f"{source}: units: {variable!r} is no input or output{near}. Name inputs and outputs only."
-            )
+            why = f"{variable!r} is no input or output{nearest(str(variable), columns)}"
+            raise InputError(f"{source}: units: {why}. Name inputs and outputs only.")
         if not isinstance(unit, str):
             raise InputError(f'{source}: units: {variable} = {unit!r} is no text. Write it as "rad/s".')
     found = {variable: said.get(column) or unit_in_name(column, variable) for variable, column in columns.items()}

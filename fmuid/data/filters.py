@@ -71,10 +71,8 @@ def low_passed(times: Floats, values: Floats, frequency: float, source: str) -> 
     check_equal_steps(times, "lowpass_frequency", source)
     rate = 1.0 / usual_step(times)
     if not 0 < frequency < rate / 2:
-        raise InputError(
-            f"{source}: lowpass_frequency = {frequency:g} Hz must be below half the sampling rate, {rate / 2:g} Hz. "
-            "Lower or remove it."
-        )
+        said = f"{frequency:g} Hz must be below half the sampling rate, {rate / 2:g} Hz"
+        raise InputError(f"{source}: lowpass_frequency = {said}. Lower or remove it.")
     sections = butter(2, frequency, fs=rate, output="sos")
     reach = 3 * (2 * len(sections) + 1)  # what scipy continues at either end by default
     found = np.full_like(values, np.nan)

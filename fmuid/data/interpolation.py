@@ -31,16 +31,13 @@ def interpolation_words(source: str, given: str | Mapping[str, str], inputs: Map
     words = dict(given) if isinstance(given, Mapping) else dict.fromkeys(inputs, given)
     for variable in words:
         if variable not in inputs:
-            raise InputError(
-                f"{source}: interpolation: {variable!r} is no input{nearest(str(variable), inputs)}. Name inputs only."
-            )
+            near = nearest(str(variable), inputs)
+            raise InputError(f"{source}: interpolation: {variable!r} is no input{near}. Name inputs only.")
     for word in words.values() if isinstance(given, Mapping) else [given]:
         if word not in INTERPOLATIONS:
-            near = nearest(str(word), INTERPOLATIONS)
             *some, last = (f'"{each}"' for each in INTERPOLATIONS)
-            raise InputError(
-                f"{source}: interpolation: unknown value {word!r}{near}. Choose {', '.join(some)} or {last}."
-            )
+            said = f"unknown value {word!r}{nearest(str(word), INTERPOLATIONS)}"
+            raise InputError(f"{source}: interpolation: {said}. Choose {', '.join(some)} or {last}.")
     return [words.get(variable, "linear") for variable in inputs]
 
 
@@ -58,8 +55,6 @@ def slopes(source: str, times: Floats, values: Floats, curved: Flags) -> Floats:
                     PchipInterpolator(at, values[np.ix_(part, curved)]).derivative()(at) if part.size > 1 else flat
                 )
         if not np.isfinite(slopes[:, curved]).all():
-            raise InputError(
-                f'{source}: an input changes too fast for interpolation = "pchip". '
-                'Check its values and times, or use "linear".'
-            )
+            said = 'an input changes too fast for interpolation = "pchip"'
+            raise InputError(f'{source}: {said}. Check its values and times, or use "linear".')
     return slopes

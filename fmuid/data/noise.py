@@ -279,9 +279,8 @@ def _column(experiment: Experiment, output: str, column: str, *, convert: bool) 
 def _is_given(output: str, forms: Sequence[str]) -> bool:
     found = {form in ("variance", "std", "relative_std") for form in forms}
     if len(found) > 1:
-        raise InputError(
-            f"noise of output {output!r} is given in some experiments only. Give it in all, or use weights."
-        )
+        said = f"noise of output {output!r} is given in some experiments only"
+        raise InputError(f"{said}. Give it in all, or use weights.")
     return found.pop()
 
 

@@ -66,9 +66,8 @@ class Parameter:
         for word in ("start", "min", "max"):
             object.__setattr__(self, word, checked_number(getattr(self, word), word, infinite=word != "start"))
         if not self.min < self.max:
-            raise InputError(
-                f"min {self.min:g} must be less than max {self.max:g}. To fix the parameter, use [model.fixed]."
-            )
+            said = f"min {self.min:g} must be less than max {self.max:g}"
+            raise InputError(f"{said}. To fix the parameter, use [model.fixed].")
         if not self.min <= self.start <= self.max:
             raise InputError(f"start {self.start:g} is outside [{self.min:g}, {self.max:g}]. Change start, min or max.")
         if self.nominal is not None:
@@ -80,9 +79,8 @@ class Parameter:
         if self.prior is not None and not isinstance(self.prior, Normal):
             raise InputError(f"prior must be a Normal(mean, std), not {self.prior!r}.")
         if self.prior is not None and not self.min <= self.prior.mean <= self.max:
-            raise InputError(
-                f"prior: mean {self.prior.mean:g} is outside [{self.min:g}, {self.max:g}]. Change prior or bounds."
-            )
+            said = f"mean {self.prior.mean:g} is outside [{self.min:g}, {self.max:g}]"
+            raise InputError(f"prior: {said}. Change prior or bounds.")
 
 
 class ParameterSet:
@@ -192,10 +190,8 @@ class ParameterSet:
             mean[where], std[where] = joint.mean, np.sqrt(np.diag(joint.covariance))
             for i in where:
                 if not self.lower[i] <= mean[i] <= self.upper[i]:
-                    raise InputError(
-                        f"joint prior mean {mean[i]:g} of {self.names[i]!r} is "
-                        f"outside [{self.lower[i]:g}, {self.upper[i]:g}]. Change prior or bounds."
-                    )
+                    said = f"of {self.names[i]!r} is outside [{self.lower[i]:g}, {self.upper[i]:g}]"
+                    raise InputError(f"joint prior mean {mean[i]:g} {said}. Change prior or bounds.")
             block = np.zeros((len(where), count))
             block[:, where] = joint.whitening()
             rows.extend(block)

@@ -238,10 +238,8 @@ class _Work:
         if kept.sum() < 2:
             asked = "" if start is None else f"from {start:g}"
             asked += "" if end is None else f" to {end:g}"
-            raise InputError(
-                f"{self.source}: {asked.strip()} s leaves {kept.sum()} samples; "
-                f"data are from {times[0]:.6g} to {times[-1]:.6g} s. Change start_time or end_time."
-            )
+            said = f"{asked.strip()} s leaves {kept.sum()} samples; data are from {times[0]:.6g} to {times[-1]:.6g} s"
+            raise InputError(f"{self.source}: {said}. Change start_time or end_time.")
         if not kept.all():
             self.frame = self.frame[kept].reset_index(drop=True)
 

@@ -57,9 +57,8 @@ class Normal:
         object.__setattr__(self, "mean", checked_number(self.mean, "the mean of a prior"))
         object.__setattr__(self, "std", checked_number(self.std, "the std of a prior"))
         if not self.std >= SMALLEST_MAGNITUDE:
-            raise InputError(
-                f"the std of a prior must be greater than 0, not {self.std:g}. Fix a known parameter instead."
-            )
+            said = f"the std of a prior must be greater than 0, not {self.std:g}"
+            raise InputError(f"{said}. Fix a known parameter instead.")
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,29 +96,23 @@ class JointPrior:
         object.__setattr__(self, "names", tuple(names))
         object.__setattr__(self, "mean", np.array(mean, dtype=np.float64))
         object.__setattr__(self, "covariance", np.array(covariance, dtype=np.float64))
-        count = len(self.names)
+        count, which = len(self.names), f"joint prior of {', '.join(self.names)}"
         if len(set(self.names)) < count:
             raise InputError(f"joint prior: a parameter is named twice: {', '.join(self.names)}.")
         if self.mean.shape != (count,) or self.covariance.shape != (count, count):
-            raise InputError(
-                f"joint prior of {', '.join(self.names)}: needs {count} means and a {count} x {count} covariance, "
-                f"not shapes {self.mean.shape} and {self.covariance.shape}."
-            )
+            said = f"needs {count} means and a {count} x {count} covariance"
+            raise InputError(f"{which}: {said}, not shapes {self.mean.shape} and {self.covariance.shape}.")
         if not (np.isfinite(self.mean).all() and np.isfinite(self.covariance).all()):
-            raise InputError(f"joint prior of {', '.join(self.names)}: a value is not finite.")
+            raise InputError(f"{which}: a value is not finite.")
         for name, variance in zip(self.names, np.diag(self.covariance), strict=True):
             if variance <= 0:
-                raise InputError(
-                    f"joint prior: variance of {name!r} must be greater than 0, not {variance:g}. "
-                    "Fix a known parameter instead."
-                )
+                said = f"variance of {name!r} must be greater than 0, not {variance:g}"
+                raise InputError(f"joint prior: {said}. Fix a known parameter instead.")
         unequal = ~np.isclose(self.covariance, self.covariance.T, rtol=1e-6, atol=0.0)  # rounding in a printed file
         if unequal.any():
             i, j = np.argwhere(unequal)[0]
-            raise InputError(
-                f"joint prior: covariance is not symmetric; {self.names[i]}, {self.names[j]}: "
-                f"{self.covariance[i, j]:g} and {self.covariance[j, i]:g}."
-            )
+            said = f"{self.names[i]}, {self.names[j]}: {self.covariance[i, j]:g} and {self.covariance[j, i]:g}"
+            raise InputError(f"joint prior: covariance is not symmetric; {said}.")
         self.whitening()
 
     def whitening(self) -> Floats:
@@ -128,7 +121,6 @@ class JointPrior:
         try:  # on the correlation matrix: variances of very different units must not decide what counts as positive
             factor = np.linalg.cholesky(self.covariance / np.outer(std, std))
         except np.linalg.LinAlgError:
-            raise InputError(
-                f"joint prior of {', '.join(self.names)}: covariance is not positive definite. Check its correlations."
-            ) from None
+            said = f"joint prior of {', '.join(self.names)}: covariance is not positive definite"
+            raise InputError(f"{said}. Check its correlations.") from None
         return np.asarray(np.linalg.solve(factor, np.diag(1.0 / std)), dtype=np.float64)

@@ -130,16 +130,12 @@ def multisine(
     period = duration if period is None else _positive(period, "period")
     _positive(lowest, "lowest")
     if not lowest <= _positive(highest, "highest") < 0.5 / step:
-        raise InputError(
-            f"highest {highest:g} Hz must be from lowest, {lowest:g} Hz, "
-            f"to below half the sampling rate, {0.5 / step:g} Hz. Change the band or sample faster."
-        )
+        allowed = f"from lowest, {lowest:g} Hz, to below half the sampling rate, {0.5 / step:g} Hz"
+        raise InputError(f"highest {highest:g} Hz must be {allowed}. Change the band or sample faster.")
     first, last = math.ceil(lowest * period - SAMPLE_TOLERANCE), math.floor(highest * period + SAMPLE_TOLERANCE)
     if last < first:
-        raise InputError(
-            f"no multiple of 1/period = {1 / period:g} Hz from {lowest:g} to {highest:g} Hz. "
-            "Make period longer or the band wider."
-        )
+        said = f"no multiple of 1/period = {1 / period:g} Hz from {lowest:g} to {highest:g} Hz"
+        raise InputError(f"{said}. Make period longer or the band wider.")
     values = np.zeros(times.size)
     for k, line in enumerate(range(first, last + 1)):
         values += np.cos(2.0 * np.pi * line / period * times - np.pi * k * (k + 1) / (last + 1 - first))
@@ -207,9 +203,8 @@ def _times(duration: float, step: float, column: str, **numbers: float) -> Float
         raise InputError(f"duration {duration:g} s has {samples:g} samples of {step:g} s. Give both in seconds.")
     count = round(samples)
     if count < 2 or abs(samples - count) > SAMPLE_TOLERANCE:
-        raise InputError(
-            f"duration {duration:g} s is {samples:g} samples of {step:g} s. Give a whole number, two or more."
-        )
+        said = f"duration {duration:g} s is {samples:g} samples of {step:g} s"
+        raise InputError(f"{said}. Give a whole number, two or more.")
     for name, value in numbers.items():
         checked_number(value, name)
     return float(step) * np.arange(count, dtype=np.float64)

@@ -249,8 +249,6 @@ class Baseline:
             return given
         known = self.result.fit.variance
         for name in (each for each in outputs if each not in known):
-            raise InputError(
-                f"the healthy result has no noise variance of {name!r}, only of {', '.join(known)}. "
-                "Measure the same outputs, or give noise.variance."
-            )
+            said = f"the healthy result has no noise variance of {name!r}, only of {', '.join(known)}"
+            raise InputError(f"{said}. Measure the same outputs, or give noise.variance.")
         return {name: known[name] for name in outputs}

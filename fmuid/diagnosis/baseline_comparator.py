@@ -73,10 +73,8 @@ class BaselineComparator:
             if unlike is None:
                 return BaselineSource.FILE, known.subject.among(known, asked)
             if not baseline.records:
-                raise InputError(
-                    f"{known.path}: made with {unlike.value} than in this study. Identify the healthy study again, "
-                    "or list its data in healthy_data."
-                )
+                remedy = "Identify the healthy study again, or list its data in healthy_data."
+                raise InputError(f"{known.path}: made with {unlike.value} than in this study. {remedy}")
             basis = unlike
         elif known is not None and known.path is not None:
             basis = BaselineSource.DAMAGED
@@ -95,9 +93,8 @@ class BaselineComparator:
             for each in records:
                 shown = error_of(self.machine(each), self.healthy, self.coordinates, causes[name], level)
                 if math.isnan(shown):
-                    raise InputError(
-                        f"{each.source}: no change by {name} found. Use data with a larger fault, or remove it."
-                    )
+                    remedy = "Use data with a larger fault, or remove it."
+                    raise InputError(f"{each.source}: no change by {name} found. {remedy}")
                 found.append(shown)
         return max(found)
 
@@ -130,22 +127,18 @@ def _check(first: Experiment, others: Sequence[Experiment], baseline: Baseline) 
         for role in ("input", "output"):
             own, wanted = (sorted(set(getattr(one, f"{role}_names"))) for one in (each, first))
             if own != wanted:
-                raise InputError(
-                    f"{each.source}: {role}s {', '.join(own) or 'none'} differ from those of {first.source}: "
-                    f"{', '.join(wanted) or 'none'}. Use the same {role}s."
-                )
+                mine, theirs = (", ".join(names) or "none" for names in (own, wanted))
+                said = f"{role}s {mine} differ from those of {first.source}: {theirs}"
+                raise InputError(f"{each.source}: {said}. Use the same {role}s.")
     for record in baseline.records:
         # planned outputs count without a value
         there = np.any(record.counted & ~np.isnan(record.output_values), axis=0)
-        for j in np.flatnonzero(~there):
-            raise InputError(
-                f"{record.source}: no sample of {record.output_names[j]!r}. Remove it from the healthy data."
-            )
+        for name in np.array(record.output_names)[~there].tolist():
+            raise InputError(f"{record.source}: no sample of {name!r}. Remove it from the healthy data.")
     for name, parameter in baseline.common.items():
         if parameter.per_experiment:
-            raise InputError(
-                f"the parameter {name!r} is one per experiment. Diagnose each experiment alone, without per_experiment."
-            )
+            remedy = "Diagnose each experiment alone, without per_experiment."
+            raise InputError(f"the parameter {name!r} is one per experiment. {remedy}")
 
 
 def _of_result(baseline: Baseline, coordinates: ChangeParameterSet) -> tuple[ChangePrior, Floats]:

@@ -111,9 +111,8 @@ class Fault:
             elif len(sizes) == 1:
                 angle = FaultAngle(sizes[0], width) if math.isfinite(width) else FaultAngle(sizes[0])
             else:
-                raise InputError(
-                    f"the angle {name!r} has no clear size ({' or '.join(sizes) or 'none'}). Give its magnitude."
-                )
+                clear = " or ".join(sizes) or "none"
+                raise InputError(f"the angle {name!r} has no clear size ({clear}). Give its magnitude.")
             if angle.magnitude not in sizes:
                 near = nearest(angle.magnitude, sizes)
                 raise InputError(f"unknown size {angle.magnitude!r} of the angle {name!r}{near}")
@@ -160,9 +159,8 @@ class Fault:
         healthy = list(common)
         twice = {self.variable_map.get(each, each) for each in healthy} & self.parameters.keys()
         for name in twice:
-            raise InputError(
-                f"the parameter {name!r} belongs to the fault and the healthy machine. Rename or remove one."
-            )
+            said = f"the parameter {name!r} belongs to the fault and the healthy machine"
+            raise InputError(f"{said}. Rename or remove one.")
         known = {*healthy, *columns}
         for name in self.variable_map:
             if name not in known:
@@ -205,10 +203,8 @@ def common_mode(
     given, held = dict(parameters or {}), set(held)
     known = [name for name in healthy.names if not of_one_experiment(name) and name not in held]
     if not known:
-        raise InputError(
-            f"the healthy result has no free parameter of this machine, only {', '.join(healthy.names)}. "
-            "Give the result of a healthy identification."
-        )
+        said = f"the healthy result has no free parameter of this machine, only {', '.join(healthy.names)}"
+        raise InputError(f"{said}. Give the result of a healthy identification.")
     factors = std_factor if isinstance(std_factor, Mapping) else dict.fromkeys(known, std_factor)
     for name in factors:
         if name not in known:

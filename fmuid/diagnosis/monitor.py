@@ -121,10 +121,8 @@ class Monitor:
         if record.name in self.records and not goes_on:
             raise InputError(f"{record.source}: {record.name!r} has been monitored already. Remove or rename it.")
         if grows and (self.rule.window is None or self.rule.horizon is None):
-            raise InputError(
-                f"{record.source}: growing data need window_length and false_alarm_horizon in [monitoring]. "
-                "Give both, in s, for example 1.0 and 86400.0."
-            )
+            said = "growing data need window_length and false_alarm_horizon in [monitoring]"
+            raise InputError(f"{record.source}: {said}. Give both, in s, for example 1.0 and 86400.0.")
         against = self._comparison(record)
         before, gaps = self._now, self.gaps
         self._now = before if goes_on else before.beginning(record, self.rule.transient)
@@ -164,8 +162,6 @@ class Monitor:
             self._against = MonitorReference(made, self.rule, self.model_error)
         return self._against
 
-    # --- the windows of a record
-
     def _examined(
         self, against: MonitorReference, record: Experiment, progress: Progress | None, *, grows: bool
     ) -> list[dict[str, Any]]:
@@ -175,10 +171,8 @@ class Monitor:
         windows = [each for each in every if each.there]
         missing = [each for each in every if not each.there]
         if not windows and not grows and not begun.windows:
-            raise InputError(
-                f"{record.source}: no window has samples of every output after the warm-up. "
-                "Shorten the warm-up, or remove the data."
-            )
+            said = "no window has samples of every output after the warm-up"
+            raise InputError(f"{record.source}: {said}. Shorten the warm-up, or remove the data.")
         self.gaps += tuple(SkippedWindow(record.source, float(record.times[each.start])) for each in missing)
         self._now = self._now.cut(len(every), grows=grows)
         seconds = windows[0].end - windows[0].begin if windows else self.rule.window or 1.0
@@ -222,8 +216,6 @@ class Monitor:
                 raise
             self._now = replace(self._now, point=healthy)  # where it was last cannot be simulated with these inputs
             return self._summed(made, record, windows)
-
-    # --- what was found
 
     @property
     def table(self) -> pd.DataFrame:
@@ -290,8 +282,6 @@ class Monitor:
         sums = {"point": self._now.point, **self._now.watch.state()}
         return Resumed(sums, {}, {one.name: one.unit for one in each if not one.second}, columns)
 
-    # --- files
-
     def write(
         self,
         folder: str | Path,
@@ -329,12 +319,9 @@ class Monitor:
     @property
     def _same(self) -> dict[str, Any]:
         """Content that must be equal to go on with an earlier run."""
-        common = {
-            name: [each.start, None if each.prior is None else each.prior.std]
-            for name, each in self.baseline.common.items()
-        }
+        common = self.baseline.common.items()
         healthy = {
-            "parameters": common,
+            "parameters": {name: [each.start, None if each.prior is None else each.prior.std] for name, each in common},
             "faults": {name: list(fault.parameters) for name, fault in self.faults.items()},
             "records": [each.name for each in self.baseline.records],
             "shown": None if self.baseline.shown is None or self.baseline.records else self.baseline.shown.subject,

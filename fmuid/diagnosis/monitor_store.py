@@ -109,10 +109,8 @@ class MonitorStore:
                 file.flush()
                 os.fsync(file.fileno())
         except OSError as error:
-            why = error.strerror or error
-            raise InputError(
-                f"{path}: write failed: {why}. Free disk space, or choose another folder with --output."
-            ) from None
+            remedy = "Free disk space, or choose another folder with --output."
+            raise InputError(f"{path}: write failed: {error.strerror or error}. {remedy}") from None
         self._lengths[name] += len(text.encode())
         if text:
             note(path)
@@ -130,10 +128,8 @@ class MonitorStore:
         if earlier.same != as_json(same):
             if earlier.version != __version__:
                 raise DamagedStateError(path, f"written by fmuid {earlier.version}, this is {__version__}")
-            raise InputError(
-                f"{path}: made with another rule, other faults or another healthy machine. Use the same, or "
-                "another output folder."
-            )
+            said = "made with another rule, other faults or another healthy machine"
+            raise InputError(f"{path}: {said}. Use the same, or another output folder.")
         self._rows, self._lengths = earlier.windows, earlier.lengths
         table = _table(self.folder / TABLE_FILE, self._lengths[TABLE_FILE], self._rows, rows)
         forgotten = self._rows - len(table)

@@ -104,10 +104,8 @@ def split_windows(record: Experiment, window: float | None, transient: float, be
     if count <= 0 and (begun.grows or begun.windows):
         return []
     if count <= 0:
-        raise InputError(
-            f"{record.source}: {times[-1] - times[0]:g} s are shorter than a window of {window:g} s. "
-            "Give shorter windows, or longer data."
-        )
+        said = f"{times[-1] - times[0]:g} s are shorter than a window of {window:g} s"
+        raise InputError(f"{record.source}: {said}. Give shorter windows, or longer data.")
     edges = begun.begin + window * np.arange(begun.windows, begun.windows + count + 1)
     borders = np.searchsorted(times, edges - slack)
     leads = np.searchsorted(times, edges - transient - slack)
@@ -188,10 +186,9 @@ def build_up_of(
         left.append(np.sum(off**2, axis=1))
         most = off[part.counted].max(initial=0.0)
         if most > SETTINGS.transient_share:
-            raise InputError(
-                f"{record.source}: warm-up of {transient:g} s too short: the initial state still shifts outputs by "
-                f"{most:.2g} × noise level. Give a longer warm-up, and longer windows."
-            )
+            shift = f"the initial state still shifts outputs by {most:.2g} × noise level"
+            said = f"warm-up of {transient:g} s too short: {shift}"
+            raise InputError(f"{record.source}: {said}. Give a longer warm-up, and longer windows.")
     length, slow = min(each.size for each in left), made.coordinates.slow
     states, seen = np.mean([each[:length] for each in left], axis=0), columns / std[:, None]
 

@@ -7,6 +7,7 @@ import pytest
 from scipy.signal import lfilter
 
 from fmuid.diagnosis import onset_tracker as watching
+from fmuid.diagnosis.cause_ranking import log_bayes_factor
 from fmuid.diagnosis.causes import Cause
 from fmuid.diagnosis.change_detection import log_chance, log_limit
 from fmuid.diagnosis.information_matrix import ChangePrior
@@ -67,6 +68,17 @@ def test_an_onset_is_a_column_of_least_squares(shape: OnsetShape, at: int) -> No
     assert found.clock[at] == at
     assert found.statistics[at] == pytest.approx(statistic, rel=1e-6)
     assert found.sizes[at, 0] == pytest.approx(size, rel=1e-6)
+
+
+@pytest.mark.parametrize("sign", [0, 1])
+def test_evidence_of_an_onset_is_that_of_its_statistics(sign: int) -> None:
+    """In closed form, of sizes with a normal or half-normal prior."""
+    random, cause = np.random.default_rng(2), Cause("step", (1,), 0.5, sign)
+    jacobian, residual = random.standard_normal((SAMPLES, 3)), random.standard_normal(SAMPLES)
+    found = watched(jacobian, residual)
+    (onsets,) = found.onsets([cause], OnsetShape.STEP)
+    expected = [log_bayes_factor(found.news(clock), [cause]) for clock in onsets.clock]
+    assert onsets.log_evidence(1.0) == pytest.approx(expected)
 
 
 def test_old_onsets_thin_out_and_those_of_an_alarm_stay(monkeypatch: pytest.MonkeyPatch) -> None:
