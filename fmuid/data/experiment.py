@@ -108,19 +108,19 @@ class Experiment(HtmlTableMixin):
         """FMU variables."""
         return tuple(self.outputs)
 
-    @cached_property
-    def _words(self) -> list[str]:
-        return interpolation_words(self.source, self.interpolation, _roles(self.source, "inputs", self.inputs))
+    def _interpolated(self, *words: str) -> Flags:
+        given = interpolation_words(self.source, self.interpolation, _roles(self.source, "inputs", self.inputs))
+        return _frozen(np.array([word in words for word in given], dtype=np.bool_))
 
     @cached_property
     def held(self) -> Flags:
         """Inputs with zero-order hold (n_inputs,)."""
-        return _frozen(np.array([word in HELD for word in self._words], dtype=np.bool_))
+        return self._interpolated(*HELD)
 
     @cached_property
     def curved(self) -> Flags:
         """Inputs with interpolation ``"pchip"`` (n_inputs,)."""
-        return _frozen(np.array([word == "pchip" for word in self._words], dtype=np.bool_))
+        return self._interpolated("pchip")
 
     @cached_property
     def input_slopes(self) -> Floats:
@@ -136,14 +136,11 @@ class Experiment(HtmlTableMixin):
         attributes = getattr(self.frame, "attrs", {})
         source = self.source or str(attributes.get(SOURCE, "the table"))
         inputs, outputs = _roles(source, "inputs", self.inputs), _roles(source, "outputs", self.outputs)
-        for variable in inputs:
-            if variable in outputs:
-                raise InputError(f"{source}: {variable!r} is both input and output. Give it one role.")
+        for variable in (each for each in inputs if each in outputs):
+            raise InputError(f"{source}: {variable!r} is both input and output. Give it one role.")
         frame = _frame(source, self.frame, self.time)
-        inputs, outputs = (
-            {variable: column_of(frame.columns, column) or column for variable, column in roles.items()}
-            for roles in (inputs, outputs)
-        )
+        for roles in (inputs, outputs):
+            roles.update({name: column_of(frame.columns, column) or column for name, column in roles.items()})
         there = outputs if self.measured else {name: c for name, c in outputs.items() if c in frame.columns}
         for role, columns in {"time": [self.time], "input": inputs.values(), "output": there.values()}.items():
             for column in columns:
@@ -155,17 +152,10 @@ class Experiment(HtmlTableMixin):
         if inputs and self.measured:
             _check_rows(source, times, inputs, words)
         input_values = as_held(_values(source, frame, times, "input", inputs, inputs), words)
-        self._set(
-            source=source,
-            frame=frame,
-            inputs=inputs,
-            outputs=outputs,
-            units=_units(source, self.units, inputs | outputs, frame.attrs.get(UNITS, {})),
-            times=times,
-            input_values=input_values,
-            output_values=output_values,
-            counted=_counted(source, times, output_values, outputs, there, self.warmup),
-        )
+        units = _units(source, self.units, inputs | outputs, frame.attrs.get(UNITS, {}))
+        counted = _counted(source, times, output_values, outputs, there, self.warmup)
+        self._set(source=source, frame=frame, inputs=inputs, outputs=outputs, units=units)
+        self._set(times=times, input_values=input_values, output_values=output_values, counted=counted)
         _ = self.input_slopes  # which may be refused
 
     @classmethod

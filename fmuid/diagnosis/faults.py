@@ -157,8 +157,8 @@ class Fault:
     def check_beside(self, common: Iterable[str], columns: Iterable[str]) -> None:
         """Check parameters and names against the healthy machine's parameters and columns."""
         healthy = list(common)
-        twice = {self.variable_map.get(each, each) for each in healthy} & self.parameters.keys()
-        for name in twice:
+        mapped = {self.variable_map.get(each, each) for each in healthy}
+        for name in (each for each in self.parameters if each in mapped):
             said = f"the parameter {name!r} belongs to the fault and the healthy machine"
             raise InputError(f"{said}. Rename or remove one.")
         known = {*healthy, *columns}

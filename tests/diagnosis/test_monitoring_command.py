@@ -127,10 +127,7 @@ def test_damaged_files_are_not_resumed(folder: Path, capsys: pytest.CaptureFixtu
     assert table.read_bytes() == whole[table]
 
 
-FIRST, *OTHERS = SIGNALS
-
-
-@pytest.mark.parametrize("number", [FIRST, *(pytest.param(each, marks=pytest.mark.slow) for each in OTHERS)])
+@pytest.mark.parametrize("number", SIGNALS)
 def test_an_interruption_inside_a_record(
     folder: Path, number: int, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
