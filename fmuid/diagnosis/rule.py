@@ -52,10 +52,8 @@ class Rule:
             if value is not None and not (math.isfinite(value) and value > 0):
                 raise InputError(f"the {name} must be a finite time above 0 s, not {value!r}")
         if self.window is not None and self.window <= self.transient:
-            raise InputError(
-                f"windows of {self.window:g} s are not longer than the warm-up of {self.transient:g} s. "
-                "Give longer windows."
-            )
+            said = f"windows of {self.window:g} s are not longer than the warm-up of {self.transient:g} s"
+            raise InputError(f"{said}. Give longer windows.")
 
     def window_level(self, windows: int, length: float) -> float:
         """Return the false-alarm probability of one window (length in s)."""
