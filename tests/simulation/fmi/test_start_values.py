@@ -64,7 +64,7 @@ def test_only_the_starts_and_the_annotation_change(tmp_path: Path, encoding: str
         ('"1e-3"', '"5.0"'),
         (
             f"<ModelVariables>{newline}",
-            note_2('"a"', '"on"', "'b &amp; \"c\"'", '"n"', '"x[2]"') + f"<ModelVariables>{newline}",
+            note_2('"a"', '"on"', '"b &amp; &quot;c&quot;"', '"n"', '"x[2]"') + f"<ModelVariables>{newline}",
         ),
     )
     assert changed.decode(encoding) == expected
