@@ -107,6 +107,8 @@ def test_the_log_has_the_warnings_of_its_own_thread(case_folder: Path, monkeypat
 
 # --- refusals
 
+RANGES = {"ranges": {"L": [0.1, 0.2]}}
+NOISE = {"realizations": 2, "std": 0.1}
 WRONG: list[tuple[dict[str, Any], str]] = [
     ({}, r"batch: nothing varies between cases. Set data"),
     ({"stats": 3}, r"unknown key 'stats' \(did you mean 'starting_points'"),
@@ -136,28 +138,22 @@ WRONG: list[tuple[dict[str, Any], str]] = [
     ({"sweep": {"i_stat": [1.0]}}, r"batch: Coil.fmu: no variable 'i_stat' \(did you mean"),
     ({"sweep": {"i_start": ["big"]}}, "'i_start' is of type Real and cannot have the value 'big'"),
     ({"sweep": {"u": [1.0]}}, "'u' is an input of .*table.csv and has a value"),
-    ({"space_filling": {"ranges": {"L": [0.1, 0.2]}}}, r"batch.space_filling: missing key 'points': number"),
+    ({"space_filling": {**RANGES}}, r"batch.space_filling: missing key 'points': number"),
     ({"space_filling": {"points": 3}}, r"batch.space_filling: missing key 'ranges': variables"),
-    (
-        {"space_filling": {"points": 10**8, "ranges": {"L": [0.1, 0.2]}}},
-        "points: must be a whole number up to 16777216",
-    ),
+    ({"space_filling": {"points": 10**8, **RANGES}}, "points: must be a whole number up to 16777216"),
     ({"space_filling": {"points": 3, "ranges": {}}}, "ranges: must be { variable ="),
     (
         {"space_filling": {"points": 3, "ranges": {"L": [0.2, 0.1]}}},
         r"batch.space_filling.ranges.L: must be \[lowest, highest\]",
     ),
-    ({"space_filling": {"points": 3, "method": "halton", "ranges": {"L": [0.1, 0.2]}}}, 'method: must be "sobol" or'),
-    (
-        {"space_filling": {"points": 3, "ranges": {"L": [0.1, 0.2]}}, "sweep": {"L": [0.1]}},
-        "'L' is in sweep and in space_filling",
-    ),
+    ({"space_filling": {"points": 3, "method": "halton", **RANGES}}, 'method: must be "sobol" or'),
+    ({"space_filling": {"points": 3, **RANGES}, "sweep": {"L": [0.1]}}, "'L' is in sweep and in space_filling"),
     ({"monte_carlo": {"std": 0.1}}, r"batch.monte_carlo: missing key 'realizations'"),
     ({"monte_carlo": {"realizations": 2}}, r"unknown noise level of 'i'"),
     ({"monte_carlo": {"realizations": 2, "std": {"j": 0.1}}}, "std: unknown output 'j'"),
     ({"monte_carlo": {"realizations": 2, "std": 0}}, "std: must be a number above 0"),
-    ({"monte_carlo": {"realizations": 2, "std": 0.1, "true_values": {"Q": 1.0}}}, "Coil.fmu: no variable 'Q'"),
-    ({"monte_carlo": {"realizations": 2, "std": 0.1, "true_values": {"R": math.inf}}}, "finite number"),
+    ({"monte_carlo": {**NOISE, "true_values": {"Q": 1.0}}}, "Coil.fmu: no variable 'Q'"),
+    ({"monte_carlo": {**NOISE, "true_values": {"R": math.inf}}}, "finite number"),
     ({"combine": "zip", "starting_points": 2, "sweep": {"i_start": [1.0]}}, "1 of sweep.i_start, 2 of starting_"),
 ]
 
