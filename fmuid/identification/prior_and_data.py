@@ -261,7 +261,7 @@ def compare_prior_and_data(
 
 
 def parabolas(reading: pd.DataFrame, name: str) -> pd.DataFrame:
-    """Compute the cost of prior, data and both for a parameter (figure 1.1; 1.54, 1.57).
+    """Compute the cost of prior, data and both (figure 1.1; 1.54, 1.57).
 
     Parameters
     ----------
